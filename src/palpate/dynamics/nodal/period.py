@@ -39,9 +39,10 @@ from palpate.dynamics.nodal.central_difference import (
     foundation_force,
     kick_node,
 )
+from palpate.dynamics.nodal.tool_path import END, HOME, START, limit_path, place_tool, set_path, write_place
 from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN
 
-__all__ = ["ContactReport", "NodalPeriodData", "contact_stiffness", "nodal_period"]
+__all__ = ["ContactReport", "NodalPeriodData", "nodal_period"]
 
 ESTIMATE_PERIODS = 16  # between two iterations for the highest frequency
 FREQUENCY_MARGIN = 1.05  # of the estimate, because an iteration converges from below
@@ -57,15 +58,10 @@ STIFF, STIFF_ESTIMATE = 1.5, 4  # frequency over that at rest from which on it i
 MOST_STIFF = 100.0  # largest estimate over that at rest
 MAX_GAIN, LEAST_ENERGY = 0.05, 1e-9  # kinetic energy beyond the work, relative to all work; [J] that is rounding
 BLOCK = 256  # nodes of a sum
-LEAST_WAY = 1e-4  # [m] of the tool between two updates of the contact stiffness
 
 # entries of `NodalPeriodData.clock`
 BEHIND, STEP, FREQUENCY, UNTIL_ESTIMATE, WORK, LOST, KINETIC_ENERGY, GIVEN, NEXT_BEHIND = range(9)
 REPEATED, GAINED, HELD = range(9, 12)
-# frames in `NodalPeriodData.path`
-START, END, HOME = range(3)
-# rows of `NodalPeriodData.secant` after those of the matrix
-POSITION, FORCE = 3, 4
 
 
 class ContactReport(NamedTuple):
@@ -154,33 +150,6 @@ class NodalPeriodData(NamedTuple):
 
 
 @kernel_njit(inner=True)
-def limit_path(path, most):  # type: ignore[no-untyped-def]
-    """Shorten the way of the tool to `most` [m]; return True if it was longer."""
-    square = 0.0
-    for i in range(3):
-        square += (path[END, i, 3] - path[START, i, 3]) ** 2
-    if square <= most * most:
-        return False
-    share = most / np.sqrt(square)
-    for i in range(3):
-        for j in range(4):
-            path[END, i, j] = path[START, i, j] + share * (path[END, i, j] - path[START, i, j])
-    for j in range(3):  # a mean of rotations is none: orthonormal columns (Gram and Schmidt)
-        for k in range(j):
-            along = 0.0
-            for i in range(3):
-                along += path[END, i, j] * path[END, i, k]
-            for i in range(3):
-                path[END, i, j] -= along * path[END, i, k]
-        length = 0.0
-        for i in range(3):
-            length += path[END, i, j] ** 2
-        for i in range(3):
-            path[END, i, j] /= np.sqrt(length)
-    return True
-
-
-@kernel_njit(inner=True)
 def _crushes(data):  # type: ignore[no-untyped-def]
     """Return True if the tool would move on into tissue that is stiff already."""
     if data.clock[FREQUENCY] < CRUSHED * data.resting_frequency:
@@ -189,42 +158,6 @@ def _crushes(data):  # type: ignore[no-untyped-def]
     for i in range(3):
         work += data.tool_force[i] * (data.path[END, i, 3] - data.path[START, i, 3])
     return work > 0.0
-
-
-@kernel_njit(inner=True)
-def _write_place(path, target):  # type: ignore[no-untyped-def]
-    """Write displacement and R - I of the end of the path, from home, into a target (12,)."""
-    for i in range(3):
-        target[i] = path[END, i, 3] - path[HOME, i, 3]
-        for j in range(3):
-            value = -1.0 if i == j else 0.0
-            for k in range(3):
-                value += path[END, i, k] * path[HOME, j, k]
-            target[3 + 3 * i + j] = value
-
-
-@kernel_njit(inner=True)
-def set_path(path, target, at_rest):  # type: ignore[no-untyped-def]
-    """Set the frames of the tool for a period that ends at a target (12,): displacement and R - I, from home."""
-    copy_values(path[END], path[START])
-    for i in range(3):
-        for j in range(3):
-            value = 0.0
-            for k in range(3):
-                value += (target[3 + 3 * i + k] + (1.0 if i == k else 0.0)) * path[HOME, k, j]
-            path[END, i, j] = value
-        path[END, i, 3] = path[HOME, i, 3] + target[i]
-    if at_rest:
-        copy_values(path[END], path[START])
-
-
-@kernel_njit(inner=True)
-def _place_tool(path, share, frames):  # type: ignore[no-untyped-def]
-    """Move the frame of the tool to a share of its path; the last one becomes that before the step."""
-    for i in range(3):
-        for j in range(4):
-            frames[0, i, j] = frames[1, i, j]
-            frames[1, i, j] = path[START, i, j] + share * (path[END, i, j] - path[START, i, j])
 
 
 @kernel_njit(inner=True)
@@ -261,52 +194,6 @@ def _report_contact(data, duration, report):  # type: ignore[no-untyped-def]
             contact.push[count, c] = data.grip.impulse[k, c] / data.clock[STEP]
         count += 1
     contact.numbers[0] = count
-
-
-@kernel_njit()
-def contact_stiffness(data, q, out):  # type: ignore[no-untyped-def]
-    """Write the contact stiffness into the first three rows and columns of (12, 12).
-
-    It follows from changes of force and position between calls, by Powell's symmetric Broyden update (in Nonlinear
-    Programming, Academic Press 1970): the matrix nearest to the last one that has the observed secant. It is zero
-    without contact, and holds along the directions in which the tool has moved.
-    """
-    secant, position, force = data.secant, data.path[END, :, 3], data.tool_force
-    touches = force[0] != 0.0 or force[1] != 0.0 or force[2] != 0.0
-    touched = secant[FORCE, 0] != 0.0 or secant[FORCE, 1] != 0.0 or secant[FORCE, 2] != 0.0
-    square, along = 0.0, 0.0
-    for i in range(3):
-        square += (position[i] - secant[POSITION, i]) ** 2
-    if touches and touched and square > LEAST_WAY**2:
-        for i in range(3):
-            along += _excess(secant, position, force, i) * (position[i] - secant[POSITION, i])
-        for i in range(3):
-            for j in range(i, 3):
-                way_i, way_j = position[i] - secant[POSITION, i], position[j] - secant[POSITION, j]
-                change = _excess(secant, position, force, i) * way_j + way_i * _excess(secant, position, force, j)
-                out[i, j] = secant[i, j] + (change - along * way_i * way_j / square) / square
-        for i in range(3):
-            for j in range(i, 3):
-                secant[i, j], secant[j, i] = out[i, j], out[i, j]
-    if not touches:
-        for i in range(3):
-            for j in range(3):
-                secant[i, j] = 0.0
-    if not touched or not touches or square > LEAST_WAY**2:
-        for i in range(3):
-            secant[POSITION, i], secant[FORCE, i] = position[i], force[i]
-    for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            out[i, j] = secant[i, j] if i < 3 and j < 3 else 0.0
-
-
-@kernel_njit(inner=True)
-def _excess(secant, position, force, i):  # type: ignore[no-untyped-def]
-    """Return component i of the change of force that the present matrix does not explain."""
-    value = force[i] - secant[FORCE, i]
-    for j in range(3):
-        value -= secant[i, j] * (position[j] - secant[POSITION, j])
-    return value
 
 
 @kernel_njit(inner=True, parallel=True)
@@ -468,7 +355,7 @@ def nodal_period(formulation: Formulation) -> Any:
         _drift_blocks(sites.kind, nodes, scratch.damped, scratch.surface, 0.0, damping.beta, u, velocity, data.sums)
         for s in range(count):
             share = min(1.0, ((s + 1) * step - behind) / period)
-            _place_tool(path, share, contacts.frames[0])
+            place_tool(path, share, contacts.frames[0])
             after(work, step)
             force_of(scratch.damped, body, work, scratch.force)
             foundation_force(sites, u, velocity, nodes.volumes, scratch.surface)
@@ -578,7 +465,7 @@ def nodal_period(formulation: Formulation) -> Any:
             set_step(data)
         if late:
             clock[HELD] += 1.0
-            _write_place(data.path, target)
+            write_place(data.path, target)
         if count > 0:
             for k in range(FORCES, report.shape[0]):
                 report[k] = 0.0

@@ -17,17 +17,15 @@ from palpate.dynamics.nodal.central_difference import Damping
 from palpate.dynamics.nodal.model import NodalModel, nodal_data
 from palpate.dynamics.nodal.period import (
     BLOCK,
-    END,
     FREQUENCY,
     GAINED,
     HELD,
-    HOME,
     REPEATED,
-    START,
     ContactReport,
     NodalPeriodData,
     nodal_period,
 )
+from palpate.dynamics.nodal.tool_path import END, HOME, START
 from palpate.faults import InputError
 
 __all__ = ["change_full_tool", "full_period", "step_statistics"]

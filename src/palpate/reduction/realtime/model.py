@@ -15,7 +15,7 @@ from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.prepared import check_kinds, prepare_loads
 from palpate.dynamics.material.relaxation import history_copy
 from palpate.dynamics.nodal.model import NodalModel
-from palpate.dynamics.nodal.period import contact_stiffness as nodal_stiffness
+from palpate.dynamics.nodal.tool_path import contact_stiffness as nodal_stiffness
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.contact.surface import contact_scratch, rigid_tools
 from palpate.reduction.contact.tangent import contact_stiffness, contact_system
