@@ -298,6 +298,63 @@ def test_the_work_of_forceps_is_in_the_energy_balance(block):
     assert nodal_energy(stepped) == pytest.approx(strain, rel=0.01)
 
 
+def test_forceps_that_hold_still_dissipate_nothing():
+    body = pt.Solid(pt.box(SIZE, SPACING), law(), "z-", mass_damping=8.0)
+    stepped = Stepped(body, GRASP)
+    for t in PERIOD * np.arange(1, 151):
+        stepped.to(depth(t) * np.array([0.7, 0.0, 0.7]))
+    lost = []
+    for _ in range(1000):
+        report = stepped.to(depth(0.15) * np.array([0.7, 0.0, 0.7]))
+        lost.append(stepped.model.data.clock[nodal.LOST])
+    strain = body.strain_energy(stepped.q.reshape(-1, 3))
+    assert report[4] == pytest.approx(strain, rel=0.01)
+    assert abs(lost[-1] - lost[-200]) < 1e-3 * strain
+    assert stepped.model.data.clock[nodal.REPEATED] == 0
+
+
+def test_a_tool_slides_with_friction_over_a_support_where_nothing_else_moves():
+    body = pt.Solid(pt.box(SIZE, SPACING), law(), "z+")
+    stepped = Stepped(body)
+    for k in range(40):
+        report = stepped.to([0.0, 0.0, -5e-5 * (k + 1)])
+    assert report[10] < 0.0
+    assert not stepped.q.any()
+    held = stepped.model.data.contacts.held
+    assert held.energy[0] > 0.0
+    assert report[4] == pytest.approx(held.energy[0], rel=1e-6)
+    slides = [stepped.to([3e-4 * (k + 1), 0.0, -2e-3])[8:11] for k in range(10)]
+    assert slides[-1][0] == pytest.approx(-0.3 * slides[-1][2], rel=0.3)  # the normals lean
+    pose = np.array([*HOME, 1.0, 0.0, 0.0, 0.0])
+    stepped.model.change_tool(None, pose, 0.0)
+    assert stepped.to(np.zeros(3))[4] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_held_tool_reports_where_it_is_and_the_pose_follows():
+    from palpate.realtime.pose import pose_of_coordinates, tool_coordinates
+
+    rng, out = np.random.default_rng(0), np.zeros(12)
+    for turn in (*rng.standard_normal((20, 4)), [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0], [1.0, 0, 0, 0]):
+        pose = np.concatenate([rng.standard_normal(3), np.array(turn) / np.linalg.norm(turn)])
+        tool_coordinates(np.eye(12), pose, out)
+        found = pose * [1, 1, 1, 1, 0.9, 1, 1]
+        pose_of_coordinates(out, found)
+        np.testing.assert_allclose(found, pose, atol=1e-7)
+
+
+def test_an_engine_reports_the_place_of_a_held_tool(block, monkeypatch):
+    engine = pt.Engine(pt.realtime_model(block, contact=ball(tuple(HOME))), max_speed=1.0, on_distrust="ignore")
+    engine.set_pose((0.0, 0.0, -0.019))  # nearly through the block
+    with engine:
+        end = monotonic() + 60.0
+        while engine.read().time < 0.3 and monotonic() < end:
+            sleep(0.01)
+        reading = engine.read()
+    assert np.isfinite(reading.coordinates).all()
+    assert engine.state == "stopped"
+    assert -0.019 <= reading.position[2] < -0.005
+
+
 def test_forceps_take_hold_of_strained_tissue_without_a_tug(block):
     stepped = Stepped(block)
     stepped.press(0.15)

@@ -14,9 +14,9 @@ from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.realtime.black_box import RingBuffer, append_record
 from palpate.realtime.clock import now, sleep_until, thread_time
-from palpate.realtime.contract import FORCES, KINETIC, STATUS, STEPS, STRAIN, TRUST
+from palpate.realtime.contract import FORCES, KINETIC, POSE_COLUMNS, STATUS, STEPS, STRAIN, TRUST
 from palpate.realtime.exchange import Slot, fetch, get_flag, make_flags, publish
-from palpate.realtime.pose import IDENTITY, follow_pose, tool_coordinates, wrench
+from palpate.realtime.pose import IDENTITY, follow_pose, pose_of_coordinates, tool_coordinates, wrench
 from palpate.realtime.record import HEADER_SIZE, field_offset
 from palpate.realtime.statistics import Histograms, count_step
 
@@ -227,6 +227,16 @@ def _move_tool(work, slot, settings):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
+def _take_back(work):  # type: ignore[no-untyped-def]
+    """Set the pose to that of a tool in contact that the model has held; it follows from there."""
+    if work.tool.shape[0] != POSE_COLUMNS:
+        return
+    tool_coordinates(work.tool, work.pose, work.wanted_coordinates)
+    if not _is_equal(work.target, work.wanted_coordinates):
+        pose_of_coordinates(work.target, work.pose)
+
+
+@kernel_njit(inner=True)
 def _is_beyond(work):  # type: ignore[no-untyped-def]
     """Return whether the requested pose is beyond the last trusted one, in the direction that lost trust."""
     tool_coordinates(work.tool, work.wanted, work.wanted_coordinates)
@@ -382,6 +392,7 @@ def compile_loop(advance: Any, stiffness: Any) -> Any:
             began, thread_began, trusted = now(), thread_time(), record[TRUSTED] <= 1.0
             _move_tool(work, channels.pose, settings)
             advance(data, work.q, work.v, work.target, 1e-9 * period * work.clock[TIME_SCALE], work.report)
+            _take_back(work)
             valid = _write_record(work, settings)
             if has_stiffness:  # a constant of the compiled loop
                 due = settings.stiffness_every > 0 and (record[PERIODS] - 1) % settings.stiffness_every == 0

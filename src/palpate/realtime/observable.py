@@ -262,6 +262,25 @@ def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
             coupling.device[i] = wanted
             target[i] = coupling.position[i]
 
+    @law_njit(digest, inner=True)
+    def stop_coupled_tool(coupling, moved, values, period):  # type: ignore[no-untyped-def]
+        """Set a coupled tool that the model has held to where it is; the device feels the spring."""
+        held = False
+        for i in range(3):
+            held = held or coupling.position[i] != moved[i]
+        if not held:
+            return
+        square = 0.0
+        for i in range(3):
+            before = coupling.position[i] - period * coupling.velocity[i]
+            coupling.velocity[i] = (moved[i] - before) / period
+            coupling.position[i] = moved[i]
+            square += (coupling.device[i] - moved[i]) ** 2
+        stiffness, limit = coupling.parameters[STIFFNESS], coupling.parameters[FORCE_LIMIT]
+        share = min(1.0, limit / (stiffness * np.sqrt(square))) if square > 0.0 else 1.0
+        for i in range(3):
+            values[DEVICE_FORCE + i] = -share * stiffness * (coupling.device[i] - moved[i])
+
     @law_njit(digest, inline="always")
     def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
         moved, coupling, values, modulus_ratio = data.target, data.coupling, data.values, data.modulus_ratio
@@ -284,10 +303,13 @@ def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
         for k in range(FORCES, report.shape[0]):
             report[k] *= ratio
         contact = data.inner.contact_work
+        if coupled:
+            stop_coupled_tool(coupling, moved, values, period)
+        else:
+            for k in range(target.shape[0]):
+                target[k] = moved[k]
         for i in range(3):
             coupling.force[i] = -report[FORCES + i]
-            if coupled:
-                coupling.position[i] = moved[i]
             values[TOOL_POSITION + i] = moved[i]  # where the tool is, which may be held
             if not coupled:
                 values[DEVICE_FORCE + i] = coupling.force[i]

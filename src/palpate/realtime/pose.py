@@ -115,6 +115,35 @@ def tool_coordinates(tool, pose, out):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
+def pose_of_coordinates(coordinates, pose):  # type: ignore[no-untyped-def]
+    """Write the pose (7,) of tool coordinates (12,) that are displacement and R - I.
+
+    The quaternion is from the largest of its components (S. W. Shepperd, J. Guidance and Control 1, 1978), and has the
+    sign that is nearest to the quaternion before.
+    """
+    r = coordinates[3:]
+    trace = r[0] + r[4] + r[8]  # of R - I
+    best, largest = -1, trace + 4.0  # 4 w^2
+    for i in range(3):
+        if 2.0 * r[4 * i] - trace > largest:  # 4 x^2
+            best, largest = i, 2.0 * r[4 * i] - trace
+    if best < 0:
+        w = 0.5 * np.sqrt(largest)
+        x, y, z = (r[7] - r[5]) / (4.0 * w), (r[2] - r[6]) / (4.0 * w), (r[3] - r[1]) / (4.0 * w)
+    else:
+        i, j, k = best, (best + 1) % 3, (best + 2) % 3
+        own = 0.5 * np.sqrt(largest)
+        w = (r[3 * k + j] - r[3 * j + k]) / (4.0 * own)
+        parts = (own, (r[3 * j + i] + r[3 * i + j]) / (4.0 * own), (r[3 * k + i] + r[3 * i + k]) / (4.0 * own))
+        x, y, z = parts[(0 - i) % 3], parts[(1 - i) % 3], parts[(2 - i) % 3]
+    sign = 1.0 if pose[3] * w + pose[4] * x + pose[5] * y + pose[6] * z >= 0.0 else -1.0
+    length = sign * np.sqrt(w * w + x * x + y * y + z * z)
+    for i in range(3):
+        pose[i] = coordinates[i]
+    pose[3], pose[4], pose[5], pose[6] = w / length, x / length, y / length, z / length
+
+
+@kernel_njit()
 def wrench(tool, pose, forces, force, moment):  # type: ignore[no-untyped-def]
     """Write the force (3,) [N] and moment (3,) [N m] of the body on the tool, about the reference point.
 

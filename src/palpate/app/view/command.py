@@ -200,6 +200,8 @@ def _show(subject: _Subject, record: Path | None, address: tuple[int, str, bool]
         except Exception as error:
             host.fail(str(error) if isinstance(error, InputError) else "palpate ended; its terminal says why")
             raise
+        finally:
+            preparation.close()
         host.show(session)
         try:
             host.wait()

@@ -108,20 +108,28 @@ def store_velocities(grip, velocity):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def hold_nodes(grip, contacts, masses, step, u, velocity):  # type: ignore[no-untyped-def]
-    """Give the nodes the velocities that bring them to their places; return the tool's work [J].
+def hold_nodes(grip, contacts, nodes, surface, alpha, step, u, velocity):  # type: ignore[no-untyped-def]
+    """Give the nodes the velocities that bring them to their places after their kick.
 
     Adds the impulse and its moment about the tool's origin to `contacts.tool_impulses`.
+
+    Returns
+    -------
+    work, lost : float [J]
+        Work of the tool, and changes of the work of surface loads and of the loss by alpha M, which the kick counted
+        with its own velocities.
     """
-    work, frame, points, sums = 0.0, contacts.frames[0, 1], contacts.points, contacts.tool_impulses
+    work, lost, frame, points, sums = 0.0, 0.0, contacts.frames[0, 1], contacts.points, contacts.tool_impulses
     for k in range(grip.numbers[COUNT]):
         i = grip.node[k]
         for c in range(3):
             arm = frame[c, 0] * grip.place[k, 0] + frame[c, 1] * grip.place[k, 1] + frame[c, 2] * grip.place[k, 2]
             wanted = (arm + frame[c, 3] - points[i, c] - u[i, c]) / step
-            push = masses[i] * (wanted - velocity[i, c])
-            # the mean of the velocities before the kick and after all impulses
-            work += 0.5 * push * (grip.before[k, c] + wanted)
+            push = nodes.mass[i] * (wanted - velocity[i, c])
+            # means of the velocities before the kick, and after it or after all impulses
+            kicked, mean = 0.5 * (grip.before[k, c] + velocity[i, c]), 0.5 * (grip.before[k, c] + wanted)
+            work += push * mean + step * nodes.volumes[i] * surface[i, c] * (mean - kicked)
+            lost += alpha * step * nodes.mass[i] * kicked * (mean - kicked)
             velocity[i, c] = wanted
             grip.impulse[k, c] = push
             sums[0, c] += push
@@ -130,4 +138,4 @@ def hold_nodes(grip, contacts, masses, step, u, velocity):  # type: ignore[no-un
             arm_a = points[i, a] + u[i, a] + step * velocity[i, a] - frame[a, 3]
             arm_b = points[i, b] + u[i, b] + step * velocity[i, b] - frame[b, 3]
             sums[0, 3 + c] += arm_a * grip.impulse[k, b] - arm_b * grip.impulse[k, a]
-    return work
+    return work, lost

@@ -152,7 +152,7 @@ def _sweep(contacts, ends, step, u, velocity):  # type: ignore[no-untyped-def]
             normal = -(wx * nx + wy * ny + wz * nz) if g < tolerance else 0.0
         else:
             normal = own_x * nx + own_y * ny + own_z * nz
-            normal -= (g - _overlap(contacts, k, step, u, velocity) if g < -contacts.overlap else g) / step
+            normal -= (g - _overlap(contacts, k, step, u, velocity) if g < 0.0 else g) / step
         px, py, pz = 0.0, 0.0, 0.0
         if normal > 0.0:
             px, py, pz = coulomb(normal, friction[t], wx, wy, wz, nx, ny, nz)

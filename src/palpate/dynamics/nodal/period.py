@@ -39,7 +39,7 @@ from palpate.dynamics.nodal.central_difference import (
     foundation_force,
     kick_node,
 )
-from palpate.dynamics.nodal.tool_path import END, HOME, START, limit_path, place_tool, set_path, write_place
+from palpate.dynamics.nodal.tool_path import END, HOME, SAVED, START, limit_path, place_tool, set_path, write_place
 from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN
 
 __all__ = ["ContactReport", "NodalPeriodData", "nodal_period"]
@@ -61,7 +61,7 @@ BLOCK = 256  # nodes of a sum
 
 # entries of `NodalPeriodData.clock`
 BEHIND, STEP, FREQUENCY, UNTIL_ESTIMATE, WORK, LOST, KINETIC_ENERGY, GIVEN, NEXT_BEHIND = range(9)
-REPEATED, GAINED, HELD = range(9, 12)
+REPEATED, GAINED, HELD, ESTIMATE, RESTED = range(9, 14)
 
 
 class ContactReport(NamedTuple):
@@ -97,19 +97,21 @@ class NodalPeriodData(NamedTuple):
     scratch : StepScratch
     grip : Grip
         Nodes that forceps hold.
-    clock : (12,) array
+    clock : (14,) array
         Time [s] by which the body is behind, step [s], highest frequency [rad/s], periods until its next
         estimate, work and dissipation since rest, kinetic energy, energy of a state that was given [J], the
         time by which the body will be behind, number of periods that were repeated with shorter steps, gains
-        of energy that shorter steps did not cure [J], and number of periods in which the tool was held.
+        of energy that shorter steps did not cure [J], number of periods in which the tool was held, the last
+        estimate of the frequency [rad/s], and 1 if the last period left the body at rest.
     sums : (b, 4) array
         Sums of every block of nodes.
     secant : (5, 3) array
         Contact stiffness [N/m], and position and force of the tool at its last update.
     tool_force : (12,) array
         Forces on the tool's coordinates in the last period with a step.
-    path : (3, 3, 4) array
-        Frames of the tool at the start and the end of a period, and at zero displacement.
+    path : (4, 3, 4) array
+        Frames of the tool at the start and the end of a period, at zero displacement, and before the
+        first step.
     resting_frequency : float [rad/s]
         Highest frequency at rest, with foundations.
     vector, noise : (n, 3) arrays
@@ -152,7 +154,7 @@ class NodalPeriodData(NamedTuple):
 @kernel_njit(inner=True)
 def _crushes(data):  # type: ignore[no-untyped-def]
     """Return True if the tool would move on into tissue that is stiff already."""
-    if data.clock[FREQUENCY] < CRUSHED * data.resting_frequency:
+    if data.clock[ESTIMATE] < CRUSHED * data.resting_frequency:
         return False
     work = 0.0
     for i in range(3):
@@ -332,11 +334,10 @@ def nodal_period(formulation: Formulation) -> Any:
         if clock[UNTIL_ESTIMATE] <= 0.0:
             frequency = estimate(data, u)
             if frequency > 0.0 and frequency < np.inf:
+                least, most = data.resting_frequency, MOST_STIFF * data.resting_frequency
+                clock[ESTIMATE] = min(max(FREQUENCY_MARGIN * frequency, least), most)
                 # an iteration that has not converged must not lengthen the step at once
-                clock[FREQUENCY] = min(
-                    max(FREQUENCY_MARGIN * frequency, SLOWEST_DECREASE * clock[FREQUENCY], data.resting_frequency),
-                    MOST_STIFF * data.resting_frequency,
-                )
+                clock[FREQUENCY] = min(max(clock[ESTIMATE], SLOWEST_DECREASE * clock[FREQUENCY]), most)
             is_stiff = clock[FREQUENCY] > STIFF * data.resting_frequency
             clock[UNTIL_ESTIMATE] = STIFF_ESTIMATE if is_stiff else ESTIMATE_PERIODS
         set_step(data)
@@ -361,8 +362,9 @@ def nodal_period(formulation: Formulation) -> Any:
             foundation_force(sites, u, velocity, nodes.volumes, scratch.surface)
             store_velocities(grip, velocity)
             _kick_blocks(sites, nodes, scratch, scratch.previous, step, damping.alpha, u, velocity, data.sums)
-            clock[WORK] += _total(data.sums, 0) + hold_nodes(grip, contacts, nodes.mass, step, u, velocity)
-            clock[LOST] += _total(data.sums, 1)
+            works = hold_nodes(grip, contacts, nodes, scratch.surface, damping.alpha, step, u, velocity)
+            clock[WORK] += _total(data.sums, 0) + works[0]
+            clock[LOST] += _total(data.sums, 1) + works[1]
             works = push_patches(
                 contacts, False, (step, step, step, 0.0), 1.0, u, velocity, (nodes, scratch, (0.0, 0.0, 0.0))
             )
@@ -385,8 +387,9 @@ def nodal_period(formulation: Formulation) -> Any:
         history = data.passes[1].history
         for k in range(FORCES):
             report[k] = 0.0
-        at_rest = not q.any() and not v.any()
-        if at_rest:  # the start of a run, or a reset
+        # the start of a run, or a reset; a body that is pressed over a support alone is at rest, too
+        at_rest = clock[RESTED] == 0.0 and not q.any() and not v.any()
+        if at_rest:
             reset_history(history)
             clock[BEHIND], clock[WORK], clock[LOST], clock[KINETIC_ENERGY], clock[GIVEN] = 0.0, 0.0, 0.0, 0.0, 0.0
             clock[REPEATED], clock[GAINED], clock[HELD] = 0.0, 0.0, 0.0
@@ -394,6 +397,7 @@ def nodal_period(formulation: Formulation) -> Any:
                 for c in range(3):
                     data.scratch.previous[i, c] = 0.0
             clock[FREQUENCY], clock[UNTIL_ESTIMATE] = data.resting_frequency, ESTIMATE_PERIODS
+            clock[ESTIMATE] = data.resting_frequency
             contacts.patch_impulses[:] = 0.0
         holds = data.grip.numbers[COUNT] > 0
         set_path(data.path, target, at_rest and not holds)
@@ -406,8 +410,6 @@ def nodal_period(formulation: Formulation) -> Any:
         clock[GIVEN] += kinetic - clock[KINETIC_ENERGY]  # of velocities that were set
         excess_before = kinetic - (clock[GIVEN] + clock[WORK] - clock[LOST])
         choose_step(data, u)
-        if at_rest:  # whose clock starts in every period: longer steps would never begin
-            clock[STEP] = min(clock[STEP], period)
         late = limit_path(data.path, data.tool_reach * max(1.0, period / clock[STEP]))
         if _crushes(data):
             copy_values(data.path[START], data.path[END])
@@ -416,6 +418,7 @@ def nodal_period(formulation: Formulation) -> Any:
         copy_values(velocity, data.saved[1])
         copy_values(data.scratch.previous, data.saved[2])
         copy_history(history, data.saved_history)
+        copy_values(contacts.frames[0, 1], data.path[SAVED])
         count, work_before, lost_before, frequency_before = -1, clock[WORK], clock[LOST], clock[FREQUENCY]
         for attempt in range(MAX_ATTEMPTS):
             if attempt > 0:
@@ -423,7 +426,7 @@ def nodal_period(formulation: Formulation) -> Any:
                 copy_values(data.saved[1], velocity)
                 copy_values(data.saved[2], data.scratch.previous)
                 copy_history(data.saved_history, history)
-                copy_values(data.path[START], contacts.frames[0, 1])
+                copy_values(data.path[SAVED], contacts.frames[0, 1])
                 contacts.patch_impulses[:] = 0.0
                 clock[WORK], clock[LOST] = work_before, lost_before
                 clock[FREQUENCY] *= STIFFENING
@@ -455,6 +458,8 @@ def nodal_period(formulation: Formulation) -> Any:
             copy_values(data.saved[0], u)
             copy_values(data.saved[1], velocity)
             copy_values(data.saved[2], data.scratch.previous)
+            copy_history(data.saved_history, history)
+            copy_values(data.path[SAVED], contacts.frames[0, 1])
             clock[FREQUENCY], clock[WORK], clock[LOST] = frequency_before, work_before, lost_before
             clock[KINETIC_ENERGY] = kinetic_energy(data.nodes, velocity)
             report[STATUS] = 1.0
@@ -474,6 +479,7 @@ def nodal_period(formulation: Formulation) -> Any:
                 data.tool_force[k - FORCES] = report[k]
         for k in range(FORCES, report.shape[0]):
             report[k] = data.tool_force[k - FORCES]
+        clock[RESTED] = 0.0 if q.any() or v.any() else 1.0
         report[STEPS] = count
         report[KINETIC] = clock[KINETIC_ENERGY]
         report[STRAIN] = max(0.0, clock[GIVEN] + clock[WORK] - clock[LOST] - report[KINETIC])

@@ -1,6 +1,7 @@
 """Path of the tool of a full body in a period of the engine, and its contact stiffness, compiled.
 
-A path has the frames (3, 4) of the tool at the start and the end of a period, and at zero displacement.
+A path has the frames (3, 4) of the tool at the start and the end of a period, at zero displacement, and before the
+period's first step.
 """
 
 from __future__ import annotations
@@ -10,9 +11,9 @@ import numpy as np
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.material.relaxation import copy_values
 
-__all__ = ["END", "HOME", "START", "contact_stiffness", "limit_path", "place_tool", "set_path", "write_place"]
+__all__ = ["END", "HOME", "SAVED", "START", "contact_stiffness", "limit_path", "place_tool", "set_path", "write_place"]
 
-START, END, HOME = range(3)  # frames of a path
+START, END, HOME, SAVED = range(4)  # frames of a path
 POSITION, FORCE = 3, 4  # rows of `NodalPeriodData.secant` after those of the matrix
 LEAST_WAY = 1e-4  # [m] of the tool between two updates of the contact stiffness
 

@@ -20,6 +20,7 @@ from palpate.dynamics.nodal.period import (
     FREQUENCY,
     GAINED,
     HELD,
+    LOST,
     REPEATED,
     ContactReport,
     NodalPeriodData,
@@ -58,7 +59,7 @@ def full_period(
         response = 1.0 / (model.volumes[sites.foundation_node] * model.material.density)
         springs = np.bincount(sites.foundation_node, sites.foundation_spring * response, minlength=n).max()
         frequency = float(np.hypot(frequency, np.sqrt(springs)))
-    path = np.zeros((3, 3, 4))
+    path = np.zeros((4, 3, 4))
     rotation(prepared.schedule(np.zeros(1)).poses[0, 0], path[HOME])
     path[START], path[END], contacts.frames[0, 1] = path[HOME], path[HOME], path[HOME]
     noise = model.supported.project(np.random.default_rng(0).standard_normal((n, 3)))
@@ -71,7 +72,7 @@ def full_period(
         contacts=contacts,
         grip=empty_grip(n),
         scratch=work.step,
-        clock=np.array([0.0, model.stability.step, frequency, *np.zeros(9)]),
+        clock=np.array([0.0, model.stability.step, frequency, *np.zeros(11)]),
         sums=np.zeros((-(-n // BLOCK), 4)),
         secant=np.zeros((5, 3)),
         tool_force=np.zeros(12),
@@ -140,6 +141,8 @@ def change_full_tool(
         contacts.tool_radius[0] = tool.sizes[0] + tool.sizes[1]
     contacts.friction[0] = friction
     contacts.patch_impulses[:], data.secant[:], data.tool_force[:] = 0.0, 0.0, 0.0
+    data.clock[LOST] += contacts.held.energy[0]  # of the tissue over supports, which springs back
+    contacts.held.energy[0], contacts.held.forces[:] = 0.0, 0.0
     data.contact_work.numbers[:] = 0
     rotation(pose, data.path[HOME])
     data.path[START], data.path[END], contacts.frames[0, 1] = data.path[HOME], data.path[HOME], data.path[HOME]

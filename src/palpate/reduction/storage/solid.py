@@ -24,6 +24,7 @@ from palpate.sealed import ArrayFile
 
 __all__ = ["body_contents", "body_in"]
 
+MAX_NEIGHBOURS = 200  # of a node; the largest default is 63
 SOLID_ATTRIBUTES: dict[str, type] = BODY_ATTRIBUTES | {"neighbours": int}
 
 
@@ -42,6 +43,7 @@ def body_contents(model: ReducedModel | EnergySolid) -> tuple[Header, Arrays]:
     arrays = body_arrays(model.cloud, model.tissue)
     check_header(header, SOLID_ATTRIBUTES)
     check_values(arrays)
+    integer_in_range("neighbours", header["neighbours"], 1, MAX_NEIGHBOURS)
     return header, arrays
 
 
@@ -71,6 +73,6 @@ def body_in(header: Header, file: ArrayFile, prefix: str) -> ReducedModel | Ener
         stiffness_damping=number_in_range("stiffness_damping", header["stiffness_damping"], 0.0, unit="s"),
         mass_damping=number_in_range("mass_damping", header.get("mass_damping", 0.0), 0.0, unit="1/s"),
         stiffness=tissue.stiffness if len(tissue.stiffness) else None,
-        neighbours=integer_in_range("neighbours", header["neighbours"], 1, len(cloud)),
+        neighbours=integer_in_range("neighbours", header["neighbours"], 1, min(MAX_NEIGHBOURS, len(cloud))),
         fibres=tissue.fibres,
     )

@@ -93,6 +93,8 @@ class Server:
         self._preparation, self._preview = None, b""
         for viewer in self.viewers:  # each is ready again after its hello
             viewer.ready = False
+        if self.driver is None and self.viewers:  # the one that drove has left meanwhile
+            self.driver, self.viewers[0].last_drive = self.viewers[0], time.monotonic()
         if not self.viewers:
             source.pause(NO_VIEWERS)
         self._prepared.set()

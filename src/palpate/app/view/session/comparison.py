@@ -66,8 +66,8 @@ class Comparison(Session):
 
     @property
     def tool_kinds(self) -> list[str]:
-        """Kinds of tools that both bodies take."""
-        return self.full.tool_kinds
+        """Kinds of tools that both bodies take: each would grasp other nodes with forceps."""
+        return [kind for kind in self.full.tool_kinds if kind != "grasp"]
 
     def handle(self, message: Message) -> None:
         """Execute a message of the driver for both bodies.
