@@ -7,6 +7,7 @@ and the folder that damages or forges the example, and uses it as a person would
 from __future__ import annotations
 
 import contextlib
+import gzip
 import io
 import json
 import math
@@ -363,18 +364,18 @@ def journal_kind(folder: Path) -> Trial:
     return trial
 
 
-def recording() -> recordings.Recording:
-    """Return a recording of a few moments, as a session leaves it."""
-    body, zero = model(), np.zeros(3)
-    moments = []
+def recording(full: bool = False) -> recordings.Recording:
+    """Return a recording of a few moments of a reduced model or a full body, as a session leaves it."""
+    body, zero = bar() if full else model(), np.zeros(3)
+    count, moments = 3 * len(body.cloud) if full else body.count, []
     for k in range(8):
         touched = np.arange(2 if k % 3 else 0)
         moments.append(
             Snapshot(
                 time=0.01 * k, steps=10 * k, force=zero + k, moment=zero, stiffness=np.eye(3), trust=0.1, position=zero,
                 quaternion=np.array([1.0, 0, 0, 0]), sequence=k, kinetic=0.0, strain=1e-6, computing=1e-4, lateness=0.0,
-                coordinates=1e-4 * k * np.ones(body.count), state="running", device_force=zero, contact_nodes=touched,
-                contact_forces=np.ones((len(touched), 3)) * 1e-3, modulus_ratio=1.0, tool="sphere",
+                coordinates=1e-4 * k * np.ones(count, dtype=np.float32), state="running", device_force=zero,
+                contact_nodes=touched, contact_forces=np.ones((len(touched), 3)) * 1e-3, modulus_ratio=1.0, tool="sphere",
             )
         )  # fmt: skip
     tool = {"kind": "sphere", "radius": 0.008, "length": 0.04, "friction": 0.2, "stiffness": None, "start": 0}
@@ -397,12 +398,16 @@ def use_recording(found: recordings.Recording) -> None:
         tool_path(found)
 
 
-def recording_kind(folder: Path) -> Trial:
-    """Return trials of a recording."""
-    path = folder / "sound.h5"
-    recordings.save_recording(path, recording())
-    path.with_suffix(".vtkhdf").unlink()
-    return sealed_kind(path, recordings.FORMAT, recordings.VERSION, recordings.load_recording, use_recording)
+def recording_kind(full: bool) -> Callable[[Path], Trial]:
+    """Return the kind of a recording of a reduced model, or of a full body."""
+
+    def kind(folder: Path) -> Trial:
+        path = folder / "sound.h5"
+        recordings.save_recording(path, recording(full))
+        path.with_suffix(".vtkhdf").unlink()
+        return sealed_kind(path, recordings.FORMAT, recordings.VERSION, recordings.load_recording, use_recording)
+
+    return kind
 
 
 def recording_journal_kind(folder: Path) -> Trial:
@@ -571,6 +576,11 @@ def surface_kind(suffix: str) -> Callable[[Path], Trial]:
         if suffix in ("vtk", "vtp"):
             faces = np.column_stack([np.full(len(ball.faces), 3), ball.faces]).ravel()
             pyvista.PolyData(np.asarray(ball.vertices), faces).save(path)
+        elif suffix == "trian":
+            rows = [f"{len(ball.vertices)}", *(f"{x} {y} {z}" for x, y, z in ball.vertices), f"{len(ball.faces)}"]
+            path.write_text("\n".join([*rows, *(f"{a} {b} {c} 0 0 0" for a, b, c in ball.faces)]) + "\n")
+        elif suffix.endswith(".gz"):
+            path.write_bytes(gzip.compress(ball.export(file_type=suffix.removesuffix(".gz"))))
         else:
             ball.export(path)
         data, sound = path.read_bytes(), pt.io.read_surface(path, units="m")
@@ -677,9 +687,9 @@ def folder_kind(folder: Path) -> Trial:
 
 KINDS: dict[str, Callable[[Path], Trial]] = {
     "model": reduced_kind, "linear": linear_kind, "trajectory": trajectory_kind, "stored": stored_kind,
-    "journal": journal_kind, "recording": recording_kind,
+    "journal": journal_kind, "recording": recording_kind(False), "full_recording": recording_kind(True),
     "recording journal": recording_journal_kind, "manifest": manifest_kind,
-    **{suffix: surface_kind(suffix) for suffix in ("stl", "obj", "ply", "off", "glb", "vtk", "vtp")},
+    **{suffix: surface_kind(suffix) for suffix in ("stl", "obj", "ply", "off", "glb", "vtk", "vtp", "trian", "stl.gz")},
     "material": material_kind, "curve": curve_kind, "message": message_kind, "command": command_kind,
     "physics": physics_kind, "cost": cost_kind, "folder": folder_kind,
 }  # fmt: skip
