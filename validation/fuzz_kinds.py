@@ -375,7 +375,8 @@ def recording(full: bool = False) -> recordings.Recording:
                 time=0.01 * k, steps=10 * k, force=zero + k, moment=zero, stiffness=np.eye(3), trust=0.1, position=zero,
                 quaternion=np.array([1.0, 0, 0, 0]), sequence=k, kinetic=0.0, strain=1e-6, computing=1e-4, lateness=0.0,
                 coordinates=1e-4 * k * np.ones(count, dtype=np.float32), state="running", device_force=zero,
-                contact_nodes=touched, contact_forces=np.ones((len(touched), 3)) * 1e-3, modulus_ratio=1.0, tool="sphere",
+                contact_nodes=touched, contact_forces=np.ones((len(touched), 3)) * 1e-3, modulus_ratio=1.0,
+                tool="sphere",
             )
         )  # fmt: skip
     tool = {"kind": "sphere", "radius": 0.008, "length": 0.04, "friction": 0.2, "stiffness": None, "start": 0}
