@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -86,10 +87,12 @@ def read_touched_surface(path: str | Path, options: TouchOptions) -> Surface:
         The file cannot be read, or holds no closed surface; or an option is out of range.
     """
     chosen: Any = {"part": options.part or None, "units": options.units, "scale": options.scale}
-    surface = read_surface(path, **chosen)
-    if any(problem.kind == "error" for problem in shape_problems(surface)):
-        surface = read_surface(path, **chosen, repair=True)
-        check_closed(surface)
+    with contextlib.suppress(InputError):  # parts that are closed after a repair alone
+        surface = read_surface(path, **chosen)
+        if not any(problem.kind == "error" for problem in shape_problems(surface)):
+            return surface
+    surface = read_surface(path, **chosen, repair=True)
+    check_closed(surface)
     return surface
 
 
