@@ -75,7 +75,8 @@ def is_surface_file(what: str) -> bool:
 def surface_title(path: PurePath) -> str:
     """Return the name of a file without the suffixes of its format and of gzip, in words."""
     name = PurePath(path.stem).stem if format_of(path)[1] else path.stem
-    return name.replace("_", " ").capitalize()
+    words = name.replace("_", " ")
+    return words[:1].upper() + words[1:]
 
 
 def read_touched_surface(path: str | Path, options: TouchOptions) -> Surface:
