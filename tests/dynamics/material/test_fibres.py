@@ -71,7 +71,6 @@ def test_fibres_squeezed_along_their_direction_have_no_force():
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:stiffness_damping of")
 def test_a_pulled_bar_stretches_as_its_laws_say():
     tissue, (k1, k2) = pt.materials.NeoHookean(C1=5e3, density=1000.0, poisson=0.49), (20e3, 3.0)
     bar = pt.Solid(
