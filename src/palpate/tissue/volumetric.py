@@ -70,9 +70,9 @@ def _logarithmic_pressure(x):  # type: ignore[no-untyped-def]
 def _mixed_measure(x):  # type: ignore[no-untyped-def]
     # g^2 = x^2 (1/2 + (x - ln(1 + x)) / x^2), with a series for the difference near rest
     series = 1 / 2 - x * (1 / 3 - x * (1 / 4 - x * (1 / 5 - x * (1 / 6 - x * (1 / 7 - x * (1 / 8 - x / 9))))))
-    small = np.abs(x) < 0.02
-    safe = np.where(small, 1.0, x)
-    root = np.sqrt(0.5 + np.where(small, series, (safe - np.log1p(safe)) / (safe * safe)))
+    small = 1.0 * (np.abs(x) < 0.02)  # sums, because `np.where` allocates in compiled code
+    safe = small + (1.0 - small) * x
+    root = np.sqrt(0.5 + small * series + (1.0 - small) * (safe - np.log1p(safe)) / (safe * safe))
     return x * root, 0.5 * (2.0 + x) / ((1.0 + x) * root)
 
 

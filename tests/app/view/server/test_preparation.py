@@ -225,8 +225,9 @@ def test_what_cannot_be_read_opens_no_page(tmp_path, assert_refused, monkeypatch
 
 
 PREPARES_FOREVER = """
-import hashlib, sys
+import hashlib, signal, sys
 import palpate.app.models.touch as touch
+signal.signal(signal.SIGINT, signal.default_int_handler)  # which programs in the background ignore
 from palpate.app.cli import main
 def in_python(*arguments):
     while True:
@@ -243,11 +244,14 @@ sys.exit(main(["view", sys.argv[1], "--units", "mm", "--no-browser", "--port", "
 def test_an_interrupt_ends_the_preparation_at_once(write_organ, kind):
     words = [sys.executable, "-c", PREPARES_FOREVER, str(write_organ(SURFACE)), kind]
     own = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
-    while not own.stderr.readline().startswith("open "):
-        assert own.poll() is None
-    time.sleep(2.0)
-    os.kill(own.pid, signal.SIGINT)
-    said = own.communicate(timeout=SECONDS)[1]
+    try:
+        while not own.stderr.readline().startswith("open "):
+            assert own.poll() is None
+        time.sleep(2.0)
+        os.kill(own.pid, signal.SIGINT)
+        said = own.communicate(timeout=SECONDS)[1]
+    finally:
+        own.kill()
     assert own.returncode == 130
     assert "palpate: interrupted" in said
     assert "Traceback" not in said
