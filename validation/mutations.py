@@ -271,8 +271,8 @@ MUTATIONS = (
         ("tests/reduction/storage/test_model_file.py::test_a_changed_entry_of_any_array_does_not_match_its_checksum",),
     ),
     Mutation(
-        "stiffness damping not kept", "reduction/storage/model_file.py",
-        '"stiffness_damping": float(data.stiffness_damping)', '"stiffness_damping": 2 * float(data.stiffness_damping)',
+        "stiffness damping not kept", "reduction/storage/body.py",
+        '"stiffness_damping": float(stiffness_damping)', '"stiffness_damping": 2 * float(stiffness_damping)',
         (f"{MODELS}::test_a_loaded_model_has_the_same_run[hyper-reduced]",),
     ),
 )  # fmt: skip
