@@ -277,7 +277,7 @@ KINDS = {
         lambda: hyper_with_tool(ALPHA).with_step(EVERY / 8), lambda: [lift()], 0.01
     ),
     "hyper-reduced, touched, mass damping": Kind(lambda: hyper_touched(ALPHA), lambda: [press()], 0.05),
-    "linear, mass damping": Kind(linear_mass_damped, lambda: [lift(1e-5)], 0.005),
+    "linear, mass damping": Kind(linear_mass_damped, lambda: [lift(1e-5)], 0.01),  # trapezoids of the power
 }
 QUICK = [  # kinds of the quick set; the others compile kernels of their own
     "solid, strong", "solid, energy", "solid, touched", "membrane, energy", "Galerkin", "hyper-reduced",
