@@ -89,7 +89,7 @@ def _make_source(model: str, vertices: int, console: Console) -> SubdividedSessi
     from palpate.app.view.session.session import Session
 
     body, title = open_model(model, console)
-    with console.status("preparing the engine (the first run on a machine compiles it, which takes some minutes)"):
+    with console.status("preparing the engine (the first run on a machine compiles it, in about a minute)"):
         session = Session(body, title)
     if not session.tool_kinds:
         raise InputError(f"model must have tool contact, got {model!r}; use one that was trained with tools")

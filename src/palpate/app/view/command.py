@@ -231,7 +231,7 @@ def _session(
         model = open_surface(subject.surface, subject.options, console)
     else:
         model, _ = open_model(subject.what, console)
-    with console.status("preparing the engine (the first run on a machine compiles it, which takes some minutes)"):
+    with console.status("preparing the engine (the first run on a machine compiles it, in about a minute)"):
         if wait is not None:
             wait()
         session = _open_session(model, subject)
