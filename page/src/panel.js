@@ -143,11 +143,14 @@ export class Panel {
     return error ? `Mean force error on held-out runs: ${formatNumber(100 * error, 2)} %` : "";
   }
 
-  statistics({ median_ms: median, p99_ms: late, misses, periods, force_bound: bound }) {
+  statistics({ median_ms: median, p99_ms: late, misses, periods, force_bound: bound, step_share: step, repeated, held }) {
     this.bound = bound;
     const share = periods ? (100 * misses) / periods : 0;
     const missed = misses ? `${formatNumber(share, 2)} % of the periods missed` : "none missed";
-    this.write("rate", `Median ${median.toFixed(2)} ms, 99 % ${late.toFixed(2)} ms, ${missed}`);
+    const shorter = step < 0.98 ? `, steps ${formatNumber(step, 1)} of those at rest` : "";
+    const again = repeated ? `, ${repeated} periods repeated with shorter ones` : "";
+    const stopped = held ? `, tool held in ${held}` : "";
+    this.write("rate", `Median ${median.toFixed(2)} ms, 99 % ${late.toFixed(2)} ms, ${missed}${shorter}${again}${stopped}`);
   }
 
   write(id, text) {

@@ -152,7 +152,7 @@ class Punch(Described):
 
 @dataclass(frozen=True)
 class Forceps(Described):
-    """The tool of a `Grasp` on a reduced model, bonded to the surface nodes near a point.
+    """Forceps as a tool of the engine, or of a `Grasp` on a reduced model: bonded to the surface nodes near a point.
 
     Parameters
     ----------
@@ -160,12 +160,12 @@ class Forceps(Described):
     point : (3,) sequence [m]
         Centre at rest.
     until : float [s]
-        Time of release.
+        Time of release; in the engine forceps are released by a change of the tool.
     """
 
     radius: float
     point: Sequence[float]
-    until: float
+    until: float = np.inf
     kind: ClassVar[int] = BONDED
 
     def _facts(self) -> list[Fact]:

@@ -122,6 +122,8 @@ class NodalPeriodData(NamedTuple):
         Largest ways of a node and of the tool in a step.
     saved : (3, n, 3) array
         Displacements, velocities and the last internal forces at the start of the period.
+    saved_work : (2,) array [J]
+        Work and dissipation at the start of the period.
     saved_history : HistoryCopy
         History variables at the start of the period.
     contact_work : ContactReport
@@ -147,6 +149,7 @@ class NodalPeriodData(NamedTuple):
     reach: float
     tool_reach: float
     saved: Floats
+    saved_work: Floats
     saved_history: HistoryCopy
     contact_work: ContactReport
 
@@ -245,6 +248,29 @@ def _drift_blocks(kind, nodes, damped, surface, step, beta, u, velocity, sums): 
                 damped[i, c] = u[i, c] + beta * velocity[i, c]
                 surface[i, c] = 0.0
         sums[b, 2], sums[b, 3] = energy, largest
+
+
+@kernel_njit(inner=True)
+def _save(data, u, velocity):  # type: ignore[no-untyped-def]
+    """Copy the state at the start of a period."""
+    copy_values(u, data.saved[0])
+    copy_values(velocity, data.saved[1])
+    copy_values(data.scratch.previous, data.saved[2])
+    copy_history(data.passes[1].history, data.saved_history)
+    copy_values(data.contacts.frames[0, 1], data.path[SAVED])
+    data.saved_work[0], data.saved_work[1] = data.clock[WORK], data.clock[LOST]
+
+
+@kernel_njit(inner=True)
+def _restore(data, u, velocity):  # type: ignore[no-untyped-def]
+    """Set the state to that at the start of the period; the contact starts from zero impulses."""
+    copy_values(data.saved[0], u)
+    copy_values(data.saved[1], velocity)
+    copy_values(data.saved[2], data.scratch.previous)
+    copy_history(data.saved_history, data.passes[1].history)
+    copy_values(data.path[SAVED], data.contacts.frames[0, 1])
+    data.contacts.patch_impulses[:] = 0.0
+    data.clock[WORK], data.clock[LOST] = data.saved_work[0], data.saved_work[1]
 
 
 @kernel_njit(inner=True)
@@ -414,21 +440,11 @@ def nodal_period(formulation: Formulation) -> Any:
         if _crushes(data):
             copy_values(data.path[START], data.path[END])
             late = True
-        copy_values(u, data.saved[0])
-        copy_values(velocity, data.saved[1])
-        copy_values(data.scratch.previous, data.saved[2])
-        copy_history(history, data.saved_history)
-        copy_values(contacts.frames[0, 1], data.path[SAVED])
-        count, work_before, lost_before, frequency_before = -1, clock[WORK], clock[LOST], clock[FREQUENCY]
+        _save(data, u, velocity)
+        count, frequency_before = -1, clock[FREQUENCY]
         for attempt in range(MAX_ATTEMPTS):
             if attempt > 0:
-                copy_values(data.saved[0], u)
-                copy_values(data.saved[1], velocity)
-                copy_values(data.saved[2], data.scratch.previous)
-                copy_history(data.saved_history, history)
-                copy_values(data.path[SAVED], contacts.frames[0, 1])
-                contacts.patch_impulses[:] = 0.0
-                clock[WORK], clock[LOST] = work_before, lost_before
+                _restore(data, u, velocity)
                 clock[FREQUENCY] *= STIFFENING
                 clock[REPEATED] += 1.0 if attempt == 1 else 0.0
                 set_step(data)
@@ -455,19 +471,11 @@ def nodal_period(formulation: Formulation) -> Any:
                 clock[GAINED] += excess
                 break
         if count < 0:
-            copy_values(data.saved[0], u)
-            copy_values(data.saved[1], velocity)
-            copy_values(data.saved[2], data.scratch.previous)
-            copy_history(data.saved_history, history)
-            copy_values(data.path[SAVED], contacts.frames[0, 1])
-            clock[FREQUENCY], clock[WORK], clock[LOST] = frequency_before, work_before, lost_before
-            clock[KINETIC_ENERGY] = kinetic_energy(data.nodes, velocity)
+            _restore(data, u, velocity)
+            clock[FREQUENCY], clock[KINETIC_ENERGY] = frequency_before, kinetic
             report[STATUS] = 1.0
             return
         clock[BEHIND] = clock[NEXT_BEHIND]
-        if attempt >= TRIALS_OF_ENERGY:  # shorter steps were no remedy
-            clock[FREQUENCY] = min(STIFFENING * frequency_before, MOST_STIFF * data.resting_frequency)
-            set_step(data)
         if late:
             clock[HELD] += 1.0
             write_place(data.path, target)
@@ -479,6 +487,8 @@ def nodal_period(formulation: Formulation) -> Any:
                 data.tool_force[k - FORCES] = report[k]
         for k in range(FORCES, report.shape[0]):
             report[k] = data.tool_force[k - FORCES]
+        if attempt >= TRIALS_OF_ENERGY:  # shorter steps did not help
+            clock[FREQUENCY] = min(STIFFENING * frequency_before, MOST_STIFF * data.resting_frequency)
         clock[RESTED] = 0.0 if q.any() or v.any() else 1.0
         report[STEPS] = count
         report[KINETIC] = clock[KINETIC_ENERGY]

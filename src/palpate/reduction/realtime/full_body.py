@@ -84,6 +84,7 @@ def full_period(
         reach=MAX_WAY * model.cloud.spacing,
         tool_reach=MAX_TOOL_WAY * model.cloud.spacing,
         saved=np.zeros((3, n, 3)),
+        saved_work=np.zeros(2),
         saved_history=history_copy(work.passes.history),
         contact_work=ContactReport(np.zeros(2 * n, dtype=np.int64), np.zeros((2 * n, 3)), np.zeros(3, dtype=np.int64)),
     )  # fmt: skip
