@@ -224,7 +224,7 @@ def law_njit(
         compiled, which saves a quarter of the compilation for bodies of many arrays.
     allocates : bool
         True for a function that allocates arrays. Others are compiled without the reference counts of
-        arrays, which cost up to 40 % of their time; one that does allocate fails to compile.
+        arrays, a quarter of the time of a reduced period; one that does allocate fails to compile.
     **options : Any
         Options of `numba.njit`.
     """
