@@ -145,12 +145,13 @@ export class Panel {
 
   statistics({ median_ms: median, p99_ms: late, misses, periods, force_bound: bound, step_share: step, repeated, held }) {
     this.bound = bound;
-    const share = periods ? (100 * misses) / periods : 0;
-    const missed = misses ? `${formatNumber(share, 2)} % of the periods missed` : "none missed";
-    const shorter = step < 0.98 ? `, steps ${formatNumber(step, 1)} of those at rest` : "";
-    const again = repeated ? `, ${repeated} periods repeated with shorter ones` : "";
-    const stopped = held ? `, tool held in ${held}` : "";
-    this.write("rate", `Median ${median.toFixed(2)} ms, 99 % ${late.toFixed(2)} ms, ${missed}${shorter}${again}${stopped}`);
+    const parts = [`Median ${median.toFixed(2)} ms`, `99 % ${late.toFixed(2)} ms`];
+    // a full body may be late by some periods: its pace counts
+    if (!this.full) parts.push(misses ? `${formatNumber((100 * misses) / periods, 2)} % of the periods missed` : "none missed");
+    if (step < 0.98) parts.push(`steps ${Math.round(100 * step)} % of those at rest`);
+    if (repeated) parts.push(`${repeated} periods repeated with shorter steps`);
+    if (held) parts.push(`tool held in ${held}`);
+    this.write("rate", parts.join(", "));
   }
 
   write(id, text) {
