@@ -145,7 +145,14 @@ def test_forceps_pull_a_full_body_on_a_session(body, until):
     session.handle(validate_message({"type": "pose", "position": pulled.tolist()}))
     until(lambda: session.snapshot().force[2] < -0.01)
     until(lambda: session.snapshot().displacements(session.surface)[:, 2].max() > 0.0025)
-    until(lambda: bool(np.any(session.snapshot().stiffness)))
+    way = iter(range(10**9))
+
+    def stiffness_of_the_next_place():  # the contact stiffness follows from ways of a tool that is in contact
+        place = pulled + np.array([0.0, 0.0, 0.0005 * (next(way) % 2)])
+        session.handle(validate_message({"type": "pose", "position": place.tolist()}))
+        return bool(np.any(session.snapshot().stiffness))
+
+    until(stiffness_of_the_next_place)
     session.release()
     until(lambda: not session.snapshot().force.any())
     session.reset()
