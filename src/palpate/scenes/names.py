@@ -1,17 +1,19 @@
-"""The names of scenes with random paths, for training and for the page.
+"""The names of the package's scenes, and the suffix of scene files.
 
 A command line reads them without an import of numerics.
 """
 
 from __future__ import annotations
 
-__all__ = ["SCENES", "listed_scenes"]
+__all__ = ["SCENES", "SCENE_SUFFIX", "is_scene_file", "listed_scenes"]
 
-SCENES = {  # name: module in palpate.scenes, function that returns a TrainingScene
-    "beam": ("grasp", "grasped_beam"),
-    "liver": ("liver", "pressed_liver"),
-    "membrane": ("push", "pushed_membrane"),
-}
+SCENES = ("beam", "liver", "membrane")  # files in the folder data
+SCENE_SUFFIX = ".toml"
+
+
+def is_scene_file(what: str) -> bool:
+    """Return True for the name of a scene file."""
+    return what.lower().endswith(SCENE_SUFFIX)
 
 
 def listed_scenes() -> str:

@@ -1,4 +1,4 @@
-"""Scenes with random paths by name, for training campaigns."""
+"""Scenes with random paths for training campaigns: of the package, from scene files, or of a user's function."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ import math
 import os
 import sys
 from collections.abc import Callable, Mapping
+from difflib import get_close_matches
 from importlib import import_module
-from typing import Any, cast
+from typing import Any
 
 from palpate.faults import InputError, brief
-from palpate.scenes.names import SCENES
+from palpate.scenes.names import SCENES, is_scene_file
+from palpate.scenes.open_scene import DIGEST, open_scene, training_scene_of
 from palpate.scenes.scene import TrainingScene
 
-__all__ = ["scene_function", "search_current_folder", "training_scene", "typed"]
+__all__ = ["is_opened", "search_current_folder", "training_scene"]
 
-SCENE_NAMES = f"{', '.join(map(repr, SCENES))}, or 'module:function' of your own"
+SCENE_NAMES = f"{', '.join(map(repr, SCENES))}, a scene file, or 'module:function' of your own"
 KINDS = (bool, int, float, str)  # of parameters
 MAX_TEXT_CHARACTERS = 200  # characters of a text
 
@@ -27,9 +29,10 @@ def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
     Parameters
     ----------
     name : str
-        One of `palpate.scenes.names.SCENES`, or ``"module:function"`` of a function that returns a `TrainingScene`.
+        One of `palpate.scenes.names.SCENES`, a scene file, or ``"module:function"`` of a function that returns a
+        `TrainingScene`.
     parameters : mapping
-        Arguments of its function; others have their defaults.
+        Settings of the scene (`palpate.open_scene`), or arguments of the function; others have their defaults.
 
     Raises
     ------
@@ -37,23 +40,23 @@ def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
         An unknown scene or parameter, a value out of range, or a user's module or function that
         fails.
     """
-    function, arguments = scene_function(name), typed(name, parameters)
-    if name in SCENES:
-        return cast(TrainingScene, function(**arguments))
+    if is_opened(name):
+        settings = {key: value for key, value in parameters.items() if key != DIGEST}
+        return training_scene_of(open_scene(name, settings), parameters)
+    function, arguments = _user_function(name), _arguments(name, parameters)
     made = _own(name, "failed", lambda: function(**arguments))
     if not isinstance(made, TrainingScene):
         raise InputError(f"scene {name!r} must return a TrainingScene, got a {type(made).__name__}")
     return made
 
 
-def typed(name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return all parameters of a scene, with given values converted to the types of its function's defaults.
+def is_opened(name: str) -> bool:
+    """Return True for a scene of the package or a scene file, False for a function."""
+    return name in SCENES or is_scene_file(name)
 
-    Raises
-    ------
-    InputError
-        An unknown scene or parameter, or a value of another type.
-    """
+
+def _arguments(name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Return all arguments of a user's function, with given values converted to the types of its defaults."""
     known = _defaults(name)
     values = dict(known)
     for key, given in parameters.items():
@@ -77,7 +80,7 @@ def search_current_folder() -> None:
 def _defaults(name: str) -> dict[str, Any]:
     """Return the parameters of a scene's function with their defaults, each a number, a truth value or text."""
     try:
-        known = {p.name: p.default for p in inspect.signature(scene_function(name)).parameters.values()}
+        known = {p.name: p.default for p in inspect.signature(_user_function(name)).parameters.values()}
     except (TypeError, ValueError) as error:
         raise InputError(f"scene must be a function with named parameters, got {name!r} ({error})") from error
     for key, default in known.items():
@@ -103,14 +106,13 @@ def _converted(key: str, given: Any, default: Any) -> Any:
     return value
 
 
-def scene_function(name: str) -> Callable[..., Any]:
-    """Return the function of a scene; see `training_scene`."""
-    if name in SCENES:
-        file, function = SCENES[name]
-        return cast(Callable[..., Any], getattr(import_module(f"palpate.scenes.{file}"), function))
+def _user_function(name: str) -> Callable[..., Any]:
+    """Return the function of a user's scene; see `training_scene`."""
     module, _, function = name.partition(":")
     if not (function.isidentifier() and all(part.isidentifier() for part in module.split("."))):
-        raise InputError(f"scene must be {SCENE_NAMES}, got {brief(name)}; correct its name")
+        near = get_close_matches(name[:60], SCENES, 1)
+        remedy = f"did you mean {near[0]}?" if near else "correct its name"
+        raise InputError(f"scene must be {SCENE_NAMES}, got {brief(name)}; {remedy}")
     found = getattr(_own(name, "cannot be imported", lambda: import_module(module)), function, None)
     if not callable(found):
         raise InputError(f"scene must be {SCENE_NAMES}, got {name!r}: module {module!r} has no function {function!r}")

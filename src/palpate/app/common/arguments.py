@@ -241,3 +241,21 @@ def _option_name(action: argparse.Action) -> str:
     if action.option_strings:
         return max(action.option_strings, key=len)
     return action.metavar if isinstance(action.metavar, str) else action.dest.upper()
+
+
+def parse_settings(given: Sequence[str]) -> dict[str, Any]:
+    """Return the settings of texts such as ``poisson=0.4``; a value is one of TOML, or else a text such as ``5 mm``."""
+    import tomllib
+
+    from palpate.faults import InputError
+
+    settings = {}
+    for pair in given:
+        name, sign, text = pair.partition("=")
+        if not sign or not name.strip():
+            raise InputError(f"--set must be NAME=VALUE, got {pair!r:.60}; give one such as spacing=0.005")
+        try:
+            settings[name.strip()] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            settings[name.strip()] = text
+    return settings

@@ -18,7 +18,7 @@ from palpate.faults import InputError, number_in_range
 from palpate.reduction.galerkin.model import galerkin
 from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.beam import beam, pull
-from palpate.scenes.liver import MARGIN, pressed_liver
+from palpate.scenes.open_scene import open_scene
 
 __all__ = ["BODIES", "ComparedBody", "compared_beam", "compared_liver"]
 
@@ -27,6 +27,7 @@ SMALL_PULL, LARGE_PULL = 0.1, 100.0  # [N] of the beam; the large one is the pap
 SMALL_WAY, LARGE_WAY = 2e-4, 0.02  # [m] of the liver's tool; the large one is the training's deepest press
 TOOL = "tool"
 TOOL_SECONDS = 0.6  # [s] of the liver's tool, out and back
+MARGIN = 0.02  # [m] smallest distance of the place from the back
 GRIP_SPACINGS = 2.0  # [spacings] radius of the nodes that the tool holds
 
 
@@ -83,7 +84,7 @@ def compared_beam(spacing: float = 0.005, poisson: float = 0.49) -> ComparedBody
 def compared_liver(spacing: float = 0.012, poisson: float = 0.45) -> ComparedBody:
     """Return the generated liver, a place of its front pulled by a tool by up to 0.2 mm and up to 20 mm."""
     spacing = number_in_range("spacing", spacing, 0.006, 0.012, unit="m")
-    bare = pressed_liver(spacing=spacing, poisson=poisson, radius=2.5 * spacing).model
+    bare = open_scene("liver", {"spacing": spacing, "poisson": poisson}).body
     assert isinstance(bare, Solid)
     cloud = bare.cloud
     surface = np.unique(cloud.face_nodes)

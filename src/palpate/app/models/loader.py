@@ -1,4 +1,4 @@
-"""Model loader: a reduced model that takes a tool, from the name of a scene or from a file."""
+"""Model loader: a reduced model that takes a tool, of a scene or from a file."""
 
 from __future__ import annotations
 
@@ -7,18 +7,15 @@ from pathlib import Path
 
 from palpate.app.common.arguments import suggestion
 from palpate.app.common.console import Console
-from palpate.app.models.cache import LIVER, load_cached_liver
-from palpate.app.models.quick_training import train_quickly
+from palpate.app.models.trained import trained_model
 from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import load
-from palpate.scenes.names import SCENES as NAMES
-from palpate.scenes.training import scene_function
+from palpate.scenes.names import SCENES
+from palpate.scenes.open_scene import open_scene
+from palpate.scenes.training import is_opened
 
 __all__ = ["open_model"]
-
-MODES = 24  # of the models of scenes that are trained at each start: all but the liver
-SCENES = (LIVER, *(name for name in NAMES if name != LIVER))
 
 
 def open_model(what: str, console: Console) -> tuple[ReducedModel, str]:
@@ -27,8 +24,8 @@ def open_model(what: str, console: Console) -> tuple[ReducedModel, str]:
     Parameters
     ----------
     what : str
-        ``"liver"``: the small model from the user's cache, trained at the first use; another scene of
-        `palpate.scenes.names.SCENES`, trained at once; or a file of `palpate train`.
+        A scene of `palpate.scenes.names.SCENES` or a scene file: its trained model
+        (`palpate.app.models.trained`). Or a file of `palpate train`.
     console : Console
 
     Raises
@@ -36,14 +33,14 @@ def open_model(what: str, console: Console) -> tuple[ReducedModel, str]:
     InputError, FileFormatError, FileNotFoundError
         No such scene or file, or a model that takes no tool.
     """
-    if what == LIVER:
-        return load_cached_liver(console), "Liver"
-    if what in NAMES:
-        return train_quickly(scene_function(what), MODES, console), what.capitalize()
+    if is_opened(what):
+        scene = open_scene(what)
+        return trained_model(scene, console), scene.title
     path = Path(what)
     if not path.suffix and not os.path.exists(path):  # False also for a name that is too long
         raise InputError(
-            f"what must be {', '.join(SCENES)}, or a file of palpate train, got {what!r:.60}{suggestion(what, SCENES)}"
+            f"what must be {', '.join(SCENES)}, a scene file, or a file of palpate train, got {what!r:.60}"
+            f"{suggestion(what, SCENES)}"
         )
     model = load(path)
     if model.data.compliance is None and len(model.data.prescribed) != 1:
@@ -51,5 +48,5 @@ def open_model(what: str, console: Console) -> tuple[ReducedModel, str]:
             f"{path} must hold a model that takes a tool, got one trained without a tool that touches it or moves one "
             f"group (it has {len(model.data.prescribed)}); train it with a Contact, or with prescribed='GROUP'"
         )
-    name = str(model.report.get("scene", {}).get("name", path.stem))
-    return model, name.rpartition(":")[2].replace("_", " ").capitalize()
+    name = Path(str(model.report.get("scene", {}).get("name", path.stem)))
+    return model, (name.stem if name.suffix else name.name).rpartition(":")[2].replace("_", " ").capitalize()

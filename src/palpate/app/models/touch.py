@@ -1,39 +1,22 @@
-"""A full body to touch at once, inside a surface: tissue, support and spacing that fit."""
+"""A full body to touch at once: a scene whose spacing this machine steps in real time."""
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Sequence
-from pathlib import Path
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from palpate.app.common.arguments import option_names
 from palpate.app.common.console import Console, count_nodes
-from palpate.app.models.touch_options import (
-    PAINTED,
-    TouchOptions,
-    check_closed,
-    held_by,
-    touched_material,
-)
-from palpate.app.painted import read_painted
+from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.faults import CloudError, InputError, number_in_range
-from palpate.meshfree.attachment import painted
-from palpate.meshfree.cloud import Cloud, box
-from palpate.meshfree.filling import BODY, fill
-from palpate.meshfree.surface_repair import repair_surface
-from palpate.meshfree.surfaces import Surface
-from palpate.tissue.liver import MASS_DAMPING
+from palpate.faults import CloudError, InputError
+from palpate.meshfree.cloud import box
+from palpate.scenes.organ_scene import OrganScene
 from palpate.tissue.materials import Material
 
-__all__ = ["open_surface", "realtime_spacing", "support_mask"]
+__all__ = ["open_touched", "realtime_spacing"]
 
-SUPPORT = "support"  # name of the group
-MOST_HELD = 0.6  # of the nodes of a body
 FINER, MAX_FINER = 0.8, 4  # factor of a guessed spacing that is too coarse for the tissue; how often
 NODES_PER_CELL = 1.45  # nodes over volume / spacing^3 in a filled organ
 STEP_PER_WAVE = 0.37  # stable step over the time of a pressure wave over a spacing
@@ -46,37 +29,82 @@ FORCE_ERRORS, FINER_NODES = (0.072, 0.13), 6.7
 SAMPLE_SECONDS = 0.6  # of the measurement of this machine
 
 
-def open_surface(surface: Surface, options: TouchOptions, console: Console) -> EnergySolid:
-    """Return the full body inside a surface (of `read_touched_surface`); print what was guessed, repaired and noted.
+def open_touched(scene: OrganScene, console: Console) -> OrganScene:
+    """Return a scene with the full body that is touched at once; print what was guessed, repaired and noted.
+
+    Its spacing is the finest in real time on this machine, unless the scene has a larger one, or comes from a surface
+    alone and has one.
 
     Raises
     ------
     InputError
-        The surface cannot be filled, or an option is out of range.
+        The surface cannot be filled, or a setting is out of range.
     """
-    material = touched_material(options)
-    with console.status("checking the surface"):
-        surface = repair_surface(surface)
-        report = check_closed(surface)
-    model, filled = _body(surface, material, options, console)
-    cloud, held_nodes = model.cloud, len(model.cloud.group(SUPPORT))
-    for line in (*surface.warnings, *filled):
-        console.say(f"surface: {option_names(line)}")
-    for problem in report.problems:
-        console.say(f"surface, {problem.kind}: {option_names(problem.what)}")
+    given = scene.description.body.spacing
+    surface = None
+    if scene.description.surface.file:
+        with console.status("checking the surface"):
+            surface = scene.repaired_surface
+    touched = _touched(scene, console)
+    body, cloud = touched.body, touched.cloud
+    for line in dict.fromkeys([*scene.notes, *touched.notes]):
+        console.say(option_names(line))
+    guessed = cloud.spacing != given
     console.say(
         f"body: {count_nodes(len(cloud))} {1e3 * cloud.spacing:.3g} mm apart"
-        + (", the finest in real time on this machine" if options.spacing is None else "")
+        + (", the finest in real time on this machine" if guessed else "")
         + f", {1e3 * np.ptp(cloud.points, axis=0).max():.3g} mm long; another: --spacing, --units, --scale"
     )
-    console.say(_force_line(len(cloud), options.spacing is None))
+    if surface is not None:
+        console.say(_force_line(len(cloud), guessed))
+    material = body.material
     console.say(
         f"tissue: {type(material).__name__}, shear modulus {1e-3 * material.shear_modulus:.3g} kPa, Poisson's ratio "
         f"{material.poisson:.3g}; another: --law, --set"
     )
-    held = " and ".join(options.fixed) or "the side away from the first view"
-    console.say(f"support: {held} ({held_nodes} nodes); another: --fixed")
-    return model
+    supports = " and ".join(f"{each.place.title} ({each.kind})" for each in scene.description.support)
+    held = np.unique(np.concatenate([cloud.group(each.group) for each in body.supports] or [np.zeros(0, dtype=int)]))
+    console.say(
+        f"support: {supports.replace(' (fixed)', '') or 'the side away from the first view'} ({len(held)} nodes); "
+        "another: --fixed"
+    )
+    return touched
+
+
+def _touched(scene: OrganScene, console: Console) -> OrganScene:
+    """Return the scene with a body in real time, finer where the tissue is too thin for that spacing."""
+    given = scene.description.body.spacing
+    from_file = scene.description.surface.file != "" and scene.name.lower().endswith(".toml")
+    surface = scene.surface
+    if surface is None:  # a box or a disc, which is small
+        return _prepared(scene, console)
+    volume, spacing = abs(surface.volume), given
+    if given is None or from_file:
+        with console.status("measuring this machine"):
+            spacing = max(realtime_spacing(volume, scene.material), given or 0.0)
+    assert spacing is not None
+    for trial in range(MAX_FINER + 1):
+        _check_count(volume, spacing)
+        if spacing > surface.size:
+            raise InputError(f"spacing must be at most the size of the surface, got {spacing:g} m; use a smaller one")
+        try:
+            return _prepared(scene.with_body(spacing=spacing), console)
+        except CloudError:  # too thin for the spacing
+            finer = float(f"{FINER * spacing:.2g}")
+            if spacing == given or trial == MAX_FINER or _count(volume, finer) > MOST_NODES:
+                raise
+            spacing = finer
+    raise AssertionError("the last trial returns or raises")
+
+
+def _prepared(scene: OrganScene, console: Console) -> OrganScene:
+    with console.status("filling the surface with nodes"):
+        _ = scene.cloud
+    with console.status("preparing the body (the first time on a machine compiles it)"):
+        body = scene.body
+    if not isinstance(body, EnergySolid | Membrane):
+        raise InputError("form of [body] must be 'energy' for a body in real time, got 'strong'; change it")
+    return scene
 
 
 def _force_line(nodes: int, realtime: bool) -> str:
@@ -88,37 +116,6 @@ def _force_line(nodes: int, realtime: bool) -> str:
         f"force: that of half the spacing to {median:.0%} in the median and {largest:.0%} at most, measured on livers "
         f"of 3,000 nodes; half the spacing here: about {FINER_NODES * nodes:,.0f} nodes, {cost}"
     )
-
-
-def _body(
-    surface: Surface, material: Material, options: TouchOptions, console: Console
-) -> tuple[EnergySolid, list[str]]:
-    """Return the body inside a surface, and what the filling warned of.
-
-    A spacing that is not given is that of real time, or a finer one where the tissue is too thin for it.
-    """
-    spacing = options.spacing
-    if spacing is None:
-        with console.status("measuring this machine"):
-            spacing = realtime_spacing(abs(surface.volume), material)
-    spacing = number_in_range("spacing", spacing, 1e-5, surface.size, unit="m")
-    for trial in range(MAX_FINER + 1):
-        _check_count(surface, spacing)
-        try:
-            with console.status("filling the surface with nodes"), warnings.catch_warnings(record=True) as caught:
-                warnings.simplefilter("always")
-                cloud = fill(surface, spacing)
-            cloud = cloud.with_group(SUPPORT, _support(cloud, options.fixed, surface.unit))
-            with console.status("preparing the body (the first time on a machine compiles it)"):
-                model = EnergySolid(cloud, material, SUPPORT, mass_damping=MASS_DAMPING)
-        except CloudError:  # too thin for the spacing
-            finer = float(f"{FINER * spacing:.2g}")
-            if options.spacing is not None or trial == MAX_FINER or _count(surface, finer) > MOST_NODES:
-                raise
-            spacing = finer
-        else:
-            return model, sorted({str(each.message) for each in caught} - set(surface.warnings))
-    raise AssertionError("the last trial returns or raises")
 
 
 def realtime_spacing(volume: float, material: Material) -> float:
@@ -153,75 +150,16 @@ def _seconds_per_node(material: Material) -> float:
     return STEP_OVER_FORCE * float(np.median(durations)) / len(body.cloud)
 
 
-def _count(surface: Surface, spacing: float) -> float:
+def _count(volume: float, spacing: float) -> float:
     """Return the expected number of nodes."""
-    return float(NODES_PER_CELL * abs(surface.volume) / spacing**3)
+    return float(NODES_PER_CELL * volume / spacing**3)
 
 
-def _check_count(surface: Surface, spacing: float) -> None:
-    count = _count(surface, spacing)
+def _check_count(volume: float, spacing: float) -> None:
+    count = _count(volume, spacing)
     if count > MOST_NODES:
-        coarser = np.cbrt(NODES_PER_CELL * abs(surface.volume) / MOST_NODES)
+        coarser = np.cbrt(NODES_PER_CELL * volume / MOST_NODES)
         raise InputError(
             f"spacing must give at most {MOST_NODES} nodes for a full body, got {1e3 * spacing:.3g} mm (about "
             f"{count:.0f} nodes); use {1e3 * coarser:.2g} mm or more, or train a reduced model"
         )
-
-
-def _support(cloud: Cloud, fixed: Sequence[str], unit: float) -> NDArray[np.bool_]:
-    """Return the nodes (n,) that texts of supports hold, checked for each of several bodies.
-
-    The default support holds a side of each body.
-    """
-    names = [name for name in cloud.groups if name.startswith(f"{BODY} ")]
-    bodies = [cloud.group(name) for name in names] or [np.arange(len(cloud))]
-    mask = np.zeros(len(cloud), dtype=bool)
-    if fixed:
-        mask = support_mask(cloud, fixed, unit)
-    for nodes, name in zip(bodies, names or ["it"], strict=True):
-        if not fixed:
-            mask[nodes] = held_by(cloud.points[nodes], "back")
-        where = f" of {name} of {len(bodies)}" if names else ""
-        if mask[nodes].sum() < 3:
-            raise InputError(
-                f"fixed must hold at least 3 nodes{where}, got {int(mask[nodes].sum())}; hold a larger part"
-            )
-        if mask[nodes].mean() > MOST_HELD:
-            raise InputError(
-                f"fixed must leave tissue free, got {mask[nodes].mean():.0%} of the nodes{where} held; hold a smaller "
-                "part"
-            )
-    return mask
-
-
-def support_mask(cloud: Cloud, fixed: Sequence[str], unit: float = 1.0) -> NDArray[np.bool_]:
-    """Return the nodes (n,) that texts of supports hold; see `TouchOptions.fixed`.
-
-    Parameters
-    ----------
-    cloud : Cloud
-    fixed : sequence of str
-    unit : float [m]
-        Length of a unit of painted files.
-    """
-    mask = np.zeros(len(cloud), dtype=bool)
-    for text in fixed:
-        text = text.strip()
-        is_painted = text.startswith(PAINTED)
-        mask |= _painted_support(cloud, text, unit) if is_painted else held_by(cloud.points, text)
-    return mask
-
-
-def _painted_support(cloud: Cloud, text: str, unit: float) -> NDArray[np.bool_]:
-    """Return the surface nodes nearest to painted vertices of ``painted FILE``, or ``painted FILE:FIELD``."""
-    text = text.removeprefix(PAINTED).strip()
-    file, colon, name = text.rpartition(":")
-    if not colon or Path(text).exists():
-        file, name = text, ""
-    places, values = read_painted(file, name or None)
-    mask = np.zeros(len(cloud), dtype=bool)
-    try:
-        mask[painted(cloud, unit * places, values)] = True
-    except InputError as error:
-        raise InputError(f"fixed must hold painted nodes, got {file!r:.60}: {error}") from error
-    return mask

@@ -1,8 +1,9 @@
-"""``palpate run beam``: the full or a reduced model of the paper's beam, once or in real time."""
+"""``palpate run SCENE``: the full or a reduced model of a scene, once or in real time."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -10,11 +11,12 @@ from typing import Any, cast
 
 import numpy as np
 
+from palpate.app.common.arguments import parse_settings
 from palpate.app.common.console import Console, Table, count_nodes, percent, quantities_table
 from palpate.app.common.exit_status import RunError
 from palpate.app.common.preparation import prepare
 from palpate.app.common.report import REPORTS, deliver, machine
-from palpate.app.run.grasp import run_grasp
+from palpate.app.run.realtime_scene import run_scene_realtime
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
@@ -25,59 +27,75 @@ from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.errors import relative_errors
 from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.beam import DURATION, EVERY, beam
+from palpate.scenes.open_scene import open_scene
 from palpate.scenes.scene import Scene
 
-__all__ = ["FILES", "run_beam"]
+__all__ = ["FILES", "run"]
 
 FILES = (*REPORTS, "full.h5", "reduced.h5")
+PRESS_SEED = 500_000  # of the path of a scene without loads: the first held-out one
 SNAPSHOTS = round(DURATION / EVERY)
-MODEL_PARAMETERS = ("modes", "spacing", "poisson")
-REALTIME_OPTIONS = ("seconds", "rate", "model")
+REALTIME_OPTIONS = ("seconds", "rate", "model", "full")
+PAPER = "beam"  # a single run is that of the paper, in its strong form
 
 
-def run_beam(*, realtime: bool = False, **options: Any) -> int:
-    """Run the beam, once or in real time: see `run_once` and `palpate.app.run.grasp.run_grasp`.
+def run(*, scene: str, realtime: bool = False, **options: Any) -> int:
+    """Run a scene, once or in real time: `run_once`, `palpate.app.run.realtime_scene.run_scene_realtime`.
 
     Parameters
     ----------
+    scene : str
+        As for `palpate.open_scene`.
     realtime : bool
     options : mapping
-        Of either; None where the command line gives none.
+        Of either; None or False where the command line gives none.
 
     Raises
     ------
     InputError
         An option that the kind of run does not have, or a parameter out of range.
     """
-    given = {name: value for name, value in options.items() if value is not None}
-    if realtime and "load" in given:
-        raise InputError(f"load must be left out in real time, got {given['load']:g}; a tool moves the end instead")
-    for name in REALTIME_OPTIONS:
-        if not realtime and name in given:
-            raise InputError(f"{name} must be left out of a single run, got {given[name]}; or add --realtime")
-    for name in MODEL_PARAMETERS:
-        if "model" in given and name in given:
-            raise InputError(f"{name} must be left out with --model, got {given[name]}; the file's model has its own")
-    return run_grasp(**given) if realtime else run_once(**given)
+    given = {name: value for name, value in options.items() if value not in (None, False, [])}
+    given.setdefault("as_json", False)
+    if not realtime:
+        for name in REALTIME_OPTIONS:
+            if name in given:
+                raise InputError(f"{name} must be left out of a single run, got {given[name]}; or add --realtime")
+        return run_once(scene=scene, **given)
+    if "load" in given:
+        raise InputError(f"load must be left out in real time, got {given['load']:g}; a tool moves the body instead")
+    words = {name: given.pop(name) for name in ("spacing", "poisson", "modes") if name in given}
+    if words and "model" in given:
+        name = next(iter(words))
+        raise InputError(f"{name} must be left out with --model, got {words[name]}; the file's model has its own")
+    return run_scene_realtime(scene=scene, settings=words | parse_settings(given.pop("given", ())), **given)
 
 
 def run_once(
     *,
-    spacing: float = 0.005,
-    load: float = 100.0,
-    poisson: float = 0.49,
+    scene: str,
+    spacing: float | None = None,
+    load: float | None = None,
+    poisson: float | None = None,
+    given: Sequence[str] = (),
     modes: int | None = None,
     out: Path,
     as_json: bool = False,
 ) -> int:
-    """Run the paper's pull of the beam and leave the trajectory and a report in a folder.
+    """Run the full body of a scene under its loads, and leave the trajectory and a report in a folder.
+
+    A scene without loads is pressed by its tool.
 
     Parameters
     ----------
-    spacing : float [m]
-    load : float [N]
-    poisson : float
-        As for `palpate.scenes.beam.beam`.
+    scene : str
+        As for `palpate.open_scene`. The run of the beam is the paper's (`palpate.scenes.beam.beam`).
+    spacing : float, optional [m]
+    load : float, optional [N]
+        Of the paper's beam.
+    poisson : float, optional
+    given : sequence of str
+        Settings of the scene as ``"name=value"``.
     modes : int, optional
         Train a hyper-reduced model of so many modes on the full run, and run it, too. The full model then is in its
         energy form, which the reduced one samples.
@@ -101,31 +119,41 @@ def run_once(
     """
     if modes is not None:
         integer_in_range("modes", modes, 1, SNAPSHOTS)
+    words = {name: value for name, value in (("spacing", spacing), ("load", load), ("poisson", poisson)) if value}
+    if poisson is not None:
+        words["poisson"] = poisson
+    settings = words | parse_settings(given)
+    if "load" in words and scene != PAPER:
+        raise InputError(f"load must be left out of {scene}, got {load:g}; change the loads in its file")
     console = Console()
     doubles = 6 if modes is None else 12
-    scene = prepare(lambda: _scene(spacing, load, poisson, modes is not None), out, doubles, console)
+    made = prepare(lambda: _scene(scene, settings, modes is not None), out, doubles, console)
     for name in FILES:  # of an earlier run: all files of a folder belong together
         (out / name).unlink(missing_ok=True)
-    runs, reduced = {"full": _run(scene, scene.model, console, out / "full.h5")}, None
+    runs, reduced = {"full": _run(made, made.model, console, out / "full.h5")}, None
     if modes is not None:
         start = perf_counter()
-        reduced = hyper_reduce(cast(Solid, scene.model), runs["full"], modes=modes)
+        reduced = hyper_reduce(cast(Solid, made.model), runs["full"], modes=modes)
         count = count_nodes(reduced.report["nodes"])
         console.say(f"trained {modes} modes at {count} in {perf_counter() - start:.3g} s")
-        runs["reduced"] = _run(scene, reduced, console)
+        runs["reduced"] = _run(made, reduced, console)
         runs["reduced"].save(out / "reduced.h5")
-    report = _report(scene, runs, reduced)
+    report = _report(made, runs, reduced)
     deliver(report, [_table(report)], out, FILES, as_json)
     return 0
 
 
-def _scene(spacing: float, load: float, poisson: float, energy: bool) -> Scene:
-    """Return the scene, its model in the energy form if asked."""
-    scene = beam(spacing=spacing, load=load, poisson=poisson)
-    if not energy:
-        return scene
-    body = scene.model
-    return replace(scene, model=Solid(body.cloud, body.material, body.supports, form="energy"))
+def _scene(name: str, settings: dict[str, Any], energy: bool) -> Scene:
+    """Return a scene for a single run, its model in the energy form if asked."""
+    if name == PAPER:
+        scene = beam(**settings)
+        body = scene.model
+        return replace(scene, model=Solid(body.cloud, body.material, body.supports, form="energy")) if energy else scene
+    opened = open_scene(name, settings)
+    loads, duration, every = opened.loads, opened.duration, opened.every
+    if not opened.description.load:
+        (loads, duration), every = opened.paths(PRESS_SEED), opened.description.training.every
+    return Scene(opened.body, loads, duration, every, opened.title, {"spacing": opened.body.cloud.spacing})
 
 
 def _report(scene: Scene, runs: dict[str, Trajectory], model: ReducedModel | None) -> dict[str, Any]:

@@ -12,28 +12,25 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from palpate.app.common.arguments import parse_settings
 from palpate.app.common.console import Console, print_json, print_plain, quantities_table
 from palpate.app.common.exit_status import DONE, FAILED, INTERRUPTED
-from palpate.app.models.touch_options import (
-    TouchOptions,
-    check_fixed,
-    is_surface_file,
-    read_touched_surface,
-    surface_title,
-    touched_material,
-)
 from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK, open_listener
+from palpate.dynamics.loads.foundation import Foundation
 from palpate.extras import require
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import check_folder
 from palpate.meshfree.surfaces import Surface
-from palpate.scenes.names import SCENES
+from palpate.scenes.names import SCENES, is_scene_file
+from palpate.scenes.open_scene import open_scene
+from palpate.scenes.places import side_mask
+from palpate.scenes.surface_scene import is_surface_file, surface_scene
 
 if TYPE_CHECKING:  # each takes a second to import, before the page opens
     from palpate.app.view.session.messages import Message
     from palpate.app.view.session.session import Session
-    from palpate.dynamics.solid.model import EnergySolid
     from palpate.reduction.hyper.model import ReducedModel
+    from palpate.scenes.organ_scene import OrganScene
 
 __all__ = ["view"]
 
@@ -67,7 +64,7 @@ def view(
     Parameters
     ----------
     what : str
-        A surface file, or as of `palpate.app.models.loader.open_model`.
+        A surface file or a scene file, whose full body is shown; or as of `palpate.app.models.loader.open_model`.
     port : int
         The next free one is used if it is busy.
     host : str
@@ -83,7 +80,8 @@ def view(
     script : path, optional
         Script of a headless session; see `palpate.app.view.session.script.read_script`.
     units, scale, part, spacing, law, given, fixed
-        Of a body from a surface file, see `palpate.app.models.touch_options.TouchOptions`.
+        Of a body from a surface file, see `palpate.scenes.surface_scene.surface_scene`; `spacing` and `given` also of
+        a scene file.
     compare : bool
         Also step the full model of the reduced model's training scene, under the same tool.
     scene : str, optional
@@ -112,13 +110,11 @@ def view(
         open_listener(host, port).close()  # refuses a wrong address before a model is trained
     if record is not None:
         _check_record(record, what)
-    options = TouchOptions(units, scale, tuple(part or ()), spacing, law, _parameters(given), tuple(fixed))
-    if not is_surface_file(what) and options != TouchOptions(parameters={}):
-        raise InputError(
-            "units, scale, part, spacing, law, set and fixed must be left out unless a surface file is viewed, got "
-            f"{what!r:.60}"
-        )
-    if compare and is_surface_file(what):
+    options: dict[str, Any] = {
+        "units": units, "scale": scale, "part": tuple(part or ()), "spacing": spacing, "law": law,
+        "settings": parse_settings(given), "fixed": tuple(fixed),
+    }  # fmt: skip
+    if compare and (is_surface_file(what) or is_scene_file(what)):
         raise InputError(f"compare must be left out for a full body, got {what!r:.60}; give a reduced model")
     if scene is not None and not compare:
         raise InputError(f"scene must be left out without --compare, got {scene!r:.60}; add --compare")
@@ -136,12 +132,11 @@ def view(
 
 @dataclass(frozen=True)
 class _Subject:
-    """What is viewed, as far as it is read before the page opens: a surface, a model of a file, or a scene's name."""
+    """What is viewed, as far as it is read before the page opens: a full body, a model of a file, or a scene's name."""
 
     what: str
     title: str
-    options: TouchOptions
-    surface: Surface | None = None
+    touched: OrganScene | None = None
     model: ReducedModel | None = None
     compare: bool = False
     scene: str | None = None
@@ -151,27 +146,54 @@ class _Subject:
         """Name under which the durations of its preparation are kept."""
         if self.model is not None:
             return f"{Path(self.what).resolve()}{' compared' if self.compare else ''}"
-        if self.surface is None:
+        if self.touched is None:
             return self.what
-        return f"surface {self.options.law or ''} {self.options.spacing or ''}".rstrip()
+        about = self.touched.description
+        return f"surface {about.tissue.law} {about.body.spacing or ''}".rstrip()
+
+    @property
+    def surface(self) -> Surface | None:
+        """Surface that the page shows at first."""
+        if self.touched is not None:
+            return self.touched.surface
+        if self.model is None:
+            return None
+        cloud = self.model.cloud
+        has_surface = len(cloud.triangles) and cloud.points.shape[1] == 3
+        return Surface(cloud.points, cloud.triangles) if has_surface else None
 
 
-def _read_subject(what: str, options: TouchOptions, compare: bool, scene: str | None) -> _Subject:
-    """Read a surface or a model, and check the options of a surface."""
+def _read_subject(what: str, options: dict[str, Any], compare: bool, scene: str | None) -> _Subject:
+    """Read a scene, a surface or a model, and check the options of a surface."""
+    others = {"units": None, "scale": 1.0, "part": (), "law": None, "fixed": ()}
     if is_surface_file(what):
-        surface = read_touched_surface(what, options)
-        touched_material(options)
-        check_fixed(surface.vertices, options.fixed)
-        return _Subject(what, surface_title(Path(what)), options, surface)
+        touched = surface_scene(what, **options)
+        assert touched.surface is not None
+        for support in touched.description.support:
+            if support.place.side:
+                side_mask(touched.surface.vertices, support.place.side)
+        return _Subject(what, touched.title, touched)
+    strange = [name for name, value in others.items() if options[name] != value]
+    if is_scene_file(what):
+        if strange:
+            raise InputError(
+                f"{strange[0]} must be left out with a scene file, got {what!r:.60}; change the file"
+            )
+        given = {} if options["spacing"] is None else {"spacing": options["spacing"]}
+        touched = open_scene(what, given | options["settings"])
+        _ = touched.surface, touched.material
+        return _Subject(what, touched.title, touched)
+    if strange or options["spacing"] is not None or options["settings"]:
+        raise InputError(
+            "units, scale, part, spacing, law, set and fixed must be left out unless a surface file is viewed, got "
+            f"{what!r:.60}"
+        )
     if what in SCENES:
-        return _Subject(what, what.capitalize(), options, compare=compare, scene=scene)
+        return _Subject(what, what.capitalize(), compare=compare, scene=scene)
     from palpate.app.models.loader import open_model
 
     model, title = open_model(what, Console())
-    cloud = model.cloud
-    has_surface = len(cloud.triangles) and cloud.points.shape[1] == 3
-    shown = Surface(cloud.points, cloud.triangles) if has_surface else None
-    return _Subject(what, title, options, shown, model, compare, scene)
+    return _Subject(what, title, None, model, compare, scene)
 
 
 def _show(subject: _Subject, record: Path | None, address: tuple[int, str, bool]) -> list[str]:
@@ -192,8 +214,8 @@ def _show(subject: _Subject, record: Path | None, address: tuple[int, str, bool]
     with serve(preparation, console, *address) as host, contextlib.ExitStack() as stack:
         try:
             with _end_after_interrupt(patience):
-                compiles = subject.model is None and subject.surface is not None and not preparation.code_is_compiled
-                ahead = compile_ahead(subject.options) if compiles else contextlib.nullcontext()
+                touched = None if preparation.code_is_compiled else subject.touched
+                ahead = contextlib.nullcontext() if touched is None else compile_ahead(touched.description.tissue)
                 with ahead as wait:
                     session = stack.enter_context(_session(subject, record, console, wait))
                 preparation.end()
@@ -222,19 +244,21 @@ def _session(
     """
     console.begin_phase("importing")
     from palpate.app.models.loader import open_model
-    from palpate.app.models.touch import open_surface
+    from palpate.app.models.touch import open_touched
 
-    model: ReducedModel | EnergySolid
+    model: Any
+    foundations: tuple[Foundation, ...] = ()
     if subject.model is not None:
         model = subject.model
-    elif subject.surface is not None:
-        model = open_surface(subject.surface, subject.options, console)
+    elif subject.touched is not None:
+        touched = open_touched(subject.touched, console)
+        model, foundations = touched.body, touched.foundations
     else:
         model, _ = open_model(subject.what, console)
     with console.status("preparing the engine (the first run on a machine compiles it, in about a minute)"):
         if wait is not None:
             wait()
-        session = _open_session(model, subject)
+        session = _open_session(model, subject, foundations)
     session.start()
     if record is not None:
         session.start_recording(record)
@@ -246,7 +270,7 @@ def _session(
             _print_notifications(session, console)
 
 
-def _open_session(model: ReducedModel | EnergySolid, subject: _Subject) -> Session:
+def _open_session(model: Any, subject: _Subject, foundations: tuple[Foundation, ...]) -> Session:
     """Return a session of a body, or of a reduced model and its full body."""
     from palpate.app.view.session.comparison import Comparison
     from palpate.app.view.session.full_model_replay import full_model
@@ -255,7 +279,7 @@ def _open_session(model: ReducedModel | EnergySolid, subject: _Subject) -> Sessi
 
     if subject.compare and isinstance(model, ReducedModel):
         return Comparison(model, full_model(model, subject.scene), subject.title)
-    return Session(model, subject.title)
+    return Session(model, subject.title, foundations=foundations)
 
 
 @contextlib.contextmanager
@@ -284,20 +308,6 @@ def _end_after_interrupt(patience: float) -> Iterator[None]:
         left.set()
         signal.set_wakeup_fd(before)
         notified.close()
-
-
-def _parameters(given: Sequence[str]) -> dict[str, float]:
-    """Return the parameters of texts such as ``C1=900``."""
-    parameters = {}
-    for pair in given:
-        name, equals, text = pair.partition("=")
-        try:
-            parameters[name] = float(text)
-        except ValueError:
-            raise InputError(f"set must hold NAME=X with a number X, got {pair!r:.60}") from None
-        if not equals:
-            raise InputError(f"set must hold NAME=X, got {pair!r:.60}")
-    return parameters
 
 
 @contextlib.contextmanager

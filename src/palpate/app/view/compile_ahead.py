@@ -14,17 +14,18 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 
-from palpate.app.models.touch_options import TouchOptions, touched_material
+from palpate.scenes.description import Tissue
+from palpate.scenes.settings import read_section, written_section
 
-__all__ = ["compile_ahead", "compile_for_options"]
+__all__ = ["compile_ahead", "compile_for_tissue"]
 
-CODE = "from palpate.app.view.compile_ahead import compile_for_options; compile_for_options()"
+CODE = "from palpate.app.view.compile_ahead import compile_for_tissue; compile_for_tissue()"
 BLOCK_SIZE, BLOCK_SPACING = 0.1, 0.02  # [m] of a body whose engine has the same types
 
 
 @contextlib.contextmanager
-def compile_ahead(options: TouchOptions) -> Iterator[Callable[[], object]]:
-    """Compile for the law of options in another process within a context, where there is a second processor.
+def compile_ahead(tissue: Tissue) -> Iterator[Callable[[], object]]:
+    """Compile for a tissue in another process within a context, where there is a second processor.
 
     Yields
     ------
@@ -34,7 +35,7 @@ def compile_ahead(options: TouchOptions) -> Iterator[Callable[[], object]]:
     if _processors() < 2:
         yield lambda: None
         return
-    words = json.dumps([options.law, dict(options.parameters or {})])
+    words = json.dumps(written_section(tissue))
     process = subprocess.Popen(
         [sys.executable, "-P", "-c", CODE, words], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -50,8 +51,8 @@ def _processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def compile_for_options() -> None:
-    """Make a session of a block, with a law from the command line; end when the standard input does."""
+def compile_for_tissue() -> None:
+    """Make a session of a block, with a tissue from the command line; end when the standard input does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process ends this one
 
     def watch() -> None:
@@ -62,10 +63,12 @@ def compile_for_options() -> None:
     from palpate.app.view.session.session import Session
     from palpate.dynamics.solid.model import EnergySolid
     from palpate.meshfree.cloud import box
+    from palpate.scenes.tissue import fibres_of, material_of
 
-    law, parameters = json.loads(sys.argv[1])
+    tissue: Tissue = read_section(Tissue, json.loads(sys.argv[1]))
     cloud = box((BLOCK_SIZE,) * 3, BLOCK_SPACING, jitter=0.2)
-    body = EnergySolid(cloud, touched_material(TouchOptions(law=law, parameters=parameters)), "z-", mass_damping=1.0)
+    fibres = None if tissue.fibres is None else fibres_of(tissue.fibres)
+    body = EnergySolid(cloud, material_of(tissue), "z-", mass_damping=1.0, fibres=fibres)
     session = Session(body, "block")
     session.start()  # compiles the loop
     session.close()

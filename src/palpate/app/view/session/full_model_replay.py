@@ -19,8 +19,8 @@ from palpate.faults import InputError
 from palpate.files import shortened
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.realtime.display_surface import Surface
-from palpate.scenes.names import SCENES
-from palpate.scenes.training import search_current_folder, training_scene, typed
+from palpate.scenes.names import SCENES, is_scene_file
+from palpate.scenes.training import search_current_folder, training_scene
 
 __all__ = ["full_model", "reduced_model", "replay_errors", "replay_on_full_model", "tool_path"]
 
@@ -52,24 +52,19 @@ def full_model(reduced: ReducedModel, trusted_scene: str | None = None) -> Model
             "model must name its training scene for a full model, got one without; train the model by "
             "`palpate train SCENE`"
         )
-    scene = scene_record["name"]
+    scene, parameters, cloud = scene_record["name"], scene_record["parameters"], reduced.cloud
+    if trusted_scene is not None and is_scene_file(trusted_scene) and is_scene_file(scene):
+        scene = trusted_scene  # its digest is checked, wherever it lies
     if trusted_scene is not None and trusted_scene != scene:
         raise InputError(f"scene must be {scene!r}, on which the model was trained, got {trusted_scene!r}")
     if trusted_scene is None and scene not in SCENES:
+        kind = "organ.toml" if is_scene_file(scene) else "MODULE:FUNCTION if you trust that module"
         raise InputError(
             f"scene of the model must be one of {', '.join(SCENES)}, got {shortened(scene)!r}; names in a file "
-            "are not imported: add --scene MODULE:FUNCTION if you trust that module"
+            f"are not imported or opened: add --scene {kind}"
         )
     if trusted_scene is not None:
         search_current_folder()
-    parameters, cloud = typed(scene, scene_record["parameters"]), reduced.cloud
-    if "spacing" in parameters and not np.isclose(parameters["spacing"], cloud.spacing, rtol=1e-6):
-        raise InputError(
-            f"spacing of the scene must be that of the model's body, {cloud.spacing:g} m, got "
-            f"{parameters['spacing']:g} m; train the model again"
-        )
-    if "mass_damping" in parameters and "mass_damping" not in scene_record["parameters"]:
-        parameters["mass_damping"] = reduced.mass_damping  # of a scene that had none when it was recorded
     model = training_scene(scene, parameters).model
     points, tolerance = model.cloud.points, POINT_TOLERANCE * cloud.spacing
     if points.shape != cloud.points.shape or not np.allclose(points, cloud.points, atol=tolerance):

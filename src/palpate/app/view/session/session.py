@@ -9,7 +9,7 @@ import shutil
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
@@ -32,6 +32,7 @@ from palpate.app.view.session.tool_control import (
 )
 from palpate.arrays import Floats
 from palpate.dynamics.contact.tools import Contact, Forceps, Sphere, Tool
+from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.realtime.engine import Engine
@@ -71,6 +72,8 @@ class Session:
         A reduced model with tool contact, or with one prescribed group; or a full body.
     title : str
     rate : float [Hz]
+    foundations : sequence of Foundation
+        Springs between the body and the ground.
 
     Raises
     ------
@@ -80,7 +83,13 @@ class Session:
 
     mode = "live"
 
-    def __init__(self, model: ReducedModel | EnergySolid, title: str, rate: float = RATE) -> None:
+    def __init__(
+        self,
+        model: ReducedModel | EnergySolid,
+        title: str,
+        rate: float = RATE,
+        foundations: Sequence[Foundation] = (),
+    ) -> None:
         self.model, self.title, self.rate = model, title, rate
         self.surface: DisplaySurface = display_surface(model)
         self._workspace = ToolWorkspace(self.surface)
@@ -90,7 +99,7 @@ class Session:
         )
         away = model.cloud.points.max(axis=0) + ABSENT_TOOL_DISTANCE
         contact = Contact(Sphere(model.cloud.spacing), away) if self.accepts_tools else None
-        self._realtime_model = realtime_model(model, contact=contact)
+        self._realtime_model = realtime_model(model, contact=contact, foundations=foundations)
         self._tool_origin, self._tool_rotation = np.zeros(3), NO_ROTATION  # when the tool was put down
         self.tool, self.selected_tool = NO_TOOL, NO_TOOL
         if self._realtime_model.change_tool is not None:

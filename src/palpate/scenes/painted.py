@@ -58,7 +58,7 @@ def read_painted(path: str | Path, name: str | None = None) -> tuple[Floats, Flo
     if path.suffix.lower() not in FORMATS:
         raise FileFormatError(f"{path}: a painted mesh is one of {', '.join(FORMATS)}")
     require("pyvista", "reading a painted mesh")
-    command = [sys.executable, "-P", "-m", "palpate.app.painted", str(path.absolute()), name or "", str(size)]
+    command = [sys.executable, "-P", "-m", "palpate.scenes.painted", str(path.absolute()), name or "", str(size)]
     try:
         done = subprocess.run(command, capture_output=True, timeout=4 * (SECONDS + size / RATE), check=False)
     except subprocess.TimeoutExpired:

@@ -1,0 +1,343 @@
+"""Description of a scene: the sections of a scene file, without the files and bodies that they name.
+
+Lengths of places are in the body's coordinates, after units and scale of the surface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from difflib import get_close_matches
+from typing import Any
+
+from palpate.faults import InputError
+from palpate.scenes.settings import Fault, read_values, setting
+from palpate.tissue.catalogue import LAWS
+from palpate.tissue.liver import DENSITY, MASS_DAMPING, POISSON
+
+__all__ = [
+    "Ball", "Body", "Box", "Description", "Fibre", "Load", "Near", "Painted", "Place", "Plane", "Region", "Relaxation",
+    "Run", "Shape", "Support", "Tissue", "Tool", "Training", "with_settings",
+]  # fmt: skip
+
+SINGLE_SECTIONS = ("surface", "body", "tissue", "tool", "run", "training")
+SHAPES = ("liver", "box", "disc")
+Vector = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Surface of the body: a file, or a generated shape."""
+
+    file: str = setting("", "surface file, relative to the scene file")
+    parts: tuple[str, ...] = setting((), "names or patterns of parts of the file, such as '*lobe*'")
+    units: str = setting("", "unit of length in the file; guessed if it is left out", choices=("m", "cm", "mm", "in"))
+    scale: float = setting(1.0, "factor of all lengths", low=1e-6, high=1e6)
+    repair: bool = setting(True, "close small holes, turn triangles, smooth folds and remove specks")
+    generated: str = setting("", "generated shape in place of a file", choices=SHAPES)
+    size: Vector = setting((), "edges of a box from the origin", unit="m", above=0.0, length=3)
+    disc_radius: float = setting(0.1, "radius of a disc", unit="m", above=0.0, high=10.0)
+
+    def __post_init__(self) -> None:
+        if bool(self.file) == bool(self.generated):
+            raise InputError("must have file or generated, and not both; give one of them")
+        if (self.generated == "box") != bool(self.size):
+            raise InputError("must have size for a box, and only for a box; give size = [length, width, height]")
+
+
+@dataclass(frozen=True)
+class Body:
+    """Nodes and equations of the body."""
+
+    spacing: float | None = setting(None, "distance between nodes", unit="m", above=0.0, high=1.0)
+    form: str = setting("energy", "form of the equations of motion", choices=("energy", "strong"))
+    seed: int = setting(0, "seed of the nodes' positions", low=0, high=2**31)
+    thickness: float | None = setting(None, "thickness of a membrane", unit="m", above=0.0, high=1.0)
+    prestretch: float = setting(1.0, "stretch of a membrane at rest", low=0.5, high=3.0)
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """Viscoelastic relaxation, a Prony series (`palpate.materials.Prony`)."""
+
+    shares: Vector = setting(text="modulus of each branch over that of the law", above=0.0)
+    times: Vector = setting(text="relaxation times", unit="s", above=0.0)
+    bulk_shares: Vector = setting((), "the same for the bulk modulus", low=0.0)
+
+
+@dataclass(frozen=True)
+class Fibre:
+    """Fibres of one direction everywhere (`palpate laws`)."""
+
+    law: str = setting("Fibres", "law of the fibres", choices=("Fibres", "Guccione"))
+    directions: tuple[tuple[float, float, float], ...] = setting(text="directions of the families, of any length")
+    parameters: dict[str, float | str] = setting(text="parameters of the fibre law")
+
+
+@dataclass(frozen=True)
+class Tissue:
+    """Tissue of the body."""
+
+    law: str = setting("NeoHookean", "law of the catalogue (palpate laws)")
+    energy: str = setting("", "energy of a law of your own as a text, such as 'C1*(I1 - 3 - 2*log(J))'")
+    parameters: dict[str, float | str] = setting({}, "parameters of the law")
+    density: float = setting(DENSITY, "density", unit="kg/m^3", above=0.0)
+    poisson: float = setting(POISSON, "Poisson's ratio at rest", low=0.0, high=0.5)
+    volumetric: str = setting("quadratic", "form of the volumetric energy",
+                              choices=("quadratic", "logarithmic", "mixed"))  # fmt: skip
+    split: str = setting("coupled", "strain of the shear energy", choices=("coupled", "isochoric"))
+    mass_damping: float = setting(MASS_DAMPING, "damping by mass: an amplitude decays at half this rate", unit="1/s",
+                                  low=0.0, high=1000.0)  # fmt: skip
+    relaxation: Relaxation | None = setting(None, "relaxation of the tissue")
+    fibres: Fibre | None = setting(None, "fibres")
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Half space behind a plane."""
+
+    point: Vector = setting(text="a point of the plane", unit="m", length=3)
+    normal: Vector = setting(text="normal, away from the place", length=3)
+
+
+@dataclass(frozen=True)
+class Box:
+    """Box along the axes."""
+
+    low: Vector = setting(text="lowest corner", unit="m", length=3)
+    high: Vector = setting(text="highest corner", unit="m", length=3)
+
+
+@dataclass(frozen=True)
+class Ball:
+    """Ball."""
+
+    centre: Vector = setting(text="centre", unit="m", length=3)
+    radius: float = setting(text="radius", unit="m", above=0.0, high=10.0)
+
+
+@dataclass(frozen=True)
+class Painted:
+    """Painted vertices of a mesh, in the unit of the surface."""
+
+    file: str = setting(text="painted mesh (.ply, .vtk, .vtp, .vtu), relative to the scene file")
+    field: str = setting("", "scalar field on its vertices; the only one if it is left out")
+    least: float = setting(0.5, "smallest painted value")
+
+
+@dataclass(frozen=True)
+class Near:
+    """Nearness to another surface, such as a bone."""
+
+    file: str = setting(text="surface file, relative to the scene file; parts, units and scale as those of the body")
+    distance: float = setting(text="largest distance", unit="m", above=0.0, high=1.0)
+    parts: tuple[str, ...] = setting((), "names or patterns of its parts")
+
+
+@dataclass(frozen=True)
+class Place:
+    """Part of the body: exactly one of these."""
+
+    side: str = setting("", "'x-', 'z+', 'back' (away from the first view), 'lowest 15%', 'near X,Y,Z,R' [mm]")
+    group: str = setting("", "group of a generated shape, such as 'x-' or 'rim'")
+    plane: Plane | None = setting(None, "what is behind a plane")
+    box: Box | None = setting(None, "what is inside a box")
+    ball: Ball | None = setting(None, "what is inside a ball")
+    painted: Painted | None = setting(None, "what is painted")
+    near: Near | None = setting(None, "what is near another surface")
+    part: str = setting("", "what is inside a closed part of the surface file, by its name or a pattern")
+
+    def __post_init__(self) -> None:
+        given = [field.name for field in fields(self) if getattr(self, field.name)]
+        if len(given) != 1:
+            raise InputError(
+                f"must be one of {', '.join(field.name for field in fields(self))}, got {' and '.join(given) or 'none'}"
+            )
+
+    @property
+    def title(self) -> str:
+        """The place in words."""
+        for field in fields(self):
+            if getattr(self, field.name):
+                value = getattr(self, field.name)
+                return value if isinstance(value, str) and field.name in ("side", "group") else field.name
+        raise AssertionError("a place has one kind")
+
+
+@dataclass(frozen=True)
+class Region:
+    """Tissue with other parameters of the same law."""
+
+    name: str = setting("", "name in reports")
+    place: Place = setting(text="where it is")
+    parameters: dict[str, float | str] = setting({}, "parameters of the law that differ")
+    stiffness: float = setting(1.0, "factor of the moduli, in place of parameters", above=0.0, high=1e4)
+
+
+@dataclass(frozen=True)
+class Support:
+    """Support of the body's surface."""
+
+    name: str = setting("", "name in reports")
+    kind: str = setting("fixed", "fixed, roller (slides in the plane of its normal), rail, or springs per area",
+                        choices=("fixed", "roller", "rail", "springs"))  # fmt: skip
+    place: Place = setting(text="where it is")
+    surface_only: bool = setting(False, "hold nodes of the surface only, not those below it")
+    direction: Vector = setting((), "normal of a roller, or direction of a rail", length=3)
+    stiffness: float = setting(0.0, "stiffness of springs per area", unit="N/m^3", low=0.0)
+    damping: float = setting(0.0, "damping of springs per area", unit="N s/m^3", low=0.0)
+
+    def __post_init__(self) -> None:
+        if (self.kind == "springs") != (self.stiffness > 0):
+            raise InputError("must have a stiffness if it is of springs, and none else; give stiffness = '10 kPa/cm'")
+        if self.kind == "rail" and not self.direction:
+            raise InputError("must have a direction if it is a rail; give direction = [1, 0, 0]")
+        if self.direction and self.kind not in ("roller", "rail"):
+            raise InputError("must have no direction unless it is a roller or a rail; leave it out")
+
+
+@dataclass(frozen=True)
+class Tool:
+    """Tool that touches the body, or that holds a group of it."""
+
+    radius: float | None = setting(None, "radius of the ball; one that fits the body if it is left out", unit="m",
+                                    above=0.0, high=0.5)  # fmt: skip
+    friction: float = setting(0.2, "Coulomb's coefficient", low=0.0, high=2.0)
+    holds: str = setting("", "group that the tool holds and moves, in place of touching the surface")
+    hold_radius: float | None = setting(None, "of a disc: the tool holds what is so near its centre", unit="m",
+                                         above=0.0, high=10.0)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Load:
+    """Load of a single run: a force, a pressure or gravity over time."""
+
+    name: str = setting("", "name in reports")
+    kind: str = setting(text="kind of load", choices=("force", "pressure", "gravity", "motion"))
+    place: Place | None = setting(None, "where it acts; gravity acts everywhere")
+    times: Vector = setting((0.0,), "times; between them the factor is interpolated", unit="s", low=0.0)
+    factors: Vector = setting((1.0,), "factors at these times")
+    force: Vector = setting((), "total force", unit="N", length=3)
+    pressure: float = setting(0.0, "pressure, positive towards the body", unit="Pa")
+    acceleration: Vector = setting((), "acceleration of gravity", unit="m/s^2", length=3)
+    displacement: Vector = setting((), "displacement of a motion", unit="m", length=3)
+
+    def __post_init__(self) -> None:
+        needed = {"force": "force", "pressure": "pressure", "gravity": "acceleration", "motion": "displacement"}
+        for kind, name in needed.items():
+            if bool(getattr(self, name)) != (kind == self.kind):
+                raise InputError(
+                    f"must have {needed[self.kind]} and no other of its size if it is {self.kind}; change it"
+                )
+        if (self.place is None) != (self.kind == "gravity"):
+            raise InputError("must have a place unless it is gravity; give place = { side = 'z+' }")
+        if len(self.times) != len(self.factors) or any(
+            b <= a for a, b in zip(self.times, self.times[1:], strict=False)
+        ):
+            raise InputError("must have increasing times and as many factors; change one of them")
+
+
+@dataclass(frozen=True)
+class Run:
+    """A single run of the full body under its loads, or under a press of the tool if there are none."""
+
+    duration: float = setting(1.0, "length", unit="s", above=0.0, high=600.0)
+    every: float = setting(0.01, "time between two frames", unit="s", above=0.0, high=1.0)
+
+    def __post_init__(self) -> None:
+        if self.every > self.duration:
+            raise InputError("must have every of at most the duration; make it smaller")
+
+
+@dataclass(frozen=True)
+class Training:
+    """Random paths of the tool, and the reduced model that is trained on them."""
+
+    paths: int = setting(12, "runs to train on; with a tolerance, the most", low=1, high=100_000)
+    held_out: int = setting(4, "further runs, on which errors are measured", low=0, high=100_000)
+    modes: int = setting(40, "modes of the reduced model", low=1, high=1000)
+    tolerance: float | None = setting(None, "choose paths until the errors are at most this", above=0.0, high=1.0)
+    cubature: float | None = setting(None, "largest relative error of the sampled forces", above=0.0, high=1.0)
+    seed: int = setting(0, "seed of the paths", low=0, high=1_000_000)
+    depth: float | None = setting(
+        None, "depth of the deepest press, and length of the longest pull; what fits the body if it is left out",
+        unit="m", above=0.0, high=0.2,
+    )  # fmt: skip
+    slide: float | None = setting(
+        None, "longest slide of a press; what fits the body if it is left out", unit="m", low=0.0, high=0.5
+    )
+    grasps: float = setting(0.25, "share of the paths that are pulls of forceps", low=0.0, high=1.0)
+    every: float = setting(0.01, "time between two frames", unit="s", above=0.0, high=1.0)
+    duration: float = setting(0.4, "length of a path of a tool that holds a group", unit="s", above=0.0, high=10.0)
+    low: Vector = setting((0.0, 0.0, 0.0), "smallest displacement of a swing of a held group", unit="m", length=3)
+    high: Vector = setting((0.0, 0.0, 0.0), "largest displacement of a swing", unit="m", length=3)
+    low_turn: Vector = setting((0.0, 0.0, 0.0), "smallest rotation vector of a swing", unit="rad", length=3)
+    high_turn: Vector = setting((0.0, 0.0, 0.0), "largest rotation vector of a swing", unit="rad", length=3)
+
+
+@dataclass(frozen=True)
+class Description:
+    """A scene: a body with its tissue and supports, and what happens to it."""
+
+    title: str = setting("", "title of the scene")
+    surface: Shape = setting(text="surface of the body")
+    body: Body = setting(Body(), "nodes of the body")
+    tissue: Tissue = setting(Tissue(), "tissue of the body")
+    region: tuple[Region, ...] = setting((), "regions of other tissue")
+    support: tuple[Support, ...] = setting((), "supports; the side away from the first view is fixed if there are none")
+    tool: Tool = setting(Tool(), "tool")
+    load: tuple[Load, ...] = setting((), "loads of a single run")
+    run: Run = setting(Run(), "single run of the full body")
+    training: Training = setting(Training(), "training of a reduced model")
+
+
+def with_settings(description: Description, given: Mapping[str, Any]) -> Description:
+    """Return a description with other values of its settings.
+
+    Parameters
+    ----------
+    description : Description
+    given : mapping of str to value
+        By dotted key, such as ``"tissue.poisson"``, or by its last word if one section alone has it. A parameter of
+        the law is set by its name.
+
+    Raises
+    ------
+    InputError
+        No such setting, several of this name, or a value that is wrong.
+    """
+    changes: dict[str, dict[str, Any]] = {}
+    for key, value in given.items():
+        section, word = _find_setting(description, key)
+        if section == "parameters":
+            before = changes.setdefault("tissue", {}).get("parameters", description.tissue.parameters)
+            changes["tissue"]["parameters"] = {**before, word: value}
+        else:
+            changes.setdefault(section, {})[word] = value
+    try:
+        for section, values in changes.items():
+            old = getattr(description, section)
+            description = replace(description, **{section: replace(old, **read_values(type(old), values, (section,)))})
+    except Fault as fault:
+        raise InputError(f"{'.'.join(map(str, fault.path))} {fault.message}") from fault
+    return description
+
+
+def _find_setting(description: Description, key: str) -> tuple[str, str]:
+    """Return the section and the key of a setting; the section ``"parameters"`` for a parameter of the law."""
+    known = {
+        f"{section}.{field.name}": (section, field.name)
+        for section in SINGLE_SECTIONS
+        for field in fields(getattr(description, section))
+    }
+    found = [each for each in known if each == key or each.endswith(f".{key}")]
+    if len(found) > 1:
+        raise InputError(f"settings must name one key, got {key!r}; give {' or '.join(found)}")
+    if found:
+        return known[found[0]]
+    law = next((law for law in LAWS if law.name == description.tissue.law), None)
+    if key in {each.name for each in (law.parameters if law else ())} | set(description.tissue.parameters):
+        return "parameters", key
+    near = get_close_matches(key[:60], [*known, *(word for _, word in known.values())], 1)
+    remedy = f"did you mean {near[0]}?" if near else "docs/scenes.md lists them"
+    raise InputError(f"settings must be keys of the scene, got {key!r:.60}; {remedy}")

@@ -1,0 +1,427 @@
+"""A scene that was opened: the body, the loads and the tool paths of a `Description`.
+
+Files are read and bodies are made when they are first used.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.arrays import Ints
+from palpate.describe import Described, Fact
+from palpate.dynamics.loads.body_force import Gravity
+from palpate.dynamics.loads.foundation import Foundation
+from palpate.dynamics.loads.prepared import Load
+from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
+from palpate.dynamics.loads.pressure import Pressure
+from palpate.dynamics.loads.supports import Clamp, Rail, Roller, free_rigid_motions
+from palpate.dynamics.loads.supports import Support as BodySupport
+from palpate.dynamics.loads.surface_force import SurfaceForce
+from palpate.dynamics.membrane.model import Membrane
+from palpate.dynamics.solid.model import Solid
+from palpate.faults import FileFormatError, InputError
+from palpate.files import digest_of
+from palpate.meshfree.cloud import Cloud, box
+from palpate.meshfree.filling import BODY, fill
+from palpate.meshfree.sheets import disc
+from palpate.meshfree.surface_checks import SurfaceReport, check_surface, shape_problems
+from palpate.meshfree.surface_files import read_surface
+from palpate.meshfree.surface_repair import repair_surface
+from palpate.meshfree.surfaces import Surface, scaled
+from palpate.scenes.description import Description
+from palpate.scenes.organ import liver_surface
+from palpate.scenes.places import PlaceFinder, side_mask
+from palpate.scenes.tissue import fibres_of, material_of
+from palpate.tissue.materials import Material
+
+__all__ = ["OrganScene"]
+
+TOOL_GROUP = "tool"
+DEFAULT_SIDE = "back"  # away from the first view of the page
+MIN_HELD, MAX_HELD_SHARE = 3, 0.6  # nodes of a body that supports hold
+
+
+class OrganScene(Described):
+    """A body with its loads and tool paths, from a scene file.
+
+    Parameters
+    ----------
+    description : Description
+    folder : path
+        Folder of relative file names.
+    name : str
+        Name of the scene in messages and reports: of a scene of the package, or the path of a file.
+
+    Attributes
+    ----------
+    notes : list of str
+        What was guessed or repaired so far.
+    """
+
+    _title = "Scene"
+
+    def __init__(self, description: Description, folder: Path, name: str) -> None:
+        self.description, self.folder, self.name = description, folder, name
+        self.notes: list[str] = []
+
+    def _facts(self) -> list[Fact]:
+        about = self.description
+        return [
+            ("name", self.name, ""),
+            ("surface", about.surface.file or about.surface.generated, ""),
+            ("spacing", about.body.spacing or None, "m"),
+            ("law", "text" if about.tissue.energy else about.tissue.law, ""),
+            ("regions", len(about.region) or None, ""),
+            ("supports", len(about.support) or None, ""),
+        ]
+
+    @property
+    def title(self) -> str:
+        """Title of the scene."""
+        from palpate.meshfree.formats.names import format_of
+
+        file = Path(self.description.surface.file)
+        if self.description.title or not self.description.surface.file:
+            return self.description.title or Path(self.name).stem.capitalize()
+        stem = Path(file.stem).stem if format_of(file)[1] else file.stem
+        words = stem.replace("_", " ")
+        return words[:1].upper() + words[1:]
+
+    def with_body(self, **changes: Any) -> OrganScene:
+        """Return the scene with other settings of its body, such as ``spacing=0.005``."""
+        about = replace(self.description, body=replace(self.description.body, **changes))
+        scene = OrganScene(about, self.folder, self.name)
+        if "surface" in vars(self):
+            vars(scene)["surface"] = self.surface
+        return scene
+
+    @cached_property
+    def surface(self) -> Surface | None:
+        """Closed surface of the body, repaired where it is not closed as it is; None for a box or a disc.
+
+        Raises
+        ------
+        InputError, FileFormatError, FileNotFoundError
+            The file cannot be read, or holds no closed surface.
+        """
+        shape = self.description.surface
+        if shape.generated:
+            return scaled(liver_surface(), shape.scale) if shape.generated == "liver" else None
+        path = self.folder / shape.file
+        chosen: Any = {"part": list(shape.parts) or None, "units": shape.units or None, "scale": shape.scale}
+        with contextlib.suppress(InputError):  # parts that are closed after a repair alone
+            surface = read_surface(path, **chosen)
+            if not shape.repair or not any(problem.kind == "error" for problem in shape_problems(surface)):
+                return surface
+        surface = read_surface(path, **chosen, repair=shape.repair)
+        _check_closed(surface)
+        return surface
+
+    @cached_property
+    def repaired_surface(self) -> Surface | None:
+        """The surface as it is filled."""
+        if self.surface is None or self.description.surface.generated:
+            return self.surface
+        surface = repair_surface(self.surface) if self.description.surface.repair else self.surface
+        report = _check_closed(surface)
+        self.notes += [f"surface: {line}" for line in surface.warnings]
+        self.notes += [f"surface, {problem.kind}: {problem.what}" for problem in report.problems]
+        return surface
+
+    @cached_property
+    def material(self) -> Material:
+        """Material outside all regions."""
+        return material_of(self.description.tissue)
+
+    @cached_property
+    def cloud(self) -> Cloud:
+        """Nodes of the body, with groups of its supports, regions and loads.
+
+        Raises
+        ------
+        InputError
+            The surface cannot be filled, or a place holds no node, too few or too many.
+        CloudError
+            The body is too thin for the spacing.
+        """
+        cloud = self._filled()
+        finder = self._finder(cloud)
+        for number, region in enumerate(self.description.region):
+            with _naming(f"region[{number + 1}]"):
+                cloud = _with_group(cloud, self._group("region", number), finder.mask(region.place))
+        for number, support in enumerate(self.description.support):
+            with _naming(f"support[{number + 1}]"):
+                mask = finder.mask(support.place)
+                if support.surface_only or support.kind == "springs":
+                    mask = _on_surface(cloud, mask)
+                cloud = _with_group(cloud, self._group("support", number), mask)
+        if not self.description.support:
+            cloud = cloud.with_group(self._group("support", 0), self._default_support(cloud))
+        for number, load in enumerate(self.description.load):
+            if load.place is not None:
+                with _naming(f"load[{number + 1}]"):
+                    mask = finder.mask(load.place)
+                    mask = mask if load.kind == "motion" else _on_surface(cloud, mask)
+                    cloud = _with_group(cloud, self._group("load", number), mask)
+        self._check_supports(cloud)
+        return cloud
+
+    @cached_property
+    def body(self) -> Solid | Membrane:
+        """Full model of the body.
+
+        Raises
+        ------
+        InputError, CloudError
+            As `cloud`, or the tissue does not suit the body.
+        """
+        about = self.description
+        fixed = [each for each in map(self._support, range(len(about.support) or 1)) if each is not None]
+        if about.surface.generated == "disc":
+            if about.body.thickness is None:
+                raise InputError("thickness of [body] must be given for a disc, got none; give thickness = '0.1 mm'")
+            return Membrane(
+                self.cloud, self.material, about.body.thickness, fixed, prestretch=about.body.prestretch,
+                form=about.body.form, mass_damping=about.tissue.mass_damping,
+            )  # fmt: skip
+        materials: dict[str, Material] = {"": self.material}
+        factors: dict[str, float] = {}
+        for number, region in enumerate(about.region):
+            group = self._group("region", number)
+            if region.parameters:
+                with _naming(f"region[{number + 1}]"):
+                    materials[group] = material_of(about.tissue, region.parameters)
+            if region.stiffness != 1.0:
+                factors[group] = region.stiffness
+        body = Solid(
+            self.cloud, materials if len(materials) > 1 else self.material, fixed, form=about.body.form,
+            mass_damping=about.tissue.mass_damping, stiffness=factors or None,
+            fibres=None if about.tissue.fibres is None else fibres_of(about.tissue.fibres),
+        )  # fmt: skip
+        motions = free_rigid_motions(self.cloud.points, body.constrain(np.zeros(len(self.cloud), dtype=bool)))
+        if motions and not self.foundations:
+            raise InputError(
+                f"supports must hold the body, got {motions} rigid motions left free; fix a part, or use springs"
+            )
+        return body
+
+    @cached_property
+    def foundations(self) -> tuple[Foundation, ...]:
+        """Springs per area, which act in every run."""
+        return tuple(
+            Foundation(self._group("support", number), support.stiffness, support.damping)
+            for number, support in enumerate(self.description.support)
+            if support.kind == "springs"
+        )
+
+    @cached_property
+    def loads(self) -> tuple[Load, ...]:
+        """Loads of a single run, with the foundations."""
+        return (*self.foundations, *map(self._load, range(len(self.description.load))))
+
+    @property
+    def duration(self) -> float:
+        """Length [s] of a single run."""
+        return self.description.run.duration
+
+    @property
+    def every(self) -> float:
+        """Time [s] between two frames of a single run."""
+        return self.description.run.every
+
+    @cached_property
+    def paths(self) -> Callable[[int], tuple[tuple[Load, ...], float]]:
+        """Function of a seed, from 0, that returns the loads of a random tool path and its duration [s]."""
+        from palpate.scenes.scene_paths import paths_of
+
+        return paths_of(self)
+
+    @property
+    def held_group(self) -> str:
+        """Group that the tool holds; empty for a tool that touches the body."""
+        tool = self.description.tool
+        return TOOL_GROUP if tool.hold_radius else tool.holds
+
+    @cached_property
+    def identity(self) -> dict[str, Any]:
+        """What the bodies and paths of this scene depend on: the sections, and digests of the files that they name.
+
+        Raises
+        ------
+        OSError
+            A file cannot be read.
+        """
+        from hashlib import sha256
+
+        about = asdict(self.description)
+        for name in ("paths", "held_out", "modes", "tolerance", "cubature", "seed"):
+            about["training"].pop(name)
+        about.pop("title"), about.pop("run"), about.pop("load")
+        digests = {file: sha256((self.folder / file).read_bytes()).hexdigest() for file in sorted(_files(about))}
+        return {"sections": about, "files": digests}
+
+    @property
+    def digest(self) -> str:
+        """Digest of `identity`."""
+        return digest_of(self.identity)[:16]
+
+    def _group(self, kind: str, number: int) -> str:
+        """Return the name of the group of a support, a region or a load by its number from 0."""
+        entries = getattr(self.description, kind)
+        if not entries:
+            return f"{kind} {number + 1}"
+        place = entries[number].place
+        return entries[number].name or (place.group if place else "") or f"{kind} {number + 1}"
+
+    def _filled(self) -> Cloud:
+        about = self.description
+        if not about.body.spacing:
+            raise InputError("spacing of [body] must be given, got none; give one, such as spacing = '5 mm'")
+        if about.surface.generated == "box":
+            size = [about.surface.scale * edge for edge in about.surface.size]
+            return box(size, about.body.spacing)
+        if about.surface.generated == "disc":
+            cloud = disc(about.surface.scale * about.surface.disc_radius, about.body.spacing)
+            radius = about.tool.hold_radius
+            return cloud.within(TOOL_GROUP, (0.0, 0.0), radius) if radius else cloud
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            surface = self.repaired_surface
+            assert surface is not None
+            cloud = fill(surface, about.body.spacing, seed=about.body.seed)
+        self.notes += [
+            f"surface: {line}" for line in sorted({str(each.message) for each in caught} - {*surface.warnings})
+        ]
+        return cloud
+
+    def _finder(self, cloud: Cloud) -> PlaceFinder:
+        unit = 1.0 if self.surface is None else self.surface.unit
+        return PlaceFinder(cloud, self.description.surface, unit, self.folder)
+
+    def _default_support(self, cloud: Cloud) -> NDArray[np.bool_]:
+        """Return the side of each body away from the first view."""
+        if cloud.points.shape[1] == 2:
+            raise InputError(
+                "support must be given for a disc, got none; give [[support]] with place = { group = 'rim' }"
+            )
+        mask = np.zeros(len(cloud), dtype=bool)
+        for nodes, _ in _bodies(cloud):
+            mask[nodes] = side_mask(cloud.points[nodes], DEFAULT_SIDE)
+        return mask
+
+    def _support(self, number: int) -> BodySupport | None:
+        """Return a support of the body; None for springs, which are a load."""
+        group = self._group("support", number)
+        if not self.description.support:
+            return Clamp(group)
+        support = self.description.support[number]
+        with _naming(f"support[{number + 1}]"):
+            if support.kind == "roller":
+                return Roller(group, support.direction or None)
+            if support.kind == "rail":
+                return Rail(group, support.direction)
+        return Clamp(group) if support.kind == "fixed" else None
+
+    def _load(self, number: int) -> Load:
+        load, group = self.description.load[number], self._group("load", number)
+        times, factors = np.array(load.times), np.array(load.factors)
+
+        def factor(time: float) -> float:
+            return float(np.interp(time, times, factors))
+
+        def scaled_vector(vector: Sequence[float]) -> Callable[[float], Sequence[float]]:
+            return lambda time: [factor(time) * each for each in vector]
+
+        if load.kind == "force":
+            return SurfaceForce(group, force=scaled_vector(load.force))
+        if load.kind == "pressure":
+            return Pressure(group, lambda time: factor(time) * load.pressure)
+        if load.kind == "gravity":
+            return Gravity(scaled_vector(load.acceleration))
+        return PrescribedMotion(group, lambda points, time: factor(time) * np.array(load.displacement))
+
+    def _check_supports(self, cloud: Cloud) -> None:
+        """Raise `InputError` for supports that hold too little or too much of a body."""
+        kinds = [each.kind for each in self.description.support] or ["fixed"]
+        groups = {kind: np.zeros(len(cloud), dtype=bool) for kind in ("fixed", "springs", "roller", "rail")}
+        for number, kind in enumerate(kinds):
+            groups[kind][cloud.group(self._group("support", number))] = True
+        fixed, springs = groups["fixed"], groups["springs"]
+        sliding = groups["roller"] | groups["rail"]
+        bodies = _bodies(cloud)
+        for nodes, where in bodies:
+            held = int(fixed[nodes].sum())
+            if fixed[nodes].mean() > MAX_HELD_SHARE:
+                raise InputError(
+                    f"fixed must leave tissue free, got {fixed[nodes].mean():.0%} of the nodes{where} held; hold a "
+                    "smaller part"
+                )
+            if held < MIN_HELD and not springs[nodes].any() and not sliding[nodes].any():
+                raise InputError(f"fixed must hold at least {MIN_HELD} nodes{where}, got {held}; hold a larger part")
+
+
+def _files(sections_: Any) -> set[str]:
+    """Return the names of files in nested sections."""
+    if isinstance(sections_, Mapping):
+        found = {sections_["file"]} if sections_.get("file") else set()
+        return found.union(*(_files(each) for each in sections_.values()))
+    if isinstance(sections_, list | tuple):
+        return set().union(*(_files(each) for each in sections_))
+    return set()
+
+
+def _check_closed(surface: Surface) -> SurfaceReport:
+    """Return the report of a surface; raise InputError if it cannot be filled."""
+    report = check_surface(surface)
+    if report.errors:
+        raise InputError(
+            f"{surface.name} must hold a closed surface, got one that is not: {report.errors[0].what}; run palpate "
+            "check for pictures"
+        )
+    return report
+
+
+def _bodies(cloud: Cloud) -> list[tuple[Ints, str]]:
+    """Return the nodes of each body of a cloud, and its name for messages, empty for one alone."""
+    names = [name for name in cloud.groups if name.startswith(f"{BODY} ")]
+    if not names:
+        return [(np.arange(len(cloud)), "")]
+    return [(cloud.group(name), f" of {name} of {len(names)}") for name in names]
+
+
+def _with_group(cloud: Cloud, name: str, mask: NDArray[np.bool_]) -> Cloud:
+    """Return the cloud with a group; the cloud itself if it has this one."""
+    if name in cloud.groups and np.array_equal(cloud.groups[name], np.flatnonzero(mask)):
+        return cloud
+    return cloud.with_group(name, mask)
+
+
+def _on_surface(cloud: Cloud, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the nodes of a mask that are on the surface."""
+    if cloud.points.shape[1] == 2:
+        return mask
+    on = np.zeros(len(cloud), dtype=bool)
+    on[cloud.face_nodes] = True
+    if not np.any(mask & on):
+        raise InputError("place must hold nodes of the surface, got inner nodes only; make it larger")
+    return np.asarray(mask & on)
+
+
+@contextlib.contextmanager
+def _naming(key: str) -> Iterator[None]:
+    """Name the entry of the scene file in errors."""
+    try:
+        yield
+    except FileFormatError:
+        raise
+    except InputError as error:
+        raise type(error)(f"{key}: {error}") from error

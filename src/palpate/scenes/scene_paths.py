@@ -1,0 +1,150 @@
+"""Random paths of the tool of a scene: a ball and forceps that touch the body, or a tool that holds a group of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from palpate.arrays import Floats
+from palpate.dynamics.loads.prepared import Load
+from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
+from palpate.dynamics.membrane.model import Membrane
+from palpate.faults import InputError
+from palpate.meshfree.cloud import Cloud
+from palpate.scenes.tool_paths import ToolPaths
+
+if TYPE_CHECKING:
+    from palpate.scenes.organ_scene import OrganScene
+
+__all__ = ["HeldMotion", "Paths", "held_motion", "paths_of", "tool_radius", "touching_paths"]
+
+Paths = Callable[[int], tuple[tuple[Load, ...], float]]
+
+RADIUS_SHARE, DEPTH_SHARE, SLIDE_SHARE = 0.06, 0.07, 0.08  # of the body's length, where the scene gives none
+MIN_RADIUS = 2.5  # [spacings] of the ball
+MIN_DEPTH_RATIO = 0.3  # depth of the shallowest press over that of the deepest
+SWINGS = 3  # in a motion of a held group
+
+
+def paths_of(scene: OrganScene) -> Paths:
+    """Return the paths of a scene's tool by seed, with its foundations among the loads.
+
+    Raises
+    ------
+    InputError
+        The tool does not suit the body.
+    """
+    springs = scene.foundations
+    if scene.held_group:
+        lasting = scene.description.training.duration
+        held_motion(scene, 0, lasting)  # raises an error at once
+        return lambda seed: (
+            (*springs, held_motion(scene, seed, lasting).load(scene.cloud, scene.held_group)),
+            lasting,
+        )
+    paths = touching_paths(scene)
+
+    def path(seed: int) -> tuple[tuple[Load, ...], float]:
+        loads, duration = paths(seed)
+        return (*springs, *loads), duration
+
+    return path
+
+
+def held_motion(scene: OrganScene, seed: int, lasting: float) -> HeldMotion:
+    """Return a motion of a tool that holds a group; raise `InputError` for swings of no size."""
+    training = scene.description.training
+    bounds = np.array([[*training.low, *training.low_turn], [*training.high, *training.high_turn]])
+    if not np.all(bounds[0] <= bounds[1]) or not bounds.any():
+        raise InputError("low of [training] must be at most high, and not all 0, for a tool that holds a group")
+    return HeldMotion(seed, lasting, bounds)
+
+
+def touching_paths(
+    scene: OrganScene, body: Any = None, deepest: float = np.inf, shallowest: float = MIN_DEPTH_RATIO
+) -> ToolPaths:
+    """Return the presses and grasps of a scene's tool on the free surface of its body, or of a reduced model of it.
+
+    Parameters
+    ----------
+    scene : OrganScene
+    body : Solid or ReducedModel, optional
+        By default the scene's.
+    deepest : float [m]
+        Limit of the depth.
+    shallowest : float
+        Depth of the shallowest press over that of the deepest.
+    """
+    body, training = scene.body if body is None else body, scene.description.training
+    if isinstance(body, Membrane):
+        raise InputError("holds of [tool] must be given for a membrane, got none; give holds, or hold_radius")
+    length = float(np.ptp(body.cloud.points, axis=0).max())
+    depth = DEPTH_SHARE * length if training.depth is None else training.depth
+    return ToolPaths(
+        body,
+        tool_radius(scene, body.cloud),
+        min(depth, deepest),
+        scene.description.tool.friction,
+        SLIDE_SHARE * length if training.slide is None else training.slide,
+        training.grasps,
+        shallowest,
+    )
+
+
+def tool_radius(scene: OrganScene, cloud: Cloud) -> float:
+    """Return the radius [m] of a scene's ball: that of its description, or one that fits the body."""
+    given = scene.description.tool.radius
+    length = float(np.ptp(cloud.points, axis=0).max())
+    return max(RADIUS_SHARE * length, MIN_RADIUS * cloud.spacing) if given is None else given
+
+
+@dataclass(frozen=True)
+class HeldMotion:
+    """Smooth random motion of a tool: a sum of swings out and back, with one to three periods in a motion.
+
+    Parameters
+    ----------
+    seed : int
+    lasting : float [s]
+        Period of the motion, at the ends of which the tool is at rest.
+    bounds : (2, 6) array
+        Least and largest displacement [m] and rotation vector [rad] of one swing.
+    """
+
+    seed: int
+    lasting: float
+    bounds: Floats
+
+    @cached_property
+    def sizes(self) -> Floats:
+        """Displacement [m] and rotation vector [rad] of every swing, shape (SWINGS, 6)."""
+        low, high = self.bounds
+        return np.asarray(np.random.default_rng(self.seed).uniform(low, high, size=(SWINGS, 6)))
+
+    def pose(self, time: float) -> tuple[Floats, Rotation]:
+        """Return the displacement (3,) [m] of the tool's reference point and the rotation about it at a time [s]."""
+        shares = np.sin(np.pi * np.arange(1, SWINGS + 1) * time / self.lasting) ** 2
+        moved = shares @ self.sizes
+        return moved[:3], Rotation.from_rotvec(moved[3:])
+
+    def __call__(self, time: float) -> tuple[Floats, Floats]:
+        """Return the pose for `palpate.DummyDevice`: position [m] and quaternion, w x y z."""
+        moved, turned = self.pose(time)
+        return moved, np.roll(turned.as_quat(), 1)
+
+    def load(self, cloud: Cloud, group: str) -> PrescribedMotion:
+        """Return the motion as a load on the nodes of a group that the tool holds."""
+        centre = np.zeros(3)
+        centre[: cloud.points.shape[1]] = cloud.points[cloud.group(group)].mean(axis=0)
+
+        def displacement(points: Floats, time: float) -> Floats:
+            moved, turned = self.pose(time)
+            arms = np.pad(points, ((0, 0), (0, 3 - points.shape[1]))) - centre
+            return np.asarray(moved + turned.apply(arms) - arms)
+
+        return PrescribedMotion(group, displacement)

@@ -1,0 +1,85 @@
+"""Scene files as text: read into a `Description`, and faults placed by line."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+from palpate.faults import FileFormatError, InputError
+from palpate.files import read_text
+from palpate.scenes.description import Description
+from palpate.scenes.settings import Fault, read_section
+
+__all__ = ["line_of", "parse_scene", "read_scene"]
+
+MAX_BYTES = 1 << 20  # of a scene file
+HEADER = re.compile(r"\s*\[(\[?)\s*([\w.\"' -]+?)\s*\]\]?\s*(?:#.*)?")
+KEY = re.compile(r"\s*([\w.\"'-]+(?:\s*\.\s*[\w\"'-]+)*)\s*=")
+
+
+def read_scene(path: Path) -> Description:
+    """Return the description in a scene file.
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    FileFormatError
+        The file is no TOML, or is too large.
+    InputError
+        A key or a value of it is wrong; the message names the file, the line and the key.
+    """
+    return parse_scene(read_text(path, "scene file", MAX_BYTES), str(path))
+
+
+def parse_scene(text: str, name: str) -> Description:
+    """Return the description in the text of a scene file; `name` stands for it in messages."""
+    try:
+        table = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise FileFormatError(f"{name} must be a scene file in TOML, got a text that is not: {error}") from error
+    try:
+        description: Description = read_section(Description, table)
+    except Fault as fault:
+        line = line_of(text, fault.path)
+        keys = ".".join(_words(fault.path)) or "the file"
+        raise InputError(f"{name}, line {line}: {keys} {fault.message}") from fault
+    return description
+
+
+def _words(path: tuple[str | int, ...]) -> list[str]:
+    """Return the keys of a path, with the number of an entry, from 1, behind its list."""
+    words: list[str] = []
+    for part in path:
+        if isinstance(part, int):
+            words[-1] += f"[{part + 1}]"
+        else:
+            words.append(part)
+    return words
+
+
+def line_of(text: str, path: tuple[str | int, ...]) -> int:
+    """Return the line, from 1, of the deepest key of a path that stands at the beginning of a line."""
+    tables: dict[str, int] = {}
+    here: tuple[str | int, ...] = ()
+    best, depth = 1, 0
+    for number, line in enumerate(text.splitlines(), 1):
+        header, key = HEADER.fullmatch(line), KEY.match(line)
+        if header:
+            names = tuple(part.strip(" \"'") for part in header[2].split("."))
+            here = names
+            if header[1]:
+                index = tables.get(header[2], 0)
+                tables[header[2]] = index + 1
+                here = (*names, index)
+            elif names[0] in tables:  # a table of the last entry of a list
+                here = (names[0], tables[names[0]] - 1, *names[1:])
+            found = here
+        elif key:
+            found = (*here, *(part.strip(" \"'") for part in key[1].split(".")))
+        else:
+            continue
+        if len(found) > depth and found == path[: len(found)]:
+            best, depth = number, len(found)
+    return best

@@ -1,0 +1,260 @@
+"""Settings of a scene file: dataclass fields with unit, range and help, read from the values of a TOML table.
+
+A section of a scene file is a frozen dataclass whose fields are made by `setting`. Reading, messages, the JSON
+schema (`palpate.scenes.schema`) and the comments of a new file follow from these fields.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from difflib import get_close_matches
+from typing import Any
+
+from palpate.faults import InputError, brief
+
+__all__ = [
+    "UNITS",
+    "Fault",
+    "check_number",
+    "fields_of",
+    "quantity",
+    "read_section",
+    "read_values",
+    "setting",
+    "written_section",
+]
+
+# units that a text may carry, by the SI unit of the setting; a number without unit is in the SI unit
+UNITS: dict[str, dict[str, float]] = {
+    "": {"%": 0.01},
+    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254},
+    "s": {"s": 1.0, "ms": 1e-3, "min": 60.0},
+    "1/s": {"1/s": 1.0},
+    "Pa": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9},
+    "N": {"N": 1.0, "mN": 1e-3},
+    "N m": {"N m": 1.0, "mN m": 1e-3},
+    "kg/m^3": {"kg/m^3": 1.0, "g/cm^3": 1e3},
+    "m/s^2": {"m/s^2": 1.0},
+    "m^3": {"m^3": 1.0, "l": 1e-3, "ml": 1e-6, "cm^3": 1e-6},
+    "N/m^3": {"N/m^3": 1.0, "Pa/m": 1.0, "Pa/mm": 1e3, "kPa/cm": 1e5, "kPa/mm": 1e6, "N/cm^3": 1e6},
+    "N s/m^3": {"N s/m^3": 1.0, "Pa s/m": 1.0, "kPa s/m": 1e3},
+    "rad": {"rad": 1.0, "deg": math.pi / 180},
+}
+QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*", re.ASCII)
+MAX_TEXT_CHARACTERS, MAX_ENTRIES = 4000, 10_000  # of a text; of a list
+
+
+@dataclass(frozen=True)
+class Fault(Exception):
+    """A value of a scene file that is wrong: where it stands, and why.
+
+    Parameters
+    ----------
+    path : tuple of str and int
+        Keys that lead to the value, and indices in lists.
+    message : str
+    """
+
+    path: tuple[str | int, ...]
+    message: str
+
+
+def setting(
+    default: Any = MISSING,
+    text: str = "",
+    *,
+    unit: str = "",
+    low: float = -math.inf,
+    high: float = math.inf,
+    above: float | None = None,
+    choices: tuple[str, ...] = (),
+    length: int | None = None,
+) -> Any:
+    """Return the dataclass field of a setting.
+
+    Parameters
+    ----------
+    default : object
+        Value of a setting that the file leaves out; a setting without one must be given.
+    text : str
+        What the setting is, for the schema and for comments.
+    unit : str
+        SI unit of its numbers.
+    low, high, above : float
+        Range [low, high], or (above, high], of its numbers.
+    choices : tuple of str
+        Values of a text.
+    length : int, optional
+        Number of entries of a list.
+    """
+    low, open_low = (low, False) if above is None else (above, True)
+    about = {"text": text, "unit": unit, "low": low, "high": high, "open_low": open_low, "choices": choices}
+    about["length"] = length
+    if isinstance(default, dict):
+        return dataclasses.field(default_factory=lambda: dict(default), metadata=about, kw_only=True)
+    return dataclasses.field(default=default, metadata=about, kw_only=True)
+
+
+def fields_of(section: type) -> dict[str, tuple[dataclasses.Field[Any], Any]]:
+    """Return the fields of a section by name, each with its type."""
+    kinds = typing.get_type_hints(section)
+    return {field.name: (field, kinds[field.name]) for field in fields(section)}
+
+
+def read_section(section: type, table: Any, path: tuple[str | int, ...] = ()) -> Any:
+    """Return a section from a table of a TOML file.
+
+    Raises
+    ------
+    Fault
+        A key is unknown or missing, or a value is of another kind or out of range.
+    """
+    values = read_values(section, table, path)
+    for name, (field, _) in fields_of(section).items():
+        if name not in values and field.default is MISSING and field.default_factory is MISSING:
+            raise Fault((*path, name), f"must be given in {_place(path)}; it is {field.metadata['text']}")
+    try:
+        return section(**values)
+    except InputError as error:
+        raise Fault(path, str(error)) from error
+
+
+def read_values(section: type, table: Any, path: tuple[str | int, ...]) -> dict[str, Any]:
+    """Return the values of some settings of a section by name; raise `Fault` as `read_section`."""
+    if not isinstance(table, Mapping):
+        raise Fault(path, f"must be a table, got {brief(table)}; write [{path[-1] if path else 'section'}]")
+    known = fields_of(section)
+    values = {}
+    for key, value in table.items():
+        if key not in known:
+            near = get_close_matches(str(key)[:60], known, 1)
+            remedy = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
+            raise Fault((*path, key), f"is not a key of {_place(path)}; {remedy}")
+        field, kind = known[key]
+        values[key] = _read(kind, field.metadata, value, (*path, key))
+    return values
+
+
+def written_section(section: Any) -> dict[str, Any]:
+    """Return the values of a section that differ from their defaults, as `read_section` reads them."""
+    return {
+        name: _written(getattr(section, name))
+        for name, (field, _) in fields_of(type(section)).items()
+        if field.default is MISSING or getattr(section, name) != field.default
+    }
+
+
+def _written(value: Any) -> Any:
+    if is_dataclass(value):
+        return written_section(value)
+    if isinstance(value, tuple):
+        return [_written(each) for each in value]
+    return value
+
+
+def quantity(value: Any, unit: str) -> float:
+    """Return a number in the SI unit of a setting, from a number or a text such as ``"4.5 mm"``.
+
+    Raises
+    ------
+    InputError
+        The value is not a number, or its unit is not one for this quantity.
+    """
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    known = UNITS[unit]
+    example = f'"12 {next(iter(known))}"' if unit else "0.3 or 30 %"
+    found = QUANTITY.fullmatch(value) if isinstance(value, str) and len(value) <= MAX_TEXT_CHARACTERS else None
+    if found is None:
+        raise InputError(
+            f"must be a number{f' [{unit}]' if unit else ''} or a text such as {example}, got {brief(value)}"
+        )
+    number, word = float(found[1]), found[2]
+    if word is None:
+        return number
+    if word not in known:
+        raise InputError(f"must have one of the units {', '.join(known)}, got {word!r:.40}; write it as {example}")
+    return number * known[word]
+
+
+def check_number(value: Any, about: Mapping[str, Any]) -> float:
+    """Return a number of a setting in SI units; raise `InputError` out of its range."""
+    number = quantity(value, about["unit"])
+    low, high, unit = about["low"], about["high"], f" {about['unit']}" if about["unit"] else ""
+    above = low < number if about["open_low"] else low <= number
+    if not (math.isfinite(number) and above and number <= high):
+        left = "(" if about["open_low"] or low == -math.inf else "["
+        right = ")" if high == math.inf else "]"
+        raise InputError(f"must be in {left}{low:g}, {high:g}{right}{unit}, got {brief(value)}; change it")
+    return number
+
+
+def _read(kind: Any, about: Mapping[str, Any], value: Any, path: tuple[str | int, ...]) -> Any:
+    """Return the value of a setting of a type."""
+    origin = typing.get_origin(kind)
+    if origin in (typing.Union, types.UnionType):
+        return _read_union(typing.get_args(kind), about, value, path)
+    if is_dataclass(kind):
+        return read_section(typing.cast(type, kind), value, path)
+    if origin is tuple:
+        return _read_list(typing.get_args(kind)[0], about, value, path)
+    if origin is dict:
+        if not isinstance(value, Mapping):
+            raise Fault(path, f"must be a table such as {{ C1 = 1100 }}, got {brief(value)}")
+        return dict(value)  # quantities whose units the law has
+    try:
+        return _read_scalar(kind, about, value)
+    except InputError as error:
+        raise Fault(path, str(error)) from error
+
+
+def _read_union(kinds: tuple[Any, ...], about: Mapping[str, Any], value: Any, path: tuple[str | int, ...]) -> Any:
+    """Return a value of one of several types; the kind of the value chooses among them."""
+    kinds = tuple(kind for kind in kinds if kind is not type(None))
+    for kind in kinds[:-1]:
+        if (is_dataclass(kind) and isinstance(value, Mapping)) or (kind is bool and isinstance(value, bool)):
+            return _read(kind, about, value, path)
+    return _read(kinds[-1], about, value, path)
+
+
+def _read_list(kind: Any, about: Mapping[str, Any], value: Any, path: tuple[str | int, ...]) -> tuple[Any, ...]:
+    length = about["length"]
+    count = "" if length is None else f" of {length}"
+    if not isinstance(value, list | tuple) or len(value) > MAX_ENTRIES or length not in (None, len(value)):
+        raise Fault(path, f"must be a list{count}, got {brief(value)}; write it in square brackets")
+    inner = dict(about) | {"length": None}
+    if typing.get_origin(kind) is tuple:  # of points
+        inner["length"] = len(typing.get_args(kind))
+    return tuple(_read(kind, inner, each, (*path, index)) for index, each in enumerate(value))
+
+
+def _read_scalar(kind: Any, about: Mapping[str, Any], value: Any) -> Any:
+    if kind is float:
+        return check_number(value, about)
+    if kind is bool:
+        if not isinstance(value, bool):
+            raise InputError(f"must be true or false, got {brief(value)}")
+        return value
+    if kind is int:
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise InputError(f"must be a whole number, got {brief(value)}")
+        return int(check_number(value, about))
+    if not isinstance(value, str) or not 0 < len(value) <= MAX_TEXT_CHARACTERS:
+        raise InputError(f"must be a text in quotes, got {brief(value)}")
+    if about["choices"] and value not in about["choices"]:
+        near = get_close_matches(value[:60], about["choices"], 1)
+        remedy = f"did you mean {near[0]!r}?" if near else "use one of them"
+        raise InputError(f"must be one of {', '.join(about['choices'])}, got {value!r:.60}; {remedy}")
+    return value
+
+
+def _place(path: tuple[str | int, ...]) -> str:
+    """Return the name of a table for messages."""
+    names = [str(part) for part in path if isinstance(part, str)]
+    return f"[{'.'.join(names)}]" if names else "the file"

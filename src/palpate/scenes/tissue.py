@@ -1,0 +1,92 @@
+"""Materials and fibres of a scene's tissue."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from typing import Any
+
+import numpy as np
+
+from palpate.faults import InputError
+from palpate.scenes.description import Fibre, Tissue
+from palpate.scenes.settings import quantity
+from palpate.tissue.catalogue import FIBRE_LAWS, LAWS, CatalogueEntry
+from palpate.tissue.fibres import FibreLaw
+from palpate.tissue.liver import SHEAR_MODULUS
+from palpate.tissue.materials import Material
+from palpate.tissue.prony import Prony
+from palpate.tissue.symbolic_law import Hyperelastic
+
+__all__ = ["fibres_of", "material_of"]
+
+
+def material_of(tissue: Tissue, changes: Mapping[str, Any] | None = None) -> Material:
+    """Return the material of a tissue, with changed parameters of a region.
+
+    Parameters that are left out are those of the law's example in the catalogue; the example of the neo-Hookean
+    law is liver.
+
+    Raises
+    ------
+    InputError
+        No such law or parameter, or a value out of range.
+    """
+    relaxation = tissue.relaxation
+    prony = relaxation and Prony(shares=relaxation.shares, times=relaxation.times, bulk_shares=relaxation.bulk_shares)
+    base: dict[str, Any] = {
+        "density": tissue.density, "poisson": tissue.poisson, "prony": prony,
+        "volumetric": tissue.volumetric, "split": tissue.split,
+    }  # fmt: skip
+    given = {**tissue.parameters, **(changes or {})}
+    if tissue.energy:
+        return Hyperelastic(
+            tissue.energy, **base, **{name: _number(name, value, "Pa", name) for name, value in given.items()}
+        )
+    law = _entry("law", tissue.law, LAWS)
+    parameters = dict(law.example)
+    if law.name == "NeoHookean":
+        parameters["C1"] = SHEAR_MODULUS / 2
+    return law.kind(**base, **parameters | _parameters(law, given))
+
+
+def fibres_of(fibre: Fibre) -> FibreLaw:
+    """Return the fibre law of a section; raise `InputError` for wrong parameters."""
+    law = _entry("law", fibre.law, FIBRE_LAWS)
+    directions = np.array(fibre.directions, dtype=float)
+    lengths = np.linalg.norm(directions, axis=1, keepdims=True)
+    if not np.all(lengths > 0):
+        raise InputError("directions of fibres must not be zero, got a zero; give a direction such as [1, 0, 0]")
+    return law.kind(directions=directions / lengths, **_parameters(law, fibre.parameters))
+
+
+def _entry(name: str, word: str, entries: Sequence[CatalogueEntry]) -> Any:
+    known = {entry.name: entry for entry in entries}
+    if word not in known:
+        near = get_close_matches(word[:60], known, 1)
+        remedy = f"did you mean {near[0]}?" if near else "palpate laws lists them"
+        raise InputError(f"{name} must be one of {', '.join(known)}, got {word!r:.60}; {remedy}")
+    return known[word]
+
+
+def _parameters(law: CatalogueEntry, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the parameters of a law in SI units."""
+    units = {parameter.name: parameter.unit for parameter in law.parameters}
+    values = {}
+    for key, value in given.items():
+        if key not in units:
+            near = get_close_matches(str(key)[:60], units, 1)
+            remedy = f"did you mean {near[0]}?" if near else f"palpate laws {law.name} lists them"
+            raise InputError(f"parameters must be {', '.join(units)} for {law.name}, got {key!r:.60}; {remedy}")
+        values[key] = _number(key, value, units[key], key)
+    return values
+
+
+def _number(name: str, value: Any, unit: str, key: str) -> Any:
+    """Return a number, or a tuple of numbers, in SI units."""
+    if isinstance(value, list | tuple):
+        return tuple(_number(name, each, unit, key) for each in value)
+    try:
+        return quantity(value, unit)
+    except InputError as error:
+        raise InputError(f"{name} {error}") from None
