@@ -21,7 +21,8 @@ Simulate soft tissue in real time: point collocation, model reduction, and a too
 first steps:
   palpate reproduce beam    first: run the paper's beam, and read out/beam/report.md
   palpate view beam         second: press and pull the beam on a page in the browser
-  palpate train liver       third: train a reduced model on many runs, for palpate view out/train/model.rom
+  palpate view organ.stl    third: press an organ of your own, at once
+  palpate new organ.stl     then: write organ.toml, its tissue, supports and tools, for view, run and train
 """
 EPILOG = """\
 palpate COMMAND --help describes a command and its options.
@@ -66,6 +67,7 @@ def build_parser() -> Any:
     from palpate.app.compare.parser import add_compare
     from palpate.app.fit.parser import add_fit
     from palpate.app.laws.parser import add_laws
+    from palpate.app.new.parser import add_new
     from palpate.app.run.parser import add_run
     from palpate.app.studies.parser import add_reproduce
     from palpate.app.train.parser import add_train
@@ -80,7 +82,8 @@ def build_parser() -> Any:
     parser.add_argument("--version", action="version", version=f"palpate {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND")
     for add in (
-        add_reproduce, add_view, add_train, add_run, add_replay, add_check, add_fit, add_laws, add_compare, add_bench,
+        add_reproduce, add_view, add_new, add_train, add_run, add_replay, add_check, add_fit, add_laws, add_compare,
+        add_bench,
     ):  # fmt: skip
         add(commands)
     return parser

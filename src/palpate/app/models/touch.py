@@ -12,10 +12,13 @@ from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import CloudError, InputError
 from palpate.meshfree.cloud import box
+from palpate.scenes.names import is_scene_file
 from palpate.scenes.organ_scene import OrganScene
 from palpate.tissue.materials import Material
 
-__all__ = ["open_touched", "realtime_spacing"]
+__all__ = ["TRAINED_NODES", "fitting_scene", "open_touched", "realtime_spacing", "spacing_for"]
+
+TRAINED_NODES = 5000  # of the body of a trained model, where nobody gives a spacing
 
 FINER, MAX_FINER = 0.8, 4  # factor of a guessed spacing that is too coarse for the tissue; how often
 NODES_PER_CELL = 1.45  # nodes over volume / spacing^3 in a filled organ
@@ -72,17 +75,40 @@ def open_touched(scene: OrganScene, console: Console) -> OrganScene:
 
 
 def _touched(scene: OrganScene, console: Console) -> OrganScene:
-    """Return the scene with a body in real time, finer where the tissue is too thin for that spacing."""
+    """Return the scene with a body in real time."""
     given = scene.description.body.spacing
-    from_file = scene.description.surface.file != "" and scene.name.lower().endswith(".toml")
     surface = scene.surface
     if surface is None:  # a box or a disc, which is small
         return _prepared(scene, console)
-    volume, spacing = abs(surface.volume), given
-    if given is None or from_file:
-        with console.status("measuring this machine"):
-            spacing = max(realtime_spacing(volume, scene.material), given or 0.0)
-    assert spacing is not None
+    if given is not None and not is_scene_file(scene.name):
+        return fitting_scene(scene, given, True, console)
+    with console.status("measuring this machine"):
+        finest = realtime_spacing(abs(surface.volume), scene.material)
+    if given is not None and given >= finest:
+        return fitting_scene(scene, given, True, console)
+    return fitting_scene(scene, finest, False, console)
+
+
+def fitting_scene(scene: OrganScene, spacing: float, required: bool, console: Console) -> OrganScene:
+    """Return a scene with the body of a spacing [m], or of a finer one where the tissue is too thin for it.
+
+    Parameters
+    ----------
+    scene : OrganScene
+        Of a surface.
+    spacing : float [m]
+    required : bool
+        Whether a finer spacing is not allowed.
+    console : Console
+
+    Raises
+    ------
+    InputError, CloudError
+        The surface cannot be filled.
+    """
+    surface = scene.surface
+    assert surface is not None
+    volume = abs(surface.volume)
     for trial in range(MAX_FINER + 1):
         _check_count(volume, spacing)
         if spacing > surface.size:
@@ -91,7 +117,7 @@ def _touched(scene: OrganScene, console: Console) -> OrganScene:
             return _prepared(scene.with_body(spacing=spacing), console)
         except CloudError:  # too thin for the spacing
             finer = float(f"{FINER * spacing:.2g}")
-            if spacing == given or trial == MAX_FINER or _count(volume, finer) > MOST_NODES:
+            if required or trial == MAX_FINER or _count(volume, finer) > MOST_NODES:
                 raise
             spacing = finer
     raise AssertionError("the last trial returns or raises")
@@ -116,6 +142,11 @@ def _force_line(nodes: int, realtime: bool) -> str:
         f"force: that of half the spacing to {median:.0%} in the median and {largest:.0%} at most, measured on livers "
         f"of 3,000 nodes; half the spacing here: about {FINER_NODES * nodes:,.0f} nodes, {cost}"
     )
+
+
+def spacing_for(nodes: int, volume: float) -> float:
+    """Return the spacing [m], of two digits, of a body of a volume [m^3] with about so many nodes."""
+    return float(f"{np.cbrt(NODES_PER_CELL * volume / nodes):.2g}")
 
 
 def realtime_spacing(volume: float, material: Material) -> float:

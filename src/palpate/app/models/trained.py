@@ -8,12 +8,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from platformdirs import user_cache_path
-
-from palpate import __version__
 from palpate.app.common.console import Console, count_nodes, percent
 from palpate.app.train.campaign import MODEL, Campaign
 from palpate.app.train.folder import manifest_of, open_campaign
+from palpate.app.train.scene_folder import name_in_folder, training_folder
 from palpate.faults import FileFormatError, InputError
 from palpate.files import check_folder
 from palpate.reduction.hyper.model import ReducedModel
@@ -22,18 +20,9 @@ from palpate.scenes.names import SCENES
 from palpate.scenes.open_scene import training_scene_of
 from palpate.scenes.organ_scene import OrganScene
 
-__all__ = ["model_file", "trained_model", "training_folder"]
+__all__ = ["model_file", "trained_model"]
 
 MAX_WORKERS = 4
-FOLDER_SUFFIX = ".palpate"  # of the folder next to a scene file
-
-
-def training_folder(scene: OrganScene) -> Path:
-    """Return the folder of a scene's campaign, whether it exists or not; another surface has another folder."""
-    if scene.name in SCENES:
-        return user_cache_path("palpate") / f"{scene.name}-{__version__}-{scene.digest[:8]}"
-    file = Path(scene.name)
-    return file.with_name(file.stem + FOLDER_SUFFIX) / scene.digest[:8]
 
 
 def model_file(scene: OrganScene) -> Path:
@@ -69,7 +58,7 @@ def trained_model(scene: OrganScene, console: Console) -> ReducedModel:
     console.say(f"a reduced model is trained, once, and kept in {folder}")
     with console.status("preparing the full model (the first run on a machine compiles it: a minute or two)"):
         made = training_scene_of(scene, {})
-    with open_campaign(folder, manifest_of(scene.name, made, training.seed)) as own:
+    with open_campaign(folder, manifest_of(name_in_folder(scene.name, folder), made, training.seed)) as own:
         campaign = Campaign(own, made, console, training.modes, workers=min(os.cpu_count() or 1, MAX_WORKERS))
         if training.tolerance:
             _, model, _ = campaign.train_to_tolerance(training.tolerance, training.paths, training.held_out)

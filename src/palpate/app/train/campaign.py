@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
+from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
 
@@ -26,6 +27,7 @@ from palpate.reduction.contact.residual_flexibility import MAX_NODES
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import save
 from palpate.reduction.training.reduce import hyper_reduce
+from palpate.scenes.names import is_scene_file
 from palpate.scenes.scene import TrainingScene
 
 __all__ = ["MODEL", "Campaign", "Round"]
@@ -210,7 +212,9 @@ class Campaign:
                 coarse=None if scene.coarse is None else scene.coarse(),
                 repeated=touched[:REPEATED],
             )
-        scene_entry = {"name": folder.manifest["scene"], "parameters": folder.manifest["parameters"]}
+        name = folder.manifest["scene"]
+        name = Path(name).name if is_scene_file(name) else name
+        scene_entry = {"name": name, "parameters": folder.manifest["parameters"]}
         model = model.with_report({"scene": scene_entry})
         save(model, folder.path / MODEL)
         return model

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from palpate.app.common.arguments import parse_settings
 from palpate.app.common.console import Console
 from palpate.app.train.campaign import Campaign, Round
 from palpate.app.train.choose import CANDIDATES_PER_RUN
@@ -12,12 +13,18 @@ from palpate.app.train.cluster import check_dask
 from palpate.app.train.folder import MAX_PATHS, manifest_of, open_campaign
 from palpate.app.train.paths import add_recording
 from palpate.app.train.report import report_campaign
-from palpate.faults import InputError, brief, integer_in_range, number_in_range
+from palpate.app.train.scene_folder import name_in_folder, training_folder
+from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import check_folder
-from palpate.scenes.training import search_current_folder, training_scene
+from palpate.scenes.description import Training
+from palpate.scenes.names import is_scene_file
+from palpate.scenes.open_scene import open_scene
+from palpate.scenes.training import is_opened, search_current_folder, training_scene
 
 __all__ = ["train"]
 
+DEFAULT_OUT = Path("out/train")
+USER_DEFAULTS = Training(paths=64, held_out=8, modes=24)  # of a scene that is a user's function
 MAX_SEED = 1_000_000
 MAX_WORKERS = 1024
 MAX_MODES = 1000
@@ -27,16 +34,16 @@ def train(
     *,
     scene: str,
     given: Sequence[str] = (),
-    paths: int = 64,
-    held_out: int = 8,
-    seed: int = 0,
+    paths: int | None = None,
+    held_out: int | None = None,
+    seed: int | None = None,
     tolerance: float | None = None,
     more: Sequence[Path] = (),
-    modes: int = 24,
+    modes: int | None = None,
     cubature: float | None = None,
     workers: int | None = None,
     cluster: str | None = None,
-    out: Path,
+    out: Path | None = None,
     as_json: bool = False,
 ) -> int:
     """Make the missing runs of a campaign, and train a reduced model on all of them.
@@ -47,16 +54,16 @@ def train(
         As for `palpate.scenes.training.training_scene`; a module is looked for in the current folder, too.
     given : sequence of str
         Its parameters as ``"name=value"``.
-    paths, held_out : int
-        Runs to train on, from 1, and to measure errors on, from 0.
-    seed : int
+    paths, held_out : int, optional
+        Runs to train on, from 1, and to measure errors on, from 0. By default those of the scene, as all below.
+    seed : int, optional
         Of the paths.
     tolerance : float, optional
         Choose the paths, at most `paths`, on which the model errs most, until its mean errors on the held-out
         runs are at most this; see `palpate.app.train.campaign.Campaign.train_to_tolerance`.
     more : sequence of path
         Recordings of sessions: the campaign also trains on their tool paths beyond trust, from now on.
-    modes : int
+    modes : int, optional
         Size of the reduced model.
     cubature : float, optional
         As for `palpate.hyper_reduce`: relative error of the sampled forces; by default the scene's.
@@ -64,8 +71,8 @@ def train(
         Processes of one thread each on this machine; by default 1.
     cluster : str, optional
         Address of a Dask scheduler, or the path of its file, instead.
-    out : path
-        Folder of the campaign.
+    out : path, optional
+        Folder of the campaign; by default next to a scene file (`palpate.app.train.scene_folder`).
     as_json : bool
         Print the report as JSON instead of a table.
 
@@ -83,6 +90,19 @@ def train(
     OSError
         A file could not be written.
     """
+    settings = parse_settings(given)
+    if is_opened(scene):
+        opened = open_scene(scene, settings)
+        defaults = opened.description.training
+        if out is None:
+            out = training_folder(opened) if is_scene_file(scene) else DEFAULT_OUT
+    else:
+        defaults, out = USER_DEFAULTS, DEFAULT_OUT if out is None else out
+    paths = defaults.paths if paths is None else paths
+    held_out = defaults.held_out if held_out is None else held_out
+    seed = defaults.seed if seed is None else seed
+    modes = defaults.modes if modes is None else modes
+    tolerance = defaults.tolerance if tolerance is None else tolerance
     seed = integer_in_range("seed", seed, 0, MAX_SEED)
     paths = integer_in_range("paths", paths, 1, MAX_PATHS // CANDIDATES_PER_RUN)
     held_out = integer_in_range("held_out", held_out, 0, MAX_PATHS)
@@ -98,14 +118,13 @@ def train(
         if workers is not None:
             raise InputError(f"workers must be left out with --cluster, got {workers}; a cluster has its own")
     workers = integer_in_range("workers", 1 if workers is None else workers, 1, MAX_WORKERS)
-    parameters = _parameters(given)
     check_folder(out)
     console = Console()
     with console.status("making the model ready (the first run on a machine compiles it: a minute or two)"):
         if ":" in scene:
             search_current_folder()
-        made = training_scene(scene, parameters)
-    with open_campaign(out, manifest_of(scene, made, seed)) as own:
+        made = training_scene(scene, settings)
+    with open_campaign(out, manifest_of(name_in_folder(scene, out), made, seed)) as own:
         for recording in more:
             add_recording(own, made, recording)
         campaign = Campaign(own, made, console, modes, cubature, workers, cluster)
@@ -117,13 +136,3 @@ def train(
             wanted, model, rounds = campaign.train_to_tolerance(tolerance, paths, held_out)
         report_campaign(own, made, wanted, model, campaign.seconds, rounds, as_json)
     return 0
-
-
-def _parameters(given: Sequence[str]) -> dict[str, str]:
-    parameters = {}
-    for pair in given:
-        name, sign, value = pair.partition("=")
-        if not sign:
-            raise InputError(f"--set must be NAME=VALUE, got {brief(pair)}; give one such as spacing=0.005")
-        parameters[name] = value
-    return parameters

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from palpate.app.common.arguments import Command, add_command, add_output, existing_file, number, whole
+from palpate.app.common.arguments import Command, add_command, add_json, existing_file, number, path, whole
 from palpate.scenes.names import listed_scenes
 
 __all__ = ["add_train"]
@@ -30,14 +30,15 @@ def add_train(commands: Any) -> None:
     train.renamed["--folder"] = "--out"
     train.assignments["given"] = "--set"
     add = train.add_argument
-    text = f"{listed_scenes()}, or module:function of your own, also from the current folder"
+    text = f"{listed_scenes()}, a scene file (organ.toml), or module:function of your own, also from the current folder"
     add("scene", metavar="SCENE", help=text)
-    text = "parameters of the scene, such as spacing=0.005"
+    text = "settings of the scene, such as spacing=5mm, or parameters of the function"
     add("--set", nargs="+", action="extend", default=[], dest="given", metavar="NAME=X", help=text)
-    add("--paths", type=whole, default=64, metavar="K", help="number of runs to train on; with --tolerance, the most")
-    text = "number of further runs, on which errors are measured"
-    add("--held-out", type=whole, default=8, metavar="K", help=text)
-    add("--seed", type=whole, default=0, metavar="K", help="seed of the paths")
+    text = "number of runs to train on; with --tolerance, the most (default: that of the scene; 64 of a function)"
+    add("--paths", type=whole, metavar="K", help=text)
+    text = "number of further runs, on which errors are measured (default: that of the scene; 8 of a function)"
+    add("--held-out", type=whole, metavar="K", help=text)
+    add("--seed", type=whole, metavar="K", help="seed of the paths (default: that of the scene; 0 of a function)")
     text = (
         "choose the paths on which the model errs most, at most --paths, until its mean errors of displacement "
         "and forces on the held-out runs are at most this"
@@ -45,7 +46,8 @@ def add_train(commands: Any) -> None:
     add("--tolerance", type=number, metavar="E", help=text)
     text = "recordings of sessions (palpate view): also train on their tool paths with trust numbers above 1"
     add("--more", type=existing_file, nargs="+", action="extend", default=[], metavar="FILE.h5", help=text)
-    add("--modes", type=whole, default=24, metavar="M", help="number of modes of the reduced model")
+    text = "number of modes of the reduced model (default: that of the scene; 24 of a function)"
+    add("--modes", type=whole, metavar="M", help=text)
     text = (
         "largest relative error of the sampled forces in training: the larger it is, the fewer nodes are sampled and "
         "the faster a step is; 0 samples every node (default: 0.01 for the liver, 0.001 for others)"
@@ -55,4 +57,6 @@ def add_train(commands: Any) -> None:
     add("--workers", type=whole, metavar="N", help=text)
     text = "address of a Dask scheduler, or its file: use its workers instead of processes on this machine"
     add("--cluster", metavar="ADDRESS", help=text)
-    add_output(train, "out/train")
+    text = "folder for the campaign (default: next to a scene file; out/train of others)"
+    add("--out", type=path, metavar="FOLDER", help=text)
+    add_json(train, "the report")

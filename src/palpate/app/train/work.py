@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import platform
 from collections.abc import Callable, Mapping
 from functools import lru_cache
@@ -15,6 +16,7 @@ import numba
 
 from palpate.app.train.folder import Folder, Job
 from palpate.app.train.paths import path_of
+from palpate.app.train.scene_folder import scene_in_folder
 from palpate.dynamics.run.rollout import rollout
 from palpate.faults import DivergenceError, InputError
 from palpate.files import settle, write_sealed_json
@@ -30,8 +32,8 @@ _one_at_a_time = Lock()  # a model is stepped in place
 
 
 @lru_cache(maxsize=1)
-def _scene(name: str, parameters: tuple[tuple[str, Any], ...]) -> TrainingScene:
-    return training_scene(name, dict(parameters))
+def _scene(name: str, parameters: str) -> TrainingScene:
+    return training_scene(name, json.loads(parameters))
 
 
 def perform(folder: str, manifest: Mapping[str, Any], job: tuple[str, int, int], watch: Watch | None = None) -> Outcome:
@@ -65,7 +67,7 @@ def perform(folder: str, manifest: Mapping[str, Any], job: tuple[str, int, int],
         threads = numba.get_num_threads()
         numba.set_num_threads(1)  # as everywhere else
         try:
-            scene = _scene(manifest["scene"], tuple(manifest["parameters"].items()))
+            scene = _scene(scene_in_folder(manifest["scene"], place.path), json.dumps(manifest["parameters"]))
             return _run(place, scene, own, watch)
         finally:
             numba.set_num_threads(threads)

@@ -1,0 +1,1 @@
+"""Command ``palpate new``: a scene file for a surface."""

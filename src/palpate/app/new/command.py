@@ -1,0 +1,157 @@
+"""``palpate new``: write a commented scene file for a surface, which works as it is."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpate.app.common.arguments import option_names
+from palpate.app.common.console import Console, count_nodes
+from palpate.app.models.touch import TRAINED_NODES, fitting_scene, spacing_for
+from palpate.app.new.text import scene_text
+from palpate.faults import InputError
+from palpate.files import check_folder, whole_file, write_json
+from palpate.meshfree.surface_files import UNITS
+from palpate.scenes.names import is_scene_file
+from palpate.scenes.open_scene import open_scene
+from palpate.scenes.organ_scene import OrganScene
+from palpate.scenes.scene_paths import touching_paths
+from palpate.scenes.schema import scene_schema
+from palpate.scenes.surface_scene import is_surface_file, surface_scene
+
+__all__ = ["new"]
+
+SCHEMA = "scene.schema.json"
+
+
+def new(
+    *,
+    file: Path,
+    out: Path,
+    part: Sequence[str] | None = None,
+    units: str | None = None,
+    scale: float = 1.0,
+    spacing: float | None = None,
+    law: str | None = None,
+    fixed: Sequence[str] = (),
+) -> int:
+    """Write a scene file for a surface, and open it as a check.
+
+    Parameters
+    ----------
+    file : path
+        A surface, as for `palpate.io.read_surface`.
+    out : path
+        Scene file; must not exist.
+    part, units, scale, spacing, law, fixed
+        As for `palpate.scenes.surface_scene.surface_scene`.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    InputError, FileFormatError
+        The surface cannot be filled, an option is out of range, or the scene file exists.
+    OSError
+        The scene file cannot be written.
+    """
+    if not is_scene_file(out.name):
+        raise InputError(f"out must end in .toml, got {str(out)!r}; name the scene file organ.toml")
+    if out.exists():
+        raise InputError(f"out must be a new file, got {str(out)!r}, which exists; choose another name, or remove it")
+    if not is_surface_file(file.name):
+        raise InputError(f"file must be a surface, got {str(file)!r}; palpate new --help lists the formats")
+    check_folder(out.parent)
+    console = Console()
+    scene = surface_scene(
+        file, units=units, scale=scale, part=tuple(part or ()), spacing=spacing, law=law, fixed=tuple(fixed)
+    )
+    scene, guesses = _fitted(scene, spacing, console)
+    notes = [option_names(note) for note in scene.notes if "does not state its units" not in note]
+    text = scene_text(_placed(scene, out), guesses, notes, _schema(out))
+    _schema(out).parent.mkdir(exist_ok=True)
+    write_json(_schema(out), scene_schema())
+    with whole_file(out) as partial:
+        partial.write_text(text, encoding="utf-8")
+    open_scene(out)  # what was written can be read
+    for note in notes:
+        console.say(note)
+    console.say(f"{out}: {count_nodes(len(scene.cloud))}, {guesses['reach']}")
+    quoted = f"'{out}'" if " " in str(out) else str(out)
+    console.say(f"touch it:         palpate view {quoted}")
+    console.say(f"a finer model:    palpate view {quoted} --refine, or palpate train {quoted}")
+    return 0
+
+
+def _fitted(scene: OrganScene, spacing: float | None, console: Console) -> tuple[OrganScene, dict[str, Any]]:
+    """Return the scene with spacing, unit, tool and depth filled in, and words about the guesses."""
+    with console.status("checking the surface"):
+        surface = scene.repaired_surface
+    assert surface is not None
+    volume, about = abs(surface.volume), scene.description
+    wanted = spacing_for(TRAINED_NODES, volume) if spacing is None else spacing
+    fitted = fitting_scene(scene, wanted, spacing is not None, console)
+    with console.status("finding where a tool reaches"):
+        paths = touching_paths(fitted)
+    unit = min(UNITS, key=lambda name: abs(np.log(UNITS[name] * about.surface.scale / surface.unit)))
+    area = paths.surface.areas
+    reach, held = area[paths.reachable].sum() / area.sum(), area[paths.surface.held].sum() / area.sum()
+    description = replace(
+        fitted.description,
+        title=fitted.title,
+        surface=replace(about.surface, units=unit),
+        tool=replace(about.tool, radius=_round(paths.radius)),
+        training=replace(about.training, depth=_round(paths.depth), slide=_round(paths.slide)),
+        support=about.support,
+    )
+    guesses = {
+        "units": "given" if about.surface.units else f"guessed: an organ of {1e3 * volume:.3g} litres",
+        "size": " x ".join(f"{1e3 * x:.0f}" for x in np.ptp(surface.vertices, axis=0)) + " mm",
+        "nodes": len(fitted.cloud),
+        "support": "given" if about.support else "guessed: the side away from the first view of the page",
+        "reach": f"a ball of {1e3 * paths.radius:.3g} mm reaches {reach:.0%} of the surface, {held:.0%} is held",
+    }
+    made = OrganScene(description, fitted.folder, fitted.name)
+    vars(made).update({name: vars(fitted)[name] for name in ("surface", "cloud", "body") if name in vars(fitted)})
+    made.notes += [*dict.fromkeys([*scene.notes, *fitted.notes])]
+    return made, guesses
+
+
+def _round(length: float) -> float:
+    """Return a length [m] of two digits."""
+    return float(f"{length:.2g}")
+
+
+def _placed(scene: OrganScene, out: Path) -> OrganScene:
+    """Return the scene with files relative to the folder of its scene file, where that is possible."""
+
+    def relative(file: str) -> str:
+        try:
+            return Path(os.path.relpath(file, out.parent)).as_posix()
+        except ValueError:  # on another drive
+            return Path(file).absolute().as_posix()
+
+    about = scene.description
+    supports = tuple(
+        replace(
+            each, place=replace(each.place, painted=replace(each.place.painted, file=relative(each.place.painted.file)))
+        )
+        if each.place.painted
+        else each
+        for each in about.support
+    )
+    about = replace(about, surface=replace(about.surface, file=relative(about.surface.file)), support=tuple(supports))
+    return OrganScene(about, out.parent, str(out))
+
+
+def _schema(out: Path) -> Path:
+    """Return the file of the schema, next to what is kept for the scene."""
+    return out.with_name(f"{out.stem}.palpate") / SCHEMA

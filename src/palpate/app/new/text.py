@@ -1,0 +1,138 @@
+"""Text of a new scene file: the values in use, and comments about guesses and about what else is possible."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from palpate.scenes.description import Painted, Support
+from palpate.scenes.organ_scene import OrganScene
+from palpate.tissue.liver import SHEAR_MODULUS
+
+__all__ = ["scene_text"]
+
+LIVER_SOURCE = "mean of healthy livers: Yin et al., Clin. Gastroenterol. Hepatol. 5, 2007"
+
+
+def scene_text(scene: OrganScene, guesses: Mapping[str, Any], notes: Sequence[str], schema: Path) -> str:
+    """Return the text of a scene file.
+
+    Parameters
+    ----------
+    scene : OrganScene
+        With all values in use.
+    guesses : mapping
+        ``"units"``, ``"size"``, ``"nodes"``, ``"support"`` and ``"reach"`` in words.
+    notes : sequence of str
+        What was noted about the surface.
+    schema : path
+        File of the schema.
+    """
+    about = scene.description
+    shape, tissue, training = about.surface, about.tissue, about.training
+    relative = f"./{schema.parent.name}/{schema.name}"
+    lines = [
+        f"#:schema {relative}",
+        '# A scene of palpate. Numbers are in SI units; a text may carry another: "4.5 mm", "2.2 kPa", "30 deg".',
+        "# docs/scenes.md describes every key.",
+        f"title = {_text(about.title)}",
+        "",
+        "[surface]",
+        f"file = {_text(shape.file)}",
+        *([f"parts = [{', '.join(map(_text, shape.parts))}]"] if shape.parts else []),
+        f"units = {_text(shape.units)}  # {guesses['units']}, {guesses['size']}",
+        *([f"scale = {shape.scale!r}"] if shape.scale != 1.0 else []),
+        "repair = true  # close small holes, turn triangles, smooth folds",
+        *(f"# {line}" for note in notes for line in _wrapped(note)),
+        "",
+        "[body]",
+        f"spacing = {_length(about.body.spacing)}  # {guesses['nodes']} nodes; half of it costs some 14 times the time",
+        "",
+        "[tissue]",
+        f"law = {_text(tissue.law)}  # palpate laws lists the others",
+        f"parameters = {_parameters(scene)}"
+        + (f"  # {LIVER_SOURCE}" if _is_liver(scene) else "  # an example: set yours"),
+        f'density = "{tissue.density:g} kg/m^3"',
+        f"poisson = {tissue.poisson:g}  # up to 0.499; nearer to 0.5 costs time",
+        f"mass_damping = {tissue.mass_damping:g}  # [1/s] free vibrations decay within a second",
+        '# relaxation = { shares = [0.5], times = ["0.1 s"] }',
+        '# fibres = { law = "Fibres", directions = [[1, 0, 0]], parameters = { k1 = "20 kPa", k2 = 5 } }',
+        "",
+        "# [[region]]  # other tissue, such as a tumour; also a box, a painting, or a closed part of the file",
+        '# place = { ball = { centre = ["10 mm", 0, 0], radius = "15 mm" } }',
+        "# stiffness = 3",
+        "",
+        f"# Supports decide the force more than anything else. {guesses['support'].capitalize()}.",
+        '# Others: side = "x-", "z+", "lowest 15%"; plane, box, ball, painted = { file = "paint.ply" },',
+        '# near = { file = "bone.stl", distance = "3 mm" }.',
+        *(line for support in about.support or (None,) for line in _support(support)),
+        "# [[support]]  # ligaments or a bed of soft tissue",
+        '# kind = "springs"',
+        '# place = { side = "lowest 15%" }',
+        '# stiffness = "10 kPa/cm"',
+        "",
+        "[tool]",
+        f"radius = {_length(about.tool.radius)}  # of the ball: {guesses['reach']}",
+        f"friction = {about.tool.friction:g}",
+        "",
+        "[training]  # of a reduced model: palpate train, or palpate view --refine",
+        f"paths = {training.paths}  # more paths, smaller errors",
+        f"held_out = {training.held_out}  # further paths, on which errors are measured",
+        f"modes = {training.modes}",
+        f"depth = {_length(training.depth)}  # of the deepest press",
+        f"slide = {_length(training.slide)}",
+        f"grasps = {training.grasps:g}  # share of the paths in which forceps pull",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _support(support: Support | None) -> list[str]:
+    if support is None:
+        place = 'side = "back"'
+    elif support.place.painted:
+        place = f"painted = {{ {_painted(support.place.painted)} }}"
+    else:
+        place = f"side = {_text(support.place.side)}"
+    return ["[[support]]", 'kind = "fixed"', f"place = {{ {place} }}", ""]
+
+
+def _painted(paint: Painted) -> str:
+    return f"file = {_text(paint.file)}" + (f", field = {_text(paint.field)}" if paint.field else "")
+
+
+def _parameters(scene: OrganScene) -> str:
+    """Return the parameters of the law in use as an inline table."""
+    from palpate.tissue.catalogue import LAWS
+
+    law = next(law for law in LAWS if law.name == scene.description.tissue.law)
+    words = []
+    for parameter in law.parameters:
+        value = getattr(scene.material, parameter.name)
+        if isinstance(value, tuple):
+            words.append(f"{parameter.name} = [{', '.join(f'{each:g}' for each in value)}]")
+        else:
+            words.append(f"{parameter.name} = " + (f'"{value:g} {parameter.unit}"' if parameter.unit else f"{value:g}"))
+    return "{ " + ", ".join(words) + " }"
+
+
+def _is_liver(scene: OrganScene) -> bool:
+    return scene.description.tissue.law == "NeoHookean" and scene.material.shear_modulus == SHEAR_MODULUS
+
+
+def _length(value: float | None) -> str:
+    """Return a length in millimetres, as a text of TOML."""
+    return f'"{1e3 * (value or 0.0):.6g} mm"'
+
+
+def _text(value: str) -> str:
+    """Return a basic string of TOML, whose escapes are those of JSON."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _wrapped(text: str) -> list[str]:
+    import textwrap
+
+    return textwrap.wrap(" ".join(text.split()), 96)

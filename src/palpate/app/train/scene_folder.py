@@ -1,0 +1,34 @@
+"""Folder of the campaign of a scene: next to a scene file, or in the user's cache for a scene of the package."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from platformdirs import user_cache_path
+
+from palpate import __version__
+from palpate.scenes.names import SCENES, is_scene_file
+from palpate.scenes.organ_scene import OrganScene
+
+__all__ = ["name_in_folder", "scene_in_folder", "training_folder"]
+
+FOLDER_SUFFIX = ".palpate"  # of the folder next to a scene file
+
+
+def training_folder(scene: OrganScene) -> Path:
+    """Return the folder of a scene's campaign, whether it exists or not; a changed scene has another folder."""
+    if scene.name in SCENES:
+        return user_cache_path("palpate") / f"{scene.name}-{__version__}-{scene.digest[:8]}"
+    file = Path(scene.name)
+    return file.with_name(file.stem + FOLDER_SUFFIX) / scene.digest[:8]
+
+
+def name_in_folder(scene: str, folder: Path) -> str:
+    """Return the name of a scene in a campaign's manifest: of a file, its path from the folder."""
+    return os.path.relpath(scene, folder) if is_scene_file(scene) else scene
+
+
+def scene_in_folder(name: str, folder: Path) -> str:
+    """Return the scene of a manifest: the inverse of `name_in_folder`."""
+    return str(folder / name) if is_scene_file(name) else name
