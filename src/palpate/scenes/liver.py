@@ -22,7 +22,6 @@ __all__ = ["ToolPaths", "pressed_liver"]
 
 BED = 0.07  # [m] depth of the fixed back: the bare area, where a liver is attached to the diaphragm
 MARGIN = 0.02  # [m] smallest distance of presses from it
-COARSE = 0.008  # [m] spacing of the coarse liver, for the vibration modes and statics of finer ones
 CLEARANCE = 0.003  # [m] between ball and body before and after a press
 MAX_SLIDE = 0.02  # [m]
 MIN_DEPTH_RATIO = 0.3  # smallest depth of a press over the largest
@@ -31,7 +30,6 @@ TIMES = (0.0, 0.02, 0.25, 0.45, 0.58, 0.6)  # [s] away, near, pressed, slid, nea
 GRASP_INTERVAL = 4  # every fourth seed is a grasp, the others are presses
 REACH, WIDEST = 0.6, 2.0  # radius of forceps over the ball's; at least, in spacings, so that they hold some ten nodes
 CONE, TURN = np.pi / 4, np.pi / 9  # [rad] largest angle of pulls to the normal; largest rotation
-CUBATURE = 1e-2  # a tenth of it samples two to three times as many nodes, with equal errors on held-out presses
 MAX_DRAWS = 1000  # of random presses until one is not obstructed by the body
 
 
@@ -86,10 +84,7 @@ def pressed_liver(
         "spacing": spacing, "poisson": poisson, "radius": radius, "depth": depth, "friction": friction,
         "mass_damping": mass_damping,
     }  # fmt: skip
-    return TrainingScene(
-        model, paths, EVERY, "Liver pressed by a ball and pulled by forceps", parameters,
-        coarse=lambda: model if spacing >= COARSE else _model(COARSE, poisson, mass_damping), cubature=CUBATURE,
-    )  # fmt: skip
+    return TrainingScene(model, paths, EVERY, "Liver pressed by a ball and pulled by forceps", parameters)
 
 
 def _model(spacing: float, poisson: float, mass_damping: float) -> Solid:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from palpate.app.common.console import Console
+from palpate.app.common.exit_status import DONE, UNTRUSTED, complain
 from palpate.app.train.campaign import Campaign, Round
 from palpate.app.train.choose import CANDIDATES_PER_RUN
 from palpate.app.train.cluster import check_dask
@@ -72,7 +73,7 @@ def train(
     Returns
     -------
     int
-        0, also if some runs failed.
+        0, also if some runs failed; 3 if the errors on the held-out runs are too large to use the model.
 
     Raises
     ------
@@ -116,7 +117,9 @@ def train(
         else:
             wanted, model, rounds = campaign.train_to_tolerance(tolerance, paths, held_out)
         report_campaign(own, made, wanted, model, campaign.seconds, rounds, as_json)
-    return 0
+    if "advice" in model.report:
+        return complain(f"warning: {model.report['advice']}", UNTRUSTED)
+    return DONE
 
 
 def _parameters(given: Sequence[str]) -> dict[str, str]:
