@@ -7,6 +7,7 @@ from pathlib import Path
 
 from palpate.app.common.arguments import suggestion
 from palpate.app.common.console import Console
+from palpate.app.common.exit_status import one_line
 from palpate.app.models.cache import LIVER, load_cached_liver
 from palpate.app.models.quick_training import train_quickly
 from palpate.faults import InputError
@@ -37,7 +38,7 @@ def open_model(what: str, console: Console) -> tuple[ReducedModel, str]:
         No such scene or file, or a model that takes no tool.
     """
     if what == LIVER:
-        return load_cached_liver(console), "Liver"
+        return _with_advice(load_cached_liver(console), console), "Liver"
     if what in NAMES:
         return train_quickly(scene_function(what), MODES, console), what.capitalize()
     path = Path(what)
@@ -52,4 +53,11 @@ def open_model(what: str, console: Console) -> tuple[ReducedModel, str]:
             f"group (it has {len(model.data.prescribed)}); train it with a Contact, or with prescribed='GROUP'"
         )
     name = str(model.report.get("scene", {}).get("name", path.stem))
-    return model, name.rpartition(":")[2].replace("_", " ").capitalize()
+    return _with_advice(model, console), name.rpartition(":")[2].replace("_", " ").capitalize()
+
+
+def _with_advice(model: ReducedModel, console: Console) -> ReducedModel:
+    """Return a model; print what to change if its held-out errors are too large to use it."""
+    if "advice" in model.report:
+        console.say(f"warning: {one_line(model.report['advice'])}")
+    return model
