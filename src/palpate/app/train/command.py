@@ -116,7 +116,8 @@ def train(
             model = campaign.train(wanted)
         else:
             wanted, model, rounds = campaign.train_to_tolerance(tolerance, paths, held_out)
-        report_campaign(own, made, wanted, model, campaign.seconds, rounds, as_json)
+        supports = campaign.support_study(wanted)
+        report_campaign(own, made, wanted, model, campaign.seconds, rounds, supports, as_json)
     if "advice" in model.report:
         return complain(f"warning: {model.report['advice']}", UNTRUSTED)
     return DONE

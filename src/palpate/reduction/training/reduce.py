@@ -43,7 +43,7 @@ from palpate.reduction.training.residual_fields import (
 )
 from palpate.reduction.training.threads import in_threads
 
-__all__ = ["Trial", "hyper_reduce"]
+__all__ = ["Trial", "energy_form", "hyper_reduce"]
 
 
 SIZES = (8, 12, 16, 24, 32, 48, 64, 96)  # numbers of modes for a given tolerance
@@ -152,7 +152,7 @@ def hyper_reduce(
         cubature = number_in_range("cubature", cubature, 0.0, 1.0)
     if coarse is not None and not isinstance(coarse, EnergySolid):
         raise InputError(f"coarse must be a Solid with form='energy', got {coarse!r:.200}; make it in the energy form")
-    body = _energy_form(full)
+    body = energy_form(full)
     if isinstance(body, EnergySolid) and body.tissue.lame < 0:
         raise InputError(
             f"poisson of the material must make its volumetric coefficient positive for a reduced model, got "
@@ -244,7 +244,7 @@ def _check(full: Solid | Membrane, points: Sequence[Floats]) -> None:
             )
 
 
-def _energy_form(full: Solid | Membrane) -> EnergySolid | Membrane:
+def energy_form(full: Solid | Membrane) -> EnergySolid | Membrane:
     """Return the model itself, or for a strong form the same body in the energy form."""
     if isinstance(full, EnergySolid):
         return full
