@@ -241,7 +241,7 @@ class Campaign:
         if scene.coarse is not None:
             return scene.coarse()
         if isinstance(body, EnergySolid) and len(body.cloud) > MAX_NODES:
-            return coarse_body(body)
+            return coarse_body(body, most=MAX_NODES)
         return None
 
     def _make_model(self, wanted: Sequence[Job]) -> ReducedModel:

@@ -36,6 +36,7 @@ from palpate.reduction.contact.coarse_body import explicit_supports
 __all__ = ["Press", "select_presses", "support_sensitivity"]
 
 MAX_PRESSES = 6
+MAX_HELD_SHARE = 0.1  # of the force of a press on nodes that a moved border would hold
 
 
 class Press(NamedTuple):
@@ -103,7 +104,8 @@ def support_sensitivity(
     outer, inner, distance = _borders(cloud, supports)
     forces, places = _on_body(body, points, presses)
     held = supported_nodes(_with_groups(cloud, outer), supports).kind != 0
-    usable = ~(np.linalg.norm(forces, axis=2) > 0)[:, held].any(axis=1)
+    sizes = np.linalg.norm(forces, axis=2)
+    usable = sizes[:, held].sum(axis=1) <= MAX_HELD_SHARE * sizes.sum(axis=1)
     forces, places = forces[usable], places[usable]
     sites = body.prepare(list(foundations)).sites
     springs = np.bincount(sites.foundation_node, sites.foundation_spring, minlength=len(cloud)).astype(float)

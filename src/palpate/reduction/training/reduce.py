@@ -162,7 +162,7 @@ def hyper_reduce(
     touched = snapshots.has_contact and not tools and isinstance(body, EnergySolid)
     vibrations = _has_vibrations(basis, body, touched, enrichment)
     if (touched or vibrations) and coarse is None and isinstance(body, EnergySolid) and len(body.cloud) > MAX_NODES:
-        coarse = coarse_body(body)
+        coarse = coarse_body(body, most=MAX_NODES)
     if cubature is None:
         cubature = CONTACT_CUBATURE if touched else CUBATURE
     options = _Options(tools, held_out, enrichment, cubature, pressures, seed, coarse, repeated, vibrations)
