@@ -29,29 +29,27 @@ def advice(report: Mapping[str, Any]) -> str | None:
     names = {"force": "force", "surface_95": "surface"}
     if not touched:
         names = {"displacement": "displacement", "reaction": "reaction"}
-    mean = found["contact" if touched else "mean"]["mean"]
+    mean = found["contact"]["mean"] if touched else found["mean"]
     failed, runs = sum(run["failed"] for run in found["runs"]), len(found["runs"])
     largest = max(mean[name] for name in names)
     if not failed and largest <= MAX_ERROR:
         return None
     figures = " and ".join(f"{mean[name]:.0%} in {label}" for name, label in names.items())
     fault = f"failed on {failed} of {runs} held-out runs" if failed else f"errs by {figures} on held-out runs"
-    changes = _changes_with_contact(report) if touched else _changes(report, largest)
+    if failed:
+        changes = [f"use more paths than {report['training_runs']}", f"more modes than {report['modes']}"]
+    else:
+        changes = _changes_with_contact(report) if touched else _changes(report, largest)
     return f"the model {fault}, so its forces are not to be used; {' or '.join(changes)}, and train it again"
 
 
 def _changes(report: Mapping[str, Any], error: float) -> list[str]:
     """Return changes by the projection errors of training and held-out runs on the modes."""
     known, unseen = report["projection_error"], report["held_out"]["projection_error"]
-    changes = []
-    if known > LARGE_SHARE * error or (unseen > LARGE_SHARE * error and unseen <= UNSEEN_RATIO * known):
-        changes.append(f"use more modes than {report['modes']} (they miss {known:.0%} of the training runs)")
-    if unseen > UNSEEN_RATIO * known or not changes:
-        changes.append(
-            f"use more paths than {report['training_runs']} (modes miss {unseen:.0%} of the held-out runs, {known:.0%} "
-            "of the training runs)"
-        )
-    return changes
+    missed = f"(modes miss {unseen:.0%} of the held-out runs, {known:.0%} of the training runs)"
+    if unseen > max(UNSEEN_RATIO * known, LARGE_SHARE * error):
+        return [f"use more paths than {report['training_runs']} {missed}"]
+    return [f"use more modes than {report['modes']} {missed}"]
 
 
 def _changes_with_contact(report: Mapping[str, Any]) -> list[str]:
