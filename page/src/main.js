@@ -121,7 +121,7 @@ const answers = {
     transport.offer(message);
     Object.assign(session, { pace: 1, fullNewtons: NaN });
     if (message.compare) byId("overlay").checked = true;
-    statusLine.showMessage(null);
+    statusLine.showMessage(message.training_errors?.advice);
     const names = ["none", ...message.scalars.map(({ name }) => name)];
     scalar(names.includes(session.scalar) ? session.scalar : "none");
     answers.status({ driver: message.driver, tool: message.tool });

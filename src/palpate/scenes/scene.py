@@ -60,11 +60,9 @@ class TrainingScene:
         Groups that rigid tools hold and move (`palpate.PrescribedMotion`), as `prescribed` of
         `palpate.hyper_reduce`.
     coarse : function, optional
-        Returns a model of the same body of at most 5,000 nodes, in its energy form. If tools may
-        touch a body anywhere, modes of runs would be indentations at the places of those runs. So
-        the modes are vibrations of this model, and the surface compliance follows from its statics
-        (`palpate.reduction.contact.residual_flexibility`).
-    cubature : float
+        Returns a coarser model of the same body, as `coarse` of `palpate.hyper_reduce`, for tools that
+        may touch a large body anywhere. By default its surface is filled again.
+    cubature : float, optional
         Largest relative error of the sampled forces, as for `palpate.hyper_reduce`.
     """
 
@@ -75,4 +73,4 @@ class TrainingScene:
     parameters: Mapping[str, float | int | str]
     tools: tuple[str, ...] = ()
     coarse: Callable[[], Solid] | None = None
-    cubature: float = 1e-3
+    cubature: float | None = None

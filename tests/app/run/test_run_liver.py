@@ -26,7 +26,7 @@ def trained(tmp_path_factory):
     """The folder of a campaign on a very coarse liver."""
     folder = tmp_path_factory.mktemp("campaign") / "liver"
     given = [f"{name}={value}" for name, value in COARSE.items()]
-    sizes = ["--paths", "2", "--held-out", "1", "--modes", "8", "--cubature", "0.05"]
+    sizes = ["--paths", "4", "--held-out", "1", "--modes", "8", "--cubature", "0.05"]
     assert main(["train", "liver", "--set", *given, *sizes, "--out", str(folder)]) == 0
     return folder
 
@@ -40,7 +40,7 @@ def swift(monkeypatch):
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
     """An empty cache, into which next to nothing will be trained."""
-    small = {"SCENE_PARAMETERS": COARSE, "PATHS": 1, "HELD_OUT": 1, "MODES": 6, "MAX_WORKERS": 1}
+    small = {"SCENE_PARAMETERS": COARSE, "PATHS": 4, "HELD_OUT": 1, "MODES": 8, "MAX_WORKERS": 1}
     for name, value in small.items():
         monkeypatch.setattr(cached_models, name, value)
     monkeypatch.setattr(cached_models, "user_cache_path", lambda name: tmp_path / name)
@@ -62,6 +62,19 @@ def test_a_campaign_on_the_liver_reports_its_sampled_nodes_and_the_tolerance(tra
     assert report["model"]["held_out"]["mean"]["reaction"] < 0.5
     run = pt.Trajectory.load(trained / "runs" / "train_000000.h5")
     assert np.linalg.norm(run.reactions["tool"], axis=1).max() > 0.05
+
+
+@pytest.mark.slow
+def test_the_report_has_the_changes_of_the_force_by_the_supports(trained):
+    report, text = json.loads((trained / "report.json").read_text()), (trained / "report.md").read_text()
+    found, scene = report["supports"], pressed_liver(**COARSE)
+    assert (found["springs"], found["nodes"]) == (None, len(scene.model.cloud))
+    assert 0.008 < found["border"]["distance"] < 0.014
+    assert found["border"]["inward"]["largest"] < 0 < found["border"]["outward"]["largest"] < 1
+    worst = max(found["border"]["inward"], found["border"]["outward"], key=lambda change: abs(change["largest"]))
+    place = ", ".join(f"{1e3 * x:.0f}" for x in worst["place"])
+    assert f"changes by up to {abs(worst['largest']):.0%}, at ({place}) mm, if the border of the supports moves" in text
+    assert report["seconds"]["supports"] > 0
 
 
 @pytest.mark.slow
@@ -136,13 +149,13 @@ def test_the_first_start_trains_and_caches_a_model_and_resumes_after_an_interrup
     with monkeypatch.context() as patch:
         patch.setattr("palpate.app.train.bar.Bar.done", interrupted)
         assert main(command) == 130
-    assert "1 of 2 runs are kept" in capsys.readouterr().err
+    assert "1 of 5 runs are kept" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
     assert main(command) == 0
     captured = capsys.readouterr()
-    assert "2 runs, 1 of them done before" in captured.err
+    assert "5 runs, 1 of them done before" in captured.err
     report = json.loads(captured.out)
-    assert report["model"]["modes"] == 6
+    assert report["model"]["modes"] == 8
     assert report["parameters"]["file"] == str(cache / "model.rom")
     assert report["tool"]["largest_force"] > 0.05
     assert f"-{pt.__version__}-" in cache.name

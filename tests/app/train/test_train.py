@@ -14,6 +14,7 @@ import time
 import warnings
 from pathlib import Path
 from threading import Event, Thread
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -21,8 +22,9 @@ import pytest
 
 import palpate as pt
 from palpate.app.cli import main
+from palpate.app.models.loader import open_model
 from palpate.app.recordings.recording import Recording, save_recording
-from palpate.app.recordings.snapshot import Snapshot
+from palpate.app.recordings.snapshot import Snapshot, training_errors
 from palpate.app.train import folder as folders
 from palpate.app.train.choose import choose
 from palpate.app.train.report import _by_load
@@ -194,6 +196,51 @@ def test_failed_runs_are_recorded_and_the_others_continue(tmp_path, capsys):
     assert "train_000001 failed: " in captured.out
     changed = [path.name for path, stamp in stamps.items() if path.stat().st_mtime_ns != stamp]
     assert changed == ["train_000002.failed.json"]  # only a process that died is tried again
+
+
+def test_a_model_with_large_errors_ends_with_a_status_of_its_own_and_says_what_to_change(whole, tmp_path, capsys):
+    folder = tmp_path / "few"
+    shutil.copytree(whole, folder)
+    assert main(command(folder, "--modes", "1")) == 3
+    captured = capsys.readouterr()
+    last = captured.err.splitlines()[-1]
+    model, report = pt.load(folder / "model.rom"), json.loads((folder / "report.json").read_text())
+    mean = model.report["held_out"]["mean"]
+    assert max(mean["displacement"], mean["reaction"]) > 0.3
+    assert last == f"palpate: warning: {model.report['advice']}"
+    assert f"errs by {mean['displacement']:.0%} in displacement" in last
+    assert report["model"]["advice"] == model.report["advice"]
+    assert model.report["advice"] in (folder / "report.md").read_text()
+    assert model.report["advice"] in " ".join(captured.out.split())
+    printed = []
+    open_model(str(folder / "model.rom"), SimpleNamespace(say=printed.append))
+    assert printed == [f"warning: {model.report['advice']}"]
+    assert training_errors(model)["advice"] == model.report["advice"]
+    assert training_errors(pt.load(whole / "model.rom"))["advice"] is None
+    open_model(str(whole / "model.rom"), SimpleNamespace(say=printed.append))
+    assert len(printed) == 1
+
+
+@pytest.mark.parametrize(
+    ("scene", "options", "part"),
+    [
+        ("pad", ["--paths", "3"], "--paths must be at least 4 where tools touch the body anywhere, got 3"),
+        ("pad", ["--modes", "7"], "--modes must be at least 8 where tools touch the body anywhere, got 7"),
+        ("pad", ["--modes", "908"], "--modes must be at most 907, half the degrees of freedom"),
+        ("bar", ["--modes", "45"], "--modes must be at most 44, the number of snapshots of 4 runs, got 45"),
+    ],
+)
+def test_sizes_from_which_no_model_can_be_trained_are_refused_before_the_runs(tmp_path, capsys, scene, options, part):
+    argv = ["train", f"training_scenes:{scene}", "--paths", "4", "--held-out", "1", "--modes", "8"]
+    assert_stopped([*argv, *options, "--out", str(tmp_path / "new")], capsys, part)
+    assert not list((tmp_path / "new" / "runs").glob("*"))
+
+
+def test_a_large_body_that_cannot_be_filled_again_is_refused_before_the_runs(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("palpate.app.train.campaign.MAX_NODES", 60)
+    argv = ["train", "training_scenes:pad", "--paths", "4", "--held-out", "0", "--modes", "8"]
+    assert_stopped([*argv, "--out", str(tmp_path / "new")], capsys, "coarse must be given", "more than 60 nodes")
+    assert not list((tmp_path / "new" / "runs").glob("*"))
 
 
 def test_errors_of_forces_are_reported_by_kind_of_load():

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 import palpate as pt
 from palpate.dynamics.contact.geometry import gap
 from palpate.reduction.basis.linear_modes import interpolated_modes
+from palpate.reduction.contact.coarse_body import coarse_body
 from palpate.reduction.contact.compliance import NO_COMPLIANCE, contact_displacements
 from palpate.reduction.contact.gauss_seidel import settle
 from palpate.reduction.contact.surface import RigidTools, contact_scratch, contact_surface, rigid_tools
@@ -258,11 +259,22 @@ def test_a_basis_that_does_not_exist_is_refused(pressed, options, message):
         pt.hyper_reduce(body, runs[:-1], modes=4, **options)
 
 
-def test_a_large_body_with_tools_requires_a_coarse_one(pressed, monkeypatch):
+def test_a_large_body_with_tools_has_a_coarse_one_made_of_its_surface(pressed, monkeypatch):
     body, runs, _ = pressed
-    monkeypatch.setattr("palpate.reduction.training.reduce.MAX_NODES", len(body.cloud) - 1)
+    most = len(body.cloud) - 1
+    monkeypatch.setattr("palpate.reduction.training.reduce.MAX_NODES", most)
+    model = pt.hyper_reduce(body, runs[:-1], modes=12)
+    coarse = coarse_body(body, most=most)
+    assert len(coarse.cloud) < most
+    by_hand = pt.hyper_reduce(body, runs[:-1], modes=12, coarse=coarse, cubature=0.01)
+    np.testing.assert_array_equal(model.data.basis_vectors, by_hand.data.basis_vectors)
+    np.testing.assert_array_equal(model.data.compliance.flexibility, by_hand.data.compliance.flexibility)
+    np.testing.assert_array_equal(model.data.cubature.nodes, by_hand.data.cubature.nodes)
+    own = pt.rollout(model, press(0.024, 0.038), duration=0.2, every=0.005)
+    assert force_error(runs[-1], own) < 0.2
+    open_body = pt.Solid(replace(body.cloud, triangles=body.cloud.triangles[1:]), body.material, "z-")
     with pytest.raises(pt.InputError, match="coarse must be given for tools in contact"):
-        pt.hyper_reduce(body, runs[:-1], modes=4)
+        pt.hyper_reduce(open_body, runs[:-1], modes=12)
 
 
 @pytest.mark.parametrize("longer", [0.0, 1e9, -1.0])

@@ -387,6 +387,8 @@ CASES = {
     "an expected error that is text": (
         expected({"level": 0.9, "force": dict.fromkeys(CURVE, "1")}), "bound must be a number, got '1'"
     ),
+    "advice that is a number": (attribute("report", '{"advice": 5}'), "advice that is not a text"),
+    "advice without end": (attribute("report", json.dumps({"advice": "a" * 2000})), "advice that is not a text"),
     "a scene that is a number": (attribute("report", '{"scene": 5}'), "a scene without name and parameters"),
     "a scene with a list": (attribute("report", '{"scene": {"name": "a", "parameters": {"b": []}}}'), "parameters of"),
     "a scene that is null": (attribute("report", '{"scene": null}'), "a scene without name and parameters"),

@@ -7,11 +7,11 @@ import sys
 from contextlib import suppress
 
 __all__ = [
-    "BAD_INPUT", "DEBUG", "DONE", "FAILED", "INTERRUPTED", "RunError", "complain", "one_line", "report_defect",
-    "silence_output", "system_error",
+    "BAD_INPUT", "DEBUG", "DONE", "FAILED", "INTERRUPTED", "UNTRUSTED", "RunError", "complain", "one_line",
+    "report_defect", "silence_output", "system_error",
 ]  # fmt: skip
 
-DONE, FAILED, BAD_INPUT, DEFECT, INTERRUPTED = 0, 1, 2, 70, 130
+DONE, FAILED, BAD_INPUT, UNTRUSTED, DEFECT, INTERRUPTED = 0, 1, 2, 3, 70, 130
 DEBUG = "PALPATE_DEBUG"  # environment variable: 1 prints the traceback of an internal error
 MAX_MESSAGE_CHARACTERS = 1000  # characters
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from palpate.app.common.arguments import suggestion
 from palpate.app.common.console import Console
+from palpate.app.common.exit_status import one_line
 from palpate.app.models.trained import trained_model
 from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
@@ -35,7 +36,7 @@ def open_model(what: str, console: Console) -> tuple[ReducedModel, str]:
     """
     if is_opened(what):
         scene = open_scene(what)
-        return trained_model(scene, console), scene.title
+        return _with_advice(trained_model(scene, console), console), scene.title
     path = Path(what)
     if not path.suffix and not os.path.exists(path):  # False also for a name that is too long
         raise InputError(
@@ -49,4 +50,12 @@ def open_model(what: str, console: Console) -> tuple[ReducedModel, str]:
             f"group (it has {len(model.data.prescribed)}); train it with a Contact, or with prescribed='GROUP'"
         )
     name = Path(str(model.report.get("scene", {}).get("name", path.stem)))
-    return model, (name.stem if name.suffix else name.name).rpartition(":")[2].replace("_", " ").capitalize()
+    title = (name.stem if name.suffix else name.name).rpartition(":")[2].replace("_", " ").capitalize()
+    return _with_advice(model, console), title
+
+
+def _with_advice(model: ReducedModel, console: Console) -> ReducedModel:
+    """Return a model; print what to change if its held-out errors are too large to use it."""
+    if "advice" in model.report:
+        console.say(f"warning: {one_line(model.report['advice'])}")
+    return model

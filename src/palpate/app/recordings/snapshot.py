@@ -90,11 +90,13 @@ def scalar_descriptions(surface: DisplaySurface) -> list[dict[str, Any]]:
 
 
 def training_errors(model: ReducedModel | EnergySolid) -> dict[str, Any] | None:
-    """Return a model's mean errors on held-out runs for `hello`, or None without such runs."""
+    """Return a model's mean errors on held-out runs, and what to change if they are large; None without such runs."""
     from palpate.reduction.hyper.model import ReducedModel
 
     if not isinstance(model, ReducedModel):
         return None
     errors = model.report.get("held_out", {}).get("mean", {})
+    if not errors:
+        return None
     described = {"force_error": errors.get("reaction"), "displacement_error": errors.get("displacement")}
-    return described if errors else None
+    return described | {"advice": model.report.get("advice")}

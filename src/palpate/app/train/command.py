@@ -7,6 +7,7 @@ from pathlib import Path
 
 from palpate.app.common.arguments import parse_settings
 from palpate.app.common.console import Console
+from palpate.app.common.exit_status import DONE, UNTRUSTED, complain
 from palpate.app.train.campaign import Campaign, Round
 from palpate.app.train.choose import CANDIDATES_PER_RUN
 from palpate.app.train.cluster import check_dask
@@ -79,7 +80,7 @@ def train(
     Returns
     -------
     int
-        0, also if some runs failed.
+        0, also if some runs failed; 3 if the errors on the held-out runs are too large to use the model.
 
     Raises
     ------
@@ -134,5 +135,8 @@ def train(
             model = campaign.train(wanted)
         else:
             wanted, model, rounds = campaign.train_to_tolerance(tolerance, paths, held_out)
-        report_campaign(own, made, wanted, model, campaign.seconds, rounds, as_json)
-    return 0
+        supports = campaign.support_study(wanted)
+        report_campaign(own, made, wanted, model, campaign.seconds, rounds, supports, as_json)
+    if "advice" in model.report:
+        return complain(f"warning: {model.report['advice']}", UNTRUSTED)
+    return DONE

@@ -50,7 +50,7 @@ def add_train(commands: Any) -> None:
     add("--modes", type=whole, metavar="M", help=text)
     text = (
         "largest relative error of the sampled forces in training: the larger it is, the fewer nodes are sampled and "
-        "the faster a step is; 0 samples every node (default: 0.01 for the liver, 0.001 for others)"
+        "the faster a step is; 0 samples every node (default: 0.01 where tools touch the body anywhere, else 0.001)"
     )
     add("--cubature", type=number, metavar="TOLERANCE", help=text)
     text = "number of processes on this machine, of one thread each (default: 1)"

@@ -30,6 +30,7 @@ CONTACT_ERRORS = {
     "force_95": "force on tools, 95th percentile",
     "surface_95": "displacement of the surface, 95th percentile",
 }  # as `palpate.reduction.training.errors.TouchErrors` names them
+SMALL_CHANGE = 0.05  # of a force, below which supports need not be known better
 CURVE_POINTS = 100  # of a curve of expected errors
 KINDS = {"displacement": BLUE, "velocity": GREEN, "energy": ORANGE, "reaction": PINK}
 
@@ -41,6 +42,7 @@ def report_campaign(
     model: ReducedModel,
     seconds: Mapping[str, float],
     rounds: Sequence[Round],
+    supports: Mapping[str, Any] | None,
     as_json: bool,
 ) -> None:
     """Write the report and the figure into the folder, and print it as JSON or as a table."""
@@ -55,6 +57,7 @@ def report_campaign(
             "sizes": _sizes(folder, wanted),
             "seconds": dict(seconds),
             "rounds": [each._asdict() for each in rounds],
+            "supports": supports,
             "model": model.report,
         }
     )
@@ -67,8 +70,9 @@ def report_campaign(
             Console().say(f"{FIGURE} is missing: {error}")
     table = quantities_table(report["title"], ["here"], {name: [value] for name, value in _rows(report).items()})
     failed = [f"{run['name']} failed: {run['reason']}" for run in runs if run["failed"]]
-    written = [table, *_details(report, held)]
-    deliver(report, [table, *failed], folder.path, FILES, as_json, written=written)
+    sentences = [*_support_sentences(supports), *([model.report["advice"]] if "advice" in model.report else [])]
+    written = [table, *_details(report, held), *sentences]
+    deliver(report, [table, *failed, *sentences], folder.path, FILES, as_json, written=written)
 
 
 def _run_entry(folder: Folder, scene: TrainingScene, job: Job) -> dict[str, Any]:
@@ -141,7 +145,7 @@ def _rows(report: dict[str, Any]) -> dict[str, str]:
                 median, bound, level = expected_error(model, 1.0, of)
                 name = f"error of {of} expected at a trust number of 1, median; {level:.0%} of runs stay below"
                 rows[name] = f"{percent(median)}; {percent(bound)}" if np.isfinite(bound) else "unknown; unknown"
-    return rows
+    return rows | _support_rows(report["supports"])
 
 
 def _round_rows(rounds: Sequence[Mapping[str, Any]]) -> dict[str, str]:
@@ -182,6 +186,49 @@ def _contact_rows(found: dict[str, Any]) -> dict[str, str]:
         else f"{percent(errors[name][0])}; {percent(errors[name][1])}"
         for name, text in CONTACT_ERRORS.items()
     }
+
+
+def _support_changes(found: Mapping[str, Any] | None) -> dict[str, dict[str, Mapping[str, Any] | None]]:
+    """Return the changes of supports by what is changed, and by how."""
+    changes = {}
+    if found and found["border"]:
+        where = f"the border of the supports moves by {1e3 * found['border']['distance']:.2g} mm"
+        changes[where] = {way: found["border"][way] for way in ("outward", "inward")}
+    if found and found["springs"]:
+        changes["the springs of foundations are"] = {way: found["springs"][way] for way in ("halved", "doubled")}
+    return changes
+
+
+def _support_rows(found: Mapping[str, Any] | None) -> dict[str, str]:
+    """Return changes of the force on tools by the supports; nothing where no tool touches the body."""
+    return {
+        f"force on tools if {what} {way}, median; largest": "nothing would hold the body"
+        if change is None
+        else f"{change['median']:+.1%}; {change['largest']:+.1%}"
+        for what, ways in _support_changes(found).items()
+        for way, change in ways.items()
+    }
+
+
+def _support_sentences(found: Mapping[str, Any] | None) -> list[str]:
+    """Return what the changes by the supports mean, one sentence for border and springs each."""
+    sentences = []
+    for what, ways in _support_changes(found).items():
+        changes = [change for change in ways.values() if change is not None]
+        if not changes:
+            continue
+        worst = max(changes, key=lambda change: abs(change["largest"]))
+        place = ", ".join(f"{1e3 * x:.0f}" for x in worst["place"])
+        advice = (
+            "measure the attachment before such forces are used"
+            if abs(worst["largest"]) > SMALL_CHANGE
+            else "the attachment need not be known better"
+        )
+        sentences.append(
+            f"The force of a tool at a given depth changes by up to {abs(worst['largest']):.0%}, at ({place}) mm, if "
+            f"{what} {' or '.join(ways)}: {advice}. (Linear statics.)"
+        )
+    return sentences
 
 
 def _contact_table(found: dict[str, Any], held: Sequence[str]) -> list[Table]:

@@ -45,6 +45,7 @@ __all__ = ["REMEDY", "contents", "load_hyper_reduced", "model_of", "save_hyper_r
 FORMAT, VERSION = "palpate reduced model", 12
 REMEDY = "copy the file again, or train the model again"
 MAX_NAME_LENGTH = 200  # characters of a scene's name
+MAX_ADVICE_LENGTH = 1000  # characters
 
 # One line per dataset: its type, and its shape in sizes that all datasets share.
 LAYOUT: Layout = BODY_LAYOUT | {
@@ -255,6 +256,8 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
 def _report(report: dict[str, Any]) -> dict[str, Any]:
     """Return a report; refuse entries that palpate reads and that have other types than it writes."""
     held_out, scene = report.get("held_out", {"mean": {}}), report.get("scene")
+    if not isinstance(report.get("advice", ""), str) or len(report.get("advice", "")) > MAX_ADVICE_LENGTH:
+        raise InputError(f"header report holds advice that is not a text of at most {MAX_ADVICE_LENGTH} characters")
     mean = held_out.get("mean") if isinstance(held_out, dict) else None
     if not isinstance(mean, dict) or not all(value is None or type(value) in (int, float) for value in mean.values()):
         raise InputError("header report holds errors under held_out that are not numbers")

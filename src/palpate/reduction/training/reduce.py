@@ -24,10 +24,12 @@ from palpate.reduction.basis.lifting import RemoveToolMotion, lifting_vectors, s
 from palpate.reduction.basis.linear_modes import interpolated_modes
 from palpate.reduction.basis.snapshots import Run, Snapshots
 from palpate.reduction.basis.strain_pod import join, main_modes
+from palpate.reduction.contact.coarse_body import coarse_body
 from palpate.reduction.contact.residual_flexibility import MAX_NODES
 from palpate.reduction.hyper.error_indicator import distances_to_nearest
 from palpate.reduction.hyper.material_point import Kinematics
 from palpate.reduction.hyper.model import ReducedData, ReducedModel
+from palpate.reduction.training.advice import advice
 from palpate.reduction.training.calibrate_contact import Trial, calibrate_contact
 from palpate.reduction.training.calibrate_indicator import Frames, calibrate_scales, error_curves, held_out_frames
 from palpate.reduction.training.ecsw import Fields, choose_integration_points, differentiate, pressure_moments
@@ -41,10 +43,12 @@ from palpate.reduction.training.residual_fields import (
 )
 from palpate.reduction.training.threads import in_threads
 
-__all__ = ["Trial", "hyper_reduce"]
+__all__ = ["Trial", "energy_form", "hyper_reduce"]
 
 
 SIZES = (8, 12, 16, 24, 32, 48, 64, 96)  # numbers of modes for a given tolerance
+# largest relative error of sampled forces: where tools touch a body anywhere, and elsewhere
+CONTACT_CUBATURE, CUBATURE = 1e-2, 1e-3
 TRAINING_STATES = 240  # for the fit of the cubature
 MIN_DISPLACEMENT = 1e-10  # of the largest one in training over the spacing; strains below are lost by rounding
 MODES_PER_PRESSURE = 4  # more pressure modes would cause volumetric locking
@@ -61,7 +65,7 @@ def hyper_reduce(
     prescribed: str | Sequence[str] = (),
     held_out: Sequence[Trial] = (),
     enrichment: Floats | None = None,
-    cubature: float = 1e-3,
+    cubature: float | None = None,
     pressures: int | None = None,
     basis: str | None = None,
     coarse: Solid | None = None,
@@ -92,8 +96,9 @@ def hyper_reduce(
     enrichment : (e, n, 3) array, optional
         Additional displacement fields, or with ``modes=0`` the only ones: `palpate.vibration_modes`,
         `palpate.modal_derivatives`. Fields must vanish at supports and tools.
-    cubature : float
-        Largest relative error of the sampled forces in training.
+    cubature : float, optional
+        Largest relative error of the sampled forces in training: by default 0.01 where tools touch the body
+        anywhere, whose held-out errors are equal with a tenth of it, and 0.001 elsewhere.
     pressures : int, optional
         Number of pressure modes. The default, a quarter of the modes, has the least error on held-out
         motions. For one training motion and few modes, as many as modes are better.
@@ -103,8 +108,9 @@ def hyper_reduce(
         of those runs. By default ``"vibrations"`` where tools touch the body in the runs, unless `enrichment` is
         given.
     coarse : Solid, optional
-        A coarser model of the same body, of at most 5,000 nodes. Its statics give the surface compliance
-        under tools in contact. By default the body itself, if it has no more nodes than that.
+        A coarser model of the same body, of at most 5,000 nodes, for its vibrations, and for its statics, which
+        give the surface compliance under tools in contact. By default the body itself, or of a larger one its
+        surface filled again with about 3,000 nodes (`palpate.reduction.contact.coarse_body`).
     repeated : sequence of (loads, trajectory or path)
         Some of the training runs with contact, and their loads. The surface compliance is scaled to the
         mean tool forces of these runs.
@@ -121,12 +127,14 @@ def hyper_reduce(
     InputError
         No trajectory, or one of another body; neither or both of `modes` and `tolerance`; more modes than
         the snapshots span; a tolerance without held-out runs, or one that no size keeps; tools in contact
-        with a body of more than 5,000 nodes without `coarse`.
+        with a body of more than 5,000 nodes without `coarse` whose surface cannot be filled again.
 
     Warns
     -----
     TrustWarning
-        The basis is ``"pod"`` without enrichment although tools touch the body in the runs.
+        The basis is ``"pod"`` without enrichment although tools touch the body in the runs; or the mean errors on
+        the held-out runs are above 30 %, in force or surface under tools, else in displacement or reaction. The
+        report has that warning, with what to change, under ``"advice"``.
     """
     if (modes is None) == (tolerance is None):
         raise InputError("modes or tolerance must be given, but not both; leave one of them out")
@@ -140,21 +148,27 @@ def hyper_reduce(
     _check(full, snapshots.points)
     for _, run in held_out:
         _check(full, [run.points if isinstance(run, Trajectory) else StoredTrajectory(run).points])
-    share = number_in_range("cubature", cubature, 0.0, 1.0)
+    if cubature is not None:
+        cubature = number_in_range("cubature", cubature, 0.0, 1.0)
     if coarse is not None and not isinstance(coarse, EnergySolid):
         raise InputError(f"coarse must be a Solid with form='energy', got {coarse!r:.200}; make it in the energy form")
-    body = _energy_form(full)
+    body = energy_form(full)
     if isinstance(body, EnergySolid) and body.tissue.lame < 0:
         raise InputError(
             f"poisson of the material must make its volumetric coefficient positive for a reduced model, got "
             f"{full.material.poisson:.3g} with {body.tissue.lame:.3g} Pa; use a larger Poisson's ratio"
         )
     tools = (prescribed,) if isinstance(prescribed, str) else tuple(prescribed)
-    vibrations = _has_vibrations(basis, body, snapshots.has_contact and not tools, enrichment, coarse)
-    options = _Options(tools, held_out, enrichment, share, pressures, seed, coarse, repeated, vibrations)
+    touched = snapshots.has_contact and not tools and isinstance(body, EnergySolid)
+    vibrations = _has_vibrations(basis, body, touched, enrichment)
+    if (touched or vibrations) and coarse is None and isinstance(body, EnergySolid) and len(body.cloud) > MAX_NODES:
+        coarse = coarse_body(body, most=MAX_NODES)
+    if cubature is None:
+        cubature = CONTACT_CUBATURE if touched else CUBATURE
+    options = _Options(tools, held_out, enrichment, cubature, pressures, seed, coarse, repeated, vibrations)
     if modes is not None:
         count = integer_in_range("modes", modes, 0 if enrichment is not None else 1)
-        return _train(full, body, snapshots, count, options)
+        return _warned(_train(full, body, snapshots, count, options))
     if not held_out:
         raise InputError(
             "held_out must be given with a tolerance, got none; give held_out=, or modes= instead of tolerance="
@@ -170,11 +184,18 @@ def hyper_reduce(
         worst = max(found[name] for name in ("displacement", "velocity", "reaction"))
         reached.append(f"{size}: {worst:.2%}")
         if worst <= wanted:
-            return model
+            return _warned(model)
     raise InputError(
         f"tolerance must be attainable on the held-out runs, got {wanted:.2%} with errors by modes "
         f"({', '.join(reached)}); increase it, or train on more runs"
     )
+
+
+def _warned(model: ReducedModel) -> ReducedModel:
+    """Return a model; warn if its errors on held-out runs are too large to use it."""
+    if "advice" in model.report:
+        warnings.warn(model.report["advice"], TrustWarning, stacklevel=3)
+    return model
 
 
 @dataclass(frozen=True)
@@ -197,19 +218,12 @@ def _has_vibrations(
     body: EnergySolid | Membrane,
     contact: bool,
     enrichment: Floats | None,
-    coarse: EnergySolid | None,
 ) -> bool:
     """Return whether the modes are vibration modes; raise `InputError` or warn where the basis does not serve."""
     if basis not in (None, "pod", "vibrations"):
         raise InputError(f"basis must be 'pod' or 'vibrations', got {basis!r}; use one of them")
     if basis == "vibrations" and (isinstance(body, Membrane) or enrichment is not None):
         raise InputError("basis must be 'pod' for a membrane or with enrichment, got 'vibrations'; leave basis= out")
-    contact = contact and isinstance(body, EnergySolid)
-    if (contact or basis == "vibrations") and coarse is None and len(body.cloud) > MAX_NODES:
-        raise InputError(
-            f"coarse must be given for tools in contact with a body of more than {MAX_NODES} nodes, got none for "
-            f"{len(body.cloud)} nodes; give the same body with a larger spacing"
-        )
     if basis is None:
         return contact and enrichment is None
     if contact and basis == "pod" and enrichment is None:
@@ -230,7 +244,7 @@ def _check(full: Solid | Membrane, points: Sequence[Floats]) -> None:
             )
 
 
-def _energy_form(full: Solid | Membrane) -> EnergySolid | Membrane:
+def energy_form(full: Solid | Membrane) -> EnergySolid | Membrane:
     """Return the model itself, or for a strong form the same body in the energy form."""
     if isinstance(full, EnergySolid):
         return full
@@ -296,7 +310,11 @@ def _train(
             model, found = calibrate_contact(model, options.repeated)
             report |= found
     model = model.with_report(report)
-    return _test(model, options.held_out) if options.held_out else model
+    if not options.held_out:
+        return model
+    model = _test(model, options.held_out)
+    text = advice(model.report)
+    return model if text is None else model.with_report({"advice": text})
 
 
 @dataclass(frozen=True)
@@ -401,9 +419,11 @@ def _test(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
     """Run the held-out motions; return the model with their errors in its report and calibrated scales."""
     with warnings.catch_warnings(action="ignore", category=TrustWarning):  # its scales are not calibrated yet
         tested = in_threads(partial(_test_run, model), held_out)
-    found, frames = [entry for entry, _ in tested], [own for _, own in tested if own is not None]
+    found, frames = [entry for entry, _, _ in tested], [own for _, own, _ in tested if own is not None]
     touched = [entry for entry in found if entry["failed"] or "force" in entry]
+    missed, whole = np.sum([squares for _, _, squares in tested], axis=0)
     report: dict[str, Any] = {"runs": found, **_over_runs(found, list(Errors.__annotations__))}
+    report["projection_error"] = float(np.sqrt(missed / whole)) if whole else 0.0
     if any(not entry["failed"] for entry in touched):
         report["contact"] = _over_runs(touched, list(ContactErrors.__annotations__))
     if not frames:
@@ -413,17 +433,24 @@ def _test(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
     return ReducedModel(replace(model.data, **scales._asdict())).with_report({"held_out": report})
 
 
-def _test_run(model: ReducedModel, trial: Trial) -> tuple[dict[str, Any], Frames | None]:
-    """Repeat a held-out run; return its errors and frames, or why it failed."""
+def _test_run(model: ReducedModel, trial: Trial) -> tuple[dict[str, Any], Frames | None, tuple[float, float]]:
+    """Repeat a held-out run; return its errors and frames, or why it failed, and what its modes miss of it.
+
+    The last two numbers are squares: of the displacements that the modes do not represent, and of all.
+    """
     loads, kept = trial
     run = kept if isinstance(kept, Trajectory) else Trajectory.load(kept)
     every = float(run.times[1] - run.times[0])
+    rest = run.displacements - np.tensordot(
+        model.body.project(run.displacements), model.data.basis_vectors[: model.count], 1
+    )
+    squares = float(np.linalg.norm(rest)) ** 2, float(np.linalg.norm(run.displacements)) ** 2
     try:
         own = rollout(model, loads, duration=float(run.times[-1]), every=every, progress=False)
         errors = relative_errors(run, own).as_dict() | _contact_errors(model, loads, run, own)
-        return {"failed": False} | errors, held_out_frames(model, loads, own, run)
+        return {"failed": False} | errors, held_out_frames(model, loads, own, run), squares
     except DivergenceError as error:
-        return {"failed": True, "reason": str(error)}, None
+        return {"failed": True, "reason": str(error)}, None, squares
 
 
 def _contact_errors(model: ReducedModel, loads: Sequence[Load], run: Trajectory, own: Trajectory) -> dict[str, float]:

@@ -1,0 +1,142 @@
+"""A coarser model of a body, for its vibration modes and the statics of its surface.
+
+The surface that the boundary triangles of a body's cloud form is filled again with a larger spacing. Each node of the
+new cloud takes the properties of the nearest node of the old one, surface nodes from surface nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from palpate.arrays import Ints
+from palpate.dynamics.loads.supports import Roller, Support
+from palpate.dynamics.solid.model import EnergySolid
+from palpate.faults import CloudError, InputError, number_in_range
+from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.filling import fill
+from palpate.meshfree.surfaces import Surface
+from palpate.reduction.contact.residual_flexibility import MAX_NODES
+
+__all__ = ["coarse_body", "explicit_supports"]
+
+COARSE_NODES = 3000  # of the coarser body: factorised in seconds, and fine enough for modes and statics
+SURFACE_SHARE = 0.95  # surface nodes of `fill` over area / spacing^2, less the inner ones that they replace
+FINER = 0.9  # factor on a spacing that is too coarse for thin parts of the body
+
+
+def coarse_body(body: EnergySolid, spacing: float | None = None, most: int = MAX_NODES) -> EnergySolid:
+    """Return a model of the same body with a larger spacing.
+
+    The law, regions, fibres, stiffness factors, density, relaxation and damping are those of the nearest nodes.
+    So are the groups, hence supports and foundations; a group that is smaller than the new spacing takes the nearest
+    new nodes.
+
+    Parameters
+    ----------
+    body : EnergySolid
+        Its cloud has boundary triangles that form a closed surface, as `palpate.fill` and `palpate.box` return them.
+    spacing : float, optional [m]
+        By default that of about 3,000 nodes; smaller where the body has thin parts.
+    most : int
+        Largest number of nodes.
+
+    Raises
+    ------
+    InputError
+        The body has no closed surface or planes of symmetry, a support is lost, or no spacing gives a body of at most
+        so many nodes.
+    """
+    cloud = body.cloud
+    try:
+        if body.planes:
+            raise InputError("planes of symmetry cut the surface")
+        if not len(cloud.triangles):
+            raise InputError("its cloud has no boundary triangles")
+        coarse = _refill(Surface(cloud.points, cloud.triangles, "body"), spacing, most)
+        return _same_body(body, coarse)
+    except InputError as error:
+        raise InputError(
+            f"coarse must be given for tools in contact with a body of more than {most} nodes, got none for "
+            f"{len(cloud)} nodes, and its surface cannot be filled again: {error}; give the same body with a larger "
+            "spacing"
+        ) from error
+
+
+def _refill(surface: Surface, spacing: float | None, most: int) -> Cloud:
+    """Return a cloud that fills a surface with a spacing [m], by default of about `COARSE_NODES` nodes."""
+    if spacing is not None:
+        return fill(surface, number_in_range("spacing", spacing, 0.0, open_low=True, unit="m"))
+    volume, area = abs(surface.volume), surface.area
+    wanted = min(COARSE_NODES, 0.75 * most)
+    roots = np.roots([wanted, 0.0, -SURFACE_SHARE * area, -volume])
+    spacing = float(roots[np.abs(roots.imag) < 1e-9 * np.abs(roots.real)].real.max())
+    while True:
+        try:
+            cloud = fill(surface, spacing)
+        except CloudError as error:  # too coarse for thin parts
+            fault: InputError = error
+        else:
+            if len(cloud) <= most:
+                return cloud
+            fault = InputError(f"a spacing of {spacing:.3g} m gives {len(cloud)} nodes")
+        spacing *= FINER
+        if volume / spacing**3 + SURFACE_SHARE * area / spacing**2 > most:
+            raise fault
+
+
+def _same_body(body: EnergySolid, cloud: Cloud) -> EnergySolid:
+    """Return a model in another cloud of the same body."""
+    nearest, tissue = _nearest_nodes(body.cloud, cloud), body.tissue
+    material = (
+        tissue.material
+        if tissue.regions is None
+        else [tissue.regions.materials[which] for which in tissue.regions.which[nearest]]
+    )
+    return EnergySolid(
+        _carry_groups(body.cloud, cloud, nearest),
+        material,
+        explicit_supports(body.cloud, body.supports),
+        stiffness_damping=body.stiffness_damping,
+        mass_damping=body.mass_damping,
+        stiffness=tissue.stiffness[nearest] if len(tissue.stiffness) else None,
+        fibres=None if tissue.fibres is None else tissue.fibres.of(nearest),
+    )
+
+
+def explicit_supports(cloud: Cloud, supports: Sequence[Support]) -> list[Support]:
+    """Return supports whose directions do not depend on the faces of a cloud."""
+    return [
+        replace(support, normal=tuple(support.directions(cloud)[0])) if isinstance(support, Roller) else support
+        for support in supports
+    ]
+
+
+def _nearest_nodes(fine: Cloud, coarse: Cloud) -> Ints:
+    """Return the node of a fine cloud nearest to each of a coarse one, on the surface or inside as that."""
+    nearest = np.zeros(len(coarse), dtype=np.int64)
+    for of, to in zip(_surface_and_interior(fine), _surface_and_interior(coarse), strict=True):
+        of = of if len(of) else np.arange(len(fine))
+        nearest[to] = of[cKDTree(fine.points[of]).query(coarse.points[to])[1]]
+    return nearest
+
+
+def _surface_and_interior(cloud: Cloud) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    surface = np.unique(cloud.face_nodes)
+    return surface, np.setdiff1d(np.arange(len(cloud)), surface)
+
+
+def _carry_groups(fine: Cloud, coarse: Cloud, nearest: Ints) -> Cloud:
+    """Return the coarse cloud with the groups of the fine one."""
+    groups = dict(coarse.groups)
+    for name, nodes in fine.groups.items():
+        own = np.flatnonzero(np.isin(nearest, nodes))
+        if not len(own):
+            surface = np.unique(coarse.face_nodes)
+            own = np.unique(surface[cKDTree(coarse.points[surface]).query(fine.points[nodes])[1]])
+        groups[name] = own
+    return replace(coarse, groups=groups)
