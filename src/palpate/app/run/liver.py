@@ -15,10 +15,12 @@ from palpate.app.models.cache import LIVER, cache_file, load_cached_liver
 from palpate.app.run.realtime import Poses, run_realtime
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.run.model import Model
+from palpate.dynamics.solid.model import Solid
 from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import load
-from palpate.scenes.liver import ToolPaths, pressed_liver
+from palpate.scenes.liver import MAX_SLIDE, pressed_liver
+from palpate.scenes.tool_paths import ToolPaths
 from palpate.scenes.training import typed
 
 __all__ = ["pressing_ball", "run_liver"]
@@ -90,7 +92,8 @@ def _run_full(spacing: float, options: dict[str, Any]) -> int:
         radius = max(FULL_RADIUS, SPACINGS_OF_BALL * spacing)
         with console.status("filling the liver with nodes (the first time on a machine compiles it)"):
             scene = pressed_liver(spacing=spacing, radius=radius, depth=DEEPEST)
-        paths = ToolPaths(scene.model.cloud, radius, DEEPEST, FRICTION, SHALLOWEST)
+        assert isinstance(scene.model, Solid)
+        paths = _tool_paths(scene.model, radius, DEEPEST, FRICTION)
         return scene.model, *_presses(paths)
 
     return run_realtime(make, title="Full liver pressed by a ball, in real time", about={"full": True}, **options)
@@ -106,7 +109,11 @@ def pressing_ball(body: ReducedModel, file: Path) -> tuple[Poses, Contact]:
             "with palpate train liver"
         )
     about = typed(LIVER, scene["parameters"])
-    return _presses(ToolPaths(body.cloud, about["radius"], min(about["depth"], DEEPEST), about["friction"], SHALLOWEST))
+    return _presses(_tool_paths(body, about["radius"], min(about["depth"], DEEPEST), about["friction"]))
+
+
+def _tool_paths(body: Solid | ReducedModel, radius: float, depth: float, friction: float) -> ToolPaths:
+    return ToolPaths(body, radius, depth, friction, MAX_SLIDE, grasps=0.0, shallowest=SHALLOWEST)
 
 
 def _presses(paths: ToolPaths) -> tuple[Poses, Contact]:
