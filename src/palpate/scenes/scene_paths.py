@@ -39,19 +39,13 @@ def paths_of(scene: OrganScene) -> Paths:
     InputError
         The tool does not suit the body.
     """
-    springs = scene.foundations
-    if scene.held_group:
-        lasting = scene.description.training.duration
-        held_motion(scene, 0, lasting)  # raises an error at once
-        return lambda seed: (
-            (*springs, held_motion(scene, seed, lasting).load(scene.cloud, scene.held_group)),
-            lasting,
-        )
-    paths = touching_paths(scene)
+    if not scene.held_group:
+        return touching_paths(scene)
+    lasting = scene.description.training.duration
+    held_motion(scene, 0, lasting)  # raises an error at once
 
     def path(seed: int) -> tuple[tuple[Load, ...], float]:
-        loads, duration = paths(seed)
-        return (*springs, *loads), duration
+        return (*scene.foundations, held_motion(scene, seed, lasting).load(scene.cloud, scene.held_group)), lasting
 
     return path
 
@@ -93,6 +87,7 @@ def touching_paths(
         SLIDE_SHARE * length if training.slide is None else training.slide,
         training.grasps,
         shallowest,
+        scene.foundations,
     )
 
 

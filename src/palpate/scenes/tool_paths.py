@@ -13,6 +13,7 @@ other paths are independent of them and of each other.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats, Ints
 from palpate.dynamics.contact.tools import Contact, Grasp, Sphere
+from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.solid.model import Solid
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.reduction.hyper.model import ReducedModel
@@ -85,6 +87,8 @@ class ToolPaths:
         Share of paths that are grasps, evenly spaced: with 0.25 the seeds 3, 7, 11 and so on.
     shallowest : float
         Depth of the shallowest press and length of the shortest pull, over the largest at its place.
+    others : sequence of loads
+        Further loads of every path, such as foundations.
 
     Attributes
     ----------
@@ -112,7 +116,9 @@ class ToolPaths:
         slide: float,
         grasps: float = 0.25,
         shallowest: float = 0.3,
+        others: Sequence[Load] = (),
     ) -> None:
+        self.others = tuple(others)
         self.surface = surface = FreeSurface(body)
         spacing = surface.cloud.spacing
         self.radius = number_in_range("radius", radius, MIN_RADIUS * spacing * (1 - 1e-9), unit="m")
@@ -139,7 +145,7 @@ class ToolPaths:
         self._reachable_tree = cKDTree(surface.points[self.reachable])
         self._orders: dict[int, Ints] = {}
 
-    def __call__(self, seed: int) -> tuple[tuple[Contact | Grasp], float]:
+    def __call__(self, seed: int) -> tuple[tuple[Load, ...], float]:
         """Return the loads of a path and its duration [s].
 
         Parameters
@@ -153,7 +159,8 @@ class ToolPaths:
         InputError
             The seed is negative.
         """
-        return self.grasp(seed) if _is_grasp(seed, self.grasps) else self.press(seed)
+        loads, duration = self.grasp(seed) if _is_grasp(seed, self.grasps) else self.press(seed)
+        return (*self.others, *loads), duration
 
     def press(self, seed: int) -> tuple[tuple[Contact], float]:
         """Return the load of a ball that presses, slides and retracts, and its duration [s]."""

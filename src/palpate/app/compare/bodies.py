@@ -25,9 +25,9 @@ __all__ = ["BODIES", "ComparedBody", "compared_beam", "compared_liver"]
 
 SMALL_PULL, LARGE_PULL = 0.1, 100.0  # [N] of the beam; the large one is the paper's
 SMALL_WAY, LARGE_WAY = 2e-4, 0.02  # [m] of the liver's tool; the large one is the training's deepest press
+MARGIN = 0.02  # [m] least distance of the liver's tool from its fixed back
 TOOL = "tool"
 TOOL_SECONDS = 0.6  # [s] of the liver's tool, out and back
-MARGIN = 0.02  # [m] smallest distance of the place from the back
 GRIP_SPACINGS = 2.0  # [spacings] radius of the nodes that the tool holds
 
 

@@ -22,7 +22,7 @@ from palpate import __version__
 from palpate.dynamics.run.trajectory import StoredTrajectory
 from palpate.faults import FileFormatError, InputError
 from palpate.files import digest_of, read_sealed_json, regular_file, write_sealed_json
-from palpate.scenes.scene import TrainingScene
+from palpate.scenes.scene import CAMPAIGN_SEEDS, TRAINING_SEEDS, TrainingScene
 from palpate.sealed import loading
 
 __all__ = ["HELD_OUT", "MAX_PATHS", "RECORDED", "TRAINED", "Folder", "Job", "jobs", "manifest_of", "open_campaign"]
@@ -30,7 +30,7 @@ __all__ = ["HELD_OUT", "MAX_PATHS", "RECORDED", "TRAINED", "Folder", "Job", "job
 FORMAT, VERSION = "palpate campaign", 2
 MAX_RECORD_BYTES = 1 << 20  # bytes of a manifest, or of the record of a failed run
 TRAINED, HELD_OUT, RECORDED = "train", "held_out", "recorded"
-STRIDE, MAX_PATHS = 1_000_000, 500_000  # seeds of a campaign, and of either kind of run in it
+MAX_PATHS = TRAINING_SEEDS  # of either kind of run
 
 
 class Job(NamedTuple):
@@ -48,7 +48,7 @@ class Job(NamedTuple):
 
 def jobs(seed: int, paths: Iterable[int], held_out: int) -> list[Job]:
     """Return the runs of a campaign: of training paths by number, and a number of held-out ones."""
-    first = seed * STRIDE
+    first = seed * CAMPAIGN_SEEDS
     return [Job(TRAINED, k, first + k) for k in paths] + [
         Job(HELD_OUT, k, first + MAX_PATHS + k) for k in range(held_out)
     ]
