@@ -75,6 +75,7 @@ _HOME = {
     "TrustWarning": "faults",
     "Statistics": "realtime.statistics",
     "TrainingScene": "scenes.scene",
+    "open_scene": "scenes.open_scene",
 }
 _MODULES = ("io", "lti", "materials", "tools", "typing")
 

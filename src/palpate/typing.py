@@ -24,6 +24,7 @@ from palpate.reduction.hyper.data import ReducedData
 from palpate.reduction.hyper.error_indicator import ExpectedError
 from palpate.reduction.lti.realtime import LinearRealtime
 from palpate.reduction.realtime.model import RealtimeModel
+from palpate.scenes.organ_scene import OrganScene
 
 __all__ = [
     "Clamp",
@@ -48,6 +49,7 @@ __all__ = [
     "NodalFields",
     "NodalModel",
     "NodalWork",
+    "OrganScene",
     "Outputs",
     "PreparedLoads",
     "Reading",

@@ -246,6 +246,11 @@ class OrganScene(Described):
         return paths_of(self)
 
     @property
+    def region_groups(self) -> list[str]:
+        """Groups of the regions."""
+        return [self._group("region", number) for number in range(len(self.description.region))]
+
+    @property
     def held_group(self) -> str:
         """Group that the tool holds; empty for a tool that touches the body."""
         tool = self.description.tool

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -22,7 +22,12 @@ from palpate.meshfree.filling import fill
 from palpate.meshfree.gate import nearest_spacing
 from palpate.meshfree.surface_checks import SurfaceReport, check_surface
 from palpate.meshfree.surface_files import read_surface
+from palpate.meshfree.surface_repair import repair_surface
 from palpate.meshfree.surfaces import Surface
+from palpate.scenes.names import is_scene_file
+from palpate.scenes.open_scene import open_scene
+from palpate.scenes.organ_scene import OrganScene
+from palpate.scenes.scene_paths import touching_paths
 
 __all__ = ["FILES", "check"]
 
@@ -47,7 +52,8 @@ def check(
     Parameters
     ----------
     file : path
-        A surface, as for `palpate.io.read_surface`.
+        A surface, as for `palpate.io.read_surface`, or a scene file, whose supports, regions and tool are also
+        reported.
     spacing : float, optional [m]
         Between nodes; by default one that gives some 4,000.
     part, units, scale, repair
@@ -72,8 +78,25 @@ def check(
         There is no such file.
     """
     check_folder(out)
-    surface = read_surface(file, part=part, units=units, scale=scale, repair=repair)
     console = Console()
+    scene = None
+    if is_scene_file(file.name):
+        given = {
+            "part": part,
+            "units": units,
+            "spacing": spacing,
+            "scale": scale != 1.0,
+            "repair": repair,
+            "seed": seed,
+        }
+        for name, value in given.items():
+            if value:
+                raise InputError(f"{name} must be left out with a scene file, got {value!r}; change the file")
+        scene = open_scene(file)
+        surface, seed, repair = _scene_surface(scene), scene.description.body.seed, scene.description.surface.repair
+        spacing = scene.description.body.spacing
+    else:
+        surface = read_surface(file, part=part, units=units, scale=scale, repair=repair)
     with console.status("examining the surface"):
         found = check_surface(surface)
     if spacing is None:
@@ -85,7 +108,10 @@ def check(
         "surface": _surface_entry(surface, found),
         "machine": machine(),
     }
-    cloud = _fill(surface, found, spacing, seed, report, console)
+    make = _filling(surface, spacing, seed) if scene is None else lambda: scene.with_body(spacing=spacing).cloud
+    cloud = _fill(surface, found, make, report, console)
+    if scene is not None and cloud is not None:
+        report["scene"] = _scene_entry(scene.with_body(spacing=spacing), console)
     out.mkdir(parents=True, exist_ok=True)
     for name in FILES:
         (out / name).unlink(missing_ok=True)
@@ -102,8 +128,39 @@ def check(
     return 0 if cloud is not None else 1
 
 
+def _filling(surface: Surface, spacing: float, seed: int) -> Callable[[], Cloud]:
+    return lambda: fill(surface, spacing, seed=seed)
+
+
+def _scene_surface(scene: OrganScene) -> Surface:
+    """Return the surface of a scene, as it is filled."""
+    if scene.surface is None:
+        raise InputError(f"{scene.name} must have a surface to check, got a {scene.description.surface.generated}")
+    return repair_surface(scene.surface) if scene.description.surface.repair else scene.surface
+
+
+def _scene_entry(scene: OrganScene, console: Console) -> dict[str, Any]:
+    """Return what the supports of a scene hold, and what its tool reaches."""
+    with console.status("preparing the body, and finding where a tool reaches"):
+        body = scene.body
+        entry: dict[str, Any] = {
+            "material": str(scene.material),
+            "supports": {each.group: len(body.cloud.group(each.group)) for each in body.supports},
+            "springs": {each.group: len(body.cloud.group(each.group)) for each in scene.foundations},
+            "regions": {name: len(nodes) for name, nodes in body.cloud.groups.items() if name in scene.region_groups},
+        }
+        if not scene.held_group:
+            paths = touching_paths(scene)
+            area = paths.surface.areas
+            entry |= {
+                "radius": paths.radius, "depth": paths.depth, "reached": area[paths.reachable].sum() / area.sum(),
+                "held": area[paths.surface.held].sum() / area.sum(),
+            }  # fmt: skip
+    return entry
+
+
 def _fill(
-    surface: Surface, found: SurfaceReport, spacing: float, seed: int, report: dict[str, Any], console: Console
+    surface: Surface, found: SurfaceReport, make: Callable[[], Cloud], report: dict[str, Any], console: Console
 ) -> Cloud | None:
     """Return the cloud and add it to the report; return None, with the reason there, if filling is refused."""
     if found.errors:
@@ -115,7 +172,7 @@ def _fill(
         warnings.simplefilter("always")
         begin = perf_counter()
         try:
-            cloud = fill(surface, spacing, seed=seed)
+            cloud = make()
         except InputError as error:
             report["refused"] = " ".join(str(error).split())
             return None
@@ -176,6 +233,13 @@ def _rows(report: dict[str, Any]) -> dict[str, str]:
                 f"{values[0]:.2f} to {values[-1]:.2f} spacings, median {values[2]:.2f}"
             )
         rows["filled in"] = f"{cloud['seconds']:.2f} s"
+    for kind in ("supports", "springs", "regions"):
+        for name, nodes in report.get("scene", {}).get(kind, {}).items():
+            rows[f"{kind}, {name}"] = f"{nodes} nodes"
+    if "reached" in report.get("scene", {}):
+        scene = report["scene"]
+        rows["tool"] = f"a ball of {1e3 * scene['radius']:.3g} mm, up to {1e3 * scene['depth']:.3g} mm deep"
+        rows["surface that it reaches; that supports hold"] = f"{scene['reached']:.0%}; {scene['held']:.0%}"
     return rows
 
 

@@ -24,10 +24,11 @@ def add_check(commands: Any) -> None:
         _load,
         summary="examine the surface of an organ and fill it with nodes",
         description=f"Read a closed surface ({listed_formats()}), list its faults, and fill it with nodes if it has "
-        "none. Leave a report with pictures in a folder. See docs/organs.md.",
+        "none. Leave a report with pictures in a folder. Of a scene file, also report supports, regions and what the "
+        "tool reaches. See docs/organs.md and docs/scenes.md.",
     )
     add = check.add_argument
-    add("file", type=existing_file, metavar="FILE", help="file of the surface")
+    add("file", type=existing_file, metavar="FILE", help="file of the surface, or scene file (organ.toml)")
     text = "distance between nodes [m] (default: one that gives about 4,000 nodes)"
     add("--spacing", type=number, metavar="M", help=text)
     add_parts(check)

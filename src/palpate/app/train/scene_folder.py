@@ -8,10 +8,13 @@ from pathlib import Path
 from platformdirs import user_cache_path
 
 from palpate import __version__
+from palpate.faults import InputError
 from palpate.scenes.names import SCENES, is_scene_file
 from palpate.scenes.organ_scene import OrganScene
 
-__all__ = ["name_in_folder", "scene_in_folder", "training_folder"]
+__all__ = [
+    "folder_of_file", "last_recording", "name_in_folder", "recordings_folder", "scene_in_folder", "training_folder",
+]  # fmt: skip
 
 FOLDER_SUFFIX = ".palpate"  # of the folder next to a scene file
 
@@ -20,8 +23,28 @@ def training_folder(scene: OrganScene) -> Path:
     """Return the folder of a scene's campaign, whether it exists or not; a changed scene has another folder."""
     if scene.name in SCENES:
         return user_cache_path("palpate") / f"{scene.name}-{__version__}-{scene.digest[:8]}"
-    file = Path(scene.name)
-    return file.with_name(file.stem + FOLDER_SUFFIX) / scene.digest[:8]
+    return folder_of_file(Path(scene.name)) / scene.digest[:8]
+
+
+def folder_of_file(file: Path) -> Path:
+    """Return the folder next to a scene file."""
+    return file.with_name(file.stem + FOLDER_SUFFIX)
+
+
+def recordings_folder(file: Path) -> Path:
+    """Return the folder of the recordings of a page that shows a scene file."""
+    return folder_of_file(file) / "recordings"
+
+
+def last_recording(file: Path) -> Path:
+    """Return the newest recording of a scene file; raise `InputError` if there is none."""
+    found = sorted(recordings_folder(file).glob("*.h5"), key=lambda path: (path.stat().st_mtime_ns, path.name))
+    if not found:
+        raise InputError(
+            f"{file} must have a recording in {recordings_folder(file)}, got none; press record on the page of palpate "
+            f"view {file}"
+        )
+    return found[-1]
 
 
 def name_in_folder(scene: str, folder: Path) -> str:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from palpate.app.common.arguments import parse_settings
 from palpate.app.common.console import Console, print_json, print_plain, quantities_table
 from palpate.app.common.exit_status import DONE, FAILED, INTERRUPTED
+from palpate.app.train.scene_folder import recordings_folder
 from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK, open_listener
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.extras import require
@@ -257,6 +258,8 @@ def _session(
         if wait is not None:
             wait()
         session = _open_session(model, subject, foundations)
+    if is_scene_file(subject.what):
+        session.folder = recordings_folder(Path(subject.what))
     session.start()
     if record is not None:
         session.start_recording(record)

@@ -92,7 +92,7 @@ def add_replay(commands: Any) -> None:
         description="Show a recording on a page, draw it, or run its tool's path on the full model. See docs/view.md.",
     )
     add = replay.add_argument
-    add("file", type=existing_file, metavar="FILE.h5", help="the recording")
+    add("file", type=existing_file, metavar="FILE.h5", help="the recording, or a scene file: its newest recording")
     text = "run the path on the full model, and print the error of the recorded model"
     add("--full", action="store_true", help=text)
     text = "with --full: your own scene, which the recording must name; also from the current folder"

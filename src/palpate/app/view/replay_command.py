@@ -9,6 +9,7 @@ from typing import Any
 
 from palpate.app.common.console import Console, count_nodes, percent, print_plain, quantities_table
 from palpate.app.recordings.recording import Recording, load_recording, save_recording
+from palpate.app.train.scene_folder import last_recording
 from palpate.app.view.film import (
     RecordingPlotter,
     check_movie,
@@ -23,6 +24,7 @@ from palpate.dynamics.run.progress import progress_bar
 from palpate.extras import require
 from palpate.faults import InputError
 from palpate.files import check_folder
+from palpate.scenes.names import is_scene_file
 
 __all__ = ["replay"]
 
@@ -44,7 +46,7 @@ def replay(
     Parameters
     ----------
     file : path
-        File of a recording.
+        File of a recording, or a scene file: its newest recording.
     full : bool
         First replay the tool's path on the full model, print the errors, and store its surface in the file.
     scene : str, optional
@@ -72,6 +74,9 @@ def replay(
         The full model diverged.
     """
     console = Console()
+    if is_scene_file(file.name):
+        file = last_recording(file)
+        console.say(f"replaying {file}")
     if movie is not None:
         check_movie(movie)
     if png is not None and png.suffix.lower() != ".png":
