@@ -1,0 +1,128 @@
+"""Every organ surface at hand by the commands a newcomer uses, with default choices: how long, and how good.
+
+For each surface `palpate new` writes a scene file; `palpate view --headless` presses the full body by a script (the
+time to its end, less the length of the script, bounds the time to the first force); `palpate train` makes the small
+the defaults; and again with 32 paths and 10 held-out ones.
+
+    python validation/organ_models.py [--only NAME] [--small] [--folder out/organs] [--table]
+
+Results are added to docs/validation/organ_models.json, one organ a line; docs/organs.md has the table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from organs import DATA, SURFACES
+
+import palpate as pt
+
+RESULTS = Path(__file__).parents[1] / "docs" / "validation" / "organ_models.json"
+PATHS, HELD_OUT = 32, 10
+PRESS_SECONDS, DEPTH = 1.0, 0.2  # [s] of the script; depth of its press over the radius of the ball
+
+
+def palpate(*words: Any) -> tuple[float, str]:
+    """Run a command; return its duration [s] and what it printed."""
+    began = perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-m", "palpate", *map(str, words)], capture_output=True, text=True, check=False
+    )
+    if done.returncode not in (0, 3):
+        raise SystemExit(f"palpate {' '.join(map(str, words))} ended with {done.returncode}: {done.stderr[-2000:]}")
+    return perf_counter() - began, done.stdout
+
+
+def press(scene: Path) -> str:
+    """Return a script that presses the highest point of a scene's body with its ball."""
+    opened = pt.open_scene(scene)
+    points, radius = opened.cloud.points, opened.description.tool.radius
+    top = points[np.argmax(points[:, 2])]
+    away, deep = (top + np.array([0.0, 0.0, height * radius]) for height in (1.1, 1 - DEPTH))
+    tool = {"time": 0.0, "type": "tool", "kind": "sphere", "radius": radius, "position": away.tolist()}
+    return "\n".join(map(json.dumps, (tool, {"time": 0.1, "type": "pose", "position": deep.tolist()})))
+
+
+def measure(name: str, folder: Path, small: bool) -> dict[str, Any]:
+    """Return the times and errors of an organ."""
+    source = SURFACES[name]
+    assert source is not None
+    scene = folder / f"{name.replace(' ', '-')}.toml"
+    shutil.rmtree(scene.with_suffix(".palpate"), ignore_errors=True)
+    scene.unlink(missing_ok=True)
+    entry: dict[str, Any] = {"organ": name}
+    entry["new"], _ = palpate("new", DATA / source[0], "--out", scene)
+    script = folder / "press.jsonl"
+    script.write_text(press(scene))
+    options = ["--headless", "--seconds", PRESS_SECONDS, "--script", script, "--json"]
+    seconds, printed = palpate("view", scene, *options)
+    entry |= {"first_force": seconds - PRESS_SECONDS, "largest_force": json.loads(printed)["largest_force"]}
+    entry["small"] = train(scene)
+    if not small:
+        entry["large"] = train(scene, "--paths", PATHS, "--held-out", HELD_OUT)
+    return entry
+
+
+def train(scene: Path, *options: Any) -> dict[str, Any]:
+    """Return the duration of a training and the errors of its model."""
+    seconds, printed = palpate("train", scene, "--json", *options)
+    report = json.loads(printed)
+    held_out = report["model"]["held_out"]["contact"]
+    return {
+        "seconds": seconds, "nodes": report["model"]["nodes_full"], "sampled": report["model"]["nodes"],
+        "megabytes": next(scene.with_suffix(".palpate").glob("*/model.rom")).stat().st_size / 1e6,
+        "force": held_out["mean"]["force"], "force_95": held_out["mean"]["force_95"],
+        "surface_95": held_out["mean"]["surface_95"],
+    }  # fmt: skip
+
+
+def table(entries: list[dict[str, Any]]) -> str:
+    """Return the table of the document."""
+    lines = [
+        "| organ | nodes | first force | small model | force; 95 %; surface | 32 paths | force; 95 %; surface | file |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for each in entries:
+        small, large = each["small"], each.get("large")
+        words = [
+            each["organ"], f"{small['nodes']:,}", f"{each['new'] + each['first_force']:.0f} s",
+            f"{small['seconds'] / 60:.1f} min", errors(small),
+            f"{large['seconds'] / 60:.1f} min" if large else "", errors(large) if large else "",
+            f"{(large or small)['megabytes']:.1f} MB",
+        ]  # fmt: skip
+        lines.append(f"| {' | '.join(words)} |")
+    return "\n".join(lines)
+
+
+def errors(found: dict[str, Any]) -> str:
+    return f"{found['force']:.1%}; {found['force_95']:.1%}; {found['surface_95']:.1%}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", nargs="+", default=[name for name, source in SURFACES.items() if source])
+    parser.add_argument("--small", action="store_true", help="leave out the training with 32 paths")
+    parser.add_argument("--folder", type=Path, default=Path("out/organs"))
+    parser.add_argument("--table", action="store_true", help="print the table of the results and end")
+    given = parser.parse_args()
+    entries = {each["organ"]: each for each in json.loads(RESULTS.read_text())} if RESULTS.exists() else {}
+    if not given.table:
+        given.folder.mkdir(parents=True, exist_ok=True)
+        for name in given.only:
+            entries[name] = measure(name, given.folder, given.small)
+            print(json.dumps(entries[name]), flush=True)
+            lines = ",\n".join(json.dumps(each) for each in entries.values())
+            RESULTS.write_text(f"[\n{lines}\n]\n")
+    print(table(list(entries.values())))
+
+
+if __name__ == "__main__":
+    main()
