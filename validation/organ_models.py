@@ -2,7 +2,7 @@
 
 For each surface `palpate new` writes a scene file; `palpate view --headless` presses the full body by a script (the
 time to its end, less the length of the script, bounds the time to the first force); `palpate train` makes the small
-the defaults; and again with 32 paths and 10 held-out ones.
+model of the defaults; and again with 32 paths and 10 held-out ones.
 
     python validation/organ_models.py [--only NAME] [--small] [--folder out/organs] [--table]
 

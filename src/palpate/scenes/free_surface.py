@@ -40,9 +40,11 @@ class FreeSurface:
         Surface nodes, ascending. All other arrays over the surface have their order.
     points : (s, 3) array [m]
     areas : (s,) array [m^2]
-        Share of the surface of each node.
+        Share of the surface of each node, of all faces that it lies on.
+    vectors : (s, 3) array [m^2]
+        Area times outward normal, summed over these faces.
     normals : (s, 3) array
-        Unit outward normals, means over the faces of a node.
+        Unit vectors along these.
     held : (s,) bool array
     fixed_points : (f, 3) array [m]
         All held nodes, also those inside the body.
@@ -62,7 +64,7 @@ class FreeSurface:
         self.points = cloud.points[self.nodes]
         vectors = np.zeros_like(cloud.points)
         np.add.at(vectors, cloud.face_nodes, cloud.face_areas[:, None] * cloud.face_normals)
-        self.vectors = vectors[self.nodes]  # area times normal [m^2]
+        self.vectors = vectors[self.nodes]
         self.areas = np.bincount(cloud.face_nodes, cloud.face_areas, len(cloud))[self.nodes]
         self.normals = _unit(self.vectors)
         held = supported_nodes(cloud, body.supports).kind == FIXED

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.app.common.figures import BLUE, ORANGE, figure, heading, scale_bar
-from palpate.app.common.rendering import off_screen, surface
+from palpate.app.common.figures import BLUE, ORANGE, figure, heading
+from palpate.app.common.rendering import show, surface
 from palpate.arrays import Floats
 from palpate.files import shortened
 from palpate.meshfree.cloud import Cloud
@@ -28,7 +28,6 @@ MARKS = {
 }
 MAX_NAME_LENGTH = 48  # characters of a surface in a heading
 SIDES = {"Seen along +y": (0.0, -1.0, 0.25), "Seen along -y": (0.0, 1.0, 0.25), "Seen along +z": (0.0, -0.5, -1.0)}
-PIXELS = 900
 
 
 def draw_surface(body: Surface, found: SurfaceReport, path: Path) -> None:
@@ -72,27 +71,18 @@ def _show(
     places: Mapping[str, Floats] | None = None,
     edges: bool = False,
 ) -> None:
-    """Draw a body seen from a side, with a scale bar."""
+    """Draw a body seen from a side, with dots."""
+    import pyvista
+
     towards = towards / np.linalg.norm(towards)
-    right = np.cross([0.0, 0.0, 1.0], towards)
-    right /= np.linalg.norm(right)
-    up = np.cross(towards, right)
-    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    width, height = (2.1 * np.abs((points - middle) @ axis).max() for axis in (right, up))
-    with off_screen(width, height, middle, towards, PIXELS) as plotter:
+
+    def draw(plotter: Any, width: float) -> None:
         plotter.add_mesh(shape, color=TISSUE, smooth_shading=not edges, show_edges=edges, edge_color="#5A2F28")
         for kind, where in (places or {}).items():
-            import pyvista
-
             dots = pyvista.PolyData(where + 0.5 * width * towards)
             plotter.add_mesh(dots, color=MARKS[kind][0], point_size=12, render_points_as_spheres=True)
-        plotter.reset_camera_clipping_range()
-        image = np.asarray(plotter.screenshot(return_img=True))
-    half = 0.5e3 * width, 0.5e3 * height
-    axes.imshow(image, extent=(-half[0], half[0], -half[1], half[1]), interpolation="antialiased")
-    axes.set_axis_off()
-    axes.set_title(title)
-    scale_bar(axes, -half[0], half[0], -0.95 * half[1])
+
+    show(axes, points, towards, title, draw)
 
 
 def _cut(axes: Any, cloud: Cloud) -> None:

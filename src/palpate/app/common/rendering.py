@@ -5,22 +5,24 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
+from palpate.app.common.figures import scale_bar
 from palpate.arrays import Floats
 from palpate.extras import require
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 
-__all__ = ["COLOURS", "PIXELS", "DrawingError", "check_drawing", "off_screen", "surface"]
+__all__ = ["COLOURS", "PIXELS", "DrawingError", "check_drawing", "off_screen", "show", "surface"]
 
 
 COLOURS = "cividis"  # one that colour-blind people read as others do
 PIXELS = 2000  # across a picture
+VIEW_PIXELS = 900  # across one of several views
 
 # VTK opens its graphics libraries only when it draws, and crashes where one is missing: let another process try.
 PROBE = """
@@ -99,3 +101,34 @@ def off_screen(width: float, height: float, middle: Floats, towards: Floats, pix
         yield plotter
     finally:
         plotter.close()
+
+
+def show(axes: Any, points: Floats, towards: Floats, title: str, draw: Callable[[Any, float], None]) -> None:
+    """Show a body seen from a side in matplotlib axes, with a scale bar.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    points : (n, 3) array [m]
+        Of the body.
+    towards : (3,) array
+        Direction from the body to the camera, not along z.
+    title : str
+    draw : function
+        Adds meshes to a PyVista plotter; it also gets the width of the view [m].
+    """
+    towards = towards / np.linalg.norm(towards)
+    right = np.cross([0.0, 0.0, 1.0], towards)
+    right /= np.linalg.norm(right)
+    up = np.cross(towards, right)
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    width, height = (2.1 * np.abs((points - middle) @ axis).max() for axis in (right, up))
+    with off_screen(width, height, middle, towards, VIEW_PIXELS) as plotter:
+        draw(plotter, width)
+        plotter.reset_camera_clipping_range()
+        image = np.asarray(plotter.screenshot(return_img=True))
+    half = 0.5e3 * width, 0.5e3 * height
+    axes.imshow(image, extent=(-half[0], half[0], -half[1], half[1]), interpolation="antialiased")
+    axes.set_axis_off()
+    axes.set_title(title)
+    scale_bar(axes, -half[0], half[0], -0.95 * half[1])

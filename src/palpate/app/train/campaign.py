@@ -119,8 +119,8 @@ class Campaign:
     ) -> tuple[list[Job], ReducedModel, list[Round]]:
         """Train models on more and more runs, until the error on the held-out runs is at most a tolerance.
 
-        The paths of further runs are those on which the model so far errs most
-        (`palpate.app.train.choose`). The folder keeps their numbers.
+        The paths of further runs are those that cover most of the uncovered surface, and on which the model so
+        far errs most (`palpate.app.train.choose`). The folder keeps their numbers.
 
         Parameters
         ----------
@@ -169,7 +169,8 @@ class Campaign:
         count, first = next_count(len(chosen), most), max(chosen) + 1
         candidates = jobs(self.folder.manifest["seed"], range(first, first + CANDIDATES_PER_RUN * count), 0)
         with self.console.status(f"trying {len(candidates)} paths on the reduced model"):
-            return sorted(job.number for job in choose(model, self.folder, self.scene, candidates, count))
+            found = choose(model, self.folder, self.scene, candidates, count, self.jobs(chosen, 0))
+        return sorted(job.number for job in found)
 
     def _make_runs(self, wanted: Sequence[Job]) -> None:
         """Make the missing runs, and print their progress."""

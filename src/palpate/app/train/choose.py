@@ -1,8 +1,12 @@
-"""Choice of the training paths on which a reduced model errs most, by the model alone.
+"""Choice of training paths that cover more of the surface and on which a reduced model errs most.
 
 POD-greedy (Haasdonk and Ohlberger, ESAIM: M2AN 42, 2008): the reduced model runs along candidate paths, and the full
 model along those with the largest trust numbers. Several are chosen at a time. So the states of those already chosen
 count as trained, and two similar paths are not chosen together.
+
+The score of a path is the error expected at its trust number, 1 where it is larger or unknown, plus the share of
+the surface under its tools that no path before it covers. So an uncovered place counts as an error of 100 %, and comes
+first; on a covered surface the error decides. Equal scores are ordered by the trust number.
 """
 
 from __future__ import annotations
@@ -12,12 +16,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from palpate.app.train.coverage import Coverage
 from palpate.app.train.folder import Folder, Job
 from palpate.app.train.paths import path_of
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
+from palpate.dynamics.solid.model import Solid
 from palpate.faults import DivergenceError, TrustWarning
-from palpate.reduction.hyper.error_indicator import distances_to_nearest
+from palpate.reduction.hyper.error_indicator import distances_to_nearest, expected_error
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.scenes.scene import TrainingScene
 
@@ -35,27 +41,54 @@ def next_count(runs: int, most: int) -> int:
 
 
 def choose(
-    model: ReducedModel, folder: Folder, scene: TrainingScene, candidates: Sequence[Job], count: int
+    model: ReducedModel,
+    folder: Folder,
+    scene: TrainingScene,
+    candidates: Sequence[Job],
+    count: int,
+    trained: Sequence[Job] = (),
 ) -> list[Job]:
-    """Return the paths with the largest trust numbers of a reduced model, each unlike those before it.
+    """Return the paths with the largest scores, each after those before it count as trained.
 
-    A path on which the reduced model diverges counts as the worst.
+    A path on which the reduced model diverges has an unknown error.
+
+    Parameters
+    ----------
+    candidates : sequence of Job
+    count : int
+    trained : sequence of Job
+        Runs whose tools cover the surface already.
     """
     runs = [_reduced_run(model, folder, scene, job) for job in candidates]
     trust = [np.full(1, np.inf) if run is None else run.trust for run in runs]
     mass = model.body.mass / model.body.masses.sum()
     states = [np.zeros((1, len(mass))) if run is None else model.body.project(run.displacements) for run in runs]
     nearest = [np.full(len(own), np.inf) for own in trust]  # distance to the chosen paths, over the scale of trust
+    paths = [path_of(folder, scene, job) for job in candidates]
+    before = [path_of(folder, scene, job) for job in trained]
+    covered = Coverage(scene, before) if isinstance(scene.model, Solid) else None
     chosen: list[int] = []
     while len(chosen) < min(count, len(candidates)):
-        scores = [float(np.max(np.minimum(own, near))) for own, near in zip(trust, nearest, strict=True)]
-        scores = [-1.0 if k in chosen else score for k, score in enumerate(scores)]
-        chosen.append(int(np.argmax(scores)))
+        left = [k for k in range(len(candidates)) if k not in chosen]
+        numbers = {k: float(np.max(np.minimum(trust[k], nearest[k]))) for k in left}
+        added = {k: 0.0 if covered is None else covered.added(paths[k]) for k in left}
+        chosen.append(max(left, key=lambda k: (added[k] + _expected_error(model, numbers[k]), numbers[k])))
+        if covered is not None:
+            covered.add(paths[chosen[-1]])
         for k, own in enumerate(states):
             if runs[chosen[-1]] is not None:
                 apart = distances_to_nearest(own, states[chosen[-1]], mass) / model.data.distance_scale
                 nearest[k] = np.minimum(nearest[k], apart)
     return [candidates[k] for k in chosen]
+
+
+def _expected_error(model: ReducedModel, trust: float) -> float:
+    """Return the larger of the median errors of displacement and force at a trust number, at most 1."""
+    curves = model.report.get("held_out", {}).get("expected_error", {})
+    known = [of for of in ("displacement", "force") if of in curves]
+    if not known or not np.isfinite(trust):
+        return 1.0
+    return min(1.0, max(expected_error(model.report, trust, of).median for of in known))
 
 
 def _reduced_run(model: ReducedModel, folder: Folder, scene: TrainingScene, job: Job) -> Trajectory | None:

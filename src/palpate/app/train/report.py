@@ -9,8 +9,10 @@ import numpy as np
 
 from palpate.app.common.console import Console, Table, count_nodes, percent, quantities_table
 from palpate.app.common.figures import BLUE, GREEN, ORANGE, PINK, figure, heading, legend_below, percent_axis
+from palpate.app.common.rendering import DrawingError
 from palpate.app.common.report import REPORTS, deliver, machine
 from palpate.app.train.campaign import MODEL, Round
+from palpate.app.train.coverage import coverage, draw_coverage
 from palpate.app.train.folder import HELD_OUT, RECORDED, TRAINED, Folder, Job
 from palpate.app.train.paths import path_of
 from palpate.dynamics.run.trajectory import StoredTrajectory
@@ -23,8 +25,8 @@ from palpate.scenes.scene import TrainingScene
 
 __all__ = ["FILES", "report_campaign"]
 
-FIGURE = "errors.png"
-FILES = (MODEL, *REPORTS, FIGURE, "campaign.json", "runs")
+FIGURE, COVERAGE = "errors.png", "coverage.png"
+FILES = (MODEL, *REPORTS, FIGURE, COVERAGE, "campaign.json", "runs")
 CONTACT_ERRORS = {
     "force": "force on tools, median",
     "force_95": "force on tools, 95th percentile",
@@ -47,6 +49,8 @@ def report_campaign(
 ) -> None:
     """Write the report and the figure into the folder, and print it as JSON or as a table."""
     runs = [_run_entry(folder, scene, job) for job in wanted]
+    good = [job for job, run in zip(wanted, runs, strict=True) if job.kind != HELD_OUT and not run["failed"]]
+    covered = coverage(scene, [path_of(folder, scene, job) for job in good])
     report = plain(
         {
             "title": f"Training: {scene.title}",
@@ -58,16 +62,21 @@ def report_campaign(
             "seconds": dict(seconds),
             "rounds": [each._asdict() for each in rounds],
             "supports": supports,
+            "coverage": None if covered is None else covered.shares(),
             "model": model.report,
         }
     )
     held = [run["name"] for run in runs if run["kind"] == HELD_OUT and not run["failed"]]
-    (folder.path / FIGURE).unlink(missing_ok=True)  # of an earlier model
-    if held:
+    for figure_of, draw in (
+        (FIGURE, (lambda: _draw(folder, report, held)) if held else None),
+        (COVERAGE, None if covered is None else lambda: draw_coverage(covered, folder.path / COVERAGE)),
+    ):
+        (folder.path / figure_of).unlink(missing_ok=True)  # of an earlier model
         try:
-            _draw(folder, report, held)
-        except InputError as error:  # a worker's installation need not draw
-            Console().say(f"{FIGURE} is missing: {error}")
+            if draw is not None:
+                draw()
+        except (InputError, DrawingError) as error:  # a worker's installation need not draw
+            Console().say(f"{figure_of} is missing: {error}")
     table = quantities_table(report["title"], ["here"], {name: [value] for name, value in _rows(report).items()})
     failed = [f"{run['name']} failed: {run['reason']}" for run in runs if run["failed"]]
     sentences = [*_support_sentences(supports), *([model.report["advice"]] if "advice" in model.report else [])]
@@ -119,6 +128,7 @@ def _rows(report: dict[str, Any]) -> dict[str, str]:
         "runs to train on, held out, failed": f"{trained}, {kinds[HELD_OUT]}, {len(report['failed'])}",
         **recorded,
         **_round_rows(report["rounds"]),
+        **_coverage_rows(report["coverage"]),
         "full model": count_nodes(report["campaign"]["nodes"]),
         "simulated time": f"{simulated:.4g} s",
         "computing time of the runs": f"{wall:.4g} s",
@@ -156,6 +166,19 @@ def _round_rows(rounds: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     last = rounds[-1]
     kept = "kept" if last["error"] <= last["tolerance"] else "not kept"
     return {f"error by number of training runs; tolerance of {percent(last['tolerance'])}": f"{errors}; {kept}"}
+
+
+def _coverage_rows(shares: Mapping[str, float] | None) -> dict[str, str]:
+    """Return what training paths cover of the surface; nothing where no tool touches it."""
+    if shares is None:
+        return {}
+    covered = f"{shares['covered']:.0%}"
+    if "reachable" in shares:
+        covered += f"; {shares['reachable']:.0%}; {shares['covered_of_reachable']:.0%} of it"
+        name = "free surface within one tool radius of a touched place; reachable for the tool; covered"
+    else:
+        name = "free surface within one tool radius of a touched place"
+    return {name: covered, "surface held by supports": f"{shares['held']:.0%}"}
 
 
 def _by_load(report: dict[str, Any]) -> dict[str, str]:

@@ -1,0 +1,129 @@
+"""Coverage of the free surface of a body by the tools of runs: its shares, and a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.app.common.figures import BLUE, GREY, ORANGE, YELLOW, figure, heading
+from palpate.app.common.rendering import check_drawing, show, surface
+from palpate.dynamics.contact.tools import Contact, Grasp
+from palpate.dynamics.loads.prepared import Load
+from palpate.dynamics.solid.model import Solid
+from palpate.scenes.free_surface import FreeSurface
+from palpate.scenes.scene import TrainingScene
+from palpate.scenes.tool_paths import ToolPaths
+
+__all__ = ["Coverage", "coverage", "draw_coverage"]
+
+Run = tuple[Sequence[Load], float]  # loads of a run and its duration [s]
+COVERED, UNCOVERED, UNREACHABLE, HELD = range(4)
+KINDS = {
+    COVERED: ("covered by a training path", BLUE),
+    UNCOVERED: ("not covered", YELLOW),
+    UNREACHABLE: ("free, but not reached", ORANGE),
+    HELD: ("held by supports", GREY),
+}
+SIDES = {
+    "Seen along +y": (0.0, -1.0, 0.25),
+    "Seen along -y": (0.0, 1.0, 0.25),
+    "Seen along -x": (1.0, 0.0, 0.25),
+    "Seen along +z": (0.0, -0.5, -1.0),
+}
+SUBDIVISIONS = 2  # of triangles, so that borders are as smooth as those between the nodes' shares
+
+
+class Coverage:
+    """What tools cover of the free surface of a body, run by run; see `palpate.scenes.free_surface`.
+
+    Parameters
+    ----------
+    scene : TrainingScene
+        Of a solid.
+    runs : sequence of (loads, duration)
+        Of the training.
+    """
+
+    def __init__(self, scene: TrainingScene, runs: Iterable[Run]) -> None:
+        assert isinstance(scene.model, Solid)
+        paths = scene.path
+        self.surface = paths.surface if isinstance(paths, ToolPaths) else FreeSurface(scene.model)
+        self.reachable = paths.reachable if isinstance(paths, ToolPaths) else None
+        self.mask = np.zeros(len(self.surface.nodes), dtype=np.bool_)
+        for run in runs:
+            self.mask |= self.surface.covered(*run)
+
+    def added(self, run: Run) -> float:
+        """Return how much of the surface that a run covers no run before it did, from 0 to 1."""
+        own = self.surface.covered(*run)
+        whole = self.surface.share(own)
+        return self.surface.share(own & ~self.mask) / whole if whole else 0.0
+
+    def add(self, run: Run) -> None:
+        """Count a run as trained."""
+        self.mask |= self.surface.covered(*run)
+
+    def shares(self) -> dict[str, float]:
+        """Return the covered share of the free surface, the reachable share of it, and the held share of all."""
+        shares = {"covered": self.surface.share(self.mask)}
+        if self.reachable is not None:
+            shares["reachable"] = self.surface.share(self.reachable)
+            shares["covered_of_reachable"] = self.surface.share(self.mask & self.reachable) / shares["reachable"]
+        areas = self.surface.areas
+        return shares | {"held": float(areas[self.surface.held].sum() / areas.sum())}
+
+    @cached_property
+    def kinds(self) -> NDArray[np.int64]:
+        """Kind (s,) of each surface node."""
+        kinds = np.full(len(self.mask), UNCOVERED)
+        if self.reachable is not None:
+            kinds[~self.reachable] = UNREACHABLE
+        kinds[self.mask] = COVERED
+        kinds[self.surface.held] = HELD
+        return kinds
+
+
+def coverage(scene: TrainingScene, runs: Iterable[Run]) -> Coverage | None:
+    """Return the coverage of a scene by runs; None without a solid, or where no run has a tool that touches it."""
+    runs = list(runs)
+    touched = any(isinstance(load, Contact | Grasp) for loads, _ in runs for load in loads)
+    return Coverage(scene, runs) if touched and isinstance(scene.model, Solid) else None
+
+
+def draw_coverage(found: Coverage, path: Path) -> None:
+    """Draw the surface from four sides into a PNG file, coloured by what covers, reaches and holds it.
+
+    Raises
+    ------
+    DrawingError
+        VTK cannot draw on this machine.
+    """
+    check_drawing()
+    from matplotlib.patches import Patch
+
+    cloud, shares = found.surface.cloud, found.shares()
+    colours = np.array([_rgb(colour) for _, colour in KINDS.values()])
+    shape = surface(cloud, cloud.points).subdivide(SUBDIVISIONS, "linear")
+    nearest = found.surface.tree.query(shape.cell_centers().points)[1]
+    shape.cell_data["colour"] = colours[found.kinds[nearest]]
+
+    def draw(plotter: Any, _width: float) -> None:
+        plotter.add_mesh(shape, scalars="colour", rgb=True, smooth_shading=False, ambient=0.25, specular=0.0)
+
+    with figure(path, (10.0, 7.4)) as drawn:
+        heading(drawn, f"Surface that training paths cover: {shares['covered']:.0%} of what supports leave free")
+        for axes, (title, towards) in zip(drawn.subplots(2, 2).flat, SIDES.items(), strict=True):
+            show(axes, cloud.points, np.array(towards), title, draw)
+        there = np.unique(found.kinds)
+        handles = [Patch(color=colour, label=label) for kind, (label, colour) in KINDS.items() if kind in there]
+        drawn.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+
+
+def _rgb(colour: str) -> NDArray[np.uint8]:
+    """Return the colour ``#rrggbb`` as three bytes."""
+    return np.frombuffer(bytes.fromhex(colour[1:]), dtype=np.uint8)

@@ -1,0 +1,275 @@
+"""Paths of tools on any body: what they reach, how they come, how deep they press, and where they are placed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from tool_bodies import Body, bean, hollow, lobes, together
+
+import palpate as pt
+from palpate.meshfree.nesting import winding_number
+from palpate.scenes.tool_paths import ToolPaths
+
+ORGANS = Path(__file__).parents[3] / "shared" / "data"
+HELD_OUT = 500_000  # first seed of held-out runs
+TIMES = np.linspace(0.0, 0.6, 61)
+
+
+def liver_with_back(spacing):
+    cloud = pt.fill(pt.liver_surface(), spacing)
+    return Body(cloud.with_group("back", pt.near_plane(cloud, (0.0, 0.03, 0.0), (0.0, -1.0, 0.0))), ("back",))
+
+
+BODIES = {
+    "box": lambda: (Body(pt.box((0.1, 0.08, 0.05), 0.005), ("x-",)), 0.0125, 0.015),
+    "lobes": lambda: (Body(lobes(0.03)), 0.011, 0.012),
+    "narrow": lambda: (Body(lobes(0.008)), 0.011, 0.012),
+    "bean": lambda: (Body(bean()), 0.0125, 0.01),
+    "two": lambda: (
+        Body(together(pt.box((0.06,) * 3, 0.006), pt.box((0.06,) * 3, 0.006), (0.08, 0.01, 0.0)), ("z-",)), 0.013, 0.02
+    ),
+    "liver": lambda: (liver_with_back(0.01), 0.025, 0.02),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module", params=BODIES)
+def paths(request):
+    body, radius, depth = BODIES[request.param]()
+    return ToolPaths(body, radius, depth, 0.2, 0.02)
+
+
+def ball(paths, seed, times=TIMES):
+    (contact,), duration = paths.press(seed)
+    assert duration == TIMES[-1]
+    return contact.poses(times)[:, :3]
+
+
+def signed_distance(cloud, places):
+    """Distances [m] to the triangles, by many points on them, negative inside, where triangles wind around a place."""
+    corners = cloud.points[cloud.triangles]
+    weights = np.array([(i, j, 6 - i - j) for i in range(7) for j in range(7 - i)]) / 6
+    samples = np.einsum("wk,tka->wta", weights, corners).reshape(-1, 3)
+    distance = cKDTree(samples).query(places)[0]
+    inside = [winding_number(corners, place) > 0.5 for place in places]
+    return np.where(inside, -distance, distance)
+
+
+def test_the_ball_comes_from_outside_along_the_normal_and_only_indents_the_body(paths):
+    cloud, radius = paths.surface.cloud, paths.radius
+    for seed in (*range(6), *range(HELD_OUT, HELD_OUT + 6)):
+        way = ball(paths, seed)
+        gap = signed_distance(cloud, way[::3]) - radius
+        assert min(gap[0], gap[-1]) > -0.01 * radius
+        assert gap.min() < 0  # it touches
+        # no deeper than allowed, apart from the sag of a slide and the distance between samples
+        assert -gap.min() <= 1.1 * paths.depth + 0.1 * radius
+        along = (way[25] - way[0]) / np.linalg.norm(way[25] - way[0])
+        np.testing.assert_allclose(across(way[:26] - way[0], along), 0.0, atol=1e-12)
+        met = np.linalg.norm(across(paths.surface.points - way[0], along), axis=1) < 1e-9
+        assert np.any(met & paths.reachable & (paths.normals @ -along > 1 - 1e-9))
+
+
+def across(vectors, axis):
+    return vectors - (vectors @ axis)[:, None] * axis
+
+
+def test_tools_keep_from_fixed_nodes(paths):
+    surface = paths.surface
+    if not len(surface.fixed_points):
+        pytest.skip("a free body")
+    nodes = np.concatenate([surface._touched(paths.press(seed)[0][0], 0.6) for seed in range(40)])
+    distances = np.linalg.norm(surface.points[nodes, None] - surface.fixed_points, axis=2).min(axis=1)
+    assert distances.min() >= paths.radius - surface.cloud.spacing
+    for seed in range(40):
+        (grasp,), _ = paths.grasp(seed)
+        assert np.linalg.norm(surface.fixed_points - grasp.point, axis=1).min() > grasp.radius
+        assert not np.isin(grasp.with_group(surface.cloud).group("grasp"), surface.nodes[surface.held]).any()
+
+
+def inner_walls(surface, gap):
+    """Nodes on the walls of the gap of `lobes`, away from its rims."""
+    x, y, z = surface.points.T
+    return (np.abs(np.abs(x) - gap / 2) < 1e-3) & (z > 0.0) & (z < 0.02) & (np.abs(y) < 0.015)
+
+
+@pytest.mark.parametrize(("gap", "reached"), [(0.008, False), (0.03, True)])
+def test_between_lobes_only_a_ball_that_fits_reaches(gap, reached):
+    paths = ToolPaths(Body(lobes(gap)), 0.011, 0.012, 0.2, 0.01)
+    walls = inner_walls(paths.surface, gap)
+    assert np.count_nonzero(walls) > 10
+    assert paths.reachable[walls].mean() == pytest.approx(1.0 if reached else 0.0, abs=0.05)
+    outside = np.abs(paths.surface.points[:, 0]) > 0.039
+    assert paths.reachable[outside].all()
+
+
+def test_a_notch_that_is_narrower_than_the_ball_is_not_reached():
+    narrow, wide = (ToolPaths(Body(bean()), radius, 0.01, 0.2, 0.01) for radius in (0.024, 0.0125))
+    x, y, z = narrow.surface.points.T
+    bottom = (np.hypot(x, y - 0.03) < 0.0185) & (np.abs(x) < 0.005) & (np.abs(z) < 0.01)
+    assert np.count_nonzero(bottom) > 5
+    assert not narrow.reachable[bottom].any()
+    assert wide.reachable[bottom].all()
+
+
+def test_a_closed_cavity_is_not_reached_though_the_ball_has_room_in_it():
+    paths = ToolPaths(Body(hollow()), 0.011, 0.01, 0.2, 0.01)
+    inside = np.linalg.norm(paths.surface.points, axis=1) < 0.035
+    assert np.count_nonzero(inside) > 50
+    assert not paths.reachable[inside].any()
+    assert paths.reachable[~inside].all()
+
+
+def test_depths_are_limited_by_the_thickness_and_by_fixed_nodes_below():
+    plate = pt.box((0.12, 0.12, 0.02), 0.005)
+    free = ToolPaths(Body(plate), 0.0125, 0.02, 0.2, 0.0)
+    x, y, z = free.surface.points.T
+    middle = (z > 0.019) & (np.abs(x - 0.06) < 0.03) & (np.abs(y - 0.06) < 0.03)
+    np.testing.assert_allclose(free.depths[middle], 0.4 * 0.02, atol=0.4 * 0.0026)
+    for seed in range(20):
+        indentation = 0.0125 - np.linalg.norm(plate.points[:, None] - ball(free, seed)[25], axis=2).min()
+        assert 0 < indentation <= free.depths.max() + 1e-9
+    thick = pt.box((0.12, 0.12, 0.06), 0.005)
+    depths = {}
+    for height in (0.02, 0.04):
+        inner = thick.with_group("bone", np.flatnonzero(thick.points[:, 2] <= height + 1e-9))
+        found = ToolPaths(Body(inner, ("bone",)), 0.0125, 0.02, 0.2, 0.0, grasps=0.0)
+        top = np.flatnonzero((found.surface.points == (0.06, 0.06, 0.06)).all(axis=1))
+        depths[height] = float(found.depths[top[0]])
+    assert depths[0.02] == pytest.approx(0.4 * 0.04, abs=1e-3)
+    assert depths[0.04] == pytest.approx(0.4 * 0.02, abs=1e-3)
+
+
+def test_rollers_are_pressed_and_clamps_and_planes_of_symmetry_are_not():
+    cloud = pt.box((0.08, 0.08, 0.08), 0.01)
+    for support, pressed in ((pt.Roller("z+"), True), ("z+", False), (pt.SymmetryPlane("z+"), False)):
+        paths = ToolPaths(Body(cloud, (support,)), 0.02, 0.01, 0.2, 0.0)
+        middle = np.flatnonzero((paths.surface.points == (0.04, 0.04, 0.08)).all(axis=1))[0]
+        assert paths.reachable[middle] == pressed
+        assert paths.surface.held[middle] != pressed
+
+
+def places(paths, seeds):
+    return np.array([ball(paths, seed, np.array([0.25]))[0] for seed in seeds])
+
+
+def covering_radius(paths, pressed):
+    """Largest distance of a reachable node from the nearest press."""
+    points = paths.surface.points[paths.reachable]
+    return np.linalg.norm(points[:, None] - pressed, axis=2).min(axis=1).max()
+
+
+def test_training_places_are_spread_and_held_out_places_are_not():
+    paths = ToolPaths(Body(pt.box((0.2, 0.1, 0.05), 0.01)), 0.025, 0.01, 0.2, 0.02, grasps=0.0)
+    campaigns = [1_000_000 * k for k in range(5)]
+    for count in (8, 16, 32):
+        spread = np.mean([covering_radius(paths, places(paths, c + np.arange(count))) for c in campaigns])
+        others = np.mean([covering_radius(paths, places(paths, c + HELD_OUT + np.arange(count))) for c in campaigns])
+        assert spread < 0.85 * others
+
+
+def test_held_out_places_are_at_random_by_area():
+    paths = ToolPaths(Body(pt.box((0.2, 0.1, 0.05), 0.01)), 0.025, 0.01, 0.2, 0.0, grasps=0.0)
+    found = places(paths, range(HELD_OUT, HELD_OUT + 400))
+    share = paths.surface.areas[paths.reachable & (paths.surface.points[:, 0] < 0.1 - 1e-9)].sum()
+    share += 0.5 * paths.surface.areas[paths.reachable & (np.abs(paths.surface.points[:, 0] - 0.1) < 1e-9)].sum()
+    share /= paths.surface.areas[paths.reachable].sum()
+    assert np.mean(found[:, 0] < 0.1) == pytest.approx(share, abs=0.08)  # three standard deviations
+
+
+def test_equal_seeds_give_equal_paths_and_others_other_depths_and_slides():
+    one, two = (ToolPaths(Body(pt.box((0.1, 0.08, 0.05), 0.005), ("x-",)), 0.0125, 0.015, 0.2, 0.02) for _ in "ab")
+    for seed in (20, HELD_OUT, 1_000_002, 0):
+        np.testing.assert_array_equal(ball(one, seed), ball(two, seed))
+    assert np.abs(ball(one, 0) - ball(one, 1_000_000)).max() > 1e-3
+    ways = [ball(one, seed) for seed in range(0, 60) if seed % 4 != 3]
+    depths = [1.4 * 0.0125 - np.linalg.norm(way[25] - way[0]) for way in ways]  # heights of the pressed centre
+    slides = np.array([np.linalg.norm(way[45] - way[25]) for way in ways])
+    assert np.std(depths) > 1e-3
+    assert 0.005 < slides.mean() < 0.02
+    assert slides.max() <= 0.02 + 0.015 + 0.005
+
+
+def forceps(paths, seed, times):
+    (grasp,), duration = paths(seed)
+    assert duration == 0.6
+    poses = pt.tools.Contact(pt.tools.Plane(), grasp.motion).poses(np.asarray(times))
+    return grasp, poses[:, :3] - grasp.point, 2 * np.arccos(np.minimum(poses[:, 3], 1.0))
+
+
+def test_every_fourth_path_is_a_pull_within_a_cone_that_turns_returns_and_releases():
+    paths = ToolPaths(Body(pt.box((0.1, 0.1, 0.04), 0.01), ("y+",)), 0.025, 0.02, 0.2, 0.02)
+    turns = []
+    for seed in range(83):
+        if seed % 4 != 3:
+            assert isinstance(paths(seed)[0][0], pt.tools.Contact)
+            continue
+        grasp, moved, turned = forceps(paths, seed, TIMES)
+        node = int(np.argmin(np.linalg.norm(paths.surface.points - grasp.point, axis=1)))
+        held = grasp.with_group(paths.surface.cloud).group("grasp")
+        assert len(held) >= 5
+        assert grasp.radius == 0.02
+        assert 0.57 < grasp.until < 0.6
+        pull = np.linalg.norm(moved, axis=1)
+        assert 0.3 * 0.02 - 1e-12 <= pull.max() <= 0.02 + 1e-12
+        np.testing.assert_allclose(pull[25:46], pull.max())  # it holds, and turns
+        assert moved[25] @ paths.normals[node] >= np.cos(np.pi / 4) * pull.max() - 1e-12
+        assert turned.max() <= np.pi / 9 + 1e-12
+        assert turned[:26].max() == pytest.approx(0.0, abs=1e-7)
+        ends = grasp.until - 1e-9 <= TIMES
+        np.testing.assert_allclose(moved[ends], 0.0, atol=1e-12)
+        np.testing.assert_allclose(turned[ends], 0.0, atol=1e-7)
+        turns.append(turned.max())
+    assert 5 <= np.count_nonzero(np.array(turns) > 1e-3) <= 15
+
+
+@pytest.mark.parametrize(("share", "count"), [(0.0, 0), (0.1, 4), (0.5, 20), (1.0, 40)])
+def test_grasps_are_a_share_of_the_paths(share, count):
+    paths = ToolPaths(Body(pt.box((0.1, 0.1, 0.04), 0.01)), 0.025, 0.01, 0.2, 0.0, grasps=share)
+    assert sum(isinstance(paths(seed)[0][0], pt.tools.Grasp) for seed in range(40)) == count
+
+
+def test_two_bodies_in_one_cloud_are_both_pressed_and_block_each_other():
+    half = pt.box((0.06, 0.06, 0.06), 0.006)
+    for distance, reached in ((0.012, False), (0.06, True)):
+        paths = ToolPaths(Body(together(half, half, (0.06 + distance, 0.0, 0.0))), 0.015, 0.01, 0.2, 0.0, grasps=0.0)
+        facing = np.abs(paths.surface.points[:, 0] - 0.06) < 1e-9
+        facing &= (np.abs(paths.surface.points[:, 1:] - 0.03) < 0.02).all(axis=1)
+        assert paths.reachable[facing].all() == paths.reachable[facing].any() == reached
+        assert {bool(place[0] > 0.06 + distance / 2) for place in places(paths, range(6))} == {True, False}
+
+
+def test_what_cannot_be_reached_is_refused_by_name():
+    cloud = pt.box((0.08, 0.08, 0.08), 0.01)
+    long = pt.box((0.16, 0.06, 0.06), 0.01)
+    everywhere = cloud.with_group("all", np.arange(len(cloud)))
+    for arguments, message in (
+        ((Body(cloud), 0.019, 0.01, 0.2, 0.0), "radius must be in .*0.02.*got 0.019"),
+        ((Body(cloud), 0.04, 0.01, 0.2, 0.0), "radius must be less than half the body's size of 0.08 m, got 0.04 m"),
+        ((Body(everywhere, ("all",)), 0.02, 0.01, 0.2, 0.0), "got supports at all surface nodes; support fewer"),
+        ((Body(long, ("z-", "y-", "y+")), 0.035, 0.01, 0.2, 0.0), "radius must be at most 0.03 m, .* got 0.035 m; use"),
+        ((Body(long, ("z-", "y-", "y+")), 0.02, 0.01, 0.2, 0.0), "forceps of radius 0.02 m .* set grasps to 0"),
+        ((Body(cloud), 0.02, 0.0, 0.2, 0.0), "depth must be"),
+        ((Body(pt.box((0.08, 0.08), 0.01)), 0.02, 0.01, 0.2, 0.0), "body must be a solid with a surface"),
+    ):  # fmt: skip
+        with pytest.raises(pt.InputError, match=message):
+            ToolPaths(*arguments)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("file", "units"), [("hra/VH_F_liver_solid_6k.ply", "m"), ("sofa/liver-smooth.obj", "cm"), ("sofa/liver.vtk", "mm")]
+)
+def test_presses_on_organs_come_from_outside(file, units):
+    if not (ORGANS / file).exists():
+        pytest.skip("the organs are not here")
+    surface = pt.io.read_surface(ORGANS / file, units=units, repair=True)
+    spacing = float(np.cbrt(surface.volume / 2000))
+    cloud = pt.fill(surface, spacing)
+    low, high = cloud.points[:, 1].min(), cloud.points[:, 1].max()
+    cloud = cloud.with_group("bed", pt.near_plane(cloud, (0, high - 0.3 * (high - low), 0), (0, -1, 0)))
+    paths = ToolPaths(Body(cloud, ("bed",)), 2.5 * spacing, 4 * spacing, 0.2, 3 * spacing)
+    assert paths.surface.share(paths.reachable) > 0.5
+    test_the_ball_comes_from_outside_along_the_normal_and_only_indents_the_body(paths)
