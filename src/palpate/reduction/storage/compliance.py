@@ -69,12 +69,12 @@ def _common_step(values: np.ndarray[Any, Any]) -> float:
 
 
 def unpack_flexibilities(arrays: Arrays) -> dict[str, np.ndarray[Any, Any]]:
-    """Return the arrays of a file with flexibilities in single precision, symmetric where they are.
+    """Return the arrays of a file with flexibilities in single precision, and both triangles of that of the surface.
 
     Raises
     ------
     InputError
-        Steps are not powers of two, or the upper triangle of the surface's flexibility has other values than the lower.
+        Steps are not powers of two, or belong to arrays of other types.
     """
     result = dict(arrays)
     steps = result.pop("compliance/steps", np.zeros(len(FLEXIBILITIES)))
@@ -88,13 +88,9 @@ def unpack_flexibilities(arrays: Arrays) -> dict[str, np.ndarray[Any, Any]]:
             if result[name].dtype != "<u2":
                 raise InputError(f"array {name} has values of {result[name].dtype.str} with a step, expected <u2")
             result[name] = (result[name].astype("<f4") - np.float32(OFFSET)) * np.float32(step)
-    lower = result["compliance/flexibility"]
-    if lower.ndim == 2 and lower.shape[0] == lower.shape[1]:
-        upper = np.triu(lower, 1)
-        whole = np.tril(lower) + np.tril(lower, -1).T
-        if upper.any() and not np.array_equal(whole, lower):
-            raise InputError("array compliance/flexibility must be symmetric, or zero above its diagonal")
-        result["compliance/flexibility"] = whole
+    whole = result["compliance/flexibility"]
+    if whole.ndim == 2 and whole.shape[0] == whole.shape[1] and not np.triu(whole, 1).any():
+        result["compliance/flexibility"] = whole + np.tril(whole, -1).T
     return result
 
 
@@ -115,6 +111,8 @@ def read_compliance(arrays: Arrays, bonded_scale: float) -> SurfaceCompliance | 
     diagonal = np.diagonal(compliance.flexibility)
     if not (np.all(diagonal >= 0) and diagonal.sum() > 0):
         raise InputError("array compliance/flexibility holds no positive compliance")
+    if not np.array_equal(compliance.flexibility, compliance.flexibility.T):
+        raise InputError("array compliance/flexibility must be symmetric, or zero above its diagonal")
     if not np.all((compliance.carriers >= 0) & (3 * compliance.carriers + 2 < len(diagonal))):
         raise InputError(f"array compliance/carriers names rows outside the {len(diagonal)} of compliance/flexibility")
     for name in ("patches", "nearby"):

@@ -39,6 +39,7 @@ from palpate.reduction.training.residual_fields import (
     scale_residual_fields,
     typical_residual,
 )
+from palpate.reduction.training.round_compliance import round_compliance
 from palpate.reduction.training.threads import in_threads
 
 __all__ = ["Trial", "hyper_reduce"]
@@ -295,6 +296,8 @@ def _train(
         if options.repeated:
             model, found = calibrate_contact(model, options.repeated)
             report |= found
+        assert model.data.compliance is not None
+        model = ReducedModel(replace(model.data, compliance=round_compliance(model.data.compliance)))
     model = model.with_report(report)
     return _test(model, options.held_out) if options.held_out else model
 
