@@ -1,11 +1,13 @@
 """Sealed files: HDF5 files whose arrays are located and verified by a table with digests.
 
-A sealed file is an HDF5 file, which any program can open, in which every array is contiguous and not compressed. Its
+A sealed file is an HDF5 file, which any program can open. Every array is contiguous, or one chunk with the filters
+shuffle and deflate of HDF5: the bytes of its values by significance, compressed. Its
 first 512 bytes, which HDF5 leaves to its users, name the kind of the file, the version, and the place and SHA-256 of a
 table at the end of the file. The table is JSON: a header of plain values, the type, shape, place and SHA-256 of every
 array, and a SHA-256 of all bytes between the arrays. palpate reads the table and the arrays themselves, never the
-structures of HDF5: so links, external data, compressed data and damaged HDF5 tables have no effect, and every length is
-checked against the size of the file before anything is allocated.
+structures of HDF5: so links, external data, other filters and damaged HDF5 tables have no effect, and every length is
+checked against the size of the file before anything is allocated. A compressed array has at most `MAX_RATIO` bytes
+for each in the file.
 
 A digest shows damage. It does not show forgery: who writes a file can also write its digests. What is read from a file
 is therefore data only, and every loader checks each value.
@@ -17,6 +19,7 @@ import json
 import math
 import re
 import shutil
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -29,7 +32,7 @@ from numpy.typing import NDArray
 
 from palpate.faults import FileFormatError, InputError
 from palpate.files import json_of, regular_file, shortened, whole_file
-from palpate.hdf5_frame import HEAD, lay_out
+from palpate.hdf5_frame import HEAD, LEVEL, lay_out
 
 __all__ = [
     "HEAD",
@@ -46,9 +49,11 @@ __all__ = [
 
 Array = NDArray[Any]
 
-TYPES = ("<f8", "<f4", "<i8", "|u1", "|b1")
+TYPES = ("<f8", "<f4", "<i8", "<u2", "|u1", "|b1")
 MAX_DIMENSIONS = 4
 BLOCK_BYTES = 1 << 20  # read at once
+MIN_DEFLATED_BYTES, MIN_SAVING = 4096, 0.1  # of arrays that are compressed; smallest share that it saves
+MAX_RATIO = 64  # bytes of an array for each compressed one
 RESERVED_BYTES = 1 << 16  # of the disk that stay free
 HEX = re.compile(r"[0-9a-f]{64}")
 
@@ -67,6 +72,8 @@ class ArrayEntry:
     digests : tuple of str
         SHA-256 of the whole array; or of every row, of one that is read by row.
     by_row : bool
+    deflated : int, optional
+        Number of bytes in the file, of an array that is compressed.
     """
 
     type: str
@@ -74,11 +81,12 @@ class ArrayEntry:
     offset: int
     digests: tuple[str, ...]
     by_row: bool
+    deflated: int | None = None
 
     @property
     def size(self) -> int:
-        """Number of bytes."""
-        return math.prod(self.shape) * np.dtype(self.type).itemsize
+        """Number of bytes in the file."""
+        return math.prod(self.shape) * np.dtype(self.type).itemsize if self.deflated is None else self.deflated
 
 
 class ArrayFile(Protocol):
@@ -145,12 +153,14 @@ class SealedFile:
         return self.arrays[name]
 
     def _read_verified(self, what: str, entry: ArrayEntry, offset: int, shape: tuple[int, ...], digest: str) -> Array:
-        values = np.empty(shape, entry.type)
+        values = np.empty(shape, entry.type) if entry.deflated is None else np.empty(entry.deflated, "|u1")
         with self.path.open("rb") as file:
             file.seek(offset)
             count = file.readinto(_bytes_of(values))
         if count != values.nbytes or sha256(_bytes_of(values)).hexdigest() != digest:
             raise InputError(f"array {what} does not match its checksum: the file is truncated or damaged")
+        if entry.deflated is not None:
+            values = _inflate(what, entry, _bytes_of(values))
         return _check_flags(what, values)
 
 
@@ -217,7 +227,7 @@ def loading(path: Path, remedy: str) -> Iterator[None]:
         raise FileFormatError(f"{path}: its content does not fit together ({text}); {remedy}") from error
 
 
-def open_sealed(path: Path, kind: str, version: int) -> SealedFile:
+def open_sealed(path: Path, kind: str, version: int, older: tuple[int, ...] = ()) -> SealedFile:
     """Open a sealed file and verify its table.
 
     Parameters
@@ -226,6 +236,8 @@ def open_sealed(path: Path, kind: str, version: int) -> SealedFile:
     kind : str
         ``"palpate reduced model"``.
     version : int
+    older : tuple of int
+        Versions before it that are also read.
 
     Raises
     ------
@@ -236,7 +248,7 @@ def open_sealed(path: Path, kind: str, version: int) -> SealedFile:
     """
     size = regular_file(path, kind.removeprefix("palpate "))
     with path.open("rb") as file:
-        offset, length, digest = _place_of_table(file.read(HEAD), kind, version)
+        found, offset, length, digest = _place_of_table(file.read(HEAD), kind, version, older)
         if offset < HEAD or offset + length != size:
             raise InputError("the file is truncated, or something was appended to it")
         file.seek(offset)
@@ -246,7 +258,7 @@ def open_sealed(path: Path, kind: str, version: int) -> SealedFile:
     table = json_of(text)
     if not isinstance(table, dict) or table.keys() != {"kind", "version", "header", "arrays", "rest"}:
         raise InputError("the table has other entries than kind, version, header, arrays and rest")
-    if (table["kind"], table["version"]) != (kind, version):
+    if (table["kind"], table["version"]) != (kind, found):
         raise InputError("the first bytes and the table disagree about the kind of the file")
     header, listed = table["header"], table["arrays"]
     if not isinstance(header, dict) or not isinstance(listed, dict):
@@ -268,17 +280,18 @@ def kind_of_file(path: Path) -> str:
     return found[1].decode() if found else ""
 
 
-def _place_of_table(head: bytes, kind: str, version: int) -> tuple[int, int, str]:
+def _place_of_table(head: bytes, kind: str, version: int, older: tuple[int, ...]) -> tuple[int, int, int, str]:
+    """Return the version of a file, and the offset, length and digest of its table."""
     found = re.match(rf"{re.escape(kind)}\nversion (\d{{1,9}})\n".encode(), head)
     if not found:
         old = "; it may be of an older version" if head.startswith(b"\x89HDF") else ""
         raise InputError(f"this is not a {kind}{old}")
-    if int(found[1]) != version:
+    if int(found[1]) not in (version, *older):
         raise InputError(f"this is of version {int(found[1])}, and version {version} is the one that is read")
     place = re.fullmatch(rb"table (\d{1,18}) (\d{1,18}) ([0-9a-f]{64})\n\0*", head[found.end() :])
     if not place or len(head) != HEAD:
         raise InputError("the first bytes are damaged")
-    return int(place[1]), int(place[2]), place[3].decode()
+    return int(found[1]), int(place[1]), int(place[2]), place[3].decode()
 
 
 def _digest_of_rest(path: Path, arrays: Mapping[str, ArrayEntry], end: int) -> str:
@@ -310,12 +323,16 @@ def _update_digest(digest: Any, file: BinaryIO, start: int, stop: int) -> None:
 def _entry(name: str, about: Any, end: int) -> ArrayEntry:
     """Return an entry of the table, whose bytes must lie between the head and the table."""
     what = shortened(name)
-    if not isinstance(about, dict) or about.keys() != {"type", "shape", "offset", "sha256"}:
+    if not isinstance(about, dict) or about.keys() - {"deflated"} != {"type", "shape", "offset", "sha256"}:
         raise InputError(f"the table's entry of array {what} has not type, shape, offset and sha256")
-    kind, shape = checked_shape(what, about["type"], about["shape"], end)
-    digests, offset = about["sha256"], about["offset"]
+    digests, offset, deflated = about["sha256"], about["offset"], about.get("deflated")
+    if "deflated" in about and not (type(deflated) is int and 0 < deflated <= end):
+        raise InputError(f"array {what} has {shortened(repr(deflated))} compressed bytes, which the file does not have")
+    kind, shape = checked_shape(what, about["type"], about["shape"], MAX_RATIO * deflated if deflated else end)
     by_row = isinstance(digests, list)
-    entry = ArrayEntry(kind, shape, offset, tuple(digests) if by_row else (digests,), by_row)
+    if by_row and deflated:
+        raise InputError(f"array {what} is stored by row and compressed")
+    entry = ArrayEntry(kind, shape, offset, tuple(digests) if by_row else (digests,), by_row, deflated)
     if by_row and (not shape or len(digests) != shape[0]):
         raise InputError(f"array {what} has not one checksum for every row")
     if not all(isinstance(digest, str) and HEX.fullmatch(digest) for digest in entry.digests):
@@ -323,6 +340,33 @@ def _entry(name: str, about: Any, end: int) -> ArrayEntry:
     if type(offset) is not int or offset < HEAD or offset + entry.size > end:
         raise InputError(f"array {what} lies outside the file")
     return entry
+
+
+def _inflate(what: str, entry: ArrayEntry, content: memoryview) -> Array:
+    """Return an array from its bytes after shuffle and deflate; refuse others than it needs."""
+    kind, size = np.dtype(entry.type), math.prod(entry.shape) * np.dtype(entry.type).itemsize
+    inflater = zlib.decompressobj()
+    try:
+        planes = inflater.decompress(content, size + 1)
+    except zlib.error as error:
+        raise InputError(f"array {what} cannot be decompressed: {error}") from error
+    if len(planes) != size or not inflater.eof or inflater.unused_data:
+        raise InputError(f"array {what} of shape {entry.shape} does not have the bytes that it is decompressed to")
+    values = np.empty(entry.shape, kind)
+    values.reshape(-1).view("u1").reshape(-1, kind.itemsize).T[:] = np.frombuffer(planes, "u1").reshape(
+        kind.itemsize, -1
+    )
+    return values
+
+
+def _deflate(values: Array) -> bytes | None:
+    """Return the bytes of an array after shuffle and deflate; None where they are hardly fewer, or too few."""
+    if values.nbytes < MIN_DEFLATED_BYTES:
+        return None
+    planes = np.ascontiguousarray(values.reshape(-1).view("u1").reshape(-1, values.itemsize).T)
+    deflater = zlib.compressobj(LEVEL, strategy=zlib.Z_FILTERED)  # values are noisy: code them, and copy little
+    content = deflater.compress(planes.data) + deflater.flush()
+    return content if values.nbytes / MAX_RATIO <= len(content) <= (1 - MIN_SAVING) * values.nbytes else None
 
 
 def _check_flags(what: str, values: Array) -> Array:
@@ -341,6 +385,8 @@ def write_sealed(
     header: Mapping[str, Any],
     arrays: Mapping[str, Any],
     rows: Mapping[str, Sequence[Any]] | None = None,
+    *,
+    deflate: bool = False,
 ) -> None:
     """Write a sealed file, whole or not at all.
 
@@ -355,6 +401,8 @@ def write_sealed(
         Of the types of `TYPES`. A name may hold slashes, which HDF5 shows as groups.
     rows : mapping of name to sequence of arrays
         Arrays that are stored by row, each row under its own digest; given row by row, at least one.
+    deflate : bool
+        Whether to compress the arrays that are not stored by row, where it makes them smaller.
 
     Raises
     ------
@@ -370,6 +418,9 @@ def write_sealed(
         blocks[name] = tuple(_plain(row) for row in values)
         shapes[name] = (len(values), *blocks[name][0].shape)
     types = {name: block[0].dtype.str for name, block in blocks.items()}
+    packed = {name: _deflate(block[0]) for name, block in blocks.items() if deflate and name in arrays}
+    deflated = {name: content for name, content in packed.items() if content is not None}
+    blocks |= {name: (np.frombuffer(content, "u1"),) for name, content in deflated.items()}
     needed = sum(part.nbytes for block in blocks.values() for part in block) + RESERVED_BYTES
     free = shutil.disk_usage(path.absolute().parent).free if path.absolute().parent.is_dir() else needed
     if free < needed:
@@ -380,7 +431,9 @@ def write_sealed(
     with whole_file(path) as partial:
         attributes = {name: value if isinstance(value, str | bool | float) else _json(value).decode()
                 for name, value in header.items()}  # fmt: skip
-        frame, offsets = lay_out(types, shapes, attributes | {"format": kind, "version": version, "units": "SI"})
+        frame, offsets = lay_out(
+            types, shapes, attributes | {"format": kind, "version": version, "units": "SI"}, deflated
+        )
         entries = {}
         with partial.open("w+b") as file:
             frame.copy_to(file)
@@ -391,7 +444,8 @@ def write_sealed(
                     file.write(_bytes_of(part))
                     digests.append(sha256(_bytes_of(part)).hexdigest())
                 by_row = name in (rows or {})
-                entries[name] = ArrayEntry(types[name], shapes[name], offsets[name], tuple(digests), by_row)
+                stored = len(deflated[name]) if name in deflated else None
+                entries[name] = ArrayEntry(types[name], shapes[name], offsets[name], tuple(digests), by_row, stored)
             file.flush()
             place = file.seek(0, 2)
             rest = _digest_of_rest(partial, entries, place)
@@ -404,7 +458,8 @@ def write_sealed(
 
 def _table_entry(entry: ArrayEntry) -> dict[str, Any]:
     digests: Any = list(entry.digests) if entry.by_row else entry.digests[0]
-    return {"type": entry.type, "shape": list(entry.shape), "offset": entry.offset, "sha256": digests}
+    about = {"type": entry.type, "shape": list(entry.shape), "offset": entry.offset, "sha256": digests}
+    return about if entry.deflated is None else about | {"deflated": entry.deflated}
 
 
 def _json(value: Any) -> bytes:

@@ -22,8 +22,9 @@ from palpate.reduction.hyper.cubature import Cubature
 from palpate.reduction.hyper.model import ReducedData, ReducedModel
 from palpate.reduction.realtime.display_surface import Surface
 from palpate.reduction.storage import model_file as storage
+from palpate.reduction.storage.compliance import pack_flexibilities, unpack_flexibilities
 from palpate.reduction.storage.model_file import CURVE
-from palpate.sealed import open_sealed
+from palpate.sealed import open_sealed, write_sealed
 
 
 def flat(data):
@@ -170,6 +171,36 @@ def test_a_file_without_interior_gives_a_model_with_compliance_at_its_surface_on
     np.testing.assert_equal(found.compliance, trained.data.compliance._replace(interior=None))
 
 
+def test_a_file_of_the_version_before_is_loaded(trained, saved, path):
+    file = open_sealed(saved, storage.FORMAT, storage.VERSION)
+    arrays = {name: file.read(name) for name in file.arrays if name != "compliance/steps"}
+    arrays["compliance/flexibility"] = trained.data.compliance.flexibility
+    write_sealed(path, storage.FORMAT, 12, file.header, arrays)
+    assert_equal(pt.load(path).data, rounded(trained.data))
+
+
+@pytest.mark.parametrize("largest", [1, 100, 32_639, 32_640])
+@pytest.mark.parametrize("step", [2.0**-13, 3.0, 2.0**-90, 2.0**-130])
+def test_flexibilities_keep_every_bit(largest, step):
+    draw, half = np.random.default_rng(largest), largest // 2
+    numbers = draw.integers(-half, half + 1, (30, 30))
+    numbers[3, 3] = largest
+    symmetric = (step * np.tril(numbers) + step * np.tril(numbers, -1).T).astype(np.float32)
+    arrays = {
+        "compliance/flexibility": symmetric,
+        "compliance/near_field": np.zeros((4, 2, 3, 3), np.float32),
+        "interior/flexibility": (step * numbers).astype(np.float32),
+    }
+    packed = pack_flexibilities(arrays)
+    small = largest <= 32_639 and step in (2.0**-13, 2.0**-90)
+    assert packed["interior/flexibility"].dtype == ("<u2" if small else "<f4") or step == 3.0
+    found = unpack_flexibilities(packed)
+    assert found.keys() == arrays.keys()
+    for name, values in arrays.items():
+        assert found[name].dtype == values.dtype
+        np.testing.assert_array_equal(found[name], values)
+
+
 def test_a_file_of_a_loaded_model_is_the_same_file(saved, path):
     pt.save(pt.load(saved), path)
     assert path.read_bytes() == saved.read_bytes()
@@ -241,25 +272,34 @@ def test_a_stored_report_has_finite_numbers_of_any_type_and_length(small_cloud, 
     assert found == {"whole": 3, "number": 0.5, "array": [0, 1, 2], "lost": None}
 
 
-def test_a_file_is_as_large_as_the_columns_in_single_precision_and_the_other_arrays(tissue, path):
+def test_a_file_is_at_most_as_large_as_the_columns_in_single_precision_and_the_other_arrays(tissue, path):
     cloud = pt.box((0.039, 0.024, 0.019), spacing=0.001)
     data = made_up(cloud, tissue, modes=64, samples=400, fixed=("x-",), prescribed=("x+",), lifting_count=9)
     pt.save(ReducedModel(data), path)
-    sizes = {}
+    sizes, stored = {}, {}
     with h5py.File(path) as file:
-        file.visititems(lambda name, entry: sizes.update({name: getattr(entry, "nbytes", 0)}))
-    assert sizes["basis_vectors"] == 4 * data.basis_vectors.size
-    assert sum(sizes.values()) <= path.stat().st_size < 1.01 * sum(sizes.values())
+        arrays = []
+        file.visititems(lambda name, entry: arrays.append(entry) if isinstance(entry, h5py.Dataset) else None)
+        for entry in arrays:
+            sizes[entry.name], stored[entry.name] = entry.nbytes, entry.id.get_storage_size()
+    assert sizes["/basis_vectors"] == 4 * data.basis_vectors.size
+    assert sum(stored.values()) <= path.stat().st_size < 1.01 * sum(stored.values())
+    assert all(0.9 * sizes[name] >= stored[name] or sizes[name] == stored[name] for name in sizes)
+    assert stored["/cloud/points"] < 0.2 * sizes["/cloud/points"]  # of a lattice
     assert_equal(pt.load(path).data, rounded(data))
 
 
 def test_other_programs_can_read_units_parameters_and_arrays(trained, saved):
     with h5py.File(saved) as file:
         assert file.attrs["format"] == "palpate reduced model"
-        assert (file.attrs["version"], file.attrs["units"], file.attrs["material"]) == (12, "SI", "MooneyRivlin")
+        assert (file.attrs["version"], file.attrs["units"], file.attrs["material"]) == (13, "SI", "MooneyRivlin")
         assert '"C1": 20000.0' in file.attrs["parameters"]
         assert file["basis_vectors"].dtype == np.float32
         np.testing.assert_array_equal(file["cubature/weights"], trained.data.cubature.weights)
+        compliance, step = trained.data.compliance, file["compliance/steps"][0]
+        lower = step * (file["compliance/flexibility"][:].astype(float) - 32896)
+        np.testing.assert_array_equal(lower + np.tril(lower, -1).T, compliance.flexibility)
+        assert file["interior/flexibility"].dtype == np.float32  # its values have no common step
 
 
 # what is refused
@@ -301,8 +341,8 @@ def test_the_documentation_shows_the_version_of_files():
 
 
 def test_another_version_is_refused_even_in_a_truncated_file(saved, path):
-    path.write_bytes(saved.read_bytes().replace(b"version 12", b"version 11", 1)[:-7])
-    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 11, and version 12 is the one"):
+    path.write_bytes(saved.read_bytes().replace(b"version 13", b"version 11", 1)[:-7])
+    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 11, and version 13 is the one"):
         pt.load(path)
 
 
@@ -444,6 +484,17 @@ CASES = {
     "inner nodes out of range": (entry("interior/nodes", -1, 112), r"interior/nodes names nodes outside 0\.\.111"),
     "sources out of range": (entry("interior/sources", (0, 0), 5000), "sources names more than 5 nodes inside"),
     "half a node": (put("interior/flexibility", lambda a: a[:, 1:]), "holds 14 columns, not 3 a node"),
+    "steps that are not powers of two": (entry("compliance/steps", 0, 3.0), "steps must hold powers of two"),
+    "steps that are negative": (entry("compliance/steps", 0, -2.0), "steps must hold powers of two"),
+    "steps that are not finite": (entry("compliance/steps", 0, np.nan), "steps must hold powers of two"),
+    "steps beyond single precision": (entry("compliance/steps", 0, 2.0**120), "steps must hold powers of two"),
+    "more steps": (put("compliance/steps", lambda a: np.ones(4)), r"compliance/steps has shape \(4,\)"),
+    "a step of numbers that have none": (entry("compliance/steps", 2, 1.0), "values of <f4 with a step"),
+    "integers without a step": (entry("compliance/steps", 0, 0.0), r"compliance/flexibility has .* of <u2, expected"),
+    "integers without steps": (lambda header, arrays: arrays.pop("compliance/steps"), "of <u2, expected"),
+    "a compliance that is not symmetric": (
+        entry("compliance/flexibility", (0, 1), 0), "flexibility must be symmetric, or zero above its diagonal"
+    ),
     "forces of other carriers": (put("interior/flexibility", lambda a: a[1:]), r"\(11, 15\) .* expected \(12, moved"),
     "a surface that tells nothing": (entry("interior/factor", 0, 0.0), "interior/factor must be .*, got 0.*"),
     "inner nodes alone": (lambda header, arrays: arrays.pop("interior/shares"), "array interior/shares is missing"),
@@ -476,8 +527,13 @@ def test_a_body_without_triangles_is_loaded_and_not_shown(altered):
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 @pytest.mark.parametrize("name", [name for name, (dtype, _) in storage.LAYOUT.items() if "f" in dtype])
 def test_numbers_that_are_not_finite_are_refused(altered, name, value):
+    def change(header, arrays):
+        if name == "compliance/flexibility":  # integers with a step, which are finite
+            arrays[name], arrays["compliance/steps"][0] = arrays[name].astype("<f4"), 0.0
+        arrays[name][0] = value
+
     with pytest.raises(pt.FileFormatError, match=rf"some\.rom: array {name} holds numbers that are not finite"):
-        pt.load(altered(entry(name, 0, value)))
+        pt.load(altered(change))
 
 
 @pytest.mark.parametrize("name", storage.LAYOUT)

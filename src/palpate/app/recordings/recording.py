@@ -117,7 +117,7 @@ def save_recording(path: Path, recording: Recording) -> None:
         "errors": plain(recording.full["errors"]) if recording.full else None,
         "written": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
     }  # fmt: skip
-    write_sealed(path, FORMAT, VERSION, header_fields, arrays)
+    write_sealed(path, FORMAT, VERSION, header_fields, arrays, deflate=True)
     try:
         _write_surface(path.with_suffix(".vtkhdf"), recording)
     except (InputError, OSError) as error:

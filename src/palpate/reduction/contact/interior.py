@@ -24,7 +24,6 @@ __all__ = ["Interior", "flexible_displacements", "interior_displacements", "inte
 MAX_SOURCES = 12  # coarse nodes in the fit of a fine node
 KERNEL_WIDTH = 0.6  # distance at which a source's weight falls to 1/e, in coarse spacings
 SLOPE_RIDGE = 1e-3  # regularisation of the slopes of a fit, as a fraction of the weights
-BINARY_DIGITS = 11  # binary digits of the stored flexibility; more would double the size of the model's file
 
 
 class Interior(NamedTuple):
@@ -75,9 +74,7 @@ def interior_flexibility(
     else:
         known = coarse.points[np.concatenate([coarse_nodes, carriers])]
         sources, shares = _linear_fits(fine.points[nodes], known, coarse.spacing)
-    fraction, exponent = np.frexp(rows.T)
-    rounded = np.ldexp(np.round(fraction * 2**BINARY_DIGITS), exponent - BINARY_DIGITS)
-    return Interior(nodes, np.ascontiguousarray(rounded, dtype=np.float32), sources, shares)
+    return Interior(nodes, np.ascontiguousarray(rows.T, dtype=np.float32), sources, shares)
 
 
 def _linear_fits(points: Floats, known: Floats, spacing: float) -> tuple[Ints, Floats]:

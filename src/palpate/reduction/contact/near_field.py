@@ -21,7 +21,7 @@ from palpate.arrays import Floats, Ints
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.reduction.basis.linear_modes import stiffness_blocks
 
-__all__ = ["add_own_compliance", "near_field_compliance"]
+__all__ = ["add_own_compliance", "lowest_compliance", "near_field_compliance"]
 
 
 # radii in coarse spacings: of a piece's core, of the near field beyond it, and of the rest of the piece
@@ -171,6 +171,25 @@ def add_own_compliance(
     flexibility, carriers, weights, nearby, near_field : arrays
         As of `palpate.reduction.contact.compliance.SurfaceCompliance`.
     """
+    lowest = lowest_compliance(flexibility, carriers, weights, nearby, near_field)
+    if lowest > 0:
+        return near_field
+    itself = (nearby == np.arange(len(nearby))[:, None]).argmax(axis=1)
+    raised = near_field.copy()
+    raised[np.arange(len(nearby)), itself] -= (1 + SAFETY) * lowest * np.eye(3, dtype=np.float32)
+    return raised
+
+
+def lowest_compliance(
+    flexibility: Floats, carriers: Ints, weights: Floats, nearby: Ints, near_field: NDArray[np.float32]
+) -> float:
+    """Return the lowest eigenvalue [m/N] of the compliance between all nodes.
+
+    Parameters
+    ----------
+    flexibility, carriers, weights, nearby, near_field : arrays
+        As of `palpate.reduction.contact.compliance.SurfaceCompliance`.
+    """
     count, size = len(nearby), len(flexibility) // 3
     pairs = (weights.ravel(), (np.repeat(np.arange(count), weights.shape[1]), carriers.ravel()))
     spread = sparse.csr_array(pairs, (count, size))
@@ -182,10 +201,4 @@ def add_own_compliance(
 
     start = np.random.default_rng(0).standard_normal(3 * count)
     whole = LinearOperator((3 * count, 3 * count), matvec=moved, dtype=float)
-    lowest = float(eigsh(whole, k=1, which="SA", tol=TOLERANCE, v0=start, return_eigenvectors=False)[0])
-    if lowest > 0:
-        return near_field
-    itself = (nearby == np.arange(count)[:, None]).argmax(axis=1)
-    raised = near_field.copy()
-    raised[np.arange(count), itself] -= (1 + SAFETY) * lowest * np.eye(3, dtype=np.float32)
-    return raised
+    return float(eigsh(whole, k=1, which="SA", tol=TOLERANCE, v0=start, return_eigenvectors=False)[0])

@@ -1,4 +1,10 @@
-"""Surface compliance in a model's file: its datasets and their validation."""
+"""Surface compliance in a model's file: its datasets and their validation.
+
+Flexibilities are multiples of a power of two (`palpate.reduction.contact.compliance.round_flexibility`). Such an array
+k times a step is stored as the unsigned integers k + `OFFSET`, whose high bytes are equal for all small k. Other
+arrays, of models that were not rounded, are stored as they are. Of a symmetric array the upper triangle is zero in the
+file. Both only make the file smaller: a loaded model has the bits of the saved one.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +17,7 @@ from palpate.faults import InputError, number_in_range
 from palpate.reduction.contact.compliance import SurfaceCompliance
 from palpate.reduction.contact.interior import Interior
 
-__all__ = ["COMPLIANCE", "INTERIOR", "read_compliance"]
+__all__ = ["COMPLIANCE", "INTERIOR", "STEPS", "pack_flexibilities", "read_compliance", "unpack_flexibilities"]
 
 Arrays = Mapping[str, np.ndarray[Any, Any]]
 
@@ -25,6 +31,67 @@ INTERIOR: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "interior/shares": ("<f8", ("followers", "followed")),
     "interior/factor": ("<f8", (1,)),
 }
+FLEXIBILITIES = ("compliance/flexibility", "compliance/near_field", "interior/flexibility")
+STEPS: dict[str, tuple[str, tuple[str | int, ...]]] = {"compliance/steps": ("<f8", (len(FLEXIBILITIES),))}
+OFFSET = (1 << 15) + (1 << 7)  # added to integers; those in -128..127 then have equal high bytes
+MIN_EXPONENT = -100  # of a step; its multiples then have all digits in single precision
+
+
+def pack_flexibilities(arrays: Arrays) -> dict[str, np.ndarray[Any, Any]]:
+    """Return the arrays of a file with flexibilities as integers, and their steps; 0 for those stored as they are."""
+    result, steps = dict(arrays), np.zeros(len(FLEXIBILITIES))
+    result["compliance/flexibility"] = np.tril(arrays["compliance/flexibility"])
+    for k, name in enumerate(FLEXIBILITIES):
+        if name in arrays:
+            result[name], steps[k] = _pack(result[name])
+    return result | {"compliance/steps": steps}
+
+
+def _pack(values: np.ndarray[Any, Any]) -> tuple[np.ndarray[Any, Any], float]:
+    step = _common_step(values)
+    if not step or values.max() / step + OFFSET > np.iinfo(np.uint16).max or values.min() / step + OFFSET < 0:
+        return values, 0.0
+    return (values / np.float32(step) + OFFSET).astype("<u2"), step
+
+
+def _common_step(values: np.ndarray[Any, Any]) -> float:
+    """Return the largest power of two of which all values are multiples; 0 if there is none."""
+    if not values.any() or not np.isfinite(values).all():
+        return 0.0
+    bits = values.astype("<f4").view("<u4")
+    exponents, digits = (bits >> 23) & 0xFF, bits & 0x7FFFFF | 0x800000
+    if exponents[values != 0].min() == 0:  # subnormal
+        return 0.0
+    # exponent of the last digit that is not zero
+    last = exponents.astype(np.int32) - 150 + np.frexp((digits & -digits.astype(np.int32)).astype(float))[1] - 1
+    exponent = int(last[values != 0].min())
+    return float(np.ldexp(1.0, exponent)) if exponent >= MIN_EXPONENT else 0.0
+
+
+def unpack_flexibilities(arrays: Arrays) -> dict[str, np.ndarray[Any, Any]]:
+    """Return the arrays of a file with flexibilities in single precision, and both triangles of that of the surface.
+
+    Raises
+    ------
+    InputError
+        Steps are not powers of two, or belong to arrays of other types.
+    """
+    result = dict(arrays)
+    steps = result.pop("compliance/steps", np.zeros(len(FLEXIBILITIES)))
+    if steps.shape != (len(FLEXIBILITIES),) or steps.dtype != "<f8":
+        raise InputError(f"array compliance/steps has shape {steps.shape} of {steps.dtype.str}, expected (3,) of <f8")
+    fractions, exponents = np.frexp(steps)
+    if not np.all((steps == 0) | ((fractions == 0.5) & (exponents > MIN_EXPONENT) & (exponents < -MIN_EXPONENT))):
+        raise InputError("array compliance/steps must hold powers of two, or 0 for arrays without a step")
+    for name, step in zip(FLEXIBILITIES, steps, strict=True):
+        if step and name in result:
+            if result[name].dtype != "<u2":
+                raise InputError(f"array {name} has values of {result[name].dtype.str} with a step, expected <u2")
+            result[name] = (result[name].astype("<f4") - np.float32(OFFSET)) * np.float32(step)
+    whole = result["compliance/flexibility"]
+    if whole.ndim == 2 and whole.shape[0] == whole.shape[1] and not np.triu(whole, 1).any():
+        result["compliance/flexibility"] = whole + np.tril(whole, -1).T
+    return result
 
 
 def read_compliance(arrays: Arrays, bonded_scale: float) -> SurfaceCompliance | None:
@@ -44,6 +111,8 @@ def read_compliance(arrays: Arrays, bonded_scale: float) -> SurfaceCompliance | 
     diagonal = np.diagonal(compliance.flexibility)
     if not (np.all(diagonal >= 0) and diagonal.sum() > 0):
         raise InputError("array compliance/flexibility holds no positive compliance")
+    if not np.array_equal(compliance.flexibility, compliance.flexibility.T):
+        raise InputError("array compliance/flexibility must be symmetric, or zero above its diagonal")
     if not np.all((compliance.carriers >= 0) & (3 * compliance.carriers + 2 < len(diagonal))):
         raise InputError(f"array compliance/carriers names rows outside the {len(diagonal)} of compliance/flexibility")
     for name in ("patches", "nearby"):
@@ -58,8 +127,7 @@ def read_compliance(arrays: Arrays, bonded_scale: float) -> SurfaceCompliance | 
     if not (0 <= compliance.stiffening[0] < 1 and compliance.stiffening[1] > 0):
         raise InputError("array compliance/stiffening must hold an exponent in [0, 1) and a positive force")
     interior = _interior(arrays, compliance) if "interior/nodes" in arrays else None
-    single = {name: getattr(compliance, name).astype(np.float32) for name in ("flexibility", "near_field")}
-    return compliance._replace(**single, interior=interior)
+    return compliance._replace(interior=interior)
 
 
 def _interior(arrays: Arrays, compliance: SurfaceCompliance) -> Interior:
@@ -71,4 +139,4 @@ def _interior(arrays: Arrays, compliance: SurfaceCompliance) -> Interior:
     if not np.all((sources >= 0) & (sources < count + carriers)):
         raise InputError(f"array interior/sources names more than {count} nodes inside and {carriers} carriers")
     whole = number_in_range("interior/factor", float(factor[0]), 0.0, open_low=True)
-    return Interior(nodes, flexibility.astype(np.float32), sources, shares, whole)
+    return Interior(nodes, flexibility, sources, shares, whole)

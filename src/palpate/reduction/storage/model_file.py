@@ -37,12 +37,20 @@ from palpate.reduction.storage.body import (
     read_arrays,
     supports_in,
 )
-from palpate.reduction.storage.compliance import COMPLIANCE, INTERIOR, read_compliance
+from palpate.reduction.storage.compliance import (
+    COMPLIANCE,
+    INTERIOR,
+    STEPS,
+    pack_flexibilities,
+    read_compliance,
+    unpack_flexibilities,
+)
 from palpate.sealed import ArrayFile, loading, open_sealed, write_sealed
 
 __all__ = ["REMEDY", "contents", "load_hyper_reduced", "model_of", "save_hyper_reduced"]
 
-FORMAT, VERSION = "palpate reduced model", 12
+FORMAT, VERSION = "palpate reduced model", 13
+OLDER_VERSIONS = (12,)  # also read
 REMEDY = "copy the file again, or train the model again"
 MAX_NAME_LENGTH = 200  # characters of a scene's name
 MAX_ADVICE_LENGTH = 1000  # characters
@@ -94,7 +102,7 @@ def save_hyper_reduced(model: ReducedModel, path: str | Path) -> None:
     OSError
         The path is not writable or the disk is full. An existing file is unchanged.
     """
-    write_sealed(Path(path), FORMAT, VERSION, *contents(model))
+    write_sealed(Path(path), FORMAT, VERSION, *contents(model), deflate=True)
 
 
 def load_hyper_reduced(path: str | Path) -> ReducedModel:
@@ -110,7 +118,7 @@ def load_hyper_reduced(path: str | Path) -> ReducedModel:
     """
     path = Path(path)
     with loading(path, REMEDY):
-        file = open_sealed(path, FORMAT, VERSION)
+        file = open_sealed(path, FORMAT, VERSION, OLDER_VERSIONS)
         return model_of(file.header, file)
 
 
@@ -129,9 +137,10 @@ def contents(model: ReducedModel) -> tuple[Header, Arrays]:
     header, arrays = _header(data) | rule, _arrays(data)
     check_header(header, ATTRIBUTES)
     _step_rule(header)
-    if _data(header, _check_shapes(header, arrays)).tissue.material != data.tissue.material:
+    packed = pack_flexibilities(arrays)
+    if _data(header, _check_shapes(header, unpack_flexibilities(packed))).tissue.material != data.tissue.material:
         raise InputError(f"the file would not give {data.tissue.material} back")
-    return header, arrays
+    return header, packed
 
 
 def _header(data: ReducedData) -> Header:
@@ -183,7 +192,9 @@ def model_of(header: Header, file: ArrayFile, prefix: str = "") -> ReducedModel:
         The content is not that of a reduced model.
     """
     check_header(header, ATTRIBUTES)
-    arrays = read_arrays(file, prefix, _layout(header, f"{prefix}interior/nodes" in file.arrays))
+    layout = _layout(header, f"{prefix}interior/nodes" in file.arrays)
+    steps = STEPS if f"{prefix}compliance/steps" in file.arrays else {}
+    arrays = unpack_flexibilities(read_arrays(file, prefix, layout | steps))
     return ReducedModel(_data(header, _check_shapes(header, arrays)), **_step_rule(header))
 
 
@@ -211,7 +222,7 @@ def _check_shapes(header: Header, arrays: Arrays) -> Arrays:
 def _data(header: Header, arrays: Arrays) -> ReducedData:
     """Return the data of a model; refuse values out of range."""
     _check_values(arrays)
-    own: dict[str, Any] = {n: a.astype(int if a.dtype.kind == "i" else float) for n, a in arrays.items()}
+    own: dict[str, Any] = arrays | {"basis_vectors": arrays["basis_vectors"].astype(float)}
     cloud, tissue, supports = body_of(header, own)
     if bool(header["prescribed"]) != bool(header["lifting_count"]):
         raise InputError(

@@ -41,6 +41,7 @@ from palpate.reduction.training.residual_fields import (
     scale_residual_fields,
     typical_residual,
 )
+from palpate.reduction.training.round_compliance import round_compliance
 from palpate.reduction.training.threads import in_threads
 
 __all__ = ["Trial", "energy_form", "hyper_reduce"]
@@ -309,6 +310,8 @@ def _train(
         if options.repeated:
             model, found = calibrate_contact(model, options.repeated)
             report |= found
+        assert model.data.compliance is not None
+        model = ReducedModel(replace(model.data, compliance=round_compliance(model.data.compliance)))
     model = model.with_report(report)
     if not options.held_out:
         return model
