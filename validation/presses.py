@@ -25,6 +25,8 @@ import palpate as pt
 from palpate.app.train.campaign import REPEATED
 from palpate.app.train.folder import HELD_OUT, jobs
 from palpate.reduction.basis.linear_modes import interpolated_modes
+from palpate.reduction.contact.coarse_body import coarse_body
+from palpate.reduction.contact.residual_flexibility import MAX_NODES
 from palpate.scenes.training import training_scene
 
 OUTPUT = Path(__file__).parents[1] / "docs" / "validation" / "presses.json"
@@ -74,12 +76,12 @@ def main() -> None:
     model = pt.load(args.folder / "model.rom")
     if args.shapes is not None or args.modes or args.cubature is not None:
         shapes = model.data.modes if args.shapes is None else args.shapes
-        coarse = scene.coarse()
+        coarse = scene.model if len(scene.model.cloud) <= MAX_NODES else coarse_body(scene.model)
         trained = [(scene.path(job.seed)[0], path) for job, path in found if job.kind != HELD_OUT]
         model = pt.hyper_reduce(
             scene.model, [path for _, path in trained], modes=args.modes, coarse=coarse, repeated=trained[:REPEATED],
             enrichment=interpolated_modes(coarse, scene.model, shapes) if shapes else None,
-            cubature=args.cubature or 1e-3,
+            cubature=args.cubature,
         )  # fmt: skip
     about = {"shapes": args.shapes, "modes": args.modes, "cubature": args.cubature, **manifest["parameters"]}
     known = ("modes", "nodes", "nodes_full", "training_runs", "compliance_explained")

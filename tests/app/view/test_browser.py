@@ -397,6 +397,18 @@ def test_a_replay_has_a_time_line_and_no_tools(browser):
         tab.close()
 
 
+def test_a_model_with_large_errors_has_its_advice_on_the_page(browser):
+    text = "the model errs by 45% in force and 8% in surface on held-out runs; use more modes than 8"
+    for advice in (text, None):
+        with SyntheticSession(PAGE, training_errors={"force_error": 0.5, "advice": advice}) as session:
+            tab = browser.open(session.address, *WIDE)
+            tab.wait("window.palpate?.ready", 60)
+            assert tab.evaluate("document.getElementById('message').textContent") == (advice or "")
+            assert tab.evaluate("document.getElementById('message').hidden") is (advice is None)
+            assert not tab.errors
+            tab.close()
+
+
 def test_a_hidden_page_still_acknowledges_frames(opened, synthetic):
     tab = opened()
     tab.evaluate("window.requestAnimationFrame = () => 0")  # what a browser does with a tab that is hidden

@@ -266,10 +266,11 @@ def test_a_large_body_with_tools_has_a_coarse_one_made_of_its_surface(pressed, m
     model = pt.hyper_reduce(body, runs[:-1], modes=12)
     coarse = coarse_body(body, most=most)
     assert len(coarse.cloud) < most
-    by_hand = pt.hyper_reduce(body, runs[:-1], modes=12, coarse=coarse, cubature=0.01)
-    np.testing.assert_array_equal(model.data.basis_vectors, by_hand.data.basis_vectors)
-    np.testing.assert_array_equal(model.data.compliance.flexibility, by_hand.data.compliance.flexibility)
-    np.testing.assert_array_equal(model.data.cubature.nodes, by_hand.data.cubature.nodes)
+    shapes = interpolated_modes(coarse, body, 12)
+    np.testing.assert_array_equal(model.data.basis_vectors[:12], shapes.astype(np.float32))
+    carriers = 3 * len(np.setdiff1d(coarse.cloud.face_nodes, coarse.cloud.group("z-")))
+    assert model.data.compliance.flexibility.shape == (carriers, carriers)
+    assert model.report["cubature"] == 0.01
     own = pt.rollout(model, press(0.024, 0.038), duration=0.2, every=0.005)
     assert force_error(runs[-1], own) < 0.2
     open_body = pt.Solid(replace(body.cloud, triangles=body.cloud.triangles[1:]), body.material, "z-")

@@ -164,7 +164,7 @@ def _summary(changes: Floats, places: Floats) -> dict[str, Any]:
 def _borders(cloud: Cloud, supports: Sequence[Support]) -> tuple[dict[str, Ints], dict[str, Ints], float]:
     """Return the groups of supports with one ring of surface nodes more and fewer, and the width of the ring [m].
 
-    Planes of symmetry are no attachments, and stay. Groups are empty where no surface is free next to a support.
+    Planes of symmetry do not attach a body, and stay. Groups are empty where no surface is free next to a support.
     """
     edges = cloud.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     edges = np.concatenate([edges, edges[:, ::-1]])
