@@ -234,6 +234,37 @@ MUTATIONS = (
         "result[plane.nodes] -= forces.sum(axis=0)", "result[plane.nodes] -= 0.0 * forces.sum(axis=0)",
         ("tests/meshfree/test_mirror.py::test_the_equilibrium_is_that_of_the_whole_bar",),
     ),
+    # scenes
+    Mutation(
+        "tools at supports", "scenes/tool_paths.py",
+        "reached & ~surface.held & (distances >= radius)", "reached & ~surface.held",
+        ("tests/scenes/test_tool_paths.py::test_tools_keep_from_fixed_nodes",),
+    ),
+    Mutation(
+        "slides over supports", "scenes/tool_paths.py",
+        "np.all(fixed >= self.radius)", "np.all(fixed >= 0.0)",
+        ("tests/scenes/test_tool_paths.py::test_slides_do_not_cross_supports",),
+    ),
+    Mutation(
+        "slides through the body", "scenes/tool_paths.py",
+        "np.all(gaps >= -MAX_SAG * depths - TOUCH * self.radius)", "np.all(gaps >= -self.radius)",
+        ("tests/scenes/test_tool_paths.py::test_slides_over_a_bulge_are_not_deeper_than_presses",),
+    ),
+    Mutation(
+        "balls in closed cavities", "scenes/tool_paths.py",
+        "parts[tuple(index.T)] == parts[0, 0, 0]", "parts[tuple(index.T)] > 0",
+        ("tests/scenes/test_tool_paths.py::test_a_closed_cavity_is_not_reached_though_the_ball_has_room_in_it",),
+    ),
+    Mutation(
+        "places not spread", "scenes/tool_paths.py",
+        "drawn[np.argmax(nearest[drawn])]", "drawn[0]",
+        ("tests/scenes/test_tool_paths.py::test_training_places_are_spread_and_held_out_places_are_not",),
+    ),
+    Mutation(
+        "coverage not chosen", "app/train/choose.py",
+        "added[k] + _expected_error", "_expected_error",
+        ("tests/app/train/test_coverage.py::test_uncovered_surface_comes_before_errors_and_errors_decide_on_covered_surface",),
+    ),
     # reduction
     Mutation(
         "share of a load not counted", "reduction/hyper/model.py",

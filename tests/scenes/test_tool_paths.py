@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
-from tool_bodies import Body, bean, hollow, lobes, together
+from tool_bodies import Body, bean, filled, hollow, lobes, together
 
 import palpate as pt
 from palpate.meshfree.nesting import winding_number
@@ -140,6 +140,33 @@ def test_depths_are_limited_by_the_thickness_and_by_fixed_nodes_below():
         depths[height] = float(found.depths[top[0]])
     assert depths[0.02] == pytest.approx(0.4 * 0.04, abs=1e-3)
     assert depths[0.04] == pytest.approx(0.4 * 0.02, abs=1e-3)
+
+
+def test_slides_do_not_cross_supports():
+    cloud = pt.box((0.2, 0.08, 0.04), 0.01)
+    strip = np.flatnonzero((np.abs(cloud.points[:, 0] - 0.1) < 0.011) & (cloud.points[:, 2] > 0.039))
+    paths = ToolPaths(Body(cloud.with_group("strip", strip), ("strip",)), 0.025, 0.01, 0.2, 0.2, grasps=0.0)
+    crossed = False
+    for seed in range(HELD_OUT, HELD_OUT + 60):
+        nodes = paths.surface._touched(paths.press(seed)[0][0], 0.6)
+        distances = np.linalg.norm(paths.surface.points[nodes, None] - cloud.points[strip], axis=2)
+        assert distances.min() >= 0.025 - 0.01
+        crossed |= np.ptp(paths.surface.points[nodes, 0]) > 0.03
+    assert crossed  # slides are long enough for that
+
+
+def test_slides_over_a_bulge_are_not_deeper_than_presses():
+    radius, body = 0.0125, 0.03
+    paths = ToolPaths(
+        Body(filled(lambda x, y, z: np.sqrt(x**2 + y**2 + z**2) - body, (body,) * 3, 0.005)), radius, 0.008, 0.2, 0.05
+    )
+    lengths = []
+    for seed in range(60):
+        way = ball(paths, seed)[25:46]
+        depths = radius - (np.linalg.norm(way, axis=1) - body)
+        assert depths.max() <= 1.1 * max(depths[0], depths[-1]) + 0.04 * radius
+        lengths.append(np.linalg.norm(way[-1] - way[0]))
+    assert np.max(lengths) > 0.01
 
 
 def test_rollers_are_pressed_and_clamps_and_planes_of_symmetry_are_not():

@@ -96,9 +96,9 @@ class FreeSurface:
     def covered(self, loads: Sequence[Load], duration: float) -> NDArray[np.bool_]:
         """Return which surface nodes (s,) tools cover: those near a place that they touch.
 
-        A tool touches the surface node nearest to it as long as it overlaps the undeformed body, and
+        A tool touches the surface node nearest to its origin as long as it overlaps the undeformed body there, and
         forceps the node nearest to the grasped point. A touch covers nodes within one radius of the tool that
-        face the same way. Loads that are not tools cover nothing.
+        face the same way. Planes, and loads that are not tools, cover nothing.
 
         Parameters
         ----------
@@ -117,7 +117,7 @@ class FreeSurface:
         """Return the surface nodes that a tool touches."""
         if isinstance(load, Grasp):
             return np.atleast_1d(self.tree.query(np.asarray(load.point, dtype=float))[1])
-        if not isinstance(load, Contact):
+        if not isinstance(load, Contact) or not load.tool.sizes[0]:
             return np.zeros(0, dtype=np.int64)
         places = load.poses(np.linspace(0.0, duration, POSES))[:, :3]
         distances, nearest = self.tree.query(places)

@@ -51,6 +51,7 @@ class TrainingScene:
     model : Solid or Membrane
     path : function
         Function of a seed, an integer from 0, that returns the loads of a run and its duration [s].
+        Of the seeds of a campaign, `CAMPAIGN_SEEDS`, the first `TRAINING_SEEDS` are for training.
     every : float [s]
         Time between snapshots.
     title : str

@@ -97,6 +97,9 @@ class ToolPaths:
         Surface nodes at which a ball can press, and forceps can hold the body.
     normals : (s, 3) array
         Smoothed outward normals.
+    heights : (s,) array [m]
+        Height of the ball's centre above each node, along the normal, where it first touches the body; infinite
+        where it cannot come.
     depths : (s,) array [m]
         Depth of the deepest press at each reachable node; 0 elsewhere.
 

@@ -60,8 +60,8 @@ def train(
     seed : int, optional
         Of the paths.
     tolerance : float, optional
-        Choose the paths, at most `paths`, on which the model errs most, until its mean errors on the held-out
-        runs are at most this; see `palpate.app.train.campaign.Campaign.train_to_tolerance`.
+        Choose paths on uncovered surface and where the model errs most, at most `paths`, until its mean errors on the
+        held-out runs are at most this; see `palpate.app.train.campaign.Campaign.train_to_tolerance`.
     more : sequence of path
         Recordings of sessions: the campaign also trains on their tool paths beyond trust, from now on.
     modes : int, optional

@@ -40,8 +40,8 @@ def add_train(commands: Any) -> None:
     add("--held-out", type=whole, metavar="K", help=text)
     add("--seed", type=whole, metavar="K", help="seed of the paths (default: that of the scene; 0 of a function)")
     text = (
-        "choose the paths on which the model errs most, at most --paths, until its mean errors of displacement "
-        "and forces on the held-out runs are at most this"
+        "choose paths on uncovered surface and where the model errs most, at most --paths, until its mean errors of "
+        "displacement and forces on the held-out runs are at most this"
     )
     add("--tolerance", type=number, metavar="E", help=text)
     text = "recordings of sessions (palpate view): also train on their tool paths with trust numbers above 1"
