@@ -384,7 +384,11 @@ def forged_bytes(saved, path, content, about):
 DEFLATED = {
     "other bytes": (lambda old: b"\0" * len(old), {}, "basis_vectors cannot be decompressed"),
     "bytes that end early": (lambda old: old[:-9], {}, "does not have the bytes that it is decompressed to"),
-    "more bytes after the end": (lambda old: zlib.compress(zlib.decompress(old), 9) + b"1", {}, "does not have the bytes that it is"),
+    "more bytes after the end": (
+        lambda old: zlib.compress(zlib.decompress(old), 9) + b"1",
+        {},
+        "does not have the bytes",
+    ),
     "fewer values": (lambda old: zlib.compress(bytes(32256)), {}, "beyond|does not have the bytes|fit into"),
     "far more values": (lambda old: zlib.compress(bytes(10**7)), {}, "does not have the bytes|fit into"),
     "a larger shape": (lambda old: old, {"shape": [24, 1000, 3]}, "does not have the bytes that it is decompressed to"),
