@@ -11,6 +11,7 @@ import gzip
 import io
 import json
 import math
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from functools import cache
@@ -178,20 +179,40 @@ def _forge(rng: Rng, path: Path, kind: str, version: int, to: Path) -> None:
             else:
                 arrays[name] = lied_array(rng, arrays[name])
     rows = {name: list(arrays.pop(name)) for name in by_row & arrays.keys() if arrays[name].ndim and len(arrays[name])}
-    write_sealed(to, kind, version, header, arrays, rows)
+    write_sealed(to, kind, version, header, arrays, rows, deflate=bool(rng.random() < 0.5))
+
+
+def forged_deflated(rng: Rng, data: bytes) -> bytes:
+    """Return a sealed file with other compressed bytes of an array, of the same number, and right checksums."""
+    at = int(data[:HEAD].split(b"\n")[2].split()[1])
+    deflated = [entry for entry in json.loads(data[at:])["arrays"].values() if "deflated" in entry]
+    if not deflated:
+        return data
+    entry = deflated[int(rng.integers(len(deflated)))]
+    start, stop = entry["offset"], entry["offset"] + entry["deflated"]
+    if rng.random() < 0.5:
+        content = damaged(rng, data[start:stop])[: stop - start].ljust(stop - start, b"\0")
+    else:  # of another array, which may be far longer
+        content = zlib.compress(bytes(int(10 ** rng.uniform(0, 8))))[: stop - start].ljust(stop - start, b"\0")
+    forgery = data[:start] + content + data[stop:]
+    text = data[at:].replace(entry["sha256"].encode(), sha256(content).hexdigest().encode())
+    return _with_table(forgery, at, text)
 
 
 def forged_table(rng: Rng, data: bytes) -> bytes:
     """Return a sealed file with a lie in its table, and right checksums of the table."""
-    kind, version, place = data[:HEAD].split(b"\n")[:3]
-    at = int(place.split()[1])
+    at = int(data[:HEAD].split(b"\n")[2].split()[1])
     table = json.loads(data[at:])
     if rng.random() < 0.7 and table["arrays"]:
         name = str(rng.choice(sorted(table["arrays"])))
         table["arrays"][name] = lie(rng, table["arrays"][name])
     else:
         table = lie(rng, table)
-    text = json.dumps(table).encode()
+    return _with_table(data, at, json.dumps(table).encode())
+
+
+def _with_table(data: bytes, at: int, text: bytes) -> bytes:
+    kind, version = data[:HEAD].split(b"\n")[:2]
     head = b"\n".join([kind, version, f"table {at} {len(text)} {sha256(text).hexdigest()}".encode(), b""])
     return head.ljust(HEAD, b"\0") + data[HEAD:at] + text
 
@@ -210,8 +231,10 @@ def sealed_kind(path: Path, kind: str, version: int, load: Callable[[Path], Any]
         if how < 0.4:
             changed.write_bytes(damaged(rng, data))
             return "equal" if fingerprint(load(changed)) == sound else "another number"
-        if how < 0.65:
+        if how < 0.6:
             changed.write_bytes(forged_table(rng, data))
+        elif how < 0.7:
+            changed.write_bytes(forged_deflated(rng, data))
         else:
             forged(rng, path, kind, version, changed)
         found = load(changed)

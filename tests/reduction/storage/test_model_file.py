@@ -6,7 +6,9 @@ import errno
 import json
 import os
 import re
+import zlib
 from dataclasses import fields, replace
+from hashlib import sha256
 from pathlib import Path
 
 import h5py
@@ -24,7 +26,7 @@ from palpate.reduction.realtime.display_surface import Surface
 from palpate.reduction.storage import model_file as storage
 from palpate.reduction.storage.compliance import pack_flexibilities, unpack_flexibilities
 from palpate.reduction.storage.model_file import CURVE
-from palpate.sealed import open_sealed, write_sealed
+from palpate.sealed import HEAD, ArrayEntry, _digest_of_rest, open_sealed, write_sealed
 
 
 def flat(data):
@@ -354,6 +356,61 @@ def test_a_flipped_bit_is_refused_wherever_it_is(saved, path):
         path.write_bytes(changed)
         with pytest.raises(pt.FileFormatError, match=r"some\.rom"):
             pt.load(path)
+
+
+def forged_bytes(saved, path, content, about):
+    """Write a copy with other compressed bytes of an array, as many or fewer, and a right table."""
+    data, name = saved.read_bytes(), "basis_vectors"
+    at = int(data[:HEAD].split(b"\n")[2].split()[1])
+    table = json.loads(data[at:])
+    entry = table["arrays"][name]
+    start, size = entry["offset"], entry["deflated"]
+    old = data[start : start + size]
+    new = content(old)
+    assert len(new) <= size
+    entry |= {"sha256": sha256(new).hexdigest(), "deflated": len(new)}
+    # the rest of the place belongs to no array
+    data = data[:start] + new.ljust(size, b"\0") + data[start + size : at]
+    path.write_bytes(data)
+    entries = {k: ArrayEntry(e["type"], e["shape"], e["offset"], (), False, e.get("deflated"))
+            for k, e in table["arrays"].items()}  # fmt: skip
+    table["rest"] = _digest_of_rest(path, entries, at)
+    entry |= about
+    text = json.dumps(table).encode()
+    head = f"{storage.FORMAT}\nversion {storage.VERSION}\ntable {at} {len(text)} {sha256(text).hexdigest()}\n".encode()
+    path.write_bytes(head.ljust(HEAD, b"\0") + data[HEAD:] + text)
+
+
+DEFLATED = {
+    "other bytes": (lambda old: b"\0" * len(old), {}, "basis_vectors cannot be decompressed"),
+    "bytes that end early": (lambda old: old[:-9], {}, "does not have the bytes that it is decompressed to"),
+    "more bytes after the end": (
+        lambda old: zlib.compress(zlib.decompress(old), 9) + b"1",
+        {},
+        "does not have the bytes",
+    ),
+    "fewer values": (lambda old: zlib.compress(bytes(32256)), {}, "beyond|does not have the bytes|fit into"),
+    "far more values": (lambda old: zlib.compress(bytes(10**7)), {}, "does not have the bytes|fit into"),
+    "a larger shape": (lambda old: old, {"shape": [24, 1000, 3]}, "does not have the bytes that it is decompressed to"),
+    "a shape beyond the limit": (lambda old: old, {"shape": [24, 10**6, 3]}, "which does not fit into"),
+    "no bytes": (lambda old: old, {"deflated": 0}, "has 0 compressed bytes"),
+    "a number of bytes that is true": (lambda old: old, {"deflated": True}, "has True compressed bytes"),
+    "more bytes than the file": (lambda old: old, {"deflated": 10**9}, "compressed bytes, which the file does not"),
+    "negative bytes": (lambda old: old, {"deflated": -5}, "has -5 compressed bytes"),
+}
+
+
+@pytest.mark.parametrize("case", DEFLATED)
+def test_forged_compressed_arrays_are_refused(saved, path, case):
+    content, about, message = DEFLATED[case]
+    forged_bytes(saved, path, content, about)
+    with pytest.raises(pt.FileFormatError, match=rf"some\.rom: .*({message})"):
+        pt.load(path)
+
+
+def test_compressed_arrays_sealed_again_are_read(saved, path, trained):
+    forged_bytes(saved, path, lambda old: old, {})
+    assert_equal(pt.load(path).data, rounded(trained.data))
 
 
 def put(name, values):

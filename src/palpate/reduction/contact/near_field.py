@@ -181,7 +181,11 @@ def add_own_compliance(
 
 
 def lowest_compliance(
-    flexibility: Floats, carriers: Ints, weights: Floats, nearby: Ints, near_field: NDArray[np.float32]
+    flexibility: NDArray[np.floating[Any]],
+    carriers: Ints,
+    weights: Floats,
+    nearby: Ints,
+    near_field: NDArray[np.float32],
 ) -> float:
     """Return the lowest eigenvalue [m/N] of the compliance between all nodes.
 

@@ -35,14 +35,15 @@ def round_compliance(compliance: SurfaceCompliance) -> SurfaceCompliance:
     typical = float(np.median(np.diagonal(compliance.flexibility)))
     if not typical > 0:
         return compliance
-    interior = compliance.interior
-    if interior is not None:
-        rounded = _multiples(interior.flexibility, _power_of_two(MAX_INTERIOR_STEP * typical / interior.factor))
-        interior = interior._replace(flexibility=rounded)
-    step, least = _power_of_two(MAX_STEP * typical), MIN_LOWEST * max(_lowest(compliance), 0.0)
+    rounded, step = compliance, _power_of_two(MAX_STEP * typical)
+    if compliance.interior is not None:
+        interior = compliance.interior
+        multiples = _multiples(interior.flexibility, _power_of_two(MAX_INTERIOR_STEP * typical / interior.factor))
+        rounded = compliance._replace(interior=interior._replace(flexibility=multiples))
+    least = MIN_LOWEST * max(_lowest(compliance), 0.0)
     for _ in range(MAX_HALVINGS):
         flexibility, near_field = _multiples(compliance.flexibility, step), _multiples(compliance.near_field, step)
-        rounded = compliance._replace(flexibility=flexibility, near_field=near_field, interior=interior)
+        rounded = rounded._replace(flexibility=flexibility, near_field=near_field)
         if _lowest(rounded) > least:
             break
         step /= 2
