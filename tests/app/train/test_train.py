@@ -236,6 +236,22 @@ def test_sizes_from_which_no_model_can_be_trained_are_refused_before_the_runs(tm
     assert not list((tmp_path / "new" / "runs").glob("*"))
 
 
+@pytest.mark.slow
+def test_a_large_body_is_trained_on_its_own_surface_filled_again(tmp_path, monkeypatch):
+    monkeypatch.setattr("palpate.app.train.campaign.MAX_NODES", 700)
+    folder = tmp_path / "pad"
+    argv = ["train", "training_scenes:pad", "--set", "springs=1e5", "--paths", "4", "--held-out", "2", "--modes", "12"]
+    assert main([*argv, "--out", str(folder)]) == 0
+    report, text = json.loads((folder / "report.json").read_text()), (folder / "report.md").read_text()
+    assert report["campaign"]["nodes"] == 726
+    assert 300 < report["supports"]["nodes"] < 700
+    assert report["model"]["cubature"] == 0.01
+    assert report["model"]["held_out"]["contact"]["mean"]["force"] < 0.15
+    assert report["supports"]["springs"]["halved"]["largest"] < 0 < report["supports"]["springs"]["doubled"]["largest"]
+    assert "if the springs of foundations are halved or doubled: " in text
+    assert "the border of the supports moves" in text
+
+
 def test_a_large_body_that_cannot_be_filled_again_is_refused_before_the_runs(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("palpate.app.train.campaign.MAX_NODES", 60)
     argv = ["train", "training_scenes:pad", "--paths", "4", "--held-out", "0", "--modes", "8"]

@@ -7,6 +7,7 @@ import os
 import numpy as np
 
 from palpate.dynamics.contact.tools import Contact, Sphere
+from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.solid.model import Solid
 from palpate.meshfree.cloud import box
@@ -16,20 +17,20 @@ from palpate.tissue.materials import MooneyRivlin
 EVERY = 0.001
 
 
-def pad(spacing: float = 0.006) -> TrainingScene:
-    """Return a pad that a ball presses at random places."""
+def pad(springs: float = 0.0) -> TrainingScene:
+    """Return a pad that a ball presses at random places, with springs [N/m^3] on a side."""
     tissue = MooneyRivlin(C1=4e3, C2=0, density=1000.0, poisson=0.4)
-    model = Solid(box((0.06, 0.06, 0.03), spacing), tissue, "z-", stiffness_damping=1e-4)
+    model = Solid(box((0.06, 0.06, 0.03), 0.006), tissue, "z-", stiffness_damping=1e-4)
 
-    def path(seed: int) -> tuple[tuple[Contact], float]:
+    def path(seed: int) -> tuple[tuple[Contact, Foundation], float]:
         place = np.random.default_rng(seed).uniform(0.02, 0.04, 2)
 
         def motion(time: float) -> np.ndarray:
             return np.array([*place, 0.03 + 0.016 - 0.004 * np.sin(np.pi * min(time / 0.08, 1.0)) ** 2])
 
-        return (Contact(Sphere(0.015), motion),), 0.1
+        return (Contact(Sphere(0.015), motion), Foundation("x-", springs)), 0.1
 
-    return TrainingScene(model, path, 0.005, "Pad", {"spacing": spacing})
+    return TrainingScene(model, path, 0.005, "Pad", {"springs": springs})
 
 
 def bar(lasting: float = 0.01, diverging: str = "", deadly: str = "") -> TrainingScene:

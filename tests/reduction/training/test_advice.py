@@ -65,6 +65,7 @@ def test_a_model_that_has_not_seen_the_motion_warns_and_keeps_the_advice():
         model = pt.hyper_reduce(body, seen, modes=3, held_out=[(push, unseen)])
     assert caught[0].filename == __file__
     assert model.report["advice"] == str(caught[0].message)
+    assert model.report["cubature"] == 1e-3  # the default without tools in contact
     found = model.report["held_out"]
     missed = unseen.displacements - np.tensordot(
         model.body.project(unseen.displacements), model.data.basis_vectors[:3], 1

@@ -33,7 +33,7 @@ from palpate.meshfree.cloud import Cloud
 from palpate.reduction.basis.linear_modes import rest_stiffness
 from palpate.reduction.contact.coarse_body import explicit_supports
 
-__all__ = ["Press", "select_presses", "support_sensitivity"]
+__all__ = ["Press", "moved_borders", "select_presses", "support_sensitivity"]
 
 MAX_PRESSES = 6
 MAX_HELD_SHARE = 0.1  # of the force of a press on nodes that a moved border would hold
@@ -101,7 +101,7 @@ def support_sensitivity(
         hold the body. None if there is no press away from the supports, or nothing whose support could change.
     """
     cloud, supports = body.cloud, explicit_supports(body.cloud, body.supports)
-    outer, inner, distance = _borders(cloud, supports)
+    outer, inner, distance = moved_borders(cloud, supports)
     forces, places = _on_body(body, points, presses)
     held = supported_nodes(_with_groups(cloud, outer), supports).kind != 0
     sizes = np.linalg.norm(forces, axis=2)
@@ -161,7 +161,7 @@ def _summary(changes: Floats, places: Floats) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _borders(cloud: Cloud, supports: Sequence[Support]) -> tuple[dict[str, Ints], dict[str, Ints], float]:
+def moved_borders(cloud: Cloud, supports: Sequence[Support]) -> tuple[dict[str, Ints], dict[str, Ints], float]:
     """Return the groups of supports with one ring of surface nodes more and fewer, and the width of the ring [m].
 
     Planes of symmetry do not attach a body, and stay. Groups are empty where no surface is free next to a support.
