@@ -14,6 +14,8 @@ from palpate.scenes.settings import Fault, read_section
 __all__ = ["line_of", "parse_scene", "read_scene"]
 
 MAX_BYTES = 1 << 20  # of a scene file
+# keys of more parts than a scene has; tomllib takes hours for one of 100,000
+LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){16}""")
 HEADER = re.compile(r"\[(\[?)([^\[\],=]+)\]\]?\s*(?:#.*)?")  # each repetition ends at one place: no backtracking
 
 
@@ -25,7 +27,7 @@ def read_scene(path: Path) -> Description:
     FileNotFoundError
         There is no such file.
     FileFormatError
-        The file is no TOML, or is too large.
+        The file is no TOML, is too large, or has a key of very many parts.
     InputError
         A key or a value of it is wrong; the message names the file, the line and the key.
     """
@@ -34,6 +36,10 @@ def read_scene(path: Path) -> Description:
 
 def parse_scene(text: str, name: str) -> Description:
     """Return the description in the text of a scene file; `name` stands for it in messages."""
+    long = LONG_KEY.search(text)
+    if long:
+        line = text.count("\n", 0, long.start()) + 1
+        raise FileFormatError(f"{name}, line {line}: a key must have at most 16 parts, got {long[0][:40]}...; shorten it")
     try:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also a whole number of thousands of digits

@@ -184,7 +184,8 @@ def quantity(value: Any, unit: str) -> float:
         return number
     if word not in known:
         raise InputError(f"must have one of the units {', '.join(known)}, got {word!r:.40}; write it as {example}")
-    return number * known[word]
+    factor = known[word]
+    return number * factor if factor >= 1 else number / (1 / factor)  # 9 mm are 0.009 m to the last bit
 
 
 def check_number(value: Any, about: Mapping[str, Any]) -> float:
