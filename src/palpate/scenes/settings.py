@@ -13,6 +13,7 @@ import types
 import typing
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
+from decimal import Decimal
 from difflib import get_close_matches
 from typing import Any
 
@@ -184,8 +185,9 @@ def quantity(value: Any, unit: str) -> float:
         return number
     if word not in known:
         raise InputError(f"must have one of the units {', '.join(known)}, got {word!r:.40}; write it as {example}")
-    factor = known[word]
-    return number * factor if factor >= 1 else number / (1 / factor)  # 9 mm are 0.009 m to the last bit
+    if not (math.isfinite(number) and number):
+        return number
+    return float(Decimal(found[1]) * Decimal(repr(known[word])))  # 9 mm are 0.009 m to the last bit
 
 
 def check_number(value: Any, about: Mapping[str, Any]) -> float:
