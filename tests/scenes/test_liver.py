@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from palpate.scenes.liver import ToolPaths, pressed_liver
 
 import palpate as pt
 from palpate.reduction.basis.linear_modes import interpolated_modes
-from palpate.scenes.liver import ToolPaths, pressed_liver
 from palpate.scenes.training import training_scene
 
 pytestmark = pytest.mark.slow

@@ -338,8 +338,14 @@ def test_folders_and_missing_files_are_refused(tmp_path):
 
 @pytest.mark.parametrize(
     "line",
-    ["[" + " " * 900_000 + "x]", "a." * 300_000 + "a = 1", "x = {" + "a . " * 200_000 + "a = 1}", "['1'" + ".'1'" * 200_000 + "]",
-     "x" * 900_000 + " = 1", '"' + "]" * 900_000 + '" = 1']
+    [
+        "[" + " " * 900_000 + "x]",
+        "a." * 300_000 + "a = 1",
+        "x = {" + "a . " * 200_000 + "a = 1}",
+        "['1'" + ".'1'" * 200_000 + "]",
+        "x" * 900_000 + " = 1",
+        '"' + "]" * 900_000 + '" = 1',
+    ],
 )
 def test_long_lines_are_refused_without_a_wait(write, line):
     path = write("title = 3\n" + line + "\n")
@@ -402,7 +408,10 @@ def test_every_place_of_a_box_holds_its_nodes(opened, place):
         ("side = 'lowest 1.2.3%'", r"region\[1\]: fixed must be x-, x\+"),
         ("side = 'lowest 150%'", r"region\[1\]: fixed must be in \(0, 100\] %"),
         ("part = 'lobe'", r"region\[1\]: part must be of a surface file, got 'lobe' of a generated shape; use a box"),
-        ("ball = { centre = [1, 1, 1], radius = '1 mm' }", r"region\[1\]: place must hold a node, got none at its ball"),
+        (
+            "ball = { centre = [1, 1, 1], radius = '1 mm' }",
+            r"region\[1\]: place must hold a node, got none at its ball",
+        ),
         ("plane = { point = [0, 0, 0], normal = [0, 0, 0] }", r"region\[1\]: normal of a plane must not be zero"),
     ],
 )
@@ -498,7 +507,9 @@ def test_every_kind_of_load_is_that_of_the_library(opened):
     )
     scene = opened(text)
     pin = scene.cloud.group("pin")
-    np.testing.assert_array_equal(pin, np.flatnonzero(np.linalg.norm(CLOUD.points - [0.03, 0.02, 0.03], axis=1) < 0.008))
+    np.testing.assert_array_equal(
+        pin, np.flatnonzero(np.linalg.norm(CLOUD.points - [0.03, 0.02, 0.03], axis=1) < 0.008)
+    )
     cloud = CLOUD.with_group("top", np.isclose(Z, 0.03)).with_group("pin", pin)
     loads = [
         pt.SurfaceForce("x+", lambda t: (0.0, 0.0, 0.003 * 20 * t)), pt.Pressure("top", lambda t: 400.0 * t),
@@ -537,7 +548,10 @@ fibres = { directions = [[3, 0, 0]], parameters = { k1 = "2 kPa", k2 = 1.5 } }
         ("energy = 'I1 - 3 + undefined'", "undefined"),
         ("fibres = { directions = [], parameters = { k1 = 1 } }", "directions of fibres must hold a direction"),
         ("fibres = { directions = [[0, 0, 0]], parameters = { k1 = 1 } }", "directions of fibres must not be zero"),
-        ("fibres = { directions = [[1, 0, 0]], parameters = { k7 = 1 } }", "parameters must be .* for Fibres, got 'k7'"),
+        (
+            "fibres = { directions = [[1, 0, 0]], parameters = { k7 = 1 } }",
+            "parameters must be .* for Fibres, got 'k7'",
+        ),
         ("relaxation = { shares = [], times = [] }", "shares"),
     ],
 )
@@ -637,7 +651,9 @@ def organ(tmp_path, monkeypatch):
     (tmp_path / "scene" / "meshes").mkdir(parents=True)
     surface = ellipsoid()
     off(tmp_path / "scene" / "meshes" / "organ.off", surface)
-    sheet = pt.Surface(np.array([[-0.05, -0.05, -0.016], [0.05, -0.05, -0.016], [0, 0.08, -0.016]]), np.array([[0, 1, 2]]))
+    sheet = pt.Surface(
+        np.array([[-0.05, -0.05, -0.016], [0.05, -0.05, -0.016], [0, 0.08, -0.016]]), np.array([[0, 1, 2]])
+    )
     off(tmp_path / "scene" / "meshes" / "bone.off", sheet)
     (tmp_path / "scene" / "organ.toml").write_text(ORGAN)
     monkeypatch.chdir(tmp_path)

@@ -110,7 +110,11 @@ class PlaceFinder:
         """Return the nodes within a distance of another surface."""
         distance = near.distance
         surface = read_surface(
-            self.folder / near.file, part=list(near.parts) or None, units=self._units, scale=self.shape.scale, repair=False
+            self.folder / near.file,
+            part=list(near.parts) or None,
+            units=self._units,
+            scale=self.shape.scale,
+            repair=False,
         )
         vertices, _ = refine_surface(
             surface.vertices, surface.triangles, lambda places: np.full(len(places), EDGE * distance)

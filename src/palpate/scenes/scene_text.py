@@ -39,7 +39,9 @@ def parse_scene(text: str, name: str) -> Description:
     long = LONG_KEY.search(text)
     if long:
         line = text.count("\n", 0, long.start()) + 1
-        raise FileFormatError(f"{name}, line {line}: a key must have at most 16 parts, got {long[0][:40]}...; shorten it")
+        raise FileFormatError(
+            f"{name}, line {line}: a key must have at most 16 parts, got {long[0][:40]}...; shorten it"
+        )
     try:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also a whole number of thousands of digits

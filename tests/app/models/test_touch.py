@@ -173,7 +173,10 @@ def test_a_surface_is_touched_at_once(organ, capsys):
     ("options", "message"),
     [
         ({"spacing": 0.0002}, f"spacing must give at most {MOST_NODES} nodes"),
-        ({"spacing": 0.006, "fixed": ("near 1000,0,0,5",)}, "fixed: place must hold a node, got none at its near 1000,0,0,5"),
+        (
+            {"spacing": 0.006, "fixed": ("near 1000,0,0,5",)},
+            "fixed: place must hold a node, got none at its near 1000,0,0,5",
+        ),
         ({"spacing": 0.006, "fixed": ("near 0,0,0,500",)}, "fixed must leave tissue free"),
         ({"spacing": 0.006, "law": "NeoHook"}, "did you mean NeoHookean"),
         ({"spacing": 0.006, "settings": {"C2": 1.0}}, "settings must be keys of the scene, got 'C2'"),
@@ -295,7 +298,10 @@ def test_the_printed_errors_of_the_force_are_those_of_the_table():
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--fixed", "near 1000,0,0,5"], "--fixed: place must hold a node, got none at its near 1000,0,0,5; the body extends from"),
+        (
+            ["--fixed", "near 1000,0,0,5"],
+            "--fixed: place must hold a node, got none at its near 1000,0,0,5; the body extends from",
+        ),
         (["--fixed", "near 0,0,0,500"], "--fixed must leave tissue free, got 100% of the nodes held"),
         (["--fixed", "painted nothing.vtp"], "there is no painted mesh at nothing.vtp"),
         (["--spacing", "0.0002"], f"--spacing must give at most {MOST_NODES} nodes for a full body, got 0.2 mm"),

@@ -6,7 +6,7 @@ import pytest
 
 from palpate.app.view import compile_ahead as module
 from palpate.app.view.compile_ahead import compile_ahead
-from palpate.scenes.description import Fibre, Tissue
+from palpate.scenes.description import Tissue
 
 
 def test_one_processor_starts_no_second_process(monkeypatch):

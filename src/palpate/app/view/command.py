@@ -176,9 +176,7 @@ def _read_subject(what: str, options: dict[str, Any], compare: bool, scene: str 
     strange = [name for name, value in others.items() if options[name] != value]
     if is_scene_file(what):
         if strange:
-            raise InputError(
-                f"{strange[0]} must be left out with a scene file, got {what!r:.60}; change the file"
-            )
+            raise InputError(f"{strange[0]} must be left out with a scene file, got {what!r:.60}; change the file")
         given = {} if options["spacing"] is None else {"spacing": options["spacing"]}
         touched = open_scene(what, given | options["settings"])
         _ = touched.surface, touched.material
