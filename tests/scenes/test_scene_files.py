@@ -26,9 +26,10 @@ from palpate.scenes.description import (
     with_settings,
 )
 from palpate.scenes.names import SCENES
-from palpate.scenes.open_scene import open_scene
+from palpate.scenes.open_scene import open_scene, training_scene_of
 from palpate.scenes.scene_text import parse_scene
 from palpate.scenes.settings import UNITS, fields_of, read_section, setting, written_section
+from palpate.scenes.training import training_scene
 
 BOX = """
 [surface]
@@ -742,3 +743,22 @@ def test_settings_replace_values_of_the_file():
 def test_wrong_settings_are_refused_by_key(settings, said):
     with pytest.raises(pt.InputError, match=said):
         with_settings(parse_scene(BOX, "box"), settings)
+
+
+def test_a_scene_of_a_campaign_is_opened_again_with_its_settings(write):
+    path = write(BOX + "[tool]\nholds = 'x+'\n[training]\nhigh = ['1 mm', 0, 0]\n")
+    scene = open_scene(path, {"spacing": "7.5 mm", "training.duration": 0.2})
+    made = training_scene_of(scene, scene.settings)
+    again = training_scene(str(path), made.parameters)
+    np.testing.assert_array_equal(again.model.cloud.points, made.model.cloud.points)
+    assert again.path(0)[1] == made.path(0)[1] == 0.2
+    assert again.tools == ("x+",)
+    finer = scene.with_body(spacing=0.006)
+    assert finer.settings == {"body.spacing": 0.006, "training.duration": 0.2}
+    again = training_scene(str(path), training_scene_of(finer, finer.settings).parameters)
+    np.testing.assert_array_equal(again.model.cloud.points, finer.cloud.points)
+    path.write_text(path.read_text().replace("1 mm", "2 mm"))
+    with pytest.raises(pt.InputError, match="or a file that it names, has changed; open the changed scene in another"):
+        training_scene(str(path), made.parameters)
+    with pytest.raises(pt.InputError, match="low must be a number or a text to train with, got"):
+        training_scene(str(path), {"low": [0, 0, 0]})

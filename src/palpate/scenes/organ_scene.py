@@ -61,6 +61,8 @@ class OrganScene(Described):
         Folder of relative file names.
     name : str
         Name of the scene in messages and reports: of a scene of the package, or the path of a file.
+    settings : mapping, optional
+        Settings that replaced values of the file; workers of a campaign open the scene with them.
 
     Attributes
     ----------
@@ -70,8 +72,11 @@ class OrganScene(Described):
 
     _title = "Scene"
 
-    def __init__(self, description: Description, folder: Path, name: str) -> None:
+    def __init__(
+        self, description: Description, folder: Path, name: str, settings: Mapping[str, Any] | None = None
+    ) -> None:
         self.description, self.folder, self.name = description, folder, name
+        self.settings = dict(settings or {})
         self.notes: list[str] = []
 
     def _facts(self) -> list[Fact]:
@@ -100,7 +105,9 @@ class OrganScene(Described):
     def with_body(self, **changes: Any) -> OrganScene:
         """Return the scene with other settings of its body, such as ``spacing=0.005``."""
         about = replace(self.description, body=replace(self.description.body, **changes))
-        scene = OrganScene(about, self.folder, self.name)
+        settings = {key: value for key, value in self.settings.items() if key.removeprefix("body.") not in changes}
+        settings |= {f"body.{name}": value for name, value in changes.items()}
+        scene = OrganScene(about, self.folder, self.name, settings)
         if "surface" in vars(self):
             vars(scene)["surface"] = self.surface
         return scene
