@@ -58,7 +58,8 @@ def told(what: str, times: np.ndarray) -> str:
 def main() -> None:
     """Measure, and print a table."""
     import palpate as pt
-    from palpate.app.run.liver import pressing_ball
+    from palpate.app.run.realtime_scene import pressing_ball
+    from palpate.scenes.open_scene import open_scene
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("model", type=Path)
@@ -67,7 +68,7 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=50)
     args = parser.parse_args()
     body = pt.load(args.model)
-    hand, contact = pressing_ball(body, args.model)
+    hand, contact = pressing_ball(open_scene("liver"), body, args.model)
     ready = pt.realtime_model(body, contact=contact)
     period = timed(ready.advance, ready.stiffness)
     press(ready, period, hand, 2 * args.every, 1)

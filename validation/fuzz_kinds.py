@@ -11,6 +11,7 @@ import gzip
 import io
 import json
 import math
+import re
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
@@ -525,6 +526,96 @@ def material_kind(folder: Path) -> Trial:
     return trial
 
 
+SCENE = """
+title = "Block"
+[surface]
+generated = "box"
+size = ["40 mm", "30 mm", "30 mm"]
+[body]
+spacing = "5 mm"
+[tissue]
+law = "MooneyRivlin"
+parameters = { C1 = "2.2 kPa", C2 = 100 }
+poisson = "45 %"
+[tissue.relaxation]
+shares = [0.3]
+times = ["20 ms"]
+[[region]]
+name = "tumour"
+place = { ball = { centre = [0, 0, 0], radius = "15 mm" } }
+stiffness = 3
+[[support]]
+place = { group = "x-" }
+[[support]]
+kind = "springs"
+place = { side = "lowest 15%" }
+stiffness = "12 kPa/cm"
+[tool]
+radius = "10 mm"
+[[load]]
+kind = "force"
+place = { side = "x+" }
+force = ["100 mN", 0, -2]
+times = [0, "500 ms"]
+factors = [0, 1]
+[training]
+paths = 7
+depth = "5 mm"
+"""
+SCENE_VALUES = [
+    "nan", "-inf", "1e308", "-0.0", "9" * 4999, "0x" + "f" * 900, "true", '""', '"1e999 mm"', '"1e-320"', '"1 kg"', '"٣ mm"',
+    '"near 1.2.3,e,1,1"', '"near 1e400,0,0,1"', '"lowest 1e9%"', '"x+"', '"/dev/zero"', '"/"', '"../.."', '"\\u0000"',
+    '"' + "a" * 9999 + '"', "[]", "[[]]", "[1, 2, 3]", "[1e308, 1e308, 1e308]", "{}", "{ file = '/dev/zero', distance = 1 }",
+    "[" * 5000, "{ side = 'x-' }", "1979-05-27", "1979-05-27T07:32:00Z", "a." * 9999 + "a", '"liver"', '"disc"', '"Ogden"',
+    '"exp(exp(exp(I1)))"', '"springs"', '"roller"', "1e-9", "1e9",
+]  # fmt: skip
+
+
+def scene_kind(folder: Path) -> Trial:
+    """Return trials of scene files: damaged bytes, and keys and values in wrong places; the body is made."""
+    from palpate.scenes.description import Body, Load, Place, Run, Shape, Support, Tissue, Tool, Training
+    from palpate.scenes.open_scene import open_scene
+
+    keys = [f.name for each in (Body, Load, Place, Run, Shape, Support, Tissue, Tool, Training) for f in fields(each)]
+    sound = folder / "sound.toml"
+    sound.write_text(SCENE)
+    known = open_scene(sound)
+    body, prepared = known.body, known.body.prepare(known.loads)
+    body.stable_step(body.state(prepared), prepared)  # compiles
+    known.paths(0)
+
+    def lied(rng: Rng) -> bytes:
+        if rng.random() < 0.5:  # other numbers in their places
+            numbers = list(re.finditer(r"(?<![\w.])\d+(\.\d+)?", SCENE))
+            found = numbers[int(rng.integers(len(numbers)))]
+            number = rng.choice(NUMBERS) if rng.random() < 0.3 else float(found[0]) * 10 ** rng.normal(0.0, 0.5)
+            return f"{SCENE[: found.start()]}{number:.6g}{SCENE[found.end() :]}".encode()
+        lines = SCENE.splitlines()
+        for _ in range(int(rng.integers(1, 4))):
+            k = int(rng.integers(len(lines)))
+            value = str(rng.choice(SCENE_VALUES if rng.random() < 0.7 else [str(each) for each in NUMBERS]))
+            key = lines[k].partition(" = ")[0] if "=" in lines[k] and rng.random() < 0.6 else str(rng.choice(keys))
+            if rng.random() < 0.2:
+                lines[k] = str(rng.choice(["[[support]]", "[load]", "[[a]]", "[tissue.fibres]", "[surface]", ""]))
+            elif "=" in lines[k] and rng.random() < 0.8:
+                lines[k] = f"{key} = {value}"
+            else:
+                lines.insert(k, f"{key} = {value}")
+        return "\n".join(lines).encode("utf-8", "replace")
+
+    def trial(rng: Rng, folder: Path) -> str:
+        path = folder / "changed.toml"
+        path.write_bytes(damaged(rng, SCENE.encode()) if rng.random() < 0.4 else lied(rng))
+        scene = open_scene(path)
+        made, loads, same = scene.body, scene.loads, scene.digest == known.digest
+        made.prepare(loads)
+        loads, _ = scene.paths(0)
+        made.prepare(loads)
+        return "equal" if same else "accepted"
+
+    return trial
+
+
 def curve_kind(folder: Path) -> Trial:
     """Return trials of a CSV file of measured curves."""
     sound = "# source\n# kind: uniaxial\nstretch [-], nominal stress [kPa]\n1.00, 0.00\n1.10, 0.61\n1.2, 1.1\n"
@@ -672,7 +763,7 @@ def command_kind(folder: Path) -> Trial:
                 argv += [action.option_strings[0], *([] if action.nargs == 0 else [value])]
         if len(argv) == len(words) and words[:1] != ["laws"]:
             return "refused"
-        if words[:1] in (["reproduce"], ["bench"], ["compare"]) or words == ["run", "liver"]:
+        if words[:1] in (["reproduce"], ["bench"], ["compare"]) or words[:1] == ["run"]:
             argv += ["--out", files[0]]  # a file: refused before anything long
         told = io.StringIO()
         with contextlib.redirect_stderr(told):
@@ -714,6 +805,6 @@ KINDS: dict[str, Callable[[Path], Trial]] = {
     "journal": journal_kind, "recording": recording_kind(False), "full_recording": recording_kind(True),
     "recording journal": recording_journal_kind, "manifest": manifest_kind,
     **{suffix: surface_kind(suffix) for suffix in ("stl", "obj", "ply", "off", "glb", "vtk", "vtp", "trian", "stl.gz")},
-    "material": material_kind, "curve": curve_kind, "message": message_kind, "command": command_kind,
+    "material": material_kind, "scene": scene_kind, "curve": curve_kind, "message": message_kind, "command": command_kind,
     "physics": physics_kind, "cost": cost_kind, "folder": folder_kind,
 }  # fmt: skip

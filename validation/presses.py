@@ -1,6 +1,6 @@
 """Reduced livers against the full model's held-out presses and grasps: force on the tool, places of the surface.
 
-    palpate train liver --set spacing=0.008 radius=0.02 --paths 14 --held-out 4 --modes 60 --cubature 1e-3
+    palpate train liver --set spacing=8mm radius=20mm depth=20mm --paths 14 --held-out 4 --modes 60 --cubature 1e-3
     python validation/presses.py out/train                       the campaign's own model
     python validation/presses.py out/train --shapes 100          other models from the same runs ...
     python validation/presses.py out/train --cubature 0.01

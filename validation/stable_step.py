@@ -27,7 +27,7 @@ from scipy.sparse.linalg import eigsh
 import palpate as pt
 from palpate.meshfree import quadrature
 from palpate.reduction.basis.linear_modes import _statics, _vibrations, rest_stiffness
-from palpate.scenes.liver import _model
+from palpate.scenes.open_scene import open_scene
 
 FACTORS = np.arange(1.0, 1.41, 0.02)  # steps tried, over the stable step
 SHARES = (0.15, 0.25, 0.5)  # least nodal masses, over the median
@@ -135,8 +135,8 @@ def print_limits() -> None:
     bodies = {
         "box": pt.Solid(pt.box((0.1, 0.02, 0.02), 0.004), tissue, "x-"),
         "jittered box": pt.Solid(pt.box((0.1, 0.02, 0.02), 0.004, 0.2), tissue, "x-"),
-        "liver, 12 mm": _model(0.012, 0.45),
-        "liver, 9 mm": _model(0.009, 0.45),
+        "liver, 12 mm": open_scene("liver", {"spacing": 0.012, "tool.radius": 0.03}).body,
+        "liver, 9 mm": open_scene("liver").body,
     }
     for name, model in bodies.items():
         law, median = model.material, float(np.median(model.masses))

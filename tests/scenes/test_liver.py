@@ -1,4 +1,4 @@
-"""The pressed liver: its presses and grasps, and the smooth shapes that stand for modes."""
+"""The liver of the package: a scene whose tool presses and pulls, and the smooth shapes that stand for modes."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ import pytest
 
 import palpate as pt
 from palpate.reduction.basis.linear_modes import interpolated_modes
-from palpate.scenes.liver import pressed_liver
+from palpate.scenes.open_scene import open_scene
 from palpate.scenes.training import training_scene
 
 pytestmark = pytest.mark.slow
 
+COARSE = {"spacing": 0.012, "tool.radius": 0.03, "depth": 0.02}
+
 
 @pytest.fixture(scope="module")
 def scene():
-    return pressed_liver(spacing=0.012, radius=0.03)
+    return training_scene("liver", COARSE)
 
 
 def ball(scene, seed):
@@ -33,7 +35,20 @@ def test_presses_begin_and_end_outside_and_go_in(scene):
         assert 0.25 * 0.02 <= depth.max() <= 0.023  # pressed along a smoothed normal, and slid with some sag
     np.testing.assert_array_equal(ball(scene, 2), ball(scene, 2))
     assert np.abs(ball(scene, 2) - ball(scene, 4)).max() > 1e-3
-    assert isinstance(scene.path(3)[0][0], pt.tools.Grasp)
+
+
+def test_every_fourth_path_is_a_pull_of_forceps(scene):
+    kinds = [type(scene.path(seed)[0][0]) for seed in range(8)]
+    assert kinds == 2 * [pt.tools.Contact, pt.tools.Contact, pt.tools.Contact, pt.tools.Grasp]
+
+
+def test_the_back_is_fixed_and_the_tissue_is_that_of_a_healthy_liver(scene):
+    model = scene.model
+    back, points = model.cloud.group("back"), model.cloud.points
+    assert points[back, 1].min() >= points[:, 1].max() - 0.0701
+    assert np.isin(back, model.cloud.face_nodes).all()
+    assert model.material.shear_modulus == pytest.approx(2200.0)
+    assert (model.material.poisson, model.material.density, model.mass_damping) == (0.45, 1060.0, 8.0)
 
 
 def test_the_full_model_runs_a_press_and_a_grasp(scene):
@@ -44,7 +59,7 @@ def test_the_full_model_runs_a_press_and_a_grasp(scene):
 
 
 def test_modes_are_zero_at_the_back_and_nearly_orthogonal(scene):
-    finer = pressed_liver(spacing=0.010, radius=0.03).model
+    finer = open_scene("liver", {"spacing": 0.010}).body
     shapes = interpolated_modes(scene.model, finer, 6)
     cloud = finer.cloud
     assert shapes.shape == (6, len(cloud), 3)
@@ -59,6 +74,6 @@ def test_modes_are_zero_at_the_back_and_nearly_orthogonal(scene):
 
 def test_bad_parameters_are_refused_by_name():
     with pytest.raises(pt.InputError, match="radius"):
-        pressed_liver(spacing=0.01, radius=0.02)
+        training_scene("liver", {"spacing": 0.012, "tool.radius": 0.02})
     with pytest.raises(pt.InputError, match="poisson"):
         training_scene("liver", {"poisson": 0.5})

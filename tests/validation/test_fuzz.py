@@ -26,7 +26,7 @@ def run(script, *options):
 KINDS = {
     "sealed": ["model", "linear", "trajectory", "stored", "journal", "recording", "recording journal", "manifest"],
     "surfaces": ["stl", "obj", "ply", "off", "glb", "vtk", "vtp", "cost"],
-    "words": ["material", "curve", "message", "command", "physics"],
+    "words": ["material", "scene", "curve", "message", "command", "physics"],
 }
 
 

@@ -314,12 +314,15 @@ def with_settings(description: Description, given: Mapping[str, Any]) -> Descrip
             changes["tissue"]["parameters"] = {**before, word: value}
         else:
             changes.setdefault(section, {})[word] = value
-    try:
-        for section, values in changes.items():
-            old = getattr(description, section)
-            description = replace(description, **{section: replace(old, **read_values(type(old), values, (section,)))})
-    except Fault as fault:
-        raise InputError(f"{'.'.join(map(str, fault.path))} {fault.message}") from fault
+    for section, values in changes.items():
+        old = getattr(description, section)
+        try:
+            changed = replace(old, **read_values(type(old), values, (section,)))
+        except Fault as fault:
+            raise InputError(f"{'.'.join(map(str, fault.path))} {fault.message}") from fault
+        except InputError as error:
+            raise InputError(f"{section} {error}") from error
+        description = replace(description, **{section: changed})
     return description
 
 

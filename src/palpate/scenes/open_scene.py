@@ -63,7 +63,7 @@ def open_scene(what: str | Path, settings: Mapping[str, Any] | None = None) -> O
 
 
 def _with(description: Description, settings: Mapping[str, Any], folder: Path, name: str) -> OrganScene:
-    return OrganScene(with_settings(description, settings), folder, name)
+    return OrganScene(with_settings(description, settings), folder, name, settings)
 
 
 def training_scene_of(scene: OrganScene, parameters: Mapping[str, Any]) -> TrainingScene:
@@ -82,6 +82,9 @@ def training_scene_of(scene: OrganScene, parameters: Mapping[str, Any]) -> Train
     """
     given = dict(parameters)
     digest = given.pop(DIGEST, None)
+    for name, value in given.items():
+        if not isinstance(value, str | int | float):  # as a campaign and a model file keep it
+            raise InputError(f"{name} must be a number or a text to train with, got {brief(value)}; change the file")
     if digest not in (None, scene.digest):
         raise InputError(
             f"{scene.name}, or a file that it names, has changed; open the changed scene in another folder"

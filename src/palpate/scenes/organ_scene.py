@@ -29,7 +29,7 @@ from palpate.dynamics.loads.surface_force import SurfaceForce
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.solid.model import Solid
 from palpate.faults import FileFormatError, InputError
-from palpate.files import digest_of
+from palpate.files import digest_of, read_bytes
 from palpate.meshfree.cloud import Cloud, box
 from palpate.meshfree.filling import BODY, fill
 from palpate.meshfree.sheets import disc
@@ -38,6 +38,7 @@ from palpate.meshfree.surface_files import read_surface
 from palpate.meshfree.surface_repair import repair_surface
 from palpate.meshfree.surfaces import Surface, scaled
 from palpate.scenes.description import Description
+from palpate.scenes.names import SCENES, is_scene_file
 from palpate.scenes.organ import liver_surface
 from palpate.scenes.places import PlaceFinder, side_mask
 from palpate.scenes.tissue import fibres_of, material_of
@@ -60,6 +61,8 @@ class OrganScene(Described):
         Folder of relative file names.
     name : str
         Name of the scene in messages and reports: of a scene of the package, or the path of a file.
+    settings : mapping, optional
+        Settings that replaced values of the file; workers of a campaign open the scene with them.
 
     Attributes
     ----------
@@ -69,8 +72,11 @@ class OrganScene(Described):
 
     _title = "Scene"
 
-    def __init__(self, description: Description, folder: Path, name: str) -> None:
+    def __init__(
+        self, description: Description, folder: Path, name: str, settings: Mapping[str, Any] | None = None
+    ) -> None:
         self.description, self.folder, self.name = description, folder, name
+        self.settings = dict(settings or {})
         self.notes: list[str] = []
 
     def _facts(self) -> list[Fact]:
@@ -99,7 +105,9 @@ class OrganScene(Described):
     def with_body(self, **changes: Any) -> OrganScene:
         """Return the scene with other settings of its body, such as ``spacing=0.005``."""
         about = replace(self.description, body=replace(self.description.body, **changes))
-        scene = OrganScene(about, self.folder, self.name)
+        settings = {key: value for key, value in self.settings.items() if key.removeprefix("body.") not in changes}
+        settings |= {f"body.{name}": value for name, value in changes.items()}
+        scene = OrganScene(about, self.folder, self.name, settings)
         if "surface" in vars(self):
             vars(scene)["surface"] = self.surface
         return scene
@@ -159,7 +167,7 @@ class OrganScene(Described):
             with _naming(f"region[{number + 1}]"):
                 cloud = _with_group(cloud, self._group("region", number), finder.mask(region.place))
         for number, support in enumerate(self.description.support):
-            with _naming(f"support[{number + 1}]"):
+            with _naming(self._support_key(number)):
                 mask = finder.mask(support.place)
                 if support.surface_only or support.kind == "springs":
                     mask = _on_surface(cloud, mask)
@@ -189,9 +197,12 @@ class OrganScene(Described):
         if about.surface.generated == "disc":
             if about.body.thickness is None:
                 raise InputError("thickness of [body] must be given for a disc, got none; give thickness = '0.1 mm'")
+            if about.region:
+                raise InputError(f"region must be left out for a disc, got {len(about.region)}; give one tissue")
             return Membrane(
                 self.cloud, self.material, about.body.thickness, fixed, prestretch=about.body.prestretch,
                 form=about.body.form, mass_damping=about.tissue.mass_damping,
+                fibres=None if about.tissue.fibres is None else fibres_of(about.tissue.fibres),
             )  # fmt: skip
         materials: dict[str, Material] = {"": self.material}
         factors: dict[str, float] = {}
@@ -262,7 +273,7 @@ class OrganScene(Described):
 
         Raises
         ------
-        OSError
+        FileNotFoundError, FileFormatError
             A file cannot be read.
         """
         from hashlib import sha256
@@ -271,7 +282,7 @@ class OrganScene(Described):
         for name in ("paths", "held_out", "modes", "tolerance", "cubature", "seed"):
             about["training"].pop(name)
         about.pop("title"), about.pop("run"), about.pop("load")
-        digests = {file: sha256((self.folder / file).read_bytes()).hexdigest() for file in sorted(_files(about))}
+        digests = {file: sha256(read_bytes(self.folder / file, "file")).hexdigest() for file in sorted(_files(about))}
         return {"sections": about, "files": digests}
 
     @property
@@ -284,8 +295,13 @@ class OrganScene(Described):
         entries = getattr(self.description, kind)
         if not entries:
             return f"{kind} {number + 1}"
-        place = entries[number].place
-        return entries[number].name or (place.group if place else "") or f"{kind} {number + 1}"
+        place, generated = entries[number].place, self.description.surface.generated
+        return entries[number].name or (place.group if place and generated else "") or f"{kind} {number + 1}"
+
+    def _support_key(self, number: int) -> str:
+        """Return the name of a support for messages: its entry in a scene file, or the argument of a surface's scene."""
+        of_file = self.name in SCENES or is_scene_file(self.name)
+        return f"support[{number + 1}]" if of_file else "fixed"
 
     def _filled(self) -> Cloud:
         about = self.description
@@ -329,12 +345,24 @@ class OrganScene(Described):
         if not self.description.support:
             return Clamp(group)
         support = self.description.support[number]
-        with _naming(f"support[{number + 1}]"):
+        with _naming(self._support_key(number)):
             if support.kind == "roller":
-                return Roller(group, support.direction or None)
+                return self._roller(group, support.direction)
             if support.kind == "rail":
                 return Rail(group, support.direction)
         return Clamp(group) if support.kind == "fixed" else None
+
+    def _roller(self, group: str, direction: Sequence[float]) -> Roller:
+        roller = Roller(group, direction or None)
+        if not direction:
+            try:
+                roller.directions(self.cloud)
+            except InputError as error:
+                raise InputError(
+                    f"direction must be given for a roller on {group!r}, whose nodes are not one face, got none; give "
+                    "its normal, such as direction = [0, 0, 1]"
+                ) from error
+        return roller
 
     def _load(self, number: int) -> Load:
         load, group = self.description.load[number], self._group("load", number)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from palpate.meshfree.nesting import winding_number
 from palpate.meshfree.refining import refine_surface
 from palpate.meshfree.surface_files import UNITS, read_surface
 from palpate.meshfree.surfaces import Surface
-from palpate.scenes.description import Painted, Place, Shape
+from palpate.scenes.description import Near, Painted, Place, Shape
 from palpate.scenes.painted import read_painted
 
 __all__ = ["PlaceFinder", "inside_surface", "place_of_text", "side_mask"]
@@ -28,6 +27,9 @@ PAINTED = "painted "  # begins the text of a painted place
 CAMERA_SIDE = (0.277, -0.833, 0.479)  # direction from the body to the camera of the page at its start
 SUPPORT_SHARE = 0.12  # of the extent along a direction, which a side holds
 SIDES = {"x-": (0, 1), "x+": (0, -1), "y-": (1, 1), "y+": (1, -1), "z-": (2, 1), "z+": (2, -1)}
+NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)"
+LOWEST = re.compile(rf"lowest {NUMBER} ?%", re.ASCII)
+NEAR = re.compile(rf"near {NUMBER}, ?{NUMBER}, ?{NUMBER}, ?{NUMBER}", re.ASCII)
 EDGE = 0.5  # longest edge of a near surface over the distance from it
 
 
@@ -69,7 +71,7 @@ class PlaceFinder:
         return mask
 
     def _mask(self, place: Place) -> NDArray[np.bool_]:
-        points = self.cloud.points
+        points = np.pad(self.cloud.points, ((0, 0), (0, 3 - self.cloud.points.shape[1])))  # a sheet is at z = 0
         slack = 1e-9 * self.cloud.spacing
         if place.side:
             return side_mask(points, place.side)
@@ -91,8 +93,8 @@ class PlaceFinder:
         if place.painted:
             return self._painted(place.painted)
         if place.near:
-            return self._near(place.near.file, place.near.parts, place.near.distance)
-        return self._inside(place.part)
+            return self._near(points, place.near)
+        return self._inside(points, place.part)
 
     def _painted(self, paint: Painted) -> NDArray[np.bool_]:
         path = self.folder / paint.file
@@ -104,18 +106,23 @@ class PlaceFinder:
             raise InputError(f"{path} must have painted nodes of the body, got none: {error}") from error
         return mask
 
-    def _near(self, file: str, parts: Sequence[str], distance: float) -> NDArray[np.bool_]:
+    def _near(self, points: Floats, near: Near) -> NDArray[np.bool_]:
         """Return the nodes within a distance of another surface."""
+        distance = near.distance
         surface = read_surface(
-            self.folder / file, part=list(parts) or None, units=self._units, scale=self.shape.scale, repair=False
+            self.folder / near.file,
+            part=list(near.parts) or None,
+            units=self._units,
+            scale=self.shape.scale,
+            repair=False,
         )
         vertices, _ = refine_surface(
             surface.vertices, surface.triangles, lambda places: np.full(len(places), EDGE * distance)
         )
-        away, _ = cKDTree(vertices).query(self.cloud.points, distance_upper_bound=distance)
+        away, _ = cKDTree(vertices).query(points, distance_upper_bound=distance)
         return np.asarray(np.isfinite(away))
 
-    def _inside(self, part: str) -> NDArray[np.bool_]:
+    def _inside(self, points: Floats, part: str) -> NDArray[np.bool_]:
         """Return the nodes inside a closed part of the surface file."""
         if not self.shape.file:
             raise InputError(
@@ -124,7 +131,7 @@ class PlaceFinder:
         surface = read_surface(
             self.folder / self.shape.file, part=part, units=self._units, scale=self.shape.scale, repair=True
         )
-        return inside_surface(surface, self.cloud.points)
+        return inside_surface(surface, points)
 
     @property
     def _units(self) -> str:
@@ -152,11 +159,11 @@ def side_mask(points: Floats, text: str) -> NDArray[np.bool_]:
         return _far_share(sign * points[:, axis], SUPPORT_SHARE)
     if text == "back":
         return _far_share(points @ np.array(CAMERA_SIDE), SUPPORT_SHARE)
-    lowest = re.fullmatch(r"lowest ([\d.]+) ?%", text)
+    lowest = LOWEST.fullmatch(text)
     if lowest:
         share = number_in_range("fixed", float(lowest[1]), 0.0, 100.0, open_low=True, unit="%")
         return _far_share(points[:, 2], share / 100)
-    near = re.fullmatch(r"near ([-\d.e]+),([-\d.e]+),([-\d.e]+),([\d.e]+)", text.replace(", ", ","))
+    near = NEAR.fullmatch(text)
     if near:
         x, y, z, radius = (1e-3 * float(each) for each in near.groups())
         return np.asarray(np.linalg.norm(points - [x, y, z], axis=1) <= radius)

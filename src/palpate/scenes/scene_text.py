@@ -7,15 +7,16 @@ import tomllib
 from pathlib import Path
 
 from palpate.faults import FileFormatError, InputError
-from palpate.files import read_text
+from palpate.files import read_text, shortened
 from palpate.scenes.description import Description
 from palpate.scenes.settings import Fault, read_section
 
 __all__ = ["line_of", "parse_scene", "read_scene"]
 
 MAX_BYTES = 1 << 20  # of a scene file
-HEADER = re.compile(r"\s*\[(\[?)\s*([\w.\"' -]+?)\s*\]\]?\s*(?:#.*)?")
-KEY = re.compile(r"\s*([\w.\"'-]+(?:\s*\.\s*[\w\"'-]+)*)\s*=")
+# keys of more parts than a scene has; tomllib takes hours for one of 100,000
+LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){16}""")
+HEADER = re.compile(r"\[(\[?)([^\[\],=]+)\]\]?\s*(?:#.*)?")  # each repetition ends at one place: no backtracking
 
 
 def read_scene(path: Path) -> Description:
@@ -26,7 +27,7 @@ def read_scene(path: Path) -> Description:
     FileNotFoundError
         There is no such file.
     FileFormatError
-        The file is no TOML, or is too large.
+        The file is no TOML, is too large, or has a key of very many parts.
     InputError
         A key or a value of it is wrong; the message names the file, the line and the key.
     """
@@ -35,10 +36,17 @@ def read_scene(path: Path) -> Description:
 
 def parse_scene(text: str, name: str) -> Description:
     """Return the description in the text of a scene file; `name` stands for it in messages."""
+    long = LONG_KEY.search(text)
+    if long:
+        line = text.count("\n", 0, long.start()) + 1
+        raise FileFormatError(
+            f"{name}, line {line}: a key must have at most 16 parts, got {long[0][:40]}...; shorten it"
+        )
     try:
         table = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise FileFormatError(f"{name} must be a scene file in TOML, got a text that is not: {error}") from error
+    except (ValueError, RecursionError) as error:  # also a whole number of thousands of digits
+        why = shortened(str(error), 150)
+        raise FileFormatError(f"{name} must be a scene file in TOML, got a text that is not: {why}") from error
     try:
         description: Description = read_section(Description, table)
     except Fault as fault:
@@ -59,25 +67,31 @@ def _words(path: tuple[str | int, ...]) -> list[str]:
     return words
 
 
+def _split(key: str) -> tuple[str, ...]:
+    """Return the parts of a dotted key."""
+    return tuple(part.strip(" \t\"'") for part in key.split("."))
+
+
 def line_of(text: str, path: tuple[str | int, ...]) -> int:
     """Return the line, from 1, of the deepest key of a path that stands at the beginning of a line."""
     tables: dict[str, int] = {}
     here: tuple[str | int, ...] = ()
     best, depth = 1, 0
     for number, line in enumerate(text.splitlines(), 1):
-        header, key = HEADER.fullmatch(line), KEY.match(line)
+        line = line.strip()
+        header = HEADER.fullmatch(line)
         if header:
-            names = tuple(part.strip(" \"'") for part in header[2].split("."))
+            names = _split(header[2])
             here = names
             if header[1]:
-                index = tables.get(header[2], 0)
-                tables[header[2]] = index + 1
+                index = tables.get(names[-1], 0)
+                tables[names[-1]] = index + 1
                 here = (*names, index)
             elif names[0] in tables:  # a table of the last entry of a list
                 here = (names[0], tables[names[0]] - 1, *names[1:])
             found = here
-        elif key:
-            found = (*here, *(part.strip(" \"'") for part in key[1].split(".")))
+        elif "=" in line:
+            found = (*here, *_split(line.partition("=")[0]))
         else:
             continue
         if len(found) > depth and found == path[: len(found)]:

@@ -13,6 +13,7 @@ import types
 import typing
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
+from decimal import Decimal
 from difflib import get_close_matches
 from typing import Any
 
@@ -48,6 +49,7 @@ UNITS: dict[str, dict[str, float]] = {
 }
 QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*", re.ASCII)
 MAX_TEXT_CHARACTERS, MAX_ENTRIES = 4000, 10_000  # of a text; of a list
+MAX_PARAMETER_ENTRIES = 100  # of a list that is one parameter of a law
 
 
 @dataclass(frozen=True)
@@ -167,7 +169,10 @@ def quantity(value: Any, unit: str) -> float:
         The value is not a number, or its unit is not one for this quantity.
     """
     if isinstance(value, int | float) and not isinstance(value, bool):
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError:  # a whole number of hundreds of digits
+            return math.inf if value > 0 else -math.inf
     known = UNITS[unit]
     example = f'"12 {next(iter(known))}"' if unit else "0.3 or 30 %"
     found = QUANTITY.fullmatch(value) if isinstance(value, str) and len(value) <= MAX_TEXT_CHARACTERS else None
@@ -180,7 +185,9 @@ def quantity(value: Any, unit: str) -> float:
         return number
     if word not in known:
         raise InputError(f"must have one of the units {', '.join(known)}, got {word!r:.40}; write it as {example}")
-    return number * known[word]
+    if not (math.isfinite(number) and number):
+        return number
+    return float(Decimal(found[1]) * Decimal(repr(known[word])))  # 9 mm are 0.009 m to the last bit
 
 
 def check_number(value: Any, about: Mapping[str, Any]) -> float:
@@ -207,6 +214,9 @@ def _read(kind: Any, about: Mapping[str, Any], value: Any, path: tuple[str | int
     if origin is dict:
         if not isinstance(value, Mapping):
             raise Fault(path, f"must be a table such as {{ C1 = 1100 }}, got {brief(value)}")
+        for key, each in value.items():
+            if not _is_parameter(each):
+                raise Fault((*path, key), f"must be a number, or a text with a unit, got {brief(each)}; change it")
         return dict(value)  # quantities whose units the law has
     try:
         return _read_scalar(kind, about, value)
@@ -252,6 +262,17 @@ def _read_scalar(kind: Any, about: Mapping[str, Any], value: Any) -> Any:
         remedy = f"did you mean {near[0]!r}?" if near else "use one of them"
         raise InputError(f"must be one of {', '.join(about['choices'])}, got {value!r:.60}; {remedy}")
     return value
+
+
+def _is_parameter(value: Any) -> bool:
+    """Return True for a number, a text, or a short list of them, whose unit and range a law checks."""
+    if isinstance(value, list | tuple):
+        return 0 < len(value) <= MAX_PARAMETER_ENTRIES and not any(
+            isinstance(each, list | tuple) or not _is_parameter(each) for each in value
+        )
+    if isinstance(value, str):
+        return len(value) <= MAX_TEXT_CHARACTERS
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _place(path: tuple[str | int, ...]) -> str:

@@ -70,6 +70,6 @@ def surface_scene(
         tissue=Tissue(law=law or "NeoHookean"),
         support=tuple(Support(place=place_of_text(text)) for text in fixed),
     )
-    scene = OrganScene(with_settings(description, settings or {}), Path(), str(file))
+    scene = OrganScene(with_settings(description, settings or {}), Path(), str(file), settings)
     _ = scene.material  # raises for a wrong law or parameter
     return scene

@@ -53,7 +53,9 @@ def material_of(tissue: Tissue, changes: Mapping[str, Any] | None = None) -> Mat
 def fibres_of(fibre: Fibre) -> FibreLaw:
     """Return the fibre law of a section; raise `InputError` for wrong parameters."""
     law = _entry("law", fibre.law, FIBRE_LAWS)
-    directions = np.array(fibre.directions, dtype=float)
+    directions = np.array(fibre.directions, dtype=float).reshape(-1, 3)
+    if not len(directions):
+        raise InputError("directions of fibres must hold a direction, got none; give one such as [[1, 0, 0]]")
     lengths = np.linalg.norm(directions, axis=1, keepdims=True)
     if not np.all(lengths > 0):
         raise InputError("directions of fibres must not be zero, got a zero; give a direction such as [1, 0, 0]")

@@ -14,14 +14,15 @@ from palpate.app.models.touch import (
     FINER_NODES,
     FORCE_ERRORS,
     MOST_NODES,
-    open_surface,
+    open_touched,
     realtime_spacing,
-    support_mask,
 )
-from palpate.app.models.touch_options import TouchOptions, is_surface_file, read_touched_surface
 from palpate.app.view.session.messages import validate_message
 from palpate.app.view.session.session import Session
+from palpate.scenes.description import Shape
 from palpate.scenes.organ import liver_surface
+from palpate.scenes.places import PlaceFinder, place_of_text, side_mask
+from palpate.scenes.surface_scene import is_surface_file, surface_scene
 
 POINTS = np.random.default_rng(0).uniform(-1.0, 1.0, (500, 3))
 CLOUD = pt.Cloud(
@@ -42,8 +43,19 @@ def organ(tmp_path_factory):
     return path
 
 
-def opened(path, options):
-    return open_surface(read_touched_surface(path, options), options, Console())
+def opened(path, **options):
+    """Return the full body of a surface file."""
+    return open_touched(surface_scene(path, **options), Console()).body
+
+
+def mask(text, unit=1.0):
+    """Return the nodes of the cloud that the text of a support names."""
+    return PlaceFinder(CLOUD, Shape(generated="liver"), unit).mask(place_of_text(text))
+
+
+def held(body):
+    """Return the nodes that the supports of a body hold."""
+    return np.unique(np.concatenate([body.cloud.group(each.group) for each in body.supports]))
 
 
 def test_surface_files_are_known_by_their_suffix():
@@ -65,16 +77,19 @@ def test_surface_files_are_known_by_their_suffix():
     ],
 )
 def test_supports_hold_the_nodes_of_their_text(text, expected):
-    np.testing.assert_array_equal(support_mask(CLOUD, [text]), expected)
+    np.testing.assert_array_equal(mask(text), expected)
 
 
-def test_several_supports_hold_the_nodes_of_all():
-    both = support_mask(CLOUD, ["x-", "x+"])
-    np.testing.assert_array_equal(both, support_mask(CLOUD, ["x-"]) | support_mask(CLOUD, ["x+"]))
+@pytest.mark.slow
+def test_several_supports_hold_the_nodes_of_all(organ):
+    body = opened(organ, spacing=0.012, fixed=("x-", "x+"))
+    points = body.cloud.points
+    expected = np.flatnonzero(side_mask(points, "x-") | side_mask(points, "x+"))
+    np.testing.assert_array_equal(held(body), expected)
 
 
 def test_the_default_support_is_away_from_the_first_view():
-    held = POINTS[support_mask(CLOUD, ("back",))]
+    held = POINTS[mask("back")]
     assert held[:, 1].mean() > 0.5  # the camera is at negative y
     assert held[:, 2].mean() < 0.0  # and above
 
@@ -82,7 +97,7 @@ def test_the_default_support_is_away_from_the_first_view():
 @pytest.mark.parametrize("text", ["x", "lowest", "near 1,2,3", "lowest 0%", "lowest 150%", "painted"])
 def test_other_texts_of_supports_are_refused(text):
     with pytest.raises(pt.InputError, match="fixed must be"):
-        support_mask(CLOUD, [text])
+        mask(text)
 
 
 def test_a_slower_machine_steps_a_coarser_body(monkeypatch):
@@ -113,7 +128,7 @@ def pose_message(position, sequence):
 
 @pytest.mark.slow
 def test_a_surface_is_touched_at_once(organ, capsys):
-    model = opened(organ, TouchOptions(spacing=0.006))
+    model = opened(organ, spacing=0.006)
     assert model.mass_damping > 0
     assert model.material.shear_modulus == pytest.approx(2200.0)
     printed = capsys.readouterr().err
@@ -158,28 +173,31 @@ def test_a_surface_is_touched_at_once(organ, capsys):
     ("options", "message"),
     [
         ({"spacing": 0.0002}, f"spacing must give at most {MOST_NODES} nodes"),
-        ({"spacing": 0.006, "fixed": ("near 1000,0,0,5",)}, "fixed must hold at least 3 nodes"),
+        (
+            {"spacing": 0.006, "fixed": ("near 1000,0,0,5",)},
+            "fixed: place must hold a node, got none at its near 1000,0,0,5",
+        ),
         ({"spacing": 0.006, "fixed": ("near 0,0,0,500",)}, "fixed must leave tissue free"),
         ({"spacing": 0.006, "law": "NeoHook"}, "did you mean NeoHookean"),
-        ({"spacing": 0.006, "parameters": {"C2": 1.0}}, "set must name one of C1, density, poisson"),
+        ({"spacing": 0.006, "settings": {"C2": 1.0}}, "settings must be keys of the scene, got 'C2'"),
         ({"spacing": 0.006, "scale": 0.0}, "scale must be"),
         ({"spacing": 0.006, "units": "feet"}, "units must be one of"),
     ],
 )
 def test_bad_options_are_refused_by_name(organ, options, message):
     with pytest.raises(pt.InputError, match=message):
-        opened(organ, TouchOptions(**options))
+        opened(organ, **options)
 
 
 @pytest.mark.slow
-def test_a_surface_that_intersects_itself_is_refused_by_its_name(organ):
-    surface = read_touched_surface(organ, TouchOptions(units="mm"))
+def test_a_surface_that_intersects_itself_is_refused_by_its_name(organ, tmp_path):
+    surface = surface_scene(organ, units="mm").surface
     vertices = surface.vertices.copy()
     right = vertices[:, 0] > np.median(vertices[:, 0])
     vertices[right] -= [0.6 * np.ptp(vertices[:, 0]), 0.0, 0.0]  # one half inside the other
-    folded = type(surface)(vertices, surface.triangles, "folded.off")
+    off(tmp_path / "folded.off", pt.Surface(vertices, surface.triangles))
     with pytest.raises(pt.InputError, match=r"folded\.off must hold a closed surface"):
-        open_surface(folded, TouchOptions(spacing=0.006), Console())
+        opened(tmp_path / "folded.off", units="m", spacing=0.006)
 
 
 @pytest.mark.slow
@@ -189,7 +207,7 @@ def test_a_surface_that_is_open_is_refused(organ, tmp_path):
     path = tmp_path / "sheet.off"
     path.write_text("\n".join(["OFF", f"{vertices} {triangles // 2} 0", *lines[2 : 2 + vertices + triangles // 2]]))
     with pytest.raises(pt.InputError, match="must hold a closed surface"):
-        read_touched_surface(path, TouchOptions(units="mm"))
+        _ = surface_scene(path, units="mm").surface
 
 
 def off(path, surface, unit=1.0):
@@ -207,17 +225,18 @@ def test_a_painted_support_is_in_the_unit_of_the_surface(tmp_path):
     mesh["held"] = (POINTS[:, 0] > 0.5).astype(float)
     mesh.save(tmp_path / "paint.vtp")
     expected = POINTS[:, 0] > 0.5
-    np.testing.assert_array_equal(support_mask(CLOUD, [f"painted {tmp_path / 'paint.vtp'}"], unit=1e-3), expected)
+    np.testing.assert_array_equal(mask(f"painted {tmp_path / 'paint.vtp'}", unit=1e-3), expected)
     mesh["other"] = np.zeros(500)
     mesh.save(tmp_path / "two.vtp")
-    named = support_mask(CLOUD, [f"painted {tmp_path / 'two.vtp'}:held"], unit=1e-3)
+    named = mask(f"painted {tmp_path / 'two.vtp'}:held", unit=1e-3)
     np.testing.assert_array_equal(named, expected)
     with pytest.raises(pt.InputError, match="must have one field on its points, got 'held', 'other'"):
-        support_mask(CLOUD, [f"painted {tmp_path / 'two.vtp'}"], unit=1e-3)
-    with pytest.raises(pt.InputError, match=r"fixed must hold painted nodes, got .*paint of at least 0\.5 must hold"):
-        support_mask(CLOUD, [f"painted {tmp_path / 'two.vtp'}:other"], unit=1e-3)
+        mask(f"painted {tmp_path / 'two.vtp'}", unit=1e-3)
+    said = r"must have painted nodes of the body, got none: paint of at least 0\.5 must hold"
+    with pytest.raises(pt.InputError, match=said):
+        mask(f"painted {tmp_path / 'two.vtp'}:other", unit=1e-3)
     with pytest.raises(FileNotFoundError, match="no painted mesh at"):
-        support_mask(CLOUD, [f"painted {tmp_path / 'none.vtp'}"])
+        mask(f"painted {tmp_path / 'none.vtp'}")
 
 
 @pytest.mark.slow
@@ -229,14 +248,14 @@ def test_two_bodies_are_held_each_by_the_default_support(organ, tmp_path):
         np.concatenate([surface.triangles, surface.triangles + len(moved)]),
     )
     off(tmp_path / "pair.off", both)
-    model = opened(tmp_path / "pair.off", TouchOptions(spacing=0.006, units="m"))
-    held = model.cloud.points[model.cloud.group("support")][:, 1]
-    assert (held < 0.15).sum() > 3
-    assert (held > 0.15).sum() > 3
-    x, y, z = 1e3 * model.cloud.points[model.cloud.group("support")[0]]
-    near = TouchOptions(spacing=0.006, units="m", fixed=(f"near {x:.3f},{y:.3f},{z:.3f},15",))
+    model = opened(tmp_path / "pair.off", spacing=0.006, units="m")
+    along = model.cloud.points[held(model)][:, 1]
+    assert (along < 0.15).sum() > 3
+    assert (along > 0.15).sum() > 3
+    x, y, z = 1e3 * model.cloud.points[held(model)[0]]
+    near = f"near {x:.3f},{y:.3f},{z:.3f},15"
     with pytest.raises(pt.InputError, match=r"at least 3 nodes of body \d of 2, got 0"):
-        opened(tmp_path / "pair.off", near)
+        opened(tmp_path / "pair.off", spacing=0.006, units="m", fixed=(near,))
 
 
 @pytest.mark.slow
@@ -249,7 +268,7 @@ def test_a_guessed_spacing_is_refined_where_tissue_is_thin(tmp_path, monkeypatch
     )
     off(tmp_path / "hollow.off", shell)
     monkeypatch.setattr("palpate.app.models.touch._seconds_per_node", lambda material: 1e-5)
-    model = opened(tmp_path / "hollow.off", TouchOptions(units="m"))
+    model = opened(tmp_path / "hollow.off", units="m")
     assert model.cloud.spacing < 0.8 * realtime_spacing(shell.volume, model.material)
 
 
@@ -257,7 +276,7 @@ def test_a_guessed_spacing_is_refined_where_tissue_is_thin(tmp_path, monkeypatch
 def test_what_was_repaired_and_noted_is_printed(organ, tmp_path, capsys):
     surface = pt.io.read_surface(organ, units="mm")
     off(tmp_path / "holed.off", pt.Surface(surface.vertices, surface.triangles[3:]))
-    opened(tmp_path / "holed.off", TouchOptions(spacing=0.6, units="m", scale=100.0))
+    opened(tmp_path / "holed.off", spacing=0.6, units="m", scale=100.0)
     printed = capsys.readouterr().err
     assert "surface, repair: holes were closed by fans of triangles: 1, with" in printed
     assert "surface, note: its volume of 6e+04 litres is not that of an organ" in printed
@@ -279,7 +298,10 @@ def test_the_printed_errors_of_the_force_are_those_of_the_table():
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--fixed", "near 1000,0,0,5"], "--fixed must hold at least 3 nodes, got 0; hold a larger part"),
+        (
+            ["--fixed", "near 1000,0,0,5"],
+            "--fixed: place must hold a node, got none at its near 1000,0,0,5; the body extends from",
+        ),
         (["--fixed", "near 0,0,0,500"], "--fixed must leave tissue free, got 100% of the nodes held"),
         (["--fixed", "painted nothing.vtp"], "there is no painted mesh at nothing.vtp"),
         (["--spacing", "0.0002"], f"--spacing must give at most {MOST_NODES} nodes for a full body, got 0.2 mm"),
@@ -301,7 +323,7 @@ def test_a_sheet_is_refused_in_one_line(tmp_path, assert_refused):
 
 @pytest.mark.slow
 def test_a_tool_smaller_than_the_spacing_is_refused_with_both_sizes(organ):
-    model = opened(organ, TouchOptions(spacing=0.006))
+    model = opened(organ, spacing=0.006)
     session = Session(model, "Organ")
     session.start()
     try:

@@ -11,35 +11,37 @@ import pytest
 
 import palpate as pt
 from palpate.app.cli import main
+from palpate.app.common.console import Console
 from palpate.app.common.report import REPORTS
-from palpate.app.models.quick_training import train
+from palpate.app.models.trained import trained_model
 from palpate.app.run.realtime import FILES
 from palpate.reduction.hyper.error_indicator import expected_error
 from palpate.scenes.beam import MAX_SPACING, beam
-from palpate.scenes.grasp import GROUP, Hand, grasped_beam
+from palpate.scenes.open_scene import open_scene
+from palpate.scenes.scene_paths import held_motion
 
 RUN = ["run", "beam"]
 REALTIME = [*RUN, "--realtime", "--seconds", "0.5", "--rate", "200"]
 
 
+SHORT = {"paths": 2, "held_out": 1, "training.duration": 0.04, "training.every": 0.002}
+SET = ["--set", *(f"{name}={value}" for name, value in SHORT.items())]
+
+
 @pytest.fixture(scope="module")
-def short():
-    """Let training take few short runs."""
+def cache(tmp_path_factory):
+    """An empty cache."""
+    folder = tmp_path_factory.mktemp("cache")
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in {
-            "run.grasp.RUN_SECONDS": 0.04,
-            "run.grasp.EVERY": 0.002,
-            "models.quick_training.TRAINING": 2,
-            "models.quick_training.HELD_OUT": 1,
-        }.items():
-            patch.setattr(f"palpate.app.{name}", value)
-        yield
+        patch.setattr("palpate.app.models.trained.user_cache_path", lambda name: folder / name)
+        patch.setattr("palpate.app.models.trained.MAX_WORKERS", 1)
+        yield folder
 
 
 @pytest.fixture(scope="module")
-def grasped(short):
+def grasped(cache):
     """A beam whose end a tool holds, reduced."""
-    return train(grasped_beam(lasting=0.04, every=0.002), 6)
+    return trained_model(open_scene("beam", SHORT | {"modes": 6}), Console())
 
 
 @pytest.fixture(scope="module")
@@ -49,34 +51,11 @@ def file(grasped, tmp_path_factory):
     return path
 
 
-def test_the_path_of_the_hand_is_smooth_and_starts_and_ends_at_rest():
-    hand = Hand(3, 0.4)
-    for time in (0.0, 0.4, 0.8):
-        moved, quaternion = hand(time)
-        np.testing.assert_allclose(moved, 0.0, atol=1e-15)
-        np.testing.assert_allclose(np.abs(quaternion), [1, 0, 0, 0], atol=1e-15)
-    near = np.array([hand(1e-4)[0], hand(2e-4)[0]])
-    np.testing.assert_allclose(near[1], 4 * near[0], rtol=1e-4)  # its speed is zero there
-    assert np.linalg.norm(hand(0.13)[0]) > 1e-3
-
-
-def test_the_load_of_the_hand_is_the_rigid_motion_of_its_pose(bar):
-    hand, nodes = Hand(5, 0.4), bar.group(GROUP)
-    points, centre = bar.points[nodes], bar.points[nodes].mean(axis=0)
-    displacement = hand.load(bar).displacement
-    assert callable(displacement)
-    placed = points + displacement(points, 0.17)
-    moved, (w, *v) = hand(0.17)
-    arms = points - centre
-    turned = arms + 2 * np.cross(v, np.cross(v, arms) + w * arms)
-    np.testing.assert_allclose(placed, centre + moved + turned, atol=1e-12)
-
-
 def test_a_trained_model_moves_the_prescribed_end_with_the_hand(grasped):
-    hand = Hand(9, 0.04)
-    loads = [hand.load(grasped.cloud)]
+    hand = held_motion(open_scene("beam"), 9, 0.04)
+    loads = [hand.load(grasped.cloud, "x+")]
     run = pt.rollout(grasped, loads, duration=0.02, every=0.005)
-    nodes = grasped.cloud.group(GROUP)
+    nodes = grasped.cloud.group("x+")
     displacement = loads[0].displacement
     assert callable(displacement)
     expected = displacement(grasped.cloud.points[nodes], 0.02)
@@ -109,7 +88,7 @@ def test_a_run_writes_trajectories_and_a_report(tmp_path, capsys, monkeypatch, m
 
 
 @pytest.fixture(scope="module")
-def realtime(short, file, tmp_path_factory):
+def realtime(file, tmp_path_factory):
     """A run in real time of the model from the file: its folder and report."""
     out = tmp_path_factory.mktemp("realtime") / "results"
     assert main([*REALTIME, "--model", str(file), "--out", str(out)]) == 0
@@ -153,17 +132,17 @@ def test_the_reported_force_and_trust_are_those_of_all_periods(realtime):
 
 
 @pytest.mark.slow
-def test_a_model_is_trained_where_none_is_given_and_the_verdict_is_printed(short, tmp_path, capsys):
-    assert main([*REALTIME, "--modes", "5", "--out", str(tmp_path)]) == 0
+def test_a_model_is_trained_where_none_is_given_and_the_verdict_is_printed(cache, tmp_path, capsys):
+    assert main([*REALTIME, *SET, "--modes", "5", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr()
-    assert "on motions not trained on" in " ".join(said.err.split())
+    assert "on paths not trained on" in " ".join(said.err.split())
     for part in ("Computation: ", "Scheduler: ", "Verdict: 200 Hz", "trust number"):
         assert part in said.out
     assert json.loads((tmp_path / "report.json").read_text())["model"]["modes"] == 5
 
 
 @pytest.mark.slow
-def test_a_diverged_state_is_reported(short, file, tmp_path, capsys, monkeypatch):
+def test_a_diverged_state_is_reported(file, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("palpate.app.run.realtime.Engine.state", property(lambda engine: "diverged"))
     assert main([*REALTIME, "--model", str(file), "--out", str(tmp_path)]) == 1
     assert "the state diverged" in capsys.readouterr().err
@@ -180,7 +159,7 @@ def test_a_diverged_state_is_reported(short, file, tmp_path, capsys, monkeypatch
         (["--realtime", "--load", "3"], ["--load must be left out", "tool"]),
         (["--realtime", "--seconds", "0"], ["--seconds", "600] s"]),
         (["--realtime", "--rate", "1e5"], ["--rate", "20000] Hz"]),
-        (["--realtime", "--modes", "97"], ["--modes", "an integer in [1, 96]"]),
+        (["--realtime", "--modes", "1001"], ["--modes", "[1, 1000]"]),
         (["--realtime", "--spacing", "0.1"], ["--spacing"]),
         (["--realtime", "--model", "nowhere.rom"], ["--model must be an existing file", "nowhere.rom"]),
         (["--realtime", "--model", __file__], [__file__, "not a palpate reduced model"]),

@@ -17,14 +17,14 @@ import numpy as np
 import pytest
 
 from palpate import load
-from palpate.app.models.cache import cache_folder
+from palpate.app.models.trained import model_file
 from palpate.app.recordings.recording import ERROR_NAMES, load_recording, save_recording
-from palpate.app.train.campaign import MODEL
 from palpate.app.view.session.comparison import Comparison
 from palpate.app.view.session.full_model_replay import full_model
 from palpate.app.view.session.messages import validate_message
 from palpate.app.view.session.replay import Replay
 from palpate.app.view.session.session import Session
+from palpate.scenes.open_scene import open_scene
 
 sys.path.append(str(Path(__file__).parent))
 
@@ -139,7 +139,7 @@ def test_a_comparison_shows_both_bodies_and_both_forces(browser, model, site_of)
 def test_pictures_of_the_documentation(browser, session, site_of):
     folder = Path(os.environ["PALPATE_SCREENSHOTS"])
     folder.mkdir(parents=True, exist_ok=True)
-    kept = cache_folder() / MODEL
+    kept = model_file(open_scene("liver"))
     show = Session(load(kept), "Liver") if kept.is_file() else session
     show.start()
     try:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from palpate.app.models.touch_options import TouchOptions
 from palpate.app.view import compile_ahead as module
 from palpate.app.view.compile_ahead import compile_ahead
+from palpate.scenes.description import Tissue
 
 
 def test_one_processor_starts_no_second_process(monkeypatch):
@@ -15,14 +15,14 @@ def test_one_processor_starts_no_second_process(monkeypatch):
 
     monkeypatch.setattr(module, "_processors", lambda: 1)
     monkeypatch.setattr(module.subprocess, "Popen", start)
-    with compile_ahead(TouchOptions()) as wait:
+    with compile_ahead(Tissue()) as wait:
         wait()
 
 
 @pytest.mark.slow
 def test_the_engine_of_a_law_is_compiled_in_a_second_process(monkeypatch):
     monkeypatch.setattr(module, "_processors", lambda: 2)
-    with compile_ahead(TouchOptions(parameters={"C1": 900.0})) as wait:
+    with compile_ahead(Tissue(parameters={"C1": 900.0})) as wait:
         assert wait() == 0
 
 
@@ -36,6 +36,6 @@ def test_the_second_process_ends_with_the_first(monkeypatch):
 
     monkeypatch.setattr(module, "_processors", lambda: 2)
     monkeypatch.setattr(module.subprocess, "Popen", popen)
-    with compile_ahead(TouchOptions()):
+    with compile_ahead(Tissue()):
         assert started[0].poll() is None
     assert started[0].poll() is not None

@@ -256,6 +256,6 @@ def parse_settings(given: Sequence[str]) -> dict[str, Any]:
             raise InputError(f"--set must be NAME=VALUE, got {pair!r:.60}; give one such as spacing=0.005")
         try:
             settings[name.strip()] = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
+        except (ValueError, RecursionError):  # also a whole number of thousands of digits, or very deep lists
             settings[name.strip()] = text
     return settings

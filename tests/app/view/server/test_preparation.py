@@ -199,11 +199,11 @@ def test_a_failure_of_the_preparation_reaches_the_viewer_and_the_exit_status(
     heard, seen = watched
     monkeypatch.setattr("palpate.app.view.server.preparation.user_cache_path", lambda name: tmp_path)
 
-    def refuse(surface, options, console):
+    def refuse(scene, console):
         assert seen.wait(SECONDS)
         raise pt.InputError("spacing must be larger")
 
-    monkeypatch.setattr("palpate.app.models.touch.open_surface", refuse)
+    monkeypatch.setattr("palpate.app.models.touch.open_touched", refuse)
     path = write_organ(SURFACE)
     assert main(["view", str(path), "--units", "mm", "--no-browser", "--port", "18620"]) == 2
     assert "spacing must be larger" in capsys.readouterr().err
@@ -234,7 +234,7 @@ def in_python(*arguments):
         pass
 def in_a_library(*arguments):  # returns to Python after minutes, as a compiler does after seconds
     hashlib.pbkdf2_hmac("sha256", b"", b"", 10**9)
-touch.open_surface = in_python if sys.argv[2] == "python" else in_a_library
+touch.open_touched = in_python if sys.argv[2] == "python" else in_a_library
 sys.exit(main(["view", sys.argv[1], "--units", "mm", "--no-browser", "--port", "18640"]))
 """
 
