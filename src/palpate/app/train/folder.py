@@ -22,6 +22,8 @@ from palpate import __version__
 from palpate.dynamics.run.trajectory import StoredTrajectory
 from palpate.faults import FileFormatError, InputError
 from palpate.files import digest_of, read_sealed_json, regular_file, write_sealed_json
+from palpate.scenes.names import SCENES
+from palpate.scenes.open_scene import DIGEST
 from palpate.scenes.scene import TrainingScene
 from palpate.sealed import loading
 
@@ -55,7 +57,9 @@ def jobs(seed: int, paths: Iterable[int], held_out: int) -> list[Job]:
 
 
 def manifest_of(name: str, scene: TrainingScene, seed: int) -> dict[str, Any]:
-    """Return the manifest, which distinguishes one campaign's folder from another's."""
+    """Return the manifest, which distinguishes one campaign's folder from another's; a file has its absolute path."""
+    if DIGEST in scene.parameters and name not in SCENES:
+        name = str(Path(name).absolute())
     return {
         "format": FORMAT,
         "version": VERSION,
