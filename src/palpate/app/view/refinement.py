@@ -114,11 +114,12 @@ class Refinement:
         if before is not None:
             before.join()
         try:
+            scene = refined_scene(self._scene)
             with self._lock:
                 if not self._is_followed:
                     return
-                self._trainer = self._train(refined_scene(self._scene))
-            for event in self._trainer.events():
+                trainer = self._trainer = self._train(scene)
+            for event in trainer.events():
                 self._take(event)
         except Exception as error:  # of the scene or of a damaged model; the full body stays
             self._fail(str(error) if isinstance(error, InputError | OSError) else f"{type(error).__name__}: {error}")

@@ -89,7 +89,8 @@ class TrainingProcess:
     def events(self) -> Iterator[dict[str, Any]]:
         """Yield what the process reports until it ends; the last is ``trained`` or ``failed``.
 
-        ``phase`` has a text, and the time ``left`` [s] or None; ``trained`` the file of the model, and its mean ``errors`` on held-out runs by name; ``failed`` a reason.
+        ``phase`` has a text, and the time ``left`` [s] or None; ``trained`` the file of the model, and its mean
+        ``errors`` on held-out runs by name; ``failed`` a reason.
         """
         assert self._process.stdout is not None
         last: dict[str, Any] = {}
