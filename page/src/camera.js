@@ -17,14 +17,16 @@ export class OrbitCamera {
     this.still = new URLSearchParams(location.search).has("still") || matchMedia("(prefers-reduced-motion)").matches;
   }
 
-  /** Frame a sphere so that it fills the view, or as the last one was framed. */
+  /** Frame a sphere so that it fills the view, or as the last one was framed, from the same direction. */
   fitSphere(sphere, keepView = false) {
     const { azimuth, elevation } = keepView ? this.goal : this.home;
     const share = keepView ? this.goal.distance / this.home.distance : 1;
+    const aside = this.goal.target.clone().sub(this.home.target);
     this.radius = sphere.radius;
     this.home.target.copy(sphere.center);
     this.fit();
-    this.goal = { ...clone(this.home), azimuth, elevation, distance: share * this.home.distance };
+    const target = keepView ? sphere.center.clone().add(aside) : sphere.center.clone();
+    this.goal = { ...clone(this.home), target, azimuth, elevation, distance: share * this.home.distance };
     this.now = clone(this.goal);
   }
 

@@ -10,6 +10,7 @@ import { Panel } from "./panel.js";
 import { Plots } from "./plots.js";
 import { Preparation } from "./preparation.js";
 import { Connection } from "./protocol.js";
+import { Refinement } from "./refinement.js";
 import { Scene } from "./scene.js";
 import { theme } from "./theme.js";
 import { Transport } from "./transport.js";
@@ -49,7 +50,7 @@ const page = {
   },
 };
 
-let scene, controls, plots, panel, transport, connection;
+let scene, controls, plots, panel, transport, refinement, connection;
 
 function start() {
   try {
@@ -65,6 +66,7 @@ function start() {
     if (message.action === "reset" && controls.press) controls.release();
     send(message);
   });
+  refinement = new Refinement(byId, send);
   controls = new InputControls(scene, page);
   theme(byId("theme"), (accent, dark) => {
     scene.setColours(accent, dark);
@@ -110,9 +112,11 @@ const answers = {
   },
   hello(message) {
     preparation.end();
+    if (controls.press) controls.release(); // of the body that was shown
     session.hello = message;
     session.status = { driver: false, viewers: message.viewers, state: "running", speed: 1 };
-    session.tools = initialTools(message);
+    session.tools = { ...initialTools(message), ...session.tools };
+    refinement.offer();
     byId("title").textContent = message.title;
     document.title = `${message.title} · palpate`;
     document.body.classList.toggle("replaying", replaying());
@@ -147,6 +151,12 @@ const answers = {
     if (controls.press?.tool.kind !== "grasp" || session.state?.tool === "grasp") return;
     statusLine.showCallout("cannot hold here", scene.project(controls.press.hit.point.toArray()));
     controls.release();
+  },
+  refinement(message) {
+    if (refinement.show(message)) {
+      statusLine.showToast(["The finer model is in use.", message.note].filter(Boolean).join(" "));
+      statusLine.announce("The finer model is in use.");
+    }
   },
   recorded: ({ file, frames }) => statusLine.showToast(`${frames} frames recorded in ${file}`),
 };
@@ -211,6 +221,7 @@ function showStatus() {
   }
   panel.status({ tool: session.tool, driver: driver() }, replaying());
   transport.status(status, driver());
+  refinement.status(driver());
   scene.dirty = true;
 }
 

@@ -1,13 +1,16 @@
 // Progress before the session exists: the phase, a bar, and the time left.
 
-const text = (seconds) => (seconds < 90 ? `${Math.max(Math.round(seconds), 1)} s` : `${Math.round(seconds / 60)} min`);
+export const duration = (seconds) => (seconds < 90 ? `${Math.max(Math.round(seconds), 1)} s` : `${Math.round(seconds / 60)} min`);
+
+/** A text with a capital letter, without a remark in brackets at its end. */
+export const sentence = (text) => text[0].toUpperCase() + text.slice(1).replace(/ \(.*\)$/, "");
 
 /** One line about a message `preparing`. */
 export function progressLine({ phase, seconds, seconds_left: left, functions_compiled: compiled }) {
-  const first = phase ? phase[0].toUpperCase() + phase.slice(1).replace(/ \(.*\)$/, "") : "Starting";
-  if (left !== null) return `${first}: about ${text(left)} left`;
+  const first = phase ? sentence(phase) : "Starting";
+  if (left !== null) return `${first}: about ${duration(left)} left`;
   const count = compiled ? `, ${compiled} functions compiled` : "";
-  return `${first}: ${text(seconds)}${count}; the first time takes longest`;
+  return `${first}: ${duration(seconds)}${count}; the first time takes longest`;
 }
 
 /** Shows the progress in place of the message of the page. */

@@ -17,6 +17,12 @@ function usesSoftwareRendering() {
   return /swiftshader|llvmpipe|software|basic render/i.test(name);
 }
 
+/** Whether two spheres are about the same: of two models of a body. */
+function isNear(first, second) {
+  const apart = first.center.distanceTo(second.center) + Math.abs(first.radius - second.radius);
+  return apart < 0.2 * first.radius;
+}
+
 export class Scene {
   constructor(canvas) {
     this.canvas = canvas;
@@ -44,10 +50,11 @@ export class Scene {
     return this.orbitCamera.camera;
   }
 
-  /** Replace the body mesh; the camera stays if the body is the same after a new connection, its direction after a preview. */
+  /** Replace the body mesh; the camera stays if the body is the same, or another model of it, its direction after a preview. */
   setBody(geometry) {
     const known = this.body?.rest;
     const same = known?.length === geometry.positions.length && known.every((part, k) => part === geometry.positions[k]);
+    const before = this.body?.sphere;
     const previewed = this.body?.preview;
     if (this.body) {
       this.graph.remove(this.body.mesh, this.overlay.lines);
@@ -58,7 +65,7 @@ export class Scene {
     this.graph.add(this.body.mesh, this.overlay.lines);
     this.shadow.fit(this.body);
     this.body.preview = geometry.kind === 5;
-    if (!same) this.orbitCamera.fitSphere(this.body.sphere, previewed);
+    if (!same) this.orbitCamera.fitSphere(this.body.sphere, previewed || (before && isNear(before, this.body.sphere)));
     this.dirty = true;
   }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import replace
 from importlib.resources import files
@@ -9,15 +10,19 @@ from pathlib import Path
 from typing import Any
 
 from palpate.faults import InputError, brief
+from palpate.files import json_of
 from palpate.scenes.description import Description, with_settings
 from palpate.scenes.names import SCENES, is_scene_file
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.scene import TrainingScene
 from palpate.scenes.scene_text import parse_scene, read_scene
+from palpate.scenes.settings import Fault, read_section, written_section
 
-__all__ = ["DIGEST", "open_scene", "training_scene_of"]
+__all__ = ["DESCRIPTION", "DIGEST", "described_scene", "open_scene", "text_of_scene", "training_scene_of"]
 
-DIGEST = "digest"  # parameter of a training scene from a file: digest of what it depends on
+# parameters of a training scene from a file: digest of what it depends on; its description where the file alone has
+# another one, or is a surface
+DIGEST, DESCRIPTION = "digest", "description"
 
 
 def open_scene(what: str | Path, settings: Mapping[str, Any] | None = None) -> OrganScene:
@@ -66,6 +71,32 @@ def _with(description: Description, settings: Mapping[str, Any], folder: Path, n
     return OrganScene(with_settings(description, settings), folder, name, settings)
 
 
+def text_of_scene(scene: OrganScene) -> str:
+    """Return the description of a scene as JSON, for `described_scene`."""
+    return json.dumps(written_section(scene.description))
+
+
+def described_scene(name: str, text: str) -> OrganScene:
+    """Return the scene of a description as JSON.
+
+    Parameters
+    ----------
+    name : str
+        A scene of the package, or a scene file or a surface file, next to which the description's files are.
+    text : str
+
+    Raises
+    ------
+    InputError
+        The text is no description.
+    """
+    try:
+        description: Description = read_section(Description, json_of(text))
+    except Fault as fault:
+        raise InputError(f"{DESCRIPTION} must be that of a scene, got one whose {fault.message}") from fault
+    return OrganScene(description, Path() if name in SCENES else Path(name).parent, name)
+
+
 def training_scene_of(scene: OrganScene, parameters: Mapping[str, Any]) -> TrainingScene:
     """Return the body and the paths of a scene for a campaign.
 
@@ -81,10 +112,12 @@ def training_scene_of(scene: OrganScene, parameters: Mapping[str, Any]) -> Train
         The scene file, or a file that it names, is not what it was; or as `OrganScene.body` and `OrganScene.paths`.
     """
     given = dict(parameters)
-    digest = given.pop(DIGEST, None)
+    digest, text = given.pop(DIGEST, None), given.get(DESCRIPTION)
     for name, value in given.items():
         if not isinstance(value, str | int | float):  # as a campaign and a model file keep it
             raise InputError(f"{name} must be a number or a text to train with, got {brief(value)}; change the file")
+    if text is not None and text != text_of_scene(scene):
+        raise InputError(f"{DESCRIPTION} must be that of the scene, got another one; open the scene by it")
     if digest not in (None, scene.digest):
         raise InputError(
             f"{scene.name}, or a file that it names, has changed; open the changed scene in another folder"

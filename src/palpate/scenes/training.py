@@ -13,7 +13,7 @@ from typing import Any
 
 from palpate.faults import InputError, brief
 from palpate.scenes.names import SCENES, is_scene_file
-from palpate.scenes.open_scene import DIGEST, open_scene, training_scene_of
+from palpate.scenes.open_scene import DESCRIPTION, DIGEST, described_scene, open_scene, training_scene_of
 from palpate.scenes.scene import TrainingScene
 
 __all__ = ["is_opened", "search_current_folder", "training_scene"]
@@ -40,6 +40,8 @@ def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
         An unknown scene or parameter, a value out of range, or a user's module or function that
         fails.
     """
+    if DESCRIPTION in parameters:
+        return training_scene_of(described_scene(name, str(parameters[DESCRIPTION])), parameters)
     if is_opened(name):
         settings = {key: value for key, value in parameters.items() if key != DIGEST}
         return training_scene_of(open_scene(name, settings), parameters)

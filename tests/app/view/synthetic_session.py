@@ -67,6 +67,30 @@ class SyntheticSession:
     def address(self):
         return f"http://127.0.0.1:{self.port}/#{TOKEN}"
 
+    def tell(self, **message):
+        """Send a message to all viewers."""
+
+        async def send():
+            for viewer in list(self.viewers):
+                await viewer.send(json.dumps(message))
+
+        asyncio.run_coroutine_threadsafe(send(), self.loop).result(10)
+
+    def replace(self, surface, **hello):
+        """Show another surface of the body to all viewers."""
+
+        async def send():
+            self.rest, self.triangles = surface
+            self.fixed = np.zeros(len(self.rest), dtype="u1")
+            self.more |= hello
+            for viewer in list(self.viewers):
+                viewer.in_flight = 0
+                await viewer.send(json.dumps(self._hello(viewer)))
+                await viewer.send(self._geometry())
+            self._tell()
+
+        asyncio.run_coroutine_threadsafe(send(), self.loop).result(10)
+
     def drop(self):
         """Close all connections, as a network does that fails."""
 

@@ -421,3 +421,50 @@ def test_a_hidden_page_still_acknowledges_frames(opened, synthetic):
     drawn = tab.evaluate("palpate.session.state.sequence")
     sleep(1.2)
     assert tab.evaluate("palpate.session.state.sequence") == drawn
+
+
+def refinement(state, **more):
+    message = {"phase": None, "fraction": None, "seconds_left": None, "errors": None, "good": False, "note": ""}
+    return {"type": "refinement", "state": state, **message, **more}
+
+
+def test_a_finer_model_is_trained_and_changed_over_to(opened, synthetic):
+    tab = opened()
+    hidden, text = (
+        "document.getElementById('refinement').hidden",
+        "document.getElementById('refinement-text').textContent",
+    )
+    assert tab.evaluate(hidden)
+    synthetic.tell(**refinement("offered"))
+    tab.wait(f"!{hidden} && {text}.includes('trained in the background')")
+    tab.evaluate("document.querySelector('#refinement-buttons button').click()")
+    tab.wait("palpate.ready")
+    synthetic.tell(**refinement("training", phase="3 of 16 runs", fraction=0.2, seconds_left=600))
+    tab.wait(f"{text} === '3 of 16 runs: about 10 min left'")
+    assert {"type": "refine", "action": "start"} in synthetic.received
+    errors = {"force": 0.14, "surface": 0.024}
+    synthetic.tell(**refinement("ready", errors=errors))
+    tab.wait(f"{text}.includes('the force errs by 14 % and the surface by 2 %')")
+    assert tab.evaluate("document.querySelector('#refinement-buttons button').textContent") == "Use it anyway"
+    tab.evaluate("document.querySelector('#refinement-buttons button').click()")
+    tab.evaluate("palpate.scene.orbitCamera.rotate(80, 20)")
+    tab.evaluate("palpate.session.tool.radius = 0.011")
+    camera = "[palpate.scene.orbitCamera.goal.azimuth, palpate.scene.orbitCamera.goal.distance]"
+    seen = tab.evaluate(camera)
+    synthetic.replace(sphere(60, 120), training_errors={"force_error": 0.14})
+    synthetic.tell(**refinement("used", errors=errors, note="The recording ended with the full body."))
+    tab.wait(f"{text}.startsWith('In use.')")
+    tab.wait("palpate.session.state.positions.length === palpate.scene.body.rest.length")
+    assert {"type": "refine", "action": "use"} in synthetic.received
+    assert tab.evaluate(camera) == pytest.approx(seen, rel=1e-3)
+    assert tab.evaluate("palpate.session.tool.radius") == 0.011
+    assert tab.evaluate("palpate.statusLine.shown.at(-1)") == (
+        "The finer model is in use. The recording ended with the full body."
+    )
+
+
+def test_a_failed_training_says_why_and_may_be_tried_again(opened, synthetic):
+    tab = opened()
+    synthetic.tell(**refinement("failed", note="organ.palpate is in use by a campaign that runs: wait for it"))
+    tab.wait("document.getElementById('refinement-text').textContent.includes('is in use by a campaign')")
+    assert tab.evaluate("document.querySelector('#refinement-buttons button').textContent") == "Try again"

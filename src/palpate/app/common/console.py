@@ -48,11 +48,17 @@ class Console:
     ----------
     on_phase : function, optional
         Called with the text of every phase of the work when it begins.
+    on_progress : function, optional
+        Called with the share of a phase that is done, from 0 to 1, and with a text about it.
     """
 
-    def __init__(self, on_phase: Callable[[str], None] | None = None) -> None:
+    def __init__(
+        self,
+        on_phase: Callable[[str], None] | None = None,
+        on_progress: Callable[[float, str], None] | None = None,
+    ) -> None:
         self._console = rich.console.Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
-        self._on_phase = on_phase
+        self._on_phase, self._on_progress = on_phase, on_progress
 
     def say(self, text: str) -> None:
         """Print one line."""
@@ -62,6 +68,11 @@ class Console:
         """Report that a phase of the work begins, without a line."""
         if self._on_phase is not None:
             self._on_phase(text)
+
+    def report_progress(self, share: float, text: str) -> None:
+        """Report the share of a phase that is done, without a line."""
+        if self._on_progress is not None:
+            self._on_progress(share, text)
 
     @contextmanager
     def status(self, text: str) -> Iterator[None]:

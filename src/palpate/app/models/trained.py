@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 from palpate.app.common.console import Console, count_nodes, percent
 from palpate.app.train.campaign import MODEL, Campaign
@@ -17,10 +18,11 @@ from palpate.files import check_folder
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import load
 from palpate.scenes.names import SCENES
-from palpate.scenes.open_scene import training_scene_of
+from palpate.scenes.open_scene import DESCRIPTION, open_scene, text_of_scene, training_scene_of
 from palpate.scenes.organ_scene import OrganScene
+from palpate.scenes.training import is_opened
 
-__all__ = ["model_file", "trained_model"]
+__all__ = ["held_out_means", "model_file", "trained_model", "training_folder"]
 
 MAX_WORKERS = 4
 
@@ -30,10 +32,17 @@ def model_file(scene: OrganScene) -> Path:
     return training_folder(scene) / MODEL
 
 
-def trained_model(scene: OrganScene, console: Console) -> ReducedModel:
+def trained_model(scene: OrganScene, console: Console, workers: int | None = None) -> ReducedModel:
     """Return the reduced model of a scene from its folder; train it where it is not there yet.
 
     A campaign that was stopped is continued.
+
+    Parameters
+    ----------
+    scene : OrganScene
+    console : Console
+    workers : int, optional
+        Processes that make the runs; by default one for each processor, and at most 4.
 
     Raises
     ------
@@ -57,9 +66,10 @@ def trained_model(scene: OrganScene, console: Console) -> ReducedModel:
         raise InputError(f"{error}, or train a model elsewhere: palpate train {scene.name} --out FOLDER") from error
     console.say(f"a reduced model is trained, once, and kept in {folder}")
     with console.status("preparing the full model (the first run on a machine compiles it: a minute or two)"):
-        made = training_scene_of(scene, scene.settings)
+        made = training_scene_of(scene, _parameters(scene))
+    default = min(os.cpu_count() or 1, MAX_WORKERS)
     with open_campaign(folder, manifest_of(name_in_folder(scene.name, folder), made, training.seed)) as own:
-        campaign = Campaign(own, made, console, training.modes, workers=min(os.cpu_count() or 1, MAX_WORKERS))
+        campaign = Campaign(own, made, console, training.modes, workers=workers or default)
         if training.tolerance:
             _, model, _ = campaign.train_to_tolerance(training.tolerance, training.paths, training.held_out)
         else:
@@ -68,14 +78,25 @@ def trained_model(scene: OrganScene, console: Console) -> ReducedModel:
     return model
 
 
-def _errors(model: ReducedModel) -> str:
-    """Return the mean errors on held-out runs in words, empty where there are none."""
+def _parameters(scene: OrganScene) -> dict[str, Any]:
+    """Return the parameters by which a worker opens the scene: its settings, or its description if its file has another."""
+    if is_opened(scene.name) and open_scene(scene.name, scene.settings).digest == scene.digest:
+        return scene.settings
+    return {DESCRIPTION: text_of_scene(scene)}
+
+
+def held_out_means(model: ReducedModel) -> dict[str, float]:
+    """Return a model's mean relative errors on held-out runs by what errs, empty where there were no such runs."""
     found = model.report.get("held_out")
     if not found:
-        return ""
-    mean = found["contact"]["mean"] if "contact" in found else found["mean"]
+        return {}
     if "contact" in found:
-        errors = f"the tool's force errs by {percent(mean['force'])}, the surface by {percent(mean['surface_95'])}"
-    else:
-        errors = f"displacements err by {mean['displacement']:.2%}, reaction forces by {mean['reaction']:.2%}"
-    return f"; on paths not trained on {errors}"
+        mean = found["contact"]["mean"]
+        return {"force": mean["force"], "surface": mean["surface_95"]}
+    return {"force": found["mean"]["reaction"], "displacement": found["mean"]["displacement"]}
+
+
+def _errors(model: ReducedModel) -> str:
+    """Return the mean errors on held-out runs in words, empty where there are none."""
+    errors = [f"{name} errs by {percent(error)}" for name, error in held_out_means(model).items()]
+    return f"; on paths not trained on {', '.join(errors)}" if errors else ""

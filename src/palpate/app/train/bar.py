@@ -56,5 +56,6 @@ class Bar:
             self._console.say(f"{job.name}: {outcome['seconds']:.3g} s, {self._ended} of {len(self._durations)} runs")
 
     def _show(self) -> None:
-        label = f"{self._ended} of {len(self._durations)} runs"
-        self._bar.update(self._task, completed=sum(self._reached.values()), description=label)
+        label, reached = f"{self._ended} of {len(self._durations)} runs", sum(self._reached.values())
+        self._bar.update(self._task, completed=reached, description=label)
+        self._console.report_progress(reached / sum(self._durations.values()), label)

@@ -21,6 +21,7 @@ from palpate.app.train.cluster import run_on_cluster
 from palpate.app.train.folder import HELD_OUT, Folder, Job, jobs
 from palpate.app.train.local import run_local
 from palpate.app.train.paths import path_of, recorded_jobs
+from palpate.app.train.scene_folder import is_file
 from palpate.app.train.work import Outcome
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.foundation import Foundation
@@ -36,7 +37,6 @@ from palpate.reduction.contact.support_sensitivity import select_presses, suppor
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import save
 from palpate.reduction.training.reduce import energy_form, hyper_reduce
-from palpate.scenes.names import is_scene_file
 from palpate.scenes.scene import TrainingScene
 
 __all__ = ["MODEL", "Campaign", "Round"]
@@ -282,7 +282,7 @@ class Campaign:
                 repeated=touched[:REPEATED],
             )
         name = folder.manifest["scene"]
-        name = Path(name).name if is_scene_file(name) else name
+        name = Path(name).name if is_file(name) else name
         scene_entry = {"name": name, "parameters": folder.manifest["parameters"]}
         model = model.with_report({"scene": scene_entry})
         save(model, folder.path / MODEL)

@@ -11,9 +11,10 @@ from palpate import __version__
 from palpate.faults import InputError
 from palpate.scenes.names import SCENES, is_scene_file
 from palpate.scenes.organ_scene import OrganScene
+from palpate.scenes.surface_scene import is_surface_file
 
 __all__ = [
-    "folder_of_file", "last_recording", "name_in_folder", "recordings_folder", "scene_in_folder", "training_folder",
+    "folder_of_file", "is_file", "last_recording", "name_in_folder", "recordings_folder", "scene_in_folder", "training_folder",
 ]  # fmt: skip
 
 FOLDER_SUFFIX = ".palpate"  # of the folder next to a scene file
@@ -49,9 +50,14 @@ def last_recording(file: Path) -> Path:
 
 def name_in_folder(scene: str, folder: Path) -> str:
     """Return the name of a scene in a campaign's manifest: of a file, its path from the folder."""
-    return os.path.relpath(scene, folder) if is_scene_file(scene) else scene
+    return os.path.relpath(scene, folder) if is_file(scene) else scene
 
 
 def scene_in_folder(name: str, folder: Path) -> str:
     """Return the scene of a manifest: the inverse of `name_in_folder`."""
-    return str(folder / name) if is_scene_file(name) else name
+    return str(folder / name) if is_file(name) else name
+
+
+def is_file(scene: str) -> bool:
+    """Return True for a scene of a scene file or a surface file."""
+    return is_scene_file(scene) or is_surface_file(scene)

@@ -56,6 +56,7 @@ def view(
     law: str | None = None,
     given: Sequence[str] = (),
     fixed: Sequence[str] = (),
+    refine: bool = False,
     compare: bool = False,
     scene: str | None = None,
     as_json: bool = False,
@@ -83,6 +84,9 @@ def view(
     units, scale, part, spacing, law, given, fixed
         Of a body from a surface file, see `palpate.scenes.surface_scene.surface_scene`; `spacing` and `given` also of
         a scene file.
+    refine : bool
+        Train a reduced model behind the full body of a surface file or a scene file, and change over to it
+        (`palpate.app.view.refinement`).
     compare : bool
         Also step the full model of the reduced model's training scene, under the same tool.
     scene : str, optional
@@ -117,12 +121,15 @@ def view(
     }  # fmt: skip
     if compare and (is_surface_file(what) or is_scene_file(what)):
         raise InputError(f"compare must be left out for a full body, got {what!r:.60}; give a reduced model")
+    if refine and (headless or not (is_surface_file(what) or is_scene_file(what))):
+        reason = "--headless" if headless else f"{what!r:.60}"
+        raise InputError(f"refine must be left out unless a page shows a surface file or a scene file, got {reason}")
     if scene is not None and not compare:
         raise InputError(f"scene must be left out without --compare, got {scene!r:.60}; add --compare")
     subject = _read_subject(what, options, compare, scene)
     with _exit_on_signals():
         if run is None:
-            return FAILED if _show(subject, record, (port, host, browser)) else DONE
+            return FAILED if _show(subject, record, (port, host, browser), refine) else DONE
         from palpate.app.view.session.script import run_script
 
         with _session(subject, record, Console()) as session:
@@ -195,7 +202,7 @@ def _read_subject(what: str, options: dict[str, Any], compare: bool, scene: str 
     return _Subject(what, title, None, model, compare, scene)
 
 
-def _show(subject: _Subject, record: Path | None, address: tuple[int, str, bool]) -> list[str]:
+def _show(subject: _Subject, record: Path | None, address: tuple[int, str, bool], refine: bool) -> list[str]:
     """Show a body on a page until interrupted: its surface at once, and the session when it is ready.
 
     Returns
@@ -217,13 +224,20 @@ def _show(subject: _Subject, record: Path | None, address: tuple[int, str, bool]
                 ahead = contextlib.nullcontext() if touched is None else compile_ahead(touched.description.tissue)
                 with ahead as wait:
                     session = stack.enter_context(_session(subject, record, console, wait))
+                from palpate.app.view.refinement import Refinement
+
                 preparation.end()
         except Exception as error:
             host.fail(str(error) if isinstance(error, InputError) else "palpate ended; its terminal says why")
             raise
         finally:
             preparation.close()
-        host.show(session)
+        refinement = None
+        if subject.touched is not None:
+            refinement = stack.enter_context(contextlib.closing(Refinement(subject.touched, session, console)))
+            if refine:
+                refinement.handle("start")
+        host.show(session, refinement)
         try:
             host.wait()
         except KeyboardInterrupt:

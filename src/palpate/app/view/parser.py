@@ -49,6 +49,11 @@ def add_view(commands: Any) -> None:
     )
     add("what", metavar="SCENE|FILE", help=text)
     _add_surface(view)
+    text = (
+        "of a surface or scene file: train a reduced model in the background, next to the file, and change over to it; "
+        "continues a training that was stopped"
+    )
+    add("--refine", action="store_true", help=text)
     text = "of a reduced model: also step the full model of its training scene under the same tool, and compare forces"
     add("--compare", action="store_true", help=text)
     text = "with --compare: your own scene, which the model must name; also from the current folder"

@@ -21,7 +21,7 @@ from palpate.app.view.server.connection import CLOSE_TIMEOUT
 from palpate.app.view.server.page import Page
 from palpate.app.view.server.preparation import Preparation
 from palpate.app.view.server.server import Server
-from palpate.app.view.server.view_source import ViewSource
+from palpate.app.view.server.view_source import Refining, ViewSource
 
 __all__ = ["Host", "serve", "serve_source"]
 
@@ -89,9 +89,9 @@ class Host:
         finally:
             self.stop()
 
-    def show(self, source: ViewSource) -> None:
-        """Show a session to all viewers, whose preparation has ended."""
-        self._call(self._server.show, source)
+    def show(self, source: ViewSource, refinement: Refining | None = None) -> None:
+        """Show a session to all viewers, whose preparation has ended, and what may replace it later."""
+        self._call(self._server.show, source, refinement)
 
     def fail(self, reason: str) -> None:
         """Report to the viewers that the preparation has failed."""

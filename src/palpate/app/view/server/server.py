@@ -29,7 +29,7 @@ from palpate.app.view.server.connection import (
 from palpate.app.view.server.page import Page
 from palpate.app.view.server.preparation import Preparation
 from palpate.app.view.server.streams import Streams
-from palpate.app.view.server.view_source import ViewSource
+from palpate.app.view.server.view_source import Refining, ViewSource
 from palpate.app.view.server.viewer import VIEWER_TOO_SLOW, Viewer
 from palpate.app.view.session.messages import MAX_MESSAGE_BYTES, PROTOCOL, Message, parse_message
 from palpate.faults import InputError
@@ -51,7 +51,7 @@ BATCH_SIZE = 32  # messages read before other tasks run
 MAX_PINGS = 100  # of a connection between two ticks
 MAX_MESSAGE_RATE = 2000  # [1/s] of a viewer; further messages wait
 LOG = logging.getLogger(__name__)
-DRIVER_MESSAGES = ("pose", "tool", "release", "control", "speed", "material", "record", "replay")
+DRIVER_MESSAGES = ("pose", "tool", "release", "control", "speed", "material", "record", "replay", "refine")
 
 
 class Server:
@@ -78,6 +78,9 @@ class Server:
         self._preparation: Preparation | None = None
         self._prepared = asyncio.Event()
         self._preview = b""
+        self._refinement: Refining | None = None
+        self._replaced = asyncio.Event()  # another source is shown
+        self._last_refinement: dict[str, Any] = {}
         self._max_unsent = MAX_UNSENT_BYTES
         if isinstance(source, Preparation):
             self._preparation = source
@@ -86,13 +89,25 @@ class Server:
         else:
             self.show(source)
 
-    def show(self, source: ViewSource) -> None:
-        """Show a session or a replay to all viewers, in place of the preparation; called in the server's thread."""
-        self.source, self._streams = source, Streams(source)
+    def show(self, source: ViewSource, refinement: Refining | None = None) -> None:
+        """Show a session or a replay to all viewers, in place of what was shown; called in the server's thread.
+
+        Parameters
+        ----------
+        source : Session or Replay
+        refinement : Refining, optional
+            What may replace the source later.
+        """
+        self.source, self._streams, self._refinement = source, Streams(source), refinement
+        self._replaced.set()
+        self._replaced, self._last_status = asyncio.Event(), ""
         self._max_unsent = MAX_UNSENT_BYTES + 2 * max(len(self._preview), len(frames.geometry_frame(source.surface)))
         self._preparation, self._preview = None, b""
         for viewer in self.viewers:  # each is ready again after its hello
             viewer.ready = False
+            viewer.acknowledge(viewer.sent)  # what is in flight shows another body
+            if viewer.scalar not in source.surface.scalars:
+                viewer.scalar = "none"
         if self.driver is None and self.viewers:  # the one that drove has left meanwhile
             self.driver, self.viewers[0].last_drive = self.viewers[0], time.monotonic()
         if not self.viewers:
@@ -141,6 +156,7 @@ class Server:
                 while self.source.notifications:
                     self._broadcast(self.source.notifications.pop(0))
                 self._broadcast_status()
+                self._refine()
             except Exception as error:  # of the source; it must not end the server or a viewer
                 self._log_error("the session", error)
             self._close_stalled()
@@ -173,6 +189,18 @@ class Server:
         self._last_status = text
         for viewer in self._ready_viewers():
             self._schedule(viewer, self._send_to(viewer, _to_json(self._status_message(viewer, status))))
+
+    def _refine(self) -> None:
+        """Report the progress of a refinement, and show what it has made."""
+        if self._refinement is None:
+            return
+        message = self._refinement.message()
+        if message != self._last_refinement:
+            self._last_refinement = message
+            self._broadcast(message)
+        source = self._refinement.next_source()
+        if source is not None:
+            self.show(source, self._refinement)
 
     def _status_message(self, viewer: Viewer, status: dict[str, Any]) -> dict[str, Any]:
         properties = {"driver": viewer is self.driver, "viewers": len(self.viewers), "recording": False}
@@ -222,21 +250,49 @@ class Server:
             self._add_viewer(viewer)
             if not self._prepared.is_set() and not await self._wait_for_session(viewer):
                 return
-            await viewer.send_message(self._hello_message(viewer))
-            await viewer.send(frames.geometry_frame(self.source.surface))
-            await viewer.send_message(self._status_message(viewer, self.source.status()))
-            viewer.ready = True
+            replaced = await self._introduce(viewer)
             async with asyncio.TaskGroup() as group:
-                senders = (self._streams.send_states, self._streams.send_forces)
-                streams = [group.create_task(send(viewer)) for send in senders]
+                streaming = group.create_task(self._stream(viewer, replaced))
                 processing = group.create_task(self._process_queue(viewer))
                 await self._receive(viewer)
                 viewer.queue.close()
                 await processing
-                for stream in streams:
-                    stream.cancel()
+                streaming.cancel()
         finally:
             self._remove_viewer(viewer)
+
+    async def _introduce(self, viewer: Viewer) -> asyncio.Event:
+        """Send hello, geometry and status of the source that is shown; return what is set when another one is."""
+        while True:
+            replaced = self._replaced
+            await viewer.send_message(self._hello_message(viewer))
+            await viewer.send(frames.geometry_frame(self.source.surface))
+            await viewer.send_message(self._status_message(viewer, self.source.status()))
+            if self._refinement is not None:
+                await viewer.send_message(self._refinement.message())
+            if not replaced.is_set():
+                viewer.ready = True
+                return replaced
+
+    async def _stream(self, viewer: Viewer, replaced: asyncio.Event) -> None:
+        """Send frames of the source that is shown, and introduce each that replaces it."""
+        while True:
+            if not replaced.is_set():
+                await self._send_frames(viewer, replaced)
+            replaced = await self._introduce(viewer)
+
+    async def _send_frames(self, viewer: Viewer, replaced: asyncio.Event) -> None:
+        """Send frames of the source that is shown until an event is set."""
+        senders = self._streams.send_states(viewer), self._streams.send_forces(viewer), replaced.wait()
+        tasks = [asyncio.ensure_future(each) for each in senders]
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for each in done:
+                each.result()
+        finally:
+            for each in tasks:
+                each.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
 
     async def _wait_for_session(self, viewer: Viewer) -> bool:
         """Send the preview, and the progress from now on; return whether the viewer stays until the session exists."""
@@ -365,7 +421,12 @@ class Server:
             if viewer is not self.driver:
                 raise InputError(f"{kind}: sender must be the driver, got another viewer; send 'drive' first")
             viewer.last_drive = time.monotonic()
-            self.source.handle(message)
+            if kind == "refine":
+                if self._refinement is None:
+                    raise InputError("refine must be left out here, got it; only full bodies of a scene are refined")
+                self._refinement.handle(message["action"])
+            else:
+                self.source.handle(message)
         else:
             raise InputError(f"type must not be {kind!r} after the first message; see docs/protocol.md")
 

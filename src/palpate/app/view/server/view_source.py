@@ -10,7 +10,7 @@ from palpate.app.view.session.messages import Message
 if TYPE_CHECKING:
     from palpate.reduction.realtime.display_surface import DisplaySurface
 
-__all__ = ["ViewSource"]
+__all__ = ["Refining", "ViewSource"]
 
 
 class ViewSource(Protocol):
@@ -51,3 +51,16 @@ class ViewSource(Protocol):
 
     def overlay(self, time: float) -> OverlayState | None:
         """Return the state of the full model at the time of a snapshot, or None."""
+
+
+class Refining(Protocol):
+    """The training of a model that replaces what is shown; called in the server's thread."""
+
+    def message(self) -> dict[str, Any]:
+        """Return the message ``refinement`` of the protocol."""
+
+    def handle(self, action: str) -> None:
+        """Execute an action of the driver: ``start``, ``stop`` or ``use``."""
+
+    def next_source(self) -> ViewSource | None:
+        """Return what is to be shown from now on, once; None otherwise."""

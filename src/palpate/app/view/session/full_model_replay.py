@@ -9,6 +9,7 @@ import numpy as np
 from palpate.app.recordings.recording import MAX_DURATION, Recording
 from palpate.app.recordings.snapshot import Snapshot
 from palpate.app.recordings.tool_paths import MIN_SNAPSHOTS, TOOL_NAME, make_load
+from palpate.app.train.scene_folder import is_file
 from palpate.arrays import Floats
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
@@ -19,7 +20,7 @@ from palpate.faults import InputError
 from palpate.files import shortened
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.realtime.display_surface import Surface
-from palpate.scenes.names import SCENES, is_scene_file
+from palpate.scenes.names import SCENES
 from palpate.scenes.training import search_current_folder, training_scene
 
 __all__ = ["full_model", "reduced_model", "replay_errors", "replay_on_full_model", "tool_path"]
@@ -53,12 +54,12 @@ def full_model(reduced: ReducedModel, trusted_scene: str | None = None) -> Model
             "`palpate train SCENE`"
         )
     scene, parameters, cloud = scene_record["name"], scene_record["parameters"], reduced.cloud
-    if trusted_scene is not None and is_scene_file(trusted_scene) and is_scene_file(scene):
+    if trusted_scene is not None and is_file(trusted_scene) and is_file(scene):
         scene = trusted_scene  # its digest is checked, wherever it lies
     if trusted_scene is not None and trusted_scene != scene:
         raise InputError(f"scene must be {scene!r}, on which the model was trained, got {trusted_scene!r}")
     if trusted_scene is None and scene not in SCENES:
-        kind = "organ.toml" if is_scene_file(scene) else "MODULE:FUNCTION if you trust that module"
+        kind = scene if is_file(scene) else "MODULE:FUNCTION if you trust that module"
         raise InputError(
             f"scene of the model must be one of {', '.join(SCENES)}, got {shortened(scene)!r}; names in a file "
             f"are not imported or opened: add --scene {kind}"

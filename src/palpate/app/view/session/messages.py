@@ -135,6 +135,7 @@ FIELDS: dict[str, dict[str, tuple[Check, Any]]] = {
     "material": {"name": (_text, REQUIRED), "value": (_number(0.0, 1e12, open_low=True), REQUIRED)},
     "record": {"action": (_one_of("start", "stop"), REQUIRED)},
     "replay": {"action": (_one_of("play", "pause", "seek"), REQUIRED), "time": (_number(0.0, 1e6), 0.0)},
+    "refine": {"action": (_one_of("start", "stop", "use"), REQUIRED)},
     "force": {"rate": (_rate, REQUIRED)},
     "latency": {"stamp": (_stamp, None)},
 }  # fmt: skip

@@ -53,6 +53,7 @@ MAX_TOOL_SPEED = 0.5  # [m/s]
 FULL_INTERVAL = 0.04  # [s] between snapshots of a full body: a minute of 3,000 nodes takes 54 MB
 MAX_READS = 1000  # attempts to read the engine and the model in the same period
 PACE_SECONDS = 3.0  # [s] over which the pace is taken
+HOLD_SECONDS = 1.0  # [s] after its last pose for which a tool counts as held
 SLEEP_TIME = 3.0  # [s] without a tick after which the machine is taken to have slept
 ABSENT_TOOL_DISTANCE = 10.0  # [m] beyond the body, where an absent tool is
 NO_TOOL = SelectedTool("none", None)
@@ -120,6 +121,7 @@ class Session:
         self.failures: list[str] = []  # of recordings, one line each
         self._writers: list[threading.Thread] = []
         self._paces: deque[tuple[float, int, int]] = deque()  # time [s], periods, dropped periods
+        self._last_pose = -math.inf  # [s]
         self._lock, self._last_tick = threading.RLock(), (time.time(), time.monotonic())
 
     # queries
@@ -178,7 +180,7 @@ class Session:
         """Return the properties that change rarely, for `status`."""
         return {
             "state": self.engine.state, "tool": self._describe_tool(), "speed": self.speed,
-            "pause_reason": self.pause_reason, "recording": self._recorder is not None,
+            "pause_reason": self.pause_reason, "recording": self.is_recording,
             "materials": self._materials(),
         }  # fmt: skip
 
@@ -212,6 +214,14 @@ class Session:
         if not self.accepts_tools:
             return []
         return ["sphere", "capsule", "grasp"]
+
+    @property
+    def is_touched(self) -> bool:
+        """Whether a tool touches the body, or is held by its user: it was moved within the last second."""
+        if self.tool is NO_TOOL:
+            return False
+        held = time.monotonic() - self._last_pose < HOLD_SECONDS
+        return held or (self.accepts_tools and bool(np.any(self.engine.read().force)))
 
     # commands
 
@@ -259,6 +269,29 @@ class Session:
         for writer in self._writers:
             writer.join()
 
+    def succeed(self, former: Session) -> None:
+        """Start in place of another session of the same body: with its selected tool, speed, moduli and pause.
+
+        The other session stops, and its recording is written. Its notifications are those of this session from now
+        on.
+        """
+        if former.is_recording:
+            former.finish_recording()
+        state, reason = former.engine.state, former.pause_reason
+        former.stop()
+        self.notifications, self.failures, self.folder = former.notifications, former.failures, former.folder
+        self._writers = former._writers
+        if self.accepts_tools and former.accepts_tools:
+            self.selected_tool = former.selected_tool
+        self.engine.slow_down(former.speed)
+        self.speed = former.speed
+        if former.modulus_ratio != 1.0 and self._materials():
+            self._observable.set_modulus_ratio(former.modulus_ratio)
+            self.modulus_ratio = former.modulus_ratio
+        self.start()
+        if state != "running":
+            self.pause(reason)
+
     def pause(self, reason: str | None = None) -> None:
         """Pause the engine."""
         self.engine.pause()
@@ -295,6 +328,11 @@ class Session:
                 self._change_tool(NO_TOOL, snapshot.position, snapshot.quaternion)
 
     # recordings
+
+    @property
+    def is_recording(self) -> bool:
+        """Whether a recording is in progress."""
+        return self._recorder is not None
 
     def start_recording(self, path: Path | None = None) -> None:
         """Start a recording.
@@ -412,6 +450,7 @@ class Session:
                 self.engine.resume()
 
     def _move_tool(self, message: Message) -> None:
+        self._last_pose = time.monotonic()
         position = self._workspace.nearest_position(np.array(message["position"]))
         quaternion = np.array(message["quaternion"])
         with self._lock:

@@ -1,0 +1,183 @@
+"""Refinement of a session: a reduced model is trained next to a full body, and takes its place when it is ready."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from time import monotonic
+from typing import Any, Protocol
+
+from palpate.app.common.console import Console, percent
+from palpate.app.view.session.session import Session
+from palpate.app.view.training_process import MIN_SECONDS_LEFT, TrainingProcess, refined_scene
+from palpate.faults import InputError
+from palpate.reduction.storage.models import load
+from palpate.scenes.organ_scene import OrganScene
+
+__all__ = ["MAX_FORCE_ERROR", "MAX_SURFACE_ERROR", "Refinement"]
+
+MAX_FORCE_ERROR, MAX_SURFACE_ERROR = 0.1, 0.1  # mean on held-out runs, up to which a model is used without a question
+OFFERED, TRAINING, READY, USED, FAILED = "offered", "training", "ready", "used", "failed"
+JOIN_SECONDS = 2.0  # [s] in which a model that is being loaded may end
+
+
+class Trainer(Protocol):
+    """A training in the background; see `palpate.app.view.training_process.TrainingProcess`."""
+
+    def events(self) -> Iterator[dict[str, Any]]:
+        """Yield what it reports until it ends."""
+
+    def stop(self) -> None:
+        """End it."""
+
+
+class Refinement:
+    """Trains the reduced model of a scene behind the session of its full body, and makes the session of that model.
+
+    Parameters
+    ----------
+    scene : OrganScene
+    session : Session
+        Of the full body.
+    console : Console
+    train : function, optional
+        Starts a training of a scene.
+    """
+
+    def __init__(
+        self, scene: OrganScene, session: Session, console: Console,
+        train: Callable[[OrganScene], Trainer] = TrainingProcess,
+    ) -> None:  # fmt: skip
+        self._scene, self._session, self._console, self._train = scene, session, console, train
+        self._lock = threading.Lock()
+        self._state, self._note, self._accepted = OFFERED, "", False
+        self._phase: dict[str, Any] = {}
+        self._began = self._phase_began = monotonic()
+        self._errors: dict[str, float] = {}
+        self._trainer: Trainer | None = None
+        self._thread: threading.Thread | None = None
+        self._next: Session | None = None
+
+    def message(self) -> dict[str, Any]:
+        """Return the message ``refinement`` of the protocol."""
+        with self._lock:
+            left, now = self._phase.get("left"), monotonic()
+            share = None
+            if left is not None:
+                left = max(left - (now - self._phase_began), MIN_SECONDS_LEFT)
+                share = (now - self._began) / (now - self._began + left)
+            return {
+                "type": "refinement", "state": self._state, "phase": self._phase.get("phase"),
+                "fraction": None if share is None else round(share, 3),
+                "seconds_left": None if left is None else round(left),
+                "errors": self._errors or None, "good": self._is_good, "note": self._note,
+            }  # fmt: skip
+
+    @property
+    def _is_good(self) -> bool:
+        errors = self._errors
+        surface = errors.get("surface", errors.get("displacement", 1.0))
+        return errors.get("force", 1.0) <= MAX_FORCE_ERROR and surface <= MAX_SURFACE_ERROR
+
+    def handle(self, action: str) -> None:
+        """Execute an action: ``start`` or ``stop`` the training, or ``use`` a model that is ready.
+
+        Raises
+        ------
+        InputError
+            The action is not one of the present state.
+        """
+        allowed = {"start": (OFFERED, FAILED), "stop": (TRAINING,), "use": (READY,)}[action]
+        with self._lock:
+            if self._state not in allowed:
+                raise InputError(f"refine must be an action of the state {self._state!r}, got {action!r}; wait for it")
+            if action == "use":
+                self._accepted = True
+            elif action == "start":
+                self._start()
+            else:
+                self._state, self._phase = OFFERED, {}
+                self._note = "Stopped. What was computed is kept, and used when it is started again."
+                trainer, self._trainer = self._trainer, None
+        if action == "stop" and trainer is not None:
+            trainer.stop()
+
+    def _start(self) -> None:
+        self._state, self._note, self._phase = TRAINING, "", {"phase": "starting"}
+        self._began = self._phase_began = monotonic()
+        self._thread = threading.Thread(target=self._follow, args=(self._thread,), name="palpate refine", daemon=True)
+        self._thread.start()
+
+    def _follow(self, before: threading.Thread | None) -> None:
+        """Follow a training to its end, and load its model; an earlier one has to end first."""
+        if before is not None:
+            before.join()
+        try:
+            scene = refined_scene(self._scene)
+            with self._lock:
+                if not self._is_followed:
+                    return
+                trainer = self._trainer = self._train(scene)
+            for event in trainer.events():
+                self._take(event)
+        except Exception as error:  # of the scene or of a damaged model; the full body stays
+            self._fail(str(error) if isinstance(error, InputError | OSError) else f"{type(error).__name__}: {error}")
+
+    @property
+    def _is_followed(self) -> bool:
+        """Whether the training that this thread follows was not stopped."""
+        return self._state == TRAINING and self._thread is threading.current_thread()
+
+    def _take(self, event: dict[str, Any]) -> None:
+        if "trained" in event:
+            self._load(event)
+        elif "failed" in event:
+            self._fail(event["failed"])
+        else:
+            with self._lock:
+                if self._is_followed:
+                    self._phase, self._phase_began = event, monotonic()
+
+    def _load(self, event: dict[str, Any]) -> None:
+        """Make the session of a trained model."""
+        model = load(Path(event["trained"]))
+        foundations = refined_scene(self._scene).foundations
+        session = Session(model, self._session.title, foundations=foundations)
+        with self._lock:
+            if not self._is_followed:
+                return
+            self._state, self._phase, self._errors, self._next = READY, {}, event["errors"], session
+        errors = ", ".join(f"{name} {percent(error)}" for name, error in event["errors"].items())
+        self._console.say(f"a reduced model is ready; mean errors on paths not trained on: {errors or 'not measured'}")
+
+    def _fail(self, reason: str) -> None:
+        with self._lock:
+            if not self._is_followed:
+                return
+            self._state, self._phase, self._note = FAILED, {}, reason
+        self._console.say(f"no reduced model was trained: {reason}; the full body stays")
+
+    def next_source(self) -> Session | None:
+        """Return the running session of the model, once: when it is good and no tool touches the body, or accepted."""
+        with self._lock:
+            ready = self._state == READY and (self._accepted or (self._is_good and not self._session.is_touched))
+            if not ready or self._next is None:
+                return None
+            self._note = "The recording ended with the full body." if self._session.is_recording else ""
+            self._next.succeed(self._session)
+            self._state = USED
+            return self._next
+
+    def close(self) -> None:
+        """End the training, and the session of the model; its recordings are written."""
+        with self._lock:
+            used, trainer = self._state == USED, self._trainer
+            if self._state == TRAINING:
+                self._state = OFFERED
+        if trainer is not None:
+            trainer.stop()
+        if self._thread is not None:
+            self._thread.join(JOIN_SECONDS)
+        if used and self._next is not None:
+            self._next.close()
