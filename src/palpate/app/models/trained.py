@@ -79,7 +79,7 @@ def trained_model(scene: OrganScene, console: Console, workers: int | None = Non
 
 
 def _parameters(scene: OrganScene) -> dict[str, Any]:
-    """Return the parameters by which a worker opens the scene: its settings, or its description if its file has another."""
+    """Return the parameters by which a worker opens the scene: its settings, or its description where they differ."""
     if is_opened(scene.name) and open_scene(scene.name, scene.settings).digest == scene.digest:
         return scene.settings
     return {DESCRIPTION: text_of_scene(scene)}

@@ -14,7 +14,8 @@ from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.surface_scene import is_surface_file
 
 __all__ = [
-    "folder_of_file", "is_file", "last_recording", "name_in_folder", "recordings_folder", "scene_in_folder", "training_folder",
+    "folder_of_file", "is_file", "last_recording", "name_in_folder", "recordings_folder", "scene_in_folder",
+    "training_folder",
 ]  # fmt: skip
 
 FOLDER_SUFFIX = ".palpate"  # of the folder next to a scene file
