@@ -8,7 +8,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from palpate.dynamics.solid.model import Solid
 from palpate.faults import InputError, brief
+from palpate.reduction.contact.residual_flexibility import MAX_NODES
 from palpate.scenes.description import Description, with_settings
 from palpate.scenes.names import SCENES, is_scene_file
 from palpate.scenes.organ_scene import OrganScene
@@ -17,6 +19,7 @@ from palpate.scenes.scene_text import parse_scene, read_scene
 
 __all__ = ["DIGEST", "open_scene", "training_scene_of"]
 
+COARSE_NODES = 0.7 * MAX_NODES  # of the coarse body of a fine one
 DIGEST = "digest"  # parameter of a training scene from a file: digest of what it depends on
 
 
@@ -91,5 +94,16 @@ def training_scene_of(scene: OrganScene, parameters: Mapping[str, Any]) -> Train
         )
     training = scene.description.training
     tools = (scene.held_group,) if scene.held_group else ()
-    made = TrainingScene(scene.body, scene.paths, training.every, scene.title, given | {DIGEST: scene.digest}, tools)
+    made = TrainingScene(
+        scene.body, scene.paths, training.every, scene.title, given | {DIGEST: scene.digest}, tools,
+        coarse=None if tools or len(scene.cloud) <= MAX_NODES else lambda: _coarse_body(scene),
+    )  # fmt: skip
     return made if training.cubature is None else replace(made, cubature=training.cubature)
+
+
+def _coarse_body(scene: OrganScene) -> Solid:
+    """Return the body of a scene with fewer nodes, for its vibration modes and statics."""
+    ratio = (len(scene.cloud) / COARSE_NODES) ** (1 / 3)
+    coarse = scene.with_body(spacing=scene.cloud.spacing * ratio, form="energy").body
+    assert isinstance(coarse, Solid)  # as membranes have a tool that holds a group
+    return coarse

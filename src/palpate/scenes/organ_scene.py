@@ -294,7 +294,7 @@ class OrganScene(Described):
         return entries[number].name or (place.group if place and generated else "") or f"{kind} {number + 1}"
 
     def _support_key(self, number: int) -> str:
-        """Return the name of a support for messages: its entry in a scene file, or the argument of a surface's scene."""
+        """Return the name of a support for messages: its entry in a scene file, or `fixed` of a surface alone."""
         of_file = self.name in SCENES or is_scene_file(self.name)
         return f"support[{number + 1}]" if of_file else "fixed"
 
