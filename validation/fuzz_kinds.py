@@ -563,10 +563,14 @@ paths = 7
 depth = "5 mm"
 """
 SCENE_VALUES = [
-    "nan", "-inf", "1e308", "-0.0", "9" * 4999, "0x" + "f" * 900, "true", '""', '"1e999 mm"', '"1e-320"', '"1 kg"', '"٣ mm"',
-    '"near 1.2.3,e,1,1"', '"near 1e400,0,0,1"', '"lowest 1e9%"', '"x+"', '"/dev/zero"', '"/"', '"../.."', '"\\u0000"',
-    '"' + "a" * 9999 + '"', "[]", "[[]]", "[1, 2, 3]", "[1e308, 1e308, 1e308]", "{}", "{ file = '/dev/zero', distance = 1 }",
-    "[" * 5000, "{ side = 'x-' }", "1979-05-27", "1979-05-27T07:32:00Z", "a." * 9999 + "a", '"liver"', '"disc"', '"Ogden"',
+    "nan", "-inf", "1e308", "-0.0", "9" * 4999,
+    "0x" + "f" * 900, "true", '""', '"1e999 mm"', '"1e-320"', '"1 kg"',
+    '"٣ mm"',    '"near 1.2.3,e,1,1"', '"near 1e400,0,0,1"', '"lowest 1e9%"', '"x+"',
+    '"/dev/zero"', '"/"', '"../.."', '"\\u0000"',
+    '"' + "a" * 9999 + '"', "[]", "[[]]", "[1, 2, 3]", "[1e308, 1e308, 1e308]", "{}",
+    "{ file = '/dev/zero', distance = 1 }", "[" * 5000, "{ side = 'x-' }", "1979-05-27", "1979-05-27T07:32:00Z",
+    "a." * 9999 + "a", '"liver"', '"disc"',
+    '"Ogden"',
     '"exp(exp(exp(I1)))"', '"springs"', '"roller"', "1e-9", "1e9",
 ]  # fmt: skip
 
@@ -805,6 +809,6 @@ KINDS: dict[str, Callable[[Path], Trial]] = {
     "journal": journal_kind, "recording": recording_kind(False), "full_recording": recording_kind(True),
     "recording journal": recording_journal_kind, "manifest": manifest_kind,
     **{suffix: surface_kind(suffix) for suffix in ("stl", "obj", "ply", "off", "glb", "vtk", "vtp", "trian", "stl.gz")},
-    "material": material_kind, "scene": scene_kind, "curve": curve_kind, "message": message_kind, "command": command_kind,
-    "physics": physics_kind, "cost": cost_kind, "folder": folder_kind,
+    "material": material_kind, "scene": scene_kind, "curve": curve_kind, "message": message_kind,
+    "command": command_kind, "physics": physics_kind, "cost": cost_kind, "folder": folder_kind,
 }  # fmt: skip

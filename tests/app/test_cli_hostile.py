@@ -16,7 +16,8 @@ from palpate.app.cli import build_parser, main
 WORDS = (
     "", " ", "-1", "0", "nan", "inf", "-inf", "1e999", "1e-320", "5e-324", "1e-9", "1e308", "1" + "0" * 400, "0x10",
     "\u0661\u0662", "1_0", "x" * 300, "x" * 5000, "a/" * 2500, "null\0byte", "two\nlines", "\x1b[31m", "\ud800",
-    "\udcff", "=", "spacing=nan", "spacing=1e-9", "spacing=" + "9" * 5000, "C1=1", "C1=nan,1e999", "a=b=c", "{}", "C1=" + "[" * 4000, "spacing=1 kg", "every=1", "region=3",
+    "\udcff", "=", "spacing=nan", "spacing=1e-9", "spacing=" + "9" * 5000, "C1=1", "C1=nan,1e999", "a=b=c", "{}",
+    "C1=" + "[" * 4000, "spacing=1 kg", "every=1", "region=3",
     "os:system", "../..", "/", "/dev/null", "/dev/zero", "~", "%s%n", "--", "127.0.0.1", "::1%lo",
 )  # fmt: skip
 POSITIONAL = {"scene": "beam", "what": "beam", "law": "NeoHookean", "body": "beam"}  # of others: a file that is missing

@@ -155,6 +155,8 @@ def test_a_diverged_state_is_reported(file, tmp_path, capsys, monkeypatch):
         (["--rate", "3"], ["--rate", "3", "--realtime"]),
         (["--model", __file__], ["--model", "--realtime"]),
         (["--modes", "0"], ["--modes", "an integer in [1, 100]"]),
+        (["--spacing", "0"], ["--spacing", "m, got 0"]),
+        (["--load", "-1"], ["--load"]),
         (["--spacing", "0.01"], ["--spacing", "0.00666667] m"]),
         (["--realtime", "--load", "3"], ["--load must be left out", "tool"]),
         (["--realtime", "--seconds", "0"], ["--seconds", "600] s"]),

@@ -55,7 +55,7 @@ def run(*, scene: str, realtime: bool = False, **options: Any) -> int:
     InputError
         An option that the kind of run does not have, or a parameter out of range.
     """
-    given = {name: value for name, value in options.items() if value not in (None, False, [])}
+    given = {name: value for name, value in options.items() if value is not None and value is not False and value != []}
     given.setdefault("as_json", False)
     if not realtime:
         for name in REALTIME_OPTIONS:
@@ -119,11 +119,9 @@ def run_once(
     """
     if modes is not None:
         integer_in_range("modes", modes, 1, SNAPSHOTS)
-    words = {name: value for name, value in (("spacing", spacing), ("load", load), ("poisson", poisson)) if value}
-    if poisson is not None:
-        words["poisson"] = poisson
-    settings = words | parse_settings(given)
-    if "load" in words and scene != PAPER:
+    words = {"spacing": spacing, "load": load, "poisson": poisson}
+    settings = {name: value for name, value in words.items() if value is not None} | parse_settings(given)
+    if load is not None and scene != PAPER:
         raise InputError(f"load must be left out of {scene}, got {load:g}; change the loads in its file")
     console = Console()
     doubles = 6 if modes is None else 12
