@@ -243,10 +243,8 @@ def _option_name(action: argparse.Action) -> str:
     return action.metavar if isinstance(action.metavar, str) else action.dest.upper()
 
 
-def parse_settings(given: Sequence[str]) -> dict[str, Any]:
-    """Return the settings of texts such as ``poisson=0.4``; a value is one of TOML, or else a text such as ``5 mm``."""
-    import tomllib
-
+def split_settings(given: Sequence[str]) -> dict[str, str]:
+    """Return the names and the texts of settings such as ``poisson=0.4``."""
     from palpate.faults import InputError
 
     settings = {}
@@ -254,8 +252,18 @@ def parse_settings(given: Sequence[str]) -> dict[str, Any]:
         name, sign, text = pair.partition("=")
         if not sign or not name.strip():
             raise InputError(f"--set must be NAME=VALUE, got {pair!r:.60}; give one such as spacing=0.005")
+        settings[name.strip()] = text
+    return settings
+
+
+def parse_settings(given: Sequence[str]) -> dict[str, Any]:
+    """Return the settings of texts such as ``poisson=0.4``; a value is one of TOML, or else a text such as ``5 mm``."""
+    import tomllib
+
+    settings: dict[str, Any] = {}
+    for name, text in split_settings(given).items():
         try:
-            settings[name.strip()] = tomllib.loads(f"value = {text}")["value"]
+            settings[name] = tomllib.loads(f"value = {text}")["value"]
         except (ValueError, RecursionError):  # also a whole number of thousands of digits, or very deep lists
-            settings[name.strip()] = text
+            settings[name] = text
     return settings

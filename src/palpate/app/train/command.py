@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from palpate.app.common.arguments import parse_settings
+from palpate.app.common.arguments import parse_settings, split_settings
 from palpate.app.common.console import Console
 from palpate.app.common.exit_status import DONE, UNTRUSTED, complain
 from palpate.app.train.campaign import Campaign, Round
@@ -91,13 +91,14 @@ def train(
     OSError
         A file could not be written.
     """
-    settings = parse_settings(given)
     if is_opened(scene):
+        settings = parse_settings(given)
         opened = open_scene(scene, settings)
         defaults = opened.description.training
         if out is None:
             out = training_folder(opened) if is_scene_file(scene) else DEFAULT_OUT
     else:
+        settings = split_settings(given)  # converted to the types of the function's defaults
         defaults, out = USER_DEFAULTS, DEFAULT_OUT if out is None else out
     paths = defaults.paths if paths is None else paths
     held_out = defaults.held_out if held_out is None else held_out
