@@ -321,7 +321,7 @@ def test_what_is_wrong_is_refused_with_file_line_key_and_remedy(write, old, new,
     ],
     ids=["cut", "binary", "deep", "digits", "twice", "large"],
 )
-def test_what_is_no_scene_file_is_refused(write, content, said):
+def test_files_that_are_not_scenes_are_refused(write, content, said):
     path = write(content)
     with pytest.raises(pt.FileFormatError, match=said) as caught:
         open_scene(path)
