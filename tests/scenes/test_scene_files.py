@@ -320,7 +320,7 @@ def test_what_is_wrong_is_refused_with_file_line_key_and_remedy(write, old, new,
     ],
     ids=["cut", "binary", "deep", "digits", "twice", "large"],
 )
-def test_what_is_no_scene_file_is_refused(write, content, said):
+def test_files_that_are_not_scenes_are_refused(write, content, said):
     path = write(content)
     with pytest.raises(pt.FileFormatError, match=said) as caught:
         open_scene(path)
@@ -733,8 +733,10 @@ def test_settings_replace_values_of_the_file():
     [
         ({"every": 0.1}, "settings must name one key, got 'every'; give run.every or training.every"),
         ({"spacng": 0.1}, r"settings must be keys of the scene, got 'spacng'; did you mean spacing\?"),
-        ({"spacing": 5}, r"body\.spacing must be in \(0, 1\] m, got 5"),
-        ({"spacing": "5 kg"}, r"body\.spacing must have one of the units"),
+        ({"spacing": 5}, r"^spacing must be in \(0, 1\] m, got 5"),
+        ({"tissue.poisson": 3}, r"^tissue\.poisson must be in"),
+        ({"low": [0, 0, "1 s"]}, r"^low\.2 must have one of the units"),
+        ({"spacing": "5 kg"}, r"^spacing must have one of the units"),
         ({"generated": "disc"}, "surface must have size for a box, and only for a box"),
         ({"run.every": 1.0, "run.duration": 0.5}, "run must have every of at most the duration"),
         ({"C9": 1}, "settings must be keys of the scene, got 'C9'"),

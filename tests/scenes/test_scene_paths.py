@@ -61,7 +61,7 @@ def test_the_sheet_is_taut_and_its_middle_is_prescribed(membrane):
      ("training.every", 2.0)],
 )  # fmt: skip
 def test_values_out_of_range_are_refused_by_name(name, value):
-    with pytest.raises(pt.InputError, match=f"{name} must be .*, got"):
+    with pytest.raises(pt.InputError, match=f"^{name} must .*, got"):
         _ = open_scene("membrane", {name: value}).body
 
 

@@ -307,6 +307,7 @@ def with_settings(description: Description, given: Mapping[str, Any]) -> Descrip
         No such setting, several of this name, or a value that is wrong.
     """
     changes: dict[str, dict[str, Any]] = {}
+    names: dict[tuple[str | int, ...], str] = {}  # under which settings were given, for messages
     for key, value in given.items():
         section, word = _find_setting(description, key)
         if section == "parameters":
@@ -314,12 +315,14 @@ def with_settings(description: Description, given: Mapping[str, Any]) -> Descrip
             changes["tissue"]["parameters"] = {**before, word: value}
         else:
             changes.setdefault(section, {})[word] = value
+            names[section, word] = key
     for section, values in changes.items():
         old = getattr(description, section)
         try:
             changed = replace(old, **read_values(type(old), values, (section,)))
         except Fault as fault:
-            raise InputError(f"{'.'.join(map(str, fault.path))} {fault.message}") from fault
+            name = names.get(fault.path[:2], ".".join(map(str, fault.path[:2])))
+            raise InputError(f"{'.'.join([name, *map(str, fault.path[2:])])} {fault.message}") from fault
         except InputError as error:
             raise InputError(f"{section} {error}") from error
         description = replace(description, **{section: changed})

@@ -46,7 +46,7 @@ def open_scene(what: str | Path, settings: Mapping[str, Any] | None = None) -> O
     FileNotFoundError
         There is no such file.
     FileFormatError
-        The file is no TOML.
+        The file is not TOML.
     InputError
         No such scene, or a key or a value is wrong; the message names the file, the line and the key.
 

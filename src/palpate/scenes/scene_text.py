@@ -27,7 +27,7 @@ def read_scene(path: Path) -> Description:
     FileNotFoundError
         There is no such file.
     FileFormatError
-        The file is no TOML, is too large, or has a key of very many parts.
+        The file is not TOML, is too large, or has a key of very many parts.
     InputError
         A key or a value of it is wrong; the message names the file, the line and the key.
     """

@@ -64,9 +64,9 @@ def trained_model(scene: OrganScene, console: Console, workers: int | None = Non
         check_folder(folder, "cache" if scene.name in SCENES else "folder")
     except InputError as error:
         raise InputError(f"{error}, or train a model elsewhere: palpate train {scene.name} --out FOLDER") from error
-    console.say(f"a reduced model is trained, once, and kept in {folder}")
     with console.status("preparing the full model (the first run on a machine compiles it: a minute or two)"):
         made = training_scene_of(scene, _parameters(scene))
+    console.say(f"a reduced model is trained, once, and kept in {folder}")
     default = min(os.cpu_count() or 1, MAX_WORKERS)
     with open_campaign(folder, manifest_of(name_in_folder(scene.name, folder), made, training.seed)) as own:
         campaign = Campaign(own, made, console, training.modes, workers=workers or default)
