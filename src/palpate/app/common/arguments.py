@@ -18,8 +18,8 @@ from palpate.app.common.exit_status import BAD_INPUT, one_line
 
 __all__ = [
     "LOAD", "PARSER", "Command", "Parser", "add_command", "add_json", "add_output", "add_parts", "existing_file",
-    "in_option_words", "number", "option_names", "parse_settings", "path", "split_settings", "suggestion", "unprintable_word",
-    "whole",
+    "in_option_words", "number", "option_names", "parse_settings", "path", "split_settings", "suggestion",
+    "unprintable_word", "whole",
 ]  # fmt: skip
 
 Command = Callable[..., int]  # takes the options by name, and returns the exit code
