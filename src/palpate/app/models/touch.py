@@ -56,22 +56,27 @@ def open_touched(scene: OrganScene, console: Console) -> OrganScene:
     console.say(
         f"body: {count_nodes(len(cloud))} {1e3 * cloud.spacing:.3g} mm apart"
         + (", the finest in real time on this machine" if guessed else "")
-        + f", {1e3 * np.ptp(cloud.points, axis=0).max():.3g} mm long; another: --spacing, --units, --scale"
+        + f", {1e3 * np.ptp(cloud.points, axis=0).max():.3g} mm long{_remedy(scene, '--spacing, --units, --scale')}"
     )
     if surface is not None:
         console.say(_force_line(len(cloud), guessed))
     material = body.material
     console.say(
         f"tissue: {type(material).__name__}, shear modulus {1e-3 * material.shear_modulus:.3g} kPa, Poisson's ratio "
-        f"{material.poisson:.3g}; another: --law, --set"
+        f"{material.poisson:.3g}{_remedy(scene, '--law, --set')}"
     )
     supports = " and ".join(f"{each.place.title} ({each.kind})" for each in scene.description.support)
     held = np.unique(np.concatenate([cloud.group(each.group) for each in body.supports] or [np.zeros(0, dtype=int)]))
     console.say(
-        f"support: {supports.replace(' (fixed)', '') or 'the side away from the first view'} ({len(held)} nodes); "
-        "another: --fixed"
+        f"support: {supports.replace(' (fixed)', '') or 'the side away from the first view'} ({len(held)} nodes)"
+        + _remedy(scene, "--fixed")
     )
     return touched
+
+
+def _remedy(scene: OrganScene, options: str) -> str:
+    """Return where a choice is changed, for the end of a line."""
+    return f"; another: {scene.name}" if is_scene_file(scene.name) else f"; another: {options}"
 
 
 def _touched(scene: OrganScene, console: Console) -> OrganScene:
