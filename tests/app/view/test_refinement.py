@@ -32,13 +32,13 @@ GOOD, BAD = {"force": 0.07, "surface": 0.02}, {"force": 0.14, "surface": 0.02}
 SCENE = """
 [surface]
 generated = "box"
-size = [0.04, 0.04, 0.03]
+size = [0.06, 0.06, 0.04]
 [body]
 spacing = 0.01
 [[support]]
 place = { side = "z-" }
 [tool]
-radius = 0.022
+radius = 0.021
 [training]
 paths = 2
 held_out = 1

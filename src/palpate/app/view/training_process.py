@@ -94,9 +94,10 @@ class TrainingProcess:
         """
         assert self._process.stdout is not None
         last: dict[str, Any] = {}
-        for line in self._process.stdout:
-            last = json.loads(line)
-            yield last
+        with self._process.stdout as lines:
+            for line in lines:
+                last = json.loads(line)
+                yield last
         if not last.keys() & {"trained", "failed"}:
             code = self._process.wait()
             yield {"failed": f"the training ended early (exit code {code}); out of memory?"}
