@@ -1,7 +1,7 @@
 // Training of a finer model behind the full body: progress, errors in words, and buttons.
 import { duration, sentence } from "./preparation.js";
 
-const percent = (error) => (error < 0.01 ? "less than 1 %" : `${Math.round(100 * error)} %`);
+const percent = (error) => (error < 0.01 ? "less than 1\u00a0%" : `${Math.round(100 * error)}\u00a0%`);
 
 /** The errors of a model on paths that it was not trained on. */
 export function errorsText(errors) {
@@ -12,10 +12,10 @@ export function errorsText(errors) {
 /** The text, the buttons as [action, name], and the bar of a message: a share, null for one without end, or undefined for none. */
 export function refinementView({ state, phase, fraction, seconds_left: left, errors, good, note }) {
   if (state === "training") {
-    const time = left === null ? "some minutes in all" : `about ${duration(left)} left`;
-    return { text: `${sentence(phase)}: ${time}`, buttons: [["stop", "Stop"]], share: fraction };
+    const time = left === null ? " …" : `: about ${duration(left)} left`;
+    return { text: sentence(phase) + time, buttons: [["stop", "Stop"]], share: fraction };
   }
-  const offer = "A reduced model with more nodes can be trained in the background, in some minutes. The session goes on.";
+  const offer = "Trains a reduced model in the background, in some minutes. The session goes on.";
   if (state === "failed") return { text: sentence(note), bad: true, buttons: [["start", "Try again"]] };
   if (state === "offered") return { text: note || offer, buttons: [["start", "Refine"]] };
   if (state === "used") return { text: `In use. ${errorsText(errors)}`, buttons: [] };

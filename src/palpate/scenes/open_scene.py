@@ -88,7 +88,7 @@ def described_scene(name: str, text: str) -> OrganScene:
     Raises
     ------
     InputError
-        The text is no description.
+        The text does not describe a scene.
     """
     try:
         description: Description = read_section(Description, json_of(text))

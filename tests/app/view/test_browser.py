@@ -436,7 +436,7 @@ def test_a_finer_model_is_trained_and_changed_over_to(opened, synthetic):
     )
     assert tab.evaluate(hidden)
     synthetic.tell(**refinement("offered"))
-    tab.wait(f"!{hidden} && {text}.includes('trained in the background')")
+    tab.wait(f"!{hidden} && {text}.includes('in the background')")
     tab.evaluate("document.querySelector('#refinement-buttons button').click()")
     tab.wait("palpate.ready")
     synthetic.tell(**refinement("training", phase="3 of 16 runs", fraction=0.2, seconds_left=600))
@@ -444,7 +444,7 @@ def test_a_finer_model_is_trained_and_changed_over_to(opened, synthetic):
     assert {"type": "refine", "action": "start"} in synthetic.received
     errors = {"force": 0.14, "surface": 0.024}
     synthetic.tell(**refinement("ready", errors=errors))
-    tab.wait(f"{text}.includes('the force errs by 14 % and the surface by 2 %')")
+    tab.wait(f"{text}.includes('the force errs by 14\u00a0% and the surface by 2\u00a0%')")
     assert tab.evaluate("document.querySelector('#refinement-buttons button').textContent") == "Use it anyway"
     tab.evaluate("document.querySelector('#refinement-buttons button').click()")
     tab.evaluate("palpate.scene.orbitCamera.rotate(80, 20)")

@@ -32,13 +32,13 @@ GOOD, BAD = {"force": 0.07, "surface": 0.02}, {"force": 0.14, "surface": 0.02}
 SCENE = """
 [surface]
 generated = "box"
-size = [0.04, 0.04, 0.03]
+size = [0.06, 0.06, 0.04]
 [body]
 spacing = 0.01
 [[support]]
 place = { side = "z-" }
 [tool]
-radius = 0.022
+radius = 0.021
 [training]
 paths = 2
 held_out = 1
@@ -342,11 +342,12 @@ def test_a_training_and_its_workers_end_with_a_killed_parent(scene, until):
         pid, _, phase = line.partition(" ")
         if "runs" in phase:
             break
+    until(lambda: len(children(int(pid))) > 1)  # a worker, and the tracker of multiprocessing
     group = {int(pid), *children(int(pid))}
-    assert len(group) > 1
     assert os.getpriority(os.PRIO_PROCESS, int(pid)) == 19
     parent.send_signal(signal.SIGKILL)
     parent.wait()
+    parent.stdout.close()
     until(lambda: not any(is_running(each) for each in group))
 
 

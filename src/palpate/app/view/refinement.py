@@ -9,6 +9,7 @@ from time import monotonic
 from typing import Any, Protocol
 
 from palpate.app.common.console import Console, percent
+from palpate.app.models.trained import training_folder
 from palpate.app.view.session.session import Session
 from palpate.app.view.training_process import MIN_SECONDS_LEFT, TrainingProcess, refined_scene
 from palpate.faults import InputError
@@ -119,6 +120,7 @@ class Refinement:
                 if not self._is_followed:
                     return
                 trainer = self._trainer = self._train(scene)
+            self._console.say(f"a reduced model is trained in the background, and kept in {training_folder(scene)}")
             for event in trainer.events():
                 self._take(event)
         except Exception as error:  # of the scene or of a damaged model; the full body stays

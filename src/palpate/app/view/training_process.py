@@ -94,11 +94,12 @@ class TrainingProcess:
         """
         assert self._process.stdout is not None
         last: dict[str, Any] = {}
-        for line in self._process.stdout:
-            last = json.loads(line)
-            yield last
+        with self._process.stdout as lines:
+            for line in lines:
+                last = json.loads(line)
+                yield last
+        code = self._process.wait()
         if not last.keys() & {"trained", "failed"}:
-            code = self._process.wait()
             yield {"failed": f"the training ended early (exit code {code}); out of memory?"}
 
     def stop(self) -> None:
@@ -155,7 +156,8 @@ def train_in_process() -> None:
     given = json.loads(sys.stdin.readline())
 
     def watch() -> None:
-        sys.stdin.read()
+        while os.read(0, 1024):  # not of `sys.stdin`, whose lock the end of the interpreter would wait for
+            pass
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
