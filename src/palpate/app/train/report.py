@@ -172,13 +172,12 @@ def _coverage_rows(shares: Mapping[str, float] | None) -> dict[str, str]:
     """Return what training paths cover of the surface; nothing where no tool touches it."""
     if shares is None:
         return {}
-    covered = f"{shares['covered']:.0%}"
+    rows = {"free surface within one tool radius of a place touched in training": f"{shares['covered']:.0%}"}
     if "reachable" in shares:
-        covered += f"; {shares['reachable']:.0%}; {shares['covered_of_reachable']:.0%} of it"
-        name = "free surface within one tool radius of a touched place; reachable for the tool; covered"
-    else:
-        name = "free surface within one tool radius of a touched place"
-    return {name: covered, "surface held by supports": f"{shares['held']:.0%}"}
+        rows["free surface that the tool reaches; covered of it"] = (
+            f"{shares['reachable']:.0%}; {shares['covered_of_reachable']:.0%}"
+        )
+    return rows | {"surface held by supports": f"{shares['held']:.0%}"}
 
 
 def _by_load(report: dict[str, Any]) -> dict[str, str]:
