@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 import palpate as pt
 from palpate.dynamics.contact.geometry import gap
 from palpate.reduction.basis.linear_modes import interpolated_modes
+from palpate.reduction.basis.strain_pod import join
 from palpate.reduction.contact.coarse_body import coarse_body
 from palpate.reduction.contact.compliance import NO_COMPLIANCE, contact_displacements
 from palpate.reduction.contact.gauss_seidel import settle
@@ -273,11 +274,12 @@ def test_a_basis_that_does_not_exist_is_refused(pressed, options, message):
 def test_a_large_body_with_tools_has_a_coarse_one_made_of_its_surface(pressed, monkeypatch):
     body, runs, _ = pressed
     most = len(body.cloud) - 1
-    monkeypatch.setattr("palpate.reduction.training.reduce.MAX_NODES", most)
+    for limit in ("MAX_NODES", "EXACT_NODES"):
+        monkeypatch.setattr(f"palpate.reduction.contact.coarse_body.{limit}", most)
     model = pt.hyper_reduce(body, runs[:-1], modes=12)
     coarse = coarse_body(body, most=most)
     assert len(coarse.cloud) < most
-    shapes = interpolated_modes(coarse, body, 12)
+    shapes = join(body, None, interpolated_modes(coarse, body, 12))
     np.testing.assert_array_equal(model.data.basis_vectors[:12], shapes.astype(np.float32))
     carriers = 3 * len(np.setdiff1d(coarse.cloud.face_nodes, coarse.cloud.group("z-")))
     assert model.data.compliance.flexibility.shape == (carriers, carriers)

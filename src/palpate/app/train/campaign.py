@@ -31,8 +31,7 @@ from palpate.dynamics.run.trajectory import StoredTrajectory
 from palpate.dynamics.solid.model import EnergySolid, Solid
 from palpate.faults import InputError, TrustWarning
 from palpate.files import check_space
-from palpate.reduction.contact.coarse_body import coarse_body
-from palpate.reduction.contact.residual_flexibility import MAX_NODES
+from palpate.reduction.contact.coarse_body import statics_body
 from palpate.reduction.contact.support_sensitivity import select_presses, support_sensitivity
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import save
@@ -243,9 +242,7 @@ class Campaign:
         scene, body = self.scene, self.scene.model
         if scene.coarse is not None:
             return scene.coarse()
-        if isinstance(body, EnergySolid) and len(body.cloud) > MAX_NODES:
-            return coarse_body(body, most=MAX_NODES)
-        return None
+        return statics_body(body) if isinstance(body, EnergySolid) else None
 
     def _make_model(self, wanted: Sequence[Job]) -> ReducedModel:
         """Train on the runs that were finished, read from their files, and keep the model in the folder.

@@ -22,8 +22,9 @@ from palpate.meshfree.filling import fill
 from palpate.meshfree.surfaces import Surface
 from palpate.reduction.contact.residual_flexibility import MAX_NODES
 
-__all__ = ["coarse_body", "explicit_supports"]
+__all__ = ["coarse_body", "explicit_supports", "statics_body"]
 
+EXACT_NODES = 3500  # of a body that serves itself
 COARSE_NODES = 3000  # of the coarser body: factorised in seconds, and fine enough for modes and statics
 SURFACE_SHARE = 0.95  # surface nodes of `fill` over area / spacing^2, less the inner ones that they replace
 FINER = 0.9  # factor on a spacing that is too coarse for thin parts of the body
@@ -65,6 +66,28 @@ def coarse_body(body: EnergySolid, spacing: float | None = None, most: int = MAX
             f"{len(cloud)} nodes, and its surface cannot be filled again: {error}; give the same body with a larger "
             "spacing"
         ) from error
+
+
+def statics_body(body: EnergySolid) -> EnergySolid | None:
+    """Return the coarser model for the modes and statics of a large body that tools touch; None if the body serves.
+
+    Statics of more than 3,500 nodes take minutes, and their compliance fills the file of the model. Where the surface
+    of a body of up to 5,000 nodes cannot be filled again, the body itself serves.
+
+    Raises
+    ------
+    InputError
+        A body of more than 5,000 nodes cannot be filled again.
+    """
+    nodes = len(body.cloud)
+    if nodes <= EXACT_NODES:
+        return None
+    try:
+        return coarse_body(body, most=min(nodes, MAX_NODES))
+    except InputError:
+        if nodes > MAX_NODES:
+            raise
+        return None
 
 
 def _refill(surface: Surface, spacing: float | None, most: int) -> Cloud:

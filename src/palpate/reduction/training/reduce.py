@@ -24,8 +24,7 @@ from palpate.reduction.basis.lifting import RemoveToolMotion, lifting_vectors, s
 from palpate.reduction.basis.linear_modes import interpolated_modes
 from palpate.reduction.basis.snapshots import Run, Snapshots
 from palpate.reduction.basis.strain_pod import join, main_modes
-from palpate.reduction.contact.coarse_body import coarse_body
-from palpate.reduction.contact.residual_flexibility import MAX_NODES
+from palpate.reduction.contact.coarse_body import statics_body
 from palpate.reduction.hyper.error_indicator import distances_to_nearest
 from palpate.reduction.hyper.material_point import Kinematics
 from palpate.reduction.hyper.model import ReducedData, ReducedModel
@@ -162,8 +161,8 @@ def hyper_reduce(
     tools = (prescribed,) if isinstance(prescribed, str) else tuple(prescribed)
     touched = snapshots.has_contact and not tools and isinstance(body, EnergySolid)
     vibrations = _has_vibrations(basis, body, touched, enrichment)
-    if (touched or vibrations) and coarse is None and isinstance(body, EnergySolid) and len(body.cloud) > MAX_NODES:
-        coarse = coarse_body(body, most=MAX_NODES)
+    if (touched or vibrations) and coarse is None and isinstance(body, EnergySolid):
+        coarse = statics_body(body)
     if cubature is None:
         cubature = CONTACT_CUBATURE if touched else CUBATURE
     options = _Options(tools, held_out, enrichment, cubature, pressures, seed, coarse, repeated, vibrations)
