@@ -7,17 +7,22 @@ import io
 import json
 import os
 import queue
+import re
 import signal
 import subprocess
 import sys
+import threading
+import time
 
 import numpy as np
 import pytest
 from view_scenes import BALL, MIDDLE, block
+from websockets.asyncio.client import connect
 
 from palpate.app.common.console import Console
 from palpate.app.models.trained import training_folder
 from palpate.app.train.folder import manifest_of, open_campaign
+from palpate.app.view.command import view
 from palpate.app.view.refinement import Refinement
 from palpate.app.view.session.messages import validate_message
 from palpate.app.view.session.session import Session
@@ -349,6 +354,53 @@ def test_a_training_and_its_workers_end_with_a_killed_parent(scene, until):
     parent.wait()
     parent.stdout.close()
     until(lambda: not any(is_running(each) for each in group))
+
+
+@pytest.mark.slow
+def test_the_command_changes_over_and_ends_its_training_at_an_interrupt(scene, tmp_path):
+    words = [sys.executable, "-m", "palpate", "view", scene.name, "--refine", "--no-browser", "--port", "18800"]
+    command = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+    said = []
+    for line in command.stderr:
+        said.append(line)
+        if address := re.search(r"http://(\S+)/#(\S+)", line):
+            break
+    reading = threading.Thread(target=lambda: said.extend(command.stderr))
+    reading.start()
+
+    async def visit():
+        """Return whether each body that is shown is a full one, until the state of the refinement is the last."""
+        full, end = [], time.monotonic() + 300.0
+        async with connect(f"ws://{address[1]}/session", subprotocols=["palpate.v2"], max_size=None) as socket:
+            await socket.send(json.dumps({"type": "hello", "protocol": 2, "token": address[2]}))
+            while time.monotonic() < end:
+                message = await asyncio.wait_for(socket.recv(), 200.0)
+                message = json.loads(message) if isinstance(message, str) else {"type": "frame"}
+                if message["type"] == "hello":
+                    full.append(message["full"])
+                if message.get("state") == "ready" and not message["good"]:
+                    await socket.send(json.dumps({"type": "refine", "action": "use"}))
+                if message["type"] == "refinement" and message["state"] in ("used", "failed"):
+                    return full, message
+        raise AssertionError("".join(said))
+
+    try:
+        full, last = asyncio.run(visit())
+    finally:
+        command.send_signal(signal.SIGINT)
+        code = command.wait(60)
+        reading.join()
+        command.stderr.close()
+    assert last["state"] == "used", "".join(said)
+    assert full == [True, False]
+    assert code == 0, "".join(said)
+    assert (training_folder(scene) / "model.rom").is_file()
+
+
+@pytest.mark.parametrize(("what", "options"), [("liver", {}), ("box.toml", {"headless": True})])
+def test_nothing_but_a_shown_full_body_is_refined(what, options):
+    with pytest.raises(InputError, match="refine must be left out"):
+        view(what, refine=True, browser=False, **options)
 
 
 def children(pid):
