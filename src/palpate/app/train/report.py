@@ -34,6 +34,7 @@ CONTACT_ERRORS = {
 }  # as `palpate.reduction.training.errors.TouchErrors` names them
 SMALL_CHANGE = 0.05  # of a force, below which supports need not be known better
 CURVE_POINTS = 100  # of a curve of expected errors
+FIELDS = ("displacement", "velocity")  # whose errors are relative to each moment's size
 KINDS = {"displacement": BLUE, "velocity": GREEN, "energy": ORANGE, "reaction": PINK}
 
 
@@ -146,7 +147,8 @@ def _rows(report: dict[str, Any]) -> dict[str, str]:
             rows["held-out paths that the reduced model failed on"] = str(failed)
         for name in KINDS:
             mean, worst = (model["held_out"][kind][name] for kind in ("mean", "percentile_95"))
-            rows[f"error of {name} on held-out paths, mean; 95 % below"] = (
+            after = " (each moment alike, also at rest)" if "contact" in model["held_out"] and name in FIELDS else ""
+            rows[f"error of {name} on held-out paths{after}, mean; 95 % below"] = (
                 "-" if mean is None else f"{percent(mean)}; {percent(worst)}"
             )
         rows |= _by_load(report) | _contact_rows(model["held_out"])
