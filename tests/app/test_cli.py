@@ -29,35 +29,40 @@ def leaves(parser, before=()):
 
 
 COMMANDS = dict(leaves(build_parser()))
-STUDIES = [words for words in COMMANDS if words[0] not in ("view", "replay", "laws")]
+STUDIES = [words for words in COMMANDS if words[0] not in ("view", "replay", "laws", "new")]
 
 
-def test_the_command_without_arguments_prints_help_with_three_first_steps(capsys):
+def test_the_command_without_arguments_prints_help_with_first_steps(capsys, tmp_path, monkeypatch):
     assert main([]) == 0
-    printed = capsys.readouterr().out
-    steps = [re.search(rf"^  (palpate .*?)  +{step}: ", printed, re.MULTILINE) for step in ("first", "second", "third")]
-    assert [step[1] for step in steps] == ["palpate reproduce beam", "palpate view beam", "palpate train liver"]
+    printed, words = capsys.readouterr().out, ("first", "second", "third", "then")
+    steps = [re.search(rf"^  palpate (.*?)  +{word}: ", printed, re.MULTILINE)[1] for word in words]
+    assert steps == ["reproduce beam", "view beam", "view organ.stl", "new organ.stl"]
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "organ.stl").touch()
     for step in steps:
-        build_parser().parse_args(step[1].split()[1:])
+        build_parser().parse_args(step.split())
 
 
 @pytest.mark.parametrize(
     ("line", "parts"),
     [
         ("check --spacng 0.01 x.stl", ["palpate check: '--spacng'", "mean --spacing?", "(see palpate check --help)"]),
-        ("run liver --realtme", ["'--realtme'", "mean --realtime?", "(see palpate run liver --help)"]),
+        ("run liver --realtme", ["'--realtme'", "mean --realtime?", "(see palpate run --help)"]),
         ("fit --boundz=C1=1 x", ["'--boundz'", "mean --bounds?", "(see palpate fit --help)"]),
         ("train beam --xyz red", ["'--xyz' is not an option of palpate train (see palpate train --help)"]),
         ("trian beam", ["COMMAND must be one of ", "got 'trian'; did you mean train?", "(see palpate --help)"]),
-        ("run livr", ["SCENE must be one of beam, liver, got 'livr'; did you mean liver?"]),
-        ("run", ["SCENE must be given: beam, liver (see palpate run --help)"]),
+        (
+            "run livr",
+            ["SCENE must be beam, liver, membrane, or a file that ends in .toml, got 'livr'; did you mean liver?"],
+        ),
+        ("run", ["SCENE must be given (see palpate run --help)"]),
         ("reproduce membrane --after hodl", ["--after must be one of", "did you mean hold?"]),
         ("laws more", ["palpate laws: 'more' is not expected here (see palpate laws --help)"]),
         ("reproduce beam --load", ["--load must be followed by a value"]),
         ("reproduce beam --load=", ["--load must be a number, got ''"]),
         ("laws --json=1", ["--json must be given without a value, got '1'"]),
         ("train beam --folder out", ["--folder is now called --out; give --out instead"]),
-        ("view livr", ["SCENE|FILE must be liver, beam, membrane", "got 'livr'; did you mean liver?"]),
+        ("view livr", ["SCENE|FILE must be beam, liver, membrane", "got 'livr'; did you mean liver?"]),
         ("fit NeoHooken pyproject.toml", ["LAW must be one of", "did you mean NeoHookean?"]),
         ("reproduce beam --poisson 0.6", ["palpate: --poisson "]),
         ("reproduce membrane --tool-radius -1", ["palpate: --tool-radius "]),

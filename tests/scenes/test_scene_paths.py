@@ -7,7 +7,7 @@ import pytest
 
 import palpate as pt
 from palpate.scenes.open_scene import open_scene, training_scene_of
-from palpate.scenes.scene_paths import SWINGS, held_motion
+from palpate.scenes.scene_paths import SWINGS
 
 DEPTH, TANGENTIAL, RADIUS = 0.02, 0.004, 0.02  # [m] of the membrane's file
 
@@ -66,7 +66,7 @@ def test_values_out_of_range_are_refused_by_name(name, value):
 
 
 def test_the_path_of_the_beam_is_smooth_and_starts_and_ends_at_rest(beam):
-    hand = held_motion(beam, 3, 0.4)
+    hand = beam.held_motion(3, 0.4)
     for time in (0.0, 0.4, 0.8):
         moved, quaternion = hand(time)
         np.testing.assert_allclose(moved, 0.0, atol=1e-15)
@@ -77,7 +77,7 @@ def test_the_path_of_the_beam_is_smooth_and_starts_and_ends_at_rest(beam):
 
 
 def test_the_load_of_a_held_group_is_the_rigid_motion_of_its_pose(beam, bar):
-    hand, nodes = held_motion(beam, 5, 0.4), bar.group("x+")
+    hand, nodes = beam.held_motion(5, 0.4), bar.group("x+")
     points, centre = bar.points[nodes], bar.points[nodes].mean(axis=0)
     displacement = hand.load(bar, "x+").displacement
     assert callable(displacement)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import replace
+from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -63,7 +64,11 @@ def open_scene(what: str | Path, settings: Mapping[str, Any] | None = None) -> O
     elif is_scene_file(str(what)):
         description, folder = read_scene(Path(what)), Path(what).parent
     else:
-        raise InputError(f"scene must be {', '.join(SCENES)}, or a file that ends in .toml, got {brief(str(what))}")
+        near = get_close_matches(str(what)[:60], SCENES, 1)
+        remedy = f"; did you mean {near[0]}?" if near else ""
+        raise InputError(
+            f"scene must be {', '.join(SCENES)}, or a file that ends in .toml, got {brief(str(what))}{remedy}"
+        )
     return _with(description, settings or {}, folder, str(what))
 
 

@@ -41,7 +41,9 @@ from palpate.scenes.description import Description
 from palpate.scenes.names import SCENES, is_scene_file
 from palpate.scenes.organ import liver_surface
 from palpate.scenes.places import PlaceFinder, side_mask
+from palpate.scenes.scene_paths import MIN_DEPTH_RATIO, HeldMotion, held_motion, touching_paths
 from palpate.scenes.tissue import fibres_of, material_of
+from palpate.scenes.tool_paths import ToolPaths
 from palpate.tissue.materials import Material
 
 __all__ = ["OrganScene"]
@@ -252,9 +254,32 @@ class OrganScene(Described):
     @cached_property
     def paths(self) -> Callable[[int], tuple[tuple[Load, ...], float]]:
         """Function of a seed, from 0, that returns the loads of a random tool path and its duration [s]."""
-        from palpate.scenes.scene_paths import paths_of
+        if not self.held_group:
+            return self.tool_paths()
+        lasting = self.description.training.duration
+        self.held_motion(0, lasting)  # raises an error at once
 
-        return paths_of(self)
+        def path(seed: int) -> tuple[tuple[Load, ...], float]:
+            return (*self.foundations, self.held_motion(seed, lasting).load(self.cloud, self.held_group)), lasting
+
+        return path
+
+    def tool_paths(self, body: Any = None, deepest: float = np.inf, shallowest: float = MIN_DEPTH_RATIO) -> ToolPaths:
+        """Return the paths of the tool on the free surface; see `palpate.scenes.scene_paths.touching_paths`.
+
+        Parameters
+        ----------
+        body : Solid or ReducedModel, optional
+            By default the scene's.
+        deepest : float [m]
+        shallowest : float
+        """
+        about, touched = self.description, self.body if body is None else body
+        return touching_paths(about.tool, about.training, touched, self.foundations, deepest, shallowest)
+
+    def held_motion(self, seed: int, lasting: float) -> HeldMotion:
+        """Return a motion of the tool that holds a group, over a time [s]."""
+        return held_motion(self.description.training, seed, lasting)
 
     @property
     def region_groups(self) -> list[str]:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,14 +16,10 @@ from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.membrane.model import Membrane
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
+from palpate.scenes.description import Tool, Training
 from palpate.scenes.tool_paths import ToolPaths
 
-if TYPE_CHECKING:
-    from palpate.scenes.organ_scene import OrganScene
-
-__all__ = ["HeldMotion", "Paths", "held_motion", "paths_of", "tool_radius", "touching_paths"]
-
-Paths = Callable[[int], tuple[tuple[Load, ...], float]]
+__all__ = ["HeldMotion", "held_motion", "touching_paths"]
 
 RADIUS_SHARE, DEPTH_SHARE, SLIDE_SHARE = 0.06, 0.07, 0.08  # of the body's length, where the scene gives none
 MIN_RADIUS = 2.5  # [spacings] of the ball
@@ -31,28 +27,8 @@ MIN_DEPTH_RATIO = 0.3  # depth of the shallowest press over that of the deepest
 SWINGS = 3  # in a motion of a held group
 
 
-def paths_of(scene: OrganScene) -> Paths:
-    """Return the paths of a scene's tool by seed, with its foundations among the loads.
-
-    Raises
-    ------
-    InputError
-        The tool does not suit the body.
-    """
-    if not scene.held_group:
-        return touching_paths(scene)
-    lasting = scene.description.training.duration
-    held_motion(scene, 0, lasting)  # raises an error at once
-
-    def path(seed: int) -> tuple[tuple[Load, ...], float]:
-        return (*scene.foundations, held_motion(scene, seed, lasting).load(scene.cloud, scene.held_group)), lasting
-
-    return path
-
-
-def held_motion(scene: OrganScene, seed: int, lasting: float) -> HeldMotion:
+def held_motion(training: Training, seed: int, lasting: float) -> HeldMotion:
     """Return a motion of a tool that holds a group; raise `InputError` for swings of no size."""
-    training = scene.description.training
     bounds = np.array([[*training.low, *training.low_turn], [*training.high, *training.high_turn]])
     if not np.all(bounds[0] <= bounds[1]) or not bounds.any():
         raise InputError("low of [training] must be at most high, and not all 0, for a tool that holds a group")
@@ -60,42 +36,42 @@ def held_motion(scene: OrganScene, seed: int, lasting: float) -> HeldMotion:
 
 
 def touching_paths(
-    scene: OrganScene, body: Any = None, deepest: float = np.inf, shallowest: float = MIN_DEPTH_RATIO
+    tool: Tool,
+    training: Training,
+    body: Any,
+    others: Sequence[Load] = (),
+    deepest: float = np.inf,
+    shallowest: float = MIN_DEPTH_RATIO,
 ) -> ToolPaths:
-    """Return the presses and grasps of a scene's tool on the free surface of its body, or of a reduced model of it.
+    """Return the presses and grasps of a tool on the free surface of a body, or of a reduced model of it.
 
     Parameters
     ----------
-    scene : OrganScene
-    body : Solid or ReducedModel, optional
-        By default the scene's.
+    tool : Tool
+    training : Training
+    body : Solid or ReducedModel
+    others : sequence of loads
+        Further loads of every path.
     deepest : float [m]
         Limit of the depth.
     shallowest : float
         Depth of the shallowest press over that of the deepest.
     """
-    body, training = scene.body if body is None else body, scene.description.training
     if isinstance(body, Membrane):
         raise InputError("holds of [tool] must be given for a membrane, got none; give holds, or hold_radius")
     length = float(np.ptp(body.cloud.points, axis=0).max())
     depth = DEPTH_SHARE * length if training.depth is None else training.depth
+    fitting = max(RADIUS_SHARE * length, MIN_RADIUS * body.cloud.spacing)
     return ToolPaths(
         body,
-        tool_radius(scene, body.cloud),
+        fitting if tool.radius is None else tool.radius,
         min(depth, deepest),
-        scene.description.tool.friction,
+        tool.friction,
         SLIDE_SHARE * length if training.slide is None else training.slide,
         training.grasps,
         shallowest,
-        scene.foundations,
+        others,
     )
-
-
-def tool_radius(scene: OrganScene, cloud: Cloud) -> float:
-    """Return the radius [m] of a scene's ball: that of its description, or one that fits the body."""
-    given = scene.description.tool.radius
-    length = float(np.ptp(cloud.points, axis=0).max())
-    return max(RADIUS_SHARE * length, MIN_RADIUS * cloud.spacing) if given is None else given
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,6 @@ from palpate.app.run.realtime import FILES
 from palpate.reduction.hyper.error_indicator import expected_error
 from palpate.scenes.beam import MAX_SPACING, beam
 from palpate.scenes.open_scene import open_scene
-from palpate.scenes.scene_paths import held_motion
 
 RUN = ["run", "beam"]
 REALTIME = [*RUN, "--realtime", "--seconds", "0.5", "--rate", "200"]
@@ -33,7 +32,7 @@ def cache(tmp_path_factory):
     """An empty cache."""
     folder = tmp_path_factory.mktemp("cache")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("palpate.app.models.trained.user_cache_path", lambda name: folder / name)
+        patch.setattr("palpate.app.train.scene_folder.user_cache_path", lambda name: folder / name)
         patch.setattr("palpate.app.models.trained.MAX_WORKERS", 1)
         yield folder
 
@@ -52,7 +51,7 @@ def file(grasped, tmp_path_factory):
 
 
 def test_a_trained_model_moves_the_prescribed_end_with_the_hand(grasped):
-    hand = held_motion(open_scene("beam"), 9, 0.04)
+    hand = open_scene("beam").held_motion(9, 0.04)
     loads = [hand.load(grasped.cloud, "x+")]
     run = pt.rollout(grasped, loads, duration=0.02, every=0.005)
     nodes = grasped.cloud.group("x+")

@@ -12,6 +12,7 @@ import palpate as pt
 from palpate.app.cli import main
 from palpate.app.models import trained as trained_models
 from palpate.app.run import realtime_scene
+from palpate.app.train import scene_folder
 from palpate.reduction.training.errors import contact_errors
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.training import training_scene
@@ -43,8 +44,8 @@ def swift(monkeypatch):
 def cache(tmp_path, monkeypatch):
     """An empty cache, into which next to nothing will be trained."""
     monkeypatch.setattr(trained_models, "MAX_WORKERS", 1)
-    monkeypatch.setattr(trained_models, "user_cache_path", lambda name: tmp_path / name)
-    return trained_models.training_folder(open_scene("liver", SMALL))
+    monkeypatch.setattr(scene_folder, "user_cache_path", lambda name: tmp_path / name)
+    return scene_folder.training_folder(open_scene("liver", SMALL))
 
 
 @pytest.mark.slow
@@ -174,7 +175,7 @@ def test_the_first_start_trains_and_caches_a_model_and_resumes_after_an_interrup
     assert "the file is truncated" in told
     assert "it was trained again" in told
     other = open_scene("liver", SMALL | {"poisson": 0.4})  # another body has another folder
-    assert not trained_models.training_folder(other).exists()
+    assert not scene_folder.training_folder(other).exists()
 
 
 def test_a_cache_that_cannot_be_written_is_reported(cache, tmp_path, assert_refused):

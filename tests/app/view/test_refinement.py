@@ -20,8 +20,8 @@ from view_scenes import BALL, MIDDLE, block
 from websockets.asyncio.client import connect
 
 from palpate.app.common.console import Console
-from palpate.app.models.trained import training_folder
 from palpate.app.train.folder import manifest_of, open_campaign
+from palpate.app.train.scene_folder import training_folder
 from palpate.app.view.command import view
 from palpate.app.view.refinement import Refinement
 from palpate.app.view.session.messages import validate_message

@@ -27,7 +27,6 @@ from palpate.meshfree.surfaces import Surface
 from palpate.scenes.names import is_scene_file
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.organ_scene import OrganScene
-from palpate.scenes.scene_paths import touching_paths
 
 __all__ = ["FILES", "check"]
 
@@ -150,7 +149,7 @@ def _scene_entry(scene: OrganScene, console: Console) -> dict[str, Any]:
             "regions": {name: len(nodes) for name, nodes in body.cloud.groups.items() if name in scene.region_groups},
         }
         if not scene.held_group:
-            paths = touching_paths(scene)
+            paths = scene.tool_paths()
             area = paths.surface.areas
             entry |= {
                 "radius": paths.radius, "depth": paths.depth, "reached": area[paths.reachable].sum() / area.sum(),

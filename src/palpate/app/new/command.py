@@ -20,7 +20,6 @@ from palpate.meshfree.surface_files import UNITS
 from palpate.scenes.names import is_scene_file
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.organ_scene import OrganScene
-from palpate.scenes.scene_paths import touching_paths
 from palpate.scenes.schema import scene_schema
 from palpate.scenes.surface_scene import is_surface_file, surface_scene
 
@@ -100,7 +99,7 @@ def _fitted(scene: OrganScene, spacing: float | None, console: Console) -> tuple
     wanted = spacing_for(TRAINED_NODES, volume) if spacing is None else spacing
     fitted = fitting_scene(scene, wanted, spacing is not None, console)
     with console.status("finding where a tool reaches"):
-        paths = touching_paths(fitted)
+        paths = fitted.tool_paths()
     unit = min(UNITS, key=lambda name: abs(np.log(UNITS[name] * about.surface.scale / surface.unit)))
     area = paths.surface.areas
     reach, held = area[paths.reachable].sum() / area.sum(), area[paths.surface.held].sum() / area.sum()

@@ -17,7 +17,6 @@ from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import load
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.organ_scene import OrganScene
-from palpate.scenes.scene_paths import held_motion, touching_paths
 
 __all__ = ["pressing_ball", "run_scene_realtime"]
 
@@ -74,7 +73,7 @@ def run_scene_realtime(
         else:
             body = trained_model(opened, console) if model is None else load(model)  # type: ignore[assignment]
         if opened.held_group:
-            return body, held_motion(opened, SEED, SWING_SECONDS), None
+            return body, opened.held_motion(SEED, SWING_SECONDS), None
         return body, *pressing_ball(opened, body, model)
 
     title = f"{'Full ' + opened.title.lower() if full else opened.title} in real time"
@@ -88,7 +87,7 @@ def pressing_ball(scene: OrganScene, body: Any, file: Path | None = None) -> tup
             f"model must be one that was trained on a body that a ball touches, got {str(file)!r}; train one with "
             f"palpate train {scene.name}"
         )
-    paths = touching_paths(scene, body, DEEPEST, SHALLOWEST)
+    paths = scene.tool_paths(body, DEEPEST, SHALLOWEST)
     (ball,), duration = paths.press(SEED)
     home = ball.poses(np.zeros(1))[0, :3]
 

@@ -105,7 +105,7 @@ def test_the_pace_is_that_of_the_slower_body(comparison):
 
 
 def test_a_model_without_a_scene_names_no_full_model(model):
-    with pytest.raises(InputError, match="names in a file are not imported: add --scene"):
+    with pytest.raises(InputError, match="names in a file are not imported or opened: add --scene"):
         full_model(model)
     with pytest.raises(InputError, match="scene must be 'view_scenes:block'"):
         full_model(model, "os:system")

@@ -422,4 +422,4 @@ def test_a_script_moves_the_tool_of_a_session(model, tmp_path, capsys, assert_re
     script.write_text('{"time": 0, "type": "pose"}\n')
     assert_refused([*view, "--script", str(script)], "line 1", "position must be given")
     assert_refused(["view", str(tmp_path / "block.rom"), "--seconds", "3"], "--headless")
-    assert_refused(["view", "spleen"], "liver, beam")
+    assert_refused(["view", "spleen"], "beam, liver")
