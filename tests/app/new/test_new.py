@@ -122,6 +122,7 @@ def test_check_of_a_scene_reports_supports_and_the_reach_of_the_tool(scene, tmp_
     assert report["scene"]["supports"] == {"support 1": len(opened.cloud.group("support 1"))}
     assert 0.2 < report["scene"]["reached"] < 1
     assert 0 < report["scene"]["held"] < 0.5
+    assert (tmp_path / "out" / "tool.png").stat().st_size > 10_000
     assert_refused(["check", str(scene), "--spacing", "0.01"], "--spacing must be left out with a scene file")
 
 

@@ -15,6 +15,7 @@ from palpate.app.common.arguments import option_names
 from palpate.app.common.console import Console, quantities_table
 from palpate.app.common.rendering import DrawingError, check_drawing
 from palpate.app.common.report import REPORTS, deliver, machine
+from palpate.app.train.coverage import Coverage, draw_coverage
 from palpate.faults import InputError
 from palpate.files import check_folder, plain
 from palpate.meshfree.cloud import Cloud
@@ -25,12 +26,12 @@ from palpate.meshfree.surface_files import read_surface
 from palpate.meshfree.surface_repair import repair_surface
 from palpate.meshfree.surfaces import Surface
 from palpate.scenes.names import is_scene_file
-from palpate.scenes.open_scene import open_scene
+from palpate.scenes.open_scene import open_scene, training_scene_of
 from palpate.scenes.organ_scene import OrganScene
 
 __all__ = ["FILES", "check"]
 
-FILES = (*REPORTS, "surface.png", "cloud.png")
+FILES = (*REPORTS, "surface.png", "cloud.png", "tool.png")
 NODES = 4000  # about, where no spacing is given
 
 
@@ -107,10 +108,11 @@ def check(
         "surface": _surface_entry(surface, found),
         "machine": machine(),
     }
-    make = _filling(surface, spacing, seed) if scene is None else lambda: scene.with_body(spacing=spacing).cloud
+    scene = None if scene is None else scene.with_body(spacing=spacing)
+    make = _filling(surface, spacing, seed) if scene is None else lambda: scene.cloud
     cloud = _fill(surface, found, make, report, console)
     if scene is not None and cloud is not None:
-        report["scene"] = _scene_entry(scene.with_body(spacing=spacing), console)
+        report["scene"] = _scene_entry(scene, console)
     out.mkdir(parents=True, exist_ok=True)
     for name in FILES:
         (out / name).unlink(missing_ok=True)
@@ -119,6 +121,8 @@ def check(
         draw_surface(surface, found, out / "surface.png")
         if cloud is not None:
             draw_cloud(cloud, out / "cloud.png")
+        if scene is not None and "reached" in report.get("scene", {}):
+            draw_coverage(Coverage(training_scene_of(scene, {}), ()), out / "tool.png")
     except DrawingError as error:
         console.say(f"no pictures: {error}")
     report = plain(report)

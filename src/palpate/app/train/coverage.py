@@ -54,9 +54,10 @@ class Coverage:
         paths = scene.path
         self.surface = paths.surface if isinstance(paths, ToolPaths) else FreeSurface(scene.model)
         self.reachable = paths.reachable if isinstance(paths, ToolPaths) else None
+        self.runs = 0
         self.mask = np.zeros(len(self.surface.nodes), dtype=np.bool_)
         for run in runs:
-            self.mask |= self.surface.covered(*run)
+            self.add(run)
 
     def added(self, run: Run) -> float:
         """Return how much of the surface that a run covers no run before it did, from 0 to 1."""
@@ -66,6 +67,7 @@ class Coverage:
 
     def add(self, run: Run) -> None:
         """Count a run as trained."""
+        self.runs += 1
         self.mask |= self.surface.covered(*run)
 
     def shares(self) -> dict[str, float]:
@@ -98,6 +100,8 @@ def coverage(scene: TrainingScene, runs: Iterable[Run]) -> Coverage | None:
 def draw_coverage(found: Coverage, path: Path) -> None:
     """Draw the surface from four sides into a PNG file, coloured by what covers, reaches and holds it.
 
+    Without runs it shows what the tool reaches.
+
     Raises
     ------
     DrawingError
@@ -116,11 +120,13 @@ def draw_coverage(found: Coverage, path: Path) -> None:
         plotter.add_mesh(shape, scalars="colour", rgb=True, smooth_shading=False, ambient=0.25, specular=0.0)
 
     with figure(path, (10.0, 7.4)) as drawn:
-        heading(drawn, f"Surface that training paths cover: {shares['covered']:.0%} of what supports leave free")
+        what, share = ("training paths cover", "covered") if found.runs else ("the tool reaches", "reachable")
+        heading(drawn, f"Surface that {what}: {shares[share]:.0%} of what supports leave free")
         for axes, (title, towards) in zip(drawn.subplots(2, 2).flat, SIDES.items(), strict=True):
             show(axes, cloud.points, np.array(towards), title, draw)
         there = np.unique(found.kinds)
-        handles = [Patch(color=colour, label=label) for kind, (label, colour) in KINDS.items() if kind in there]
+        kinds = KINDS if found.runs else KINDS | {UNCOVERED: ("reached", KINDS[UNCOVERED][1])}
+        handles = [Patch(color=colour, label=label) for kind, (label, colour) in kinds.items() if kind in there]
         drawn.legend(handles=handles, loc="outside lower center", ncols=len(handles))
 
 
