@@ -128,6 +128,9 @@ def test_the_time_left_falls_between_two_reports(refining, until, monkeypatch):
     message = refinement.message()
     assert message["seconds_left"] == 60
     assert message["fraction"] == pytest.approx(0.4, abs=0.02)
+    monkeypatch.setattr("palpate.app.view.refinement.monotonic", lambda: now + 101.0)
+    message = refinement.message()  # longer than it was expected to take
+    assert (message["seconds_left"], message["fraction"]) == (None, None)
 
 
 def test_a_good_model_takes_over_with_tool_speed_moduli_and_pause(refining, full, until, model_path):

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 from palpate.app.common.console import Console, percent
 from palpate.app.models.trained import training_folder
 from palpate.app.view.session.session import Session
-from palpate.app.view.training_process import MIN_SECONDS_LEFT, TrainingProcess, refined_scene
+from palpate.app.view.training_process import TrainingProcess, refined_scene
 from palpate.faults import InputError
 from palpate.reduction.storage.models import load
 from palpate.scenes.organ_scene import OrganScene
@@ -66,12 +66,12 @@ class Refinement:
             left, now = self._phase.get("left"), monotonic()
             share = None
             if left is not None:
-                left = max(left - (now - self._phase_began), MIN_SECONDS_LEFT)
-                share = (now - self._began) / (now - self._began + left)
+                left -= now - self._phase_began
+                share = (now - self._began) / (now - self._began + left) if left > 0 else None
             return {
                 "type": "refinement", "state": self._state, "phase": self._phase.get("phase"),
                 "fraction": None if share is None else round(share, 3),
-                "seconds_left": None if left is None else round(left),
+                "seconds_left": None if left is None or share is None else round(left),
                 "errors": self._errors or None, "good": self._is_good, "note": self._note,
             }  # fmt: skip
 
