@@ -80,7 +80,7 @@ def outcome(line, capsys):
         code = main(line)
     except SystemExit as end:
         code = end.code
-    return code, [text for text in capsys.readouterr().err.splitlines() if not text.endswith("...")]
+    return code, [text for text in capsys.readouterr().err.splitlines() if not text.endswith(" ...")]
 
 
 @pytest.mark.quick(words=[("fit",), ("laws",)])

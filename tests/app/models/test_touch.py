@@ -82,7 +82,7 @@ def test_supports_hold_the_nodes_of_their_text(text, expected):
 
 @pytest.mark.slow
 def test_several_supports_hold_the_nodes_of_all(organ):
-    body = opened(organ, spacing=0.012, fixed=("x-", "x+"))
+    body = opened(organ, spacing=0.006, fixed=("x-", "x+"))
     points = body.cloud.points
     expected = np.flatnonzero(side_mask(points, "x-") | side_mask(points, "x+"))
     np.testing.assert_array_equal(held(body), expected)

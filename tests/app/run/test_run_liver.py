@@ -20,7 +20,7 @@ from palpate.scenes.training import training_scene
 pytestmark = pytest.mark.slow
 
 COARSE = {"spacing": 0.012, "radius": 0.03, "depth": 0.012, "cubature": 0.05}
-SMALL = COARSE | {"paths": 1, "held_out": 1, "modes": 6}
+SMALL = COARSE | {"paths": 4, "held_out": 1, "modes": 8}
 REALTIME = ["run", "liver", "--realtime", "--seconds", "0.5", "--rate", "200"]
 
 

@@ -21,7 +21,7 @@ from websockets.asyncio.client import connect
 
 from palpate.app.common.console import Console
 from palpate.app.train.folder import manifest_of, open_campaign
-from palpate.app.train.scene_folder import training_folder
+from palpate.app.train.scene_folder import name_in_folder, training_folder
 from palpate.app.view.command import view
 from palpate.app.view.refinement import Refinement
 from palpate.app.view.session.messages import validate_message
@@ -45,9 +45,9 @@ place = { side = "z-" }
 [tool]
 radius = 0.021
 [training]
-paths = 2
+paths = 4
 held_out = 1
-modes = 6
+modes = 8
 grasps = 0.0
 """
 
@@ -327,7 +327,11 @@ def test_a_box_is_trained_in_a_process_and_at_once_the_second_time(scene):
 @pytest.mark.slow
 def test_a_folder_in_use_is_a_message(scene):
     scene = refined_scene(scene)
-    manifest = manifest_of(scene.name, training_scene(scene.name, {}), scene.description.training.seed)
+    manifest = manifest_of(
+        name_in_folder(scene.name, training_folder(scene)),
+        training_scene(scene.name, {}),
+        scene.description.training.seed,
+    )
     with open_campaign(training_folder(scene), manifest):
         process = TrainingProcess(scene)
         events = run(process)

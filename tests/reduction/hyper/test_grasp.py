@@ -105,9 +105,9 @@ def test_pulls_do_not_stiffen_the_surface_and_have_their_own_scale(body, runs, s
     scaled = pt.hyper_reduce(body, runs, modes=0, enrichment=smooth, repeated=[(LEARNT[0], runs[0])])
     factor = scaled.report["force_factor"]
     assert abs(np.log(factor)) > 0.01
-    np.testing.assert_allclose(
-        contact_displacements(scaled.data.compliance, points, push, [True])[0], one[0], rtol=1e-5, atol=1e-9
-    )
+    # both are rounded, each in steps of its own scale
+    again, step = contact_displacements(scaled.data.compliance, points, push, [True])[0], 2e-3 * np.abs(one[0]).max()
+    np.testing.assert_allclose(again, one[0], rtol=1e-5, atol=step)
 
 
 def test_calibration_matches_the_forces_of_forceps(runs, model):

@@ -58,7 +58,8 @@ def trained_model(scene: OrganScene, console: Console, workers: int | None = Non
         except FileFormatError as error:
             console.say(f"{error}; training another")
         else:
-            if training.tolerance or model.report.get("training_runs") == training.paths:
+            sizes = model.report.get("training_runs"), model.report.get("modes")
+            if training.tolerance or sizes == (training.paths, training.modes):
                 return model
     try:
         check_folder(folder, "cache" if scene.name in SCENES else "folder")

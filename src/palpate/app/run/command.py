@@ -29,6 +29,7 @@ from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.beam import DURATION, EVERY, beam
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.scene import Scene
+from palpate.scenes.settings import quantity
 
 __all__ = ["FILES", "run"]
 
@@ -37,6 +38,7 @@ PRESS_SEED = 500_000  # of the path of a scene without loads: the first held-out
 SNAPSHOTS = round(DURATION / EVERY)
 REALTIME_OPTIONS = ("seconds", "rate", "model", "full")
 PAPER = "beam"  # a single run is that of the paper, in its strong form
+PAPER_UNITS = {"spacing": "m", "load": "N", "poisson": ""}  # its settings
 
 
 def run(*, scene: str, realtime: bool = False, **options: Any) -> int:
@@ -144,7 +146,7 @@ def run_once(
 def _scene(name: str, settings: dict[str, Any], energy: bool) -> Scene:
     """Return a scene for a single run, its model in the energy form if asked."""
     if name == PAPER:
-        scene = beam(**settings)
+        scene = beam(**{key: _paper_value(key, value) for key, value in settings.items()})
         body = scene.model
         return replace(scene, model=Solid(body.cloud, body.material, body.supports, form="energy")) if energy else scene
     opened = open_scene(name, settings)
@@ -152,6 +154,18 @@ def _scene(name: str, settings: dict[str, Any], energy: bool) -> Scene:
     if not opened.description.load:
         (loads, duration), every = opened.paths(PRESS_SEED), opened.description.training.every
     return Scene(opened.body, loads, duration, every, opened.title, {"spacing": opened.body.cloud.spacing})
+
+
+def _paper_value(key: str, value: Any) -> float:
+    """Return the value of a setting of the paper's beam in SI units."""
+    if key not in PAPER_UNITS:
+        raise InputError(
+            f"set must name {', '.join(PAPER_UNITS)} for a single run of the beam, got {key!r:.60}; use one"
+        )
+    try:
+        return quantity(value, PAPER_UNITS[key])
+    except InputError as error:
+        raise InputError(f"{key} {error}") from None
 
 
 def _report(scene: Scene, runs: dict[str, Trajectory], model: ReducedModel | None) -> dict[str, Any]:

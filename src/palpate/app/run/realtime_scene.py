@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import load
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.organ_scene import OrganScene
+from palpate.scenes.scene_paths import MIN_RADIUS, touching_paths
 
 __all__ = ["pressing_ball", "run_scene_realtime"]
 
@@ -87,7 +89,10 @@ def pressing_ball(scene: OrganScene, body: Any, file: Path | None = None) -> tup
             f"model must be one that was trained on a body that a ball touches, got {str(file)!r}; train one with "
             f"palpate train {scene.name}"
         )
-    paths = scene.tool_paths(body, DEEPEST, SHALLOWEST)
+    tool = scene.description.tool
+    if tool.radius is not None:  # of a coarser body than the scene's
+        tool = replace(tool, radius=max(tool.radius, MIN_RADIUS * body.cloud.spacing))
+    paths = touching_paths(tool, scene.description.training, body, (), DEEPEST, SHALLOWEST)
     (ball,), duration = paths.press(SEED)
     home = ball.poses(np.zeros(1))[0, :3]
 
