@@ -255,7 +255,7 @@ class Training:
 
     paths: int = setting(12, "runs to train on; with a tolerance, the most", low=1, high=100_000)
     held_out: int = setting(4, "further runs, on which errors are measured", low=0, high=100_000)
-    modes: int = setting(40, "modes of the reduced model", low=1, high=1000)
+    modes: int = setting(60, "modes of the reduced model", low=1, high=1000)
     tolerance: float | None = setting(None, "choose paths until the errors are at most this", above=0.0, high=1.0)
     cubature: float | None = setting(None, "largest relative error of the sampled forces", above=0.0, high=1.0)
     seed: int = setting(0, "seed of the paths", low=0, high=1_000_000)

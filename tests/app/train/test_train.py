@@ -238,8 +238,7 @@ def test_sizes_from_which_no_model_can_be_trained_are_refused_before_the_runs(tm
 
 @pytest.mark.slow
 def test_a_large_body_is_trained_on_its_own_surface_filled_again(tmp_path, monkeypatch):
-    for limit in ("MAX_NODES", "EXACT_NODES"):
-        monkeypatch.setattr(f"palpate.reduction.contact.coarse_body.{limit}", 700)
+    monkeypatch.setattr("palpate.reduction.contact.coarse_body.MAX_NODES", 700)
     folder = tmp_path / "pad"
     argv = ["train", "training_scenes:pad", "--set", "springs=1e5", "--paths", "4", "--held-out", "2", "--modes", "12"]
     assert main([*argv, "--out", str(folder)]) == 0
@@ -254,8 +253,7 @@ def test_a_large_body_is_trained_on_its_own_surface_filled_again(tmp_path, monke
 
 
 def test_a_large_body_that_cannot_be_filled_again_is_refused_before_the_runs(tmp_path, capsys, monkeypatch):
-    for limit in ("MAX_NODES", "EXACT_NODES"):
-        monkeypatch.setattr(f"palpate.reduction.contact.coarse_body.{limit}", 60)
+    monkeypatch.setattr("palpate.reduction.contact.coarse_body.MAX_NODES", 60)
     argv = ["train", "training_scenes:pad", "--paths", "4", "--held-out", "0", "--modes", "8"]
     assert_stopped([*argv, "--out", str(tmp_path / "new")], capsys, "coarse must be given", "more than 60 nodes")
     assert not list((tmp_path / "new" / "runs").glob("*"))

@@ -274,8 +274,7 @@ def test_a_basis_that_does_not_exist_is_refused(pressed, options, message):
 def test_a_large_body_with_tools_has_a_coarse_one_made_of_its_surface(pressed, monkeypatch):
     body, runs, _ = pressed
     most = len(body.cloud) - 1
-    for limit in ("MAX_NODES", "EXACT_NODES"):
-        monkeypatch.setattr(f"palpate.reduction.contact.coarse_body.{limit}", most)
+    monkeypatch.setattr("palpate.reduction.contact.coarse_body.MAX_NODES", most)
     model = pt.hyper_reduce(body, runs[:-1], modes=12)
     coarse = coarse_body(body, most=most)
     assert len(coarse.cloud) < most

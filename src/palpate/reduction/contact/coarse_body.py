@@ -24,7 +24,6 @@ from palpate.reduction.contact.residual_flexibility import MAX_NODES
 
 __all__ = ["coarse_body", "explicit_supports", "statics_body"]
 
-EXACT_NODES = 3500  # of a body that serves itself
 COARSE_NODES = 3000  # of the coarser body: factorised in seconds, and fine enough for modes and statics
 SURFACE_SHARE = 0.95  # surface nodes of `fill` over area / spacing^2, less the inner ones that they replace
 FINER = 0.9  # factor on a spacing that is too coarse for thin parts of the body
@@ -71,23 +70,15 @@ def coarse_body(body: EnergySolid, spacing: float | None = None, most: int = MAX
 def statics_body(body: EnergySolid) -> EnergySolid | None:
     """Return the coarser model for the modes and statics of a large body that tools touch; None if the body serves.
 
-    Statics of more than 3,500 nodes take minutes, and their compliance fills the file of the model. Where the surface
-    of a body of up to 5,000 nodes cannot be filled again, the body itself serves.
+    A body of up to 5,000 nodes serves itself: the force of one of 4,936 nodes errs by 4.9 % with its own statics, and
+    by 6.3 % with those of 3,000 nodes.
 
     Raises
     ------
     InputError
-        A body of more than 5,000 nodes cannot be filled again.
+        The surface of a larger body cannot be filled again.
     """
-    nodes = len(body.cloud)
-    if nodes <= EXACT_NODES:
-        return None
-    try:
-        return coarse_body(body, most=min(nodes, MAX_NODES))
-    except InputError:
-        if nodes > MAX_NODES:
-            raise
-        return None
+    return coarse_body(body, most=MAX_NODES) if len(body.cloud) > MAX_NODES else None
 
 
 def _refill(surface: Surface, spacing: float | None, most: int) -> Cloud:
