@@ -17,11 +17,13 @@ from palpate.tissue.liver import DENSITY, MASS_DAMPING, POISSON
 
 __all__ = [
     "Ball", "Body", "Box", "Description", "Fibre", "Load", "Near", "Painted", "Place", "Plane", "Region", "Relaxation",
-    "Run", "Shape", "Support", "Tissue", "Tool", "Training", "with_settings",
+    "Run", "Shape", "Support", "Tissue", "Tool", "Training", "chooses_runs", "with_settings",
 ]  # fmt: skip
 
 SINGLE_SECTIONS = ("surface", "body", "tissue", "tool", "run", "training")
 SHAPES = ("liver", "box", "disc")
+# keys of [training] that choose runs and the size of the model; neither the body nor a path depends on them
+CHOICES_OF_RUNS = ("paths", "held_out", "modes", "tolerance", "cubature", "seed")
 Vector = tuple[float, ...]
 
 
@@ -327,6 +329,12 @@ def with_settings(description: Description, given: Mapping[str, Any]) -> Descrip
             raise InputError(f"{section} {error}") from error
         description = replace(description, **{section: changed})
     return description
+
+
+def chooses_runs(description: Description, key: str) -> bool:
+    """Return True for a setting on which neither the body nor a path depends, such as ``"modes"``."""
+    section, word = _find_setting(description, key)
+    return section == "training" and word in CHOICES_OF_RUNS
 
 
 def _find_setting(description: Description, key: str) -> tuple[str, str]:

@@ -12,7 +12,7 @@ from typing import Any
 
 from palpate.faults import InputError, brief
 from palpate.files import json_of
-from palpate.scenes.description import Description, with_settings
+from palpate.scenes.description import Description, chooses_runs, with_settings
 from palpate.scenes.names import SCENES, is_scene_file
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.scene import TrainingScene
@@ -129,5 +129,8 @@ def training_scene_of(scene: OrganScene, parameters: Mapping[str, Any]) -> Train
         )
     training = scene.description.training
     tools = (scene.held_group,) if scene.held_group else ()
-    made = TrainingScene(scene.body, scene.paths, training.every, scene.title, given | {DIGEST: scene.digest}, tools)
+    # a campaign goes on with other numbers of paths and modes
+    kept = {key: given[key] for key in given if key == DESCRIPTION or not chooses_runs(scene.description, key)}
+    kept[DIGEST] = scene.digest
+    made = TrainingScene(scene.body, scene.paths, training.every, scene.title, kept, tools)
     return made if training.cubature is None else replace(made, cubature=training.cubature)

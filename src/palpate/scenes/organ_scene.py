@@ -37,7 +37,7 @@ from palpate.meshfree.surface_checks import SurfaceReport, check_surface, shape_
 from palpate.meshfree.surface_files import read_surface
 from palpate.meshfree.surface_repair import repair_surface
 from palpate.meshfree.surfaces import Surface, scaled
-from palpate.scenes.description import Description
+from palpate.scenes.description import CHOICES_OF_RUNS, Description
 from palpate.scenes.names import SCENES, is_scene_file
 from palpate.scenes.organ import liver_surface
 from palpate.scenes.places import PlaceFinder, side_mask
@@ -304,7 +304,7 @@ class OrganScene(Described):
         from hashlib import sha256
 
         about = asdict(self.description)
-        for name in ("paths", "held_out", "modes", "tolerance", "cubature", "seed"):
+        for name in CHOICES_OF_RUNS:
             about["training"].pop(name)
         about.pop("title"), about.pop("run"), about.pop("load")
         digests = {file: sha256(read_bytes(self.folder / file, "file")).hexdigest() for file in sorted(_files(about))}
