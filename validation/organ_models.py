@@ -4,9 +4,10 @@ For each surface `palpate new` writes a scene file; `palpate view --headless` pr
 time to its end, less the length of the script, bounds the time to the first force); `palpate train` makes the small
 model of the defaults; and again with 32 paths and 10 held-out ones.
 
-    python validation/organ_models.py [--only NAME] [--small] [--folder out/organs] [--table]
+    python validation/organ_models.py [--only NAME] [--small] [--folder out/organs] [--held-out] [--table]
 
-Results are added to docs/validation/organ_models.json, one organ a line; docs/organs.md has the table.
+Results are added to docs/validation/organ_models.json, one organ a line; docs/organs.md has the tables. Of the model
+with 32 paths the errors of each held-out path are kept, too; --held-out measures these only, on models in the folder.
 """
 
 from __future__ import annotations
@@ -24,10 +25,15 @@ import numpy as np
 from organs import DATA, SURFACES
 
 import palpate as pt
+from palpate.app.train.folder import jobs
+from palpate.app.train.scene_folder import training_folder
+from palpate.reduction.training.errors import contact_errors
+from palpate.scenes.open_scene import training_scene_of
 
 RESULTS = Path(__file__).parents[1] / "docs" / "validation" / "organ_models.json"
 PATHS, HELD_OUT = 32, 10
 PRESS_SECONDS, DEPTH = 1.0, 0.2  # [s] of the script; depth of its press over the radius of the ball
+LIGHT = 0.1  # largest force of a path over that of all, below which its table has it as one of little force
 
 
 def palpate(*words: Any) -> tuple[float, str]:
@@ -55,7 +61,7 @@ def measure(name: str, folder: Path, small: bool) -> dict[str, Any]:
     """Return the times and errors of an organ."""
     source = SURFACES[name]
     assert source is not None
-    scene = folder / f"{name.replace(' ', '-')}.toml"
+    scene = scene_file(name, folder)
     shutil.rmtree(scene.with_suffix(".palpate"), ignore_errors=True)
     scene.unlink(missing_ok=True)
     entry: dict[str, Any] = {"organ": name}
@@ -68,7 +74,29 @@ def measure(name: str, folder: Path, small: bool) -> dict[str, Any]:
     entry["small"] = train(scene)
     if not small:
         entry["large"] = train(scene, "--paths", PATHS, "--held-out", HELD_OUT)
+        entry["large"]["held_out"] = held_out_errors(scene)
     return entry
+
+
+def scene_file(name: str, folder: Path) -> Path:
+    return folder / f"{name.replace(' ', '-')}.toml"
+
+
+def held_out_errors(file: Path) -> list[dict[str, float]]:
+    """Return the largest force [N] of each held-out path, and the errors of its force."""
+    opened = pt.open_scene(file)
+    scene, folder = training_scene_of(opened, {}), training_folder(opened)
+    model, found = pt.load(folder / "model.rom"), []
+    for job in jobs(opened.description.training.seed, (), HELD_OUT):
+        full = pt.Trajectory.load(folder / "runs" / f"{job.name}.h5")
+        loads, duration = scene.path(job.seed)
+        run = pt.rollout(model, loads, duration=duration, every=scene.every)
+        tool = next(load.name for load in loads if load.name in full.reactions)
+        errors = contact_errors(full, run, [tool], np.arange(1))
+        assert errors is not None
+        largest = float(np.linalg.norm(full.reactions[tool], axis=1).max())
+        found.append({"largest": largest, "force": errors.force, "force_95": errors.force_95})
+    return found
 
 
 def train(scene: Path, *options: Any) -> dict[str, Any]:
@@ -102,6 +130,27 @@ def table(entries: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
+def held_out_table(entries: list[dict[str, Any]]) -> str:
+    """Return the table of the document on paths of little force."""
+    lines = [
+        "| organ | largest force | paths below a tenth of it | their force, 95 % | of the others |",
+        "|---|---|---|---|---|",
+    ]
+    for each in entries:
+        paths = each.get("large", {}).get("held_out", [])
+        if paths:
+            most = max(path["largest"] for path in paths)
+            light = [path["force_95"] for path in paths if path["largest"] < LIGHT * most]
+            others = [path["force_95"] for path in paths if path["largest"] >= LIGHT * most]
+            words = [each["organ"], f"{most:.2g} N", f"{len(light)} of {len(paths)}", span(light), span(others)]
+            lines.append(f"| {' | '.join(words)} |")
+    return "\n".join(lines)
+
+
+def span(errors: list[float]) -> str:
+    return f"{min(errors):.0%} to {max(errors):.0%}" if errors else ""
+
+
 def errors(found: dict[str, Any]) -> str:
     return f"{found['force']:.1%}; {found['force_95']:.1%}; {found['surface_95']:.1%}"
 
@@ -111,17 +160,23 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", default=[name for name, source in SURFACES.items() if source])
     parser.add_argument("--small", action="store_true", help="leave out the training with 32 paths")
     parser.add_argument("--folder", type=Path, default=Path("out/organs"))
-    parser.add_argument("--table", action="store_true", help="print the table of the results and end")
+    parser.add_argument(
+        "--held-out", action="store_true", help="add the errors of each held-out path of models at hand"
+    )
+    parser.add_argument("--table", action="store_true", help="print the tables of the results and end")
     given = parser.parse_args()
     entries = {each["organ"]: each for each in json.loads(RESULTS.read_text())} if RESULTS.exists() else {}
     if not given.table:
         given.folder.mkdir(parents=True, exist_ok=True)
         for name in given.only:
-            entries[name] = measure(name, given.folder, given.small)
+            if given.held_out:
+                entries[name]["large"]["held_out"] = held_out_errors(scene_file(name, given.folder))
+            else:
+                entries[name] = measure(name, given.folder, given.small)
             print(json.dumps(entries[name]), flush=True)
             lines = ",\n".join(json.dumps(each) for each in entries.values())
             RESULTS.write_text(f"[\n{lines}\n]\n")
-    print(table(list(entries.values())))
+    print(table(list(entries.values())), held_out_table(list(entries.values())), sep="\n\n")
 
 
 if __name__ == "__main__":

@@ -129,7 +129,7 @@ def training_scene_of(scene: OrganScene, parameters: Mapping[str, Any]) -> Train
         )
     training = scene.description.training
     tools = (scene.held_group,) if scene.held_group else ()
-    # a campaign goes on with other numbers of paths and modes
+    # a campaign continues with other numbers of paths and modes
     kept = {key: given[key] for key in given if key == DESCRIPTION or not chooses_runs(scene.description, key)}
     kept[DIGEST] = scene.digest
     made = TrainingScene(scene.body, scene.paths, training.every, scene.title, kept, tools)

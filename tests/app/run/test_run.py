@@ -13,7 +13,7 @@ import palpate as pt
 from palpate.app.cli import main
 from palpate.app.common.console import Console
 from palpate.app.common.report import REPORTS
-from palpate.app.models.trained import trained_model
+from palpate.app.models.trained import model_file, trained_model
 from palpate.app.run.realtime import FILES
 from palpate.reduction.hyper.error_indicator import expected_error
 from palpate.scenes.beam import MAX_SPACING, beam
@@ -131,8 +131,22 @@ def test_the_reported_force_and_trust_are_those_of_all_periods(realtime):
 
 
 @pytest.mark.slow
-def test_a_model_is_trained_where_none_is_given_and_the_verdict_is_printed(cache, tmp_path, capsys):
+def test_a_model_of_another_size_stays_unless_a_size_is_asked_for(grasped, capsys):
+    scene = open_scene("beam", {name: value for name, value in SHORT.items() if name.startswith("training.")})
+    before = model_file(scene).read_bytes()
+    assert trained_model(scene, Console()).report["modes"] == 6
+    assert model_file(scene).read_bytes() == before
+    printed = " ".join(capsys.readouterr().err.split())
+    assert f"has 6 modes, not {scene.description.training.modes} and 2 paths, not " in printed
+    assert "palpate train beam trains it again" in printed
+
+
+@pytest.mark.slow
+def test_a_model_is_trained_where_none_is_given_and_the_verdict_is_printed(grasped, tmp_path, capsys):
+    runs = {file: file.stat().st_mtime_ns for file in model_file(open_scene("beam", SHORT)).parent.glob("runs/*.h5")}
     assert main([*REALTIME, *SET, "--modes", "5", "--out", str(tmp_path)]) == 0
+    assert runs == {file: file.stat().st_mtime_ns for file in runs}  # the same runs serve another number of modes
+    assert len(runs) == 3
     said = capsys.readouterr()
     assert "on paths not trained on" in " ".join(said.err.split())
     for part in ("Computation: ", "Scheduler: ", "Verdict: 200 Hz", "trust number"):

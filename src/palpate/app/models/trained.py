@@ -35,7 +35,8 @@ def model_file(scene: OrganScene) -> Path:
 def trained_model(scene: OrganScene, console: Console, workers: int | None = None) -> ReducedModel:
     """Return the reduced model of a scene from its folder; train it where it is not there yet.
 
-    A campaign that was stopped is continued.
+    A model that is there stays, also one of another number of paths or modes, such as of ``palpate train --paths 32``;
+    unless `scene` was opened with a setting of them that differs. A campaign that was stopped is continued.
 
     Parameters
     ----------
@@ -58,8 +59,12 @@ def trained_model(scene: OrganScene, console: Console, workers: int | None = Non
         except FileFormatError as error:
             console.say(f"{error}; training another")
         else:
-            sizes = model.report.get("training_runs"), model.report.get("modes")
-            if training.tolerance or sizes == (training.paths, training.modes):
+            others = _other_sizes(scene, model)
+            if not others:
+                return model
+            if not others.keys() & {key.rpartition(".")[2] for key in scene.settings}:
+                sizes = " and ".join(f"{size} {name}, not {getattr(training, name)}" for name, size in others.items())
+                console.say(f"{folder / MODEL} has {sizes}; palpate train {scene.name} trains it again")
                 return model
     try:
         check_folder(folder, "cache" if scene.name in SCENES else "folder")
@@ -77,6 +82,15 @@ def trained_model(scene: OrganScene, console: Console, workers: int | None = Non
             model = campaign.train(campaign.jobs(range(training.paths), training.held_out))
     console.say(f"trained {training.modes} modes, {count_nodes(model.report['nodes'])} sampled{_errors(model)}")
     return model
+
+
+def _other_sizes(scene: OrganScene, model: ReducedModel) -> dict[str, Any]:
+    """Return the numbers of paths and modes of a model that differ from those of its scene, by name."""
+    training = scene.description.training
+    sizes = {"modes": model.report.get("modes")}
+    if not training.tolerance:  # which chooses the number of paths
+        sizes["paths"] = model.report.get("training_runs")
+    return {name: size for name, size in sizes.items() if size != getattr(training, name)}
 
 
 def _parameters(scene: OrganScene) -> dict[str, Any]:
