@@ -68,19 +68,19 @@ def beam_case(spacing: float, repeats: int, forms: Sequence[str], console: Conso
         pull("reduced", fast)
     assert fast is not None
     prepared = fast.prepare(scene.loads)
-    measured = {name: _pull(own, steps[name], scene.duration) for name, own in seconds.items()}
-    whole = measured.pop("reduced")
+    measured = {name: _pull(walls, steps[name], scene.duration) for name, walls in seconds.items()}
+    reduced_run = measured.pop("reduced")
     return {
         "spacing": spacing,
         "nodes": len(strong.cloud),
         "full": measured,
-        "hyper_reduced": whole
+        "hyper_reduced": reduced_run
         | {
             "modes": BEAM_MODES,
             "nodes": len(fast.data.cubature.nodes),
-            "seconds_per_step": whole["wall_seconds"] / whole["steps"],
+            "seconds_per_step": reduced_run["wall_seconds"] / reduced_run["steps"],
             "compiled_seconds_per_step": step_seconds((fast, prepared, fast.state(prepared)))[0],
-            "ratio": {form: whole["wall_seconds"] / full["wall_seconds"] for form, full in measured.items()},
+            "ratio": {form: reduced_run["wall_seconds"] / full["wall_seconds"] for form, full in measured.items()},
         },
     }
 
@@ -98,18 +98,18 @@ def _pull(seconds: list[float], steps: int, duration: float) -> dict[str, Any]:
 
 def large_case(repeats: int, console: Console) -> dict[str, Any]:
     """Measure a model of many modes: its force over reading its table, and its step after training on two bodies."""
-    found = []
+    bodies = []
     for nodes in BODIES:
         console.say(f"block of {nodes**3} nodes: {len(PULLS)} runs, training {MANY} modes ...")
         model = _with_samples(_trained_on_block(nodes), SAMPLED)
         prepared = model.prepare([_load(0)])
-        found.append((model, prepared, model.state(prepared)))
-    small, rounds = found[0][0], max(repeats, 15)
+        bodies.append((model, prepared, model.state(prepared)))
+    small, rounds = bodies[0][0], max(repeats, 15)
     force, reading = force_seconds(small, rounds)
     table = small.body.points.table.nbytes
     from_memory = table * read_seconds(np.ones(BYTES_BEYOND_CACHES // 8), repeats=rounds) / BYTES_BEYOND_CACHES
-    steps = step_seconds(*found, repeats=rounds)
-    chunks = median_seconds(*(_chunk(*each) for each in found), repeats=rounds)
+    steps = step_seconds(*bodies, repeats=rounds)
+    chunks = median_seconds(*(_chunk(*each) for each in bodies), repeats=rounds)
     return {
         "modes": MANY,
         "nodes": SAMPLED,

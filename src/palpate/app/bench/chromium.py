@@ -184,8 +184,8 @@ class Tab:
 
     def mouse(self, kind: str, x: float, y: float, button: str = "left", **more: Any) -> None:
         """Send a mouse event: ``"Pressed"``, ``"Moved"``, ``"Released"`` or ``"Wheel"`` (with deltaX, deltaY)."""
-        held = {"left": 1, "right": 2, "none": 0}[button] if kind != "Released" else 0
-        given = {"type": f"mouse{kind}", "x": x, "y": y, "button": button, "buttons": held, "clickCount": 1}
+        pressed_buttons = {"left": 1, "right": 2, "none": 0}[button] if kind != "Released" else 0
+        given = {"type": f"mouse{kind}", "x": x, "y": y, "button": button, "buttons": pressed_buttons, "clickCount": 1}
         self.call("Input.dispatchMouseEvent", given | more)
 
     def touch(self, kind: str, *points: tuple[float, float]) -> None:

@@ -94,8 +94,8 @@ def force_seconds(model: ReducedModel, repeats: int = 15) -> tuple[float, float]
         )
     )
     table, readings = _per_count(lambda times: read(flat, times))
-    own, reading = median_seconds(force, table, repeats=repeats)
-    return own / evaluations, reading / readings
+    evaluating, reading = median_seconds(force, table, repeats=repeats)
+    return evaluating / evaluations, reading / readings
 
 
 def step_seconds(*runs: tuple[ReducedModel, PreparedLoads, State], steps: int = 2000, repeats: int = 15) -> list[float]:

@@ -83,10 +83,10 @@ class Parser(argparse.ArgumentParser):
         if not self._choices():  # those of a command with others inside belong to the inner ones
             for word in words[: words.index("--")] if "--" in words else words:
                 self._check_option(word)
-        found, left = super().parse_known_args(words, namespace)
+        options, left = super().parse_known_args(words, namespace)
         if left:
             self.error(f"{left[0]!r:.60} is not expected here")
-        return found, left
+        return options, left
 
     def _choices(self) -> list[str]:
         """Return the names of the commands inside this one."""
@@ -95,26 +95,26 @@ class Parser(argparse.ArgumentParser):
 
     def _check_option(self, word: str) -> None:
         """Complain about an option that the command does not have."""
-        name, known = word.partition("=")[0], list(self._option_string_actions)
-        if not name.startswith("--") or " " in word or any(each.startswith(name) for each in known):
+        name, options = word.partition("=")[0], list(self._option_string_actions)
+        if not name.startswith("--") or " " in word or any(each.startswith(name) for each in options):
             return
         if name in self.renamed:
             self.error(f"{name} is now called {self.renamed[name]}; give {self.renamed[name]} instead")
-        self.error(f"{name!r:.60} is not an option of {self.prog}{suggestion(name, known)}")
+        self.error(f"{name!r:.60} is not an option of {self.prog}{suggestion(name, options)}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
-            known = [str(choice) for choice in action.choices]
+            choices = [str(choice) for choice in action.choices]
             raise argparse.ArgumentError(
-                action, f"must be one of {', '.join(known)}, got {value!r:.60}{suggestion(str(value), known)}"
+                action, f"must be one of {', '.join(choices)}, got {value!r:.60}{suggestion(str(value), choices)}"
             )
 
 
-def suggestion(word: str, known: Sequence[str]) -> str:
+def suggestion(word: str, choices: Sequence[str]) -> str:
     """Return the question whether the nearest of some known words is meant, if one is near."""
     from difflib import get_close_matches
 
-    near = get_close_matches(word[:60], known, 1)
+    near = get_close_matches(word[:60], choices, 1)
     return f"; did you mean {near[0]}?" if near else ""
 
 
@@ -167,9 +167,9 @@ def path(text: str) -> Path:
 
 def existing_file(text: str) -> Path:
     """Return the path of a regular file: a pipe or a device would let its reader wait."""
-    found = path(text)
+    file_path = path(text)
     try:
-        kind = os.stat(found).st_mode
+        kind = os.stat(file_path).st_mode
     except (FileNotFoundError, NotADirectoryError):
         raise argparse.ArgumentTypeError(f"must be an existing file, got {text!r}; there is no such file") from None
     except (OSError, ValueError) as error:
@@ -178,7 +178,7 @@ def existing_file(text: str) -> Path:
     if not stat.S_ISREG(kind):
         what = "a folder" if stat.S_ISDIR(kind) else "a pipe, socket or device"
         raise argparse.ArgumentTypeError(f"must be a regular file, got {text!r}, which is {what}")
-    return found
+    return file_path
 
 
 def whole(text: str) -> int:
@@ -223,14 +223,14 @@ def in_option_words(message: str, parser: Parser, options: Mapping[str, Any]) ->
         for pair in options[place]
     }
     names |= {action.dest: _option_name(action) for action in parser._actions} | parser.synonyms
-    known = "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True))
+    pattern = "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True))
 
     def keyword(match: re.Match[str]) -> str:
         value = match[2]
         return names[match[1]] + ("" if value in ("", "True") else f" {value}")
 
-    message = re.sub(rf"(?:^|(?<=: ))({known})(?= (?:must|=|is|cannot) |:)", lambda match: names[match[1]], message)
-    return re.sub(rf"(?<![\w.-])({known})=(True|[\w'\"]*)", keyword, message)
+    message = re.sub(rf"(?:^|(?<=: ))({pattern})(?= (?:must|=|is|cannot) |:)", lambda match: names[match[1]], message)
+    return re.sub(rf"(?<![\w.-])({pattern})=(True|[\w'\"]*)", keyword, message)
 
 
 def option_names(message: str) -> str:

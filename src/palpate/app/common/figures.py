@@ -112,8 +112,8 @@ def _plain(value: float, _position: object = None) -> str:
 
 def legend_below(drawn: Figure, *axes: Axes, columns: int = 2) -> None:
     """Set the common legend of some axes below the whole figure, what was drawn last first."""
-    own = [pair for one in axes for pair in zip(*one.get_legend_handles_labels(), strict=True)][::-1]
-    named = {label: handle for handle, label in own}
+    handles_and_labels = [pair for one in axes for pair in zip(*one.get_legend_handles_labels(), strict=True)][::-1]
+    named = {label: handle for handle, label in handles_and_labels}
     if named:
         drawn.legend(named.values(), named.keys(), loc="outside lower center", ncols=columns, fontsize=9)
 

@@ -125,8 +125,8 @@ def compare_methods(made: Comparison, methods: list[str], sizes: list[int], cons
         made.nonlinear.append(_nonlinear(made, size, console))
 
 
-def _error_text(found: dict[str, Any] | None) -> str:
-    return "failed" if found is None else f"displacement error {percent(found['displacement'])}"
+def _error_text(errors: dict[str, Any] | None) -> str:
+    return "failed" if errors is None else f"displacement error {percent(errors['displacement'])}"
 
 
 def _model_entry(made: Comparison, model: LinearModel) -> dict[str, Any]:
@@ -134,8 +134,8 @@ def _model_entry(made: Comparison, model: LinearModel) -> dict[str, Any]:
     s = 1j * made.frequencies
     outputs, inputs = made.reduction.scales
     apart = outputs[:, None] * (made.response - model.reduced.transfer(s)) * inputs
-    whole = outputs[:, None] * made.response * inputs
-    wrong, size = (np.linalg.norm(matrix, 2, axis=(1, 2)) for matrix in (apart, whole))
+    scaled_response = outputs[:, None] * made.response * inputs
+    wrong, size = (np.linalg.norm(matrix, 2, axis=(1, 2)) for matrix in (apart, scaled_response))
     poles = model.poles
     return {
         "states": model.reduced.states,
@@ -163,8 +163,8 @@ def _run_errors(made: Comparison, model: Model, load: str) -> dict[str, float] |
             run = rollout(model, body.loads(size), duration=body.duration, every=body.every, progress=False)
     except DivergenceError:
         return None
-    found = relative_errors(full, run)
-    return found.as_dict() | {"wall_seconds": run.wall_seconds}
+    errors = relative_errors(full, run)
+    return errors.as_dict() | {"wall_seconds": run.wall_seconds}
 
 
 def _step_seconds(model: LinearModel) -> float:

@@ -81,8 +81,8 @@ def _row(entry: dict[str, Any]) -> list[str]:
         f"{1e6 * entry['step_seconds']:.2f}", f"{entry['step_bytes'] / 1e3:.0f}", "yes" if entry["stable"] else "no",
     ]  # fmt: skip
     for name in LOADS:
-        found = entry["errors"][name]
-        cells += ["diverged", "", "", ""] if found is None else [percent(found[what]) for what in QUANTITIES]
+        errors = entry["errors"][name]
+        cells += ["diverged", "", "", ""] if errors is None else [percent(errors[what]) for what in QUANTITIES]
         if name == "small":
             cells.append(_share(entry["response_error"]))
     return cells
@@ -93,8 +93,8 @@ def _nonlinear_row(entry: dict[str, Any]) -> list[str]:
         return ["failed", *[""] * (len(HEADINGS) - 1)]
     cells = ["", f"{entry['offline_seconds']:.2f}", "", "", "", ""]
     for name in LOADS:
-        found = entry["errors"][name]
-        cells += ["diverged", "", "", ""] if found is None else [percent(found[what]) for what in QUANTITIES]
+        errors = entry["errors"][name]
+        cells += ["diverged", "", "", ""] if errors is None else [percent(errors[what]) for what in QUANTITIES]
         if name == "small":
             cells.append("")
     return cells

@@ -58,7 +58,7 @@ def _volumetric(name: str) -> str:
 
 
 def _entry(entry: CatalogueEntry) -> dict[str, Any]:
-    found = {
+    law_entry = {
         "name": entry.name,
         "energy": entry.formula,
         "parameters": [asdict(parameter) for parameter in entry.parameters],
@@ -67,8 +67,8 @@ def _entry(entry: CatalogueEntry) -> dict[str, Any]:
         "example": entry.example,
     }
     if isinstance(entry, Law):
-        found |= {"variables": entry.kind.variables, "shear_modulus": entry.shear_modulus}
-    return found
+        law_entry |= {"variables": entry.kind.variables, "shear_modulus": entry.shear_modulus}
+    return law_entry
 
 
 def _lines(entry: CatalogueEntry) -> list[str]:

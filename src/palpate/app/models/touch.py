@@ -66,9 +66,11 @@ def open_touched(scene: OrganScene, console: Console) -> OrganScene:
         f"{material.poisson:.3g}{_remedy(scene, '--law, --set')}"
     )
     supports = " and ".join(f"{each.place.title} ({each.kind})" for each in scene.description.support)
-    held = np.unique(np.concatenate([cloud.group(each.group) for each in body.supports] or [np.zeros(0, dtype=int)]))
+    supported = np.unique(
+        np.concatenate([cloud.group(each.group) for each in body.supports] or [np.zeros(0, dtype=int)])
+    )
     console.say(
-        f"support: {supports.replace(' (fixed)', '') or 'the side away from the first view'} ({len(held)} nodes)"
+        f"support: {supports.replace(' (fixed)', '') or 'the side away from the first view'} ({len(supported)} nodes)"
         + _remedy(scene, "--fixed")
     )
     return touched

@@ -74,8 +74,8 @@ def trained_model(scene: OrganScene, console: Console, workers: int | None = Non
         made = training_scene_of(scene, _parameters(scene))
     console.say(f"a reduced model is trained, once, and kept in {folder}")
     default = min(os.cpu_count() or 1, MAX_WORKERS)
-    with open_campaign(folder, manifest_of(name_in_folder(scene.name, folder), made, training.seed)) as own:
-        campaign = Campaign(own, made, console, training.modes, workers=workers or default)
+    with open_campaign(folder, manifest_of(name_in_folder(scene.name, folder), made, training.seed)) as campaign_folder:
+        campaign = Campaign(campaign_folder, made, console, training.modes, workers=workers or default)
         if training.tolerance:
             _, model, _ = campaign.train_to_tolerance(training.tolerance, training.paths, training.held_out)
         else:
@@ -102,13 +102,13 @@ def _parameters(scene: OrganScene) -> dict[str, Any]:
 
 def held_out_means(model: ReducedModel) -> dict[str, float]:
     """Return a model's mean relative errors on held-out runs by what errs, empty where there were no such runs."""
-    found = model.report.get("held_out")
-    if not found:
+    errors = model.report.get("held_out")
+    if not errors:
         return {}
-    if "contact" in found:
-        mean = found["contact"]["mean"]
+    if "contact" in errors:
+        mean = errors["contact"]["mean"]
         return {"force": mean["force"], "surface": mean["surface_95"]}
-    return {"force": found["mean"]["reaction"], "displacement": found["mean"]["displacement"]}
+    return {"force": errors["mean"]["reaction"], "displacement": errors["mean"]["displacement"]}
 
 
 def _errors(model: ReducedModel) -> str:

@@ -96,13 +96,13 @@ def _fitted(scene: OrganScene, spacing: float | None, console: Console) -> tuple
         surface = scene.repaired_surface
     assert surface is not None
     volume, about = abs(surface.volume), scene.description
-    wanted = spacing_for(TRAINED_NODES, volume) if spacing is None else spacing
-    fitted = fitting_scene(scene, wanted, spacing is not None, console)
+    target_spacing = spacing_for(TRAINED_NODES, volume) if spacing is None else spacing
+    fitted = fitting_scene(scene, target_spacing, spacing is not None, console)
     with console.status("finding where a tool reaches"):
         paths = fitted.tool_paths()
     unit = min(UNITS, key=lambda name: abs(np.log(UNITS[name] * about.surface.scale / surface.unit)))
     area = paths.surface.areas
-    reach, held = area[paths.reachable].sum() / area.sum(), area[paths.surface.held].sum() / area.sum()
+    reach, held_share = area[paths.reachable].sum() / area.sum(), area[paths.surface.held].sum() / area.sum()
     description = replace(
         fitted.description,
         title=fitted.title,
@@ -116,7 +116,7 @@ def _fitted(scene: OrganScene, spacing: float | None, console: Console) -> tuple
         "size": " x ".join(f"{1e3 * x:.0f}" for x in np.ptp(surface.vertices, axis=0)) + " mm",
         "nodes": len(fitted.cloud),
         "support": "given" if about.support else "guessed: the side away from the first view of the page",
-        "reach": f"a ball of {1e3 * paths.radius:.3g} mm reaches {reach:.0%} of the surface, {held:.0%} is held",
+        "reach": f"a ball of {1e3 * paths.radius:.3g} mm reaches {reach:.0%} of the surface, {held_share:.0%} is held",
     }
     made = OrganScene(description, fitted.folder, fitted.name)
     vars(made).update({name: vars(fitted)[name] for name in ("surface", "cloud", "body") if name in vars(fitted)})

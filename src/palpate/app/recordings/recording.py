@@ -182,11 +182,13 @@ def read_recording(file: ArrayFile) -> Recording:
         raise InputError(f"arrays must be {', '.join(sorted(shapes))}, got {', '.join(sorted(arrays))}")
     sizes: dict[str, int] = {}
     for name, (kind, shape) in shapes.items():
-        wanted = tuple(sizes.setdefault(each, found) if isinstance(each, str) else each
-                       for each, found in zip(shape, arrays[name].shape, strict=False))  # fmt: skip
-        if arrays[name].ndim != len(shape) or arrays[name].shape != wanted or arrays[name].dtype != kind:
-            found = f"{arrays[name].shape} of type {arrays[name].dtype.str}"
-            raise InputError(f"array {name} must have shape {shape} and type {kind}, got {found}")
+        expected_shape = tuple(
+            sizes.setdefault(each, length) if isinstance(each, str) else each
+            for each, length in zip(shape, arrays[name].shape, strict=False)
+        )
+        if arrays[name].ndim != len(shape) or arrays[name].shape != expected_shape or arrays[name].dtype != kind:
+            got = f"{arrays[name].shape} of type {arrays[name].dtype.str}"
+            raise InputError(f"array {name} must have shape {shape} and type {kind}, got {got}")
         most = MAX_VALUE_OF.get(name, MAX_VALUE)
         if not (np.abs(arrays[name]) <= most).all():
             raise InputError(f"array {name} must be finite and within {most:g}, got other numbers")
@@ -246,9 +248,9 @@ def _check_values(arrays: dict[str, Any], contact_count: int) -> None:
         _require(not np.any(np.diff(times) < 0), "full/times", "increasing", "decreasing times")
 
 
-def _require(condition: Any, name: str, requirement: str, found: str) -> None:
+def _require(condition: Any, name: str, requirement: str, got: str) -> None:
     if not condition:
-        raise InputError(f"{name} must be {requirement}, got {found}")
+        raise InputError(f"{name} must be {requirement}, got {got}")
 
 
 def validate_tools(tools: Any, count: int) -> list[dict[str, Any]]:

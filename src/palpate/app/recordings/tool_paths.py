@@ -55,8 +55,8 @@ def tool_paths(recording: Recording) -> list[ToolPath]:
     acts = (kinds != "none") & (touching | np.isin(kinds, ("grasp", "group")))
     breaks = (np.diff(of_tool) > 0) | (np.diff(times) < 0) | (acts[1:] != acts[:-1]) | (kinds[1:] != kinds[:-1])
     parts = np.split(np.arange(len(kinds)), np.flatnonzero(breaks) + 1)
-    found = [_path(recording, recording.tools[of_tool[part[0]]], part) for part in parts if acts[part[0]]]
-    return [path for path in found if path is not None]
+    paths = [_path(recording, recording.tools[of_tool[part[0]]], part) for part in parts if acts[part[0]]]
+    return [path for path in paths if path is not None]
 
 
 def _touches(snapshot: Snapshot) -> bool:

@@ -63,7 +63,8 @@ def choose(
     trust = [np.full(1, np.inf) if run is None else run.trust for run in runs]
     mass = model.body.mass / model.body.masses.sum()
     states = [np.zeros((1, len(mass))) if run is None else model.body.project(run.displacements) for run in runs]
-    nearest = [np.full(len(own), np.inf) for own in trust]  # distance to the chosen paths, over the scale of trust
+    # distances to the chosen paths, over the scale of trust
+    nearest = [np.full(len(path_trust), np.inf) for path_trust in trust]
     paths = [path_of(folder, scene, job) for job in candidates]
     before = [path_of(folder, scene, job) for job in trained]
     covered = Coverage(scene, before) if isinstance(scene.model, Solid) else None
@@ -75,9 +76,9 @@ def choose(
         chosen.append(max(left, key=lambda k: (added[k] + _expected_error(model, numbers[k]), numbers[k])))
         if covered is not None:
             covered.add(paths[chosen[-1]])
-        for k, own in enumerate(states):
+        for k, path_states in enumerate(states):
             if runs[chosen[-1]] is not None:
-                apart = distances_to_nearest(own, states[chosen[-1]], mass) / model.data.distance_scale
+                apart = distances_to_nearest(path_states, states[chosen[-1]], mass) / model.data.distance_scale
                 nearest[k] = np.minimum(nearest[k], apart)
     return [candidates[k] for k in chosen]
 
@@ -85,10 +86,10 @@ def choose(
 def _expected_error(model: ReducedModel, trust: float) -> float:
     """Return the larger of the median errors of displacement and force at a trust number, at most 1."""
     curves = model.report.get("held_out", {}).get("expected_error", {})
-    known = [of for of in ("displacement", "force") if of in curves]
-    if not known or not np.isfinite(trust):
+    quantities = [quantity for quantity in ("displacement", "force") if quantity in curves]
+    if not quantities or not np.isfinite(trust):
         return 1.0
-    return min(1.0, max(expected_error(model.report, trust, of).median for of in known))
+    return min(1.0, max(expected_error(model.report, trust, quantity).median for quantity in quantities))
 
 
 def _reduced_run(model: ReducedModel, folder: Folder, scene: TrainingScene, job: Job) -> Trajectory | None:

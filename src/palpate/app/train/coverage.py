@@ -61,9 +61,9 @@ class Coverage:
 
     def added(self, run: Run) -> float:
         """Return how much of the surface that a run covers no run before it did, from 0 to 1."""
-        own = self.surface.covered(*run)
-        whole = self.surface.share(own)
-        return self.surface.share(own & ~self.mask) / whole if whole else 0.0
+        run_mask = self.surface.covered(*run)
+        run_share = self.surface.share(run_mask)
+        return self.surface.share(run_mask & ~self.mask) / run_share if run_share else 0.0
 
     def add(self, run: Run) -> None:
         """Count a run as trained."""
@@ -97,7 +97,7 @@ def coverage(scene: TrainingScene, runs: Iterable[Run]) -> Coverage | None:
     return Coverage(scene, runs) if touched and isinstance(scene.model, Solid) else None
 
 
-def draw_coverage(found: Coverage, path: Path) -> None:
+def draw_coverage(covered: Coverage, path: Path) -> None:
     """Draw the surface from four sides into a PNG file, coloured by what covers, reaches and holds it.
 
     Without runs it shows what the tool reaches.
@@ -110,22 +110,22 @@ def draw_coverage(found: Coverage, path: Path) -> None:
     check_drawing()
     from matplotlib.patches import Patch
 
-    cloud, shares = found.surface.cloud, found.shares()
+    cloud, shares = covered.surface.cloud, covered.shares()
     colours = np.array([_rgb(colour) for _, colour in KINDS.values()])
     shape = surface(cloud, cloud.points).subdivide(SUBDIVISIONS, "linear")
-    nearest = found.surface.tree.query(shape.cell_centers().points)[1]
-    shape.cell_data["colour"] = colours[found.kinds[nearest]]
+    nearest = covered.surface.tree.query(shape.cell_centers().points)[1]
+    shape.cell_data["colour"] = colours[covered.kinds[nearest]]
 
     def draw(plotter: Any, _width: float) -> None:
         plotter.add_mesh(shape, scalars="colour", rgb=True, smooth_shading=False, ambient=0.25, specular=0.0)
 
     with figure(path, (10.0, 7.4)) as drawn:
-        what, share = ("training paths cover", "covered") if found.runs else ("the tool reaches", "reachable")
+        what, share = ("training paths cover", "covered") if covered.runs else ("the tool reaches", "reachable")
         heading(drawn, f"Surface that {what}: {shares[share]:.0%} of what supports leave free")
         for axes, (title, towards) in zip(drawn.subplots(2, 2).flat, SIDES.items(), strict=True):
             show(axes, cloud.points, np.array(towards), title, draw)
-        there = np.unique(found.kinds)
-        kinds = KINDS if found.runs else KINDS | {UNCOVERED: ("reached", KINDS[UNCOVERED][1])}
+        there = np.unique(covered.kinds)
+        kinds = KINDS if covered.runs else KINDS | {UNCOVERED: ("reached", KINDS[UNCOVERED][1])}
         handles = [Patch(color=colour, label=label) for kind, (label, colour) in kinds.items() if kind in there]
         drawn.legend(handles=handles, loc="outside lower center", ncols=len(handles))
 

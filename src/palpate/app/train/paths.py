@@ -52,11 +52,11 @@ def add_recording(folder: Folder, scene: TrainingScene, path: Path) -> None:
         return
     recording = load_recording(path)
     _check(recording, scene, path)
-    found = tool_paths(recording)
-    if not any(own.trust > 1 for own in found):
-        largest = f", the largest trust number is {max(own.trust for own in found):.3g}" if found else ""
+    paths = tool_paths(recording)
+    if not any(tool_path.trust > 1 for tool_path in paths):
+        largest = f", the largest trust number is {max(tool_path.trust for tool_path in paths):.3g}" if paths else ""
         raise InputError(
-            f"{path} must have a path beyond trust, got {len(found)} paths within{largest}; nothing would be learned"
+            f"{path} must have a path beyond trust, got {len(paths)} paths within{largest}; nothing would be learned"
         )
     folder.recordings_folder.mkdir(exist_ok=True)
     with whole_file(folder.recordings_folder / f"{len(folder.recordings):06d}.h5") as partial:
@@ -70,10 +70,10 @@ def _check(recording: Recording, scene: TrainingScene, path: Path) -> None:
             f"{path} must be a recording of a reduced model, got one of a full body; record a session with a model of "
             "this campaign"
         )
-    own, cloud = recording.model.cloud.points, scene.model.cloud
-    if own.shape != cloud.points.shape or not np.allclose(own, cloud.points, atol=SAME_POINT * cloud.spacing):
+    recorded, cloud = recording.model.cloud.points, scene.model.cloud
+    if recorded.shape != cloud.points.shape or not np.allclose(recorded, cloud.points, atol=SAME_POINT * cloud.spacing):
         raise InputError(
-            f"{path} must be a recording of the campaign's body, got {len(own)} other points; "
+            f"{path} must be a recording of the campaign's body, got {len(recorded)} other points; "
             "record a session with a model of this campaign"
         )
     if tuple(recording.model.data.prescribed) != tuple(scene.tools):

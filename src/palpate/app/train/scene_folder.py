@@ -40,13 +40,13 @@ def recordings_folder(file: Path) -> Path:
 
 def last_recording(file: Path) -> Path:
     """Return the newest recording of a scene file; raise `InputError` if there is none."""
-    found = sorted(recordings_folder(file).glob("*.h5"), key=lambda path: (path.stat().st_mtime_ns, path.name))
-    if not found:
+    recordings = sorted(recordings_folder(file).glob("*.h5"), key=lambda path: (path.stat().st_mtime_ns, path.name))
+    if not recordings:
         raise InputError(
             f"{file} must have a recording in {recordings_folder(file)}, got none; press record on the page of palpate "
             f"view {file}"
         )
-    return found[-1]
+    return recordings[-1]
 
 
 def name_in_folder(scene: str, folder: Path) -> str:

@@ -56,8 +56,8 @@ class Comparison(Session):
 
     def statistics(self) -> dict[str, Any]:
         """Return the statistics of the reduced model, with the pace of the slower body."""
-        own, full = super().statistics(), self.full.statistics()
-        return {**own, "pace": min(own["pace"], full["pace"])}
+        reduced, full = super().statistics(), self.full.statistics()
+        return {**reduced, "pace": min(reduced["pace"], full["pace"])}
 
     def overlay(self, time: float) -> OverlayState:
         """Return positions (n, 3) [m] of the full body, and the force (3,) [N] on its tool."""

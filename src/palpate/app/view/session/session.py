@@ -220,8 +220,8 @@ class Session:
         """Whether a tool touches the body, or is held by its user: it was moved within the last second."""
         if self.tool is NO_TOOL:
             return False
-        held = time.monotonic() - self._last_pose < HOLD_SECONDS
-        return held or (self.accepts_tools and bool(np.any(self.engine.read().force)))
+        moved_lately = time.monotonic() - self._last_pose < HOLD_SECONDS
+        return moved_lately or (self.accepts_tools and bool(np.any(self.engine.read().force)))
 
     # commands
 
@@ -426,15 +426,15 @@ class Session:
         if name != MODULUS or not self._materials():
             allowed = repr(MODULUS) if self._materials() else "left out for tissue that relaxes"
             raise InputError(f"material: name must be {allowed}, got {name!r}; see docs/protocol.md")
-        own = float(self.model.material.shear_modulus)
-        if not MIN_MODULUS_RATIO <= modulus / own <= MAX_MODULUS_RATIO:
-            low, high = 1e-3 * MIN_MODULUS_RATIO * own, 1e-3 * MAX_MODULUS_RATIO * own
+        material_modulus = float(self.model.material.shear_modulus)
+        if not MIN_MODULUS_RATIO <= modulus / material_modulus <= MAX_MODULUS_RATIO:
+            low, high = 1e-3 * MIN_MODULUS_RATIO * material_modulus, 1e-3 * MAX_MODULUS_RATIO * material_modulus
             raise InputError(
                 f"{name} must be from {low:g} to {high:g} kPa, got {1e-3 * modulus:g} kPa; choose a value in this range"
             )
         with self._lock, self._pause_engine():
-            self._observable.set_modulus_ratio(modulus / own)
-            self.modulus_ratio = modulus / own
+            self._observable.set_modulus_ratio(modulus / material_modulus)
+            self.modulus_ratio = modulus / material_modulus
 
     # the tool
 
