@@ -93,8 +93,8 @@ def quantity(value: Any, unit: str = "") -> str:
     if isinstance(value, int | np.integer):
         return f"{int(value):,}{tail}"
     if isinstance(value, float | np.floating):
-        scale, own = _scaled(abs(float(value)), unit)
-        return f"{_three(float(value) / scale)}{f' {own}' if own else ''}"
+        scale, scaled_unit = _scaled(abs(float(value)), unit)
+        return f"{_three(float(value) / scale)}{f' {scaled_unit}' if scaled_unit else ''}"
     if callable(value):
         return f"a function{f' [{unit}]' if unit else ''}"
     if isinstance(value, np.ndarray) and (value.ndim != 1 or len(value) > MAX_LISTED_NUMBERS):
@@ -115,10 +115,10 @@ def _joined(values: Any, otherwise: str) -> str:
 
 
 def _numbers(values: list[float], unit: str) -> str:
-    scale, own = _scaled(max(map(abs, values)), unit)
+    scale, scaled_unit = _scaled(max(map(abs, values)), unit)
     shown = ", ".join(_three(each / scale) for each in values[:MAX_LISTED_NUMBERS])
     more = ", ..." if len(values) > MAX_LISTED_NUMBERS else ""
-    return f"{shown if len(values) == 1 else f'({shown}{more})'}{f' {own}' if own else ''}"
+    return f"{shown if len(values) == 1 else f'({shown}{more})'}{f' {scaled_unit}' if scaled_unit else ''}"
 
 
 def _scaled(size: float, unit: str) -> tuple[float, str]:

@@ -35,8 +35,8 @@ def require(package: str, what: str) -> None:
         It is not installed; the message names the extra and the command.
     """
     try:
-        found = find_spec(package) is not None
+        installed = find_spec(package) is not None
     except (ImportError, ValueError):
-        found = False
-    if not found:
+        installed = False
+    if not installed:
         raise InputError(f"{what} requires {package}, which is not installed; pip install 'palpate[{EXTRAS[package]}]'")

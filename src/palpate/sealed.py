@@ -248,7 +248,7 @@ def open_sealed(path: Path, kind: str, version: int, older: tuple[int, ...] = ()
     """
     size = regular_file(path, kind.removeprefix("palpate "))
     with path.open("rb") as file:
-        found, offset, length, digest = _place_of_table(file.read(HEAD), kind, version, older)
+        found_version, offset, length, digest = _place_of_table(file.read(HEAD), kind, version, older)
         if offset < HEAD or offset + length != size:
             raise InputError("the file is truncated, or something was appended to it")
         file.seek(offset)
@@ -258,7 +258,7 @@ def open_sealed(path: Path, kind: str, version: int, older: tuple[int, ...] = ()
     table = json_of(text)
     if not isinstance(table, dict) or table.keys() != {"kind", "version", "header", "arrays", "rest"}:
         raise InputError("the table has other entries than kind, version, header, arrays and rest")
-    if (table["kind"], table["version"]) != (kind, found):
+    if (table["kind"], table["version"]) != (kind, found_version):
         raise InputError("the first bytes and the table disagree about the kind of the file")
     header, listed = table["header"], table["arrays"]
     if not isinstance(header, dict) or not isinstance(listed, dict):
@@ -274,24 +274,24 @@ def kind_of_file(path: Path) -> str:
     try:
         regular_file(path, "file")
         with path.open("rb") as file:
-            found = re.match(rb"(palpate [a-z ]{1,60})\nversion ", file.read(HEAD))
+            match = re.match(rb"(palpate [a-z ]{1,60})\nversion ", file.read(HEAD))
     except (OSError, InputError):  # the loader says what is wrong
         return ""
-    return found[1].decode() if found else ""
+    return match[1].decode() if match else ""
 
 
 def _place_of_table(head: bytes, kind: str, version: int, older: tuple[int, ...]) -> tuple[int, int, int, str]:
     """Return the version of a file, and the offset, length and digest of its table."""
-    found = re.match(rf"{re.escape(kind)}\nversion (\d{{1,9}})\n".encode(), head)
-    if not found:
+    match = re.match(rf"{re.escape(kind)}\nversion (\d{{1,9}})\n".encode(), head)
+    if not match:
         old = "; it may be of an older version" if head.startswith(b"\x89HDF") else ""
         raise InputError(f"this is not a {kind}{old}")
-    if int(found[1]) not in (version, *older):
-        raise InputError(f"this is of version {int(found[1])}, and version {version} is the one that is read")
-    place = re.fullmatch(rb"table (\d{1,18}) (\d{1,18}) ([0-9a-f]{64})\n\0*", head[found.end() :])
+    if int(match[1]) not in (version, *older):
+        raise InputError(f"this is of version {int(match[1])}, and version {version} is the one that is read")
+    place = re.fullmatch(rb"table (\d{1,18}) (\d{1,18}) ([0-9a-f]{64})\n\0*", head[match.end() :])
     if not place or len(head) != HEAD:
         raise InputError("the first bytes are damaged")
-    return int(found[1]), int(place[1]), int(place[2]), place[3].decode()
+    return int(match[1]), int(place[1]), int(place[2]), place[3].decode()
 
 
 def _digest_of_rest(path: Path, arrays: Mapping[str, ArrayEntry], end: int) -> str:

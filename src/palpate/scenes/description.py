@@ -339,19 +339,19 @@ def chooses_runs(description: Description, key: str) -> bool:
 
 def _find_setting(description: Description, key: str) -> tuple[str, str]:
     """Return the section and the key of a setting; the section ``"parameters"`` for a parameter of the law."""
-    known = {
+    settings_by_name = {
         f"{section}.{field.name}": (section, field.name)
         for section in SINGLE_SECTIONS
         for field in fields(getattr(description, section))
     }
-    found = [each for each in known if each == key or each.endswith(f".{key}")]
-    if len(found) > 1:
-        raise InputError(f"settings must name one key, got {key!r}; give {' or '.join(found)}")
-    if found:
-        return known[found[0]]
+    matches = [each for each in settings_by_name if each == key or each.endswith(f".{key}")]
+    if len(matches) > 1:
+        raise InputError(f"settings must name one key, got {key!r}; give {' or '.join(matches)}")
+    if matches:
+        return settings_by_name[matches[0]]
     law = next((law for law in LAWS if law.name == description.tissue.law), None)
     if key in {each.name for each in (law.parameters if law else ())} | set(description.tissue.parameters):
         return "parameters", key
-    near = get_close_matches(key[:60], [*known, *(word for _, word in known.values())], 1)
+    near = get_close_matches(key[:60], [*settings_by_name, *(word for _, word in settings_by_name.values())], 1)
     remedy = f"did you mean {near[0]}?" if near else "docs/scenes.md lists them"
     raise InputError(f"settings must be keys of the scene, got {key!r:.60}; {remedy}")

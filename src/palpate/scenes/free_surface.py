@@ -67,11 +67,11 @@ class FreeSurface:
         self.vectors = vectors[self.nodes]
         self.areas = np.bincount(cloud.face_nodes, cloud.face_areas, len(cloud))[self.nodes]
         self.normals = _unit(self.vectors)
-        held = supported_nodes(cloud, body.supports).kind == FIXED
+        held_mask = supported_nodes(cloud, body.supports).kind == FIXED
         for support in body.supports:
             if isinstance(support, SymmetryPlane):
-                held[cloud.group(support.group)] = True
-        self.held, self.fixed_points = held[self.nodes], cloud.points[held]
+                held_mask[cloud.group(support.group)] = True
+        self.held, self.fixed_points = held_mask[self.nodes], cloud.points[held_mask]
 
     @cached_property
     def tree(self) -> cKDTree:

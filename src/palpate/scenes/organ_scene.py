@@ -417,21 +417,21 @@ class OrganScene(Described):
         sliding = groups["roller"] | groups["rail"]
         bodies = _bodies(cloud)
         for nodes, where in bodies:
-            held = int(fixed[nodes].sum())
+            count = int(fixed[nodes].sum())
             if fixed[nodes].mean() > MAX_HELD_SHARE:
                 raise InputError(
                     f"fixed must leave tissue free, got {fixed[nodes].mean():.0%} of the nodes{where} held; hold a "
                     "smaller part"
                 )
-            if held < MIN_HELD and not springs[nodes].any() and not sliding[nodes].any():
-                raise InputError(f"fixed must hold at least {MIN_HELD} nodes{where}, got {held}; hold a larger part")
+            if count < MIN_HELD and not springs[nodes].any() and not sliding[nodes].any():
+                raise InputError(f"fixed must hold at least {MIN_HELD} nodes{where}, got {count}; hold a larger part")
 
 
 def _files(sections_: Any) -> set[str]:
     """Return the names of files in nested sections."""
     if isinstance(sections_, Mapping):
-        found = {sections_["file"]} if sections_.get("file") else set()
-        return found.union(*(_files(each) for each in sections_.values()))
+        names = {sections_["file"]} if sections_.get("file") else set()
+        return names.union(*(_files(each) for each in sections_.values()))
     if isinstance(sections_, list | tuple):
         return set().union(*(_files(each) for each in sections_))
     return set()

@@ -70,10 +70,10 @@ def read_painted(path: str | Path, name: str | None = None) -> tuple[Floats, Flo
     if points.ndim != 2 or points.shape[1] != 3 or not len(points):
         raise FileFormatError(f"{path} holds no points, or is not a {path.suffix} file")
     if fields.dtype.kind == "U":  # there is no such field: the names of those there are
-        known = ", ".join(shortened(repr(str(each))) for each in fields) or "none"
+        names = ", ".join(shortened(repr(str(each))) for each in fields) or "none"
         if name is None:
-            raise InputError(f"{path} must have one field on its points, got {known}; name one of them")
-        raise InputError(f"{path} has no field {name!r} on its points, but {known}")
+            raise InputError(f"{path} must have one field on its points, got {names}; name one of them")
+        raise InputError(f"{path} has no field {name!r} on its points, but {names}")
     if fields.shape != (len(points),):
         raise InputError(f"{path}: the field {name!r} is not a scalar; its shape is {fields.shape}")
     if not np.isfinite(points).all() or not np.isfinite(fields).all():
@@ -97,9 +97,9 @@ def _main(path: str, name: str, size: str) -> None:
     if os.name == "posix":
         import resource
 
-        own = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize() if _has_statm() else 0
-        memory = own + MEMORY + PER_BYTE * int(size)
-        resource.setrlimit(resource.RLIMIT_AS if own else resource.RLIMIT_DATA, (memory, memory))
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize() if _has_statm() else 0
+        memory = used + MEMORY + PER_BYTE * int(size)
+        resource.setrlimit(resource.RLIMIT_AS if used else resource.RLIMIT_DATA, (memory, memory))
         resource.setrlimit(resource.RLIMIT_CPU, (SECONDS + int(size) // RATE,) * 2)
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     out = os.fdopen(os.dup(1), "wb")

@@ -89,11 +89,11 @@ def line_of(text: str, path: tuple[str | int, ...]) -> int:
                 here = (*names, index)
             elif names[0] in tables:  # a table of the last entry of a list
                 here = (names[0], tables[names[0]] - 1, *names[1:])
-            found = here
+            key_path = here
         elif "=" in line:
-            found = (*here, *_split(line.partition("=")[0]))
+            key_path = (*here, *_split(line.partition("=")[0]))
         else:
             continue
-        if len(found) > depth and found == path[: len(found)]:
-            best, depth = number, len(found)
+        if len(key_path) > depth and key_path == path[: len(key_path)]:
+            best, depth = number, len(key_path)
     return best

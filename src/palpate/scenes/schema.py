@@ -69,9 +69,9 @@ def _value(kind: Any, about: Any) -> dict[str, Any]:
 
 
 def _range(about: Any) -> dict[str, Any]:
-    found = {}
+    limits = {}
     if math.isfinite(about["low"]):
-        found["exclusiveMinimum" if about["open_low"] else "minimum"] = about["low"]
+        limits["exclusiveMinimum" if about["open_low"] else "minimum"] = about["low"]
     if math.isfinite(about["high"]):
-        found["maximum"] = about["high"]
-    return found
+        limits["maximum"] = about["high"]
+    return limits

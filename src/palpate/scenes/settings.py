@@ -131,14 +131,14 @@ def read_values(section: type, table: Any, path: tuple[str | int, ...]) -> dict[
     """Return the values of some settings of a section by name; raise `Fault` as `read_section`."""
     if not isinstance(table, Mapping):
         raise Fault(path, f"must be a table, got {brief(table)}; write [{path[-1] if path else 'section'}]")
-    known = fields_of(section)
+    fields_by_name = fields_of(section)
     values = {}
     for key, value in table.items():
-        if key not in known:
-            near = get_close_matches(str(key)[:60], known, 1)
-            remedy = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
+        if key not in fields_by_name:
+            near = get_close_matches(str(key)[:60], fields_by_name, 1)
+            remedy = f"did you mean {near[0]}?" if near else f"known are {', '.join(fields_by_name)}"
             raise Fault((*path, key), f"is not a key of {_place(path)}; {remedy}")
-        field, kind = known[key]
+        field, kind = fields_by_name[key]
         values[key] = _read(kind, field.metadata, value, (*path, key))
     return values
 
@@ -173,21 +173,21 @@ def quantity(value: Any, unit: str) -> float:
             return float(value)
         except OverflowError:  # a whole number of hundreds of digits
             return math.inf if value > 0 else -math.inf
-    known = UNITS[unit]
-    example = f'"12 {next(iter(known))}"' if unit else "0.3 or 30 %"
-    found = QUANTITY.fullmatch(value) if isinstance(value, str) and len(value) <= MAX_TEXT_CHARACTERS else None
-    if found is None:
+    factors = UNITS[unit]
+    example = f'"12 {next(iter(factors))}"' if unit else "0.3 or 30 %"
+    match = QUANTITY.fullmatch(value) if isinstance(value, str) and len(value) <= MAX_TEXT_CHARACTERS else None
+    if match is None:
         raise InputError(
             f"must be a number{f' [{unit}]' if unit else ''} or a text such as {example}, got {brief(value)}"
         )
-    number, word = float(found[1]), found[2]
+    number, word = float(match[1]), match[2]
     if word is None:
         return number
-    if word not in known:
-        raise InputError(f"must have one of the units {', '.join(known)}, got {word!r:.40}; write it as {example}")
+    if word not in factors:
+        raise InputError(f"must have one of the units {', '.join(factors)}, got {word!r:.40}; write it as {example}")
     if not (math.isfinite(number) and number):
         return number
-    return float(Decimal(found[1]) * Decimal(repr(known[word])))  # 9 mm are 0.009 m to the last bit
+    return float(Decimal(match[1]) * Decimal(repr(factors[word])))  # 9 mm are 0.009 m to the last bit
 
 
 def check_number(value: Any, about: Mapping[str, Any]) -> float:

@@ -59,12 +59,12 @@ def is_opened(name: str) -> bool:
 
 def _arguments(name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Return all arguments of a user's function, with given values converted to the types of its defaults."""
-    known = _defaults(name)
-    values = dict(known)
+    defaults = _defaults(name)
+    values = dict(defaults)
     for key, given in parameters.items():
-        if key not in known:
-            raise InputError(f"parameters of scene {name!r} must be among {', '.join(known)}, got {brief(key)}")
-        values[key] = _converted(key, given, known[key])
+        if key not in defaults:
+            raise InputError(f"parameters of scene {name!r} must be among {', '.join(defaults)}, got {brief(key)}")
+        values[key] = _converted(key, given, defaults[key])
     return values
 
 
@@ -82,13 +82,13 @@ def search_current_folder() -> None:
 def _defaults(name: str) -> dict[str, Any]:
     """Return the parameters of a scene's function with their defaults, each a number, a truth value or text."""
     try:
-        known = {p.name: p.default for p in inspect.signature(_user_function(name)).parameters.values()}
+        defaults = {p.name: p.default for p in inspect.signature(_user_function(name)).parameters.values()}
     except (TypeError, ValueError) as error:
         raise InputError(f"scene must be a function with named parameters, got {name!r} ({error})") from error
-    for key, default in known.items():
+    for key, default in defaults.items():
         if not isinstance(default, KINDS):
             raise InputError(f"parameter {key!r} of scene {name!r} must have a number or text as default")
-    return known
+    return defaults
 
 
 def _converted(key: str, given: Any, default: Any) -> Any:
@@ -115,10 +115,10 @@ def _user_function(name: str) -> Callable[..., Any]:
         near = get_close_matches(name[:60], SCENES, 1)
         remedy = f"did you mean {near[0]}?" if near else "correct its name"
         raise InputError(f"scene must be {SCENE_NAMES}, got {brief(name)}; {remedy}")
-    found = getattr(_own(name, "cannot be imported", lambda: import_module(module)), function, None)
-    if not callable(found):
+    user_function = getattr(_own(name, "cannot be imported", lambda: import_module(module)), function, None)
+    if not callable(user_function):
         raise InputError(f"scene must be {SCENE_NAMES}, got {name!r}: module {module!r} has no function {function!r}")
-    return found
+    return user_function
 
 
 def _own(name: str, what: str, call: Callable[[], Any]) -> Any:

@@ -255,8 +255,8 @@ def _ellipticity_limits(
         ends: Sequence[float] = (stretch - 1 / stretch,)
     else:
         ends = stretches
-    found = [_first_loss(material, kind, end, threshold) for end in ends]
-    return (None, found[0]) if len(found) == 1 else (found[0], found[1])
+    limits = [_first_loss(material, kind, end, threshold) for end in ends]
+    return (None, limits[0]) if len(limits) == 1 else (limits[0], limits[1])
 
 
 def _first_loss(material: Material, kind: str, end: float, threshold: float) -> float | None:

@@ -161,5 +161,5 @@ def _bracket(function: Callable[[Floats], Floats], start: Floats) -> tuple[Float
             np.where(right, start + half, np.where(left, low, high)),
         )
         at_low, at_high = function(low), function(high)
-    found = (at_low <= 0) & (at_high >= 0)
-    return np.where(found, low, np.nan), at_low, np.where(found, high, np.nan), at_high
+    bracketed = (at_low <= 0) & (at_high >= 0)
+    return np.where(bracketed, low, np.nan), at_low, np.where(bracketed, high, np.nan), at_high

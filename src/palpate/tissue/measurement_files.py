@@ -163,9 +163,9 @@ def _column(header: str, where: str) -> _Column:
         raise FileFormatError(f"{where}: a column must be one of {allowed}, got {shortened(header)!r}")
     role, units = COLUMNS[name]
     if unit not in units:
-        found = "none" if unit is None else repr(shortened(unit))
+        got = "none" if unit is None else repr(shortened(unit))
         allowed = ", ".join(f"[{u}]" for u in units)
-        raise FileFormatError(f"{where}: the unit of column {name!r} must be one of {allowed}, got {found}")
+        raise FileFormatError(f"{where}: the unit of column {name!r} must be one of {allowed}, got {got}")
     return _Column(role, units[unit], name)
 
 
@@ -176,8 +176,8 @@ def _check_roles(columns: list[_Column], where: str) -> None:
             raise FileFormatError(f"{where}: there must be one column of {role}, got {roles.count(role)}")
     deformations = [role for role in roles if role in DEFORMATIONS]
     if len(deformations) != 1:
-        found = " and ".join(deformations) or "none"
-        raise FileFormatError(f"{where}: one column must be the deformation ({', '.join(DEFORMATIONS)}), got {found}")
+        got = " and ".join(deformations) or "none"
+        raise FileFormatError(f"{where}: one column must be the deformation ({', '.join(DEFORMATIONS)}), got {got}")
     if "stress" not in roles:
         raise FileFormatError(f"{where}: one column must be the stress, got none; add 'nominal stress [kPa]'")
 
