@@ -111,9 +111,9 @@ def _triangles(above: NDArray[np.bool_], vertex: Ints) -> Ints:
     listed = [[] if word == "-" else [int(digit, 16) for digit in word] for word in CASES]
     sizes = np.array([len(edges) for edges in listed])
     k, j, i = np.nonzero(sizes[case])
-    own = case[k, j, i]
-    cell = np.repeat(np.arange(len(own)), sizes[own])
-    within = np.arange(len(cell)) - np.repeat(np.cumsum(sizes[own]) - sizes[own], sizes[own])
-    number = (np.cumsum(sizes) - sizes)[own[cell]] + within
+    cases = case[k, j, i]
+    cell = np.repeat(np.arange(len(cases)), sizes[cases])
+    within = np.arange(len(cell)) - np.repeat(np.cumsum(sizes[cases]) - sizes[cases], sizes[cases])
+    number = (np.cumsum(sizes) - sizes)[cases[cell]] + within
     axis, x, y, z = EDGES[np.concatenate(listed).astype(np.int64)[number]].T
     return vertex[k[cell] + z, j[cell] + y, axis, i[cell] + x].reshape(-1, 3)

@@ -147,12 +147,12 @@ def records(path: Path) -> Iterator[tuple[int, bytes, Record]]:
         while size - file.tell() >= LENGTH.size:
             position = file.tell()
             try:
-                found = _read_next(file, size, chain)
+                read = _read_next(file, size, chain)
             except InputError as error:
                 raise InputError(f"{error}; {count} records before it are whole") from None
-            if found is None:
+            if read is None:
                 return
-            record, digest = found
+            record, digest = read
             yield position, chain, record
             chain, count = digest, count + 1
 
@@ -167,10 +167,10 @@ def read_record(path: Path, position: int, chain: bytes) -> Record:
     """
     with path.open("rb") as file:
         file.seek(position)
-        found = _read_next(file, regular_file(path, "journal"), chain)
-    if found is None:
+        read = _read_next(file, regular_file(path, "journal"), chain)
+    if read is None:
         raise InputError("the journal was truncated after it was opened")
-    return found[0]
+    return read[0]
 
 
 def _read_next(file: BinaryIO, size: int, chain: bytes) -> tuple[Record, bytes] | None:

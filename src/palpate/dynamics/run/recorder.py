@@ -95,15 +95,15 @@ class Recorder:
         count = len(frames)  # a signal may arrive between the time and the frame
         series: dict[str, Any] = {"times": self.times[:count], "steps": self.steps[:count]}
         series |= {name: [getattr(o, name) for o in frames] for name in SERIES if name not in series}
-        own: dict[str, Any] = {name: np.array(values, dtype=float) for name, values in series.items()}
+        numbers: dict[str, Any] = {name: np.array(values, dtype=float) for name, values in series.items()}
         forces: dict[str, Any] = {
-            name: {of: np.array([getattr(o, name)[of] for o in frames]) for of in getattr(frames[0], name)}
+            name: {key: np.array([getattr(o, name)[key] for o in frames]) for key in getattr(frames[0], name)}
             if frames else {} for name in GROUP_ARRAYS
         }  # fmt: skip
         rows: dict[str, Any] = {name: stack([getattr(o, name) for o in frames], (n, 3)) for name in FRAME_ARRAYS}
         return Trajectory(
             model=self.model, label=self.label, points=points,
-            **own, **forces, **rows,
+            **numbers, **forces, **rows,
             contact_forces=np.concatenate(
                 [np.zeros((0, 5)), *(np.insert(o.contact_forces, 0, k, axis=1) for k, o in enumerate(frames))]
             ),

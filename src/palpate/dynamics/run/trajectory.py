@@ -194,7 +194,7 @@ class Trajectory(Described):
             joined[name] = np.concatenate([first, second[1:] + since])
         for name in ("reactions", "moments"):
             first, second = getattr(self, name), getattr(other, name)
-            joined[name] = {of: np.concatenate([values, second[of][1:]]) for of, values in first.items()}
+            joined[name] = {key: np.concatenate([values, second[key][1:]]) for key, values in first.items()}
         after = other.contact_forces[:, 0] > 0
         later = other.contact_forces[after] + np.array([len(self.times) - 1.0, 0, 0, 0, 0])
         joined["contact_forces"] = np.concatenate([self.contact_forces, later])
@@ -217,7 +217,7 @@ class Trajectory(Described):
             The file cannot be written; an existing file is unchanged.
         """
         arrays: dict[str, Any] = {name: getattr(self, name) for name in (*SERIES, "points", "contact_forces", "bonded")}
-        arrays |= {_array_name(name, of): force for name in GROUP_ARRAYS for of, force in getattr(self, name).items()}
+        arrays |= {_array_name(name, key): force for name in GROUP_ARRAYS for key, force in getattr(self, name).items()}
         rows = {name: getattr(self, name) for name in FRAME_ARRAYS}
         if not len(self.times):
             arrays, rows = arrays | rows, {}
@@ -254,15 +254,15 @@ class Trajectory(Described):
 
 def _from_journal(path: Path) -> Trajectory:
     """Return the trajectory of the complete records of a journal."""
-    found = [record for _, _, record in records(path)]
-    (about, first), frames = found[0], found[1:]
+    journal_records = [record for _, _, record in records(path)]
+    (about, first), frames = journal_records[0], journal_records[1:]
     points, names = first["points"], {name: check_names(name, about.get(name)) for name in GROUP_ARRAYS}
     numbers = stack([arrays["numbers"] for _, arrays in frames], (len(SERIES),))
     data = {name: numbers[:, k] for k, name in enumerate(SERIES)} | {"points": points}
     data |= {name: stack([arrays[name] for _, arrays in frames], (*points.shape[:1], 3)) for name in FRAME_ARRAYS}
     for name, each in names.items():
         forces = stack([arrays[name] for _, arrays in frames], (len(each), 3))
-        data |= {_array_name(name, of): forces[:, k] for k, of in enumerate(each)}
+        data |= {_array_name(name, key): forces[:, k] for k, key in enumerate(each)}
     numbered = [np.insert(arrays["contact_forces"], 0, k, axis=1) for k, (_, arrays) in enumerate(frames)]
     data["contact_forces"] = np.concatenate([np.zeros((0, 5)), *numbered])
     data["bonded"] = np.concatenate([np.zeros(0, dtype=np.bool_), *(arrays["bonded"] for _, arrays in frames)])
@@ -297,7 +297,7 @@ def _from_arrays(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
     names = {name: check_names(name, header[name]) for name in GROUP_ARRAYS}
     frames, n = len(data["times"]), len(data["points"])
     shapes: dict[str, tuple[int, ...]] = dict.fromkeys(FRAME_ARRAYS, (frames, n, 3)) | dict.fromkeys(SERIES, (frames,))
-    shapes |= {_array_name(name, of): (frames, 3) for name, each in names.items() for of in each}
+    shapes |= {_array_name(name, key): (frames, 3) for name, each in names.items() for key in each}
     contact_forces = len(data.get("contact_forces", ()))
     shapes |= {
         "contact_forces": (contact_forces, 5),
@@ -319,7 +319,7 @@ def _from_arrays(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
     if not n or np.any(np.diff(data["times"]) < 0) or np.any(np.diff(data["steps"]) < 0):
         raise InputError("times and steps must not decrease, and points must not be empty")
     _check_contact_forces(data["contact_forces"], frames, n)
-    forces: dict[str, Any] = {name: {of: data[_array_name(name, of)] for of in each} for name, each in names.items()}
+    forces: dict[str, Any] = {name: {key: data[_array_name(name, key)] for key in each} for name, each in names.items()}
     arrays = {name: data[name] for name in (*SERIES, *FRAME_ARRAYS, "points", "contact_forces", "bonded")} | indicators
     return Trajectory(**arrays, **forces, **numbers, **{name: header[name] for name in ("model", "label", "complete")})
 
@@ -336,11 +336,11 @@ def check_names(what: str, names: Any) -> list[str]:
     return names
 
 
-def _array_name(what: str, of: str) -> str:
+def _array_name(what: str, key: str) -> str:
     """Return the HDF5 name of an array of a group or tool, without slashes and zero bytes."""
-    if of in ("", ".", ".."):
-        return f"{what}/%{of}"
-    return f"{what}/{of.replace('%', '%25').replace('/', '%2F').replace(chr(0), '%00')}"
+    if key in ("", ".", ".."):
+        return f"{what}/%{key}"
+    return f"{what}/{key.replace('%', '%25').replace('/', '%2F').replace(chr(0), '%00')}"
 
 
 def _check_contact_forces(contact_forces: Floats, frames: int, nodes: int) -> None:

@@ -46,7 +46,7 @@ def read_stl(data: bytes) -> Parts:
 
 
 def _facets(text: bytes) -> tuple[Floats, Ints]:
-    words = [found[1] for found in re.finditer(rb"(?i)\bvertex\s+(\S+\s+\S+\s+\S+)", text)]
+    words = [match[1] for match in re.finditer(rb"(?i)\bvertex\s+(\S+\s+\S+\s+\S+)", text)]
     facets = len(re.findall(rb"(?i)\bendfacet\b", text))
     vertices = read_numbers(b" ".join(words))
     if not facets or len(words) != 3 * facets or len(vertices) != 9 * facets:

@@ -97,12 +97,12 @@ def _rows(element: _Element, data: bytes, at: int, order: str) -> tuple[dict[str
     if element.count * row.itemsize <= len(data) - at:
         rows = np.frombuffer(data, row, element.count, at)
         if all(np.all(rows[f"n{k}"] == n) for k, n in enumerate(sizes) if n is not None):  # all lists as the first
-            found = {
+            values = {
                 name: (rows[f"v{k}"].ravel(), np.full(element.count, n))
                 for k, ((name, _, _), n) in enumerate(zip(element.properties, (s or 0 for s in sizes), strict=True))
                 if element.name in NEEDED
             }
-            return found, at + element.count * row.itemsize
+            return values, at + element.count * row.itemsize
     return _ragged_rows(element, data, at, order)
 
 
@@ -159,13 +159,13 @@ def _ragged_rows(
         raise FileFormatError("it ends within a row")
     if element.name not in NEEDED:
         return {}, at
-    content, found = np.frombuffer(data, "u1"), {}
+    content, by_property = np.frombuffer(data, "u1"), {}
     for k, (name, kind, _) in enumerate(element.properties):
         width, total = layout[k][0], int(sizes[k].sum())
         first = np.cumsum(sizes[k]) - sizes[k]
         place = np.repeat(starts[k] - first * width, sizes[k]) + np.arange(total) * width
-        found[name] = (content[place[:, None] + np.arange(width)].view(order + kind).reshape(-1), sizes[k])
-    return found, at
+        by_property[name] = (content[place[:, None] + np.arange(width)].view(order + kind).reshape(-1), sizes[k])
+    return by_property, at
 
 
 def _list_length(data: bytes, at: int, length: struct.Struct, width: int) -> int:

@@ -93,8 +93,8 @@ class _Lines:
             raise FileFormatError(f"it has numbers of an unknown type {printable_word(kind)}")
         dtype = np.dtype(TYPES[kind.lower()])
         if self.text:
-            found = re.compile(rb"^[ \t]*[A-Za-z]", re.MULTILINE).search(self.data, self.at)
-            end = found.start() if found else len(self.data)
+            match = re.compile(rb"^[ \t]*[A-Za-z]", re.MULTILINE).search(self.data, self.at)
+            end = match.start() if match else len(self.data)
             values = read_numbers(self.data[self.at : end])
         else:
             end = min(self.at + count * dtype.itemsize, len(self.data))

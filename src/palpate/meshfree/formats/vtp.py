@@ -73,10 +73,10 @@ def read_vtp(data: bytes) -> Parts:
             raise FileFormatError(f"it states {n} points and has {len(values)} coordinates")
         vertices.append(values.astype(float).reshape(-1, 3))
         for section, split in (("Polys", fans), ("Strips", strips)):
-            found = split(*_cells(file, arrays, section))
-            if found.size and found.max() >= n:
-                raise FileFormatError(f"its {section} must have points below {n}, got {found.max()}")
-            triangles.append(found + before)
+            faces = split(*_cells(file, arrays, section))
+            if faces.size and faces.max() >= n:
+                raise FileFormatError(f"its {section} must have points below {n}, got {faces.max()}")
+            triangles.append(faces + before)
         before += n
     if not sum(map(len, triangles)):
         raise FileFormatError("it must have Points, and Polys or Strips")
@@ -196,7 +196,7 @@ def _bytes(file: _VtpFile, source: bytes, coded: bool, at: int, header: np.dtype
     lengths = [int(n) for n in np.frombuffer(head, header)[3:]]
     _reserve_bytes(file, sum(lengths))
     packed, _ = _decode_bytes(source, coded, at, sum(lengths))
-    found, begin = [], 0
+    decoded, begin = [], 0
     for k, length in enumerate(lengths):
         size = last if last and k == blocks - 1 else each
         try:
@@ -205,9 +205,9 @@ def _bytes(file: _VtpFile, source: bytes, coded: bool, at: int, header: np.dtype
             raise FileFormatError(f"a compressed block cannot be expanded ({error})") from None
         if len(block) != size:
             raise FileFormatError(f"a compressed block must have {size} bytes")
-        found.append(block)
+        decoded.append(block)
         begin += length
-    return b"".join(found)
+    return b"".join(decoded)
 
 
 def _reserve_bytes(file: _VtpFile, size: int) -> None:
@@ -225,9 +225,9 @@ def _decode_bytes(source: bytes, coded: bool, at: int, size: int) -> tuple[bytes
     if not coded:
         return source[at:end], end
     try:
-        found = base64.b64decode(source[at:end], validate=True)[:size]
+        decoded = base64.b64decode(source[at:end], validate=True)[:size]
     except (binascii.Error, ValueError):
         raise FileFormatError("an array of it is not valid base64") from None
-    if len(found) < size:
+    if len(decoded) < size:
         raise FileFormatError("an array of it is cut off")
-    return found, end
+    return decoded, end
