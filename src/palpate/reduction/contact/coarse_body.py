@@ -133,9 +133,9 @@ def explicit_supports(cloud: Cloud, supports: Sequence[Support]) -> list[Support
 def _nearest_nodes(fine: Cloud, coarse: Cloud) -> Ints:
     """Return the node of a fine cloud nearest to each of a coarse one, on the surface or inside as that."""
     nearest = np.zeros(len(coarse), dtype=np.int64)
-    for of, to in zip(_surface_and_interior(fine), _surface_and_interior(coarse), strict=True):
-        of = of if len(of) else np.arange(len(fine))
-        nearest[to] = of[cKDTree(fine.points[of]).query(coarse.points[to])[1]]
+    for fine_nodes, coarse_nodes in zip(_surface_and_interior(fine), _surface_and_interior(coarse), strict=True):
+        fine_nodes = fine_nodes if len(fine_nodes) else np.arange(len(fine))
+        nearest[coarse_nodes] = fine_nodes[cKDTree(fine.points[fine_nodes]).query(coarse.points[coarse_nodes])[1]]
     return nearest
 
 
@@ -148,9 +148,9 @@ def _carry_groups(fine: Cloud, coarse: Cloud, nearest: Ints) -> Cloud:
     """Return the coarse cloud with the groups of the fine one."""
     groups = dict(coarse.groups)
     for name, nodes in fine.groups.items():
-        own = np.flatnonzero(np.isin(nearest, nodes))
-        if not len(own):
+        members = np.flatnonzero(np.isin(nearest, nodes))
+        if not len(members):
             surface = np.unique(coarse.face_nodes)
-            own = np.unique(surface[cKDTree(coarse.points[surface]).query(fine.points[nodes])[1]])
-        groups[name] = own
+            members = np.unique(surface[cKDTree(coarse.points[surface]).query(fine.points[nodes])[1]])
+        groups[name] = members
     return replace(coarse, groups=groups)

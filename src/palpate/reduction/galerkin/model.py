@@ -220,8 +220,8 @@ class GalerkinModel(CoordinateModel):
         matrix, modes = self.mass, slice(len(self.basis))
         if self.implicit:
             matrix = self.mass + step * (0.5 * step + self.stiffness_damping) * state.estimate[0]
-        constrained, whole = (np.asarray(np.linalg.inv(each), dtype=float) for each in (matrix[modes, modes], matrix))
-        return constrained, whole
+        constrained, full = (np.asarray(np.linalg.inv(each), dtype=float) for each in (matrix[modes, modes], matrix))
+        return constrained, full
 
     def stiffness(self, columns: Floats, work: GalerkinWork | None = None) -> Floats:
         """Return the tangent -d(force)/d(coordinates) [1/s^2], (M + l, M + l), by differences."""

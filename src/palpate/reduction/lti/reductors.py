@@ -156,8 +156,8 @@ class Reduction:
             "pod": ("run",),
             "balanced-low-rank": ("low-rank",),
         }
-        own = parts.get(method, ("condensed", "hankel" if method == "hankel" else "gramians"))
-        return float(sum(self.seconds.get(part, 0.0) for part in own))
+        shared_parts = parts.get(method, ("condensed", "hankel" if method == "hankel" else "gramians"))
+        return float(sum(self.seconds.get(part, 0.0) for part in shared_parts))
 
     def _timed(self, part: str, make: Callable[[], Any]) -> Any:
         start = perf_counter()
@@ -209,10 +209,10 @@ class Reduction:
     @cached_property
     def scaled(self) -> SecondOrder:
         """System `source` with scaled inputs and outputs."""
-        own, (outputs, inputs) = self.source, self.scales
+        system, (outputs, inputs) = self.source, self.scales
         return SecondOrder(
-            own.mass, own.damping, own.stiffness, own.input * inputs, outputs[:, None] * own.output,
-            outputs[:, None] * own.rate_output, outputs[:, None] * own.feedthrough * inputs, own.fields,
+            system.mass, system.damping, system.stiffness, system.input * inputs, outputs[:, None] * system.output,
+            outputs[:, None] * system.rate_output, outputs[:, None] * system.feedthrough * inputs, system.fields,
         )  # fmt: skip
 
     @cached_property
@@ -222,10 +222,11 @@ class Reduction:
         from pymor.models.iosys import SecondOrderModel
         from pymor.solvers.matrix_equations.default import MatrixEquationSolvers
 
-        own = self.scaled
+        scaled = self.scaled
         return SecondOrderModel.from_matrices(
-            own.mass, own.damping, own.stiffness, own.input, own.output, own.rate_output, own.feedthrough,
-            matrix_equation_solvers=MatrixEquationSolvers(lyapunov_lr=dense_solver()), name="palpate",
+            scaled.mass, scaled.damping, scaled.stiffness, scaled.input, scaled.output, scaled.rate_output,
+            scaled.feedthrough, name="palpate",
+            matrix_equation_solvers=MatrixEquationSolvers(lyapunov_lr=dense_solver()),
         )  # fmt: skip
 
     def _gramians(self) -> None:
@@ -262,7 +263,7 @@ class Reduction:
     def _second_order(self, method: str, modes: int) -> SecondOrder:
         if modes >= len(self.source.mass):
             raise InputError(f"modes must be below {len(self.source.mass)}, got {modes}; increase condense")
-        fom, own = self.pymor, self.scaled
+        fom, system = self.pymor, self.scaled
         if method == "irka":
             from pymor.reductors.bt import BTReductor
             from pymor.reductors.sor_irka import SORIRKAReductor
@@ -288,7 +289,7 @@ class Reduction:
         cv = np.zeros_like(cp) if cv is None else cv
         return SecondOrder(
             m, e, k, b / inputs, cp / outputs[:, None], cv / outputs[:, None],
-            own.feedthrough / outputs[:, None] / inputs, np.tensordot(fields.T, own.fields, 1),
+            system.feedthrough / outputs[:, None] / inputs, np.tensordot(fields.T, system.fields, 1),
         )  # fmt: skip
 
     def _balanced(self, modes: int) -> FirstOrder:
@@ -307,19 +308,19 @@ class Reduction:
         )
 
     def _hankel(self, modes: int) -> FirstOrder:
-        own, values, into = self.realisation
+        balanced, values, into = self.realisation
         if 2 * modes >= len(values):
             raise InputError(
                 f"modes must be below half of the {len(values)} Hankel singular values above rounding, got {modes}"
             )
-        reduced = hankel_norm(own, values, 2 * modes)
+        reduced = hankel_norm(balanced, values, 2 * modes)
         fields = np.tensordot(into[: len(self.scaled.fields)].T, self.scaled.fields, 1)
-        return self._unscaled(reduced, nearest_fields(own, fields, reduced))
+        return self._unscaled(reduced, nearest_fields(balanced, fields, reduced))
 
-    def _unscaled(self, own: Realisation, fields: Floats) -> FirstOrder:
+    def _unscaled(self, system: Realisation, fields: Floats) -> FirstOrder:
         outputs, inputs = self.scales
         return FirstOrder(
-            own.A, own.B / inputs, own.C / outputs[:, None], own.D / outputs[:, None] / inputs, fields
+            system.A, system.B / inputs, system.C / outputs[:, None], system.D / outputs[:, None] / inputs, fields
         )  # fmt: skip
 
 

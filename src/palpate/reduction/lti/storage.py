@@ -36,7 +36,7 @@ def save_linear(model: LinearModel, path: str | Path) -> None:
     OSError
         The place cannot be written.
     """
-    arrays = {own.name: getattr(model.reduced, own.name) for own in fields(model.reduced)}
+    arrays = {each.name: getattr(model.reduced, each.name) for each in fields(model.reduced)}
     for name, array in arrays.items():
         if not np.isfinite(array).all():
             raise InputError(f"{name} of the linear model is not finite: {path} was not written")
@@ -76,7 +76,7 @@ def read_linear(path: str | Path, system: LinearSystem) -> LinearModel:
         if not isinstance(header["kind"], str) or header["kind"] not in KINDS:
             raise InputError(f"kind must be one of {', '.join(KINDS)}, got {header['kind']!r:.60}")
         form = KINDS[header["kind"]]
-        names = [own.name for own in fields(form)]
+        names = [each.name for each in fields(form)]
         if file.arrays.keys() != {*names, "points"}:
             raise InputError(f"the arrays are {', '.join(sorted(file.arrays))}; expected {', '.join(names)}, points")
         arrays = {name: file.read(name) for name in file.arrays}

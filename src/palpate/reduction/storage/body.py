@@ -121,12 +121,12 @@ def body_of(header: Header, arrays: Arrays) -> tuple[Cloud, Tissue, tuple[Suppor
     InputError
         A value is out of range, or a support names no group.
     """
-    own, count = arrays, len(arrays["cloud/points"])
-    ends = np.cumsum(own["cloud/group_sizes"])
-    groups = np.split(own["cloud/group_nodes"], ends[:-1]) if len(ends) else []
+    values, count = arrays, len(arrays["cloud/points"])
+    ends = np.cumsum(values["cloud/group_sizes"])
+    groups = np.split(values["cloud/group_nodes"], ends[:-1]) if len(ends) else []
     cloud = Cloud(
-        own["cloud/points"], own["cloud/volumes"], own["cloud/face_nodes"], own["cloud/face_normals"],
-        own["cloud/face_areas"], dict(zip(header["groups"], groups, strict=True)), own["cloud/triangles"],
+        values["cloud/points"], values["cloud/volumes"], values["cloud/face_nodes"], values["cloud/face_normals"],
+        values["cloud/face_areas"], dict(zip(header["groups"], groups, strict=True)), values["cloud/triangles"],
         number_in_range("spacing", header["spacing"], 0.0, open_low=True, unit="m"),
     )  # fmt: skip
     supports = supports_in(header)
@@ -138,9 +138,9 @@ def body_of(header: Header, arrays: Arrays) -> tuple[Cloud, Tissue, tuple[Suppor
         header["expression"],
         mapping_in("prony", header["prony"]),
     )
-    regions = regions_of(_json("regions", header["regions"]), own.get("regions", np.zeros(0, dtype=int)), material)
-    factors = own["stiffness"] if np.any(own["stiffness"] != 1.0) else np.zeros(0)
-    fibres = fibres_of(mapping_in("fibres", header["fibres"]), own["fibres/directions"])
+    regions = regions_of(_json("regions", header["regions"]), values.get("regions", np.zeros(0, dtype=int)), material)
+    factors = values["stiffness"] if np.any(values["stiffness"] != 1.0) else np.zeros(0)
+    fibres = fibres_of(mapping_in("fibres", header["fibres"]), values["fibres/directions"])
     return cloud, Tissue(material, regions, factors, fibres, count), supports
 
 
@@ -154,9 +154,9 @@ def supports_in(header: Header) -> tuple[Support, ...]:
 
 def read_arrays(file: ArrayFile, prefix: str, layout: Layout) -> Arrays:
     """Return the arrays of a file whose names begin with a prefix; refuse others than those of a layout."""
-    own = {name.removeprefix(prefix) for name in file.arrays if name.startswith(prefix)}
-    if own != layout.keys():
-        odd = sorted(own ^ layout.keys())[0]
+    names = {name.removeprefix(prefix) for name in file.arrays if name.startswith(prefix)}
+    if names != layout.keys():
+        odd = sorted(names ^ layout.keys())[0]
         raise InputError(f"array {shortened(odd)} is {'missing' if odd in layout else 'not one of a model'}")
     return {name: file.read(prefix + name) for name in layout}
 
@@ -181,7 +181,7 @@ def check_shapes(arrays: Arrays, layout: Layout, sizes: dict[str | int, int]) ->
         data = arrays[name]
         expected = tuple(sizes.get(size, size) for size in shape)
         fits = len(expected) == data.ndim and all(
-            found == size or isinstance(size, str) for found, size in zip(data.shape, expected, strict=True)
+            length == size or isinstance(size, str) for length, size in zip(data.shape, expected, strict=True)
         )
         if not fits or data.dtype != dtype:
             wanted = f"({', '.join(map(str, expected))}) of {dtype}"

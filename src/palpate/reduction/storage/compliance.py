@@ -88,9 +88,9 @@ def unpack_flexibilities(arrays: Arrays) -> dict[str, np.ndarray[Any, Any]]:
             if result[name].dtype != "<u2":
                 raise InputError(f"array {name} has values of {result[name].dtype.str} with a step, expected <u2")
             result[name] = (result[name].astype("<f4") - np.float32(OFFSET)) * np.float32(step)
-    whole = result["compliance/flexibility"]
-    if whole.ndim == 2 and whole.shape[0] == whole.shape[1] and not np.triu(whole, 1).any():
-        result["compliance/flexibility"] = whole + np.tril(whole, -1).T
+    flexibility = result["compliance/flexibility"]
+    if flexibility.ndim == 2 and flexibility.shape[0] == flexibility.shape[1] and not np.triu(flexibility, 1).any():
+        result["compliance/flexibility"] = flexibility + np.tril(flexibility, -1).T
     return result
 
 
@@ -138,5 +138,5 @@ def _interior(arrays: Arrays, compliance: SurfaceCompliance) -> Interior:
     carriers = len(compliance.flexibility) // 3
     if not np.all((sources >= 0) & (sources < count + carriers)):
         raise InputError(f"array interior/sources names more than {count} nodes inside and {carriers} carriers")
-    whole = number_in_range("interior/factor", float(factor[0]), 0.0, open_low=True)
-    return Interior(nodes, flexibility, sources, shares, whole)
+    interior_factor = number_in_range("interior/factor", float(factor[0]), 0.0, open_low=True)
+    return Interior(nodes, flexibility, sources, shares, interior_factor)

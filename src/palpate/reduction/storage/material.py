@@ -146,8 +146,8 @@ def describe_fibres(fibres: FibreLaw | None) -> str:
         return "{}"
     if type(fibres) is not FIBRES.get(type(fibres).__name__):
         raise InputError(f"the law of {fibres} is not one of palpate's: it cannot be kept in a file")
-    own = {f.name: getattr(fibres, f.name) for f in fields(fibres) if f.name != "directions"}
-    return json.dumps({"law": type(fibres).__name__, **own})
+    parameters = {f.name: getattr(fibres, f.name) for f in fields(fibres) if f.name != "directions"}
+    return json.dumps({"law": type(fibres).__name__, **parameters})
 
 
 def fibres_of(value: Any, directions: NDArray[np.float64]) -> FibreLaw | None:

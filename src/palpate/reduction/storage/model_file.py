@@ -222,8 +222,8 @@ def _check_shapes(header: Header, arrays: Arrays) -> Arrays:
 def _data(header: Header, arrays: Arrays) -> ReducedData:
     """Return the data of a model; refuse values out of range."""
     _check_values(arrays)
-    own: dict[str, Any] = arrays | {"basis_vectors": arrays["basis_vectors"].astype(float)}
-    cloud, tissue, supports = body_of(header, own)
+    values: dict[str, Any] = arrays | {"basis_vectors": arrays["basis_vectors"].astype(float)}
+    cloud, tissue, supports = body_of(header, values)
     if bool(header["prescribed"]) != bool(header["lifting_count"]):
         raise InputError(
             f"header lifting_count must be positive for models with prescribed groups only, got "
@@ -237,17 +237,17 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
         tissue=tissue,
         supports=supports,
         prescribed=tuple(header["prescribed"]),
-        volumes=own["volumes"],
+        volumes=values["volumes"],
         stiffness_damping=number_in_range("stiffness_damping", header["stiffness_damping"], 0.0, unit="s"),
         mass_damping=number_in_range("mass_damping", header.get("mass_damping", 0.0), 0.0, unit="1/s"),
         wave_speed=number_in_range("wave_speed", header["wave_speed"], 0.0, unit="m/s"),
-        basis_vectors=own["basis_vectors"],
+        basis_vectors=values["basis_vectors"],
         modes=header["modes"],
         lifting_count=header["lifting_count"],
-        cubature=Cubature(own["cubature/nodes"], own["cubature/weights"], own["cubature/pressure"], residual),
-        gradients=own["gradients"],
-        constant=own["constant"],
-        training_states=own["training_states"],
+        cubature=Cubature(values["cubature/nodes"], values["cubature/weights"], values["cubature/pressure"], residual),
+        gradients=values["gradients"],
+        constant=values["constant"],
+        training_states=values["training_states"],
         distance_scale=number_in_range("distance_scale", header["distance_scale"], 0.0, open_low=True, unit="m"),
         residual_fields=header["residual_fields"],
         residual_scale=number_in_range("residual_scale", header["residual_scale"], 0.0, open_low=True, unit="m"),
@@ -260,7 +260,7 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
             header["sheet"], number_in_range("prestretch", header["prestretch"], 1.0), header["relaxed"]
         ),
         taut_frequency=number_in_range("taut_frequency", header["taut_frequency"], 0.0, unit="rad/s"),
-        compliance=read_compliance(own, number_in_range("bonded_scale", header["bonded_scale"], 0.0, open_low=True)),
+        compliance=read_compliance(values, number_in_range("bonded_scale", header["bonded_scale"], 0.0, open_low=True)),
     )
 
 
@@ -289,11 +289,11 @@ def _check_curves(curves: Any) -> None:
     if not isinstance(curves, dict) or not {"level"} < curves.keys() <= {"level", "displacement", "force"}:
         raise InputError("header report holds expected errors without level and displacement")
     number_in_range("level", curves["level"], 0.0, 1.0)
-    for of in curves.keys() - {"level"}:
-        if not isinstance(curves[of], dict) or curves[of].keys() != {*CURVE}:
-            raise InputError(f"header report holds an expected error of the {of} without {', '.join(CURVE)}")
+    for quantity in curves.keys() - {"level"}:
+        if not isinstance(curves[quantity], dict) or curves[quantity].keys() != {*CURVE}:
+            raise InputError(f"header report holds an expected error of the {quantity} without {', '.join(CURVE)}")
         for name in CURVE:
-            number_in_range(name, curves[of][name], 0.0)
+            number_in_range(name, curves[quantity][name], 0.0)
 
 
 def _step_rule(header: Header) -> Header:

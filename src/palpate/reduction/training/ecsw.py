@@ -140,15 +140,16 @@ def choose_integration_points(
     count = len(mass)
     root = compliance_root(body, fields, count, moments, mass)
     if share == 0.0:
-        whole = moments if len(moments) else np.zeros((0, len(fields.nodes)))  # a membrane has several points per node
-        return np.arange(len(fields.nodes)), Cubature(fields.nodes, fields.volumes, whole, 0.0)
+        if not len(moments):  # a membrane has several points per node
+            moments = np.zeros((0, len(fields.nodes)))
+        return np.arange(len(fields.nodes)), Cubature(fields.nodes, fields.volumes, moments, 0.0)
     rows = _rows(body, fields, modes, states, root, np.random.default_rng(seed))
     multiples, residual = sparse_nnls(rows, rows.sum(axis=1), share)
     chosen = np.flatnonzero(multiples > 0)
-    own = fields.gradients[:, :count]
+    gradients = fields.gradients[:, :count]
     pressure = np.zeros((0, len(chosen)))
     if len(moments):
-        pressure = _pressure(body.material, own, states, moments, chosen, root)
+        pressure = _pressure(body.material, gradients, states, moments, chosen, root)
     return chosen, Cubature(fields.nodes[chosen], multiples[chosen] * fields.volumes[chosen], pressure, residual)
 
 
@@ -176,13 +177,13 @@ def _rows(
             size = float(np.linalg.norm(rows.sum(axis=1)))
             if size > BALANCED * float(np.linalg.norm(rows, axis=0).sum()):
                 into.append(rows / np.sqrt(size))
-    whole = [np.concatenate(rows) for rows in (weighted_forces, reactions) if rows]
-    if not whole:
+    blocks = [np.concatenate(rows) for rows in (weighted_forces, reactions) if rows]
+    if not blocks:
         raise InputError("trajectories must deform the body, got rest or rigid motions only; train on other runs")
-    sizes = [float(np.linalg.norm(rows.sum(axis=1))) for rows in whole]
-    if len(whole) == 2:
-        whole[1] *= REACTION_WEIGHT * sizes[0] / sizes[1]
-    return np.concatenate(whole)
+    sizes = [float(np.linalg.norm(rows.sum(axis=1))) for rows in blocks]
+    if len(blocks) == 2:
+        blocks[1] *= REACTION_WEIGHT * sizes[0] / sizes[1]
+    return np.concatenate(blocks)
 
 
 def deformation(gradients: Floats, state: Floats) -> tuple[Floats, Floats, Floats]:
@@ -233,13 +234,13 @@ def compliance_root(body: EnergySolid | Membrane, fields: Fields, count: int, mo
 
     For a membrane it is that of the taut state.
     """
-    stiffness, own = fields.constant[:count, :count].copy(), fields.gradients[:, :count]
+    stiffness, gradients = fields.constant[:count, :count].copy(), fields.gradients[:, :count]
     shear, second = np.full(len(body.cloud), body.material.shear_modulus), np.zeros(len(body.cloud))
     if isinstance(body, EnergySolid):
         shear = body.tissue.moduli("shear_modulus")
         second = body.tissue.moduli("shear_share") - 2 / 3 * shear
-    for start in range(0, len(own), BLOCK):
-        block = own[start : start + BLOCK].astype(float).reshape(-1, count, 3, 3)
+    for start in range(0, len(gradients), BLOCK):
+        block = gradients[start : start + BLOCK].astype(float).reshape(-1, count, 3, 3)
         roots, nodes = np.sqrt(fields.volumes[start : start + BLOCK]), fields.nodes[start : start + BLOCK]
         # tension resists every slope of a sheet, not only strain
         strain = 2 * block if isinstance(body, Membrane) else block + np.swapaxes(block, 2, 3)
@@ -248,7 +249,7 @@ def compliance_root(body: EnergySolid | Membrane, fields: Fields, count: int, mo
         stiffness += 0.5 * rows.T @ (np.repeat(shear[nodes], 9)[:, None] * rows)
         stiffness += slopes.T @ (second[nodes, None] * slopes)
     if len(moments):
-        slopes = moments @ (own[:, :, 0] + own[:, :, 4] + own[:, :, 8])
+        slopes = moments @ (gradients[:, :, 0] + gradients[:, :, 4] + gradients[:, :, 8])
         stiffness += slopes.T @ slopes
     values, vectors = scipy.linalg.eigh(0.5 * (stiffness + stiffness.T), mass)
     return np.asarray((vectors / np.sqrt(np.maximum(values, RIGID_BODY_SHIFT * np.abs(values).max()))).T)
@@ -258,7 +259,7 @@ def _pressure(
     material: Material, gradients: Floats, states: Floats, moments: Floats, nodes: NDArray[np.int64], root: Floats
 ) -> Floats:
     """Fit the coefficients (k, s) of the sampled dilatations to the moments and their slopes."""
-    sampled, whole, stiff = [], [], np.linalg.inv(root).T
+    sampled, summed, stiff = [], [], np.linalg.inv(root).T
     for state in (np.zeros(states.shape[1]), *states[:: max(1, len(states) // SLOPE_STATES)]):
         _, cofactor, J = deformation(gradients, state)
         volume, rise = volume_measure(material, J - 1)
@@ -267,5 +268,5 @@ def _pressure(
         value = volume[:, None] / max(float(np.linalg.norm(stiff @ state)), 1e-300)
         both = np.hstack([slope, value if state.any() else 0 * value])
         sampled.append(both[nodes])
-        whole.append(moments @ both)
-    return fit_moments(np.hstack(sampled), np.hstack(whole))
+        summed.append(moments @ both)
+    return fit_moments(np.hstack(sampled), np.hstack(summed))
