@@ -19,7 +19,7 @@ __all__ = ["force_seconds", "median_seconds", "read_seconds", "step_seconds"]
 Call = Callable[[], Any]
 
 LOOP_SECONDS = 0.02  # [s] least time of a compiled loop, so that the time of its call is negligible
-PARTS = 64  # that are read side by side
+READING_PARTS = 64  # that are read side by side
 
 
 def median_seconds(*calls: Call, repeats: int = 15) -> list[float]:
@@ -51,9 +51,9 @@ def _reader(parallel: bool) -> Any:
 
     @njit(parallel=parallel, fastmath=True)
     def read(table, count):  # type: ignore[no-untyped-def]
-        parts, size = np.zeros(PARTS, dtype=table.dtype), table.shape[0] // PARTS
+        parts, size = np.zeros(READING_PARTS, dtype=table.dtype), table.shape[0] // READING_PARTS
         for _ in range(count):
-            for p in prange(PARTS):
+            for p in prange(READING_PARTS):
                 total = parts[p]
                 for k in range(p * size, (p + 1) * size):
                     total += table[k]

@@ -32,7 +32,7 @@ from palpate.scenes.organ_scene import OrganScene
 __all__ = ["FILES", "check"]
 
 FILES = (*REPORTS, "surface.png", "cloud.png", "tool.png")
-NODES = 4000  # about, where no spacing is given
+DEFAULT_NODES = 4000  # about, where no spacing is given
 
 
 def check(
@@ -100,7 +100,7 @@ def check(
     with console.status("examining the surface"):
         surface_report = check_surface(surface)
     if spacing is None:
-        spacing = float(f"{1.2 * np.cbrt(abs(surface.volume) / NODES):.2g}")
+        spacing = float(f"{1.2 * np.cbrt(abs(surface.volume) / DEFAULT_NODES):.2g}")
     report: dict[str, Any] = {
         "title": f"Check of {surface.name}",
         "file": str(file),

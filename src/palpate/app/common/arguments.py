@@ -17,16 +17,16 @@ from unicodedata import category
 from palpate.app.common.exit_status import BAD_INPUT, one_line
 
 __all__ = [
-    "LOAD", "PARSER", "Command", "Parser", "add_command", "add_json", "add_output", "add_parts", "existing_file",
-    "in_option_words", "number", "option_names", "parse_settings", "path", "split_settings", "suggestion",
-    "unprintable_word", "whole",
+    "LOAD_KEY", "PARSER_KEY", "Command", "Parser", "add_command", "add_json", "add_output", "add_parts",
+    "existing_file", "in_option_words", "number", "option_names", "parse_settings", "path", "split_settings",
+    "suggestion", "unprintable_word", "whole",
 ]  # fmt: skip
 
 Command = Callable[..., int]  # takes the options by name, and returns the exit code
 
-LOAD, PARSER = " load", " parser"  # names that no option has
+LOAD_KEY, PARSER_KEY = " load", " parser"  # names that no option has
 MAX_ARGUMENT_CHARACTERS, MAX_NAME_BYTES = 4095, 255  # characters; bytes of a name in a folder
-UNPRINTABLE = ("Cc", "Cs")  # categories of characters: controls, halves of surrogate pairs
+UNPRINTABLE_CATEGORIES = ("Cc", "Cs")  # categories of characters: controls, halves of surrogate pairs
 MAX_EXACT_INTEGER = 2**53  # whole numbers beyond are not exact in the reports
 ARGPARSE_MESSAGES = {  # of argparse, in the form of palpate's own messages
     r"argument (\S+): (must .*)": r"\1 \2",
@@ -134,7 +134,7 @@ def add_command(commands: Any, name: str, load: Callable[[], Command], *, summar
         For the help of this one.
     """
     parser: Parser = commands.add_parser(name, help=summary, description=description)
-    parser.set_defaults(**{LOAD: load, PARSER: parser})
+    parser.set_defaults(**{LOAD_KEY: load, PARSER_KEY: parser})
     return parser
 
 
@@ -203,7 +203,7 @@ def number(text: str) -> float:
 def unprintable_word(words: Sequence[str]) -> str | None:
     """Return a complaint about the first word that is not printable text of a sensible length, or None."""
     for k, word in enumerate(words):
-        if len(word) > MAX_ARGUMENT_CHARACTERS or any(category(letter) in UNPRINTABLE for letter in word):
+        if len(word) > MAX_ARGUMENT_CHARACTERS or any(category(letter) in UNPRINTABLE_CATEGORIES for letter in word):
             return (
                 f"argument {k + 1} must be printable text of at most {MAX_ARGUMENT_CHARACTERS} characters, got "
                 f"{word!r:.60}; rename the file or leave such characters out"

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["FILES", "draw_comparison"]
 
 FILES = ("errors.png", "response.png", "hankel.png", "cost.png")
-STYLES = {
+LINE_STYLES = {
     "modal": (BLUE, "o", "-"), "moments": (GREEN, "s", "-"), "irka": (GREEN, "^", "--"), "balanced": (RED, "o", "-"),
     "balanced-low-rank": (RED, "+", ":"),
     "hankel": (RED, "x", "--"), "pod": (ORANGE, "D", "-"), "sobt": (PINK, "o", "-"), "sobt-p": (PINK, "^", "--"),
@@ -56,7 +56,7 @@ def _series(report: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
 
 
 def _line(axes: Axes, method: str, sizes: list[int], values: list[float]) -> None:
-    colour, marker, style = STYLES[method]
+    colour, marker, style = LINE_STYLES[method]
     axes.plot(sizes, values, marker=marker, ls=style, color=colour, lw=1.4, ms=5, label=method)
 
 
@@ -102,7 +102,7 @@ def _draw_response(made: Comparison, path: Path) -> None:
             if modes != _nearest(made):
                 continue
             reduced_response = model.reduced.transfer(1j * made.frequencies)
-            colour, _, style = STYLES[method]
+            colour, _, style = LINE_STYLES[method]
             values = np.linalg.norm(outputs[:, None] * reduced_response * inputs, 2, axis=(1, 2))
             upper.loglog(made.frequencies, values, color=colour, ls=style, lw=1)
             wrong = np.linalg.norm(outputs[:, None] * (made.response - reduced_response) * inputs, 2, axis=(1, 2))

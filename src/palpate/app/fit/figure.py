@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_fit"]
 
-COLOURS = (BLUE, RED, GREEN, ORANGE, PINK, SKY)
-MARKERS = "os^Dvx"
+CURVE_COLOURS = (BLUE, RED, GREEN, ORANGE, PINK, SKY)
+CURVE_MARKERS = "os^Dvx"
 
 
 def draw_fit(fitted: Fit, path: Path) -> None:
@@ -39,7 +39,7 @@ def draw_fit(fitted: Fit, path: Path) -> None:
 
 
 def _draw(axes: Axes, fitted: Fit, measured: Measurement, k: int, name: str, scale: float) -> None:
-    colour, marker = COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)]
+    colour, marker = CURVE_COLOURS[k % len(CURVE_COLOURS)], CURVE_MARKERS[k % len(CURVE_MARKERS)]
     ends = [rest(measured.kind), *measured.deformation]
     along = np.linspace(min(ends), max(ends), 200)
     axes.plot(along, nominal_stress(fitted.material, measured.kind, along) / scale, color=colour, lw=1.8)

@@ -11,20 +11,20 @@ from palpate.tissue.volumetric import FORMS, QUADRATIC
 
 __all__ = ["laws"]
 
-HEAD = """\
+LAWS_TEXT = """\
 Strain energies W [J/m^3]. To each comes a volumetric part U(J), last in this list, with lame from the given poisson
 or bulk modulus. x = I1 - 3 - 2 ln J and q(a) = l1^a + l2^a + l3^a - 3 - a ln J, which are the printed I1 - 3 and
 l1^a + l2^a + l3^a - 3 where the volume stays. All laws also take density [kg/m^3], and poisson in [0, 0.499] or bulk
 [Pa]; for a membrane poisson=0.5. Formulas, sources and curves: docs/laws.md
 """
-FIBRES = """\
+FIBRES_TEXT = """\
 Fibres, Solid(form="energy", fibres=...): the energy of a family of unit vectors a, to be given as directions=...,
 by Cbar = J^(-2/3) C, E = (Cbar - I) / 2, I1bar = tr Cbar, I4bar = a . Cbar a.
 """
-RELAXES = """\
+RELAXATION_TEXT = """\
 Relaxation, prony=...: an energy that is added to that of any law and decays, mu its shear modulus at rest.
 """
-VOLUME = """\
+VOLUMETRIC_TEXT = """\
 Volumetric part, volumetric=...: U(J), the same bulk modulus at rest.
 """
 
@@ -43,11 +43,11 @@ def laws(as_json: bool) -> int:
             }
         )
         return 0
-    for head, entries in ((HEAD, LAWS), (FIBRES, FIBRE_LAWS), (RELAXES, (RELAXATION,))):
+    for head, entries in ((LAWS_TEXT, LAWS), (FIBRES_TEXT, FIBRE_LAWS), (RELAXATION_TEXT, (RELAXATION,))):
         print(head)
         for entry in entries:
             print("\n".join(_lines(entry)), end="\n\n")
-    print(VOLUME)
+    print(VOLUMETRIC_TEXT)
     for name in FORMS:
         print(f"{name}\n  U = {_volumetric(name)}{'; by default' if name == QUADRATIC else ''}\n")
     return 0

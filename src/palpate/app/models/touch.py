@@ -20,7 +20,7 @@ __all__ = ["TRAINED_NODES", "fitting_scene", "open_touched", "realtime_spacing",
 
 TRAINED_NODES = 5000  # of the body of a trained model, where nobody gives a spacing
 
-FINER, MAX_FINER = 0.8, 4  # factor of a guessed spacing that is too coarse for the tissue; how often
+FINER_FACTOR, MAX_FINER_TRIALS = 0.8, 4  # factor of a guessed spacing that is too coarse for the tissue; how often
 NODES_PER_CELL = 1.45  # nodes over volume / spacing^3 in a filled organ
 STEP_PER_WAVE = 0.37  # stable step over the time of a pressure wave over a spacing
 STEP_OVER_FORCE = 1.6  # time of a step over that of its force evaluation
@@ -116,15 +116,15 @@ def fitting_scene(scene: OrganScene, spacing: float, required: bool, console: Co
     surface = scene.surface
     assert surface is not None
     volume = abs(surface.volume)
-    for trial in range(MAX_FINER + 1):
+    for trial in range(MAX_FINER_TRIALS + 1):
         _check_count(volume, spacing)
         if spacing > surface.size:
             raise InputError(f"spacing must be at most the size of the surface, got {spacing:g} m; use a smaller one")
         try:
             return _prepared(scene.with_body(spacing=spacing), console)
         except CloudError:  # too thin for the spacing
-            finer = float(f"{FINER * spacing:.2g}")
-            if required or trial == MAX_FINER or _count(volume, finer) > MOST_NODES:
+            finer = float(f"{FINER_FACTOR * spacing:.2g}")
+            if required or trial == MAX_FINER_TRIALS or _count(volume, finer) > MOST_NODES:
                 raise
             spacing = finer
     raise AssertionError("the last trial returns or raises")

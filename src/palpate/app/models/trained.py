@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from palpate.app.common.console import Console, count_nodes, percent
-from palpate.app.train.campaign import MODEL, Campaign
+from palpate.app.train.campaign import MODEL_FILE, Campaign
 from palpate.app.train.folder import manifest_of, open_campaign
 from palpate.app.train.scene_folder import name_in_folder, training_folder
 from palpate.faults import FileFormatError, InputError
@@ -29,7 +29,7 @@ MAX_WORKERS = 4
 
 def model_file(scene: OrganScene) -> Path:
     """Return the file of a scene's trained model, whether it exists or not."""
-    return training_folder(scene) / MODEL
+    return training_folder(scene) / MODEL_FILE
 
 
 def trained_model(scene: OrganScene, console: Console, workers: int | None = None) -> ReducedModel:
@@ -53,9 +53,9 @@ def trained_model(scene: OrganScene, console: Console, workers: int | None = Non
         No training run was finished.
     """
     folder, training = training_folder(scene), scene.description.training
-    if (folder / MODEL).is_file():
+    if (folder / MODEL_FILE).is_file():
         try:
-            model = load(folder / MODEL)
+            model = load(folder / MODEL_FILE)
         except FileFormatError as error:
             console.say(f"{error}; training another")
         else:
@@ -64,7 +64,7 @@ def trained_model(scene: OrganScene, console: Console, workers: int | None = Non
                 return model
             if not others.keys() & {key.rpartition(".")[2] for key in scene.settings}:
                 sizes = " and ".join(f"{size} {name}, not {getattr(training, name)}" for name, size in others.items())
-                console.say(f"{folder / MODEL} has {sizes}; palpate train {scene.name} trains it again")
+                console.say(f"{folder / MODEL_FILE} has {sizes}; palpate train {scene.name} trains it again")
                 return model
     try:
         check_folder(folder, "cache" if scene.name in SCENES else "folder")

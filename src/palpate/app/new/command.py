@@ -25,7 +25,7 @@ from palpate.scenes.surface_scene import is_surface_file, surface_scene
 
 __all__ = ["new"]
 
-SCHEMA = "scene.schema.json"
+SCHEMA_FILE = "scene.schema.json"
 
 
 def new(
@@ -153,4 +153,4 @@ def _placed(scene: OrganScene, out: Path) -> OrganScene:
 
 def _schema(out: Path) -> Path:
     """Return the file of the schema, next to what is kept for the scene."""
-    return out.with_name(f"{out.stem}.palpate") / SCHEMA
+    return out.with_name(f"{out.stem}.palpate") / SCHEMA_FILE

@@ -21,7 +21,7 @@ __all__ = ["MIN_SNAPSHOTS", "TOOL_NAME", "ToolPath", "make_load", "tool_paths"]
 
 MIN_SNAPSHOTS = 3
 MAX_PATH = 10.0  # [s] of a path; the rest is left out
-APPROACH = 0.1  # [s] from rest to the first pose of a held group
+APPROACH_SECONDS = 0.1  # [s] from rest to the first pose of a held group
 TOOL_NAME = "tool"
 
 
@@ -71,7 +71,7 @@ def _path(recording: Recording, tool: dict[str, Any], part: NDArray[np.intp]) ->
     snapshots, times = [recording.snapshots[k] for k in part[kept]], times[kept]
     if len(snapshots) < MIN_SNAPSHOTS or snapshots[0].tool != tool["kind"]:
         return None
-    approach = APPROACH if tool["kind"] == "group" else 0.0
+    approach = APPROACH_SECONDS if tool["kind"] == "group" else 0.0
     load = make_load(recording, tool, snapshots, times, approach)
     return ToolPath(load, float(times[-1]) + approach, max(snapshot.trust for snapshot in snapshots))
 

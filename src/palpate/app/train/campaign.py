@@ -38,14 +38,14 @@ from palpate.reduction.storage.models import save
 from palpate.reduction.training.reduce import energy_form, hyper_reduce
 from palpate.scenes.scene import TrainingScene
 
-__all__ = ["MODEL", "Campaign", "Round"]
+__all__ = ["MODEL_FILE", "Campaign", "Round"]
 
-MODEL = "model.rom"
+MODEL_FILE = "model.rom"
 # Where tools touch the body anywhere. Every fourth path of a liver is a grasp, and trust numbers compare runs.
 # With 3 to 6 modes the 95th percentile of the force errs by 12 to 14 %, with 8 by 10 %, with 24 by 9 % (liver of
 # 12 mm).
 MIN_PATHS, MIN_MODES = 4, 8
-REPEATED = 32  # training runs in which tools touch or hold the body, by which their forces are measured
+MAX_REPEATED = 32  # training runs in which tools touch or hold the body, by which their forces are measured
 
 
 class Round(NamedTuple):
@@ -151,7 +151,7 @@ class Campaign:
         scene, files = self.scene, [self.folder.file(job) for job in jobs if job.kind != HELD_OUT]
         if scene.tools or isinstance(scene.model, Membrane):
             return None
-        presses = select_presses([StoredTrajectory(file) for file in files[:REPEATED] if file.exists()])
+        presses = select_presses([StoredTrajectory(file) for file in files[:MAX_REPEATED] if file.exists()])
         if not presses:
             return None
         began, loads = perf_counter(), path_of(self.folder, scene, jobs[0])[0]
@@ -276,13 +276,13 @@ class Campaign:
                 held_out=tried,
                 cubature=share,
                 coarse=coarse,
-                repeated=touched[:REPEATED],
+                repeated=touched[:MAX_REPEATED],
             )
         name = folder.manifest["scene"]
         name = Path(name).name if is_file(name) else name
         scene_entry = {"name": name, "parameters": folder.manifest["parameters"]}
         model = model.with_report({"scene": scene_entry})
-        save(model, folder.path / MODEL)
+        save(model, folder.path / MODEL_FILE)
         return model
 
 

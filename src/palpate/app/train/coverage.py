@@ -23,19 +23,19 @@ __all__ = ["Coverage", "coverage", "draw_coverage"]
 
 Run = tuple[Sequence[Load], float]  # loads of a run and its duration [s]
 COVERED, UNCOVERED, UNREACHABLE, HELD = range(4)
-KINDS = {
+LEGEND_BY_KIND = {
     COVERED: ("covered by a training path", BLUE),
     UNCOVERED: ("not covered", YELLOW),
     UNREACHABLE: ("free, but not reached", ORANGE),
     HELD: ("held by supports", GREY),
 }
-SIDES = {
+VIEW_DIRECTIONS = {
     "Seen along +y": (0.0, -1.0, 0.25),
     "Seen along -y": (0.0, 1.0, 0.25),
     "Seen along -x": (1.0, 0.0, 0.25),
     "Seen along +z": (0.0, -0.5, -1.0),
 }
-SUBDIVISIONS = 2  # of triangles, so that borders are as smooth as those between the nodes' shares
+TRIANGLE_SUBDIVISIONS = 2  # of triangles, so that borders are as smooth as those between the nodes' shares
 
 
 class Coverage:
@@ -111,8 +111,8 @@ def draw_coverage(covered: Coverage, path: Path) -> None:
     from matplotlib.patches import Patch
 
     cloud, shares = covered.surface.cloud, covered.shares()
-    colours = np.array([_rgb(colour) for _, colour in KINDS.values()])
-    shape = surface(cloud, cloud.points).subdivide(SUBDIVISIONS, "linear")
+    colours = np.array([_rgb(colour) for _, colour in LEGEND_BY_KIND.values()])
+    shape = surface(cloud, cloud.points).subdivide(TRIANGLE_SUBDIVISIONS, "linear")
     nearest = covered.surface.tree.query(shape.cell_centers().points)[1]
     shape.cell_data["colour"] = colours[covered.kinds[nearest]]
 
@@ -122,10 +122,12 @@ def draw_coverage(covered: Coverage, path: Path) -> None:
     with figure(path, (10.0, 7.4)) as drawn:
         what, share = ("training paths cover", "covered") if covered.runs else ("the tool reaches", "reachable")
         heading(drawn, f"Surface that {what}: {shares[share]:.0%} of what supports leave free")
-        for axes, (title, towards) in zip(drawn.subplots(2, 2).flat, SIDES.items(), strict=True):
+        for axes, (title, towards) in zip(drawn.subplots(2, 2).flat, VIEW_DIRECTIONS.items(), strict=True):
             show(axes, cloud.points, np.array(towards), title, draw)
         there = np.unique(covered.kinds)
-        kinds = KINDS if covered.runs else KINDS | {UNCOVERED: ("reached", KINDS[UNCOVERED][1])}
+        kinds = (
+            LEGEND_BY_KIND if covered.runs else LEGEND_BY_KIND | {UNCOVERED: ("reached", LEGEND_BY_KIND[UNCOVERED][1])}
+        )
         handles = [Patch(color=colour, label=label) for kind, (label, colour) in kinds.items() if kind in there]
         drawn.legend(handles=handles, loc="outside lower center", ncols=len(handles))
 

@@ -19,8 +19,17 @@ from palpate.app.train.work import Outcome, Watch, perform, record_fault
 
 __all__ = ["run_local"]
 
-THREADS = ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-SETTINGS = {**dict.fromkeys(THREADS, "1"), "PYTHONSAFEPATH": "1"}  # import no module from the working folder
+THREAD_VARIABLES = (
+    "NUMBA_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "OMP_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+)
+WORKER_ENVIRONMENT = {
+    **dict.fromkeys(THREAD_VARIABLES, "1"),
+    "PYTHONSAFEPATH": "1",
+}  # import no module from the working folder
 AT, DONE, STOPPED, DIED = "at", "done", "stopped", "died"
 MAX_TRIES = 2  # of a run whose worker dies
 
@@ -109,8 +118,8 @@ def _start_worker(folder: Folder, job: Job) -> _Worker:
 @contextmanager
 def _worker_settings() -> Iterator[None]:
     """Let processes that are started use one thread each, and import no module from the working folder."""
-    before = {name: os.environ.get(name) for name in SETTINGS}
-    os.environ.update(SETTINGS)
+    before = {name: os.environ.get(name) for name in WORKER_ENVIRONMENT}
+    os.environ.update(WORKER_ENVIRONMENT)
     try:
         yield
     finally:

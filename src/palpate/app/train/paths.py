@@ -19,7 +19,7 @@ from palpate.scenes.scene import TrainingScene
 
 __all__ = ["add_recording", "path_of", "recorded_jobs"]
 
-PATHS = 100_000  # seeds of one recording
+SEEDS_PER_RECORDING = 100_000  # seeds of one recording
 SAME_POINT = 1e-6  # distance between points of one body, over the spacing
 
 
@@ -27,13 +27,15 @@ def path_of(folder: Folder, scene: TrainingScene, job: Job) -> tuple[Sequence[Lo
     """Return the loads of a run and its duration [s]."""
     if job.kind != RECORDED:
         return scene.path(job.seed)
-    path = _untrusted(folder.recordings[job.seed // PATHS])[job.seed % PATHS]
+    path = _untrusted(folder.recordings[job.seed // SEEDS_PER_RECORDING])[job.seed % SEEDS_PER_RECORDING]
     return (path.load,), max(1, round(path.duration / scene.every)) * scene.every
 
 
 def recorded_jobs(folder: Folder) -> list[Job]:
     """Return the runs along the recorded paths beyond trust, of all recordings in a folder."""
-    seeds = [PATHS * r + k for r, file in enumerate(folder.recordings) for k in range(len(_untrusted(file)))]
+    seeds = [
+        SEEDS_PER_RECORDING * r + k for r, file in enumerate(folder.recordings) for k in range(len(_untrusted(file)))
+    ]
     return [Job(RECORDED, number, seed) for number, seed in enumerate(seeds)]
 
 

@@ -11,7 +11,7 @@ from palpate.app.common.console import Console, Table, count_nodes, percent, qua
 from palpate.app.common.figures import BLUE, GREEN, ORANGE, PINK, figure, heading, legend_below, percent_axis
 from palpate.app.common.rendering import DrawingError
 from palpate.app.common.report import REPORTS, deliver, machine
-from palpate.app.train.campaign import MODEL, Round
+from palpate.app.train.campaign import MODEL_FILE, Round
 from palpate.app.train.coverage import coverage, draw_coverage
 from palpate.app.train.folder import HELD_OUT, RECORDED, TRAINED, Folder, Job
 from palpate.app.train.paths import path_of
@@ -25,8 +25,8 @@ from palpate.scenes.scene import TrainingScene
 
 __all__ = ["FILES", "report_campaign"]
 
-FIGURE, COVERAGE = "errors.png", "coverage.png"
-FILES = (MODEL, *REPORTS, FIGURE, COVERAGE, "campaign.json", "runs")
+ERRORS_FIGURE, COVERAGE_FIGURE = "errors.png", "coverage.png"
+FILES = (MODEL_FILE, *REPORTS, ERRORS_FIGURE, COVERAGE_FIGURE, "campaign.json", "runs")
 CONTACT_ERRORS = {
     "force": "force on tools, median",
     "force_95": "force on tools, 95th percentile",
@@ -34,8 +34,8 @@ CONTACT_ERRORS = {
 }  # as `palpate.reduction.training.errors.TouchErrors` names them
 SMALL_CHANGE = 0.05  # of a force, below which supports need not be known better
 CURVE_POINTS = 100  # of a curve of expected errors
-FIELDS = ("displacement", "velocity")  # whose errors are relative to each moment's size
-KINDS = {"displacement": BLUE, "velocity": GREEN, "energy": ORANGE, "reaction": PINK}
+FIELD_ERRORS = ("displacement", "velocity")  # whose errors are relative to each moment's size
+ERROR_COLOURS = {"displacement": BLUE, "velocity": GREEN, "energy": ORANGE, "reaction": PINK}
 
 
 def report_campaign(
@@ -69,8 +69,8 @@ def report_campaign(
     )
     held_out_names = [run["name"] for run in runs if run["kind"] == HELD_OUT and not run["failed"]]
     for figure_of, draw in (
-        (FIGURE, (lambda: _draw(folder, report, held_out_names)) if held_out_names else None),
-        (COVERAGE, None if covered is None else lambda: draw_coverage(covered, folder.path / COVERAGE)),
+        (ERRORS_FIGURE, (lambda: _draw(folder, report, held_out_names)) if held_out_names else None),
+        (COVERAGE_FIGURE, None if covered is None else lambda: draw_coverage(covered, folder.path / COVERAGE_FIGURE)),
     ):
         (folder.path / figure_of).unlink(missing_ok=True)  # of an earlier model
         try:
@@ -113,7 +113,7 @@ def _sizes(folder: Folder, jobs: Sequence[Job]) -> dict[str, Any]:
     files = [folder.file(job) for job in jobs if folder.file(job).exists()]
     return {
         "run_bytes": sum(file.stat().st_size for file in files),
-        "model_bytes": (folder.path / MODEL).stat().st_size,
+        "model_bytes": (folder.path / MODEL_FILE).stat().st_size,
     }
 
 
@@ -145,9 +145,11 @@ def _rows(report: dict[str, Any]) -> dict[str, str]:
         failed = sum(run["failed"] for run in model["held_out"]["runs"])
         if failed:
             rows["held-out paths that the reduced model failed on"] = str(failed)
-        for name in KINDS:
+        for name in ERROR_COLOURS:
             mean, worst = (model["held_out"][kind][name] for kind in ("mean", "percentile_95"))
-            after = " (each moment alike, also at rest)" if "contact" in model["held_out"] and name in FIELDS else ""
+            after = (
+                " (each moment alike, also at rest)" if "contact" in model["held_out"] and name in FIELD_ERRORS else ""
+            )
             rows[f"error of {name} on held-out paths{after}, mean; 95 % below"] = (
                 "-" if mean is None else f"{percent(mean)}; {percent(worst)}"
             )
@@ -273,9 +275,11 @@ def _details(report: dict[str, Any], names: Sequence[str]) -> list[Table | str]:
     if names:
         rows, loads = {}, {run["name"]: ", ".join(run["loads"]) for run in report["runs"]}
         for name, run in zip(names, report["model"]["held_out"]["runs"], strict=True):
-            failed = [run["reason"], *[""] * (len(KINDS) - 1)] if run["failed"] else None
-            rows[name] = [loads[name], *(failed or [percent(run[k]) for k in KINDS])]
-        blocks.append(quantities_table("Errors on held-out paths", ["loads", *KINDS], rows, first="held-out path"))
+            failed = [run["reason"], *[""] * (len(ERROR_COLOURS) - 1)] if run["failed"] else None
+            rows[name] = [loads[name], *(failed or [percent(run[k]) for k in ERROR_COLOURS])]
+        blocks.append(
+            quantities_table("Errors on held-out paths", ["loads", *ERROR_COLOURS], rows, first="held-out path")
+        )
         blocks += _contact_table(report["model"]["held_out"], names)
     failures = [run for run in report["runs"] if run["failed"]]
     return blocks + [f"{run['name']} failed after {run['simulated']:.4g} s: {run['reason']}" for run in failures]
@@ -285,10 +289,10 @@ def _draw(folder: Folder, report: dict[str, Any], names: Sequence[str]) -> None:
     """Draw the errors of every held-out path, and those that trust numbers have meant."""
     model = report["model"]
     held_out = model["held_out"]
-    with figure(folder.path / FIGURE, (9.0, 4.6)) as drawn:
+    with figure(folder.path / ERRORS_FIGURE, (9.0, 4.6)) as drawn:
         heading(drawn, "Errors on paths that were not trained on")
         paths, trust = drawn.subplots(1, 2)
-        for name, colour in KINDS.items():
+        for name, colour in ERROR_COLOURS.items():
             good = [(k, 100 * run[name]) for k, run in enumerate(held_out["runs"]) if not run["failed"]]
             paths.plot(*np.array(good).reshape(-1, 2).T, "o", ms=5, color=colour, label=name)
         paths.set(xlabel="held-out path", ylabel="error [%]", title="by path", xlim=(-0.5, len(names) - 0.5))
@@ -305,6 +309,6 @@ def _draw(folder: Folder, report: dict[str, Any], names: Sequence[str]) -> None:
         trust.set(xlabel="largest trust number so far", ylabel="error over the largest size so far [%]")
         trust.set_title("by trust number; unknown beyond the curves")
         trust.set_ylim(bottom=0.0)
-        legend_below(drawn, paths, columns=len(KINDS))
+        legend_below(drawn, paths, columns=len(ERROR_COLOURS))
         if curves:
             trust.legend(fontsize=9)

@@ -36,7 +36,7 @@ if TYPE_CHECKING:  # each takes a second to import, before the page opens
 __all__ = ["view"]
 
 MAX_HEADLESS_SECONDS = 3600.0  # [s] of a headless session
-PATIENCE, TRAINING_PATIENCE = 1.0, 10.0  # [s] after an interrupt; workers of a training are stopped in order
+STOP_SECONDS, TRAINING_STOP_SECONDS = 1.0, 10.0  # [s] after an interrupt; workers of a training are stopped in order
 
 
 def view(
@@ -216,7 +216,7 @@ def _show(subject: _Subject, record: Path | None, address: tuple[int, str, bool]
 
     preparation = Preparation(subject.title, subject.durations_name, subject.surface)
     console = Console(preparation.begin)
-    patience = TRAINING_PATIENCE if subject.what in SCENES else PATIENCE
+    patience = TRAINING_STOP_SECONDS if subject.what in SCENES else STOP_SECONDS
     with serve(preparation, console, *address) as host, contextlib.ExitStack() as stack:
         try:
             with _end_after_interrupt(patience):
