@@ -20,7 +20,7 @@ from palpate.reduction.hyper.model import ReducedModel
 
 __all__ = ["FreeSurface"]
 
-POSES = 61  # of a path, between which a tool moves by a fraction of its radius
+POSES_PER_PATH = 61  # of a path, between which a tool moves by a fraction of its radius
 
 
 class FreeSurface:
@@ -119,7 +119,7 @@ class FreeSurface:
             return np.atleast_1d(self.tree.query(np.asarray(load.point, dtype=float))[1])
         if not isinstance(load, Contact) or not load.tool.sizes[0]:
             return np.zeros(0, dtype=np.int64)
-        places = load.poses(np.linspace(0.0, duration, POSES))[:, :3]
+        places = load.poses(np.linspace(0.0, duration, POSES_PER_PATH))[:, :3]
         distances, nearest = self.tree.query(places)
         outward = np.einsum("ta,ta->t", places - self.points[nearest], self.normals[nearest])
         return np.unique(nearest[(distances < load.tool.sizes[0]) | (outward < 0)])

@@ -16,7 +16,8 @@ __all__ = ["line_of", "parse_scene", "read_scene"]
 MAX_BYTES = 1 << 20  # of a scene file
 # keys of more parts than a scene has; tomllib takes hours for one of 100,000
 LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){16}""")
-HEADER = re.compile(r"\[(\[?)([^\[\],=]+)\]\]?\s*(?:#.*)?")  # each repetition ends at one place: no backtracking
+# each repetition ends at one place: no backtracking
+SECTION_PATTERN = re.compile(r"\[(\[?)([^\[\],=]+)\]\]?\s*(?:#.*)?")
 
 
 def read_scene(path: Path) -> Description:
@@ -79,7 +80,7 @@ def line_of(text: str, path: tuple[str | int, ...]) -> int:
     best, depth = 1, 0
     for number, line in enumerate(text.splitlines(), 1):
         line = line.strip()
-        header = HEADER.fullmatch(line)
+        header = SECTION_PATTERN.fullmatch(line)
         if header:
             names = _split(header[2])
             here = names

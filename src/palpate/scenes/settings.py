@@ -20,7 +20,7 @@ from typing import Any
 from palpate.faults import InputError, brief
 
 __all__ = [
-    "UNITS",
+    "FACTORS_BY_UNIT",
     "Fault",
     "check_number",
     "fields_of",
@@ -32,7 +32,7 @@ __all__ = [
 ]
 
 # units that a text may carry, by the SI unit of the setting; a number without unit is in the SI unit
-UNITS: dict[str, dict[str, float]] = {
+FACTORS_BY_UNIT: dict[str, dict[str, float]] = {
     "": {"%": 0.01},
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254},
     "s": {"s": 1.0, "ms": 1e-3, "min": 60.0},
@@ -47,7 +47,7 @@ UNITS: dict[str, dict[str, float]] = {
     "N s/m^3": {"N s/m^3": 1.0, "Pa s/m": 1.0, "kPa s/m": 1e3},
     "rad": {"rad": 1.0, "deg": math.pi / 180},
 }
-QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*", re.ASCII)
+QUANTITY_PATTERN = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*", re.ASCII)
 MAX_TEXT_CHARACTERS, MAX_ENTRIES = 4000, 10_000  # of a text; of a list
 MAX_PARAMETER_ENTRIES = 100  # of a list that is one parameter of a law
 
@@ -173,9 +173,9 @@ def quantity(value: Any, unit: str) -> float:
             return float(value)
         except OverflowError:  # a whole number of hundreds of digits
             return math.inf if value > 0 else -math.inf
-    factors = UNITS[unit]
+    factors = FACTORS_BY_UNIT[unit]
     example = f'"12 {next(iter(factors))}"' if unit else "0.3 or 30 %"
-    match = QUANTITY.fullmatch(value) if isinstance(value, str) and len(value) <= MAX_TEXT_CHARACTERS else None
+    match = QUANTITY_PATTERN.fullmatch(value) if isinstance(value, str) and len(value) <= MAX_TEXT_CHARACTERS else None
     if match is None:
         raise InputError(
             f"must be a number{f' [{unit}]' if unit else ''} or a text such as {example}, got {brief(value)}"

@@ -12,14 +12,14 @@ from importlib import import_module
 from typing import Any
 
 from palpate.faults import InputError, brief
-from palpate.scenes.names import SCENES, is_scene_file
-from palpate.scenes.open_scene import DESCRIPTION, DIGEST, described_scene, open_scene, training_scene_of
+from palpate.scenes.names import PACKAGE_SCENES, is_scene_file
+from palpate.scenes.open_scene import DESCRIPTION_KEY, DIGEST_KEY, described_scene, open_scene, training_scene_of
 from palpate.scenes.scene import TrainingScene
 
 __all__ = ["is_opened", "search_current_folder", "training_scene"]
 
-SCENE_NAMES = f"{', '.join(map(repr, SCENES))}, a scene file, or 'module:function' of your own"
-KINDS = (bool, int, float, str)  # of parameters
+SCENE_NAMES = f"{', '.join(map(repr, PACKAGE_SCENES))}, a scene file, or 'module:function' of your own"
+PARAMETER_TYPES = (bool, int, float, str)  # of parameters
 MAX_TEXT_CHARACTERS = 200  # characters of a text
 
 
@@ -29,8 +29,8 @@ def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
     Parameters
     ----------
     name : str
-        One of `palpate.scenes.names.SCENES`, a scene file, or ``"module:function"`` of a function that returns a
-        `TrainingScene`.
+        One of `palpate.scenes.names.PACKAGE_SCENES`, a scene file, or ``"module:function"`` of a function that returns
+        a `TrainingScene`.
     parameters : mapping
         Settings of the scene (`palpate.open_scene`), or arguments of the function; others have their defaults.
 
@@ -40,10 +40,10 @@ def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
         An unknown scene or parameter, a value out of range, or a user's module or function that
         fails.
     """
-    if DESCRIPTION in parameters:
-        return training_scene_of(described_scene(name, str(parameters[DESCRIPTION])), parameters)
+    if DESCRIPTION_KEY in parameters:
+        return training_scene_of(described_scene(name, str(parameters[DESCRIPTION_KEY])), parameters)
     if is_opened(name):
-        settings = {key: value for key, value in parameters.items() if key != DIGEST}
+        settings = {key: value for key, value in parameters.items() if key != DIGEST_KEY}
         return training_scene_of(open_scene(name, settings), parameters)
     function, arguments = _user_function(name), _arguments(name, parameters)
     made = _own(name, "failed", lambda: function(**arguments))
@@ -54,7 +54,7 @@ def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
 
 def is_opened(name: str) -> bool:
     """Return True for a scene of the package or a scene file, False for a function."""
-    return name in SCENES or is_scene_file(name)
+    return name in PACKAGE_SCENES or is_scene_file(name)
 
 
 def _arguments(name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
@@ -86,7 +86,7 @@ def _defaults(name: str) -> dict[str, Any]:
     except (TypeError, ValueError) as error:
         raise InputError(f"scene must be a function with named parameters, got {name!r} ({error})") from error
     for key, default in defaults.items():
-        if not isinstance(default, KINDS):
+        if not isinstance(default, PARAMETER_TYPES):
             raise InputError(f"parameter {key!r} of scene {name!r} must have a number or text as default")
     return defaults
 
@@ -112,7 +112,7 @@ def _user_function(name: str) -> Callable[..., Any]:
     """Return the function of a user's scene; see `training_scene`."""
     module, _, function = name.partition(":")
     if not (function.isidentifier() and all(part.isidentifier() for part in module.split("."))):
-        near = get_close_matches(name[:60], SCENES, 1)
+        near = get_close_matches(name[:60], PACKAGE_SCENES, 1)
         remedy = f"did you mean {near[0]}?" if near else "correct its name"
         raise InputError(f"scene must be {SCENE_NAMES}, got {brief(name)}; {remedy}")
     user_function = getattr(_own(name, "cannot be imported", lambda: import_module(module)), function, None)

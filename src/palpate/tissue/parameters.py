@@ -19,7 +19,7 @@ from palpate.tissue.materials import Material
 
 __all__ = ["Layout", "field_metadata", "flatten", "is_sequence", "own_fields"]
 
-INDEX = re.compile(r"\[(\d+)\]")
+INDEX_PATTERN = re.compile(r"\[(\d+)\]")
 
 
 def own_fields(law: type[Material]) -> list[str]:
@@ -36,7 +36,7 @@ def is_sequence(law: type[Material], field: str) -> bool:
 
 def field_metadata(law: type[Material], name: str) -> Mapping[str, Any]:
     """Return the metadata of a parameter's field, such as its unit."""
-    return law.__dataclass_fields__[INDEX.sub("", name)].metadata
+    return law.__dataclass_fields__[INDEX_PATTERN.sub("", name)].metadata
 
 
 def flatten(tree: Mapping[str, Any]) -> dict[str, float]:

@@ -26,7 +26,7 @@ from palpate.reduction.realtime.display_surface import Surface
 from palpate.reduction.storage import model_file as storage
 from palpate.reduction.storage.compliance import pack_flexibilities, unpack_flexibilities
 from palpate.reduction.storage.model_file import CURVE
-from palpate.sealed import HEAD, ArrayEntry, _digest_of_rest, open_sealed, write_sealed
+from palpate.sealed import HEAD_BYTES, ArrayEntry, _digest_of_rest, open_sealed, write_sealed
 
 
 def flat(data):
@@ -361,7 +361,7 @@ def test_a_flipped_bit_is_refused_wherever_it_is(saved, path):
 def forged_bytes(saved, path, content, about):
     """Write a copy with other compressed bytes of an array, as many or fewer, and a right table."""
     data, name = saved.read_bytes(), "basis_vectors"
-    at = int(data[:HEAD].split(b"\n")[2].split()[1])
+    at = int(data[:HEAD_BYTES].split(b"\n")[2].split()[1])
     table = json.loads(data[at:])
     entry = table["arrays"][name]
     start, size = entry["offset"], entry["deflated"]
@@ -378,7 +378,7 @@ def forged_bytes(saved, path, content, about):
     entry |= about
     text = json.dumps(table).encode()
     head = f"{storage.FORMAT}\nversion {storage.VERSION}\ntable {at} {len(text)} {sha256(text).hexdigest()}\n".encode()
-    path.write_bytes(head.ljust(HEAD, b"\0") + data[HEAD:] + text)
+    path.write_bytes(head.ljust(HEAD_BYTES, b"\0") + data[HEAD_BYTES:] + text)
 
 
 DEFLATED = {

@@ -16,7 +16,7 @@ from palpate.app.models.touch import TRAINED_NODES, fitting_scene, spacing_for
 from palpate.app.new.text import scene_text
 from palpate.faults import InputError
 from palpate.files import check_folder, whole_file, write_json
-from palpate.meshfree.surface_files import UNITS
+from palpate.meshfree.surface_files import METRES_BY_UNIT
 from palpate.scenes.names import is_scene_file
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.organ_scene import OrganScene
@@ -100,7 +100,7 @@ def _fitted(scene: OrganScene, spacing: float | None, console: Console) -> tuple
     fitted = fitting_scene(scene, target_spacing, spacing is not None, console)
     with console.status("finding where a tool reaches"):
         paths = fitted.tool_paths()
-    unit = min(UNITS, key=lambda name: abs(np.log(UNITS[name] * about.surface.scale / surface.unit)))
+    unit = min(METRES_BY_UNIT, key=lambda name: abs(np.log(METRES_BY_UNIT[name] * about.surface.scale / surface.unit)))
     area = paths.surface.areas
     reach, held_share = area[paths.reachable].sum() / area.sum(), area[paths.surface.held].sum() / area.sum()
     description = replace(

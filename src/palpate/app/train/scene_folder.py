@@ -9,7 +9,7 @@ from platformdirs import user_cache_path
 
 from palpate import __version__
 from palpate.faults import InputError
-from palpate.scenes.names import SCENES, is_scene_file
+from palpate.scenes.names import PACKAGE_SCENES, is_scene_file
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.surface_scene import is_surface_file
 
@@ -23,7 +23,7 @@ FOLDER_SUFFIX = ".palpate"  # of the folder next to a scene file
 
 def training_folder(scene: OrganScene) -> Path:
     """Return the folder of a scene's campaign, whether it exists or not; a changed scene has another folder."""
-    if scene.name in SCENES:
+    if scene.name in PACKAGE_SCENES:
         return user_cache_path("palpate") / f"{scene.name}-{__version__}-{scene.digest[:8]}"
     return folder_of_file(Path(scene.name)) / scene.digest[:8]
 

@@ -20,8 +20,8 @@ from palpate.meshfree.surfaces import MAX_TRIANGLES
 
 __all__ = ["read_glb", "read_gltf"]
 
-COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-WIDTHS = {"SCALAR": 1, "VEC3": 3}
+TYPE_BY_COMPONENT = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTH_BY_TYPE = {"SCALAR": 1, "VEC3": 3}
 TRIANGLES, STRIP, FAN = 4, 5, 6  # modes of primitives
 TRANSFORM_KEYS = {"matrix", "rotation", "scale", "translation"}
 MAX_BYTES = 2**40  # bytes
@@ -137,8 +137,8 @@ class _GltfFile:
     def array(self, number: Any, kind: str) -> NDArray[Any]:
         """Return the rows of an accessor, (n,) of scalars and (n, 3) of vectors."""
         row = self.entry("accessors", number)
-        width = WIDTHS[kind]
-        if row.get("type") != kind or row.get("componentType") not in COMPONENTS:
+        width = WIDTH_BY_TYPE[kind]
+        if row.get("type") != kind or row.get("componentType") not in TYPE_BY_COMPONENT:
             raise FileFormatError(f"its accessor {number} must be of type {kind}")
         if number not in self.arrays:
             if "sparse" in row or "bufferView" not in row:
@@ -147,7 +147,7 @@ class _GltfFile:
             if "extensions" in view:
                 raise FileFormatError("its buffers are compressed, which is not supported; export it without")
             data = self.buffer(view.get("buffer"))
-            dtype = np.dtype(COMPONENTS[row["componentType"]])
+            dtype = np.dtype(TYPE_BY_COMPONENT[row["componentType"]])
             count, size = _integer(row, "count", MAX_BYTES), width * dtype.itemsize
             start, length = _integer(view, "byteOffset", MAX_BYTES, 0), _integer(view, "byteLength", MAX_BYTES)
             offset, stride = _integer(row, "byteOffset", MAX_BYTES, 0), _integer(view, "byteStride", 1 << 16, size)

@@ -19,14 +19,14 @@ from palpate.meshfree.formats.common import Parts, check_indices, fans, printabl
 
 __all__ = ["read_vtp"]
 
-TYPES = {
+NUMPY_TYPES = {
     "Int8": "i1", "UInt8": "u1", "Int16": "i2", "UInt16": "u2", "Int32": "i4", "UInt32": "u4", "Int64": "i8",
     "UInt64": "u8", "Float32": "f4", "Float64": "f8",
 }  # fmt: skip
 MAX_EXPANSION = 64  # of all arrays together over the file; that of surfaces is below 10
 MAX_ARRAYS = 100_000  # and pieces
 BLOCK_COST = 128  # bytes that a compressed block counts as
-SECTIONS = ("Points", "Polys", "Strips")
+NEEDED_SECTIONS = ("Points", "Polys", "Strips")
 
 
 @dataclass
@@ -109,7 +109,7 @@ def _parse(data: bytes) -> _VtpFile:
             raise FileFormatError(f"it must have at most {MAX_ARRAYS} pieces and arrays; join its pieces")
         elif name == "Piece":
             file.pieces.append((attributes, {}))
-        elif name in SECTIONS and file.pieces:
+        elif name in NEEDED_SECTIONS and file.pieces:
             section = name
         elif name == "DataArray" and section:
             array = file.pieces[-1][1].setdefault((section, attributes.get("Name", "")), _Array(attributes))
@@ -153,7 +153,7 @@ def _cells(file: _VtpFile, arrays: dict[tuple[str, str], _Array], section: str) 
 
 def _values(file: _VtpFile, array: _Array) -> NDArray[Any]:
     kind, form = array.attributes.get("type", ""), array.attributes.get("format", "ascii")
-    if kind not in TYPES:
+    if kind not in NUMPY_TYPES:
         raise FileFormatError(f"it has an array of unknown type {printable_word(kind.encode())}")
     if form == "ascii":
         return read_numbers("".join(array.text).encode())
@@ -165,8 +165,8 @@ def _values(file: _VtpFile, array: _Array) -> NDArray[Any]:
     else:
         raise FileFormatError(f"it has an array of unknown format {printable_word(form.encode())}")
     order = ">" if file.attributes.get("byte_order") == "BigEndian" else "<"
-    raw = _bytes(file, source, coded, at, np.dtype(order + TYPES[_header_type(file)]))
-    dtype = np.dtype(order + TYPES[kind])
+    raw = _bytes(file, source, coded, at, np.dtype(order + NUMPY_TYPES[_header_type(file)]))
+    dtype = np.dtype(order + NUMPY_TYPES[kind])
     if len(raw) % dtype.itemsize:
         raise FileFormatError("an array of it ends within a number")
     return np.frombuffer(raw, dtype)
