@@ -45,7 +45,7 @@ from palpate.realtime.statistics import Statistics
 __all__ = ["Engine"]
 
 
-STATES = {RUNNING: "running", STOPPED: "stopped", PAUSED: "paused", DIVERGED: "diverged"}
+STATE_NAMES = {RUNNING: "running", STOPPED: "stopped", PAUSED: "paused", DIVERGED: "diverged"}
 ON_DISTRUST = {"warn": WARN, "clamp": CLAMP, "stop": STOP, "ignore": IGNORE}
 MIN_RATE, MAX_RATE = 1e-6, 20_000.0  # [Hz]; the period of a lower rate overflows
 MAX_HISTORY = 600.0  # [s]
@@ -185,7 +185,7 @@ class Engine(Described):
     @property
     def state(self) -> str:
         """``"stopped"``, ``"running"``, ``"paused"`` or ``"diverged"`` (after the black box is written)."""
-        return STATES[self._runner.state]
+        return STATE_NAMES[self._runner.state]
 
     def start(self) -> None:
         """Start stepping from the present state; from ``"stopped"`` this resets the statistics.

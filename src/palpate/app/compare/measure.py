@@ -18,7 +18,7 @@ from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError, TrustWarning
 from palpate.reduction.lti.model import LinearModel, propagate
-from palpate.reduction.lti.reductors import METHODS, Reduction
+from palpate.reduction.lti.reductors import TITLE_BY_METHOD, Reduction
 from palpate.reduction.lti.simulate import input_sizes
 from palpate.reduction.lti.system import LinearSystem, linearise
 from palpate.reduction.training.errors import relative_errors
@@ -109,7 +109,7 @@ def compare_methods(made: Comparison, methods: list[str], sizes: list[int], cons
     """Make and measure linear models by all methods and sizes, and nonlinear ones of the same sizes."""
     for method in methods:
         for size in sizes:
-            entry: dict[str, Any] = {"method": method, "name": METHODS[method], "modes": size, "failed": False}
+            entry: dict[str, Any] = {"method": method, "name": TITLE_BY_METHOD[method], "modes": size, "failed": False}
             try:
                 model = made.reduction.model(method, size)
             except (InputError, np.linalg.LinAlgError, ValueError) as error:

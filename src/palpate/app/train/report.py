@@ -20,7 +20,7 @@ from palpate.faults import InputError
 from palpate.files import plain
 from palpate.reduction.hyper.error_indicator import expected_error
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.training.reduce import QUANTILE
+from palpate.reduction.training.reduce import ERROR_QUANTILE
 from palpate.scenes.scene import TrainingScene
 
 __all__ = ["FILES", "report_campaign"]
@@ -193,7 +193,7 @@ def _by_load(report: dict[str, Any]) -> dict[str, str]:
             errors_by_load.setdefault(load, []).append(run["reaction"])
     return {
         f"error of reaction on the {len(errors)} held-out paths with a {load}, mean; 95 % below": (
-            f"{percent(float(np.mean(errors)))}; {percent(float(np.quantile(errors, QUANTILE)))}"
+            f"{percent(float(np.mean(errors)))}; {percent(float(np.quantile(errors, ERROR_QUANTILE)))}"
         )
         for load, errors in (errors_by_load.items() if len(errors_by_load) > 1 else ())
     }

@@ -35,10 +35,10 @@ from palpate.faults import DivergenceError
 
 __all__ = ["MixedNewton", "Tangent", "conjugate_gradients"]
 
-DIFFERENCE = 1e-6  # largest displacement of a difference of forces, in spacings
-FORCING = 1e-3  # relative error of the linear solution of a step
+DIFFERENCE_SPACINGS = 1e-6  # largest displacement of a difference of forces, in spacings
+LINEAR_TOLERANCE = 1e-3  # relative error of the linear solution of a step
 MAX_LINEAR_ITERATIONS = 500  # of conjugate gradients
-RESTART, MAX_CYCLES = 150, 4  # of GMRES
+RESTART_ITERATIONS, MAX_CYCLES = 150, 4  # of GMRES
 MAX_STEPS = 20  # of Newton's method in one increment
 STEPS_WITHOUT_DECREASE = 6  # steps after which the residual must decrease
 INCREMENT_TOLERANCE = 1e-2  # of the residual between two increments, over the increment
@@ -156,7 +156,7 @@ class Tangent:
         before, spacing = balance.residual(u), model.cloud.spacing
 
         def apply(direction: Floats) -> Floats:
-            scale = DIFFERENCE * spacing / max(float(np.abs(direction).max()), 1e-300)
+            scale = DIFFERENCE_SPACINGS * spacing / max(float(np.abs(direction).max()), 1e-300)
             image = (before - balance.residual(u + scale * direction)) / scale
             if added is not None:
                 image += self._added_force(added, direction)
@@ -208,7 +208,7 @@ def conjugate_gradients(
     solution, left = np.zeros_like(forces), forces.copy()
     scaled = precondition(left)
     direction, product = scaled, float(np.vdot(left, scaled))
-    goal = FORCING**2 * product
+    goal = LINEAR_TOLERANCE**2 * product
     if product == 0.0:
         return solution
     for _ in range(MAX_LINEAR_ITERATIONS):
@@ -237,6 +237,11 @@ def gmres_solution(
         return LinearOperator((size, size), lambda x: function(x.reshape(shape)).ravel(), dtype=float)
 
     solution, _ = gmres(
-        operator(tangent), forces.ravel(), rtol=FORCING, restart=RESTART, maxiter=MAX_CYCLES, M=operator(precondition)
+        operator(tangent),
+        forces.ravel(),
+        rtol=LINEAR_TOLERANCE,
+        restart=RESTART_ITERATIONS,
+        maxiter=MAX_CYCLES,
+        M=operator(precondition),
     )
     return None if not np.isfinite(solution).all() else np.asarray(solution).reshape(shape)

@@ -19,7 +19,7 @@ from palpate.dynamics.loads.prepared import PreparedLoads
 
 __all__ = ["Partition", "active_partitions", "partitions", "spread"]
 
-ORTHOGONAL = 1e-6  # cosine below which two directions are orthogonal
+MAX_COSINE = 1e-6  # cosine below which two directions are orthogonal
 Groups = Mapping[str, NDArray[np.int64]]
 
 
@@ -75,16 +75,16 @@ def _parts(axes: list[Floats]) -> list[Floats]:
         joined: list[Floats] = [axis]
         apart: list[Floats] = []
         for span in spans:
-            (joined if np.abs(span @ axis.T).max() > ORTHOGONAL else apart).append(span)
+            (joined if np.abs(span @ axis.T).max() > MAX_COSINE else apart).append(span)
         _, sizes, rows = np.linalg.svd(np.concatenate(joined))
-        spans = [*apart, rows[: np.count_nonzero(sizes > ORTHOGONAL)]]
+        spans = [*apart, rows[: np.count_nonzero(sizes > MAX_COSINE)]]
     rest = np.eye(3) - sum((span.T @ span for span in spans), np.zeros((3, 3)))
     parts = [span.T @ span for span in spans]
-    return [*parts, rest] if np.abs(rest).max() > ORTHOGONAL else parts
+    return [*parts, rest] if np.abs(rest).max() > MAX_COSINE else parts
 
 
 def _meet(part: Floats, directions: Floats) -> bool:
-    return bool(np.abs(directions @ part).max() > ORTHOGONAL)
+    return bool(np.abs(directions @ part).max() > MAX_COSINE)
 
 
 def _shepard(points: Floats, nodes: list[NDArray[np.int64]], ranks: list[int]) -> Floats:

@@ -16,7 +16,7 @@ from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed, prepare
 from palpate.dynamics.nodal.model import History, NodalWork
 from palpate.dynamics.nodal.stability import StabilityReport, resting_frequency, stable_step
 from palpate.dynamics.run.model import Evaluation, State, StepReport
-from palpate.dynamics.solid.base import NEIGHBOURS, Choices, Solid
+from palpate.dynamics.solid.base import STENCIL_SIZES, Choices, Solid
 from palpate.dynamics.solid.layout import energy_passes
 from palpate.faults import InputError, number_in_range
 from palpate.meshfree.consistent import consistent_stencils
@@ -50,7 +50,7 @@ class EnergySolid(Solid):
                 raise InputError(f"{name} must be left out in the energy form, got {given!r}; use form='strong'")
         # the boundary vectors, which have c = 2, are a part of the energy
         self.half_cell = 1.0
-        tried = NEIGHBOURS if choices.neighbours is None else (choices.neighbours,)
+        tried = STENCIL_SIZES if choices.neighbours is None else (choices.neighbours,)
         images = choices.images
         self.neighbours, stencils, volumes, self._lattice = consistent_stencils(images.cloud, tried)
         compiled, self.stencils, self.smoothing = energy_passes(

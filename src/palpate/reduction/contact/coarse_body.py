@@ -26,7 +26,7 @@ __all__ = ["coarse_body", "explicit_supports", "statics_body"]
 
 COARSE_NODES = 3000  # of the coarser body: factorised in seconds, and fine enough for modes and statics
 SURFACE_SHARE = 0.95  # surface nodes of `fill` over area / spacing^2, less the inner ones that they replace
-FINER = 0.9  # factor on a spacing that is too coarse for thin parts of the body
+FINER_FACTOR = 0.9  # factor on a spacing that is too coarse for thin parts of the body
 
 
 def coarse_body(body: EnergySolid, spacing: float | None = None, most: int = MAX_NODES) -> EnergySolid:
@@ -98,7 +98,7 @@ def _refill(surface: Surface, spacing: float | None, most: int) -> Cloud:
             if len(cloud) <= most:
                 return cloud
             fault = InputError(f"a spacing of {spacing:.3g} m gives {len(cloud)} nodes")
-        spacing *= FINER
+        spacing *= FINER_FACTOR
         if volume / spacing**3 + SURFACE_SHARE * area / spacing**2 > most:
             raise fault
 

@@ -25,9 +25,9 @@ __all__ = ["add_own_compliance", "lowest_compliance", "near_field_compliance"]
 
 
 # radii in coarse spacings: of a piece's core, of the near field beyond it, and of the rest of the piece
-CORE_RADIUS, NEAR_RADIUS, MARGIN = 1.0, 2.5, 1.0
+CORE_RADIUS, NEAR_RADIUS, MARGIN_SPACINGS = 1.0, 2.5, 1.0
 FADE_START = 0.5  # where the correction starts to fade out, as a fraction of the near radius
-TOLERANCE, SAFETY = 1e-3, 0.05  # of the lowest compliance
+EIGENVALUE_TOLERANCE, EIGENVALUE_MARGIN = 1e-3, 0.05  # of the lowest compliance
 
 
 def near_field_compliance(
@@ -58,7 +58,7 @@ def near_field_compliance(
         A model has the strong form.
     """
     points = fine.cloud.points[nodes]
-    core, near_radius, margin = (coarse.cloud.spacing * share for share in (CORE_RADIUS, NEAR_RADIUS, MARGIN))
+    core, near_radius, margin = (coarse.cloud.spacing * share for share in (CORE_RADIUS, NEAR_RADIUS, MARGIN_SPACINGS))
     tree, bodies = cKDTree(points), (_Piece(fine), _Piece(coarse))
     carried = sparse.csr_array(
         (weights.ravel(), (np.repeat(np.arange(len(nodes)), weights.shape[1]), coarse_nodes[places].ravel())),
@@ -176,7 +176,7 @@ def add_own_compliance(
         return near_field
     itself = (nearby == np.arange(len(nearby))[:, None]).argmax(axis=1)
     raised = near_field.copy()
-    raised[np.arange(len(nearby)), itself] -= (1 + SAFETY) * lowest * np.eye(3, dtype=np.float32)
+    raised[np.arange(len(nearby)), itself] -= (1 + EIGENVALUE_MARGIN) * lowest * np.eye(3, dtype=np.float32)
     return raised
 
 
@@ -205,4 +205,6 @@ def lowest_compliance(
 
     start = np.random.default_rng(0).standard_normal(3 * count)
     compliance_operator = LinearOperator((3 * count, 3 * count), matvec=moved, dtype=float)
-    return float(eigsh(compliance_operator, k=1, which="SA", tol=TOLERANCE, v0=start, return_eigenvectors=False)[0])
+    return float(
+        eigsh(compliance_operator, k=1, which="SA", tol=EIGENVALUE_TOLERANCE, v0=start, return_eigenvectors=False)[0]
+    )

@@ -21,7 +21,7 @@ __all__ = ["Realisation", "balance", "hankel_norm", "lyapunov_factor", "nearest_
 
 
 MIN_HANKEL_VALUE = 1e-10  # relative to the largest Hankel singular value: states below it are rounding errors
-EQUAL = 1e-6  # relative difference of Hankel singular values that count as equal
+EQUAL_VALUES_TOLERANCE = 1e-6  # relative difference of Hankel singular values that count as equal
 
 
 class Realisation(NamedTuple):
@@ -76,8 +76,8 @@ def hankel_norm(balanced: Realisation, values: Floats, order: int) -> Realisatio
     """
     integer_in_range("order", order, 1, len(values) - 1)
     sigma = values[order]
-    same = np.abs(values - sigma) <= EQUAL * sigma
-    count = int(np.sum(values > sigma * (1 + EQUAL)))
+    same = np.abs(values - sigma) <= EQUAL_VALUES_TOLERANCE * sigma
+    count = int(np.sum(values > sigma * (1 + EQUAL_VALUES_TOLERANCE)))
     if count == 0:
         raise InputError(
             f"order must be at least {int(same.sum())}, got {order}: so many Hankel singular values are equal"

@@ -26,9 +26,9 @@ __all__ = ["Columns", "condense", "eigenvectors", "modal", "moments", "project",
 
 Columns = tuple[Floats, Floats]
 
-DEGENERACY = 1e-5  # relative distance of squared frequencies that count as equal
+DEGENERACY_TOLERANCE = 1e-5  # relative distance of squared frequencies that count as equal
 EXTRA_MODES = 12  # additional modes in the eigenvalue solver
-DEFLATION = 1e-10  # relative norm of a vector's new part below which it is linearly dependent
+DEFLATION_TOLERANCE = 1e-10  # relative norm of a vector's new part below which it is linearly dependent
 
 
 def project(system: LinearSystem, columns: Floats, test: Floats | None = None) -> SecondOrder:
@@ -83,7 +83,7 @@ def eigenvectors(system: LinearSystem, count: int) -> tuple[NDArray[np.complex12
         raise InputError(f"eigenvalue solver did not converge for the slowest {count} modes: {error}") from error
     (values, right), (others, left) = (_by_size(*pair) for pair in pairs)
     sizes = np.abs(values)
-    while count < len(sizes) and sizes[count] - sizes[count - 1] < DEGENERACY * sizes[count]:
+    while count < len(sizes) and sizes[count] - sizes[count - 1] < DEGENERACY_TOLERANCE * sizes[count]:
         count += 1  # left and right modes of a separated pair, complex or degenerate, need not match
     columns, tests = _real(values, right, count), _real(others, left, count)
     if columns.shape != tests.shape:
@@ -190,7 +190,7 @@ def _orthonormal(system: LinearSystem, block: Any, basis: Any) -> Any:
             for known in (basis, kept):
                 vector = vector - known @ (known.conj().T @ (masses * vector))
         left = np.sqrt(np.vdot(vector, masses * vector).real)
-        if left > DEFLATION * size:
+        if left > DEFLATION_TOLERANCE * size:
             kept = np.hstack([kept, (vector / left)[:, None]])
     return kept
 

@@ -27,14 +27,14 @@ from palpate.reduction.lti.simulate import linear_run
 from palpate.reduction.lti.state_space import FirstOrder, Reduced, SecondOrder
 from palpate.reduction.lti.system import LinearSystem
 
-__all__ = ["METHODS", "Reduction", "reduce_linear"]
+__all__ = ["TITLE_BY_METHOD", "Reduction", "reduce_linear"]
 
 
 SECOND_ORDER_BALANCING = {
     "sobt": "SOBTReductor", "sobt-p": "SOBTpReductor", "sobt-v": "SOBTvReductor", "sobt-pv": "SOBTpvReductor",
     "sobt-vp": "SOBTvpReductor", "sobt-fv": "SOBTfvReductor",
 }  # fmt: skip
-METHODS = {
+TITLE_BY_METHOD = {
     "modal": "modal truncation",
     "moments": "Krylov, moments matched",
     "irka": "Krylov, second-order IRKA",
@@ -49,9 +49,9 @@ METHODS = {
     "sobt-vp": "the same, velocity-position",
     "sobt-fv": "the same, free velocity",
 }
-PYMOR = {"irka", "balanced", "balanced-low-rank", *SECOND_ORDER_BALANCING}
-CONDENSED = 240  # modes of the condensed body that replaces a large one in balancing
-IRKA: dict[str, Any] = {"tol": 1e-3, "maxit": 20, "irka_options": {"tol": 1e-3, "maxit": 20}}
+PYMOR_METHODS = {"irka", "balanced", "balanced-low-rank", *SECOND_ORDER_BALANCING}
+CONDENSED_MODES = 240  # modes of the condensed body that replaces a large one in balancing
+IRKA_OPTIONS: dict[str, Any] = {"tol": 1e-3, "maxit": 20, "irka_options": {"tol": 1e-3, "maxit": 20}}
 Run = tuple[Sequence[Load], float, float]
 
 
@@ -91,7 +91,9 @@ class Reduction:
         if system.at.any():
             raise InputError("system must be linearised at rest, got another state; linearise without state")
         self.system, self.budget, self.training = system, budget or Budget(), training
-        self.condense = min(CONDENSED, system.order) if condense is None else integer_in_range("condense", condense, 0)
+        self.condense = (
+            min(CONDENSED_MODES, system.order) if condense is None else integer_in_range("condense", condense, 0)
+        )
         count = len(system.inputs)
         self.emphasis = np.ones(count) if emphasis is None else np.array(emphasis, dtype=float)
         if self.emphasis.shape != (count,) or not np.all(np.isfinite(self.emphasis) & (self.emphasis > 0)):
@@ -104,7 +106,7 @@ class Reduction:
         Parameters
         ----------
         method : str
-            One of `METHODS`.
+            One of `TITLE_BY_METHOD`.
         modes : int
             Number of displacement coordinates; methods of first order have twice as many states.
         options
@@ -115,12 +117,12 @@ class Reduction:
         InputError
             An unknown method, too many modes, a cost beyond the budget, or a missing pyMOR.
         """
-        if method not in METHODS:
-            raise InputError(f"method must be one of {', '.join(map(repr, METHODS))}, got {method!r}")
+        if method not in TITLE_BY_METHOD:
+            raise InputError(f"method must be one of {', '.join(map(repr, TITLE_BY_METHOD))}, got {method!r}")
         if options and method != "moments":
             raise InputError(f"options must be empty for method {method!r}, got {', '.join(options)}")
         integer_in_range("modes", modes, 1, self.system.order - 1)
-        if method in PYMOR:
+        if method in PYMOR_METHODS:
             need_pymor(f"method {method!r}")
         before, start = sum(self.seconds.values()), perf_counter()
         reduced = self._reduced(method, modes, options)
@@ -184,7 +186,7 @@ class Reduction:
         estimate = dense_lyapunov(2 * system.order)
         self.budget.check(
             estimate, f"dense Lyapunov equations of order {2 * system.order}",
-            f"give condense={CONDENSED} to balance that many of the slowest modes instead, or a coarser cloud",
+            f"give condense={CONDENSED_MODES} to balance that many of the slowest modes instead, or a coarser cloud",
         )  # fmt: skip
         roots = 1.0 / np.sqrt(system.mass.diagonal())
         return self._timed("condensed", lambda: project(system, np.diag(roots)))
@@ -271,7 +273,7 @@ class Reduction:
             self._gramians()
             start = BTReductor(fom.to_lti()).reduce(modes)  # one pole for each initial interpolation point
             reductor = SORIRKAReductor(fom)
-            rom = reductor.reduce(start, **IRKA)
+            rom = reductor.reduce(start, **IRKA_OPTIONS)
             fields = _columns(reductor.V)
         else:
             from pymor.reductors import sobt

@@ -49,7 +49,7 @@ __all__ = ["LinearSystem", "force_inputs", "linearise"]
 
 
 AXES = "xyz"
-INPUTS = (DeadLoad, Gravity, PrescribedMotion, Grasp)  # kinds of loads that are inputs
+INPUT_LOADS = (DeadLoad, Gravity, PrescribedMotion, Grasp)  # kinds of loads that are inputs
 MIN_ROTATION = 1e-9  # displacement, in spacings, below which a rotation is left out
 
 
@@ -198,7 +198,7 @@ def linearise(
     if model.material.prony is not None:
         raise InputError("material must be without prony, which M, D and K do not describe; leave prony out")
     loads = listed(loads)
-    check_kinds(loads, INPUTS, "loads of a linear system", "leave it out, or run the nonlinear body")
+    check_kinds(loads, INPUT_LOADS, "loads of a linear system", "leave it out, or run the nonlinear body")
     _check_moved_nodes(loads, model)
     displaced = state.coordinates if isinstance(state, State) else state
     at = np.zeros((len(model.cloud), 3)) if displaced is None else np.array(displaced, dtype=float)

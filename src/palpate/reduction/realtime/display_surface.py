@@ -21,10 +21,10 @@ from palpate.faults import InputError
 from palpate.reduction.contact.compliance import secant_factor, static_displacements
 from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["SCALARS", "DisplaySurface", "Surface", "fixed_nodes"]
+__all__ = ["SCALAR_NAMES", "DisplaySurface", "Surface", "fixed_nodes"]
 
 
-SCALARS = ("displacement", "stress", "pressure")
+SCALAR_NAMES = ("displacement", "stress", "pressure")
 
 
 class DisplaySurface(Protocol):
@@ -184,7 +184,7 @@ class Surface:
     @property
     def scalars(self) -> tuple[str, ...]:
         """Names of the scalars; of a membrane only the displacement."""
-        return SCALARS[:1] if self.model.data.kinematics.sheet else SCALARS
+        return SCALAR_NAMES[:1] if self.model.data.kinematics.sheet else SCALAR_NAMES
 
     def scalar(self, name: str, coordinates: Floats, displacements: Singles) -> Singles:
         """Return a number for every vertex.

@@ -25,7 +25,7 @@ from palpate.sealed import ArrayFile
 __all__ = [
     "BODY_ATTRIBUTES",
     "BODY_LAYOUT",
-    "REGIONS",
+    "REGIONS_LAYOUT",
     "Arrays",
     "Header",
     "Layout",
@@ -59,9 +59,9 @@ BODY_LAYOUT: Layout = {
     "stiffness": ("<f8", ("nodes",)),
     "fibres/directions": ("<f8", ("families", "nodes", 3)),
 }
-REGIONS: Layout = {"regions": ("<i8", ("nodes",))}  # with several materials
+REGIONS_LAYOUT: Layout = {"regions": ("<i8", ("nodes",))}  # with several materials
 # datasets of node numbers
-NODES = (
+NODE_ARRAYS = (
     "cloud/face_nodes",
     "cloud/group_nodes",
     "cloud/triangles",
@@ -73,7 +73,8 @@ BODY_ATTRIBUTES: dict[str, type] = {
     "material": str, "parameters": str, "regions": str, "expression": str, "prony": str, "fibres": str,
     "groups": list, "spacing": float, "supports": str, "stiffness_damping": float,
 }  # fmt: skip
-OPTIONAL: dict[str, type] = {"mass_damping": float}  # attributes of bodies that need them; without one it is 0
+# attributes of bodies that need them; without one it is 0
+OPTIONAL_ATTRIBUTES: dict[str, type] = {"mass_damping": float}
 
 
 def body_header(
@@ -109,7 +110,7 @@ def body_arrays(cloud: Cloud, tissue: Tissue) -> Arrays:
     }
     layout = BODY_LAYOUT
     if tissue.regions is not None:
-        layout, values = BODY_LAYOUT | REGIONS, values | {"regions": tissue.regions.which}
+        layout, values = BODY_LAYOUT | REGIONS_LAYOUT, values | {"regions": tissue.regions.which}
     return {name: np.asarray(values[name], dtype=dtype) for name, (dtype, _) in layout.items()}
 
 
@@ -163,7 +164,7 @@ def read_arrays(file: ArrayFile, prefix: str, layout: Layout) -> Arrays:
 
 def check_header(header: Header, attributes: dict[str, type]) -> None:
     """Refuse a header that does not have these attributes, of these types."""
-    expected = attributes | {name: kind for name, kind in OPTIONAL.items() if name in header}
+    expected = attributes | {name: kind for name, kind in OPTIONAL_ATTRIBUTES.items() if name in header}
     if header.keys() != expected.keys():
         odd = sorted(header.keys() ^ expected.keys())[0]
         raise InputError(f"header {shortened(odd)} is {'missing' if odd in expected else 'not one of a model'}")
@@ -197,7 +198,7 @@ def check_values(arrays: Arrays) -> None:
             raise InputError(f"array {name} holds numbers that are not finite")
         if array.dtype.kind == "f" and array.size and np.abs(array).max() > MAX_NUMBER:
             raise InputError(f"array {name} holds numbers beyond {MAX_NUMBER:g}")
-        if name in NODES and not np.all((array >= 0) & (array < count)):
+        if name in NODE_ARRAYS and not np.all((array >= 0) & (array < count)):
             raise InputError(f"array {name} names nodes outside 0..{count - 1}")
     if not np.all(arrays["stiffness"] > 0):
         raise InputError("array stiffness holds stiffness that are not positive")

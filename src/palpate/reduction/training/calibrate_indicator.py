@@ -29,7 +29,7 @@ from palpate.reduction.hyper.reactions import constraint_forces
 __all__ = ["Frames", "Measures", "Scales", "calibrate_scales", "error_curves", "held_out_frames", "trust_numbers"]
 
 
-LEVEL = 0.95  # probability that a run keeps the bound
+BOUND_PROBABILITY = 0.95  # probability that a run keeps the bound
 REPEAT_MARGIN = 1.001  # a margin, by which the trust number of a held-out run stays below 1 when it is repeated
 MIN_RELATIVE_SIZE = 0.2  # size in relative errors, over the median of the runs' largest sizes
 SMALL_SHARE = 0.1  # of the frames, whose trust numbers and errors are too small to count
@@ -169,8 +169,8 @@ def error_curves(runs: Sequence[Frames], scales: Scales) -> dict[str, Any]:
         relative to that.
     """
     worst = [np.maximum.accumulate(trust_numbers(run.measures, scales)) for run in runs]
-    k = min(int(np.ceil(LEVEL * (len(runs) + 1))), len(runs))
-    result: dict[str, Any] = {"level": min(LEVEL, k / (len(runs) + 1))}
+    k = min(int(np.ceil(BOUND_PROBABILITY * (len(runs) + 1))), len(runs))
+    result: dict[str, Any] = {"level": min(BOUND_PROBABILITY, k / (len(runs) + 1))}
     for quantity in runs[0].errors:
         least = max(MIN_RELATIVE_SIZE * float(np.median([run.sizes[quantity][-1] for run in runs])), 1e-300)
         relative = [run.errors[quantity] / np.maximum(run.sizes[quantity], least) for run in runs]

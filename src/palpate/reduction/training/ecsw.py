@@ -27,11 +27,11 @@ __all__ = ["Fields", "choose_integration_points", "compliance_root", "deformatio
 
 
 PRESSURE_STATES = 240  # training states for the pressure modes
-BALANCED = 1e-9  # relative size of a sum of forces that counts as zero, as in a taut sheet at rest
+BALANCED_SHARE = 1e-9  # relative size of a sum of forces that counts as zero, as in a taut sheet at rest
 REACTION_WEIGHT = 0.1  # of the forces on tools and supports, relative to those on all coordinates
 MAX_ROWS, MAX_ENTRIES = 12_000, 150_000_000  # of the least-squares problem for the weights; more rows are sketched
 SLOPE_STATES = 60  # training states for the fit of the moments' slopes
-BLOCK = 4096  # nodes per block
+BLOCK_NODES = 4096  # nodes per block
 NO_VECTORS = slice(0, 0)
 MIN_SIZE = 1e-3  # of the largest pressure, below which a state has reduced weight
 RIGID_BODY_SHIFT = 1e-12  # least squared frequency, relative to the highest, for bodies without supports
@@ -175,7 +175,7 @@ def _rows(
         weighted = sketch(most, count, generator) @ root @ work[:count]
         for rows, into in ((weighted, weighted_forces), (work[modes:], reactions)):
             size = float(np.linalg.norm(rows.sum(axis=1)))
-            if size > BALANCED * float(np.linalg.norm(rows, axis=0).sum()):
+            if size > BALANCED_SHARE * float(np.linalg.norm(rows, axis=0).sum()):
                 into.append(rows / np.sqrt(size))
     blocks = [np.concatenate(rows) for rows in (weighted_forces, reactions) if rows]
     if not blocks:
@@ -239,9 +239,9 @@ def compliance_root(body: EnergySolid | Membrane, fields: Fields, count: int, mo
     if isinstance(body, EnergySolid):
         shear = body.tissue.moduli("shear_modulus")
         second = body.tissue.moduli("shear_share") - 2 / 3 * shear
-    for start in range(0, len(gradients), BLOCK):
-        block = gradients[start : start + BLOCK].astype(float).reshape(-1, count, 3, 3)
-        roots, nodes = np.sqrt(fields.volumes[start : start + BLOCK]), fields.nodes[start : start + BLOCK]
+    for start in range(0, len(gradients), BLOCK_NODES):
+        block = gradients[start : start + BLOCK_NODES].astype(float).reshape(-1, count, 3, 3)
+        roots, nodes = np.sqrt(fields.volumes[start : start + BLOCK_NODES]), fields.nodes[start : start + BLOCK_NODES]
         # tension resists every slope of a sheet, not only strain
         strain = 2 * block if isinstance(body, Membrane) else block + np.swapaxes(block, 2, 3)
         rows = (strain.reshape(-1, count, 9) * roots[:, None, None]).transpose(0, 2, 1).reshape(-1, count)

@@ -46,13 +46,13 @@ from palpate.reduction.training.threads import in_threads
 __all__ = ["Trial", "energy_form", "hyper_reduce"]
 
 
-SIZES = (8, 12, 16, 24, 32, 48, 64, 96)  # numbers of modes for a given tolerance
+TRIED_MODES = (8, 12, 16, 24, 32, 48, 64, 96)  # numbers of modes for a given tolerance
 # largest relative error of sampled forces: where tools touch a body anywhere, and elsewhere
-CONTACT_CUBATURE, CUBATURE = 1e-2, 1e-3
+CONTACT_CUBATURE_ERROR, CUBATURE_ERROR = 1e-2, 1e-3
 TRAINING_STATES = 240  # for the fit of the cubature
 MIN_DISPLACEMENT = 1e-10  # of the largest one in training over the spacing; strains below are lost by rounding
 MODES_PER_PRESSURE = 4  # more pressure modes would cause volumetric locking
-QUANTILE = 0.95  # of errors, and of runs with a trust number of at most 1
+ERROR_QUANTILE = 0.95  # of errors, and of runs with a trust number of at most 1
 FREQUENCY_STATES = 16  # training states for the highest frequency of a membrane
 
 
@@ -164,7 +164,7 @@ def hyper_reduce(
     if (touched or vibrations) and coarse is None and isinstance(body, EnergySolid):
         coarse = statics_body(body)
     if cubature is None:
-        cubature = CONTACT_CUBATURE if touched else CUBATURE
+        cubature = CONTACT_CUBATURE_ERROR if touched else CUBATURE_ERROR
     options = _Options(tools, held_out, enrichment, cubature, pressures, seed, coarse, repeated, vibrations)
     if modes is not None:
         count = integer_in_range("modes", modes, 0 if enrichment is not None else 1)
@@ -174,7 +174,7 @@ def hyper_reduce(
             "held_out must be given with a tolerance, got none; give held_out=, or modes= instead of tolerance="
         )
     wanted, reached = number_in_range("tolerance", tolerance or 0.0, 0.0, 1.0, open_low=True), []
-    for size in SIZES:
+    for size in TRIED_MODES:
         try:
             model = _train(full, body, snapshots, size, options)
         except InputError as error:  # more modes than the snapshots hold
@@ -430,7 +430,7 @@ def _test(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
         report["contact"] = _over_runs(touched, list(ContactErrors.__annotations__))
     if not frames:
         return model.with_report({"held_out": report})
-    scales = calibrate_scales([run.measures for run in frames], QUANTILE)
+    scales = calibrate_scales([run.measures for run in frames], ERROR_QUANTILE)
     report["expected_error"] = error_curves(frames, scales)
     return ReducedModel(replace(model.data, **scales._asdict())).with_report({"held_out": report})
 
@@ -472,7 +472,7 @@ def _over_runs(entries: Sequence[dict[str, Any]], names: Sequence[str]) -> dict[
     values = {name: np.inf if failed else np.array([entry[name] for entry in entries]) for name in names}
     return {
         "mean": {name: float(np.mean(errors)) for name, errors in values.items()},
-        "percentile_95": {name: float(np.quantile(errors, QUANTILE)) for name, errors in values.items()},
+        "percentile_95": {name: float(np.quantile(errors, ERROR_QUANTILE)) for name, errors in values.items()},
     }
 
 
@@ -487,4 +487,4 @@ def _distance_scale(chosen: Floats, mass: Floats, snapshots: Snapshots) -> float
             distances.append(distances_to_nearest(chosen[of_run], chosen[~of_run], mass))
     if not distances:
         distances = [np.asarray(np.linalg.norm(np.diff(chosen, axis=0) @ np.linalg.cholesky(mass), axis=1))]
-    return max(float(np.quantile(np.concatenate(distances), QUANTILE)), 1e-300)
+    return max(float(np.quantile(np.concatenate(distances), ERROR_QUANTILE)), 1e-300)

@@ -36,7 +36,7 @@ __all__ = ["RESIDUAL_FIELDS", "orthogonal_complement", "scale_residual_fields", 
 
 RESIDUAL_FIELDS = 8
 MIN_INDEPENDENT = 1e-3  # least norm of a field without its modal part, relative
-RIDGE = 1e-3  # of the largest singular value, for the factors
+RIDGE_SHARE = 1e-3  # of the largest singular value, for the factors
 MIN_SIZE = 1e-3  # of the largest force, below which a state has reduced weight
 TYPICAL_SHARE = 0.95  # of the training states
 MIN_SCALE = 0.05  # least residual norm at which the trust number is 1, over the largest displacement in training
@@ -160,7 +160,7 @@ def _factors(
     result = np.ones((len(rule.nodes), residual_fields))
     for w in range(residual_fields):
         u, values, vt = np.linalg.svd(terms[:, :, w] * scale[:, None], full_matrices=False)
-        damped = values / (values**2 + max((RIDGE * values[0]) ** 2, 1e-300))
+        damped = values / (values**2 + max((RIDGE_SHARE * values[0]) ** 2, 1e-300))
         result[:, w] += vt.T @ (damped * (u.T @ ((full_work[:, w] - terms[:, :, w].sum(axis=1)) * scale)))
     return result
 
