@@ -1,4 +1,4 @@
-"""What `palpate bench` measures: the paper's beam, a large reduced model, and the same trained on two bodies."""
+"""Cases of `palpate bench`: the paper's beam, and a large reduced model trained on two bodies."""
 
 from __future__ import annotations
 

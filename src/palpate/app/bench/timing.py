@@ -1,4 +1,4 @@
-"""How speed is measured: medians of several rounds, compiled loops from inside compiled code."""
+"""Timing: medians of several rounds, with compiled loops that run inside compiled code."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def _enough(once: float) -> int:
 
 
 def _per_count(call: Callable[[int], Any]) -> tuple[Call, int]:
-    """Return a call that takes long enough, and how many times it does what `call` does a given number of times."""
+    """Return a call that repeats `call` for a measurable time, and its number of repetitions."""
     call(1)  # compiles
     start = perf_counter()
     call(1)
@@ -106,7 +106,7 @@ def step_seconds(*runs: tuple[ReducedModel, PreparedLoads, State], steps: int = 
 
 
 def _compile_loop(model: ReducedModel, prepared: PreparedLoads, state: State, steps: int) -> Call:
-    """Return a call of the compiled steps, with what `ReducedModel.advance` gives them."""
+    """Return a call of the compiled steps, with the arguments of `ReducedModel.advance`."""
     (step, _), given = model.stable_step(state, prepared), []
     explicit = model._explicit
 

@@ -143,7 +143,7 @@ def _scene_surface(scene: OrganScene) -> Surface:
 
 
 def _scene_entry(scene: OrganScene, console: Console) -> dict[str, Any]:
-    """Return what the supports of a scene hold, and what its tool reaches."""
+    """Return the supported nodes and the reachable surface of a scene."""
     with console.status("preparing the body, and finding where a tool reaches"):
         body = scene.body
         entry: dict[str, Any] = {

@@ -94,7 +94,7 @@ class Parser(argparse.ArgumentParser):
         return [name for action in inner for name in action.choices]
 
     def _check_option(self, word: str) -> None:
-        """Complain about an option that the command does not have."""
+        """Report an unknown option of the command."""
         name, options = word.partition("=")[0], list(self._option_string_actions)
         if not name.startswith("--") or " " in word or any(each.startswith(name) for each in options):
             return
@@ -111,7 +111,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def suggestion(word: str, choices: Sequence[str]) -> str:
-    """Return the question whether the nearest of some known words is meant, if one is near."""
+    """Return the text "did you mean ...?" with the nearest choice; empty without a near one."""
     from difflib import get_close_matches
 
     near = get_close_matches(word[:60], choices, 1)
@@ -166,7 +166,7 @@ def path(text: str) -> Path:
 
 
 def existing_file(text: str) -> Path:
-    """Return the path of a regular file: a pipe or a device would let its reader wait."""
+    """Return the path of a regular file; a pipe or a device would block its reader."""
     file_path = path(text)
     try:
         kind = os.stat(file_path).st_mode
@@ -212,7 +212,7 @@ def unprintable_word(words: Sequence[str]) -> str | None:
 
 
 def in_option_words(message: str, parser: Parser, options: Mapping[str, Any]) -> str:
-    """Return a message of the library with its arguments called as the options of a command that they come from.
+    """Return a message of the library with options of the command in place of arguments.
 
     ``spacing must be ...`` becomes ``--spacing must be ...``, and ``choose one with part='left'`` becomes ``choose one
     with --part 'left'``; ``spacing must be ...`` becomes ``--set spacing must be ...`` where it was set so.

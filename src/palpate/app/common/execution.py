@@ -131,7 +131,7 @@ def _failed(error: Exception, parser: Parser, options: Mapping[str, Any]) -> int
 
 @contextmanager
 def _ending_at_interrupt() -> Iterator[None]:
-    """End the program at once where it is interrupted: what is being imported may swallow `KeyboardInterrupt`."""
+    """End the program at once at an interrupt; imported modules can swallow `KeyboardInterrupt`."""
     main_thread = threading.current_thread() is threading.main_thread()
     before = signal.getsignal(signal.SIGINT) if main_thread else None
     if before is not signal.default_int_handler:  # ignored, or somebody else's

@@ -1,4 +1,4 @@
-"""How a command ends: one line on standard error, and an exit status. Only the standard library is imported here."""
+"""End of a command: one line on standard error, and an exit status. This module imports only the standard library."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MAX_MESSAGE_CHARACTERS = 1000  # characters
 
 
 class RunError(RuntimeError):
-    """A command could not be finished; the message names what is kept."""
+    """A command that failed; the message names the results that are kept."""
 
 
 def complain(message: str, code: int) -> int:
@@ -34,7 +34,7 @@ def one_line(message: str) -> str:
 
 
 def system_error(error: OSError) -> str:
-    """Return what the operating system refused, in words instead of its number."""
+    """Return the message of an error of the operating system, without its number."""
     if error.errno is None or error.strerror is None or error.filename is None:
         return str(error)
     if isinstance(error, FileNotFoundError):

@@ -1,4 +1,4 @@
-"""What every method is measured by: time, memory, stability, errors at both loads, and frequency response."""
+"""Measures of a method: time, memory, stability, errors at both loads, and frequency response."""
 
 from __future__ import annotations
 
@@ -155,7 +155,7 @@ def _model_entry(made: Comparison, model: LinearModel) -> dict[str, Any]:
 
 
 def _run_errors(made: Comparison, model: Model, load: str) -> dict[str, float] | None:
-    """Errors against the full nonlinear body; None where the run diverged."""
+    """Errors against the full nonlinear body; None for a run that diverged."""
     body, full = made.body, made.runs[load]
     size = body.small if load == "small" else body.large
     try:

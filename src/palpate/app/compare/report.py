@@ -107,7 +107,7 @@ def _rows(report: dict[str, Any]) -> dict[str, list[str]]:
 
 
 def tables(report: dict[str, Any]) -> list[Table | str]:
-    """Return a table of what matters most, and the summary; `full_table` has all figures."""
+    """Return a table of the main figures, and the summary; `full_table` has all figures."""
     rows = {name: [cells[k] for k in TERMINAL_COLUMNS] for name, cells in _rows(report).items()}
     headings = [COLUMN_HEADINGS[k] if k not in TERMINAL_HEADINGS else TERMINAL_HEADINGS[k] for k in TERMINAL_COLUMNS]
     return [quantities_table(report["title"], headings, rows, first="method"), *report["summary"]]

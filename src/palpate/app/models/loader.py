@@ -55,7 +55,7 @@ def open_model(what: str, console: Console) -> tuple[ReducedModel, str]:
 
 
 def _with_advice(model: ReducedModel, console: Console) -> ReducedModel:
-    """Return a model; print what to change if its held-out errors are too large to use it."""
+    """Return a model; print advice if its held-out errors are too large."""
     if "advice" in model.report:
         console.say(f"warning: {one_line(model.report['advice'])}")
     return model

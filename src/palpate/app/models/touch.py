@@ -33,7 +33,7 @@ SAMPLE_SECONDS = 0.6  # of the measurement of this machine
 
 
 def open_touched(scene: OrganScene, console: Console) -> OrganScene:
-    """Return a scene with the full body that is touched at once; print what was guessed, repaired and noted.
+    """Return a scene with its full body; print guesses, repairs and notes.
 
     Its spacing is the finest in real time on this machine, unless the scene has a larger one, or comes from a surface
     alone and has one.
@@ -77,7 +77,7 @@ def open_touched(scene: OrganScene, console: Console) -> OrganScene:
 
 
 def _remedy(scene: OrganScene, options: str) -> str:
-    """Return where a choice is changed, for the end of a line."""
+    """Return the end of a line: the option or key that changes a choice."""
     return f"; another: {scene.name}" if is_scene_file(scene.name) else f"; another: {options}"
 
 
@@ -97,7 +97,7 @@ def _touched(scene: OrganScene, console: Console) -> OrganScene:
 
 
 def fitting_scene(scene: OrganScene, spacing: float, required: bool, console: Console) -> OrganScene:
-    """Return a scene with the body of a spacing [m], or of a finer one where the tissue is too thin for it.
+    """Return a scene with the body of a spacing [m], or of a finer one for thin tissue.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def _prepared(scene: OrganScene, console: Console) -> OrganScene:
 
 
 def _force_line(nodes: int, realtime: bool) -> str:
-    """Return what the spacing costs in the error of the force, and what half of it costs in nodes and time."""
+    """Return the error of the force at the spacing, and the nodes and the time at half of it."""
     median, largest = FORCE_ERRORS
     times = 2 * FINER_NODES  # twice the steps
     cost = f"some {1 / (BUSY_SHARE * times):.1g} of real time" if realtime else f"{times:.0f} times the time"

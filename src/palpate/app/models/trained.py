@@ -28,12 +28,12 @@ MAX_WORKERS = 4
 
 
 def model_file(scene: OrganScene) -> Path:
-    """Return the file of a scene's trained model, whether it exists or not."""
+    """Return the path of a scene's trained model, which may be missing."""
     return training_folder(scene) / MODEL_FILE
 
 
 def trained_model(scene: OrganScene, console: Console, workers: int | None = None) -> ReducedModel:
-    """Return the reduced model of a scene from its folder; train it where it is not there yet.
+    """Return the reduced model of a scene from its folder; train a missing one.
 
     A model that is there stays, also one of another number of paths or modes, such as of ``palpate train --paths 32``;
     unless `scene` was opened with a setting of them that differs. A campaign that was stopped is continued.
@@ -94,14 +94,14 @@ def _other_sizes(scene: OrganScene, model: ReducedModel) -> dict[str, Any]:
 
 
 def _parameters(scene: OrganScene) -> dict[str, Any]:
-    """Return the parameters by which a worker opens the scene: its settings, or its description where they differ."""
+    """Return the parameters with which a worker opens the scene: its settings, or its own description."""
     if is_opened(scene.name) and open_scene(scene.name, scene.settings).digest == scene.digest:
         return scene.settings
     return {DESCRIPTION_KEY: text_of_scene(scene)}
 
 
 def held_out_means(model: ReducedModel) -> dict[str, float]:
-    """Return a model's mean relative errors on held-out runs by what errs, empty where there were no such runs."""
+    """Return a model's mean relative errors on held-out runs by quantity; empty without such runs."""
     errors = model.report.get("held_out")
     if not errors:
         return {}
@@ -112,6 +112,6 @@ def held_out_means(model: ReducedModel) -> dict[str, float]:
 
 
 def _errors(model: ReducedModel) -> str:
-    """Return the mean errors on held-out runs in words, empty where there are none."""
+    """Return the mean errors on held-out runs as text; empty without such runs."""
     errors = [f"{name} errs by {percent(error)}" for name, error in held_out_means(model).items()]
     return f"; on paths not trained on {', '.join(errors)}" if errors else ""

@@ -130,7 +130,7 @@ def _round(length: float) -> float:
 
 
 def _placed(scene: OrganScene, out: Path) -> OrganScene:
-    """Return the scene with files relative to the folder of its scene file, where that is possible."""
+    """Return the scene with files relative to the folder of its scene file, if possible."""
 
     def relative(file: str) -> str:
         try:
@@ -152,5 +152,5 @@ def _placed(scene: OrganScene, out: Path) -> OrganScene:
 
 
 def _schema(out: Path) -> Path:
-    """Return the file of the schema, next to what is kept for the scene."""
+    """Return the path of the schema, in the folder of the scene's results."""
     return out.with_name(f"{out.stem}.palpate") / SCHEMA_FILE

@@ -1,4 +1,4 @@
-"""Text of a new scene file: the values in use, and comments about guesses and about what else is possible."""
+"""Text of a new scene file: the values in use, and comments about guesses and alternatives."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Journals of recordings: what a session has recorded is on the disk while it goes on.
+"""Journals of recordings: a session stores its snapshots on the disk as it runs.
 
 The first record of the journal (`palpate.dynamics.run.journal`) has the model, each other one the
 snapshots since the last, in the arrays of the finished file. So a recording survives the end of its

@@ -98,7 +98,7 @@ def scalar_descriptions(surface: DisplaySurface) -> list[dict[str, Any]]:
 
 
 def training_errors(model: ReducedModel | EnergySolid) -> dict[str, Any] | None:
-    """Return a model's mean errors on held-out runs, and what to change if they are large; None without such runs."""
+    """Return a model's mean errors on held-out runs, and advice if they are large; None without such runs."""
     from palpate.reduction.hyper.model import ReducedModel
 
     if not isinstance(model, ReducedModel):

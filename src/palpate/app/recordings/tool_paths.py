@@ -1,4 +1,4 @@
-"""Tool paths of recordings: what a tool did from one release or lift to the next, as loads of a full model."""
+"""Tool paths of recordings, from one release or lift of a tool to the next, as loads of a full model."""
 
 from __future__ import annotations
 

@@ -184,7 +184,7 @@ def _report(scene: Scene, runs: dict[str, Trajectory], model: ReducedModel | Non
 
 
 def _run(scene: Scene, model: Model, console: Console, file: Path | None = None) -> Trajectory:
-    """Run a model; stream its frames to a file, if there is one, for what takes long."""
+    """Run a model; write the frames of a long run to a file, if there is one."""
     prepared = model.prepare(scene.loads)
     kept = f"; the frames until then are kept in {file}" if file else ""
     try:

@@ -1,4 +1,4 @@
-"""``palpate run ... --realtime``: step a model at a fixed rate while a tool moves, and report how the rate was kept."""
+"""``palpate run ... --realtime``: step a model at a fixed rate under a moving tool, and report missed deadlines."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def run_realtime(
     out: Path,
     as_json: bool = False,
 ) -> int:
-    """Step a model at a fixed rate for some seconds while its tool moves, and report how the rate was kept.
+    """Step a model at a fixed rate for some seconds under a moving tool, and report missed deadlines.
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ def _indicators(tool: dict[str, Any]) -> dict[str, str]:
 
 
 def _error_text(error: dict[str, float | None] | None) -> str:
-    """Write a median, and a bound with its level; neither exists where the model was not tried on such states."""
+    """Write a median, and a bound with its level; states beyond the held-out runs have neither."""
     if error is None:
         return "not measured"
     if error["median"] is None or error["bound"] is None:
@@ -258,7 +258,7 @@ def _histogram(statistics: Statistics) -> dict[str, list[str]]:
 
 
 def _verdict(report: dict[str, Any]) -> list[str]:
-    """Return sentences about the computation, the scheduler, and whether the rate was kept."""
+    """Return sentences about the computation, the scheduler and the deadlines."""
     timing = report["timing"]
     period, computing, late = timing["period"], timing["computing"], timing["lateness"]
     over, lost = timing["missed_by_computing"], timing["missed"] - timing["missed_by_computing"]

@@ -35,7 +35,7 @@ def run_scene_realtime(
     full: bool = False,
     **options: Any,
 ) -> int:
-    """Step a scene's body in real time for some seconds while its tool moves, and report how the rate was kept.
+    """Step a scene's body in real time for some seconds under its moving tool, and report missed deadlines.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def run_scene_realtime(
 
 
 def pressing_ball(scene: OrganScene, body: Any, file: Path | None = None) -> tuple[Poses, Contact]:
-    """Return the poses of a ball that presses a body again and again, and the ball itself where it begins."""
+    """Return the poses of a ball that presses a body repeatedly, and the ball at its first pose."""
     if isinstance(body, ReducedModel) and body.data.compliance is None:
         raise InputError(
             f"model must be one that was trained on a body that a ball touches, got {str(file)!r}; train one with "

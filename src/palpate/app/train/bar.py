@@ -16,7 +16,7 @@ __all__ = ["Bar"]
 
 
 class Bar:
-    """A bar of the simulated time of all runs together where a person watches; a line for every run elsewhere.
+    """Progress of all runs: a bar of simulated time on a terminal, a line for every run elsewhere.
 
     Parameters
     ----------

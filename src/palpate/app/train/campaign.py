@@ -58,7 +58,7 @@ class Round(NamedTuple):
 
 @dataclass(frozen=True)
 class Campaign:
-    """A campaign in its folder, and how its runs and models are made.
+    """A campaign in its folder; makes its runs and models.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ class Campaign:
             numbers.append(self.further_paths(model, chosen, most))
 
     def support_study(self, jobs: Sequence[Job]) -> dict[str, Any] | None:
-        """Return changes of the forces of tools by changes of the supports; None where no tool touches the body.
+        """Return changes of tool forces by changes of the supports; None without contact.
 
         The presses are those of the training runs; see `palpate.reduction.contact.support_sensitivity`.
         """

@@ -1,4 +1,4 @@
-"""Choice of training paths that cover more of the surface and on which a reduced model errs most.
+"""Choice of training paths by their gain in covered surface and by the expected error.
 
 POD-greedy (Haasdonk and Ohlberger, ESAIM: M2AN 42, 2008): the reduced model runs along candidate paths, and the full
 model along those with the largest trust numbers. Several are chosen at a time. So the states of those already chosen

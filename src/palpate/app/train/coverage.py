@@ -39,7 +39,7 @@ TRIANGLE_SUBDIVISIONS = 2  # of triangles, so that borders are as smooth as thos
 
 
 class Coverage:
-    """What tools cover of the free surface of a body, run by run; see `palpate.scenes.free_surface`.
+    """Share of a body's free surface that tools cover, run by run; see `palpate.scenes.free_surface`.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class Coverage:
             self.add(run)
 
     def added(self, run: Run) -> float:
-        """Return how much of the surface that a run covers no run before it did, from 0 to 1."""
+        """Return the newly covered share of the surface that a run covers, from 0 to 1."""
         run_mask = self.surface.covered(*run)
         run_share = self.surface.share(run_mask)
         return self.surface.share(run_mask & ~self.mask) / run_share if run_share else 0.0
@@ -91,14 +91,14 @@ class Coverage:
 
 
 def coverage(scene: TrainingScene, runs: Iterable[Run]) -> Coverage | None:
-    """Return the coverage of a scene by runs; None without a solid, or where no run has a tool that touches it."""
+    """Return the coverage of a scene by runs; None without a solid or without contact."""
     runs = list(runs)
     touched = any(isinstance(load, Contact | Grasp) for loads, _ in runs for load in loads)
     return Coverage(scene, runs) if touched and isinstance(scene.model, Solid) else None
 
 
 def draw_coverage(covered: Coverage, path: Path) -> None:
-    """Draw the surface from four sides into a PNG file, coloured by what covers, reaches and holds it.
+    """Draw the surface from four sides into a PNG file: covered, reachable and supported parts.
 
     Without runs it shows what the tool reaches.
 

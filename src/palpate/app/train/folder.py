@@ -1,4 +1,4 @@
-"""Folder of a campaign: which runs it needs, and which of them exist.
+"""Folder of a campaign: its manifest, and the files of its runs.
 
 ``campaign.json`` identifies the campaign. ``recordings/`` holds the recordings that were added to it, and
 ``rounds.json`` the paths that a campaign with a tolerance has chosen. ``runs/`` holds a file for every run that was
@@ -34,7 +34,7 @@ MAX_PATHS = TRAINING_SEEDS  # of either kind of run
 
 
 class Job(NamedTuple):
-    """A run: what it is for, its number from 0, and the seed of its path, or where that is in the recordings."""
+    """A run: its purpose, its number from 0, and the seed of its path or its place in the recordings."""
 
     kind: str
     number: int
@@ -85,7 +85,7 @@ class Folder:
 
     @property
     def runs(self) -> Path:
-        """Where the runs lie."""
+        """Folder of the runs."""
         return self.path / "runs"
 
     def file(self, job: Job) -> Path:
@@ -93,11 +93,11 @@ class Folder:
         return self.runs / f"{job.name}.h5"
 
     def failed(self, job: Job) -> Path:
-        """What a run that failed had computed."""
+        """File of the frames of a failed run."""
         return self.runs / f"{job.name}.failed.h5"
 
     def reason(self, job: Job) -> Path:
-        """Why a run failed."""
+        """File of the reason for a failed run."""
         return self.runs / f"{job.name}.failed.json"
 
     def partial(self, job: Job, token: str) -> Path:
@@ -105,7 +105,7 @@ class Folder:
         return self.runs / f".{job.name}.{token}.partial"
 
     def sweep(self, job: Job | None = None) -> None:
-        """Remove what workers that were stopped had begun: of one run, or of all."""
+        """Remove unfinished files of stopped workers: of one run, or of all."""
         for partial in self.runs.glob(".*.partial" if job is None else f".{job.name}.*.partial"):
             partial.unlink(missing_ok=True)
 
@@ -153,7 +153,7 @@ class Folder:
 
     @property
     def recordings_folder(self) -> Path:
-        """Where the recordings lie."""
+        """Folder of the recordings."""
         return self.path / "recordings"
 
     @property
@@ -193,7 +193,7 @@ def _are_numbers(paths: Any) -> bool:
 
 @contextmanager
 def open_campaign(path: Path, manifest: Mapping[str, Any]) -> Iterator[Folder]:
-    """Make a folder a campaign's own, or continue the one there; lock it against other processes meanwhile.
+    """Make the folder of a campaign, or continue the campaign in it; lock it against other processes.
 
     Raises
     ------

@@ -173,7 +173,7 @@ def _round_rows(rounds: Sequence[Mapping[str, Any]]) -> dict[str, str]:
 
 
 def _coverage_rows(shares: Mapping[str, float] | None) -> dict[str, str]:
-    """Return what training paths cover of the surface; nothing where no tool touches it."""
+    """Return the share of the surface that training paths cover; empty without contact."""
     if shares is None:
         return {}
     rows = {"free surface within one tool radius of a place touched in training": f"{shares['covered']:.0%}"}
@@ -185,7 +185,7 @@ def _coverage_rows(shares: Mapping[str, float] | None) -> dict[str, str]:
 
 
 def _by_load(report: dict[str, Any]) -> dict[str, str]:
-    """Return errors of forces for every kind of load, where the held-out paths have several."""
+    """Return errors of forces by kind of load; empty unless the held-out paths have several."""
     loads_of_runs = [run["loads"] for run in report["runs"] if run["kind"] == HELD_OUT and not run["failed"]]
     errors_by_load: dict[str, list[float]] = {}
     for loads, run in zip(loads_of_runs, report["model"]["held_out"]["runs"], strict=True):
@@ -200,7 +200,7 @@ def _by_load(report: dict[str, Any]) -> dict[str, str]:
 
 
 def _contact_rows(held_out: dict[str, Any]) -> dict[str, str]:
-    """Return errors of tools on the surface of a body; nothing where none touches it."""
+    """Return errors of tools on the surface of a body; empty without contact."""
     if "contact" not in held_out:
         return {}
     errors = {
@@ -215,7 +215,7 @@ def _contact_rows(held_out: dict[str, Any]) -> dict[str, str]:
 
 
 def _support_changes(study: Mapping[str, Any] | None) -> dict[str, dict[str, Mapping[str, Any] | None]]:
-    """Return the changes of supports by what is changed, and by how."""
+    """Return the effects of changed supports, by quantity and by way of change."""
     changes = {}
     if study and study["border"]:
         where = f"the border of the supports moves by {1e3 * study['border']['distance']:.2g} mm"
@@ -226,7 +226,7 @@ def _support_changes(study: Mapping[str, Any] | None) -> dict[str, dict[str, Map
 
 
 def _support_rows(study: Mapping[str, Any] | None) -> dict[str, str]:
-    """Return changes of the force on tools by the supports; nothing where no tool touches the body."""
+    """Return changes of the force on tools by the supports; empty without contact."""
     return {
         f"force on tools if {what} {way}, median; largest": "nothing would hold the body"
         if change is None
@@ -237,7 +237,7 @@ def _support_rows(study: Mapping[str, Any] | None) -> dict[str, str]:
 
 
 def _support_sentences(study: Mapping[str, Any] | None) -> list[str]:
-    """Return what the changes by the supports mean, one sentence for border and springs each."""
+    """Return one sentence each about the effects of the border and of the springs."""
     sentences = []
     for what, ways in _support_changes(study).items():
         changes = [change for change in ways.values() if change is not None]

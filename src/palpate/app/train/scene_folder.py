@@ -22,7 +22,7 @@ FOLDER_SUFFIX = ".palpate"  # of the folder next to a scene file
 
 
 def training_folder(scene: OrganScene) -> Path:
-    """Return the folder of a scene's campaign, whether it exists or not; a changed scene has another folder."""
+    """Return the path of a scene's campaign, which may be missing; a changed scene has another folder."""
     if scene.name in PACKAGE_SCENES:
         return user_cache_path("palpate") / f"{scene.name}-{__version__}-{scene.digest[:8]}"
     return folder_of_file(Path(scene.name)) / scene.digest[:8]

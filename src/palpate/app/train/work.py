@@ -37,7 +37,7 @@ def _scene(name: str, parameters: str) -> TrainingScene:
 
 
 def perform(folder: str, manifest: Mapping[str, Any], job: tuple[str, int, int], watch: Watch | None = None) -> Outcome:
-    """Make a run and leave its file, or a record of why it failed, in the campaign's folder.
+    """Make a run; write its file, or a record of its failure, to the campaign's folder.
 
     Parameters
     ----------
@@ -98,6 +98,6 @@ def _run(place: Folder, scene: TrainingScene, job: Job, watch: Watch | None) -> 
 
 
 def record_fault(place: Folder, job: Job, reason: str, *, retry: bool) -> Outcome:
-    """Record why a run failed, and whether a continued campaign tries it again."""
+    """Record the reason for a failed run, and whether a continued campaign repeats it."""
     write_sealed_json(place.reason(job), {"seed": job.seed, "reason": reason, "retry": retry})
     return {"job": job, "failed": reason}

@@ -140,7 +140,7 @@ def view(
 
 @dataclass(frozen=True)
 class _Subject:
-    """What is viewed, as far as it is read before the page opens: a full body, a model of a file, or a scene's name."""
+    """Subject of a view before the page opens: a full body, a model from a file, or a scene's name."""
 
     what: str
     title: str

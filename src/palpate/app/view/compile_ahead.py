@@ -25,7 +25,7 @@ BLOCK_SIZE, BLOCK_SPACING = 0.1, 0.02  # [m] of a body whose engine has the same
 
 @contextlib.contextmanager
 def compile_ahead(tissue: Tissue) -> Iterator[Callable[[], object]]:
-    """Compile for a tissue in another process within a context, where there is a second processor.
+    """Compile for a tissue in another process within a context, if there is a second processor.
 
     Yields
     ------

@@ -87,7 +87,7 @@ class TrainingProcess:
             self._process.stdin.flush()
 
     def events(self) -> Iterator[dict[str, Any]]:
-        """Yield what the process reports until it ends; the last is ``trained`` or ``failed``.
+        """Yield the reports of the process until it ends; the last is ``trained`` or ``failed``.
 
         ``phase`` has a text, and the time ``left`` [s] or None; ``trained`` the file of the model, and its mean
         ``errors`` on held-out runs by name; ``failed`` a reason.

@@ -90,7 +90,7 @@ class Host:
             self.stop()
 
     def show(self, source: ViewSource, refinement: Refining | None = None) -> None:
-        """Show a session to all viewers, whose preparation has ended, and what may replace it later."""
+        """Show a prepared session to all viewers, and the refinement that may replace it later."""
         self._call(self._server.show, source, refinement)
 
     def fail(self, reason: str) -> None:

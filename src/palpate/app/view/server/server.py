@@ -90,7 +90,7 @@ class Server:
             self.show(source)
 
     def show(self, source: ViewSource, refinement: Refining | None = None) -> None:
-        """Show a session or a replay to all viewers, in place of what was shown; called in the server's thread.
+        """Replace the source of all viewers by a session or a replay; called in the server's thread.
 
         Parameters
         ----------
@@ -193,7 +193,7 @@ class Server:
             self._schedule(viewer, self._send_to(viewer, _to_json(self._status_message(viewer, status))))
 
     def _refine(self) -> None:
-        """Report the progress of a refinement, and show what it has made."""
+        """Report the progress of a refinement, and show its session."""
         if self._refinement is None:
             return
         message = self._refinement.message()
@@ -264,7 +264,7 @@ class Server:
             self._remove_viewer(viewer)
 
     async def _introduce(self, viewer: Viewer) -> asyncio.Event:
-        """Send hello, geometry and status of the source that is shown; return what is set when another one is."""
+        """Send hello, geometry and status of the current source; return the event of its replacement."""
         while True:
             replaced = self._replaced
             await viewer.send_message(self._hello_message(viewer))
