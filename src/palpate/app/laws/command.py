@@ -7,7 +7,7 @@ from typing import Any
 
 from palpate.app.common.console import print_json
 from palpate.tissue.catalogue import FIBRE_LAWS, LAWS, RELAXATION, CatalogueEntry, Law
-from palpate.tissue.volumetric import FORMS, QUADRATIC
+from palpate.tissue.volumetric import FORM_BY_NAME, QUADRATIC
 
 __all__ = ["laws"]
 
@@ -38,7 +38,7 @@ def laws(as_json: bool) -> int:
                 "fibre_laws": [_entry(law) for law in FIBRE_LAWS],
                 "relaxation": _entry(RELAXATION),
                 "volumetric": [
-                    {"name": name, "energy": _volumetric(name), "default": name == QUADRATIC} for name in FORMS
+                    {"name": name, "energy": _volumetric(name), "default": name == QUADRATIC} for name in FORM_BY_NAME
                 ],
             }
         )
@@ -48,13 +48,13 @@ def laws(as_json: bool) -> int:
         for entry in entries:
             print("\n".join(_lines(entry)), end="\n\n")
     print(VOLUMETRIC_TEXT)
-    for name in FORMS:
+    for name in FORM_BY_NAME:
         print(f"{name}\n  U = {_volumetric(name)}{'; by default' if name == QUADRATIC else ''}\n")
     return 0
 
 
 def _volumetric(name: str) -> str:
-    return f"lame {FORMS[name].formula}"
+    return f"lame {FORM_BY_NAME[name].formula}"
 
 
 def _entry(entry: CatalogueEntry) -> dict[str, Any]:

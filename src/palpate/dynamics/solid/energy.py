@@ -25,7 +25,7 @@ from palpate.meshfree.patches import surface_patches
 __all__ = ["EnergySolid"]
 
 
-DAMPING = 0.1  # default stiffness damping, times the highest frequency
+DEFAULT_DAMPING = 0.1  # default stiffness damping, times the highest frequency
 CRUSHED_DILATATION = -0.6  # dilatation below which the energy balance of steps is checked
 MAX_ENERGY_ERROR = 1e-3  # largest energy error of such steps, relative to the energy
 
@@ -61,7 +61,9 @@ class EnergySolid(Solid):
         self._compile(*compiled)
         self.stiffness_damping = 0.0
         highest, damping = resting_frequency(self), choices.stiffness_damping
-        used = number_in_range("stiffness_damping", DAMPING / highest if damping is None else damping, 0.0, unit="s")
+        used = number_in_range(
+            "stiffness_damping", DEFAULT_DAMPING / highest if damping is None else damping, 0.0, unit="s"
+        )
         self._set_stability(StabilityReport("energy form", None, 0.0, used, highest, stable_step(highest, used)))
 
     @property
@@ -97,8 +99,8 @@ class EnergySolid(Solid):
     def smooth(self, values: Floats) -> Floats:
         """Return nodal values (n,) smoothed like the volumetric measure."""
         body, passes, result = self.body, self._allocate(), np.empty(len(self.cloud))
-        own = np.ascontiguousarray(values, dtype=float)
-        smooth_field(body.smoothing, body.value, body.smoothing_own, passes.derivatives, own, result)
+        nodal_values = np.ascontiguousarray(values, dtype=float)
+        smooth_field(body.smoothing, body.value, body.smoothing_own, passes.derivatives, nodal_values, result)
         return result
 
     def smooth_transposed(self, weights: Floats) -> Floats:

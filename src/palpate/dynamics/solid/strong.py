@@ -46,12 +46,14 @@ class StrongSolid(Solid):
         self.neighbours = STENCIL_SIZES[0] if choices.neighbours is None else choices.neighbours
         stencils = moving_least_squares(choices.images.cloud.points, order=2, neighbours=self.neighbours)
         direct = self.pressure == "direct"
-        compiled, own = strong_passes(choices.images, self.material, stencils, choices.smoother, self.half_cell, direct)
+        compiled, of_part = strong_passes(
+            choices.images, self.material, stencils, choices.smoother, self.half_cell, direct
+        )
         self.mirror = compiled.body.mirror
         self._compile(*compiled)
         # the second derivatives are in the lanes; gradients of nodal fields require the others only
         empty = np.zeros((0, 0))
-        self.stencils = replace(own, second=empty[:, :, None], value=empty)
+        self.stencils = replace(of_part, second=empty[:, :, None], value=empty)
         self._set_stability(choose_stiffness_damping(self, choices.stiffness_damping, self.neighbours))
 
     @property

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats
 from palpate.dynamics.membrane.model import Membrane
-from palpate.dynamics.membrane.passes import COSINE, SINE
+from palpate.dynamics.membrane.passes import POINT_COSINES, POINT_SINES
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.reduction.basis.snapshots import Snapshots
@@ -88,12 +88,12 @@ def differentiate(body: EnergySolid | Membrane, columns: Floats, even: slice = N
 def _differentiate_sheet(body: Membrane, columns: Floats) -> Fields:
     """Return basis vectors with their derivatives at six points per node; the third entry of every row is 0."""
     n, count = len(body.cloud), len(columns)
-    points = len(COSINE)
+    points = len(POINT_COSINES)
     gradients = np.zeros((points, n, count, 3, 3), dtype=_precision(points * n, count))
     for m, by_node in enumerate(_by_node(body, columns, 15)):
         first, second = by_node[:, :6].reshape(n, 3, 2), by_node[:, 6:].reshape(n, 3, 3)
         for q in range(points):
-            x, y = (body.body.radius[:, None] * turn for turn in (COSINE[q], SINE[q]))
+            x, y = (body.body.radius[:, None] * turn for turn in (POINT_COSINES[q], POINT_SINES[q]))
             gradients[q, :, m, :, 0] = first[:, :, 0] + second[:, :, 0] * x + second[:, :, 2] * y
             gradients[q, :, m, :, 1] = first[:, :, 1] + second[:, :, 2] * x + second[:, :, 1] * y
     nodes = np.tile(np.arange(n), points)
