@@ -214,8 +214,8 @@ def unprintable_word(words: Sequence[str]) -> str | None:
 def in_option_words(message: str, parser: Parser, options: Mapping[str, Any]) -> str:
     """Return a message of the library with options of the command in place of arguments.
 
-    ``spacing must be ...`` becomes ``--spacing must be ...``, and ``choose one with part='left'`` becomes ``choose one
-    with --part 'left'``; ``spacing must be ...`` becomes ``--set spacing must be ...`` where it was set so.
+    ``spacing must be ...`` becomes ``--spacing must be ...``, or ``--set spacing must be ...`` for a setting.
+    ``choose one with part='left'`` becomes ``choose one with --part 'left'``.
     """
     names = {
         pair.partition("=")[0]: f"{option} {pair.partition('=')[0]}"

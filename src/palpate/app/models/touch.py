@@ -35,8 +35,8 @@ SAMPLE_SECONDS = 0.6  # of the measurement of this machine
 def open_touched(scene: OrganScene, console: Console) -> OrganScene:
     """Return a scene with its full body; print guesses, repairs and notes.
 
-    Its spacing is the finest in real time on this machine, unless the scene has a larger one, or comes from a surface
-    alone and has one.
+    Its spacing is the finest in real time on this machine. A larger spacing of the scene stays, and so does any
+    spacing that a user gives for a surface without a scene file.
 
     Raises
     ------

@@ -35,8 +35,8 @@ def model_file(scene: OrganScene) -> Path:
 def trained_model(scene: OrganScene, console: Console, workers: int | None = None) -> ReducedModel:
     """Return the reduced model of a scene from its folder; train a missing one.
 
-    A model that is there stays, also one of another number of paths or modes, such as of ``palpate train --paths 32``;
-    unless `scene` was opened with a setting of them that differs. A campaign that was stopped is continued.
+    An existing model stays, also one of another number of paths or modes, such as of ``palpate train --paths 32``.
+    It is trained again if `scene` was opened with another setting of them. A stopped campaign is continued.
 
     Parameters
     ----------

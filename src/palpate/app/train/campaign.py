@@ -98,8 +98,8 @@ class Campaign:
         RunError
             No training run was finished.
         InputError
-            Paths or modes are too few where tools touch the body anywhere, or modes too many; the disk has no room
-            for the runs, or no cluster answers; or as `palpate.hyper_reduce`.
+            There are too few paths or modes for tools that touch the body anywhere, or too many modes. The disk
+            has no room for the runs, or no cluster answers. Or a reason of `palpate.hyper_reduce`.
         FileFormatError
             The file of a run is damaged, or that of another run.
         OSError

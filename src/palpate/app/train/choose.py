@@ -1,12 +1,13 @@
 """Choice of training paths by their gain in covered surface and by the expected error.
 
-POD-greedy (Haasdonk and Ohlberger, ESAIM: M2AN 42, 2008): the reduced model runs along candidate paths, and the full
-model along those with the largest trust numbers. Several are chosen at a time. So the states of those already chosen
-count as trained, and two similar paths are not chosen together.
+The method is POD-greedy (Haasdonk and Ohlberger, ESAIM: M2AN 42, 2008). The reduced model runs along
+candidate paths, and the full model along those with the largest scores. Several are chosen at a time.
+The states of those already chosen count as trained, so that two similar paths are not chosen together.
 
-The score of a path is the error expected at its trust number, 1 where it is larger or unknown, plus the share of
-the surface under its tools that no path before it covers. So an uncovered place counts as an error of 100 %, and comes
-first; on a covered surface the error decides. Equal scores are ordered by the trust number.
+The score of a path has two terms. The first is the error expected at its trust number, at most 1, and 1
+if it is unknown. The second is the newly covered share of the surface under its tools. An uncovered
+place counts as an error of 100 %, and comes first; on a covered surface the error decides. Equal scores
+are ordered by the trust number.
 """
 
 from __future__ import annotations

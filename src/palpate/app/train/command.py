@@ -60,8 +60,8 @@ def train(
     seed : int, optional
         Of the paths.
     tolerance : float, optional
-        Choose paths on uncovered surface and where the model errs most, at most `paths`, until its mean errors on the
-        held-out runs are at most this; see `palpate.app.train.campaign.Campaign.train_to_tolerance`.
+        Largest mean error on the held-out runs. Paths on uncovered surface, or with large expected errors, are added
+        until it is reached, at most `paths`; see `palpate.app.train.campaign.Campaign.train_to_tolerance`.
     more : sequence of path
         Recordings of sessions: the campaign also trains on their tool paths beyond trust, from now on.
     modes : int, optional

@@ -1,9 +1,9 @@
 """Folder of a campaign: its manifest, and the files of its runs.
 
-``campaign.json`` identifies the campaign. ``recordings/`` holds the recordings that were added to it, and
-``rounds.json`` the paths that a campaign with a tolerance has chosen. ``runs/`` holds a file for every run that was
-finished, and for every one that failed a ``.failed.json`` with the reason and, as far as it came, a ``.failed.h5``.
-Every name there stands for a whole file. What is being written has a hidden name that ends in ``.partial``.
+``campaign.json`` identifies the campaign. ``recordings/`` holds the added recordings, and ``rounds.json``
+the paths that a campaign with a tolerance has chosen. ``runs/`` holds a file for every finished run. For
+a failed run it holds a ``.failed.json`` with the reason, and its frames, if any, in a ``.failed.h5``.
+Every such file is complete. An unfinished file has a hidden name that ends in ``.partial``.
 """
 
 from __future__ import annotations

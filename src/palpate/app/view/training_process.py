@@ -89,8 +89,8 @@ class TrainingProcess:
     def events(self) -> Iterator[dict[str, Any]]:
         """Yield the reports of the process until it ends; the last is ``trained`` or ``failed``.
 
-        ``phase`` has a text, and the time ``left`` [s] or None; ``trained`` the file of the model, and its mean
-        ``errors`` on held-out runs by name; ``failed`` a reason.
+        ``phase`` has a text, and the time ``left`` [s] or None. ``trained`` has the file of the model, and its
+        mean ``errors`` on held-out runs by name. ``failed`` has a reason.
         """
         assert self._process.stdout is not None
         last: dict[str, Any] = {}

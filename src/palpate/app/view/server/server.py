@@ -96,7 +96,7 @@ class Server:
         ----------
         source : Session or Replay
         refinement : Refining, optional
-            What may replace the source later.
+            Training whose session replaces the source later.
         """
         self.source, self._streams, self._refinement = source, Streams(source), refinement
         self._replaced.set()
