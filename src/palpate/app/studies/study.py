@@ -216,10 +216,10 @@ def _run_size(study: Study, name: str, size: int, console: Console) -> list[Traj
             f"displacement error {measured['errors']['displacement']:.3%}"
         )
     if not entry["failed"]:
-        whole = _join(runs)
-        entry["joined"] = comparison(study.full, whole)
+        joined_run = _join(runs)
+        entry["joined"] = comparison(study.full, joined_run)
         entry["joined"]["errors_against"] = {
-            peer: relative_errors(run, whole).as_dict() for peer, run in study.peers.items()
+            peer: relative_errors(run, joined_run).as_dict() for peer, run in study.peers.items()
         }
     study.reduced.append(entry)
     return runs
@@ -236,10 +236,10 @@ def _run_phase(
         training = perf_counter() - start
         step = scene.model.stability.step
         # compiles, and warms the caches
-        own = phase.step if name == PROJECTED else None
+        time_step = phase.step if name == PROJECTED else None
         with warnings.catch_warnings(action="ignore", category=TrustWarning):  # the report has the number
             rollout(model, scene.loads, duration=step, every=step, progress=False, **begin)
-            run = rollout(model, scene.loads, duration=phase.duration, every=scene.every, step=own, **begin)
+            run = rollout(model, scene.loads, duration=phase.duration, every=scene.every, step=time_step, **begin)
     except (DivergenceError, InputError) as error:
         return {"failed": True, "reason": " ".join(str(error).split())}, None
     measured = {

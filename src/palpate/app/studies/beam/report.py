@@ -105,11 +105,11 @@ def tables(report: dict[str, Any]) -> list[Any]:
         ],
     }
     title = f"{report['title']}, {report['nodes']} nodes: full model"
-    own = []
+    form_tables = []
     if report["energy_form"]:
         title += " in two forms, two discretisations with errors of their own"
-        own = [_against_energy_form(report["reduced"])]
-    drawn = [*own, quantities_table(title, list(runs), rows)]
+        form_tables = [_against_energy_form(report["reduced"])]
+    drawn = [*form_tables, quantities_table(title, list(runs), rows)]
     titles = {
         PROJECTED: "Projected models (the paper's)",
         HYPER_REDUCED: "Hyper-reduced models",
