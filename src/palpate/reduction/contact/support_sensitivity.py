@@ -103,9 +103,9 @@ def support_sensitivity(
     cloud, supports = body.cloud, explicit_supports(body.cloud, body.supports)
     outer, inner, distance = moved_borders(cloud, supports)
     forces, places = _on_body(body, points, presses)
-    held = supported_nodes(_with_groups(cloud, outer), supports).kind != 0
+    held_nodes = supported_nodes(_with_groups(cloud, outer), supports).kind != 0
     sizes = np.linalg.norm(forces, axis=2)
-    usable = sizes[:, held].sum(axis=1) <= MAX_HELD_SHARE * sizes.sum(axis=1)
+    usable = sizes[:, held_nodes].sum(axis=1) <= MAX_HELD_SHARE * sizes.sum(axis=1)
     forces, places = forces[usable], places[usable]
     sites = body.prepare(list(foundations)).sites
     springs = np.bincount(sites.foundation_node, sites.foundation_spring, minlength=len(cloud)).astype(float)
