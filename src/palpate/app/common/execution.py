@@ -1,4 +1,4 @@
-"""Run a command line: parse it, import the command, call it, and turn whatever it raises into an exit status."""
+"""Run a command line: parse it, import and call the command, convert its errors to an exit status."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A full body to touch at once: a scene whose spacing this machine steps in real time."""
+"""A full body without training: a scene with a spacing for real time on this machine."""
 
 from __future__ import annotations
 
