@@ -69,7 +69,7 @@ def build_report(made: Comparison) -> dict[str, Any]:
 
 
 def _share(value: float) -> str:
-    """Return a share in per cent, with digits also for small ones."""
+    """Return a share in per cent; one digit of shares below 0.01 %."""
     return percent(value) if value >= 1e-4 else f"{100 * value:.0e}%"
 
 

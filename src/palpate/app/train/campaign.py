@@ -209,7 +209,7 @@ class Campaign:
         return round(duration / self.scene.every) + 1
 
     def _check_sizes(self, paths: Collection[tuple[Sequence[Load], float]]) -> None:
-        """Raise `InputError` for runs that are too few for a model of this size."""
+        """Raise `InputError` for too few paths or modes, or for too many modes."""
         scene = self.scene
         touched = any(isinstance(load, Contact | Grasp) for loads, _ in paths for load in loads)
         if not touched or scene.tools or isinstance(scene.model, Membrane):
@@ -237,7 +237,7 @@ class Campaign:
     def _statics(self) -> Solid | None:
         """Coarser model for the modes and statics of a large body that tools touch; None for a small body.
 
-        `InputError`, where there is none, is raised before the runs.
+        An `InputError` of making it is raised before the runs.
         """
         scene, body = self.scene, self.scene.model
         if scene.coarse is not None:
