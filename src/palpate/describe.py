@@ -122,7 +122,7 @@ def _numbers(values: list[float], unit: str) -> str:
 
 
 def _scaled(size: float, unit: str) -> tuple[float, str]:
-    """Return what to divide by, and the unit with its prefix, so that a size lies from 1 to 1000 if it can."""
+    """Return a divisor, and the unit with its prefix, so that a size lies from 1 to 1000 if possible."""
     power = POWER_BY_UNIT.get(unit, 1)
     prefixes = LENGTH_BY_POWER if unit in POWER_BY_UNIT else PREFIX_BY_POWER if unit in PREFIXED_UNITS else {0: unit}
     if not 0 < size < np.inf or len(prefixes) == 1:

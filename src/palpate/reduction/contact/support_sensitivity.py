@@ -1,4 +1,4 @@
-"""How much the force of a tool depends on where and how firmly a body is held, from statics at rest.
+"""Sensitivity of a tool's force to the place and the stiffness of supports, from statics at rest.
 
 A press with nodal forces f moves the tool by f K^-1 f / |f|, with the stiffness K at rest of the body, its supports
 and the springs of its foundations. So for a given depth the force is proportional to 1 / (f K^-1 f). It is compared

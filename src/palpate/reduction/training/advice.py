@@ -1,4 +1,4 @@
-"""What to change about a reduced model whose errors on held-out runs are too large to use it."""
+"""Advice for a reduced model with large errors on held-out runs."""
 
 from __future__ import annotations
 
