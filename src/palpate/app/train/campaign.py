@@ -196,7 +196,7 @@ class Campaign:
                     outcomes: Generator[Outcome] = run_local(folder, left, self.workers, shown.at)
                 else:
                     outcomes = run_on_cluster(folder, left, self.cluster, console)
-                with closing(outcomes):  # stops what still runs, however this ends
+                with closing(outcomes):  # stops unfinished runs, in every case
                     for outcome in outcomes:
                         shown.done(outcome)
         except KeyboardInterrupt:

@@ -212,7 +212,7 @@ def open_campaign(path: Path, manifest: Mapping[str, Any]) -> Iterator[Folder]:
             write_sealed_json(manifest_path, dict(manifest))
         folder.sweep()
         yield folder
-        folder.sweep()  # what workers left that were killed meanwhile
+        folder.sweep()  # files of killed workers
 
 
 def _open_lock(path: Path) -> IO[str]:

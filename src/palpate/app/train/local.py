@@ -52,7 +52,7 @@ class _Worker:
     def send_next(self, waiting: deque[Job]) -> bool:
         """Send the next run to the process, or its end if there is none."""
         job = waiting.popleft() if waiting else None
-        with suppress(BrokenPipeError):  # it died meanwhile: heard next
+        with suppress(BrokenPipeError):  # it has died: the next message reports it
             self.pipe.send(job)
         if job is None:
             self.process.join()
