@@ -28,8 +28,8 @@ help: ## show this list
 
 demo: $(VENV)/.installed-demo ## reproduce the paper's beam into out/beam
 	$(BIN)/palpate reproduce beam --out $(OUT)
-	@echo "The report, the figures and the files for ParaView are in $(abspath $(OUT)):"
-	@ls -1 $(OUT)
+	@echo "The error of the reduced models over their number of modes, Figure 3 of the paper:"
+	@echo "  $(abspath $(OUT))/figure3_error.png"
 	@echo "Next, press and pull that beam on a page in the browser:"
 	@echo "  $(BIN)/palpate view beam"
 
