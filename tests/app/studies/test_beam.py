@@ -224,7 +224,7 @@ def test_a_machine_that_cannot_draw_raises_with_the_packages_to_install(monkeypa
         check_drawing()
 
 
-def test_an_error_that_falls_to_a_quarter_after_eight_modes_is_no_slight_decrease():
+def test_an_error_that_falls_to_a_quarter_after_eight_modes_is_not_a_slight_decrease():
     entries = {modes: {"errors": {"displacement": error}} for modes, error in ((6, 0.024), (8, 0.038), (12, 0.008))}
     *_, here, holds = slight_decrease_after_eight(entries)
     assert (here, holds) == ("3.800% with 8, 0.800% with 12", False)
