@@ -27,7 +27,7 @@ from scipy.interpolate import LinearNDInterpolator
 
 import palpate as pt
 from palpate.dynamics.nodal.stability import stable_step
-from palpate.dynamics.solid.energy import DAMPING
+from palpate.dynamics.solid.energy import DEFAULT_DAMPING
 from palpate.meshfree.quadrature import integration_weights, quadratic_residuals
 from palpate.meshfree.stencils import moving_least_squares
 
@@ -249,7 +249,7 @@ def model_of(
 def default_step(model: pt.Solid) -> float:
     """Stable step [s] at rest with the default stiffness damping."""
     highest = model.stability.highest_frequency
-    return stable_step(highest, DAMPING / highest) if model.conservative else model.stability.step
+    return stable_step(highest, DEFAULT_DAMPING / highest) if model.conservative else model.stability.step
 
 
 def run(case: str, poisson: float, form: str, spacing: float, jitter: float) -> None:

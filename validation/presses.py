@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 import palpate as pt
-from palpate.app.train.campaign import REPEATED
+from palpate.app.train.campaign import MAX_REPEATED
 from palpate.app.train.folder import HELD_OUT, jobs
 from palpate.reduction.basis.linear_modes import interpolated_modes
 from palpate.reduction.contact.coarse_body import coarse_body
@@ -79,7 +79,8 @@ def main() -> None:
         coarse = scene.model if len(scene.model.cloud) <= MAX_NODES else coarse_body(scene.model)
         trained = [(scene.path(job.seed)[0], path) for job, path in found if job.kind != HELD_OUT]
         model = pt.hyper_reduce(
-            scene.model, [path for _, path in trained], modes=args.modes, coarse=coarse, repeated=trained[:REPEATED],
+            scene.model, [path for _, path in trained], modes=args.modes, coarse=coarse,
+            repeated=trained[:MAX_REPEATED],
             enrichment=interpolated_modes(coarse, scene.model, shapes) if shapes else None,
             cubature=args.cubature,
         )  # fmt: skip

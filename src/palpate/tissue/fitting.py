@@ -220,9 +220,9 @@ def fit(
         ]
         solutions.sort(key=lambda pair: pair[1].cost)
         solutions[0] = solutions[0][0], _minimise(problem, solutions[0][1].x, FINE_TOLERANCE)
-        found = _build_fit(problem, solutions)
-    found.material.warn_of_units()
-    return found
+        fitted = _build_fit(problem, solutions)
+    fitted.material.warn_of_units()
+    return fitted
 
 
 def _minimise(problem: FitProblem, first: Floats, tolerance: float) -> Any:

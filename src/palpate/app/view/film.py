@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from palpate.app.common.rendering import COLOURS, check_drawing, off_screen
 from palpate.app.recordings.recording import Recording
-from palpate.app.recordings.snapshot import UNITS, Snapshot
+from palpate.app.recordings.snapshot import FIELD_UNITS, Snapshot
 from palpate.app.view.server.frames import colour_range
 from palpate.extras import require
 from palpate.faults import InputError
@@ -114,7 +114,7 @@ class RecordingPlotter:
         plotter: Any = self._window.__enter__()
         faces = np.column_stack([np.full(len(surface.triangles), 3), surface.triangles]).ravel()
         body: Any = pyvista.PolyData(surface.rest.astype(float), faces)
-        unit, factor = UNITS[self.scalar]
+        unit, factor = FIELD_UNITS[self.scalar]
         snapshots = self.recording.snapshots
         largest = factor * self._largest_value(snapshots)
         body["scalar"] = np.zeros(len(surface.rest))
