@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import inspect
 import re
+import sys
 from importlib.metadata import version as installed_version
 from pathlib import Path
+from typing import Any
 
 from sphinx.application import Sphinx
+from sphinx.domains.python import PyObject
+from sphinx.util.inspect import stringify_signature
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "docs"))
+
+import generated_parts  # noqa: E402
 
 project = "palpate"
 author = "The palpate authors"
@@ -95,16 +103,62 @@ def show_root_file(app: Sphinx, page: str, source: list[str]) -> None:
 
 
 def drop_empty_patterns(app: Sphinx, page: str, source: list[str]) -> None:
-    """Drop patterns of the index that match no page yet: Sphinx 9 warns of each and has no setting against it."""
-    if page == "index":
-        lines = source[0].splitlines(keepends=True)
-        pattern = re.compile(r"^[\w/]+\*\n$")
-        source[0] = "".join(
-            line for line in lines if not pattern.match(line) or any(app.srcdir.glob(f"{line.strip()}.md"))
-        )
+    """Drop patterns of the index that match no further page: Sphinx 9 warns of each and has no setting against it."""
+    if page != "index":
+        return
+    lines, taken = [], set()
+    for line in source[0].splitlines():
+        listed = re.fullmatch(r"[\w/]+\*?", line)
+        matches = set(app.srcdir.glob(f"{line}.md")) if listed else set()
+        if not line.endswith("*") or matches - taken:
+            lines.append(line)
+        taken |= matches
+    source[0] = "\n".join(lines)
+
+
+def fill_generated_parts(app: Sphinx, page: str, source: list[str]) -> None:
+    """Replace the marks of a page by what comes of the code."""
+    source[0] = generated_parts.fill(source[0])
+
+
+def show_constructor(
+    app: Sphinx, kind: str, name: str, obj: Any, options: Any, signature: str | None, returned: str | None
+) -> tuple[str, None] | None:
+    """Show the arguments of a class whose metaclass takes any and checks them."""
+    if kind == "class" and signature and signature.startswith("(*"):
+        constructor = inspect.signature(obj.__init__)
+        arguments = [
+            each.replace(annotation=inspect.Parameter.empty)
+            for each in list(constructor.parameters.values())[1:]  # without self
+        ]
+        return stringify_signature(inspect.Signature(arguments), show_annotation=False), None
+    return None
+
+
+def keep_colons(app: Sphinx, kind: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """Hide the docstrings of properties from napoleon, which takes the words before a colon for a type."""
+    if kind in ("attribute", "property") and not any(line.startswith("---") for line in lines):
+        property_docs[name] = list(lines)
+        lines.clear()
+
+
+def restore_colons(app: Sphinx, kind: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """Restore the docstrings that `keep_colons` has hidden."""
+    if name in property_docs:
+        lines[:] = property_docs.pop(name)
+
+
+property_docs: dict[str, list[str]] = {}
 
 
 def setup(app: Sphinx) -> None:
-    """Connect what changes the text of pages before it is parsed."""
+    """Connect what changes pages and docstrings before they are parsed."""
     app.connect("source-read", show_root_file)
+    app.connect("source-read", fill_generated_parts)
     app.connect("source-read", drop_empty_patterns)
+    app.connect("autodoc-process-signature", show_constructor)
+    app.connect("autodoc-process-docstring", keep_colons, priority=400)  # napoleon has 500
+    app.connect("autodoc-process-docstring", restore_colons, priority=600)
+    for field in PyObject.doc_field_types:
+        if field.name == "variable":
+            field.label = "Attributes"
