@@ -32,7 +32,7 @@ def names() -> str:
             f"| {{py:obj}}`{name.removeprefix('palpate.')} <{name}>` | {escaped(summary(name))} |"
             for name in documented_names(page)
         ]
-        parts.append("\n".join([f"## {title}", "", "| name | |", "|---|---|", *rows, ""]))
+        parts.append("\n".join([f"## {title}", "", "| name | summary |", "|---|---|", *rows, ""]))
     return "\n".join(parts)
 
 
@@ -97,7 +97,7 @@ def described(path: str, parser: argparse.ArgumentParser) -> list[str]:
 
 def escaped(text: str) -> str:
     """Return text of a help message with the characters that Markdown would read as marks."""
-    return re.sub(r"([*_<>|`\[\]])", r"\\\1", text)
+    return re.sub(r"([*_<>|\[\]])", r"\\\1", text)
 
 
 def linked(text: str) -> str:
