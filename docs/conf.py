@@ -76,7 +76,10 @@ add_module_names = False
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 
-# MathJax is needed when a page is read, not when it is built.
+# MathJax is needed when a page is read, not when it is built. Its SVG output needs no fonts; a site without a
+# network serves a copy of the file and names it by -D mathjax_path=...
+mathjax_path = "https://cdn.jsdelivr.net/npm/mathjax@4/tex-svg.js"
+
 linkcheck_anchors = False
 linkcheck_timeout = 20
 linkcheck_retries = 2
