@@ -70,6 +70,11 @@ def signed(value: float, places: int = 1, unit: str = " %") -> str:
     return f"{round(100 * value, places) + 0.0:+.{places}f}{unit}".replace("-", "−")
 
 
+def microseconds(duration: float) -> str:
+    """Return a duration in microseconds."""
+    return f"{significant(1e6 * duration)} µs"
+
+
 def millimetres(spacing: float) -> str:
     """Return a length in millimetres."""
     return f"{significant(1e3 * spacing, 3).rstrip('0').rstrip('.')} mm"
@@ -236,6 +241,90 @@ def readme_membrane(report: Row) -> str:
         ],
     ]  # fmt: skip
     return markdown(["", "paper", "here"], rows)
+
+
+def bench_rows(bench: Row) -> list[list[str]]:
+    """Return what `palpate bench` measured of reduced models."""
+    beam, large = bench["beam"][0], bench["large"]
+    fast, bodies = beam["hyper_reduced"], large["bodies"]
+    pull = "; ".join(percent(fast["ratio"][form]) for form in ("strong", "energy"))
+    return [
+        [
+            f"beam, {beam['nodes']:,} nodes: a step of {fast['modes']} modes at {fast['nodes']} sampled nodes",
+            microseconds(fast["compiled_seconds_per_step"]),
+        ],
+        ["the paper's pull, over the full model's time: strong form; energy form (paper: 3 %)", pull],
+        [
+            f"a force evaluation of {large['modes']} modes at {large['nodes']} sampled nodes",
+            microseconds(large["force_seconds"]),
+        ],
+        [
+            "the same over reading its operators from memory; from the cache",
+            f"{large['force_over_memory_reading']:.1f}; {large['force_over_reading']:.1f}",
+        ],
+        [
+            f"a step of that model trained on {bodies[1]['nodes']:,} nodes over one trained on {bodies[0]['nodes']:,}",
+            f"{large['compiled_step_ratio']:.2f}",
+        ],
+    ]  # fmt: skip
+
+
+@block("bench", command="palpate bench")
+def bench_models(bench: Row) -> str:
+    """Return the speed of full and reduced models."""
+    beam, full = bench["beam"][0], bench["full_body"]
+    rows = [
+        [
+            f"beam, {beam['nodes']:,} nodes: full model, {form} form",
+            f"{run['steps_per_second']:,.0f} steps/s, {significant(run['real_time_factor'])} of real time",
+        ]
+        for form, run in beam["full"].items()
+    ]  # fmt: skip
+    rows += [
+        [
+            f"full liver of {full['nodes']:,} nodes under a ball, {run['threads']} threads: a period of 1 ms, mean; "
+            "median; 99 %",
+            "; ".join(f"{1e3 * run[name]:.2f}" for name in ("mean_seconds", "median_seconds", "seconds_99")) + " ms",
+        ]
+        for run in full["threads"]
+    ]  # fmt: skip
+    return markdown(["quantity, medians of 3 rounds", "here"], [*bench_rows(bench), *rows])
+
+
+@block(
+    "bench", "held_out", "large_training",
+    command="palpate bench`, `python validation/held_out.py` and `python validation/large_training.py",
+)  # fmt: skip
+def readme_bench(bench: Row, studies: Row, trainings: list[Row]) -> str:
+    """Return the speed and the errors of sampled models."""
+    errors = {row["modes"]: row["sets"]["inside"] for row in studies["accuracy"]}
+    runs = [row[rule] for row in studies["stability"] for rule in ("explicit", "implicit")]
+    sizes = [row["modes"] for row in studies["stability"]]
+
+    def unseen(modes: int, *kinds: str) -> str:
+        return ", ".join(percent(errors[modes][kind]["percentile_95"]) for kind in kinds)
+
+    training = trainings[-1]
+    rows = [
+        *bench_rows(bench),
+        [
+            f"training on {training['nodes']:,} nodes with {training['modes']} modes",
+            f"{training['seconds']:.0f} s, {training['gigabytes']:.1f} GB",
+        ],
+        [
+            f"energy, reaction force on {errors[32]['runs']} motions not trained on, 32 modes, 95th percentile",
+            unseen(32, "energy", "reaction"),
+        ],
+        [
+            "displacement, velocity of the same, almost undamped; with 96 modes",
+            f"{unseen(32, 'displacement', 'velocity')}; {unseen(96, 'displacement', 'velocity')}",
+        ],
+        [
+            f"runs that diverged, {min(sizes)} to {max(sizes)} modes, into buckling",
+            f"{sum(run['failed'] for run in runs)} of {sum(run['runs'] for run in runs)}",
+        ],
+    ]  # fmt: skip
+    return markdown(["beam at 5 mm, one core", "here"], rows)
 
 
 # Statics and frequencies
