@@ -897,7 +897,10 @@ def interfaces(rows: list[Row]) -> str:
     return markdown(["error of the stretch [%] at", *heads], lines)
 
 
-@block("land", command="python validation/land.py --cells 4 6 --bulk 100e3 --keep")
+@block(
+    "land",
+    command="python validation/land.py --cells 4 6 --bulk 100e3 --keep` and `... --cells 4 --bulk 400e3 800e3 --keep",
+)
 def land(found: Row) -> str:
     """Return the place of the tip in the cardiac benchmark, over the bulk modulus."""
     scale = 2e3  # C bt / 2 of Guccione's law [Pa]

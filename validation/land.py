@@ -91,14 +91,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cells", type=int, nargs="+", default=[4, 6], help="across the beam; even")
     parser.add_argument("--bulk", type=float, nargs="+", default=[100e3, 400e3, 800e3], help="bulk moduli [Pa]")
-    parser.add_argument("--keep", action="store_true", help="write docs/validation/land.json")
+    parser.add_argument("--keep", action="store_true", help="add to docs/validation/land.json")
     args = parser.parse_args()
-    rows: list[dict[str, Any]] = []
+    rows: dict[tuple[float, int], dict[str, Any]] = {
+        (row["bulk"], row["cells_across"]): row for row in result_files.read("land", {"rows": []})["rows"]
+    }
     for bulk in args.bulk:
         before = None
         for cells in args.cells:
             row, before = solved(cells, bulk, before)
-            rows.append(row)
+            rows[bulk, cells] = row
             x, y, z = row["tip_mm"]
             print(
                 f"{cells:3d} cells across, bulk modulus {bulk / 1e3:5.0f} kPa: tip at ({x:.3f}, {y:.3f}, {z:.3f}) mm; "
@@ -106,7 +108,11 @@ def main() -> None:
                 flush=True,
             )
             if args.keep:
-                report = {"pressure": PRESSURE, "published_tip_z_mm": PUBLISHED, "rows": rows}
+                report = {
+                    "pressure": PRESSURE,
+                    "published_tip_z_mm": PUBLISHED,
+                    "rows": [rows[key] for key in sorted(rows)],
+                }
                 result_files.write("land", report)
 
 

@@ -1,11 +1,11 @@
 """Result files of studies, docs/validation/NAME.json: figures, and by which command, commit and machine they were made.
 
-    python validation/result_files.py NAME report.json "palpate reproduce beam"
+    python validation/result_files.py NAME report.json "palpate reproduce beam" ["next to other work"]
 
-keeps a report of `palpate reproduce` or `palpate bench` as the result file NAME. A file holds ``results``, what the
-study found in SI units, and ``made``, one entry for every command that wrote it: command, commit, date and machine.
-`docs/figures.py` makes the tables of the docs from these files. Entries without a machine are older than this module;
-their commit is the one that last changed the figures.
+keeps a report of `palpate reproduce` or `palpate bench` as the result file NAME, with a note on the machine. A file
+holds ``results``, what the study found in SI units, and ``made``, one entry for every command that wrote it: command,
+commit, date and machine. `docs/figures.py` makes the tables of the docs from these files. Entries without a machine
+are older than this module; their commit is the one that last changed the figures.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "validation"
-OMITTED = ("sequence", "files", "figures")  # of reports: long lists that no table has
+OMITTED = ("machine", "singular_values", "paper", "missing")  # of reports: what no table has
 
 
 def read(name: str, default: Any) -> Any:
@@ -31,13 +31,13 @@ def read(name: str, default: Any) -> Any:
     return json.loads(path.read_text(encoding="utf-8"))["results"] if path.is_file() else default
 
 
-def write(name: str, results: Any, command: str | None = None) -> None:
-    """Write the results of a study, and by which command, commit and machine they were made."""
+def write(name: str, results: Any, command: str | None = None, note: str = "") -> None:
+    """Write the results of a study, and by which command, commit and machine (with a note) they were made."""
     path = FOLDER / f"{name}.json"
     made = json.loads(path.read_text(encoding="utf-8"))["made"] if path.is_file() else []
     entry = {
         "command": command or this_command(), "commit": commit(), "date": datetime.date.today().isoformat(),
-        "machine": machine(),
+        "machine": ", ".join(filter(None, [machine(), note])),
     }  # fmt: skip
     made = [each for each in made if each.get("command") != entry["command"]]
     path.write_text(text({"made": [*made, entry], "results": results}), encoding="utf-8")
@@ -91,9 +91,9 @@ def machine() -> str:
 
 def main() -> None:
     """Keep a report of a command as a result file."""
-    name, report, command = sys.argv[1:]
+    name, report, command, *note = sys.argv[1:]
     content = json.loads(Path(report).read_text(encoding="utf-8"))
-    write(name, {key: value for key, value in content.items() if key not in OMITTED}, command)
+    write(name, {key: value for key, value in content.items() if key not in OMITTED}, command, *note)
 
 
 if __name__ == "__main__":
