@@ -16,6 +16,7 @@ from typing import Any
 Row = dict[str, Any]
 LAYOUTS = (("rings", 0.0), ("hexagonal", 0.0), ("rings", 0.1))
 ERRORS = ("displacement", "velocity", "energy", "reaction")
+LEAST_SHARE = 1e-5  # smaller shares are below it
 LITTLE_FORCE = 0.1  # largest force of a path over that of all, below which a path counts as one of little force
 
 
@@ -56,12 +57,14 @@ def significant(value: float, digits: int = 2) -> str:
         return "0" if value == 0 else "–"
     if abs(value) >= 10**digits:
         return f"{value:,.0f}".replace("-", "−")
-    places = digits - 1 - math.floor(math.log10(abs(value)))
+    places = digits - 1 - math.floor(math.log10(float(f"{abs(value):.{digits - 1}e}")))  # 9.99 has those of 10
     return f"{round(value, places):.{max(places, 0)}f}".replace("-", "−")
 
 
 def percent(value: float, digits: int = 2) -> str:
     """Return a share in per cent, with so many significant digits; from 100 % on without decimals."""
+    if 0 < abs(value) < LEAST_SHARE:
+        return f"< {100 * LEAST_SHARE:g} %"
     return f"{100 * value:.0f} %" if abs(value) >= 1 else f"{significant(100 * value, digits)} %"
 
 

@@ -70,7 +70,8 @@ def test_written_results_are_read_again_with_their_origin(tmp_path, monkeypatch)
 
 
 @pytest.mark.parametrize(
-    ("value", "text"), [(0.0, "0 %"), (0.00123, "0.12 %"), (0.0999, "10 %"), (0.236, "24 %"), (1.0316, "103 %")]
+    ("value", "text"),
+    [(0.0, "0 %"), (3e-8, "< 0.001 %"), (0.00123, "0.12 %"), (0.0999, "10 %"), (0.236, "24 %"), (1.0316, "103 %")],
 )
 def test_shares_have_two_significant_digits(value, text):
     assert sys.modules["figure_tables"].percent(value) == text
