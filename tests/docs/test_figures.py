@@ -69,9 +69,9 @@ def test_written_results_are_read_again_with_their_origin(tmp_path, monkeypatch)
     assert all(entry["machine"] and entry["commit"] for entry in made)
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(0.0, "0 %"), (3e-8, "< 0.001 %"), (0.00123, "0.12 %"), (0.0999, "10 %"), (0.236, "24 %"), (1.0316, "103 %")],
-)
+SHARES = {0.0: "0 %", 3e-8: "< 0.001 %", 0.00123: "0.12 %", 0.0999: "10 %", 0.236: "24 %", 1.0316: "103 %"}
+
+
+@pytest.mark.parametrize(("value", "text"), SHARES.items())
 def test_shares_have_two_significant_digits(value, text):
     assert sys.modules["figure_tables"].percent(value) == text
