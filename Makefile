@@ -3,35 +3,40 @@
 
 PYTHON ?= python3
 OUT ?= out/beam
+SITE ?= out/site
 PYTEST_ARGS ?= -n auto --dist loadfile --no-loadscope-reorder
 
 VENV := .venv
 PAGE := $(shell find page -name node_modules -prune -o -type f -print) hatch_build.py
 BIN := $(VENV)/bin
+SPHINX := $(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet --doctree-dir out/site-cache/doctrees
 
 # Draw off-screen, without a display.
 export PYVISTA_OFF_SCREEN ?= true
 export MPLBACKEND ?= Agg
 # The tests run side by side already; threads of linear algebra beside them only wait for each other, and
 # threads of one test that spin longer stall those of another.
-test test-all test-slow: export OPENBLAS_NUM_THREADS ?= 1
-test test-all test-slow: export GOMP_SPINCOUNT ?= 1000
+docs test test-all test-slow: export OPENBLAS_NUM_THREADS ?= 1
+docs test test-all test-slow: export GOMP_SPINCOUNT ?= 1000
 ifeq ($(shell uname -s),Linux)
 export VTK_DEFAULT_OPENGL_WINDOW ?= vtkEGLRenderWindow
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-slow lint style types layers clean
+.PHONY: help demo docs films links test test-all test-slow lint style types layers clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-9s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
 
 demo: $(VENV)/.installed-demo ## reproduce the paper's beam into out/beam
 	$(BIN)/palpate reproduce beam --out $(OUT)
-	@echo "The report, the figures and the files for ParaView are in $(abspath $(OUT)):"
-	@ls -1 $(OUT)
+	@echo "The error of the reduced models over their number of modes, Figure 3 of the paper:"
+	@echo "  $(abspath $(OUT))/figure3_error.png"
 	@echo "Next, press and pull that beam on a page in the browser:"
 	@echo "  $(BIN)/palpate view beam"
+
+films: $(VENV)/.installed-demo ## make the films of the docs, in some minutes
+	$(BIN)/python docs/films.py
 
 test: $(VENV)/.installed-test ## run the quick tests, within five minutes the first time
 	$(BIN)/python -m pytest -m "not slow" $(PYTEST_ARGS)
@@ -41,6 +46,14 @@ test-all: $(VENV)/.installed-test ## run all tests
 
 test-slow: $(VENV)/.installed-test ## run the tests that make test leaves out
 	$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
+
+docs: $(VENV)/.installed-docs ## build the site into out/site, with its tutorials executed; warnings are errors
+	$(SPHINX) -b html docs $(SITE)
+	$(BIN)/python docs/check_links.py $(SITE)
+	@echo "The site is $(abspath $(SITE))/index.html"
+
+links: $(VENV)/.installed-docs ## check the external links of the site, over the network
+	$(SPHINX) -b linkcheck docs out/links
 
 lint: style types layers ## check style, formatting, types and import layers
 
@@ -59,6 +72,7 @@ clean: ## remove results, builds and caches, but not .venv
 	find src tests validation benchmarks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
 
 $(VENV)/.installed-demo: EXTRAS := [film,view]
+$(VENV)/.installed-docs: EXTRAS := [docs]
 $(VENV)/.installed-test: EXTRAS := [test]
 $(VENV)/.installed-dev: EXTRAS := [dev]
 $(VENV)/.installed-%: pyproject.toml $(PAGE) | $(BIN)/python

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import result_files
 
 import palpate as pt
 from palpate.app.train.campaign import MAX_REPEATED
@@ -29,7 +30,6 @@ from palpate.reduction.contact.coarse_body import coarse_body
 from palpate.reduction.contact.residual_flexibility import MAX_NODES
 from palpate.scenes.training import training_scene
 
-OUTPUT = Path(__file__).parents[1] / "docs" / "validation" / "presses.json"
 MOST = 1000  # runs of either kind that are looked for
 MEANS = ("force", "force_95", "surface_95", "farthest_95")
 LEAST = 0.1  # of the largest force: frames that count
@@ -94,9 +94,8 @@ def main() -> None:
     kinds = sorted({row["kind"] for row in rows})
     means = {kind: _means([row for row in rows if row["kind"] == kind]) for kind in kinds}
     print("means", means)
-    kept = json.loads(OUTPUT.read_text()) if OUTPUT.exists() else []
-    kept = [entry for entry in kept if entry["about"] != about]
-    OUTPUT.write_text(json.dumps([*kept, {"about": about, "means": means, "presses": rows}], indent=1) + "\n")
+    kept = [entry for entry in result_files.read("presses", []) if entry["about"] != about]
+    result_files.write("presses", [*kept, {"about": about, "means": means, "presses": rows}])
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ import numpy as np
 from palpate.arrays import Floats, Ints
 from palpate.extras import require
 
-__all__ = ["body_svg", "curve_svg", "plot_body", "plot_curves", "plot_singular_values"]
+__all__ = ["body_svg", "curve_svg", "plot_body", "plot_curves", "plot_fit", "plot_singular_values"]
 
 
 BLUE, GREY = "#0072B2", "#888888"
@@ -54,6 +54,35 @@ def plot_curves(times: Floats, series: Mapping[str, Floats], label: str, axes: A
     axes.set(xlabel="time [s]", ylabel=label)
     if len(series) > 1:
         axes.legend()
+    return axes
+
+
+def plot_fit(
+    measured: tuple[Floats, Floats], fitted: tuple[Floats, Floats], labels: tuple[str, str], name: str, axes: Any = None
+) -> Any:
+    """Plot measured points and a fitted curve. Returns the axes.
+
+    Parameters
+    ----------
+    measured, fitted : pairs of arrays
+        Abscissae and ordinates.
+    labels : (str, str)
+        Of the axes, with units.
+    name : str
+        Of the points.
+    axes : matplotlib.axes.Axes, optional
+        New ones by default.
+
+    Raises
+    ------
+    InputError
+        matplotlib is not installed.
+    """
+    axes = _axes(axes)
+    axes.plot(*measured, "o", color=GREY, mfc="none", label=name)
+    axes.plot(*fitted, color=BLUE, label="fit")
+    axes.set(xlabel=labels[0], ylabel=labels[1])
+    axes.legend()
     return axes
 
 

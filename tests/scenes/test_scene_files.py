@@ -25,7 +25,7 @@ from palpate.scenes.description import (
     Training,
     with_settings,
 )
-from palpate.scenes.names import PACKAGE_SCENES
+from palpate.scenes.names import PACKAGE_SCENES, listed_scenes
 from palpate.scenes.open_scene import open_scene, training_scene_of
 from palpate.scenes.scene_text import parse_scene
 from palpate.scenes.settings import FACTORS_BY_UNIT, fields_of, read_section, setting, written_section
@@ -333,7 +333,7 @@ def test_folders_and_missing_files_are_refused(tmp_path):
         open_scene(tmp_path / "folder.toml")
     with pytest.raises(FileNotFoundError, match="no scene file at"):
         open_scene(tmp_path / "none.toml")
-    with pytest.raises(pt.InputError, match=r"scene must be beam, liver, membrane, or a file that ends in \.toml"):
+    with pytest.raises(pt.InputError, match=rf"scene must be {listed_scenes()}, or a file that ends in \.toml"):
         open_scene("lever")
 
 

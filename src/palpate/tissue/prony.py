@@ -28,7 +28,7 @@ class Prony(Described):
 
         dA_i/dt = dC̄/dt - A_i / tau_i,     C̄ = J^(-2/3) C,
 
-    it stores s_i mu/4 |A_i|^2 and dissipates s_i mu/2 |A_i|^2 / tau_i, with mu the law's shear
+    it stores ``s_i mu/4 |A_i|^2`` and dissipates ``s_i mu/2 |A_i|^2 / tau_i``, with mu the law's shear
     modulus at rest. The dissipation is never negative. At small strain the relaxation modulus is
 
         mu (1 + sum of s_i exp(-t / tau_i)),

@@ -74,7 +74,7 @@ def Hyperelastic(
     energy : str
         W_s [J/m^3] without its volumetric part U(J), in the notation of Python, of the invariants
         ``I1``, ``I2``, ``J`` of C and of ``I1bar`` = I1 J^(-2/3), ``I2bar`` = I2 J^(-4/3); or of
-        the principal stretches ``l1``, ``l2``, ``l3``. It may hold + - * / **, exp, log, sqrt,
+        the principal stretches ``l1``, ``l2``, ``l3``. It may hold ``+ - * / **``, exp, log, sqrt,
         sinh, cosh, tanh, atan, numbers, and parameters under other names. Limits: 4,000 characters,
         250 operations, 32 nested brackets and 32 parameters; magnitudes of numbers from 1e-30 to
         1e30; exponents from -100 to 100; 700 operations with all first and second derivatives.

@@ -38,12 +38,12 @@ class Errors(_Named):
     Parameters
     ----------
     displacement, velocity : float
-        As (34), read as: mean over the snapshots of sum_I |u_full - u| / sum_I |u_full|; snapshots where the
+        As (34), read as: mean over the snapshots of ``sum_I |u_full - u| / sum_I |u_full|``; snapshots where the
         reference does not move are left out.
     energy : float
-        Mean of |E - E_full| over the peak of E_full, E the kinetic and strain energy.
+        Mean of ``|E - E_full|`` over the peak of E_full, E the kinetic and strain energy.
     reaction : float
-        Mean of |R - R_full| over the peak of |R_full|, for the worst support or tool.
+        Mean of ``|R - R_full|`` over the peak of ``|R_full|``, for the worst support or tool.
     """
 
     displacement: float
