@@ -95,6 +95,7 @@ class TrustWarning(RuntimeWarning):
 
     Examples
     --------
+    >>> import warnings
     >>> import palpate as pt
     >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
     >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
@@ -102,7 +103,6 @@ class TrustWarning(RuntimeWarning):
     >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
     >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
     >>> model = pt.hyper_reduce(bar, full, modes=4)
-    >>> import warnings
     >>> sideways = pt.SurfaceForce("x+", force=(0, 0.1, 0))
     >>> with warnings.catch_warnings(record=True) as caught:
     ...     warnings.simplefilter("always")

@@ -133,8 +133,8 @@ class Reading(PeriodRecord):
     >>> ball = pt.tools.Contact(pt.tools.Sphere(radius=0.01), (0.015, 0.015, 0.026))
     >>> with pt.Engine(pt.realtime_model(block, contact=ball)) as engine:
     ...     reading = engine.read()
-    >>> reading.force.tolist(), reading.limited
-    ([0.0, 0.0, 0.0], False)
+    >>> reading.force.tolist(), reading.limited, reading.force_bound
+    ([0.0, 0.0, 0.0], False, inf)
     """
 
     worst_trust: float

@@ -153,12 +153,12 @@ class Statistics(Described):
 
     Examples
     --------
+    >>> import time
     >>> import palpate as pt
     >>> cloud = pt.box((0.03, 0.03, 0.015), spacing=0.005)
     >>> tissue = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1060, poisson=0.45)
     >>> block = pt.Solid(cloud, tissue, fixed="z-")
     >>> ball = pt.tools.Contact(pt.tools.Sphere(radius=0.01), (0.015, 0.015, 0.026))
-    >>> import time
     >>> with pt.Engine(pt.realtime_model(block, contact=ball)) as engine:
     ...     time.sleep(0.2)
     ...     statistics = engine.statistics()

@@ -191,8 +191,8 @@ class Forceps(Described):
     Examples
     --------
     >>> import palpate as pt
-    >>> pt.tools.Forceps(radius=0.006, point=(0.015, 0.015, 0.015)).until
-    inf
+    >>> pt.tools.Forceps(radius=0.006, point=(0.015, 0.015, 0.015))
+    Forceps(radius=6 mm, point=(15, 15, 15) mm, until=inf s)
     """
 
     radius: float

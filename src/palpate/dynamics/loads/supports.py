@@ -42,8 +42,13 @@ class Support(Described, ABC):
     Examples
     --------
     >>> import palpate as pt
-    >>> issubclass(pt.Roller, pt.typing.Support)
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed=["x-", pt.Roller("y-")])
+    >>> all(isinstance(support, pt.typing.Support) for support in bar.supports)
     True
+    >>> [type(support).__name__ for support in bar.supports]
+    ['Clamp', 'Roller']
     """
 
     kinds: ClassVar[dict[str, type[Support]]] = {}

@@ -75,6 +75,8 @@ class Trajectory(Described):
 
     Examples
     --------
+    >>> import tempfile
+    >>> from pathlib import Path
     >>> import palpate as pt
     >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
     >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
@@ -85,8 +87,6 @@ class Trajectory(Described):
     (31, True)
     >>> bool(abs(full.balance).max() < 0.02 * full.external.max())
     True
-    >>> import tempfile
-    >>> from pathlib import Path
     >>> path = Path(tempfile.mkdtemp()) / "run.h5"
     >>> full.save(path)
     >>> pt.Trajectory.load(path).reactions["x-"].shape

@@ -47,6 +47,7 @@ class Basis(Described):
 
     Examples
     --------
+    >>> import numpy as np
     >>> import palpate as pt
     >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
     >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
@@ -57,7 +58,6 @@ class Basis(Described):
     >>> coordinates = basis.project(full.displacements)
     >>> coordinates.shape == (31, len(basis))
     True
-    >>> import numpy as np
     >>> difference = np.linalg.norm(basis.lift(coordinates) - full.displacements)
     >>> bool(difference < 0.05 * np.linalg.norm(full.displacements))
     True
