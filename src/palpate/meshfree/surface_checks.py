@@ -73,6 +73,14 @@ class SurfaceReport:
 def check_surface(surface: Surface) -> SurfaceReport:
     """Return the problems of a welded surface: holes, folds, several parts, hollow shells, scale; and its repairs.
 
+    Parameters
+    ----------
+    surface : Surface
+
+    Returns
+    -------
+    SurfaceReport
+
     Examples
     --------
     >>> import palpate as pt

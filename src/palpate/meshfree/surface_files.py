@@ -63,6 +63,10 @@ def read_surface(
     repair : bool
         Whether to repair the surface, see `palpate.meshfree.surface_repair.repair_surface`.
 
+    Returns
+    -------
+    Surface
+
     Raises
     ------
     FileNotFoundError

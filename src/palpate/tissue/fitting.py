@@ -71,7 +71,15 @@ class CurveFit:
 
 @dataclass(frozen=True)
 class FitStart:
-    """First and last parameters of a start, its cost (half the sum of squared residuals), and its convergence.
+    """Result of one start of a fit.
+
+    Parameters
+    ----------
+    first, values : dict
+        First and last parameters by name.
+    cost : float
+        Half the sum of squared residuals.
+    converged : bool
 
     Examples
     --------

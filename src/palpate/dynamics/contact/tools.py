@@ -380,6 +380,15 @@ def _motion_fact(motion: Motion) -> str:
 def surface_nodes(cloud: Cloud) -> NDArray[np.int64]:
     """Return the surface nodes of a solid, or all nodes of a membrane.
 
+    Parameters
+    ----------
+    cloud : Cloud
+
+    Returns
+    -------
+    (k,) int array
+        In ascending order.
+
     Examples
     --------
     >>> import palpate as pt

@@ -153,8 +153,19 @@ class SymmetryPlane(Roller):
 
     The stencils of the body contain its mirror images, so that the body moves as one part of the whole
     one. Loads and tools act on this part and, mirrored, on the images. Several planes must be at right
-    angles. Solids take planes of symmetry. Parameters and errors are those of `Roller`; the group holds all
-    nodes in the plane.
+    angles. Solids take planes of symmetry.
+
+    Parameters
+    ----------
+    group : str
+        All nodes in the plane.
+    normal : (3,) sequence, optional
+        As for `Roller`.
+
+    Raises
+    ------
+    InputError
+        As for `Roller`.
 
     Examples
     --------

@@ -254,10 +254,22 @@ def tool_responses(body: Solid, fields: Floats, held: Sequence[str]) -> Floats:
 
 
 def modal_derivatives(body: Solid, modes: Floats, held: Sequence[str] = ()) -> Floats:
-    """Return second-order responses of the body to pairs of modes, (k (k + 1) / 2, n, 3), for modes (k, n, 3).
+    """Return second-order responses of the body to pairs of modes.
 
     Each is the static response at rest to the second derivative of the internal force along two modes. Its
     largest displacement is 1 m.
+
+    Parameters
+    ----------
+    body : Solid
+        In the energy form.
+    modes : (k, n, 3) array [m]
+    held : sequence of str
+        Groups that tools hold, in addition to the supports.
+
+    Returns
+    -------
+    (k (k + 1) / 2, n, 3) array [m]
 
     Examples
     --------

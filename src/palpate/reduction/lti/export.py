@@ -28,6 +28,11 @@ def save_matlab(system: LinearSystem, path: str | Path) -> None:
     It contains the matrices, and ``node`` and ``component`` of the unknowns, counted from 1 as in
     MATLAB. ``points`` (n, 3) [m], and the names ``inputs`` and ``outputs`` as cells, follow.
 
+    Parameters
+    ----------
+    system : LinearSystem
+    path : path
+
     Raises
     ------
     OSError
@@ -69,6 +74,12 @@ def save_matrix_market(system: LinearSystem, folder: str | Path) -> None:
     """Write ``M.mtx``, ``D.mtx``, ... and ``unknowns.txt`` (node and component, counted from 0), each whole or not.
 
     The comments of ``B.mtx`` and ``Cp.mtx`` name the inputs and outputs.
+
+    Parameters
+    ----------
+    system : LinearSystem
+    folder : path
+        Created if it does not exist.
 
     Raises
     ------

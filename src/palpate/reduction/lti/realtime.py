@@ -77,7 +77,19 @@ class LinearData(NamedTuple):
 
 
 class LinearRealtime(NamedTuple):
-    """Linear model with the contract of `palpate.realtime.contract`; the bound of its force's error is unknown.
+    """Linear model for the engine.
+
+    Parameters
+    ----------
+    advance, stiffness : functions
+        Compiled; see `palpate.realtime.contract`.
+    data : LinearData
+    rest : (m,) array
+        Coordinates at rest.
+    tool : (l, 12) array
+        Map from a rigid pose to the tool coordinates.
+    force_bound : None
+        The bound of the force's error is unknown.
 
     Examples
     --------

@@ -343,6 +343,10 @@ def reduce_linear(system: LinearSystem, method: str, modes: int, **options: Any)
     options
         `condense`, `budget`, `training` and `emphasis` of `Reduction`; `points` of the moments.
 
+    Returns
+    -------
+    LinearModel
+
     Raises
     ------
     InputError

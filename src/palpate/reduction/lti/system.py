@@ -200,6 +200,10 @@ def linearise(
     state : State or (n, 3) array, optional [m]
         State of linearisation; rest by default.
 
+    Returns
+    -------
+    LinearSystem
+
     Raises
     ------
     InputError

@@ -74,6 +74,10 @@ def load(path: str | Path, system: LinearSystem | None = None) -> ReducedModel |
     system : LinearSystem, optional
         The linearised body. The file of a linear model stores its reduced equations only.
 
+    Returns
+    -------
+    ReducedModel or LinearModel
+
     Raises
     ------
     FileNotFoundError

@@ -67,6 +67,16 @@ class Errors(_Named):
 def relative_errors(full: Trajectory, other: Trajectory) -> Errors:
     """Return the errors of a run against a reference at the same times.
 
+    Parameters
+    ----------
+    full : Trajectory
+        The reference.
+    other : Trajectory
+
+    Returns
+    -------
+    Errors
+
     Raises
     ------
     InputError
