@@ -55,6 +55,18 @@ def test_a_basis_plots_its_singular_values(run, held):
     np.testing.assert_allclose(others[:, 1], relative[3:])
 
 
+def test_a_fit_plots_its_points_and_the_stress_of_its_law():
+    stretches = np.linspace(1.0, 1.5, 6)
+    stress = 2e3 * (stretches - stretches**-2)  # of a neo-Hookean bar that keeps its volume, 2 C1 = 2 kPa
+    curve = pt.materials.Measurement(kind="uniaxial", deformation=stretches, stress=stress, name="bar")
+    found = pt.materials.fit(pt.materials.NeoHookean, curve)
+    points, law = (line.get_xydata() for line in found.plot().get_lines())
+    np.testing.assert_array_equal(points, np.column_stack([stretches, stress]))
+    np.testing.assert_allclose(law[:, 1], 2e3 * (law[:, 0] - law[:, 0] ** -2), atol=1e-6)
+    with pytest.raises(pt.InputError, match="curve must be"):
+        found.plot(1)
+
+
 def test_a_cloud_plots_its_surface(bar):
     axes = bar.plot()
     assert axes.name == "3d"

@@ -6,7 +6,7 @@ same place of the same surface filled with nodes half as far apart.
 
     python validation/spacing_force.py [--only NAME ...] [--nodes 3000] [--finer 2]
 
-The table in docs/verification.md is its output.
+The table in docs/claims/organ_force.md is its output.
 """
 
 from __future__ import annotations

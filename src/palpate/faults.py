@@ -203,12 +203,12 @@ def integer_in_range(name: str, value: int, low: int, high: float = math.inf) ->
     return int(value)
 
 
-def check_names(of: str, given: Iterable[str], allowed: Mapping[str, str]) -> None:
+def check_names(owner: str, given: Iterable[str], allowed: Mapping[str, str]) -> None:
     """Refuse arguments that a class does not have.
 
     Parameters
     ----------
-    of : str
+    owner : str
         The class.
     given : iterable of str
     allowed : mapping of str to str
@@ -224,7 +224,7 @@ def check_names(of: str, given: Iterable[str], allowed: Mapping[str, str]) -> No
             known = ", ".join(f"{each} [{unit}]" if unit else each for each, unit in allowed.items())
             near = get_close_matches(name, allowed, 1, 0.0)
             remedy = f"; did you mean {near[0]}?" if near else ""
-            raise InputError(f"arguments of {of} must be among {known}, got {brief(name)[1:-1]}{remedy}")
+            raise InputError(f"arguments of {owner} must be among {known}, got {brief(name)[1:-1]}{remedy}")
 
 
 def warn_of_unit(name: str, value: float, low: float, high: float, unit: str, remedy: str) -> None:

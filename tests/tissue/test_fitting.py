@@ -10,7 +10,7 @@ import pytest
 
 import palpate as pt
 from palpate.tissue.fitting import fit
-from palpate.tissue.homogeneous import KINDS, nominal_stress
+from palpate.tissue.homogeneous import DEFORMATION_KINDS, nominal_stress
 from palpate.tissue.measurement_files import read_measurements
 from palpate.tissue.measurements import Measurement
 
@@ -101,7 +101,7 @@ def stiff(poisson=0.5):
     return Stiffening(mu=6e3, b=1.5, density=1060.0, poisson=poisson)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "shear"])
+@pytest.mark.parametrize("kind", [kind for kind in DEFORMATION_KINDS if kind != "shear"])
 @pytest.mark.parametrize("poisson", [0.3, 0.49, 0.5])
 def test_parameters_are_recovered_from_curves_without_noise(kind, poisson):
     if kind != "planar":  # which tells C1 + C2 only

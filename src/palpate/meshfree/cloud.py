@@ -211,8 +211,8 @@ class Cloud(Described):
         given = np.asarray(nodes)
         if given.dtype == bool and given.shape == (len(self),):
             given = np.flatnonzero(given)
-        whole = given.ndim == 1 and given.size > 0 and np.issubdtype(given.dtype, np.integer)
-        if not whole or given.min() < 0 or given.max() >= len(self):
+        integers = given.ndim == 1 and given.size > 0 and np.issubdtype(given.dtype, np.integer)
+        if not integers or given.min() < 0 or given.max() >= len(self):
             raise InputError(f"group {name!r} must be nodes in [0, {len(self) - 1}], or a mask of shape ({len(self)},)")
         return replace(self, groups={**self.groups, name: np.unique(given).astype(np.int64)})
 

@@ -1,6 +1,6 @@
 """The record of one period: an array of float64 that the engine publishes and the black box stores.
 
-A record holds the fields of `HEADER`, then m coordinates, then m velocities.
+A record holds the fields of `HEADER_DTYPE`, then m coordinates, then m velocities.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 
-__all__ = ["HEADER", "HEADER_SIZE", "UNITS", "PeriodRecord", "Reading", "field_offset"]
+__all__ = ["FIELD_UNITS", "HEADER_DTYPE", "HEADER_SIZE", "PeriodRecord", "Reading", "field_offset"]
 
 
-HEADER = np.dtype(
+HEADER_DTYPE = np.dtype(
     [(name, "f8") for name in ("time", "steps", "failed", "iterations", "computing", "lateness")]
     + [
         (name, "f8")
@@ -27,14 +27,14 @@ HEADER = np.dtype(
     + [("position", "f8", 3), ("quaternion", "f8", 4), ("force", "f8", 3), ("moment", "f8", 3)]
     + [("stiffness", "f8", (3, 3))]
 )
-HEADER_SIZE = HEADER.itemsize // 8
-UNITS = {"time": "s", "computing": "s", "lateness": "s", "kinetic": "J", "strain": "J", "position": "m"}
-UNITS |= {"force": "N", "largest_force": "N", "moment": "N m", "stiffness": "N/m"}
+HEADER_SIZE = HEADER_DTYPE.itemsize // 8
+FIELD_UNITS = {"time": "s", "computing": "s", "lateness": "s", "kinetic": "J", "strain": "J", "position": "m"}
+FIELD_UNITS |= {"force": "N", "largest_force": "N", "moment": "N m", "stiffness": "N/m"}
 
 
 def field_offset(name: str) -> int:
-    """Return the index in a record at which a field of `HEADER` begins."""
-    return int(dict(HEADER.fields or {})[name][1]) // 8
+    """Return the index in a record at which a field of `HEADER_DTYPE` begins."""
+    return int(dict(HEADER_DTYPE.fields or {})[name][1]) // 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,7 +143,7 @@ class Reading(PeriodRecord):
     @classmethod
     def from_record(cls, record: Floats, state: str, bound: Callable[[float, float], float] | None = None) -> Reading:
         """Read a record (HEADER_SIZE + 2 m,), with the error bound by trust number and largest force."""
-        header = record[:HEADER_SIZE].view(HEADER)[0]
+        header = record[:HEADER_SIZE].view(HEADER_DTYPE)[0]
         names = ("time", "trust", "worst_trust", "largest_force", "kinetic", "strain", "computing", "lateness")
         numbers: dict[str, Any] = {name: float(header[name]) for name in names}
         numbers |= {name: int(header[name]) for name in ("steps", "sequence")}

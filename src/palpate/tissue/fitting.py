@@ -13,10 +13,11 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.faults import InputError, UnitWarning, integer_in_range
+from palpate.plotting import plot_fit
 from palpate.tissue.ellipticity import MaterialStability, material_stability
 from palpate.tissue.fit_problem import FitProblem
 from palpate.tissue.fit_starts import starting_points
-from palpate.tissue.homogeneous import deformation_gradient, nominal_stress
+from palpate.tissue.homogeneous import deformation_gradient, nominal_stress, rest
 from palpate.tissue.materials import Material
 from palpate.tissue.measurements import Measurement
 from palpate.tissue.parameters import field_metadata
@@ -31,6 +32,7 @@ MAX_CONDITION = 1e6  # of the Jacobian; beyond it parameters are not identifiabl
 COST_TOLERANCE = 1e-3  # relative difference of cost of equivalent starts
 CORRELATION_LIMIT = 3.0  # standard deviations of the lag-1 correlation of white noise
 EXACT_RESIDUAL = 1e-6  # relative differences of stress below it are rounding errors
+CURVE_POINTS = 200  # of a plotted curve
 MIN_CHECKED_STRETCHES = (0.8, 1.25)  # smallest range of the stability check
 
 
@@ -179,6 +181,32 @@ class Fit(Described):
             self.material, (min(low, MIN_CHECKED_STRETCHES[0]), max(high, MIN_CHECKED_STRETCHES[1]))
         )
 
+    def plot(self, curve: int = 0, axes: Any = None) -> Any:
+        """Plot the measured points of a curve, and the stress of the law.
+
+        Parameters
+        ----------
+        curve : int
+            Index in `curves`.
+        axes : matplotlib.axes.Axes, optional
+            New ones by default.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        InputError
+            There is no such curve, or matplotlib is not installed.
+        """
+        measured = self.measurements[integer_in_range("curve", curve, 0, len(self.curves) - 1)]
+        ends = (rest(measured.kind), *measured.deformation)
+        along = np.linspace(min(ends), max(ends), CURVE_POINTS)
+        labels = ("shear" if measured.kind == "shear" else "stretch", "nominal stress [Pa]")
+        fitted = along, nominal_stress(self.material, measured.kind, along)
+        return plot_fit((measured.deformation, measured.stress), fitted, labels, self.curves[curve].name, axes)
+
     def summary(self) -> str:
         """Return a summary as lines of text."""
         law, width = type(self.material).__name__, max(map(len, self.parameters))
@@ -273,9 +301,9 @@ def fit(
         ]
         solutions.sort(key=lambda pair: pair[1].cost)
         solutions[0] = solutions[0][0], _minimise(problem, solutions[0][1].x, FINE_TOLERANCE)
-        found = _build_fit(problem, solutions)
-    found.material.warn_of_units()
-    return found
+        fitted = _build_fit(problem, solutions)
+    fitted.material.warn_of_units()
+    return fitted
 
 
 def _minimise(problem: FitProblem, first: Floats, tolerance: float) -> Any:

@@ -184,7 +184,10 @@ def test_a_streamed_run_equals_the_returned_run(held, tmp_path):
     np.testing.assert_array_equal(read.reactions["x-"], returned.reactions["x-"])
 
 
-def test_no_progress_bar_is_shown_without_a_terminal(held, capfd):
+@pytest.mark.parametrize("variable", [None, "FORCE_COLOR"])  # notebooks and build servers set it
+def test_no_progress_bar_is_shown_without_a_terminal(held, capfd, monkeypatch, variable):
+    if variable:
+        monkeypatch.setenv(variable, "1")
     pt.rollout(held, [PULL], duration=1e-3, every=5e-4)
     out, err = capfd.readouterr()
     assert out == ""

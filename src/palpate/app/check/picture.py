@@ -30,21 +30,21 @@ MAX_NAME_LENGTH = 48  # characters of a surface in a heading
 SIDES = {"Seen along +y": (0.0, -1.0, 0.25), "Seen along -y": (0.0, 1.0, 0.25), "Seen along +z": (0.0, -0.5, -1.0)}
 
 
-def draw_surface(body: Surface, found: SurfaceReport, path: Path) -> None:
+def draw_surface(body: Surface, surface_report: SurfaceReport, path: Path) -> None:
     """Draw a surface from three sides into a PNG file, with the places of its problems and repairs as dots."""
     import pyvista
 
     triangles = np.column_stack([np.full(len(body.triangles), 3), body.triangles]).ravel()
     shape: Any = pyvista.PolyData(body.vertices, triangles)
     places = {
-        kind: np.concatenate([each.points for each in found.problems if each.kind == kind])
+        kind: np.concatenate([each.points for each in surface_report.problems if each.kind == kind])
         for kind in MARKS
-        if any(each.kind == kind and len(each.points) for each in found.problems)
+        if any(each.kind == kind and len(each.points) for each in surface_report.problems)
     }
     with figure(path, (11.0, 4.2)) as drawn:
         for axes, (title, towards) in zip(drawn.subplots(1, 3), SIDES.items(), strict=True):
             _show(axes, shape, body.vertices, np.array(towards), title, places)
-        names = ", ".join(problem.name for problem in found.problems)
+        names = ", ".join(problem.name for problem in surface_report.problems)
         marks = ", ".join(MARKS[kind][1] for kind in places)
         title = shortened(body.name, MAX_NAME_LENGTH)
         heading(drawn, f"{title}: {names or 'nothing wrong'}" + (f" ({marks})" if marks else ""))

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import rich.console
 import rich.table
 from rich.box import SIMPLE_HEAD
+
+from palpate.dynamics.run.progress import make_console
 
 __all__ = ["Console", "Table", "count_nodes", "percent", "print_json", "print_plain", "quantities_table"]
 
@@ -57,7 +58,7 @@ class Console:
         on_phase: Callable[[str], None] | None = None,
         on_progress: Callable[[float, str], None] | None = None,
     ) -> None:
-        self._console = rich.console.Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
+        self._console = make_console(stderr=True, highlight=False, markup=False, soft_wrap=True)
         self._on_phase, self._on_progress = on_phase, on_progress
 
     def say(self, text: str) -> None:
@@ -76,7 +77,7 @@ class Console:
 
     @contextmanager
     def status(self, text: str) -> Iterator[None]:
-        """Begin a phase, and show a line while the block runs; where the output is not a terminal, print it once."""
+        """Begin a phase and show its line during the block; print it once if the output is not a terminal."""
         self.begin_phase(text)
         if self._console.is_terminal:
             with self._console.status(text):
@@ -93,8 +94,8 @@ def print_json(report: dict[str, Any]) -> None:
 
 
 def print_plain(tables: Sequence[Any], out: Path, files: Sequence[str]) -> None:
-    """Print tables or lines, and where the files lie, if there are any, on standard output."""
-    console = rich.console.Console(highlight=False, markup=False)
+    """Print tables or lines, and the folder of the files if there are any, on standard output."""
+    console = make_console(stderr=False, highlight=False, markup=False)
     if not console.is_terminal:
         console.width = 100
     for table in tables:
@@ -125,7 +126,7 @@ def _printable(table: Table) -> rich.table.Table:
 
 
 def count_nodes(nodes: int) -> str:
-    """Return how many nodes, in words."""
+    """Return a number of nodes as text."""
     return f"{nodes} node{'' if nodes == 1 else 's'}"
 
 

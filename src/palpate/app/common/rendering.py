@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from palpate.app.common.figures import scale_bar
 from palpate.arrays import Floats
@@ -23,6 +24,7 @@ __all__ = ["COLOURS", "PIXELS", "DrawingError", "check_drawing", "off_screen", "
 COLOURS = "cividis"  # one that colour-blind people read as others do
 PIXELS = 2000  # across a picture
 VIEW_PIXELS = 900  # across one of several views
+SAMPLES = 2  # rendered for each pixel of a picture, along its width and height
 
 # VTK opens its graphics libraries only when it draws, and crashes where one is missing: let another process try.
 PROBE = """
@@ -74,6 +76,25 @@ def surface(cloud: Cloud, points: Floats) -> Any:
     return pyvista.PolyData(points, np.column_stack([np.full(len(cloud.triangles), 3), cloud.triangles]).ravel())
 
 
+def camera_axes(towards: Floats) -> Floats:
+    """Return the unit vectors to the right, up and towards a camera (3, 3) as rows; z points up in space."""
+    towards = towards / np.linalg.norm(towards)
+    right = np.cross([0.0, 0.0, 1.0], towards)
+    right /= np.linalg.norm(right)
+    return np.array([right, np.cross(towards, right), towards])
+
+
+def screenshot(plotter: Any) -> NDArray[np.uint8]:
+    """Return what a plotter of `off_screen` shows as pixels (h, w, 3), each the mean of `SAMPLES` by `SAMPLES`."""
+    plotter.reset_camera_clipping_range()
+    plotter.render()
+    image = np.asarray(plotter.screenshot(return_img=True))[..., :3].astype(np.uint16)
+    height, width = (size - size % SAMPLES for size in image.shape[:2])
+    corners = np.ndindex(SAMPLES, SAMPLES)
+    total = sum(image[row:height:SAMPLES, column:width:SAMPLES] for row, column in corners)
+    return np.asarray(total // SAMPLES**2, dtype=np.uint8)
+
+
 @contextmanager
 def off_screen(width: float, height: float, middle: Floats, towards: Floats, pixels: int = PIXELS) -> Iterator[Any]:
     """Yield a PyVista plotter on white that looks at `middle` in a parallel projection.
@@ -91,13 +112,14 @@ def off_screen(width: float, height: float, middle: Floats, towards: Floats, pix
     import pyvista
 
     pv: Any = pyvista
-    plotter = pv.Plotter(off_screen=True, window_size=[pixels, round(pixels * height / width)])
+    size = [SAMPLES * pixels, SAMPLES * round(pixels * height / width)]
+    plotter = pv.Plotter(off_screen=True, window_size=size)
     try:
         plotter.set_background("white")
         plotter.camera_position = [tuple(middle + 3 * width * towards), tuple(middle), (0.0, 0.0, 1.0)]
         plotter.enable_parallel_projection()
         plotter.camera.parallel_scale = height / 2
-        plotter.enable_anti_aliasing("ssaa")
+        plotter.disable_anti_aliasing()
         yield plotter
     finally:
         plotter.close()

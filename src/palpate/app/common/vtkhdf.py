@@ -89,7 +89,7 @@ def _write_mesh(root: Any, cloud: Cloud) -> None:
 
 
 def _write_steps(root: Any, times: Floats, nodes: int, names: list[str]) -> None:
-    """Write where every time finds its mesh, always the first and only one, and its values."""
+    """Write the offsets of mesh and values of every time; all times share one mesh."""
     frames = len(times)
     steps = root.create_group("Steps")
     steps.attrs["NSteps"] = frames

@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Self
 
-import rich.console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from palpate.app.common.console import Console
 from palpate.app.train.folder import Job
 from palpate.app.train.work import Outcome
+from palpate.dynamics.run.progress import make_console
 
 __all__ = ["Bar"]
 
 
 class Bar:
-    """A bar of the simulated time of all runs together where a person watches; a line for every run elsewhere.
+    """Progress of all runs: a bar of simulated time on a terminal, a line for every run elsewhere.
 
     Parameters
     ----------
@@ -27,10 +27,10 @@ class Bar:
     def __init__(self, durations: Mapping[Job, float], console: Console) -> None:
         self._durations, self._console = dict(durations), console
         self._reached, self._ended = dict.fromkeys(durations, 0.0), 0
-        own = rich.console.Console(stderr=True)
-        self._watched = own.is_terminal
+        screen = make_console(stderr=True)
+        self._watched = screen.is_terminal
         columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.2f} / {task.total:.4g} s")
-        self._bar = Progress(*columns, TimeRemainingColumn(), console=own, transient=True, disable=not self._watched)
+        self._bar = Progress(*columns, TimeRemainingColumn(), console=screen, transient=True, disable=not self._watched)
         self._task = self._bar.add_task("", total=sum(durations.values()))
 
     def __enter__(self) -> Self:

@@ -27,7 +27,7 @@ class Trainer(Protocol):
     """A training in the background; see `palpate.app.view.training_process.TrainingProcess`."""
 
     def events(self) -> Iterator[dict[str, Any]]:
-        """Yield what it reports until it ends."""
+        """Yield its reports until it ends."""
 
     def stop(self) -> None:
         """End it."""

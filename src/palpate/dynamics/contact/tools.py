@@ -40,7 +40,7 @@ Motion = Callable[[float], Any] | Sequence[Any] | Floats
 
 CAPSULE, PLANE, PUNCH, BONDED = 0, 1, 2, 3
 MAX_ROTATION = 1e6  # [rad], component of a rotation vector
-ROUNDING = 0.05  # default rounding of a punch's edge, in its radii
+ROUNDING_RADII = 0.05  # default rounding of a punch's edge, in its radii
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,7 @@ class Punch(Described):
     @property
     def sizes(self) -> tuple[float, float, float]:
         """Radius, half length and rounding [m]."""
-        return float(self.radius), 0.0, ROUNDING * self.radius if self.rounding is None else float(self.rounding)
+        return float(self.radius), 0.0, ROUNDING_RADII * self.radius if self.rounding is None else float(self.rounding)
 
 
 @dataclass(frozen=True)

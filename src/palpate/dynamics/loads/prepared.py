@@ -433,8 +433,8 @@ def with_held_nodes(prepared: PreparedLoads, masses: Floats, rate: float) -> Pre
     contacts, nodes = prepared.contacts, np.flatnonzero(prepared.sites.kind == FIXED)
     if not prepared.tools or not len(nodes):
         return prepared
-    own = [contacts.nodes[begin:end] for begin, end in pairwise(contacts.start)]
-    reach = np.array([np.isin(nodes, each) for each in own])
+    nodes_of_tools = [contacts.nodes[begin:end] for begin, end in pairwise(contacts.start)]
+    reach = np.array([np.isin(nodes, each) for each in nodes_of_tools])
     held = held_nodes(nodes, contacts.points[nodes], masses[nodes], rate, reach)
     return replace(prepared, contacts=contacts._replace(held=held))
 

@@ -102,8 +102,8 @@ def check_penetration(
     for t, tool in enumerate(prepared.tools):
         if tool.group is not None:
             continue
-        own = slice(contacts.start[t], contacts.start[t + 1])
-        nodes, impulses = contacts.nodes[own], np.linalg.norm(contacts.patch_impulses[own, :3], axis=1)
+        of_tool = slice(contacts.start[t], contacts.start[t + 1])
+        nodes, impulses = contacts.nodes[of_tool], np.linalg.norm(contacts.patch_impulses[of_tool, :3], axis=1)
         below = ~np.isin(nodes, surface)
         positions = contacts.points + displacements
         compute_gaps(contacts.kind[t], contacts.sizes[t], schedule.poses[-1, t], positions, depth)

@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-__all__ = ["progress_bar"]
+__all__ = ["make_console", "progress_bar"]
+
+
+def make_console(*, stderr: bool, **options: Any) -> Console:
+    """Return a console that is a terminal only if its stream is one.
+
+    Notebooks and build servers set ``FORCE_COLOR``, by which rich animates what a file or a page receives.
+    """
+    stream = sys.stderr if stderr else sys.stdout
+    interactive = stream is not None and stream.isatty()
+    return Console(stderr=stderr, force_terminal=None if interactive else False, **options)
 
 
 @contextmanager
 def progress_bar(label: str, duration: float, shown: bool) -> Iterator[Callable[[float, float], None]]:
     """Yield a function that takes the simulated and the wall time [s]."""
-    console = Console(stderr=True)
+    console = make_console(stderr=True)
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),

@@ -89,19 +89,19 @@ def _linear_fits(points: Floats, known: Floats, spacing: float) -> tuple[Ints, F
     return sources, weights * np.einsum("iwp,ip->iw", basis, level)
 
 
-def interior_displacements(of: Interior, forces: Floats, surface: Floats) -> Floats:
+def interior_displacements(interior: Interior, forces: Floats, surface: Floats) -> Floats:
     """Return the displacements (i, 3) [m] of the interior nodes by a tool, in addition to the modes.
 
     Parameters
     ----------
-    of : Interior
+    interior : Interior
     forces : (c, 3) array [N]
         Of the tool, on the carriers of the surface.
     surface : (c, 3) array [m]
         Displacements of the carriers by `SurfaceCompliance.flexibility`.
     """
-    known = np.concatenate([flexible_displacements(of.flexibility, forces), surface / of.factor])
-    return np.asarray(np.einsum("iw,iwc->ic", of.shares, known[of.sources]))
+    known = np.concatenate([flexible_displacements(interior.flexibility, forces), surface / interior.factor])
+    return np.asarray(np.einsum("iw,iwc->ic", interior.shares, known[interior.sources]))
 
 
 def flexible_displacements(flexibility: NDArray[np.float32], forces: Floats) -> Floats:

@@ -53,15 +53,15 @@ class Press(NamedTuple):
 
 def select_presses(runs: Sequence[StoredTrajectory], most: int = MAX_PRESSES) -> list[Press]:
     """Return the strongest press of some runs whose presses are far from each other."""
-    found = [press for run in runs if (press := _strongest(run.contact_forces)) is not None]
-    if not found:
+    presses = [press for run in runs if (press := _strongest(run.contact_forces)) is not None]
+    if not presses:
         return []
-    places = np.array([press.place(runs[0].points) for press in found])
+    places = np.array([press.place(runs[0].points) for press in presses])
     chosen, distance = [0], np.linalg.norm(places - places[0], axis=1)
-    while len(chosen) < min(most, len(found)) and distance.max() > 0:
+    while len(chosen) < min(most, len(presses)) and distance.max() > 0:
         chosen.append(int(distance.argmax()))
         distance = np.minimum(distance, np.linalg.norm(places - places[chosen[-1]], axis=1))
-    return [found[k] for k in chosen]
+    return [presses[k] for k in chosen]
 
 
 def _strongest(contact_forces: Floats) -> Press | None:
@@ -195,10 +195,10 @@ def _on_body(body: EnergySolid, points: Floats, presses: Sequence[Press]) -> tup
     cloud, forces = body.cloud, np.zeros((len(presses), len(body.cloud), 3))
     places = np.array([press.place(points) for press in presses]).reshape(-1, 3)
     surface = np.unique(cloud.face_nodes)
-    for own, press in zip(forces, presses, strict=True):
+    for nodal_forces, press in zip(forces, presses, strict=True):
         if points is cloud.points:
-            np.add.at(own, press.nodes, press.forces)
+            np.add.at(nodal_forces, press.nodes, press.forces)
             continue
-        np.add.at(own, surface[cKDTree(cloud.points[surface]).query(points[press.nodes])[1]], press.forces)
-        own[:] = body.patches.T @ own
+        np.add.at(nodal_forces, surface[cKDTree(cloud.points[surface]).query(points[press.nodes])[1]], press.forces)
+        nodal_forces[:] = body.patches.T @ nodal_forces
     return forces, places

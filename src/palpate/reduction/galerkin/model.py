@@ -30,7 +30,7 @@ from palpate.reduction.galerkin.step import BasisData, BodyData, GalerkinWork, r
 __all__ = ["GalerkinModel", "galerkin"]
 
 
-KINDS = (DeadLoad, Pressure, Gravity, PrescribedMotion, Grasp)  # of loads, whose forces the step has
+PERMITTED_LOADS = (DeadLoad, Pressure, Gravity, PrescribedMotion, Grasp)  # of loads, whose forces the step has
 REFRESH_DISPLACEMENT = 0.1  # displacement after which the tangent is updated, as a fraction of the largest so far
 MIN_SIZE = 1e-3  # of the largest snapshot, below which one has reduced weight in a relative basis
 LIFTING_TOLERANCE = 1e-3  # largest error of a prescribed motion in the lifting vectors, relative
@@ -143,7 +143,7 @@ class GalerkinModel(CoordinateModel):
         return work.result / self.material.density
 
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
-        check_kinds(loads, KINDS, "loads of a projected model")
+        check_kinds(loads, PERMITTED_LOADS, "loads of a projected model")
         prepared = self.full.prepare(loads)
         if len(prepared.sites.prescribed) and not len(self.lifting):
             raise InputError(
@@ -234,8 +234,8 @@ class GalerkinModel(CoordinateModel):
         matrix, modes = self.mass, slice(len(self.basis))
         if self.implicit:
             matrix = self.mass + step * (0.5 * step + self.stiffness_damping) * state.estimate[0]
-        constrained, whole = (np.asarray(np.linalg.inv(each), dtype=float) for each in (matrix[modes, modes], matrix))
-        return constrained, whole
+        constrained, full = (np.asarray(np.linalg.inv(each), dtype=float) for each in (matrix[modes, modes], matrix))
+        return constrained, full
 
     def stiffness(self, columns: Floats, work: GalerkinWork | None = None) -> Floats:
         """Return the tangent -d(force)/d(coordinates) [1/s^2], (M + l, M + l), by differences."""

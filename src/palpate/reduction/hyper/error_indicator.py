@@ -134,12 +134,12 @@ def error_bounds(data: ReducedData, run: Trajectory) -> tuple[Floats, Floats]:
     """
     known = _curves(data.report)
     result = []
-    for of, sizes in (("displacement", rms_sizes(data, run)), ("force", force_sizes(data, run))):
-        if known is None or of not in known or not len(sizes) or len(run.trust) < len(run.times):
+    for quantity, sizes in (("displacement", rms_sizes(data, run)), ("force", force_sizes(data, run))):
+        if known is None or quantity not in known or not len(sizes) or len(run.trust) < len(run.times):
             result.append(np.zeros(0))
             continue
-        relative = _errors(known[of], "bound", np.maximum.accumulate(run.trust))
-        result.append(relative * np.maximum(np.maximum.accumulate(sizes), known[of]["least_size"]))
+        relative = _errors(known[quantity], "bound", np.maximum.accumulate(run.trust))
+        result.append(relative * np.maximum(np.maximum.accumulate(sizes), known[quantity]["least_size"]))
     return result[0], result[1]
 
 
@@ -166,8 +166,8 @@ def _curves(report: Mapping[str, Any]) -> dict[str, Any] | None:
 
 def _errors(curve: dict[str, float], name: str, trust: Floats) -> Floats:
     """Return the relative errors of a curve at trust numbers (f,): ``"median"`` or ``"bound"``."""
-    found = curve[name] * np.maximum(trust, curve["least_trust"]) ** curve["exponent"]
-    return np.where(trust <= curve["largest_trust"], found, np.inf)
+    errors = curve[name] * np.maximum(trust, curve["least_trust"]) ** curve["exponent"]
+    return np.where(trust <= curve["largest_trust"], errors, np.inf)
 
 
 def rms_sizes(data: ReducedData, run: Trajectory) -> Floats:

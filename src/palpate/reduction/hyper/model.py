@@ -110,15 +110,15 @@ class ReducedModel(CoordinateModel):
         self._implicit, _ = implicit_step(self.body.law, single)
 
     def _own_facts(self) -> list[Fact]:
-        data, found = self.data, self.report.get("held_out", {}).get("mean", {}).get("displacement")
+        data, error = self.data, self.report.get("held_out", {}).get("mean", {}).get("displacement")
         return [
             ("modes", data.modes, ""),
             ("lifting columns", data.lifting_count or None, ""),
             ("sampled nodes", len(data.cubature.nodes), ""),
             (
                 "held-out displacement error",
-                "not measured" if found is None else 100 * found,
-                "" if found is None else "%",
+                "not measured" if error is None else 100 * error,
+                "" if error is None else "%",
             ),
             ("prescribed", data.prescribed or None, ""),
             ("step", "explicit" if self.step is None else self.step, "" if self.step is None else "s"),

@@ -24,13 +24,13 @@ def advice(report: Mapping[str, Any]) -> str | None:
     report : mapping
         Of a reduced model, with its held-out errors.
     """
-    found = report["held_out"]
-    touched = "contact" in found
+    held_out = report["held_out"]
+    touched = "contact" in held_out
     names = {"force": "force", "surface_95": "surface"}
     if not touched:
         names = {"displacement": "displacement", "reaction": "reaction"}
-    mean = found["contact"]["mean"] if touched else found["mean"]
-    failed, runs = sum(run["failed"] for run in found["runs"]), len(found["runs"])
+    mean = held_out["contact"]["mean"] if touched else held_out["mean"]
+    failed, runs = sum(run["failed"] for run in held_out["runs"]), len(held_out["runs"])
     largest = max(mean[name] for name in names)
     if not failed and largest <= MAX_ERROR:
         return None

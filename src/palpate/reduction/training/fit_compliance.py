@@ -149,7 +149,7 @@ def _frames(model: ReducedModel, snapshots: Snapshots, nodes: NDArray[np.int64])
     cloud, place = model.cloud, np.full(len(model.cloud), -1)
     place[nodes] = np.arange(len(nodes))
     total = sum(len(np.unique(run.contact_forces[:, 0])) for run in snapshots.runs)
-    every, found = max(1, total // MAX_FRAMES), []
+    every, frames = max(1, total // MAX_FRAMES), []
     for run in snapshots.runs:
         moments = np.unique(run.contact_forces[:, 0].astype(int))[::every]
         moments = moments[moments + 1 < len(run.times)]
@@ -165,8 +165,8 @@ def _frames(model: ReducedModel, snapshots: Snapshots, nodes: NDArray[np.int64])
             missed = run.displacements[frame] - np.tensordot(
                 coordinates[frame], model.data.basis_vectors[: model.count], 1
             )
-            found.append(_Frame(on, forces[on], bool(bonded[on].all()), np.flatnonzero(around), missed[nodes[around]]))
-    return found
+            frames.append(_Frame(on, forces[on], bool(bonded[on].all()), np.flatnonzero(around), missed[nodes[around]]))
+    return frames
 
 
 def _forces_at(run: Any, frame: int, place: Ints, count: int) -> tuple[Floats, NDArray[np.bool_]]:
@@ -191,21 +191,21 @@ def _fit_factors(
     here = [np.searchsorted(frame.near, frame.on) for frame in frames]
     size = np.array([np.linalg.norm(frame.forces.sum(axis=0)) for frame in frames])
     depth = np.array([np.sum(f.forces * f.missed[h]) for f, h in zip(frames, here, strict=True)])
-    linear = np.array([np.sum(f.forces * own[h]) for f, own, h in zip(frames, fields, here, strict=True)])
+    linear = np.array([np.sum(f.forces * field[h]) for f, field, h in zip(frames, fields, here, strict=True)])
     bonded, factor, stiffening = np.array([frame.bonded for frame in frames]), 1.0, np.array([0.0, 1.0])
     if not bonded.all():
         factor, stiffening = fit_stiffening(size[~bonded], depth[~bonded], linear[~bonded])
     bonded_scale = float(depth[bonded].sum() / linear[bonded].sum()) if bonded.any() else factor
     if not bonded_scale > 0:
         raise InputError(NO_RESIDUAL)
-    left = whole = 0.0
+    left = total = 0.0
     factors = np.where(bonded, bonded_scale, factor * secant_factor(stiffening, size))
-    for frame, own, secant in zip(frames, fields, factors, strict=True):
+    for frame, field, secant in zip(frames, fields, factors, strict=True):
         at = points[compliance.nodes[frame.near]]
-        missed, residual = _without_affine(at, np.array([frame.missed, frame.missed - secant * own]))
-        whole, left = whole + float(np.sum(missed**2)), left + float(np.sum(residual**2))
+        missed, residual = _without_affine(at, np.array([frame.missed, frame.missed - secant * field]))
+        total, left = total + float(np.sum(missed**2)), left + float(np.sum(residual**2))
     scaled = compliance._replace(stiffening=stiffening, bonded_scale=bonded_scale / factor).scaled(factor)
-    return scaled, 1.0 - left / whole, 0.5 * float(np.max(factors * linear))
+    return scaled, 1.0 - left / total, 0.5 * float(np.max(factors * linear))
 
 
 def fit_stiffening(size: Floats, depth: Floats, linear: Floats, spread: float = RATIO_SPREAD) -> tuple[float, Floats]:
@@ -262,7 +262,7 @@ def _follow_run(model: ReducedModel, run: Any) -> Floats:
     prepared, columns, work = model.prepare(()), model.data.basis_vectors[: model.count], model.workspace()
     rest_step, _ = model.stable_step(model.state(prepared), prepared, work)
     state = model.state(prepared, run.displacements[0], time=float(run.times[0]))
-    found, start = [state.coordinates], np.searchsorted(run.contact_forces[:, 0], np.arange(len(run.times) + 1))
+    coordinates, start = [state.coordinates], np.searchsorted(run.contact_forces[:, 0], np.arange(len(run.times) + 1))
     for frame in range(1, len(run.times)):
         contact_forces = run.contact_forces[start[frame] : start[frame + 1]]
         forces = np.einsum("mkc,kc->m", columns[:, contact_forces[:, 1].astype(int)], contact_forces[:, 2:])
@@ -280,5 +280,5 @@ def _follow_run(model: ReducedModel, run: Any) -> Floats:
             )
         steps = int(np.ceil(required * (1 - 1e-9)))
         state, _ = model.advance(state, prepared, interval / steps, steps, work, forces)
-        found.append(state.coordinates)
-    return np.array(found)
+        coordinates.append(state.coordinates)
+    return np.array(coordinates)

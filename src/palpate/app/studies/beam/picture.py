@@ -76,17 +76,17 @@ def draw_beam(cloud: Cloud, run: Trajectory, stress: Floats, path: Path) -> None
     moments = {k: _Moment(cloud, run.displacements[k], stress[k], limit) for k in shown}
     reach = cloud.points[:, 0] + run.displacements[shown][..., 0]
     thick = float(np.ptp(cloud.points[:, 1:], axis=0).max())
-    whole = _View(reach.min() - 0.5 * thick, reach.max() + 0.2 * thick, 2.0 * thick)
-    close = min(5 * thick, 0.45 * whole.width)
-    held = _View(whole.left, whole.left + close, 2.0 * thick)
-    pulled = _View(whole.right - close, whole.right, 2.0 * thick)
-    row, last = WIDE_INCH * whole.height / whole.width, WIDE_INCH * held.height / (2 * close)
+    whole_view = _View(reach.min() - 0.5 * thick, reach.max() + 0.2 * thick, 2.0 * thick)
+    close = min(5 * thick, 0.45 * whole_view.width)
+    held_view = _View(whole_view.left, whole_view.left + close, 2.0 * thick)
+    pulled_view = _View(whole_view.right - close, whole_view.right, 2.0 * thick)
+    row, last = WIDE_INCH * whole_view.height / whole_view.width, WIDE_INCH * held_view.height / (2 * close)
     with figure(path, (WIDE_INCH, len(frames) * (row + 0.35) + last + 1.5)) as drawn:
         grid = drawn.add_gridspec(len(frames) + 1, 2, height_ratios=[row] * len(frames) + [last])
         for place, (name, frame) in enumerate(frames.items()):
             title = f"{name}, t = {run.times[frame]:.2f} s"
-            _picture(drawn.add_subplot(grid[place, :]), moments[frame], whole, title, nodes=False)
-        for place, (name, view) in enumerate({"Held": held, "Pulled": pulled}.items()):
+            _picture(drawn.add_subplot(grid[place, :]), moments[frame], whole_view, title, nodes=False)
+        for place, (name, view) in enumerate({"Held": held_view, "Pulled": pulled_view}.items()):
             title = f"{name} end at the largest displacement, with the nodes"
             _picture(drawn.add_subplot(grid[len(frames), place]), moments[peak], view, title, nodes=True)
         _colour_bar(drawn, limit, float(stress[shown].max()))

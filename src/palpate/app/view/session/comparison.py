@@ -8,7 +8,7 @@ import numpy as np
 
 from palpate.app.recordings.snapshot import OverlayState
 from palpate.app.view.session.messages import Message
-from palpate.app.view.session.session import NO_TOOL, RATE, Session
+from palpate.app.view.session.session import NO_TOOL, PERIODS_PER_SECOND, Session
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
@@ -16,7 +16,12 @@ from palpate.reduction.hyper.model import ReducedModel
 
 __all__ = ["Comparison"]
 
-SHARED = ("pose", "tool", "material", "speed")  # messages that `Session.handle` does not pass to a command below
+SHARED_MESSAGES = (
+    "pose",
+    "tool",
+    "material",
+    "speed",
+)  # messages that `Session.handle` does not pass to a command below
 
 
 class Comparison(Session):
@@ -40,7 +45,7 @@ class Comparison(Session):
         A model takes no tool, the full model is not a solid of the energy form, or the surfaces differ.
     """
 
-    def __init__(self, model: ReducedModel, full_model: Model, title: str, rate: float = RATE) -> None:
+    def __init__(self, model: ReducedModel, full_model: Model, title: str, rate: float = PERIODS_PER_SECOND) -> None:
         if not isinstance(full_model, EnergySolid) or model.data.compliance is None:
             raise InputError(
                 "model must be of a solid that a tool touches to be compared, got another one; leave --compare out"
@@ -56,8 +61,8 @@ class Comparison(Session):
 
     def statistics(self) -> dict[str, Any]:
         """Return the statistics of the reduced model, with the pace of the slower body."""
-        own, full = super().statistics(), self.full.statistics()
-        return {**own, "pace": min(own["pace"], full["pace"])}
+        reduced, full = super().statistics(), self.full.statistics()
+        return {**reduced, "pace": min(reduced["pace"], full["pace"])}
 
     def overlay(self, time: float) -> OverlayState:
         """Return positions (n, 3) [m] of the full body, and the force (3,) [N] on its tool."""
@@ -83,7 +88,7 @@ class Comparison(Session):
                 raise InputError(f"kind must be one of {allowed} in a comparison, got {message['kind']!r}; use another")
             message = {**message, "stiffness": None}
         super().handle(message)
-        if message["type"] not in SHARED:
+        if message["type"] not in SHARED_MESSAGES:
             return
         try:
             self.full.handle(message)
