@@ -83,7 +83,10 @@ mathjax_path = "https://cdn.jsdelivr.net/npm/mathjax@4/tex-svg.js"
 linkcheck_anchors = False
 linkcheck_timeout = 20
 linkcheck_retries = 2
-linkcheck_ignore = [r"https?://(localhost|127\.0\.0\.1)"]
+linkcheck_ignore = [
+    r"https?://(localhost|127\.0\.0\.1)",
+    r"https://doi\.org/",  # publishers answer programs with 403
+]
 
 # Pages that show a file of the repository's root.
 ROOT_PAGES = {
