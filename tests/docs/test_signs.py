@@ -1,4 +1,4 @@
-"""Forces have the signs of the table in docs/howto/engine.md: runs report those on the body, the engine those on the tool."""
+"""Forces have the signs of the table in docs/howto/engine.md: on the body in runs, on the tool in the engine."""
 
 from __future__ import annotations
 
@@ -56,13 +56,13 @@ def test_an_equilibrium_has_the_force_of_supports_on_the_body_and_a_pressure_act
 
 def test_the_engine_reports_the_force_of_the_body_on_the_tool_and_a_stiffness_that_pushes_back(block, press):
     ball = pt.tools.Contact(pt.tools.Sphere(RADIUS), (0.02, 0.02, TOP + RADIUS))
-    with pt.Engine(pt.realtime_model(block, contact=ball)) as engine:
+    with pt.Engine(pt.realtime_model(block, contact=ball), max_speed=0.03) as engine:
         engine.set_pose((0.0, 0.0, -DEPTH))
         reading = engine.read()
         for _ in range(3000):  # as often as a busy machine needs
             reading = engine.read()
-            if reading.time > 0.2 and reading.stiffness[2, 2] != 0:
+            if reading.time > 0.25 and reading.stiffness[2, 2] != 0:
                 break
             time.sleep(0.01)
     assert reading.force[2] == pytest.approx(-press.reactions["ball"][-1, 2], rel=0.1)
-    assert reading.stiffness[2, 2] > 0
+    assert reading.stiffness[2, 2] > 0  # of a slow press; a fast one adds inertia
