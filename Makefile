@@ -3,25 +3,27 @@
 
 PYTHON ?= python3
 OUT ?= out/beam
+SITE ?= out/site
 PYTEST_ARGS ?= -n auto --dist loadfile --no-loadscope-reorder
 
 VENV := .venv
 PAGE := $(shell find page -name node_modules -prune -o -type f -print) hatch_build.py
 BIN := $(VENV)/bin
+SPHINX := $(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet --doctree-dir out/site-cache/doctrees
 
 # Draw off-screen, without a display.
 export PYVISTA_OFF_SCREEN ?= true
 export MPLBACKEND ?= Agg
 # The tests run side by side already; threads of linear algebra beside them only wait for each other, and
 # threads of one test that spin longer stall those of another.
-test test-all test-slow: export OPENBLAS_NUM_THREADS ?= 1
-test test-all test-slow: export GOMP_SPINCOUNT ?= 1000
+docs test test-all test-slow: export OPENBLAS_NUM_THREADS ?= 1
+docs test test-all test-slow: export GOMP_SPINCOUNT ?= 1000
 ifeq ($(shell uname -s),Linux)
 export VTK_DEFAULT_OPENGL_WINDOW ?= vtkEGLRenderWindow
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-slow lint style types layers clean
+.PHONY: help demo docs links test test-all test-slow lint style types layers clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-9s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
@@ -42,6 +44,14 @@ test-all: $(VENV)/.installed-test ## run all tests
 test-slow: $(VENV)/.installed-test ## run the tests that make test leaves out
 	$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
 
+docs: $(VENV)/.installed-docs ## build the site into out/site, with its tutorials executed; warnings are errors
+	$(SPHINX) -b html docs $(SITE)
+	$(BIN)/python docs/check_links.py $(SITE)
+	@echo "The site is $(abspath $(SITE))/index.html"
+
+links: $(VENV)/.installed-docs ## check the external links of the site, over the network
+	$(SPHINX) -b linkcheck docs out/links
+
 lint: style types layers ## check style, formatting, types and import layers
 
 style: $(VENV)/.installed-dev
@@ -59,6 +69,7 @@ clean: ## remove results, builds and caches, but not .venv
 	find src tests validation benchmarks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
 
 $(VENV)/.installed-demo: EXTRAS := [film,view]
+$(VENV)/.installed-docs: EXTRAS := [docs]
 $(VENV)/.installed-test: EXTRAS := [test]
 $(VENV)/.installed-dev: EXTRAS := [dev]
 $(VENV)/.installed-%: pyproject.toml $(PAGE) | $(BIN)/python

@@ -25,8 +25,9 @@ class PageBuildHook(BuildHookInterface):
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         if self.target_name == "wheel" and version != "editable":  # `palpate --help` names the pages there
-            pages = Path(self.root, "docs").glob("*.md")
-            build_data["force_include"].update({str(page): f"palpate/docs/{page.name}" for page in pages})
+            docs = Path(self.root, "docs")
+            pages = {page: page.relative_to(docs).as_posix() for page in docs.rglob("*.md")}
+            build_data["force_include"].update({str(page): f"palpate/docs/{name}" for page, name in pages.items()})
         if self._current():
             return
         page = Path(self.root, "page")

@@ -123,6 +123,18 @@ class Reading(PeriodRecord):
         Whether the force was scaled down to the engine's limit.
     velocities : (m,) array
         Velocities of the reduced coordinates.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.03, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1060, poisson=0.45)
+    >>> block = pt.Solid(cloud, tissue, fixed="z-")
+    >>> ball = pt.tools.Contact(pt.tools.Sphere(radius=0.01), (0.015, 0.015, 0.026))
+    >>> with pt.Engine(pt.realtime_model(block, contact=ball)) as engine:
+    ...     reading = engine.read()
+    >>> reading.force.tolist(), reading.limited
+    ([0.0, 0.0, 0.0], False)
     """
 
     worst_trust: float

@@ -28,7 +28,7 @@ class Prony(Described):
 
         dA_i/dt = dC̄/dt - A_i / tau_i,     C̄ = J^(-2/3) C,
 
-    it stores s_i mu/4 |A_i|^2 and dissipates s_i mu/2 |A_i|^2 / tau_i, with mu the law's shear
+    it stores ``s_i mu/4 |A_i|^2`` and dissipates ``s_i mu/2 |A_i|^2 / tau_i``, with mu the law's shear
     modulus at rest. The dissipation is never negative. At small strain the relaxation modulus is
 
         mu (1 + sum of s_i exp(-t / tau_i)),
@@ -51,6 +51,14 @@ class Prony(Described):
     ------
     InputError
         A number is out of range, or the lengths differ.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> branch = pt.materials.Prony(shares=0.5, times=0.1)
+    >>> law = pt.materials.NeoHookean(C1=1.1e3, density=1060, poisson=0.45, prony=branch)
+    >>> float(branch.relaxation(0.0)), round(float(branch.relaxation(0.1)), 4)
+    (1.5, 1.1839)
     """
 
     shares: tuple[float, ...] = field(metadata={"unit": "", "low": 0.0, "high": np.inf, "open_low": True})

@@ -74,7 +74,7 @@ def Hyperelastic(
     energy : str
         W_s [J/m^3] without its volumetric part U(J), in the notation of Python, of the invariants
         ``I1``, ``I2``, ``J`` of C and of ``I1bar`` = I1 J^(-2/3), ``I2bar`` = I2 J^(-4/3); or of
-        the principal stretches ``l1``, ``l2``, ``l3``. It may hold + - * / **, exp, log, sqrt,
+        the principal stretches ``l1``, ``l2``, ``l3``. It may hold ``+ - * / **``, exp, log, sqrt,
         sinh, cosh, tanh, atan, numbers, and parameters under other names. Limits: 4,000 characters,
         250 operations, 32 nested brackets and 32 parameters; magnitudes of numbers from 1e-30 to
         1e30; exponents from -100 to 100; 700 operations with all first and second derivatives.
@@ -104,7 +104,11 @@ def Hyperelastic(
 
     Examples
     --------
-    >>> law = Hyperelastic("C1 * (I1bar - 3) + C2 * (I1bar - 3)**2", C1=5e3, C2=1e3, density=1060, poisson=0.45)
+    >>> import palpate as pt
+    >>> energy = "C1 * (I1bar - 3) + C2 * (I1bar - 3)**2"
+    >>> law = pt.materials.Hyperelastic(energy, C1=5e3, C2=1e3, density=1060, poisson=0.45)
+    >>> round(law.shear_modulus, 3), law.C2
+    (10000.0, 1000.0)
     """
     law = law_of(energy)
     names = own_fields(law)

@@ -38,6 +38,12 @@ class Support(Described, ABC):
     Parameters
     ----------
     group : str
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> issubclass(pt.Roller, pt.typing.Support)
+    True
     """
 
     kinds: ClassVar[dict[str, type[Support]]] = {}
@@ -71,6 +77,15 @@ class Clamp(Support):
     Parameters
     ----------
     group : str
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> bar.supports
+    (Clamp(group='x-'),)
     """
 
     def directions(self, cloud: Cloud) -> Floats:
@@ -91,6 +106,19 @@ class Roller(Support):
     ------
     InputError
         The normal is zero or not finite; or none is given, and the group does not form a face.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> rollers = [pt.Roller("x-"), pt.Roller("y-"), pt.Roller("z-")]
+    >>> bar = pt.Solid(cloud, tissue, fixed=rollers)
+    >>> rest = pt.equilibrium(bar, [pt.SurfaceForce("x+", force=(0.2, 0, 0))])
+    >>> bool(abs(rest.displacements[cloud.group("y-"), 1]).max() < 1e-12)
+    True
+    >>> bool(rest.displacements[cloud.group("y+"), 1].max() < 0)
+    True
     """
 
     normal: Sequence[float] | None = None
@@ -122,6 +150,15 @@ class SymmetryPlane(Roller):
     one. Loads and tools act on this part and, mirrored, on the images. Several planes must be at right
     angles. Solids take planes of symmetry. Parameters and errors are those of `Roller`; the group holds all
     nodes in the plane.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed=["x-", pt.SymmetryPlane("y-")])
+    >>> [plane.name for plane in bar.planes]
+    ['y-']
     """
 
 
@@ -145,6 +182,16 @@ class Rail(Support):
     ------
     InputError
         The axis is zero or not finite.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed=["x-", pt.Rail("x+", axis=(1, 0, 0))])
+    >>> rest = pt.equilibrium(bar, [pt.Gravity((0, 0, -9.81))])
+    >>> bool(abs(rest.displacements[cloud.group("x+"), 1:]).max() < 1e-12)
+    True
     """
 
     axis: Sequence[float]
@@ -222,6 +269,15 @@ class SupportedNodes(NamedTuple):
         Nodes that slide.
     slide : (r, 3, 3) array
         Their projections on the directions in which they are free.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> bar.supported.kind.shape, len(bar.supported.sliding)
+    ((112,), 0)
     """
 
     kind: NDArray[np.uint8]

@@ -51,7 +51,20 @@ class BasisData(NamedTuple):
 
 
 class GalerkinWork(NamedTuple):
-    """Scratch arrays of the step."""
+    """Scratch arrays of the step.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
+    >>> model = pt.galerkin(bar, full, modes=4)
+    >>> type(model.workspace()).__name__
+    'GalerkinWork'
+    """
 
     full: NodalWork
     force: Floats  # (n, 3)

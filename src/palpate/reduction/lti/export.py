@@ -32,6 +32,21 @@ def save_matlab(system: LinearSystem, path: str | Path) -> None:
     ------
     OSError
         The place cannot be written.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> system = pt.lti.linearise(bar, [pull], outputs=["x+"])
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> path = Path(tempfile.mkdtemp()) / "bar.mat"
+    >>> pt.lti.save_matlab(system, path)
+    >>> path.stat().st_size > 0
+    True
     """
     from scipy.io import savemat
 
@@ -59,6 +74,21 @@ def save_matrix_market(system: LinearSystem, folder: str | Path) -> None:
     ------
     OSError
         The place cannot be written.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> system = pt.lti.linearise(bar, [pull], outputs=["x+"])
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> folder = Path(tempfile.mkdtemp()) / "bar"
+    >>> pt.lti.save_matrix_market(system, folder)
+    >>> sorted(path.name for path in folder.iterdir())
+    ['B.mtx', 'Cp.mtx', 'Cv.mtx', 'D.mtx', 'Df.mtx', 'K.mtx', 'M.mtx', 'unknowns.txt']
     """
     from scipy.io import mmwrite
 
