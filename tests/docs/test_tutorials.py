@@ -16,10 +16,10 @@ pytestmark = pytest.mark.slow
 
 @pytest.mark.parametrize("path", TUTORIALS, ids=lambda path: path.stem)
 def test_a_tutorial_runs_from_its_first_cell_to_its_last(path, tmp_path, monkeypatch):
-    jupytext, nbclient = pytest.importorskip("jupytext"), pytest.importorskip("nbclient")
+    reader, nbclient = pytest.importorskip("myst_nb.core.read"), pytest.importorskip("nbclient")
     monkeypatch.setenv("PATH", os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")]))
     monkeypatch.delenv("MPLBACKEND", raising=False)
-    notebook = jupytext.read(path)
+    notebook = reader.read_myst_markdown_notebook(path.read_text(encoding="utf-8"))
     cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
     assert cells, f"{path.name} has no code"
     resources = {"metadata": {"path": str(tmp_path)}}
