@@ -713,7 +713,7 @@ def organ_force(rows: list[Row]) -> str:
         (coarse, fine), ball = row["force"], (1e3 * row["radius"], 1e3 * row["depth"])
         lines.append([
             row["organ"], ", ".join(f"{nodes:,}" for nodes in row["nodes"]),
-            ", ".join(significant(length) for length in ball),
+            ", ".join(significant(length, 3) for length in ball),
             f"{math.sqrt(row['radius'] * row['depth']) / row['spacing']:.1f}",
             ", ".join(significant(force, 3) for force in (coarse, fine)), signed(coarse / fine - 1),
             ", ".join(signed(drift) for drift in row["drift"]),
@@ -724,6 +724,64 @@ def organ_force(rows: list[Row]) -> str:
         "organ", "nodes", "radius of the ball, depth [mm]", "contact radius / spacing", "force [N]", "error", "drift",
     ]  # fmt: skip
     return markdown(heads, lines)
+
+
+# Linear reductions
+
+MAX_ERROR = 10.0  # larger errors are printed as larger than this
+
+
+def linear_errors(report: Row) -> str:
+    """Return the errors of linear models under a small and a large load, and of their frequency response."""
+    about = report["parameters"]
+    entries = [entry | {"method": f"`{entry['method']}`"} for entry in report["methods"]]
+    entries += [entry | {"method": report["nonlinear"]["name"]} for entry in report["nonlinear"]["entries"]]
+    sizes = distinct((entry["modes"] for entry in entries), reverse=False)
+    lines = []
+    for method in dict.fromkeys(entry["method"] for entry in entries):
+        own = {entry["modes"]: entry for entry in entries if entry["method"] == method}
+        last = own.get(sizes[-1])
+        small = [_linear_error(own.get(size), "small", "displacement") for size in sizes]
+        responses = [_bounded(own[size].get("response_error")) if size in own else "–" for size in sizes]
+        kinds = [
+            " / ".join(_linear_error(last, load, kind) for kind in names)
+            for load, names in (("small", ERRORS[1:]), ("large", ERRORS))
+        ]
+        response = "" if set(responses) == {"–"} else " / ".join(responses)
+        lines.append([method, " / ".join(small), kinds[0], response, kinds[1]])
+    names = ", ".join(map(str, sizes))
+    loads = [f"{significant(about[load] * (1e3 if about['unit'] == 'm' else 1))}" for load in ("small", "large")]
+    unit = "mm" if about["unit"] == "m" else about["unit"]
+    heads = [
+        "method", f"{loads[0]} {unit}: displacement with {names} modes", f"velocity / energy / force, {sizes[-1]}",
+        f"frequency response, {names} modes", f"{loads[1]} {unit}: displacement / velocity / energy / force",
+    ]  # fmt: skip
+    return markdown(heads, lines)
+
+
+def _linear_error(entry: Row | None, load: str, kind: str) -> str:
+    if entry is None or entry["failed"]:
+        return "failed"
+    errors = entry["errors"][load]
+    return "diverged" if errors is None else _bounded(errors[kind])
+
+
+def _bounded(error: float | None) -> str:
+    if error is None:
+        return "–"
+    return f"> {100 * MAX_ERROR:.0f}" if error > MAX_ERROR else significant(100 * error)
+
+
+@block("compare_beam", command="palpate compare beam --modes 4 8 16 24")
+def linear_beam(report: Row) -> str:
+    """Return the errors of linear models of the beam [%]."""
+    return linear_errors(report)
+
+
+@block("compare_liver", command="palpate compare liver --modes 4 8 16 24")
+def linear_liver(report: Row) -> str:
+    """Return the errors of linear models of the liver [%]."""
+    return linear_errors(report)
 
 
 # Contact
