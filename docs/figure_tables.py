@@ -743,20 +743,22 @@ def linear_errors(report: Row) -> str:
         last = own.get(sizes[-1])
         small = [_linear_error(own.get(size), "small", "displacement") for size in sizes]
         responses = [_bounded(own[size].get("response_error")) if size in own else "–" for size in sizes]
-        kinds = [
-            " / ".join(_linear_error(last, load, kind) for kind in names)
-            for load, names in (("small", ERRORS[1:]), ("large", ERRORS))
-        ]
+        kinds = [_linear_errors(last, load, kinds) for load, kinds in (("small", ERRORS[1:]), ("large", ERRORS))]
         response = "" if set(responses) == {"–"} else " / ".join(responses)
         lines.append([method, " / ".join(small), kinds[0], response, kinds[1]])
     names = ", ".join(map(str, sizes))
-    loads = [f"{significant(about[load] * (1e3 if about['unit'] == 'm' else 1))}" for load in ("small", "large")]
+    loads = [f"{about[load] * (1e3 if about['unit'] == 'm' else 1):g}" for load in ("small", "large")]
     unit = "mm" if about["unit"] == "m" else about["unit"]
     heads = [
         "method", f"{loads[0]} {unit}: displacement with {names} modes", f"velocity / energy / force, {sizes[-1]}",
         f"frequency response, {names} modes", f"{loads[1]} {unit}: displacement / velocity / energy / force",
     ]  # fmt: skip
     return markdown(heads, lines)
+
+
+def _linear_errors(entry: Row | None, load: str, kinds: Sequence[str]) -> str:
+    errors = [_linear_error(entry, load, kind) for kind in kinds]
+    return errors[0] if errors[0] in ("failed", "diverged") else " / ".join(errors)
 
 
 def _linear_error(entry: Row | None, load: str, kind: str) -> str:
