@@ -17,7 +17,7 @@ from pathlib import Path
 DOCS = Path(__file__).parent
 ROOT = DOCS.parent
 WIDTH = 100  # characters of a line of prose
-FENCE = re.compile(r"\s*(`{3,}|~{3,}|:{3,})")
+FENCE = re.compile(r"\s*(`{3,}|~{3,}|:{3,}|\$\$$|\\begin\{[\w*]+\})")  # of code, a directive or an equation
 ITEM = re.compile(r"\s*(?:[-*+]|\d+[.)])\s+")
 KEPT = re.compile(r"\s*(?:\||#|<|!\[|\([\w-]+\)=$|\[[^\]]+\]: |[-=]{3,}$)")  # tables, headings, comments, images ...
 WORD = re.compile(r"(?:`[^`\n]*`|\S)+")  # a span of code is one word
@@ -42,7 +42,8 @@ def blocks(text: str) -> Iterator[tuple[bool, list[str]]]:
         fence = FENCE.match(first)
         at += 1
         if fence:
-            while at < len(lines) and not lines[at].strip().startswith(fence[1]):
+            last = fence[1].replace("begin", "end")
+            while at < len(lines) and not lines[at].strip().startswith(last):
                 at += 1
             at += 1
             yield False, lines[start:at]
