@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 import re
 import sys
 from importlib.metadata import version as installed_version
@@ -15,6 +16,8 @@ from sphinx.util.inspect import stringify_signature
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "docs"))
+# Tutorials run commands: those of the environment that builds the site, also where it is not activated.
+os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
 
 import generated_parts  # noqa: E402
 
@@ -83,7 +86,10 @@ mathjax_path = "https://cdn.jsdelivr.net/npm/mathjax@4/tex-svg.js"
 linkcheck_anchors = False
 linkcheck_timeout = 20
 linkcheck_retries = 2
-linkcheck_ignore = [r"https?://(localhost|127\.0\.0\.1)"]
+linkcheck_ignore = [
+    r"https?://(localhost|127\.0\.0\.1)",
+    r"https://doi\.org/",  # publishers answer programs with 403
+]
 
 # Pages that show a file of the repository's root.
 ROOT_PAGES = {

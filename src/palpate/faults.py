@@ -30,7 +30,17 @@ __all__ = [
 
 
 class InputError(ValueError):
-    """Invalid argument: out of range, unknown, or inconsistent with another one."""
+    """Invalid argument: out of range, unknown, or inconsistent with another one.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> try:
+    ...     pt.box((0.2, 0.02, 0.02), spacing=-0.005)
+    ... except pt.InputError as error:
+    ...     print(error)
+    spacing must be in [1e-09, 1e+09] m, got -0.005
+    """
 
 
 class CloudError(InputError):
@@ -40,6 +50,17 @@ class CloudError(InputError):
     ----------
     nodes : (k,) int array
         Nodes at fault; empty if unknown.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> points = pt.box((0.4, 0.4, 0.4), spacing=0.1).points
+    >>> points[7] = points[3]
+    >>> try:
+    ...     pt.moving_least_squares(points, neighbours=42)
+    ... except pt.CloudError as error:
+    ...     print(sorted(map(int, error.nodes)))
+    [3, 7]
     """
 
     def __init__(self, message: str, nodes: Any = ()) -> None:
@@ -48,7 +69,21 @@ class CloudError(InputError):
 
 
 class FileFormatError(InputError):
-    """Invalid file: truncated, corrupt, or of another format."""
+    """Invalid file: truncated, corrupt, or of another format.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import palpate as pt
+    >>> path = Path(tempfile.mkdtemp()) / "model.rom"
+    >>> _ = path.write_bytes(b"not a model")
+    >>> try:
+    ...     pt.load(path)
+    ... except pt.FileFormatError as error:
+    ...     print(type(error).__name__)
+    FileFormatError
+    """
 
 
 class UnitWarning(UserWarning):
@@ -56,7 +91,25 @@ class UnitWarning(UserWarning):
 
 
 class TrustWarning(RuntimeWarning):
-    """A trust number is above 1: the reduced model was not trained on such states."""
+    """A trust number is above 1: the reduced model was not trained on such states.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
+    >>> model = pt.hyper_reduce(bar, full, modes=4)
+    >>> sideways = pt.SurfaceForce("x+", force=(0, 0.1, 0))
+    >>> with warnings.catch_warnings(record=True) as caught:
+    ...     warnings.simplefilter("always")
+    ...     run = pt.rollout(model, [sideways], duration=0.01, every=0.001)
+    >>> caught[0].category.__name__, bool(run.trust.max() > 1)
+    ('TrustWarning', True)
+    """
 
 
 class DivergenceError(RuntimeError):
@@ -66,6 +119,19 @@ class DivergenceError(RuntimeError):
     ----------
     trajectory : object
         Results up to the failure.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> force = pt.SurfaceForce("x+", force=(50, 0, 0))
+    >>> try:
+    ...     pt.rollout(bar, [force], duration=0.1, every=0.01, step=0.01)
+    ... except pt.DivergenceError as error:
+    ...     print(error.trajectory.complete)
+    False
     """
 
     def __init__(self, message: str, trajectory: object = None) -> None:

@@ -34,6 +34,15 @@ def in_box(cloud: Cloud, low: Sequence[float], high: Sequence[float], *, surface
     ------
     InputError
         Corners that are not points or are in the wrong order, or a box without a node.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> nodes = pt.in_box(cloud, (0.0, 0.0, 0.0), (0.01, 0.015, 0.0))
+    >>> cloud = cloud.with_group("bed", nodes)
+    >>> len(cloud.group("bed"))
+    12
     """
     corners = [_check_point(cloud, name, value) for name, value in (("low", low), ("high", high))]
     if np.any(corners[0] > corners[1]):
@@ -64,6 +73,14 @@ def near_plane(
     ------
     InputError
         An invalid point or normal, or no node behind the plane.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> nodes = pt.near_plane(cloud, point=(0.01, 0, 0), normal=(1, 0, 0))
+    >>> round(float(cloud.points[nodes, 0].max()), 6)
+    0.01
     """
     place, direction = _check_point(cloud, "point", point), _check_point(cloud, "normal", normal)
     length = np.linalg.norm(direction)
@@ -105,6 +122,16 @@ def painted(
     ------
     InputError
         Arrays of inconsistent shapes or that are not finite, or no painted node.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> vertices = np.array([[0.0, 0.0, 0.015], [0.03, 0.0, 0.015]])
+    >>> nodes = pt.painted(cloud, vertices, np.array([1.0, 0.0]))
+    >>> round(float(cloud.points[nodes, 0].max()), 6)
+    0.01
     """
     places, paint = np.asarray(points, dtype=float), np.asarray(values, dtype=float)
     if places.ndim != 2 or places.shape[1] != cloud.points.shape[1] or paint.shape != (len(places),) or not len(paint):

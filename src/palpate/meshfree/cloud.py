@@ -57,6 +57,18 @@ class Cloud(Described):
     ------
     CloudError
         Arrays of inconsistent shapes, or values that are not finite.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> round(float(cloud.volumes.sum()), 9)
+    6.75e-06
+    >>> len(cloud.group("x+"))
+    16
+    >>> pressed = cloud.within("spot", (0.015, 0.0075, 0.015), radius=0.004)
+    >>> len(pressed.group("spot"))
+    2
     """
 
     points: Floats
@@ -272,6 +284,13 @@ def box(size: Sequence[float], spacing: float, jitter: float = 0.0, seed: int = 
     -----
     UnitWarning
         A box of more than 10 m or less than 0.1 mm: sizes are in metres.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.2, 0.02, 0.02), spacing=0.005)
+    >>> len(cloud.points), sorted(cloud.groups)
+    (1025, ['x+', 'x-', 'y+', 'y-', 'z+', 'z-'])
     """
     d = len(size)
     if d not in (2, 3):

@@ -113,6 +113,16 @@ def fill(
     UserWarning
         The units of a file are assumed, a part is chosen, cavities finer than the spacing are
         filled, or a body is larger than 10 m or smaller than 0.1 mm.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> surface = pt.liver_surface(resolution=0.008, volume=2e-4)
+    >>> cloud = pt.fill(surface, spacing=0.012)
+    >>> sorted(cloud.groups)
+    ['inside', 'surface']
+    >>> bool(abs(cloud.volumes.sum() - surface.volume) < 1e-9)
+    True
     """
     spacing = number_in_range("spacing", spacing, 0.0, open_low=True, unit="m")
     seed = integer_in_range("seed", seed, 0)

@@ -68,6 +68,13 @@ def disc(radius: float, spacing: float, layout: str = "rings", jitter: float = 0
     -----
     UnitWarning
         A sheet of more than 10 m or less than 0.1 mm: sizes are in metres.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.disc(0.1, spacing=0.01)
+    >>> len(cloud.points), sorted(cloud.groups)
+    (331, ['centre', 'face', 'rim'])
     """
     radius = number_in_range("radius", radius, 0.0, MAX_COORDINATE, open_low=True, unit="m")
     spacing = number_in_range("spacing", spacing, MIN_SPACING, MAX_COORDINATE, unit="m")
@@ -136,6 +143,15 @@ def sheet(outline: ArrayLike, spacing: float, jitter: float = 0.0, seed: int = 0
     -----
     UnitWarning
         A sheet of more than 10 m or less than 0.1 mm: sizes are in metres.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.sheet([(0, 0), (0.1, 0), (0.1, 0.05), (0, 0.05)], spacing=0.01)
+    >>> sorted(cloud.groups)
+    ['edge0', 'edge1', 'edge2', 'edge3', 'face', 'rim']
+    >>> round(float(cloud.volumes.sum()), 6)
+    0.005
     """
     spacing = number_in_range("spacing", spacing, MIN_SPACING, MAX_COORDINATE, unit="m")
     jitter = number_in_range("jitter", jitter, 0.0, 0.3)

@@ -59,6 +59,18 @@ class Stencils(Described):
         The node's own weights in the derivatives.
     condition : (s,) array
         Condition number of the scaled moment matrix.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import palpate as pt
+    >>> points = pt.box((0.4, 0.4, 0.4), spacing=0.1).points
+    >>> stencils = pt.moving_least_squares(points, neighbours=42)
+    >>> stencils.neighbours.shape == (len(points), stencils.first.shape[1])
+    True
+    >>> second = stencils.hessian(points[:, 0] * points[:, 1])
+    >>> bool(np.allclose(second[..., 3], 1.0))
+    True
     """
 
     neighbours: NDArray[np.int32]
@@ -163,6 +175,16 @@ def moving_least_squares(
     CloudError
         Duplicate points, too few or coplanar neighbours, or an ill-conditioned moment matrix; the
         message names the nodes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import palpate as pt
+    >>> points = pt.box((0.4, 0.4, 0.4), spacing=0.1, jitter=0.2).points
+    >>> stencils = pt.moving_least_squares(points, order=2, neighbours=42)
+    >>> slope = stencils.gradient(points[:, 0] ** 2)
+    >>> bool(np.allclose(slope[:, 0], 2 * points[:, 0]))
+    True
     """
     points = np.ascontiguousarray(points, dtype=float)
     n, d = points.shape

@@ -42,6 +42,17 @@ class SurfaceReport:
     area, volume : float [m^2], [m^3]
     extents : tuple of float [m]
     problems : tuple of SurfaceProblem
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> vertices = [(x, y, z) for x in (0, 0.1) for y in (0, 0.1) for z in (0, 0.1)]
+    >>> triangles = [(0, 1, 2), (1, 3, 2), (4, 6, 5), (5, 6, 7), (0, 4, 1), (1, 4, 5),
+    ...              (2, 3, 6), (3, 7, 6), (0, 2, 4), (2, 6, 4), (1, 5, 3), (3, 5, 7)]
+    >>> surface = pt.Surface(vertices, triangles)
+    >>> report = pt.io.check_surface(surface)
+    >>> report.triangles, report.components, round(report.volume, 9)
+    (12, 1, 0.001)
     """
 
     vertices: int
@@ -60,7 +71,27 @@ class SurfaceReport:
 
 
 def check_surface(surface: Surface) -> SurfaceReport:
-    """Return the problems of a welded surface: holes, folds, several parts, hollow shells, scale; and its repairs."""
+    """Return the problems of a welded surface: holes, folds, several parts, hollow shells, scale; and its repairs.
+
+    Parameters
+    ----------
+    surface : Surface
+
+    Returns
+    -------
+    SurfaceReport
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> vertices = [(x, y, z) for x in (0, 0.1) for y in (0, 0.1) for z in (0, 0.1)]
+    >>> triangles = [(0, 1, 2), (1, 3, 2), (4, 6, 5), (5, 6, 7), (0, 4, 1), (1, 4, 5),
+    ...              (2, 3, 6), (3, 7, 6), (0, 2, 4), (2, 6, 4), (1, 5, 3), (3, 5, 7)]
+    >>> surface = pt.Surface(vertices, triangles)
+    >>> report = pt.io.check_surface(surface)
+    >>> report.euler, report.errors
+    (2, ())
+    """
     edges, _ = directed_edges(surface.triangles)
     undirected = len(np.unique(np.sort(edges, axis=1), axis=0))
     problems = [*shape_problems(surface), *_crossing_problems(surface), *_scale_problems(surface), *surface.repairs]

@@ -41,7 +41,7 @@ def read_surface(
     scale: float = 1.0,
     repair: bool = False,
 ) -> Surface:
-    """Read a closed surface.
+    r"""Read a closed surface.
 
     Other files that the file names are not read. Polygons are split into fans of triangles.
 
@@ -63,6 +63,10 @@ def read_surface(
     repair : bool
         Whether to repair the surface, see `palpate.meshfree.surface_repair.repair_surface`.
 
+    Returns
+    -------
+    Surface
+
     Raises
     ------
     FileNotFoundError
@@ -71,6 +75,19 @@ def read_surface(
         The file is not regular, of another format, damaged, over 300 MB, or without triangles.
     InputError
         The file has several bodies and `part` is not given, or too many triangles, or unknown units.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import palpate as pt
+    >>> path = Path(tempfile.mkdtemp()) / "tetrahedron.off"
+    >>> points = "0 0 0\n60 0 0\n0 60 0\n0 0 60\n"
+    >>> faces = "3 0 2 1\n3 0 1 3\n3 1 2 3\n3 0 3 2\n"
+    >>> _ = path.write_text("OFF\n4 4 0\n" + points + faces)
+    >>> surface = pt.io.read_surface(path, units="mm")
+    >>> round(surface.volume, 9)
+    3.6e-05
     """
     path = Path(path)
     if units is not None and units not in METRES_BY_UNIT:

@@ -57,6 +57,17 @@ class SurfaceProblem:
         Positions.
     name : str
         Short name.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> vertices = [(x, y, z) for x in (0, 0.1) for y in (0, 0.1) for z in (0, 0.1)]
+    >>> triangles = [(0, 1, 2), (1, 3, 2), (4, 6, 5), (5, 6, 7), (0, 4, 1), (1, 4, 5),
+    ...              (2, 3, 6), (3, 7, 6), (0, 2, 4), (2, 6, 4), (1, 5, 3)]
+    >>> surface = pt.Surface(vertices, triangles)
+    >>> problem, *_ = pt.io.check_surface(surface).errors
+    >>> problem.kind, problem.points.shape[1]
+    ('error', 3)
     """
 
     kind: Kind
@@ -88,6 +99,16 @@ class Surface(Described):
     InputError
         Arrays of another shape, triangles of vertices that do not exist, too many triangles, or
         none; coordinates that are not finite, or beyond 1e9.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> vertices = [(x, y, z) for x in (0, 0.1) for y in (0, 0.1) for z in (0, 0.1)]
+    >>> triangles = [(0, 1, 2), (1, 3, 2), (4, 6, 5), (5, 6, 7), (0, 4, 1), (1, 4, 5),
+    ...              (2, 3, 6), (3, 7, 6), (0, 2, 4), (2, 6, 4), (1, 5, 3), (3, 5, 7)]
+    >>> surface = pt.Surface(vertices, triangles)
+    >>> surface.closed, round(surface.volume, 9), round(surface.area, 9)
+    (True, 0.001, 0.06)
     """
 
     vertices: Floats

@@ -32,6 +32,14 @@ class DeviceLog:
         Poses sent.
     forces : (k, 3) array [N]
         Force of the body on the tool, read right after the pose was sent. It does not yet include that pose.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import palpate as pt
+    >>> log = pt.typing.DeviceLog(np.zeros(2), np.zeros((2, 3)), np.zeros((2, 4)), np.ones((2, 3)))
+    >>> log.forces.mean(axis=0).tolist()
+    [1.0, 1.0, 1.0]
     """
 
     times: Floats
@@ -47,6 +55,19 @@ class DummyDevice:
     ----------
     path : function
         ``path(t)`` returns the position (3,) [m] and the quaternion (4,), w x y z, at a time t [s].
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.03, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1060, poisson=0.45)
+    >>> block = pt.Solid(cloud, tissue, fixed="z-")
+    >>> ball = pt.tools.Contact(pt.tools.Sphere(radius=0.01), (0.015, 0.015, 0.026))
+    >>> device = pt.DummyDevice(lambda t: ((0, 0, -0.01 * t), (1, 0, 0, 0)))
+    >>> with pt.Engine(pt.realtime_model(block, contact=ball)) as engine:
+    ...     log = device.run(engine, 0.05)
+    >>> log.forces.shape[1]
+    3
     """
 
     def __init__(self, path: Path) -> None:

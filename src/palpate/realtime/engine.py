@@ -124,6 +124,24 @@ class Engine(Described):
         An argument is out of range, or the model lacks an attribute of `Realtime`.
     RuntimeError
         The system lacks the required clocks (Windows).
+
+    Examples
+    --------
+    >>> import time
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.03, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1060, poisson=0.45)
+    >>> block = pt.Solid(cloud, tissue, fixed="z-")
+    >>> ball = pt.tools.Contact(pt.tools.Sphere(radius=0.01), (0.015, 0.015, 0.026))
+    >>> with pt.Engine(pt.realtime_model(block, contact=ball)) as engine:
+    ...     engine.set_pose((0, 0, -0.003))  # 2 mm into the block
+    ...     for _ in range(500):
+    ...         time.sleep(0.01)
+    ...         reading = engine.read()
+    ...         if reading.force[2] > 0:
+    ...             break
+    >>> reading.state, bool(reading.force[2] > 0)
+    ('running', True)
     """
 
     def __init__(

@@ -39,35 +39,7 @@ def field_offset(name: str) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class PeriodRecord(Described):
-    """Results of one period.
-
-    Parameters
-    ----------
-    time : float [s]
-        Model time since the last reset.
-    steps : int
-        Periods since the last reset.
-    force, moment : (3,) arrays [N], [N m]
-        Force and moment of the body on the tool, about the tool's reference point.
-    stiffness : (3, 3) array [N/m]
-        Contact stiffness: the derivative of the tool's force on the body by the tool's displacement. It is
-        updated every few periods, and is zero for a model without a stiffness function.
-    trust : float
-        Trust number; above 1 the model was not trained on such states.
-    position, quaternion : (3,) array [m] and (4,) array
-        Pose of the tool, which follows the requested pose at a limited speed.
-    sequence : int
-        Sequence number of the newest pose that the period used, as passed to `Engine.set_pose`.
-    kinetic, strain : float [J]
-        Kinetic and strain energy.
-    computing, lateness : float [s]
-        Computing time of the step, and the delay between its deadline and its start.
-    coordinates : (m,) array
-        Reduced coordinates.
-    state : str
-        ``"stopped"``, ``"running"``, ``"paused"`` or ``"diverged"``. After a divergence the other
-        fields keep the last valid values.
-    """
+    """Results of one period; the parameters are those of `Reading`."""
 
     time: float
     steps: int
@@ -107,6 +79,30 @@ class Reading(PeriodRecord):
 
     Parameters
     ----------
+    time : float [s]
+        Model time since the last reset.
+    steps : int
+        Periods since the last reset.
+    force, moment : (3,) arrays [N], [N m]
+        Force and moment of the body on the tool, about the tool's reference point.
+    stiffness : (3, 3) array [N/m]
+        Contact stiffness: the derivative of the tool's force on the body by the tool's displacement. It is
+        updated every few periods, and is zero for a model without a stiffness function.
+    trust : float
+        Trust number; above 1 the model was not trained on such states.
+    position, quaternion : (3,) array [m] and (4,) array
+        Pose of the tool, which follows the requested pose at a limited speed.
+    sequence : int
+        Sequence number of the newest pose that the period used, as passed to `Engine.set_pose`.
+    kinetic, strain : float [J]
+        Kinetic and strain energy.
+    computing, lateness : float [s]
+        Computing time of the step, and the delay between its deadline and its start.
+    coordinates : (m,) array
+        Reduced coordinates.
+    state : str
+        ``"stopped"``, ``"running"``, ``"paused"`` or ``"diverged"``. After a divergence the other
+        fields keep the last valid values.
     worst_trust : float
         Largest trust number since the body was at rest; `palpate.ReducedModel.expected_error` converts it to an
         error. The body is at rest when its energy has fallen to 1e-4 of the largest of the motion: what is left
@@ -123,6 +119,18 @@ class Reading(PeriodRecord):
         Whether the force was scaled down to the engine's limit.
     velocities : (m,) array
         Velocities of the reduced coordinates.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.03, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1060, poisson=0.45)
+    >>> block = pt.Solid(cloud, tissue, fixed="z-")
+    >>> ball = pt.tools.Contact(pt.tools.Sphere(radius=0.01), (0.015, 0.015, 0.026))
+    >>> with pt.Engine(pt.realtime_model(block, contact=ball)) as engine:
+    ...     reading = engine.read()
+    >>> reading.force.tolist(), reading.limited, reading.force_bound
+    ([0.0, 0.0, 0.0], False, inf)
     """
 
     worst_trust: float

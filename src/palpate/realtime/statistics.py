@@ -38,6 +38,12 @@ class Histograms(NamedTuple):
         Largest computing time and lateness.
     counts : (3,) int64
         Missed deadlines, steps that computed for longer than a period, periods without a step.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> int(pt.typing.Histograms.zeros().bins.sum())
+    0
     """
 
     bins: NDArray[np.int64]
@@ -91,6 +97,14 @@ class Distribution(Described):
         The first and the last bin also count durations beyond them.
     counts : (b,) array
     maximum : float [s]
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import palpate as pt
+    >>> edges = np.array([1e-4, 2e-4, 4e-4])
+    >>> pt.typing.Distribution(edges, np.array([9, 1]), maximum=3e-4).percentile(90)
+    0.0002
     """
 
     edges: NDArray[np.float64]
@@ -136,6 +150,20 @@ class Statistics(Described):
         Steps whose computing time alone exceeded the period.
     computing, lateness : Distribution
         Computing time of the steps, and the delay from their deadlines to their starts.
+
+    Examples
+    --------
+    >>> import time
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.03, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1060, poisson=0.45)
+    >>> block = pt.Solid(cloud, tissue, fixed="z-")
+    >>> ball = pt.tools.Contact(pt.tools.Sphere(radius=0.01), (0.015, 0.015, 0.026))
+    >>> with pt.Engine(pt.realtime_model(block, contact=ball)) as engine:
+    ...     time.sleep(0.2)
+    ...     statistics = engine.statistics()
+    >>> statistics.count > 0, statistics.period
+    (True, 0.001)
     """
 
     period: float

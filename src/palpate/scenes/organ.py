@@ -38,6 +38,13 @@ def liver_surface(resolution: float = 0.003, volume: float = LIVER_VOLUME) -> Su
     ------
     InputError
         A parameter out of range.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> surface = pt.liver_surface(resolution=0.008, volume=0.0015)
+    >>> surface.closed, round(surface.volume, 6)
+    (True, 0.0015)
     """
     resolution = number_in_range("resolution", resolution, 0.001, 0.008, unit="m")
     volume = number_in_range("volume", volume, 1e-6, 1e-2, unit="m^3")

@@ -70,6 +70,13 @@ class OrganScene(Described):
     ----------
     notes : list of str
         What was guessed or repaired so far.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> scene = pt.open_scene("beam", {"spacing": "6.6 mm"})
+    >>> scene.duration, scene.every, len(scene.loads)
+    (1.0, 0.01, 1)
     """
 
     _title = "Scene"

@@ -30,7 +30,7 @@ BYTES_PER_FILE_BYTE, FILE_BYTES_PER_SECOND = 20, 1_000_000  # of memory, and byt
 
 
 def read_painted(path: str | Path, name: str | None = None) -> tuple[Floats, Floats]:
-    """Read a mesh's vertices and a scalar field on them.
+    r"""Read a mesh's vertices and a scalar field on them.
 
     Parameters
     ----------
@@ -52,6 +52,20 @@ def read_painted(path: str | Path, name: str | None = None) -> tuple[Floats, Flo
         The file is of another kind, damaged, or its numbers are not finite.
     InputError
         It has no such field, or one that is not a scalar; or PyVista is not installed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import palpate as pt
+    >>> path = Path(tempfile.mkdtemp()) / "painted.vtk"
+    >>> head = "# vtk DataFile Version 3.0\npainted\nASCII\nDATASET POLYDATA\n"
+    >>> mesh = "POINTS 3 float\n0 0 0\n0.1 0 0\n0 0.1 0\nPOLYGONS 1 4\n3 0 1 2\n"
+    >>> field = "POINT_DATA 3\nSCALARS weight float 1\nLOOKUP_TABLE default\n1 0 0.5\n"
+    >>> _ = path.write_text(head + mesh + field)
+    >>> points, values = pt.io.read_painted(path)
+    >>> values.tolist()
+    [1.0, 0.0, 0.5]
     """
     path = Path(path)
     size = regular_file(path, "painted mesh", MAX_FILE_BYTES)

@@ -51,6 +51,15 @@ def fetch_liver(folder: str | Path | None = None, source: str = LIVER_ADDRESS) -
     References
     ----------
     Kristen Browne. 2021. 3D Reference Organ for Liver, Female v1.1. https://doi.org/10.48539/HBM798.JZZM.649.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> surface = pt.io.fetch_liver()  # doctest: +SKIP
+    >>> pt.io.fetch_liver(source="liver.glb")
+    Traceback (most recent call last):
+        ...
+    palpate.faults.InputError: source must be an address, got 'liver.glb'
     """
     path = (user_cache_path("palpate") if folder is None else Path(folder)) / LIVER_FILE
     if not (path.is_file() and sha256(path.read_bytes()).hexdigest() == LIVER_SHA256):

@@ -65,6 +65,20 @@ class TrainingScene:
         may touch a large body anywhere. By default its surface is filled again.
     cubature : float, optional
         Largest relative error of the sampled forces, as for `palpate.hyper_reduce`.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> scene = pt.TrainingScene(
+    ...     bar, path=lambda seed: ((pull,), 0.03), every=0.001, title="Bar", parameters={"spacing": 0.005}
+    ... )
+    >>> loads, duration = scene.path(0)
+    >>> duration
+    0.03
     """
 
     model: Solid | Membrane

@@ -57,6 +57,14 @@ class MaterialStability(Described):
         For each kind of test, the deformations nearest to rest, below and above it, at which
         ellipticity is lost; None where it is kept up to the end of the range. Shears extend to the
         same principal stretches.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> law = pt.materials.StVenantKirchhoff(mu=2e3, density=1060, poisson=0.45)
+    >>> result = pt.materials.material_stability(law, stretches=(0.5, 1.8))
+    >>> result.stable, len(result.findings) > 0
+    (False, True)
     """
 
     stable: bool
@@ -124,6 +132,13 @@ def material_stability(
     ------
     InputError
         A range does not contain 1, or exceeds [0.002, 25].
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> law = pt.materials.NeoHookean(C1=1.1e3, density=1060, poisson=0.45)
+    >>> pt.materials.material_stability(law).stable
+    True
     """
     for name, both in (("stretches", stretches), ("volumes", volumes)):
         if not isinstance(both, Sequence | np.ndarray) or len(both) != 2:

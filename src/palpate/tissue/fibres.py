@@ -51,6 +51,13 @@ class FibreLaw(Described, ABC):
     ----------
     max_families : int
         Largest number of families.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> law = pt.materials.Fibres(directions=[(1, 0, 0), (0, 1, 0)], k1=2e3, k2=5.0)
+    >>> isinstance(law, pt.materials.FibreLaw), law.max_families
+    (True, 2)
     """
 
     max_families: ClassVar[int] = 2
@@ -197,6 +204,17 @@ class Fibres(FibreLaw):
         Dispersion kappa, 0 to 1/3.
     directions
         As for `FibreLaw`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import palpate as pt
+    >>> fibres = pt.materials.Fibres(directions=(1, 0, 0), k1=2e3, k2=5.0).at(np.zeros((1, 3)))
+    >>> stretched = np.diag([1.1, 1.1**-0.5, 1.1**-0.5])[None]
+    >>> bool(fibres.stress(stretched)[0, 0, 0] > 0)
+    True
+    >>> float(fibres.energy(np.linalg.inv(stretched))[0])
+    0.0
     """
 
     k1: float = parameter("Pa", above=0.0)
@@ -242,6 +260,17 @@ class Guccione(FibreLaw):
         Positive.
     directions
         As for `FibreLaw`; one family.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import palpate as pt
+    >>> law = pt.materials.Guccione(directions=(1, 0, 0), C=2e3, bf=8.0, bt=2.0, bfs=4.0)
+    >>> heart = law.at(np.zeros((1, 3)))
+    >>> along = np.diag([1.1, 1.1**-0.5, 1.1**-0.5])[None]
+    >>> across = np.diag([1.1**-0.5, 1.1, 1.1**-0.5])[None]
+    >>> bool(heart.energy(along)[0] > heart.energy(across)[0])
+    True
     """
 
     max_families: ClassVar[int] = 1
@@ -287,6 +316,13 @@ class VolumeOnly(ShearLaw):
         hourglass stabilisation; the material itself has no shear stiffness.
     density, poisson, bulk
         As for `Material`.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> base = pt.materials.VolumeOnly(mu=2e3, bulk=1e5, density=1060)
+    >>> round(base.bulk_modulus), base.shear_modulus
+    (100000, 2000.0)
     """
 
     @property

@@ -50,6 +50,17 @@ class CurveFit:
         Coefficient of determination.
     correlation : float
         Lag-1 correlation of the residuals: near 0 for noise, near 1 for a systematic misfit.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import palpate as pt
+    >>> stretch = np.linspace(1.0, 1.4, 9)
+    >>> stress = 2 * 1.1e3 * (stretch - stretch**-2)
+    >>> curve = pt.materials.Measurement(kind="uniaxial", deformation=stretch, stress=stress)
+    >>> result = pt.materials.fit(pt.materials.NeoHookean, curve)
+    >>> round(result.curves[0].r_squared, 6)
+    1.0
     """
 
     name: str
@@ -62,7 +73,27 @@ class CurveFit:
 
 @dataclass(frozen=True)
 class FitStart:
-    """First and last parameters of a start, its cost (half the sum of squared residuals), and its convergence."""
+    """Result of one start of a fit.
+
+    Parameters
+    ----------
+    first, values : dict
+        First and last parameters by name.
+    cost : float
+        Half the sum of squared residuals.
+    converged : bool
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import palpate as pt
+    >>> stretch = np.linspace(1.0, 1.4, 9)
+    >>> stress = 2 * 1.1e3 * (stretch - stretch**-2)
+    >>> curve = pt.materials.Measurement(kind="uniaxial", deformation=stretch, stress=stress)
+    >>> result = pt.materials.fit(pt.materials.NeoHookean, curve)
+    >>> result.starts[0].converged
+    True
+    """
 
     first: dict[str, float]
     values: dict[str, float]
@@ -93,6 +124,17 @@ class Fit(Described):
     remarks : tuple of str
         Warnings about the parameters.
     measurements : tuple of Measurement
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import palpate as pt
+    >>> stretch = np.linspace(1.0, 1.4, 9)
+    >>> stress = 2 * 1.1e3 * (stretch - stretch**-2)
+    >>> curve = pt.materials.Measurement(kind="uniaxial", deformation=stretch, stress=stress)
+    >>> result = pt.materials.fit(pt.materials.NeoHookean, curve)
+    >>> result.material.poisson, result.remarks
+    (0.5, ())
     """
 
     material: Material
@@ -233,6 +275,17 @@ def fit(
     InputError
         A name is unknown, a start is invalid or out of bounds, there are too few points, no
         parameter is free, or the stress of the law is not finite at a measured deformation.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import palpate as pt
+    >>> stretch = np.linspace(1.0, 1.4, 9)
+    >>> stress = 2 * 1.1e3 * (stretch - stretch**-2)
+    >>> curve = pt.materials.Measurement(kind="uniaxial", deformation=stretch, stress=stress)
+    >>> result = pt.materials.fit(pt.materials.NeoHookean, curve)
+    >>> round(result.parameters["C1"], 3)
+    1100.0
     """
     curves = (measurements,) if isinstance(measurements, Measurement) else tuple(measurements)
     if not curves:

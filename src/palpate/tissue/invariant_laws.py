@@ -38,6 +38,13 @@ class Yeoh(Material):
         Not negative.
     density, poisson, bulk
         As for `Material`.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> law = pt.materials.Yeoh(C1=1e3, C2=200.0, C3=50.0, density=1060, poisson=0.45)
+    >>> round(law.shear_modulus, 3), round(law.bulk_modulus, 3)
+    (2000.0, 19333.333)
     """
 
     C1: float = parameter("Pa", above=0.0)
@@ -93,6 +100,13 @@ class Gent(ShearLaw):
         I1 - 3 at the limit; positive.
     density, poisson, bulk
         As for `Material`.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> law = pt.materials.Gent(mu=2e3, Jm=3.0, density=1060, poisson=0.45)
+    >>> round(law.shear_modulus, 3), round(law.bulk_modulus, 3)
+    (2000.0, 19333.333)
     """
 
     Jm: float = parameter(above=0.0)
@@ -138,6 +152,13 @@ class ArrudaBoyce(Material):
         Links of a chain; at least 1. A chain is straight at a stretch of sqrt(N).
     density, poisson, bulk
         As for `Material`.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> law = pt.materials.ArrudaBoyce(mu=2e3, N=8.0, density=1060, poisson=0.45)
+    >>> round(law.shear_modulus, 3), round(law.bulk_modulus, 3)
+    (2170.273, 20979.31)
     """
 
     mu: float = parameter("Pa", above=0.0)
@@ -193,6 +214,13 @@ class Fung(ShearLaw):
         Rate of stiffening; positive.
     density, poisson, bulk
         As for `Material`.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> law = pt.materials.Fung(mu=2e3, b=5.0, density=1060, poisson=0.45)
+    >>> round(law.shear_modulus, 3), round(law.bulk_modulus, 3)
+    (2000.0, 19333.333)
     """  # noqa: E501
 
     b: float = parameter(above=0.0)
@@ -235,6 +263,13 @@ class StVenantKirchhoff(ShearLaw):
         Positive.
     density, poisson, bulk
         As for `Material`.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> law = pt.materials.StVenantKirchhoff(mu=2e3, density=1060, poisson=0.45)
+    >>> round(law.shear_modulus, 3), round(law.bulk_modulus, 3)
+    (2000.0, 19333.333)
     """  # noqa: E501
 
     @staticmethod

@@ -94,6 +94,14 @@ class Material(Described, ABC):
     variables : str
         Arguments of the law: ``"invariants"`` I1, I2, J; ``"stretches"`` l1, l2, l3; or ``"small
         strain"``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import palpate as pt
+    >>> law = pt.materials.NeoHookean(C1=1.1e3, density=1060, poisson=0.45)
+    >>> law.stress(np.diag([1.1, 1.0, 1.0])).round(1).tolist()
+    [[2400.0, 0.0, 0.0], [0.0, 2178.0, 0.0], [0.0, 0.0, 2178.0]]
     """
 
     variables: ClassVar[str] = "invariants"
@@ -332,6 +340,13 @@ class NeoHookean(Material):
         Positive.
     density, poisson, bulk
         As for `Material`.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> law = pt.materials.NeoHookean(C1=1.1e3, density=1060, poisson=0.45)
+    >>> round(law.shear_modulus, 3), round(law.bulk_modulus, 3)
+    (2200.0, 21266.667)
     """
 
     C1: float = parameter("Pa", above=0.0)
@@ -371,6 +386,13 @@ class MooneyRivlin(Material):
         Not negative.
     density, poisson, bulk
         As for `Material`.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> law = pt.materials.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=0.49)
+    >>> round(law.shear_modulus, 3), round(law.bulk_modulus, 3)
+    (61200.0, 3039600.0)
     """
 
     C1: float = parameter("Pa", above=0.0)

@@ -82,7 +82,7 @@ class _Column:
 
 
 def read_measurements(path: str | PathLike[str]) -> list[Measurement]:
-    """Read measured curves from a CSV file.
+    r"""Read measured curves from a CSV file.
 
     Columns are separated by commas, semicolons or tabs. The first line that is not a comment holds
     their names, with units in brackets. One column is the deformation: ``stretch``, ``strain``
@@ -112,6 +112,17 @@ def read_measurements(path: str | PathLike[str]) -> list[Measurement]:
         `Measurement`. The message names file and line.
     FileNotFoundError
         The file does not exist.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import palpate as pt
+    >>> path = Path(tempfile.mkdtemp()) / "curve.csv"
+    >>> _ = path.write_text("# kind: uniaxial\nstretch [-],nominal stress [kPa]\n1.0,0\n1.1,1.4\n1.2,2.6\n")
+    >>> curves = pt.io.read_measurements(path)
+    >>> curves[0].kind, curves[0].stress.tolist()
+    ('uniaxial', [0.0, 1400.0, 2600.0])
     """
     path = Path(path)
     lines = LINE_PATTERN.split(read_text(path, "table of measured curves"))

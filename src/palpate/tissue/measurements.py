@@ -41,6 +41,16 @@ class Measurement(Described):
         The kind is unknown; arrays differ in length, are not finite or too short; a stretch or
         deviation is not positive; a stretch or shear exceeds 20; deformations are not monotonic or
         all at rest; or all stresses oppose the deformation.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import palpate as pt
+    >>> stretch = np.linspace(1.0, 1.4, 9)
+    >>> stress = 2 * 1.1e3 * (stretch - stretch**-2)
+    >>> curve = pt.materials.Measurement(kind="uniaxial", deformation=stretch, stress=stress)
+    >>> curve.kind, len(curve.stress)
+    ('uniaxial', 9)
     """
 
     kind: str

@@ -51,6 +51,14 @@ class Prony(Described):
     ------
     InputError
         A number is out of range, or the lengths differ.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> branch = pt.materials.Prony(shares=0.5, times=0.1)
+    >>> law = pt.materials.NeoHookean(C1=1.1e3, density=1060, poisson=0.45, prony=branch)
+    >>> float(branch.relaxation(0.0)), round(float(branch.relaxation(0.1)), 4)
+    (1.5, 1.1839)
     """
 
     shares: tuple[float, ...] = field(metadata={"unit": "", "low": 0.0, "high": np.inf, "open_low": True})

@@ -29,6 +29,13 @@ class LinearElastic(ShearLaw):
         Shear modulus; positive.
     density, poisson, bulk
         As for `Material`.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> law = pt.materials.LinearElastic(mu=2e3, density=1060, poisson=0.45)
+    >>> round(law.shear_modulus, 3), round(law.bulk_modulus, 3)
+    (2000.0, 19333.333)
     """
 
     variables: ClassVar[str] = "small strain"

@@ -49,6 +49,12 @@ class StretchLaw(Material):
     Its three static functions take (l1, l2, l3, coefficients). `energy` returns W_s, `first` the
     derivatives by l1, l2 and l3, `second` the derivatives by (l1 l1), (l2 l2), (l3 l3), (l1 l2),
     (l1 l3), (l2 l3).
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> issubclass(pt.materials.Ogden, pt.materials.StretchLaw), pt.materials.Ogden.variables
+    (True, 'stretches')
     """
 
     variables: ClassVar[str] = "stretches"
@@ -84,6 +90,13 @@ class Ogden(StretchLaw):
         Exponent of each term; nonzero, from -100 to 100.
     density, poisson, bulk
         As for `Material`.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> law = pt.materials.Ogden(C=(800.0, 120.0), alpha=(4.0, -7.5), density=1060, poisson=0.45)
+    >>> round(law.shear_modulus, 3), round(law.bulk_modulus, 3)
+    (9775.0, 94491.667)
     """
 
     C: tuple[float, ...] = parameter("Pa", above=0.0)
@@ -181,6 +194,15 @@ class Exponential(_Stiffening):
         Exponents; nonzero, from -100 to 100.
     density, poisson, bulk
         As for `Material`.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> law = pt.materials.Exponential(
+    ...     C1=100.0, C2=2.0, C3=500.0, alpha1=3.0, alpha2=2.0, density=1060, poisson=0.45
+    ... )
+    >>> round(law.shear_modulus, 3), round(law.bulk_modulus, 3)
+    (1900.0, 18366.667)
     """
 
     @staticmethod
@@ -249,6 +271,15 @@ class Logarithmic(_Stiffening):
         Exponents; nonzero, from -100 to 100.
     density, poisson, bulk
         As for `Material`.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> law = pt.materials.Logarithmic(
+    ...     C1=100.0, C2=0.5, C3=500.0, alpha1=3.0, alpha2=2.0, density=1060, poisson=0.45
+    ... )
+    >>> round(law.shear_modulus, 3), round(law.bulk_modulus, 3)
+    (1225.0, 11841.667)
     """
 
     @staticmethod

@@ -104,7 +104,11 @@ def Hyperelastic(
 
     Examples
     --------
-    >>> law = Hyperelastic("C1 * (I1bar - 3) + C2 * (I1bar - 3)**2", C1=5e3, C2=1e3, density=1060, poisson=0.45)
+    >>> import palpate as pt
+    >>> energy = "C1 * (I1bar - 3) + C2 * (I1bar - 3)**2"
+    >>> law = pt.materials.Hyperelastic(energy, C1=5e3, C2=1e3, density=1060, poisson=0.45)
+    >>> round(law.shear_modulus, 3), law.C2
+    (10000.0, 1000.0)
     """
     law = law_of(energy)
     names = own_fields(law)

@@ -59,6 +59,15 @@ class Formulation(NamedTuple):
     after : function
         ``after(work, interval)`` sets the interval [s] after which the next evaluation updates the
         history variables; 0 for no update.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> bar.formulation.numbers
+    12
     """
 
     digest: str

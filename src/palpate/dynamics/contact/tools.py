@@ -55,6 +55,12 @@ class Sphere(Described):
     ------
     InputError
         The radius is not positive.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> pt.tools.Sphere(radius=0.01)
+    Sphere(radius=10 mm)
     """
 
     radius: float
@@ -85,6 +91,12 @@ class Capsule(Described):
     ------
     InputError
         A size is not positive.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> pt.tools.Capsule(radius=0.004, length=0.03)
+    Capsule(radius=4 mm, length=30 mm)
     """
 
     radius: float
@@ -106,7 +118,15 @@ class Capsule(Described):
 
 @dataclass(frozen=True)
 class Plane(Described):
-    """The half-space z < 0 of the tool's frame, with normal +z."""
+    """The half-space z < 0 of the tool's frame, with normal +z.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> lid = pt.tools.Contact(pt.tools.Plane(), ((0, 0, 0.02), (3.14159265, 0, 0)))  # normal -z
+    >>> lid.tool
+    Plane()
+    """
 
     kind: ClassVar[int] = PLANE
 
@@ -130,6 +150,12 @@ class Punch(Described):
     ------
     InputError
         The radius is not positive, or the rounding is negative or larger than the radius.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> pt.tools.Punch(radius=0.01, rounding=0.001)
+    Punch(radius=10 mm, rounding=1 mm)
     """
 
     radius: float
@@ -161,6 +187,12 @@ class Forceps(Described):
         Centre at rest.
     until : float [s]
         Time of release; in the engine forceps are released by a change of the tool.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> pt.tools.Forceps(radius=0.006, point=(0.015, 0.015, 0.015))
+    Forceps(radius=6 mm, point=(15, 15, 15) mm, until=inf s)
     """
 
     radius: float
@@ -212,6 +244,18 @@ class Contact(Described):
     ------
     InputError
         The tool has another type, or the friction is negative.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.03, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1060, poisson=0.45)
+    >>> block = pt.Solid(cloud, tissue, fixed="z-")
+    >>> sphere = pt.tools.Sphere(radius=0.01)
+    >>> ball = pt.tools.Contact(sphere, lambda t: (0.015, 0.015, 0.026 - 0.1 * t), friction=0.3)
+    >>> run = pt.rollout(block, [ball], duration=0.03, every=0.01)
+    >>> bool(run.reactions["tool"][-1, 2] < 0)
+    True
     """
 
     tool: Tool
@@ -265,6 +309,17 @@ class Grasp(Described):
     ------
     InputError
         `until` is negative or not a number, or no surface node is within the radius.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.03, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1060, poisson=0.45)
+    >>> block = pt.Solid(cloud, tissue, fixed="z-")
+    >>> forceps = pt.tools.Grasp((0.015, 0.015, 0.015), 0.006, lambda t: (0.015, 0.015, 0.015 + 0.1 * t))
+    >>> run = pt.rollout(block, [forceps], duration=0.02, every=0.01)
+    >>> bool(run.reactions["grasp"][-1, 2] > 0)
+    True
     """
 
     point: Sequence[float]
@@ -323,7 +378,24 @@ def _motion_fact(motion: Motion) -> str:
 
 
 def surface_nodes(cloud: Cloud) -> NDArray[np.int64]:
-    """Return the surface nodes of a solid, or all nodes of a membrane."""
+    """Return the surface nodes of a solid, or all nodes of a membrane.
+
+    Parameters
+    ----------
+    cloud : Cloud
+
+    Returns
+    -------
+    (k,) int array
+        In ascending order.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> len(cloud.points), len(pt.tools.surface_nodes(cloud))
+    (112, 92)
+    """
     return np.unique(cloud.face_nodes) if cloud.points.shape[1] == 3 else np.arange(len(cloud))
 
 

@@ -19,6 +19,15 @@ class ForcePattern(NamedTuple):
     nodes : (g,) int array
         Loaded nodes.
     forces : (g, a, 3) array [N per unit of each amplitude]
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> pull = pt.SurfaceForce("x+", force=(1, 0, 0))
+    >>> pattern = pull.pattern(cloud, cloud.area_vectors("x+"))
+    >>> isinstance(pattern, pt.typing.ForcePattern), pattern.forces.shape
+    (True, (16, 3, 3))
     """
 
     nodes: Ints
@@ -31,6 +40,16 @@ class DeadLoad(ABC):
     Every model supports every dead load. Solids and membranes add its forces, reduced models project
     its patterns, and linear systems use its amplitudes as inputs. A new dead load is a frozen
     dataclass derived from this class.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import palpate as pt
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> isinstance(pull, pt.typing.DeadLoad)
+    True
+    >>> pull.amplitudes(np.array([0.0, 0.5])).tolist()
+    [[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]]
     """
 
     group: str

@@ -33,6 +33,18 @@ class Foundation(Described):
     ------
     InputError
         A stiffness or damping is negative.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=(0.2, 0, 0))
+    >>> ligament = pt.Foundation("x+", stiffness=2e5, damping=100)
+    >>> rest = pt.equilibrium(bar, [pull, ligament])
+    >>> bool(0 < -rest.reactions["x-"][0] < 0.2)
+    True
     """
 
     group: str

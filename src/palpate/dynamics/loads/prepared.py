@@ -67,6 +67,18 @@ class LoadHistory(NamedTuple):
     poses : (s, tools, 7) array
         Positions [m] and quaternions of the tools.
     times : (s,) array [s]
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> history = bar.prepare([pull, pt.Gravity()]).schedule(np.array([0.0, 0.01]))
+    >>> history.gravity.tolist()
+    [[0.0, 0.0, -9.81], [0.0, 0.0, -9.81]]
     """
 
     gravity: Floats
@@ -146,6 +158,17 @@ class PreparedLoads(Described):
         Constrained directions (k, 3) of the supports that leave their groups free in others.
     partitions : dict
         Partitions of unity by groups, computed on first use.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> loads = bar.prepare([pull])
+    >>> loads.loads == (pull,), sorted(loads.supports)
+    (True, ['x-'])
     """
 
     loads: tuple[Load, ...]

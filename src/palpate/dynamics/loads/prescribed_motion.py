@@ -34,6 +34,19 @@ class PrescribedMotion(Described):
     ------
     InputError
         `until` is negative or not a number.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> tool = pt.PrescribedMotion("x+", lambda points, t: (0.1 * t, 0, 0))
+    >>> run = pt.rollout(bar, [tool], duration=0.02, every=0.01)
+    >>> float(run.displacements[-1, cloud.group("x+"), 0].max().round(6))
+    0.002
+    >>> bool(run.reactions["x+"][-1, 0] > 0)
+    True
     """
 
     group: str

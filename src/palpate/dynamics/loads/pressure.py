@@ -25,6 +25,17 @@ class Pressure(Described):
         normal is +z.
     pressure : float, or function of time [s] [Pa]
         Positive against the outward normal.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.03, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1060, poisson=0.45)
+    >>> block = pt.Solid(cloud, tissue, fixed="z-")
+    >>> press = pt.Pressure("z+", pressure=200.0)
+    >>> rest = pt.equilibrium(block, [press])
+    >>> bool(rest.displacements[cloud.group("z+"), 2].max() < 0)
+    True
     """
 
     group: str

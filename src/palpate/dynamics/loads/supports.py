@@ -38,6 +38,17 @@ class Support(Described, ABC):
     Parameters
     ----------
     group : str
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed=["x-", pt.Roller("y-")])
+    >>> all(isinstance(support, pt.typing.Support) for support in bar.supports)
+    True
+    >>> [type(support).__name__ for support in bar.supports]
+    ['Clamp', 'Roller']
     """
 
     kinds: ClassVar[dict[str, type[Support]]] = {}
@@ -71,6 +82,15 @@ class Clamp(Support):
     Parameters
     ----------
     group : str
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> bar.supports
+    (Clamp(group='x-'),)
     """
 
     def directions(self, cloud: Cloud) -> Floats:
@@ -91,6 +111,19 @@ class Roller(Support):
     ------
     InputError
         The normal is zero or not finite; or none is given, and the group does not form a face.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> rollers = [pt.Roller("x-"), pt.Roller("y-"), pt.Roller("z-")]
+    >>> bar = pt.Solid(cloud, tissue, fixed=rollers)
+    >>> rest = pt.equilibrium(bar, [pt.SurfaceForce("x+", force=(0.2, 0, 0))])
+    >>> bool(abs(rest.displacements[cloud.group("y-"), 1]).max() < 1e-12)
+    True
+    >>> bool(rest.displacements[cloud.group("y+"), 1].max() < 0)
+    True
     """
 
     normal: Sequence[float] | None = None
@@ -120,8 +153,28 @@ class SymmetryPlane(Roller):
 
     The stencils of the body contain its mirror images, so that the body moves as one part of the whole
     one. Loads and tools act on this part and, mirrored, on the images. Several planes must be at right
-    angles. Solids take planes of symmetry. Parameters and errors are those of `Roller`; the group holds all
-    nodes in the plane.
+    angles. Solids take planes of symmetry.
+
+    Parameters
+    ----------
+    group : str
+        All nodes in the plane.
+    normal : (3,) sequence, optional
+        As for `Roller`.
+
+    Raises
+    ------
+    InputError
+        As for `Roller`.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed=["x-", pt.SymmetryPlane("y-")])
+    >>> [plane.name for plane in bar.planes]
+    ['y-']
     """
 
 
@@ -145,6 +198,16 @@ class Rail(Support):
     ------
     InputError
         The axis is zero or not finite.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed=["x-", pt.Rail("x+", axis=(1, 0, 0))])
+    >>> rest = pt.equilibrium(bar, [pt.Gravity((0, 0, -9.81))])
+    >>> bool(abs(rest.displacements[cloud.group("x+"), 1:]).max() < 1e-12)
+    True
     """
 
     axis: Sequence[float]
@@ -222,6 +285,15 @@ class SupportedNodes(NamedTuple):
         Nodes that slide.
     slide : (r, 3, 3) array
         Their projections on the directions in which they are free.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> bar.supported.kind.shape, len(bar.supported.sliding)
+    ((112,), 0)
     """
 
     kind: NDArray[np.uint8]

@@ -39,6 +39,14 @@ class SurfaceForce(Described, DeadLoad):
     ------
     InputError
         Neither a force nor a moment is given.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (200 * min(t, 1 - t), 0, 0))
+    >>> twist = pt.SurfaceForce("x+", moment=(0.005, 0, 0))
+    >>> pull.group, twist.moment
+    ('x+', (0.005, 0, 0))
     """
 
     group: str

@@ -83,6 +83,14 @@ class Membrane(NodalModel):
         parameter out of range.
     CloudError
         The cloud does not admit the stencils.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> rubber = pt.materials.NeoHookean(C1=0.17e6, density=1200, poisson=0.5)
+    >>> sheet = pt.Membrane(pt.disc(0.1, spacing=0.02), rubber, thickness=1e-5, fixed="rim", prestretch=1.1)
+    >>> sheet.name, sheet.stability.method
+    ('full', 'taut sheet')
     """
 
     name = "full"

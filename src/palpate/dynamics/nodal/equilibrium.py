@@ -46,6 +46,16 @@ class Equilibrium(Described):
     strain_energy : float [J]
     reactions : mapping of group name to (3,) array [N]
         Force of every support and prescribed group on the body.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> weight = pt.equilibrium(bar, [pt.Gravity()])
+    >>> weight.displacements.shape, bool(weight.residual < 1e-6)
+    ((112, 3), True)
     """
 
     displacements: Floats
@@ -105,6 +115,17 @@ def equilibrium(
     InputError
         The model is not a full model, a load is a `Contact`, nothing supports the body, or another
         argument is out of range.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=(0.2, 0, 0))
+    >>> rest = pt.equilibrium(bar, [pull])
+    >>> float(rest.reactions["x-"][0].round(4))
+    -0.2
     """
     if not isinstance(cast(object, model), NodalModel):
         raise InputError(f"model must be a Solid or a Membrane, got {brief(model)}; use rollout for reduced models")

@@ -60,6 +60,16 @@ class NodalWork(NamedTuple):
     passes : NamedTuple
         Scratch arrays of the compiled passes, with the history variables of relaxing tissue.
     step : StepScratch
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> work = bar.workspace()
+    >>> bar.force(0 * cloud.points, work=work).shape
+    (112, 3)
     """
 
     passes: Any
@@ -93,6 +103,18 @@ class NodalModel(Model):
         Estimate of the fastest wave speed, and limit of prescribed velocities in the damping forces.
     fibres : FibreLaw or None
         Fibres with a direction at every node.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> isinstance(bar, pt.typing.NodalModel), bar.volumes.shape == (len(cloud.points),)
+    (True, True)
+    >>> rest = 0 * cloud.points
+    >>> float(abs(bar.nodal_force(rest)).max())
+    0.0
     """
 
     stencils: Stencils

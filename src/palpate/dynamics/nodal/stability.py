@@ -98,6 +98,15 @@ class StabilityReport(Described):
         Stable step at rest, with the safety factor.
     growth : float or None [1/s]
         Remaining growth rate in the step map, with the needed damping.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> bar.stability.method, bar.stability.verdict
+    ('energy form', 'stable at rest')
     """
 
     method: str

@@ -48,6 +48,17 @@ class ContactState(NamedTuple):
         Impulses on the prescribed nodes since `start_time`; empty without a `Grasp`.
     held_energy : float [J]
         Energy of the tissue over supports that tools press.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.03, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1060, poisson=0.45)
+    >>> block = pt.Solid(cloud, tissue, fixed="z-")
+    >>> ball = pt.tools.Contact(pt.tools.Sphere(radius=0.01), (0.015, 0.015, 0.026))
+    >>> state = block.state(block.prepare([ball]))
+    >>> state.contact_state.forces.shape == (len(cloud.points), 3)
+    True
     """
 
     forces: Floats
@@ -78,6 +89,16 @@ class Evaluation(NamedTuple):
         U'(J), positive for expansion; zero in a sheet, whose volume is constant.
     energy_density : (n,) array [J/m^3]
         Energy per stress-free volume.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> result = bar.evaluate(0.1 * cloud.points)
+    >>> result.stress.shape, bool((result.energy_density > 0).all())
+    ((112, 3, 3), True)
     """
 
     force: Floats
@@ -100,6 +121,19 @@ class StepReport(Described):
         Least J - 1 at the nodes in the energy form of a solid; 0 where it is not computed.
     tool_impulses : (t, 6) array [N s], [N m s]
         Impulse of every tool in contact and its moment about the tool's origin.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> loads = bar.prepare([pt.Gravity()])
+    >>> state = bar.state(loads)
+    >>> step, state = bar.stable_step(state, loads)
+    >>> state, report = bar.advance(state, loads, step, 2)
+    >>> report.external_work > 0
+    True
     """
 
     external_work: float
@@ -135,6 +169,16 @@ class State(Described):
     estimate : tuple of arrays
         Last estimate of the highest frequency or of the tangent, from which the next one starts;
         empty at the start of a run.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> state = bar.state(bar.prepare([]))
+    >>> state.coordinates.shape, state.time
+    ((112, 3), 0.0)
     """
 
     coordinates: Floats
@@ -179,6 +223,17 @@ class Outputs(Described):
         True for the nodes bonded to a `Grasp`.
     trust : float, optional
         Trust number of a model with an error indicator.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> loads = bar.prepare([])
+    >>> outputs = bar.outputs(bar.state(loads), loads)
+    >>> outputs.strain, sorted(outputs.reactions)
+    (0.0, ['x-'])
     """
 
     displacements: Floats
@@ -256,6 +311,15 @@ class Model(Described, metaclass=_Constant):
     conservative : bool
         True if the nodal forces are the derivative of an energy of the nodal displacements. Their
         virtual work is then that of the stresses.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> isinstance(bar, pt.typing.Model), bar.conservative
+    (True, True)
     """
 
     cloud: Cloud
@@ -302,7 +366,17 @@ class Model(Described, metaclass=_Constant):
 
     @abstractmethod
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
-        """Prepare loads for this model."""
+        """Prepare loads for this model.
+
+        Parameters
+        ----------
+        loads : sequence of loads
+
+        Raises
+        ------
+        InputError
+            A load is of a kind that the model does not support, or its group is unknown.
+        """
 
     @abstractmethod
     def state(
@@ -312,17 +386,49 @@ class Model(Described, metaclass=_Constant):
         velocity: Floats | None = None,
         time: float = 0.0,
     ) -> State:
-        """Return the state at a time [s] with given nodal displacements and velocities (equations 7 and 8)."""
+        """Return the state at a time [s] with given nodal displacements and velocities (equations 7 and 8).
+
+        Parameters
+        ----------
+        prepared : PreparedLoads
+            Result of `prepare`.
+        displacement, velocity : (n, 3) arrays, optional [m], [m/s]
+            At rest by default.
+        time : float [s]
+        """
 
     @abstractmethod
     def stable_step(self, state: State, prepared: PreparedLoads, work: Any = None) -> tuple[float, State]:
-        """Estimate the largest stable time step [s] at a state; return it and the state with that estimate."""
+        """Estimate the largest stable time step [s] at a state; return it and the state with that estimate.
+
+        Parameters
+        ----------
+        state : State
+        prepared : PreparedLoads
+        work : object, optional
+            Result of `workspace`.
+        """
 
     @abstractmethod
     def advance(
         self, state: State, prepared: PreparedLoads, step: float, steps: int, work: Any = None
     ) -> tuple[State, StepReport]:
-        """Advance by a number of steps of one length [s]."""
+        """Advance by a number of steps of one length [s].
+
+        Parameters
+        ----------
+        state : State
+        prepared : PreparedLoads
+        step : float [s]
+        steps : int
+        work : object, optional
+            Result of `workspace`.
+
+        Returns
+        -------
+        State, StepReport
+            The new state; work, dissipation and impulses of the steps.
+        """
 
     @abstractmethod
     def outputs(self, state: State, prepared: PreparedLoads, work: Any = None) -> Outputs:

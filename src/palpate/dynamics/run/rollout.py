@@ -97,6 +97,19 @@ def rollout(
     -----
     TrustWarning
         Once for a trust number above 1: the reduced model was not trained on such states.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> run = pt.rollout(bar, [pull], duration=0.03, every=0.01)
+    >>> run.times.round(6).tolist()
+    [0.0, 0.01, 0.02, 0.03]
+    >>> run.displacements.shape, sorted(run.reactions)
+    ((4, 112, 3), ['x-'])
     """
     frames = _frame_count(model, duration, every, start)
     if step is not None:

@@ -72,6 +72,25 @@ class Trajectory(Described):
     displacement_bounds, force_bounds : (f,) arrays [m], [N]
         Error bounds of the displacement, root mean square over the body, and of the tools' forces
         (`palpate.ReducedModel.error_bounds`); infinite where the error is unknown. Empty without them.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
+    >>> len(full.times), full.complete
+    (31, True)
+    >>> bool(abs(full.balance).max() < 0.02 * full.external.max())
+    True
+    >>> path = Path(tempfile.mkdtemp()) / "run.h5"
+    >>> full.save(path)
+    >>> pt.Trajectory.load(path).reactions["x-"].shape
+    (31, 3)
     """
 
     model: str

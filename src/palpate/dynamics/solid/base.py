@@ -95,6 +95,18 @@ class Solid(NodalModel):
     -----
     RuntimeWarning
         The stiffness damping makes the stable step more than ten times shorter.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> bar.stability.step < 1e-3, bar.stiffness_damping > 0
+    (True, True)
+    >>> stretched = 1.1 * cloud.points - cloud.points
+    >>> float(bar.deformation_gradient(stretched)[0, 0, 0].round(6))
+    1.1
     """
 
     name = "full"

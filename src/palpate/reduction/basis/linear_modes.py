@@ -179,6 +179,16 @@ def vibration_modes(body: Solid, count: int, held: Sequence[str] = ()) -> tuple[
     ------
     InputError
         The body has the strong form or no supports, or the count is out of range.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> modes, frequencies = pt.vibration_modes(bar, 6)
+    >>> modes.shape, bool((frequencies[1:] >= frequencies[:-1]).all())
+    ((6, 112, 3), True)
     """
     integer_in_range("count", count, 1, len(_free(body, held)[1]) - 2)
     return _vibrations(body, _statics(body, held), count)
@@ -244,10 +254,32 @@ def tool_responses(body: Solid, fields: Floats, held: Sequence[str]) -> Floats:
 
 
 def modal_derivatives(body: Solid, modes: Floats, held: Sequence[str] = ()) -> Floats:
-    """Return second-order responses of the body to pairs of modes, (k (k + 1) / 2, n, 3), for modes (k, n, 3).
+    """Return second-order responses of the body to pairs of modes.
 
     Each is the static response at rest to the second derivative of the internal force along two modes. Its
     largest displacement is 1 m.
+
+    Parameters
+    ----------
+    body : Solid
+        In the energy form.
+    modes : (k, n, 3) array [m]
+    held : sequence of str
+        Groups that tools hold, in addition to the supports.
+
+    Returns
+    -------
+    (k (k + 1) / 2, n, 3) array [m]
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> modes, _ = pt.vibration_modes(bar, 3)
+    >>> pt.modal_derivatives(bar, modes).shape
+    (6, 112, 3)
     """
     return _derivatives(body, _statics(body, held), modes)
 

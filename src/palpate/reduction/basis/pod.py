@@ -44,6 +44,23 @@ class Basis(Described):
         Of the inner product: nodal volumes.
     dropped : float [m^5]
         Sum of the squares of the singular values that are not included.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
+    >>> basis = pt.pod(full, bar.weights, tolerance=0.01)
+    >>> coordinates = basis.project(full.displacements)
+    >>> coordinates.shape == (31, len(basis))
+    True
+    >>> difference = np.linalg.norm(basis.lift(coordinates) - full.displacements)
+    >>> bool(difference < 0.05 * np.linalg.norm(full.displacements))
+    True
     """
 
     modes: Floats
@@ -138,6 +155,18 @@ def pod(
     InputError
         More modes than independent snapshots, snapshots that are all zero or not finite, or neither or
         both of `modes` and `tolerance`.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
+    >>> basis = pt.pod(full, bar.weights, modes=4)
+    >>> basis.modes.shape, basis.lost_energy < 1e-4
+    ((4, 112, 3), True)
     """
     if (modes is None) == (tolerance is None):
         raise InputError("modes or tolerance must be given, but not both; leave one of them out")

@@ -57,6 +57,20 @@ class GalerkinModel(CoordinateModel):
         central differences. Mass damping acts on these modes as on others. Slow modes keep their frequency up
         to g w^2 / 2. Otherwise the step is the
         explicit one of the reduced spectrum.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
+    >>> model = pt.galerkin(bar, full, modes=4)
+    >>> len(model.basis)
+    4
+    >>> pt.rollout(model, [pull], duration=0.03, every=0.01).model
+    'projected'
     """
 
     name = "projected"
@@ -329,6 +343,19 @@ def galerkin(
     InputError
         No trajectory, or one of another body; more modes than snapshots; an unknown group or one that
         never moves; an unknown lifting, or a local one without prescribed groups.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
+    >>> model = pt.galerkin(bar, full, modes=4)
+    >>> reduced = pt.rollout(model, [pull], duration=0.03, every=0.001)
+    >>> pt.relative_errors(full, reduced).displacement < 0.05
+    True
     """
     prescribed = (prescribed,) if isinstance(prescribed, str) else tuple(prescribed)
     runs = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)

@@ -52,6 +52,21 @@ class ExpectedError(NamedTuple):
     level : float
         0.95, or n / (n + 1) for less than 19 held-out runs n. It is the share of runs, of the kind of the
         held-out runs, that keep the bound in all their frames.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
+    >>> half = pt.SurfaceForce("x+", force=lambda t: (10 * t, 0, 0))
+    >>> other = pt.rollout(bar, [half], duration=0.03, every=0.001)
+    >>> model = pt.hyper_reduce(bar, full, modes=4, held_out=[([half], other)])
+    >>> error = model.expected_error(0.0)
+    >>> error.median <= error.bound, error.level
+    (True, 0.5)
     """
 
     median: float

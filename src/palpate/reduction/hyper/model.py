@@ -70,6 +70,23 @@ class ReducedModel(CoordinateModel):
         Number of coordinates: modes and lifting vectors.
     report : dict
         Figures measured in training.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
+    >>> model = pt.hyper_reduce(bar, full, modes=4)
+    >>> model.count
+    4
+    >>> fast = pt.rollout(model, [pull], duration=0.03, every=0.001)
+    >>> bool(fast.trust.max() < 1.5)
+    True
+    >>> model.with_step(1e-3).step
+    0.001
     """
 
     name = "reduced"

@@ -53,6 +53,21 @@ class LinearModel(CoordinateModel):
     ----------
     count : int
         Number of coordinates k, without those of the tools.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> system = pt.lti.linearise(bar, [pull], outputs=["x+"])
+    >>> model = pt.lti.reduce_linear(system, "modal", 6)
+    >>> run = pt.rollout(model, [pull], duration=0.03, every=0.01)
+    >>> run.model
+    'linear'
+    >>> model.poles.shape
+    (12,)
     """
 
     name = "linear"

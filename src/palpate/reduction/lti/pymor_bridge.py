@@ -36,6 +36,17 @@ def to_pymor(system: LinearSystem, solver: Any = None) -> Any:
     system : LinearSystem
     solver : object, optional
         A `pymor.solvers.matrix_equations.interface.LyapunovSolverLR` for its Gramians.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> system = pt.lti.linearise(bar, [pull], outputs=["x+"])
+    >>> pt.lti.to_pymor(system).order == system.order
+    True
     """
     need_pymor("conversion of a linear system")
     from pymor.models.iosys import SecondOrderModel

@@ -77,7 +77,32 @@ class LinearData(NamedTuple):
 
 
 class LinearRealtime(NamedTuple):
-    """Linear model with the contract of `palpate.realtime.contract`; the bound of its force's error is unknown."""
+    """Linear model for the engine.
+
+    Parameters
+    ----------
+    advance, stiffness : functions
+        Compiled; see `palpate.realtime.contract`.
+    data : LinearData
+    rest : (m,) array
+        Coordinates at rest.
+    tool : (l, 12) array
+        Map from a rigid pose to the tool coordinates.
+    force_bound : None
+        The bound of the force's error is unknown.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> tool = pt.PrescribedMotion("x+", (0, 0, 0))
+    >>> system = pt.lti.linearise(bar, [tool])
+    >>> model = pt.realtime_model(pt.lti.reduce_linear(system, "modal", 4))
+    >>> isinstance(model, pt.typing.LinearRealtime)
+    True
+    """
 
     advance: Any
     stiffness: Any

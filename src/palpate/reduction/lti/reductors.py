@@ -346,10 +346,26 @@ def reduce_linear(system: LinearSystem, method: str, modes: int, **options: Any)
     options
         `condense`, `budget`, `training` and `emphasis` of `Reduction`; `points` of the moments.
 
+    Returns
+    -------
+    LinearModel
+
     Raises
     ------
     InputError
         As `Reduction.model`.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> system = pt.lti.linearise(bar, [pull], outputs=["x+"])
+    >>> model = pt.lti.reduce_linear(system, "modal", 6)
+    >>> model.count, model.stable
+    (6, True)
     """
     shared = {name: options.pop(name) for name in ("condense", "budget", "training", "emphasis") if name in options}
     return Reduction(system, **shared).model(method, modes, **options)

@@ -26,6 +26,18 @@ class SecondOrder(Described):
     mass, damping, stiffness : (k, k) arrays
     input, output, rate_output, feedthrough : (k, p), (q, k), (q, k), (q, p) arrays
     fields : (k, n, 3) array
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> system = pt.lti.linearise(bar, [pull], outputs=["x+"])
+    >>> reduced = pt.lti.reduce_linear(system, "modal", 6).reduced
+    >>> type(reduced).__name__, reduced.stiffness.shape
+    ('SecondOrder', (6, 6))
     """
 
     mass: Floats
@@ -85,6 +97,18 @@ class FirstOrder(Described):
     ----------
     state, input, output, feedthrough : (k, k), (k, p), (q, k), (q, p) arrays
     fields : (k, n, 3) array
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> system = pt.lti.linearise(bar, [pull], outputs=["x+"])
+    >>> reduced = pt.lti.reduce_linear(system, "hankel", 2).reduced
+    >>> type(reduced).__name__, reduced.states
+    ('FirstOrder', 4)
     """
 
     state: Floats

@@ -86,6 +86,19 @@ class LinearSystem(Described):
         S and S'.
     whole : sparse (3 n, 3 n) array [N/m]
         Stiffness of all nodes, including those that are not free.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> system = pt.lti.linearise(bar, [pull], outputs=["x+"])
+    >>> system.order, system.symmetric
+    (288, True)
+    >>> system.transfer(0.0).shape
+    (1, 3, 3)
     """
 
     model: NodalModel
@@ -187,11 +200,28 @@ def linearise(
     state : State or (n, 3) array, optional [m]
         State of linearisation; rest by default.
 
+    Returns
+    -------
+    LinearSystem
+
     Raises
     ------
     InputError
         A load that is not an input of a linear system, an unknown group, tools on a body in its
         strong form, or a viscoelastic material.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> system = pt.lti.linearise(bar, [pull], outputs=["x+"])
+    >>> system.inputs
+    ('force x on x+', 'force y on x+', 'force z on x+')
+    >>> system.outputs
+    ('displacement x of x+', 'displacement y of x+', 'displacement z of x+')
     """
     if not isinstance(model, NodalModel):
         raise InputError(f"model must be a Solid or a Membrane, got a {type(model).__name__}")

@@ -66,6 +66,17 @@ class RealtimeModel(NamedTuple):
         ``change_tool(tool, pose, friction)`` replaces the tool in contact between two periods; the body keeps its state
         and nothing is compiled. `tool` is a Sphere, Capsule, Plane, Punch, Forceps or None, `pose` (7,) its position
         [m] and unit quaternion, to which later displacements and rotations are relative. The engine must be paused.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.03, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1060, poisson=0.45)
+    >>> block = pt.Solid(cloud, tissue, fixed="z-")
+    >>> ball = pt.tools.Contact(pt.tools.Sphere(radius=0.01), (0.015, 0.015, 0.026))
+    >>> model = pt.realtime_model(block, contact=ball)
+    >>> isinstance(model, pt.typing.RealtimeModel), model.rest.ndim
+    (True, 1)
     """
 
     advance: Any
@@ -128,6 +139,19 @@ def realtime_model(
     InputError
         The model was not trained with exactly one prescribed group, or with contact; a load is not a
         `Foundation`. A linear system does not have exactly one tool, or has other loads.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.03, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1060, poisson=0.45)
+    >>> block = pt.Solid(cloud, tissue, fixed="z-")
+    >>> ball = pt.tools.Contact(pt.tools.Sphere(radius=0.01), (0.015, 0.015, 0.026))
+    >>> model = pt.realtime_model(block, contact=ball)
+    >>> with pt.Engine(model) as engine:
+    ...     reading = engine.read()
+    >>> reading.force.tolist()
+    [0.0, 0.0, 0.0]
     """
     if isinstance(model, LinearModel):
         if contact is not None or foundations:

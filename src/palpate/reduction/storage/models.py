@@ -32,6 +32,22 @@ def save(model: ReducedModel | LinearModel, path: str | Path) -> None:
         that are not finite.
     OSError
         The path is not writable or the disk is full. An existing file is unchanged.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
+    >>> model = pt.hyper_reduce(bar, full, modes=4)
+    >>> path = Path(tempfile.mkdtemp()) / "bar.rom"
+    >>> pt.save(model, path)
+    >>> pt.load(path).count == model.count
+    True
     """
     if isinstance(model, ReducedModel):
         save_hyper_reduced(model, path)
@@ -58,6 +74,10 @@ def load(path: str | Path, system: LinearSystem | None = None) -> ReducedModel |
     system : LinearSystem, optional
         The linearised body. The file of a linear model stores its reduced equations only.
 
+    Returns
+    -------
+    ReducedModel or LinearModel
+
     Raises
     ------
     FileNotFoundError
@@ -67,6 +87,22 @@ def load(path: str | Path, system: LinearSystem | None = None) -> ReducedModel |
         requires its system, and a hyper-reduced one takes none.
     InputError
         The linear model was made of another system.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
+    >>> model = pt.hyper_reduce(bar, full, modes=4)
+    >>> path = Path(tempfile.mkdtemp()) / "bar.rom"
+    >>> pt.save(model, path)
+    >>> pt.rollout(pt.load(path), [pull], duration=0.01, every=0.005).model
+    'reduced'
     """
     path = Path(path)
     kind = kind_of_file(path)

@@ -44,6 +44,18 @@ class Errors(_Named):
         Mean of ``|E - E_full|`` over the peak of E_full, E the kinetic and strain energy.
     reaction : float
         Mean of ``|R - R_full|`` over the peak of ``|R_full|``, for the worst support or tool.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
+    >>> errors = pt.relative_errors(full, full)
+    >>> errors
+    Errors(displacement=0 %, velocity=0 %, energy=0 %, reaction=0 %)
     """
 
     displacement: float
@@ -55,10 +67,33 @@ class Errors(_Named):
 def relative_errors(full: Trajectory, other: Trajectory) -> Errors:
     """Return the errors of a run against a reference at the same times.
 
+    Parameters
+    ----------
+    full : Trajectory
+        The reference.
+    other : Trajectory
+
+    Returns
+    -------
+    Errors
+
     Raises
     ------
     InputError
         The runs have different times or bodies.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
+    >>> model = pt.galerkin(bar, full, modes=4)
+    >>> errors = pt.relative_errors(full, pt.rollout(model, [pull], duration=0.03, every=0.001))
+    >>> errors.displacement < 0.05, errors.reaction < 0.05
+    (True, True)
     """
     if full.displacements.shape != other.displacements.shape or not np.allclose(full.times, other.times):
         raise InputError("other must match full, got different times or numbers of nodes; use the same `every`")

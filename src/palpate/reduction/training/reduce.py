@@ -135,6 +135,21 @@ def hyper_reduce(
         The basis is ``"pod"`` without enrichment although tools touch the body in the runs; or the mean errors on
         the held-out runs are above 30 %, in force or surface under tools, else in displacement or reaction. The
         report has that warning, with what to change, under ``"advice"``.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
+    >>> model = pt.hyper_reduce(bar, full, modes=4)
+    >>> fast = pt.rollout(model, [pull], duration=0.03, every=0.001)
+    >>> pt.relative_errors(full, fast).displacement < 0.05
+    True
+    >>> model.report["nodes"] < len(cloud.points)
+    True
     """
     if (modes is None) == (tolerance is None):
         raise InputError("modes or tolerance must be given, but not both; leave one of them out")

@@ -71,6 +71,19 @@ def select_time_step(
         No rule keeps the tolerance. The message lists the errors of each.
     DivergenceError
         The reference run fails.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
+    >>> model = pt.hyper_reduce(bar, full, modes=4)
+    >>> chosen = pt.select_time_step(model, [pull], duration=0.03, tolerance=0.2, repeats=1)
+    >>> len(chosen.report["stepping"]["rules"])
+    4
     """
     number_in_range("duration", duration, 0.0, open_low=True, unit="s")
     tolerance_value = number_in_range("tolerance", tolerance, 0.0, 1.0, open_low=True)

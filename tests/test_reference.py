@@ -1,0 +1,168 @@
+"""The site describes every public name and command; examples run, and functions named on pages exist."""
+
+from __future__ import annotations
+
+import doctest
+import functools
+import inspect
+import re
+import sys
+import tempfile
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import palpate as pt
+
+DOCS = Path(__file__).parents[1] / "docs"
+sys.path.insert(0, str(DOCS))
+
+from generated_parts import UNIONS, commands, documented_names, names, ordered_pages, subcommands  # noqa: E402
+
+MODULES = ("io", "lti", "materials", "tools", "typing")
+PUBLIC = sorted(
+    [f"palpate.{name}" for name in pt.__all__ if name not in MODULES]
+    + [f"palpate.{module}.{name}" for module in MODULES for name in getattr(pt, module).__all__]
+)
+COMPILING = r"pt\.(Solid|Membrane|open_scene|Engine|lti)\b"  # examples with a body: kernels and runs
+SLOW = {"palpate.io.read_painted"}  # a process with VTK
+
+
+def public_object(name: str) -> Any:
+    """Return the object of a public name such as ``palpate.tools.Sphere``."""
+    module, _, own_name = name.rpartition(".")
+    return getattr(import_module(module), own_name)
+
+
+def example(name: str) -> str:
+    """Return the section Examples of a public name: of its docstring, or of the reference page of a type alias."""
+    if name in UNIONS:
+        page = (DOCS / "reference" / "types.md").read_text(encoding="utf-8")
+        text = page.partition(f".. py:type:: {name.rpartition('.')[2]}\n")[2].partition(".. py:type::")[0]
+        return inspect.cleandoc(text.partition(".. rubric:: Examples\n")[2].partition("```")[0])
+    return (inspect.getdoc(public_object(name)) or "").partition("Examples\n--------\n")[2]
+
+
+def examples() -> list[Any]:
+    """Return all public names as parameters, those whose examples take long with the marker ``slow``."""
+    slow = {name for name in PUBLIC if name in SLOW or re.search(COMPILING, example(name))}
+    return [pytest.param(name, marks=[pytest.mark.slow] if name in slow else []) for name in PUBLIC]
+
+
+def test_every_public_name_is_on_one_reference_page():
+    described = [name for page in ordered_pages() for name in documented_names(page)]
+    assert sorted(described) == PUBLIC
+
+
+def test_the_list_of_names_has_a_summary_of_each():
+    rows = dict(re.findall(r"^\| \{py:obj\}`[\w.]+ <([\w.]+)>` \| (.+) \|$", names(), re.MULTILINE))
+    assert sorted(rows) == PUBLIC
+    assert all(re.search(r"[.:]$", text) for text in rows.values())
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_every_public_name_has_an_example_with_a_result(name):
+    found = doctest.DocTestParser().get_examples(example(name))
+    assert any(each.want for each in found)
+
+
+@pytest.mark.parametrize("name", examples())
+def test_the_example_of_a_public_name_runs_as_printed(name, tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    test = doctest.DocTestParser().get_doctest(example(name), {"__name__": "__main__"}, name, None, None)
+    messages: list[str] = []
+    doctest.DocTestRunner(verbose=False).run(test, out=messages.append)
+    assert not messages, "".join(messages)
+
+
+def test_every_command_and_option_is_on_the_page_of_commands():
+    from palpate.app.cli import build_parser
+
+    text = commands()
+    parsers = subcommands(build_parser())
+    assert len(parsers) > 10
+    for path, parser in parsers:
+        section = text.partition(f" {path}\n")[2].partition("\n#")[0]
+        for action in parser._actions:
+            for option in action.option_strings:
+                assert f"{option}" in section or option in ("-h", "--help"), f"{path} {option}"
+
+
+def explanation_pages() -> list[Path]:
+    return sorted((DOCS / "explanation").glob("*.md"))
+
+
+@pytest.mark.parametrize("page", explanation_pages(), ids=lambda page: page.stem)
+def test_functions_named_on_pages_of_explanation_exist(page):
+    """A name in code, such as ``palpate.meshfree.stencils.moving_least_squares``, is a module or is in one."""
+    found = re.findall(r"`(palpate(?:\.\w+)+)`", page.read_text(encoding="utf-8"))
+    for name in found:
+        parts = name.split(".")
+        for count in range(len(parts), 0, -1):
+            try:
+                holder: Any = import_module(".".join(parts[:count]))
+            except ModuleNotFoundError:
+                continue
+            break
+        for part in parts[count:]:
+            assert hasattr(holder, part), f"{page.name} names {name}, which does not exist"
+            holder = getattr(holder, part)
+
+
+def test_the_page_of_the_method_has_all_equations_of_the_paper_and_functions_for_each():
+    text = (DOCS / "explanation" / "method.md").read_text(encoding="utf-8")
+    assert [int(number) for number in re.findall(r"\\tag\{(\d+)\}", text)] == list(range(1, 35))
+    for section in re.findall(r"\\tag\{.*?(?=\n## )", text, re.DOTALL):
+        assert "| computed by |" in section
+
+
+def test_the_index_lists_every_page_and_every_pattern_of_a_part():
+    index = (DOCS / "index.md").read_text(encoding="utf-8")
+    for part in ("tutorials/*", "howto/*", "explanation/*", "reference/*", "claims/*", "notes/*"):
+        assert f"\n{part}\n" in index
+    for page in DOCS.glob("*.md"):
+        listed = re.search(rf"^{page.stem}\*?$", index, re.MULTILINE)
+        assert listed or page.stem in ("index", "package"), f"docs/index.md does not list {page.name}"
+
+
+# parameters and results
+
+
+def sections(text: str) -> dict[str, str]:
+    """Return the sections of a NumPy docstring by title."""
+    parts = re.split(r"\n(\w+)\n-+\n", f"\n{text}")
+    return dict(zip(parts[1::2], parts[2::2], strict=True))
+
+
+def documented_parameters(docstring: str) -> set[str]:
+    """Return the names in the sections Parameters and Attributes."""
+    found: set[str] = set()
+    for title in ("Parameters", "Attributes"):
+        for line in sections(docstring).get(title, "").splitlines():
+            if line and not line.startswith(" "):
+                found |= {name.strip().lstrip("*") for name in line.split(" : ")[0].split(",")}
+    return found
+
+
+def parameters(thing: Any) -> set[str]:
+    """Return the names of the parameters of a function, or of the constructor of a class."""
+    if isinstance(thing, type) and not issubclass(thing, tuple):
+        thing = functools.partial(thing.__init__, None)
+    kinds = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    return {each.name for each in inspect.signature(thing).parameters.values() if each.kind not in kinds}
+
+
+@pytest.mark.parametrize("name", [name for name in PUBLIC if name not in UNIONS])
+def test_every_parameter_and_result_of_a_public_name_is_described(name):
+    thing = public_object(name)
+    docstring = inspect.getdoc(thing) or ""
+    if isinstance(thing, type) and issubclass(thing, BaseException):
+        return
+    described = documented_parameters(docstring)
+    if name.startswith("palpate.materials."):
+        described |= documented_parameters(inspect.getdoc(pt.materials.Material) or "")  # of all laws
+    assert parameters(thing) <= described
+    if not isinstance(thing, type) and inspect.signature(thing).return_annotation not in (None, "None"):
+        assert "Returns" in sections(docstring) or docstring.startswith("Return ")
