@@ -648,6 +648,144 @@ def large_training(rows: list[Row]) -> str:
     return markdown(["nodes", "modes", "time", "peak memory", "of it before the training", "sampled nodes"], lines)
 
 
+# Steps, coverage, organs of real-time spacing
+
+
+@block("stable_step", command="python validation/stable_step.py")
+def stable_step_limits(found: Row) -> str:
+    """Return what limits the stable step of four bodies."""
+    lines = [
+        [
+            f"{row['body']}, {row['nodes']:,} nodes", f"{row['frequency_over_wave']:.2f}",
+            f"{row['share_of_four']:.0%}, {row['mass_of_four']:.2f}".replace("%", " %"),
+            f"{row['largest_step']:.2f}", f"{row['step_with_least_mass']['0.25']:.2f}",
+        ]
+        for row in found["limits"]
+    ]  # fmt: skip
+    heads = [
+        "body", "highest frequency, over that of a wave of two spacings",
+        "four fastest nodes: share of the vibration, mass over the median", "largest stable step over that of runs",
+        "step with masses of at least a quarter of the median, over the step",
+    ]  # fmt: skip
+    return markdown(heads, lines)
+
+
+@block("stable_step", command="python validation/stable_step.py --filled")
+def stable_step_filled(found: Row) -> str:
+    """Return the stable steps of filled bodies without and with transfers of weight."""
+    lines = [
+        [
+            row["body"], f"{row['nodes']:,}", *(f"{1e6 * step:.0f}" for step in row["steps"]),
+            f"{row['steps'][1] / row['steps'][0]:.2f}", signed(row["frequency_change"], 2),
+            signed(row["displacement_change"], 2),
+        ]
+        for row in found["filled"]
+    ]  # fmt: skip
+    heads = [
+        "body", "nodes", "step without transfers [µs]", "with [µs]", "ratio", "first frequency", "displacement",
+    ]  # fmt: skip
+    return markdown(heads, lines)
+
+
+@block("coverage", command="python validation/coverage.py")
+def coverage(rows: list[Row]) -> str:
+    """Return how many further runs keep their error bounds."""
+    lines = [
+        [
+            row["body"], str(row["modes"]), row["of"], f"{100 * row['kept']:.1f} %", f"{100 * row['unknown']:.1f} %",
+            percent(row["error"]), f"{row['bound over error']:.1f}", f"{row['rank correlation']:.2f}",
+        ]
+        for row in rows
+    ]  # fmt: skip
+    lines.append(["mean of all", "", "", f"{100 * mean(row['kept'] for row in rows):.1f} %", "", "", "", ""])
+    heads = [
+        "body", "modes", "error of", "runs kept", "unknown", "median largest error of a run",
+        "last bound over largest error, median", "rank correlation of largest number and error",
+    ]  # fmt: skip
+    return markdown(heads, lines)
+
+
+@block("spacing_force", command="python validation/spacing_force.py")
+def organ_force(rows: list[Row]) -> str:
+    """Return the force of a ball on livers of real-time spacing next to that on finer ones."""
+    lines = []
+    for row in rows:
+        (coarse, fine), ball = row["force"], (1e3 * row["radius"], 1e3 * row["depth"])
+        lines.append([
+            row["organ"], ", ".join(f"{nodes:,}" for nodes in row["nodes"]),
+            ", ".join(significant(length, 3) for length in ball),
+            f"{math.sqrt(row['radius'] * row['depth']) / row['spacing']:.1f}",
+            ", ".join(significant(force, 3) for force in (coarse, fine)), signed(coarse / fine - 1),
+            ", ".join(signed(drift) for drift in row["drift"]),
+        ])  # fmt: skip
+    errors = [abs(row["force"][0] / row["force"][1] - 1) for row in rows]
+    lines.append(["median; largest", "", "", "", "", f"{100 * median(errors):.1f}; {100 * max(errors):.1f} %", ""])
+    heads = [
+        "organ", "nodes", "radius of the ball, depth [mm]", "contact radius / spacing", "force [N]", "error", "drift",
+    ]  # fmt: skip
+    return markdown(heads, lines)
+
+
+# Linear reductions
+
+MAX_ERROR = 10.0  # larger errors are printed as larger than this
+
+
+def linear_errors(report: Row) -> str:
+    """Return the errors of linear models under a small and a large load, and of their frequency response."""
+    about = report["parameters"]
+    entries = [entry | {"method": f"`{entry['method']}`"} for entry in report["methods"]]
+    entries += [entry | {"method": report["nonlinear"]["name"]} for entry in report["nonlinear"]["entries"]]
+    sizes = distinct((entry["modes"] for entry in entries), reverse=False)
+    lines = []
+    for method in dict.fromkeys(entry["method"] for entry in entries):
+        own = {entry["modes"]: entry for entry in entries if entry["method"] == method}
+        last = own.get(sizes[-1])
+        small = [_linear_error(own.get(size), "small", "displacement") for size in sizes]
+        responses = [_bounded(own[size].get("response_error")) if size in own else "–" for size in sizes]
+        kinds = [_linear_errors(last, load, kinds) for load, kinds in (("small", ERRORS[1:]), ("large", ERRORS))]
+        response = "" if set(responses) == {"–"} else " / ".join(responses)
+        lines.append([method, " / ".join(small), kinds[0], response, kinds[1]])
+    names = ", ".join(map(str, sizes))
+    loads = [f"{about[load] * (1e3 if about['unit'] == 'm' else 1):g}" for load in ("small", "large")]
+    unit = "mm" if about["unit"] == "m" else about["unit"]
+    heads = [
+        "method", f"{loads[0]} {unit}: displacement with {names} modes", f"velocity / energy / force, {sizes[-1]}",
+        f"frequency response, {names} modes", f"{loads[1]} {unit}: displacement / velocity / energy / force",
+    ]  # fmt: skip
+    return markdown(heads, lines)
+
+
+def _linear_errors(entry: Row | None, load: str, kinds: Sequence[str]) -> str:
+    errors = [_linear_error(entry, load, kind) for kind in kinds]
+    return errors[0] if errors[0] in ("failed", "diverged") else " / ".join(errors)
+
+
+def _linear_error(entry: Row | None, load: str, kind: str) -> str:
+    if entry is None or entry["failed"]:
+        return "failed"
+    errors = entry["errors"][load]
+    return "diverged" if errors is None else _bounded(errors[kind])
+
+
+def _bounded(error: float | None) -> str:
+    if error is None:
+        return "–"
+    return f"> {100 * MAX_ERROR:.0f}" if error > MAX_ERROR else significant(100 * error)
+
+
+@block("compare_beam", command="palpate compare beam --modes 4 8 16 24")
+def linear_beam(report: Row) -> str:
+    """Return the errors of linear models of the beam [%]."""
+    return linear_errors(report)
+
+
+@block("compare_liver", command="palpate compare liver --modes 4 8 16 24")
+def linear_liver(report: Row) -> str:
+    """Return the errors of linear models of the liver [%]."""
+    return linear_errors(report)
+
+
 # Contact
 
 

@@ -139,9 +139,9 @@ def test_the_page_for_a_package_index_has_no_relative_links_and_the_example_of_t
 def example() -> str:
     """Return the first Python example of the README."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    found = re.search(r"```python\n(.*?)```", text, re.DOTALL)
-    assert found is not None
-    return found[1]
+    match = re.search(r"```python\n(.*?)```", text, re.DOTALL)
+    assert match is not None
+    return match[1]
 
 
 def test_the_example_prints_the_model_that_the_readme_shows(capsys):

@@ -2,7 +2,7 @@
 
     python validation/result_files.py NAME report.json "palpate reproduce beam" ["next to other work"]
 
-keeps a report of `palpate reproduce` or `palpate bench` as the result file NAME, with a note on the machine. A file
+keeps a report of `palpate reproduce`, `compare` or `bench` as the result file NAME, with a note on the machine. A file
 holds ``results``, what the study found in SI units, and ``made``, one entry for every command that wrote it: command,
 commit, date and machine. `docs/figures.py` makes the tables of the docs from these files. Entries without a machine
 are older than this module; their commit is the one that last changed the figures.
@@ -22,7 +22,8 @@ from typing import Any
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "validation"
-OMITTED = ("machine", "singular_values", "paper", "missing")  # of reports: what no table has
+# entries of reports that no table has
+OMITTED = ("machine", "singular_values", "hankel_singular_values", "summary", "paper", "missing")
 
 
 def read(name: str, default: Any) -> Any:

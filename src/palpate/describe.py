@@ -122,13 +122,13 @@ def _numbers(values: list[float], unit: str) -> str:
 
 
 def _scaled(size: float, unit: str) -> tuple[float, str]:
-    """Return what to divide by, and the unit with its prefix, so that a size lies from 1 to 1000 if it can."""
+    """Return a divisor, and the unit with its prefix, so that a size lies from 1 to 1000 if possible."""
     power = POWER_BY_UNIT.get(unit, 1)
-    known = LENGTH_BY_POWER if unit in POWER_BY_UNIT else PREFIX_BY_POWER if unit in PREFIXED_UNITS else {0: unit}
-    if not 0 < size < np.inf or len(known) == 1:
+    prefixes = LENGTH_BY_POWER if unit in POWER_BY_UNIT else PREFIX_BY_POWER if unit in PREFIXED_UNITS else {0: unit}
+    if not 0 < size < np.inf or len(prefixes) == 1:
         return 1.0, unit
-    fits = [exponent for exponent in known if size >= 0.9995 * 10.0 ** (power * exponent)] or [min(known)]
-    name = f"{known[max(fits)]}^{power}" if unit in POWER_BY_UNIT else f"{known[max(fits)]}{unit}"
+    fits = [exponent for exponent in prefixes if size >= 0.9995 * 10.0 ** (power * exponent)] or [min(prefixes)]
+    name = f"{prefixes[max(fits)]}^{power}" if unit in POWER_BY_UNIT else f"{prefixes[max(fits)]}{unit}"
     return 10.0 ** (power * max(fits)), name
 
 

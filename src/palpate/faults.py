@@ -221,10 +221,10 @@ def check_names(owner: str, given: Iterable[str], allowed: Mapping[str, str]) ->
     """
     for name in given:
         if name not in allowed:
-            known = ", ".join(f"{each} [{unit}]" if unit else each for each, unit in allowed.items())
+            permitted = ", ".join(f"{each} [{unit}]" if unit else each for each, unit in allowed.items())
             near = get_close_matches(name, allowed, 1, 0.0)
             remedy = f"; did you mean {near[0]}?" if near else ""
-            raise InputError(f"arguments of {owner} must be among {known}, got {brief(name)[1:-1]}{remedy}")
+            raise InputError(f"arguments of {owner} must be among {permitted}, got {brief(name)[1:-1]}{remedy}")
 
 
 def warn_of_unit(name: str, value: float, low: float, high: float, unit: str, remedy: str) -> None:

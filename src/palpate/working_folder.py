@@ -38,7 +38,7 @@ Guard = Callable[[ModuleType], contextlib.AbstractContextManager[None]]
 
 
 def foreign_writer(folder: str | Path) -> str:
-    """Return why others can replace the content of a folder; empty if only its owner and root can.
+    """Return the reason for which others can replace the content of a folder; empty if only owner and root can.
 
     All parents and links count. A parent with the sticky bit may be writable by others, because they
     cannot rename there what is not theirs.

@@ -22,10 +22,10 @@ def liver():
 
 
 def test_the_liver_is_one_closed_solid_of_the_given_volume(liver):
-    found = pt.io.check_surface(liver)
-    assert found.problems == ()
-    assert (found.components, found.euler) == (1, 2)
-    assert found.volume == pytest.approx(1.5e-3, rel=1e-9)
+    checked = pt.io.check_surface(liver)
+    assert checked.problems == ()
+    assert (checked.components, checked.euler) == (1, 2)
+    assert checked.volume == pytest.approx(1.5e-3, rel=1e-9)
     assert pt.liver_surface(0.004, volume=2e-3).volume == pytest.approx(2e-3, rel=1e-9)
 
 

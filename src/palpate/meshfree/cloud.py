@@ -169,8 +169,8 @@ class Cloud(Described):
             The cloud has no such group.
         """
         if not isinstance(name, str) or name not in self.groups:
-            known = ", ".join(map(repr, sorted(self.groups)))
-            raise InputError(f"group must be one of {known}, got {brief(name)}")
+            names = ", ".join(map(repr, sorted(self.groups)))
+            raise InputError(f"group must be one of {names}, got {brief(name)}")
         return self.groups[name]
 
     def within(self, name: str, centre: Sequence[float], radius: float) -> Cloud:

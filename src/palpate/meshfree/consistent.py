@@ -136,16 +136,16 @@ def consistent_gradient(stencils: Stencils, points: Floats, volumes: Floats, bou
     system = (scaled @ divergence.T - coupling @ inverse @ coupling.T).tocsr()
     links = sparse.csr_matrix((np.ones(len(node)), (node, other)), (n, n))
     body = connected_components(links, directed=False)[1]  # bodies that no stencil connects balance by themselves
-    wanted = boundary.copy()
+    target = boundary.copy()
     for k in range(int(body.max()) + 1):
         on_body = body == k
-        wanted[on_body] = _balance_boundary(boundary[on_body], points[on_body], volumes[on_body])
-    wanted *= spacing / np.median(volumes)
-    missing = wanted - divergence @ weights
+        target[on_body] = _balance_boundary(boundary[on_body], points[on_body], volumes[on_body])
+    target *= spacing / np.median(volumes)
+    missing = target - divergence @ weights
     multipliers = _solve(system, missing, points, spacing, body)
     change = freedom[:, None] * (divergence.T @ multipliers - exactness.T @ (inverse @ (coupling.T @ multipliers)))
     weights += change
-    left, changed = np.abs(wanted - divergence @ weights).max(axis=1), np.abs(change).max(axis=1)
+    left, changed = np.abs(target - divergence @ weights).max(axis=1), np.abs(change).max(axis=1)
     if left.max() > RESIDUAL_TOLERANCE or changed.max() > MAX_WEIGHT_CHANGE:
         worst = int(np.argmax(left)) if left.max() > RESIDUAL_TOLERANCE else int(node[np.argmax(changed)])
         raise CloudError(

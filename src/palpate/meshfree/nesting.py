@@ -50,7 +50,7 @@ def body_numbers(enclosed: NDArray[np.bool_]) -> Ints:
 
 
 def winding_number(corners: Floats, point: Floats) -> float:
-    """Return how often triangles (t, 3, 3) of a closed surface wind about a point: 1 inside, 0 outside.
+    """Return the winding number of triangles (t, 3, 3) of a closed surface about a point: 1 inside, 0 outside.
 
     The solid angle of a triangle is that of van Oosterom and Strackee (IEEE Transactions on Biomedical
     Engineering 30, 1983).

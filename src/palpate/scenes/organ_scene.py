@@ -301,7 +301,7 @@ class OrganScene(Described):
 
     @cached_property
     def identity(self) -> dict[str, Any]:
-        """What the bodies and paths of this scene depend on: the sections, and digests of the files that they name.
+        """Dependencies of the bodies and paths of this scene: its sections, and digests of the files in them.
 
         Raises
         ------

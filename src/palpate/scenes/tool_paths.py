@@ -292,7 +292,7 @@ class ToolPaths:
         return np.asarray(parts[tuple(index.T)] == parts[0, 0, 0])
 
     def _thickness(self, nodes: NDArray[np.bool_]) -> Floats:
-        """Return how far the body goes on below some nodes along the normal, as far as fixed nodes [m].
+        """Return the depth [m] of the body below some nodes along the normal, down to fixed nodes.
 
         It is exact within half a spacing, and cut off where it no longer limits the depth. Fixed nodes count within
         half a radius of the line.

@@ -159,7 +159,7 @@ def _trained_on_block(nodes: int) -> ReducedModel:
 
 
 def _with_samples(model: ReducedModel, count: int) -> ReducedModel:
-    """Return a model with exactly so many sampled nodes: the heaviest ones, or all, some in several equal parts.
+    """Return a model with a number of sampled nodes: the heaviest ones, or all, some in several equal parts.
 
     A node in parts leaves the energy as it is.
     """

@@ -94,7 +94,7 @@ class Chromium:
         return tab
 
     def call(self, method: str, parameters: dict[str, Any] | None = None, session: str | None = None) -> dict[str, Any]:
-        """Send a command and return its result; events received meanwhile go to the tabs."""
+        """Send a command and return its result; pass events that arrive before it to the tabs."""
         self._count += 1
         message: dict[str, Any] = {"id": self._count, "method": method, "params": parameters or {}}
         if session:

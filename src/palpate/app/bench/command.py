@@ -60,7 +60,7 @@ def bench(*, fine: bool = False, repeats: int = 3, out: Path, as_json: bool = Fa
     for spacing, rounds, forms in (COARSE_BEAM, FINE_BEAM) if fine else (COARSE_BEAM,):
         try:
             report["beam"].append(beam_case(spacing, rounds or repeats, forms, console))
-        except DivergenceError as error:  # what was measured before is kept
+        except DivergenceError as error:  # earlier results are kept
             console.say(f"beam, {1e3 * spacing:g} mm: failed: {' '.join(str(error).split())}")
     report = plain(report)
     threads = report["machine"]["threads"]

@@ -77,7 +77,7 @@ def _per_count(call: Callable[[int], Any]) -> tuple[Call, int]:
 
 
 def read_seconds(table: np.ndarray[Any, Any], *, parallel: bool = False, repeats: int = 15) -> float:
-    """Return the median time [s] of summing a table once in compiled code, by one thread or all; again and again."""
+    """Return the median time [s] of summing a table in compiled code, repeatedly, by one thread or all."""
     flat, read = table.reshape(-1), _reader(parallel)
     call, count = _per_count(lambda times: read(flat, times))
     return median_seconds(call, repeats=repeats)[0] / count

@@ -32,7 +32,7 @@ from palpate.scenes.organ_scene import OrganScene
 __all__ = ["FILES", "check"]
 
 FILES = (*REPORTS, "surface.png", "cloud.png", "tool.png")
-DEFAULT_NODES = 4000  # about, where no spacing is given
+DEFAULT_NODES = 4000  # approximate number without a given spacing
 
 
 def check(

@@ -1,4 +1,4 @@
-"""Words of the command line: parsers, types of options, and the options that several commands share.
+"""Command line: parsers, types of options, and shared options.
 
 Only the standard library is imported here, so that ``palpate --help`` answers at once.
 """
@@ -39,7 +39,7 @@ ARGPARSE_MESSAGES = {  # of argparse, in the form of palpate's own messages
 
 
 class _Formatter(argparse.HelpFormatter):
-    """Help in which every default stands in the same form after the sentence about its option."""
+    """Formatter of help texts: writes every default in the same form after its sentence."""
 
     def _get_help_string(self, action: argparse.Action) -> str:
         text, value = action.help or "", action.default
@@ -50,7 +50,7 @@ class _Formatter(argparse.HelpFormatter):
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that complains in one line, names the nearest known word, and refers to the help of its own command.
+    """A parser whose errors are one line, with the nearest known word and the help of its command.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Parser(argparse.ArgumentParser):
         return options, left
 
     def _choices(self) -> list[str]:
-        """Return the names of the commands inside this one."""
+        """Return the names of the subcommands."""
         inner = [action for action in self._actions if isinstance(action, argparse._SubParsersAction)]
         return [name for action in inner for name in action.choices]
 
@@ -159,7 +159,7 @@ def add_json(parser: argparse.ArgumentParser, what: str) -> None:
 
 
 def path(text: str) -> Path:
-    """Return a path that a file system takes."""
+    """Return a path that a file system accepts."""
     if not text or any(len(os.fsencode(part)) > MAX_NAME_BYTES for part in text.split("/")):
         raise argparse.ArgumentTypeError(f"must be a path of names of 1 to {MAX_NAME_BYTES} bytes, got {text!r:.60}")
     return Path(text)
@@ -193,7 +193,7 @@ def whole(text: str) -> int:
 
 
 def number(text: str) -> float:
-    """Return a number; its range is for the command to check."""
+    """Return a number; the command checks its range."""
     try:
         return float(text)
     except ValueError:
@@ -201,7 +201,7 @@ def number(text: str) -> float:
 
 
 def unprintable_word(words: Sequence[str]) -> str | None:
-    """Return a complaint about the first word that is not printable text of a sensible length, or None."""
+    """Return an error text for the first word that is unprintable or too long, or None."""
     for k, word in enumerate(words):
         if len(word) > MAX_ARGUMENT_CHARACTERS or any(category(letter) in UNPRINTABLE_CATEGORIES for letter in word):
             return (

@@ -111,7 +111,7 @@ def quantities_table(
     first: str = "quantity",
     justify: Literal["left", "right"] = "right",
 ) -> Table:
-    """Return a table of quantities by name, one value or more for each."""
+    """Return a table of quantities by name, with one or more values for each."""
     lines = [(name, *values) for name, values in rows.items()]
     return Table(title, (first, *columns), lines, ("left", *[justify] * len(columns)))
 

@@ -1,4 +1,4 @@
-"""Run a command line: parse it, import the command, call it, and turn whatever it raises into an exit status."""
+"""Run a command line: parse it, import and call the command, convert its errors to an exit status."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def _ending_at_interrupt() -> Iterator[None]:
     """End the program at once at an interrupt; imported modules can swallow `KeyboardInterrupt`."""
     main_thread = threading.current_thread() is threading.main_thread()
     before = signal.getsignal(signal.SIGINT) if main_thread else None
-    if before is not signal.default_int_handler:  # ignored, or somebody else's
+    if before is not signal.default_int_handler:  # ignored, or a handler of another module
         yield
         return
 

@@ -91,7 +91,10 @@ def compared_liver(spacing: float = 0.012, poisson: float = 0.45) -> ComparedBod
     back = cloud.points[cloud.group("back"), 1].min()
     reachable = surface[cloud.points[surface, 1] < back - MIN_TOOL_DISTANCE]
     if not len(reachable):
-        raise InputError(f"spacing = {spacing!r}: no place of this liver is away from its back")
+        raise InputError(
+            f"spacing must leave nodes at least {MIN_TOOL_DISTANCE} m from the back of the liver, got {spacing!r}; "
+            "use a smaller one"
+        )
     at = reachable[np.argmin(cloud.points[reachable, 1])]
     near = surface[np.linalg.norm(cloud.points[surface] - cloud.points[at], axis=1) <= GRIP_SPACINGS * spacing]
     model = Solid(

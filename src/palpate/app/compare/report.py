@@ -34,7 +34,7 @@ ERROR_QUANTITIES = ("displacement", "velocity", "energy", "reaction")
 
 
 def build_report(made: Comparison) -> dict[str, Any]:
-    """Return all that was measured."""
+    """Return all measured values."""
     body, reduction = made.body, made.reduction
     outputs, inputs = reduction.scales
     s = 1j * made.few
@@ -69,7 +69,7 @@ def build_report(made: Comparison) -> dict[str, Any]:
 
 
 def _share(value: float) -> str:
-    """Return a share in per cent, however small."""
+    """Return a share in per cent; one digit of shares below 0.01 %."""
     return percent(value) if value >= 1e-4 else f"{100 * value:.0e}%"
 
 

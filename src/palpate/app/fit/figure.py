@@ -22,7 +22,7 @@ CURVE_MARKERS = "os^Dvx"
 
 
 def draw_fit(fitted: Fit, path: Path) -> None:
-    """Draw measured points and fitted curves, tests in shear on axes of their own."""
+    """Draw measured points and fitted curves, with separate axes for tests in shear."""
     groups = [[m for m in fitted.measurements if (m.kind == "shear") == sheared] for sheared in (False, True)]
     groups = [group for group in groups if group]
     names = [curve.name for curve in fitted.curves]

@@ -1,4 +1,4 @@
-"""A full body to touch at once: a scene whose spacing this machine steps in real time."""
+"""A full body without training: a scene with a spacing for real time on this machine."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from palpate.tissue.materials import Material
 
 __all__ = ["TRAINED_NODES", "fitting_scene", "open_touched", "realtime_spacing", "spacing_for"]
 
-TRAINED_NODES = 5000  # of the body of a trained model, where nobody gives a spacing
+TRAINED_NODES = 5000  # of the body of a trained model without a given spacing
 
 FINER_FACTOR, MAX_FINER_TRIALS = 0.8, 4  # factor of a guessed spacing that is too coarse for the tissue; how often
 NODES_PER_CELL = 1.45  # nodes over volume / spacing^3 in a filled organ

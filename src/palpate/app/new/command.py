@@ -80,7 +80,7 @@ def new(
     write_json(_schema(out), scene_schema())
     with whole_file(out) as partial:
         partial.write_text(text, encoding="utf-8")
-    open_scene(out)  # what was written can be read
+    open_scene(out)  # the written file can be read
     for note in notes:
         console.say(note)
     console.say(f"{out}: {count_nodes(len(scene.cloud))}, {guesses['reach']}")

@@ -145,7 +145,7 @@ def _write_surface(path: Path, recording: Recording) -> None:
 
 
 def load_recording(path: Path) -> Recording:
-    """Load a recording, or the whole snapshots of one that was interrupted.
+    """Load a recording, or the complete snapshots of an interrupted one.
 
     Raises
     ------

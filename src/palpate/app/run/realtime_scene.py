@@ -1,4 +1,4 @@
-"""``palpate run SCENE --realtime``: step the body of a scene while its tool presses or moves it again and again."""
+"""``palpate run SCENE --realtime``: step the body of a scene under repeated presses or moves of its tool."""
 
 from __future__ import annotations
 

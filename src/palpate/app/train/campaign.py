@@ -1,4 +1,4 @@
-"""A campaign: make the missing runs, train a model on all of them, and again on further ones up to a tolerance."""
+"""A campaign: make missing runs, train a model on all, and add runs until a tolerance is reached."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class Campaign:
         return [*jobs(self.folder.manifest["seed"], paths, held_out), *recorded_jobs(self.folder)]
 
     def train(self, jobs: Sequence[Job]) -> ReducedModel:
-        """Make the missing ones of the wanted runs, and train a model on them.
+        """Make the missing runs among some, and train a model on all of them.
 
         Raises
         ------
@@ -116,7 +116,7 @@ class Campaign:
     def train_to_tolerance(
         self, tolerance: float, most: int, held_out: int
     ) -> tuple[list[Job], ReducedModel, list[Round]]:
-        """Train models on more and more runs, until the error on the held-out runs is at most a tolerance.
+        """Train models on an increasing number of runs, until the held-out error is at most a tolerance.
 
         The paths of further runs are those that cover most of the uncovered surface, and on which the model so
         far errs most (`palpate.app.train.choose`). The folder keeps their numbers.
@@ -196,7 +196,7 @@ class Campaign:
                     outcomes: Generator[Outcome] = run_local(folder, left, self.workers, shown.at)
                 else:
                     outcomes = run_on_cluster(folder, left, self.cluster, console)
-                with closing(outcomes):  # stops what still runs, however this ends
+                with closing(outcomes):  # stops unfinished runs, in every case
                     for outcome in outcomes:
                         shown.done(outcome)
         except KeyboardInterrupt:
@@ -209,7 +209,7 @@ class Campaign:
         return round(duration / self.scene.every) + 1
 
     def _check_sizes(self, paths: Collection[tuple[Sequence[Load], float]]) -> None:
-        """Raise `InputError` before runs from which no model of this size can be trained."""
+        """Raise `InputError` for too few paths or modes, or for too many modes."""
         scene = self.scene
         touched = any(isinstance(load, Contact | Grasp) for loads, _ in paths for load in loads)
         if not touched or scene.tools or isinstance(scene.model, Membrane):
@@ -235,9 +235,9 @@ class Campaign:
 
     @cached_property
     def _statics(self) -> Solid | None:
-        """Coarser model for the modes and statics of a large body that tools touch; None if the body does itself.
+        """Coarser model for the modes and statics of a large body that tools touch; None for a small body.
 
-        `InputError`, where there is none, is raised before the runs.
+        An `InputError` of making it is raised before the runs.
         """
         scene, body = self.scene, self.scene.model
         if scene.coarse is not None:
@@ -245,7 +245,7 @@ class Campaign:
         return statics_body(body) if isinstance(body, EnergySolid) else None
 
     def _make_model(self, jobs: Sequence[Job]) -> ReducedModel:
-        """Train on the runs that were finished, read from their files, and keep the model in the folder.
+        """Train on the files of finished runs, and keep the model in the folder.
 
         Its report names the scene and its parameters under ``"scene"``.
         """
@@ -287,7 +287,7 @@ class Campaign:
 
 
 def _held_out_error(model: ReducedModel) -> float:
-    """Return the larger of the mean errors that a tolerance is for."""
+    """Return the larger of the mean errors that a tolerance limits."""
     held_out = model.report["held_out"]
     errors, names = (
         (held_out["contact"]["mean"], ("force", "surface_95"))

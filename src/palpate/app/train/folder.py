@@ -89,7 +89,7 @@ class Folder:
         return self.path / "runs"
 
     def file(self, job: Job) -> Path:
-        """Trajectory of a run that was finished."""
+        """Trajectory file of a finished run."""
         return self.runs / f"{job.name}.h5"
 
     def failed(self, job: Job) -> Path:
@@ -101,7 +101,7 @@ class Folder:
         return self.runs / f"{job.name}.failed.json"
 
     def partial(self, job: Job, token: str) -> Path:
-        """Name of a file that is being written; the token is like no other's."""
+        """Name of an unfinished file, with a unique token."""
         return self.runs / f".{job.name}.{token}.partial"
 
     def sweep(self, job: Job | None = None) -> None:
@@ -132,7 +132,7 @@ class Folder:
         return record
 
     def label(self, job: Job) -> str:
-        """Label of the run's trajectory, by which a file of another campaign or run is found out."""
+        """Label of the run's trajectory, which distinguishes it from files of other campaigns and runs."""
         return f"{digest_of(dict(self.manifest))[:16]} {job.name}"
 
     def check_run(self, job: Job) -> None:
@@ -183,7 +183,7 @@ class Folder:
         write_sealed_json(self.path / "rounds.json", {"rounds": [list(each) for each in rounds]})
 
     def check(self) -> None:
-        """Raise `InputError` unless the folder's own manifest is this one."""
+        """Raise `InputError` unless the manifest in the folder is this one."""
         _compare(self.path, _read(self.path / "campaign.json"), self.manifest)
 
 
@@ -212,7 +212,7 @@ def open_campaign(path: Path, manifest: Mapping[str, Any]) -> Iterator[Folder]:
             write_sealed_json(manifest_path, dict(manifest))
         folder.sweep()
         yield folder
-        folder.sweep()  # what workers left that were killed meanwhile
+        folder.sweep()  # files of killed workers
 
 
 def _open_lock(path: Path) -> IO[str]:

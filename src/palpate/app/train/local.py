@@ -41,7 +41,7 @@ class _Worker:
     job: Job
 
     def receive(self) -> tuple[str, Any]:
-        """Return the next message of the process, or that it died, with its exit code."""
+        """Return the next message of the process, or the exit code of a dead one."""
         try:
             said: tuple[str, Any] = self.pipe.recv()
             return said
@@ -50,9 +50,9 @@ class _Worker:
             return DIED, self.process.exitcode
 
     def send_next(self, waiting: deque[Job]) -> bool:
-        """Give the process the next run, or let it end when there is none."""
+        """Send the next run to the process, or its end if there is none."""
         job = waiting.popleft() if waiting else None
-        with suppress(BrokenPipeError):  # it died meanwhile: heard next
+        with suppress(BrokenPipeError):  # it has died: the next message reports it
             self.pipe.send(job)
         if job is None:
             self.process.join()
@@ -117,7 +117,7 @@ def _start_worker(folder: Folder, job: Job) -> _Worker:
 
 @contextmanager
 def _worker_settings() -> Iterator[None]:
-    """Let processes that are started use one thread each, and import no module from the working folder."""
+    """Limit new processes to one thread each, and to imports from outside the working folder."""
     before = {name: os.environ.get(name) for name in WORKER_ENVIRONMENT}
     os.environ.update(WORKER_ENVIRONMENT)
     try:
@@ -144,7 +144,7 @@ def _serve(pipe: Connection, folder: Folder) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process when its parent does, however that ends."""
+    """End this process with its parent, in every case."""
     parent = parent_process()
     if parent is not None:
         parent.join()

@@ -163,7 +163,7 @@ def _rows(report: dict[str, Any]) -> dict[str, str]:
 
 
 def _round_rows(rounds: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """Return the errors of the models by number of training runs; nothing for a campaign without a tolerance."""
+    """Return the errors of the models by number of training runs; empty without a tolerance."""
     if not rounds:
         return {}
     errors = "; ".join(f"{each['runs']}: {percent(each['error'])}" for each in rounds)
@@ -258,7 +258,7 @@ def _support_sentences(study: Mapping[str, Any] | None) -> list[str]:
 
 
 def _contact_table(held_out: dict[str, Any], names: Sequence[str]) -> list[Table]:
-    """Return the same for every held-out path whose tools touch the body."""
+    """Return the table of contact errors of every held-out path with contact."""
     if "contact" not in held_out:
         return []
     touched = [(name, run) for name, run in zip(names, held_out["runs"], strict=True) if "force" in run]
@@ -286,7 +286,7 @@ def _details(report: dict[str, Any], names: Sequence[str]) -> list[Table | str]:
 
 
 def _draw(folder: Folder, report: dict[str, Any], names: Sequence[str]) -> None:
-    """Draw the errors of every held-out path, and those that trust numbers have meant."""
+    """Draw the errors of every held-out path, and the expected errors by trust number."""
     model = report["model"]
     held_out = model["held_out"]
     with figure(folder.path / ERRORS_FIGURE, (9.0, 4.6)) as drawn:

@@ -87,7 +87,7 @@ def _run(place: Folder, scene: TrainingScene, job: Job, watch: Watch | None) -> 
     except OSError:
         partial.unlink(missing_ok=True)
         raise
-    except Exception as error:  # whatever it is: the other runs go on
+    except Exception as error:  # of any kind: the other runs continue
         if partial.exists():
             settle(partial, place.failed(job))
         reason = str(error) if isinstance(error, DivergenceError | InputError) else f"{type(error).__name__}: {error}"

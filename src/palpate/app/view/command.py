@@ -203,7 +203,7 @@ def _read_subject(what: str, options: dict[str, Any], compare: bool, scene: str 
 
 
 def _show(subject: _Subject, record: Path | None, address: tuple[int, str, bool], refine: bool) -> list[str]:
-    """Show a body on a page until interrupted: its surface at once, and the session when it is ready.
+    """Show a body on a page until interrupted: first its surface, then the session.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Compilation of the engine of a full body in a process of its own, while this one fills the surface.
+"""Compilation of the engine of a full body in a separate process, while this one fills the surface.
 
 Both processes read what the other has kept in the cache of compiled functions.
 """

@@ -1,4 +1,4 @@
-"""Training of a scene's reduced model in a process of its own, at low priority, with its progress as lines of JSON.
+"""Training of a scene's reduced model in a separate process of low priority, with progress as lines of JSON.
 
 The process ends with the one that started it. What it has computed stays in the scene's folder
 (`palpate.app.models.trained`), from which the next one continues.

@@ -435,8 +435,8 @@ def with_held_nodes(prepared: PreparedLoads, masses: Floats, rate: float) -> Pre
         return prepared
     nodes_of_tools = [contacts.nodes[begin:end] for begin, end in pairwise(contacts.start)]
     reach = np.array([np.isin(nodes, each) for each in nodes_of_tools])
-    held = held_nodes(nodes, contacts.points[nodes], masses[nodes], rate, reach)
-    return replace(prepared, contacts=contacts._replace(held=held))
+    records = held_nodes(nodes, contacts.points[nodes], masses[nodes], rate, reach)
+    return replace(prepared, contacts=contacts._replace(held=records))
 
 
 def _constraints(cloud: Cloud, supports: Sequence[Support], loads: Sequence[Load]) -> _Constraints:

@@ -130,9 +130,9 @@ def static_estimate(
     sheet = cloud.points.shape[1] == 2
     moduli = _tension(shear) if sheet else _isotropic(shear, lame)
     stiff = CLAMP_FACTOR * NODE_STIFFNESS / cloud.spacing**2 * weights * (shear if sheet else lame + 2 * shear)
-    held = constrained, stiff, springs
+    constraints = constrained, stiff, springs
     grids = [(sign * cloud.points, cloud.spacing, weights) for sign in (1.0, -1.0)]
-    one, two = (_grid_solver(grid, moduli, held, supported) for grid in grids)
+    one, two = (_grid_solver(grid, moduli, constraints, supported) for grid in grids)
     return lambda forces: 0.5 * (one(forces) + two(forces))
 
 
@@ -157,7 +157,7 @@ def _tension(stress: Floats) -> _Moduli:
 def _grid_solver(
     grid: tuple[Floats, float, Floats],
     moduli: _Moduli,
-    held: tuple[NDArray[np.bool_], Floats, Floats],
+    constraints: tuple[NDArray[np.bool_], Floats, Floats],
     supported: SupportedNodes,
 ) -> Callable[[Floats], Floats]:
     """Return the displacements (n, 3) of the grid under nodal forces (n, 3), as a function.
@@ -167,11 +167,11 @@ def _grid_solver(
     grid : tuple
         Points (n, d), spacing and weights (n,).
     moduli : _Moduli
-    held : tuple
+    constraints : tuple
         Nodes that do not move (n,), the stiffness [N/m] by which the grid is held there, and springs [N/m].
     supported : SupportedNodes
     """
-    (points, spacing, weights), (constrained, stiff, springs) = grid, held
+    (points, spacing, weights), (constrained, stiff, springs) = grid, constraints
     corners, cell, value, slope = _multilinear(points, spacing)
     n, count = len(value), int(corners.max()) + 1
     values = sparse.csr_array((value.ravel(), (np.repeat(np.arange(n), value.shape[1]), corners.ravel())), (n, count))

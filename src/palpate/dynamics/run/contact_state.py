@@ -165,15 +165,15 @@ def next_contact_state(
     """
     (sites, contacts), after = after_steps, before
     if prepared.tools:
-        held, forces = contacts.held, contacts.step_impulses / kick
+        held_record, forces = contacts.held, contacts.step_impulses / kick
         nodal_impulses = before.nodal_impulses + contacts.nodal_impulses
-        forces[held.nodes] += held.forces
-        nodal_impulses[held.nodes] += held.impulses
+        forces[held_record.nodes] += held_record.forces
+        nodal_impulses[held_record.nodes] += held_record.impulses
         after = before._replace(
             forces=forces,
             impulses=before.impulses + contacts.tool_impulses,
             nodal_impulses=nodal_impulses,
-            held_energy=float(held.energy[0]),
+            held_energy=float(held_record.energy[0]),
         )
     if not len(before.constraint_impulses):
         return after

@@ -334,8 +334,8 @@ def _from_arrays(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
     if data.keys() != shapes.keys():
         raise InputError(f"arrays must be {', '.join(sorted(shapes))}, got {', '.join(sorted(data))}")
     for name, shape in shapes.items():
-        wanted = np.bool_ if name == "bonded" else np.float64
-        if data[name].shape != shape or data[name].dtype != wanted or not np.isfinite(data[name]).all():
+        dtype = np.bool_ if name == "bonded" else np.float64
+        if data[name].shape != shape or data[name].dtype != dtype or not np.isfinite(data[name]).all():
             raise InputError(f"{name} must be finite, of shape {shape}, got shape {data[name].shape}")
     if np.abs(data["displacements"]).max(initial=0.0) > MAX_DISPLACEMENT:
         raise InputError(f"displacements must be at most {MAX_DISPLACEMENT:g} m")
@@ -424,9 +424,11 @@ class StoredTrajectory(Described):
         self.wall_seconds = number_in_range("wall_seconds", file.header.get("wall_seconds", 0.0), 0.0, unit="s")
         self.points, self.times, self.steps = map(file.read, ("points", "times", "steps"))
         self.contact_forces, self.bonded = map(file.read, ("contact_forces", "bonded"))
-        shape, wanted = file.arrays["displacements"].shape, (len(self.times), len(self.points), 3)
-        if shape != wanted or not len(self.points) or self.contact_forces.shape != (len(self.bonded), 5):
-            raise InputError(f"displacements must have shape {wanted}, got {shape}; and contact_forces must fit bonded")
+        shape, expected = file.arrays["displacements"].shape, (len(self.times), len(self.points), 3)
+        if shape != expected or not len(self.points) or self.contact_forces.shape != (len(self.bonded), 5):
+            raise InputError(
+                f"displacements must have shape {expected}, got {shape}; and contact_forces must fit bonded"
+            )
         if self.points.ndim != 2 or self.times.ndim != 1 or self.steps.shape != self.times.shape:
             raise InputError("points must be 2-d, and times and steps 1-d and of equal length")
         if file.arrays["displacements"].type not in ("<f8", "<f4") or np.any(np.diff(self.times) < 0):

@@ -121,9 +121,9 @@ def _operator(near: NDArray[np.int32], weights: Floats, images: int = 0) -> Any:
 
 def _free(body: Solid, groups: Sequence[str]) -> tuple[Any, NDArray[np.int64]]:
     """Return the basis of displacements that supports and some groups, which do not move, leave free."""
-    held = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(body.cloud.group(name) for name in groups)]))
-    check_supported(body, held)
-    return free_directions(body.supported, held)
+    nodes = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(body.cloud.group(name) for name in groups)]))
+    check_supported(body, nodes)
+    return free_directions(body.supported, nodes)
 
 
 def check_supported(body: Solid, held: NDArray[np.int64] | None = None) -> None:

@@ -86,8 +86,8 @@ def _refill(surface: Surface, spacing: float | None, most: int) -> Cloud:
     if spacing is not None:
         return fill(surface, number_in_range("spacing", spacing, 0.0, open_low=True, unit="m"))
     volume, area = abs(surface.volume), surface.area
-    wanted = min(COARSE_NODES, 0.75 * most)
-    roots = np.roots([wanted, 0.0, -SURFACE_SHARE * area, -volume])
+    target = min(COARSE_NODES, 0.75 * most)
+    roots = np.roots([target, 0.0, -SURFACE_SHARE * area, -volume])
     spacing = float(roots[np.abs(roots.imag) < 1e-9 * np.abs(roots.real)].real.max())
     while True:
         try:

@@ -1,4 +1,4 @@
-"""How much the force of a tool depends on where and how firmly a body is held, from statics at rest.
+"""Sensitivity of a tool's force to the place and the stiffness of supports, from statics at rest.
 
 A press with nodal forces f moves the tool by f K^-1 f / |f|, with the stiffness K at rest of the body, its supports
 and the springs of its foundations. So for a given depth the force is proportional to 1 / (f K^-1 f). It is compared
@@ -103,9 +103,9 @@ def support_sensitivity(
     cloud, supports = body.cloud, explicit_supports(body.cloud, body.supports)
     outer, inner, distance = moved_borders(cloud, supports)
     forces, places = _on_body(body, points, presses)
-    held = supported_nodes(_with_groups(cloud, outer), supports).kind != 0
+    held_nodes = supported_nodes(_with_groups(cloud, outer), supports).kind != 0
     sizes = np.linalg.norm(forces, axis=2)
-    usable = sizes[:, held].sum(axis=1) <= MAX_HELD_SHARE * sizes.sum(axis=1)
+    usable = sizes[:, held_nodes].sum(axis=1) <= MAX_HELD_SHARE * sizes.sum(axis=1)
     forces, places = forces[usable], places[usable]
     sites = body.prepare(list(foundations)).sites
     springs = np.bincount(sites.foundation_node, sites.foundation_spring, minlength=len(cloud)).astype(float)

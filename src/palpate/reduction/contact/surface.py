@@ -126,9 +126,9 @@ def _clusters(points: Floats, size: int) -> tuple[Ints, Ints]:
 def rigid_tools(prepared: PreparedLoads | None, contact_surface: ContactSurface) -> RigidTools:
     """Return the tools of prepared loads; none for None."""
     kind, sizes, friction, origins = np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3))
-    held = held_nodes(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0), 0.0, np.zeros((0, 0), bool))
+    held_record = held_nodes(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0), 0.0, np.zeros((0, 0), bool))
     if prepared is not None:
-        held = with_scratch(prepared.contacts).held
+        held_record = with_scratch(prepared.contacts).held
         kind, sizes, friction = prepared.contacts.kind, prepared.contacts.sizes, prepared.contacts.friction
         shapes = [load.tool for load in prepared.tools]
         origins = np.array([s.point if isinstance(s, Forceps) else np.zeros(3) for s in shapes]).reshape(-1, 3)
@@ -142,7 +142,7 @@ def rigid_tools(prepared: PreparedLoads | None, contact_surface: ContactSurface)
         own_load=np.zeros(contact_surface.columns.shape[2]),
         impulses=np.zeros((len(kind), 6)),
         nodal_impulses=np.zeros((len(contact_surface.nodes), 3)),
-        held=held,
+        held=held_record,
         path=np.tile(np.eye(3, 4), (3, 1, 1)),
     )
 

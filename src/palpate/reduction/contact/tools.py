@@ -63,12 +63,12 @@ class ContactTools:
         forces, nodal_impulses = np.zeros_like(before.forces), before.nodal_impulses.copy()
         forces[nodes] = self.scratch.force.sum(axis=0)
         nodal_impulses[nodes] += self.tools.nodal_impulses
-        held = self.tools.held
-        forces[held.nodes] += held.forces
-        nodal_impulses[held.nodes] += held.impulses
+        pressed = self.tools.held
+        forces[pressed.nodes] += pressed.forces
+        nodal_impulses[pressed.nodes] += pressed.impulses
         return ContactState(
             forces, before.impulses + self.tools.impulses, before.start_time, nodal_impulses,
-            self.scratch.place.copy(), self.scratch.force.copy(), before.constraint_impulses, float(held.energy[0]),
+            self.scratch.place.copy(), self.scratch.force.copy(), before.constraint_impulses, float(pressed.energy[0]),
         )  # fmt: skip
 
 

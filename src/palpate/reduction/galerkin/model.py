@@ -193,8 +193,10 @@ class GalerkinModel(CoordinateModel):
         if prepared.is_prescribed(np.array([time]))[0]:
             lifted = self._lifting_coordinates(prepared, np.array([time]))[0]
             rates = prepared.rates(lambda times: self._lifting_coordinates(prepared, times), time)[0]
-            known = np.stack([lifted, rates])
-            coordinates = np.hstack([self.basis.project(fields - np.tensordot(known, self.lifting, 1)), known])
+            tool_motion = np.stack([lifted, rates])
+            coordinates = np.hstack(
+                [self.basis.project(fields - np.tensordot(tool_motion, self.lifting, 1)), tool_motion]
+            )
         else:
             weighted = (fields * self.basis.weights[:, None]).reshape(2, -1)
             coordinates = np.linalg.solve(self.mass, (weighted @ self.columns.reshape(len(self.mass), -1).T).T).T

@@ -154,11 +154,11 @@ class ReducedModel(CoordinateModel):
         if prepared.is_prescribed(np.array([time]))[0]:
             lifting = lifting_coordinates(self.data, prepared, np.array([time]))[0]
             rates = prepared.rates(lambda times: lifting_coordinates(self.data, prepared, times), time)[0]
-            for vector, known in ((coordinates, lifting), (velocities, rates)):
+            for vector, tool_values in ((coordinates, lifting), (velocities, rates)):
                 vector[modes] = self.body.constrained_inverse_mass @ (
-                    vector[modes] - self.body.mass[modes, self.data.modes :] @ known
+                    vector[modes] - self.body.mass[modes, self.data.modes :] @ tool_values
                 )
-                vector[self.data.modes :] = known
+                vector[self.data.modes :] = tool_values
         else:
             coordinates, velocities = self.body.inverse_mass @ coordinates, self.body.inverse_mass @ velocities
         history = self.body.equilibrium_history(coordinates, work)

@@ -160,13 +160,13 @@ def moments(system: LinearSystem, modes: int, points: Sequence[complex] = (0.0,)
         raise InputError(f"points must be one or more numbers with real parts of at least 0, got {points}")
     solvers = [factorise(system, s) for s in points]
     basis, nothing = np.zeros((system.order, 0)), np.zeros((system.order, 0))
-    known = [nothing.astype(complex if s.imag != 0 else float) for s in points]
+    bases = [nothing.astype(complex if s.imag != 0 else float) for s in points]
     fresh = [solver.solve(_typed(system.input.toarray(), s)) for solver, s in zip(solvers, points, strict=True)]
     while basis.shape[1] < modes:
         before = basis.shape[1]
         for at, s in enumerate(points):
-            vectors = _orthonormal(system, fresh[at], known[at])
-            known[at] = np.hstack([known[at], vectors])
+            vectors = _orthonormal(system, fresh[at], bases[at])
+            bases[at] = np.hstack([bases[at], vectors])
             fresh[at] = solvers[at].solve(_typed(system.mass @ vectors, s)) if vectors.shape[1] else vectors
             parts = np.hstack([vectors.real, vectors.imag]) if s.imag != 0 else vectors
             basis = np.hstack([basis, _orthonormal(system, parts, basis)])
@@ -187,8 +187,8 @@ def _orthonormal(system: LinearSystem, block: Any, basis: Any) -> Any:
     for column in block.T:
         vector, size = column.copy(), np.sqrt(np.vdot(column, masses * column).real)
         for _ in range(2):  # twice, against rounding errors
-            for known in (basis, kept):
-                vector = vector - known @ (known.conj().T @ (masses * vector))
+            for previous in (basis, kept):
+                vector = vector - previous @ (previous.conj().T @ (masses * vector))
         left = np.sqrt(np.vdot(vector, masses * vector).real)
         if left > DEFLATION_TOLERANCE * size:
             kept = np.hstack([kept, (vector / left)[:, None]])

@@ -70,8 +70,8 @@ def read_linear(path: str | Path, system: LinearSystem) -> LinearModel:
     path = Path(path)
     with loading(path, LINEAR_MODEL_REMEDY):
         file = open_sealed(path, FORMAT, VERSION)
-        header, wanted = file.header, _header(system)
-        if header.keys() != {*wanted, "kind", "report"} or not isinstance(header["report"], dict):
+        header, expected = file.header, _header(system)
+        if header.keys() != {*expected, "kind", "report"} or not isinstance(header["report"], dict):
             raise InputError("the header is not that of a linear model")
         if not isinstance(header["kind"], str) or header["kind"] not in CLASS_BY_ORDER:
             raise InputError(f"kind must be one of {', '.join(CLASS_BY_ORDER)}, got {header['kind']!r:.60}")
@@ -84,7 +84,7 @@ def read_linear(path: str | Path, system: LinearSystem) -> LinearModel:
             if array.dtype != np.float64 or not np.isfinite(array).all():
                 raise InputError(f"array {name} is not of finite numbers")
     points = arrays.pop("points")
-    differ = [name for name in wanted if header[name] != wanted[name]]
+    differ = [name for name in expected if header[name] != expected[name]]
     if differ or points.shape != system.model.cloud.points.shape or not np.allclose(points, system.model.cloud.points):
         raise InputError(f"{path} was made of another linear system: {', '.join(differ) or 'points'} differ")
     with loading(path, LINEAR_MODEL_REMEDY):
@@ -101,6 +101,6 @@ def _check_shapes(arrays: dict[str, Any], sizes: dict[str | int, int]) -> None:
     """Check that arrays have the shapes of `ARRAY_SHAPES`, with one k for all."""
     sizes = sizes | {"k": len(arrays["fields"]) if arrays["fields"].ndim else 0}
     for name, array in arrays.items():
-        wanted = tuple(sizes.get(size, size) for size in ARRAY_SHAPES[name])
-        if array.shape != wanted or not sizes["k"]:
-            raise InputError(f"array {name} has shape {array.shape}, expected {wanted}")
+        expected = tuple(sizes.get(size, size) for size in ARRAY_SHAPES[name])
+        if array.shape != expected or not sizes["k"]:
+            raise InputError(f"array {name} has shape {array.shape}, expected {expected}")

@@ -185,8 +185,8 @@ def check_shapes(arrays: Arrays, layout: Layout, sizes: dict[str | int, int]) ->
             length == size or isinstance(size, str) for length, size in zip(data.shape, expected, strict=True)
         )
         if not fits or data.dtype != dtype:
-            wanted = f"({', '.join(map(str, expected))}) of {dtype}"
-            raise InputError(f"array {name} has shape {data.shape} of {data.dtype.str}, expected {wanted}")
+            description = f"({', '.join(map(str, expected))}) of {dtype}"
+            raise InputError(f"array {name} has shape {data.shape} of {data.dtype.str}, expected {description}")
         sizes.update(zip(shape, data.shape, strict=True))
 
 

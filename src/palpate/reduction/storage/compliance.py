@@ -116,8 +116,8 @@ def read_compliance(arrays: Arrays, bonded_scale: float) -> SurfaceCompliance | 
     InputError
         The arrays do not describe a compliance.
     """
-    known: dict[str, Any] = {name: arrays[f"compliance/{name}"] for name in COMPLIANCE_ARRAYS}
-    compliance = SurfaceCompliance(**known, bonded_scale=bonded_scale)
+    values: dict[str, Any] = {name: arrays[f"compliance/{name}"] for name in COMPLIANCE_ARRAYS}
+    compliance = SurfaceCompliance(**values, bonded_scale=bonded_scale)
     if not len(compliance.nodes):
         return None
     if len(np.unique(compliance.nodes)) < len(compliance.nodes):

@@ -35,8 +35,8 @@ def describe_material(material: Material) -> dict[str, str]:
         The material is neither one of the library's nor a symbolic law.
     """
     name, expression = type(material).__name__, getattr(material, "expression", "")
-    known = symbolic_law.law_of(expression) if name == SYMBOLIC_LAW and expression else LAW_BY_NAME.get(name)
-    if type(material) is not known:
+    law = symbolic_law.law_of(expression) if name == SYMBOLIC_LAW and expression else LAW_BY_NAME.get(name)
+    if type(material) is not law:
         raise InputError(f"the law of {material} is not one of palpate's: it cannot be kept in a file")
     parameters = {f.name: getattr(material, f.name) for f in fields(material) if f.name != "prony"}
     if material.volumetric == QUADRATIC:  # the default of the file
@@ -66,11 +66,11 @@ def material_of(name: Any, parameters: Any, expression: Any, prony: Any) -> Mate
     law: Any = symbolic_law.law_of(expression) if name == SYMBOLIC_LAW else LAW_BY_NAME[name]
     given = _mapping("parameters", parameters)
     forms = {"volumetric": given.pop("volumetric", QUADRATIC), "split": given.pop("split", COUPLED)}
-    wanted = {field.name for field in fields(law)} - {"prony", *forms}
+    expected = {field.name for field in fields(law)} - {"prony", *forms}
     if given.get("poisson") == 0.5:
-        wanted.discard("bulk")
-    if given.keys() != wanted:
-        raise InputError(f"{name} has the parameters {sorted(wanted)}, not {brief(sorted(given))}")
+        expected.discard("bulk")
+    if given.keys() != expected:
+        raise InputError(f"{name} has the parameters {sorted(expected)}, not {brief(sorted(given))}")
     values = {key: _numbers(key, value) for key, value in given.items()}
     series = _mapping("prony", prony)
     if series.keys() - {field.name for field in fields(Prony)}:
@@ -170,9 +170,9 @@ def fibres_of(value: Any, directions: NDArray[np.float64]) -> FibreLaw | None:
     if not isinstance(name, str) or name not in FIBRE_LAW_BY_NAME:
         raise InputError(f"unknown law of fibres {brief(name)}: the laws are {', '.join(sorted(FIBRE_LAW_BY_NAME))}")
     law: Any = FIBRE_LAW_BY_NAME[name]
-    wanted = {f.name for f in fields(law)} - {"directions"}
-    if given.keys() != wanted:
-        raise InputError(f"fibres of {name} have {sorted(wanted)}, not {brief(sorted(given))}")
+    expected = {f.name for f in fields(law)} - {"directions"}
+    if given.keys() != expected:
+        raise InputError(f"fibres of {name} have {sorted(expected)}, not {brief(sorted(given))}")
     values = {key: _number(key, value) for key, value in given.items()}
     fibres: FibreLaw = law(**values, directions=directions)
     return fibres

@@ -1,4 +1,4 @@
-"""What to change about a reduced model whose errors on held-out runs are too large to use it."""
+"""Advice for a reduced model with large errors on held-out runs."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ def advice(report: Mapping[str, Any]) -> str | None:
 
 def _changes(report: Mapping[str, Any], error: float) -> list[str]:
     """Return changes by the projection errors of training and held-out runs on the modes."""
-    known, unseen = report["projection_error"], report["held_out"]["projection_error"]
-    missed = f"(modes miss {unseen:.0%} of the held-out runs, {known:.0%} of the training runs)"
-    if unseen > max(UNSEEN_RATIO * known, LARGE_SHARE * error):
+    trained, unseen = report["projection_error"], report["held_out"]["projection_error"]
+    missed = f"(modes miss {unseen:.0%} of the held-out runs, {trained:.0%} of the training runs)"
+    if unseen > max(UNSEEN_RATIO * trained, LARGE_SHARE * error):
         return [f"use more paths than {report['training_runs']} {missed}"]
     return [f"use more modes than {report['modes']} {missed}"]
 

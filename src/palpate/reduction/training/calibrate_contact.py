@@ -66,12 +66,12 @@ def calibrate_contact(model: ReducedModel, repeated: Sequence[Trial]) -> tuple[R
         sizes_by_run = in_threads(partial(_force_sizes, model), whole_runs)
         ratios.append(float(np.median([mine.sum() / theirs.sum() for mine, theirs in sizes_by_run])))
         if number < FORCE_PASSES:
-            held = np.array([any(isinstance(load, Grasp) for load in loads) for loads, _ in repeated])
+            are_grasps = np.array([any(isinstance(load, Grasp) for load in loads) for loads, _ in repeated])
             bonded_scale, factor, stiffening = compliance.bonded_scale, 1.0, compliance.stiffening
-            if held.any():
-                bonded_scale *= _scale([sizes for sizes, grasped in zip(sizes_by_run, held, strict=True) if grasped])
-            if not held.all():
-                presses = [sizes for sizes, grasped in zip(sizes_by_run, held, strict=True) if not grasped]
+            if are_grasps.any():
+                bonded_scale *= _scale([sizes for sizes, grasp in zip(sizes_by_run, are_grasps, strict=True) if grasp])
+            if not are_grasps.all():
+                presses = [sizes for sizes, grasp in zip(sizes_by_run, are_grasps, strict=True) if not grasp]
                 factor, stiffening = _correction(compliance, np.concatenate(presses, axis=1))
             total_factor *= factor
             compliance = compliance.scaled(factor)._replace(stiffening=stiffening, bonded_scale=bonded_scale / factor)
@@ -91,8 +91,8 @@ def _correction(compliance: SurfaceCompliance, sizes: Floats) -> tuple[float, Fl
     little influence.
     """
     mine, theirs = sizes
-    wanted = secant_factor(compliance.stiffening, theirs) * (mine / theirs) ** FORCE_STEP
-    return fit_stiffening(theirs, wanted, np.ones(len(theirs)), FORCE_SPREAD)
+    factors = secant_factor(compliance.stiffening, theirs) * (mine / theirs) ** FORCE_STEP
+    return fit_stiffening(theirs, factors, np.ones(len(theirs)), FORCE_SPREAD)
 
 
 class _FullForces:

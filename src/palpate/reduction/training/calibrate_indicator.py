@@ -117,13 +117,13 @@ def held_out_frames(model: ReducedModel, loads: Sequence[Load], run: Trajectory,
 
 def _contact_displacements(model: ReducedModel, run: Trajectory, frame: int) -> tuple[Floats, float]:
     """Return displacements (n, 3) [m] and energy [J] of the surface compliance by the stored forces of a frame."""
-    known, of_frame = model.data.compliance, run.contact_forces[:, 0] == frame
-    if known is None or not of_frame.any():
+    compliance, of_frame = model.data.compliance, run.contact_forces[:, 0] == frame
+    if compliance is None or not of_frame.any():
         return np.zeros((len(model.cloud), 3)), 0.0
     rows, bonded = run.contact_forces[of_frame], run.bonded[of_frame]
     pushes = np.zeros((2, len(model.cloud), 3))
     pushes[bonded.astype(int), rows[:, 1].astype(int)] = rows[:, 2:]
-    return contact_displacements(known, model.cloud.points, pushes[:, known.nodes], [False, True])
+    return contact_displacements(compliance, model.cloud.points, pushes[:, compliance.nodes], [False, True])
 
 
 def calibrate_scales(runs: Sequence[Measures], share: float) -> Scales:

@@ -77,8 +77,8 @@ def fit_compliance(
         no supports, or belongs to another body.
     """
     cloud = model.cloud
-    ends, wanted = (np.array([c.points.min(axis=0), c.points.max(axis=0)]) for c in (statics.cloud, cloud))
-    if np.abs(ends - wanted).max() > statics.cloud.spacing:
+    ends, corners = (np.array([c.points.min(axis=0), c.points.max(axis=0)]) for c in (statics.cloud, cloud))
+    if np.abs(ends - corners).max() > statics.cloud.spacing:
         raise InputError(
             "coarse must have the bounds of the body, got other points; give a coarser model of the same body"
         )
@@ -90,10 +90,10 @@ def fit_compliance(
         )
     coarse_nodes = _free_surface(statics.cloud, statics.fixed)
     interior_nodes, coarse_interior = _free_interior(cloud, model.fixed), _free_interior(statics.cloud, statics.fixed)
-    known = residual_flexibility(
+    rows = residual_flexibility(
         statics, coarse_nodes, cloud.points, model.data.basis_vectors[: model.count], coarse_interior
     )
-    flexibility, interior_rows = np.split(known, [3 * len(coarse_nodes)])
+    flexibility, interior_rows = np.split(rows, [3 * len(coarse_nodes)])
     places, weights = carriers(statics.cloud, coarse_nodes, cloud, nodes)
     nearby, near_field = np.zeros((len(nodes), 0), dtype=np.int64), np.zeros((len(nodes), 0, 3, 3), dtype=np.float32)
     if statics.cloud is not cloud:
@@ -230,12 +230,12 @@ def fit_stiffening(size: Floats, depth: Floats, linear: Floats, spread: float = 
     use = (size > MIN_FORCE * largest) & (depth > 0) & (linear > 0)
     if not use.any():
         raise InputError(NO_RESIDUAL)
-    wanted, weight = np.log(depth[use] / linear[use]), np.sqrt(size[use] / largest)
+    log_ratio, weight = np.log(depth[use] / linear[use]), np.sqrt(size[use] / largest)
 
     def missed(at: Floats) -> Floats:
-        return np.asarray(weight * (at[0] - at[1] * np.log1p(size[use] / (largest * np.exp(at[2]))) - wanted))
+        return np.asarray(weight * (at[0] - at[1] * np.log1p(size[use] / (largest * np.exp(at[2]))) - log_ratio))
 
-    start = np.array([float(np.median(wanted)), 0.1, 0.0])
+    start = np.array([float(np.median(log_ratio)), 0.1, 0.0])
     bounds = ([-np.inf, 0.0, np.log(0.1)], [np.inf, MAX_EXPONENT, np.log(10.0)])
     at = least_squares(missed, start, bounds=bounds, loss="soft_l1", f_scale=spread).x
     return float(np.exp(at[0])), np.array([at[1], largest * np.exp(at[2])])

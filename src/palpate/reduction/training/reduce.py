@@ -188,7 +188,7 @@ def hyper_reduce(
         raise InputError(
             "held_out must be given with a tolerance, got none; give held_out=, or modes= instead of tolerance="
         )
-    wanted, reached = number_in_range("tolerance", tolerance or 0.0, 0.0, 1.0, open_low=True), []
+    largest, reached = number_in_range("tolerance", tolerance or 0.0, 0.0, 1.0, open_low=True), []
     for size in TRIED_MODES:
         try:
             model = _train(full, body, snapshots, size, options)
@@ -198,10 +198,10 @@ def hyper_reduce(
         mean_errors = model.report["held_out"]["mean"]
         worst = max(mean_errors[name] for name in ("displacement", "velocity", "reaction"))
         reached.append(f"{size}: {worst:.2%}")
-        if worst <= wanted:
+        if worst <= largest:
             return _warned(model)
     raise InputError(
-        f"tolerance must be attainable on the held-out runs, got {wanted:.2%} with errors by modes "
+        f"tolerance must be attainable on the held-out runs, got {largest:.2%} with errors by modes "
         f"({', '.join(reached)}); increase it, or train on more runs"
     )
 

@@ -67,7 +67,7 @@ class Host:
 
     @contextlib.contextmanager
     def serving(self) -> Iterator[None]:
-        """Serve in a thread of its own within a context, which begins once clients are answered."""
+        """Serve in a separate thread within a context, which begins once clients are answered."""
         ready = threading.Event()
         self._loop = asyncio.new_event_loop()
         self._task = self._loop.create_task(self.run(ready.set))

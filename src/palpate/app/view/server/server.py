@@ -105,10 +105,10 @@ class Server:
         self._preparation, self._preview = None, b""
         for viewer in self.viewers:  # each is ready again after its hello
             viewer.ready = False
-            viewer.acknowledge(viewer.sent)  # what is in flight shows another body
+            viewer.acknowledge(viewer.sent)  # frames in flight show another body
             if viewer.scalar not in source.surface.scalars:
                 viewer.scalar = "none"
-        if self.driver is None and self.viewers:  # the one that drove has left meanwhile
+        if self.driver is None and self.viewers:  # the driver has left
             self.driver, self.viewers[0].last_drive = self.viewers[0], time.monotonic()
         if not self.viewers:
             source.pause(NO_VIEWERS)

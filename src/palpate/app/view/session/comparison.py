@@ -25,7 +25,7 @@ SHARED_MESSAGES = (
 
 
 class Comparison(Session):
-    """The session of a reduced model, with the full body in an engine of its own.
+    """The session of a reduced model, with the full body in a second engine.
 
     Both have the same tool at the same pose, with a rigid coupling: the tools of two springs would differ. Each
     body has its own clock. While one is slower than real time and the tool moves, the two are at different times.
@@ -71,7 +71,7 @@ class Comparison(Session):
 
     @property
     def tool_kinds(self) -> list[str]:
-        """Kinds of tools that both bodies take: each would grasp other nodes with forceps."""
+        """Kinds of tools for both bodies; not forceps, which would grasp different nodes."""
         return [kind for kind in self.full.tool_kinds if kind != "grasp"]
 
     def handle(self, message: Message) -> None:

@@ -1,0 +1,91 @@
+"""Every snippet of README and docs runs as it stands, page by page in one namespace."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "howto").glob("*.md")])
+QUICK = {"docs/howto/loads.md", "docs/supports.md"}
+PACKAGES = {"pandas": "pandas", "websockets": "websockets", "pyvista": "pyvista", "pymor": "pymor"}
+FENCE = re.compile(
+    r"^(?:<!-- not run: (?P<reason>[^\n]+?) -->\n+)?^```python\n(?P<code>.*?)^```$", re.MULTILINE | re.DOTALL
+)
+SECONDS = 280  # [s] for a page, compilation included
+
+
+class Snippet(NamedTuple):
+    """Code of a page, the line at which it begins, and why it is not run, if it is not."""
+
+    line: int
+    code: str
+    reason: str
+
+
+def snippets(text):
+    """Return the Python snippets of a page."""
+    return [
+        Snippet(text.count("\n", 0, found.start("code")) + 1, found["code"], found["reason"] or "")
+        for found in FENCE.finditer(text)
+    ]
+
+
+def program(text):
+    """Return the snippets of a page as one program, each at its line of the page."""
+    lines = [""] * (text.count("\n") + 1)
+    for snippet in snippets(text):
+        if not snippet.reason:
+            code = snippet.code.split("\n")
+            lines[snippet.line - 1 : snippet.line - 1 + len(code)] = code
+    return "\n".join(lines)
+
+
+def page_name(path):
+    return path.relative_to(ROOT).as_posix()
+
+
+def cases():
+    """Yield the pages with snippets that run."""
+    for path in PAGES:
+        if program(path.read_text(encoding="utf-8")).strip():
+            name = page_name(path)
+            yield pytest.param(path, id=name, marks=[] if name in QUICK else pytest.mark.slow)
+
+
+def required_packages(code):
+    """Return the optional packages that a program imports."""
+    imported = set(re.findall(r"^\s*(?:import|from)\s+(\w+)", code, re.MULTILINE))
+    return sorted(imported & PACKAGES.keys())
+
+
+@pytest.mark.parametrize("path", list(cases()))
+def test_the_snippets_of_a_page_run_as_they_stand(path, tmp_path):
+    code = program(path.read_text(encoding="utf-8"))
+    for package in required_packages(code):
+        pytest.importorskip(package)
+    (tmp_path / "page.py").write_text(code, encoding="utf-8")
+    environment = os.environ | {"MPLBACKEND": "Agg", "PYTHONSAFEPATH": "1"}
+    done = subprocess.run(
+        [sys.executable, "page.py"], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=SECONDS
+    )
+    assert done.returncode == 0, f"{page_name(path)}, by its line numbers:\n{done.stderr[-3000:]}"
+
+
+def test_every_python_fence_is_found():
+    for path in PAGES:
+        text = path.read_text(encoding="utf-8")
+        assert len(snippets(text)) == len(re.findall(r"^```python", text, re.MULTILINE)), page_name(path)
+
+
+def test_a_snippet_runs_at_its_line_and_a_marked_one_is_left_out():
+    text = "# Page\n\n```python\na = 1\n```\n\n<!-- not run: needs a file -->\n```python\na = open('x')\n```\n"
+    assert program(text).split("\n")[3] == "a = 1"
+    assert "open" not in program(text)
+    assert [(each.line, each.reason) for each in snippets(text)] == [(4, ""), (9, "needs a file")]
