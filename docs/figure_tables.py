@@ -752,8 +752,9 @@ def organ_force(rows: list[Row]) -> str:
 MAX_ERROR = 10.0  # larger errors are printed as larger than this
 
 
-def linear_errors(report: Row) -> str:
-    """Return the errors of linear models under a small and a large load, and of their frequency response."""
+@block("compare_beam", command="palpate compare beam --modes 4 8 16 24")
+def linear_beam(report: Row) -> str:
+    """Return the errors of linear models [%] under a small and a large load, and of their frequency response."""
     about = report["parameters"]
     entries = [entry | {"method": f"`{entry['method']}`"} for entry in report["methods"]]
     entries += [entry | {"method": report["nonlinear"]["name"]} for entry in report["nonlinear"]["entries"]]
@@ -768,11 +769,10 @@ def linear_errors(report: Row) -> str:
         response = "" if set(responses) == {"–"} else " / ".join(responses)
         lines.append([method, " / ".join(small), kinds[0], response, kinds[1]])
     names = ", ".join(map(str, sizes))
-    loads = [f"{about[load] * (1e3 if about['unit'] == 'm' else 1):g}" for load in ("small", "large")]
-    unit = "mm" if about["unit"] == "m" else about["unit"]
+    small_load, large_load = (f"{about[load]:g} {about['unit']}" for load in ("small", "large"))
     heads = [
-        "method", f"{loads[0]} {unit}: displacement with {names} modes", f"velocity / energy / force, {sizes[-1]}",
-        f"frequency response, {names} modes", f"{loads[1]} {unit}: displacement / velocity / energy / force",
+        "method", f"{small_load}: displacement with {names} modes", f"velocity / energy / force, {sizes[-1]}",
+        f"frequency response, {names} modes", f"{large_load}: displacement / velocity / energy / force",
     ]  # fmt: skip
     return markdown(heads, lines)
 
@@ -793,18 +793,6 @@ def _bounded(error: float | None) -> str:
     if error is None:
         return "–"
     return f"> {100 * MAX_ERROR:.0f}" if error > MAX_ERROR else significant(100 * error)
-
-
-@block("compare_beam", command="palpate compare beam --modes 4 8 16 24")
-def linear_beam(report: Row) -> str:
-    """Return the errors of linear models of the beam [%]."""
-    return linear_errors(report)
-
-
-@block("compare_liver", command="palpate compare liver --modes 4 8 16 24")
-def linear_liver(report: Row) -> str:
-    """Return the errors of linear models of the liver [%]."""
-    return linear_errors(report)
 
 
 # Contact
