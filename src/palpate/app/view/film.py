@@ -336,7 +336,7 @@ class Caption:
 
         height, width = picture.shape[:2]
         dpi = 100 * width / MOVIE_PIXELS  # texts keep their share of the picture
-        self._figure = Figure(figsize=(width / dpi, height / dpi), dpi=dpi)
+        self._figure: Any = Figure(figsize=(width / dpi, height / dpi), dpi=dpi)
         FigureCanvasAgg(self._figure)
         axes = self._figure.add_axes((0, 0, 1, 1))
         axes.set_axis_off()
