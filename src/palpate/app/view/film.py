@@ -336,13 +336,19 @@ class Caption:
 
         height, width = picture.shape[:2]
         dpi = 100 * width / MOVIE_PIXELS  # texts keep their share of the picture
-        self._figure: Any = Figure(figsize=(width / dpi, height / dpi), dpi=dpi)
+        self._figure = Figure(figsize=(width / dpi, height / dpi), dpi=dpi)
         FigureCanvasAgg(self._figure)
         axes = self._figure.add_axes((0, 0, 1, 1))
         axes.set_axis_off()
         self._shown = axes.imshow(picture, interpolation="none", aspect="auto")
         tall = width / height / ASPECT_RATIO  # distances from the edges keep their share of the width
-        bottom, top = (lambda y: y * tall), (lambda y: 1 - (1 - y) * tall)
+
+        def bottom(height: float) -> float:
+            return height * tall
+
+        def top(height: float) -> float:
+            return 1 - (1 - height) * tall
+
         text = self._figure.text
         text(0.035, top(0.94), self.title, color=INK, size=11, weight="bold", va="center")
         self._text = text(0.035, top(0.885), "", color=QUIET, size=9, va="center")
