@@ -209,7 +209,7 @@ def displacements(rows: dict[int, Row], *sizes: int) -> str:
 
 
 @block("reproduce_beam", "reproduce_beam_045", command=f"{BEAM_RUNS}` and `{BEAM_RUNS} --poisson 0.45")
-def readme_beam(beam: Row, softer: Row) -> str:
+def beam_claims(beam: Row, softer: Row) -> str:
     """Return the paper's claims on the beam next to what was measured."""
     both = [projected(report) for report in (beam, softer)]
     several = ("velocity", "energy", "reaction")
@@ -227,7 +227,7 @@ def readme_beam(beam: Row, softer: Row) -> str:
 
 
 @block("reproduce_membrane", command=MEMBRANE_RUN)
-def readme_membrane(report: Row) -> str:
+def membrane_claims(report: Row) -> str:
     """Return the paper's claims on the membrane next to what was measured while the tool pushes."""
     plain, sampled = (membrane_phase(report, series, "push") for series in series_of(report))
     last = " / ".join(error_cells(plain[12]["errors"], ("energy", "reaction")))
@@ -295,39 +295,60 @@ def bench_models(bench: Row) -> str:
 
 
 @block(
-    "bench", "held_out", "large_training",
-    command="palpate bench`, `python validation/held_out.py` and `python validation/large_training.py",
+    "organ_models", "bench", "reproduce_beam", "held_out",
+    command="python validation/organ_models.py`, `palpate bench`, `palpate reproduce beam` and "
+    "`python validation/held_out.py",
 )  # fmt: skip
-def readme_bench(bench: Row, studies: Row, trainings: list[Row]) -> str:
-    """Return the speed and the errors of sampled models."""
-    errors = {row["modes"]: row["sets"]["inside"] for row in studies["accuracy"]}
+def readme_figures(organs: list[Row], bench: Row, beam: Row, studies: Row) -> str:
+    """Return the six figures of the README, each with the command that makes it."""
+    first, errors = ([select(organ) for organ in organs] for select in (_first_force, _small_model_force))
+    full, fast = max(bench["full_body"]["threads"], key=lambda run: run["nodes_in_real_time"]), bench["beam"][0]
     runs = [row[rule] for row in studies["stability"] for rule in ("explicit", "implicit")]
-    sizes = [row["modes"] for row in studies["stability"]]
-
-    def unseen(modes: int, *kinds: str) -> str:
-        return ", ".join(percent(errors[modes][kind]["percentile_95"]) for kind in kinds)
-
-    training = trainings[-1]
+    six, eight = projected(beam)[6], find(beam["reduced"], series="hyper-reduced", modes=8)
+    organ_command, bench_command = "`python validation/organ_models.py`", "`palpate bench`"
     rows = [
-        *bench_rows(bench),
         [
-            f"training on {training['nodes']:,} nodes with {training['modes']} modes",
-            f"{training['seconds']:.0f} s, {training['gigabytes']:.1f} GB",
+            f"from a surface to the first force on the tool, median of {len(organs)} organs; with nothing compiled",
+            f"{sorted(first)[len(first) // 2]:.0f} s; {max(first):.0f} s", organ_command,
         ],
         [
-            f"energy, reaction force on {errors[32]['runs']} motions not trained on, 32 modes, 95th percentile",
-            unseen(32, "energy", "reaction"),
+            "nodes of a full body that step in real time under a ball, two cores",
+            f"{significant(full['nodes_in_real_time'])}", bench_command,
         ],
         [
-            "displacement, velocity of the same, almost undamped; with 96 modes",
-            f"{unseen(32, 'displacement', 'velocity')}; {unseen(96, 'displacement', 'velocity')}",
+            "force on the tool of organs trained with default choices, median error on unseen paths",
+            f"{percent(min(errors))} to {percent(max(errors))}", organ_command,
         ],
         [
-            f"runs that diverged, {min(sizes)} to {max(sizes)} modes, into buckling",
+            f"a step of the reduced beam, {fast['hyper_reduced']['modes']} modes",
+            microseconds(fast["hyper_reduced"]["compiled_seconds_per_step"]), bench_command,
+        ],
+        [
+            "the paper's beam: error (34) projected, 6 modes (paper: < 3 %); sampled, 8 modes, and its time",
+            f"{displacement(six)}; {displacement(eight)}, {percent(eight['ratio'])} of the full model's",
+            "`palpate reproduce beam`",
+        ],
+        [
+            f"runs of reduced models into buckling that diverged, {studies['stability'][0]['modes']} to "
+            f"{studies['stability'][-1]['modes']} modes",
             f"{sum(run['failed'] for run in runs)} of {sum(run['runs'] for run in runs)}",
+            "`python validation/held_out.py`",
         ],
     ]  # fmt: skip
-    return markdown(["beam at 5 mm, one core", "here"], rows)
+    return markdown(["figure", "here", "command"], rows)
+
+
+def _first_force(organ: Row) -> float:
+    return organ["new"] + organ["first_force"]
+
+
+def _small_model_force(organ: Row) -> float:
+    return organ["small"]["force"]
+
+
+def displacement(entry: Row) -> str:
+    """Return the displacement error of a reduced run."""
+    return percent(entry["errors"]["displacement"])
 
 
 # Statics and frequencies
@@ -731,8 +752,9 @@ def organ_force(rows: list[Row]) -> str:
 MAX_ERROR = 10.0  # larger errors are printed as larger than this
 
 
-def linear_errors(report: Row) -> str:
-    """Return the errors of linear models under a small and a large load, and of their frequency response."""
+@block("compare_beam", command="palpate compare beam --modes 4 8 16 24")
+def linear_beam(report: Row) -> str:
+    """Return the errors of linear models [%] under a small and a large load, and of their frequency response."""
     about = report["parameters"]
     entries = [entry | {"method": f"`{entry['method']}`"} for entry in report["methods"]]
     entries += [entry | {"method": report["nonlinear"]["name"]} for entry in report["nonlinear"]["entries"]]
@@ -747,11 +769,10 @@ def linear_errors(report: Row) -> str:
         response = "" if set(responses) == {"–"} else " / ".join(responses)
         lines.append([method, " / ".join(small), kinds[0], response, kinds[1]])
     names = ", ".join(map(str, sizes))
-    loads = [f"{about[load] * (1e3 if about['unit'] == 'm' else 1):g}" for load in ("small", "large")]
-    unit = "mm" if about["unit"] == "m" else about["unit"]
+    small_load, large_load = (f"{about[load]:g} {about['unit']}" for load in ("small", "large"))
     heads = [
-        "method", f"{loads[0]} {unit}: displacement with {names} modes", f"velocity / energy / force, {sizes[-1]}",
-        f"frequency response, {names} modes", f"{loads[1]} {unit}: displacement / velocity / energy / force",
+        "method", f"{small_load}: displacement with {names} modes", f"velocity / energy / force, {sizes[-1]}",
+        f"frequency response, {names} modes", f"{large_load}: displacement / velocity / energy / force",
     ]  # fmt: skip
     return markdown(heads, lines)
 
@@ -772,18 +793,6 @@ def _bounded(error: float | None) -> str:
     if error is None:
         return "–"
     return f"> {100 * MAX_ERROR:.0f}" if error > MAX_ERROR else significant(100 * error)
-
-
-@block("compare_beam", command="palpate compare beam --modes 4 8 16 24")
-def linear_beam(report: Row) -> str:
-    """Return the errors of linear models of the beam [%]."""
-    return linear_errors(report)
-
-
-@block("compare_liver", command="palpate compare liver --modes 4 8 16 24")
-def linear_liver(report: Row) -> str:
-    """Return the errors of linear models of the liver [%]."""
-    return linear_errors(report)
 
 
 # Contact

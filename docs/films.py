@@ -1,6 +1,6 @@
 """Make the films of the docs: a press on the liver, the beam to four times its length, the membrane's wave.
 
-    python docs/films.py [liver_press] [beam_pull] [membrane_wave]
+    python docs/films.py [liver_press] [beam_pull] [membrane_wave] [readme_displacement]
 
 Films are animated WebP files of 640 pixels across in docs/images, each below 3 MB. The liver is a session of
 ``palpate view liver`` that a script drives in real time; the beam and the membrane are the paper's, stepped in full.
@@ -10,15 +10,37 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
 
 import numpy as np
 
-IMAGES = Path(__file__).parent / "images"
+import palpate as pt
+from palpate.app.common.figures import figure
+from palpate.app.common.rendering import add_shaded, camera_axes, check_drawing, off_screen, screenshot
+from palpate.app.common.shading import QUIET, round_up
+from palpate.app.view.film import FRAME_RATE, MOVIE_PIXELS, Caption, movie_writer
+from palpate.scenes.beam import beam
+from palpate.scenes.membrane import membrane
+
+IMAGES, README = Path(__file__).parent / "images", Path(__file__).parents[1] / "README.md"
 MAX_FILM_BYTES = 3_000_000
+FILM_SECONDS = 3.0
+FRAMES = round(FILM_SECONDS * FRAME_RATE)
+
+
+class View(NamedTuple):
+    """How a run is shown: title, a note, direction to the camera, scale of displacements, and width over height."""
+
+    title: str
+    note: str
+    towards: tuple[float, float, float]
+    scale: Any
+    aspect_ratio: float
 
 
 def press_script() -> list[dict[str, object]]:
@@ -49,16 +71,63 @@ def liver_press(path: Path) -> None:
         subprocess.run([*palpate, "replay", recording, "--movie", path], check=True)
 
 
-FILMS = {film.__name__: film for film in (liver_press,)}
+def run_film(path: Path, scene: Any, view: View, duration: float) -> None:
+    """Film the run of a full model, coloured by its displacements, over `FILM_SECONDS`."""
+    run = pt.rollout(scene.model, scene.loads, duration=duration, every=duration / FRAMES, progress=False)
+    cloud, axes = scene.model.cloud, camera_axes(np.array(view.towards))
+    rest = np.zeros((len(cloud), 3))
+    rest[:, : cloud.points.shape[1]] = cloud.points
+    seen = np.concatenate([rest + view.scale * u for u in run.displacements]) @ axes.T
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    width = 1.08 * (high - low)[0]
+    height = width / view.aspect_ratio
+    middle = 0.5 * (low + high) @ axes
+    largest = round_up(1e3 * np.linalg.norm(run.displacements, axis=-1).max())
+    caption = Caption(view.title, "Displacement [mm]", largest, False, 1e3 * width)
+    caption.notes = {view.note: QUIET, f"Slowed {FILM_SECONDS / duration:.0f} times": QUIET}
+    with off_screen(width, height, middle, axes[2], MOVIE_PIXELS) as plotter, movie_writer(path) as add:
+        for time, u in zip(run.times, run.displacements, strict=True):
+            plotter.clear_actors()
+            values = 1e3 / largest * np.linalg.norm(u, axis=1)
+            moved = rest + view.scale * u
+            add_shaded(plotter, moved, cloud.triangles, axes[2], lambda body, t=values: {"values": body.values(t)})
+            add(caption.over(screenshot(plotter), f"{1e3 * time:.0f} ms"))
+
+
+def beam_pull(path: Path) -> None:
+    """Film the paper's beam, pulled to four times its length."""
+    view = View("Beam pulled by 100 N", "1,025 nodes", (0.25, -0.9, 0.35), 1.0, 2.6)
+    run_film(path, beam(), view, 1.0)
+
+
+def membrane_wave(path: Path) -> None:
+    """Film the paper's membrane, pushed at its centre for 0.1 s and let go."""
+    view = View("Membrane pushed for 100 ms, let go", "Heights times 4", (0.0, -0.9, 0.42), np.array([1, 1, 4.0]), 1.45)
+    run_film(path, membrane(after="release"), view, 0.2)
+
+
+def readme_displacement(path: Path) -> None:
+    """Draw the picture that the example of the README makes."""
+    example = re.search(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+    statements, _, plot = example[1].rstrip().rpartition("\n")
+    names: dict[str, Any] = {}
+    exec(compile(statements, README.name, "exec"), names)
+    with figure(path, (7.0, 3.2)) as drawn:
+        eval(plot.replace(")", ", axes=axes)"), names | {"axes": drawn.subplots()})
+
+
+FILMS = {film.__name__: film for film in (liver_press, beam_pull, membrane_wave)}
+PICTURES = {readme_displacement.__name__: readme_displacement}
 
 
 def main() -> None:
     """Make the films named on the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("film", nargs="*", choices=[*FILMS, []], help="default: all")
-    for name in parser.parse_args().film or FILMS:
-        path = IMAGES / f"{name}.webp"
-        FILMS[name](path)
+    parser.add_argument("name", nargs="*", choices=[*FILMS, *PICTURES, []], help="default: all")
+    check_drawing()
+    for name in parser.parse_args().name or [*FILMS, *PICTURES]:
+        path = IMAGES / f"{name}{'.webp' if name in FILMS else '.png'}"
+        (FILMS | PICTURES)[name](path)
         size = path.stat().st_size
         print(f"{path}: {size / 1e6:.2f} MB")
         if size > MAX_FILM_BYTES:

@@ -3,8 +3,8 @@
     python docs/wrap.py            rewrites pages whose prose has longer lines
     python docs/wrap.py PAGE ...   rewrites these pages
 
-Tables, code, equations, headings, comments, images and generated blocks stay as they are.
-`tests/docs/test_prose.py` fails where a line of prose is longer, unless it cannot be broken.
+Tables, code, headings, comments, images and generated blocks stay as they are. `tests/docs/test_prose.py` fails where a
+line of prose is longer, unless it cannot be broken.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ from pathlib import Path
 DOCS = Path(__file__).parent
 ROOT = DOCS.parent
 WIDTH = 100  # characters of a line of prose
-FENCE = re.compile(r"\s*(`{3,}|~{3,}|:{3,}|\$\$)")
-EQUATION = re.compile(r"\\begin\{(\w+\*?)\}")
+FENCE = re.compile(r"\s*(`{3,}|~{3,}|:{3,}|\$\$$|\\begin\{[\w*]+\})")  # of code, a directive or an equation
 ITEM = re.compile(r"\s*(?:[-*+]|\d+[.)])\s+")
 KEPT = re.compile(r"\s*(?:\||#|<|!\[|\([\w-]+\)=$|\[[^\]]+\]: |[-=]{3,}$)")  # tables, headings, comments, images ...
 WORD = re.compile(r"(?:`[^`\n]*`|\S)+")  # a span of code is one word
@@ -43,13 +42,10 @@ def blocks(text: str) -> Iterator[tuple[bool, list[str]]]:
         fence = FENCE.match(first)
         at += 1
         if fence:
-            while at < len(lines) and not lines[at].strip().startswith(fence[1]):
+            last = fence[1].replace("begin", "end")
+            while at < len(lines) and not lines[at].strip().startswith(last):
                 at += 1
             at += 1
-            yield False, lines[start:at]
-        elif equation := EQUATION.match(first):
-            while f"\\end{{{equation[1]}}}" not in lines[at - 1]:
-                at += 1
             yield False, lines[start:at]
         elif first.startswith("<!-- figures: "):
             while not lines[at - 1].startswith("<!-- end"):

@@ -30,7 +30,7 @@ BELOW = np.array([[0.4, 0.35, 0.55], [0.36, 0.52, 0.8], [0.56, 0.76, 0.95], [0.8
 KEY, FILL = (np.array(v) / np.linalg.norm(v) for v in ([-0.42, 0.68, 0.60], [0.75, 0.12, 0.52]))
 EYE = np.array([0.0, 0.0, 1.0])
 
-CREASE_ANGLE = 50.0  # [degree] between triangles, from which an edge is sharp
+CREASE_ANGLE = 75.0  # [degree] between triangles, from which an edge is sharp
 MAX_TRIANGLES = 60_000  # after refinement
 MAX_REFINEMENTS = 3
 ROUND_STEPS = (1, 1.5, 2, 3, 4, 5, 6, 8, 10)  # ends of a colour scale, over a power of ten

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.common.figures import BLUE, GREY, ORANGE, YELLOW, figure, heading
-from palpate.app.common.rendering import check_drawing, show, surface
+from palpate.app.common.rendering import add_shaded, check_drawing, show
+from palpate.app.common.shading import RefinedSurface
+from palpate.arrays import Floats
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.solid.model import Solid
@@ -35,7 +37,6 @@ VIEW_DIRECTIONS = {
     "Seen along -x": (1.0, 0.0, 0.25),
     "Seen along +z": (0.0, -0.5, -1.0),
 }
-TRIANGLE_SUBDIVISIONS = 2  # of triangles, so that borders are as smooth as those between the nodes' shares
 
 
 class Coverage:
@@ -112,18 +113,21 @@ def draw_coverage(covered: Coverage, path: Path) -> None:
 
     cloud, shares = covered.surface.cloud, covered.shares()
     colours = np.array([_rgb(colour) for _, colour in LEGEND_BY_KIND.values()])
-    shape = surface(cloud, cloud.points).subdivide(TRIANGLE_SUBDIVISIONS, "linear")
-    nearest = covered.surface.tree.query(shape.cell_centers().points)[1]
-    shape.cell_data["colour"] = colours[covered.kinds[nearest]]
 
-    def draw(plotter: Any, _width: float) -> None:
-        plotter.add_mesh(shape, scalars="colour", rgb=True, smooth_shading=False, ambient=0.25, specular=0.0)
+    def kind_colours(refined: RefinedSurface) -> dict[str, Floats]:
+        nearest = covered.surface.tree.query(refined.values(cloud.points))[1]
+        return {"colours": colours[covered.kinds[nearest]]}
 
     with figure(path, (10.0, 7.4)) as drawn:
         what, share = ("training paths cover", "covered") if covered.runs else ("the tool reaches", "reachable")
         heading(drawn, f"Surface that {what}: {shares[share]:.0%} of what supports leave free")
-        for axes, (title, towards) in zip(drawn.subplots(2, 2).flat, VIEW_DIRECTIONS.items(), strict=True):
-            show(axes, cloud.points, np.array(towards), title, draw)
+        for axes, (title, side) in zip(drawn.subplots(2, 2).flat, VIEW_DIRECTIONS.items(), strict=True):
+            towards = np.array(side)
+
+            def draw(plotter: Any, _width: float, towards: Floats = towards) -> None:
+                add_shaded(plotter, cloud.points, cloud.triangles, towards, kind_colours)
+
+            show(axes, cloud.points, towards, title, draw)
         there = np.unique(covered.kinds)
         kinds = (
             LEGEND_BY_KIND if covered.runs else LEGEND_BY_KIND | {UNCOVERED: ("reached", LEGEND_BY_KIND[UNCOVERED][1])}
@@ -132,6 +136,6 @@ def draw_coverage(covered: Coverage, path: Path) -> None:
         drawn.legend(handles=handles, loc="outside lower center", ncols=len(handles))
 
 
-def _rgb(colour: str) -> NDArray[np.uint8]:
-    """Return the colour ``#rrggbb`` as three bytes."""
-    return np.frombuffer(bytes.fromhex(colour[1:]), dtype=np.uint8)
+def _rgb(colour: str) -> Floats:
+    """Return the colour ``#rrggbb`` as three numbers from 0 to 1."""
+    return np.frombuffer(bytes.fromhex(colour[1:]), dtype=np.uint8) / 255

@@ -22,13 +22,16 @@ from palpate.files import whole_file
 from palpate.reduction.realtime.full_surface import display_surface
 
 __all__ = [
+    "FRAME_RATE",
     "MOVIE_PIXELS",
     "MOVIE_SUFFIXES",
     "PICTURE_PIXELS",
+    "Caption",
     "Draw",
     "RecordingPlotter",
     "check_movie",
     "check_picture",
+    "movie_writer",
     "write_movie",
     "write_picture",
 ]
@@ -338,21 +341,30 @@ class Caption:
         axes = self._figure.add_axes((0, 0, 1, 1))
         axes.set_axis_off()
         self._shown = axes.imshow(picture, interpolation="none", aspect="auto")
+        tall = width / height / ASPECT_RATIO  # distances from the edges keep their share of the width
+
+        def bottom(height: float) -> float:
+            return height * tall
+
+        def top(height: float) -> float:
+            return 1 - (1 - height) * tall
+
         text = self._figure.text
-        text(0.035, 0.94, self.title, color=INK, size=11, weight="bold", va="center")
-        self._text = text(0.035, 0.885, "", color=QUIET, size=9, va="center")
+        text(0.035, top(0.94), self.title, color=INK, size=11, weight="bold", va="center")
+        self._text = text(0.035, top(0.885), "", color=QUIET, size=9, va="center")
         for row, (note, colour) in enumerate(self.notes.items()):
-            text(0.965, 0.94 - 0.055 * row, note, color=colour, size=9, va="center", ha="right")
-        text(0.035, 0.115, self.quantity, color=QUIET, size=9, va="center")
-        bar = self._figure.add_axes((0.035, 0.075, 0.28, 0.016))
+            text(0.965, top(0.94 - 0.055 * row), note, color=colour, size=9, va="center", ha="right")
+        text(0.035, bottom(0.115), self.quantity, color=QUIET, size=9, va="center")
+        bar = self._figure.add_axes((0.035, bottom(0.075), 0.28, bottom(0.016)))
         bar.imshow(np.linspace(0, 1, 256)[None], aspect="auto", cmap=colour_map(self.signed))
         bar.set_axis_off()
         start = f"\N{MINUS SIGN}{self.largest:g}" if self.signed else "0"
-        text(0.035, 0.045, start, color=QUIET, size=9, va="center")
-        text(0.315, 0.045, f"{self.largest:g}", color=QUIET, size=9, va="center", ha="right")
+        text(0.035, bottom(0.045), start, color=QUIET, size=9, va="center")
+        text(0.315, bottom(0.045), f"{self.largest:g}", color=QUIET, size=9, va="center", ha="right")
         length = max(n for n in (1, 2, 5, 10, 20, 50, 100, 200, 500) if n <= max(1.0, self.millimetres / 6))
-        line = self._figure.add_axes((0.965 - length / self.millimetres, 0.075, length / self.millimetres, 0.016))
+        share = length / self.millimetres
+        line = self._figure.add_axes((0.965 - share, bottom(0.075), share, bottom(0.016)))
         line.plot([0, 0, 1, 1], [1, 0, 0, 1], color=QUIET, lw=1.2, clip_on=False)
         line.set(xlim=(0, 1), ylim=(0, 1))
         line.set_axis_off()
-        text(0.965, 0.045, f"{length} mm", color=QUIET, size=9, va="center", ha="right")
+        text(0.965, bottom(0.045), f"{length} mm", color=QUIET, size=9, va="center", ha="right")
