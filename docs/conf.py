@@ -52,7 +52,8 @@ html_theme_options = {
     "dark_css_variables": {"color-brand-primary": "#e58a93", "color-brand-content": "#e58a93"},
 }
 
-# Notebooks: only pages with notebook front matter run; results are kept between builds.
+# Notebooks: only pages with notebook front matter run. Results are kept until the cells of a page change; after a
+# change of palpate, `make clean docs` runs all of them again.
 nb_execution_mode = "cache"
 nb_execution_cache_path = str(ROOT / "out" / "site-cache" / "notebooks")
 nb_execution_timeout = 600  # [s] of one cell
