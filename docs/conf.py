@@ -137,6 +137,8 @@ def show_constructor(
 ) -> tuple[str, None] | None:
     """Show the arguments of a class whose metaclass takes any and checks them."""
     if kind == "class" and signature and signature.startswith("(*"):
+        if obj.__init__ is object.__init__:  # an abstract class
+            return "", None
         constructor = inspect.signature(obj.__init__)
         arguments = [
             each.replace(annotation=inspect.Parameter.empty)
