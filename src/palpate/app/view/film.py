@@ -342,7 +342,13 @@ class Caption:
         axes.set_axis_off()
         self._shown = axes.imshow(picture, interpolation="none", aspect="auto")
         tall = width / height / ASPECT_RATIO  # distances from the edges keep their share of the width
-        bottom, top = (lambda y: y * tall), (lambda y: 1 - (1 - y) * tall)
+
+        def bottom(y: float) -> float:
+            return y * tall
+
+        def top(y: float) -> float:
+            return 1 - (1 - y) * tall
+
         text = self._figure.text
         text(0.035, top(0.94), self.title, color=INK, size=11, weight="bold", va="center")
         self._text = text(0.035, top(0.885), "", color=QUIET, size=9, va="center")
