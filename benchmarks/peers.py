@@ -1,8 +1,8 @@
 """Set palpate next to simulators that pip installs: the error at rest over the computing time, on one thread.
 
     pip install -e '.[peers]'
-    python benchmarks/peers.py            # some ten minutes; writes peers.json and peers.png of the docs
-    python benchmarks/peers.py --draw     # draws the picture and updates the table from the file again
+    python benchmarks/peers.py            # some twenty minutes; writes peers.json and peers.png of the docs
+    python benchmarks/peers.py --draw     # draws the picture from the file again
 
 Two cases of soft tissue (shear modulus 61.2 kPa, Poisson's ratio 0.45) come to rest under mass damping:
 
@@ -20,12 +20,10 @@ from __future__ import annotations
 import argparse
 import importlib.metadata
 import importlib.util
-import json
 import os
-import platform
-import subprocess
+import sys
 from collections.abc import Callable
-from contextlib import chdir
+from contextlib import chdir, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import process_time
@@ -38,7 +36,11 @@ if __name__ == "__main__":  # threads are set before libraries start them
 import numpy as np
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-RESULT, PICTURE, PAGE = DOCS / "validation" / "peers.json", DOCS / "images" / "peers.png", DOCS / "claims" / "peers.md"
+sys.path.append(str(DOCS.parent / "validation"))
+
+import result_files  # noqa: E402
+
+PICTURE = DOCS / "images" / "peers.png"
 
 SHEAR, POISSON, DENSITY = 61.2e3, 0.45, 1120.0  # [Pa], [-], [kg/m^3]
 YOUNG, LAME = 2 * SHEAR * (1 + POISSON), 2 * SHEAR * POISSON / (1 - 2 * POISSON)  # [Pa]
@@ -483,22 +485,13 @@ def measure(case: Case, name: str, cells: int) -> dict[str, Any]:
     return row
 
 
-def machine() -> dict[str, Any]:
-    """Return what the figures depend on: processor, versions and commit."""
-    model = platform.processor() or platform.machine()
-    if Path("/proc/cpuinfo").exists():
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        model = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), model)
-    packages = ("palpate", "mujoco", "newton", "warp-lang", "felupe", "numpy", "scipy", "numba")
-    versions = {}
-    for package in packages:
-        try:
-            versions[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=DOCS, capture_output=True, text=True, check=False)
-    return {"processor": model, "python": platform.python_version(), "versions": versions,
-            "commit": commit.stdout.strip(), "threads": 1}  # fmt: skip
+def versions() -> dict[str, str]:
+    """Return the versions of palpate, its peers and the numerics."""
+    installed = {}
+    for package in ("palpate", "mujoco", "newton", "warp-lang", "felupe", "numpy", "scipy", "numba"):
+        with suppress(importlib.metadata.PackageNotFoundError):
+            installed[package] = importlib.metadata.version(package)
+    return installed
 
 
 def measure_all() -> dict[str, Any]:
@@ -524,7 +517,7 @@ def measure_all() -> dict[str, Any]:
                 rows.append(row)
                 if time * (case.duration if "step" in row else 1.0) > MAX_SECONDS:
                     break
-    return {"machine": machine(), "shear": SHEAR, "poisson": POISSON, "references": expected, "rows": rows}
+    return {"versions": versions(), "shear": SHEAR, "poisson": POISSON, "references": expected, "rows": rows}
 
 
 MARKERS = {"FElupe": ("x", "#555555"), "Newton, VBD": ("v", "#CC79A7"), "Newton, semi-implicit": ("^", "#009E73"),
@@ -594,40 +587,9 @@ def draw(result: dict[str, Any]) -> None:
         legend_below(drawn, panels[0], columns=3)
 
 
-def table(path: Path = RESULT) -> str:
-    """Return the Markdown table of the result file, and a sentence on its references."""
-    result = json.loads(path.read_text())
-    lines = ["| case | program | nodes | step | computing time | error |", "|---|---|---|---|---|---|"]
-    for row in result["rows"]:
-        time = f"{row['seconds_per_second']:.3g} s/s" if "step" in row else f"{row['solve_seconds']:.3g} s, statics"
-        step = f"{1e6 * row['step']:.0f} µs" if "step" in row else "none"
-        lines.append(f"| {row['case']} | {row['program']} | {row['nodes']:,} | {step} | {time} "
-                     f"| {100 * row['error']:+.2f} % |")  # fmt: skip
-    beam, block = (result["references"][name] for name in CASES)
-    beam_limit, block_limit = (each["laws"]["neo_hookean"] for each in (beam, block))
-    lines += [
-        "",
-        f"The beam's reference is {-1e3 * beam_limit:.3f} mm; its last mesh is "
-        f"{100 * abs(beam['meshes'][2] / beam_limit - 1):.2f} % away. The block's last mesh is",
-        f"{100 * abs(block['meshes'][2] / block_limit - 1):.1f} % from its limit.",
-        "",
-        "| law of the block | force on the plate |",
-        "|---|---|",
-        *(f"| {law.replace('_', ' ')} | {value:.2f} N |" for law, value in block["laws"].items()),
-    ]
-    return "\n".join(lines)
-
-
-def update_page() -> None:
-    """Replace the table of the page between its two marks."""
-    start, end = "<!-- table: python benchmarks/peers.py -->\n", "\n<!-- end of table -->"
-    before, rest = PAGE.read_text().split(start)
-    PAGE.write_text(before + start + table() + end + rest.split(end)[1])
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--draw", action="store_true", help="measure nothing; draw the picture and update the table")
+    parser.add_argument("--draw", action="store_true", help="measure nothing; draw the picture")
     parser.add_argument("--check", action="store_true", help="only compare MuJoCo's beam with FElupe on its mesh")
     chosen = parser.parse_args()
     if chosen.check:
@@ -636,10 +598,8 @@ def main() -> None:
     if not chosen.draw:
         with TemporaryDirectory() as folder, chdir(folder):  # where MuJoCo leaves its log
             result = measure_all()
-        RESULT.write_text(json.dumps(result, indent=1) + "\n")
-    draw(json.loads(RESULT.read_text()))
-    if PAGE.exists():
-        update_page()
+        result_files.write("peers", result)
+    draw(result_files.read("peers", None))
 
 
 if __name__ == "__main__":

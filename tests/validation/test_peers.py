@@ -1,7 +1,6 @@
-"""The page on peers has the figures of the committed result file."""
+"""The comparison with peers: its laws, forces and shares, and the lattices of the committed result file."""
 
 import importlib.util
-import json
 from pathlib import Path
 
 import numpy as np
@@ -18,12 +17,8 @@ def peers():
     return module
 
 
-def test_the_page_has_the_table_of_the_result_file(peers):
-    assert peers.table() in peers.PAGE.read_text()
-
-
 def test_every_program_of_the_file_has_three_lattices_unless_it_took_too_long(peers):
-    rows = json.loads(peers.RESULT.read_text())["rows"]
+    rows = peers.result_files.read("peers", None)["rows"]
     for case in peers.CASES.values():
         for name in peers.PROGRAMS:
             times = [row for row in rows if row["case"] == case.name and row["program"] == name]
