@@ -321,7 +321,7 @@ def readme_figures(organs: list[Row], bench: Row, beam: Row, studies: Row) -> st
             f"{sorted(first)[len(first) // 2]:.0f} s; {max(first):.0f} s", organ_command,
         ],
         [
-            "nodes of a full body that step in real time under a ball, two cores",
+            f"nodes of a full body that step in real time under a ball, threads: {full['threads']}",
             f"{significant(full['nodes_in_real_time'])}", bench_command,
         ],
         [
