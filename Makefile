@@ -23,17 +23,20 @@ export VTK_DEFAULT_OPENGL_WINDOW ?= vtkEGLRenderWindow
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help demo docs links test test-all test-slow lint style types layers clean
+.PHONY: help demo docs films links test test-all test-slow lint style types layers clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-9s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
 
 demo: $(VENV)/.installed-demo ## reproduce the paper's beam into out/beam
 	$(BIN)/palpate reproduce beam --out $(OUT)
-	@echo "The report, the figures and the files for ParaView are in $(abspath $(OUT)):"
-	@ls -1 $(OUT)
+	@echo "The error of the reduced models over their number of modes, Figure 3 of the paper:"
+	@echo "  $(abspath $(OUT))/figure3_error.png"
 	@echo "Next, press and pull that beam on a page in the browser:"
 	@echo "  $(BIN)/palpate view beam"
+
+films: $(VENV)/.installed-demo ## make the films of the docs, in some minutes
+	$(BIN)/python docs/films.py
 
 test: $(VENV)/.installed-test ## run the quick tests, within five minutes the first time
 	$(BIN)/python -m pytest -m "not slow" $(PYTEST_ARGS)

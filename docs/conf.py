@@ -56,6 +56,7 @@ html_theme_options = {
 nb_execution_mode = "cache"
 nb_execution_cache_path = str(ROOT / "out" / "site-cache" / "notebooks")
 nb_execution_timeout = 600  # [s] of one cell
+nb_execution_in_temp = True  # pages write their files into a folder that is removed
 nb_execution_raise_on_error = True
 nb_merge_streams = True
 

@@ -46,7 +46,7 @@ def test_code_is_not_read_from_a_folder_of_others(reasons, own_folder, monkeypat
     if os.name != "posix":
         pytest.skip("permissions are POSIX's")
     own_folder.chmod(0o777)
-    monkeypatch.setattr(code_cache._SafeImpl, "_locator_classes", code_cache.LOCATORS[:1])
+    monkeypatch.setattr(code_cache._SafeImpl, "_locator_classes", code_cache.CACHE_LOCATORS[:1])
     with pytest.warns(RuntimeWarning, match="others can write"):
         assert cached_njit()(double)(2.0) == 4.0
     assert not [each for each in own_folder.rglob("*") if each.is_file()]

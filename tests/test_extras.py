@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.extras import EXTRAS, require
+from palpate.extras import EXTRA_BY_PACKAGE, require
 
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[1]
-BLOCKED = sorted({*EXTRAS, "vtk", "vtkmodules", "PIL", "dask"})
+BLOCKED = sorted({*EXTRA_BY_PACKAGE, "vtk", "vtkmodules", "PIL", "dask"})
 
 # Nothing optional can be imported, as if it were not installed.
 BLOCKER = f"""
@@ -140,19 +140,21 @@ def test_a_check_without_drawing_packages_writes_its_report(tmp_path):
     assert (tmp_path / "out" / "check" / "report.json").is_file()
 
 
-@pytest.mark.parametrize("package", EXTRAS)
+@pytest.mark.parametrize("package", EXTRA_BY_PACKAGE)
 def test_every_missing_package_is_named_with_its_extra(package, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(pt.InputError, match=rf"^drawing requires {package}, .*palpate\[{EXTRAS[package]}\]'$"):
+    with pytest.raises(
+        pt.InputError, match=rf"^drawing requires {package}, .*palpate\[{EXTRA_BY_PACKAGE[package]}\]'$"
+    ):
         require(package, "drawing")
 
 
 def test_the_extras_that_messages_name_install_their_packages():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
-    for package, extra in EXTRAS.items():
+    for package, extra in EXTRA_BY_PACKAGE.items():
         assert any(re.match(rf"{package.replace('_', '-')}\b", each) for each in extras[extra]), package
     whole = re.fullmatch(r"palpate\[(.*)\]", extras["all"][0])
     assert whole is not None
-    assert set(whole[1].split(",")) == set(EXTRAS.values())
-    assert not {re.match(r"[\w-]+", each)[0] for each in project["dependencies"]} & {*EXTRAS, "vtk"}
+    assert set(whole[1].split(",")) == set(EXTRA_BY_PACKAGE.values())
+    assert not {re.match(r"[\w-]+", each)[0] for each in project["dependencies"]} & {*EXTRA_BY_PACKAGE, "vtk"}

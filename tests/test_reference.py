@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import doctest
+import functools
 import inspect
 import re
 import sys
@@ -124,3 +125,44 @@ def test_the_index_lists_every_page_and_every_pattern_of_a_part():
     for page in DOCS.glob("*.md"):
         listed = re.search(rf"^{page.stem}\*?$", index, re.MULTILINE)
         assert listed or page.stem in ("index", "package"), f"docs/index.md does not list {page.name}"
+
+
+# parameters and results
+
+
+def sections(text: str) -> dict[str, str]:
+    """Return the sections of a NumPy docstring by title."""
+    parts = re.split(r"\n(\w+)\n-+\n", f"\n{text}")
+    return dict(zip(parts[1::2], parts[2::2], strict=True))
+
+
+def documented_parameters(docstring: str) -> set[str]:
+    """Return the names in the sections Parameters and Attributes."""
+    found: set[str] = set()
+    for title in ("Parameters", "Attributes"):
+        for line in sections(docstring).get(title, "").splitlines():
+            if line and not line.startswith(" "):
+                found |= {name.strip().lstrip("*") for name in line.split(" : ")[0].split(",")}
+    return found
+
+
+def parameters(thing: Any) -> set[str]:
+    """Return the names of the parameters of a function, or of the constructor of a class."""
+    if isinstance(thing, type) and not issubclass(thing, tuple):
+        thing = functools.partial(thing.__init__, None)
+    kinds = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    return {each.name for each in inspect.signature(thing).parameters.values() if each.kind not in kinds}
+
+
+@pytest.mark.parametrize("name", [name for name in PUBLIC if name not in UNIONS])
+def test_every_parameter_and_result_of_a_public_name_is_described(name):
+    thing = public_object(name)
+    docstring = inspect.getdoc(thing) or ""
+    if isinstance(thing, type) and issubclass(thing, BaseException):
+        return
+    described = documented_parameters(docstring)
+    if name.startswith("palpate.materials."):
+        described |= documented_parameters(inspect.getdoc(pt.materials.Material) or "")  # of all laws
+    assert parameters(thing) <= described
+    if not isinstance(thing, type) and inspect.signature(thing).return_annotation not in (None, "None"):
+        assert "Returns" in sections(docstring) or docstring.startswith("Return ")

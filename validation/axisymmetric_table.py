@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import json
 from itertools import product
-from pathlib import Path
 
 import numpy as np
+import result_files
 from axisymmetric import inflate, neo_hookean, poke
 from axisymmetric_elements import minimise
 from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 
-OUTPUT = Path(__file__).parents[1] / "docs" / "validation" / "axisymmetric.json"
 RADIUS, THICKNESS, C1, DEPTH = 0.1, 1e-5, 0.17e6, 0.01  # the paper's membrane, and how far it is poked [m, m, Pa, m]
 ELEMENTS, PLACES = 400, np.array([0.02, 0.05, 0.075])  # [-, m]
 ABOUT = (
@@ -180,8 +179,7 @@ def main():
     }
     tables = {"about": ABOUT, "poke": poking, "inflate": inflation, "coefficients": coefficients}
     tables |= {"needle": needles(law), "small_strain": small_strain(law)}
-    OUTPUT.parent.mkdir(parents=True, exist_ok=True)
-    OUTPUT.write_text(json.dumps(tables, indent=1) + "\n")
+    result_files.write("axisymmetric", tables)
     print(json.dumps(tables, indent=1))
 
 

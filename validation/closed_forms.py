@@ -1,7 +1,6 @@
 """Torsion of a cylinder and inflation of a thick sphere, against the differential equation of their radius.
 
     python validation/closed_forms.py [--cases torsion sphere] [--laws NeoHookean ...] [--poisson 0.49] [--levels 3]
-    python validation/closed_forms.py --table    the table of docs/laws.md, from docs/validation/closed_forms.json
 
 A cylinder of radius and length a = 10 mm is twisted by 0.6 rad, its length kept: r(R), theta = Theta + psi Z, z = Z.
 A hollow sphere, 10 mm inside and 20 mm outside, is blown up until its inner radius is 1.3 times as large: r(R). Both
@@ -24,13 +23,12 @@ and the pressure is their force over the area they then have. Rest is found by N
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Callable
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
+import result_files
 from equilibrium import newton
 from printed_laws import printed
 from scipy.integrate import quad, solve_bvp
@@ -38,7 +36,6 @@ from scipy.integrate import quad, solve_bvp
 import palpate as pt
 from palpate.tissue.catalogue import LAWS
 
-OUTPUT = Path(__file__).parents[1] / "docs" / "validation" / "closed_forms.json"
 MM = 1e-3
 RADIUS, TWIST = 10 * MM, 0.6
 INNER, OUTER, BLOWN = 10 * MM, 20 * MM, 1.3
@@ -300,37 +297,19 @@ def keep(found: list[dict[str, Any]]) -> None:
     def key(row: dict[str, Any]) -> tuple[Any, ...]:
         return row["case"], row["law"], row["poisson"], round(row["spacing"], 9)
 
-    rows = {key(row): row for row in json.loads(OUTPUT.read_text())["rows"]} if OUTPUT.exists() else {}
+    rows = {key(row): row for row in result_files.read("closed_forms", {"rows": []})["rows"]}
     rows |= {key(row): row for row in found}
-    OUTPUT.write_text('{"rows": [\n' + ",\n".join(map(json.dumps, rows.values())) + "\n]}\n")
-
-
-def table() -> None:
-    """Print errors in per cent over the spacings, and how far the incompressible closed form is from the law's."""
-    rows = json.loads(OUTPUT.read_text())["rows"]
-    for case, name, poisson in dict.fromkeys((row["case"], row["law"], row["poisson"]) for row in rows):
-        own = [row for row in rows if (row["case"], row["law"], row["poisson"]) == (case, name, poisson)]
-        own.sort(key=lambda row: -row["spacing"])
-        cells = []
-        for what, exact in own[0]["exact"].items():
-            errors = ", ".join(f"{100 * row[f'{what}_error']:+.2f}" for row in own)
-            cells.append(f"{what} | {exact:.4g} | {own[0]['incompressible'][what]:.4g} | {errors}")
-        for cell in cells:
-            print(f"| {case} | `{name}`, {poisson} | {cell} |")
+    result_files.write("closed_forms", {"rows": list(rows.values())})
 
 
 def main() -> None:
-    """Solve and keep, or print what is kept."""
+    """Solve, and keep the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES))
     parser.add_argument("--laws", nargs="+", choices=KINDS, default=list(KINDS))
     parser.add_argument("--poisson", type=float, default=0.49)
     parser.add_argument("--levels", type=int, choices=(1, 2, 3), default=3, help="how many spacings")
-    parser.add_argument("--table", action="store_true")
     args = parser.parse_args()
-    if args.table:
-        table()
-        return
     for case in args.cases:
         for name in args.laws:
             keep(solve(case, name, args.poisson, args.levels))

@@ -14,12 +14,12 @@ stands that many spacings aside.
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from time import perf_counter
 
 import matplotlib.pyplot as plt
 import numpy as np
+import result_files
 from contact_elements import Block, punch, sphere
 
 import palpate as pt
@@ -27,7 +27,6 @@ from palpate.dynamics.contact.impulses import apply_contact_impulses
 from palpate.dynamics.nodal.central_difference import step_scratch
 
 HERE = Path(__file__).parent
-OUTPUT = HERE.parent / "docs" / "validation" / "contact.json"
 PICTURE = HERE.parent / "docs" / "images" / "contact.png"
 LAW = pt.materials.MooneyRivlin(C1=2667.0, C2=667.0, density=1000.0, poisson=0.45)
 SHEAR, POISSON = LAW.shear_modulus, 0.45
@@ -172,9 +171,9 @@ def main() -> None:
                 new += pressed(tool, spacing, form, options.shift, options.filled)
     names = ("filled", "shift", "depth")
     key = lambda r: (r["tool"], r["form"], r["spacing"], *(float(r.get(name, 0.0)) for name in names))  # noqa: E731
-    kept = json.loads(OUTPUT.read_text()) if OUTPUT.exists() else []
+    kept = result_files.read("contact", [])
     rows = sorted(({key(r): r for r in kept} | {key(r): r for r in new}).values(), key=key)
-    OUTPUT.write_text("[\n" + ",\n".join(json.dumps(r) for r in rows) + "\n]\n")
+    result_files.write("contact", rows)
     draw(rows)
 
 

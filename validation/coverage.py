@@ -1,23 +1,22 @@
 """Coverage of the error bounds: how many further runs keep them in all frames.
 
-    python validation/coverage.py [--runs 60] [--splits 100] [--json FILE]
+    python validation/coverage.py [--runs 60] [--splits 100]
 
 Bodies are trained on a few random runs, at three numbers of modes each. Of `--runs` further runs a random 20
 calibrate the error bounds, and the others judge them, in `--splits` random splits. A run keeps the bound if its error
 does in all its frames, or if the bound says that the error is unknown there. The bound is to be kept by 95 % of the
-runs.
+runs. Figures go to docs/validation/coverage.json.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import warnings
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import result_files
 from scipy.stats import spearmanr
 
 import palpate as pt
@@ -115,7 +114,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=60, help="further runs of each body")
     parser.add_argument("--splits", type=int, default=100, help="random splits of these")
-    parser.add_argument("--json", type=Path, help="file for the figures")
     chosen = parser.parse_args()
     warnings.simplefilter("ignore", pt.TrustWarning)
     table: list[dict[str, Any]] = []
@@ -137,8 +135,7 @@ def main() -> None:
                     flush=True,
                 )
     print(f"mean of all: {np.mean([row['kept'] for row in table]):.1%}")
-    if chosen.json:
-        chosen.json.write_text(json.dumps(table, indent=1))
+    result_files.write("coverage", table)
 
 
 if __name__ == "__main__":

@@ -14,12 +14,12 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+import result_files
 
 import palpate as pt
 from palpate.dynamics.nodal.stability import stiffness
 
 HERE = Path(__file__).parent
-OUTPUT = HERE.parent / "docs" / "validation" / "frequencies.json"
 SIZE = (0.1, 0.02, 0.02)
 
 
@@ -65,8 +65,7 @@ def main() -> None:
     parser.add_argument("--spacings", type=float, nargs="+", default=[0.02 / 3, 0.005, 0.004])
     args = parser.parse_args()
     reference = json.loads((HERE / "reference" / "finite_elements.json").read_text())["frequencies"]
-    rows = json.loads(OUTPUT.read_text()) if OUTPUT.exists() else []
-    OUTPUT.parent.mkdir(parents=True, exist_ok=True)
+    rows = result_files.read("frequencies", [])
     bodies = [(form, p) for form in args.forms for p in (args.pressure if form == "strong" else ["smoothed"])]
     for (form, pressure), poisson, spacing in product(bodies, args.poisson, args.spacings):
         target = next(r for r in reference if r["length"] == SIZE[0] and r["poisson"] == poisson)
@@ -78,7 +77,7 @@ def main() -> None:
         print(
             "  ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in rows[-1].items()), flush=True
         )
-        OUTPUT.write_text(json.dumps(rows, indent=1))
+        result_files.write("frequencies", rows)
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ from palpate.faults import InputError
 from palpate.files import read_sealed_json, write_sealed_json
 from palpate.reduction.lti import storage as linear_storage
 from palpate.reduction.storage import model_file as storage
-from palpate.sealed import HEAD, open_sealed, write_sealed
+from palpate.sealed import HEAD_BYTES, open_sealed, write_sealed
 
 Rng = np.random.Generator
 Trial = Callable[[Rng, Path], str]
@@ -65,7 +65,7 @@ def damaged(rng: Rng, data: bytes) -> bytes:
     """Return a content with a few bytes changed, cut, doubled, moved, removed or put in; never the same."""
     while True:
         content, how = bytearray(data), rng.integers(8)
-        at = int(rng.integers(len(data))) if rng.random() < 0.6 or len(data) < 2 * HEAD else _edge(rng, len(data))
+        at = int(rng.integers(len(data))) if rng.random() < 0.6 or len(data) < 2 * HEAD_BYTES else _edge(rng, len(data))
         size = int(rng.choice([1, 2, 8, 64, 512]))
         if how <= 2:
             for place in np.unique(rng.integers(at, min(at + 64, len(data)), size=int(rng.integers(1, 4)))):
@@ -88,7 +88,7 @@ def damaged(rng: Rng, data: bytes) -> bytes:
 
 def _edge(rng: Rng, size: int) -> int:
     """Return a place near the beginning or the end, where heads and tables are."""
-    near = int(rng.integers(min(size, 4 * HEAD)))
+    near = int(rng.integers(min(size, 4 * HEAD_BYTES)))
     return near if rng.random() < 0.5 else size - 1 - near
 
 
@@ -185,7 +185,7 @@ def _forge(rng: Rng, path: Path, kind: str, version: int, to: Path) -> None:
 
 def forged_deflated(rng: Rng, data: bytes) -> bytes:
     """Return a sealed file with other compressed bytes of an array, of the same number, and right checksums."""
-    at = int(data[:HEAD].split(b"\n")[2].split()[1])
+    at = int(data[:HEAD_BYTES].split(b"\n")[2].split()[1])
     deflated = [entry for entry in json.loads(data[at:])["arrays"].values() if "deflated" in entry]
     if not deflated:
         return data
@@ -202,7 +202,7 @@ def forged_deflated(rng: Rng, data: bytes) -> bytes:
 
 def forged_table(rng: Rng, data: bytes) -> bytes:
     """Return a sealed file with a lie in its table, and right checksums of the table."""
-    at = int(data[:HEAD].split(b"\n")[2].split()[1])
+    at = int(data[:HEAD_BYTES].split(b"\n")[2].split()[1])
     table = json.loads(data[at:])
     if rng.random() < 0.7 and table["arrays"]:
         name = str(rng.choice(sorted(table["arrays"])))
@@ -213,9 +213,9 @@ def forged_table(rng: Rng, data: bytes) -> bytes:
 
 
 def _with_table(data: bytes, at: int, text: bytes) -> bytes:
-    kind, version = data[:HEAD].split(b"\n")[:2]
+    kind, version = data[:HEAD_BYTES].split(b"\n")[:2]
     head = b"\n".join([kind, version, f"table {at} {len(text)} {sha256(text).hexdigest()}".encode(), b""])
-    return head.ljust(HEAD, b"\0") + data[HEAD:at] + text
+    return head.ljust(HEAD_BYTES, b"\0") + data[HEAD_BYTES:at] + text
 
 
 # sealed files

@@ -17,13 +17,13 @@ enrichment  vibration modes and modal derivatives, alone and together with the t
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
+import result_files
 import scipy.linalg
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
@@ -36,7 +36,6 @@ from palpate.scenes.motions import random_motion, training_motions
 
 Floats = NDArray[np.float64]
 
-RESULT = Path(__file__).parents[1] / "docs" / "validation" / "held_out.json"
 DURATION, EVERY = 1.0, 0.005
 SETS = {"inside": 20, "outside": 5, "buckling": 5}
 TRAINED, CALIBRATED = 14, 10
@@ -350,11 +349,11 @@ def main() -> None:
     args = parser.parse_args()
     model = body()
     runs = {kind: full_runs(model, kind, args.runs) for kind in ("train", *SETS)}
-    kept = json.loads(RESULT.read_text()) if RESULT.exists() else {}
+    kept = result_files.read("held_out", {})
     for name in args.studies:
         began = perf_counter()
         kept[name] = STUDIES[name](model, runs)
-        RESULT.write_text(json.dumps(kept, indent=1) + "\n")
+        result_files.write("held_out", kept)
         print(f"{name}: {perf_counter() - began:.0f} s", flush=True)
 
 

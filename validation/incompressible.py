@@ -16,22 +16,21 @@ clouds: nodes moved by 0.2 of the spacing.
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
 import numpy as np
+import result_files
 from scipy.interpolate import LinearNDInterpolator
 
 import palpate as pt
 from palpate.dynamics.nodal.stability import stable_step
-from palpate.dynamics.solid.energy import DAMPING
+from palpate.dynamics.solid.energy import DEFAULT_DAMPING
 from palpate.meshfree.quadrature import integration_weights, quadratic_residuals
 from palpate.meshfree.stencils import moving_least_squares
 
-OUTPUT = Path(__file__).parents[1] / "docs" / "validation" / "incompressible.json"
 FIGURE = Path(__file__).parents[1] / "docs" / "images" / "incompressible.png"
 SIZE = (0.04, 0.02, 0.02)
 PANEL = (0.048, 0.03, 0.015)  # Cook's, before it is tapered: the height in its middle
@@ -191,7 +190,7 @@ def settled_panel(model: pt.Solid, seconds: float = 0.6, damping: float = 60.0) 
 
 
 def read() -> dict:
-    return json.loads(OUTPUT.read_text()) if OUTPUT.exists() else {"reference": [], "rows": [], "volumetric": []}
+    return result_files.read("incompressible", {"reference": [], "rows": [], "volumetric": []})
 
 
 def put(kind: str, key: dict, found: dict) -> None:
@@ -199,9 +198,7 @@ def put(kind: str, key: dict, found: dict) -> None:
     everything = read()
     others = [row for row in everything.get(kind, []) if any(row.get(k) != v for k, v in key.items())]
     everything[kind] = [*others, {**key, **found}]
-    OUTPUT.parent.mkdir(parents=True, exist_ok=True)
-    groups = (f"{json.dumps(k)}: [\n" + ",\n".join(map(json.dumps, rows)) + "\n]" for k, rows in everything.items())
-    OUTPUT.write_text("{\n" + ",\n".join(groups) + "\n}\n")  # a line for each result
+    result_files.write("incompressible", everything)
     short = {k: v for k, v in found.items() if not isinstance(v, list) or len(v) < 4}
     print(*key.values(), short, flush=True)
 
@@ -249,7 +246,7 @@ def model_of(
 def default_step(model: pt.Solid) -> float:
     """Stable step [s] at rest with the default stiffness damping."""
     highest = model.stability.highest_frequency
-    return stable_step(highest, DAMPING / highest) if model.conservative else model.stability.step
+    return stable_step(highest, DEFAULT_DAMPING / highest) if model.conservative else model.stability.step
 
 
 def run(case: str, poisson: float, form: str, spacing: float, jitter: float) -> None:

@@ -14,18 +14,16 @@ of the compliances.
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
+import result_files
 from scipy.optimize import brentq, newton_krylov
 from scipy.sparse.linalg import LinearOperator, splu
 
 import palpate as pt
 from palpate.reduction.basis.linear_modes import rest_stiffness
 
-OUTPUT = Path(__file__).parent.parent / "docs" / "validation" / "interfaces.json"
 LENGTH, ACROSS = 0.08, 4  # cells across: the lattice is even in all directions
 TISSUE = {"density": 1000.0, "poisson": 0.0}
 SOFT = pt.materials.Gent(mu=8e3, Jm=3.0, density=1000.0, poisson=0.3)
@@ -124,7 +122,7 @@ def main() -> None:
         print(f"{cells} cells, {1e3 * LENGTH / cells:.2f} mm")
         for name, error in found.items():
             print(f"  {name:45s} {error:+.2%}", flush=True)
-    OUTPUT.write_text(json.dumps(report, indent=2) + "\n")
+    result_files.write("interfaces", report)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """The first problem of the cardiac benchmark of Land et al., Proc. R. Soc. A 471, 20150641, 2015, over the spacing.
 
-    python validation/land.py [--cells 4 6] [--bulk 100e3 400e3 800e3] [--out docs/validation/land.json]
+    python validation/land.py [--cells 4 6] [--bulk 100e3 400e3 800e3] [--keep]
 
 A beam of 10 x 1 x 1 mm of Guccione's law (C = 2 kPa, bf = 8, bt = 2, bfs = 4), fibres along it, incompressible, is held
 at x = 0; a pressure of 4 Pa pushes on its bottom and follows it. Asked for is the place of the point (10, 0.5, 1) mm:
@@ -12,12 +12,11 @@ swing. Every spacing starts from the rest of the coarser one.
 from __future__ import annotations
 
 import argparse
-import json
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
+import result_files
 from scipy.interpolate import RegularGridInterpolator
 
 import palpate as pt
@@ -92,23 +91,29 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cells", type=int, nargs="+", default=[4, 6], help="across the beam; even")
     parser.add_argument("--bulk", type=float, nargs="+", default=[100e3, 400e3, 800e3], help="bulk moduli [Pa]")
-    parser.add_argument("--out", type=Path, metavar="FILE")
+    parser.add_argument("--keep", action="store_true", help="add to docs/validation/land.json")
     args = parser.parse_args()
-    rows: list[dict[str, Any]] = []
+    rows: dict[tuple[float, int], dict[str, Any]] = {
+        (row["bulk"], row["cells_across"]): row for row in result_files.read("land", {"rows": []})["rows"]
+    }
     for bulk in args.bulk:
         before = None
         for cells in args.cells:
             row, before = solved(cells, bulk, before)
-            rows.append(row)
+            rows[bulk, cells] = row
             x, y, z = row["tip_mm"]
             print(
                 f"{cells:3d} cells across, bulk modulus {bulk / 1e3:5.0f} kPa: tip at ({x:.3f}, {y:.3f}, {z:.3f}) mm; "
                 f"force left {row['force_left']:.1e}, {row['steps']} steps, {row['seconds']:.0f} s",
                 flush=True,
             )
-            if args.out:
-                report = {"pressure": PRESSURE, "published_tip_z_mm": PUBLISHED, "rows": rows}
-                args.out.write_text(json.dumps(report, indent=2) + "\n")
+            if args.keep:
+                report = {
+                    "pressure": PRESSURE,
+                    "published_tip_z_mm": PUBLISHED,
+                    "rows": [rows[key] for key in sorted(rows)],
+                }
+                result_files.write("land", report)
 
 
 if __name__ == "__main__":

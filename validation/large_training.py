@@ -9,16 +9,14 @@ sampled nodes and the peak memory of the process, and appends them to docs/valid
 from __future__ import annotations
 
 import argparse
-import json
 import resource
-from pathlib import Path
 from time import perf_counter
 
 import numpy as np
+import result_files
 
 import palpate as pt
 
-RESULT = Path(__file__).parents[1] / "docs" / "validation" / "large_training.json"
 STATES, SHAPES, LARGEST = 200, 120, 0.15  # the largest displacement is this share of the block's side
 
 
@@ -65,8 +63,7 @@ def main() -> None:
         "gigabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6,
     }
     print(entry)
-    entries = json.loads(RESULT.read_text()) if RESULT.exists() else []
-    RESULT.write_text(json.dumps([*entries, entry], indent=1))
+    result_files.write("large_training", [*result_files.read("large_training", []), entry])
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """Every law in a block between clamps, against finite elements of the same printed energy: tension, compression, shear.
 
     python validation/law_elements.py [--laws NeoHookean ...] [--spacings 0.005 ...] [--forms energy strong] [--jobs 2]
-    python validation/law_elements.py --table    the table of docs/laws.md, from docs/validation/law_elements.json
 
 A block of 40 x 20 x 20 mm with Poisson's ratio 0.45 is clamped at both ends, and one end is moved: pulled by a fifth of
 the length, pushed by a tenth, or moved sideways by a quarter. The force on that end is compared with FElupe's 27-node
@@ -12,15 +11,14 @@ The strong form takes the first two spacings only.
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Callable
 from functools import cache
 from multiprocessing import get_context
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
+import result_files
 from equilibrium import newton
 from incompressible import moment_and_force
 from printed_laws import printed
@@ -29,7 +27,6 @@ from scipy.interpolate import RegularGridInterpolator
 import palpate as pt
 from palpate.tissue.catalogue import LAWS
 
-OUTPUT = Path(__file__).parents[1] / "docs" / "validation" / "law_elements.json"
 SIZE = (0.04, 0.02, 0.02)
 GIVEN = {"density": 1000.0, "poisson": 0.45}
 CASES = {"tension": (0, 0.2), "compression": (0, -0.1), "shear": (2, 0.25)}  # axis and share of the length
@@ -165,42 +162,20 @@ def keep(found: list[dict[str, Any]]) -> None:
     def key(row: dict[str, Any]) -> tuple[Any, ...]:
         return row["law"], row["case"], row["form"], spacing_of(row)
 
-    rows = {key(row): row for row in json.loads(OUTPUT.read_text())["rows"]} if OUTPUT.exists() else {}
+    rows = {key(row): row for row in result_files.read("law_elements", {"rows": []})["rows"]}
     rows |= {key(row): row for row in found}
-    head = json.dumps({"size": SIZE, **GIVEN, "cases": CASES})
-    OUTPUT.write_text(f'{{"about": {head}, "rows": [\n' + ",\n".join(map(json.dumps, rows.values())) + "\n]}\n")
-
-
-def table() -> None:
-    """Print the errors in per cent: a line for each law and form, spacings side by side."""
-    rows = json.loads(OUTPUT.read_text())["rows"]
-    spacings = sorted({spacing_of(row) for row in rows}, reverse=True)
-    print("| law | form |", " | ".join(CASES), "|\n|---|---|---|---|---|")
-    for name in bodies():
-        for form in ("energy", "strong"):
-            own = [row for row in rows if row["law"] == name and row["form"] == form]
-            cells = []
-            for case in CASES:
-                found = {spacing_of(row): row for row in own if row["case"] == case}
-                texts = (f"{100 * found[h]['error']:+.1f}" if "error" in found.get(h, {}) else "-" for h in spacings)
-                cells.append(", ".join(texts))
-            if own:
-                print(f"| `{name}` | {form} |", " | ".join(cells), "|")
-    print("largest change from mesh to mesh of the elements:", max(row.get("mesh_change", 0) for row in rows))
+    about = {"size": SIZE, **GIVEN, "cases": CASES}
+    result_files.write("law_elements", {"about": about, "rows": list(rows.values())})
 
 
 def main() -> None:
-    """Solve and keep, or print what is kept."""
+    """Solve, and keep the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--laws", nargs="+", choices=list(bodies()), default=list(bodies()))
     parser.add_argument("--spacings", type=float, nargs="+", default=list(SPACINGS))
     parser.add_argument("--forms", nargs="+", choices=["energy", "strong"], default=["energy", "strong"])
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--table", action="store_true")
     args = parser.parse_args()
-    if args.table:
-        table()
-        return
     tasks = [(name, tuple(args.forms), tuple(args.spacings)) for name in args.laws]
     with get_context("spawn").Pool(args.jobs) as pool:
         for rows in pool.imap_unordered(solve, tasks):

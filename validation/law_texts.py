@@ -21,7 +21,7 @@ import numpy as np
 
 import palpate as pt
 from palpate.tissue.parameters import own_fields
-from palpate.tissue.straight_line import FUNCTIONS
+from palpate.tissue.straight_line import FUNCTION_BY_NAME
 from palpate.tissue.symbolic_law import law_of
 
 REST = {"density": 1000.0, "poisson": 0.45}
@@ -39,7 +39,7 @@ def tree(rng: np.random.Generator, size: int, variables: tuple[str, ...], signs:
     if size <= 0:
         return str(rng.choice(variables if rng.random() < 0.6 else (*(f"c{i}" for i in range(8)), "1.7", "0.3")))
     if rng.random() < share:
-        return f"{rng.choice(list(FUNCTIONS))}({tree(rng, size - 1, variables, signs, share)})"
+        return f"{rng.choice(list(FUNCTION_BY_NAME))}({tree(rng, size - 1, variables, signs, share)})"
     left = int(rng.integers(size))
     one, two = (tree(rng, n, variables, signs, share) for n in (left, size - 1 - left))
     return f"({one} {rng.choice(signs.split())} {two})"

@@ -23,7 +23,7 @@ from scipy.optimize import minimize_scalar
 import palpate as pt
 from palpate.tissue.catalogue import FIBRE_LAWS, LAWS, RELAXATION
 from palpate.tissue.homogeneous import compressible, isochoric_stress
-from palpate.tissue.volumetric import FORMS
+from palpate.tissue.volumetric import FORM_BY_NAME
 
 STRETCH, TWO, SHEAR = np.linspace(-0.45, 0.9, 109), np.linspace(-0.25, 0.5, 76), np.linspace(-0.45, 0.9, 109)
 PATHS = {"uniaxial": (STRETCH, "tab:blue"), "equibiaxial": (TWO, "tab:green"), "shear": (SHEAR, "tab:orange")}
@@ -116,7 +116,7 @@ def relaxation_panel(axis: Any) -> None:
 
 def volume_panel(axis: Any) -> None:
     J = np.linspace(0.2, 2.0, 181)
-    for form in FORMS.values():
+    for form in FORM_BY_NAME.values():
         axis.plot(J, form.pressure(J - 1)[0], label=form.name)
     axis.set(ylim=(-4, 1.5), xlabel="J", ylabel="U'(J) / lame")
     axis.legend(frameon=False, loc="lower right", handlelength=1.2)

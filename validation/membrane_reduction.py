@@ -8,17 +8,15 @@ docs/validation/membrane_reduction.json. About five minutes.
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from itertools import product
-from pathlib import Path
 
 import numpy as np
+import result_files
 
 import palpate as pt
 from palpate.scenes.membrane import membrane
 
-OUTPUT = Path(__file__).parent.parent / "docs" / "validation" / "membrane_reduction.json"
 PHASE, EVERY = 0.1, 0.002  # [s]
 TRAININGS = {
     "fitted lifting": {"lifting": "fitted"},
@@ -76,7 +74,7 @@ def main() -> None:
                 row[label]["time_ratio"] = run.wall_seconds / expected.wall_seconds
             rows.append(row)
             show(row)
-            OUTPUT.write_text(json.dumps(rows, indent=1))
+            result_files.write("membrane_reduction", rows)
 
 
 def show(row):

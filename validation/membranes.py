@@ -7,12 +7,11 @@ runs the named studies, or all (half an hour), prints their tables and writes th
 
 from __future__ import annotations
 
-import json
 import sys
 from itertools import product
-from pathlib import Path
 
 import numpy as np
+import result_files
 from axisymmetric import inflate, neo_hookean, poke
 from equilibrium import relax
 from scipy.special import jn_zeros
@@ -20,7 +19,6 @@ from scipy.special import jn_zeros
 import palpate as pt
 from palpate.scenes.membrane import membrane
 
-OUTPUT = Path(__file__).parent.parent / "docs" / "validation" / "membranes.json"
 RADIUS, THICKNESS, C1 = 0.1, 1e-5, 0.17e6
 LAW = pt.materials.NeoHookean(C1=C1, density=1200.0, poisson=0.5)
 SPACINGS = (0.01, 0.005, 0.0025)
@@ -187,10 +185,10 @@ STUDIES = {"statics": statics, "nodes": nodes, "frequencies": frequencies, "layo
 
 def main() -> None:
     """Run the named studies, or all, and keep the others' tables."""
-    kept = json.loads(OUTPUT.read_text()) if OUTPUT.is_file() else {}
+    kept = result_files.read("membranes", {})
     for name in sys.argv[1:] or STUDIES:
         kept[name] = STUDIES[name]()
-        OUTPUT.write_text(json.dumps(kept, indent=1))
+        result_files.write("membranes", kept)
 
 
 if __name__ == "__main__":

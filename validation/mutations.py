@@ -133,7 +133,8 @@ MUTATIONS = (
     ),
     Mutation(
         "unknown loads taken by the sampled model", "reduction/hyper/loads.py",
-        'check_kinds(loads, KINDS, "loads of a sampled', '(loads, KINDS, "loads of a sampled',
+        'check_kinds(\n        loads, PERMITTED_LOADS, "loads of a sampled',
+        '(\n        loads, PERMITTED_LOADS, "loads of a sampled',
         (f"{LOADS}::test_a_new_kind_of_load_is_refused_until_a_model_has_forces_for_it[hyper-reduced]",),
     ),
     # constraints and contact
@@ -149,7 +150,7 @@ MUTATIONS = (
     ),
     Mutation(
         "a roller's statics without its normal", "dynamics/loads/supports.py",
-        "slide.append(np.eye(3) - own.T @ own)", "slide.append(np.eye(3))",
+        "slide.append(np.eye(3) - held_directions.T @ held_directions)", "slide.append(np.eye(3))",
         ("tests/dynamics/loads/test_supports.py::test_the_surface_compliance_respects_rollers",),
     ),
     Mutation(
@@ -247,7 +248,7 @@ MUTATIONS = (
     ),
     Mutation(
         "slides through the body", "scenes/tool_paths.py",
-        "np.all(gaps >= -MAX_SAG * depths - TOUCH * self.radius)", "np.all(gaps >= -self.radius)",
+        "np.all(gaps >= -MAX_SAG * depths - TOUCH_RADII * self.radius)", "np.all(gaps >= -self.radius)",
         ("tests/scenes/test_tool_paths.py::test_slides_over_a_bulge_are_not_deeper_than_presses",),
     ),
     Mutation(

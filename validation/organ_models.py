@@ -22,6 +22,7 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
+import result_files
 from organs import DATA, SURFACES
 
 import palpate as pt
@@ -30,10 +31,8 @@ from palpate.app.train.scene_folder import training_folder
 from palpate.reduction.training.errors import contact_errors
 from palpate.scenes.open_scene import training_scene_of
 
-RESULTS = Path(__file__).parents[1] / "docs" / "validation" / "organ_models.json"
 PATHS, HELD_OUT = 32, 10
 PRESS_SECONDS, DEPTH = 1.0, 0.2  # [s] of the script; depth of its press over the radius of the ball
-LIGHT = 0.1  # largest force of a path over that of all, below which its table has it as one of little force
 
 
 def palpate(*words: Any) -> tuple[float, str]:
@@ -112,49 +111,6 @@ def train(scene: Path, *options: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def table(entries: list[dict[str, Any]]) -> str:
-    """Return the table of the document."""
-    lines = [
-        "| organ | nodes | first force | small model | force; 95 %; surface | 32 paths | force; 95 %; surface | file |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for each in entries:
-        small, large = each["small"], each.get("large")
-        words = [
-            each["organ"], f"{small['nodes']:,}", f"{each['new'] + each['first_force']:.0f} s",
-            f"{small['seconds'] / 60:.1f} min", errors(small),
-            f"{large['seconds'] / 60:.1f} min" if large else "", errors(large) if large else "",
-            f"{(large or small)['megabytes']:.1f} MB",
-        ]  # fmt: skip
-        lines.append(f"| {' | '.join(words)} |")
-    return "\n".join(lines)
-
-
-def held_out_table(entries: list[dict[str, Any]]) -> str:
-    """Return the table of the document on paths of little force."""
-    lines = [
-        "| organ | largest force | paths below a tenth of it | their force, 95 % | of the others |",
-        "|---|---|---|---|---|",
-    ]
-    for each in entries:
-        paths = each.get("large", {}).get("held_out", [])
-        if paths:
-            most = max(path["largest"] for path in paths)
-            light = [path["force_95"] for path in paths if path["largest"] < LIGHT * most]
-            others = [path["force_95"] for path in paths if path["largest"] >= LIGHT * most]
-            words = [each["organ"], f"{most:.2g} N", f"{len(light)} of {len(paths)}", span(light), span(others)]
-            lines.append(f"| {' | '.join(words)} |")
-    return "\n".join(lines)
-
-
-def span(errors: list[float]) -> str:
-    return f"{min(errors):.0%} to {max(errors):.0%}" if errors else ""
-
-
-def errors(found: dict[str, Any]) -> str:
-    return f"{found['force']:.1%}; {found['force_95']:.1%}; {found['surface_95']:.1%}"
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", nargs="+", default=[name for name, source in SURFACES.items() if source])
@@ -163,20 +119,16 @@ def main() -> None:
     parser.add_argument(
         "--held-out", action="store_true", help="add the errors of each held-out path of models at hand"
     )
-    parser.add_argument("--table", action="store_true", help="print the tables of the results and end")
     given = parser.parse_args()
-    entries = {each["organ"]: each for each in json.loads(RESULTS.read_text())} if RESULTS.exists() else {}
-    if not given.table:
-        given.folder.mkdir(parents=True, exist_ok=True)
-        for name in given.only:
-            if given.held_out:
-                entries[name]["large"]["held_out"] = held_out_errors(scene_file(name, given.folder))
-            else:
-                entries[name] = measure(name, given.folder, given.small)
-            print(json.dumps(entries[name]), flush=True)
-            lines = ",\n".join(json.dumps(each) for each in entries.values())
-            RESULTS.write_text(f"[\n{lines}\n]\n")
-    print(table(list(entries.values())), held_out_table(list(entries.values())), sep="\n\n")
+    entries = {each["organ"]: each for each in result_files.read("organ_models", [])}
+    given.folder.mkdir(parents=True, exist_ok=True)
+    for name in given.only:
+        if given.held_out:
+            entries[name]["large"]["held_out"] = held_out_errors(scene_file(name, given.folder))
+        else:
+            entries[name] = measure(name, given.folder, given.small)
+        print(json.dumps(entries[name]), flush=True)
+        result_files.write("organ_models", list(entries.values()))
 
 
 if __name__ == "__main__":

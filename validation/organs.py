@@ -19,6 +19,7 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
+import result_files
 
 import palpate as pt
 
@@ -118,54 +119,24 @@ def main() -> None:
     parser.add_argument("--form", nargs="+", default=["energy"])
     parser.add_argument("--only", nargs="+", default=list(SURFACES))
     parser.add_argument("--data", type=Path, default=DATA)
-    parser.add_argument("--table", action="store_true", help="only print the table of all results")
-    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "validation" / "organs.json")
     options = parser.parse_args()
-    if options.table:
-        print(table(json.loads(options.out.read_text())["cases"]))
-        return
     for nodes in options.nodes:
         for form in options.form:
             for poisson in options.poisson:
                 for name in options.only:
                     entry = run(name, nodes, poisson, form, options.data)
-                    add(options.out, entry | {"wished_nodes": nodes})
+                    add(entry | {"wished_nodes": nodes})
                     print(json.dumps(entry), flush=True)
 
 
-def table(cases: list[dict[str, Any]]) -> str:
-    """Return the results of the energy form as a table in Markdown, a surface and Poisson's ratio a line."""
-    cases = [case for case in cases if case["form"] == "energy"]
-    sizes = sorted({case["wished_nodes"] for case in cases})
-    found = {(case["surface"], case["poisson"], case["wished_nodes"]): case for case in cases}
-    lines = ["| surface | Poisson's ratio | " + " | ".join(f"{size:,} nodes" for size in sizes) + " |"]
-    lines.append("|---" * (2 + len(sizes)) + "|")
-    for surface, poisson in sorted({key[:2] for key in found}):
-        cells = [cell(found.get((surface, poisson, size))) for size in sizes]
-        lines.append(f"| {surface} | {poisson} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
-
-
-def cell(case: dict[str, Any] | None) -> str:
-    """Say in a few words what came of a case."""
-    if case is None:
-        return "not run"
-    if "energy_at_release" not in case:
-        return f"stopped: {case['why'].split(';')[0]}"
-    left = case["energy_at_end"] / case["energy_at_release"]
-    outcome = f"{left:.0%} left" if case["stable"] else "energy grows"
-    return f"{1e3 * case['spacing']:.3g} mm: {outcome}, gap {case['balance']:.2%}"
-
-
-def add(path: Path, entry: dict[str, Any]) -> None:
+def add(entry: dict[str, Any]) -> None:
     """Put a case among the results, in place of the same one run before."""
-    cases = json.loads(path.read_text())["cases"] if path.is_file() else []
+    cases = result_files.read("organs", {"cases": []})["cases"]
     same = ("form", "wished_nodes", "poisson", "surface")
     cases = [case for case in cases if any(case[key] != entry[key] for key in same)]
     cases.append(entry)
     cases.sort(key=lambda case: tuple(case[key] for key in same))
-    lines = ",\n".join(json.dumps(case) for case in cases)
-    path.write_text(f'{{"cases": [\n{lines}\n]}}\n')
+    result_files.write("organs", {"cases": cases})
 
 
 if __name__ == "__main__":

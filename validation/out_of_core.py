@@ -25,6 +25,7 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
+import result_files
 from numpy.typing import NDArray
 
 import palpate as pt
@@ -36,7 +37,6 @@ from palpate.sealed import write_sealed
 
 Floats = NDArray[np.float64]
 
-RESULT = Path(__file__).parents[1] / "docs" / "validation" / "out_of_core.json"
 SHAPES, FRAMES, LARGEST = 150, 100, 0.1  # frames in a file; the largest displacement over the block's side
 SPARE = 8
 
@@ -162,8 +162,7 @@ def main() -> None:
     command = [sys.executable, __file__, *sys.argv[1:], "--inside"]
     entry = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout)
     print(json.dumps(entry, indent=1))
-    entries = json.loads(RESULT.read_text()) if RESULT.exists() else []
-    RESULT.write_text(json.dumps([*entries, entry], indent=1) + "\n")
+    result_files.write("out_of_core", [*result_files.read("out_of_core", []), entry])
 
 
 if __name__ == "__main__":

@@ -20,16 +20,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import result_files
 
 import palpate as pt
-from palpate.app.train.campaign import REPEATED
+from palpate.app.train.campaign import MAX_REPEATED
 from palpate.app.train.folder import HELD_OUT, jobs
 from palpate.reduction.basis.linear_modes import interpolated_modes
 from palpate.reduction.contact.coarse_body import coarse_body
 from palpate.reduction.contact.residual_flexibility import MAX_NODES
 from palpate.scenes.training import training_scene
 
-OUTPUT = Path(__file__).parents[1] / "docs" / "validation" / "presses.json"
 MOST = 1000  # runs of either kind that are looked for
 MEANS = ("force", "force_95", "surface_95", "farthest_95")
 LEAST = 0.1  # of the largest force: frames that count
@@ -79,7 +79,8 @@ def main() -> None:
         coarse = scene.model if len(scene.model.cloud) <= MAX_NODES else coarse_body(scene.model)
         trained = [(scene.path(job.seed)[0], path) for job, path in found if job.kind != HELD_OUT]
         model = pt.hyper_reduce(
-            scene.model, [path for _, path in trained], modes=args.modes, coarse=coarse, repeated=trained[:REPEATED],
+            scene.model, [path for _, path in trained], modes=args.modes, coarse=coarse,
+            repeated=trained[:MAX_REPEATED],
             enrichment=interpolated_modes(coarse, scene.model, shapes) if shapes else None,
             cubature=args.cubature,
         )  # fmt: skip
@@ -93,9 +94,8 @@ def main() -> None:
     kinds = sorted({row["kind"] for row in rows})
     means = {kind: _means([row for row in rows if row["kind"] == kind]) for kind in kinds}
     print("means", means)
-    kept = json.loads(OUTPUT.read_text()) if OUTPUT.exists() else []
-    kept = [entry for entry in kept if entry["about"] != about]
-    OUTPUT.write_text(json.dumps([*kept, {"about": about, "means": means, "presses": rows}], indent=1) + "\n")
+    kept = [entry for entry in result_files.read("presses", []) if entry["about"] != about]
+    result_files.write("presses", [*kept, {"about": about, "means": means, "presses": rows}])
 
 
 if __name__ == "__main__":

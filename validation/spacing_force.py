@@ -6,7 +6,7 @@ same place of the same surface filled with nodes half as far apart.
 
     python validation/spacing_force.py [--only NAME ...] [--nodes 3000] [--finer 2]
 
-The table in docs/verification.md is its output.
+It adds a row a place to docs/validation/spacing_force.json; docs/claims/organ_force.md has the table.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
+import result_files
 from organs import DATA, spacing_for, surface
 
 import palpate as pt
@@ -81,10 +82,7 @@ def main() -> None:
     parser.add_argument("--nodes", type=int, default=3000)
     parser.add_argument("--finer", type=float, default=2.0, help="spacing over the finer one")
     options = parser.parse_args()
-    print(
-        "| organ | nodes | ball, depth [mm] | contact radius / spacing | force [N], finer | error | drift | seconds |"
-    )
-    print("|---" * 8 + "|")
+    rows = result_files.read("spacing_force", [])
     for name in options.only:
         if name != "generated" and not DATA.is_dir():
             print(f"{name} left out: there is no folder {DATA}")
@@ -93,16 +91,19 @@ def main() -> None:
         spacing = spacing_for(body, options.nodes)
         clouds = [pt.fill(body, spacing / finer) for finer in (1.0, options.finer)]
         radius = RADIUS * np.cbrt(body.volume)
-        for point, direction in (place(body, outward) for outward in OUTWARD):
+        for side, (point, direction) in enumerate(place(body, outward) for outward in OUTWARD):
             depth = DEPTH * thickness(body, point, direction)
             coarse, fine = (press(cloud, point, direction, radius, depth) for cloud in clouds)
-            print(
-                f"| {name} | {len(clouds[0]):,}, {len(clouds[1]):,} | {1e3 * radius:.3g}, {1e3 * depth:.2g} "
-                f"| {np.sqrt(radius * depth) / spacing:.2g} | {coarse['force']:.3g}, {fine['force']:.3g} "
-                f"| {coarse['force'] / fine['force'] - 1:+.1%} | {coarse['drift']:+.1%}, {fine['drift']:+.1%} "
-                f"| {coarse['seconds']:.0f}, {fine['seconds']:.0f} |",
-                flush=True,
-            )
+            row = {
+                "organ": name, "side": side, "nodes": [len(cloud) for cloud in clouds], "radius": float(radius),
+                "depth": float(depth), "spacing": float(spacing),
+                "force": [float(each["force"]) for each in (coarse, fine)],
+                "drift": [float(each["drift"]) for each in (coarse, fine)],
+                "seconds": [each["seconds"] for each in (coarse, fine)],
+            }  # fmt: skip
+            rows = [each for each in rows if (each["organ"], each["side"]) != (name, side)] + [row]
+            print(row, flush=True)
+            result_files.write("spacing_force", rows)
 
 
 if __name__ == "__main__":

@@ -3,14 +3,15 @@
     python validation/stable_step.py
     python validation/stable_step.py --filled
 
-For a box on a lattice, a box of jittered nodes and two livers the script prints
+For a box on a lattice, a box of jittered nodes and two livers the script finds
 
 - the highest frequency at rest over that of a wave of two spacings, and the nodes that vibrate;
 - the largest step that a free vibration of small random velocities survives, over the step that runs take;
 - the step that would be stable if the nodes had at least a share of the median nodal mass.
 
-With `--filled` it prints the stable steps of ten filled bodies without and with transfers to nodes of small weight. It
-also prints what the transfers change in the first frequency and in the mean displacement under a small weight.
+With `--filled` it finds the stable steps of ten filled bodies without and with transfers to nodes of small weight. It
+also finds what the transfers change in the first frequency and in the mean displacement under a small weight. Both
+write docs/validation/stable_step.json.
 """
 
 from __future__ import annotations
@@ -19,8 +20,10 @@ import argparse
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import result_files
 import scipy.sparse as sparse
 from scipy.sparse.linalg import eigsh
 
@@ -107,53 +110,55 @@ def responses(model: pt.Solid) -> tuple[float, float]:
     return float(_vibrations(model, statics, 1)[1][0]), float(model.masses @ field[:, 2] / model.masses.sum())
 
 
-def print_filled() -> None:
+def filled() -> list[dict[str, Any]]:
     law = pt.materials.NeoHookean(C1=500.0, density=1000.0, poisson=0.45)
-    print("| body | nodes | step without transfers [us] | with [us] | ratio | first frequency | displacement |")
-    print("|---|---|---|---|---|---|---|")
+    rows = []
     for name, cloud in filled_bodies():
         with without_transfers():
             before = clamped(cloud, law)
         after = clamped(cloud, law)
         (f0, u0), (f1, u1) = responses(before), responses(after)
-        steps = before.stability.step, after.stability.step
-        print(f"| {name} | {len(cloud):,} | {1e6 * steps[0]:.0f} | {1e6 * steps[1]:.0f} | {steps[1] / steps[0]:.2f} | "
-              f"{f1 / f0 - 1:+.2%} | {u1 / u0 - 1:+.2%} |", flush=True)  # fmt: skip
+        rows.append({
+            "body": name, "nodes": len(cloud), "steps": [before.stability.step, after.stability.step],
+            "frequency_change": f1 / f0 - 1, "displacement_change": u1 / u0 - 1,
+        })  # fmt: skip
+        print(rows[-1], flush=True)
+    return rows
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--filled", action="store_true", help="print the table of ten filled bodies")
-    if parser.parse_args().filled:
-        print_filled()
-    else:
-        print_limits()
-
-
-def print_limits() -> None:
+def limits() -> list[dict[str, Any]]:
     tissue = pt.materials.NeoHookean(C1=500.0, density=1000.0, poisson=0.45)
     bodies = {
-        "box": pt.Solid(pt.box((0.1, 0.02, 0.02), 0.004), tissue, "x-"),
-        "jittered box": pt.Solid(pt.box((0.1, 0.02, 0.02), 0.004, 0.2), tissue, "x-"),
+        "box, lattice": pt.Solid(pt.box((0.1, 0.02, 0.02), 0.004), tissue, "x-"),
+        "box, jittered": pt.Solid(pt.box((0.1, 0.02, 0.02), 0.004, 0.2), tissue, "x-"),
         "liver, 12 mm": open_scene("liver", {"spacing": 0.012, "tool.radius": 0.03}).body,
         "liver, 9 mm": open_scene("liver").body,
     }
+    rows = []
     for name, model in bodies.items():
         law, median = model.material, float(np.median(model.masses))
         highest, share = fastest(model, model.masses)
         wave = np.pi / model.cloud.spacing * np.sqrt((law.lame + 2 * law.shear_modulus) / law.density)
         order = np.argsort(share)[::-1][:4]
-        print(f"{name}: {len(model.cloud)} nodes, masses {model.masses.min() / median:.2f} to "
-              f"{model.masses.max() / median:.1f} of the median")  # fmt: skip
-        print(f"  highest frequency {highest / wave:.2f} of a wave of two spacings; four nodes have "
-              f"{share[order].sum():.0%} of its energy, with {model.masses[order].mean() / median:.2f} of the median "
-              f"mass; nodes below half of it have {share[model.masses < 0.5 * median].sum():.0%}")  # fmt: skip
-        print(f"  steps are stable up to {largest_step(model):.2f} times the step of runs")
-        for least in SHARES:
-            own = np.maximum(model.masses, least * median)
-            ratio = highest / fastest(model, own)[0]
-            print(f"  masses of at least {least:.0%} of the median: steps {ratio:.2f} times as long, "
-                  f"{own.sum() / model.masses.sum() - 1:.2%} more mass")  # fmt: skip
+        raised = {f"{least:g}": np.maximum(model.masses, least * median) for least in SHARES}
+        rows.append({
+            "body": name, "nodes": len(model.cloud), "frequency_over_wave": highest / wave,
+            "share_of_four": float(share[order].sum()), "mass_of_four": float(model.masses[order].mean() / median),
+            "share_of_light": float(share[model.masses < 0.5 * median].sum()),
+            "masses": [float(model.masses.min() / median), float(model.masses.max() / median)],
+            "largest_step": float(largest_step(model)),
+            "step_with_least_mass": {least: highest / fastest(model, own)[0] for least, own in raised.items()},
+            "mass_added": {least: float(own.sum() / model.masses.sum() - 1) for least, own in raised.items()},
+        })  # fmt: skip
+        print(rows[-1], flush=True)
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--filled", action="store_true", help="the steps of ten filled bodies")
+    name, study = ("filled", filled) if parser.parse_args().filled else ("limits", limits)
+    result_files.write("stable_step", result_files.read("stable_step", {}) | {name: study()})
 
 
 if __name__ == "__main__":

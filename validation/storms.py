@@ -21,7 +21,7 @@ import numpy as np
 
 import palpate as pt
 from palpate.app.view.session.messages import validate_message
-from palpate.app.view.session.session import MODULUS, Session
+from palpate.app.view.session.session import MODULUS_NAME, Session
 
 SIZE, SPACING = (0.06, 0.06, 0.03), 0.006  # [m]
 REACH = 0.03  # [m] of jumps beyond the body
@@ -50,7 +50,7 @@ def random_message(rng: np.random.Generator) -> dict[str, Any]:
         on = np.array([*rng.uniform(0, SIZE[:2]), SIZE[2]])
         return {"type": "tool", "kind": "grasp", "radius": 0.01, "position": on.tolist()}
     if kind == "material":
-        return {"type": "material", "name": MODULUS, "value": float(2.2 * rng.uniform(0.3, 3.5))}
+        return {"type": "material", "name": MODULUS_NAME, "value": float(2.2 * rng.uniform(0.3, 3.5))}
     if kind == "reset":
         return {"type": "control", "action": "reset"}
     if kind == "speed":

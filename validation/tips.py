@@ -14,12 +14,12 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+import result_files
 from scipy.interpolate import RegularGridInterpolator
 
 import palpate as pt
 
 HERE = Path(__file__).parent
-OUTPUT = HERE.parent / "docs" / "validation" / "tips.json"
 
 
 def body(spacing: float, poisson: float, form: str, pressure: str, half_cell: float) -> pt.Solid:
@@ -65,8 +65,7 @@ def main() -> None:
     parser.add_argument("--half-cell", type=float, default=3.0)
     args = parser.parse_args()
     reference = json.loads((HERE / "reference" / "finite_elements.json").read_text())
-    OUTPUT.parent.mkdir(parents=True, exist_ok=True)
-    rows = json.loads(OUTPUT.read_text()) if OUTPUT.exists() else []
+    rows = result_files.read("tips", [])
     bodies = [("strong", p, args.half_cell) for p in args.pressure if "strong" in args.forms]
     bodies += [("energy", "smoothed", 2.0)] if "energy" in args.forms else []
     for kind, poisson, (form, pressure, half_cell) in product(args.kinds, args.poisson, bodies):
@@ -91,7 +90,7 @@ def main() -> None:
                 rows = [row for row in rows if any(row[k] != v for k, v in key.items())]
                 rows.append({**key, "tip": tip.tolist(), "reference": target.tolist(), "error": error})
                 print(*key.values(), np.round(tip * 1e3, 3), np.round(target * 1e3, 3), f"{error:.2%}", flush=True)
-            OUTPUT.write_text(json.dumps(rows, indent=1))
+            result_files.write("tips", rows)
 
 
 if __name__ == "__main__":

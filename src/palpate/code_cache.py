@@ -51,23 +51,25 @@ def _checked(locator: Any) -> Any:
 
         @classmethod
         def from_function(cls, function: Callable[..., Any], file: str) -> Any:
-            found = super().from_function(function, file)
+            locator_of_file = super().from_function(function, file)
             try:
-                if found is not None:  # not every class of Numba checks it
-                    found.ensure_cache_path()
+                if locator_of_file is not None:  # not every class of Numba checks it
+                    locator_of_file.ensure_cache_path()
             except OSError:
                 return None
-            return found
+            return locator_of_file
 
     return Checked
 
 
 # who can write next to the sources can change these, too
-LOCATORS = [each if each is InTreeCacheLocator else _checked(each) for each in CompileResultCacheImpl._locator_classes]
+CACHE_LOCATORS = [
+    each if each is InTreeCacheLocator else _checked(each) for each in CompileResultCacheImpl._locator_classes
+]
 
 
 class _SafeImpl(CompileResultCacheImpl):  # type: ignore[misc]
-    _locator_classes = LOCATORS
+    _locator_classes = CACHE_LOCATORS
 
 
 class SafeCache(FunctionCache):  # type: ignore[misc]

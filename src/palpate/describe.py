@@ -20,10 +20,10 @@ Fact = tuple[str, Any, str]  # name, value, SI unit; a value of None is left out
 MAX_LINE_CHARACTERS = 160  # characters of a repr
 MAX_VALUE_CHARACTERS = 120  # characters of one value
 MAX_LISTED_NUMBERS = 6  # of a sequence that is printed in full
-PREFIXES = {-9: "n", -6: "\u00b5", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
-LENGTHS = {-6: "\u00b5m", -3: "mm", -2: "cm", 0: "m", 3: "km"}  # for areas and volumes
-PREFIXED = {"m", "s", "Pa", "N", "J", "Hz", "m/s", "N m", "N/m"}  # units that take a prefix
-POWERS = {"m^2": 2, "m^3": 3}
+PREFIX_BY_POWER = {-9: "n", -6: "\u00b5", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+LENGTH_BY_POWER = {-6: "\u00b5m", -3: "mm", -2: "cm", 0: "m", 3: "km"}  # for areas and volumes
+PREFIXED_UNITS = {"m", "s", "Pa", "N", "J", "Hz", "m/s", "N m", "N/m"}  # units that take a prefix
+POWER_BY_UNIT = {"m^2": 2, "m^3": 3}
 
 
 class Described:
@@ -93,8 +93,8 @@ def quantity(value: Any, unit: str = "") -> str:
     if isinstance(value, int | np.integer):
         return f"{int(value):,}{tail}"
     if isinstance(value, float | np.floating):
-        scale, own = _scaled(abs(float(value)), unit)
-        return f"{_three(float(value) / scale)}{f' {own}' if own else ''}"
+        scale, scaled_unit = _scaled(abs(float(value)), unit)
+        return f"{_three(float(value) / scale)}{f' {scaled_unit}' if scaled_unit else ''}"
     if callable(value):
         return f"a function{f' [{unit}]' if unit else ''}"
     if isinstance(value, np.ndarray) and (value.ndim != 1 or len(value) > MAX_LISTED_NUMBERS):
@@ -115,20 +115,20 @@ def _joined(values: Any, otherwise: str) -> str:
 
 
 def _numbers(values: list[float], unit: str) -> str:
-    scale, own = _scaled(max(map(abs, values)), unit)
+    scale, scaled_unit = _scaled(max(map(abs, values)), unit)
     shown = ", ".join(_three(each / scale) for each in values[:MAX_LISTED_NUMBERS])
     more = ", ..." if len(values) > MAX_LISTED_NUMBERS else ""
-    return f"{shown if len(values) == 1 else f'({shown}{more})'}{f' {own}' if own else ''}"
+    return f"{shown if len(values) == 1 else f'({shown}{more})'}{f' {scaled_unit}' if scaled_unit else ''}"
 
 
 def _scaled(size: float, unit: str) -> tuple[float, str]:
-    """Return what to divide by, and the unit with its prefix, so that a size lies from 1 to 1000 if it can."""
-    power = POWERS.get(unit, 1)
-    known = LENGTHS if unit in POWERS else PREFIXES if unit in PREFIXED else {0: unit}
-    if not 0 < size < np.inf or len(known) == 1:
+    """Return a divisor, and the unit with its prefix, so that a size lies from 1 to 1000 if possible."""
+    power = POWER_BY_UNIT.get(unit, 1)
+    prefixes = LENGTH_BY_POWER if unit in POWER_BY_UNIT else PREFIX_BY_POWER if unit in PREFIXED_UNITS else {0: unit}
+    if not 0 < size < np.inf or len(prefixes) == 1:
         return 1.0, unit
-    fits = [exponent for exponent in known if size >= 0.9995 * 10.0 ** (power * exponent)] or [min(known)]
-    name = f"{known[max(fits)]}^{power}" if unit in POWERS else f"{known[max(fits)]}{unit}"
+    fits = [exponent for exponent in prefixes if size >= 0.9995 * 10.0 ** (power * exponent)] or [min(prefixes)]
+    name = f"{prefixes[max(fits)]}^{power}" if unit in POWER_BY_UNIT else f"{prefixes[max(fits)]}{unit}"
     return 10.0 ** (power * max(fits)), name
 
 

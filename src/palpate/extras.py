@@ -6,9 +6,9 @@ from importlib.util import find_spec
 
 from palpate.faults import InputError
 
-__all__ = ["EXTRAS", "require"]
+__all__ = ["EXTRA_BY_PACKAGE", "require"]
 
-EXTRAS = {
+EXTRA_BY_PACKAGE = {
     "distributed": "cluster",
     "imageio": "film",
     "imageio_ffmpeg": "film",
@@ -25,7 +25,7 @@ def require(package: str, what: str) -> None:
     Parameters
     ----------
     package : str
-        Name by which it is imported, one of `EXTRAS`.
+        Name by which it is imported, one of `EXTRA_BY_PACKAGE`.
     what : str
         What requires it, as the message begins: ``"a page in the browser"``.
 
@@ -35,8 +35,10 @@ def require(package: str, what: str) -> None:
         It is not installed; the message names the extra and the command.
     """
     try:
-        found = find_spec(package) is not None
+        installed = find_spec(package) is not None
     except (ImportError, ValueError):
-        found = False
-    if not found:
-        raise InputError(f"{what} requires {package}, which is not installed; pip install 'palpate[{EXTRAS[package]}]'")
+        installed = False
+    if not installed:
+        raise InputError(
+            f"{what} requires {package}, which is not installed; pip install 'palpate[{EXTRA_BY_PACKAGE[package]}]'"
+        )

@@ -95,6 +95,7 @@ class TrustWarning(RuntimeWarning):
 
     Examples
     --------
+    >>> import warnings
     >>> import palpate as pt
     >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
     >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
@@ -102,7 +103,6 @@ class TrustWarning(RuntimeWarning):
     >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
     >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
     >>> model = pt.hyper_reduce(bar, full, modes=4)
-    >>> import warnings
     >>> sideways = pt.SurfaceForce("x+", force=(0, 0.1, 0))
     >>> with warnings.catch_warnings(record=True) as caught:
     ...     warnings.simplefilter("always")
@@ -203,12 +203,12 @@ def integer_in_range(name: str, value: int, low: int, high: float = math.inf) ->
     return int(value)
 
 
-def check_names(of: str, given: Iterable[str], allowed: Mapping[str, str]) -> None:
+def check_names(owner: str, given: Iterable[str], allowed: Mapping[str, str]) -> None:
     """Refuse arguments that a class does not have.
 
     Parameters
     ----------
-    of : str
+    owner : str
         The class.
     given : iterable of str
     allowed : mapping of str to str
@@ -221,10 +221,10 @@ def check_names(of: str, given: Iterable[str], allowed: Mapping[str, str]) -> No
     """
     for name in given:
         if name not in allowed:
-            known = ", ".join(f"{each} [{unit}]" if unit else each for each, unit in allowed.items())
+            permitted = ", ".join(f"{each} [{unit}]" if unit else each for each, unit in allowed.items())
             near = get_close_matches(name, allowed, 1, 0.0)
             remedy = f"; did you mean {near[0]}?" if near else ""
-            raise InputError(f"arguments of {of} must be among {known}, got {brief(name)[1:-1]}{remedy}")
+            raise InputError(f"arguments of {owner} must be among {permitted}, got {brief(name)[1:-1]}{remedy}")
 
 
 def warn_of_unit(name: str, value: float, low: float, high: float, unit: str, remedy: str) -> None:

@@ -118,16 +118,16 @@ def regular_file(path: Path, what: str, most: int | None = None) -> int:
         It is not a regular file, too large, or cannot be read.
     """
     try:
-        found = os.stat(path)
+        status = os.stat(path)
     except (FileNotFoundError, NotADirectoryError):
         raise FileNotFoundError(f"there is no {what} at {path}") from None
     except (OSError, ValueError) as error:  # a name that is too long, or holds a null byte
         raise FileFormatError(f"{str(path)!r} cannot be read ({getattr(error, 'strerror', None) or error})") from None
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         raise FileFormatError(f"{path} is not a regular file; give the {what} itself")
-    if most is not None and found.st_size > most:
-        raise FileFormatError(f"{path} has {found.st_size} bytes; a {what} has at most {most}")
-    return found.st_size
+    if most is not None and status.st_size > most:
+        raise FileFormatError(f"{path} has {status.st_size} bytes; a {what} has at most {most}")
+    return status.st_size
 
 
 def read_bytes(path: Path, what: str, most: int | None = None) -> bytes:

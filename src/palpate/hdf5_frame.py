@@ -9,10 +9,10 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-__all__ = ["HEAD", "LEVEL", "Frame", "lay_out"]
+__all__ = ["DEFLATE_LEVEL", "HEAD_BYTES", "Frame", "lay_out"]
 
-HEAD = 512  # bytes before HDF5's datatype, which it leaves to its users
-LEVEL = 4  # of deflate; 6 takes three times as long to save 2 %
+HEAD_BYTES = 512  # bytes before HDF5's datatype, which it leaves to its users
+DEFLATE_LEVEL = 4  # of deflate; 6 takes three times as long to save 2 %
 MAX_ATTRIBUTE_CHARACTERS = 32_000  # limit of an object's header in HDF5
 
 
@@ -101,10 +101,10 @@ def lay_out(
     import h5py
 
     frame, offsets = Frame(), {}
-    with h5py.File(frame, "w", userblock_size=HEAD) as file:
+    with h5py.File(frame, "w", userblock_size=HEAD_BYTES) as file:
         chunked = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
         chunked.set_shuffle()
-        chunked.set_deflate(LEVEL)
+        chunked.set_deflate(DEFLATE_LEVEL)
         chunked.set_obj_track_times(False)
         layout, parents = h5py.h5p.create(h5py.h5p.DATASET_CREATE), h5py.h5p.create(h5py.h5p.LINK_CREATE)
         layout.set_layout(h5py.h5d.CONTIGUOUS)
@@ -121,7 +121,7 @@ def lay_out(
                 offsets[name] = dataset.get_chunk_info(0).byte_offset
                 continue
             dataset = h5py.h5d.create(file.id, name.encode(), datatype, space, layout, parents)
-            offsets[name] = dataset.get_offset() if math.prod(shape) else HEAD
+            offsets[name] = dataset.get_offset() if math.prod(shape) else HEAD_BYTES
         short = {
             name: v for name, v in attributes.items() if len(str(v)) < MAX_ATTRIBUTE_CHARACTERS and "\0" not in str(v)
         }

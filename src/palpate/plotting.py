@@ -19,11 +19,12 @@ __all__ = ["body_svg", "curve_svg", "plot_body", "plot_curves", "plot_fit", "plo
 
 
 BLUE, GREY = "#0072B2", "#888888"
-WIDTH, HEIGHT, MARGIN = 320, 200, 34  # [px] of an SVG picture
+SVG_WIDTH, SVG_HEIGHT, SVG_MARGIN = 320, 200, 34  # [px] of an SVG picture
 MAX_SHAPES = 2500  # of an SVG picture, which stays below some 200 kB
 MAX_POINTS = 300  # of a curve in an SVG picture
-VIEW = np.array([[0.866, 0.5, 0.0], [-0.25, 0.433, 0.866]])  # rows: right and up, from 30 degrees above the xy plane
-TOWARDS_VIEWER = np.cross(VIEW[0], VIEW[1])  # the viewer
+# rows: right and up, from 30 degrees above the xy plane
+VIEW_MATRIX = np.array([[0.866, 0.5, 0.0], [-0.25, 0.433, 0.866]])
+TOWARDS_VIEWER = np.cross(VIEW_MATRIX[0], VIEW_MATRIX[1])  # the viewer
 
 
 def plot_curves(times: Floats, series: Mapping[str, Floats], label: str, axes: Any = None) -> Any:
@@ -168,17 +169,17 @@ def curve_svg(x: Floats, y: Floats, across: str, up: str, *, logarithmic: bool =
     right, top = (float(np.ptp(values)) or 1.0 for values in (x, heights))
     places = np.column_stack(
         [
-            MARGIN + (x - x.min()) / right * (WIDTH - 2 * MARGIN),
-            HEIGHT - MARGIN - (heights - heights.min()) / top * (HEIGHT - 2 * MARGIN),
+            SVG_MARGIN + (x - x.min()) / right * (SVG_WIDTH - 2 * SVG_MARGIN),
+            SVG_HEIGHT - SVG_MARGIN - (heights - heights.min()) / top * (SVG_HEIGHT - 2 * SVG_MARGIN),
         ]
     )
     line = " ".join(f"{a:.1f},{b:.1f}" for a, b in places)
-    low, high = HEIGHT - MARGIN, MARGIN
+    low, high = SVG_HEIGHT - SVG_MARGIN, SVG_MARGIN
     return _svg(
-        f'<path d="M{MARGIN} {high}V{low}H{WIDTH - MARGIN}" fill="none" stroke="{GREY}"/>'
+        f'<path d="M{SVG_MARGIN} {high}V{low}H{SVG_WIDTH - SVG_MARGIN}" fill="none" stroke="{GREY}"/>'
         f'<polyline points="{line}" fill="none" stroke="{BLUE}" stroke-width="1.5"/>'
-        + _text(MARGIN, high - 8, "start", f"{up}: {y.min():.3g} to {y.max():.3g}")
-        + _text(MARGIN, low + 18, "start", f"{across}: {x.min():.3g} to {x.max():.3g}")
+        + _text(SVG_MARGIN, high - 8, "start", f"{up}: {y.min():.3g} to {y.max():.3g}")
+        + _text(SVG_MARGIN, low + 18, "start", f"{across}: {x.min():.3g} to {x.max():.3g}")
     )
 
 
@@ -194,10 +195,12 @@ def body_svg(points: Floats, triangles: Ints) -> str:
     """
     plane = points.shape[1] == 2
     space = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
-    seen = np.column_stack([space[:, 0], space[:, 1]]) if plane else space @ VIEW.T
+    seen = np.column_stack([space[:, 0], space[:, 1]]) if plane else space @ VIEW_MATRIX.T
     low, size = seen.min(axis=0), np.ptp(seen, axis=0)
-    scale = min((WIDTH - 2 * MARGIN) / max(size[0], 1e-300), (HEIGHT - 2 * MARGIN) / max(size[1], 1e-300))
-    left, bottom = (WIDTH - scale * size[0]) / 2, (HEIGHT + scale * size[1]) / 2
+    scale = min(
+        (SVG_WIDTH - 2 * SVG_MARGIN) / max(size[0], 1e-300), (SVG_HEIGHT - 2 * SVG_MARGIN) / max(size[1], 1e-300)
+    )
+    left, bottom = (SVG_WIDTH - scale * size[0]) / 2, (SVG_HEIGHT + scale * size[1]) / 2
     places = np.column_stack([left + scale * (seen[:, 0] - low[0]), bottom - scale * (seen[:, 1] - low[1])])
     depth = np.zeros(len(space)) if plane else space @ TOWARDS_VIEWER
     corners = space[triangles]
@@ -234,5 +237,5 @@ def _text(x: float, y: float, anchor: str, said: str) -> str:
 
 
 def _svg(content: str) -> str:
-    size = f'width="{WIDTH}" height="{HEIGHT}" viewBox="0 0 {WIDTH} {HEIGHT}"'
+    size = f'width="{SVG_WIDTH}" height="{SVG_HEIGHT}" viewBox="0 0 {SVG_WIDTH} {SVG_HEIGHT}"'
     return f'<svg xmlns="http://www.w3.org/2000/svg" {size} role="img">{content}</svg>'

@@ -32,10 +32,10 @@ from numpy.typing import NDArray
 
 from palpate.faults import FileFormatError, InputError
 from palpate.files import json_of, regular_file, shortened, whole_file
-from palpate.hdf5_frame import HEAD, LEVEL, lay_out
+from palpate.hdf5_frame import DEFLATE_LEVEL, HEAD_BYTES, lay_out
 
 __all__ = [
-    "HEAD",
+    "HEAD_BYTES",
     "ArrayEntry",
     "ArrayFile",
     "SealedFile",
@@ -49,13 +49,13 @@ __all__ = [
 
 Array = NDArray[Any]
 
-TYPES = ("<f8", "<f4", "<i8", "<u2", "|u1", "|b1")
+ARRAY_TYPES = ("<f8", "<f4", "<i8", "<u2", "|u1", "|b1")
 MAX_DIMENSIONS = 4
 BLOCK_BYTES = 1 << 20  # read at once
 MIN_DEFLATED_BYTES, MIN_SAVING = 4096, 0.1  # of arrays that are compressed; smallest share that it saves
 MAX_RATIO = 64  # bytes of an array for each compressed one
 RESERVED_BYTES = 1 << 16  # of the disk that stay free
-HEX = re.compile(r"[0-9a-f]{64}")
+DIGEST_PATTERN = re.compile(r"[0-9a-f]{64}")
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class ArrayEntry:
     Parameters
     ----------
     type : str
-        One of `TYPES`, in NumPy's notation.
+        One of `ARRAY_TYPES`, in NumPy's notation.
     shape : tuple of int
     offset : int
         First byte in the file.
@@ -185,8 +185,8 @@ def checked_shape(what: str, kind: Any, shape: Any, room: int) -> tuple[str, tup
     InputError
         Another type, or a shape that does not fit.
     """
-    if kind not in TYPES:
-        raise InputError(f"array {what} has type {shortened(repr(kind))}; allowed are {', '.join(TYPES)}")
+    if kind not in ARRAY_TYPES:
+        raise InputError(f"array {what} has type {shortened(repr(kind))}; allowed are {', '.join(ARRAY_TYPES)}")
     valid = isinstance(shape, list) and len(shape) <= MAX_DIMENSIONS
     if not valid or not all(type(size) is int and 0 <= size <= room for size in shape):
         raise InputError(f"array {what} has shape {shortened(repr(shape))}, which does not fit into {room} bytes")
@@ -248,8 +248,8 @@ def open_sealed(path: Path, kind: str, version: int, older: tuple[int, ...] = ()
     """
     size = regular_file(path, kind.removeprefix("palpate "))
     with path.open("rb") as file:
-        found, offset, length, digest = _place_of_table(file.read(HEAD), kind, version, older)
-        if offset < HEAD or offset + length != size:
+        found_version, offset, length, digest = _place_of_table(file.read(HEAD_BYTES), kind, version, older)
+        if offset < HEAD_BYTES or offset + length != size:
             raise InputError("the file is truncated, or something was appended to it")
         file.seek(offset)
         text = file.read(length)
@@ -258,7 +258,7 @@ def open_sealed(path: Path, kind: str, version: int, older: tuple[int, ...] = ()
     table = json_of(text)
     if not isinstance(table, dict) or table.keys() != {"kind", "version", "header", "arrays", "rest"}:
         raise InputError("the table has other entries than kind, version, header, arrays and rest")
-    if (table["kind"], table["version"]) != (kind, found):
+    if (table["kind"], table["version"]) != (kind, found_version):
         raise InputError("the first bytes and the table disagree about the kind of the file")
     header, listed = table["header"], table["arrays"]
     if not isinstance(header, dict) or not isinstance(listed, dict):
@@ -274,24 +274,24 @@ def kind_of_file(path: Path) -> str:
     try:
         regular_file(path, "file")
         with path.open("rb") as file:
-            found = re.match(rb"(palpate [a-z ]{1,60})\nversion ", file.read(HEAD))
+            match = re.match(rb"(palpate [a-z ]{1,60})\nversion ", file.read(HEAD_BYTES))
     except (OSError, InputError):  # the loader says what is wrong
         return ""
-    return found[1].decode() if found else ""
+    return match[1].decode() if match else ""
 
 
 def _place_of_table(head: bytes, kind: str, version: int, older: tuple[int, ...]) -> tuple[int, int, int, str]:
     """Return the version of a file, and the offset, length and digest of its table."""
-    found = re.match(rf"{re.escape(kind)}\nversion (\d{{1,9}})\n".encode(), head)
-    if not found:
+    match = re.match(rf"{re.escape(kind)}\nversion (\d{{1,9}})\n".encode(), head)
+    if not match:
         old = "; it may be of an older version" if head.startswith(b"\x89HDF") else ""
         raise InputError(f"this is not a {kind}{old}")
-    if int(found[1]) not in (version, *older):
-        raise InputError(f"this is of version {int(found[1])}, and version {version} is the one that is read")
-    place = re.fullmatch(rb"table (\d{1,18}) (\d{1,18}) ([0-9a-f]{64})\n\0*", head[found.end() :])
-    if not place or len(head) != HEAD:
+    if int(match[1]) not in (version, *older):
+        raise InputError(f"this is of version {int(match[1])}, and version {version} is the one that is read")
+    place = re.fullmatch(rb"table (\d{1,18}) (\d{1,18}) ([0-9a-f]{64})\n\0*", head[match.end() :])
+    if not place or len(head) != HEAD_BYTES:
         raise InputError("the first bytes are damaged")
-    return int(found[1]), int(place[1]), int(place[2]), place[3].decode()
+    return int(match[1]), int(place[1]), int(place[2]), place[3].decode()
 
 
 def _digest_of_rest(path: Path, arrays: Mapping[str, ArrayEntry], end: int) -> str:
@@ -304,7 +304,7 @@ def _digest_of_rest(path: Path, arrays: Mapping[str, ArrayEntry], end: int) -> s
     """
     digest = sha256()
     with path.open("rb") as file:
-        at = HEAD
+        at = HEAD_BYTES
         for entry in sorted((each for each in arrays.values() if each.size), key=lambda each: each.offset):
             if entry.offset < at:
                 raise InputError("the arrays of the table overlap")
@@ -335,9 +335,9 @@ def _entry(name: str, about: Any, end: int) -> ArrayEntry:
     entry = ArrayEntry(kind, shape, offset, tuple(digests) if by_row else (digests,), by_row, deflated)
     if by_row and (not shape or len(digests) != shape[0]):
         raise InputError(f"array {what} has not one checksum for every row")
-    if not all(isinstance(digest, str) and HEX.fullmatch(digest) for digest in entry.digests):
+    if not all(isinstance(digest, str) and DIGEST_PATTERN.fullmatch(digest) for digest in entry.digests):
         raise InputError(f"array {what} has a checksum that is not a SHA-256")
-    if type(offset) is not int or offset < HEAD or offset + entry.size > end:
+    if type(offset) is not int or offset < HEAD_BYTES or offset + entry.size > end:
         raise InputError(f"array {what} lies outside the file")
     return entry
 
@@ -364,7 +364,7 @@ def _deflate(values: Array) -> bytes | None:
     if values.nbytes < MIN_DEFLATED_BYTES:
         return None
     planes = np.ascontiguousarray(values.reshape(-1).view("u1").reshape(-1, values.itemsize).T)
-    deflater = zlib.compressobj(LEVEL, strategy=zlib.Z_FILTERED)  # values are noisy: code them, and copy little
+    deflater = zlib.compressobj(DEFLATE_LEVEL, strategy=zlib.Z_FILTERED)  # values are noisy: code them, and copy little
     content = deflater.compress(planes.data) + deflater.flush()
     return content if values.nbytes / MAX_RATIO <= len(content) <= (1 - MIN_SAVING) * values.nbytes else None
 
@@ -398,7 +398,7 @@ def write_sealed(
     header : mapping
         Values that JSON has, all finite.
     arrays : mapping of name to array
-        Of the types of `TYPES`. A name may hold slashes, which HDF5 shows as groups.
+        Of the types of `ARRAY_TYPES`. A name may hold slashes, which HDF5 shows as groups.
     rows : mapping of name to sequence of arrays
         Arrays that are stored by row, each row under its own digest; given row by row, at least one.
     deflate : bool
@@ -475,8 +475,8 @@ def _json(value: Any) -> bytes:
 def _plain(values: Any) -> Array:
     array = np.ascontiguousarray(values)
     array = array.astype(array.dtype.newbyteorder("<"), copy=False).reshape(np.shape(values))
-    if array.dtype.str not in TYPES:
-        raise InputError(f"arrays of a file have one of the types {', '.join(TYPES)}, got {array.dtype.str}")
+    if array.dtype.str not in ARRAY_TYPES:
+        raise InputError(f"arrays of a file have one of the types {', '.join(ARRAY_TYPES)}, got {array.dtype.str}")
     return array
 
 

@@ -38,7 +38,7 @@ Guard = Callable[[ModuleType], contextlib.AbstractContextManager[None]]
 
 
 def foreign_writer(folder: str | Path) -> str:
-    """Return why others can replace the content of a folder; empty if only its owner and root can.
+    """Return the reason for which others can replace the content of a folder; empty if only owner and root can.
 
     All parents and links count. A parent with the sticky bit may be writable by others, because they
     cannot rename there what is not theirs.
@@ -54,16 +54,16 @@ def foreign_writer(folder: str | Path) -> str:
     for _ in range(MAX_LINKS):
         for part in (*reversed(path.parents), path):
             try:
-                found = part.lstat()
+                status = part.lstat()
             except OSError:
                 return ""  # missing, as are all below it
-            if found.st_uid not in (0, os.getuid(), os.stat("/").st_uid):
+            if status.st_uid not in (0, os.getuid(), os.stat("/").st_uid):
                 return f"{part} belongs to another user"
-            if stat.S_ISLNK(found.st_mode):
+            if stat.S_ISLNK(status.st_mode):
                 target = Path(os.path.abspath(part.parent / os.readlink(part)))
                 path = target / path.relative_to(part)
                 break
-            if found.st_mode & 0o022 and (part == path or not found.st_mode & stat.S_ISVTX):
+            if status.st_mode & 0o022 and (part == path or not status.st_mode & stat.S_ISVTX):
                 return f"others can write to {part}"
         else:
             return ""

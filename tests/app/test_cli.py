@@ -15,7 +15,7 @@ import pytest
 from palpate.app.cli import build_parser, main
 from palpate.app.common.arguments import Parser, add_command, in_option_words
 from palpate.app.common.exit_status import system_error
-from palpate.scenes.names import SCENES
+from palpate.scenes.names import PACKAGE_SCENES
 
 
 def leaves(parser, before=()):
@@ -136,7 +136,7 @@ def test_every_option_is_described_and_shows_its_default_in_one_form(words):
 @pytest.mark.parametrize("command", ["train", "view"])
 def test_the_help_names_every_scene_to_train_on(command):
     (scene,) = (action for action in COMMANDS[command,]._actions if not action.option_strings)
-    assert set(SCENES) <= set(re.findall(r"[a-z]+", scene.help))
+    assert set(PACKAGE_SCENES) <= set(re.findall(r"[a-z]+", scene.help))
 
 
 @pytest.mark.parametrize("words", STUDIES, ids=" ".join)

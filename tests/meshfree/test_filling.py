@@ -66,10 +66,10 @@ def test_nodes_lie_evenly(cloud):
 
 def test_the_triangles_of_the_nodes_are_closed_and_enclose_the_body(body, cloud):
     drawn = pt.Surface(cloud.points[cloud.group("surface")], cloud.triangles)  # those nodes come first
-    found = pt.io.check_surface(drawn)
-    assert found.errors == ()
-    assert found.euler == 2
-    assert found.volume == pytest.approx(body.volume, rel=0.04)
+    checked = pt.io.check_surface(drawn)
+    assert checked.errors == ()
+    assert checked.euler == 2
+    assert checked.volume == pytest.approx(body.volume, rel=0.04)
     assert np.array_equal(np.unique(cloud.triangles), cloud.group("surface"))
 
 
@@ -214,7 +214,7 @@ def test_a_hollow_ball_is_softer_under_a_press(hollow):
         for name, mask in groups.items():
             cloud = cloud.with_group(name, mask)
         push = pt.PrescribedMotion("top", lambda points, time: (0.0, 0.0, -0.002))
-        found = pt.equilibrium(pt.Solid(cloud, law, "floor"), [push], time=1.0)
-        forces.append(-found.reactions["top"][2])
-        assert found.reactions["floor"] == pytest.approx(-found.reactions["top"], abs=1e-3 * forces[-1])
+        settled = pt.equilibrium(pt.Solid(cloud, law, "floor"), [push], time=1.0)
+        forces.append(-settled.reactions["top"][2])
+        assert settled.reactions["floor"] == pytest.approx(-settled.reactions["top"], abs=1e-3 * forces[-1])
     assert 0.2 * forces[0] < forces[1] < 0.8 * forces[0]

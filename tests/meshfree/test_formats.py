@@ -19,8 +19,8 @@ from meshfree_surfaces import ball, cube
 from surface_samples import gltf, samples
 
 import palpate as pt
-from palpate.meshfree.formats.names import FORMATS, format_of, listed_formats
-from palpate.meshfree.surface_files import READERS
+from palpate.meshfree.formats.names import SURFACE_FORMATS, format_of, listed_formats
+from palpate.meshfree.surface_files import READER_BY_FORMAT
 
 HUGE = (b"99999999", b"2147483648", b"18446744073709551616", b"-1", b"0.5", b"1e308", b"1e999", b"nan", b"0")
 LEGACY = b"# vtk DataFile Version 3.0\nx\n%s\nDATASET POLYDATA\nPOINTS 3 float\n%s\n"
@@ -386,14 +386,14 @@ def test_objects_of_an_obj_file_and_solids_of_an_stl_file_are_parts(tmp_path, va
 
 
 def test_every_format_of_the_table_has_a_reader_and_is_named_in_help_and_documents():
-    assert list(READERS) == list(FORMATS)
+    assert list(READER_BY_FORMAT) == list(SURFACE_FORMATS)
     root = Path(__file__).parents[2]
     texts = [(root / "docs" / name).read_text() for name in ("view.md", "organs.md")]
     texts.append(pt.io.read_surface.__doc__)
     for text in texts:
-        missing = [name for name in FORMATS.values() if not re.search(rf"\b{name}\b", text)]
+        missing = [name for name in SURFACE_FORMATS.values() if not re.search(rf"\b{name}\b", text)]
         assert missing == []
-    assert all(name in listed_formats() for name in FORMATS.values())
+    assert all(name in listed_formats() for name in SURFACE_FORMATS.values())
 
 
 def test_a_compressed_file_is_read_by_the_suffix_within(valid, tmp_path):

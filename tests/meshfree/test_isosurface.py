@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from palpate.meshfree.isosurface import CASES, zero_surface
+from palpate.meshfree.isosurface import TRIANGLE_CASES, zero_surface
 
 
 def grid(n, low=-1.0, high=1.0):
@@ -39,8 +39,8 @@ def test_a_plane_is_exact():
 
 
 def test_every_case_and_its_complement_have_the_same_edges():
-    assert len(CASES) == 256
-    assert all(set(CASES[k]) == set(CASES[255 - k]) for k in range(256))
+    assert len(TRIANGLE_CASES) == 256
+    assert all(set(TRIANGLE_CASES[k]) == set(TRIANGLE_CASES[255 - k]) for k in range(256))
 
 
 @pytest.mark.parametrize("seed", range(4))

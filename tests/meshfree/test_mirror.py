@@ -135,16 +135,16 @@ def test_the_equilibrium_is_that_of_the_whole_bar(form):
     part, body, size = quarter(), whole(), 0.2
     nodes = same_nodes(part, body)
     load = [pt.SurfaceForce("x+", force=(size, 0.0, 0.0))]
-    found = pt.equilibrium(mirrored(part, form), load, tolerance=1e-9)
+    settled = pt.equilibrium(mirrored(part, form), load, tolerance=1e-9)
     large = pt.equilibrium(
         pt.Solid(body, SOFT, "x-", form=form, stiffness_damping=DAMPING),
         [pt.SurfaceForce("x+", force=(4 * size, 0.0, 0.0))],
         tolerance=1e-9,
     )
     expected = large.displacements[nodes]
-    np.testing.assert_allclose(found.displacements, expected, atol=1e-6 * np.abs(expected).max())
-    np.testing.assert_allclose(sum(found.reactions.values()), (-size, 0.0, 0.0), atol=1e-6 * size)
-    assert found.reactions["y-"][1] < -1e-2 * size  # the clamp hinders the bar's contraction
+    np.testing.assert_allclose(settled.displacements, expected, atol=1e-6 * np.abs(expected).max())
+    np.testing.assert_allclose(sum(settled.reactions.values()), (-size, 0.0, 0.0), atol=1e-6 * size)
+    assert settled.reactions["y-"][1] < -1e-2 * size  # the clamp hinders the bar's contraction
     free = pt.equilibrium(mirrored(part, form, end=pt.SymmetryPlane("x-")), load, tolerance=1e-9)
     np.testing.assert_allclose(free.reactions["x-"], (-size, 0.0, 0.0), atol=1e-6 * size)
     F = mirrored(part, form, end=pt.SymmetryPlane("x-")).deformation_gradient(free.displacements)
@@ -186,10 +186,10 @@ def test_reduced_models_of_a_part_have_its_motion_and_its_reactions(tmp_path):
     sampled = pt.hyper_reduce(model, full, modes=10, pressures=8)
     size, largest = np.abs(full.displacements).max(), np.abs(full.reactions["x-"]).max()
     for reduced, displacement, force in ((exact, 0.02, 0.05), (sampled, 0.04, 0.05)):
-        found = pt.rollout(reduced, [load], **options)
-        assert np.abs(found.displacements - full.displacements).max() < displacement * size
+        run = pt.rollout(reduced, [load], **options)
+        assert np.abs(run.displacements - full.displacements).max() < displacement * size
         for name in full.reactions:
-            error = np.sqrt(np.mean((found.reactions[name] - full.reactions[name]) ** 2))
+            error = np.sqrt(np.mean((run.reactions[name] - full.reactions[name]) ** 2))
             assert error < force * largest, name
     pt.save(sampled, tmp_path / "part.rom")
     again = pt.load(tmp_path / "part.rom")

@@ -12,7 +12,7 @@ from numba import njit
 
 from palpate.realtime.black_box import MAX_COORDINATES, RingBuffer, append_record, latest_records, write_black_box
 from palpate.realtime.exchange import get_flag, make_flags, set_flag
-from palpate.realtime.record import HEADER, HEADER_SIZE
+from palpate.realtime.record import HEADER_DTYPE, HEADER_SIZE
 
 
 @njit(nogil=True)
@@ -61,7 +61,7 @@ def test_a_file_holds_the_rows_with_their_units(tmp_path):
     path = tmp_path / "flight.h5"
     write_black_box(path, filled(4), {"period": 1e-3})
     with h5py.File(path) as file:
-        assert set(file) == {*HEADER.names, "coordinates"}
+        assert set(file) == {*HEADER_DTYPE.names, "coordinates"}
         assert file["force"].shape == (4, 3)
         assert file["force"].attrs["unit"] == "N"
         assert np.array_equal(file["time"], np.arange(4.0))

@@ -26,7 +26,7 @@ from palpate.realtime.loop import (
     compile_loop,
     function_key,
 )
-from palpate.realtime.pose import IDENTITY
+from palpate.realtime.pose import IDENTITY_POSE
 
 OTHER_PROCESS = """
 import sys
@@ -153,7 +153,7 @@ def test_the_trail_of_poses_keeps_the_first_and_the_newest():
     *_, work = prescribed(poses, 1e-3, 5.0)
     length = int(work.length[0])
     assert MAX_TRAIL // 2 <= length <= MAX_TRAIL
-    np.testing.assert_array_equal(work.trail[0], IDENTITY)
+    np.testing.assert_array_equal(work.trail[0], IDENTITY_POSE)
     np.testing.assert_array_equal(work.trail[length - 1], poses[-1])
     ways = np.linalg.norm(np.diff(work.trail[1:length], axis=0), axis=1)
     assert (ways > 0).all()

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import palpate as pt
-from palpate.realtime.pose import IDENTITY, follow_pose, normalise_pose, tool_coordinates, wrench
+from palpate.realtime.pose import IDENTITY_POSE, follow_pose, normalise_pose, tool_coordinates, wrench
 
 
 def pose_of(position, rotation):
@@ -48,7 +48,7 @@ def test_the_wrench_does_the_work_of_the_generalised_forces(random):
 
 def test_a_followed_pose_keeps_both_speed_limits_and_arrives(random):
     max_distance, max_angle = 0.002, 0.01
-    pose, aim = IDENTITY.copy(), pose_of([0.03, -0.01, 0.02], Rotation.from_rotvec([0.3, -1.0, 0.2]))
+    pose, aim = IDENTITY_POSE.copy(), pose_of([0.03, -0.01, 0.02], Rotation.from_rotvec([0.3, -1.0, 0.2]))
     aim[3:] *= -1  # the same rotation
     path = [pose.copy()]
     while len(path) < 200 and not np.array_equal(pose, aim):
@@ -64,14 +64,14 @@ def test_a_followed_pose_keeps_both_speed_limits_and_arrives(random):
 
 
 def test_a_near_pose_is_reached_exactly_in_one_period(random):
-    pose = IDENTITY.copy()
+    pose = IDENTITY_POSE.copy()
     aim = pose_of([1e-4, 0.0, -1e-4], Rotation.from_rotvec([1e-3, 0.0, 0.0]))
     follow_pose(pose, aim, 0.002, 0.01)
     assert np.array_equal(pose, aim)
 
 
 def test_a_half_turn_is_followed(random):
-    pose, aim = IDENTITY.copy(), np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
+    pose, aim = IDENTITY_POSE.copy(), np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
     for _ in range(4):
         follow_pose(pose, aim, 1.0, np.pi / 4)
     assert abs(pose[3:] @ aim[3:]) == pytest.approx(1.0, abs=1e-12)
@@ -97,10 +97,10 @@ def test_a_half_turn_is_followed(random):
 )
 def test_a_bad_pose_is_refused(position, quaternion, said):
     with pytest.raises(pt.InputError, match=said):
-        normalise_pose(position, quaternion, IDENTITY)
+        normalise_pose(position, quaternion, IDENTITY_POSE)
 
 
 @pytest.mark.parametrize("size", [1e-200, 3.0, 1e200])
 def test_quaternions_are_normalised(size):
-    pose = normalise_pose((0.1, 0.2, 0.3), (0.0, 0.6 * size, 0.0, -0.8 * size), IDENTITY)
+    pose = normalise_pose((0.1, 0.2, 0.3), (0.0, 0.6 * size, 0.0, -0.8 * size), IDENTITY_POSE)
     np.testing.assert_allclose(pose, [0.1, 0.2, 0.3, 0.0, 0.6, 0.0, -0.8], rtol=1e-14)

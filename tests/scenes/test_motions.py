@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.scenes.motions import LIMITS, Course, random_motion, training_motions
+from palpate.scenes.motions import LIMITS_BY_KIND, Course, random_motion, training_motions
 
 TIMES = np.linspace(0.0, 1.0, 2001)
 SEEDS = range(100)
@@ -50,7 +50,7 @@ def test_bends_go_in_all_directions():
 
 @pytest.mark.parametrize(
     "loads",
-    [random_motion(seed, kind) for seed in range(20) for kind in LIMITS] + training_motions(12),
+    [random_motion(seed, kind) for seed in range(20) for kind in LIMITS_BY_KIND] + training_motions(12),
 )
 def test_a_motion_starts_and_ends_at_zero_without_jumps(loads):
     values = sizes(loads)

@@ -8,7 +8,7 @@ import pytest
 
 import palpate as pt
 from palpate.app.cli import main
-from palpate.scenes.names import SCENES, is_scene_file, listed_scenes
+from palpate.scenes.names import PACKAGE_SCENES, is_scene_file, listed_scenes
 from palpate.scenes.training import is_opened, training_scene
 
 
@@ -25,7 +25,7 @@ def test_scene_files_are_known_by_their_suffix():
     assert is_scene_file("a/organ.toml")
     assert is_scene_file("ORGAN.TOML")
     assert not is_scene_file("organ.stl")
-    assert [name for name in SCENES if not is_opened(name)] == []
+    assert [name for name in PACKAGE_SCENES if not is_opened(name)] == []
     assert is_opened("organ.toml")
     assert not is_opened("module:function")
 
@@ -40,5 +40,5 @@ def test_the_help_lists_every_scene(command, capsys):
     with contextlib.suppress(SystemExit):
         main([command, "--help"])
     text = capsys.readouterr().out
-    assert [name for name in SCENES if name not in text] == []
+    assert [name for name in PACKAGE_SCENES if name not in text] == []
     assert listed_scenes() in " ".join(text.split())

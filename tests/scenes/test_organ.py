@@ -11,7 +11,7 @@ import pytest
 
 import palpate as pt
 from palpate.scenes import published
-from palpate.scenes.published import PART
+from palpate.scenes.published import LIVER_PART
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "hra"
 
@@ -22,10 +22,10 @@ def liver():
 
 
 def test_the_liver_is_one_closed_solid_of_the_given_volume(liver):
-    found = pt.io.check_surface(liver)
-    assert found.problems == ()
-    assert (found.components, found.euler) == (1, 2)
-    assert found.volume == pytest.approx(1.5e-3, rel=1e-9)
+    checked = pt.io.check_surface(liver)
+    assert checked.problems == ()
+    assert (checked.components, checked.euler) == (1, 2)
+    assert checked.volume == pytest.approx(1.5e-3, rel=1e-9)
     assert pt.liver_surface(0.004, volume=2e-3).volume == pytest.approx(2e-3, rel=1e-9)
 
 
@@ -66,7 +66,7 @@ def test_parameters_out_of_range_are_named(arguments):
 def test_the_published_liver_comes_from_the_cache(tmp_path):
     shutil.copy(DATA / "VH_F_Liver.glb", tmp_path)
     body = pt.io.fetch_liver(tmp_path, source="https://nowhere.invalid/VH_F_Liver.glb")
-    assert PART in body.name
+    assert LIVER_PART in body.name
     assert pt.io.check_surface(body).errors == ()
 
 
@@ -80,9 +80,9 @@ def test_a_download_with_another_checksum_is_refused(tmp_path):
 def test_a_damaged_cached_file_is_downloaded_again(tmp_path, monkeypatch):
     cube = Path(tmp_path, "cube.stl")
     cube.write_bytes(b"what is published")
-    monkeypatch.setattr(published, "SHA256", hashlib.sha256(b"what is published").hexdigest())
+    monkeypatch.setattr(published, "LIVER_SHA256", hashlib.sha256(b"what is published").hexdigest())
     monkeypatch.setattr(published, "read_surface", lambda path, **options: path.read_bytes())
-    (tmp_path / published.NAME).write_bytes(b"cut short")
+    (tmp_path / published.LIVER_FILE).write_bytes(b"cut short")
     for _ in range(2):
         assert pt.io.fetch_liver(tmp_path, source=cube.as_uri()) == b"what is published"
         cube.unlink(missing_ok=True)  # the second time, the file that was kept is taken

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
+import sys
 from pathlib import Path
 
 import pytest
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).parents[2]
-SPECIFICATION = importlib.util.spec_from_file_location("organs", ROOT / "validation" / "organs.py")
-organs = importlib.util.module_from_spec(SPECIFICATION)
-SPECIFICATION.loader.exec_module(organs)
+sys.path.append(str(Path(__file__).parents[2] / "validation"))
+organs = importlib.import_module("organs")
 
 needs_data = pytest.mark.skipif(not organs.DATA.is_dir(), reason="the organ surfaces are not at hand")
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from palpate.scenes import description as sections
-from palpate.scenes.names import SCENES
+from palpate.scenes.names import PACKAGE_SCENES
 from palpate.scenes.schema import scene_schema
 from palpate.scenes.settings import fields_of
 
@@ -49,7 +49,7 @@ def test_the_schema_has_every_section_and_refuses_other_keys():
     assert json.loads(json.dumps(schema)) == schema
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", PACKAGE_SCENES)
 def test_scenes_of_the_package_have_keys_of_the_schema_only(name):
     def check(table, schema):
         if "properties" in schema:

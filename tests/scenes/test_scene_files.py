@@ -25,10 +25,10 @@ from palpate.scenes.description import (
     Training,
     with_settings,
 )
-from palpate.scenes.names import SCENES
+from palpate.scenes.names import PACKAGE_SCENES, listed_scenes
 from palpate.scenes.open_scene import open_scene, training_scene_of
 from palpate.scenes.scene_text import parse_scene
-from palpate.scenes.settings import UNITS, fields_of, read_section, setting, written_section
+from palpate.scenes.settings import FACTORS_BY_UNIT, fields_of, read_section, setting, written_section
 from palpate.scenes.training import training_scene
 
 BOX = """
@@ -222,18 +222,18 @@ def test_texts_with_units_are_read_in_si_units():
     assert about.run.duration == pytest.approx(60.0)
 
 
-@pytest.mark.parametrize("unit", UNITS)
+@pytest.mark.parametrize("unit", FACTORS_BY_UNIT)
 def test_every_unit_is_a_factor_of_the_si_unit(unit):
     @dataclasses.dataclass(frozen=True)
     class One:
         size: float = setting(0.0, "a size", unit=unit)
 
-    for name, factor in UNITS[unit].items():
+    for name, factor in FACTORS_BY_UNIT[unit].items():
         assert read_section(One, {"size": f"2.5 {name}"}).size == pytest.approx(2.5 * factor)
         assert read_section(One, {"size": f"-.25e+0  {name} "}).size == pytest.approx(-0.25 * factor)
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", PACKAGE_SCENES)
 def test_the_scenes_of_the_package_open(name):
     scene = open_scene(name)
     assert scene.title == name.capitalize()
@@ -245,7 +245,7 @@ def test_the_package_has_a_file_for_each_scene():
     from importlib.resources import files
 
     found = {each.name for each in (files("palpate.scenes") / "data").iterdir() if each.name.endswith(".toml")}
-    assert found == {f"{name}.toml" for name in SCENES}
+    assert found == {f"{name}.toml" for name in PACKAGE_SCENES}
 
 
 # refusals
@@ -333,7 +333,7 @@ def test_folders_and_missing_files_are_refused(tmp_path):
         open_scene(tmp_path / "folder.toml")
     with pytest.raises(FileNotFoundError, match="no scene file at"):
         open_scene(tmp_path / "none.toml")
-    with pytest.raises(pt.InputError, match=r"scene must be beam, liver, membrane, or a file that ends in \.toml"):
+    with pytest.raises(pt.InputError, match=rf"scene must be {listed_scenes()}, or a file that ends in \.toml"):
         open_scene("lever")
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import palpate as pt
 from palpate.scenes.open_scene import open_scene, training_scene_of
-from palpate.scenes.scene_paths import SWINGS
+from palpate.scenes.scene_paths import SWINGS_PER_MOTION
 
 DEPTH, TANGENTIAL, RADIUS = 0.02, 0.004, 0.02  # [m] of the membrane's file
 
@@ -34,7 +34,7 @@ def test_a_path_starts_and_ends_at_rest_and_stays_within_its_amplitudes(membrane
         np.testing.assert_allclose(path[[0, -1]], 0.0, atol=1e-15)
         early, later = way(membrane, seed, [1e-6, 2e-6])
         np.testing.assert_allclose(later, 4 * early, rtol=1e-6)  # its speed is zero there
-        assert np.all(np.abs(path).max(axis=0) <= SWINGS * np.array([TANGENTIAL, TANGENTIAL, DEPTH]))
+        assert np.all(np.abs(path).max(axis=0) <= SWINGS_PER_MOTION * np.array([TANGENTIAL, TANGENTIAL, DEPTH]))
         assert np.abs(path[:, 2]).max() > 0
 
 

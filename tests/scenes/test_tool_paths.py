@@ -199,11 +199,11 @@ def test_training_places_are_spread_and_held_out_places_are_not():
 
 def test_held_out_places_are_at_random_by_area():
     paths = ToolPaths(Body(pt.box((0.2, 0.1, 0.05), 0.01)), 0.025, 0.01, 0.2, 0.0, grasps=0.0)
-    found = places(paths, range(HELD_OUT, HELD_OUT + 400))
+    drawn = places(paths, range(HELD_OUT, HELD_OUT + 400))
     share = paths.surface.areas[paths.reachable & (paths.surface.points[:, 0] < 0.1 - 1e-9)].sum()
     share += 0.5 * paths.surface.areas[paths.reachable & (np.abs(paths.surface.points[:, 0] - 0.1) < 1e-9)].sum()
     share /= paths.surface.areas[paths.reachable].sum()
-    assert np.mean(found[:, 0] < 0.1) == pytest.approx(share, abs=0.08)  # three standard deviations
+    assert np.mean(drawn[:, 0] < 0.1) == pytest.approx(share, abs=0.08)  # three standard deviations
 
 
 def test_equal_seeds_give_equal_paths_and_others_other_depths_and_slides():

@@ -123,9 +123,9 @@ def test_the_least_modulus_of_a_softening_law_has_its_closed_form():
     spread = stretches[:, 0] - stretches[:, 2]
     x = np.sum(stretches**2, axis=1) - 3
     expected = mu * np.exp(-b * x) * (1 - 2 * b * spread**2)
-    found = min_wave_modulus(Softening(b=b, mu=mu, density=1000, poisson=0.5), F)
-    assert np.all(found >= expected - 1e-3)  # the least over directions that were looked at
-    np.testing.assert_allclose(found, expected, atol=2e-3 * mu)
+    modulus = min_wave_modulus(Softening(b=b, mu=mu, density=1000, poisson=0.5), F)
+    assert np.all(modulus >= expected - 1e-3)  # the least over directions that were looked at
+    np.testing.assert_allclose(modulus, expected, atol=2e-3 * mu)
 
 
 def test_waves_of_a_body_at_rest_have_the_moduli_of_linear_elasticity():

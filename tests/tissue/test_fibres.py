@@ -88,7 +88,7 @@ def test_a_pull_along_the_fibres_is_the_printed_curve(kappa):
 def test_the_cauchy_stress_is_that_of_the_paper():
     """The printed sigma = 2/J dev sum of k1 E exp(k2 E^2) [kappa b̄ + (1 - 3 kappa) F̄a F̄a]."""
     kappa, F, a = 0.15, gradients(0.25), units(2, 60, seed=5)
-    found = pt.materials.Fibres(**HGO, dispersion=kappa, directions=a).stress(F)
+    stress = pt.materials.Fibres(**HGO, dispersion=kappa, directions=a).stress(F)
     J = np.linalg.det(F)
     bar = J[:, None, None] ** (-1 / 3) * F
     b, sigma = bar @ np.swapaxes(bar, 1, 2), np.zeros_like(F)
@@ -99,7 +99,7 @@ def test_the_cauchy_stress_is_that_of_the_paper():
         sigma += rise[:, None, None] * (kappa * b + (1 - 3 * kappa) * turned[:, :, None] * turned[:, None, :])
     sigma -= np.trace(sigma, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)
     expected = 2 * sigma @ np.swapaxes(np.linalg.inv(F), 1, 2)
-    np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
+    np.testing.assert_allclose(stress, expected, atol=1e-10 * np.abs(expected).max())
 
 
 def test_fibres_carry_no_compression():

@@ -10,7 +10,7 @@ import pytest
 
 import palpate as pt
 from palpate.tissue.fitting import fit
-from palpate.tissue.homogeneous import KINDS, nominal_stress
+from palpate.tissue.homogeneous import DEFORMATION_KINDS, nominal_stress
 from palpate.tissue.measurement_files import read_measurements
 from palpate.tissue.measurements import Measurement
 
@@ -101,21 +101,21 @@ def stiff(poisson=0.5):
     return Stiffening(mu=6e3, b=1.5, density=1060.0, poisson=poisson)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "shear"])
+@pytest.mark.parametrize("kind", [kind for kind in DEFORMATION_KINDS if kind != "shear"])
 @pytest.mark.parametrize("poisson", [0.3, 0.49, 0.5])
 def test_parameters_are_recovered_from_curves_without_noise(kind, poisson):
     if kind != "planar":  # which tells C1 + C2 only
-        found = fit(pt.materials.MooneyRivlin, curves(rubbery(poisson=poisson), [kind], noise=0), poisson=poisson)
-        assert found.parameters == pytest.approx({"C1": 8e3, "C2": 3e3}, rel=1e-5)
-        assert found.material == rubbery(poisson=poisson, **found.parameters)
-        assert found.curves[0].r_squared > 1 - 1e-9
-    found = fit(Stiffening, curves(stiff(poisson), [kind], noise=0), poisson=poisson, starts=3)
-    assert found.parameters == pytest.approx({"mu": 6e3, "b": 1.5}, rel=1e-5)
+        fitted = fit(pt.materials.MooneyRivlin, curves(rubbery(poisson=poisson), [kind], noise=0), poisson=poisson)
+        assert fitted.parameters == pytest.approx({"C1": 8e3, "C2": 3e3}, rel=1e-5)
+        assert fitted.material == rubbery(poisson=poisson, **fitted.parameters)
+        assert fitted.curves[0].r_squared > 1 - 1e-9
+    fitted = fit(Stiffening, curves(stiff(poisson), [kind], noise=0), poisson=poisson, starts=3)
+    assert fitted.parameters == pytest.approx({"mu": 6e3, "b": 1.5}, rel=1e-5)
 
 
 def test_a_linear_fit_is_the_one_of_the_normal_equations():
     measured = curves(rubbery())
-    found = fit(pt.materials.MooneyRivlin, measured)
+    fitted = fit(pt.materials.MooneyRivlin, measured)
     slopes = [
         np.concatenate([nominal_stress(rubbery(**one), m.kind, m.deformation) for m in measured])
         for one in ({"C1": 1.0, "C2": 0.0}, {"C1": 1.0, "C2": 1.0})
@@ -123,17 +123,17 @@ def test_a_linear_fit_is_the_one_of_the_normal_equations():
     A = np.stack([slopes[0], slopes[1] - slopes[0]], axis=1)
     stress = np.concatenate([m.stress for m in measured])
     expected, rest, _, _ = np.linalg.lstsq(A, stress, rcond=None)
-    np.testing.assert_allclose(list(found.parameters.values()), expected, rtol=1e-7)
-    np.testing.assert_allclose(found.covariance, np.linalg.inv(A.T @ A) * rest[0] / (len(stress) - 2), rtol=1e-5)
-    assert len(found.starts) == 1  # of a law linear in its parameters
+    np.testing.assert_allclose(list(fitted.parameters.values()), expected, rtol=1e-7)
+    np.testing.assert_allclose(fitted.covariance, np.linalg.inv(A.T @ A) * rest[0] / (len(stress) - 2), rtol=1e-5)
+    assert len(fitted.starts) == 1  # of a law linear in its parameters
 
 
 def test_points_are_weighted_by_their_deviations():
     first, second = curves(rubbery(), noise=0)
     wrong = Measurement(kind="shear", deformation=second.deformation, stress=2 * second.stress, deviation=1e3 * NOISE)
-    found = fit(pt.materials.MooneyRivlin, [first, wrong])
-    assert found.parameters == pytest.approx({"C1": 8e3, "C2": 3e3}, rel=1e-3)
-    assert found.curves[1].r_squared < 0.9
+    fitted = fit(pt.materials.MooneyRivlin, [first, wrong])
+    assert fitted.parameters == pytest.approx({"C1": 8e3, "C2": 3e3}, rel=1e-3)
+    assert fitted.curves[1].r_squared < 0.9
 
 
 @pytest.mark.slow
@@ -144,9 +144,9 @@ def test_standard_errors_cover_the_true_parameters_at_their_level(law, truth, st
     seeds = 200
     z = np.empty((seeds, 2))
     for seed in range(seeds):
-        found = fit(law, curves(truth, seed=seed), start=start, starts=1)
-        errors = found.standard_errors
-        z[seed] = [(value - getattr(truth, name)) / errors[name] for name, value in found.parameters.items()]
+        fitted = fit(law, curves(truth, seed=seed), start=start, starts=1)
+        errors = fitted.standard_errors
+        z[seed] = [(value - getattr(truth, name)) / errors[name] for name, value in fitted.parameters.items()]
     within = np.mean(np.abs(z) < 1.96, axis=0)
     # 95 % of runs, up to four standard deviations of a count of 200
     np.testing.assert_allclose(within, 0.95, atol=4 * np.sqrt(0.05 * 0.95 / seeds))
@@ -180,9 +180,9 @@ def test_several_starts_find_the_global_minimum_that_one_start_misses():
     options = {"start": {"terms": ((1.0, 3.0),)}, "fixed": HELD}
     alone = fit(Powers, pulled(), starts=1, **options)
     assert alone.parameters["terms[0][1]"] > 0
-    found = fit(Powers, pulled(), starts=8, **options)
-    assert found.parameters == pytest.approx({"terms[0][0]": 400.0, "terms[0][1]": -6.0}, rel=1e-5)
-    costs = [start.cost for start in found.starts]
+    fitted = fit(Powers, pulled(), starts=8, **options)
+    assert fitted.parameters == pytest.approx({"terms[0][0]": 400.0, "terms[0][1]": -6.0}, rel=1e-5)
+    costs = [start.cost for start in fitted.starts]
     assert len(costs) == 8
     assert costs == sorted(costs)
     assert costs[0] < 1e-6 * alone.starts[0].cost
@@ -200,9 +200,9 @@ def test_the_same_seed_gives_the_same_starts_and_another_one_others():
 def test_parameters_in_nested_sequences_are_fitted_and_named_by_index():
     truth = Powers(terms=((500.0, 4.0), (300.0, -5.0)), density=1060.0, poisson=0.5)
     made = curves(truth, ("uniaxial", "equibiaxial", "shear"), noise=0)
-    found = fit(Powers, made, start={"terms": ((1.0, 2.0), (1.0, -2.0))}, fixed=HELD)
-    assert list(found.parameters) == ["terms[0][0]", "terms[0][1]", "terms[1][0]", "terms[1][1]"]
-    ordered = sorted(found.material.terms)
+    fitted = fit(Powers, made, start={"terms": ((1.0, 2.0), (1.0, -2.0))}, fixed=HELD)
+    assert list(fitted.parameters) == ["terms[0][0]", "terms[0][1]", "terms[1][0]", "terms[1][1]"]
+    ordered = sorted(fitted.material.terms)
     np.testing.assert_allclose(ordered, sorted(truth.terms), rtol=1e-4)
     held = fit(Powers, made, start={"terms": ((500.0, 4.0), (1.0, -2.0))}, fixed=HELD | {"terms[0][1]": 4.0})
     assert "terms[0][1]" not in held.parameters
@@ -211,12 +211,12 @@ def test_parameters_in_nested_sequences_are_fitted_and_named_by_index():
 
 
 def test_bounds_are_kept_and_a_parameter_at_a_bound_is_reported():
-    found = fit(Stiffening, curves(stiff()), bounds={"b": (2.0, 9.0)})
-    assert found.parameters["b"] == 2.0
-    assert np.isnan(found.standard_errors["b"])
-    assert np.isfinite(found.standard_errors["mu"])
-    assert "b lies on its bound 2" in found.remarks
-    assert all(2.0 <= start.first["b"] <= 9.0 for start in found.starts)
+    fitted = fit(Stiffening, curves(stiff()), bounds={"b": (2.0, 9.0)})
+    assert fitted.parameters["b"] == 2.0
+    assert np.isnan(fitted.standard_errors["b"])
+    assert np.isfinite(fitted.standard_errors["mu"])
+    assert "b lies on its bound 2" in fitted.remarks
+    assert all(2.0 <= start.first["b"] <= 9.0 for start in fitted.starts)
     within = fit(Stiffening, curves(stiff()), bounds={"b": (0.5, 9.0)})
     assert within.parameters["b"] == pytest.approx(1.5, rel=0.1)
     assert within.remarks == ()
@@ -228,29 +228,29 @@ def test_the_range_of_a_parameter_of_a_law_is_kept():
     pressed = [
         Measurement(kind=m.kind, deformation=m.deformation, stress=m.stress * m.deformation**-0.2) for m in truth
     ]
-    found = fit(pt.materials.MooneyRivlin, pressed)
-    assert found.parameters["C2"] == 0.0
-    assert "C2 lies on its bound 0" in found.remarks
+    fitted = fit(pt.materials.MooneyRivlin, pressed)
+    assert fitted.parameters["C2"] == 0.0
+    assert "C2 lies on its bound 0" in fitted.remarks
     only = fit(pt.materials.NeoHookean, pressed)
-    assert found.parameters["C1"] == pytest.approx(2 * only.parameters["C1"], rel=1e-6)
-    assert found.standard_errors["C1"] == pytest.approx(2 * only.standard_errors["C1"], rel=1e-4)
+    assert fitted.parameters["C1"] == pytest.approx(2 * only.parameters["C1"], rel=1e-6)
+    assert fitted.standard_errors["C1"] == pytest.approx(2 * only.standard_errors["C1"], rel=1e-4)
 
 
 def test_a_fixed_parameter_is_not_changed():
-    found = fit(pt.materials.MooneyRivlin, curves(rubbery()), fixed={"C2": 1e3})
-    assert found.material.C2 == 1e3
-    assert list(found.parameters) == ["C1"]
-    assert found.covariance.shape == (1, 1)
-    assert found.parameters["C1"] == pytest.approx(10e3, rel=0.05)  # together nearly the shear modulus
+    fitted = fit(pt.materials.MooneyRivlin, curves(rubbery()), fixed={"C2": 1e3})
+    assert fitted.material.C2 == 1e3
+    assert list(fitted.parameters) == ["C1"]
+    assert fitted.covariance.shape == (1, 1)
+    assert fitted.parameters["C1"] == pytest.approx(10e3, rel=0.05)  # together nearly the shear modulus
 
 
 @pytest.mark.parametrize("kind", ["planar", "shear"])  # which tell C1 + C2 only
 def test_parameters_that_the_curves_do_not_determine_are_reported(kind):
-    found = fit(pt.materials.MooneyRivlin, curves(rubbery(), [kind]))
-    assert "the curves do not determine C1, C2" in found.remarks
-    assert found.standard_errors == {"C1": np.inf, "C2": np.inf}
-    assert found.condition > 1e6
-    assert sum(found.parameters.values()) == pytest.approx(11e3, rel=0.02)
+    fitted = fit(pt.materials.MooneyRivlin, curves(rubbery(), [kind]))
+    assert "the curves do not determine C1, C2" in fitted.remarks
+    assert fitted.standard_errors == {"C1": np.inf, "C2": np.inf}
+    assert fitted.condition > 1e6
+    assert sum(fitted.parameters.values()) == pytest.approx(11e3, rel=0.02)
     better = fit(pt.materials.MooneyRivlin, curves(rubbery(), ["uniaxial"]))
     assert better.condition < 1e3
     assert better.remarks == ()
@@ -265,10 +265,10 @@ def test_a_parameter_lost_in_noise_is_reported():
         for m in noisy
         for d in [np.linspace(0, 0.05, 8) + (m.kind != "shear")]
     ]
-    found = fit(Stiffening, small)
+    fitted = fit(Stiffening, small)
     assert any(
         "the standard error of b exceeds its value" in remark or "do not determine b" in remark
-        for remark in found.remarks
+        for remark in fitted.remarks
     )
 
 
@@ -282,19 +282,19 @@ def test_systematic_residuals_of_a_wrong_law_are_reported():
 
 def test_the_report_has_the_errors_of_the_curves_and_the_stability_of_the_law():
     made = curves(rubbery(), ("uniaxial", "shear"))
-    found = fit(pt.materials.MooneyRivlin, made)
-    for curve, measured in zip(found.curves, made, strict=True):
-        wrong = nominal_stress(found.material, measured.kind, measured.deformation) - measured.stress
+    fitted = fit(pt.materials.MooneyRivlin, made)
+    for curve, measured in zip(fitted.curves, made, strict=True):
+        wrong = nominal_stress(fitted.material, measured.kind, measured.deformation) - measured.stress
         assert curve.rms == pytest.approx(np.sqrt(np.mean(wrong**2)))
         assert curve.rms == pytest.approx(NOISE, rel=0.5)
         assert curve.r_squared == pytest.approx(1 - np.var(wrong) / np.var(measured.stress), abs=1e-3)
-    cost = sum(np.sum((c.rms / NOISE) ** 2) * c.points for c in found.curves) / 2
-    assert found.starts[0].cost == pytest.approx(cost)
-    assert found.stability.stable
-    low, high = found.stability.stretches
+    cost = sum(np.sum((c.rms / NOISE) ** 2) * c.points for c in fitted.curves) / 2
+    assert fitted.starts[0].cost == pytest.approx(cost)
+    assert fitted.stability.stable
+    low, high = fitted.stability.stretches
     assert low < 0.75
     assert high == pytest.approx(1.5)
-    text = found.summary()
+    text = fitted.summary()
     for part in ("MooneyRivlin, Poisson's ratio 0.5", "C1 = ", "curve 2, shear: rms", "stable for principal stretches"):
         assert part in text
 
@@ -307,10 +307,10 @@ def test_fits_of_treloars_rubber_give_the_published_moduli():
         for m in measured
         for chosen in [m.deformation <= 2.0]
     ]
-    found = fit(pt.materials.NeoHookean, small)
-    assert found.material.shear_modulus == pytest.approx(4 * 98066.5, rel=0.1)
+    fitted = fit(pt.materials.NeoHookean, small)
+    assert fitted.material.shear_modulus == pytest.approx(4 * 98066.5, rel=0.1)
     both = fit(pt.materials.MooneyRivlin, small)
-    assert sum(c.rms**2 * c.points for c in both.curves) < 0.9 * sum(c.rms**2 * c.points for c in found.curves)
+    assert sum(c.rms**2 * c.points for c in both.curves) < 0.9 * sum(c.rms**2 * c.points for c in fitted.curves)
 
 
 @pytest.mark.parametrize(

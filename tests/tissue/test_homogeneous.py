@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.tissue.homogeneous import KINDS, compressible, deformation_gradient, isochoric_stress, nominal_stress, rest
+from palpate.tissue.homogeneous import (
+    DEFORMATION_KINDS,
+    compressible,
+    deformation_gradient,
+    isochoric_stress,
+    nominal_stress,
+    rest,
+)
 
 STRETCHES = np.array([0.3, 0.7, 0.95, 1.0, 1.1, 1.8, 4.0])
 C1, C2 = 8e3, 3e3  # of a Mooney-Rivlin law [Pa]
@@ -18,14 +25,14 @@ CLOSED = {
     "planar": lambda s: (s - s**-3) * (C1 + C2),
     "shear": lambda gamma: gamma * (C1 + C2),
 }
-STRETCHED = [kind for kind in KINDS if kind != "shear"]
+STRETCHED = [kind for kind in DEFORMATION_KINDS if kind != "shear"]
 
 
 def tissue(poisson):
     return pt.materials.MooneyRivlin(C1=C1, C2=C2, density=1000, poisson=poisson)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", DEFORMATION_KINDS)
 def test_an_incompressible_law_has_the_stress_of_the_closed_form(kind):
     deformation = STRETCHES - (kind == "shear")
     expected = CLOSED[kind](deformation)
@@ -76,13 +83,13 @@ def test_small_deformations_have_the_slopes_of_linear_elasticity(poisson):
         np.testing.assert_allclose(found, slope, rtol=1e-6, err_msg=kind)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", DEFORMATION_KINDS)
 def test_a_specimen_at_rest_has_no_stress(kind):
     for poisson in (0.3, 0.5):
         np.testing.assert_allclose(nominal_stress(tissue(poisson), kind, [rest(kind)]), 0, atol=1e-8)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", DEFORMATION_KINDS)
 def test_the_isochoric_stress_does_not_depend_on_the_compressibility(kind):
     deformation = STRETCHES - (kind == "shear")
     expected = isochoric_stress(tissue(0.5), kind, deformation)

@@ -87,12 +87,12 @@ def test_small_strain_has_the_declared_moduli(name):
 
 
 def test_an_energy_that_is_written_down_may_be_isochoric():
-    own = pt.materials.Hyperelastic(
+    symbolic = pt.materials.Hyperelastic(
         "C1*(I1 - 3)", C1=5e3, density=1e3, poisson=0.45, split="isochoric"
     )  # coupled it has stress
     bars = pt.materials.Hyperelastic("C1*(I1bar - 3)", C1=5e3, density=1e3, poisson=0.45)
     F = np.eye(3) + np.random.default_rng(0).uniform(-0.3, 0.3, (3, 3))
-    np.testing.assert_allclose(own.stress(F), bars.stress(F), rtol=1e-9)
+    np.testing.assert_allclose(symbolic.stress(F), bars.stress(F), rtol=1e-9)
 
 
 def test_coupled_and_isochoric_laws_have_different_digests():

@@ -46,8 +46,8 @@ def test_the_energy_is_the_printed_one_where_the_volume_stays(name):
     for l1, l2 in ((STRETCHES, STRETCHES**-0.5), (STRETCHES, STRETCHES), (STRETCHES, 1 / STRETCHES)):
         inside = l1**2 + l2**2 + (l1 * l2) ** -2 - 3 < 2.5  # of the limits of Gent and of the logarithm
         expected = printed(name, l1[inside], l2[inside])
-        found = material.strain_energy(isochoric(l1, l2)[inside])
-        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-8)
+        energy = material.strain_energy(isochoric(l1, l2)[inside])
+        np.testing.assert_allclose(energy, expected, rtol=1e-9, atol=1e-8)
 
 
 @pytest.mark.parametrize("name", PRINTED)

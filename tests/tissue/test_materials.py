@@ -9,7 +9,7 @@ import pytest
 
 import palpate as pt
 from palpate.tissue.catalogue import LAWS as CATALOGUE
-from palpate.tissue.volumetric import FORMS
+from palpate.tissue.volumetric import FORM_BY_NAME
 
 LAWS = {law.name: (law.kind, law.example) for law in CATALOGUE} | {
     "Mooney-Rivlin without C2": (pt.materials.MooneyRivlin, {"C1": 60e3, "C2": 0.0}),
@@ -30,7 +30,11 @@ def law(request):
 
 
 @pytest.fixture(
-    params=[(nu, form) for form in FORMS for nu in ((0.0, 0.3, 0.45, 0.499) if form == "quadratic" else (0.45, 0.499))],
+    params=[
+        (nu, form)
+        for form in FORM_BY_NAME
+        for nu in ((0.0, 0.3, 0.45, 0.499) if form == "quadratic" else (0.45, 0.499))
+    ],
     ids=lambda pair: f"nu{pair[0]}-{pair[1]}",
 )
 def material(request, law):

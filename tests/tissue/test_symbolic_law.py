@@ -59,20 +59,22 @@ def test_a_body_of_a_symbolic_law_has_the_forces_of_the_built_in_law(name, form)
 
 
 def test_isochoric_invariants_do_not_change_with_the_volume(deformations):
-    own = Hyperelastic("C1*(I1bar - 3) + C2*(I2bar**1.5 - 3*sqrt(3))", C1=5e3, C2=100.0, **REST)
-    np.testing.assert_allclose(own.shear_energy(1.3 * deformations), own.shear_energy(deformations), rtol=1e-12)
-    assert own.shear_bulk_modulus == pytest.approx(0, abs=1e-8)
+    symbolic = Hyperelastic("C1*(I1bar - 3) + C2*(I2bar**1.5 - 3*sqrt(3))", C1=5e3, C2=100.0, **REST)
+    np.testing.assert_allclose(
+        symbolic.shear_energy(1.3 * deformations), symbolic.shear_energy(deformations), rtol=1e-12
+    )
+    assert symbolic.shear_bulk_modulus == pytest.approx(0, abs=1e-8)
 
 
 def test_the_stress_is_the_slope_of_the_energy(deformations):
-    own = Hyperelastic("C1*(I1bar - 3) + C2*sinh(I2bar - 3)**2 + k*(J - 1)**4", C1=5e3, C2=900.0, k=1e3, **REST)
+    symbolic = Hyperelastic("C1*(I1bar - 3) + C2*sinh(I2bar - 3)**2 + k*(J - 1)**4", C1=5e3, C2=900.0, k=1e3, **REST)
     step = 1e-6
     for F in deformations:
         for i in np.ndindex(3, 3):
             change = np.zeros((3, 3))
             change[i] = step
-            slope = (own.strain_energy(F + change) - own.strain_energy(F - change)) / (2 * step)
-            assert own.stress(F)[i] == pytest.approx(slope, rel=1e-6, abs=1e-2)
+            slope = (symbolic.strain_energy(F + change) - symbolic.strain_energy(F - change)) / (2 * step)
+            assert symbolic.stress(F)[i] == pytest.approx(slope, rel=1e-6, abs=1e-2)
 
 
 def test_equal_texts_share_one_class_for_any_parameters_and_spaces():

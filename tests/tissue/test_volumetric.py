@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.tissue.volumetric import FORMS, volumetric_form
+from palpate.tissue.volumetric import FORM_BY_NAME, volumetric_form
 
 VOLUMES = np.array([0.05, 0.3, 0.7, 0.9, 0.979, 0.981, 0.999, 1.0, 1.001, 1.019, 1.021, 1.3, 2.0, 2.6])
 PRINTED = {
@@ -16,7 +16,7 @@ PRINTED = {
 }
 
 
-@pytest.fixture(params=list(FORMS))
+@pytest.fixture(params=list(FORM_BY_NAME))
 def form(request):
     return volumetric_form(request.param)
 

@@ -26,8 +26,8 @@ def assert_same(shape, elements, rel):
 @pytest.mark.parametrize(("tool_radius", "prestretch"), [(0.001, 1.0), (0.02, 1.0), (0.01, 1.1)])
 def test_a_poked_sheet_minimises_the_energy(law, tool_radius, prestretch):
     shape = poke(RADIUS, THICKNESS, LAWS[law], 0.01, tool_radius, prestretch)
-    found = minimise(RADIUS, THICKNESS, LAWS[law], 100, 0.01, tool_radius, prestretch=prestretch)
-    assert_same(shape, found, rel=1e-6)
+    minimum = minimise(RADIUS, THICKNESS, LAWS[law], 100, 0.01, tool_radius, prestretch=prestretch)
+    assert_same(shape, minimum, rel=1e-6)
 
 
 @pytest.mark.parametrize("law", LAWS)

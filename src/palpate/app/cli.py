@@ -15,7 +15,7 @@ from palpate.app.documentation import documentation
 
 __all__ = ["build_parser", "main"]
 
-DESCRIPTION = """\
+CLI_DESCRIPTION = """\
 Simulate soft tissue in real time: point collocation, model reduction, and a tool at 1 kHz.
 
 first steps:
@@ -24,7 +24,7 @@ first steps:
   palpate view organ.stl    third: press an organ of your own, at once
   palpate new organ.stl     then: write organ.toml, its tissue, supports and tools, for view, run and train
 """
-EPILOG = """\
+CLI_EPILOG = """\
 palpate COMMAND --help describes a command and its options.
 
 exit status: 0 done; 1 a run diverged, a file could not be written, or memory ran out; 2 bad input; 70 a defect of
@@ -75,8 +75,8 @@ def build_parser() -> Any:
 
     parser = Parser(
         "palpate",
-        description=DESCRIPTION,
-        epilog=EPILOG.format(folder=documentation()).replace("%", "%%"),
+        description=CLI_DESCRIPTION,
+        epilog=CLI_EPILOG.format(folder=documentation()).replace("%", "%%"),
         formatter_class=RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"palpate {__version__}")

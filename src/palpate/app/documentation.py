@@ -1,4 +1,4 @@
-"""Where the pages of the documentation lie: in the package that a wheel installs, or in the sources."""
+"""Folder of the documentation: in the package of a wheel, or in the sources."""
 
 from __future__ import annotations
 

@@ -169,8 +169,8 @@ class Cloud(Described):
             The cloud has no such group.
         """
         if not isinstance(name, str) or name not in self.groups:
-            known = ", ".join(map(repr, sorted(self.groups)))
-            raise InputError(f"group must be one of {known}, got {brief(name)}")
+            names = ", ".join(map(repr, sorted(self.groups)))
+            raise InputError(f"group must be one of {names}, got {brief(name)}")
         return self.groups[name]
 
     def within(self, name: str, centre: Sequence[float], radius: float) -> Cloud:
@@ -211,8 +211,8 @@ class Cloud(Described):
         given = np.asarray(nodes)
         if given.dtype == bool and given.shape == (len(self),):
             given = np.flatnonzero(given)
-        whole = given.ndim == 1 and given.size > 0 and np.issubdtype(given.dtype, np.integer)
-        if not whole or given.min() < 0 or given.max() >= len(self):
+        integers = given.ndim == 1 and given.size > 0 and np.issubdtype(given.dtype, np.integer)
+        if not integers or given.min() < 0 or given.max() >= len(self):
             raise InputError(f"group {name!r} must be nodes in [0, {len(self) - 1}], or a mask of shape ({len(self)},)")
         return replace(self, groups={**self.groups, name: np.unique(given).astype(np.int64)})
 

@@ -85,8 +85,8 @@ def _consistent_stencils(cloud: Cloud, neighbours: int) -> tuple[Stencils, Float
         edges = cloud.boundary_vectors() * cloud.volumes[:, None]
         row, first = np.arange(len(cloud), dtype=np.int32), consistent_gradient(stencils, cloud.points, volumes, edges)
     nothing = np.zeros((0, 0, 0))
-    own = -first.sum(axis=1)
-    return replace(stencils, row=row, first=first, own_first=own, second=nothing, value=misses), volumes, lattice
+    own_first = -first.sum(axis=1)
+    return replace(stencils, row=row, first=first, own_first=own_first, second=nothing, value=misses), volumes, lattice
 
 
 def consistent_gradient(stencils: Stencils, points: Floats, volumes: Floats, boundary: Floats) -> Floats:
@@ -136,16 +136,16 @@ def consistent_gradient(stencils: Stencils, points: Floats, volumes: Floats, bou
     system = (scaled @ divergence.T - coupling @ inverse @ coupling.T).tocsr()
     links = sparse.csr_matrix((np.ones(len(node)), (node, other)), (n, n))
     body = connected_components(links, directed=False)[1]  # bodies that no stencil connects balance by themselves
-    wanted = boundary.copy()
+    target = boundary.copy()
     for k in range(int(body.max()) + 1):
-        own = body == k
-        wanted[own] = _balance_boundary(boundary[own], points[own], volumes[own])
-    wanted *= spacing / np.median(volumes)
-    missing = wanted - divergence @ weights
+        on_body = body == k
+        target[on_body] = _balance_boundary(boundary[on_body], points[on_body], volumes[on_body])
+    target *= spacing / np.median(volumes)
+    missing = target - divergence @ weights
     multipliers = _solve(system, missing, points, spacing, body)
     change = freedom[:, None] * (divergence.T @ multipliers - exactness.T @ (inverse @ (coupling.T @ multipliers)))
     weights += change
-    left, changed = np.abs(wanted - divergence @ weights).max(axis=1), np.abs(change).max(axis=1)
+    left, changed = np.abs(target - divergence @ weights).max(axis=1), np.abs(change).max(axis=1)
     if left.max() > RESIDUAL_TOLERANCE or changed.max() > MAX_WEIGHT_CHANGE:
         worst = int(np.argmax(left)) if left.max() > RESIDUAL_TOLERANCE else int(node[np.argmax(changed)])
         raise CloudError(
@@ -175,12 +175,12 @@ def _solve(system: Any, sides: Floats, points: Floats, spacing: float, body: Int
         return remove_linear(rough / diagonal + patches @ cho_solve(coarse, patches.T @ rough)).ravel()
 
     size = (sides.size, sides.size)
-    whole = LinearOperator(size, lambda x: (system @ x.reshape(shape)).ravel(), dtype=float)
+    operator = LinearOperator(size, lambda x: (system @ x.reshape(shape)).ravel(), dtype=float)
     preconditioner = LinearOperator(size, precondition, dtype=float)
-    found, _ = cg(
-        whole, sides.ravel(), rtol=0.0, atol=0.1 * RESIDUAL_TOLERANCE, maxiter=MAX_ITERATIONS, M=preconditioner
+    solution, _ = cg(
+        operator, sides.ravel(), rtol=0.0, atol=0.1 * RESIDUAL_TOLERANCE, maxiter=MAX_ITERATIONS, M=preconditioner
     )
-    return np.asarray(found.reshape(shape))
+    return np.asarray(solution.reshape(shape))
 
 
 def _patches(system: Any, points: Floats, spacing: float) -> tuple[Any, Any]:
@@ -210,10 +210,10 @@ def _patches(system: Any, points: Floats, spacing: float) -> tuple[Any, Any]:
         ),
         (n, (d + 1) * len(centres)),
     )
-    own = (fields.T @ (system @ fields)).toarray()
-    own[np.diag_indices_from(own)] += DIAGONAL_SHIFT * own.diagonal().mean()
+    projected = (fields.T @ (system @ fields)).toarray()
+    projected[np.diag_indices_from(projected)] += DIAGONAL_SHIFT * projected.diagonal().mean()
     try:
-        return fields, cho_factor(own, lower=True)
+        return fields, cho_factor(projected, lower=True)
     except (np.linalg.LinAlgError, ValueError):
         raise CloudError(_VOLUME_ERROR) from None
 

@@ -40,17 +40,17 @@ from palpate.meshfree.surfaces import (
     weld,
 )
 
-__all__ = ["BODY", "Region", "fill"]
+__all__ = ["BODY_PREFIX", "Region", "fill"]
 
 Region = tuple[Sequence[float], float, float]  # centre [m], radius [m], spacing [m]
 
 SURFACE_SPACING = 0.8  # distance of surface nodes, in spacings
 MAX_EDGE = 0.42  # longest edge of the refined surface, in spacings
-GRADING = 0.35  # growth of the spacing with the distance from a refined region
+SPACING_GROWTH = 0.35  # growth of the spacing with the distance from a refined region
 MAX_NODES = 500_000
 MAX_REPAIRS = 4  # rounds of removing nodes that the stencil check rejects
 MIN_INTERIOR_NODES = 40
-BODY = "body"  # beginning of the names of groups, of several bodies
+BODY_PREFIX = "body"  # beginning of the names of groups, of several bodies
 MIN_CAVITY_DIAMETER = 2.0  # in spacings; smaller cavities are filled
 
 
@@ -186,7 +186,7 @@ class Sizing:
         wished = np.full(len(points), self.spacing)
         for centre, radius, finer in self.regions:
             away = np.maximum(np.linalg.norm(points - np.array(centre), axis=1) - radius, 0.0)
-            wished = np.minimum(wished, finer + GRADING * away)
+            wished = np.minimum(wished, finer + SPACING_GROWTH * away)
         return wished
 
 
@@ -248,7 +248,7 @@ def _label_bodies(body: Surface, inside: DepthQuery, cloud: Cloud) -> Cloud:
             mixed,
         )
     for k in range(int(bodies.max()) + 1):
-        cloud = cloud.with_group(f"{BODY} {k}", owner == k)
+        cloud = cloud.with_group(f"{BODY_PREFIX} {k}", owner == k)
     return cloud
 
 

@@ -49,13 +49,13 @@ def self_intersections(vertices: Floats, triangles: Ints) -> Ints:
     order, box = _tree(0.5 * (corners.min(axis=1) + corners.max(axis=1)), corners)
     most = max(MAX_BOX_TESTS[0], MAX_BOX_TESTS[1] * len(triangles))
     pairs = np.empty((MAX_PAIRS, 2), dtype=np.int64)
-    found, visits = _search(corners[order], triangles[order], box, pairs, most)
+    count, visits = _search(corners[order], triangles[order], box, pairs, most)
     if visits > most:
         raise InputError(
             f"the bounding boxes of the triangles must overlap in fewer than {most} places; "
             f"remesh the surface with triangles of similar size and shape"
         )
-    return np.unique(np.sort(owner[order][pairs[:found]], axis=1), axis=0)
+    return np.unique(np.sort(owner[order][pairs[:count]], axis=1), axis=0)
 
 
 def _remove_flat(vertices: Floats, triangles: Ints) -> tuple[Ints, Ints]:
@@ -171,10 +171,10 @@ def _search(corners, triangles, box, pairs, most):  # type: ignore[no-untyped-de
     depth = 0
     while 1 << depth < leaves:
         depth += 1
-    found, visits = 0, 0
+    count, visits = 0, 0
     stack = np.empty(2 * depth + 2, dtype=np.int64)
     for leaf in range(leaves):
-        own = leaves - 1 + leaf
+        leaf_node = leaves - 1 + leaf
         top = 0
         stack[0] = 0
         while top >= 0:
@@ -182,8 +182,8 @@ def _search(corners, triangles, box, pairs, most):  # type: ignore[no-untyped-de
             top -= 1
             visits += 1
             if visits > most:
-                return found, visits
-            if not _overlap(box[own], box[node]):
+                return count, visits
+            if not _overlap(box[leaf_node], box[node]):
                 continue
             if node < leaves - 1:
                 # the pairs of nodes whose last leaf comes before this one are complete
@@ -202,11 +202,11 @@ def _search(corners, triangles, box, pairs, most):  # type: ignore[no-untyped-de
                 for t in range(max(s + 1, (n * other) >> depth), (n * (other + 1)) >> depth):
                     visits += 1
                     if _meet(corners[s], corners[t], triangles[s], triangles[t]):
-                        pairs[found, 0], pairs[found, 1] = s, t
-                        found += 1
-                        if found == len(pairs):
-                            return found, visits
-    return found, visits
+                        pairs[count, 0], pairs[count, 1] = s, t
+                        count += 1
+                        if count == len(pairs):
+                            return count, visits
+    return count, visits
 
 
 @cached_njit()

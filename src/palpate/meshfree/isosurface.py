@@ -20,7 +20,7 @@ __all__ = ["zero_surface"]
 
 
 # Edges of a cell: axis, and offset of the lower end in x, y and z.
-EDGES = np.array(
+CUBE_EDGES = np.array(
     [
         [0, 0, 0, 0], [0, 0, 0, 1], [0, 0, 1, 0], [0, 0, 1, 1],
         [1, 0, 0, 0], [1, 0, 0, 1], [1, 1, 0, 0], [1, 1, 0, 1],
@@ -28,7 +28,7 @@ EDGES = np.array(
     ]
 )  # fmt: skip
 # Triangles of every case, three edges each, as digits of base 16; bit x + 2 y + 4 z of a case is corner (x, y, z).
-TABLE = """
+TRIANGLE_TABLE = """
 - 048 0a6 648a68 429 029809 60a294 62969aa98 6b2 0486b2 ab20a2 24828bb8a 46b94b 06b0b88b9 40a4a99ab
 ab8b98 185 104514 0a6851 1a6165564 851429 951912210 a60851294 195a91a29a62 6b2851 4514106b2
 ab2a20851 2ab25a24551a 46b4b9518 6b9691610519 185a90ab9940 1951a9ab9 a17 a17048 017607 817874476
@@ -59,7 +59,7 @@ a5ba15b52805250 4b542b5b160b1b0 62b815 159a19a92a26 a15a59a96269048 915921201 91
 16a156068865 140541 158 a8bb89 4a049a9ba 0b608b89b 4b69b4 2842b8ba8 a2b02a 2842b808668b 62b
 6926a9a89 4a049a6a22a9 092890 492 684a86 06a 084 -
 """
-CASES = TABLE.split()
+TRIANGLE_CASES = TRIANGLE_TABLE.split()
 
 
 def zero_surface(field: Floats, origin: Sequence[float] | Floats, step: float) -> tuple[Floats, Ints]:
@@ -108,12 +108,12 @@ def _triangles(above: NDArray[np.bool_], vertex: Ints) -> Ints:
     case = np.zeros((nz, ny, nx), dtype=np.int64)
     for x, y, z in np.ndindex(2, 2, 2):
         case += corners[z : z + nz, y : y + ny, x : x + nx] << (x + 2 * y + 4 * z)
-    listed = [[] if word == "-" else [int(digit, 16) for digit in word] for word in CASES]
+    listed = [[] if word == "-" else [int(digit, 16) for digit in word] for word in TRIANGLE_CASES]
     sizes = np.array([len(edges) for edges in listed])
     k, j, i = np.nonzero(sizes[case])
-    own = case[k, j, i]
-    cell = np.repeat(np.arange(len(own)), sizes[own])
-    within = np.arange(len(cell)) - np.repeat(np.cumsum(sizes[own]) - sizes[own], sizes[own])
-    number = (np.cumsum(sizes) - sizes)[own[cell]] + within
-    axis, x, y, z = EDGES[np.concatenate(listed).astype(np.int64)[number]].T
+    cases = case[k, j, i]
+    cell = np.repeat(np.arange(len(cases)), sizes[cases])
+    within = np.arange(len(cell)) - np.repeat(np.cumsum(sizes[cases]) - sizes[cases], sizes[cases])
+    number = (np.cumsum(sizes) - sizes)[cases[cell]] + within
+    axis, x, y, z = CUBE_EDGES[np.concatenate(listed).astype(np.int64)[number]].T
     return vertex[k[cell] + z, j[cell] + y, axis, i[cell] + x].reshape(-1, 3)

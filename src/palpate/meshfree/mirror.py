@@ -25,8 +25,8 @@ __all__ = ["NO_MIRROR", "Images", "Mirror", "MirrorPlane", "mirror_images"]
 
 ON_PLANE = 1e-6  # largest distance of a plane's nodes from it, in spacings
 MIN_DISTANCE = 0.1  # least distance of all other nodes, in spacings
-PARALLEL = 1e-6  # cosine, or 1 minus a cosine, below which a face is at right angles to a plane, or in it
-ORTHOGONAL = 1e-9  # largest cosine between the normals of two planes
+MAX_FACE_COSINE = 1e-6  # cosine, or 1 minus a cosine, below which a face is at right angles to a plane, or in it
+MAX_NORMAL_COSINE = 1e-9  # largest cosine between the normals of two planes
 
 
 class MirrorPlane(NamedTuple):
@@ -143,21 +143,23 @@ class Images(NamedTuple):
         mirror = Mirror(self.source[images], np.ascontiguousarray(self.reflection[images]))
         return mirror, replace(stencils, neighbours=number[near], row=stencils.row[: self.nodes])
 
-    def folded(self, near: NDArray[np.int32], weights: Floats, own: Floats) -> tuple[NDArray[np.int32], Floats, Floats]:
+    def folded(
+        self, near: NDArray[np.int32], weights: Floats, diagonal: Floats
+    ) -> tuple[NDArray[np.int32], Floats, Floats]:
         """Return the part's rows of weights (N, k) of scalars, with images replaced by their sources.
 
-        The weight on a node's own image is added to the node's weight on itself, `own` (N,). Its entry
+        The weight on a node's own image is added to the node's weight on itself, `diagonal` (N,). Its entry
         becomes padding and moves to the end of the row, where the compiled passes stop reading.
         """
         if len(self.cloud) == self.nodes:
-            return near, weights, own
+            return near, weights, diagonal
         n = self.nodes
         every = np.arange(n)[:, None]
         sources = self.source[near[:n]].astype(np.int32)
         itself = (sources == every) & (near[:n] != every)
         rest = np.where(itself, 0.0, weights[:n])
         order = np.argsort(sources == every, axis=1, kind="stable")
-        total = own[:n] + np.sum(weights[:n] - rest, axis=1)
+        total = diagonal[:n] + np.sum(weights[:n] - rest, axis=1)
         return np.take_along_axis(sources, order, axis=1), np.take_along_axis(rest, order, axis=1), total
 
 
@@ -176,7 +178,7 @@ def mirror_images(cloud: Cloud, planes: Sequence[MirrorPlane]) -> Images:
     faces = cloud.face_nodes, cloud.face_normals, cloud.face_areas
     for k, (name, nodes, normal) in enumerate(planes):
         for other in planes[:k]:
-            if abs(normal @ other.normal) > ORTHOGONAL:
+            if abs(normal @ other.normal) > MAX_NORMAL_COSINE:
                 raise InputError(
                     f"planes of symmetry must be at right angles, got {other.name!r} and {name!r}; use Roller for one"
                 )
@@ -192,8 +194,8 @@ def mirror_images(cloud: Cloud, planes: Sequence[MirrorPlane]) -> Images:
         faces = _reflected_faces(faces, on, number, normal)
     if not planes:
         return Images(cloud, source, reflection, np.ones(n))
-    whole = Cloud(points, volumes, *faces, {}, np.zeros((0, 3), dtype=np.int64), spacing)
-    return Images(whole, source, reflection, volumes[:n] / cloud.volumes)
+    mirrored = Cloud(points, volumes, *faces, {}, np.zeros((0, 3), dtype=np.int64), spacing)
+    return Images(mirrored, source, reflection, volumes[:n] / cloud.volumes)
 
 
 def _reflection(normal: Floats) -> Floats:
@@ -205,9 +207,10 @@ def _reflected_faces(
 ) -> tuple[Ints, Floats, Floats]:
     """Return nodes, normals and areas of the faces of a body and its image; a plane of symmetry is not a face."""
     cosine = np.where(on[faces[0]], np.abs(faces[1] @ normal), 0.5)
-    at, normals, areas = (array[cosine < 1 - PARALLEL] for array in faces)
-    cosine = cosine[cosine < 1 - PARALLEL]
-    crossing = cosine < PARALLEL  # a face that the plane cuts at right angles: its nodes there have half of their areas
+    at, normals, areas = (array[cosine < 1 - MAX_FACE_COSINE] for array in faces)
+    cosine = cosine[cosine < 1 - MAX_FACE_COSINE]
+    # faces that the plane cuts at right angles: their nodes there have half of their areas
+    crossing = cosine < MAX_FACE_COSINE
     areas = np.where(crossing, 2.0, 1.0) * areas
     images = number[at], normals @ _reflection(normal), areas
     new_nodes, new_normals, new_areas = (array[~crossing] for array in images)
@@ -218,12 +221,12 @@ def _reflected_faces(
     )
 
 
-def _check_side(name: str, others: Floats, own: Floats) -> None:
+def _check_side(name: str, others: Floats, in_plane: Floats) -> None:
     """Raise `InputError` unless the plane's own depths are 0 and all others are on one side, in spacings."""
-    if np.abs(own).max() > ON_PLANE:
+    if np.abs(in_plane).max() > ON_PLANE:
         raise InputError(
-            f"nodes of the plane of symmetry {name!r} must be in one plane, got one {np.abs(own).max():.2g} spacings "
-            "away; give its normal, or use Roller"
+            f"nodes of the plane of symmetry {name!r} must be in one plane, got one "
+            f"{np.abs(in_plane).max():.2g} spacings away; give its normal, or use Roller"
         )
     if len(others) and max(others.min(), -others.max()) < MIN_DISTANCE:
         raise InputError(

@@ -29,9 +29,9 @@ def enclosures(surface: Surface, label: Ints) -> NDArray[np.bool_]:
     low = np.array([each.min(axis=(0, 1)) for each in corners])
     high = np.array([each.max(axis=(0, 1)) for each in corners])
     enclosed = np.zeros((len(corners), len(corners)), dtype=np.bool_)
-    for inner, own in enumerate(corners):
+    for inner, inner_corners in enumerate(corners):
         for outer in np.flatnonzero(np.all((low < low[inner]) & (high > high[inner]), axis=1)):
-            enclosed[inner, outer] = abs(winding_number(corners[outer], own[0, 0])) > 0.5
+            enclosed[inner, outer] = abs(winding_number(corners[outer], inner_corners[0, 0])) > 0.5
     return enclosed
 
 
@@ -50,7 +50,7 @@ def body_numbers(enclosed: NDArray[np.bool_]) -> Ints:
 
 
 def winding_number(corners: Floats, point: Floats) -> float:
-    """Return how often triangles (t, 3, 3) of a closed surface wind about a point: 1 inside, 0 outside.
+    """Return the winding number of triangles (t, 3, 3) of a closed surface about a point: 1 inside, 0 outside.
 
     The solid angle of a triangle is that of van Oosterom and Strackee (IEEE Transactions on Biomedical
     Engineering 30, 1983).

@@ -35,7 +35,7 @@ __all__ = ["conservative_smoothing", "integration_weights", "quadratic_residuals
 MIN_WEIGHT_RATIO = 0.3  # smallest weight over a node's volume: corrections of edges and corners multiply
 # smallest weight of a node with at most one face, over its volume and over the median volume
 MIN_SMOOTH_RATIO, MIN_MEDIAN_RATIO = 0.5, 0.25
-TRANSFERS = 8  # rounds of transfers; what is missing then is added without them
+TRANSFER_ROUNDS = 8  # rounds of transfers; what is missing then is added without them
 INTEGRAL_TOLERANCE = 1e-9  # largest error of the integral of a smoothed field, relative to a node's volume
 DERIVATIVE_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # the order of `Stencils.second`
 
@@ -84,7 +84,7 @@ def _transfer(weights: Floats, least: Floats, cloud: Cloud, stencils: Stencils) 
     if not (weights < least).any():
         return weights
     weights, residuals = weights.copy(), quadratic_residuals(stencils, cloud.points)
-    for _ in range(TRANSFERS):
+    for _ in range(TRANSFER_ROUNDS):
         node = np.flatnonzero(weights < least)
         row = residuals[stencils.row[node]]
         missing = least[node] - weights[node]

@@ -26,12 +26,12 @@ def refine_surface(vertices: Floats, triangles: Ints, max_edge: Callable[[Floats
         ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
         a, b = vertices[ends[..., 0]], vertices[ends[..., 1]]
         split = np.linalg.norm(a - b, axis=2) > max_edge((0.5 * (a + b)).reshape(-1, 3)).reshape(-1, 3)
-        whole = ~split.any(axis=1)
+        unsplit = ~split.any(axis=1)
         # both triangles of an edge have the same criterion: an edge below the limit is never split
-        finished.append(triangles[whole])
-        if whole.all():
+        finished.append(triangles[unsplit])
+        if unsplit.all():
             break
-        triangles, split, ends = triangles[~whole], split[~whole], ends[~whole]
+        triangles, split, ends = triangles[~unsplit], split[~unsplit], ends[~unsplit]
         key = ends[..., 0] * len(vertices) + ends[..., 1]
         once, inverse = np.unique(key[split], return_inverse=True)
         number = np.full(split.shape, -1)
@@ -50,11 +50,11 @@ def _split(triangles: Ints, new: Ints, vertices: Floats) -> Ints:
     count = (new >= 0).sum(axis=1)
     parts = [triangles[count == 0]]
     for wanted in (1, 2):
-        own, at = triangles[count == wanted], new[count == wanted]
+        corners, at = triangles[count == wanted], new[count == wanted]
         # permute the corners: a single split edge becomes 01; the unsplit edge next to two split ones becomes 20
         place = np.argmax(at >= 0, axis=1) if wanted == 1 else (np.argmin(at, axis=1) + 1) % 3
         turn = (np.arange(3) + place[:, None]) % 3
-        (a, b, c), (ab, bc, _) = np.take_along_axis(own, turn, 1).T, np.take_along_axis(at, turn, 1).T
+        (a, b, c), (ab, bc, _) = np.take_along_axis(corners, turn, 1).T, np.take_along_axis(at, turn, 1).T
         if wanted == 1:
             parts += [np.column_stack([a, ab, c]), np.column_stack([ab, b, c])]
         else:

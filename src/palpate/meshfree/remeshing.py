@@ -53,8 +53,8 @@ def vertex_vectors(vertices: Floats, triangles: Ints) -> tuple[Floats, Floats]:
     vectors: Floats = np.cross(b - a, c - a) / 6
     sizes, n = np.linalg.norm(vectors, axis=1), len(vertices)
     corner = triangles.ravel()
-    own = _label_sums(corner, np.repeat(vectors, 3, axis=0), n)
-    return own, _label_sums(corner, np.repeat(sizes, 3)[:, None], n)[:, 0]
+    summed = _label_sums(corner, np.repeat(vectors, 3, axis=0), n)
+    return summed, _label_sums(corner, np.repeat(sizes, 3)[:, None], n)[:, 0]
 
 
 def remesh(vertices: Floats, triangles: Ints, spacing: Floats, seed: int) -> SurfaceNodes:
@@ -174,29 +174,29 @@ def _minimise_energy(vertices, weights, edges, label, count, sweeps):  # type: i
         for e in range(len(edges)):
             for side in range(2):
                 v, w = edges[e, side], edges[e, 1 - side]
-                own, other = label[v], label[w]
-                if own == other or members[own] == 1:
+                cluster, neighbour = label[v], label[w]
+                if cluster == neighbour or members[cluster] == 1:
                     continue
                 before, after = 0.0, 0.0
                 m = weights[v]
                 for a in range(3):
                     x = m * vertices[v, a]
-                    before += moment[own, a] ** 2 / mass[own] + moment[other, a] ** 2 / mass[other]
-                    after += (moment[own, a] - x) ** 2 / (mass[own] - m) + (moment[other, a] + x) ** 2 / (
-                        mass[other] + m
+                    before += moment[cluster, a] ** 2 / mass[cluster] + moment[neighbour, a] ** 2 / mass[neighbour]
+                    after += (moment[cluster, a] - x) ** 2 / (mass[cluster] - m) + (moment[neighbour, a] + x) ** 2 / (
+                        mass[neighbour] + m
                     )
                 if after <= before * (1.0 + 1e-12):
                     continue
-                label[v] = other
+                label[v] = neighbour
                 moves += 1
-                mass[own] -= m
-                mass[other] += m
-                members[own] -= 1
-                members[other] += 1
+                mass[cluster] -= m
+                mass[neighbour] += m
+                members[cluster] -= 1
+                members[neighbour] += 1
                 for a in range(3):
                     x = m * vertices[v, a]
-                    moment[own, a] -= x
-                    moment[other, a] += x
+                    moment[cluster, a] -= x
+                    moment[neighbour, a] += x
         if moves * 2000 < len(label):
             break
     return label

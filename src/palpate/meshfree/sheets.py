@@ -271,8 +271,8 @@ def _relax(inner: Floats, rim: Floats, tree: cKDTree, spacing: float) -> Floats:
     deepest = RELAXED_DEPTH + REPULSION_RADIUS + 1
     depth = tree.query(inner, distance_upper_bound=deepest * spacing)[0] / spacing
     order = np.argsort(depth, kind="stable")
-    free, known = np.searchsorted(depth[order], [RELAXED_DEPTH, deepest])
-    nodes = np.concatenate([inner[order[:known]], rim])
+    free, end = np.searchsorted(depth[order], [RELAXED_DEPTH, deepest])
+    nodes = np.concatenate([inner[order[:end]], rim])
     for k in range(MAX_SWEEPS):
         distance, other = cKDTree(nodes).query(nodes[:free], k=min(13, len(nodes)))
         apart = distance[:, 1:, None] / spacing

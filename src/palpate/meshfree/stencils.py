@@ -119,14 +119,14 @@ class Stencils(Described):
         """Return the second derivatives of a nodal field, shape (n, d (d + 1) / 2) or (n, c, d (d + 1) / 2)."""
         return self._apply(self.second, self.own_second, field)
 
-    def _apply(self, weights: Floats, own: Floats, field: Floats) -> Floats:
+    def _apply(self, weights: Floats, diagonal: Floats, field: Floats) -> Floats:
         columns = np.ascontiguousarray(field, dtype=float).reshape(len(field), -1)
-        result = _apply(self.neighbours, self.row, weights, own, columns)
+        result = _apply(self.neighbours, self.row, weights, diagonal, columns)
         return result.reshape(len(self.row), *field.shape[1:], weights.shape[2])
 
 
 @cached_njit(parallel=True)
-def _apply(neighbours, row, weights, own, field):  # type: ignore[no-untyped-def]
+def _apply(neighbours, row, weights, diagonal, field):  # type: ignore[no-untyped-def]
     """Return weighted sums (n, c, w) of fields (n, c) over the neighbours."""
     n, k = neighbours.shape
     columns, width = field.shape[1], weights.shape[2]
@@ -135,7 +135,7 @@ def _apply(neighbours, row, weights, own, field):  # type: ignore[no-untyped-def
         r = row[i]
         for c in range(columns):
             for w in range(width):
-                total = own[r, w] * field[i, c]
+                total = diagonal[r, w] * field[i, c]
                 for j in range(k):
                     total += weights[r, j, w] * field[neighbours[i, j], c]
                 result[i, c, w] = total
@@ -219,7 +219,7 @@ def moving_least_squares(
     near, row, sample = _arrangements(points, near)
     offsets = points[near[sample]] - points[sample][:, None, :]
     present = near[sample] != sample[:, None]
-    value, first, second, own, condition = _fit(offsets, present, reach[sample], exponents, interpolating)
+    value, first, second, diagonal, condition = _fit(offsets, present, reach[sample], exponents, interpolating)
     bad = np.flatnonzero(~(condition < MAX_CONDITION)[row])
     if bad.size:
         worst = condition[row[bad[0]]]
@@ -232,7 +232,7 @@ def moving_least_squares(
     return Stencils(
         near.astype(np.int32), row.astype(np.int32),
         value, first, second,
-        own[:, 0].copy(), own[:, 1 : d + 1].copy(), own[:, d + 1 :].copy(), condition,
+        diagonal[:, 0].copy(), diagonal[:, 1 : d + 1].copy(), diagonal[:, d + 1 :].copy(), condition,
     )  # fmt: skip
 
 
@@ -316,8 +316,8 @@ def _fit(
     """Return the weights of value, first and second derivatives, own weights and condition numbers."""
     parts = [slice(begin, begin + BATCH_NODES) for begin in range(0, len(offsets), BATCH_NODES)]
     fits = [_fit_some(offsets[part], present[part], reach[part], exponents, interpolating) for part in parts]
-    value, first, second, own, condition = (np.concatenate(arrays) for arrays in zip(*fits, strict=True))
-    return value, first, second, own, condition
+    value, first, second, diagonal, condition = (np.concatenate(arrays) for arrays in zip(*fits, strict=True))
+    return value, first, second, diagonal, condition
 
 
 def _fit_some(
@@ -346,13 +346,13 @@ def _fit_some(
     # the c-th derivative at the node is the coefficient of the c-th monomial, times a factor
     factors = np.prod(np.where(exponents == 2, 2.0, 1.0) / reach[:, None, None] ** exponents, axis=2)
     size = 1 + d + d * (d + 1) // 2
-    found = np.zeros((s, size, weighted.shape[2]))
+    solution = np.zeros((s, size, weighted.shape[2]))
     solved = (factors[:, :, None] * np.linalg.solve(moment, weighted))[:, : size - interpolating]
-    found[:, interpolating : interpolating + solved.shape[1]] = solved
+    solution[:, interpolating : interpolating + solved.shape[1]] = solved
     if interpolating:
-        own = -found.sum(axis=2)
-        own[:, 0] = ~unfit
+        diagonal = -solution.sum(axis=2)
+        diagonal[:, 0] = ~unfit
     else:
-        own = found[:, :, k].copy()
-    weights = np.ascontiguousarray(found[:, :, :k].transpose(0, 2, 1))
-    return weights[:, :, 0].copy(), weights[:, :, 1 : 1 + d].copy(), weights[:, :, 1 + d :].copy(), own, condition
+        diagonal = solution[:, :, k].copy()
+    weights = np.ascontiguousarray(solution[:, :, :k].transpose(0, 2, 1))
+    return weights[:, :, 0].copy(), weights[:, :, 1 : 1 + d].copy(), weights[:, :, 1 + d :].copy(), diagonal, condition

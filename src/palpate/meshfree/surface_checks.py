@@ -73,6 +73,14 @@ class SurfaceReport:
 def check_surface(surface: Surface) -> SurfaceReport:
     """Return the problems of a welded surface: holes, folds, several parts, hollow shells, scale; and its repairs.
 
+    Parameters
+    ----------
+    surface : Surface
+
+    Returns
+    -------
+    SurfaceReport
+
     Examples
     --------
     >>> import palpate as pt
@@ -112,12 +120,12 @@ def _place_text(point: Floats) -> str:
 
 def _open_problems(surface: Surface, edges: Ints, count: Ints, turns: Ints, middles: Floats) -> list[SurfaceProblem]:
     """Return problems of edges: open, branching and inconsistently oriented."""
-    found = []
+    problems = []
     single, many = count == 1, count > 2
     if single.any():
         loops = boundary_loops(surface.triangles)
         sizes = ", ".join(str(len(loop)) for loop in sorted(loops, key=len, reverse=True)[:6]) or "tangled"
-        found.append(
+        problems.append(
             SurfaceProblem(
                 "error", "open",
                 f"the surface is open: {int(single.sum())} edges bound a hole (holes of {sizes} edges; the first near "
@@ -126,7 +134,7 @@ def _open_problems(surface: Surface, edges: Ints, count: Ints, turns: Ints, midd
             )
         )  # fmt: skip
     if many.any():
-        found.append(
+        problems.append(
             SurfaceProblem(
                 "error", "branching",
                 f"{int(many.sum())} edges belong to more than two triangles (first near "
@@ -136,7 +144,7 @@ def _open_problems(surface: Surface, edges: Ints, count: Ints, turns: Ints, midd
         )  # fmt: skip
     wrong = (count == 2) & (turns != 0)
     if wrong.any():
-        found.append(
+        problems.append(
             SurfaceProblem(
                 "error", "mixed orientation",
                 f"{int(wrong.sum())} edges lie between triangles that disagree about the outside (first near "
@@ -144,7 +152,7 @@ def _open_problems(surface: Surface, edges: Ints, count: Ints, turns: Ints, midd
                 middles[wrong],
             )
         )  # fmt: skip
-    return found
+    return problems
 
 
 def _pinch_problems(surface: Surface) -> list[SurfaceProblem]:
@@ -164,7 +172,7 @@ def _pinch_problems(surface: Surface) -> list[SurfaceProblem]:
 
 def _volume_problems(surface: Surface, label: Ints) -> list[SurfaceProblem]:
     """Return problems of a closed surface: parts, orientation, cavities, hollow shells."""
-    found = []
+    problems = []
     volumes = part_volumes(surface, label)
     places = part_centroids(surface, label)
     if len(volumes) > MAX_COMPONENTS:
@@ -180,7 +188,7 @@ def _volume_problems(surface: Surface, label: Ints) -> list[SurfaceProblem]:
     wrong = (volumes > 0) == cavity
     if wrong.any():
         inner = ", or a cavity outwards" if cavity[wrong].any() else ""
-        found.append(
+        problems.append(
             SurfaceProblem(
                 "error", "inside out",
                 f"the surface is inside out: triangles of {int(wrong.sum())} of {len(volumes)} parts face "
@@ -192,16 +200,16 @@ def _volume_problems(surface: Surface, label: Ints) -> list[SurfaceProblem]:
         what = (
             f"cavities inside the tissue, which stay empty: {int(cavity.sum())}, of {_litres(volumes[cavity])} litres"
         )
-        found.append(SurfaceProblem("note", "cavities", what, places[cavity]))
+        problems.append(SurfaceProblem("note", "cavities", what, places[cavity]))
     if (~cavity).sum() > 1:
         what = (
             f"{int((~cavity).sum())} separate bodies of {_litres(volumes[~cavity])} litres: each needs its own support"
         )
-        found.append(SurfaceProblem("note", "several bodies", what, places[~cavity]))
+        problems.append(SurfaceProblem("note", "several bodies", what, places[~cavity]))
     volume = abs(surface.volume)
     thickness = 2 * volume / max(surface.area, 1e-300)
     if thickness < MIN_THICKNESS_RATIO * np.cbrt(volume) or volume == 0:
-        found.append(
+        problems.append(
             SurfaceProblem(
                 "error", "hollow",
                 f"the surface is a hollow shell, watertight as it is: it encloses {1e3 * volume:.3g} litres with "
@@ -209,7 +217,7 @@ def _volume_problems(surface: Surface, label: Ints) -> list[SurfaceProblem]:
                 f"one outer surface: remove the inner one, or choose other parts",
             )
         )  # fmt: skip
-    return found
+    return problems
 
 
 def _litres(volumes: Floats) -> str:

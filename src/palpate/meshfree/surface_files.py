@@ -12,7 +12,7 @@ from palpate.faults import FileFormatError, InputError, brief, number_in_range
 from palpate.files import read_bytes, regular_file, shortened, unpack_gzip
 from palpate.meshfree.formats.common import Parts, triangle_count_error
 from palpate.meshfree.formats.gltf import read_glb, read_gltf
-from palpate.meshfree.formats.names import FORMATS, FORMATS_WITH_PARTS, format_of
+from palpate.meshfree.formats.names import FORMATS_WITH_PARTS, SURFACE_FORMATS, format_of
 from palpate.meshfree.formats.plain import read_obj, read_off, read_stl, read_trian
 from palpate.meshfree.formats.ply import read_ply
 from palpate.meshfree.formats.vtk import read_vtk
@@ -22,10 +22,10 @@ from palpate.meshfree.surface_parts import MAX_PARTS, choose_body, join_parts, m
 from palpate.meshfree.surface_repair import repair_surface
 from palpate.meshfree.surfaces import MAX_TRIANGLES, Surface, scaled, weld
 
-__all__ = ["UNITS", "read_surface"]
+__all__ = ["METRES_BY_UNIT", "read_surface"]
 
-UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
-READERS = {
+METRES_BY_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
+READER_BY_FORMAT = {
     "stl": read_stl, "obj": read_obj, "ply": read_ply, "off": read_off, "glb": read_glb, "gltf": read_gltf,
     "vtk": read_vtk, "vtp": read_vtp, "trian": read_trian,
 }  # fmt: skip
@@ -63,6 +63,10 @@ def read_surface(
     repair : bool
         Whether to repair the surface, see `palpate.meshfree.surface_repair.repair_surface`.
 
+    Returns
+    -------
+    Surface
+
     Raises
     ------
     FileNotFoundError
@@ -86,8 +90,8 @@ def read_surface(
     3.6e-05
     """
     path = Path(path)
-    if units is not None and units not in UNITS:
-        raise InputError(f"units must be one of {', '.join(map(repr, UNITS))}, got {brief(units)}")
+    if units is not None and units not in METRES_BY_UNIT:
+        raise InputError(f"units must be one of {', '.join(map(repr, METRES_BY_UNIT))}, got {brief(units)}")
     scale = number_in_range("scale", scale, 1e-6, 1e6, open_low=True)
     regular_file(path, "surface file")
     kind, packed = format_of(path)
@@ -96,8 +100,8 @@ def read_surface(
             f"{path} is a Gmsh file{_gmsh_version(path)} of a volume mesh; export its surface as STL, PLY or "
             f"OBJ (in Gmsh: File, Export)"
         )
-    if kind not in FORMATS:
-        raise FileFormatError(f"{path}: the format must be one of {', '.join(FORMATS).upper()}, got {kind!r}")
+    if kind not in SURFACE_FORMATS:
+        raise FileFormatError(f"{path}: the format must be one of {', '.join(SURFACE_FORMATS).upper()}, got {kind!r}")
     if part is not None and kind not in FORMATS_WITH_PARTS:
         raise InputError(f"part must be omitted for {kind.upper()} files, which have no named parts, got {brief(part)}")
     surface = _read(path, kind, packed, part, repair)
@@ -122,7 +126,7 @@ def _read(path: Path, kind: str, packed: bool, part: str | Sequence[str] | None,
     if not data:
         raise FileFormatError(f"{path} must not be empty")
     try:
-        parts = READERS[kind](data)
+        parts = READER_BY_FORMAT[kind](data)
         if not parts:
             raise FileFormatError("it must hold triangles, got none")
         names = list(parts) if part is None else matching_parts(list(parts), part)
@@ -168,16 +172,20 @@ def _in_metres(surface: Surface, units: str | None) -> Surface:
     warnings = surface.warnings
     if units is None:
         volume = max(abs(surface.volume) if surface.closed else (OPEN_SHARE * surface.size**3), 1e-300)
-        away = {name: abs(np.log(volume * scale**3 / TYPICAL_VOLUME)) for name, scale in UNITS.items() if name != "in"}
+        away = {
+            name: abs(np.log(volume * scale**3 / TYPICAL_VOLUME))
+            for name, scale in METRES_BY_UNIT.items()
+            if name != "in"
+        }
         units = min(away, key=away.__getitem__)
         guess = (
             f"{surface.name} does not state its units: {units} assumed, for "
             + (
-                f"a volume of {1e3 * volume * UNITS[units] ** 3:.3g} litres"
+                f"a volume of {1e3 * volume * METRES_BY_UNIT[units] ** 3:.3g} litres"
                 if surface.closed
-                else f"an open surface {1e3 * surface.size * UNITS[units]:.3g} mm long"
+                else f"an open surface {1e3 * surface.size * METRES_BY_UNIT[units]:.3g} mm long"
             )
             + "; give units= to be sure"
         )
         warnings = (*warnings, guess)
-    return replace(scaled(surface, UNITS[units]), warnings=warnings)
+    return replace(scaled(surface, METRES_BY_UNIT[units]), warnings=warnings)

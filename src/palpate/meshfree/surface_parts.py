@@ -63,12 +63,12 @@ def matching_parts(names: Sequence[str], part: str | Sequence[str]) -> list[str]
     patterns = [part] if isinstance(part, str) else list(part)
     chosen = set[str]()
     for pattern in patterns:
-        found = [pattern] if pattern in names else [name for name in names if fnmatchcase(name, pattern)]
-        if not found:
+        matches = [pattern] if pattern in names else [name for name in names if fnmatchcase(name, pattern)]
+        if not matches:
             raise InputError(
                 f"part must be one of {names_text(sorted(names)) or 'none'}, got {shortened(repr(pattern))}"
             )
-        chosen.update(found)
+        chosen.update(matches)
     if not chosen:
         raise InputError(f"part must name at least one of {names_text(sorted(names)) or 'none'}, got none")
     return [name for name in names if name in chosen]

@@ -14,7 +14,7 @@ from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.files import whole_file
 from palpate.realtime.exchange import acquire_fence, get_flag, make_flags, release_fence, set_flag
-from palpate.realtime.record import HEADER, HEADER_SIZE, UNITS
+from palpate.realtime.record import FIELD_UNITS, HEADER_DTYPE, HEADER_SIZE
 
 __all__ = ["MAX_COORDINATES", "RingBuffer", "append_record", "latest_records", "write_black_box"]
 
@@ -82,12 +82,12 @@ def write_black_box(path: str | Path, buffer: RingBuffer, attributes: dict[str, 
     import h5py
 
     records, path, content = latest_records(buffer), Path(path), io.BytesIO()
-    headers = np.ascontiguousarray(records[:, :HEADER_SIZE]).view(HEADER)[:, 0]
+    headers = np.ascontiguousarray(records[:, :HEADER_SIZE]).view(HEADER_DTYPE)[:, 0]
     with h5py.File(content, "w") as file:  # in memory, because HDF5 does not survive a full disk
-        for name in HEADER.names or ():
+        for name in HEADER_DTYPE.names or ():
             file[name] = headers[name]
-            if name in UNITS:
-                file[name].attrs["unit"] = UNITS[name]
+            if name in FIELD_UNITS:
+                file[name].attrs["unit"] = FIELD_UNITS[name]
         file["coordinates"] = records[:, HEADER_SIZE:]
         file.attrs.update(format=FORMAT, version=VERSION, written=time.strftime("%Y-%m-%dT%H:%M:%S%z"), **attributes)
     with whole_file(path) as partial:

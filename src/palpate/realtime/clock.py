@@ -20,24 +20,24 @@ from numba.extending import intrinsic
 
 from palpate.dynamics.compiled.cache import kernel_njit
 
-__all__ = ["HAS_ABSOLUTE_SLEEP", "SUPPORTED", "now", "sleep_until", "thread_time", "use_precise_sleep"]
+__all__ = ["HAS_ABSOLUTE_SLEEP", "HAS_THREAD_CLOCK", "now", "sleep_until", "thread_time", "use_precise_sleep"]
 
-SUPPORTED = hasattr(time, "CLOCK_THREAD_CPUTIME_ID") and hasattr(time, "clock_gettime")
+HAS_THREAD_CLOCK = hasattr(time, "CLOCK_THREAD_CPUTIME_ID") and hasattr(time, "clock_gettime")
 HAS_ABSOLUTE_SLEEP = sys.platform.startswith("linux")  # clock_nanosleep until a point in time
 
 MONOTONIC_CLOCK = getattr(time, "CLOCK_MONOTONIC", -1)
 THREAD_CLOCK = getattr(time, "CLOCK_THREAD_CPUTIME_ID", -1)
 TIMER_ABSTIME = 1
 PR_SET_TIMERSLACK = 29
-NANOSECONDS = 10**9  # in a second
+NANOSECONDS_PER_SECOND = 10**9  # in a second
 
-INT, LONG = ir.IntType(32), ir.IntType(64)
-TIMESPEC = ir.LiteralStructType([LONG, LONG])  # seconds and nanoseconds, on every 64-bit system
+INT_TYPE, LONG_TYPE = ir.IntType(32), ir.IntType(64)
+TIMESPEC_TYPE = ir.LiteralStructType([LONG_TYPE, LONG_TYPE])  # seconds and nanoseconds, on every 64-bit system
 
 
 def _emit_call(builder: Any, name: str, *args: Any) -> Any:
     """Emit a call of a C function that returns an int."""
-    kind = ir.FunctionType(INT, [argument.type for argument in args])
+    kind = ir.FunctionType(INT_TYPE, [argument.type for argument in args])
     return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), args)
 
 
@@ -46,19 +46,23 @@ def _read_clock(typingctx, clock):  # type: ignore[no-untyped-def]
     """Return the time of a clock [ns]."""
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        spec = cgutils.alloca_once(builder, TIMESPEC)
+        spec = cgutils.alloca_once(builder, TIMESPEC_TYPE)
         _emit_call(builder, "clock_gettime", args[0], spec)
         seconds, rest = (builder.load(cgutils.gep_inbounds(builder, spec, 0, k)) for k in (0, 1))
-        return builder.add(builder.mul(seconds, LONG(NANOSECONDS)), rest)
+        return builder.add(builder.mul(seconds, LONG_TYPE(NANOSECONDS_PER_SECOND)), rest)
 
     return types.int64(types.int32), codegen
 
 
 def _emit_timespec(builder: Any, nanoseconds: Any) -> Any:
     """Emit a timespec of a non-negative number of nanoseconds."""
-    spec = cgutils.alloca_once(builder, TIMESPEC)
-    builder.store(builder.sdiv(nanoseconds, LONG(NANOSECONDS)), cgutils.gep_inbounds(builder, spec, 0, 0))
-    builder.store(builder.srem(nanoseconds, LONG(NANOSECONDS)), cgutils.gep_inbounds(builder, spec, 0, 1))
+    spec = cgutils.alloca_once(builder, TIMESPEC_TYPE)
+    builder.store(
+        builder.sdiv(nanoseconds, LONG_TYPE(NANOSECONDS_PER_SECOND)), cgutils.gep_inbounds(builder, spec, 0, 0)
+    )
+    builder.store(
+        builder.srem(nanoseconds, LONG_TYPE(NANOSECONDS_PER_SECOND)), cgutils.gep_inbounds(builder, spec, 0, 1)
+    )
     return spec
 
 
@@ -67,12 +71,12 @@ def _sleep_until(typingctx, instant):  # type: ignore[no-untyped-def]
     """Sleep until a time [ns] of CLOCK_MONOTONIC or until a signal."""
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        nothing = ir.Constant(TIMESPEC.as_pointer(), None)
+        nothing = ir.Constant(TIMESPEC_TYPE.as_pointer(), None)
         return _emit_call(
             builder,
             "clock_nanosleep",
-            INT(MONOTONIC_CLOCK),
-            INT(TIMER_ABSTIME),
+            INT_TYPE(MONOTONIC_CLOCK),
+            INT_TYPE(TIMER_ABSTIME),
             _emit_timespec(builder, args[0]),
             nothing,
         )
@@ -85,7 +89,7 @@ def _sleep_for(typingctx, duration):  # type: ignore[no-untyped-def]
     """Sleep for a duration [ns] or until a signal."""
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        nothing = ir.Constant(TIMESPEC.as_pointer(), None)
+        nothing = ir.Constant(TIMESPEC_TYPE.as_pointer(), None)
         return _emit_call(builder, "nanosleep", _emit_timespec(builder, args[0]), nothing)
 
     return types.int32(types.int64), codegen

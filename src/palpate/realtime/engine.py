@@ -18,7 +18,7 @@ from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.faults import InputError, TrustWarning, integer_in_range, number_in_range
 from palpate.realtime.black_box import write_black_box
-from palpate.realtime.clock import SUPPORTED
+from palpate.realtime.clock import HAS_THREAD_CLOCK
 from palpate.realtime.contract import check_contract
 from palpate.realtime.exchange import publish, snapshot
 from palpate.realtime.loop import (
@@ -37,7 +37,7 @@ from palpate.realtime.loop import (
     Work,
     compile_loop,
 )
-from palpate.realtime.pose import IDENTITY, normalise_pose
+from palpate.realtime.pose import IDENTITY_POSE, normalise_pose
 from palpate.realtime.record import Reading, field_offset
 from palpate.realtime.runner import Runner
 from palpate.realtime.statistics import Statistics
@@ -45,7 +45,7 @@ from palpate.realtime.statistics import Statistics
 __all__ = ["Engine"]
 
 
-STATES = {RUNNING: "running", STOPPED: "stopped", PAUSED: "paused", DIVERGED: "diverged"}
+STATE_NAMES = {RUNNING: "running", STOPPED: "stopped", PAUSED: "paused", DIVERGED: "diverged"}
 ON_DISTRUST = {"warn": WARN, "clamp": CLAMP, "stop": STOP, "ignore": IGNORE}
 MIN_RATE, MAX_RATE = 1e-6, 20_000.0  # [Hz]; the period of a lower rate overflows
 MAX_HISTORY = 600.0  # [s]
@@ -127,17 +127,20 @@ class Engine(Described):
 
     Examples
     --------
+    >>> import time
     >>> import palpate as pt
     >>> cloud = pt.box((0.03, 0.03, 0.015), spacing=0.005)
     >>> tissue = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1060, poisson=0.45)
     >>> block = pt.Solid(cloud, tissue, fixed="z-")
     >>> ball = pt.tools.Contact(pt.tools.Sphere(radius=0.01), (0.015, 0.015, 0.026))
-    >>> import time
     >>> with pt.Engine(pt.realtime_model(block, contact=ball)) as engine:
-    ...     engine.set_pose((0, 0, -0.003))
-    ...     time.sleep(0.2)
-    ...     reading = engine.read()
-    >>> reading.state, reading.steps > 0
+    ...     engine.set_pose((0, 0, -0.003))  # 2 mm into the block
+    ...     for _ in range(500):
+    ...         time.sleep(0.01)
+    ...         reading = engine.read()
+    ...         if reading.force[2] > 0:
+    ...             break
+    >>> reading.state, bool(reading.force[2] > 0)
     ('running', True)
     """
 
@@ -155,7 +158,7 @@ class Engine(Described):
         spin: float = 50e-6,
         black_box: str | Path | None = None,
     ) -> None:
-        if not SUPPORTED:
+        if not HAS_THREAD_CLOCK:
             raise RuntimeError(
                 "the system must have clock_gettime and nanosleep, got neither; run the engine on Linux or macOS"
             )
@@ -180,7 +183,7 @@ class Engine(Described):
             self._channels.command,
             partial(self._write, black_box) if black_box is not None else None,
         )
-        self._lock, self._last_pose, self._warned = threading.RLock(), IDENTITY, False
+        self._lock, self._last_pose, self._warned = threading.RLock(), IDENTITY_POSE, False
         self._to_rest()
         snapshot(self._channels.record)  # compiles it before the loop runs
         weakref.finalize(self, self._runner.stop, STOPPED)  # at exit, or without references to the engine
@@ -200,7 +203,7 @@ class Engine(Described):
     @property
     def state(self) -> str:
         """``"stopped"``, ``"running"``, ``"paused"`` or ``"diverged"`` (after the black box is written)."""
-        return STATES[self._runner.state]
+        return STATE_NAMES[self._runner.state]
 
     def start(self) -> None:
         """Start stepping from the present state; from ``"stopped"`` this resets the statistics.
@@ -258,7 +261,7 @@ class Engine(Described):
 
     def _to_rest(self) -> None:
         self._work.reset(self._rest)
-        self._publish_pose(IDENTITY, 0)
+        self._publish_pose(IDENTITY_POSE, 0)
         publish(self._channels.record, self._work.record)
 
     def _publish_pose(self, pose: Floats, sequence: int) -> None:

@@ -21,7 +21,7 @@ __all__ = [
     "Slot", "acquire_fence", "fetch", "get_flag", "make_flags", "publish", "release_fence", "set_flag", "snapshot",
 ]  # fmt: skip
 
-ALIGNMENT = 8  # bytes
+ALIGNMENT_BYTES = 8  # bytes
 FLAGS_LENGTH = 16  # int64 in an array of flags: fills its cache lines, so that no other data shares them
 
 
@@ -31,7 +31,7 @@ def _make_load(order: str) -> Any:
     def load(typingctx, array, i):  # type: ignore[no-untyped-def]
         def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
             address = builder.gep(context.make_array(signature.args[0])(context, builder, args[0]).data, [args[1]])
-            return builder.load_atomic(address, order, ALIGNMENT)
+            return builder.load_atomic(address, order, ALIGNMENT_BYTES)
 
         return array.dtype(array, types.intp), codegen
 
@@ -45,7 +45,7 @@ def _make_store(order: str) -> Any:
     def store(typingctx, array, i, value):  # type: ignore[no-untyped-def]
         def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
             address = builder.gep(context.make_array(signature.args[0])(context, builder, args[0]).data, [args[1]])
-            builder.store_atomic(args[2], address, order, ALIGNMENT)
+            builder.store_atomic(args[2], address, order, ALIGNMENT_BYTES)
             return context.get_dummy_value()
 
         return types.void(array, types.intp, array.dtype), codegen

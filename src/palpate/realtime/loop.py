@@ -16,7 +16,7 @@ from palpate.realtime.black_box import RingBuffer, append_record
 from palpate.realtime.clock import now, sleep_until, thread_time
 from palpate.realtime.contract import FORCES, KINETIC, POSE_COLUMNS, STATUS, STEPS, STRAIN, TRUST
 from palpate.realtime.exchange import Slot, fetch, get_flag, make_flags, publish
-from palpate.realtime.pose import IDENTITY, follow_pose, pose_of_coordinates, tool_coordinates, wrench
+from palpate.realtime.pose import IDENTITY_POSE, follow_pose, pose_of_coordinates, tool_coordinates, wrench
 from palpate.realtime.record import HEADER_SIZE, field_offset
 from palpate.realtime.statistics import Histograms, count_step
 
@@ -43,7 +43,7 @@ RUNNING, STOPPED, PAUSED, DIVERGED = range(4)  # commands to the loop, and reaso
 WARN, CLAMP, STOP, IGNORE = range(4)  # responses to a trust number above 1
 MAX_SLEEP = 10_000_000  # [ns], which bounds the delay of a command
 MAX_TRAIL = 256  # stored trusted poses
-RETREAT = 4  # the tool moves back by 1 / RETREAT of its trail ...
+RETREAT_DIVISOR = 4  # the tool moves back by 1 / RETREAT_DIVISOR of its trail ...
 SETTLING_TIME = 0.05  # [s] ... if trust does not return within this time, in which vibrations decay
 REST_ENERGY = 1e-4  # energy of a body at rest, over the largest since it was at rest: 1 % of the amplitude
 MODEL_TIME, TIME_SCALE, WAITED, LARGEST_ENERGY, WORST_SINCE_RESET = range(5)  # indices in `Work.clock`
@@ -98,7 +98,7 @@ class Channels(NamedTuple):
         record = Slot.zeros(HEADER_SIZE + 2 * coordinates)
         return cls(
             make_flags(),
-            Slot.zeros(len(IDENTITY) + 1),
+            Slot.zeros(len(IDENTITY_POSE) + 1),
             record,
             Histograms.zeros(),
             RingBuffer.empty(history, coordinates),
@@ -153,14 +153,14 @@ class Work(NamedTuple):
     def at_rest(cls, rest: Floats, tool: Floats) -> Work:
         """Make the state at rest."""
         m, tools = len(rest), len(tool)
-        poses = {name: np.zeros(len(IDENTITY)) for name in ("pose", "wanted")}
-        poses["trail"] = np.zeros((MAX_TRAIL, len(IDENTITY)))
+        poses = {name: np.zeros(len(IDENTITY_POSE)) for name in ("pose", "wanted")}
+        poses["trail"] = np.zeros((MAX_TRAIL, len(IDENTITY_POSE)))
         coordinates = {name: np.zeros(tools) for name in ("target", "lost_at", "last_trusted", "wanted_coordinates")}
         report, tangent, record = np.zeros(FORCES + tools), np.zeros((tools, tools)), np.zeros(HEADER_SIZE + 2 * m)
         clock = np.array([0.0, 1.0, 0.0, 0.0, 0.0])
         work = cls(
             np.zeros(m), np.zeros(m), tool, **poses, length=np.ones(1, dtype=np.int64),
-            fetched=np.zeros(len(IDENTITY) + 1), **coordinates, report=report, tangent=tangent, record=record,
+            fetched=np.zeros(len(IDENTITY_POSE) + 1), **coordinates, report=report, tangent=tangent, record=record,
             clock=clock,
         )  # fmt: skip
         work.reset(rest)
@@ -170,10 +170,10 @@ class Work(NamedTuple):
         """Set body and tool to rest."""
         for array in (self.v, self.target, self.lost_at, self.report, self.tangent, self.record):
             array[:] = 0.0
-        self._start_trail(IDENTITY)
+        self._start_trail(IDENTITY_POSE)
         self.q[:] = rest
         self.clock[[MODEL_TIME, LARGEST_ENERGY, WORST_SINCE_RESET]] = 0.0
-        self.record[POSE : POSE + 7] = IDENTITY
+        self.record[POSE : POSE + 7] = IDENTITY_POSE
         self.record[HEADER_SIZE : HEADER_SIZE + len(rest)] = rest
 
     def place_tool(self, pose: Floats) -> None:
@@ -272,7 +272,7 @@ def _retreat(work, seconds):  # type: ignore[no-untyped-def]
         work.clock[WAITED] += seconds
         if work.clock[WAITED] >= SETTLING_TIME:
             work.clock[WAITED] = 0.0
-            work.length[0] = length - max(1, length // RETREAT)
+            work.length[0] = length - max(1, length // RETREAT_DIVISOR)
             if _is_equal(work.lost_at, work.last_trusted):  # the tool stood still when trust was lost
                 tool_coordinates(work.tool, work.trail[work.length[0] - 1], work.last_trusted)
 

@@ -12,10 +12,10 @@ from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.faults import InputError
 from palpate.files import shortened
 
-__all__ = ["IDENTITY", "MAX_JUMP", "follow_pose", "normalise_pose", "tool_coordinates", "wrench"]
+__all__ = ["IDENTITY_POSE", "MAX_JUMP", "follow_pose", "normalise_pose", "tool_coordinates", "wrench"]
 
 
-IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+IDENTITY_POSE = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 MAX_JUMP = 1.0  # [m] between consecutive poses; a larger one is a device error
 
 
@@ -49,14 +49,14 @@ def normalise_pose(
 def _finite_numbers(name: str, given: Any, count: int) -> Floats:
     """Return finite real numbers (count,)."""
     try:
-        found = np.asarray(given)
+        array = np.asarray(given)
     except ValueError:  # nested lists of unequal lengths
-        found = np.array(None)
-    if found.shape != (count,) or found.dtype.kind not in "fiu":
+        array = np.array(None)
+    if array.shape != (count,) or array.dtype.kind not in "fiu":
         raise InputError(
             f"{name} must be {count} real numbers, got {shortened(repr(given))}; pass an array; the last pose is kept"
         )
-    numbers = found.astype(float)
+    numbers = array.astype(float)
     if not np.isfinite(numbers).all():
         raise InputError(f"{name} must be finite, got {numbers}; check the device; the last pose is kept")
     return numbers
@@ -132,9 +132,9 @@ def pose_of_coordinates(coordinates, pose):  # type: ignore[no-untyped-def]
         x, y, z = (r[7] - r[5]) / (4.0 * w), (r[2] - r[6]) / (4.0 * w), (r[3] - r[1]) / (4.0 * w)
     else:
         i, j, k = best, (best + 1) % 3, (best + 2) % 3
-        own = 0.5 * np.sqrt(largest)
-        w = (r[3 * k + j] - r[3 * j + k]) / (4.0 * own)
-        parts = (own, (r[3 * j + i] + r[3 * i + j]) / (4.0 * own), (r[3 * k + i] + r[3 * i + k]) / (4.0 * own))
+        part = 0.5 * np.sqrt(largest)
+        w = (r[3 * k + j] - r[3 * j + k]) / (4.0 * part)
+        parts = (part, (r[3 * j + i] + r[3 * i + j]) / (4.0 * part), (r[3 * k + i] + r[3 * i + k]) / (4.0 * part))
         x, y, z = parts[(0 - i) % 3], parts[(1 - i) % 3], parts[(2 - i) % 3]
     sign = 1.0 if pose[3] * w + pose[4] * x + pose[5] * y + pose[6] * z >= 0.0 else -1.0
     length = sign * np.sqrt(w * w + x * x + y * y + z * z)

@@ -1,6 +1,6 @@
 """The record of one period: an array of float64 that the engine publishes and the black box stores.
 
-A record holds the fields of `HEADER`, then m coordinates, then m velocities.
+A record holds the fields of `HEADER_DTYPE`, then m coordinates, then m velocities.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 
-__all__ = ["HEADER", "HEADER_SIZE", "UNITS", "PeriodRecord", "Reading", "field_offset"]
+__all__ = ["FIELD_UNITS", "HEADER_DTYPE", "HEADER_SIZE", "PeriodRecord", "Reading", "field_offset"]
 
 
-HEADER = np.dtype(
+HEADER_DTYPE = np.dtype(
     [(name, "f8") for name in ("time", "steps", "failed", "iterations", "computing", "lateness")]
     + [
         (name, "f8")
@@ -27,47 +27,19 @@ HEADER = np.dtype(
     + [("position", "f8", 3), ("quaternion", "f8", 4), ("force", "f8", 3), ("moment", "f8", 3)]
     + [("stiffness", "f8", (3, 3))]
 )
-HEADER_SIZE = HEADER.itemsize // 8
-UNITS = {"time": "s", "computing": "s", "lateness": "s", "kinetic": "J", "strain": "J", "position": "m"}
-UNITS |= {"force": "N", "largest_force": "N", "moment": "N m", "stiffness": "N/m"}
+HEADER_SIZE = HEADER_DTYPE.itemsize // 8
+FIELD_UNITS = {"time": "s", "computing": "s", "lateness": "s", "kinetic": "J", "strain": "J", "position": "m"}
+FIELD_UNITS |= {"force": "N", "largest_force": "N", "moment": "N m", "stiffness": "N/m"}
 
 
 def field_offset(name: str) -> int:
-    """Return the index in a record at which a field of `HEADER` begins."""
-    return int(dict(HEADER.fields or {})[name][1]) // 8
+    """Return the index in a record at which a field of `HEADER_DTYPE` begins."""
+    return int(dict(HEADER_DTYPE.fields or {})[name][1]) // 8
 
 
 @dataclass(frozen=True, kw_only=True)
 class PeriodRecord(Described):
-    """Results of one period.
-
-    Parameters
-    ----------
-    time : float [s]
-        Model time since the last reset.
-    steps : int
-        Periods since the last reset.
-    force, moment : (3,) arrays [N], [N m]
-        Force and moment of the body on the tool, about the tool's reference point.
-    stiffness : (3, 3) array [N/m]
-        Contact stiffness: the derivative of the tool's force on the body by the tool's displacement. It is
-        updated every few periods, and is zero for a model without a stiffness function.
-    trust : float
-        Trust number; above 1 the model was not trained on such states.
-    position, quaternion : (3,) array [m] and (4,) array
-        Pose of the tool, which follows the requested pose at a limited speed.
-    sequence : int
-        Sequence number of the newest pose that the period used, as passed to `Engine.set_pose`.
-    kinetic, strain : float [J]
-        Kinetic and strain energy.
-    computing, lateness : float [s]
-        Computing time of the step, and the delay between its deadline and its start.
-    coordinates : (m,) array
-        Reduced coordinates.
-    state : str
-        ``"stopped"``, ``"running"``, ``"paused"`` or ``"diverged"``. After a divergence the other
-        fields keep the last valid values.
-    """
+    """Results of one period; the parameters are those of `Reading`."""
 
     time: float
     steps: int
@@ -107,6 +79,30 @@ class Reading(PeriodRecord):
 
     Parameters
     ----------
+    time : float [s]
+        Model time since the last reset.
+    steps : int
+        Periods since the last reset.
+    force, moment : (3,) arrays [N], [N m]
+        Force and moment of the body on the tool, about the tool's reference point.
+    stiffness : (3, 3) array [N/m]
+        Contact stiffness: the derivative of the tool's force on the body by the tool's displacement. It is
+        updated every few periods, and is zero for a model without a stiffness function.
+    trust : float
+        Trust number; above 1 the model was not trained on such states.
+    position, quaternion : (3,) array [m] and (4,) array
+        Pose of the tool, which follows the requested pose at a limited speed.
+    sequence : int
+        Sequence number of the newest pose that the period used, as passed to `Engine.set_pose`.
+    kinetic, strain : float [J]
+        Kinetic and strain energy.
+    computing, lateness : float [s]
+        Computing time of the step, and the delay between its deadline and its start.
+    coordinates : (m,) array
+        Reduced coordinates.
+    state : str
+        ``"stopped"``, ``"running"``, ``"paused"`` or ``"diverged"``. After a divergence the other
+        fields keep the last valid values.
     worst_trust : float
         Largest trust number since the body was at rest; `palpate.ReducedModel.expected_error` converts it to an
         error. The body is at rest when its energy has fallen to 1e-4 of the largest of the motion: what is left
@@ -133,8 +129,8 @@ class Reading(PeriodRecord):
     >>> ball = pt.tools.Contact(pt.tools.Sphere(radius=0.01), (0.015, 0.015, 0.026))
     >>> with pt.Engine(pt.realtime_model(block, contact=ball)) as engine:
     ...     reading = engine.read()
-    >>> reading.force.tolist(), reading.limited
-    ([0.0, 0.0, 0.0], False)
+    >>> reading.force.tolist(), reading.limited, reading.force_bound
+    ([0.0, 0.0, 0.0], False, inf)
     """
 
     worst_trust: float
@@ -147,7 +143,7 @@ class Reading(PeriodRecord):
     @classmethod
     def from_record(cls, record: Floats, state: str, bound: Callable[[float, float], float] | None = None) -> Reading:
         """Read a record (HEADER_SIZE + 2 m,), with the error bound by trust number and largest force."""
-        header = record[:HEADER_SIZE].view(HEADER)[0]
+        header = record[:HEADER_SIZE].view(HEADER_DTYPE)[0]
         names = ("time", "trust", "worst_trust", "largest_force", "kinetic", "strain", "computing", "lateness")
         numbers: dict[str, Any] = {name: float(header[name]) for name in names}
         numbers |= {name: int(header[name]) for name in ("steps", "sequence")}

@@ -19,9 +19,9 @@ from palpate.realtime.clock import HAS_ABSOLUTE_SLEEP
 
 __all__ = ["Distribution", "Histograms", "Statistics", "count_step"]
 
-FIRST_EDGE, DECADES, BINS_PER_DECADE = 1e-7, 8, 40  # [s]: bins from 0.1 us to 10 s, each 6 % wide
-BINS = DECADES * BINS_PER_DECADE
-EDGES = FIRST_EDGE * 10 ** (np.arange(BINS + 1) / BINS_PER_DECADE)
+FIRST_EDGE, BIN_DECADES, BINS_PER_DECADE = 1e-7, 8, 40  # [s]: bins from 0.1 us to 10 s, each 6 % wide
+BIN_COUNT = BIN_DECADES * BINS_PER_DECADE
+BIN_EDGES = FIRST_EDGE * 10 ** (np.arange(BIN_COUNT + 1) / BINS_PER_DECADE)
 COMPUTING, LATENESS = 0, 1  # rows of `Histograms.bins`
 MISSED, OVERRUN, DROPPED = 0, 1, 2  # indices in `Histograms.counts`
 MAX_OVERRUN_SHARE = 0.01  # of the steps at a sustained rate
@@ -53,7 +53,7 @@ class Histograms(NamedTuple):
     @classmethod
     def zeros(cls) -> Histograms:
         """Make empty histograms."""
-        return cls(np.zeros((2, BINS), dtype=np.int64), np.zeros(2), np.zeros(3, dtype=np.int64))
+        return cls(np.zeros((2, BIN_COUNT), dtype=np.int64), np.zeros(2), np.zeros(3, dtype=np.int64))
 
     def clear(self) -> None:
         """Set all counts to zero."""
@@ -76,7 +76,7 @@ def count_step(histograms, computing, lateness, ended, deadline, period, catch_u
     """
     for k, seconds in ((COMPUTING, computing), (LATENESS, lateness)):
         bin_index = int(BINS_PER_DECADE * np.log10(max(seconds, FIRST_EDGE) / FIRST_EDGE))
-        histograms.bins[k, min(bin_index, BINS - 1)] += 1
+        histograms.bins[k, min(bin_index, BIN_COUNT - 1)] += 1
         histograms.maxima[k] = max(histograms.maxima[k], seconds)
     behind = (ended - deadline) // period
     if behind > 0:
@@ -123,9 +123,9 @@ class Distribution(Described):
         total = int(self.counts.sum())
         if total == 0:
             return 0.0
-        found = int(np.searchsorted(np.cumsum(self.counts), percent / 100 * total * (1 - 1e-12)))
-        last = found == len(self.counts) - 1
-        return self.maximum if last else min(float(self.edges[found + 1]), self.maximum)
+        bin_number = int(np.searchsorted(np.cumsum(self.counts), percent / 100 * total * (1 - 1e-12)))
+        last = bin_number == len(self.counts) - 1
+        return self.maximum if last else min(float(self.edges[bin_number + 1]), self.maximum)
 
     @property
     def percentiles(self) -> dict[float, float]:
@@ -153,12 +153,12 @@ class Statistics(Described):
 
     Examples
     --------
+    >>> import time
     >>> import palpate as pt
     >>> cloud = pt.box((0.03, 0.03, 0.015), spacing=0.005)
     >>> tissue = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1060, poisson=0.45)
     >>> block = pt.Solid(cloud, tissue, fixed="z-")
     >>> ball = pt.tools.Contact(pt.tools.Sphere(radius=0.01), (0.015, 0.015, 0.026))
-    >>> import time
     >>> with pt.Engine(pt.realtime_model(block, contact=ball)) as engine:
     ...     time.sleep(0.2)
     ...     statistics = engine.statistics()
@@ -178,7 +178,8 @@ class Statistics(Described):
     def from_histograms(cls, histograms: Histograms, period: float) -> Statistics:
         """Read histograms; while the loop runs, the numbers may differ by one step."""
         computing, lateness = (
-            Distribution(EDGES, histograms.bins[k].copy(), float(histograms.maxima[k])) for k in (COMPUTING, LATENESS)
+            Distribution(BIN_EDGES, histograms.bins[k].copy(), float(histograms.maxima[k]))
+            for k in (COMPUTING, LATENESS)
         )
         missed, overrun, dropped = (int(histograms.counts[k]) for k in (MISSED, OVERRUN, DROPPED))
         return cls(period, int(computing.counts.sum()), missed, dropped, overrun, computing, lateness)

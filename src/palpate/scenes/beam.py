@@ -9,11 +9,11 @@ from palpate.meshfree.cloud import box
 from palpate.scenes.scene import Scene
 from palpate.tissue.materials import MooneyRivlin
 
-__all__ = ["DURATION", "EVERY", "SIZE", "beam", "pull"]
+__all__ = ["BEAM_SIZE", "DURATION", "EVERY", "beam", "pull"]
 
-SIZE = (0.2, 0.02, 0.02)  # [m]
+BEAM_SIZE = (0.2, 0.02, 0.02)  # [m]
 DURATION, EVERY = 1.0, 0.01  # [s]
-MIN_SPACING, MAX_SPACING = 0.0005, SIZE[1] / 3  # [m] 670,000 nodes; 4 nodes across
+MIN_SPACING, MAX_SPACING = 0.0005, BEAM_SIZE[1] / 3  # [m] 670,000 nodes; 4 nodes across
 MAX_LOAD = 1000.0  # [N] ten times the paper's
 
 
@@ -47,7 +47,7 @@ def beam(spacing: float = 0.005, load: float = 100.0, poisson: float = 0.49) -> 
     spacing = number_in_range("spacing", spacing, MIN_SPACING, MAX_SPACING, unit="m")
     load = number_in_range("load", load, 0.0, MAX_LOAD, open_low=True, unit="N")
     material = MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=poisson)
-    model = Solid(box(SIZE, spacing=spacing), material, form="strong", fixed="x-")
+    model = Solid(box(BEAM_SIZE, spacing=spacing), material, form="strong", fixed="x-")
     traction = SurfaceForce("x+", force=lambda time: (pull(time, load), 0.0, 0.0))
     parameters = {"spacing": spacing, "load": load, "poisson": float(poisson)}
     return Scene(model, (traction,), DURATION, EVERY, f"Beam under traction, {load:g} N", parameters)

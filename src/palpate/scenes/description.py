@@ -13,7 +13,7 @@ from typing import Any
 from palpate.faults import InputError
 from palpate.scenes.settings import Fault, read_values, setting
 from palpate.tissue.catalogue import LAWS
-from palpate.tissue.liver import DENSITY, MASS_DAMPING, POISSON
+from palpate.tissue.liver import LIVER_DENSITY, LIVER_POISSON, MASS_DAMPING
 
 __all__ = [
     "Ball", "Body", "Box", "Description", "Fibre", "Load", "Near", "Painted", "Place", "Plane", "Region", "Relaxation",
@@ -21,7 +21,7 @@ __all__ = [
 ]  # fmt: skip
 
 SINGLE_SECTIONS = ("surface", "body", "tissue", "tool", "run", "training")
-SHAPES = ("liver", "box", "disc")
+SURFACE_SHAPES = ("liver", "box", "disc")
 # keys of [training] that choose runs and the size of the model; neither the body nor a path depends on them
 CHOICES_OF_RUNS = ("paths", "held_out", "modes", "tolerance", "cubature", "seed")
 Vector = tuple[float, ...]
@@ -36,7 +36,7 @@ class Shape:
     units: str = setting("", "unit of length in the file; guessed if it is left out", choices=("m", "cm", "mm", "in"))
     scale: float = setting(1.0, "factor of all lengths", low=1e-6, high=1e6)
     repair: bool = setting(True, "close small holes, turn triangles, smooth folds and remove specks")
-    generated: str = setting("", "generated shape in place of a file", choices=SHAPES)
+    generated: str = setting("", "generated shape in place of a file", choices=SURFACE_SHAPES)
     size: Vector = setting((), "edges of a box from the origin", unit="m", above=0.0, length=3)
     disc_radius: float = setting(0.1, "radius of a disc", unit="m", above=0.0, high=10.0)
 
@@ -83,8 +83,8 @@ class Tissue:
     law: str = setting("NeoHookean", "law of the catalogue (palpate laws)")
     energy: str = setting("", "energy of a law of your own as a text, such as 'C1*(I1 - 3 - 2*log(J))'")
     parameters: dict[str, float | str] = setting({}, "parameters of the law")
-    density: float = setting(DENSITY, "density", unit="kg/m^3", above=0.0)
-    poisson: float = setting(POISSON, "Poisson's ratio at rest", low=0.0, high=0.5)
+    density: float = setting(LIVER_DENSITY, "density", unit="kg/m^3", above=0.0)
+    poisson: float = setting(LIVER_POISSON, "Poisson's ratio at rest", low=0.0, high=0.5)
     volumetric: str = setting("quadratic", "form of the volumetric energy",
                               choices=("quadratic", "logarithmic", "mixed"))  # fmt: skip
     split: str = setting("coupled", "strain of the shear energy", choices=("coupled", "isochoric"))
@@ -339,19 +339,19 @@ def chooses_runs(description: Description, key: str) -> bool:
 
 def _find_setting(description: Description, key: str) -> tuple[str, str]:
     """Return the section and the key of a setting; the section ``"parameters"`` for a parameter of the law."""
-    known = {
+    settings_by_name = {
         f"{section}.{field.name}": (section, field.name)
         for section in SINGLE_SECTIONS
         for field in fields(getattr(description, section))
     }
-    found = [each for each in known if each == key or each.endswith(f".{key}")]
-    if len(found) > 1:
-        raise InputError(f"settings must name one key, got {key!r}; give {' or '.join(found)}")
-    if found:
-        return known[found[0]]
+    matches = [each for each in settings_by_name if each == key or each.endswith(f".{key}")]
+    if len(matches) > 1:
+        raise InputError(f"settings must name one key, got {key!r}; give {' or '.join(matches)}")
+    if matches:
+        return settings_by_name[matches[0]]
     law = next((law for law in LAWS if law.name == description.tissue.law), None)
     if key in {each.name for each in (law.parameters if law else ())} | set(description.tissue.parameters):
         return "parameters", key
-    near = get_close_matches(key[:60], [*known, *(word for _, word in known.values())], 1)
+    near = get_close_matches(key[:60], [*settings_by_name, *(word for _, word in settings_by_name.values())], 1)
     remedy = f"did you mean {near[0]}?" if near else "docs/scenes.md lists them"
     raise InputError(f"settings must be keys of the scene, got {key!r:.60}; {remedy}")

@@ -20,7 +20,7 @@ from palpate.reduction.hyper.model import ReducedModel
 
 __all__ = ["FreeSurface"]
 
-POSES = 61  # of a path, between which a tool moves by a fraction of its radius
+POSES_PER_PATH = 61  # of a path, between which a tool moves by a fraction of its radius
 
 
 class FreeSurface:
@@ -67,11 +67,11 @@ class FreeSurface:
         self.vectors = vectors[self.nodes]
         self.areas = np.bincount(cloud.face_nodes, cloud.face_areas, len(cloud))[self.nodes]
         self.normals = _unit(self.vectors)
-        held = supported_nodes(cloud, body.supports).kind == FIXED
+        held_mask = supported_nodes(cloud, body.supports).kind == FIXED
         for support in body.supports:
             if isinstance(support, SymmetryPlane):
-                held[cloud.group(support.group)] = True
-        self.held, self.fixed_points = held[self.nodes], cloud.points[held]
+                held_mask[cloud.group(support.group)] = True
+        self.held, self.fixed_points = held_mask[self.nodes], cloud.points[held_mask]
 
     @cached_property
     def tree(self) -> cKDTree:
@@ -119,7 +119,7 @@ class FreeSurface:
             return np.atleast_1d(self.tree.query(np.asarray(load.point, dtype=float))[1])
         if not isinstance(load, Contact) or not load.tool.sizes[0]:
             return np.zeros(0, dtype=np.int64)
-        places = load.poses(np.linspace(0.0, duration, POSES))[:, :3]
+        places = load.poses(np.linspace(0.0, duration, POSES_PER_PATH))[:, :3]
         distances, nearest = self.tree.query(places)
         outward = np.einsum("ta,ta->t", places - self.points[nearest], self.normals[nearest])
         return np.unique(nearest[(distances < load.tool.sizes[0]) | (outward < 0)])

@@ -11,8 +11,8 @@ from palpate.tissue.materials import NeoHookean
 
 __all__ = ["AFTER", "DURATION", "EVERY", "PUSH_TIME", "RADIUS", "membrane", "tool_tip"]
 
-RADIUS, THICKNESS = 0.1, 1e-5  # [m]
-SPEED, PUSH_TIME = 0.1, 0.1  # [m/s], [s]
+RADIUS, MEMBRANE_THICKNESS = 0.1, 1e-5  # [m]
+PUSH_SPEED, PUSH_TIME = 0.1, 0.1  # [m/s], [s]
 DURATION, EVERY = 0.2, 0.002  # [s]
 MIN_SPACING = 0.001  # [m] 36,000 nodes
 AFTER = ("return", "hold", "release")
@@ -24,8 +24,8 @@ def tool_tip(time: float, after: str = "return") -> float:
     It rises at 0.1 m/s to 10 mm at 0.1 s. After that time it is 0 for ``"return"``, else unchanged.
     """
     if time <= PUSH_TIME * (1 + 1e-9):
-        return SPEED * max(time, 0.0)
-    return 0.0 if after == "return" else SPEED * PUSH_TIME
+        return PUSH_SPEED * max(time, 0.0)
+    return 0.0 if after == "return" else PUSH_SPEED * PUSH_TIME
 
 
 def membrane(
@@ -79,7 +79,7 @@ def membrane(
             f"{cloud.spacing:g} m, or 0 for the paper's point"
         )
     material = NeoHookean(C1=0.17e6, density=1200.0, poisson=0.5)
-    model = Membrane(cloud, material, THICKNESS, "rim", prestretch=prestretch, relaxed=relaxed, form=form)
+    model = Membrane(cloud, material, MEMBRANE_THICKNESS, "rim", prestretch=prestretch, relaxed=relaxed, form=form)
     until = PUSH_TIME if after == "release" else float("inf")
     tool = PrescribedMotion("tool", lambda points, time: (0.0, 0.0, tool_tip(time, after)), until)
     parameters = {

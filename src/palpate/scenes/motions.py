@@ -12,16 +12,16 @@ from palpate.dynamics.loads.surface_force import SurfaceForce
 from palpate.faults import InputError, brief, integer_in_range
 from palpate.scenes.beam import DURATION
 
-__all__ = ["LIMITS", "Course", "random_motion", "training_motions"]
+__all__ = ["LIMITS_BY_KIND", "Course", "random_motion", "training_motions"]
 
 # lower and upper bounds by kind: axial force [N], magnitudes of the transverse force [N] and twisting moment [N m]
-LIMITS = {
+LIMITS_BY_KIND = {
     "inside": ((0.0, 10.0), (0.0, 0.1), (0.0, 5e-3)),
     "outside": ((13.0, 20.0), (0.13, 0.2), (6.5e-3, 0.01)),
     "buckling": ((-0.5, -0.2), (0.0, 0.02), (0.0, 1e-3)),
 }
 # axial force, transverse force along y and z, twisting moment, as shares of the largest of kind "inside"
-SINGLE = (
+SINGLE_LOADS = (
     (1.0, 0.0, 0.0, 0.0),
     (0.0, 1.0, 0.0, 0.0),
     (0.0, 0.0, 1.0, 0.0),
@@ -77,10 +77,10 @@ def random_motion(seed: int, kind: str = "inside") -> tuple[Load, ...]:
     InputError
         A seed that is not an integer of at least 0, or an unknown kind.
     """
-    if kind not in LIMITS:
-        raise InputError(f"kind must be one of {', '.join(map(repr, LIMITS))}, got {brief(kind)}")
-    random = np.random.default_rng([integer_in_range("seed", seed, 0), list(LIMITS).index(kind)])
-    axial, transverse, twist = (float(random.uniform(low, high)) for low, high in LIMITS[kind])
+    if kind not in LIMITS_BY_KIND:
+        raise InputError(f"kind must be one of {', '.join(map(repr, LIMITS_BY_KIND))}, got {brief(kind)}")
+    random = np.random.default_rng([integer_in_range("seed", seed, 0), list(LIMITS_BY_KIND).index(kind)])
+    axial, transverse, twist = (float(random.uniform(low, high)) for low, high in LIMITS_BY_KIND[kind])
     angle = random.uniform(0.0, 2 * np.pi)
     sign = random.choice([-1.0, 1.0])
     courses = [_random_course(random) for _ in range(3)]
@@ -99,9 +99,9 @@ def training_motions(count: int = 8) -> list[tuple[Load, ...]]:
         A count that is not an integer of at least 1.
     """
     count = integer_in_range("count", count, 1)
-    largest = np.array([LIMITS["inside"][part][1] for part in (0, 1, 1, 2)])
+    largest = np.array([LIMITS_BY_KIND["inside"][part][1] for part in (0, 1, 1, 2)])
     courses = [Course(start=0.05, rise=0.25, hold=0.2, fall=0.2)] * 3
-    single = [_motion(courses, *(largest * shares)) for shares in SINGLE[:count]]
+    single = [_motion(courses, *(largest * shares)) for shares in SINGLE_LOADS[:count]]
     return single + [random_motion(TRAINING_SEED + k) for k in range(count - len(single))]
 
 

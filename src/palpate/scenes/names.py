@@ -5,9 +5,9 @@ A command line reads them without an import of numerics.
 
 from __future__ import annotations
 
-__all__ = ["SCENES", "SCENE_SUFFIX", "is_scene_file", "listed_scenes"]
+__all__ = ["PACKAGE_SCENES", "SCENE_SUFFIX", "is_scene_file", "listed_scenes"]
 
-SCENES = ("beam", "liver", "membrane")  # files in the folder data
+PACKAGE_SCENES = ("beam", "liver", "membrane")  # files in the folder data
 SCENE_SUFFIX = ".toml"
 
 
@@ -18,4 +18,4 @@ def is_scene_file(what: str) -> bool:
 
 def listed_scenes() -> str:
     """Return the names for a sentence, such as ``beam, liver, membrane``."""
-    return ", ".join(SCENES)
+    return ", ".join(PACKAGE_SCENES)

@@ -13,17 +13,17 @@ from typing import Any
 from palpate.faults import InputError, brief
 from palpate.files import json_of
 from palpate.scenes.description import Description, chooses_runs, with_settings
-from palpate.scenes.names import SCENES, is_scene_file
+from palpate.scenes.names import PACKAGE_SCENES, is_scene_file
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.scene import TrainingScene
 from palpate.scenes.scene_text import parse_scene, read_scene
 from palpate.scenes.settings import Fault, read_section, written_section
 
-__all__ = ["DESCRIPTION", "DIGEST", "described_scene", "open_scene", "text_of_scene", "training_scene_of"]
+__all__ = ["DESCRIPTION_KEY", "DIGEST_KEY", "described_scene", "open_scene", "text_of_scene", "training_scene_of"]
 
 # parameters of a training scene from a file: digest of what it depends on; its description where the file alone has
 # another one, or is a surface
-DIGEST, DESCRIPTION = "digest", "description"
+DIGEST_KEY, DESCRIPTION_KEY = "digest", "description"
 
 
 def open_scene(what: str | Path, settings: Mapping[str, Any] | None = None) -> OrganScene:
@@ -58,16 +58,16 @@ def open_scene(what: str | Path, settings: Mapping[str, Any] | None = None) -> O
     >>> scene.body.material.poisson
     0.3
     """
-    if str(what) in SCENES:
+    if str(what) in PACKAGE_SCENES:
         text = (files("palpate.scenes") / "data" / f"{what}.toml").read_text(encoding="utf-8")
         description, folder = parse_scene(text, f"{what}.toml of palpate"), Path()
     elif is_scene_file(str(what)):
         description, folder = read_scene(Path(what)), Path(what).parent
     else:
-        near = get_close_matches(str(what)[:60], SCENES, 1)
+        near = get_close_matches(str(what)[:60], PACKAGE_SCENES, 1)
         remedy = f"; did you mean {near[0]}?" if near else ""
         raise InputError(
-            f"scene must be {', '.join(SCENES)}, or a file that ends in .toml, got {brief(str(what))}{remedy}"
+            f"scene must be {', '.join(PACKAGE_SCENES)}, or a file that ends in .toml, got {brief(str(what))}{remedy}"
         )
     return _with(description, settings or {}, folder, str(what))
 
@@ -98,8 +98,8 @@ def described_scene(name: str, text: str) -> OrganScene:
     try:
         description: Description = read_section(Description, json_of(text))
     except Fault as fault:
-        raise InputError(f"{DESCRIPTION} must be that of a scene, got one whose {fault.message}") from fault
-    return OrganScene(description, Path() if name in SCENES else Path(name).parent, name)
+        raise InputError(f"{DESCRIPTION_KEY} must be that of a scene, got one whose {fault.message}") from fault
+    return OrganScene(description, Path() if name in PACKAGE_SCENES else Path(name).parent, name)
 
 
 def training_scene_of(scene: OrganScene, parameters: Mapping[str, Any]) -> TrainingScene:
@@ -117,12 +117,12 @@ def training_scene_of(scene: OrganScene, parameters: Mapping[str, Any]) -> Train
         The scene file, or a file that it names, is not what it was; or as `OrganScene.body` and `OrganScene.paths`.
     """
     given = dict(parameters)
-    digest, text = given.pop(DIGEST, None), given.get(DESCRIPTION)
+    digest, text = given.pop(DIGEST_KEY, None), given.get(DESCRIPTION_KEY)
     for name, value in given.items():
         if not isinstance(value, str | int | float):  # as a campaign and a model file keep it
             raise InputError(f"{name} must be a number or a text to train with, got {brief(value)}; change the file")
     if text is not None and text != text_of_scene(scene):
-        raise InputError(f"{DESCRIPTION} must be that of the scene, got another one; open the scene by it")
+        raise InputError(f"{DESCRIPTION_KEY} must be that of the scene, got another one; open the scene by it")
     if digest not in (None, scene.digest):
         raise InputError(
             f"{scene.name}, or a file that it names, has changed; open the changed scene in another folder"
@@ -130,7 +130,7 @@ def training_scene_of(scene: OrganScene, parameters: Mapping[str, Any]) -> Train
     training = scene.description.training
     tools = (scene.held_group,) if scene.held_group else ()
     # a campaign continues with other numbers of paths and modes
-    kept = {key: given[key] for key in given if key == DESCRIPTION or not chooses_runs(scene.description, key)}
-    kept[DIGEST] = scene.digest
+    kept = {key: given[key] for key in given if key == DESCRIPTION_KEY or not chooses_runs(scene.description, key)}
+    kept[DIGEST_KEY] = scene.digest
     made = TrainingScene(scene.body, scene.paths, training.every, scene.title, kept, tools)
     return made if training.cubature is None else replace(made, cubature=training.cubature)

@@ -20,11 +20,11 @@ __all__ = ["liver_surface"]
 
 Vector = Sequence[float]
 
-VOLUME = 1.5e-3  # [m^3] of an adult liver
-LOW, HIGH = np.array([-0.15, -0.11, -0.13]), np.array([0.17, 0.12, 0.12])  # [m] of the grid
+LIVER_VOLUME = 1.5e-3  # [m^3] of an adult liver
+GRID_LOW, GRID_HIGH = np.array([-0.15, -0.11, -0.13]), np.array([0.17, 0.12, 0.12])  # [m] of the grid
 
 
-def liver_surface(resolution: float = 0.003, volume: float = VOLUME) -> Surface:
+def liver_surface(resolution: float = 0.003, volume: float = LIVER_VOLUME) -> Surface:
     """Return a closed liver-like surface: right lobe at negative x, front at negative y, dome up along z.
 
     Parameters
@@ -48,10 +48,10 @@ def liver_surface(resolution: float = 0.003, volume: float = VOLUME) -> Surface:
     """
     resolution = number_in_range("resolution", resolution, 0.001, 0.008, unit="m")
     volume = number_in_range("volume", volume, 1e-6, 1e-2, unit="m^3")
-    cells = np.ceil((HIGH - LOW) / resolution).astype(int)
-    axes = [LOW[a] + resolution * np.arange(cells[a] + 1) for a in range(3)]
+    cells = np.ceil((GRID_HIGH - GRID_LOW) / resolution).astype(int)
+    axes = [GRID_LOW[a] + resolution * np.arange(cells[a] + 1) for a in range(3)]
     x, y, z = np.meshgrid(*axes, indexing="ij", sparse=True)
-    vertices, triangles = zero_surface(_liver(x, y, z), LOW, resolution)
+    vertices, triangles = zero_surface(_liver(x, y, z), GRID_LOW, resolution)
     surface = weld(Surface(vertices, triangles, "liver"))
     if surface.volume < 0:
         surface = Surface(surface.vertices, surface.triangles[:, ::-1], "liver")

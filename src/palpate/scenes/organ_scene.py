@@ -31,14 +31,14 @@ from palpate.dynamics.solid.model import Solid
 from palpate.faults import FileFormatError, InputError
 from palpate.files import digest_of, read_bytes
 from palpate.meshfree.cloud import Cloud, box
-from palpate.meshfree.filling import BODY, fill
+from palpate.meshfree.filling import BODY_PREFIX, fill
 from palpate.meshfree.sheets import disc
 from palpate.meshfree.surface_checks import SurfaceReport, check_surface, shape_problems
 from palpate.meshfree.surface_files import read_surface
 from palpate.meshfree.surface_repair import repair_surface
 from palpate.meshfree.surfaces import Surface, scaled
 from palpate.scenes.description import CHOICES_OF_RUNS, Description
-from palpate.scenes.names import SCENES, is_scene_file
+from palpate.scenes.names import PACKAGE_SCENES, is_scene_file
 from palpate.scenes.organ import liver_surface
 from palpate.scenes.places import PlaceFinder, side_mask
 from palpate.scenes.scene_paths import MIN_DEPTH_RATIO, HeldMotion, held_motion, touching_paths
@@ -301,7 +301,7 @@ class OrganScene(Described):
 
     @cached_property
     def identity(self) -> dict[str, Any]:
-        """What the bodies and paths of this scene depend on: the sections, and digests of the files that they name.
+        """Dependencies of the bodies and paths of this scene: its sections, and digests of the files in them.
 
         Raises
         ------
@@ -332,7 +332,7 @@ class OrganScene(Described):
 
     def _support_key(self, number: int) -> str:
         """Return the name of a support for messages: its entry in a scene file, or the argument for a surface."""
-        of_file = self.name in SCENES or is_scene_file(self.name)
+        of_file = self.name in PACKAGE_SCENES or is_scene_file(self.name)
         return f"support[{number + 1}]" if of_file else "fixed"
 
     def _filled(self) -> Cloud:
@@ -424,21 +424,21 @@ class OrganScene(Described):
         sliding = groups["roller"] | groups["rail"]
         bodies = _bodies(cloud)
         for nodes, where in bodies:
-            held = int(fixed[nodes].sum())
+            count = int(fixed[nodes].sum())
             if fixed[nodes].mean() > MAX_HELD_SHARE:
                 raise InputError(
                     f"fixed must leave tissue free, got {fixed[nodes].mean():.0%} of the nodes{where} held; hold a "
                     "smaller part"
                 )
-            if held < MIN_HELD and not springs[nodes].any() and not sliding[nodes].any():
-                raise InputError(f"fixed must hold at least {MIN_HELD} nodes{where}, got {held}; hold a larger part")
+            if count < MIN_HELD and not springs[nodes].any() and not sliding[nodes].any():
+                raise InputError(f"fixed must hold at least {MIN_HELD} nodes{where}, got {count}; hold a larger part")
 
 
 def _files(sections_: Any) -> set[str]:
     """Return the names of files in nested sections."""
     if isinstance(sections_, Mapping):
-        found = {sections_["file"]} if sections_.get("file") else set()
-        return found.union(*(_files(each) for each in sections_.values()))
+        names = {sections_["file"]} if sections_.get("file") else set()
+        return names.union(*(_files(each) for each in sections_.values()))
     if isinstance(sections_, list | tuple):
         return set().union(*(_files(each) for each in sections_))
     return set()
@@ -457,7 +457,7 @@ def _check_closed(surface: Surface) -> SurfaceReport:
 
 def _bodies(cloud: Cloud) -> list[tuple[Ints, str]]:
     """Return the nodes of each body of a cloud, and its name for messages, empty for one alone."""
-    names = [name for name in cloud.groups if name.startswith(f"{BODY} ")]
+    names = [name for name in cloud.groups if name.startswith(f"{BODY_PREFIX} ")]
     if not names:
         return [(np.arange(len(cloud)), "")]
     return [(cloud.group(name), f" of {name} of {len(names)}") for name in names]

@@ -23,10 +23,10 @@ from palpate.files import regular_file, shortened
 
 __all__ = ["read_painted"]
 
-FORMATS = (".ply", ".vtk", ".vtp", ".vtu")
+MESH_SUFFIXES = (".ply", ".vtk", ".vtp", ".vtu")
 MAX_FILE_BYTES = 300_000_000  # bytes of a file
-MEMORY, SECONDS = 400 << 20, 30  # of the reader, with which it begins; more for larger files
-PER_BYTE, RATE = 20, 1_000_000  # of memory, and bytes a second
+READER_BYTES, READER_SECONDS = 400 << 20, 30  # of the reader, with which it begins; more for larger files
+BYTES_PER_FILE_BYTE, FILE_BYTES_PER_SECOND = 20, 1_000_000  # of memory, and bytes a second
 
 
 def read_painted(path: str | Path, name: str | None = None) -> tuple[Floats, Floats]:
@@ -69,12 +69,14 @@ def read_painted(path: str | Path, name: str | None = None) -> tuple[Floats, Flo
     """
     path = Path(path)
     size = regular_file(path, "painted mesh", MAX_FILE_BYTES)
-    if path.suffix.lower() not in FORMATS:
-        raise FileFormatError(f"{path}: a painted mesh is one of {', '.join(FORMATS)}")
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise FileFormatError(f"{path}: a painted mesh is one of {', '.join(MESH_SUFFIXES)}")
     require("pyvista", "reading a painted mesh")
     command = [sys.executable, "-P", "-m", "palpate.scenes.painted", str(path.absolute()), name or "", str(size)]
     try:
-        done = subprocess.run(command, capture_output=True, timeout=4 * (SECONDS + size / RATE), check=False)
+        done = subprocess.run(
+            command, capture_output=True, timeout=4 * (READER_SECONDS + size / FILE_BYTES_PER_SECOND), check=False
+        )
     except subprocess.TimeoutExpired:
         raise FileFormatError(f"{path} cannot be read in reasonable time; save the mesh again") from None
     arrays = _arrays(done.stdout)
@@ -84,10 +86,10 @@ def read_painted(path: str | Path, name: str | None = None) -> tuple[Floats, Flo
     if points.ndim != 2 or points.shape[1] != 3 or not len(points):
         raise FileFormatError(f"{path} holds no points, or is not a {path.suffix} file")
     if fields.dtype.kind == "U":  # there is no such field: the names of those there are
-        known = ", ".join(shortened(repr(str(each))) for each in fields) or "none"
+        names = ", ".join(shortened(repr(str(each))) for each in fields) or "none"
         if name is None:
-            raise InputError(f"{path} must have one field on its points, got {known}; name one of them")
-        raise InputError(f"{path} has no field {name!r} on its points, but {known}")
+            raise InputError(f"{path} must have one field on its points, got {names}; name one of them")
+        raise InputError(f"{path} has no field {name!r} on its points, but {names}")
     if fields.shape != (len(points),):
         raise InputError(f"{path}: the field {name!r} is not a scalar; its shape is {fields.shape}")
     if not np.isfinite(points).all() or not np.isfinite(fields).all():
@@ -111,10 +113,10 @@ def _main(path: str, name: str, size: str) -> None:
     if os.name == "posix":
         import resource
 
-        own = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize() if _has_statm() else 0
-        memory = own + MEMORY + PER_BYTE * int(size)
-        resource.setrlimit(resource.RLIMIT_AS if own else resource.RLIMIT_DATA, (memory, memory))
-        resource.setrlimit(resource.RLIMIT_CPU, (SECONDS + int(size) // RATE,) * 2)
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize() if _has_statm() else 0
+        memory = used + READER_BYTES + BYTES_PER_FILE_BYTE * int(size)
+        resource.setrlimit(resource.RLIMIT_AS if used else resource.RLIMIT_DATA, (memory, memory))
+        resource.setrlimit(resource.RLIMIT_CPU, (READER_SECONDS + int(size) // FILE_BYTES_PER_SECOND,) * 2)
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # VTK writes to standard output

@@ -16,21 +16,21 @@ from palpate.meshfree.attachment import painted
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.nesting import winding_number
 from palpate.meshfree.refining import refine_surface
-from palpate.meshfree.surface_files import UNITS, read_surface
+from palpate.meshfree.surface_files import METRES_BY_UNIT, read_surface
 from palpate.meshfree.surfaces import Surface
 from palpate.scenes.description import Near, Painted, Place, Shape
 from palpate.scenes.painted import read_painted
 
 __all__ = ["PlaceFinder", "inside_surface", "place_of_text", "side_mask"]
 
-PAINTED = "painted "  # begins the text of a painted place
+PAINTED_PREFIX = "painted "  # begins the text of a painted place
 CAMERA_SIDE = (0.277, -0.833, 0.479)  # direction from the body to the camera of the page at its start
 SUPPORT_SHARE = 0.12  # of the extent along a direction, which a side holds
-SIDES = {"x-": (0, 1), "x+": (0, -1), "y-": (1, 1), "y+": (1, -1), "z-": (2, 1), "z+": (2, -1)}
-NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)"
-LOWEST = re.compile(rf"lowest {NUMBER} ?%", re.ASCII)
-NEAR = re.compile(rf"near {NUMBER}, ?{NUMBER}, ?{NUMBER}, ?{NUMBER}", re.ASCII)
-EDGE = 0.5  # longest edge of a near surface over the distance from it
+SIDE_AXES = {"x-": (0, 1), "x+": (0, -1), "y-": (1, 1), "y+": (1, -1), "z-": (2, 1), "z+": (2, -1)}
+NUMBER_PATTERN = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)"
+LOWEST_PATTERN = re.compile(rf"lowest {NUMBER_PATTERN} ?%", re.ASCII)
+NEAR_PATTERN = re.compile(rf"near {NUMBER_PATTERN}, ?{NUMBER_PATTERN}, ?{NUMBER_PATTERN}, ?{NUMBER_PATTERN}", re.ASCII)
+MAX_EDGE_RATIO = 0.5  # longest edge of a near surface over the distance from it
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class PlaceFinder:
             repair=False,
         )
         vertices, _ = refine_surface(
-            surface.vertices, surface.triangles, lambda places: np.full(len(places), EDGE * distance)
+            surface.vertices, surface.triangles, lambda places: np.full(len(places), MAX_EDGE_RATIO * distance)
         )
         away, _ = cKDTree(vertices).query(points, distance_upper_bound=distance)
         return np.asarray(np.isfinite(away))
@@ -138,7 +138,7 @@ class PlaceFinder:
         """Unit of other files, which is that of the body's."""
         if self.shape.units:
             return self.shape.units
-        return min(UNITS, key=lambda name: abs(np.log(UNITS[name] * self.shape.scale / self.unit)))
+        return min(METRES_BY_UNIT, key=lambda name: abs(np.log(METRES_BY_UNIT[name] * self.shape.scale / self.unit)))
 
 
 def inside_surface(surface: Surface, points: Floats) -> NDArray[np.bool_]:
@@ -154,21 +154,21 @@ def inside_surface(surface: Surface, points: Floats) -> NDArray[np.bool_]:
 
 def side_mask(points: Floats, text: str) -> NDArray[np.bool_]:
     """Return the points (n,) on a side that a text names; see `palpate.scenes.description.Place`."""
-    if text in SIDES:
-        axis, sign = SIDES[text]
+    if text in SIDE_AXES:
+        axis, sign = SIDE_AXES[text]
         return _far_share(sign * points[:, axis], SUPPORT_SHARE)
     if text == "back":
         return _far_share(points @ np.array(CAMERA_SIDE), SUPPORT_SHARE)
-    lowest = LOWEST.fullmatch(text)
+    lowest = LOWEST_PATTERN.fullmatch(text)
     if lowest:
         share = number_in_range("fixed", float(lowest[1]), 0.0, 100.0, open_low=True, unit="%")
         return _far_share(points[:, 2], share / 100)
-    near = NEAR.fullmatch(text)
+    near = NEAR_PATTERN.fullmatch(text)
     if near:
         x, y, z, radius = (1e-3 * float(each) for each in near.groups())
         return np.asarray(np.linalg.norm(points - [x, y, z], axis=1) <= radius)
     raise InputError(
-        f"fixed must be {', '.join(SIDES)}, back, 'lowest 15%', 'near X,Y,Z,R' in mm or 'painted FILE', got "
+        f"fixed must be {', '.join(SIDE_AXES)}, back, 'lowest 15%', 'near X,Y,Z,R' in mm or 'painted FILE', got "
         f"{text!r:.60}; use one of them"
     )
 
@@ -176,9 +176,9 @@ def side_mask(points: Floats, text: str) -> NDArray[np.bool_]:
 def place_of_text(text: str) -> Place:
     """Return the place of a text on the command line: a side, ``painted FILE`` or ``painted FILE:FIELD``."""
     text = text.strip()
-    if not text.startswith(PAINTED):
+    if not text.startswith(PAINTED_PREFIX):
         return Place(side=text)
-    text = text.removeprefix(PAINTED).strip()
+    text = text.removeprefix(PAINTED_PREFIX).strip()
     file, colon, field = text.rpartition(":")
     if not colon or Path(text).exists():
         file, field = text, ""

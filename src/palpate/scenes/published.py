@@ -13,20 +13,21 @@ from palpate.files import whole_file
 from palpate.meshfree.surface_files import read_surface
 from palpate.meshfree.surfaces import Surface
 
-__all__ = ["CITATION", "PART", "SOURCE", "fetch_liver"]
+__all__ = ["LIVER_ADDRESS", "LIVER_CITATION", "LIVER_PART", "fetch_liver"]
 
-SOURCE = "https://github.com/hubmapconsortium/ccf-releases/raw/cb9bfd93/v1.3/models/VH_F_Liver.glb"
-NAME, LARGEST, SECONDS = "VH_F_Liver.glb", 20_000_000, 60.0  # file name, largest size [bytes], timeout [s]
-SHA256 = "ad9b0be0ff253e7bfe31bfffc00017dafce226d4f3e7804a81cbb4c2e269d598"
-PART = "VH_F_capsule_of_the_liver"
-CITATION = (
+LIVER_ADDRESS = "https://github.com/hubmapconsortium/ccf-releases/raw/cb9bfd93/v1.3/models/VH_F_Liver.glb"
+LIVER_FILE = "VH_F_Liver.glb"
+MAX_LIVER_BYTES, DOWNLOAD_SECONDS = 20_000_000, 60.0
+LIVER_SHA256 = "ad9b0be0ff253e7bfe31bfffc00017dafce226d4f3e7804a81cbb4c2e269d598"
+LIVER_PART = "VH_F_capsule_of_the_liver"
+LIVER_CITATION = (
     "Kristen Browne. 2021. 3D Reference Organ for Liver, Female v1.1. https://doi.org/10.48539/HBM798.JZZM.649. "
     "CC BY 4.0. Its one hole is closed here."
 )
 
 
-def fetch_liver(folder: str | Path | None = None, source: str = SOURCE) -> Surface:
-    """Return the female liver of the Human Reference Atlas (CC BY 4.0, `CITATION`), its one hole closed.
+def fetch_liver(folder: str | Path | None = None, source: str = LIVER_ADDRESS) -> Surface:
+    """Return the female liver of the Human Reference Atlas (CC BY 4.0, `LIVER_CITATION`), its one hole closed.
 
     The file of 1.7 MB is downloaded once and checked by its SHA-256.
 
@@ -60,22 +61,22 @@ def fetch_liver(folder: str | Path | None = None, source: str = SOURCE) -> Surfa
         ...
     palpate.faults.InputError: source must be an address, got 'liver.glb'
     """
-    path = (user_cache_path("palpate") if folder is None else Path(folder)) / NAME
-    if not (path.is_file() and sha256(path.read_bytes()).hexdigest() == SHA256):
+    path = (user_cache_path("palpate") if folder is None else Path(folder)) / LIVER_FILE
+    if not (path.is_file() and sha256(path.read_bytes()).hexdigest() == LIVER_SHA256):
         content = _downloaded(source)
         path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as partial:
             partial.write_bytes(content)
-    return read_surface(path, part=PART, repair=True)
+    return read_surface(path, part=LIVER_PART, repair=True)
 
 
 def _downloaded(source: str) -> bytes:
     """Return the content of the published file."""
     try:
-        with urlopen(source, timeout=SECONDS) as answer:
-            content: bytes = answer.read(LARGEST)
+        with urlopen(source, timeout=DOWNLOAD_SECONDS) as answer:
+            content: bytes = answer.read(MAX_LIVER_BYTES)
     except ValueError as error:
         raise InputError(f"source must be an address, got {source!r:.200}") from error
-    if sha256(content).hexdigest() != SHA256:
-        raise FileFormatError(f"{source} is not the published file: its SHA-256 differs from {SHA256}")
+    if sha256(content).hexdigest() != LIVER_SHA256:
+        raise FileFormatError(f"{source} is not the published file: its SHA-256 differs from {LIVER_SHA256}")
     return content

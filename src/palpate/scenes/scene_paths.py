@@ -24,7 +24,7 @@ __all__ = ["HeldMotion", "held_motion", "touching_paths"]
 RADIUS_SHARE, DEPTH_SHARE, SLIDE_SHARE = 0.06, 0.07, 0.08  # of the body's length, where the scene gives none
 MIN_RADIUS = 2.5  # [spacings] of the ball
 MIN_DEPTH_RATIO = 0.3  # depth of the shallowest press over that of the deepest
-SWINGS = 3  # in a motion of a held group
+SWINGS_PER_MOTION = 3  # in a motion of a held group
 
 
 def held_motion(training: Training, seed: int, lasting: float) -> HeldMotion:
@@ -95,11 +95,11 @@ class HeldMotion:
     def sizes(self) -> Floats:
         """Displacement [m] and rotation vector [rad] of every swing, shape (SWINGS, 6)."""
         low, high = self.bounds
-        return np.asarray(np.random.default_rng(self.seed).uniform(low, high, size=(SWINGS, 6)))
+        return np.asarray(np.random.default_rng(self.seed).uniform(low, high, size=(SWINGS_PER_MOTION, 6)))
 
     def pose(self, time: float) -> tuple[Floats, Rotation]:
         """Return the displacement (3,) [m] of the tool's reference point and the rotation about it at a time [s]."""
-        shares = np.sin(np.pi * np.arange(1, SWINGS + 1) * time / self.lasting) ** 2
+        shares = np.sin(np.pi * np.arange(1, SWINGS_PER_MOTION + 1) * time / self.lasting) ** 2
         moved = shares @ self.sizes
         return moved[:3], Rotation.from_rotvec(moved[3:])
 

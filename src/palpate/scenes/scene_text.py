@@ -16,7 +16,8 @@ __all__ = ["line_of", "parse_scene", "read_scene"]
 MAX_BYTES = 1 << 20  # of a scene file
 # keys of more parts than a scene has; tomllib takes hours for one of 100,000
 LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){16}""")
-HEADER = re.compile(r"\[(\[?)([^\[\],=]+)\]\]?\s*(?:#.*)?")  # each repetition ends at one place: no backtracking
+# each repetition ends at one place: no backtracking
+SECTION_PATTERN = re.compile(r"\[(\[?)([^\[\],=]+)\]\]?\s*(?:#.*)?")
 
 
 def read_scene(path: Path) -> Description:
@@ -79,7 +80,7 @@ def line_of(text: str, path: tuple[str | int, ...]) -> int:
     best, depth = 1, 0
     for number, line in enumerate(text.splitlines(), 1):
         line = line.strip()
-        header = HEADER.fullmatch(line)
+        header = SECTION_PATTERN.fullmatch(line)
         if header:
             names = _split(header[2])
             here = names
@@ -89,11 +90,11 @@ def line_of(text: str, path: tuple[str | int, ...]) -> int:
                 here = (*names, index)
             elif names[0] in tables:  # a table of the last entry of a list
                 here = (names[0], tables[names[0]] - 1, *names[1:])
-            found = here
+            key_path = here
         elif "=" in line:
-            found = (*here, *_split(line.partition("=")[0]))
+            key_path = (*here, *_split(line.partition("=")[0]))
         else:
             continue
-        if len(found) > depth and found == path[: len(found)]:
-            best, depth = number, len(found)
+        if len(key_path) > depth and key_path == path[: len(key_path)]:
+            best, depth = number, len(key_path)
     return best

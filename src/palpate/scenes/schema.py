@@ -9,16 +9,16 @@ from dataclasses import MISSING, is_dataclass
 from typing import Any
 
 from palpate.scenes.description import Description
-from palpate.scenes.settings import UNITS, fields_of
+from palpate.scenes.settings import FACTORS_BY_UNIT, fields_of
 
 __all__ = ["scene_schema"]
 
-DIALECT = "https://json-schema.org/draft/2020-12/schema"
+SCHEMA_DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
 def scene_schema() -> dict[str, Any]:
     """Return the JSON schema of a scene file."""
-    return {"$schema": DIALECT, "title": "palpate scene"} | _section(Description)
+    return {"$schema": SCHEMA_DIALECT, "title": "palpate scene"} | _section(Description)
 
 
 def _section(section: type) -> dict[str, Any]:
@@ -63,15 +63,15 @@ def _value(kind: Any, about: Any) -> dict[str, Any]:
     number = _range(about) | {"type": "integer" if kind is int else "number"}
     if kind is int:
         return number
-    units = "|".join(unit.replace("^", r"\^") for unit in UNITS[about["unit"]])
+    units = "|".join(unit.replace("^", r"\^") for unit in FACTORS_BY_UNIT[about["unit"]])
     text = {"type": "string", "pattern": rf"^\s*[-+]?[0-9.]+([eE][-+]?[0-9]+)?\s*({units})?\s*$"}
     return {"anyOf": [number, text]}
 
 
 def _range(about: Any) -> dict[str, Any]:
-    found = {}
+    limits = {}
     if math.isfinite(about["low"]):
-        found["exclusiveMinimum" if about["open_low"] else "minimum"] = about["low"]
+        limits["exclusiveMinimum" if about["open_low"] else "minimum"] = about["low"]
     if math.isfinite(about["high"]):
-        found["maximum"] = about["high"]
-    return found
+        limits["maximum"] = about["high"]
+    return limits

@@ -20,7 +20,7 @@ from typing import Any
 from palpate.faults import InputError, brief
 
 __all__ = [
-    "UNITS",
+    "FACTORS_BY_UNIT",
     "Fault",
     "check_number",
     "fields_of",
@@ -32,7 +32,7 @@ __all__ = [
 ]
 
 # units that a text may carry, by the SI unit of the setting; a number without unit is in the SI unit
-UNITS: dict[str, dict[str, float]] = {
+FACTORS_BY_UNIT: dict[str, dict[str, float]] = {
     "": {"%": 0.01},
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254},
     "s": {"s": 1.0, "ms": 1e-3, "min": 60.0},
@@ -47,7 +47,7 @@ UNITS: dict[str, dict[str, float]] = {
     "N s/m^3": {"N s/m^3": 1.0, "Pa s/m": 1.0, "kPa s/m": 1e3},
     "rad": {"rad": 1.0, "deg": math.pi / 180},
 }
-QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*", re.ASCII)
+QUANTITY_PATTERN = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*", re.ASCII)
 MAX_TEXT_CHARACTERS, MAX_ENTRIES = 4000, 10_000  # of a text; of a list
 MAX_PARAMETER_ENTRIES = 100  # of a list that is one parameter of a law
 
@@ -131,14 +131,14 @@ def read_values(section: type, table: Any, path: tuple[str | int, ...]) -> dict[
     """Return the values of some settings of a section by name; raise `Fault` as `read_section`."""
     if not isinstance(table, Mapping):
         raise Fault(path, f"must be a table, got {brief(table)}; write [{path[-1] if path else 'section'}]")
-    known = fields_of(section)
+    fields_by_name = fields_of(section)
     values = {}
     for key, value in table.items():
-        if key not in known:
-            near = get_close_matches(str(key)[:60], known, 1)
-            remedy = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
+        if key not in fields_by_name:
+            near = get_close_matches(str(key)[:60], fields_by_name, 1)
+            remedy = f"did you mean {near[0]}?" if near else f"known are {', '.join(fields_by_name)}"
             raise Fault((*path, key), f"is not a key of {_place(path)}; {remedy}")
-        field, kind = known[key]
+        field, kind = fields_by_name[key]
         values[key] = _read(kind, field.metadata, value, (*path, key))
     return values
 
@@ -173,21 +173,21 @@ def quantity(value: Any, unit: str) -> float:
             return float(value)
         except OverflowError:  # a whole number of hundreds of digits
             return math.inf if value > 0 else -math.inf
-    known = UNITS[unit]
-    example = f'"12 {next(iter(known))}"' if unit else "0.3 or 30 %"
-    found = QUANTITY.fullmatch(value) if isinstance(value, str) and len(value) <= MAX_TEXT_CHARACTERS else None
-    if found is None:
+    factors = FACTORS_BY_UNIT[unit]
+    example = f'"12 {next(iter(factors))}"' if unit else "0.3 or 30 %"
+    match = QUANTITY_PATTERN.fullmatch(value) if isinstance(value, str) and len(value) <= MAX_TEXT_CHARACTERS else None
+    if match is None:
         raise InputError(
             f"must be a number{f' [{unit}]' if unit else ''} or a text such as {example}, got {brief(value)}"
         )
-    number, word = float(found[1]), found[2]
+    number, word = float(match[1]), match[2]
     if word is None:
         return number
-    if word not in known:
-        raise InputError(f"must have one of the units {', '.join(known)}, got {word!r:.40}; write it as {example}")
+    if word not in factors:
+        raise InputError(f"must have one of the units {', '.join(factors)}, got {word!r:.40}; write it as {example}")
     if not (math.isfinite(number) and number):
         return number
-    return float(Decimal(found[1]) * Decimal(repr(known[word])))  # 9 mm are 0.009 m to the last bit
+    return float(Decimal(match[1]) * Decimal(repr(factors[word])))  # 9 mm are 0.009 m to the last bit
 
 
 def check_number(value: Any, about: Mapping[str, Any]) -> float:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from palpate.faults import InputError
-from palpate.meshfree.formats.names import FORMATS, format_of
+from palpate.meshfree.formats.names import SURFACE_FORMATS, format_of
 from palpate.scenes.description import Body, Description, Shape, Support, Tissue, with_settings
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.places import place_of_text
@@ -18,7 +18,7 @@ __all__ = ["is_surface_file", "surface_scene"]
 
 def is_surface_file(what: str) -> bool:
     """Return True for the name of a surface file by its suffix."""
-    return format_of(Path(what))[0] in FORMATS
+    return format_of(Path(what))[0] in SURFACE_FORMATS
 
 
 def surface_scene(

@@ -63,12 +63,12 @@ def fibres_of(fibre: Fibre) -> FibreLaw:
 
 
 def _entry(name: str, word: str, entries: Sequence[CatalogueEntry]) -> Any:
-    known = {entry.name: entry for entry in entries}
-    if word not in known:
-        near = get_close_matches(word[:60], known, 1)
+    entries_by_name = {entry.name: entry for entry in entries}
+    if word not in entries_by_name:
+        near = get_close_matches(word[:60], entries_by_name, 1)
         remedy = f"did you mean {near[0]}?" if near else "palpate laws lists them"
-        raise InputError(f"{name} must be one of {', '.join(known)}, got {word!r:.60}; {remedy}")
-    return known[word]
+        raise InputError(f"{name} must be one of {', '.join(entries_by_name)}, got {word!r:.60}; {remedy}")
+    return entries_by_name[word]
 
 
 def _parameters(law: CatalogueEntry, given: Mapping[str, Any]) -> dict[str, Any]:

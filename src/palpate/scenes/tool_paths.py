@@ -34,21 +34,22 @@ from palpate.scenes.scene import CAMPAIGN_SEEDS, TRAINING_SEEDS
 __all__ = ["ToolPaths"]
 
 MIN_RADIUS = 2.0  # [spacings] of the ball, so that nodes resolve the surface under it
-CLEARANCE = 0.2  # [radii] between ball and body near a press; twice that before and after
-TIMES = (0.0, 0.02, 0.25, 0.45, 0.58, 0.6)  # [s] away, near, pressed, slid, near, away; of forceps: pulled, turned
-SLIDING = (0.0, 0.0, 0.0, 1.0, 1.0, 1.0)  # share of the slide at these times
-SMOOTHING, MIN_SMOOTHING = 0.5, 1.5  # [radii], [spacings] width over which normals are smoothed
+CLEARANCE_RADII = 0.2  # [radii] between ball and body near a press; twice that before and after
+# [s] away, near, pressed, slid, near, away; of forceps: pulled, turned
+PHASE_TIMES = (0.0, 0.02, 0.25, 0.45, 0.58, 0.6)
+SLIDE_SHARES = (0.0, 0.0, 0.0, 1.0, 1.0, 1.0)  # share of the slide at these times
+SMOOTHING_RADII, MIN_SMOOTHING_SPACINGS = 0.5, 1.5  # [radii], [spacings] width over which normals are smoothed
 MAX_GAP = 0.1  # [radii] between a reachable node and the ball that comes along its normal
 MAX_DEPTH_RATIO = 0.4  # depth of a press over the thickness of the body below
-CELL = 0.5  # [radii] of the grid of ball centres
+CELL_RADII = 0.5  # [radii] of the grid of ball centres
 MAX_SAG = 0.1  # [depths] by which the middle of a slide may be deeper
 MIN_FACING = 0.5  # cosine between the normals at the ends of a slide
 GRASP_RADIUS, MIN_GRASP_RADIUS = 0.6, 2.0  # [radii of the ball], [spacings] of forceps: they hold some ten nodes
-CONE, MAX_TURN = np.pi / 4, np.pi / 9  # [rad] largest angle of pulls to the normal; largest rotation
-SPREAD, CANDIDATES = 1000, 32  # places of a campaign that are spread; candidates of each
+MAX_PULL_ANGLE, MAX_TURN = np.pi / 4, np.pi / 9  # [rad] largest angle of pulls to the normal; largest rotation
+SPREAD_PLACES, CANDIDATES_PER_PLACE = 1000, 32  # places of a campaign that are spread; candidates of each
 MAX_TRACES = 40  # steps of sphere tracing
-TOUCH = 0.01  # [radii] distance that counts as touching
-HALVINGS = 4  # of a slide or pull that is obstructed, before it is left out
+TOUCH_RADII = 0.01  # [radii] distance that counts as touching
+MAX_HALVINGS = 4  # of a slide or pull that is obstructed, before it is left out
 SLIDE_SAMPLES = 9
 
 
@@ -134,7 +135,7 @@ class ToolPaths:
         longest = float(np.ptp(surface.points, axis=0).max())
         if 2 * radius >= longest:
             raise InputError(f"radius must be less than half the body's size of {longest:.3g} m, got {radius:g} m")
-        self.normals = surface.smoothed_normals(max(SMOOTHING * radius, MIN_SMOOTHING * spacing))
+        self.normals = surface.smoothed_normals(max(SMOOTHING_RADII * radius, MIN_SMOOTHING_SPACINGS * spacing))
         self._samples = cKDTree(np.concatenate([surface.points, _centroids(surface)]))
         self._fixed = cKDTree(surface.fixed_points) if len(surface.fixed_points) else None
         distances = self._to_fixed(surface.points)
@@ -172,16 +173,16 @@ class ToolPaths:
         first = self._node(seed, self.reachable, random)
         start = self._place(first, share)
         end = self._slide_end(first, start, share, random.uniform(-self.slide, self.slide, 3) / np.sqrt(3))
-        near, far = CLEARANCE * self.radius, 2 * CLEARANCE * self.radius
-        way = PchipInterpolator(TIMES, SLIDING)
-        height = PchipInterpolator(TIMES, (far, near, -start.depth, -end.depth, near, far))
+        near, far = CLEARANCE_RADII * self.radius, 2 * CLEARANCE_RADII * self.radius
+        way = PchipInterpolator(PHASE_TIMES, SLIDE_SHARES)
+        height = PchipInterpolator(PHASE_TIMES, (far, near, -start.depth, -end.depth, near, far))
 
         def motion(time: float) -> Floats:
-            at = np.clip(time, TIMES[0], TIMES[-1])
+            at = np.clip(time, PHASE_TIMES[0], PHASE_TIMES[-1])
             centre, normal = _between(start, end, way(at)[None])
             return np.asarray(centre[0] + height(at) * normal[0])
 
-        return (Contact(Sphere(self.radius), motion, friction=self.friction),), TIMES[-1]
+        return (Contact(Sphere(self.radius), motion, friction=self.friction),), PHASE_TIMES[-1]
 
     def grasp(self, seed: int) -> tuple[tuple[Grasp], float]:
         """Return the load of forceps that pull, turn, return and release, and its duration [s]."""
@@ -189,26 +190,26 @@ class ToolPaths:
         size = random.uniform(self.shallowest, 1.0) * self.depth
         node = self._node(seed, self.graspable, random)
         place, normal = self.surface.points[node], self.normals[node]
-        pull = size * _draw_in_cone(random, normal, CONE)
+        pull = size * _draw_in_cone(random, normal, MAX_PULL_ANGLE)
         turn = random.choice([0.0, 1.0]) * random.uniform(0.0, MAX_TURN) * _draw_in_cone(random, normal, np.pi)
-        for _ in range(HALVINGS):
+        for _ in range(MAX_HALVINGS):
             if self._outside(place + np.linspace(0.25, 1.0, 4)[:, None] * pull).all():
                 break
             pull = 0.5 * pull
         still = np.zeros(6)
         pulled, turned = np.concatenate([pull, still[3:]]), np.concatenate([pull, turn])
-        path = PchipInterpolator(TIMES, [still, still, pulled, turned, still, still])
+        path = PchipInterpolator(PHASE_TIMES, [still, still, pulled, turned, still, still])
 
         def motion(time: float) -> tuple[Floats, Floats]:
-            moved = path(np.clip(time, TIMES[0], TIMES[-1]))
+            moved = path(np.clip(time, PHASE_TIMES[0], PHASE_TIMES[-1]))
             return place + moved[:3], moved[3:]
 
-        return (Grasp(place, self.grasp_radius, motion, until=TIMES[-2]),), TIMES[-1]
+        return (Grasp(place, self.grasp_radius, motion, until=PHASE_TIMES[-2]),), PHASE_TIMES[-1]
 
     def _node(self, seed: int, allowed: NDArray[np.bool_], random: np.random.Generator) -> int:
         """Return the surface node of a path: a spread one for training, else one at random by area."""
         campaign, number = divmod(integer_in_range("seed", seed, 0), CAMPAIGN_SEEDS)
-        if number < SPREAD:
+        if number < SPREAD_PLACES:
             node = int(self._order(campaign)[number])
             if allowed[node]:  # not where a press is asked for by the number of a grasp, or the reverse
                 return node
@@ -219,10 +220,10 @@ class ToolPaths:
         if campaign not in self._orders:
             random, points = np.random.default_rng([campaign, TRAINING_SEEDS]), self.surface.points
             nearest = np.full(len(points), np.inf)
-            order = np.zeros(SPREAD, dtype=np.int64)
-            for k in range(SPREAD):
+            order = np.zeros(SPREAD_PLACES, dtype=np.int64)
+            for k in range(SPREAD_PLACES):
                 allowed = self.graspable if _is_grasp(k, self.grasps) else self.reachable
-                drawn = _draw_by_area(random, np.where(allowed, self.surface.areas, 0.0), CANDIDATES)
+                drawn = _draw_by_area(random, np.where(allowed, self.surface.areas, 0.0), CANDIDATES_PER_PLACE)
                 order[k] = drawn[np.argmax(nearest[drawn])]
                 nearest = np.minimum(nearest, np.linalg.norm(points - points[order[k]], axis=1))
             self._orders[campaign] = order
@@ -235,7 +236,7 @@ class ToolPaths:
     def _slide_end(self, first: int, start: _Place, share: float, slide: Floats) -> _Place:
         """Return the end of a slide, shortened until nothing obstructs it."""
         nodes = np.flatnonzero(self.reachable)
-        for _ in range(HALVINGS):
+        for _ in range(MAX_HALVINGS):
             last = nodes[self._reachable_tree.query(self.surface.points[first] + slide)[1]]
             end = self._place(int(last), share)
             if start.normal @ end.normal > MIN_FACING and self._free_slide(start, end):
@@ -253,7 +254,7 @@ class ToolPaths:
         fixed = self._to_fixed(self.surface.points[below])
         deepest = np.where(self.reachable[below], self.depths[below], np.inf)  # where the ball is off the body
         return bool(
-            np.all(gaps >= -MAX_SAG * depths - TOUCH * self.radius)
+            np.all(gaps >= -MAX_SAG * depths - TOUCH_RADII * self.radius)
             and np.all(fixed >= self.radius)
             and np.all(depths <= (1 + MAX_SAG) * deepest)
         )
@@ -261,7 +262,7 @@ class ToolPaths:
     def _trace(self) -> Floats:
         """Return the height of the ball's centre above each node where it first touches the body; infinite if never."""
         surface, height = self.surface, np.full(len(self.surface.nodes), np.inf)
-        begin = (1 + 2 * CLEARANCE) * self.radius
+        begin = (1 + 2 * CLEARANCE_RADII) * self.radius
         centres = surface.points + begin * self.normals
         free = np.flatnonzero(
             (self._samples.query(centres)[0] >= self.radius) & self._connected(centres) & ~surface.held
@@ -271,14 +272,14 @@ class ToolPaths:
             centres = surface.points[moving] + height[moving, None] * self.normals[moving]
             gap = self._samples.query(centres)[0] - self.radius
             height[moving] -= np.maximum(gap, 0.0)
-            moving = moving[gap > TOUCH * self.radius]
+            moving = moving[gap > TOUCH_RADII * self.radius]
             if not len(moving):
                 break
         return height
 
     def _connected(self, centres: Floats) -> NDArray[np.bool_]:
         """Return which places of the ball's centre are connected to the outside by a way as wide as the ball."""
-        step = CELL * self.radius
+        step = CELL_RADII * self.radius
         low, high = (edge(self.surface.points, axis=0) for edge in (np.min, np.max))
         low = low - 2 * self.radius
         cells = np.ceil((high + 2 * self.radius - low) / step).astype(int) + 1
@@ -291,7 +292,7 @@ class ToolPaths:
         return np.asarray(parts[tuple(index.T)] == parts[0, 0, 0])
 
     def _thickness(self, nodes: NDArray[np.bool_]) -> Floats:
-        """Return how far the body goes on below some nodes along the normal, as far as fixed nodes [m].
+        """Return the depth [m] of the body below some nodes along the normal, down to fixed nodes.
 
         It is exact within half a spacing, and cut off where it no longer limits the depth. Fixed nodes count within
         half a radius of the line.

@@ -12,14 +12,14 @@ from importlib import import_module
 from typing import Any
 
 from palpate.faults import InputError, brief
-from palpate.scenes.names import SCENES, is_scene_file
-from palpate.scenes.open_scene import DESCRIPTION, DIGEST, described_scene, open_scene, training_scene_of
+from palpate.scenes.names import PACKAGE_SCENES, is_scene_file
+from palpate.scenes.open_scene import DESCRIPTION_KEY, DIGEST_KEY, described_scene, open_scene, training_scene_of
 from palpate.scenes.scene import TrainingScene
 
 __all__ = ["is_opened", "search_current_folder", "training_scene"]
 
-SCENE_NAMES = f"{', '.join(map(repr, SCENES))}, a scene file, or 'module:function' of your own"
-KINDS = (bool, int, float, str)  # of parameters
+SCENE_NAMES = f"{', '.join(map(repr, PACKAGE_SCENES))}, a scene file, or 'module:function' of your own"
+PARAMETER_TYPES = (bool, int, float, str)  # of parameters
 MAX_TEXT_CHARACTERS = 200  # characters of a text
 
 
@@ -29,8 +29,8 @@ def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
     Parameters
     ----------
     name : str
-        One of `palpate.scenes.names.SCENES`, a scene file, or ``"module:function"`` of a function that returns a
-        `TrainingScene`.
+        One of `palpate.scenes.names.PACKAGE_SCENES`, a scene file, or ``"module:function"`` of a function that returns
+        a `TrainingScene`.
     parameters : mapping
         Settings of the scene (`palpate.open_scene`), or arguments of the function; others have their defaults.
 
@@ -40,10 +40,10 @@ def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
         An unknown scene or parameter, a value out of range, or a user's module or function that
         fails.
     """
-    if DESCRIPTION in parameters:
-        return training_scene_of(described_scene(name, str(parameters[DESCRIPTION])), parameters)
+    if DESCRIPTION_KEY in parameters:
+        return training_scene_of(described_scene(name, str(parameters[DESCRIPTION_KEY])), parameters)
     if is_opened(name):
-        settings = {key: value for key, value in parameters.items() if key != DIGEST}
+        settings = {key: value for key, value in parameters.items() if key != DIGEST_KEY}
         return training_scene_of(open_scene(name, settings), parameters)
     function, arguments = _user_function(name), _arguments(name, parameters)
     made = _own(name, "failed", lambda: function(**arguments))
@@ -54,17 +54,17 @@ def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
 
 def is_opened(name: str) -> bool:
     """Return True for a scene of the package or a scene file, False for a function."""
-    return name in SCENES or is_scene_file(name)
+    return name in PACKAGE_SCENES or is_scene_file(name)
 
 
 def _arguments(name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Return all arguments of a user's function, with given values converted to the types of its defaults."""
-    known = _defaults(name)
-    values = dict(known)
+    defaults = _defaults(name)
+    values = dict(defaults)
     for key, given in parameters.items():
-        if key not in known:
-            raise InputError(f"parameters of scene {name!r} must be among {', '.join(known)}, got {brief(key)}")
-        values[key] = _converted(key, given, known[key])
+        if key not in defaults:
+            raise InputError(f"parameters of scene {name!r} must be among {', '.join(defaults)}, got {brief(key)}")
+        values[key] = _converted(key, given, defaults[key])
     return values
 
 
@@ -82,13 +82,13 @@ def search_current_folder() -> None:
 def _defaults(name: str) -> dict[str, Any]:
     """Return the parameters of a scene's function with their defaults, each a number, a truth value or text."""
     try:
-        known = {p.name: p.default for p in inspect.signature(_user_function(name)).parameters.values()}
+        defaults = {p.name: p.default for p in inspect.signature(_user_function(name)).parameters.values()}
     except (TypeError, ValueError) as error:
         raise InputError(f"scene must be a function with named parameters, got {name!r} ({error})") from error
-    for key, default in known.items():
-        if not isinstance(default, KINDS):
+    for key, default in defaults.items():
+        if not isinstance(default, PARAMETER_TYPES):
             raise InputError(f"parameter {key!r} of scene {name!r} must have a number or text as default")
-    return known
+    return defaults
 
 
 def _converted(key: str, given: Any, default: Any) -> Any:
@@ -112,13 +112,13 @@ def _user_function(name: str) -> Callable[..., Any]:
     """Return the function of a user's scene; see `training_scene`."""
     module, _, function = name.partition(":")
     if not (function.isidentifier() and all(part.isidentifier() for part in module.split("."))):
-        near = get_close_matches(name[:60], SCENES, 1)
+        near = get_close_matches(name[:60], PACKAGE_SCENES, 1)
         remedy = f"did you mean {near[0]}?" if near else "correct its name"
         raise InputError(f"scene must be {SCENE_NAMES}, got {brief(name)}; {remedy}")
-    found = getattr(_own(name, "cannot be imported", lambda: import_module(module)), function, None)
-    if not callable(found):
+    user_function = getattr(_own(name, "cannot be imported", lambda: import_module(module)), function, None)
+    if not callable(user_function):
         raise InputError(f"scene must be {SCENE_NAMES}, got {name!r}: module {module!r} has no function {function!r}")
-    return found
+    return user_function
 
 
 def _own(name: str, what: str, call: Callable[[], Any]) -> Any:

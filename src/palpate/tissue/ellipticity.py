@@ -22,7 +22,7 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.faults import InputError, brief, number_in_range
-from palpate.tissue.homogeneous import KINDS, compressible, deformation_gradient, rest
+from palpate.tissue.homogeneous import DEFORMATION_KINDS, compressible, deformation_gradient, rest
 from palpate.tissue.materials import Material
 
 __all__ = ["MaterialStability", "material_stability", "min_wave_modulus"]
@@ -154,7 +154,9 @@ def material_stability(
         findings += _check_finite(material, F)
         moduli = min_wave_modulus(material, F)
         least = float(np.min(moduli))
-        limits = {kind: _ellipticity_limits(material, kind, stretches, ZERO_MODULUS * scale) for kind in KINDS}
+        limits = {
+            kind: _ellipticity_limits(material, kind, stretches, ZERO_MODULUS * scale) for kind in DEFORMATION_KINDS
+        }
     at = int(np.argmin(moduli))
     if least <= ZERO_MODULUS * scale:
         worst = ", ".join(f"{s:.3g}" for s in np.diagonal(F[at]))
@@ -270,8 +272,8 @@ def _ellipticity_limits(
         ends: Sequence[float] = (stretch - 1 / stretch,)
     else:
         ends = stretches
-    found = [_first_loss(material, kind, end, threshold) for end in ends]
-    return (None, found[0]) if len(found) == 1 else (found[0], found[1])
+    limits = [_first_loss(material, kind, end, threshold) for end in ends]
+    return (None, limits[0]) if len(limits) == 1 else (limits[0], limits[1])
 
 
 def _first_loss(material: Material, kind: str, end: float, threshold: float) -> float | None:

@@ -153,12 +153,12 @@ class FibreLaw(Described, ABC):
     def _energy_and_stress(self, F: Floats) -> tuple[Floats, Floats]:
         C, J = np.swapaxes(F, -1, -2) @ F, np.linalg.det(F)
         scale, slope = _scale(J)
-        six = tuple(scale * C[..., i, j] for i, j in COMPONENTS)
+        six = tuple(scale * C[..., i, j] for i, j in TENSOR_COMPONENTS)
         energy, S = np.zeros_like(J), np.zeros_like(C)
         for family in self.directions:
-            density, found = self.respond(six, (family[..., 0], family[..., 1], family[..., 2]), self.coefficients)
+            density, components = self.respond(six, (family[..., 0], family[..., 1], family[..., 2]), self.coefficients)
             energy += density
-            for (i, j), value in zip(COMPONENTS, found, strict=True):
+            for (i, j), value in zip(TENSOR_COMPONENTS, components, strict=True):
                 S[..., i, j] += value
                 if i != j:
                     S[..., j, i] += value
@@ -168,7 +168,7 @@ class FibreLaw(Described, ABC):
         return energy, scale[..., None, None] * F @ S + pressure[..., None, None] * cofactor
 
 
-COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+TENSOR_COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 def _scale(J: Floats) -> tuple[Floats, Floats]:
@@ -290,8 +290,8 @@ class Guccione(FibreLaw):
         )  # fmt: skip
         along = g0 * a[0] + g1 * a[1] + g2 * a[2]
         both = g0 * g0 + g1 * g1 + g2 * g2
-        whole = E0 * E0 + E1 * E1 + E2 * E2 + 2.0 * (E3 * E3 + E4 * E4 + E5 * E5)
-        y = bt * whole + 2.0 * (bfs - bt) * both + (bf + bt - 2.0 * bfs) * along * along
+        squares = E0 * E0 + E1 * E1 + E2 * E2 + 2.0 * (E3 * E3 + E4 * E4 + E5 * E5)
+        y = bt * squares + 2.0 * (bfs - bt) * both + (bf + bt - 2.0 * bfs) * along * along
         z = np.minimum(y, 20.0)
         rise, more = np.expm1(z), y - z
         w = 0.5 * scale * (rise + (rise + 1.0) * more * (1.0 + 0.5 * more))

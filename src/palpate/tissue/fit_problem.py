@@ -122,14 +122,14 @@ class FitProblem:
                     self.first[k] = min(max(self.first[k], least), most)
 
     def _find_moduli(self) -> NDArray[np.bool_]:
-        found = np.zeros(len(self.names), dtype=bool)
+        are_moduli = np.zeros(len(self.names), dtype=bool)
         here = self.isochoric(self.first)
         for k, value in enumerate(self.first):
-            step = (value or 1.0) * np.eye(len(found))[k]
+            step = (value or 1.0) * np.eye(len(are_moduli))[k]
             once, twice = (self.isochoric(self.first + times * step) - here for times in (1, 2))
             largest = np.abs(once).max()
-            found[k] = largest > 0 and np.abs(twice - 2 * once).max() < 1e-9 * (largest + np.abs(here).max())
-        return found
+            are_moduli[k] = largest > 0 and np.abs(twice - 2 * once).max() < 1e-9 * (largest + np.abs(here).max())
+        return are_moduli
 
     def material(self, x: Floats) -> Material:
         """Return the material of a vector of free parameters; raises `InputError` if the law rejects it."""
@@ -151,8 +151,8 @@ class FitProblem:
             material = self.material(x)
         except InputError:
             return np.full(len(self.target), np.nan)
-        found = np.concatenate([stress(material, m.kind, m.deformation) for m in self.measurements])
-        return found / self._deviation
+        stresses = np.concatenate([stress(material, m.kind, m.deformation) for m in self.measurements])
+        return stresses / self._deviation
 
     def jacobian(self, x: Floats) -> Floats:
         """Return the Jacobian of the residuals, (n, k), by differences within the bounds."""

@@ -73,7 +73,15 @@ class CurveFit:
 
 @dataclass(frozen=True)
 class FitStart:
-    """First and last parameters of a start, its cost (half the sum of squared residuals), and its convergence.
+    """Result of one start of a fit.
+
+    Parameters
+    ----------
+    first, values : dict
+        First and last parameters by name.
+    cost : float
+        Half the sum of squared residuals.
+    converged : bool
 
     Examples
     --------
@@ -293,9 +301,9 @@ def fit(
         ]
         solutions.sort(key=lambda pair: pair[1].cost)
         solutions[0] = solutions[0][0], _minimise(problem, solutions[0][1].x, FINE_TOLERANCE)
-        found = _build_fit(problem, solutions)
-    found.material.warn_of_units()
-    return found
+        fitted = _build_fit(problem, solutions)
+    fitted.material.warn_of_units()
+    return fitted
 
 
 def _minimise(problem: FitProblem, first: Floats, tolerance: float) -> Any:

@@ -28,11 +28,11 @@ from palpate.arrays import Floats
 from palpate.faults import InputError, brief
 from palpate.tissue.materials import Material
 
-__all__ = ["KINDS", "compressible", "deformation_gradient", "isochoric_stress", "nominal_stress", "rest"]
+__all__ = ["DEFORMATION_KINDS", "compressible", "deformation_gradient", "isochoric_stress", "nominal_stress", "rest"]
 
 # kind of test: exponents of l in the second and third principal stretch at constant volume
-_EXPONENTS = {"uniaxial": (-0.5, -0.5), "equibiaxial": (1.0, -2.0), "planar": (0.0, -1.0)}
-KINDS = (*_EXPONENTS, "shear")
+_STRETCH_EXPONENTS = {"uniaxial": (-0.5, -0.5), "equibiaxial": (1.0, -2.0), "planar": (0.0, -1.0)}
+DEFORMATION_KINDS = (*_STRETCH_EXPONENTS, "shear")
 MIN_HALF_BRACKET, MAX_HALF_BRACKET = 0.02, 6.0  # half widths of the bracket of the logarithm of the free stretch
 MAX_ITERATIONS = 60  # about eight are usual
 LOG_TOLERANCE = 1e-10  # of the last step in the logarithm; the error is much smaller
@@ -86,7 +86,7 @@ def deformation_gradient(material: Material, kind: str, deformation: ArrayLike) 
     F = _isochoric_gradient(kind, values)
     if material.incompressible or kind == "shear":
         return F
-    free = np.array([_EXPONENTS[kind][0] < 0, True])  # of the second and the third direction
+    free = np.array([_STRETCH_EXPONENTS[kind][0] < 0, True])  # of the second and the third direction
 
     def with_free_stretch(logarithm: Floats) -> Floats:
         F[:, 1, 1] = np.where(free[0], np.exp(logarithm), F[:, 1, 1])
@@ -100,8 +100,8 @@ def deformation_gradient(material: Material, kind: str, deformation: ArrayLike) 
 
 
 def _check_kind(kind: str) -> str:
-    if kind not in KINDS:
-        raise InputError(f"kind must be one of {', '.join(KINDS)}, got {brief(kind)}")
+    if kind not in DEFORMATION_KINDS:
+        raise InputError(f"kind must be one of {', '.join(DEFORMATION_KINDS)}, got {brief(kind)}")
     return kind
 
 
@@ -117,7 +117,7 @@ def _isochoric_gradient(kind: str, values: Floats) -> Floats:
     if kind == "shear":
         F[:, 0, 1] = values
         return F
-    second, third = _EXPONENTS[kind]
+    second, third = _STRETCH_EXPONENTS[kind]
     F[:, 0, 0], F[:, 1, 1], F[:, 2, 2] = values, values**second, values**third
     return F
 
@@ -161,5 +161,5 @@ def _bracket(function: Callable[[Floats], Floats], start: Floats) -> tuple[Float
             np.where(right, start + half, np.where(left, low, high)),
         )
         at_low, at_high = function(low), function(high)
-    found = (at_low <= 0) & (at_high >= 0)
-    return np.where(found, low, np.nan), at_low, np.where(found, high, np.nan), at_high
+    bracketed = (at_low <= 0) & (at_high >= 0)
+    return np.where(bracketed, low, np.nan), at_low, np.where(bracketed, high, np.nan), at_high

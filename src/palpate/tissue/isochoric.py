@@ -94,14 +94,14 @@ def _of_stretches(energy_of: Any, first_of: Any, second_of: Any) -> tuple[Any, A
         H11, H22, H33 = a * a * w11 + t1, b * b * w22 + t2, d * d * w33 + t3
         H12, H13, H23 = a * b * w12, a * d * w13, b * d * w23
         r1, r2, r3 = (H11 + H12 + H13) / 3.0, (H12 + H22 + H23) / 3.0, (H13 + H23 + H33) / 3.0
-        mean, whole = (t1 + t2 + t3) / 3.0, (r1 + r2 + r3) / 3.0
+        mean, mean_rise = (t1 + t2 + t3) / 3.0, (r1 + r2 + r3) / 3.0
         return (
-            (H11 - 2.0 * r1 + whole - t1 + mean) / (l1 * l1),
-            (H22 - 2.0 * r2 + whole - t2 + mean) / (l2 * l2),
-            (H33 - 2.0 * r3 + whole - t3 + mean) / (l3 * l3),
-            (H12 - r1 - r2 + whole) / (l1 * l2),
-            (H13 - r1 - r3 + whole) / (l1 * l3),
-            (H23 - r2 - r3 + whole) / (l2 * l3),
+            (H11 - 2.0 * r1 + mean_rise - t1 + mean) / (l1 * l1),
+            (H22 - 2.0 * r2 + mean_rise - t2 + mean) / (l2 * l2),
+            (H33 - 2.0 * r3 + mean_rise - t3 + mean) / (l3 * l3),
+            (H12 - r1 - r2 + mean_rise) / (l1 * l2),
+            (H13 - r1 - r3 + mean_rise) / (l1 * l3),
+            (H23 - r2 - r3 + mean_rise) / (l2 * l3),
         )
 
     return energy, first, second

@@ -1,8 +1,8 @@
 """Properties of liver tissue, for scenes and for a first touch."""
 
-__all__ = ["DENSITY", "MASS_DAMPING", "POISSON", "SHEAR_MODULUS"]
+__all__ = ["LIVER_DENSITY", "LIVER_POISSON", "MASS_DAMPING", "SHEAR_MODULUS"]
 
 SHEAR_MODULUS = 2.2e3  # [Pa] mean of healthy livers by elastography: Yin et al., Clin. Gastroenterol. Hepatol. 5, 2007
-DENSITY = 1060.0  # [kg/m^3]
-POISSON = 0.45
+LIVER_DENSITY = 1060.0  # [kg/m^3]
+LIVER_POISSON = 0.45
 MASS_DAMPING = 8.0  # [1/s] an amplitude decays to 2 % within a second; see `palpate.scenes.liver.pressed_liver`

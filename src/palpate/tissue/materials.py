@@ -39,12 +39,12 @@ from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 __all__ = ["Material", "MooneyRivlin", "NeoHookean", "ShearLaw", "parameter"]
 
 MAX_POISSON = 0.499  # largest ratio with verified stability of the split pressure
-ROUNDING = 1e-12  # relative difference of equal moduli
+EQUAL_MODULI_TOLERANCE = 1e-12  # relative difference of equal moduli
 EXPECTED_DENSITIES = 100.0, 20_000.0  # [kg/m^3]; other densities are probably in another unit
 EXPECTED_MODULI = 1.0, 1e8  # [Pa] shear moduli; others are probably in another unit
 
 
-UNITS = {"density": "kg/m^3", "bulk": "Pa"}  # of the fields of every material
+UNIT_BY_FIELD = {"density": "kg/m^3", "bulk": "Pa"}  # of the fields of every material
 
 
 def parameter(unit: str = "", low: float = -np.inf, high: float = np.inf, *, above: float | None = None) -> Any:
@@ -114,12 +114,12 @@ class Material(Described, ABC):
     split: str = COUPLED
 
     def __new__(cls, *unnamed: Any, **given: Any) -> Self:
-        units = {f.name: f.metadata.get("unit", UNITS.get(f.name, "")) for f in fields(cls)}
-        own = {name: unit for name, unit in units.items() if name not in Material.__dataclass_fields__}
+        units = {f.name: f.metadata.get("unit", UNIT_BY_FIELD.get(f.name, "")) for f in fields(cls)}
+        parameters = {name: unit for name, unit in units.items() if name not in Material.__dataclass_fields__}
         if unnamed:
-            names = ", ".join(f"{name}=..." for name in (*own, "density", "poisson"))
+            names = ", ".join(f"{name}=..." for name in (*parameters, "density", "poisson"))
             raise InputError(f"arguments of {cls.__name__} must have names, got {brief(unnamed[0])}; give {names}")
-        check_names(cls.__name__, given, own | units)
+        check_names(cls.__name__, given, parameters | units)
         return super().__new__(cls)
 
     def _facts(self) -> list[Fact]:
@@ -225,7 +225,7 @@ class Material(Described, ABC):
     def lame(self) -> float:
         """Coefficient of the volumetric part U(J) [Pa], its second derivative at rest."""
         difference = self.bulk_modulus - self.shear_share
-        return 0.0 if abs(difference) <= ROUNDING * self.bulk_modulus else difference
+        return 0.0 if abs(difference) <= EQUAL_MODULI_TOLERANCE * self.bulk_modulus else difference
 
     @property
     def shear_share(self) -> float:
@@ -282,8 +282,8 @@ class Material(Described, ABC):
     def shear_stress(self, F: NDArray[np.float64], coefficients: tuple[Any, ...] | None = None) -> NDArray[np.float64]:
         """Return the first Piola-Kirchhoff stress [Pa] of W_s; parameters as for `shear_energy`."""
         I1, I2, J = (i[..., None, None] for i in _invariants(F))
-        own = self.coefficients if coefficients is None else tuple(c[..., None, None] for c in coefficients)
-        W1, W2, WJ = self.law.first(I1, I2, J, own)
+        values = self.coefficients if coefficients is None else tuple(c[..., None, None] for c in coefficients)
+        W1, W2, WJ = self.law.first(I1, I2, J, values)
         C = np.swapaxes(F, -1, -2) @ F
         return np.asarray(2 * W1 * F + 2 * W2 * (I1 * F - F @ C) + WJ * self.cofactor(F))
 

@@ -27,7 +27,7 @@ from palpate.tissue.measurements import Measurement
 
 __all__ = ["read_measurements"]
 
-KINDS = {
+KIND_BY_WORD = {
     "uniaxial": "uniaxial",
     "tension": "uniaxial",
     "compression": "uniaxial",
@@ -38,8 +38,8 @@ KINDS = {
     "shear": "shear",
     "simple shear": "shear",
 }
-RATIOS = {"-": 1.0, "1": 1.0, "m/m": 1.0, "mm/mm": 1.0, "%": 0.01}
-STRESSES = {
+RATIO_UNITS = {"-": 1.0, "1": 1.0, "m/m": 1.0, "mm/mm": 1.0, "%": 0.01}
+STRESS_UNITS = {
     "Pa": 1.0,
     "kPa": 1e3,
     "MPa": 1e6,
@@ -49,29 +49,29 @@ STRESSES = {
     "kgf/cm^2": 98066.5,  # of standard gravity
     "psi": 6894.757293168,
 }
-COLUMNS = {  # name: quantity and units
-    "stretch": ("stretch", RATIOS),
-    "strain": ("strain", RATIOS),
-    "engineering strain": ("strain", RATIOS),
-    "nominal strain": ("strain", RATIOS),
-    "logarithmic strain": ("logarithmic strain", RATIOS),
-    "true strain": ("logarithmic strain", RATIOS),
-    "shear": ("shear", RATIOS),
-    "shear strain": ("shear", RATIOS),
-    "nominal stress": ("stress", STRESSES),
-    "engineering stress": ("stress", STRESSES),
-    "standard deviation": ("deviation", STRESSES),
+QUANTITY_BY_COLUMN = {  # name: quantity and units
+    "stretch": ("stretch", RATIO_UNITS),
+    "strain": ("strain", RATIO_UNITS),
+    "engineering strain": ("strain", RATIO_UNITS),
+    "nominal strain": ("strain", RATIO_UNITS),
+    "logarithmic strain": ("logarithmic strain", RATIO_UNITS),
+    "true strain": ("logarithmic strain", RATIO_UNITS),
+    "shear": ("shear", RATIO_UNITS),
+    "shear strain": ("shear", RATIO_UNITS),
+    "nominal stress": ("stress", STRESS_UNITS),
+    "engineering stress": ("stress", STRESS_UNITS),
+    "standard deviation": ("deviation", STRESS_UNITS),
 }
-WORDS = ("kind", "curve")  # columns without a unit
-DEFORMATIONS = ("stretch", "strain", "logarithmic strain", "shear")
-CAUCHY = ("true stress", "cauchy stress")
-HEADER = re.compile(r"(?P<name>[^\[\]]*)(?:\[(?P<unit>[^\[\]]*)\])?")
-LINE = re.compile(r"\r\n|\r|\n")  # only these: a form feed in a comment does not end a line
-NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+TEXT_COLUMNS = ("kind", "curve")  # columns without a unit
+DEFORMATION_QUANTITIES = ("stretch", "strain", "logarithmic strain", "shear")
+CAUCHY_COLUMNS = ("true stress", "cauchy stress")
+HEADER_PATTERN = re.compile(r"(?P<name>[^\[\]]*)(?:\[(?P<unit>[^\[\]]*)\])?")
+LINE_PATTERN = re.compile(r"\r\n|\r|\n")  # only these: a form feed in a comment does not end a line
+NUMBER_PATTERN = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 MAX_LINE_CHARACTERS = 10_000
 MAX_CURVES = 1000
 MAX_NUMBER = 1e30  # squares of larger numbers overflow
-CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
+CONTROL_PATTERN = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
 
 
 @dataclass(frozen=True)
@@ -125,9 +125,9 @@ def read_measurements(path: str | PathLike[str]) -> list[Measurement]:
     ('uniaxial', [0.0, 1400.0, 2600.0])
     """
     path = Path(path)
-    lines = LINE.split(read_text(path, "table of measured curves"))
+    lines = LINE_PATTERN.split(read_text(path, "table of measured curves"))
     for i, line in enumerate(lines, 1):
-        if CONTROL.search(line):
+        if CONTROL_PATTERN.search(line):
             raise FileFormatError(f"{path}, line {i} must not hold control characters; save it as plain text")
     comments = [line.lstrip().lstrip("#").strip() for line in lines if line.lstrip().startswith("#")]
     rows = [(i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
@@ -136,8 +136,10 @@ def read_measurements(path: str | PathLike[str]) -> list[Measurement]:
     separator = next((one for one in ("\t", ";", ",") if one in rows[0][1]), ",")
     where = f"{path}, line {rows[0][0]}"
     headers = _cells(rows[0][1], separator, where)
-    if len(headers) > len(COLUMNS) + len(WORDS):
-        raise FileFormatError(f"{where} must have at most {len(COLUMNS) + len(WORDS)} columns, got {len(headers)}")
+    if len(headers) > len(QUANTITY_BY_COLUMN) + len(TEXT_COLUMNS):
+        raise FileFormatError(
+            f"{where} must have at most {len(QUANTITY_BY_COLUMN) + len(TEXT_COLUMNS)} columns, got {len(headers)}"
+        )
     columns = [_column(header, where) for header in headers]
     _check_roles(columns, where)
     table = [(i, _cells(line, separator, f"{path}, line {i}")) for i, line in rows[1:]]
@@ -159,24 +161,24 @@ def _cells(line: str, separator: str, where: str) -> list[str]:
 
 
 def _column(header: str, where: str) -> _Column:
-    match = HEADER.fullmatch(header)
+    match = HEADER_PATTERN.fullmatch(header)
     name = (match["name"] if match else header).strip().lower()
     unit = match["unit"].strip() if match and match["unit"] is not None else None
-    if name in WORDS:
+    if name in TEXT_COLUMNS:
         return _Column(name, 1.0, name)
-    if name in CAUCHY:
+    if name in CAUCHY_COLUMNS:
         raise FileFormatError(
             f"{where}: stress must be per undeformed area, got {name!r}; give 'nominal stress' (at constant volume the "
             "true stress over the stretch in the machine's direction)"
         )
-    if name not in COLUMNS:
-        allowed = ", ".join([*COLUMNS, *WORDS])
+    if name not in QUANTITY_BY_COLUMN:
+        allowed = ", ".join([*QUANTITY_BY_COLUMN, *TEXT_COLUMNS])
         raise FileFormatError(f"{where}: a column must be one of {allowed}, got {shortened(header)!r}")
-    role, units = COLUMNS[name]
+    role, units = QUANTITY_BY_COLUMN[name]
     if unit not in units:
-        found = "none" if unit is None else repr(shortened(unit))
+        got = "none" if unit is None else repr(shortened(unit))
         allowed = ", ".join(f"[{u}]" for u in units)
-        raise FileFormatError(f"{where}: the unit of column {name!r} must be one of {allowed}, got {found}")
+        raise FileFormatError(f"{where}: the unit of column {name!r} must be one of {allowed}, got {got}")
     return _Column(role, units[unit], name)
 
 
@@ -185,10 +187,12 @@ def _check_roles(columns: list[_Column], where: str) -> None:
     for role in roles:
         if roles.count(role) > 1:
             raise FileFormatError(f"{where}: there must be one column of {role}, got {roles.count(role)}")
-    deformations = [role for role in roles if role in DEFORMATIONS]
+    deformations = [role for role in roles if role in DEFORMATION_QUANTITIES]
     if len(deformations) != 1:
-        found = " and ".join(deformations) or "none"
-        raise FileFormatError(f"{where}: one column must be the deformation ({', '.join(DEFORMATIONS)}), got {found}")
+        got = " and ".join(deformations) or "none"
+        raise FileFormatError(
+            f"{where}: one column must be the deformation ({', '.join(DEFORMATION_QUANTITIES)}), got {got}"
+        )
     if "stress" not in roles:
         raise FileFormatError(f"{where}: one column must be the stress, got none; add 'nominal stress [kPa]'")
 
@@ -206,15 +210,15 @@ def _curves(
             raise FileFormatError(
                 f"{path}, line {line} must have {len(columns)} cells, as the header, got {len(cells)}"
             )
-        words = {c.role: cell for c, cell in zip(columns, cells, strict=True) if c.role in WORDS}
+        words = {c.role: cell for c, cell in zip(columns, cells, strict=True) if c.role in TEXT_COLUMNS}
         numbers = {
             c.role: c.factor * _number(cell, c.label, path, line)
             for c, cell in zip(columns, cells, strict=True)
-            if c.role not in WORDS
+            if c.role not in TEXT_COLUMNS
         }
         label = words.get("kind", kind or "").lower()
-        if label not in KINDS:
-            allowed = ", ".join(KINDS)
+        if label not in KIND_BY_WORD:
+            allowed = ", ".join(KIND_BY_WORD)
             raise FileFormatError(f"{path}, line {line}: kind must be one of {allowed}, got {shortened(label)!r}")
         curves.setdefault((label, words.get("curve", "")), []).append((line, numbers))
     if not curves:
@@ -225,7 +229,7 @@ def _curves(
 
 
 def _number(cell: str, column: str, path: Path, line: int) -> float:
-    number = float(cell) if NUMBER.fullmatch(cell) else math.nan
+    number = float(cell) if NUMBER_PATTERN.fullmatch(cell) else math.nan
     if not math.isfinite(number):
         raise FileFormatError(f"{path}, line {line}: {column} must be a finite number, got {shortened(cell)!r}")
     if abs(number) > MAX_NUMBER:
@@ -238,8 +242,8 @@ def _measurement(
 ) -> Measurement:
     given = {role: np.array([numbers[role] for _, numbers in points]) for role in points[0][1]}
     lines = f"{path}, lines {points[0][0]} to {points[-1][0]}"
-    role = next(role for role in DEFORMATIONS if role in given)
-    if (role == "shear") != (KINDS[label] == "shear"):
+    role = next(role for role in DEFORMATION_QUANTITIES if role in given)
+    if (role == "shear") != (KIND_BY_WORD[label] == "shear"):
         raise FileFormatError(f"{lines}: a test of kind {label!r} must not have a column of {role}")
     deformation, stress = given[role], given["stress"]
     if label == "compression":
@@ -250,7 +254,7 @@ def _measurement(
         deformation = np.exp(np.minimum(deformation, np.log(MAX_NUMBER)))
     try:
         return Measurement(
-            kind=KINDS[label],
+            kind=KIND_BY_WORD[label],
             deformation=deformation,
             stress=stress,
             deviation=given.get("deviation", 1.0),

@@ -19,7 +19,7 @@ from palpate.tissue.materials import Material
 
 __all__ = ["Layout", "field_metadata", "flatten", "is_sequence", "own_fields"]
 
-INDEX = re.compile(r"\[(\d+)\]")
+INDEX_PATTERN = re.compile(r"\[(\d+)\]")
 
 
 def own_fields(law: type[Material]) -> list[str]:
@@ -36,7 +36,7 @@ def is_sequence(law: type[Material], field: str) -> bool:
 
 def field_metadata(law: type[Material], name: str) -> Mapping[str, Any]:
     """Return the metadata of a parameter's field, such as its unit."""
-    return law.__dataclass_fields__[INDEX.sub("", name)].metadata
+    return law.__dataclass_fields__[INDEX_PATTERN.sub("", name)].metadata
 
 
 def flatten(tree: Mapping[str, Any]) -> dict[str, float]:
@@ -78,12 +78,12 @@ class Layout:
     """
 
     def __init__(self, law: type[Material], given: Mapping[str, Any]) -> None:
-        own = own_fields(law)
-        unknown = [name for name in given if name not in own]
+        names = own_fields(law)
+        unknown = [name for name in given if name not in names]
         if unknown:
-            raise InputError(f"a parameter of {law.__name__} must be one of {', '.join(own)}, got {unknown[0]}")
+            raise InputError(f"a parameter of {law.__name__} must be one of {', '.join(names)}, got {unknown[0]}")
         self.law = law
-        self._tree = {f.name: self._value(f, given) for f in fields(law) if f.name in own}
+        self._tree = {f.name: self._value(f, given) for f in fields(law) if f.name in names}
         numbers = flatten(self._tree)
         self.names, self.first = tuple(numbers), np.array(list(numbers.values()))
 
@@ -112,10 +112,10 @@ class Layout:
         InputError
             The name is unknown.
         """
-        found = [i for i, own in enumerate(self.names) if own == name or own.startswith(f"{name}[")]
-        if not found:
+        indices = [i for i, entry in enumerate(self.names) if entry == name or entry.startswith(f"{name}[")]
+        if not indices:
             raise InputError(f"a parameter of {self.law.__name__} must be one of {', '.join(self.names)}, got {name}")
-        return found
+        return indices
 
 
 def _fill(value: Any, left: Iterator[float]) -> Any:

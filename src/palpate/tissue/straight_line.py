@@ -20,15 +20,15 @@ import numpy as np
 
 from palpate.faults import InputError
 
-__all__ = ["FUNCTIONS", "Tape", "compile_functions"]
+__all__ = ["FUNCTION_BY_NAME", "Tape", "compile_functions"]
 
 Row = tuple[str, float | str | int, int]  # operation with a value, a name, or one or two earlier rows
 
-FUNCTIONS: dict[str, Any] = {
+FUNCTION_BY_NAME: dict[str, Any] = {
     "exp": np.exp, "log": np.log, "sqrt": np.sqrt, "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "atan": np.arctan,
 }  # fmt: skip
-NUMPY_NAMES = {name: function.__name__ for name, function in FUNCTIONS.items()}
-FOLDS: dict[str, Callable[[float, float], Any]] = {
+NUMPY_NAMES = {name: function.__name__ for name, function in FUNCTION_BY_NAME.items()}
+OPERATION_BY_SIGN: dict[str, Callable[[float, float], Any]] = {
     "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, "**": operator.pow,
 }  # fmt: skip
 NO_OPERAND = -1  # second operand of a unary operation
@@ -105,12 +105,12 @@ class Tape:
 
     def needed(self, rows: Sequence[int]) -> list[int]:
         """Return rows and all their operands, in order."""
-        found, left = set(rows), list(rows)
+        rows_needed, left = set(rows), list(rows)
         while left:
-            new = set(self._operands(left.pop())) - found
-            found |= new
+            new = set(self._operands(left.pop())) - rows_needed
+            rows_needed |= new
             left += new
-        return sorted(found)
+        return sorted(rows_needed)
 
     def source(self, name: str, results: Sequence[int]) -> str:
         """Return the source of a function of the variables and the coefficients c that computes rows."""
@@ -208,8 +208,8 @@ def _fold(operation: str, one: float, two: float | None) -> Any:
     try:
         with np.errstate(all="ignore"):
             if two is None:
-                return -one if operation == "negative" else float(FUNCTIONS[operation](one))
-            return FOLDS[operation](one, two)
+                return -one if operation == "negative" else float(FUNCTION_BY_NAME[operation](one))
+            return OPERATION_BY_SIGN[operation](one, two)
     except (ZeroDivisionError, OverflowError):
         return math.nan
 
@@ -221,7 +221,7 @@ ARITHMETIC_NODES = (
     ast.Module, ast.Return, ast.Tuple, ast.Load, ast.Store, ast.BinOp, ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow,
     ast.UnaryOp, ast.USub,
 )  # fmt: skip
-NAME = re.compile(r"s\d+")
+NAME_PATTERN = re.compile(r"s\d+")
 
 
 def compile_functions(sources: dict[str, str], variables: Sequence[str]) -> dict[str, Any]:
@@ -237,7 +237,7 @@ def compile_functions(sources: dict[str, str], variables: Sequence[str]) -> dict
     ------
     InputError
         A source holds other nodes than functions of those names, arithmetic on the variables, c and
-        numbers, and calls of `FUNCTIONS`. It is not executed.
+        numbers, and calls of `FUNCTION_BY_NAME`. It is not executed.
     """
     source = "\n\n".join(sources.values())
     filename = f"<palpate law {sha256(source.encode()).hexdigest()[:16]}>"
@@ -264,9 +264,9 @@ def _is_arithmetic(node: ast.AST, variables: Sequence[str]) -> bool:
     if isinstance(node, ast.arg):
         return node.annotation is None
     if isinstance(node, ast.Assign):
-        return all(isinstance(target, ast.Name) and NAME.fullmatch(target.id) for target in node.targets)
+        return all(isinstance(target, ast.Name) and NAME_PATTERN.fullmatch(target.id) for target in node.targets)
     if isinstance(node, ast.Name):
-        return node.id in variables or bool(NAME.fullmatch(node.id))
+        return node.id in variables or bool(NAME_PATTERN.fullmatch(node.id))
     if isinstance(node, ast.Constant):
         return type(node.value) in (int, float)
     return isinstance(node, ARITHMETIC_NODES)
@@ -283,7 +283,7 @@ def _walk(tree: ast.AST) -> Iterator[ast.AST]:
 
 
 def _is_known_call(node: ast.AST) -> bool:
-    """Return whether a node calls one of `FUNCTIONS` by its NumPy name."""
+    """Return whether a node calls one of `FUNCTION_BY_NAME` by its NumPy name."""
     if not (isinstance(node, ast.Call) and len(node.args) == 1 and not node.keywords):
         return False
     called = node.func

@@ -26,18 +26,18 @@ from palpate.tissue.isochoric import COUPLED
 from palpate.tissue.materials import Material, parameter
 from palpate.tissue.parameters import own_fields
 from palpate.tissue.prony import Prony
-from palpate.tissue.straight_line import FUNCTIONS, Tape, compile_functions
+from palpate.tissue.straight_line import FUNCTION_BY_NAME, Tape, compile_functions
 from palpate.tissue.stretch_laws import StretchLaw
 from palpate.tissue.volumetric import QUADRATIC
 
 __all__ = ["Hyperelastic", "law_of"]
 
-INVARIANTS, STRETCHES = ("I1", "I2", "J"), ("l1", "l2", "l3")
-ISOCHORIC = {"I1bar": ("I1", -2 / 3), "I2bar": ("I2", -4 / 3)}  # I1 J^(-2/3), I2 J^(-4/3)
-PERMITTED = "an expression of numbers, parameters, variables and the functions of `Hyperelastic`"
-OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
-SIGNS = {ast.UAdd: "", ast.USub: "negative"}
-TOKEN = re.compile(
+INVARIANT_NAMES, STRETCH_NAMES = ("I1", "I2", "J"), ("l1", "l2", "l3")
+ISOCHORIC_POWERS = {"I1bar": ("I1", -2 / 3), "I2bar": ("I2", -4 / 3)}  # I1 J^(-2/3), I2 J^(-4/3)
+PERMITTED_TEXT = "an expression of numbers, parameters, variables and the functions of `Hyperelastic`"
+SIGN_BY_OPERATOR = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
+SIGN_BY_UNARY = {ast.UAdd: "", ast.USub: "negative"}
+TOKEN_PATTERN = re.compile(
     r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?![\w.])|(?P<name>[A-Za-z_]\w*)|\*\*|[-+*/().])", re.ASCII
 )
 CHECKED_VOLUME_RATIOS = (0.9, 1.1)  # of the stability check
@@ -152,12 +152,12 @@ def _check_limits(text: str) -> None:
         raise InputError(f"the energy must have at most {MAX_CHARACTERS} characters, got {len(text)}")
     at = depth = operations = 0
     while at < len(text):
-        token = TOKEN.match(text, at)
+        token = TOKEN_PATTERN.match(text, at)
         if not token:
-            raise InputError(f"the energy must be {PERMITTED}, got {shortened(text[at:].strip(), 20)!r}")
+            raise InputError(f"the energy must be {PERMITTED_TEXT}, got {shortened(text[at:].strip(), 20)!r}")
         word = token[0].strip()
         at, depth = token.end(), depth + (word == "(") - (word == ")")
-        operations += word in OPERATORS.values() or (word in FUNCTIONS)
+        operations += word in SIGN_BY_OPERATOR.values() or (word in FUNCTION_BY_NAME)
         if len(word) > MAX_WORD_CHARACTERS:
             raise InputError(f"a word must have at most {MAX_WORD_CHARACTERS} characters, got {shortened(word, 20)!r}")
         if depth > MAX_BRACKETS or operations > MAX_OPERATIONS:
@@ -184,19 +184,19 @@ def _energy_row(tree: ast.expr, tape: Tape, known: dict[str, int], text: str) ->
             rows[id(node)] = tape.number(float(node.value))  # type: ignore[arg-type]
         elif isinstance(node, ast.Name):
             rows[id(node)] = known[node.id]
-        elif isinstance(node, ast.UnaryOp) and type(node.op) in SIGNS:
+        elif isinstance(node, ast.UnaryOp) and type(node.op) in SIGN_BY_UNARY:
             value = rows[id(node.operand)]
-            rows[id(node)] = tape.apply("negative", value) if SIGNS[type(node.op)] else value
-        elif isinstance(node, ast.BinOp) and type(node.op) in OPERATORS:
+            rows[id(node)] = tape.apply("negative", value) if SIGN_BY_UNARY[type(node.op)] else value
+        elif isinstance(node, ast.BinOp) and type(node.op) in SIGN_BY_OPERATOR:
             left, right = rows[id(node.left)], rows[id(node.right)]
             if isinstance(node.op, ast.Pow):
                 _check_exponent(tape.value(right))
-            rows[id(node)] = tape.apply(OPERATORS[type(node.op)], left, right)
+            rows[id(node)] = tape.apply(SIGN_BY_OPERATOR[type(node.op)], left, right)
         elif _is_plain_call(node):
             rows[id(node)] = tape.apply(node.func.id, rows[id(node.args[0])])  # type: ignore[attr-defined]
         else:
             label = shortened(text[node.col_offset : node.end_col_offset])
-            raise InputError(f"the energy must be {PERMITTED}, got {label!r}")
+            raise InputError(f"the energy must be {PERMITTED_TEXT}, got {label!r}")
     return rows[id(tree)]
 
 
@@ -206,8 +206,8 @@ def _is_plain_call(node: ast.expr) -> bool:
         return False
     if len(node.args) != 1 or node.keywords or isinstance(node.args[0], ast.Starred):
         return False
-    if node.func.id not in FUNCTIONS:
-        raise InputError(f"a function must be one of {', '.join(FUNCTIONS)}, got {node.func.id}")
+    if node.func.id not in FUNCTION_BY_NAME:
+        raise InputError(f"a function must be one of {', '.join(FUNCTION_BY_NAME)}, got {node.func.id}")
     return True
 
 
@@ -239,13 +239,13 @@ def _law(text: str) -> type[Material]:
     """Return the class of the text of an energy, with generated functions."""
     tree = _parse(text)
     used = _names(tree)
-    stretches = bool(used & set(STRETCHES))
-    if stretches and used & {*INVARIANTS, *ISOCHORIC}:
+    stretches = bool(used & set(STRETCH_NAMES))
+    if stretches and used & {*INVARIANT_NAMES, *ISOCHORIC_POWERS}:
         raise InputError("the energy must depend on invariants or on stretches, got both; use one of them")
-    if not used & {*INVARIANTS, *ISOCHORIC, *STRETCHES}:
+    if not used & {*INVARIANT_NAMES, *ISOCHORIC_POWERS, *STRETCH_NAMES}:
         variables = "I1, I2, J, I1bar, I2bar, l1, l2, l3"
         raise InputError(f"the energy must depend on the deformation ({variables}), got {shortened(text)!r}")
-    parameters = sorted(used - {*INVARIANTS, *STRETCHES, *ISOCHORIC})
+    parameters = sorted(used - {*INVARIANT_NAMES, *STRETCH_NAMES, *ISOCHORIC_POWERS})
     base, moduli = (StretchLaw, _moduli_of_stretches) if stretches else (Material, _moduli_of_invariants)
     namespace: dict[str, Any] = {
         "shear_modulus": property(lambda self: moduli(self)[0]),
@@ -255,17 +255,17 @@ def _law(text: str) -> type[Material]:
         "__module__": __name__,
     }
     _check_names(parameters, {*dir(base), *namespace, *(field.name for field in fields(base))})
-    functions = _functions(tree, text, STRETCHES if stretches else INVARIANTS, parameters)
+    functions = _functions(tree, text, STRETCH_NAMES if stretches else INVARIANT_NAMES, parameters)
     namespace |= {name: staticmethod(function) for name, function in functions.items()}
-    own = [(name, float, parameter()) for name in parameters]
-    return make_dataclass("Hyperelastic", own, bases=(base,), namespace=namespace, frozen=True, kw_only=True)
+    entries = [(name, float, parameter()) for name in parameters]
+    return make_dataclass("Hyperelastic", entries, bases=(base,), namespace=namespace, frozen=True, kw_only=True)
 
 
 def _check_names(parameters: Sequence[str], reserved: set[str]) -> None:
     """Check the number of parameters and that their names are not reserved."""
     if len(parameters) > MAX_PARAMETERS:
         raise InputError(f"the energy must have at most {MAX_PARAMETERS} parameters, got {len(parameters)}")
-    reserved = reserved | {*FUNCTIONS, *dir(builtins), *inspect.signature(Hyperelastic).parameters}
+    reserved = reserved | {*FUNCTION_BY_NAME, *dir(builtins), *inspect.signature(Hyperelastic).parameters}
     for name in parameters:
         if name.startswith("_") or name in reserved:
             raise InputError(f"a parameter must not have a reserved name, got {name}; choose another name")
@@ -276,13 +276,13 @@ def _functions(tree: ast.expr, text: str, variables: Sequence[str], parameters: 
     tape = Tape(variables)
     known = {name: tape.variable(name) for name in variables}
     known |= {name: tape.coefficient(i) for i, name in enumerate(parameters)}
-    if variables == INVARIANTS:
-        for name, (invariant, power) in ISOCHORIC.items():
+    if variables == INVARIANT_NAMES:
+        for name, (invariant, power) in ISOCHORIC_POWERS.items():
             scale = tape.apply("**", known["J"], tape.number(power))
             known[name] = tape.apply("*", known[invariant], scale)
     energy = _energy_row(tree, tape, known, text)
     first = [tape.derivative(energy, variable) for variable in variables]
-    second = [tape.derivative(first[i], variables[j]) for i, j in _pairs(variables == STRETCHES)]
+    second = [tape.derivative(first[i], variables[j]) for i, j in _pairs(variables == STRETCH_NAMES)]
     results = {"energy": [energy], "first": first, "second": second}
     steps = sum(len(tape.needed(rows)) for rows in results.values())
     if steps > MAX_TOTAL_OPERATIONS:

@@ -25,7 +25,7 @@ import numpy as np
 
 from palpate.faults import InputError, brief
 
-__all__ = ["FORMS", "QUADRATIC", "Volumetric", "volumetric_form"]
+__all__ = ["FORM_BY_NAME", "QUADRATIC", "Volumetric", "volumetric_form"]
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def _mixed_pressure(x):  # type: ignore[no-untyped-def]
 
 
 QUADRATIC = "quadratic"
-FORMS = {
+FORM_BY_NAME = {
     form.name: form
     for form in (
         Volumetric(QUADRATIC, "(J - 1)^2 / 2", _quadratic_measure, _quadratic_pressure),
@@ -100,6 +100,6 @@ def volumetric_form(name: str) -> Volumetric:
     InputError
         The name is unknown.
     """
-    if not isinstance(name, str) or name not in FORMS:
-        raise InputError(f"volumetric must be one of {', '.join(map(repr, FORMS))}, got {brief(name)}")
-    return FORMS[name]
+    if not isinstance(name, str) or name not in FORM_BY_NAME:
+        raise InputError(f"volumetric must be one of {', '.join(map(repr, FORM_BY_NAME))}, got {brief(name)}")
+    return FORM_BY_NAME[name]

@@ -72,10 +72,11 @@ def small(monkeypatch):
     monkeypatch.setattr(
         "palpate.app.bench.cases.beam", lambda spacing: replace(beam(spacing=0.02 / 3, load=2.0), duration=0.05)
     )
-    for name, value in {"BODIES": (4, 5), "MANY": 6, "SAMPLED": 24, "BEAM_MODES": 3}.items():
+    sizes = {"BLOCK_EDGE_NODES": (4, 5), "LARGE_MODEL_MODES": 6, "LARGE_MODEL_NODES": 24, "BEAM_MODES": 3}
+    for name, value in sizes.items():
         monkeypatch.setattr(f"palpate.app.bench.cases.{name}", value)
-    monkeypatch.setattr("palpate.app.bench.full_body.SPACING", 0.016)
-    monkeypatch.setattr("palpate.app.bench.full_body.PRESS", 0.1)
+    monkeypatch.setattr("palpate.app.bench.full_body.NODE_SPACING", 0.016)
+    monkeypatch.setattr("palpate.app.bench.full_body.PRESS_SECONDS", 0.1)
 
 
 def test_the_report_and_the_table_hold_every_ratio_of_one_run(small, tmp_path, capsys):

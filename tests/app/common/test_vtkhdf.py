@@ -53,14 +53,14 @@ def test_vtk_reads_back_the_mesh_and_two_times(tmp_path, cloud, fields):
 
 
 def test_a_field_of_a_wrong_shape_is_refused_and_no_file_is_left(tmp_path, cloud, fields):
-    with pytest.raises(pt.InputError, match="'von_mises' has shape"):
+    with pytest.raises(pt.InputError, match="'von_mises' must have shape"):
         write_vtkhdf(tmp_path / "body.vtkhdf", cloud, TIMES, {"von_mises": fields["von_mises"][:, :-1]})
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_field_that_is_not_finite_is_refused(tmp_path, cloud, fields):
     fields["von_mises"][1, 3] = np.nan
-    with pytest.raises(pt.InputError, match="'von_mises' is not finite"):
+    with pytest.raises(pt.InputError, match="'von_mises' must be finite, got 1 other"):
         write_vtkhdf(tmp_path / "body.vtkhdf", cloud, TIMES, fields)
 
 

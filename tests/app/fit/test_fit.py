@@ -36,17 +36,17 @@ def test_the_listed_files_are_written_and_no_others(left, assert_drawn):
 def test_the_report_has_the_parameters_of_the_fit(left):
     report = left[1]
     measured = [curve for path in (UNIAXIAL, SHEAR) for curve in read_measurements(path)]
-    found = fit(pt.materials.MooneyRivlin, measured)
+    fitted = fit(pt.materials.MooneyRivlin, measured)
     for name, parameter in report["parameters"].items():
-        assert parameter["value"] == pytest.approx(found.parameters[name], rel=1e-9)
-        assert parameter["standard_error"] == pytest.approx(found.standard_errors[name], rel=1e-6)
+        assert parameter["value"] == pytest.approx(fitted.parameters[name], rel=1e-9)
+        assert parameter["standard_error"] == pytest.approx(fitted.standard_errors[name], rel=1e-6)
     assert report["law"] == "MooneyRivlin"
-    assert report["shear_modulus"] == pytest.approx(found.material.shear_modulus)
+    assert report["shear_modulus"] == pytest.approx(fitted.material.shear_modulus)
     assert [c["name"] for c in report["curves"]] == [
         "liver_synthetic_uniaxial, uniaxial",
         "liver_synthetic_shear, simple shear",
     ]
-    assert [c["r_squared"] for c in report["curves"]] == pytest.approx([c.r_squared for c in found.curves])
+    assert [c["r_squared"] for c in report["curves"]] == pytest.approx([c.r_squared for c in fitted.curves])
     assert report["stability"]["stable"]
     assert all(source.startswith("Synthetic, not measured") for source in report["sources"])
     assert report["machine"]["versions"]["palpate"] == pt.__version__

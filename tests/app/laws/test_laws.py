@@ -15,8 +15,8 @@ def test_laws_are_listed_for_people_and_for_machines(capsys):
     assert main(["laws"]) == 0
     text = capsys.readouterr().out
     assert main(["laws", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    laws, fibres, relaxation = found["laws"], found["fibre_laws"], found["relaxation"]
+    printed = json.loads(capsys.readouterr().out)
+    laws, fibres, relaxation = printed["laws"], printed["fibre_laws"], printed["relaxation"]
     assert len(laws) >= 11
     for law in (*laws, *fibres, relaxation):
         assert f"\n{law['name']}\n" in text
@@ -28,7 +28,7 @@ def test_laws_are_listed_for_people_and_for_machines(capsys):
         getattr(pt.materials, law["name"])(**law["example"], directions=(1.0, 0.0, 0.0))
     given = {"C1": 5e3, "density": 1000.0, "poisson": 0.4}
     pt.materials.NeoHookean(**given, prony=pt.materials.Prony(**relaxation["example"]))
-    for form in found["volumetric"]:
+    for form in printed["volumetric"]:
         assert f"U = {form['energy']}" in text
         assert (pt.materials.NeoHookean(**given, volumetric=form["name"]) == pt.materials.NeoHookean(**given)) == form[
             "default"

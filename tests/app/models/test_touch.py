@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from time import monotonic, sleep
 
@@ -283,15 +284,13 @@ def test_what_was_repaired_and_noted_is_printed(organ, tmp_path, capsys):
     assert "--scale 0.01 would make it" in printed
 
 
-def test_the_printed_errors_of_the_force_are_those_of_the_table():
-    text = (Path(__file__).parents[3] / "docs" / "verification.md").read_text()
-    section = text.partition("## The force on organs of real-time spacing")[2].partition("\n## ")[0]
-    rows = [line.split("|") for line in section.splitlines() if line.startswith("|") and line.count("%") == 3]
-    errors = [abs(float(row[6].strip(" %"))) / 100 for row in rows]
-    nodes = [[int(each.replace(",", "")) for each in row[2].split(", ")] for row in rows]
+def test_the_printed_errors_of_the_force_are_those_of_the_study():
+    path = Path(__file__).parents[3] / "docs" / "validation" / "spacing_force.json"
+    rows = json.loads(path.read_text(encoding="utf-8"))["results"]
+    errors = [abs(row["force"][0] / row["force"][1] - 1) for row in rows]
     assert len(rows) == 8
-    assert (pytest.approx(np.median(errors), abs=6e-4), pytest.approx(max(errors))) == FORCE_ERRORS
-    assert pytest.approx(np.mean([fine / coarse for coarse, fine in nodes]), abs=0.1) == FINER_NODES
+    assert (pytest.approx(np.median(errors), abs=6e-4), pytest.approx(max(errors), abs=6e-4)) == FORCE_ERRORS
+    assert pytest.approx(np.mean([row["nodes"][1] / row["nodes"][0] for row in rows]), abs=0.1) == FINER_NODES
 
 
 @pytest.mark.slow

@@ -45,10 +45,10 @@ def recording(model, snapshots, tools=(BALL,)):
 
 def test_a_path_begins_just_before_the_touch(model):
     touching = [False] * 4 + [True] * 3 + [False] * 3 + [True] * 4 + [False]
-    found = tool_paths(recording(model, [snapshot(k, touching=on, trust=k) for k, on in enumerate(touching)]))
-    assert [path.trust for path in found] == [6, 13]
-    assert [path.duration for path in found] == pytest.approx([3 * EVERY, 4 * EVERY])
-    load = found[0].load
+    paths = tool_paths(recording(model, [snapshot(k, touching=on, trust=k) for k, on in enumerate(touching)]))
+    assert [path.trust for path in paths] == [6, 13]
+    assert [path.duration for path in paths] == pytest.approx([3 * EVERY, 4 * EVERY])
+    load = paths[0].load
     assert isinstance(load, Contact)
     assert load.tool.radius == BALL["radius"]
     assert load.friction == BALL["friction"]
@@ -61,8 +61,8 @@ def test_resets_and_changes_of_tools_end_a_path_and_short_touches_give_none(mode
     reset = [snapshot(k) for k in range(4)] + [snapshot(k) for k in range(3)]
     assert [path.duration for path in tool_paths(recording(model, reset))] == pytest.approx([3 * EVERY, 2 * EVERY])
     larger = BALL | {"radius": 0.006, "start": 3}
-    found = tool_paths(recording(model, [snapshot(k) for k in range(8)], [BALL, larger]))
-    assert [path.load.tool.radius for path in found] == [0.004, 0.006]
+    paths = tool_paths(recording(model, [snapshot(k) for k in range(8)], [BALL, larger]))
+    assert [path.load.tool.radius for path in paths] == [0.004, 0.006]
     assert not tool_paths(recording(model, [snapshot(k) for k in range(2)]))
     assert not tool_paths(recording(model, [snapshot(k, tool="none") for k in range(6)]))
 

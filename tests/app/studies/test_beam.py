@@ -12,6 +12,7 @@ import pytest
 import palpate as pt
 from palpate.app.cli import main
 from palpate.app.common.rendering import DrawingError, check_drawing
+from palpate.app.studies.beam.report import slight_decrease_after_eight
 from palpate.app.studies.beam.reproduce import FIGURES, FILES
 from palpate.files import check_space
 
@@ -86,7 +87,8 @@ def test_every_reduced_model_of_both_series_is_reported_once_in_order(study):
             assert set(entry["errors"]) == {"displacement", "velocity", "energy", "reaction"}
             # no run in the space of the modes is nearer than the projection, up to the norm's choice
             assert 0 < entry["projection_error"] <= 1.1 * entry["errors"]["displacement"]
-            assert entry["ratio"] == pytest.approx(entry["wall_seconds"] / report["full"]["wall_seconds"])
+            full = report["full" if entry["series"] == "projected" else "energy_form"]
+            assert entry["ratio"] == pytest.approx(entry["wall_seconds"] / full["wall_seconds"])
             assert entry["steps"] >= 100
             assert entry["seconds_per_step"] == pytest.approx(entry["wall_seconds"] / entry["steps"])
 
@@ -103,14 +105,29 @@ def test_projected_models_evaluate_all_nodes_and_hyper_reduced_ones_few(study):
 def test_the_report_compares_the_energy_form_with_the_strong_form(study):
     report = study[1]
     energy = report["energy_form"]
-    # two discretisations of one body, which shrink to one with the spacing
+    # two discretisations of one body
     assert energy["peak_tip_displacement"] == pytest.approx(report["full"]["peak_tip_displacement"], rel=0.05)
     assert abs(energy["energy_balance"]) < 1e-3
-    assert 0 < energy["errors"]["displacement"] < 0.5
+    forms = report["forms"]
+    assert forms["until"] == pytest.approx(0.9)
+    assert 0 < forms["displacement_until"] < forms["errors"]["displacement"] < 0.5
+
+
+@pytest.mark.slow
+def test_hyper_reduced_models_are_compared_with_the_energy_form_that_they_reduce(study):
+    out, report = study[:2]
     _, sampled = by_series(report)
-    against = sampled[1]["errors_against"]["energy form"]
-    assert against["displacement"] < 0.5 * sampled[1]["errors"]["displacement"]
-    assert against["displacement"] < 0.1
+    assert sampled[1]["errors"]["displacement"] < 0.1
+    assert sampled[1]["ratio"] == pytest.approx(sampled[1]["wall_seconds"] / report["energy_form"]["wall_seconds"])
+    runs = [pt.Trajectory.load(out / name) for name in ("full.h5", "full_energy_form.h5")]
+    assert pt.relative_errors(*runs).as_dict() == pytest.approx(report["forms"]["errors"])
+
+
+@pytest.mark.slow
+def test_the_messages_name_the_difference_of_the_forms_once_with_its_reason(study):
+    lines = [line for line in study[3].splitlines() if "The two full models differ by" in line]
+    assert len(lines) == 1
+    assert "differ in phase" in lines[0]
 
 
 @pytest.mark.slow
@@ -183,7 +200,7 @@ def test_a_disk_without_room_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("error", "code", "said"),
     [
-        (KeyboardInterrupt(), 130, "interrupted in the full run"),
+        (KeyboardInterrupt(), 130, "interrupted in the run of the full model, strong form"),
         (pt.DivergenceError("ran away"), 1, "diverged: ran away"),
     ],
 )
@@ -205,3 +222,12 @@ def test_a_machine_that_cannot_draw_raises_with_the_packages_to_install(monkeypa
     monkeypatch.setattr("palpate.app.common.rendering.PROBE", "import os; os.abort()")
     with pytest.raises(DrawingError, match="apt-get install libegl1 libgl1-mesa-dri"):
         check_drawing()
+
+
+def test_an_error_that_falls_to_a_quarter_after_eight_modes_is_not_a_slight_decrease():
+    entries = {modes: {"errors": {"displacement": error}} for modes, error in ((6, 0.024), (8, 0.038), (12, 0.008))}
+    *_, here, holds = slight_decrease_after_eight(entries)
+    assert (here, holds) == ("3.800% with 8, 0.800% with 12", False)
+    entries[12] = {"errors": {"displacement": 0.03}}
+    assert slight_decrease_after_eight(entries)[-1]
+    assert slight_decrease_after_eight({8: entries[8]})[-1] is None

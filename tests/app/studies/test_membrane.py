@@ -183,7 +183,7 @@ def test_bad_values_are_refused_in_one_line_and_no_file_is_left(tmp_path, assert
 @pytest.mark.parametrize(
     ("error", "code", "said"),
     [
-        (KeyboardInterrupt(), 130, "interrupted in the full run"),
+        (KeyboardInterrupt(), 130, "interrupted in the run of the full model"),
         (pt.DivergenceError("ran away"), 1, "diverged: ran away"),
     ],
 )

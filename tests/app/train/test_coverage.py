@@ -93,9 +93,9 @@ def test_uncovered_surface_comes_before_errors_and_errors_decide_on_covered_surf
 def test_the_picture_has_all_kinds_of_surface(scene, tmp_path):
     from matplotlib.image import imread
 
-    found = coverage(scene, [scene.path(k) for k in range(4)])
-    assert set(np.unique(found.kinds)) == {0, 1, 2, 3}
-    draw_coverage(found, tmp_path / "coverage.png")
+    covered = coverage(scene, [scene.path(k) for k in range(4)])
+    assert set(np.unique(covered.kinds)) == {0, 1, 2, 3}
+    draw_coverage(covered, tmp_path / "coverage.png")
     image = imread(tmp_path / "coverage.png")[..., :3].reshape(-1, 3)
     assert len(image) > 5e5
     blue = (image[:, 2] > 0.4) & (image[:, 0] < 0.15)

@@ -305,8 +305,8 @@ def test_chosen_paths_differ_from_the_training_and_each_other(whole):
 
     candidates = [folders.Job(folders.TRAINED, k, k) for k in range(4)]
     folder = folders.Folder(whole, {})
-    found = choose(model, folder, dataclasses.replace(scene, path=path), candidates, 2)
-    assert [job.number for job in found] == [2, 3]
+    jobs = choose(model, folder, dataclasses.replace(scene, path=path), candidates, 2)
+    assert [job.number for job in jobs] == [2, 3]
 
 
 def further(model, reach, duration=0.2):

@@ -50,10 +50,10 @@ def browser():
 @pytest.fixture
 def session(model):
     """A session of the block that runs; stopped after the test."""
-    own = Session(model, "Block")
-    own.start()
-    yield own
-    own.stop()
+    session = Session(model, "Block")
+    session.start()
+    yield session
+    session.stop()
 
 
 def until(condition, of=lambda: None):

@@ -83,11 +83,11 @@ def model_path(model, tmp_path_factory):
 
 @pytest.fixture
 def full(tmp_path):
-    own = Session(block().model, "Block")
-    own.folder = tmp_path
-    own.start()
-    yield own
-    own.close()
+    session = Session(block().model, "Block")
+    session.folder = tmp_path
+    session.start()
+    yield session
+    session.close()
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 
 import palpate as pt
 from palpate.dynamics.compiled.lanes import LANES, transpose
-from palpate.dynamics.compiled.rows import WIDTHS, aligned_zeros, gather_fluxes, row_table
+from palpate.dynamics.compiled.rows import ROW_WIDTHS, aligned_zeros, gather_fluxes, row_table
 
 CLOUDS = {
     "jittered": pt.box((0.5, 0.4, 0.3), spacing=0.1, jitter=0.2),
@@ -36,7 +36,7 @@ def test_the_gather_is_the_transposed_sum(stencils, numbers):
     near, back = transpose(stencils.neighbours, weights, volumes)
     rows = row_table(near, np.arange(n), back, own)
     width, flux = rows.weights.shape[1], random.normal(size=(n, 3, numbers))
-    assert width in WIDTHS
+    assert width in ROW_WIDTHS
     padded, force = aligned_zeros(n, 3, width), np.full((n, 3), np.nan)
     padded[:, :, :numbers] = flux
     gather_fluxes[width](rows, padded, force)

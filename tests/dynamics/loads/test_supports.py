@@ -38,14 +38,14 @@ def pull(size: float = 0.02, turn: np.ndarray | None = None) -> pt.SurfaceForce:
 def test_a_pulled_bar_on_rollers_has_the_stretch_of_the_law():
     """The state is homogeneous: the closed form of uniaxial tension, with lateral faces free of stress."""
     model, size = on_rollers(bar()), 0.02
-    found = pt.equilibrium(model, [pull(size)], tolerance=1e-10)
-    F = model.deformation_gradient(found.displacements)
+    settled = pt.equilibrium(model, [pull(size)], tolerance=1e-10)
+    F = model.deformation_gradient(settled.displacements)
     np.testing.assert_allclose(F, np.broadcast_to(np.diag(np.diag(F[0])), F.shape), atol=1e-7)
     assert F[0, 0, 0] > 1.03
-    stress = model.stress(found.displacements)
+    stress = model.stress(settled.displacements)
     np.testing.assert_allclose(stress, np.broadcast_to(np.diag([size / 0.015**2, 0.0, 0.0]), F.shape), atol=1e-4)
-    np.testing.assert_allclose(found.reactions["x-"], [-size, 0.0, 0.0], atol=1e-7)
-    np.testing.assert_allclose(found.reactions["y-"], 0.0, atol=1e-7)
+    np.testing.assert_allclose(settled.reactions["x-"], [-size, 0.0, 0.0], atol=1e-7)
+    np.testing.assert_allclose(settled.reactions["y-"], 0.0, atol=1e-7)
 
 
 def test_the_motion_of_a_turned_body_is_the_turned_motion():
@@ -107,11 +107,11 @@ def test_forces_of_supports_that_share_nodes_add_up():
     fixed = ["x-", pt.Roller("y-", (0.0, 0.8, 0.6)), pt.Roller("z-", (0.0, 0.6, 0.8))]
     model = pt.Solid(cloud, SOFT, fixed)
     load = pt.SurfaceForce("x+", force=(0.01, -0.005, 0.003))
-    found = pt.equilibrium(model, [load], tolerance=1e-9)
-    np.testing.assert_allclose(sum(found.reactions.values()), [-0.01, 0.005, -0.003], atol=1e-7)
+    settled = pt.equilibrium(model, [load], tolerance=1e-9)
+    np.testing.assert_allclose(sum(settled.reactions.values()), [-0.01, 0.005, -0.003], atol=1e-7)
     for name in ("y-", "z-"):
-        assert found.reactions[name][0] == pytest.approx(0.0, abs=1e-12)
-    moved = found.displacements[cloud.group("y-")]
+        assert settled.reactions[name][0] == pytest.approx(0.0, abs=1e-12)
+    moved = settled.displacements[cloud.group("y-")]
     np.testing.assert_allclose(moved @ [0.0, 0.8, 0.6], 0.0, atol=1e-15)
 
 
@@ -132,18 +132,18 @@ def test_a_reduced_model_on_rollers_keeps_its_supports_and_forces(tmp_path):
     options = {"duration": 0.08, "every": 0.002, "progress": False}
     full = pt.rollout(model, [load], **options)
     reduced = pt.hyper_reduce(model, full, modes=12)
-    found = pt.rollout(reduced, [load], **options)
+    run = pt.rollout(reduced, [load], **options)
     size = np.abs(full.displacements).max()
-    assert np.abs(found.displacements - full.displacements).max() < 0.03 * size
+    assert np.abs(run.displacements - full.displacements).max() < 0.03 * size
     for name in ("x-", "y-", "z-"):
-        across = found.displacements[:, model.cloud.group(name), "xyz".index(name[0])]
+        across = run.displacements[:, model.cloud.group(name), "xyz".index(name[0])]
         assert np.abs(across).max() < 1e-6 * size
-        error = np.linalg.norm(found.reactions[name] - full.reactions[name], axis=1).max()
+        error = np.linalg.norm(run.reactions[name] - full.reactions[name], axis=1).max()
         assert error < 0.1 * np.linalg.norm(full.reactions["x-"], axis=1).max(), name
     pt.save(reduced, tmp_path / "model.h5")
     again = pt.load(tmp_path / "model.h5")
     assert again.supports == reduced.supports == model.supports
-    np.testing.assert_array_equal(pt.rollout(again, [load], **options).displacements, found.displacements)
+    np.testing.assert_array_equal(pt.rollout(again, [load], **options).displacements, run.displacements)
 
 
 def test_the_surface_compliance_respects_rollers():

@@ -123,10 +123,10 @@ def test_galerkin_models_have_the_fibres():
     body = block(KINDS["two"], fixed="x-", stiffness_damping=1e-5)
     push = [pt.SurfaceForce("x+", force=lambda t: (0.3 * np.sin(200 * t), 0.1, 0.0))]
     run = pt.rollout(body, push, duration=0.01, every=0.0005, progress=False)
-    found = pt.relative_errors(
+    errors = pt.relative_errors(
         run, pt.rollout(pt.galerkin(body, run, modes=12), push, duration=0.01, every=0.0005, progress=False)
     )
-    assert found.displacement < 0.02
+    assert errors.displacement < 0.02
 
 
 def test_fibres_in_unsupported_models_are_refused():

@@ -366,8 +366,8 @@ def test_all_layouts_have_nearly_the_same_deflection():
         cloud = pt.disc(RADIUS, 0.005, layout, jitter, 1)
         model = sheet(cloud.within("tool", cloud.points[cloud.group("centre")[0]], 1e-6))
         tool = pt.PrescribedMotion("tool", lambda X, t: (0.0, 0.0, 0.1 * t))
-        found = pt.rollout(model, [tool], duration=0.1, every=0.005, progress=False)
-        means.append(found.displacements[-1, :, 2] @ cloud.volumes / cloud.volumes.sum())
+        run = pt.rollout(model, [tool], duration=0.1, every=0.005, progress=False)
+        means.append(run.displacements[-1, :, 2] @ cloud.volumes / cloud.volumes.sum())
     assert np.ptp(means) < 0.02 * np.mean(means)
 
 
@@ -418,8 +418,8 @@ def test_a_sheet_that_is_slack_everywhere_only_drifts():
     model = sheet(fixed=())
     shrunk = -0.1 * np.column_stack([model.cloud.points, np.zeros(len(model.cloud))])
     speed = np.broadcast_to([0.0, 0.0, 0.5], shrunk.shape)
-    found = pt.rollout(model, duration=0.01, every=0.01, displacement=shrunk, velocity=speed, progress=False)
-    np.testing.assert_allclose(found.displacements[-1], shrunk + 0.01 * speed, atol=1e-12)
+    run = pt.rollout(model, duration=0.01, every=0.01, displacement=shrunk, velocity=speed, progress=False)
+    np.testing.assert_allclose(run.displacements[-1], shrunk + 0.01 * speed, atol=1e-12)
 
 
 def test_a_cloud_without_a_boundary_is_refused():

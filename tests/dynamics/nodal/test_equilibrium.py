@@ -43,10 +43,10 @@ def unbalanced(model, loads, displacements, time=0.0):
 def test_no_free_node_accelerates_and_the_support_bears_the_load(form, bar, tissue):
     model = pt.Solid(bar, tissue, fixed="x-", form=form, stiffness_damping=1e-5)
     loads = [pt.SurfaceForce("x+", force=PULL), pt.Gravity(), pt.Foundation("z-", 1e4)]
-    found = pt.equilibrium(model, loads)
-    assert np.abs(found.displacements).max() > 0.1 * 0.03
-    assert unbalanced(model, loads, found.displacements) < 2e-6
-    assert found.residual <= 1e-6
+    settled = pt.equilibrium(model, loads)
+    assert np.abs(settled.displacements).max() > 0.1 * 0.03
+    assert unbalanced(model, loads, settled.displacements) < 2e-6
+    assert settled.residual <= 1e-6
     alone = pt.equilibrium(model, loads[:1])
     np.testing.assert_allclose(alone.reactions["x-"], -np.array(PULL), atol=1e-5)
 
@@ -74,22 +74,22 @@ def test_a_bar_between_two_grips_has_the_stretch_and_stress_of_a_testing_machine
         return time * points @ (F - np.eye(3)).T
 
     grips = [pt.PrescribedMotion(end, motion) for end in ("x-", "x+")]
-    found = pt.equilibrium(model, grips, time=1.0)
-    np.testing.assert_allclose(found.displacements, motion(bar.points, 1.0), atol=1e-7)
-    np.testing.assert_allclose(found.reactions["x+"], -found.reactions["x-"], atol=1e-5)
+    settled = pt.equilibrium(model, grips, time=1.0)
+    np.testing.assert_allclose(settled.displacements, motion(bar.points, 1.0), atol=1e-7)
+    np.testing.assert_allclose(settled.reactions["x+"], -settled.reactions["x-"], atol=1e-5)
     if form == "energy":  # the strong form's reactions have the error of its quadrature
         force = nominal_stress(tissue, "uniaxial", [1.5])[0] * 0.015**2
-        np.testing.assert_allclose(found.reactions["x+"], [force, 0, 0], atol=1e-4 * force)
+        np.testing.assert_allclose(settled.reactions["x+"], [force, 0, 0], atol=1e-4 * force)
 
 
 def test_a_small_weight_has_the_linear_response_of_the_stiffness_at_rest(body, bar):
     weight = pt.Gravity((0.0, 0.0, -1e-3))
-    found = pt.equilibrium(body, [weight])
+    settled = pt.equilibrium(body, [weight])
     free = ~body.fixed_mask
     expected = np.linalg.solve(stiffness(body), np.tile(weight.acceleration, free.sum()))
     largest = np.abs(expected).max()
-    np.testing.assert_allclose(found.displacements[free].ravel(), expected, atol=1e-4 * largest)
-    np.testing.assert_allclose(found.reactions["x-"], [0, 0, 1e-3 * body.masses.sum()], atol=1e-10)
+    np.testing.assert_allclose(settled.displacements[free].ravel(), expected, atol=1e-4 * largest)
+    np.testing.assert_allclose(settled.reactions["x-"], [0, 0, 1e-3 * body.masses.sum()], atol=1e-10)
 
 
 def test_a_cube_under_pressure_from_all_sides_shrinks_as_its_law_says(small_cloud, tissue):
@@ -98,19 +98,19 @@ def test_a_cube_under_pressure_from_all_sides_shrinks_as_its_law_says(small_clou
     sides = ("x-", "x+", "y-", "y+", "z-", "z+")
     loads = [pt.Pressure(side, -cauchy) for side in sides]
     loads += [pt.Foundation(side, 1e-2) for side in sides]  # far softer than the tissue, against rigid motions
-    found = pt.equilibrium(pt.Solid(small_cloud, tissue, form="energy"), loads)
+    settled = pt.equilibrium(pt.Solid(small_cloud, tissue, form="energy"), loads)
     arms = small_cloud.points - small_cloud.points.mean(axis=0)
-    np.testing.assert_allclose(found.displacements, (ratio - 1) * arms, atol=1e-5 * 0.015)
-    assert found.reactions == {}
+    np.testing.assert_allclose(settled.displacements, (ratio - 1) * arms, atol=1e-5 * 0.015)
+    assert settled.reactions == {}
 
 
 def test_prescribed_nodes_are_at_their_displacement_of_the_time_until_their_release(body, bar):
     end = bar.group("x+")
     motion = pt.PrescribedMotion("x+", lambda points, t: (0.01 * t, 0, 0.02 * t), until=1.0)
-    found = pt.equilibrium(body, [motion], time=0.5)
-    np.testing.assert_array_equal(found.displacements[end], np.tile([0.005, 0, 0.01], (len(end), 1)))
-    assert not found.displacements[bar.group("x-")].any()
-    np.testing.assert_allclose(found.reactions["x+"], -found.reactions["x-"], atol=1e-5)
+    settled = pt.equilibrium(body, [motion], time=0.5)
+    np.testing.assert_array_equal(settled.displacements[end], np.tile([0.005, 0, 0.01], (len(end), 1)))
+    assert not settled.displacements[bar.group("x-")].any()
+    np.testing.assert_allclose(settled.reactions["x+"], -settled.reactions["x-"], atol=1e-5)
     released = pt.equilibrium(body, [motion], time=2.0)
     assert released.iterations == 0
     assert not released.displacements.any()
@@ -125,20 +125,20 @@ def test_a_mirrored_load_has_the_mirrored_equilibrium(body, bar):
 
 def test_the_solution_of_half_the_load_is_a_valid_start(body, pulled):
     half = pt.equilibrium(body, [pt.SurfaceForce("x+", force=[x / 2 for x in PULL])])
-    found = pt.equilibrium(body, [pt.SurfaceForce("x+", force=PULL)], displacement=half.displacements)
-    np.testing.assert_allclose(found.displacements, pulled.displacements, atol=1e-7)
+    settled = pt.equilibrium(body, [pt.SurfaceForce("x+", force=PULL)], displacement=half.displacements)
+    np.testing.assert_allclose(settled.displacements, pulled.displacements, atol=1e-7)
 
 
 def test_a_taut_sheet_sags_under_pressure_as_a_paraboloid():
     cloud = pt.disc(0.1, 0.01)
     tissue = pt.materials.NeoHookean(C1=5e3, density=1000.0, poisson=0.5)
     sheet = pt.Membrane(cloud, tissue, 1e-3, "rim", prestretch=1.1)
-    found = pt.equilibrium(sheet, [pt.Pressure("face", -0.1)])
+    settled = pt.equilibrium(sheet, [pt.Pressure("face", -0.1)])
     nominal = 2 * tissue.C1 * (1.1 - 1.1**-5)
     tension = nominal * 1e-3 / 1.1  # force per mounted length
     radius = np.linalg.norm(cloud.points, axis=1)
     expected = 0.1 * (0.1**2 - radius**2) / (4 * tension)
-    np.testing.assert_allclose(np.abs(found.displacements[:, 2]), expected, atol=0.02 * expected.max())
+    np.testing.assert_allclose(np.abs(settled.displacements[:, 2]), expected, atol=0.02 * expected.max())
 
 
 def test_a_slack_sheet_raises_with_the_converged_part_of_the_load():
@@ -167,9 +167,9 @@ def test_the_beam_of_the_paper_agrees_with_finite_elements(kind, force):
     cloud = pt.box((0.2, 0.02, 0.02), spacing=0.005)
     law = pt.materials.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=0.49)
     beam = pt.Solid(cloud, law, fixed="x-", form="energy")
-    found = pt.equilibrium(beam, [pt.SurfaceForce("x+", force=force)])
+    settled = pt.equilibrium(beam, [pt.SurfaceForce("x+", force=force)])
     shares = np.linalg.norm(cloud.area_vectors("x+"), axis=1)
-    tip = shares @ found.displacements[cloud.group("x+")] / shares.sum()
+    tip = shares @ settled.displacements[cloud.group("x+")] / shares.sum()
     np.testing.assert_allclose(tip, expected, atol=0.02 * np.linalg.norm(expected))
 
 
@@ -239,6 +239,6 @@ def test_loads_without_static_force_and_unsupported_bodies_are_refused_by_name(b
 
 
 def test_a_load_below_rounding_is_in_equilibrium_at_once(body):
-    found = pt.equilibrium(body, [pt.Pressure("x+", 1e-12)])
-    assert found.iterations == 0
-    assert not found.displacements.any()
+    settled = pt.equilibrium(body, [pt.Pressure("x+", 1e-12)])
+    assert settled.iterations == 0
+    assert not settled.displacements.any()

@@ -172,17 +172,17 @@ def test_contact_forces_of_a_run_sum_to_the_reactions_and_are_stored(pressed, tm
 
 def test_force_and_surface_of_a_press_it_was_not_trained_on(pressed):
     body, runs, model = pressed
-    own = pt.rollout(model, press(0.024, 0.038), duration=0.2, every=0.005)
-    mine, full = own.reactions["tool"][:, 2], runs[-1].reactions["tool"][:, 2]
+    run = pt.rollout(model, press(0.024, 0.038), duration=0.2, every=0.005)
+    mine, full = run.reactions["tool"][:, 2], runs[-1].reactions["tool"][:, 2]
     peak = np.abs(full).max()
     assert np.abs(mine - full).max() < 0.15 * peak
     on = np.abs(full) > 0.1 * peak
     assert np.median(np.abs(mine[on] / full[on] - 1)) < 0.1
     top = body.cloud.group("z+")
-    missed = np.linalg.norm(own.displacements[:, top] - runs[-1].displacements[:, top], axis=2)
+    missed = np.linalg.norm(run.displacements[:, top] - runs[-1].displacements[:, top], axis=2)
     assert np.quantile(missed, 0.95) < 0.07 * 0.004
-    assert not own.reactions["tool"][-1].any()  # it has left
-    assert np.abs(own.balance).max() < 0.05 * own.external.max()
+    assert not run.reactions["tool"][-1].any()  # it has left
+    assert np.abs(run.balance).max() < 0.05 * run.external.max()
 
 
 def test_rounding_of_the_compliance_adds_little_error_to_a_press_it_was_not_trained_on(pressed, monkeypatch):
@@ -250,12 +250,12 @@ def test_runs_with_tools_are_reduced_to_vibrations_by_default(pressed):
     shapes = interpolated_modes(body, body, 24)
     by_hand = pt.hyper_reduce(body, runs[:-1], modes=0, enrichment=shapes)
     np.testing.assert_array_equal(model.data.basis_vectors, by_hand.data.basis_vectors)
-    own = pt.rollout(model, press(0.024, 0.038), duration=0.2, every=0.005)
-    assert force_error(runs[-1], own) < 0.1
+    run = pt.rollout(model, press(0.024, 0.038), duration=0.2, every=0.005)
+    assert force_error(runs[-1], run) < 0.1
     with pytest.warns(pt.TrustWarning, match="use basis='vibrations'"):
         pod = pt.hyper_reduce(body, runs[:-1], modes=24, basis="pod")
     other = pt.rollout(pod, press(0.024, 0.038), duration=0.2, every=0.005)
-    assert force_error(runs[-1], other) > 2 * force_error(runs[-1], own)
+    assert force_error(runs[-1], other) > 2 * force_error(runs[-1], run)
 
 
 @pytest.mark.parametrize(
@@ -283,8 +283,8 @@ def test_a_large_body_with_tools_has_a_coarse_one_made_of_its_surface(pressed, m
     carriers = 3 * len(np.setdiff1d(coarse.cloud.face_nodes, coarse.cloud.group("z-")))
     assert model.data.compliance.flexibility.shape == (carriers, carriers)
     assert model.report["cubature"] == 0.01
-    own = pt.rollout(model, press(0.024, 0.038), duration=0.2, every=0.005)
-    assert force_error(runs[-1], own) < 0.2
+    run = pt.rollout(model, press(0.024, 0.038), duration=0.2, every=0.005)
+    assert force_error(runs[-1], run) < 0.2
     open_body = pt.Solid(replace(body.cloud, triangles=body.cloud.triangles[1:]), body.material, "z-")
     with pytest.raises(pt.InputError, match="coarse must be given for tools in contact"):
         pt.hyper_reduce(open_body, runs[:-1], modes=12)
@@ -303,8 +303,8 @@ def test_without_surface_compliance_the_force_is_far_too_large(pressed):
     """What the modes alone, without the surface's compliance, make of it: a far too large force."""
     _body, runs, model = pressed
     stiff = pt.ReducedModel(replace(model.data, compliance=model.data.compliance.scaled(1e-3)))
-    own = pt.rollout(stiff, press(0.024, 0.038), duration=0.2, every=0.005)
-    assert np.abs(own.reactions["tool"]).max() > 1.3 * np.abs(runs[-1].reactions["tool"]).max()
+    run = pt.rollout(stiff, press(0.024, 0.038), duration=0.2, every=0.005)
+    assert np.abs(run.reactions["tool"]).max() > 1.3 * np.abs(runs[-1].reactions["tool"]).max()
 
 
 def test_a_loaded_model_has_the_same_run(pressed, tmp_path):

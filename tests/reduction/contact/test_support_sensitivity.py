@@ -41,9 +41,9 @@ def compliance(body, pressed):
 
 def test_a_moved_border_is_a_body_with_other_supports(cloud):
     body, pressed = pt.Solid(cloud, TISSUE, "disc"), press(cloud, 0.02, 0.025)
-    found = support_sensitivity(body, cloud.points, [pressed])
-    assert found["springs"] is None
-    assert found["border"]["distance"] == pytest.approx(0.005, rel=0.3)
+    changes = support_sensitivity(body, cloud.points, [pressed])
+    assert changes["springs"] is None
+    assert changes["border"]["distance"] == pytest.approx(0.005, rel=0.3)
     pairs = cloud.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     pairs = np.concatenate([pairs, pairs[:, ::-1]])
     within = np.isin(pairs, cloud.group("disc"))
@@ -52,19 +52,19 @@ def test_a_moved_border_is_a_body_with_other_supports(cloud):
                        ("inward", np.setdiff1d(cloud.group("disc"), ring[:, 0]))):  # fmt: skip
         other = pt.Solid(replace(cloud, groups={"disc": nodes}), TISSUE, "disc")
         expected = compliance(body, pressed) / compliance(other, pressed) - 1
-        assert found["border"][way]["largest"] == pytest.approx(expected, rel=1e-6)
-        assert found["border"][way]["median"] == found["border"][way]["largest"]
-    assert found["border"]["outward"]["largest"] > 0.02  # more held nodes, a larger force
-    assert found["border"]["inward"]["largest"] < -0.02
+        assert changes["border"][way]["largest"] == pytest.approx(expected, rel=1e-6)
+        assert changes["border"][way]["median"] == changes["border"][way]["largest"]
+    assert changes["border"]["outward"]["largest"] > 0.02  # more held nodes, a larger force
+    assert changes["border"]["inward"]["largest"] < -0.02
 
 
 def test_the_force_is_proportional_to_springs_that_are_much_softer_than_the_body(cloud):
     body, presses = pt.Solid(cloud, TISSUE), [press(cloud, 0.02, 0.02)]
-    found = support_sensitivity(body, cloud.points, presses, [pt.Foundation("z-", 10.0)])
-    assert found["border"] is None
-    assert found["springs"]["halved"]["largest"] == pytest.approx(-0.5, abs=2e-3)
-    assert found["springs"]["doubled"]["largest"] == pytest.approx(1.0, abs=5e-3)
-    np.testing.assert_allclose(found["springs"]["doubled"]["place"], [0.02, 0.02, SIZE[2]], atol=1e-9)
+    changes = support_sensitivity(body, cloud.points, presses, [pt.Foundation("z-", 10.0)])
+    assert changes["border"] is None
+    assert changes["springs"]["halved"]["largest"] == pytest.approx(-0.5, abs=2e-3)
+    assert changes["springs"]["doubled"]["largest"] == pytest.approx(1.0, abs=5e-3)
+    np.testing.assert_allclose(changes["springs"]["doubled"]["place"], [0.02, 0.02, SIZE[2]], atol=1e-9)
 
 
 def test_median_and_largest_change_are_those_of_the_presses(cloud):
@@ -84,9 +84,9 @@ def test_median_and_largest_change_are_those_of_the_presses(cloud):
 
 def test_a_border_that_holds_the_body_alone_cannot_move_inward(cloud):
     ring = cloud.within("pin", (0.02, 0.02, 0.0), 0.0055)
-    found = support_sensitivity(pt.Solid(ring, TISSUE, "pin"), ring.points, [press(ring, 0.02, 0.02)])
-    assert found["border"]["inward"] is None  # one node is left, about which the body turns
-    assert found["border"]["outward"]["largest"] > 0
+    changes = support_sensitivity(pt.Solid(ring, TISSUE, "pin"), ring.points, [press(ring, 0.02, 0.02)])
+    assert changes["border"]["inward"] is None  # one node is left, about which the body turns
+    assert changes["border"]["outward"]["largest"] > 0
     free = pt.Solid(cloud, TISSUE)
     assert support_sensitivity(free, cloud.points, [press(cloud, 0.02, 0.02)]) is None
 

@@ -178,11 +178,11 @@ def test_modes_vanish_at_the_tool_and_the_support(bar, lifted):
 
 
 def test_a_lifted_tool_feels_the_force_of_the_full_model(prescribed, lifted):
-    found = pt.relative_errors(prescribed, lifted[1])
+    errors = pt.relative_errors(prescribed, lifted[1])
     wrong = np.abs(lifted[1].displacements - prescribed.displacements).max()
     assert wrong < 0.05 * np.abs(prescribed.displacements).max()
-    assert found.energy < 0.02
-    assert found.reaction < 0.05
+    assert errors.energy < 0.02
+    assert errors.reaction < 0.05
 
 
 def test_the_work_of_a_lifted_tool_is_that_of_the_full_model(prescribed, lifted):

@@ -74,9 +74,9 @@ def test_a_hyper_reduced_model_reproduces_the_full_run(body, run, tmp_path):
     loads, expected = run
     model = pt.hyper_reduce(body, expected, modes=12)
     assert model.report["nodes"] < len(body.cloud) / 2
-    found = pt.relative_errors(expected, pt.rollout(model, loads, **OPTIONS))
-    assert found.displacement < 0.05
-    assert found.reaction < 0.03
+    errors = pt.relative_errors(expected, pt.rollout(model, loads, **OPTIONS))
+    assert errors.displacement < 0.05
+    assert errors.reaction < 0.03
     # forces are the slope of the energy, beyond what was trained on too
     random = np.random.default_rng(0)
     precise = pt.ReducedModel(model.data, single=False)

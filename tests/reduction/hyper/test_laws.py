@@ -190,9 +190,9 @@ def relaxing():
 def test_a_relaxing_reduced_model_reproduces_the_full_run(relaxing):
     body, run, model = relaxing
     again = rollout(model)
-    found = pt.relative_errors(run, again)
-    assert found.displacement < 0.05
-    assert found.reaction < 0.02
+    errors = pt.relative_errors(run, again)
+    assert errors.displacement < 0.05
+    assert errors.reaction < 0.02
     assert again.dissipated[-1] == pytest.approx(run.dissipated[-1], rel=0.02)
     assert again.dissipated[-1] > 0.2 * np.abs(again.external).max()
     assert np.abs(again.balance).max() < 5e-3 * np.abs(again.external).max()

@@ -156,19 +156,19 @@ def beam_data(beam: pt.Solid) -> ReducedData:
 def test_a_trajectory_holds_trust_and_warns_once(pulled, tmp_path):
     side = [end_force((0.0, 1.0, 0.0))]
     with pytest.warns(pt.TrustWarning, match=r"reached 3.33 at t = .* s, above 1.*full model") as told:
-        own = pt.rollout(
+        run = pt.rollout(
             pulled, side, duration=DURATION, every=EVERY, progress=False, file=(path := tmp_path / "run.h5")
         )
     assert len(told) == 1
     prepared = pulled.prepare(side)
-    np.testing.assert_allclose(own.trust, [pulled.trust(state, prepared) for state in states(pulled, own)], rtol=1e-6)
-    np.testing.assert_array_equal(own.displacement_bounds[1:], np.inf)  # no held-out run had such a number
+    np.testing.assert_allclose(run.trust, [pulled.trust(state, prepared) for state in states(pulled, run)], rtol=1e-6)
+    np.testing.assert_array_equal(run.displacement_bounds[1:], np.inf)  # no held-out run had such a number
     kept = pt.Trajectory.load(path)
     for name in ("trust", "displacement_bounds", "force_bounds"):
-        np.testing.assert_array_equal(getattr(kept, name), getattr(own, name))
-    joined = own.concatenate(replace(own, times=own.times + own.times[-1]))
+        np.testing.assert_array_equal(getattr(kept, name), getattr(run, name))
+    joined = run.concatenate(replace(run, times=run.times + run.times[-1]))
     assert len(joined.trust) == len(joined.displacement_bounds) == len(joined.times)
-    assert dict(fact[:2] for fact in own._facts())["largest trust number"] == pytest.approx(own.trust.max())
+    assert dict(fact[:2] for fact in run._facts())["largest trust number"] == pytest.approx(run.trust.max())
 
 
 def test_runs_inside_the_training_do_not_warn_and_full_models_have_no_trust(pulled, beam):

@@ -75,9 +75,9 @@ def test_the_reduced_tangent_of_a_pushed_sheet_is_symmetric(sheet, push):
 @pytest.mark.parametrize(("modes", "displacement", "force"), [(8, 0.15, 0.1), (20, 0.01, 0.02), (39, 1e-3, 1e-2)])
 def test_more_modes_reduce_the_error_of_the_push(sheet, push, modes, displacement, force):
     rom = pt.galerkin(sheet, push, modes=modes, prescribed=["tool"], lifting="local", relative=True)
-    found = pt.relative_errors(push, pt.rollout(rom, [PUSH], duration=0.1, every=0.0025, progress=False))
-    assert found.displacement < displacement
-    assert found.reaction < force
+    errors = pt.relative_errors(push, pt.rollout(rom, [PUSH], duration=0.1, every=0.0025, progress=False))
+    assert errors.displacement < displacement
+    assert errors.reaction < force
 
 
 @pytest.mark.slow
@@ -229,10 +229,10 @@ def test_a_hyper_reduced_sheet_has_few_points_and_reproduces_the_push(sheet, pus
     assert len(sampled.data.cubature.nodes) < 0.15 * 6 * len(sheet.cloud)
     assert sampled.data.cubature.pressure.shape[0] == 0
     run = pt.rollout(sampled, [PUSH], duration=0.1, every=0.0025, progress=False)
-    found = pt.relative_errors(push, run)
-    assert found.displacement < 0.15
-    assert found.energy < 0.01
-    assert found.reaction < 0.1
+    errors = pt.relative_errors(push, run)
+    assert errors.displacement < 0.15
+    assert errors.energy < 0.01
+    assert errors.reaction < 0.1
     assert np.abs(run.balance).max() < 0.01 * run.external.max()
     moved = run.displacements[-1, sheet.cloud.group("tool")[0]]
     np.testing.assert_allclose(moved, [0.0, 0.0, 0.01], atol=1e-9)
@@ -245,9 +245,9 @@ def test_few_points_of_a_taut_sheet_give_the_tool_force_of_all_points(sheet, pus
     full = pt.rollout(taut, [PUSH], duration=0.05, every=0.0025, progress=False)
     models = [pt.hyper_reduce(taut, full, modes=6, prescribed="tool", cubature=share) for share in (1e-3, 0.0)]
     few, whole = (pt.rollout(model, [PUSH], duration=0.05, every=0.0025, progress=False) for model in models)
-    found = pt.relative_errors(whole, few)
-    assert found.reaction < 0.05
-    assert found.displacement < 0.05
+    errors = pt.relative_errors(whole, few)
+    assert errors.reaction < 0.05
+    assert errors.displacement < 0.05
     for model in models:
         pt.save(model, tmp_path / "taut.rom")
         assert len(pt.load(tmp_path / "taut.rom").data.cubature.nodes) == len(model.data.cubature.nodes)

@@ -135,10 +135,10 @@ def test_few_nodes_are_chosen_and_weights_are_positive(body, rom):
 
 
 def test_a_trained_motion_is_reproduced(rom, runs):
-    found = pt.relative_errors(runs[3], rollout(rom, pull(6.0, -0.3, 2e-3)))
-    assert found.displacement < 0.05
-    assert found.reaction < 0.02
-    assert found.energy < 0.01
+    errors = pt.relative_errors(runs[3], rollout(rom, pull(6.0, -0.3, 2e-3)))
+    assert errors.displacement < 0.05
+    assert errors.reaction < 0.02
+    assert errors.energy < 0.01
 
 
 def test_untrained_motions_are_reproduced_better_with_more_modes(body, runs):
@@ -184,9 +184,9 @@ def test_implicit_steps_keep_the_energy_of_a_free_body(body, runs):
 def test_the_force_of_a_tool_is_that_of_the_full_model(grasped):
     loads, full, rom = grasped
     run = rollout(rom, loads)
-    found = pt.relative_errors(full, run)
-    assert found.displacement < 0.05
-    assert found.reaction < 0.08
+    errors = pt.relative_errors(full, run)
+    assert errors.displacement < 0.05
+    assert errors.reaction < 0.08
 
 
 def test_the_force_of_a_tool_at_rest_is_the_derivative_of_the_energy(grasped):

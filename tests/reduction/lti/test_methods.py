@@ -12,7 +12,7 @@ from palpate.reduction.lti.budget import Budget, dense_lyapunov, sparse_lyapunov
 from palpate.reduction.lti.gramians import residual
 from palpate.reduction.lti.hankel import Realisation, hankel_norm, lyapunov_factor
 from palpate.reduction.lti.projection_methods import condense, eigenvectors
-from palpate.reduction.lti.reductors import METHODS, PYMOR, Reduction
+from palpate.reduction.lti.reductors import PYMOR_METHODS, TITLE_BY_METHOD, Reduction
 
 pytestmark = pytest.mark.slow
 
@@ -21,7 +21,7 @@ CONDENSED = 40
 
 
 def need(method):
-    if method in PYMOR:
+    if method in PYMOR_METHODS:
         pytest.importorskip("pymor", reason=WHY)
 
 
@@ -202,7 +202,7 @@ def test_left_and_right_modes_of_double_frequencies_are_not_separated(count, str
 def test_errors_of_every_method_decrease_with_more_modes(form, request, soft_pull):
     own = request.getfixturevalue(form)
     full = pt.rollout(own.system.model, [soft_pull], duration=0.02, every=0.0005, progress=False)
-    for method in METHODS:
+    for method in TITLE_BY_METHOD:
         if method in ("sobt-vp", "irka", "balanced-low-rank"):  # these promise nothing of the kind, or refuse
             continue
         need(method)
@@ -325,7 +325,7 @@ def test_without_pymor_the_message_says_how_to_install_it(system, monkeypatch):
 
     monkeypatch.setitem(sys.modules, "pymor", None)
     monkeypatch.setitem(sys.modules, "pymor.core.logger", None)
-    for method in PYMOR:
+    for method in PYMOR_METHODS:
         with pytest.raises(pt.InputError, match=r"pip install 'palpate\[linear\]'"):
             pt.lti.reduce_linear(system, method, 4)
     with pytest.raises(pt.InputError, match=r"pip install 'palpate\[linear\]'"):

@@ -43,8 +43,8 @@ def test_steps_are_exact_for_inputs_linear_in_time():
 
 def test_with_all_modes_the_linear_model_equals_the_full_model_under_small_loads(whole, energetic, soft_pull):
     full, own = (pt.rollout(model, [soft_pull], **HOLD) for model in (energetic, whole))
-    found = pt.relative_errors(full, own)
-    assert max(found.displacement, found.velocity, found.energy, found.reaction) < 5e-3
+    errors = pt.relative_errors(full, own)
+    assert max(errors.displacement, errors.velocity, errors.energy, errors.reaction) < 5e-3
     assert np.abs(own.balance).max() < 1e-3 * own.external.max()
     assert own.model == "linear"
 
@@ -53,16 +53,16 @@ def test_with_all_modes_the_linear_model_equals_the_full_model_under_small_loads
 def test_with_all_modes_the_linear_model_equals_the_strong_form_under_small_loads(strong_system, strong, soft_pull):
     whole = LinearModel(strong_system, project(strong_system, np.diag(1 / np.sqrt(strong_system.mass.diagonal()))))
     full, own = (pt.rollout(model, [soft_pull], **HOLD) for model in (strong, whole))
-    found = pt.relative_errors(full, own)
-    assert max(found.displacement, found.velocity, found.reaction) < 1e-2
+    errors = pt.relative_errors(full, own)
+    assert max(errors.displacement, errors.velocity, errors.reaction) < 1e-2
 
 
 def test_a_tool_moves_the_linear_model_as_the_full_model(tool_system, energetic):
     tool = pt.PrescribedMotion("tip", swing)
     model = LinearModel(tool_system, project(tool_system, np.diag(1 / np.sqrt(tool_system.mass.diagonal()))))
     full, own = (pt.rollout(body, [tool], **HOLD) for body in (energetic, model))
-    found = pt.relative_errors(full, own)
-    assert max(found.displacement, found.velocity, found.reaction) < 1e-2
+    errors = pt.relative_errors(full, own)
+    assert max(errors.displacement, errors.velocity, errors.reaction) < 1e-2
     assert np.abs(own.balance).max() < 2e-3 * own.external.max()
     # the outputs of the system are the tool's force
     prepared = model.prepare([tool])
@@ -95,9 +95,9 @@ def test_a_tool_with_initial_velocity_is_followed(method, tool_system, energetic
     tool = pt.PrescribedMotion("tip", lambda points, time: (1e-5 * time, 0.0, 0.0))
     model = pt.lti.reduce_linear(tool_system, method, 20, condense=60)
     full, own = (pt.rollout(body, [tool], **HOLD) for body in (energetic, model))
-    found = pt.relative_errors(full, own)
-    assert found.energy < 0.02
-    assert found.displacement < (0.1 if method == "modal" else 0.4)  # Hankel's promises its outputs, not the field
+    errors = pt.relative_errors(full, own)
+    assert errors.energy < 0.02
+    assert errors.displacement < (0.1 if method == "modal" else 0.4)  # Hankel's promises its outputs, not the field
     with pytest.raises(pt.InputError, match="starts at rest") if method == "hankel" else nullcontext():
         model.state(model.prepare([tool]), 1e-6 * np.ones((len(energetic.cloud), 3)))
 

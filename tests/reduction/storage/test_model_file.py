@@ -25,8 +25,8 @@ from palpate.reduction.hyper.model import ReducedData, ReducedModel
 from palpate.reduction.realtime.display_surface import Surface
 from palpate.reduction.storage import model_file as storage
 from palpate.reduction.storage.compliance import pack_flexibilities, unpack_flexibilities
-from palpate.reduction.storage.model_file import CURVE
-from palpate.sealed import HEAD, ArrayEntry, _digest_of_rest, open_sealed, write_sealed
+from palpate.reduction.storage.model_file import CURVE_KEYS
+from palpate.sealed import HEAD_BYTES, ArrayEntry, _digest_of_rest, open_sealed, write_sealed
 
 
 def flat(data):
@@ -361,7 +361,7 @@ def test_a_flipped_bit_is_refused_wherever_it_is(saved, path):
 def forged_bytes(saved, path, content, about):
     """Write a copy with other compressed bytes of an array, as many or fewer, and a right table."""
     data, name = saved.read_bytes(), "basis_vectors"
-    at = int(data[:HEAD].split(b"\n")[2].split()[1])
+    at = int(data[:HEAD_BYTES].split(b"\n")[2].split()[1])
     table = json.loads(data[at:])
     entry = table["arrays"][name]
     start, size = entry["offset"], entry["deflated"]
@@ -378,7 +378,7 @@ def forged_bytes(saved, path, content, about):
     entry |= about
     text = json.dumps(table).encode()
     head = f"{storage.FORMAT}\nversion {storage.VERSION}\ntable {at} {len(text)} {sha256(text).hexdigest()}\n".encode()
-    path.write_bytes(head.ljust(HEAD, b"\0") + data[HEAD:] + text)
+    path.write_bytes(head.ljust(HEAD_BYTES, b"\0") + data[HEAD_BYTES:] + text)
 
 
 DEFLATED = {
@@ -482,7 +482,7 @@ CASES = {
     "expected errors of another kind": (expected({"level": 0.9, "moment": {}}), "without level and displacement"),
     "expected errors without numbers": (expected({"level": 0.9, "force": {"bound": 1}}), "of the force without bound"),
     "an expected error that is text": (
-        expected({"level": 0.9, "force": dict.fromkeys(CURVE, "1")}), "bound must be a number, got '1'"
+        expected({"level": 0.9, "force": dict.fromkeys(CURVE_KEYS, "1")}), "bound must be a number, got '1'"
     ),
     "advice that is a number": (attribute("report", '{"advice": 5}'), "advice that is not a text"),
     "advice without end": (attribute("report", json.dumps({"advice": "a" * 2000})), "advice that is not a text"),
@@ -582,7 +582,7 @@ def test_a_body_without_triangles_is_loaded_and_not_shown(altered):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-@pytest.mark.parametrize("name", [name for name, (dtype, _) in storage.LAYOUT.items() if "f" in dtype])
+@pytest.mark.parametrize("name", [name for name, (dtype, _) in storage.MODEL_LAYOUT.items() if "f" in dtype])
 def test_numbers_that_are_not_finite_are_refused(altered, name, value):
     def change(header, arrays):
         if name == "compliance/flexibility":  # integers with a step, which are finite
@@ -593,13 +593,13 @@ def test_numbers_that_are_not_finite_are_refused(altered, name, value):
         pt.load(altered(change))
 
 
-@pytest.mark.parametrize("name", storage.LAYOUT)
+@pytest.mark.parametrize("name", storage.MODEL_LAYOUT)
 def test_a_missing_dataset_is_named(altered, name):
     with pytest.raises(pt.FileFormatError, match=rf"some\.rom: array {name} is missing"):
         pt.load(altered(lambda header, arrays: arrays.pop(name)))
 
 
-@pytest.mark.parametrize("name", storage.LAYOUT)
+@pytest.mark.parametrize("name", storage.MODEL_LAYOUT)
 def test_a_changed_entry_of_any_array_does_not_match_its_checksum(saved, path, name):
     array = open_sealed(saved, storage.FORMAT, storage.VERSION).arrays[name]
     content = bytearray(saved.read_bytes())

@@ -24,12 +24,12 @@ def test_the_error_of_a_scaled_run_is_its_scale(run):
         kinetic=1.5 * run.kinetic,
         strain=1.5 * run.strain,
     )
-    found = pt.relative_errors(run, other)
+    errors = pt.relative_errors(run, other)
     energy, force = run.kinetic + run.strain, np.linalg.norm(run.reactions["x-"], axis=1)
-    assert found.displacement == pytest.approx(0.03)
-    assert found.velocity == pytest.approx(0.1)
-    assert found.energy == pytest.approx(0.5 * energy.mean() / energy.max())
-    assert found.reaction == pytest.approx(0.2 * force.mean() / force.max())
+    assert errors.displacement == pytest.approx(0.03)
+    assert errors.velocity == pytest.approx(0.1)
+    assert errors.energy == pytest.approx(0.5 * energy.mean() / energy.max())
+    assert errors.reaction == pytest.approx(0.2 * force.mean() / force.max())
 
 
 def test_the_displacement_error_is_equation_34(run):
@@ -85,10 +85,10 @@ def test_forces_of_tools_count_where_they_are_a_tenth_of_the_largest(run):
     other = full.reactions["ball"] * 1.1
     other[: len(run.times) // 20] += 100.0  # while the tool hardly pushes
     nodes = np.arange(len(run.points))
-    found = contact_errors(full, replace(full, reactions=full.reactions | {"ball": other}), ["ball", "idle"], nodes)
-    assert found.force == pytest.approx(0.1)
-    assert found.force_95 == pytest.approx(0.1)
-    assert found.surface_95 == found.farthest_95 == 0
+    errors = contact_errors(full, replace(full, reactions=full.reactions | {"ball": other}), ["ball", "idle"], nodes)
+    assert errors.force == pytest.approx(0.1)
+    assert errors.force_95 == pytest.approx(0.1)
+    assert errors.surface_95 == errors.farthest_95 == 0
 
 
 def test_the_surface_is_measured_by_its_largest_displacement(run):
@@ -96,10 +96,10 @@ def test_the_surface_is_measured_by_its_largest_displacement(run):
     moved, distance_scale = run.displacements.copy(), np.linalg.norm(run.displacements[:, nodes], axis=2).max()
     moved[:, nodes[1]] += [0.0, 0.2 * distance_scale, 0.0]
     moved[:, np.argmin(run.points[:, 0])] += 1.0  # none of the surface asked for
-    found = contact_errors(full, replace(full, displacements=moved), ["ball"], nodes)
-    assert found.farthest_95 == pytest.approx(0.2)
-    assert found.surface_95 == pytest.approx(0.2)
-    assert found.force == found.force_95 == 0
+    errors = contact_errors(full, replace(full, displacements=moved), ["ball"], nodes)
+    assert errors.farthest_95 == pytest.approx(0.2)
+    assert errors.surface_95 == pytest.approx(0.2)
+    assert errors.force == errors.force_95 == 0
 
 
 def test_tools_without_contact_have_no_errors(run):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.reduction.training.select_step import STEPS, _fastest_step
+from palpate.reduction.training.select_step import TRIED_STEPS, _fastest_step
 
 pytestmark = pytest.mark.slow
 
@@ -36,7 +36,7 @@ def chosen(rom, *seconds, repeats=1, **options):
 
 def test_errors_are_those_against_small_steps_and_fall_with_the_step(rom):
     rules = chosen(rom, 1, 1, 1, 1, tolerance=1.0).report["stepping"]["rules"]
-    assert [row["step"] for row in rules] == list(STEPS)
+    assert [row["step"] for row in rules] == list(TRIED_STEPS)
     assert [row["steps"] for row in rules[1:]] == [40, 80, 160]
     fine = pt.rollout(rom, LOADS, duration=DURATION, every=EVERY, step=5e-6, progress=False)
     for row in rules:
@@ -55,8 +55,8 @@ def test_the_fastest_rule_within_the_tolerance_is_selected(rom):
     errors = [max(row["velocity"], row["displacement"]) for row in chosen(rom, *seconds).report["stepping"]["rules"]]
     for k in (1, 2, 3):
         found = chosen(rom, *seconds, tolerance=1.01 * errors[k])
-        assert found.step == STEPS[k]
-        assert found.report["stepping"]["step"] == STEPS[k]
+        assert found.step == TRIED_STEPS[k]
+        assert found.report["stepping"]["step"] == TRIED_STEPS[k]
     assert chosen(rom, 0.5, *seconds[1:], tolerance=1.0).step is None
 
 
@@ -79,7 +79,7 @@ def test_the_selected_model_differs_only_in_its_step_and_the_given_one_is_not_ch
 
 
 def test_a_tolerance_that_no_rule_meets_is_refused_with_the_errors_of_all():
-    table = [{"step": step, "seconds": 1.0, "velocity": 0.02, "displacement": 0.03} for step in STEPS]
+    table = [{"step": step, "seconds": 1.0, "velocity": 0.02, "displacement": 0.03} for step in TRIED_STEPS]
     with pytest.raises(pt.InputError, match=r"tolerance of 1.00% .*\(explicit: 2.00% and 3.00%, 1 ms: 2.00% and"):
         _fastest_step(table, 0.01)
 

@@ -1,4 +1,4 @@
-"""What `palpate bench` measures: the paper's beam, a large reduced model, and the same trained on two bodies."""
+"""Cases of `palpate bench`: the paper's beam, and a large reduced model trained on two bodies."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ __all__ = ["beam_case", "large_case"]
 
 
 BEAM_MODES = 8  # modes for the beam
-MANY, SAMPLED = 64, 256  # modes and nodes of the large model
-BODIES = (10, 27)  # nodes along the edges of a block: 1,000 and 19,683 nodes
-EDGE = 0.05  # [m]
+LARGE_MODEL_MODES, LARGE_MODEL_NODES = 64, 256  # modes and nodes of the large model
+BLOCK_EDGE_NODES = (10, 27)  # nodes along the edges of a block: 1,000 and 19,683 nodes
+BLOCK_EDGE = 0.05  # [m]
 # of a training run of the block: snapshots, time [s], share of the stable step
-FRAMES, RUN_SECONDS, STEP = 24, 0.006, 0.9
+BLOCK_FRAMES, RUN_SECONDS, BLOCK_STEP_SHARE = 24, 0.006, 0.9
 CUBATURE_TOLERANCE = 0.1  # of a model for timing alone; its nodes are repeated up to SAMPLED
 BYTES_BEYOND_CACHES = 256_000_000  # bytes that no cache holds
-CHUNK = 50  # steps that `rollout` takes at once
+CHUNK_STEPS = 50  # steps that `rollout` takes at once
 
 # forces [N] and moments [N m] on the block's face, each with its own number of swings
-PULLS = (((8.0, 0.0, 0.0), 0.0), ((0.0, 3.0, 1.0), 0.0), ((-2.0, 1.0, -3.0), 0.0), ((1.0, 0.0, 0.0), 0.1))
+FACE_LOADS = (((8.0, 0.0, 0.0), 0.0), ((0.0, 3.0, 1.0), 0.0), ((-2.0, 1.0, -3.0), 0.0), ((1.0, 0.0, 0.0), 0.1))
 
 
 def beam_case(spacing: float, repeats: int, forms: Sequence[str], console: Console) -> dict[str, Any]:
@@ -68,19 +68,19 @@ def beam_case(spacing: float, repeats: int, forms: Sequence[str], console: Conso
         pull("reduced", fast)
     assert fast is not None
     prepared = fast.prepare(scene.loads)
-    measured = {name: _pull(own, steps[name], scene.duration) for name, own in seconds.items()}
-    whole = measured.pop("reduced")
+    measured = {name: _pull(walls, steps[name], scene.duration) for name, walls in seconds.items()}
+    reduced_run = measured.pop("reduced")
     return {
         "spacing": spacing,
         "nodes": len(strong.cloud),
         "full": measured,
-        "hyper_reduced": whole
+        "hyper_reduced": reduced_run
         | {
             "modes": BEAM_MODES,
             "nodes": len(fast.data.cubature.nodes),
-            "seconds_per_step": whole["wall_seconds"] / whole["steps"],
+            "seconds_per_step": reduced_run["wall_seconds"] / reduced_run["steps"],
             "compiled_seconds_per_step": step_seconds((fast, prepared, fast.state(prepared)))[0],
-            "ratio": {form: whole["wall_seconds"] / full["wall_seconds"] for form, full in measured.items()},
+            "ratio": {form: reduced_run["wall_seconds"] / full["wall_seconds"] for form, full in measured.items()},
         },
     }
 
@@ -98,21 +98,21 @@ def _pull(seconds: list[float], steps: int, duration: float) -> dict[str, Any]:
 
 def large_case(repeats: int, console: Console) -> dict[str, Any]:
     """Measure a model of many modes: its force over reading its table, and its step after training on two bodies."""
-    found = []
-    for nodes in BODIES:
-        console.say(f"block of {nodes**3} nodes: {len(PULLS)} runs, training {MANY} modes ...")
-        model = _with_samples(_trained_on_block(nodes), SAMPLED)
+    bodies = []
+    for nodes in BLOCK_EDGE_NODES:
+        console.say(f"block of {nodes**3} nodes: {len(FACE_LOADS)} runs, training {LARGE_MODEL_MODES} modes ...")
+        model = _with_samples(_trained_on_block(nodes), LARGE_MODEL_NODES)
         prepared = model.prepare([_load(0)])
-        found.append((model, prepared, model.state(prepared)))
-    small, rounds = found[0][0], max(repeats, 15)
+        bodies.append((model, prepared, model.state(prepared)))
+    small, rounds = bodies[0][0], max(repeats, 15)
     force, reading = force_seconds(small, rounds)
     table = small.body.points.table.nbytes
     from_memory = table * read_seconds(np.ones(BYTES_BEYOND_CACHES // 8), repeats=rounds) / BYTES_BEYOND_CACHES
-    steps = step_seconds(*found, repeats=rounds)
-    chunks = median_seconds(*(_chunk(*each) for each in found), repeats=rounds)
+    steps = step_seconds(*bodies, repeats=rounds)
+    chunks = median_seconds(*(_chunk(*each) for each in bodies), repeats=rounds)
     return {
-        "modes": MANY,
-        "nodes": SAMPLED,
+        "modes": LARGE_MODEL_MODES,
+        "nodes": LARGE_MODEL_NODES,
         "force_seconds": force,
         "table_bytes": table,
         "read_seconds": reading,
@@ -121,8 +121,8 @@ def large_case(repeats: int, console: Console) -> dict[str, Any]:
         "memory_read_seconds": from_memory,
         "force_over_memory_reading": force / from_memory,
         "bodies": [
-            {"nodes": n**3, "compiled_seconds_per_step": step, "seconds_per_step": chunk / CHUNK}
-            for n, step, chunk in zip(BODIES, steps, chunks, strict=True)
+            {"nodes": n**3, "compiled_seconds_per_step": step, "seconds_per_step": chunk / CHUNK_STEPS}
+            for n, step, chunk in zip(BLOCK_EDGE_NODES, steps, chunks, strict=True)
         ],
         "compiled_step_ratio": steps[1] / steps[0],
         "step_ratio": chunks[1] / chunks[0],
@@ -133,11 +133,11 @@ def _chunk(model: ReducedModel, prepared: Any, state: Any) -> Callable[[], Any]:
     """Return a call that takes steps as `rollout` does."""
     step, state = model.stable_step(state, prepared)
     work = model.workspace()
-    return lambda: model.advance(state, prepared, step, CHUNK, work)
+    return lambda: model.advance(state, prepared, step, CHUNK_STEPS, work)
 
 
 def _load(k: int) -> Load:
-    force, twist = PULLS[k]
+    force, twist = FACE_LOADS[k]
 
     def share(time: float) -> float:
         return math.sin((1 + k) * math.pi * time / RUN_SECONDS / 2) ** 2
@@ -151,15 +151,15 @@ def _load(k: int) -> Load:
 def _trained_on_block(nodes: int) -> ReducedModel:
     """Train on a few short runs of a block."""
     law = MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=0.45)
-    body = Solid(box((EDGE,) * 3, EDGE / (nodes - 1)), law, "x-", form="energy")
-    every = RUN_SECONDS / FRAMES
-    step = every / np.ceil(every / (STEP * body.stability.step))
-    runs = [rollout(body, [_load(k)], duration=RUN_SECONDS, every=every, step=step) for k in range(len(PULLS))]
-    return hyper_reduce(body, runs, modes=MANY, cubature=CUBATURE_TOLERANCE)
+    body = Solid(box((BLOCK_EDGE,) * 3, BLOCK_EDGE / (nodes - 1)), law, "x-", form="energy")
+    every = RUN_SECONDS / BLOCK_FRAMES
+    step = every / np.ceil(every / (BLOCK_STEP_SHARE * body.stability.step))
+    runs = [rollout(body, [_load(k)], duration=RUN_SECONDS, every=every, step=step) for k in range(len(FACE_LOADS))]
+    return hyper_reduce(body, runs, modes=LARGE_MODEL_MODES, cubature=CUBATURE_TOLERANCE)
 
 
 def _with_samples(model: ReducedModel, count: int) -> ReducedModel:
-    """Return a model with exactly so many sampled nodes: the heaviest ones, or all, some in several equal parts.
+    """Return a model with a number of sampled nodes: the heaviest ones, or all, some in several equal parts.
 
     A node in parts leaves the energy as it is.
     """

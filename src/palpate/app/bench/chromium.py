@@ -17,8 +17,8 @@ from palpate.faults import InputError
 
 __all__ = ["Chromium", "Tab", "find_chromium"]
 
-PROGRAMS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-OPTIONS = [
+BROWSER_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+BROWSER_OPTIONS = [
     "--headless=new", "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync", "--disable-extensions", "--hide-scrollbars", "--mute-audio",
@@ -29,7 +29,7 @@ RESPONSE_TIMEOUT = 60.0  # [s] for the browser to start or answer
 
 def find_chromium() -> str | None:
     """Return the path of an installed Chromium, or None."""
-    return next((path for name in PROGRAMS if (path := shutil.which(name))), None)
+    return next((path for name in BROWSER_NAMES if (path := shutil.which(name))), None)
 
 
 class Chromium:
@@ -46,7 +46,7 @@ class Chromium:
         if program is None:
             raise InputError("Chromium must be installed, got none; on Debian: apt-get install chromium")
         self._folder = tempfile.TemporaryDirectory(prefix="palpate-chromium-", ignore_cleanup_errors=True)
-        command = [program, *OPTIONS, f"--user-data-dir={self._folder.name}", "about:blank"]
+        command = [program, *BROWSER_OPTIONS, f"--user-data-dir={self._folder.name}", "about:blank"]
         self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         self._stack = contextlib.ExitStack()
         try:
@@ -94,7 +94,7 @@ class Chromium:
         return tab
 
     def call(self, method: str, parameters: dict[str, Any] | None = None, session: str | None = None) -> dict[str, Any]:
-        """Send a command and return its result; events received meanwhile go to the tabs."""
+        """Send a command and return its result; pass events that arrive before it to the tabs."""
         self._count += 1
         message: dict[str, Any] = {"id": self._count, "method": method, "params": parameters or {}}
         if session:
@@ -184,8 +184,8 @@ class Tab:
 
     def mouse(self, kind: str, x: float, y: float, button: str = "left", **more: Any) -> None:
         """Send a mouse event: ``"Pressed"``, ``"Moved"``, ``"Released"`` or ``"Wheel"`` (with deltaX, deltaY)."""
-        held = {"left": 1, "right": 2, "none": 0}[button] if kind != "Released" else 0
-        given = {"type": f"mouse{kind}", "x": x, "y": y, "button": button, "buttons": held, "clickCount": 1}
+        pressed_buttons = {"left": 1, "right": 2, "none": 0}[button] if kind != "Released" else 0
+        given = {"type": f"mouse{kind}", "x": x, "y": y, "button": button, "buttons": pressed_buttons, "clickCount": 1}
         self.call("Input.dispatchMouseEvent", given | more)
 
     def touch(self, kind: str, *points: tuple[float, float]) -> None:

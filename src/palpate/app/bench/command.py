@@ -17,7 +17,7 @@ __all__ = ["FILES", "bench"]
 FILES = REPORTS
 MAX_REPEATS = 1000
 # spacings [m], rounds (0: as many as asked for) and forms of the full model
-SMALL, FINE = (0.005, 0, ("strong", "energy")), (0.0025, 1, ("energy",))
+COARSE_BEAM, FINE_BEAM = (0.005, 0, ("strong", "energy")), (0.0025, 1, ("energy",))
 
 
 def bench(*, fine: bool = False, repeats: int = 3, out: Path, as_json: bool = False) -> int:
@@ -57,10 +57,10 @@ def bench(*, fine: bool = False, repeats: int = 3, out: Path, as_json: bool = Fa
         "full_body": full_case(repeats, console),
         "beam": [],
     }
-    for spacing, rounds, forms in (SMALL, FINE) if fine else (SMALL,):
+    for spacing, rounds, forms in (COARSE_BEAM, FINE_BEAM) if fine else (COARSE_BEAM,):
         try:
             report["beam"].append(beam_case(spacing, rounds or repeats, forms, console))
-        except DivergenceError as error:  # what was measured before is kept
+        except DivergenceError as error:  # earlier results are kept
             console.say(f"beam, {1e3 * spacing:g} mm: failed: {' '.join(str(error).split())}")
     report = plain(report)
     threads = report["machine"]["threads"]

@@ -21,11 +21,12 @@ from palpate.reduction.realtime.model import RealtimeModel, realtime_model
 from palpate.scenes.organ import liver_surface
 from palpate.tissue.materials import NeoHookean
 
-__all__ = ["PERIOD", "PRESS", "Periods", "PressedLiver", "full_case", "step_periods"]
+__all__ = ["PRESS_SECONDS", "TIMED_PERIOD", "Periods", "PressedLiver", "full_case", "step_periods"]
 
-RADIUS, DEPTH, GAP = 0.02, 0.015, 0.002  # [m] of the ball; depth of the press; distance to the body before it
-PRESS, PERIOD = 0.4, 1e-3  # [s] duration of a press, and of a period
-SURFACE, SPACING = 0.004, 0.009  # [m]
+BALL_RADIUS, PRESS_DEPTH = 0.02, 0.015  # [m]
+START_GAP = 0.002  # [m] between ball and body before the press
+PRESS_SECONDS, TIMED_PERIOD = 0.4, 1e-3  # [s] duration of a press, and of a period
+SURFACE_SPACING, NODE_SPACING = 0.004, 0.009  # [m]
 
 
 class PressedLiver:
@@ -37,19 +38,19 @@ class PressedLiver:
     """
 
     def __init__(self, spacing: float) -> None:
-        cloud = fill(liver_surface(SURFACE), spacing=spacing)
+        cloud = fill(liver_surface(SURFACE_SPACING), spacing=spacing)
         points = cloud.points
         cloud = cloud.with_group("back", points[:, 1] > np.quantile(points[:, 1], 0.85))
         self.body = EnergySolid(cloud, NeoHookean(C1=1.1e3, density=1060.0, poisson=0.45), "back")
-        self.home = points[np.argmin(points[:, 1])] - np.array([0.0, RADIUS + GAP, 0.0])
+        self.home = points[np.argmin(points[:, 1])] - np.array([0.0, BALL_RADIUS + START_GAP, 0.0])
 
     def ball(self, motion: Motion) -> Contact:
         """Return the ball with a motion."""
-        return Contact(Sphere(RADIUS), motion)
+        return Contact(Sphere(BALL_RADIUS), motion)
 
     def displacement(self, time: float) -> Floats:
         """Return the displacement (3,) [m] of the ball at a time [s] of the press."""
-        return np.array([0.0, (DEPTH + GAP) * np.sin(np.pi * min(time / PRESS, 1.0)) ** 2, 0.0])
+        return np.array([0.0, (PRESS_DEPTH + START_GAP) * np.sin(np.pi * min(time / PRESS_SECONDS, 1.0)) ** 2, 0.0])
 
     def realtime(self) -> RealtimeModel:
         """Return the body for the engine."""
@@ -67,7 +68,7 @@ class Periods(NamedTuple):
 def step_periods(liver: PressedLiver, model: RealtimeModel) -> Periods:
     """Step the periods of a press one after another in compiled code, without a clock."""
     q, v = np.zeros(len(model.rest)), np.zeros(len(model.rest))
-    times = PERIOD * np.arange(1, round(PRESS / PERIOD) + 1)
+    times = TIMED_PERIOD * np.arange(1, round(PRESS_SECONDS / TIMED_PERIOD) + 1)
     targets = np.zeros((len(times), 12))
     targets[:, :3] = [liver.displacement(t) for t in times]
     seconds, reports = np.zeros(len(times)), np.zeros((len(times), FORCES + 12))
@@ -83,7 +84,7 @@ def _stepper(advance: Any) -> Any:
     def step(data, q, v, targets, seconds, reports):  # type: ignore[no-untyped-def]
         for k in range(targets.shape[0]):
             began = now()
-            advance(data, q, v, targets[k], PERIOD, reports[k])
+            advance(data, q, v, targets[k], TIMED_PERIOD, reports[k])
             seconds[k] = 1e-9 * (now() - began)
 
     return step
@@ -95,8 +96,8 @@ def full_case(repeats: int, console: Console) -> dict[str, Any]:
     The number of nodes in real time is that of a liver whose periods take a period in the mean. The cost of a body
     grows as the number of its nodes to the power 4/3, because its stable step shrinks with the spacing.
     """
-    console.say(f"full liver, {1e3 * SPACING:g} mm: {repeats} presses on each number of threads ...")
-    liver = PressedLiver(SPACING)
+    console.say(f"full liver, {1e3 * NODE_SPACING:g} mm: {repeats} presses on each number of threads ...")
+    liver = PressedLiver(NODE_SPACING)
     nodes, most = len(liver.body.cloud), numba.get_num_threads()
     seconds: dict[int, list[Floats]] = {threads: [] for threads in sorted({1, most})}
     for _ in range(repeats):
@@ -104,7 +105,7 @@ def full_case(repeats: int, console: Console) -> dict[str, Any]:
             numba.set_num_threads(threads)
             rounds.append(step_periods(liver, liver.realtime()).seconds)
     numba.set_num_threads(most)
-    return {"nodes": nodes, "spacing": SPACING, "threads": [_summary(t, r, nodes) for t, r in seconds.items()]}
+    return {"nodes": nodes, "spacing": NODE_SPACING, "threads": [_summary(t, r, nodes) for t, r in seconds.items()]}
 
 
 def _summary(threads: int, rounds: list[Floats], nodes: int) -> dict[str, float]:
@@ -114,5 +115,5 @@ def _summary(threads: int, rounds: list[Floats], nodes: int) -> dict[str, float]
         "mean_seconds": mean,
         "median_seconds": float(np.median(np.concatenate(rounds))),
         "seconds_99": float(np.quantile(np.concatenate(rounds), 0.99)),
-        "nodes_in_real_time": nodes * (PERIOD / mean) ** 0.75,
+        "nodes_in_real_time": nodes * (TIMED_PERIOD / mean) ** 0.75,
     }

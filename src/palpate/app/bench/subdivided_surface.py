@@ -30,13 +30,13 @@ def subdivide(triangles: NDArray[np.uint32], count: int) -> tuple[NDArray[np.uin
         New vertices as means of the old ones. The old vertices come first.
     """
     edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    own, edge = np.unique(edges, axis=0, return_inverse=True)
+    ends, edge = np.unique(edges, axis=0, return_inverse=True)
     middle = count + edge.reshape(-1, 3)
     (a, b, c), (p, q, r) = triangles.T, middle.T
     parts = [(a, p, r), (b, q, p), (c, r, q), (p, q, r)]
     fine = np.concatenate([np.stack(part, axis=1) for part in parts]).astype(np.uint32)
-    rows = np.repeat(np.arange(len(own)), 2)
-    halves = csr_array((np.full(2 * len(own), 0.5), (rows, own.ravel())), shape=(len(own), count))
+    rows = np.repeat(np.arange(len(ends)), 2)
+    halves = csr_array((np.full(2 * len(ends), 0.5), (rows, ends.ravel())), shape=(len(ends), count))
     return fine, csr_array(vstack([identity(count), halves]))
 
 

@@ -1,4 +1,4 @@
-"""How speed is measured: medians of several rounds, compiled loops from inside compiled code."""
+"""Timing: medians of several rounds, with compiled loops that run inside compiled code."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["force_seconds", "median_seconds", "read_seconds", "step_seconds"]
 Call = Callable[[], Any]
 
 LOOP_SECONDS = 0.02  # [s] least time of a compiled loop, so that the time of its call is negligible
-PARTS = 64  # that are read side by side
+READING_PARTS = 64  # that are read side by side
 
 
 def median_seconds(*calls: Call, repeats: int = 15) -> list[float]:
@@ -51,9 +51,9 @@ def _reader(parallel: bool) -> Any:
 
     @njit(parallel=parallel, fastmath=True)
     def read(table, count):  # type: ignore[no-untyped-def]
-        parts, size = np.zeros(PARTS, dtype=table.dtype), table.shape[0] // PARTS
+        parts, size = np.zeros(READING_PARTS, dtype=table.dtype), table.shape[0] // READING_PARTS
         for _ in range(count):
-            for p in prange(PARTS):
+            for p in prange(READING_PARTS):
                 total = parts[p]
                 for k in range(p * size, (p + 1) * size):
                     total += table[k]
@@ -68,7 +68,7 @@ def _enough(once: float) -> int:
 
 
 def _per_count(call: Callable[[int], Any]) -> tuple[Call, int]:
-    """Return a call that takes long enough, and how many times it does what `call` does a given number of times."""
+    """Return a call that repeats `call` for a measurable time, and its number of repetitions."""
     call(1)  # compiles
     start = perf_counter()
     call(1)
@@ -77,7 +77,7 @@ def _per_count(call: Callable[[int], Any]) -> tuple[Call, int]:
 
 
 def read_seconds(table: np.ndarray[Any, Any], *, parallel: bool = False, repeats: int = 15) -> float:
-    """Return the median time [s] of summing a table once in compiled code, by one thread or all; again and again."""
+    """Return the median time [s] of summing a table in compiled code, repeatedly, by one thread or all."""
     flat, read = table.reshape(-1), _reader(parallel)
     call, count = _per_count(lambda times: read(flat, times))
     return median_seconds(call, repeats=repeats)[0] / count
@@ -94,8 +94,8 @@ def force_seconds(model: ReducedModel, repeats: int = 15) -> tuple[float, float]
         )
     )
     table, readings = _per_count(lambda times: read(flat, times))
-    own, reading = median_seconds(force, table, repeats=repeats)
-    return own / evaluations, reading / readings
+    evaluating, reading = median_seconds(force, table, repeats=repeats)
+    return evaluating / evaluations, reading / readings
 
 
 def step_seconds(*runs: tuple[ReducedModel, PreparedLoads, State], steps: int = 2000, repeats: int = 15) -> list[float]:
@@ -106,7 +106,7 @@ def step_seconds(*runs: tuple[ReducedModel, PreparedLoads, State], steps: int = 
 
 
 def _compile_loop(model: ReducedModel, prepared: PreparedLoads, state: State, steps: int) -> Call:
-    """Return a call of the compiled steps, with what `ReducedModel.advance` gives them."""
+    """Return a call of the compiled steps, with the arguments of `ReducedModel.advance`."""
     (step, _), given = model.stable_step(state, prepared), []
     explicit = model._explicit
 

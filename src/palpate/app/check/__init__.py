@@ -1,1 +1,1 @@
-"""``palpate check``: whether a surface can be filled, and how good its cloud is."""
+"""``palpate check``: faults of a surface, and the quality of its cloud."""

@@ -32,7 +32,7 @@ from palpate.scenes.organ_scene import OrganScene
 __all__ = ["FILES", "check"]
 
 FILES = (*REPORTS, "surface.png", "cloud.png", "tool.png")
-NODES = 4000  # about, where no spacing is given
+DEFAULT_NODES = 4000  # approximate number without a given spacing
 
 
 def check(
@@ -98,19 +98,19 @@ def check(
     else:
         surface = read_surface(file, part=part, units=units, scale=scale, repair=repair)
     with console.status("examining the surface"):
-        found = check_surface(surface)
+        surface_report = check_surface(surface)
     if spacing is None:
-        spacing = float(f"{1.2 * np.cbrt(abs(surface.volume) / NODES):.2g}")
+        spacing = float(f"{1.2 * np.cbrt(abs(surface.volume) / DEFAULT_NODES):.2g}")
     report: dict[str, Any] = {
         "title": f"Check of {surface.name}",
         "file": str(file),
         "repaired": repair,
-        "surface": _surface_entry(surface, found),
+        "surface": _surface_entry(surface, surface_report),
         "machine": machine(),
     }
     scene = None if scene is None else scene.with_body(spacing=spacing)
     make = _filling(surface, spacing, seed) if scene is None else lambda: scene.cloud
-    cloud = _fill(surface, found, make, report, console)
+    cloud = _fill(surface, surface_report, make, report, console)
     if scene is not None and cloud is not None:
         report["scene"] = _scene_entry(scene, console)
     out.mkdir(parents=True, exist_ok=True)
@@ -118,7 +118,7 @@ def check(
         (out / name).unlink(missing_ok=True)
     try:
         check_drawing()
-        draw_surface(surface, found, out / "surface.png")
+        draw_surface(surface, surface_report, out / "surface.png")
         if cloud is not None:
             draw_cloud(cloud, out / "cloud.png")
         if scene is not None and "reached" in report.get("scene", {}):
@@ -143,7 +143,7 @@ def _scene_surface(scene: OrganScene) -> Surface:
 
 
 def _scene_entry(scene: OrganScene, console: Console) -> dict[str, Any]:
-    """Return what the supports of a scene hold, and what its tool reaches."""
+    """Return the supported nodes and the reachable surface of a scene."""
     with console.status("preparing the body, and finding where a tool reaches"):
         body = scene.body
         entry: dict[str, Any] = {
@@ -163,10 +163,10 @@ def _scene_entry(scene: OrganScene, console: Console) -> dict[str, Any]:
 
 
 def _fill(
-    surface: Surface, found: SurfaceReport, make: Callable[[], Cloud], report: dict[str, Any], console: Console
+    surface: Surface, surface_report: SurfaceReport, make: Callable[[], Cloud], report: dict[str, Any], console: Console
 ) -> Cloud | None:
     """Return the cloud and add it to the report; return None, with the reason there, if filling is refused."""
-    if found.errors:
+    if surface_report.errors:
         return None
     with (
         console.status("filling it (the first time on a machine compiles: half a minute)"),
@@ -184,19 +184,19 @@ def _fill(
     return cloud
 
 
-def _surface_entry(surface: Surface, found: SurfaceReport) -> dict[str, Any]:
+def _surface_entry(surface: Surface, surface_report: SurfaceReport) -> dict[str, Any]:
     return {
-        "vertices": found.vertices,
-        "triangles": found.triangles,
-        "parts": found.components,
-        "euler_number": found.euler,
-        "area": found.area,
-        "volume": found.volume if surface.closed else None,
-        "extents": found.extents,
+        "vertices": surface_report.vertices,
+        "triangles": surface_report.triangles,
+        "parts": surface_report.components,
+        "euler_number": surface_report.euler,
+        "area": surface_report.area,
+        "volume": surface_report.volume if surface.closed else None,
+        "extents": surface_report.extents,
         "warnings": list(surface.warnings),
         "problems": [
             {"kind": problem.kind, "name": problem.name, "what": problem.what, "places": len(problem.points)}
-            for problem in found.problems
+            for problem in surface_report.problems
         ],
     }
 
@@ -218,13 +218,13 @@ def _cloud_entry(cloud: Cloud) -> dict[str, Any]:
 
 
 def _rows(report: dict[str, Any]) -> dict[str, str]:
-    own = report["surface"]
+    surface = report["surface"]
     rows = {
-        "vertices, triangles": f"{own['vertices']}, {own['triangles']}",
-        "parts, Euler number": f"{own['parts']}, {own['euler_number']}",
-        "size": " x ".join(f"{1e3 * x:.1f}" for x in own["extents"]) + " mm",
-        "area": f"{1e4 * own['area']:.4g} cm^2",
-        "volume": "none, the surface is open" if own["volume"] is None else f"{1e3 * own['volume']:.4g} litres",
+        "vertices, triangles": f"{surface['vertices']}, {surface['triangles']}",
+        "parts, Euler number": f"{surface['parts']}, {surface['euler_number']}",
+        "size": " x ".join(f"{1e3 * x:.1f}" for x in surface["extents"]) + " mm",
+        "area": f"{1e4 * surface['area']:.4g} cm^2",
+        "volume": "none, the surface is open" if surface["volume"] is None else f"{1e3 * surface['volume']:.4g} litres",
     }
     if "cloud" in report:
         cloud = report["cloud"]

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from palpate.app.common.figures import BLUE, ORANGE, figure, heading
-from palpate.app.common.rendering import show, surface
-from palpate.arrays import Floats
+from palpate.app.common.rendering import add_shaded, camera_axes, show, surface
+from palpate.app.common.shading import RefinedSurface, shade
+from palpate.arrays import Floats, Ints
 from palpate.files import shortened
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.gate import nearest_spacing
@@ -20,7 +21,7 @@ from palpate.meshfree.surfaces import Surface
 __all__ = ["draw_cloud", "draw_surface"]
 
 
-TISSUE = "#B4655A"
+MESH_EDGES_COLOUR = "#5A2F28"  # colour of the triangles' edges
 MARKS = {
     "error": ("#0072B2", "blue: faults"),
     "repair": ("#E69F00", "orange: repairs"),
@@ -30,21 +31,17 @@ MAX_NAME_LENGTH = 48  # characters of a surface in a heading
 SIDES = {"Seen along +y": (0.0, -1.0, 0.25), "Seen along -y": (0.0, 1.0, 0.25), "Seen along +z": (0.0, -0.5, -1.0)}
 
 
-def draw_surface(body: Surface, found: SurfaceReport, path: Path) -> None:
+def draw_surface(body: Surface, surface_report: SurfaceReport, path: Path) -> None:
     """Draw a surface from three sides into a PNG file, with the places of its problems and repairs as dots."""
-    import pyvista
-
-    triangles = np.column_stack([np.full(len(body.triangles), 3), body.triangles]).ravel()
-    shape: Any = pyvista.PolyData(body.vertices, triangles)
     places = {
-        kind: np.concatenate([each.points for each in found.problems if each.kind == kind])
+        kind: np.concatenate([each.points for each in surface_report.problems if each.kind == kind])
         for kind in MARKS
-        if any(each.kind == kind and len(each.points) for each in found.problems)
+        if any(each.kind == kind and len(each.points) for each in surface_report.problems)
     }
-    with figure(path, (11.0, 4.2)) as drawn:
+    with figure(path, (11.0, 3.6)) as drawn:
         for axes, (title, towards) in zip(drawn.subplots(1, 3), SIDES.items(), strict=True):
-            _show(axes, shape, body.vertices, np.array(towards), title, places)
-        names = ", ".join(problem.name for problem in found.problems)
+            _show(axes, body.vertices, body.triangles, np.array(towards), title, places)
+        names = ", ".join(problem.name for problem in surface_report.problems)
         marks = ", ".join(MARKS[kind][1] for kind in places)
         title = shortened(body.name, MAX_NAME_LENGTH)
         heading(drawn, f"{title}: {names or 'nothing wrong'}" + (f" ({marks})" if marks else ""))
@@ -52,37 +49,48 @@ def draw_surface(body: Surface, found: SurfaceReport, path: Path) -> None:
 
 def draw_cloud(cloud: Cloud, path: Path) -> None:
     """Draw a cloud's surface, a cut through it and the distances between its nodes into a PNG file."""
-    shape = surface(cloud, cloud.points)
     with figure(path, (11.0, 7.6)) as drawn:
         axes = drawn.subplots(2, 2)
         sides = list(SIDES.items())
-        _show(axes[0, 0], shape, cloud.points, np.array(sides[0][1]), f"Surface, {sides[0][0].lower()}", edges=True)
-        _show(axes[0, 1], shape, cloud.points, np.array(sides[2][1]), f"Surface, {sides[2][0].lower()}", edges=True)
+        _show_edges(axes[0, 0], cloud, np.array(sides[0][1]), f"Surface, {sides[0][0].lower()}")
+        _show_edges(axes[0, 1], cloud, np.array(sides[2][1]), f"Surface, {sides[2][0].lower()}")
         _cut(axes[1, 0], cloud)
         _histogram(axes[1, 1], cloud)
 
 
 def _show(
-    axes: Any,
-    shape: Any,
-    points: Floats,
-    towards: Floats,
-    title: str,
-    places: Mapping[str, Floats] | None = None,
-    edges: bool = False,
+    axes: Any, points: Floats, triangles: Ints, towards: Floats, title: str, places: Mapping[str, Floats]
 ) -> None:
-    """Draw a body seen from a side, with dots."""
+    """Draw a surface seen from a side, with dots."""
     import pyvista
 
     towards = towards / np.linalg.norm(towards)
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+
+    def mottled(refined: RefinedSurface) -> dict[str, Floats]:
+        return {"places": refined.values(points / size)}
 
     def draw(plotter: Any, width: float) -> None:
-        plotter.add_mesh(shape, color=TISSUE, smooth_shading=not edges, show_edges=edges, edge_color="#5A2F28")
-        for kind, where in (places or {}).items():
+        add_shaded(plotter, points, triangles, towards, mottled)
+        for kind, where in places.items():
             dots = pyvista.PolyData(where + 0.5 * width * towards)
-            plotter.add_mesh(dots, color=MARKS[kind][0], point_size=12, render_points_as_spheres=True)
+            plotter.add_mesh(dots, color=MARKS[kind][0], point_size=24, render_points_as_spheres=True)
 
     show(axes, points, towards, title, draw)
+
+
+def _show_edges(axes: Any, cloud: Cloud, towards: Floats, title: str) -> None:
+    """Draw the triangles of a cloud's surface seen from a side."""
+
+    def draw(plotter: Any, _width: float) -> None:
+        shape = surface(cloud, cloud.points)
+        normals = shape.compute_normals(cell_normals=False, split_vertices=False).point_data["Normals"]
+        shape["colour"] = shade(np.asarray(normals, dtype=float), camera_axes(towards))
+        plotter.add_mesh(
+            shape, scalars="colour", rgb=True, lighting=False, show_edges=True, edge_color=MESH_EDGES_COLOUR, line_width=2
+        )
+
+    show(axes, cloud.points, towards, title, draw)
 
 
 def _cut(axes: Any, cloud: Cloud) -> None:

@@ -1,1 +1,1 @@
-"""What every command shares: words of the command line, reports, figures, drawing off-screen, files for ParaView."""
+"""Shared parts of all commands: command line, reports, figures, off-screen drawing, files for ParaView."""

@@ -1,4 +1,4 @@
-"""Words of the command line: parsers, types of options, and the options that several commands share.
+"""Command line: parsers, types of options, and shared options.
 
 Only the standard library is imported here, so that ``palpate --help`` answers at once.
 """
@@ -17,16 +17,16 @@ from unicodedata import category
 from palpate.app.common.exit_status import BAD_INPUT, one_line
 
 __all__ = [
-    "LOAD", "PARSER", "Command", "Parser", "add_command", "add_json", "add_output", "add_parts", "existing_file",
-    "in_option_words", "number", "option_names", "parse_settings", "path", "split_settings", "suggestion",
-    "unprintable_word", "whole",
+    "LOAD_KEY", "PARSER_KEY", "Command", "Parser", "add_command", "add_json", "add_output", "add_parts",
+    "existing_file", "in_option_words", "number", "option_names", "parse_settings", "path", "split_settings",
+    "suggestion", "unprintable_word", "whole",
 ]  # fmt: skip
 
 Command = Callable[..., int]  # takes the options by name, and returns the exit code
 
-LOAD, PARSER = " load", " parser"  # names that no option has
+LOAD_KEY, PARSER_KEY = " load", " parser"  # names that no option has
 MAX_ARGUMENT_CHARACTERS, MAX_NAME_BYTES = 4095, 255  # characters; bytes of a name in a folder
-UNPRINTABLE = ("Cc", "Cs")  # categories of characters: controls, halves of surrogate pairs
+UNPRINTABLE_CATEGORIES = ("Cc", "Cs")  # categories of characters: controls, halves of surrogate pairs
 MAX_EXACT_INTEGER = 2**53  # whole numbers beyond are not exact in the reports
 ARGPARSE_MESSAGES = {  # of argparse, in the form of palpate's own messages
     r"argument (\S+): (must .*)": r"\1 \2",
@@ -39,7 +39,7 @@ ARGPARSE_MESSAGES = {  # of argparse, in the form of palpate's own messages
 
 
 class _Formatter(argparse.HelpFormatter):
-    """Help in which every default stands in the same form after the sentence about its option."""
+    """Formatter of help texts: writes every default in the same form after its sentence."""
 
     def _get_help_string(self, action: argparse.Action) -> str:
         text, value = action.help or "", action.default
@@ -50,7 +50,7 @@ class _Formatter(argparse.HelpFormatter):
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that complains in one line, names the nearest known word, and refers to the help of its own command.
+    """A parser whose errors are one line, with the nearest known word and the help of its command.
 
     Attributes
     ----------
@@ -83,38 +83,38 @@ class Parser(argparse.ArgumentParser):
         if not self._choices():  # those of a command with others inside belong to the inner ones
             for word in words[: words.index("--")] if "--" in words else words:
                 self._check_option(word)
-        found, left = super().parse_known_args(words, namespace)
+        options, left = super().parse_known_args(words, namespace)
         if left:
             self.error(f"{left[0]!r:.60} is not expected here")
-        return found, left
+        return options, left
 
     def _choices(self) -> list[str]:
-        """Return the names of the commands inside this one."""
+        """Return the names of the subcommands."""
         inner = [action for action in self._actions if isinstance(action, argparse._SubParsersAction)]
         return [name for action in inner for name in action.choices]
 
     def _check_option(self, word: str) -> None:
-        """Complain about an option that the command does not have."""
-        name, known = word.partition("=")[0], list(self._option_string_actions)
-        if not name.startswith("--") or " " in word or any(each.startswith(name) for each in known):
+        """Report an unknown option of the command."""
+        name, options = word.partition("=")[0], list(self._option_string_actions)
+        if not name.startswith("--") or " " in word or any(each.startswith(name) for each in options):
             return
         if name in self.renamed:
             self.error(f"{name} is now called {self.renamed[name]}; give {self.renamed[name]} instead")
-        self.error(f"{name!r:.60} is not an option of {self.prog}{suggestion(name, known)}")
+        self.error(f"{name!r:.60} is not an option of {self.prog}{suggestion(name, options)}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
-            known = [str(choice) for choice in action.choices]
+            choices = [str(choice) for choice in action.choices]
             raise argparse.ArgumentError(
-                action, f"must be one of {', '.join(known)}, got {value!r:.60}{suggestion(str(value), known)}"
+                action, f"must be one of {', '.join(choices)}, got {value!r:.60}{suggestion(str(value), choices)}"
             )
 
 
-def suggestion(word: str, known: Sequence[str]) -> str:
-    """Return the question whether the nearest of some known words is meant, if one is near."""
+def suggestion(word: str, choices: Sequence[str]) -> str:
+    """Return the text "did you mean ...?" with the nearest choice; empty without a near one."""
     from difflib import get_close_matches
 
-    near = get_close_matches(word[:60], known, 1)
+    near = get_close_matches(word[:60], choices, 1)
     return f"; did you mean {near[0]}?" if near else ""
 
 
@@ -134,7 +134,7 @@ def add_command(commands: Any, name: str, load: Callable[[], Command], *, summar
         For the help of this one.
     """
     parser: Parser = commands.add_parser(name, help=summary, description=description)
-    parser.set_defaults(**{LOAD: load, PARSER: parser})
+    parser.set_defaults(**{LOAD_KEY: load, PARSER_KEY: parser})
     return parser
 
 
@@ -159,17 +159,17 @@ def add_json(parser: argparse.ArgumentParser, what: str) -> None:
 
 
 def path(text: str) -> Path:
-    """Return a path that a file system takes."""
+    """Return a path that a file system accepts."""
     if not text or any(len(os.fsencode(part)) > MAX_NAME_BYTES for part in text.split("/")):
         raise argparse.ArgumentTypeError(f"must be a path of names of 1 to {MAX_NAME_BYTES} bytes, got {text!r:.60}")
     return Path(text)
 
 
 def existing_file(text: str) -> Path:
-    """Return the path of a regular file: a pipe or a device would let its reader wait."""
-    found = path(text)
+    """Return the path of a regular file; a pipe or a device would block its reader."""
+    file_path = path(text)
     try:
-        kind = os.stat(found).st_mode
+        kind = os.stat(file_path).st_mode
     except (FileNotFoundError, NotADirectoryError):
         raise argparse.ArgumentTypeError(f"must be an existing file, got {text!r}; there is no such file") from None
     except (OSError, ValueError) as error:
@@ -178,7 +178,7 @@ def existing_file(text: str) -> Path:
     if not stat.S_ISREG(kind):
         what = "a folder" if stat.S_ISDIR(kind) else "a pipe, socket or device"
         raise argparse.ArgumentTypeError(f"must be a regular file, got {text!r}, which is {what}")
-    return found
+    return file_path
 
 
 def whole(text: str) -> int:
@@ -193,7 +193,7 @@ def whole(text: str) -> int:
 
 
 def number(text: str) -> float:
-    """Return a number; its range is for the command to check."""
+    """Return a number; the command checks its range."""
     try:
         return float(text)
     except ValueError:
@@ -201,9 +201,9 @@ def number(text: str) -> float:
 
 
 def unprintable_word(words: Sequence[str]) -> str | None:
-    """Return a complaint about the first word that is not printable text of a sensible length, or None."""
+    """Return an error text for the first word that is unprintable or too long, or None."""
     for k, word in enumerate(words):
-        if len(word) > MAX_ARGUMENT_CHARACTERS or any(category(letter) in UNPRINTABLE for letter in word):
+        if len(word) > MAX_ARGUMENT_CHARACTERS or any(category(letter) in UNPRINTABLE_CATEGORIES for letter in word):
             return (
                 f"argument {k + 1} must be printable text of at most {MAX_ARGUMENT_CHARACTERS} characters, got "
                 f"{word!r:.60}; rename the file or leave such characters out"
@@ -212,10 +212,10 @@ def unprintable_word(words: Sequence[str]) -> str | None:
 
 
 def in_option_words(message: str, parser: Parser, options: Mapping[str, Any]) -> str:
-    """Return a message of the library with its arguments called as the options of a command that they come from.
+    """Return a message of the library with options of the command in place of arguments.
 
-    ``spacing must be ...`` becomes ``--spacing must be ...``, and ``choose one with part='left'`` becomes ``choose one
-    with --part 'left'``; ``spacing must be ...`` becomes ``--set spacing must be ...`` where it was set so.
+    ``spacing must be ...`` becomes ``--spacing must be ...``, or ``--set spacing must be ...`` for a setting.
+    ``choose one with part='left'`` becomes ``choose one with --part 'left'``.
     """
     names = {
         pair.partition("=")[0]: f"{option} {pair.partition('=')[0]}"
@@ -223,14 +223,14 @@ def in_option_words(message: str, parser: Parser, options: Mapping[str, Any]) ->
         for pair in options[place]
     }
     names |= {action.dest: _option_name(action) for action in parser._actions} | parser.synonyms
-    known = "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True))
+    pattern = "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True))
 
     def keyword(match: re.Match[str]) -> str:
         value = match[2]
         return names[match[1]] + ("" if value in ("", "True") else f" {value}")
 
-    message = re.sub(rf"(?:^|(?<=: ))({known})(?= (?:must|=|is|cannot) |:)", lambda match: names[match[1]], message)
-    return re.sub(rf"(?<![\w.-])({known})=(True|[\w'\"]*)", keyword, message)
+    message = re.sub(rf"(?:^|(?<=: ))({pattern})(?= (?:must|=|is|cannot) |:)", lambda match: names[match[1]], message)
+    return re.sub(rf"(?<![\w.-])({pattern})=(True|[\w'\"]*)", keyword, message)
 
 
 def option_names(message: str) -> str:

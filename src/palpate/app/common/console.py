@@ -77,7 +77,7 @@ class Console:
 
     @contextmanager
     def status(self, text: str) -> Iterator[None]:
-        """Begin a phase, and show a line while the block runs; where the output is not a terminal, print it once."""
+        """Begin a phase and show its line during the block; print it once if the output is not a terminal."""
         self.begin_phase(text)
         if self._console.is_terminal:
             with self._console.status(text):
@@ -94,7 +94,7 @@ def print_json(report: dict[str, Any]) -> None:
 
 
 def print_plain(tables: Sequence[Any], out: Path, files: Sequence[str]) -> None:
-    """Print tables or lines, and where the files lie, if there are any, on standard output."""
+    """Print tables or lines, and the folder of the files if there are any, on standard output."""
     console = make_console(stderr=False, highlight=False, markup=False)
     if not console.is_terminal:
         console.width = 100
@@ -111,7 +111,7 @@ def quantities_table(
     first: str = "quantity",
     justify: Literal["left", "right"] = "right",
 ) -> Table:
-    """Return a table of quantities by name, one value or more for each."""
+    """Return a table of quantities by name, with one or more values for each."""
     lines = [(name, *values) for name, values in rows.items()]
     return Table(title, (first, *columns), lines, ("left", *[justify] * len(columns)))
 
@@ -126,7 +126,7 @@ def _printable(table: Table) -> rich.table.Table:
 
 
 def count_nodes(nodes: int) -> str:
-    """Return how many nodes, in words."""
+    """Return a number of nodes as text."""
     return f"{nodes} node{'' if nodes == 1 else 's'}"
 
 

@@ -1,4 +1,4 @@
-"""Run a command line: parse it, import the command, call it, and turn whatever it raises into an exit status."""
+"""Run a command line: parse it, import and call the command, convert its errors to an exit status."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
-from palpate.app.common.arguments import LOAD, PARSER, Parser, in_option_words, unprintable_word
+from palpate.app.common.arguments import LOAD_KEY, PARSER_KEY, Parser, in_option_words, unprintable_word
 from palpate.app.common.exit_status import (
     BAD_INPUT,
     DONE,
@@ -84,10 +84,10 @@ def _run(build_parser: Callable[[], Parser], words: Sequence[str]) -> int:
         if end.code:
             raise
         return DONE
-    if LOAD not in options:  # nothing but `palpate`
+    if LOAD_KEY not in options:  # nothing but `palpate`
         parser.print_help()
         return DONE
-    return _call(options.pop(PARSER), options.pop(LOAD), options)
+    return _call(options.pop(PARSER_KEY), options.pop(LOAD_KEY), options)
 
 
 def _complete(parser: Parser) -> int:
@@ -131,10 +131,10 @@ def _failed(error: Exception, parser: Parser, options: Mapping[str, Any]) -> int
 
 @contextmanager
 def _ending_at_interrupt() -> Iterator[None]:
-    """End the program at once where it is interrupted: what is being imported may swallow `KeyboardInterrupt`."""
+    """End the program at once at an interrupt; imported modules can swallow `KeyboardInterrupt`."""
     main_thread = threading.current_thread() is threading.main_thread()
     before = signal.getsignal(signal.SIGINT) if main_thread else None
-    if before is not signal.default_int_handler:  # ignored, or somebody else's
+    if before is not signal.default_int_handler:  # ignored, or a handler of another module
         yield
         return
 

@@ -1,4 +1,4 @@
-"""How a command ends: one line on standard error, and an exit status. Only the standard library is imported here."""
+"""End of a command: one line on standard error, and an exit status. This module imports only the standard library."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ import sys
 from contextlib import suppress
 
 __all__ = [
-    "BAD_INPUT", "DEBUG", "DONE", "FAILED", "INTERRUPTED", "UNTRUSTED", "RunError", "complain", "one_line",
+    "BAD_INPUT", "DEBUG_VARIABLE", "DONE", "FAILED", "INTERRUPTED", "UNTRUSTED", "RunError", "complain", "one_line",
     "report_defect", "silence_output", "system_error",
 ]  # fmt: skip
 
 DONE, FAILED, BAD_INPUT, UNTRUSTED, DEFECT, INTERRUPTED = 0, 1, 2, 3, 70, 130
-DEBUG = "PALPATE_DEBUG"  # environment variable: 1 prints the traceback of an internal error
+DEBUG_VARIABLE = "PALPATE_DEBUG"  # environment variable: 1 prints the traceback of an internal error
 MAX_MESSAGE_CHARACTERS = 1000  # characters
 
 
 class RunError(RuntimeError):
-    """A command could not be finished; the message names what is kept."""
+    """A command that failed; the message names the results that are kept."""
 
 
 def complain(message: str, code: int) -> int:
@@ -34,7 +34,7 @@ def one_line(message: str) -> str:
 
 
 def system_error(error: OSError) -> str:
-    """Return what the operating system refused, in words instead of its number."""
+    """Return the message of an error of the operating system, without its number."""
     if error.errno is None or error.strerror is None or error.filename is None:
         return str(error)
     if isinstance(error, FileNotFoundError):
@@ -47,10 +47,10 @@ def report_defect(error: Exception) -> int:
     import tempfile
     import traceback
 
-    if os.environ.get(DEBUG) == "1":
+    if os.environ.get(DEBUG_VARIABLE) == "1":
         traceback.print_exception(error)
         return DEFECT
-    where = f"what {DEBUG}=1 prints"
+    where = f"what {DEBUG_VARIABLE}=1 prints"
     with suppress(OSError):
         handle, where = tempfile.mkstemp(prefix="palpate-error-", suffix=".txt")
         with os.fdopen(handle, "w", encoding="utf-8", errors="backslashreplace") as file:

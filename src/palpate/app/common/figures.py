@@ -1,4 +1,4 @@
-"""What the figures of all studies share: their style, and curves over the number of modes."""
+"""Shared style of the figures of all studies, and curves over the number of modes."""
 
 from __future__ import annotations
 
@@ -111,9 +111,9 @@ def _plain(value: float, _position: object = None) -> str:
 
 
 def legend_below(drawn: Figure, *axes: Axes, columns: int = 2) -> None:
-    """Set the common legend of some axes below the whole figure, what was drawn last first."""
-    own = [pair for one in axes for pair in zip(*one.get_legend_handles_labels(), strict=True)][::-1]
-    named = {label: handle for handle, label in own}
+    """Set the common legend of some axes below the figure, in reverse order of drawing."""
+    handles_and_labels = [pair for one in axes for pair in zip(*one.get_legend_handles_labels(), strict=True)][::-1]
+    named = {label: handle for handle, label in handles_and_labels}
     if named:
         drawn.legend(named.values(), named.keys(), loc="outside lower center", ncols=columns, fontsize=9)
 
@@ -135,7 +135,7 @@ def draw_singular_values(series: Mapping[str, Sequence[float]], title: str, path
 
 
 def energy_unit(values: ArrayLike) -> tuple[str, float]:
-    """Return a unit of energy for some values [J], and how many of it make a joule."""
+    """Return a unit of energy for some values [J], and the number of units in a joule."""
     largest = np.abs(values).max()
     return ("J", 1.0) if largest >= 1 else ("mJ", 1e3) if largest >= 1e-3 else ("\u00b5J", 1e6)
 

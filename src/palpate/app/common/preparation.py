@@ -1,4 +1,4 @@
-"""Scenes that are run into a folder: build the model, and check that the folder takes the results."""
+"""Preparation of a run: build the model, and check its folder for results."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FIGURES_SIZE = 5_000_000  # [bytes] of all figures of a study, about
 
 
 def prepare(build: Callable[[], Scene], out: Path, doubles: int, console: Console) -> Scene:
-    """Build a scene, and make the folder for its results once a check finds that they can be written there.
+    """Build a scene, check that its results can be written, and make their folder.
 
     Parameters
     ----------

@@ -10,19 +10,24 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from palpate.app.common.figures import scale_bar
-from palpate.arrays import Floats
+from palpate.app.common.shading import RefinedSurface, shade
+from palpate.arrays import Floats, Ints
 from palpate.extras import require
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 
-__all__ = ["COLOURS", "PIXELS", "DrawingError", "check_drawing", "off_screen", "show", "surface"]
+__all__ = [
+    "PIXELS", "DrawingError", "add_shaded", "camera_axes", "check_drawing", "off_screen", "screenshot", "show",
+    "surface",
+]  # fmt: skip
 
 
-COLOURS = "cividis"  # one that colour-blind people read as others do
 PIXELS = 2000  # across a picture
 VIEW_PIXELS = 900  # across one of several views
+SAMPLES = 2  # rendered for each pixel of a picture, along its width and height
 
 # VTK opens its graphics libraries only when it draws, and crashes where one is missing: let another process try.
 PROBE = """
@@ -74,6 +79,25 @@ def surface(cloud: Cloud, points: Floats) -> Any:
     return pyvista.PolyData(points, np.column_stack([np.full(len(cloud.triangles), 3), cloud.triangles]).ravel())
 
 
+def camera_axes(towards: Floats) -> Floats:
+    """Return the unit vectors to the right, up and towards a camera (3, 3) as rows; z points up in space."""
+    towards = towards / np.linalg.norm(towards)
+    right = np.cross([0.0, 0.0, 1.0], towards)
+    right /= np.linalg.norm(right)
+    return np.array([right, np.cross(towards, right), towards])
+
+
+def screenshot(plotter: Any) -> NDArray[np.uint8]:
+    """Return what a plotter of `off_screen` shows as pixels (h, w, 3), each the mean of `SAMPLES` by `SAMPLES`."""
+    plotter.reset_camera_clipping_range()
+    plotter.render()
+    image = np.asarray(plotter.screenshot(return_img=True))[..., :3].astype(np.uint16)
+    height, width = (size - size % SAMPLES for size in image.shape[:2])
+    corners = np.ndindex(SAMPLES, SAMPLES)
+    total = sum(image[row:height:SAMPLES, column:width:SAMPLES] for row, column in corners)
+    return np.asarray(total // SAMPLES**2, dtype=np.uint8)
+
+
 @contextmanager
 def off_screen(width: float, height: float, middle: Floats, towards: Floats, pixels: int = PIXELS) -> Iterator[Any]:
     """Yield a PyVista plotter on white that looks at `middle` in a parallel projection.
@@ -91,16 +115,47 @@ def off_screen(width: float, height: float, middle: Floats, towards: Floats, pix
     import pyvista
 
     pv: Any = pyvista
-    plotter = pv.Plotter(off_screen=True, window_size=[pixels, round(pixels * height / width)])
+    size = [SAMPLES * pixels, SAMPLES * round(pixels * height / width)]
+    plotter = pv.Plotter(off_screen=True, window_size=size)
     try:
         plotter.set_background("white")
         plotter.camera_position = [tuple(middle + 3 * width * towards), tuple(middle), (0.0, 0.0, 1.0)]
         plotter.enable_parallel_projection()
         plotter.camera.parallel_scale = height / 2
-        plotter.enable_anti_aliasing("ssaa")
+        plotter.disable_anti_aliasing()
         yield plotter
     finally:
         plotter.close()
+
+
+def add_shaded(
+    plotter: Any,
+    points: Floats,
+    triangles: Ints,
+    towards: Floats,
+    colours: Callable[[RefinedSurface], dict[str, Floats]],
+) -> None:
+    """Add a smooth surface in the light of the page.
+
+    Parameters
+    ----------
+    plotter : pyvista.Plotter
+    points : (n, 3) array [m]
+    triangles : (t, 3) int array
+    towards : (3,) array
+        Direction from the body to the camera, not along z.
+    colours : function
+        Returns further arguments of `palpate.app.common.shading.shade` at the vertices of the refined surface.
+    """
+    import pyvista
+
+    refined = RefinedSurface(points, triangles)
+    places, normals = refined.places(points)
+    body: Any = pyvista.PolyData(
+        places, np.column_stack([np.full(len(refined.triangles), 3), refined.triangles]).ravel()
+    )
+    body["colour"] = shade(normals, camera_axes(towards), **colours(refined))
+    plotter.add_mesh(body, scalars="colour", rgb=True, lighting=False)
 
 
 def show(axes: Any, points: Floats, towards: Floats, title: str, draw: Callable[[Any, float], None]) -> None:
@@ -117,18 +172,18 @@ def show(axes: Any, points: Floats, towards: Floats, title: str, draw: Callable[
     draw : function
         Adds meshes to a PyVista plotter; it also gets the width of the view [m].
     """
-    towards = towards / np.linalg.norm(towards)
-    right = np.cross([0.0, 0.0, 1.0], towards)
-    right /= np.linalg.norm(right)
-    up = np.cross(towards, right)
+    right, up, towards = camera_axes(towards)
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    width, height = (2.1 * np.abs((points - middle) @ axis).max() for axis in (right, up))
+    low, high = (limit((points - middle) @ np.column_stack([right, up]), axis=0) for limit in (np.min, np.max))
+    middle = middle + 0.5 * (low + high) @ [right, up]
+    width, height = 1.05 * (high - low)
     with off_screen(width, height, middle, towards, VIEW_PIXELS) as plotter:
         draw(plotter, width)
-        plotter.reset_camera_clipping_range()
-        image = np.asarray(plotter.screenshot(return_img=True))
+        image = screenshot(plotter)
     half = 0.5e3 * width, 0.5e3 * height
     axes.imshow(image, extent=(-half[0], half[0], -half[1], half[1]), interpolation="antialiased")
     axes.set_axis_off()
     axes.set_title(title)
-    scale_bar(axes, -half[0], half[0], -0.95 * half[1])
+    below = 0.06 * max(half)  # the scale bar covers no part of the body
+    axes.set_ylim(-half[1] - 2 * below, half[1])
+    scale_bar(axes, -half[0], half[0], -half[1] - below)

@@ -15,7 +15,7 @@ from palpate.files import whole_file, write_json
 
 __all__ = ["REPORTS", "deliver", "machine"]
 
-PACKAGES = ("numpy", "scipy", "numba", "h5py", "matplotlib", "pyvista", "vtk")
+REPORTED_PACKAGES = ("numpy", "scipy", "numba", "h5py", "matplotlib", "pyvista", "vtk")
 REPORTS = ("report.json", "report.md")  # that every study leaves
 
 
@@ -88,7 +88,7 @@ def machine() -> dict[str, Any]:
     import numba
 
     versions = {"palpate": __version__, "python": platform.python_version()}
-    for package in PACKAGES:
+    for package in REPORTED_PACKAGES:
         try:
             versions[package] = version(package)
         except PackageNotFoundError:

@@ -65,9 +65,13 @@ def write_vtkhdf(path: str | Path, cloud: Cloud, times: Floats, point_fields: Ma
 def _field(name: str, values: Floats, frames: int, nodes: int) -> Floats:
     array = np.asarray(values, dtype=float)
     if array.shape not in ((frames, nodes), (frames, nodes, 3)):
-        raise InputError(f"field {name!r} has shape {array.shape}: allowed are {(frames, nodes)}, {(frames, nodes, 3)}")
+        shapes = f"{(frames, nodes)} or {(frames, nodes, 3)}"
+        raise InputError(
+            f"field {name!r} must have shape {shapes}, got {array.shape}; give a value at every node and time"
+        )
     if not np.isfinite(array).all():
-        raise InputError(f"field {name!r} is not finite")
+        count = int(np.sum(~np.isfinite(array)))
+        raise InputError(f"field {name!r} must be finite, got {count} other numbers; leave the field out")
     return array
 
 
@@ -89,7 +93,7 @@ def _write_mesh(root: Any, cloud: Cloud) -> None:
 
 
 def _write_steps(root: Any, times: Floats, nodes: int, names: list[str]) -> None:
-    """Write where every time finds its mesh, always the first and only one, and its values."""
+    """Write the offsets of mesh and values of every time; all times share one mesh."""
     frames = len(times)
     steps = root.create_group("Steps")
     steps.attrs["NSteps"] = frames

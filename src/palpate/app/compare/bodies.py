@@ -25,8 +25,8 @@ __all__ = ["BODIES", "ComparedBody", "compared_beam", "compared_liver"]
 
 SMALL_PULL, LARGE_PULL = 0.1, 100.0  # [N] of the beam; the large one is the paper's
 SMALL_WAY, LARGE_WAY = 2e-4, 0.02  # [m] of the liver's tool; the large one is the training's deepest press
-MARGIN = 0.02  # [m] least distance of the liver's tool from its fixed back
-TOOL = "tool"
+MIN_TOOL_DISTANCE = 0.02  # [m] least distance of the liver's tool from its fixed back
+TOOL_GROUP = "tool"
 TOOL_SECONDS = 0.6  # [s] of the liver's tool, out and back
 GRIP_SPACINGS = 2.0  # [spacings] radius of the nodes that the tool holds
 
@@ -89,13 +89,20 @@ def compared_liver(spacing: float = 0.012, poisson: float = 0.45) -> ComparedBod
     cloud = bare.cloud
     surface = np.unique(cloud.face_nodes)
     back = cloud.points[cloud.group("back"), 1].min()
-    reachable = surface[cloud.points[surface, 1] < back - MARGIN]
+    reachable = surface[cloud.points[surface, 1] < back - MIN_TOOL_DISTANCE]
     if not len(reachable):
-        raise InputError(f"spacing = {spacing!r}: no place of this liver is away from its back")
+        raise InputError(
+            f"spacing must leave nodes at least {MIN_TOOL_DISTANCE} m from the back of the liver, got {spacing!r}; "
+            "use a smaller one"
+        )
     at = reachable[np.argmin(cloud.points[reachable, 1])]
     near = surface[np.linalg.norm(cloud.points[surface] - cloud.points[at], axis=1) <= GRIP_SPACINGS * spacing]
     model = Solid(
-        cloud.with_group(TOOL, near), bare.material, "back", form="energy", stiffness_damping=bare.stiffness_damping
+        cloud.with_group(TOOL_GROUP, near),
+        bare.material,
+        "back",
+        form="energy",
+        stiffness_damping=bare.stiffness_damping,
     )
     normals = np.zeros_like(cloud.points)
     normals[cloud.face_nodes] = cloud.face_normals
@@ -105,11 +112,11 @@ def compared_liver(spacing: float = 0.012, poisson: float = 0.45) -> ComparedBod
         def pulled(points: Floats, time: float) -> Floats:
             return np.asarray(size * np.sin(np.pi * min(time, TOOL_SECONDS) / TOOL_SECONDS) ** 2 * along)
 
-        return (PrescribedMotion(TOOL, pulled),)
+        return (PrescribedMotion(TOOL_GROUP, pulled),)
 
     return ComparedBody(
         f"A liver pulled at its front, {1e3 * spacing:g} mm", model, loads, SMALL_WAY, LARGE_WAY, "m", (),
-        TOOL_SECONDS, 0.01, lambda run, modes: hyper_reduce(model, run, modes=modes, prescribed=TOOL),
+        TOOL_SECONDS, 0.01, lambda run, modes: hyper_reduce(model, run, modes=modes, prescribed=TOOL_GROUP),
         "POD of that run, hyper-reduced",
     )  # fmt: skip
 

@@ -15,7 +15,7 @@ from palpate.extras import require
 from palpate.faults import InputError, integer_in_range
 from palpate.files import check_folder
 from palpate.reduction.lti.pymor_bridge import need_pymor
-from palpate.reduction.lti.reductors import METHODS, PYMOR
+from palpate.reduction.lti.reductors import PYMOR_METHODS, TITLE_BY_METHOD
 
 __all__ = ["compare"]
 
@@ -44,7 +44,7 @@ def compare(
     modes : list of int
         Sizes.
     methods : list of str, optional
-        Of `METHODS`; by default all but the low-rank solver, which does not suit these lightly damped bodies.
+        Of `TITLE_BY_METHOD`; by default all but the low-rank solver, which does not suit these lightly damped bodies.
     condense : int, optional
         As of `Reduction`.
     out : path
@@ -57,14 +57,15 @@ def compare(
     InputError
         A parameter out of range; pyMOR missing, with how to install it.
     """
-    chosen = methods or [name for name in METHODS if name != LOW_RANK]
-    unknown = [name for name in chosen if name not in METHODS]
+    chosen = methods or [name for name in TITLE_BY_METHOD if name != LOW_RANK]
+    unknown = [name for name in chosen if name not in TITLE_BY_METHOD]
     if unknown:
         raise InputError(
-            f"methods must be some of {', '.join(METHODS)}, got {unknown[0]!r}{suggestion(unknown[0], list(METHODS))}"
+            f"methods must be some of {', '.join(TITLE_BY_METHOD)}, got {unknown[0]!r}"
+            f"{suggestion(unknown[0], list(TITLE_BY_METHOD))}"
         )
     sizes = sorted({integer_in_range("modes", size, 1, 200) for size in modes})
-    needing = [name for name in chosen if name in PYMOR]
+    needing = [name for name in chosen if name in PYMOR_METHODS]
     if needing:
         need_pymor(f"palpate compare with {', '.join(needing)}")
     require("matplotlib", "palpate compare")

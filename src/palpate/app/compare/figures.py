@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["FILES", "draw_comparison"]
 
 FILES = ("errors.png", "response.png", "hankel.png", "cost.png")
-STYLES = {
+LINE_STYLES = {
     "modal": (BLUE, "o", "-"), "moments": (GREEN, "s", "-"), "irka": (GREEN, "^", "--"), "balanced": (RED, "o", "-"),
     "balanced-low-rank": (RED, "+", ":"),
     "hankel": (RED, "x", "--"), "pod": (ORANGE, "D", "-"), "sobt": (PINK, "o", "-"), "sobt-p": (PINK, "^", "--"),
@@ -48,15 +48,15 @@ def draw_comparison(made: Comparison, report: dict[str, Any], out: Path) -> list
 
 
 def _series(report: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
-    found: dict[str, list[dict[str, Any]]] = {}
+    entries_by_method: dict[str, list[dict[str, Any]]] = {}
     for entry in report["methods"]:
         if not entry["failed"]:
-            found.setdefault(entry["method"], []).append(entry)
-    return found
+            entries_by_method.setdefault(entry["method"], []).append(entry)
+    return entries_by_method
 
 
 def _line(axes: Axes, method: str, sizes: list[int], values: list[float]) -> None:
-    colour, marker, style = STYLES[method]
+    colour, marker, style = LINE_STYLES[method]
     axes.plot(sizes, values, marker=marker, ls=style, color=colour, lw=1.4, ms=5, label=method)
 
 
@@ -72,9 +72,11 @@ def _draw_errors(report: dict[str, Any], path: Path) -> None:
                     kept = [e for e in entries if e["errors"][load] is not None and e["errors"][load][what] is not None]
                     values = [100 * min(e["errors"][load][what], 10.0) for e in kept]
                     _line(axes, method, [e["modes"] for e in kept], values)
-                own = [e for e in report["nonlinear"]["entries"] if not e["failed"] and e["errors"][load] is not None]
-                values = [100 * min(e["errors"][load][what], 10.0) for e in own]
-                axes.plot([e["modes"] for e in own], values, "k*-", lw=2, ms=9, label=report["nonlinear"]["name"])
+                finished = [
+                    e for e in report["nonlinear"]["entries"] if not e["failed"] and e["errors"][load] is not None
+                ]
+                values = [100 * min(e["errors"][load][what], 10.0) for e in finished]
+                axes.plot([e["modes"] for e in finished], values, "k*-", lw=2, ms=9, label=report["nonlinear"]["name"])
                 name = "force" if what == "reaction" else what
                 axes.set(
                     title=f"{name}, {about[load]:g} {about['unit']}",
@@ -94,16 +96,16 @@ def _draw_response(made: Comparison, path: Path) -> None:
         upper, lower = drawn.subplots(2, 1, sharex=True)
         size = np.linalg.norm(outputs[:, None] * made.response * inputs, 2, axis=(1, 2))
         upper.loglog(made.frequencies, size, color="black", lw=2.4, label="the linear body")
-        whole = np.linalg.norm(outputs[:, None] * made.whole * inputs, 2, axis=(1, 2))
-        upper.loglog(made.few, whole, "k+", ms=9, label="the same, not condensed")
+        uncondensed_size = np.linalg.norm(outputs[:, None] * made.whole * inputs, 2, axis=(1, 2))
+        upper.loglog(made.few, uncondensed_size, "k+", ms=9, label="the same, not condensed")
         for (method, modes), model in made.models.items():
             if modes != _nearest(made):
                 continue
-            own = model.reduced.transfer(1j * made.frequencies)
-            colour, _, style = STYLES[method]
-            values = np.linalg.norm(outputs[:, None] * own * inputs, 2, axis=(1, 2))
+            reduced_response = model.reduced.transfer(1j * made.frequencies)
+            colour, _, style = LINE_STYLES[method]
+            values = np.linalg.norm(outputs[:, None] * reduced_response * inputs, 2, axis=(1, 2))
             upper.loglog(made.frequencies, values, color=colour, ls=style, lw=1)
-            wrong = np.linalg.norm(outputs[:, None] * (made.response - own) * inputs, 2, axis=(1, 2))
+            wrong = np.linalg.norm(outputs[:, None] * (made.response - reduced_response) * inputs, 2, axis=(1, 2))
             lower.loglog(made.frequencies, wrong, color=colour, ls=style, lw=1.2, label=method)
         upper.set(title="Largest singular value, inputs and outputs scaled", ylabel="response")
         lower.set(title="Error", xlabel="circular frequency [rad/s]", ylabel="response")

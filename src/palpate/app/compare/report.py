@@ -9,16 +9,16 @@ import numpy as np
 
 from palpate.app.common.console import Table, percent, quantities_table
 from palpate.app.common.report import machine
-from palpate.app.compare.measure import LOADS, Comparison
+from palpate.app.compare.measure import LOAD_NAMES, Comparison
 from palpate.files import plain
 
 __all__ = ["build_report", "full_table", "summary", "tables"]
 
-HEADINGS = (
+COLUMN_HEADINGS = (
     "states", "offline s", "shared s", "us/step", "step kB", "stable", "small: displ.", "velocity", "energy", "force",
     "response", "large: displ.", "velocity", "energy", "force",
 )  # fmt: skip
-ADVICE = {
+ADVICE_BY_METHOD = {
     "pod": "motions like the run it learnt from; blind to what that run did not excite",
     "moments": "slow loads: exact statics, no run needed; resonances come last",
     "balanced": "the response at the outputs over all frequencies, with a bound, and stable",
@@ -29,12 +29,12 @@ ADVICE = {
     "irka": "few modes, where its poles turn out stable and its errors small",
 }
 TERMINAL_COLUMNS = (1, 3, 5, 6, 9, 10, 11, 14)  # of these, the columns that fit into a terminal
-NAMED = {6: "small: displ.", 9: "force", 11: "large: displ.", 14: "force"}
-QUANTITIES = ("displacement", "velocity", "energy", "reaction")
+TERMINAL_HEADINGS = {6: "small: displ.", 9: "force", 11: "large: displ.", 14: "force"}
+ERROR_QUANTITIES = ("displacement", "velocity", "energy", "reaction")
 
 
 def build_report(made: Comparison) -> dict[str, Any]:
-    """Return all that was measured."""
+    """Return all measured values."""
     body, reduction = made.body, made.reduction
     outputs, inputs = reduction.scales
     s = 1j * made.few
@@ -69,20 +69,20 @@ def build_report(made: Comparison) -> dict[str, Any]:
 
 
 def _share(value: float) -> str:
-    """Return a share in per cent, however small."""
+    """Return a share in per cent; one digit of shares below 0.01 %."""
     return percent(value) if value >= 1e-4 else f"{100 * value:.0e}%"
 
 
 def _row(entry: dict[str, Any]) -> list[str]:
     if entry["failed"]:
-        return ["failed", *[""] * (len(HEADINGS) - 1)]
+        return ["failed", *[""] * (len(COLUMN_HEADINGS) - 1)]
     cells = [
         str(entry["states"]), f"{entry['offline_seconds']:.2f}", f"{entry['shared_seconds']:.1f}",
         f"{1e6 * entry['step_seconds']:.2f}", f"{entry['step_bytes'] / 1e3:.0f}", "yes" if entry["stable"] else "no",
     ]  # fmt: skip
-    for name in LOADS:
-        found = entry["errors"][name]
-        cells += ["diverged", "", "", ""] if found is None else [percent(found[what]) for what in QUANTITIES]
+    for name in LOAD_NAMES:
+        errors = entry["errors"][name]
+        cells += ["diverged", "", "", ""] if errors is None else [percent(errors[what]) for what in ERROR_QUANTITIES]
         if name == "small":
             cells.append(_share(entry["response_error"]))
     return cells
@@ -90,11 +90,11 @@ def _row(entry: dict[str, Any]) -> list[str]:
 
 def _nonlinear_row(entry: dict[str, Any]) -> list[str]:
     if entry["failed"]:
-        return ["failed", *[""] * (len(HEADINGS) - 1)]
+        return ["failed", *[""] * (len(COLUMN_HEADINGS) - 1)]
     cells = ["", f"{entry['offline_seconds']:.2f}", "", "", "", ""]
-    for name in LOADS:
-        found = entry["errors"][name]
-        cells += ["diverged", "", "", ""] if found is None else [percent(found[what]) for what in QUANTITIES]
+    for name in LOAD_NAMES:
+        errors = entry["errors"][name]
+        cells += ["diverged", "", "", ""] if errors is None else [percent(errors[what]) for what in ERROR_QUANTITIES]
         if name == "small":
             cells.append("")
     return cells
@@ -107,9 +107,9 @@ def _rows(report: dict[str, Any]) -> dict[str, list[str]]:
 
 
 def tables(report: dict[str, Any]) -> list[Table | str]:
-    """Return a table of what matters most, and the summary; `full_table` has all figures."""
+    """Return a table of the main figures, and the summary; `full_table` has all figures."""
     rows = {name: [cells[k] for k in TERMINAL_COLUMNS] for name, cells in _rows(report).items()}
-    headings = [HEADINGS[k] if k not in NAMED else NAMED[k] for k in TERMINAL_COLUMNS]
+    headings = [COLUMN_HEADINGS[k] if k not in TERMINAL_HEADINGS else TERMINAL_HEADINGS[k] for k in TERMINAL_COLUMNS]
     return [quantities_table(report["title"], headings, rows, first="method"), *report["summary"]]
 
 
@@ -154,7 +154,7 @@ def summary(report: dict[str, Any]) -> list[str]:
             f"{percent(last['errors']['large']['displacement'])}, at the small load by "
             f"{percent(last['errors']['small']['displacement']) if last['errors']['small'] else 'nothing finite'}."
         )
-    lines += [f"{name}: {what}." for name, what in ADVICE.items() if any(e["method"] == name for e in done)]
+    lines += [f"{name}: {what}." for name, what in ADVICE_BY_METHOD.items() if any(e["method"] == name for e in done)]
     lines.append("None is for large motions: nonlinear reduced models are.")
     lines.append(
         f"Condensing {about['unknowns']} unknowns to {about['condensed_to']} before balancing changed the frequency "
@@ -165,4 +165,4 @@ def summary(report: dict[str, Any]) -> list[str]:
 
 def full_table(report: dict[str, Any]) -> Table:
     """Return the table of all figures, for `report.md`."""
-    return quantities_table(report["title"], HEADINGS, _rows(report), first="method")
+    return quantities_table(report["title"], COLUMN_HEADINGS, _rows(report), first="method")

@@ -77,7 +77,7 @@ def fit_law(
     require("matplotlib", "palpate fit")
     check_folder(out)
     with Console().status(f"fitting {kind.__name__} to {len(curves)} curve{'' if len(curves) == 1 else 's'}"):
-        found = fit(
+        fitted = fit(
             kind,
             curves,
             start=_law_arguments(kind, _numbers("start", start)),
@@ -88,37 +88,37 @@ def fit_law(
             density=density,
             poisson=poisson,
         )
-        report = plain(_report(found, data))
+        report = plain(_report(fitted, data))
     out.mkdir(parents=True, exist_ok=True)
-    draw_fit(found, out / "fit.png")
-    deliver(report, _tables(found), out, FILES, as_json)
+    draw_fit(fitted, out / "fit.png")
+    deliver(report, _tables(fitted), out, FILES, as_json)
     return 0
 
 
 def _law(name: str) -> type[Material]:
-    wanted = name.replace("-", "").replace("_", "").lower()
+    searched_name = name.replace("-", "").replace("_", "").lower()
     concrete = {law.name: law.kind for law in LAWS}
-    for own, law in concrete.items():
-        if own.lower() == wanted:
+    for law_name, law in concrete.items():
+        if law_name.lower() == searched_name:
             return law
-    known = sorted(concrete)
-    raise InputError(f"law must be one of {', '.join(known)}, got {name!r}{suggestion(name, known)}")
+    law_names = sorted(concrete)
+    raise InputError(f"law must be one of {', '.join(law_names)}, got {name!r}{suggestion(name, law_names)}")
 
 
 def _numbers(option: str, assignments: Sequence[str]) -> dict[str, list[float]]:
     """Return numbers by name from words such as ``alpha=2,-2``."""
-    found = {}
+    numbers = {}
     for word in assignments:
         name, equals, values = word.partition("=")
         try:
-            found[name.strip()] = [float(value) for value in values.split(",")]
+            numbers[name.strip()] = [float(value) for value in values.split(",")]
         except ValueError:
             equals = ""
         if not equals or not name.strip():
             raise InputError(
                 f"--{option} must be NAME=NUMBER, or several numbers with commas between, got {word!r:.60}"
             )
-    return found
+    return numbers
 
 
 def _pairs(numbers: dict[str, list[float]]) -> dict[str, tuple[float, float]]:
@@ -140,41 +140,41 @@ def _with_file_name(curve: Measurement, path: Path, files: int) -> Measurement:
     return curve if files == 1 else replace(curve, name=f"{path.stem}, {curve.name}")
 
 
-def _report(found: Fit, data: Sequence[Path]) -> dict[str, Any]:
-    material, errors = found.material, found.standard_errors
+def _report(fitted: Fit, data: Sequence[Path]) -> dict[str, Any]:
+    material, errors = fitted.material, fitted.standard_errors
     return {
         "title": f"{type(material).__name__} fitted to measured curves",
         "law": type(material).__name__,
-        "parameters": {name: {"value": v, "standard_error": errors[name]} for name, v in found.parameters.items()},
+        "parameters": {name: {"value": v, "standard_error": errors[name]} for name, v in fitted.parameters.items()},
         "material": asdict(material),
         "shear_modulus": material.shear_modulus,
-        "covariance": found.covariance.tolist(),
-        "condition": found.condition,
-        "curves": [asdict(curve) for curve in found.curves],
-        "starts": [asdict(start) for start in found.starts],
-        "remarks": found.remarks,
-        "stability": asdict(found.stability) | {"text": found.stability.text},
+        "covariance": fitted.covariance.tolist(),
+        "condition": fitted.condition,
+        "curves": [asdict(curve) for curve in fitted.curves],
+        "starts": [asdict(start) for start in fitted.starts],
+        "remarks": fitted.remarks,
+        "stability": asdict(fitted.stability) | {"text": fitted.stability.text},
         "data": [str(path) for path in data],
-        "sources": sorted({m.source for m in found.measurements if m.source}),
+        "sources": sorted({m.source for m in fitted.measurements if m.source}),
         "machine": machine(),
     }
 
 
-def _tables(found: Fit) -> list[Table | str]:
-    errors, material = found.standard_errors, found.material
+def _tables(fitted: Fit) -> list[Table | str]:
+    errors, material = fitted.standard_errors, fitted.material
     law = type(material)
-    units = {name: field_metadata(law, name).get("unit", "") for name in found.parameters}
+    units = {name: field_metadata(law, name).get("unit", "") for name in fitted.parameters}
     rows = {
         f"{name} [{units[name]}]" if units[name] else name: [f"{value:.5g}", f"{errors[name]:.2g}"]
-        for name, value in found.parameters.items()
+        for name, value in fitted.parameters.items()
     }
-    curves = {c.name: [str(c.points), f"{c.rms / 1e3:.3g}", f"{c.r_squared:.5f}"] for c in found.curves}
-    costs = ", ".join(f"{start.cost / found.starts[0].cost:.4g}" for start in found.starts)
+    curves = {c.name: [str(c.points), f"{c.rms / 1e3:.3g}", f"{c.r_squared:.5f}"] for c in fitted.curves}
+    costs = ", ".join(f"{start.cost / fitted.starts[0].cost:.4g}" for start in fitted.starts)
     return [
         quantities_table(law.__name__, ["value", "standard error"], rows, first="parameter"),
         quantities_table("Curves", ["points", "rms [kPa]", "R^2"], curves, first="curve"),
         f"Poisson's ratio {material.poisson:g}, shear modulus at rest {material.shear_modulus:.4g} Pa",
         f"cost of each start over the least: {costs}",
-        *(f"note: {remark}" for remark in found.remarks),
-        found.stability.text,
+        *(f"note: {remark}" for remark in fitted.remarks),
+        fitted.stability.text,
     ]

@@ -7,24 +7,24 @@ from typing import Any
 
 from palpate.app.common.console import print_json
 from palpate.tissue.catalogue import FIBRE_LAWS, LAWS, RELAXATION, CatalogueEntry, Law
-from palpate.tissue.volumetric import FORMS, QUADRATIC
+from palpate.tissue.volumetric import FORM_BY_NAME, QUADRATIC
 
 __all__ = ["laws"]
 
-HEAD = """\
+LAWS_TEXT = """\
 Strain energies W [J/m^3]. To each comes a volumetric part U(J), last in this list, with lame from the given poisson
 or bulk modulus. x = I1 - 3 - 2 ln J and q(a) = l1^a + l2^a + l3^a - 3 - a ln J, which are the printed I1 - 3 and
 l1^a + l2^a + l3^a - 3 where the volume stays. All laws also take density [kg/m^3], and poisson in [0, 0.499] or bulk
 [Pa]; for a membrane poisson=0.5. Formulas, sources and curves: docs/laws.md
 """
-FIBRES = """\
+FIBRES_TEXT = """\
 Fibres, Solid(form="energy", fibres=...): the energy of a family of unit vectors a, to be given as directions=...,
 by Cbar = J^(-2/3) C, E = (Cbar - I) / 2, I1bar = tr Cbar, I4bar = a . Cbar a.
 """
-RELAXES = """\
+RELAXATION_TEXT = """\
 Relaxation, prony=...: an energy that is added to that of any law and decays, mu its shear modulus at rest.
 """
-VOLUME = """\
+VOLUMETRIC_TEXT = """\
 Volumetric part, volumetric=...: U(J), the same bulk modulus at rest.
 """
 
@@ -38,27 +38,27 @@ def laws(as_json: bool) -> int:
                 "fibre_laws": [_entry(law) for law in FIBRE_LAWS],
                 "relaxation": _entry(RELAXATION),
                 "volumetric": [
-                    {"name": name, "energy": _volumetric(name), "default": name == QUADRATIC} for name in FORMS
+                    {"name": name, "energy": _volumetric(name), "default": name == QUADRATIC} for name in FORM_BY_NAME
                 ],
             }
         )
         return 0
-    for head, entries in ((HEAD, LAWS), (FIBRES, FIBRE_LAWS), (RELAXES, (RELAXATION,))):
+    for head, entries in ((LAWS_TEXT, LAWS), (FIBRES_TEXT, FIBRE_LAWS), (RELAXATION_TEXT, (RELAXATION,))):
         print(head)
         for entry in entries:
             print("\n".join(_lines(entry)), end="\n\n")
-    print(VOLUME)
-    for name in FORMS:
+    print(VOLUMETRIC_TEXT)
+    for name in FORM_BY_NAME:
         print(f"{name}\n  U = {_volumetric(name)}{'; by default' if name == QUADRATIC else ''}\n")
     return 0
 
 
 def _volumetric(name: str) -> str:
-    return f"lame {FORMS[name].formula}"
+    return f"lame {FORM_BY_NAME[name].formula}"
 
 
 def _entry(entry: CatalogueEntry) -> dict[str, Any]:
-    found = {
+    law_entry = {
         "name": entry.name,
         "energy": entry.formula,
         "parameters": [asdict(parameter) for parameter in entry.parameters],
@@ -67,8 +67,8 @@ def _entry(entry: CatalogueEntry) -> dict[str, Any]:
         "example": entry.example,
     }
     if isinstance(entry, Law):
-        found |= {"variables": entry.kind.variables, "shear_modulus": entry.shear_modulus}
-    return found
+        law_entry |= {"variables": entry.kind.variables, "shear_modulus": entry.shear_modulus}
+    return law_entry
 
 
 def _lines(entry: CatalogueEntry) -> list[str]:

@@ -12,7 +12,7 @@ from palpate.app.models.trained import trained_model
 from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import load
-from palpate.scenes.names import SCENES
+from palpate.scenes.names import PACKAGE_SCENES
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.training import is_opened
 
@@ -25,7 +25,7 @@ def open_model(what: str, console: Console) -> tuple[ReducedModel, str]:
     Parameters
     ----------
     what : str
-        A scene of `palpate.scenes.names.SCENES` or a scene file: its trained model
+        A scene of `palpate.scenes.names.PACKAGE_SCENES` or a scene file: its trained model
         (`palpate.app.models.trained`). Or a file of `palpate train`.
     console : Console
 
@@ -40,8 +40,8 @@ def open_model(what: str, console: Console) -> tuple[ReducedModel, str]:
     path = Path(what)
     if not path.suffix and not os.path.exists(path):  # False also for a name that is too long
         raise InputError(
-            f"what must be {', '.join(SCENES)}, a scene file, or a file of palpate train, got {what!r:.60}"
-            f"{suggestion(what, SCENES)}"
+            f"what must be {', '.join(PACKAGE_SCENES)}, a scene file, or a file of palpate train, got {what!r:.60}"
+            f"{suggestion(what, PACKAGE_SCENES)}"
         )
     model = load(path)
     if model.data.compliance is None and len(model.data.prescribed) != 1:
@@ -55,7 +55,7 @@ def open_model(what: str, console: Console) -> tuple[ReducedModel, str]:
 
 
 def _with_advice(model: ReducedModel, console: Console) -> ReducedModel:
-    """Return a model; print what to change if its held-out errors are too large to use it."""
+    """Return a model; print advice if its held-out errors are too large."""
     if "advice" in model.report:
         console.say(f"warning: {one_line(model.report['advice'])}")
     return model

@@ -1,4 +1,4 @@
-"""A full body to touch at once: a scene whose spacing this machine steps in real time."""
+"""A full body without training: a scene with a spacing for real time on this machine."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from palpate.tissue.materials import Material
 
 __all__ = ["TRAINED_NODES", "fitting_scene", "open_touched", "realtime_spacing", "spacing_for"]
 
-TRAINED_NODES = 5000  # of the body of a trained model, where nobody gives a spacing
+TRAINED_NODES = 5000  # of the body of a trained model without a given spacing
 
-FINER, MAX_FINER = 0.8, 4  # factor of a guessed spacing that is too coarse for the tissue; how often
+FINER_FACTOR, MAX_FINER_TRIALS = 0.8, 4  # factor of a guessed spacing that is too coarse for the tissue; how often
 NODES_PER_CELL = 1.45  # nodes over volume / spacing^3 in a filled organ
 STEP_PER_WAVE = 0.37  # stable step over the time of a pressure wave over a spacing
 STEP_OVER_FORCE = 1.6  # time of a step over that of its force evaluation
@@ -33,10 +33,10 @@ SAMPLE_SECONDS = 0.6  # of the measurement of this machine
 
 
 def open_touched(scene: OrganScene, console: Console) -> OrganScene:
-    """Return a scene with the full body that is touched at once; print what was guessed, repaired and noted.
+    """Return a scene with its full body; print guesses, repairs and notes.
 
-    Its spacing is the finest in real time on this machine, unless the scene has a larger one, or comes from a surface
-    alone and has one.
+    Its spacing is the finest in real time on this machine. A larger spacing of the scene stays, and so does any
+    spacing that a user gives for a surface without a scene file.
 
     Raises
     ------
@@ -66,16 +66,18 @@ def open_touched(scene: OrganScene, console: Console) -> OrganScene:
         f"{material.poisson:.3g}{_remedy(scene, '--law, --set')}"
     )
     supports = " and ".join(f"{each.place.title} ({each.kind})" for each in scene.description.support)
-    held = np.unique(np.concatenate([cloud.group(each.group) for each in body.supports] or [np.zeros(0, dtype=int)]))
+    supported = np.unique(
+        np.concatenate([cloud.group(each.group) for each in body.supports] or [np.zeros(0, dtype=int)])
+    )
     console.say(
-        f"support: {supports.replace(' (fixed)', '') or 'the side away from the first view'} ({len(held)} nodes)"
+        f"support: {supports.replace(' (fixed)', '') or 'the side away from the first view'} ({len(supported)} nodes)"
         + _remedy(scene, "--fixed")
     )
     return touched
 
 
 def _remedy(scene: OrganScene, options: str) -> str:
-    """Return where a choice is changed, for the end of a line."""
+    """Return the end of a line: the option or key that changes a choice."""
     return f"; another: {scene.name}" if is_scene_file(scene.name) else f"; another: {options}"
 
 
@@ -95,7 +97,7 @@ def _touched(scene: OrganScene, console: Console) -> OrganScene:
 
 
 def fitting_scene(scene: OrganScene, spacing: float, required: bool, console: Console) -> OrganScene:
-    """Return a scene with the body of a spacing [m], or of a finer one where the tissue is too thin for it.
+    """Return a scene with the body of a spacing [m], or of a finer one for thin tissue.
 
     Parameters
     ----------
@@ -114,15 +116,15 @@ def fitting_scene(scene: OrganScene, spacing: float, required: bool, console: Co
     surface = scene.surface
     assert surface is not None
     volume = abs(surface.volume)
-    for trial in range(MAX_FINER + 1):
+    for trial in range(MAX_FINER_TRIALS + 1):
         _check_count(volume, spacing)
         if spacing > surface.size:
             raise InputError(f"spacing must be at most the size of the surface, got {spacing:g} m; use a smaller one")
         try:
             return _prepared(scene.with_body(spacing=spacing), console)
         except CloudError:  # too thin for the spacing
-            finer = float(f"{FINER * spacing:.2g}")
-            if required or trial == MAX_FINER or _count(volume, finer) > MOST_NODES:
+            finer = float(f"{FINER_FACTOR * spacing:.2g}")
+            if required or trial == MAX_FINER_TRIALS or _count(volume, finer) > MOST_NODES:
                 raise
             spacing = finer
     raise AssertionError("the last trial returns or raises")
@@ -139,7 +141,7 @@ def _prepared(scene: OrganScene, console: Console) -> OrganScene:
 
 
 def _force_line(nodes: int, realtime: bool) -> str:
-    """Return what the spacing costs in the error of the force, and what half of it costs in nodes and time."""
+    """Return the error of the force at the spacing, and the nodes and the time at half of it."""
     median, largest = FORCE_ERRORS
     times = 2 * FINER_NODES  # twice the steps
     cost = f"some {1 / (BUSY_SHARE * times):.1g} of real time" if realtime else f"{times:.0f} times the time"

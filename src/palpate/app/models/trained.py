@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import Any
 
 from palpate.app.common.console import Console, count_nodes, percent
-from palpate.app.train.campaign import MODEL, Campaign
+from palpate.app.train.campaign import MODEL_FILE, Campaign
 from palpate.app.train.folder import manifest_of, open_campaign
 from palpate.app.train.scene_folder import name_in_folder, training_folder
 from palpate.faults import FileFormatError, InputError
 from palpate.files import check_folder
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import load
-from palpate.scenes.names import SCENES
-from palpate.scenes.open_scene import DESCRIPTION, open_scene, text_of_scene, training_scene_of
+from palpate.scenes.names import PACKAGE_SCENES
+from palpate.scenes.open_scene import DESCRIPTION_KEY, open_scene, text_of_scene, training_scene_of
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.training import is_opened
 
@@ -28,15 +28,15 @@ MAX_WORKERS = 4
 
 
 def model_file(scene: OrganScene) -> Path:
-    """Return the file of a scene's trained model, whether it exists or not."""
-    return training_folder(scene) / MODEL
+    """Return the path of a scene's trained model, which may be missing."""
+    return training_folder(scene) / MODEL_FILE
 
 
 def trained_model(scene: OrganScene, console: Console, workers: int | None = None) -> ReducedModel:
-    """Return the reduced model of a scene from its folder; train it where it is not there yet.
+    """Return the reduced model of a scene from its folder; train a missing one.
 
-    A model that is there stays, also one of another number of paths or modes, such as of ``palpate train --paths 32``;
-    unless `scene` was opened with a setting of them that differs. A campaign that was stopped is continued.
+    An existing model stays, also one of another number of paths or modes, such as of ``palpate train --paths 32``.
+    It is trained again if `scene` was opened with another setting of them. A stopped campaign is continued.
 
     Parameters
     ----------
@@ -53,9 +53,9 @@ def trained_model(scene: OrganScene, console: Console, workers: int | None = Non
         No training run was finished.
     """
     folder, training = training_folder(scene), scene.description.training
-    if (folder / MODEL).is_file():
+    if (folder / MODEL_FILE).is_file():
         try:
-            model = load(folder / MODEL)
+            model = load(folder / MODEL_FILE)
         except FileFormatError as error:
             console.say(f"{error}; training another")
         else:
@@ -64,18 +64,18 @@ def trained_model(scene: OrganScene, console: Console, workers: int | None = Non
                 return model
             if not others.keys() & {key.rpartition(".")[2] for key in scene.settings}:
                 sizes = " and ".join(f"{size} {name}, not {getattr(training, name)}" for name, size in others.items())
-                console.say(f"{folder / MODEL} has {sizes}; palpate train {scene.name} trains it again")
+                console.say(f"{folder / MODEL_FILE} has {sizes}; palpate train {scene.name} trains it again")
                 return model
     try:
-        check_folder(folder, "cache" if scene.name in SCENES else "folder")
+        check_folder(folder, "cache" if scene.name in PACKAGE_SCENES else "folder")
     except InputError as error:
         raise InputError(f"{error}, or train a model elsewhere: palpate train {scene.name} --out FOLDER") from error
     with console.status("preparing the full model (the first run on a machine compiles it: a minute or two)"):
         made = training_scene_of(scene, _parameters(scene))
     console.say(f"a reduced model is trained, once, and kept in {folder}")
     default = min(os.cpu_count() or 1, MAX_WORKERS)
-    with open_campaign(folder, manifest_of(name_in_folder(scene.name, folder), made, training.seed)) as own:
-        campaign = Campaign(own, made, console, training.modes, workers=workers or default)
+    with open_campaign(folder, manifest_of(name_in_folder(scene.name, folder), made, training.seed)) as campaign_folder:
+        campaign = Campaign(campaign_folder, made, console, training.modes, workers=workers or default)
         if training.tolerance:
             _, model, _ = campaign.train_to_tolerance(training.tolerance, training.paths, training.held_out)
         else:
@@ -94,24 +94,24 @@ def _other_sizes(scene: OrganScene, model: ReducedModel) -> dict[str, Any]:
 
 
 def _parameters(scene: OrganScene) -> dict[str, Any]:
-    """Return the parameters by which a worker opens the scene: its settings, or its description where they differ."""
+    """Return the parameters with which a worker opens the scene: its settings, or its own description."""
     if is_opened(scene.name) and open_scene(scene.name, scene.settings).digest == scene.digest:
         return scene.settings
-    return {DESCRIPTION: text_of_scene(scene)}
+    return {DESCRIPTION_KEY: text_of_scene(scene)}
 
 
 def held_out_means(model: ReducedModel) -> dict[str, float]:
-    """Return a model's mean relative errors on held-out runs by what errs, empty where there were no such runs."""
-    found = model.report.get("held_out")
-    if not found:
+    """Return a model's mean relative errors on held-out runs by quantity; empty without such runs."""
+    errors = model.report.get("held_out")
+    if not errors:
         return {}
-    if "contact" in found:
-        mean = found["contact"]["mean"]
+    if "contact" in errors:
+        mean = errors["contact"]["mean"]
         return {"force": mean["force"], "surface": mean["surface_95"]}
-    return {"force": found["mean"]["reaction"], "displacement": found["mean"]["displacement"]}
+    return {"force": errors["mean"]["reaction"], "displacement": errors["mean"]["displacement"]}
 
 
 def _errors(model: ReducedModel) -> str:
-    """Return the mean errors on held-out runs in words, empty where there are none."""
+    """Return the mean errors on held-out runs as text; empty without such runs."""
     errors = [f"{name} errs by {percent(error)}" for name, error in held_out_means(model).items()]
     return f"; on paths not trained on {', '.join(errors)}" if errors else ""

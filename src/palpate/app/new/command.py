@@ -16,7 +16,7 @@ from palpate.app.models.touch import TRAINED_NODES, fitting_scene, spacing_for
 from palpate.app.new.text import scene_text
 from palpate.faults import InputError
 from palpate.files import check_folder, whole_file, write_json
-from palpate.meshfree.surface_files import UNITS
+from palpate.meshfree.surface_files import METRES_BY_UNIT
 from palpate.scenes.names import is_scene_file
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.organ_scene import OrganScene
@@ -25,7 +25,7 @@ from palpate.scenes.surface_scene import is_surface_file, surface_scene
 
 __all__ = ["new"]
 
-SCHEMA = "scene.schema.json"
+SCHEMA_FILE = "scene.schema.json"
 
 
 def new(
@@ -80,7 +80,7 @@ def new(
     write_json(_schema(out), scene_schema())
     with whole_file(out) as partial:
         partial.write_text(text, encoding="utf-8")
-    open_scene(out)  # what was written can be read
+    open_scene(out)  # the written file can be read
     for note in notes:
         console.say(note)
     console.say(f"{out}: {count_nodes(len(scene.cloud))}, {guesses['reach']}")
@@ -96,13 +96,13 @@ def _fitted(scene: OrganScene, spacing: float | None, console: Console) -> tuple
         surface = scene.repaired_surface
     assert surface is not None
     volume, about = abs(surface.volume), scene.description
-    wanted = spacing_for(TRAINED_NODES, volume) if spacing is None else spacing
-    fitted = fitting_scene(scene, wanted, spacing is not None, console)
+    target_spacing = spacing_for(TRAINED_NODES, volume) if spacing is None else spacing
+    fitted = fitting_scene(scene, target_spacing, spacing is not None, console)
     with console.status("finding where a tool reaches"):
         paths = fitted.tool_paths()
-    unit = min(UNITS, key=lambda name: abs(np.log(UNITS[name] * about.surface.scale / surface.unit)))
+    unit = min(METRES_BY_UNIT, key=lambda name: abs(np.log(METRES_BY_UNIT[name] * about.surface.scale / surface.unit)))
     area = paths.surface.areas
-    reach, held = area[paths.reachable].sum() / area.sum(), area[paths.surface.held].sum() / area.sum()
+    reach, held_share = area[paths.reachable].sum() / area.sum(), area[paths.surface.held].sum() / area.sum()
     description = replace(
         fitted.description,
         title=fitted.title,
@@ -116,7 +116,7 @@ def _fitted(scene: OrganScene, spacing: float | None, console: Console) -> tuple
         "size": " x ".join(f"{1e3 * x:.0f}" for x in np.ptp(surface.vertices, axis=0)) + " mm",
         "nodes": len(fitted.cloud),
         "support": "given" if about.support else "guessed: the side away from the first view of the page",
-        "reach": f"a ball of {1e3 * paths.radius:.3g} mm reaches {reach:.0%} of the surface, {held:.0%} is held",
+        "reach": f"a ball of {1e3 * paths.radius:.3g} mm reaches {reach:.0%} of the surface, {held_share:.0%} is held",
     }
     made = OrganScene(description, fitted.folder, fitted.name)
     vars(made).update({name: vars(fitted)[name] for name in ("surface", "cloud", "body") if name in vars(fitted)})
@@ -130,7 +130,7 @@ def _round(length: float) -> float:
 
 
 def _placed(scene: OrganScene, out: Path) -> OrganScene:
-    """Return the scene with files relative to the folder of its scene file, where that is possible."""
+    """Return the scene with files relative to the folder of its scene file, if possible."""
 
     def relative(file: str) -> str:
         try:
@@ -152,5 +152,5 @@ def _placed(scene: OrganScene, out: Path) -> OrganScene:
 
 
 def _schema(out: Path) -> Path:
-    """Return the file of the schema, next to what is kept for the scene."""
-    return out.with_name(f"{out.stem}.palpate") / SCHEMA
+    """Return the path of the schema, in the folder of the scene's results."""
+    return out.with_name(f"{out.stem}.palpate") / SCHEMA_FILE

@@ -1,4 +1,4 @@
-"""Text of a new scene file: the values in use, and comments about guesses and about what else is possible."""
+"""Text of a new scene file: the values in use, and comments about guesses and alternatives."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def scene_text(scene: OrganScene, guesses: Mapping[str, Any], notes: Sequence[st
     guesses : mapping
         ``"units"``, ``"size"``, ``"nodes"``, ``"support"`` and ``"reach"`` in words.
     notes : sequence of str
-        What was noted about the surface.
+        Notes about the surface.
     schema : path
         File of the schema.
     """

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from palpate.app.common.vtkhdf import write_vtkhdf
 from palpate.app.recordings.recording_journal import read_journal
-from palpate.app.recordings.snapshot import STATES, TOOL_KINDS, Snapshot
+from palpate.app.recordings.snapshot import ENGINE_STATES, TOOL_KINDS, Snapshot
 from palpate.app.recordings.snapshot_arrays import (
     FORMAT,
     MAX_TITLE_LENGTH,
@@ -44,7 +44,7 @@ __all__ = [
 ]  # fmt: skip
 
 
-REMEDY = "record the session again"
+RECORDING_REMEDY = "record the session again"
 MAX_VALUE_OF = {"steps": 2.0**53, "sequence": 2.0**53, "stiffness": 1e30}  # exceptions
 ERROR_NAMES = ("displacement", "largest", "force", "peak", "wall_seconds", "seconds")  # of the replay on the full model
 TOOL_FIELDS = {"kind", "radius", "length", "friction", "stiffness", "start"}
@@ -145,7 +145,7 @@ def _write_surface(path: Path, recording: Recording) -> None:
 
 
 def load_recording(path: Path) -> Recording:
-    """Load a recording, or the whole snapshots of one that was interrupted.
+    """Load a recording, or the complete snapshots of an interrupted one.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def load_recording(path: Path) -> Recording:
     FileFormatError
         The file is not a recording, is damaged, or has values that no session writes.
     """
-    with loading(path, REMEDY):
+    with loading(path, RECORDING_REMEDY):
         regular_file(path, "recording")
         if is_journal(path):
             return read_recording(read_journal(path))
@@ -182,11 +182,13 @@ def read_recording(file: ArrayFile) -> Recording:
         raise InputError(f"arrays must be {', '.join(sorted(shapes))}, got {', '.join(sorted(arrays))}")
     sizes: dict[str, int] = {}
     for name, (kind, shape) in shapes.items():
-        wanted = tuple(sizes.setdefault(each, found) if isinstance(each, str) else each
-                       for each, found in zip(shape, arrays[name].shape, strict=False))  # fmt: skip
-        if arrays[name].ndim != len(shape) or arrays[name].shape != wanted or arrays[name].dtype != kind:
-            found = f"{arrays[name].shape} of type {arrays[name].dtype.str}"
-            raise InputError(f"array {name} must have shape {shape} and type {kind}, got {found}")
+        expected_shape = tuple(
+            sizes.setdefault(each, length) if isinstance(each, str) else each
+            for each, length in zip(shape, arrays[name].shape, strict=False)
+        )
+        if arrays[name].ndim != len(shape) or arrays[name].shape != expected_shape or arrays[name].dtype != kind:
+            got = f"{arrays[name].shape} of type {arrays[name].dtype.str}"
+            raise InputError(f"array {name} must have shape {shape} and type {kind}, got {got}")
         most = MAX_VALUE_OF.get(name, MAX_VALUE)
         if not (np.abs(arrays[name]) <= most).all():
             raise InputError(f"array {name} must be finite and within {most:g}, got other numbers")
@@ -234,7 +236,7 @@ def _check_values(arrays: dict[str, Any], contact_count: int) -> None:
     _require(not np.any(arrays["modulus_ratio"] <= 0), "modulus_ratio", "positive", "other numbers")
     length = np.linalg.norm(arrays["quaternion"], axis=1)
     _require(not np.any(np.abs(length - 1) > 1e-3), "quaternion", "of length 1", "other lengths")
-    for name, names in (("tool", TOOL_KINDS), ("state", STATES)):
+    for name, names in (("tool", TOOL_KINDS), ("state", ENGINE_STATES)):
         _require(arrays[name].max() < len(names), name, f"below {len(names)}", str(arrays[name].max()))
     partition = start[0] == 0 and start[-1] == len(nodes) and not np.any(np.diff(start) < 0)
     _require(partition, "contact/start", "a partition of contact/nodes", "other indices")
@@ -246,9 +248,9 @@ def _check_values(arrays: dict[str, Any], contact_count: int) -> None:
         _require(not np.any(np.diff(times) < 0), "full/times", "increasing", "decreasing times")
 
 
-def _require(condition: Any, name: str, requirement: str, found: str) -> None:
+def _require(condition: Any, name: str, requirement: str, got: str) -> None:
     if not condition:
-        raise InputError(f"{name} must be {requirement}, got {found}")
+        raise InputError(f"{name} must be {requirement}, got {got}")
 
 
 def validate_tools(tools: Any, count: int) -> list[dict[str, Any]]:
@@ -281,7 +283,7 @@ def _snapshot(numbers: dict[str, Any], k: int, nodes: NDArray[np.int64], forces:
         if values[name].ndim == 0:
             values[name] = int(values[name]) if name in ("steps", "sequence") else float(values[name])
     values |= {"contact_nodes": nodes, "contact_forces": forces, "tool": TOOL_KINDS[numbers["tool"][k]]}
-    return Snapshot(**values, state=STATES[numbers["state"][k]])
+    return Snapshot(**values, state=ENGINE_STATES[numbers["state"][k]])
 
 
 def _full(arrays: dict[str, Any], errors: Any) -> dict[str, Any]:

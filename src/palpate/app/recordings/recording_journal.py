@@ -1,4 +1,4 @@
-"""Journals of recordings: what a session has recorded is on the disk while it goes on.
+"""Journals of recordings: a session stores its snapshots on the disk as it runs.
 
 The first record of the journal (`palpate.dynamics.run.journal`) has the model, each other one the
 snapshots since the last, in the arrays of the finished file. So a recording survives the end of its
@@ -102,10 +102,10 @@ def read_journal(path: Path) -> JournalFile:
     InputError
         It is not the journal of a recording, is damaged, or has no snapshots.
     """
-    found = [record for _, _, record in records(path)]
-    if not found or not _is_header(found[0][0]):
+    records_read = [record for _, _, record in records(path)]
+    if not records_read or not _is_header(records_read[0][0]):
         raise InputError(f"this is not the journal of a {FORMAT} of version {VERSION}")
-    (about, arrays), batches = found[0], found[1:]
+    (about, arrays), batches = records_read[0], records_read[1:]
     if not batches:
         raise InputError("the recording ended before its first snapshot")
     tools = [tool for header, _ in batches for tool in header["tools"]]

@@ -16,11 +16,19 @@ if TYPE_CHECKING:
     from palpate.reduction.hyper.model import ReducedModel
     from palpate.reduction.realtime.display_surface import DisplaySurface
 
-__all__ = ["STATES", "TOOL_KINDS", "UNITS", "OverlayState", "Snapshot", "scalar_descriptions", "training_errors"]
+__all__ = [
+    "ENGINE_STATES",
+    "FIELD_UNITS",
+    "TOOL_KINDS",
+    "OverlayState",
+    "Snapshot",
+    "scalar_descriptions",
+    "training_errors",
+]
 
 
-STATES = ("stopped", "running", "paused", "diverged")
-UNITS = {
+ENGINE_STATES = ("stopped", "running", "paused", "diverged")
+FIELD_UNITS = {
     "displacement": ("mm", 1e3),
     "stress": ("kPa", 1e-3),
     "pressure": ("kPa", 1e-3),
@@ -83,14 +91,14 @@ def scalar_descriptions(surface: DisplaySurface) -> list[dict[str, Any]]:
     """
     local = not surface.local_indentation
     return [
-        {"name": name, "unit": UNITS[name][0], "factor": UNITS[name][1], "signed": name == "pressure",
+        {"name": name, "unit": FIELD_UNITS[name][0], "factor": FIELD_UNITS[name][1], "signed": name == "pressure",
          "note": MODES_ONLY if local and name != "displacement" else None}
         for name in surface.scalars
     ]  # fmt: skip
 
 
 def training_errors(model: ReducedModel | EnergySolid) -> dict[str, Any] | None:
-    """Return a model's mean errors on held-out runs, and what to change if they are large; None without such runs."""
+    """Return a model's mean errors on held-out runs, and advice if they are large; None without such runs."""
     from palpate.reduction.hyper.model import ReducedModel
 
     if not isinstance(model, ReducedModel):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.app.recordings.snapshot import STATES, TOOL_KINDS, Snapshot
+from palpate.app.recordings.snapshot import ENGINE_STATES, TOOL_KINDS, Snapshot
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
@@ -55,7 +55,7 @@ def snapshot_arrays(snapshots: Sequence[Snapshot], model: ReducedModel | EnergyS
     arrays["trust"] = np.minimum(arrays["trust"], MAX_VALUE)  # unbounded for a body trained at rest
     arrays |= {
         "tool": np.array([TOOL_KINDS.index(each.tool) for each in snapshots], dtype="u1"),
-        "state": np.array([STATES.index(each.state) for each in snapshots], dtype="u1"),
+        "state": np.array([ENGINE_STATES.index(each.state) for each in snapshots], dtype="u1"),
         "contact/start": np.cumsum([0, *(len(each.contact_nodes) for each in snapshots)], dtype="<i8"),
         "contact/nodes": np.concatenate([each.contact_nodes for each in snapshots]).astype("<i8"),
         "contact/forces": np.concatenate([each.contact_forces for each in snapshots]).astype("<f8").reshape(-1, 3),

@@ -1,4 +1,4 @@
-"""Tool paths of recordings: what a tool did from one release or lift to the next, as loads of a full model."""
+"""Tool paths of recordings, from one release or lift of a tool to the next, as loads of a full model."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["MIN_SNAPSHOTS", "TOOL_NAME", "ToolPath", "make_load", "tool_paths"]
 
 MIN_SNAPSHOTS = 3
 MAX_PATH = 10.0  # [s] of a path; the rest is left out
-APPROACH = 0.1  # [s] from rest to the first pose of a held group
+APPROACH_SECONDS = 0.1  # [s] from rest to the first pose of a held group
 TOOL_NAME = "tool"
 
 
@@ -55,8 +55,8 @@ def tool_paths(recording: Recording) -> list[ToolPath]:
     acts = (kinds != "none") & (touching | np.isin(kinds, ("grasp", "group")))
     breaks = (np.diff(of_tool) > 0) | (np.diff(times) < 0) | (acts[1:] != acts[:-1]) | (kinds[1:] != kinds[:-1])
     parts = np.split(np.arange(len(kinds)), np.flatnonzero(breaks) + 1)
-    found = [_path(recording, recording.tools[of_tool[part[0]]], part) for part in parts if acts[part[0]]]
-    return [path for path in found if path is not None]
+    paths = [_path(recording, recording.tools[of_tool[part[0]]], part) for part in parts if acts[part[0]]]
+    return [path for path in paths if path is not None]
 
 
 def _touches(snapshot: Snapshot) -> bool:
@@ -71,7 +71,7 @@ def _path(recording: Recording, tool: dict[str, Any], part: NDArray[np.intp]) ->
     snapshots, times = [recording.snapshots[k] for k in part[kept]], times[kept]
     if len(snapshots) < MIN_SNAPSHOTS or snapshots[0].tool != tool["kind"]:
         return None
-    approach = APPROACH if tool["kind"] == "group" else 0.0
+    approach = APPROACH_SECONDS if tool["kind"] == "group" else 0.0
     load = make_load(recording, tool, snapshots, times, approach)
     return ToolPath(load, float(times[-1]) + approach, max(snapshot.trust for snapshot in snapshots))
 

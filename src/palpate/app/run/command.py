@@ -35,9 +35,9 @@ __all__ = ["FILES", "run"]
 
 FILES = (*REPORTS, "full.h5", "reduced.h5")
 PRESS_SEED = 500_000  # of the path of a scene without loads: the first held-out one
-SNAPSHOTS = round(DURATION / EVERY)
+RUN_SNAPSHOTS = round(DURATION / EVERY)
 REALTIME_OPTIONS = ("seconds", "rate", "model", "full")
-PAPER = "beam"  # a single run is that of the paper, in its strong form
+PAPER_SCENE = "beam"  # a single run is that of the paper, in its strong form
 PAPER_UNITS = {"spacing": "m", "load": "N", "poisson": ""}  # its settings
 
 
@@ -120,10 +120,10 @@ def run_once(
         A file could not be written.
     """
     if modes is not None:
-        integer_in_range("modes", modes, 1, SNAPSHOTS)
+        integer_in_range("modes", modes, 1, RUN_SNAPSHOTS)
     words = {"spacing": spacing, "load": load, "poisson": poisson}
     settings = {name: value for name, value in words.items() if value is not None} | parse_settings(given)
-    if load is not None and scene != PAPER:
+    if load is not None and scene != PAPER_SCENE:
         raise InputError(f"load must be left out of {scene}, got {load:g}; change the loads in its file")
     console = Console()
     doubles = 6 if modes is None else 12
@@ -145,7 +145,7 @@ def run_once(
 
 def _scene(name: str, settings: dict[str, Any], energy: bool) -> Scene:
     """Return a scene for a single run, its model in the energy form if asked."""
-    if name == PAPER:
+    if name == PAPER_SCENE:
         scene = beam(**{key: _paper_value(key, value) for key, value in settings.items()})
         body = scene.model
         return replace(scene, model=Solid(body.cloud, body.material, body.supports, form="energy")) if energy else scene
@@ -184,7 +184,7 @@ def _report(scene: Scene, runs: dict[str, Trajectory], model: ReducedModel | Non
 
 
 def _run(scene: Scene, model: Model, console: Console, file: Path | None = None) -> Trajectory:
-    """Run a model; stream its frames to a file, if there is one, for what takes long."""
+    """Run a model; write the frames of a long run to a file, if there is one."""
     prepared = model.prepare(scene.loads)
     kept = f"; the frames until then are kept in {file}" if file else ""
     try:

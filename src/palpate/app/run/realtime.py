@@ -1,4 +1,4 @@
-"""``palpate run ... --realtime``: step a model at a fixed rate while a tool moves, and report how the rate was kept."""
+"""``palpate run ... --realtime``: step a model at a fixed rate under a moving tool, and report missed deadlines."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def run_realtime(
     out: Path,
     as_json: bool = False,
 ) -> int:
-    """Step a model at a fixed rate for some seconds while its tool moves, and report how the rate was kept.
+    """Step a model at a fixed rate for some seconds under a moving tool, and report missed deadlines.
 
     Parameters
     ----------
@@ -144,22 +144,22 @@ def _observations(black_box: Path, body: Any) -> dict[str, Any]:
     with h5py.File(black_box) as file:
         force, trust = np.linalg.norm(file["force"][:], axis=1), file["trust"][:]
         moved, taken = np.linalg.norm(file["position"][:], axis=1), file["iterations"][:]
-    found: dict[str, Any] = {
+    observations: dict[str, Any] = {
         "largest_force": float(force.max()),
         "largest_displacement": float(moved.max()),
         "mean_steps_per_period": float(taken.mean()),
     }
     if not isinstance(body, ReducedModel):
-        return found
+        return observations
     tables = body.report.get("held_out", {}).get("expected_error", {})
-    return found | {
+    return observations | {
         "largest_trust": float(trust.max()),
         "median_trust": float(np.median(trust)),
         "untrained_share": float(np.mean(trust > 1)),
         "expected_error": {
-            of: body.expected_error(float(trust.max()), of)._asdict()
-            for of in ("displacement", "force")
-            if of in tables
+            quantity: body.expected_error(float(trust.max()), quantity)._asdict()
+            for quantity in ("displacement", "force")
+            if quantity in tables
         },
     }
 
@@ -180,13 +180,13 @@ def _timing(statistics: Statistics) -> dict[str, Any]:
 
 def _distribution(times: Distribution) -> dict[str, Any]:
     filled = np.flatnonzero(times.counts)
-    own = slice(filled[0], filled[-1] + 1) if filled.size else slice(0)
+    filled_bins = slice(filled[0], filled[-1] + 1) if filled.size else slice(0)
     return {
         "percentiles": {f"{percent:g}": seconds for percent, seconds in times.percentiles.items()},
         "maximum": times.maximum,
         "histogram": {
-            "edges": times.edges[own.start or 0 : own.stop + 1].tolist(),
-            "counts": times.counts[own].tolist(),
+            "edges": times.edges[filled_bins.start or 0 : filled_bins.stop + 1].tolist(),
+            "counts": times.counts[filled_bins].tolist(),
         },
     }
 
@@ -223,14 +223,14 @@ def _indicators(tool: dict[str, Any]) -> dict[str, str]:
         ),
         "share of periods above 1": percent(tool["untrained_share"]),
         **{
-            f"error of the {of} expected at the largest, median; bound": _error_text(tool["expected_error"].get(of))
-            for of in ("displacement", "force")
+            f"error of the {what} expected at the largest, median; bound": _error_text(tool["expected_error"].get(what))
+            for what in ("displacement", "force")
         },
     }
 
 
 def _error_text(error: dict[str, float | None] | None) -> str:
-    """Write a median, and a bound with its level; neither exists where the model was not tried on such states."""
+    """Write a median, and a bound with its level; states beyond the held-out runs have neither."""
     if error is None:
         return "not measured"
     if error["median"] is None or error["bound"] is None:
@@ -258,7 +258,7 @@ def _histogram(statistics: Statistics) -> dict[str, list[str]]:
 
 
 def _verdict(report: dict[str, Any]) -> list[str]:
-    """Return sentences about the computation, the scheduler, and whether the rate was kept."""
+    """Return sentences about the computation, the scheduler and the deadlines."""
     timing = report["timing"]
     period, computing, late = timing["period"], timing["computing"], timing["lateness"]
     over, lost = timing["missed_by_computing"], timing["missed"] - timing["missed_by_computing"]

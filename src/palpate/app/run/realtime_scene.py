@@ -1,4 +1,4 @@
-"""``palpate run SCENE --realtime``: step the body of a scene while its tool presses or moves it again and again."""
+"""``palpate run SCENE --realtime``: step the body of a scene under repeated presses or moves of its tool."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ from palpate.scenes.scene_paths import MIN_RADIUS, touching_paths
 
 __all__ = ["pressing_ball", "run_scene_realtime"]
 
-SEED, PRESS_SECONDS, SWING_SECONDS = 1_500_000, 2.0, 3.0  # of a path that was not trained on; its duration [s]
-DEEPEST, SHALLOWEST = 0.015, 2 / 3  # [m] depth of the press at most; least depth over that
+UNTRAINED_SEED = 1_500_000  # of a path that was not trained on
+PRESS_SECONDS, SWING_SECONDS = 2.0, 3.0  # [s] duration of such a path
+MAX_PRESS_DEPTH, MIN_DEPTH_SHARE = 0.015, 2 / 3  # [m] depth of the press at most; least depth over that
 
 
 def run_scene_realtime(
@@ -34,7 +35,7 @@ def run_scene_realtime(
     full: bool = False,
     **options: Any,
 ) -> int:
-    """Step a scene's body in real time for some seconds while its tool moves, and report how the rate was kept.
+    """Step a scene's body in real time for some seconds under its moving tool, and report missed deadlines.
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ def run_scene_realtime(
         else:
             body = trained_model(opened, console) if model is None else load(model)  # type: ignore[assignment]
         if opened.held_group:
-            return body, opened.held_motion(SEED, SWING_SECONDS), None
+            return body, opened.held_motion(UNTRAINED_SEED, SWING_SECONDS), None
         return body, *pressing_ball(opened, body, model)
 
     title = f"{'Full ' + opened.title.lower() if full else opened.title} in real time"
@@ -83,7 +84,7 @@ def run_scene_realtime(
 
 
 def pressing_ball(scene: OrganScene, body: Any, file: Path | None = None) -> tuple[Poses, Contact]:
-    """Return the poses of a ball that presses a body again and again, and the ball itself where it begins."""
+    """Return the poses of a ball that presses a body repeatedly, and the ball at its first pose."""
     if isinstance(body, ReducedModel) and body.data.compliance is None:
         raise InputError(
             f"model must be one that was trained on a body that a ball touches, got {str(file)!r}; train one with "
@@ -92,8 +93,8 @@ def pressing_ball(scene: OrganScene, body: Any, file: Path | None = None) -> tup
     tool = scene.description.tool
     if tool.radius is not None:  # of a coarser body than the scene's
         tool = replace(tool, radius=max(tool.radius, MIN_RADIUS * body.cloud.spacing))
-    paths = touching_paths(tool, scene.description.training, body, (), DEEPEST, SHALLOWEST)
-    (ball,), duration = paths.press(SEED)
+    paths = touching_paths(tool, scene.description.training, body, (), MAX_PRESS_DEPTH, MIN_DEPTH_SHARE)
+    (ball,), duration = paths.press(UNTRAINED_SEED)
     home = ball.poses(np.zeros(1))[0, :3]
 
     def poses(time: float) -> Any:

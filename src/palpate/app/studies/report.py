@@ -36,8 +36,8 @@ def preamble(study: Study) -> dict[str, Any]:
 
 def finished_runs(study: Study, phase: str, series: str = PROJECTED) -> list[dict[str, Any]]:
     """Return the entries of the reduced runs of a series that finished a phase, each with its number of modes."""
-    own = [entry for entry in study.reduced if entry["series"] == series]
-    entries = [{"modes": entry["modes"]} | entry["phases"][phase] for entry in own]
+    series_entries = [entry for entry in study.reduced if entry["series"] == series]
+    entries = [{"modes": entry["modes"]} | entry["phases"][phase] for entry in series_entries]
     return [entry for entry in entries if not entry["failed"]]
 
 

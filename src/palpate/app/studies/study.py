@@ -89,8 +89,10 @@ class Study:
     series : mapping of str to functions
         Kinds of reduced models by name: of a full model, its run over a phase and a number of modes, each returns the
         reduced model.
-    peers : dict of str to Trajectory
-        Other runs of the whole scene that the reduced ones are compared with, too.
+    title : str
+        Name of the full model in messages.
+    file : str
+        Name of the full run's file.
     parts : list of Trajectory
         Runs of the full model, one for every phase.
     full : Trajectory
@@ -105,7 +107,8 @@ class Study:
     scene: Scene
     phases: Sequence[Phase]
     series: Mapping[str, Train]
-    peers: dict[str, Trajectory] = field(default_factory=dict)
+    title: str = "full model"
+    file: str = "full.h5"
     parts: list[Trajectory] = field(default_factory=list)
     reduced: list[dict[str, Any]] = field(default_factory=list)
     shown: dict[str, Shown] = field(default_factory=dict)
@@ -113,7 +116,7 @@ class Study:
 
 
 def run_full(study: Study, out: Path, files: Sequence[str], console: Console) -> None:
-    """Run the full model into ``full.h5``, streaming its frames into a file next to it until they are complete.
+    """Run the full model into its file, streaming its frames into a file next to it until they are complete.
 
     Parameters
     ----------
@@ -121,7 +124,7 @@ def run_full(study: Study, out: Path, files: Sequence[str], console: Console) ->
     out : path
         Folder.
     files : sequence of str
-        What an earlier study may have left there; removed once the run is complete.
+        Names of files of an earlier study; removed once the run is complete.
     console : Console
 
     Raises
@@ -133,7 +136,7 @@ def run_full(study: Study, out: Path, files: Sequence[str], console: Console) ->
     begun: list[Path] = []
     try:
         rollout(scene.model, scene.loads, duration=step, every=step, progress=False)  # compiles the rest
-        console.say(f"full model: {scene.duration:g} s, {round(scene.duration / scene.every)} snapshots ...")
+        console.say(f"{study.title}: {scene.duration:g} s, {round(scene.duration / scene.every)} snapshots ...")
         for phase in study.phases:
             (out / _partial_name(phase)).unlink(missing_ok=True)  # of an earlier run that was stopped
         for phase in study.phases:
@@ -142,14 +145,14 @@ def run_full(study: Study, out: Path, files: Sequence[str], console: Console) ->
             begin |= _last(study.parts[-1] if study.parts else None)
             study.parts.append(rollout(scene.model, scene.loads, duration=phase.duration, every=scene.every, **begin))
     except DivergenceError as error:
-        raise RunError(f"the full model diverged: {error}; {_kept_frames(begun)}") from error
+        raise RunError(f"the {study.title} diverged: {error}; {_kept_frames(begun)}") from error
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"in the full run; {_kept_frames(begun)}" if begun else "") from None
+        raise KeyboardInterrupt(f"in the run of the {study.title}; {_kept_frames(begun)}" if begun else "") from None
     study.full = _join(study.parts)
     for name in files:  # of an earlier study: all files of a folder belong together
         (out / name).unlink(missing_ok=True)
-    _keep(study, begun, out / "full.h5")
-    console.say(f"full model: {study.full.wall_seconds:.2f} s, {int(study.full.steps[-1])} steps")
+    _keep(study, begun, out / study.file)
+    console.say(f"{study.title}: {study.full.wall_seconds:.2f} s, {int(study.full.steps[-1])} steps")
 
 
 def _partial_name(phase: Phase) -> str:
@@ -191,7 +194,9 @@ def run_reduced(study: Study, sizes: Sequence[int], console: Console) -> None:
                 if shown is None or abs(size - SHOWN_MODES) < abs(shown.modes - SHOWN_MODES):
                     study.shown[name] = Shown(size, runs)
     except KeyboardInterrupt:
-        raise KeyboardInterrupt("in the reduced runs; the full model's frames are kept in full.h5") from None
+        raise KeyboardInterrupt(
+            f"in the reduced runs; the frames of the {study.title} are kept in {study.file}"
+        ) from None
 
 
 def _run_size(study: Study, name: str, size: int, console: Console) -> list[Trajectory]:
@@ -216,11 +221,7 @@ def _run_size(study: Study, name: str, size: int, console: Console) -> list[Traj
             f"displacement error {measured['errors']['displacement']:.3%}"
         )
     if not entry["failed"]:
-        whole = _join(runs)
-        entry["joined"] = comparison(study.full, whole)
-        entry["joined"]["errors_against"] = {
-            peer: relative_errors(run, whole).as_dict() for peer, run in study.peers.items()
-        }
+        entry["joined"] = comparison(study.full, _join(runs))
     study.reduced.append(entry)
     return runs
 
@@ -235,11 +236,10 @@ def _run_phase(
         model = study.series[name](scene.model, full, size)
         training = perf_counter() - start
         step = scene.model.stability.step
-        # compiles, and warms the caches
-        own = phase.step if name == PROJECTED else None
+        fixed_step = phase.step if name == PROJECTED else None
         with warnings.catch_warnings(action="ignore", category=TrustWarning):  # the report has the number
-            rollout(model, scene.loads, duration=step, every=step, progress=False, **begin)
-            run = rollout(model, scene.loads, duration=phase.duration, every=scene.every, step=own, **begin)
+            rollout(model, scene.loads, duration=step, every=step, progress=False, **begin)  # compiles
+            run = rollout(model, scene.loads, duration=phase.duration, every=scene.every, step=fixed_step, **begin)
     except (DivergenceError, InputError) as error:
         return {"failed": True, "reason": " ".join(str(error).split())}, None
     measured = {

@@ -16,7 +16,7 @@ __all__ = ["Bar"]
 
 
 class Bar:
-    """A bar of the simulated time of all runs together where a person watches; a line for every run elsewhere.
+    """Progress of all runs: a bar of simulated time on a terminal, a line for every run elsewhere.
 
     Parameters
     ----------
@@ -27,12 +27,10 @@ class Bar:
     def __init__(self, durations: Mapping[Job, float], console: Console) -> None:
         self._durations, self._console = dict(durations), console
         self._reached, self._ended = dict.fromkeys(durations, 0.0), 0
-        console_shown = make_console(stderr=True)
-        self._watched = console_shown.is_terminal
+        screen = make_console(stderr=True)
+        self._watched = screen.is_terminal
         columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.2f} / {task.total:.4g} s")
-        self._bar = Progress(
-            *columns, TimeRemainingColumn(), console=console_shown, transient=True, disable=not self._watched
-        )
+        self._bar = Progress(*columns, TimeRemainingColumn(), console=screen, transient=True, disable=not self._watched)
         self._task = self._bar.add_task("", total=sum(durations.values()))
 
     def __enter__(self) -> Self:

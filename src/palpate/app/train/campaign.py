@@ -1,4 +1,4 @@
-"""A campaign: make the missing runs, train a model on all of them, and again on further ones up to a tolerance."""
+"""A campaign: make missing runs, train a model on all, and add runs until a tolerance is reached."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ from palpate.reduction.storage.models import save
 from palpate.reduction.training.reduce import energy_form, hyper_reduce
 from palpate.scenes.scene import TrainingScene
 
-__all__ = ["MODEL", "Campaign", "Round"]
+__all__ = ["MODEL_FILE", "Campaign", "Round"]
 
-MODEL = "model.rom"
+MODEL_FILE = "model.rom"
 # Where tools touch the body anywhere. Every fourth path of a liver is a grasp, and trust numbers compare runs.
 # With 3 to 6 modes the 95th percentile of the force errs by 12 to 14 %, with 8 by 10 %, with 24 by 9 % (liver of
 # 12 mm).
 MIN_PATHS, MIN_MODES = 4, 8
-REPEATED = 32  # training runs in which tools touch or hold the body, by which their forces are measured
+MAX_REPEATED = 32  # training runs in which tools touch or hold the body, by which their forces are measured
 
 
 class Round(NamedTuple):
@@ -58,7 +58,7 @@ class Round(NamedTuple):
 
 @dataclass(frozen=True)
 class Campaign:
-    """A campaign in its folder, and how its runs and models are made.
+    """A campaign in its folder; makes its runs and models.
 
     Parameters
     ----------
@@ -90,25 +90,25 @@ class Campaign:
         """Return the runs of training paths by number, of recorded paths, and a number of held-out ones."""
         return [*jobs(self.folder.manifest["seed"], paths, held_out), *recorded_jobs(self.folder)]
 
-    def train(self, wanted: Sequence[Job]) -> ReducedModel:
-        """Make the missing ones of the wanted runs, and train a model on them.
+    def train(self, jobs: Sequence[Job]) -> ReducedModel:
+        """Make the missing runs among some, and train a model on all of them.
 
         Raises
         ------
         RunError
             No training run was finished.
         InputError
-            Paths or modes are too few where tools touch the body anywhere, or modes too many; the disk has no room
-            for the runs, or no cluster answers; or as `palpate.hyper_reduce`.
+            There are too few paths or modes for tools that touch the body anywhere, or too many modes. The disk
+            has no room for the runs, or no cluster answers. Or a reason of `palpate.hyper_reduce`.
         FileFormatError
             The file of a run is damaged, or that of another run.
         OSError
             A file could not be written.
         """
         began = perf_counter()
-        self._make_runs(wanted)
+        self._make_runs(jobs)
         between = perf_counter()
-        model = self._make_model(wanted)
+        model = self._make_model(jobs)
         self.seconds["runs"] += between - began
         self.seconds["training"] += perf_counter() - between
         return model
@@ -116,7 +116,7 @@ class Campaign:
     def train_to_tolerance(
         self, tolerance: float, most: int, held_out: int
     ) -> tuple[list[Job], ReducedModel, list[Round]]:
-        """Train models on more and more runs, until the error on the held-out runs is at most a tolerance.
+        """Train models on an increasing number of runs, until the held-out error is at most a tolerance.
 
         The paths of further runs are those that cover most of the uncovered surface, and on which the model so
         far errs most (`palpate.app.train.choose`). The folder keeps their numbers.
@@ -135,56 +135,56 @@ class Campaign:
         while True:
             self.folder.write_rounds(numbers)
             chosen = [k for each in numbers for k in each]
-            wanted = self.jobs(chosen, held_out)
-            model = self.train(wanted)
+            jobs = self.jobs(chosen, held_out)
+            model = self.train(jobs)
             rounds.append(Round(len(chosen), _held_out_error(model), tolerance))
             self.console.say(f"{len(chosen)} paths: error {percent(rounds[-1].error)}")
             if rounds[-1].error <= tolerance or len(chosen) >= most:
-                return wanted, model, rounds
+                return jobs, model, rounds
             numbers.append(self.further_paths(model, chosen, most))
 
-    def support_study(self, wanted: Sequence[Job]) -> dict[str, Any] | None:
-        """Return changes of the forces of tools by changes of the supports; None where no tool touches the body.
+    def support_study(self, jobs: Sequence[Job]) -> dict[str, Any] | None:
+        """Return changes of tool forces by changes of the supports; None without contact.
 
         The presses are those of the training runs; see `palpate.reduction.contact.support_sensitivity`.
         """
-        scene, files = self.scene, [self.folder.file(job) for job in wanted if job.kind != HELD_OUT]
+        scene, files = self.scene, [self.folder.file(job) for job in jobs if job.kind != HELD_OUT]
         if scene.tools or isinstance(scene.model, Membrane):
             return None
-        presses = select_presses([StoredTrajectory(file) for file in files[:REPEATED] if file.exists()])
+        presses = select_presses([StoredTrajectory(file) for file in files[:MAX_REPEATED] if file.exists()])
         if not presses:
             return None
-        began, loads = perf_counter(), path_of(self.folder, scene, wanted[0])[0]
+        began, loads = perf_counter(), path_of(self.folder, scene, jobs[0])[0]
         body = self._statics or energy_form(scene.model)
         foundations = [load for load in loads if isinstance(load, Foundation)]
         with self.console.status("measuring how forces depend on the supports"):
             assert isinstance(body, EnergySolid)
-            found = support_sensitivity(body, scene.model.cloud.points, presses, foundations)
+            changes = support_sensitivity(body, scene.model.cloud.points, presses, foundations)
         self.seconds["supports"] = perf_counter() - began
-        return found
+        return changes
 
     def further_paths(self, model: ReducedModel, chosen: Sequence[int], most: int) -> list[int]:
         """Return the numbers of the paths of the next round."""
         count, first = next_count(len(chosen), most), max(chosen) + 1
         candidates = jobs(self.folder.manifest["seed"], range(first, first + CANDIDATES_PER_RUN * count), 0)
         with self.console.status(f"trying {len(candidates)} paths on the reduced model"):
-            found = choose(model, self.folder, self.scene, candidates, count, self.jobs(chosen, 0))
-        return sorted(job.number for job in found)
+            chosen_jobs = choose(model, self.folder, self.scene, candidates, count, self.jobs(chosen, 0))
+        return sorted(job.number for job in chosen_jobs)
 
-    def _make_runs(self, wanted: Sequence[Job]) -> None:
+    def _make_runs(self, jobs: Sequence[Job]) -> None:
         """Make the missing runs, and print their progress."""
         folder, scene, console = self.folder, self.scene, self.console
-        every = {job: path_of(folder, scene, job) for job in wanted}
+        every = {job: path_of(folder, scene, job) for job in jobs}
         self._check_sizes({job: path for job, path in every.items() if job.kind != HELD_OUT}.values())
-        left = folder.left(wanted)
+        left = folder.left(jobs)
         paths = {job: every[job][1] for job in left}
         frames = sum(self._frames(duration) for duration in paths.values())
         check_space(folder.path, frames * len(scene.model.cloud) * 6 * 8, "folder")
-        there = len(wanted) - len(left)
+        there = len(jobs) - len(left)
         processes = f"{self.workers} process{'es' if self.workers > 1 else ''}"
         where = f"the cluster at {self.cluster}" if self.cluster else processes
         console.say(
-            f"{scene.title}: {count_nodes(len(scene.model.cloud))}, {len(wanted)} runs"
+            f"{scene.title}: {count_nodes(len(scene.model.cloud))}, {len(jobs)} runs"
             + (f", {there} of them done before" if there else "")
             + (f"; {len(left)} on {where} ..." if left else "")
         )
@@ -196,20 +196,20 @@ class Campaign:
                     outcomes: Generator[Outcome] = run_local(folder, left, self.workers, shown.at)
                 else:
                     outcomes = run_on_cluster(folder, left, self.cluster, console)
-                with closing(outcomes):  # stops what still runs, however this ends
+                with closing(outcomes):  # stops unfinished runs, in every case
                     for outcome in outcomes:
                         shown.done(outcome)
         except KeyboardInterrupt:
-            done = len(wanted) - len(folder.left(wanted))
+            done = len(jobs) - len(folder.left(jobs))
             raise KeyboardInterrupt(
-                f"{done} of {len(wanted)} runs are kept; the same command continues from there"
+                f"{done} of {len(jobs)} runs are kept; the same command continues from there"
             ) from None
 
     def _frames(self, duration: float) -> int:
         return round(duration / self.scene.every) + 1
 
     def _check_sizes(self, paths: Collection[tuple[Sequence[Load], float]]) -> None:
-        """Raise `InputError` before runs from which no model of this size can be trained."""
+        """Raise `InputError` for too few paths or modes, or for too many modes."""
         scene = self.scene
         touched = any(isinstance(load, Contact | Grasp) for loads, _ in paths for load in loads)
         if not touched or scene.tools or isinstance(scene.model, Membrane):
@@ -235,29 +235,29 @@ class Campaign:
 
     @cached_property
     def _statics(self) -> Solid | None:
-        """Coarser model for the modes and statics of a large body that tools touch; None if the body does itself.
+        """Coarser model for the modes and statics of a large body that tools touch; None for a small body.
 
-        `InputError`, where there is none, is raised before the runs.
+        An `InputError` of making it is raised before the runs.
         """
         scene, body = self.scene, self.scene.model
         if scene.coarse is not None:
             return scene.coarse()
         return statics_body(body) if isinstance(body, EnergySolid) else None
 
-    def _make_model(self, wanted: Sequence[Job]) -> ReducedModel:
-        """Train on the runs that were finished, read from their files, and keep the model in the folder.
+    def _make_model(self, jobs: Sequence[Job]) -> ReducedModel:
+        """Train on the files of finished runs, and keep the model in the folder.
 
         Its report names the scene and its parameters under ``"scene"``.
         """
         folder, scene = self.folder, self.scene
-        done = [job for job in wanted if folder.file(job).exists()]
+        done = [job for job in jobs if folder.file(job).exists()]
         for job in done:
             folder.check_run(job)
         trials = [(job, (path_of(folder, scene, job)[0], folder.file(job))) for job in done]
         tried = [trial for job, trial in trials if job.kind == HELD_OUT]
         learned = [trial for job, trial in trials if job.kind != HELD_OUT]
         if not learned:
-            reason = (folder.fault(wanted[0]) or {}).get("reason", "see its worker")
+            reason = (folder.fault(jobs[0]) or {}).get("reason", "see its worker")
             raise RunError(f"no training run was finished; the first: {reason}; {folder.runs} holds their frames")
         touched = [trial for trial in learned if any(isinstance(load, Contact | Grasp) for load in trial[0])]
         coarse = self._statics if touched and not scene.tools else None
@@ -276,22 +276,22 @@ class Campaign:
                 held_out=tried,
                 cubature=share,
                 coarse=coarse,
-                repeated=touched[:REPEATED],
+                repeated=touched[:MAX_REPEATED],
             )
         name = folder.manifest["scene"]
         name = Path(name).name if is_file(name) else name
         scene_entry = {"name": name, "parameters": folder.manifest["parameters"]}
         model = model.with_report({"scene": scene_entry})
-        save(model, folder.path / MODEL)
+        save(model, folder.path / MODEL_FILE)
         return model
 
 
 def _held_out_error(model: ReducedModel) -> float:
-    """Return the larger of the mean errors that a tolerance is for."""
-    found = model.report["held_out"]
+    """Return the larger of the mean errors that a tolerance limits."""
+    held_out = model.report["held_out"]
     errors, names = (
-        (found["contact"]["mean"], ("force", "surface_95"))
-        if "contact" in found
-        else (found["mean"], ("displacement", "reaction"))
+        (held_out["contact"]["mean"], ("force", "surface_95"))
+        if "contact" in held_out
+        else (held_out["mean"], ("displacement", "reaction"))
     )
     return float(max(errors[name] for name in names))

@@ -1,12 +1,13 @@
-"""Choice of training paths that cover more of the surface and on which a reduced model errs most.
+"""Choice of training paths by their gain in covered surface and by the expected error.
 
-POD-greedy (Haasdonk and Ohlberger, ESAIM: M2AN 42, 2008): the reduced model runs along candidate paths, and the full
-model along those with the largest trust numbers. Several are chosen at a time. So the states of those already chosen
-count as trained, and two similar paths are not chosen together.
+The method is POD-greedy (Haasdonk and Ohlberger, ESAIM: M2AN 42, 2008). The reduced model runs along
+candidate paths, and the full model along those with the largest scores. Several are chosen at a time.
+The states of those already chosen count as trained, so that two similar paths are not chosen together.
 
-The score of a path is the error expected at its trust number, 1 where it is larger or unknown, plus the share of
-the surface under its tools that no path before it covers. So an uncovered place counts as an error of 100 %, and comes
-first; on a covered surface the error decides. Equal scores are ordered by the trust number.
+The score of a path has two terms. The first is the error expected at its trust number, at most 1, and 1
+if it is unknown. The second is the newly covered share of the surface under its tools. An uncovered
+place counts as an error of 100 %, and comes first; on a covered surface the error decides. Equal scores
+are ordered by the trust number.
 """
 
 from __future__ import annotations
@@ -63,7 +64,8 @@ def choose(
     trust = [np.full(1, np.inf) if run is None else run.trust for run in runs]
     mass = model.body.mass / model.body.masses.sum()
     states = [np.zeros((1, len(mass))) if run is None else model.body.project(run.displacements) for run in runs]
-    nearest = [np.full(len(own), np.inf) for own in trust]  # distance to the chosen paths, over the scale of trust
+    # distances to the chosen paths, over the scale of trust
+    nearest = [np.full(len(path_trust), np.inf) for path_trust in trust]
     paths = [path_of(folder, scene, job) for job in candidates]
     before = [path_of(folder, scene, job) for job in trained]
     covered = Coverage(scene, before) if isinstance(scene.model, Solid) else None
@@ -75,9 +77,9 @@ def choose(
         chosen.append(max(left, key=lambda k: (added[k] + _expected_error(model, numbers[k]), numbers[k])))
         if covered is not None:
             covered.add(paths[chosen[-1]])
-        for k, own in enumerate(states):
+        for k, path_states in enumerate(states):
             if runs[chosen[-1]] is not None:
-                apart = distances_to_nearest(own, states[chosen[-1]], mass) / model.data.distance_scale
+                apart = distances_to_nearest(path_states, states[chosen[-1]], mass) / model.data.distance_scale
                 nearest[k] = np.minimum(nearest[k], apart)
     return [candidates[k] for k in chosen]
 
@@ -85,10 +87,10 @@ def choose(
 def _expected_error(model: ReducedModel, trust: float) -> float:
     """Return the larger of the median errors of displacement and force at a trust number, at most 1."""
     curves = model.report.get("held_out", {}).get("expected_error", {})
-    known = [of for of in ("displacement", "force") if of in curves]
-    if not known or not np.isfinite(trust):
+    quantities = [quantity for quantity in ("displacement", "force") if quantity in curves]
+    if not quantities or not np.isfinite(trust):
         return 1.0
-    return min(1.0, max(expected_error(model.report, trust, of).median for of in known))
+    return min(1.0, max(expected_error(model.report, trust, quantity).median for quantity in quantities))
 
 
 def _reduced_run(model: ReducedModel, folder: Folder, scene: TrainingScene, job: Job) -> Trajectory | None:

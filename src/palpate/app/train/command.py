@@ -60,8 +60,8 @@ def train(
     seed : int, optional
         Of the paths.
     tolerance : float, optional
-        Choose paths on uncovered surface and where the model errs most, at most `paths`, until its mean errors on the
-        held-out runs are at most this; see `palpate.app.train.campaign.Campaign.train_to_tolerance`.
+        Largest mean error on the held-out runs. Paths on uncovered surface, or with large expected errors, are added
+        until it is reached, at most `paths`; see `palpate.app.train.campaign.Campaign.train_to_tolerance`.
     more : sequence of path
         Recordings of sessions: the campaign also trains on their tool paths beyond trust, from now on.
     modes : int, optional
@@ -126,18 +126,18 @@ def train(
         if ":" in scene:
             search_current_folder()
         made = training_scene(scene, settings)
-    with open_campaign(out, manifest_of(name_in_folder(scene, out), made, seed)) as own:
+    with open_campaign(out, manifest_of(name_in_folder(scene, out), made, seed)) as campaign_folder:
         for recording in more:
-            add_recording(own, made, recording)
-        campaign = Campaign(own, made, console, modes, cubature, workers, cluster)
+            add_recording(campaign_folder, made, recording)
+        campaign = Campaign(campaign_folder, made, console, modes, cubature, workers, cluster)
         rounds: list[Round] = []
         if tolerance is None:
-            wanted = campaign.jobs(range(paths), held_out)
-            model = campaign.train(wanted)
+            jobs = campaign.jobs(range(paths), held_out)
+            model = campaign.train(jobs)
         else:
-            wanted, model, rounds = campaign.train_to_tolerance(tolerance, paths, held_out)
-        supports = campaign.support_study(wanted)
-        report_campaign(own, made, wanted, model, campaign.seconds, rounds, supports, as_json)
+            jobs, model, rounds = campaign.train_to_tolerance(tolerance, paths, held_out)
+        supports = campaign.support_study(jobs)
+        report_campaign(campaign_folder, made, jobs, model, campaign.seconds, rounds, supports, as_json)
     if "advice" in model.report:
         return complain(f"warning: {model.report['advice']}", UNTRUSTED)
     return DONE

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.common.figures import BLUE, GREY, ORANGE, YELLOW, figure, heading
-from palpate.app.common.rendering import check_drawing, show, surface
+from palpate.app.common.rendering import add_shaded, check_drawing, show
+from palpate.app.common.shading import RefinedSurface
+from palpate.arrays import Floats
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.solid.model import Solid
@@ -23,23 +25,22 @@ __all__ = ["Coverage", "coverage", "draw_coverage"]
 
 Run = tuple[Sequence[Load], float]  # loads of a run and its duration [s]
 COVERED, UNCOVERED, UNREACHABLE, HELD = range(4)
-KINDS = {
+LEGEND_BY_KIND = {
     COVERED: ("covered by a training path", BLUE),
     UNCOVERED: ("not covered", YELLOW),
     UNREACHABLE: ("free, but not reached", ORANGE),
     HELD: ("held by supports", GREY),
 }
-SIDES = {
+VIEW_DIRECTIONS = {
     "Seen along +y": (0.0, -1.0, 0.25),
     "Seen along -y": (0.0, 1.0, 0.25),
     "Seen along -x": (1.0, 0.0, 0.25),
     "Seen along +z": (0.0, -0.5, -1.0),
 }
-SUBDIVISIONS = 2  # of triangles, so that borders are as smooth as those between the nodes' shares
 
 
 class Coverage:
-    """What tools cover of the free surface of a body, run by run; see `palpate.scenes.free_surface`.
+    """Share of a body's free surface that tools cover, run by run; see `palpate.scenes.free_surface`.
 
     Parameters
     ----------
@@ -60,10 +61,10 @@ class Coverage:
             self.add(run)
 
     def added(self, run: Run) -> float:
-        """Return how much of the surface that a run covers no run before it did, from 0 to 1."""
-        own = self.surface.covered(*run)
-        whole = self.surface.share(own)
-        return self.surface.share(own & ~self.mask) / whole if whole else 0.0
+        """Return the newly covered share of the surface that a run covers, from 0 to 1."""
+        run_mask = self.surface.covered(*run)
+        run_share = self.surface.share(run_mask)
+        return self.surface.share(run_mask & ~self.mask) / run_share if run_share else 0.0
 
     def add(self, run: Run) -> None:
         """Count a run as trained."""
@@ -91,14 +92,14 @@ class Coverage:
 
 
 def coverage(scene: TrainingScene, runs: Iterable[Run]) -> Coverage | None:
-    """Return the coverage of a scene by runs; None without a solid, or where no run has a tool that touches it."""
+    """Return the coverage of a scene by runs; None without a solid or without contact."""
     runs = list(runs)
     touched = any(isinstance(load, Contact | Grasp) for loads, _ in runs for load in loads)
     return Coverage(scene, runs) if touched and isinstance(scene.model, Solid) else None
 
 
-def draw_coverage(found: Coverage, path: Path) -> None:
-    """Draw the surface from four sides into a PNG file, coloured by what covers, reaches and holds it.
+def draw_coverage(covered: Coverage, path: Path) -> None:
+    """Draw the surface from four sides into a PNG file: covered, reachable and supported parts.
 
     Without runs it shows what the tool reaches.
 
@@ -110,26 +111,31 @@ def draw_coverage(found: Coverage, path: Path) -> None:
     check_drawing()
     from matplotlib.patches import Patch
 
-    cloud, shares = found.surface.cloud, found.shares()
-    colours = np.array([_rgb(colour) for _, colour in KINDS.values()])
-    shape = surface(cloud, cloud.points).subdivide(SUBDIVISIONS, "linear")
-    nearest = found.surface.tree.query(shape.cell_centers().points)[1]
-    shape.cell_data["colour"] = colours[found.kinds[nearest]]
+    cloud, shares = covered.surface.cloud, covered.shares()
+    colours = np.array([_rgb(colour) for _, colour in LEGEND_BY_KIND.values()])
 
-    def draw(plotter: Any, _width: float) -> None:
-        plotter.add_mesh(shape, scalars="colour", rgb=True, smooth_shading=False, ambient=0.25, specular=0.0)
+    def kind_colours(refined: RefinedSurface) -> dict[str, Floats]:
+        nearest = covered.surface.tree.query(refined.values(cloud.points))[1]
+        return {"colours": colours[covered.kinds[nearest]]}
 
     with figure(path, (10.0, 7.4)) as drawn:
-        what, share = ("training paths cover", "covered") if found.runs else ("the tool reaches", "reachable")
+        what, share = ("training paths cover", "covered") if covered.runs else ("the tool reaches", "reachable")
         heading(drawn, f"Surface that {what}: {shares[share]:.0%} of what supports leave free")
-        for axes, (title, towards) in zip(drawn.subplots(2, 2).flat, SIDES.items(), strict=True):
-            show(axes, cloud.points, np.array(towards), title, draw)
-        there = np.unique(found.kinds)
-        kinds = KINDS if found.runs else KINDS | {UNCOVERED: ("reached", KINDS[UNCOVERED][1])}
+        for axes, (title, side) in zip(drawn.subplots(2, 2).flat, VIEW_DIRECTIONS.items(), strict=True):
+            towards = np.array(side)
+
+            def draw(plotter: Any, _width: float, towards: Floats = towards) -> None:
+                add_shaded(plotter, cloud.points, cloud.triangles, towards, kind_colours)
+
+            show(axes, cloud.points, towards, title, draw)
+        there = np.unique(covered.kinds)
+        kinds = (
+            LEGEND_BY_KIND if covered.runs else LEGEND_BY_KIND | {UNCOVERED: ("reached", LEGEND_BY_KIND[UNCOVERED][1])}
+        )
         handles = [Patch(color=colour, label=label) for kind, (label, colour) in kinds.items() if kind in there]
         drawn.legend(handles=handles, loc="outside lower center", ncols=len(handles))
 
 
-def _rgb(colour: str) -> NDArray[np.uint8]:
-    """Return the colour ``#rrggbb`` as three bytes."""
-    return np.frombuffer(bytes.fromhex(colour[1:]), dtype=np.uint8)
+def _rgb(colour: str) -> Floats:
+    """Return the colour ``#rrggbb`` as three numbers from 0 to 1."""
+    return np.frombuffer(bytes.fromhex(colour[1:]), dtype=np.uint8) / 255

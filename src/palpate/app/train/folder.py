@@ -1,9 +1,9 @@
-"""Folder of a campaign: which runs it needs, and which of them exist.
+"""Folder of a campaign: its manifest, and the files of its runs.
 
-``campaign.json`` identifies the campaign. ``recordings/`` holds the recordings that were added to it, and
-``rounds.json`` the paths that a campaign with a tolerance has chosen. ``runs/`` holds a file for every run that was
-finished, and for every one that failed a ``.failed.json`` with the reason and, as far as it came, a ``.failed.h5``.
-Every name there stands for a whole file. What is being written has a hidden name that ends in ``.partial``.
+``campaign.json`` identifies the campaign. ``recordings/`` holds the added recordings, and ``rounds.json``
+the paths that a campaign with a tolerance has chosen. ``runs/`` holds a file for every finished run. For
+a failed run it holds a ``.failed.json`` with the reason, and its frames, if any, in a ``.failed.h5``.
+Every such file is complete. An unfinished file has a hidden name that ends in ``.partial``.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ MAX_PATHS = TRAINING_SEEDS  # of either kind of run
 
 
 class Job(NamedTuple):
-    """A run: what it is for, its number from 0, and the seed of its path, or where that is in the recordings."""
+    """A run: its purpose, its number from 0, and the seed of its path or its place in the recordings."""
 
     kind: str
     number: int
@@ -85,27 +85,27 @@ class Folder:
 
     @property
     def runs(self) -> Path:
-        """Where the runs lie."""
+        """Folder of the runs."""
         return self.path / "runs"
 
     def file(self, job: Job) -> Path:
-        """Trajectory of a run that was finished."""
+        """Trajectory file of a finished run."""
         return self.runs / f"{job.name}.h5"
 
     def failed(self, job: Job) -> Path:
-        """What a run that failed had computed."""
+        """File of the frames of a failed run."""
         return self.runs / f"{job.name}.failed.h5"
 
     def reason(self, job: Job) -> Path:
-        """Why a run failed."""
+        """File of the reason for a failed run."""
         return self.runs / f"{job.name}.failed.json"
 
     def partial(self, job: Job, token: str) -> Path:
-        """Name of a file that is being written; the token is like no other's."""
+        """Name of an unfinished file, with a unique token."""
         return self.runs / f".{job.name}.{token}.partial"
 
     def sweep(self, job: Job | None = None) -> None:
-        """Remove what workers that were stopped had begun: of one run, or of all."""
+        """Remove unfinished files of stopped workers: of one run, or of all."""
         for partial in self.runs.glob(".*.partial" if job is None else f".{job.name}.*.partial"):
             partial.unlink(missing_ok=True)
 
@@ -132,7 +132,7 @@ class Folder:
         return record
 
     def label(self, job: Job) -> str:
-        """Label of the run's trajectory, by which a file of another campaign or run is found out."""
+        """Label of the run's trajectory, which distinguishes it from files of other campaigns and runs."""
         return f"{digest_of(dict(self.manifest))[:16]} {job.name}"
 
     def check_run(self, job: Job) -> None:
@@ -141,19 +141,19 @@ class Folder:
         run = StoredTrajectory(path)
         if run.label != self.label(job):
             raise FileFormatError(f"{path} is the file of another run; delete it, and the same command runs it again")
-        wanted = self.manifest["every"] * np.arange(len(run.times))
-        if len(wanted) < 2 or not np.allclose(run.times, wanted, rtol=1e-6):
+        expected_times = self.manifest["every"] * np.arange(len(run.times))
+        if len(expected_times) < 2 or not np.allclose(run.times, expected_times, rtol=1e-6):
             raise FileFormatError(
                 f"{path} has other times than the run's; delete it, and the same command runs it again"
             )
 
-    def left(self, wanted: Sequence[Job]) -> list[Job]:
+    def left(self, jobs: Sequence[Job]) -> list[Job]:
         """Return the runs that have no result yet."""
-        return [job for job in wanted if not self.file(job).exists() and self.fault(job) is None]
+        return [job for job in jobs if not self.file(job).exists() and self.fault(job) is None]
 
     @property
     def recordings_folder(self) -> Path:
-        """Where the recordings lie."""
+        """Folder of the recordings."""
         return self.path / "recordings"
 
     @property
@@ -173,17 +173,17 @@ class Folder:
         if not path.exists():
             return []
         with loading(path, "delete the file, and the same command chooses paths again"):
-            found = read_sealed_json(path, "record of chosen paths", MAX_RECORD_BYTES).get("rounds")
-            if not isinstance(found, list) or not all(_are_numbers(each) for each in found):
+            rounds = read_sealed_json(path, "record of chosen paths", MAX_RECORD_BYTES).get("rounds")
+            if not isinstance(rounds, list) or not all(_are_numbers(each) for each in rounds):
                 raise InputError("this is not a record of chosen paths")
-        return found
+        return rounds
 
     def write_rounds(self, rounds: Sequence[Sequence[int]]) -> None:
         """Record the numbers of chosen paths."""
         write_sealed_json(self.path / "rounds.json", {"rounds": [list(each) for each in rounds]})
 
     def check(self) -> None:
-        """Raise `InputError` unless the folder's own manifest is this one."""
+        """Raise `InputError` unless the manifest in the folder is this one."""
         _compare(self.path, _read(self.path / "campaign.json"), self.manifest)
 
 
@@ -193,26 +193,26 @@ def _are_numbers(paths: Any) -> bool:
 
 @contextmanager
 def open_campaign(path: Path, manifest: Mapping[str, Any]) -> Iterator[Folder]:
-    """Make a folder a campaign's own, or continue the one there; lock it against other processes meanwhile.
+    """Make the folder of a campaign, or continue the campaign in it; lock it against other processes.
 
     Raises
     ------
     InputError
         The folder is another campaign's, or of another version, or in use. Nothing in it was changed.
     """
-    folder, own = Folder(path, manifest), path / "campaign.json"
-    if own.exists():
+    folder, manifest_path = Folder(path, manifest), path / "campaign.json"
+    if manifest_path.exists():
         folder.check()
     elif folder.runs.exists():
         raise InputError(f"{path} holds runs, but no campaign.json; choose another folder")
     folder.runs.mkdir(parents=True, exist_ok=True)
     with _open_lock(path / ".lock") as lock:
         _lock(lock, path)
-        if not own.exists():
-            write_sealed_json(own, dict(manifest))
+        if not manifest_path.exists():
+            write_sealed_json(manifest_path, dict(manifest))
         folder.sweep()
         yield folder
-        folder.sweep()  # what workers left that were killed meanwhile
+        folder.sweep()  # files of killed workers
 
 
 def _open_lock(path: Path) -> IO[str]:
@@ -229,19 +229,19 @@ def _read(path: Path) -> dict[str, Any]:
     if not path.exists():
         raise InputError(f"{path} does not exist")
     with loading(path, "choose another folder"):
-        found = read_sealed_json(path, FORMAT, MAX_RECORD_BYTES)
-        if found.get("format") != FORMAT or not isinstance(found.get("parameters"), dict):
+        manifest = read_sealed_json(path, FORMAT, MAX_RECORD_BYTES)
+        if manifest.get("format") != FORMAT or not isinstance(manifest.get("parameters"), dict):
             raise InputError(f"this is not a {FORMAT}")
-    return found
+    return manifest
 
 
-def _compare(path: Path, found: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+def _compare(path: Path, stored: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
     differing = [
-        f"{name} is {found.get(name)!r} there, {wanted.get(name)!r} here"
-        for name in dict.fromkeys((*wanted, *found))
-        if name != "parameters" and found.get(name) != wanted.get(name)
+        f"{name} is {stored.get(name)!r} there, {expected.get(name)!r} here"
+        for name in dict.fromkeys((*expected, *stored))
+        if name != "parameters" and stored.get(name) != expected.get(name)
     ]
-    there, here = found["parameters"], wanted["parameters"]
+    there, here = stored["parameters"], expected["parameters"]
     differing += [
         f"{name} is {there.get(name)!r} there, {here.get(name)!r} here"
         for name in dict.fromkeys((*here, *there))

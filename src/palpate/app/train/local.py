@@ -19,8 +19,17 @@ from palpate.app.train.work import Outcome, Watch, perform, record_fault
 
 __all__ = ["run_local"]
 
-THREADS = ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-SETTINGS = {**dict.fromkeys(THREADS, "1"), "PYTHONSAFEPATH": "1"}  # import no module from the working folder
+THREAD_VARIABLES = (
+    "NUMBA_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "OMP_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+)
+WORKER_ENVIRONMENT = {
+    **dict.fromkeys(THREAD_VARIABLES, "1"),
+    "PYTHONSAFEPATH": "1",
+}  # import no module from the working folder
 AT, DONE, STOPPED, DIED = "at", "done", "stopped", "died"
 MAX_TRIES = 2  # of a run whose worker dies
 
@@ -32,7 +41,7 @@ class _Worker:
     job: Job
 
     def receive(self) -> tuple[str, Any]:
-        """Return the next message of the process, or that it died, with its exit code."""
+        """Return the next message of the process, or the exit code of a dead one."""
         try:
             said: tuple[str, Any] = self.pipe.recv()
             return said
@@ -41,9 +50,9 @@ class _Worker:
             return DIED, self.process.exitcode
 
     def send_next(self, waiting: deque[Job]) -> bool:
-        """Give the process the next run, or let it end when there is none."""
+        """Send the next run to the process, or its end if there is none."""
         job = waiting.popleft() if waiting else None
-        with suppress(BrokenPipeError):  # it died meanwhile: heard next
+        with suppress(BrokenPipeError):  # it has died: the next message reports it
             self.pipe.send(job)
         if job is None:
             self.process.join()
@@ -96,21 +105,21 @@ def run_local(folder: Folder, jobs: Sequence[Job], workers: int, watch: Watch) -
 def _start_worker(folder: Folder, job: Job) -> _Worker:
     """Start a process and give it a first run."""
     context = get_context("spawn")  # a fork would copy locks that other threads hold
-    own, other = context.Pipe()
-    process = context.Process(target=_serve, args=(other, folder), daemon=True)
+    pipe_end, worker_end = context.Pipe()
+    process = context.Process(target=_serve, args=(worker_end, folder), daemon=True)
     with _worker_settings():
         process.start()
-    other.close()  # so that its end is seen here
+    worker_end.close()  # so that its end is seen here
     with suppress(BrokenPipeError):  # it died already: seen when it is read
-        own.send(job)
-    return _Worker(process, own, job)
+        pipe_end.send(job)
+    return _Worker(process, pipe_end, job)
 
 
 @contextmanager
 def _worker_settings() -> Iterator[None]:
-    """Let processes that are started use one thread each, and import no module from the working folder."""
-    before = {name: os.environ.get(name) for name in SETTINGS}
-    os.environ.update(SETTINGS)
+    """Limit new processes to one thread each, and to imports from outside the working folder."""
+    before = {name: os.environ.get(name) for name in WORKER_ENVIRONMENT}
+    os.environ.update(WORKER_ENVIRONMENT)
     try:
         yield
     finally:
@@ -127,7 +136,7 @@ def _serve(pipe: Connection, folder: Folder) -> None:
     Thread(target=_end_with_parent, daemon=True).start()
     while (job := pipe.recv()) is not None:
         try:
-            done = perform(str(folder.path), folder.manifest, job, lambda own, time: pipe.send((AT, time)))
+            done = perform(str(folder.path), folder.manifest, job, lambda running_job, time: pipe.send((AT, time)))
         except OSError as error:
             pipe.send((STOPPED, str(error)))
             return
@@ -135,7 +144,7 @@ def _serve(pipe: Connection, folder: Folder) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process when its parent does, however that ends."""
+    """End this process with its parent, in every case."""
     parent = parent_process()
     if parent is not None:
         parent.join()

@@ -19,7 +19,7 @@ from palpate.scenes.scene import TrainingScene
 
 __all__ = ["add_recording", "path_of", "recorded_jobs"]
 
-PATHS = 100_000  # seeds of one recording
+SEEDS_PER_RECORDING = 100_000  # seeds of one recording
 SAME_POINT = 1e-6  # distance between points of one body, over the spacing
 
 
@@ -27,13 +27,15 @@ def path_of(folder: Folder, scene: TrainingScene, job: Job) -> tuple[Sequence[Lo
     """Return the loads of a run and its duration [s]."""
     if job.kind != RECORDED:
         return scene.path(job.seed)
-    path = _untrusted(folder.recordings[job.seed // PATHS])[job.seed % PATHS]
+    path = _untrusted(folder.recordings[job.seed // SEEDS_PER_RECORDING])[job.seed % SEEDS_PER_RECORDING]
     return (path.load,), max(1, round(path.duration / scene.every)) * scene.every
 
 
 def recorded_jobs(folder: Folder) -> list[Job]:
     """Return the runs along the recorded paths beyond trust, of all recordings in a folder."""
-    seeds = [PATHS * r + k for r, file in enumerate(folder.recordings) for k in range(len(_untrusted(file)))]
+    seeds = [
+        SEEDS_PER_RECORDING * r + k for r, file in enumerate(folder.recordings) for k in range(len(_untrusted(file)))
+    ]
     return [Job(RECORDED, number, seed) for number, seed in enumerate(seeds)]
 
 
@@ -52,11 +54,11 @@ def add_recording(folder: Folder, scene: TrainingScene, path: Path) -> None:
         return
     recording = load_recording(path)
     _check(recording, scene, path)
-    found = tool_paths(recording)
-    if not any(own.trust > 1 for own in found):
-        largest = f", the largest trust number is {max(own.trust for own in found):.3g}" if found else ""
+    paths = tool_paths(recording)
+    if not any(tool_path.trust > 1 for tool_path in paths):
+        largest = f", the largest trust number is {max(tool_path.trust for tool_path in paths):.3g}" if paths else ""
         raise InputError(
-            f"{path} must have a path beyond trust, got {len(found)} paths within{largest}; nothing would be learned"
+            f"{path} must have a path beyond trust, got {len(paths)} paths within{largest}; nothing would be learned"
         )
     folder.recordings_folder.mkdir(exist_ok=True)
     with whole_file(folder.recordings_folder / f"{len(folder.recordings):06d}.h5") as partial:
@@ -70,10 +72,10 @@ def _check(recording: Recording, scene: TrainingScene, path: Path) -> None:
             f"{path} must be a recording of a reduced model, got one of a full body; record a session with a model of "
             "this campaign"
         )
-    own, cloud = recording.model.cloud.points, scene.model.cloud
-    if own.shape != cloud.points.shape or not np.allclose(own, cloud.points, atol=SAME_POINT * cloud.spacing):
+    recorded, cloud = recording.model.cloud.points, scene.model.cloud
+    if recorded.shape != cloud.points.shape or not np.allclose(recorded, cloud.points, atol=SAME_POINT * cloud.spacing):
         raise InputError(
-            f"{path} must be a recording of the campaign's body, got {len(own)} other points; "
+            f"{path} must be a recording of the campaign's body, got {len(recorded)} other points; "
             "record a session with a model of this campaign"
         )
     if tuple(recording.model.data.prescribed) != tuple(scene.tools):

@@ -11,7 +11,7 @@ from palpate.app.common.console import Console, Table, count_nodes, percent, qua
 from palpate.app.common.figures import BLUE, GREEN, ORANGE, PINK, figure, heading, legend_below, percent_axis
 from palpate.app.common.rendering import DrawingError
 from palpate.app.common.report import REPORTS, deliver, machine
-from palpate.app.train.campaign import MODEL, Round
+from palpate.app.train.campaign import MODEL_FILE, Round
 from palpate.app.train.coverage import coverage, draw_coverage
 from palpate.app.train.folder import HELD_OUT, RECORDED, TRAINED, Folder, Job
 from palpate.app.train.paths import path_of
@@ -20,13 +20,13 @@ from palpate.faults import InputError
 from palpate.files import plain
 from palpate.reduction.hyper.error_indicator import expected_error
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.training.reduce import QUANTILE
+from palpate.reduction.training.reduce import ERROR_QUANTILE
 from palpate.scenes.scene import TrainingScene
 
 __all__ = ["FILES", "report_campaign"]
 
-FIGURE, COVERAGE = "errors.png", "coverage.png"
-FILES = (MODEL, *REPORTS, FIGURE, COVERAGE, "campaign.json", "runs")
+ERRORS_FIGURE, COVERAGE_FIGURE = "errors.png", "coverage.png"
+FILES = (MODEL_FILE, *REPORTS, ERRORS_FIGURE, COVERAGE_FIGURE, "campaign.json", "runs")
 CONTACT_ERRORS = {
     "force": "force on tools, median",
     "force_95": "force on tools, 95th percentile",
@@ -34,14 +34,14 @@ CONTACT_ERRORS = {
 }  # as `palpate.reduction.training.errors.TouchErrors` names them
 SMALL_CHANGE = 0.05  # of a force, below which supports need not be known better
 CURVE_POINTS = 100  # of a curve of expected errors
-FIELDS = ("displacement", "velocity")  # whose errors are relative to each moment's size
-KINDS = {"displacement": BLUE, "velocity": GREEN, "energy": ORANGE, "reaction": PINK}
+FIELD_ERRORS = ("displacement", "velocity")  # whose errors are relative to each moment's size
+ERROR_COLOURS = {"displacement": BLUE, "velocity": GREEN, "energy": ORANGE, "reaction": PINK}
 
 
 def report_campaign(
     folder: Folder,
     scene: TrainingScene,
-    wanted: Sequence[Job],
+    jobs: Sequence[Job],
     model: ReducedModel,
     seconds: Mapping[str, float],
     rounds: Sequence[Round],
@@ -49,8 +49,8 @@ def report_campaign(
     as_json: bool,
 ) -> None:
     """Write the report and the figure into the folder, and print it as JSON or as a table."""
-    runs = [_run_entry(folder, scene, job) for job in wanted]
-    good = [job for job, run in zip(wanted, runs, strict=True) if job.kind != HELD_OUT and not run["failed"]]
+    runs = [_run_entry(folder, scene, job) for job in jobs]
+    good = [job for job, run in zip(jobs, runs, strict=True) if job.kind != HELD_OUT and not run["failed"]]
     covered = coverage(scene, [path_of(folder, scene, job) for job in good])
     report = plain(
         {
@@ -59,7 +59,7 @@ def report_campaign(
             "machine": machine(),
             "runs": runs,
             "failed": [run["name"] for run in runs if run["failed"]],
-            "sizes": _sizes(folder, wanted),
+            "sizes": _sizes(folder, jobs),
             "seconds": dict(seconds),
             "rounds": [each._asdict() for each in rounds],
             "supports": supports,
@@ -67,10 +67,10 @@ def report_campaign(
             "model": model.report,
         }
     )
-    held = [run["name"] for run in runs if run["kind"] == HELD_OUT and not run["failed"]]
+    held_out_names = [run["name"] for run in runs if run["kind"] == HELD_OUT and not run["failed"]]
     for figure_of, draw in (
-        (FIGURE, (lambda: _draw(folder, report, held)) if held else None),
-        (COVERAGE, None if covered is None else lambda: draw_coverage(covered, folder.path / COVERAGE)),
+        (ERRORS_FIGURE, (lambda: _draw(folder, report, held_out_names)) if held_out_names else None),
+        (COVERAGE_FIGURE, None if covered is None else lambda: draw_coverage(covered, folder.path / COVERAGE_FIGURE)),
     ):
         (folder.path / figure_of).unlink(missing_ok=True)  # of an earlier model
         try:
@@ -81,7 +81,7 @@ def report_campaign(
     table = quantities_table(report["title"], ["here"], {name: [value] for name, value in _rows(report).items()})
     failed = [f"{run['name']} failed: {run['reason']}" for run in runs if run["failed"]]
     sentences = [*_support_sentences(supports), *([model.report["advice"]] if "advice" in model.report else [])]
-    written = [table, *_details(report, held), *sentences]
+    written = [table, *_details(report, held_out_names), *sentences]
     deliver(report, [table, *failed, *sentences], folder.path, FILES, as_json, written=written)
 
 
@@ -109,11 +109,11 @@ def _run_entry(folder: Folder, scene: TrainingScene, job: Job) -> dict[str, Any]
     return entry
 
 
-def _sizes(folder: Folder, wanted: Sequence[Job]) -> dict[str, Any]:
-    files = [folder.file(job) for job in wanted if folder.file(job).exists()]
+def _sizes(folder: Folder, jobs: Sequence[Job]) -> dict[str, Any]:
+    files = [folder.file(job) for job in jobs if folder.file(job).exists()]
     return {
         "run_bytes": sum(file.stat().st_size for file in files),
-        "model_bytes": (folder.path / MODEL).stat().st_size,
+        "model_bytes": (folder.path / MODEL_FILE).stat().st_size,
     }
 
 
@@ -145,23 +145,25 @@ def _rows(report: dict[str, Any]) -> dict[str, str]:
         failed = sum(run["failed"] for run in model["held_out"]["runs"])
         if failed:
             rows["held-out paths that the reduced model failed on"] = str(failed)
-        for name in KINDS:
+        for name in ERROR_COLOURS:
             mean, worst = (model["held_out"][kind][name] for kind in ("mean", "percentile_95"))
-            after = " (each moment alike, also at rest)" if "contact" in model["held_out"] and name in FIELDS else ""
+            after = (
+                " (each moment alike, also at rest)" if "contact" in model["held_out"] and name in FIELD_ERRORS else ""
+            )
             rows[f"error of {name} on held-out paths{after}, mean; 95 % below"] = (
                 "-" if mean is None else f"{percent(mean)}; {percent(worst)}"
             )
         rows |= _by_load(report) | _contact_rows(model["held_out"])
-        for of in ("displacement", "force"):
-            if of in model["held_out"].get("expected_error", {}):
-                median, bound, level = expected_error(model, 1.0, of)
-                name = f"error of {of} expected at a trust number of 1, median; {level:.0%} of runs stay below"
+        for quantity in ("displacement", "force"):
+            if quantity in model["held_out"].get("expected_error", {}):
+                median, bound, level = expected_error(model, 1.0, quantity)
+                name = f"error of {quantity} expected at a trust number of 1, median; {level:.0%} of runs stay below"
                 rows[name] = f"{percent(median)}; {percent(bound)}" if np.isfinite(bound) else "unknown; unknown"
     return rows | _support_rows(report["supports"])
 
 
 def _round_rows(rounds: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """Return the errors of the models by number of training runs; nothing for a campaign without a tolerance."""
+    """Return the errors of the models by number of training runs; empty without a tolerance."""
     if not rounds:
         return {}
     errors = "; ".join(f"{each['runs']}: {percent(each['error'])}" for each in rounds)
@@ -171,7 +173,7 @@ def _round_rows(rounds: Sequence[Mapping[str, Any]]) -> dict[str, str]:
 
 
 def _coverage_rows(shares: Mapping[str, float] | None) -> dict[str, str]:
-    """Return what training paths cover of the surface; nothing where no tool touches it."""
+    """Return the share of the surface that training paths cover; empty without contact."""
     if shares is None:
         return {}
     rows = {"free surface within one tool radius of a place touched in training": f"{shares['covered']:.0%}"}
@@ -183,26 +185,26 @@ def _coverage_rows(shares: Mapping[str, float] | None) -> dict[str, str]:
 
 
 def _by_load(report: dict[str, Any]) -> dict[str, str]:
-    """Return errors of forces for every kind of load, where the held-out paths have several."""
-    held = [run["loads"] for run in report["runs"] if run["kind"] == HELD_OUT and not run["failed"]]
-    found: dict[str, list[float]] = {}
-    for loads, run in zip(held, report["model"]["held_out"]["runs"], strict=True):
+    """Return errors of forces by kind of load; empty unless the held-out paths have several."""
+    loads_of_runs = [run["loads"] for run in report["runs"] if run["kind"] == HELD_OUT and not run["failed"]]
+    errors_by_load: dict[str, list[float]] = {}
+    for loads, run in zip(loads_of_runs, report["model"]["held_out"]["runs"], strict=True):
         for load in dict.fromkeys(loads) if not run["failed"] else ():
-            found.setdefault(load, []).append(run["reaction"])
+            errors_by_load.setdefault(load, []).append(run["reaction"])
     return {
-        f"error of reaction on the {len(own)} held-out paths with a {load}, mean; 95 % below": (
-            f"{percent(float(np.mean(own)))}; {percent(float(np.quantile(own, QUANTILE)))}"
+        f"error of reaction on the {len(errors)} held-out paths with a {load}, mean; 95 % below": (
+            f"{percent(float(np.mean(errors)))}; {percent(float(np.quantile(errors, ERROR_QUANTILE)))}"
         )
-        for load, own in (found.items() if len(found) > 1 else ())
+        for load, errors in (errors_by_load.items() if len(errors_by_load) > 1 else ())
     }
 
 
-def _contact_rows(found: dict[str, Any]) -> dict[str, str]:
-    """Return errors of tools on the surface of a body; nothing where none touches it."""
-    if "contact" not in found:
+def _contact_rows(held_out: dict[str, Any]) -> dict[str, str]:
+    """Return errors of tools on the surface of a body; empty without contact."""
+    if "contact" not in held_out:
         return {}
     errors = {
-        name: (found["contact"]["mean"][name], found["contact"]["percentile_95"][name]) for name in CONTACT_ERRORS
+        name: (held_out["contact"]["mean"][name], held_out["contact"]["percentile_95"][name]) for name in CONTACT_ERRORS
     }
     return {
         f"error of {text} while pressed; mean over held-out paths, 95 % below": "-"
@@ -212,32 +214,32 @@ def _contact_rows(found: dict[str, Any]) -> dict[str, str]:
     }
 
 
-def _support_changes(found: Mapping[str, Any] | None) -> dict[str, dict[str, Mapping[str, Any] | None]]:
-    """Return the changes of supports by what is changed, and by how."""
+def _support_changes(study: Mapping[str, Any] | None) -> dict[str, dict[str, Mapping[str, Any] | None]]:
+    """Return the effects of changed supports, by quantity and by way of change."""
     changes = {}
-    if found and found["border"]:
-        where = f"the border of the supports moves by {1e3 * found['border']['distance']:.2g} mm"
-        changes[where] = {way: found["border"][way] for way in ("outward", "inward")}
-    if found and found["springs"]:
-        changes["the springs of foundations are"] = {way: found["springs"][way] for way in ("halved", "doubled")}
+    if study and study["border"]:
+        where = f"the border of the supports moves by {1e3 * study['border']['distance']:.2g} mm"
+        changes[where] = {way: study["border"][way] for way in ("outward", "inward")}
+    if study and study["springs"]:
+        changes["the springs of foundations are"] = {way: study["springs"][way] for way in ("halved", "doubled")}
     return changes
 
 
-def _support_rows(found: Mapping[str, Any] | None) -> dict[str, str]:
-    """Return changes of the force on tools by the supports; nothing where no tool touches the body."""
+def _support_rows(study: Mapping[str, Any] | None) -> dict[str, str]:
+    """Return changes of the force on tools by the supports; empty without contact."""
     return {
         f"force on tools if {what} {way}, median; largest": "nothing would hold the body"
         if change is None
         else f"{change['median']:+.1%}; {change['largest']:+.1%}"
-        for what, ways in _support_changes(found).items()
+        for what, ways in _support_changes(study).items()
         for way, change in ways.items()
     }
 
 
-def _support_sentences(found: Mapping[str, Any] | None) -> list[str]:
-    """Return what the changes by the supports mean, one sentence for border and springs each."""
+def _support_sentences(study: Mapping[str, Any] | None) -> list[str]:
+    """Return one sentence each about the effects of the border and of the springs."""
     sentences = []
-    for what, ways in _support_changes(found).items():
+    for what, ways in _support_changes(study).items():
         changes = [change for change in ways.values() if change is not None]
         if not changes:
             continue
@@ -255,56 +257,58 @@ def _support_sentences(found: Mapping[str, Any] | None) -> list[str]:
     return sentences
 
 
-def _contact_table(found: dict[str, Any], held: Sequence[str]) -> list[Table]:
-    """Return the same for every held-out path whose tools touch the body."""
-    if "contact" not in found:
+def _contact_table(held_out: dict[str, Any], names: Sequence[str]) -> list[Table]:
+    """Return the table of contact errors of every held-out path with contact."""
+    if "contact" not in held_out:
         return []
-    touched = [(name, run) for name, run in zip(held, found["runs"], strict=True) if "force" in run]
+    touched = [(name, run) for name, run in zip(names, held_out["runs"], strict=True) if "force" in run]
     rows = {name: [percent(run[k]) for k in CONTACT_ERRORS] for name, run in touched}
     title = "Frames with at least a tenth of a tool's largest force"
     return [quantities_table(title, list(CONTACT_ERRORS.values()), rows, first="held-out path")]
 
 
-def _details(report: dict[str, Any], held: Sequence[str]) -> list[Table | str]:
+def _details(report: dict[str, Any], names: Sequence[str]) -> list[Table | str]:
     """Return the scene, the errors of every held-out path, and the runs that failed, for `report.md`."""
     campaign = report["campaign"]
     parameters = ", ".join(f"{name} = {value}" for name, value in campaign["parameters"].items())
     blocks: list[Table | str] = [f"Scene `{campaign['scene']}` with {parameters}; seed {campaign['seed']}."]
-    if held:
+    if names:
         rows, loads = {}, {run["name"]: ", ".join(run["loads"]) for run in report["runs"]}
-        for name, run in zip(held, report["model"]["held_out"]["runs"], strict=True):
-            failed = [run["reason"], *[""] * (len(KINDS) - 1)] if run["failed"] else None
-            rows[name] = [loads[name], *(failed or [percent(run[k]) for k in KINDS])]
-        blocks.append(quantities_table("Errors on held-out paths", ["loads", *KINDS], rows, first="held-out path"))
-        blocks += _contact_table(report["model"]["held_out"], held)
+        for name, run in zip(names, report["model"]["held_out"]["runs"], strict=True):
+            failed = [run["reason"], *[""] * (len(ERROR_COLOURS) - 1)] if run["failed"] else None
+            rows[name] = [loads[name], *(failed or [percent(run[k]) for k in ERROR_COLOURS])]
+        blocks.append(
+            quantities_table("Errors on held-out paths", ["loads", *ERROR_COLOURS], rows, first="held-out path")
+        )
+        blocks += _contact_table(report["model"]["held_out"], names)
     failures = [run for run in report["runs"] if run["failed"]]
     return blocks + [f"{run['name']} failed after {run['simulated']:.4g} s: {run['reason']}" for run in failures]
 
 
-def _draw(folder: Folder, report: dict[str, Any], held: Sequence[str]) -> None:
-    """Draw the errors of every held-out path, and those that trust numbers have meant."""
+def _draw(folder: Folder, report: dict[str, Any], names: Sequence[str]) -> None:
+    """Draw the errors of every held-out path, and the expected errors by trust number."""
     model = report["model"]
-    found = model["held_out"]
-    with figure(folder.path / FIGURE, (9.0, 4.6)) as drawn:
+    held_out = model["held_out"]
+    with figure(folder.path / ERRORS_FIGURE, (9.0, 4.6)) as drawn:
         heading(drawn, "Errors on paths that were not trained on")
         paths, trust = drawn.subplots(1, 2)
-        for name, colour in KINDS.items():
-            good = [(k, 100 * run[name]) for k, run in enumerate(found["runs"]) if not run["failed"]]
+        for name, colour in ERROR_COLOURS.items():
+            good = [(k, 100 * run[name]) for k, run in enumerate(held_out["runs"]) if not run["failed"]]
             paths.plot(*np.array(good).reshape(-1, 2).T, "o", ms=5, color=colour, label=name)
-        paths.set(xlabel="held-out path", ylabel="error [%]", title="by path", xlim=(-0.5, len(held) - 0.5))
+        paths.set(xlabel="held-out path", ylabel="error [%]", title="by path", xlim=(-0.5, len(names) - 0.5))
         paths.xaxis.get_major_locator().set_params(integer=True)
         percent_axis(paths)
-        curves = found.get("expected_error") or {}
-        for of, colour in (("displacement", BLUE), ("force", ORANGE)):
-            if of not in curves:
+        curves = held_out.get("expected_error") or {}
+        for what, colour in (("displacement", BLUE), ("force", ORANGE)):
+            if what not in curves:
                 continue
-            numbers = np.linspace(0.0, curves[of]["largest_trust"], CURVE_POINTS)
-            errors = 100 * np.array([expected_error(model, number, of)[:2] for number in numbers])
-            trust.plot(numbers, errors[:, 1], color=colour, label=f"{of}: {curves['level']:.0%} of runs stay below")
-            trust.plot(numbers, errors[:, 0], color=colour, ls=":", label=f"{of}: median of the frames")
+            numbers = np.linspace(0.0, curves[what]["largest_trust"], CURVE_POINTS)
+            errors = 100 * np.array([expected_error(model, number, what)[:2] for number in numbers])
+            trust.plot(numbers, errors[:, 1], color=colour, label=f"{what}: {curves['level']:.0%} of runs stay below")
+            trust.plot(numbers, errors[:, 0], color=colour, ls=":", label=f"{what}: median of the frames")
         trust.set(xlabel="largest trust number so far", ylabel="error over the largest size so far [%]")
         trust.set_title("by trust number; unknown beyond the curves")
         trust.set_ylim(bottom=0.0)
-        legend_below(drawn, paths, columns=len(KINDS))
+        legend_below(drawn, paths, columns=len(ERROR_COLOURS))
         if curves:
             trust.legend(fontsize=9)

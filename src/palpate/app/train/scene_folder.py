@@ -9,7 +9,7 @@ from platformdirs import user_cache_path
 
 from palpate import __version__
 from palpate.faults import InputError
-from palpate.scenes.names import SCENES, is_scene_file
+from palpate.scenes.names import PACKAGE_SCENES, is_scene_file
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.surface_scene import is_surface_file
 
@@ -22,8 +22,8 @@ FOLDER_SUFFIX = ".palpate"  # of the folder next to a scene file
 
 
 def training_folder(scene: OrganScene) -> Path:
-    """Return the folder of a scene's campaign, whether it exists or not; a changed scene has another folder."""
-    if scene.name in SCENES:
+    """Return the path of a scene's campaign, which may be missing; a changed scene has another folder."""
+    if scene.name in PACKAGE_SCENES:
         return user_cache_path("palpate") / f"{scene.name}-{__version__}-{scene.digest[:8]}"
     return folder_of_file(Path(scene.name)) / scene.digest[:8]
 
@@ -40,13 +40,13 @@ def recordings_folder(file: Path) -> Path:
 
 def last_recording(file: Path) -> Path:
     """Return the newest recording of a scene file; raise `InputError` if there is none."""
-    found = sorted(recordings_folder(file).glob("*.h5"), key=lambda path: (path.stat().st_mtime_ns, path.name))
-    if not found:
+    recordings = sorted(recordings_folder(file).glob("*.h5"), key=lambda path: (path.stat().st_mtime_ns, path.name))
+    if not recordings:
         raise InputError(
             f"{file} must have a recording in {recordings_folder(file)}, got none; press record on the page of palpate "
             f"view {file}"
         )
-    return found[-1]
+    return recordings[-1]
 
 
 def name_in_folder(scene: str, folder: Path) -> str:

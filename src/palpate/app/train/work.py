@@ -37,7 +37,7 @@ def _scene(name: str, parameters: str) -> TrainingScene:
 
 
 def perform(folder: str, manifest: Mapping[str, Any], job: tuple[str, int, int], watch: Watch | None = None) -> Outcome:
-    """Make a run and leave its file, or a record of why it failed, in the campaign's folder.
+    """Make a run; write its file, or a record of its failure, to the campaign's folder.
 
     Parameters
     ----------
@@ -56,9 +56,9 @@ def perform(folder: str, manifest: Mapping[str, Any], job: tuple[str, int, int],
     OSError
         A file could not be written, or the folder is not the campaign's as seen from here.
     """
-    own, place = Job(*job), Folder(Path(folder), manifest)
+    campaign_job, campaign_folder = Job(*job), Folder(Path(folder), manifest)
     try:
-        place.check()
+        campaign_folder.check()
     except InputError as error:
         raise OSError(
             f"worker on {platform.node()}: {error}; workers write to the folder, so all must see it"
@@ -67,8 +67,8 @@ def perform(folder: str, manifest: Mapping[str, Any], job: tuple[str, int, int],
         threads = numba.get_num_threads()
         numba.set_num_threads(1)  # as everywhere else
         try:
-            scene = _scene(scene_in_folder(manifest["scene"], place.path), json.dumps(manifest["parameters"]))
-            return _run(place, scene, own, watch)
+            scene = _scene(scene_in_folder(manifest["scene"], campaign_folder.path), json.dumps(manifest["parameters"]))
+            return _run(campaign_folder, scene, campaign_job, watch)
         finally:
             numba.set_num_threads(threads)
 
@@ -87,7 +87,7 @@ def _run(place: Folder, scene: TrainingScene, job: Job, watch: Watch | None) -> 
     except OSError:
         partial.unlink(missing_ok=True)
         raise
-    except Exception as error:  # whatever it is: the other runs go on
+    except Exception as error:  # of any kind: the other runs continue
         if partial.exists():
             settle(partial, place.failed(job))
         reason = str(error) if isinstance(error, DivergenceError | InputError) else f"{type(error).__name__}: {error}"
@@ -98,6 +98,6 @@ def _run(place: Folder, scene: TrainingScene, job: Job, watch: Watch | None) -> 
 
 
 def record_fault(place: Folder, job: Job, reason: str, *, retry: bool) -> Outcome:
-    """Record why a run failed, and whether a continued campaign tries it again."""
+    """Record the reason for a failed run, and whether a continued campaign repeats it."""
     write_sealed_json(place.reason(job), {"seed": job.seed, "reason": reason, "retry": retry})
     return {"job": job, "failed": reason}

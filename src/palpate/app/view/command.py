@@ -22,7 +22,7 @@ from palpate.extras import require
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import check_folder
 from palpate.meshfree.surfaces import Surface
-from palpate.scenes.names import SCENES, is_scene_file
+from palpate.scenes.names import PACKAGE_SCENES, is_scene_file
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.places import side_mask
 from palpate.scenes.surface_scene import is_surface_file, surface_scene
@@ -36,7 +36,7 @@ if TYPE_CHECKING:  # each takes a second to import, before the page opens
 __all__ = ["view"]
 
 MAX_HEADLESS_SECONDS = 3600.0  # [s] of a headless session
-PATIENCE, TRAINING_PATIENCE = 1.0, 10.0  # [s] after an interrupt; workers of a training are stopped in order
+STOP_SECONDS, TRAINING_STOP_SECONDS = 1.0, 10.0  # [s] after an interrupt; workers of a training are stopped in order
 
 
 def view(
@@ -140,7 +140,7 @@ def view(
 
 @dataclass(frozen=True)
 class _Subject:
-    """What is viewed, as far as it is read before the page opens: a full body, a model of a file, or a scene's name."""
+    """Subject of a view before the page opens: a full body, a model from a file, or a scene's name."""
 
     what: str
     title: str
@@ -194,7 +194,7 @@ def _read_subject(what: str, options: dict[str, Any], compare: bool, scene: str 
             "units, scale, part, spacing, law, set and fixed must be left out unless a surface file is viewed, got "
             f"{what!r:.60}"
         )
-    if what in SCENES:
+    if what in PACKAGE_SCENES:
         return _Subject(what, what.capitalize(), compare=compare, scene=scene)
     from palpate.app.models.loader import open_model
 
@@ -203,7 +203,7 @@ def _read_subject(what: str, options: dict[str, Any], compare: bool, scene: str 
 
 
 def _show(subject: _Subject, record: Path | None, address: tuple[int, str, bool], refine: bool) -> list[str]:
-    """Show a body on a page until interrupted: its surface at once, and the session when it is ready.
+    """Show a body on a page until interrupted: first its surface, then the session.
 
     Returns
     -------
@@ -216,7 +216,7 @@ def _show(subject: _Subject, record: Path | None, address: tuple[int, str, bool]
 
     preparation = Preparation(subject.title, subject.durations_name, subject.surface)
     console = Console(preparation.begin)
-    patience = TRAINING_PATIENCE if subject.what in SCENES else PATIENCE
+    patience = TRAINING_STOP_SECONDS if subject.what in PACKAGE_SCENES else STOP_SECONDS
     with serve(preparation, console, *address) as host, contextlib.ExitStack() as stack:
         try:
             with _end_after_interrupt(patience):

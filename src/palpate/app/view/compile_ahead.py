@@ -1,4 +1,4 @@
-"""Compilation of the engine of a full body in a process of its own, while this one fills the surface.
+"""Compilation of the engine of a full body in a separate process, while this one fills the surface.
 
 Both processes read what the other has kept in the cache of compiled functions.
 """
@@ -19,13 +19,13 @@ from palpate.scenes.settings import read_section, written_section
 
 __all__ = ["compile_ahead", "compile_for_tissue"]
 
-CODE = "from palpate.app.view.compile_ahead import compile_for_tissue; compile_for_tissue()"
+PROCESS_CODE = "from palpate.app.view.compile_ahead import compile_for_tissue; compile_for_tissue()"
 BLOCK_SIZE, BLOCK_SPACING = 0.1, 0.02  # [m] of a body whose engine has the same types
 
 
 @contextlib.contextmanager
 def compile_ahead(tissue: Tissue) -> Iterator[Callable[[], object]]:
-    """Compile for a tissue in another process within a context, where there is a second processor.
+    """Compile for a tissue in another process within a context, if there is a second processor.
 
     Yields
     ------
@@ -37,7 +37,7 @@ def compile_ahead(tissue: Tissue) -> Iterator[Callable[[], object]]:
         return
     words = json.dumps(written_section(tissue))
     process = subprocess.Popen(
-        [sys.executable, "-P", "-c", CODE, words], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
+        [sys.executable, "-P", "-c", PROCESS_CODE, words], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )  # fmt: skip
     try:

@@ -1,33 +1,54 @@
-"""Pictures and movies of a recording, rendered off-screen."""
+"""Pictures and movies of a recording, rendered off-screen in the light of the page."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from palpate.app.common.rendering import COLOURS, check_drawing, off_screen
+from palpate.app.common.rendering import camera_axes, check_drawing, off_screen, screenshot
+from palpate.app.common.shading import INK, QUIET, RefinedSurface, colour_map, round_up, shade, shade_tool
 from palpate.app.recordings.recording import Recording
-from palpate.app.recordings.snapshot import UNITS, Snapshot
+from palpate.app.recordings.snapshot import FIELD_UNITS
 from palpate.app.view.server.frames import colour_range
+from palpate.arrays import Floats
 from palpate.extras import require
 from palpate.faults import InputError
 from palpate.files import whole_file
 from palpate.reduction.realtime.full_surface import display_surface
 
-__all__ = ["MOVIE_SUFFIXES", "Draw", "RecordingPlotter", "check_movie", "check_picture", "write_movie", "write_picture"]
+__all__ = [
+    "FRAME_RATE",
+    "MOVIE_PIXELS",
+    "MOVIE_SUFFIXES",
+    "PICTURE_PIXELS",
+    "Caption",
+    "Draw",
+    "RecordingPlotter",
+    "check_movie",
+    "check_picture",
+    "movie_writer",
+    "write_movie",
+    "write_picture",
+]
 
 Draw = Callable[[int], Any]
 
-MOVIE_SUFFIXES = (".gif", ".mp4")
+MOVIE_SUFFIXES = (".gif", ".mp4", ".webp")
 FRAME_RATE = 25  # [Hz]
-PIXELS = 720  # height of a picture
+WEBP_QUALITY = 92  # of 100
+PICTURE_PIXELS, MOVIE_PIXELS = 1280, 640  # width
+ASPECT_RATIO = 4 / 3
 VIEW_DIRECTION = np.array([0.35, -0.85, 0.4])  # from the body to the camera
-VIEW_MARGIN = 1.25  # width of the picture relative to the body
-FULL_MODEL_COLOUR, TOOL_COLOUR = "#d95f02", "#555555"
+VIEW_MARGIN = 1.12  # of the picture around the body
+LEGEND_SHARE = 0.16  # of the height, below the body
+VIEWED_SNAPSHOTS = 50  # of a recording, from which view and range are chosen
+FULL_MODEL_COLOUR = "#0b7285"
+SHADOW_CELLS, SHADOW_MARGIN, SHADOW_BLUR, SHADOW_STRENGTH = 128, 0.6, 0.1, 0.2  # margin and blur over the radius
 
 
 def check_picture() -> None:
@@ -45,9 +66,10 @@ def check_movie(path: Path) -> None:
         The suffix is not supported, or its encoder is not installed.
     """
     if path.suffix.lower() not in MOVIE_SUFFIXES:
-        raise InputError(f"movie must end in {' or '.join(MOVIE_SUFFIXES)}, got {str(path)!r}; choose another name")
+        suffixes = f"{', '.join(MOVIE_SUFFIXES[:-1])} or {MOVIE_SUFFIXES[-1]}"
+        raise InputError(f"movie must end in {suffixes}, got {str(path)!r}; choose another name")
     check_picture()
-    if path.suffix.lower() == ".mp4":
+    if path.suffix.lower() != ".gif":
         require("imageio_ffmpeg", f"movie {path}")
 
 
@@ -64,20 +86,61 @@ def write_movie(
     path: Path, recording: Recording, draw: Draw, progress: Callable[[float, float], None] | None = None
 ) -> None:
     """Write a movie of a whole recording, in real time."""
+    count = max(1, int(recording.times[-1] * FRAME_RATE))
+    with whole_file(path) as partial, movie_writer(partial) as add:
+        for index in range(count):
+            at = index / FRAME_RATE
+            add(draw(int(np.searchsorted(recording.times, at, side="right")) - 1))
+            if progress is not None:
+                progress(at, at)
+
+
+@contextmanager
+def movie_writer(path: Path) -> Iterator[Callable[[Any], None]]:
+    """Yield a function that adds a picture (h, w, 3) to a movie of `FRAME_RATE`; GIF and WebP repeat.
+
+    Raises
+    ------
+    InputError
+        As `check_movie`.
+    """
+    check_movie(path)
+    suffix = path.suffix.lower()
+    if suffix == ".webp":
+        yield from _webp_writer(path)
+        return
     import imageio
 
     maker: Any = imageio
-    check_movie(path)
-    count = max(1, int(recording.times[-1] * FRAME_RATE))
     options: dict[str, Any] = {"duration": 1000 / FRAME_RATE, "loop": 0}
-    if path.suffix.lower() == ".mp4":
+    if suffix == ".mp4":
         options = {"fps": FRAME_RATE, "macro_block_size": 4}  # of the pictures' sides, which are not resized
-    with whole_file(path) as partial, maker.get_writer(partial, **options) as writer:
-        for index in range(count):
-            at = index / FRAME_RATE
-            writer.append_data(draw(int(np.searchsorted(recording.times, at, side="right")) - 1))
-            if progress is not None:
-                progress(at, at)
+    with maker.get_writer(path, **options) as writer:
+        yield writer.append_data
+
+
+def _webp_writer(path: Path) -> Iterator[Callable[[Any], None]]:
+    """Yield the function of `movie_writer`; ffmpeg gets each picture at once, so that memory does not grow."""
+    import imageio_ffmpeg  # type: ignore[import-untyped]
+
+    writer: Any = None
+
+    def add(picture: Any) -> None:
+        nonlocal writer
+        if writer is None:
+            quality = ["-loop", "0", "-quality", str(WEBP_QUALITY), "-compression_level", "6"]
+            writer = imageio_ffmpeg.write_frames(
+                str(path), picture.shape[1::-1], fps=FRAME_RATE, codec="libwebp_anim", quality=None,
+                macro_block_size=1, output_params=quality,
+            )  # fmt: skip
+            writer.send(None)
+        writer.send(np.ascontiguousarray(picture))
+
+    try:
+        yield add
+    finally:
+        if writer is not None:
+            writer.close()
 
 
 class RecordingPlotter:
@@ -88,6 +151,8 @@ class RecordingPlotter:
     recording : Recording
     scalar : str
         Scalar that colours the body.
+    pixels : int
+        Width of the pictures.
 
     Raises
     ------
@@ -97,54 +162,71 @@ class RecordingPlotter:
         This machine cannot render.
     """
 
-    def __init__(self, recording: Recording, scalar: str) -> None:
+    def __init__(self, recording: Recording, scalar: str, pixels: int = PICTURE_PIXELS) -> None:
         check_drawing()
         self.recording, self.scalar, self.surface = recording, scalar, display_surface(recording.model)
         if scalar not in self.surface.scalars:
             allowed = ", ".join(map(repr, self.surface.scalars))
             raise InputError(f"scalar must be one of {allowed}, got {scalar!r}; choose one of these")
+        self.pixels = pixels
+        self.axes = camera_axes(VIEW_DIRECTION)
+        self.sample = recording.snapshots[:: max(1, len(recording.snapshots) // VIEWED_SNAPSHOTS)]
 
     def __enter__(self) -> Callable[[int], Any]:
         import pyvista
 
-        surface, direction = self.surface, VIEW_DIRECTION / np.linalg.norm(VIEW_DIRECTION)
-        low, high = surface.rest.min(axis=0).astype(float), surface.rest.max(axis=0).astype(float)
-        width = VIEW_MARGIN * float(np.linalg.norm(high - low))
-        self._window = off_screen(width, 0.75 * width, 0.5 * (low + high), direction, PIXELS)
+        surface, snapshots = self.surface, self.recording.snapshots
+        rest = surface.rest.astype(float)
+        size = float(np.linalg.norm(np.ptp(rest, axis=0)))
+        refined = RefinedSurface(rest, surface.triangles)
+        fixed, mottling = refined.values(surface.fixed), refined.values(rest / size)
+        middle, width = self._view(rest)
+        self._window = off_screen(width, width / ASPECT_RATIO, middle, self.axes[2], self.pixels)
         plotter: Any = self._window.__enter__()
-        faces = np.column_stack([np.full(len(surface.triangles), 3), surface.triangles]).ravel()
-        body: Any = pyvista.PolyData(surface.rest.astype(float), faces)
-        unit, factor = UNITS[self.scalar]
-        snapshots = self.recording.snapshots
-        largest = factor * self._largest_value(snapshots)
-        body["scalar"] = np.zeros(len(surface.rest))
-        low_end = -largest if self.scalar == "pressure" else 0.0
-        plotter.add_mesh(
-            body, scalars="scalar", clim=(low_end, largest), cmap=COLOURS, smooth_shading=True, ambient=0.35,
-            scalar_bar_args={"title": f"{self.scalar} [{unit}]", "color": "black"},
-        )  # fmt: skip
-        full_model = self._add_full_model(plotter, pyvista, faces)
+        unit, factor = FIELD_UNITS[self.scalar]
+        largest = round_up(factor * self._largest_value())
+        body: Any = pyvista.PolyData(refined.places(rest)[0], _faces(refined.triangles))
+        body["colour"] = np.zeros((body.n_points, 3), dtype=np.uint8)
+        plotter.add_mesh(body, scalars="colour", rgb=True, lighting=False)
+        shadow = _add_shadow(plotter, pyvista, rest)
+        full_model = self._add_full_model(plotter, pyvista, _faces(surface.triangles))
         tools = self._add_tools(plotter, pyvista)
+        signed = self.scalar == "pressure"
+        caption = Caption(self.recording.title, f"{self.scalar.capitalize()} [{unit}]", largest, signed, 1e3 * width)
+        caption.notes = {"Wireframe: full model": FULL_MODEL_COLOUR} if self.recording.full else {}
+        if surface.fixed.any():
+            caption.notes["Pale: fixed"] = QUIET
 
         def draw(frame: int) -> Any:
             snapshot = snapshots[frame]
             displacements = snapshot.displacements(surface)
-            body.points = (surface.rest + displacements).astype(float)
-            body["scalar"] = factor * snapshot.scalar(surface, self.scalar, displacements)
+            values = refined.values(factor / largest * snapshot.scalar(surface, self.scalar, displacements))
+            body.points, normals = refined.places(surface.rest + displacements)
+            body["colour"] = shade(normals, self.axes, values, fixed, mottling)
+            shadow(body.points)
             full_model(frame)
             tools(frame)
-            plotter.render()
-            return np.asarray(plotter.screenshot(return_img=True))[..., :3]
+            return caption.over(screenshot(plotter), f"Force {np.linalg.norm(snapshot.force):.2f} N")
 
         return draw
 
     def __exit__(self, *error: Any) -> None:
         self._window.__exit__(*error)
 
-    def _largest_value(self, snapshots: list[Snapshot]) -> float:
-        sample = snapshots[:: max(1, len(snapshots) // 50)]
-        ends = [colour_range(m.scalar(self.surface, self.scalar, m.displacements(self.surface)))[1] for m in sample]
-        return max(*ends, 1e-12)
+    def _view(self, rest: Floats) -> tuple[Floats, float]:
+        """Return the middle [m] and the width [m] of a view of the body, and of tools that touch it."""
+        seen = [rest, *(rest + snapshot.displacements(self.surface) for snapshot in self.sample)]
+        seen += [snapshot.position[None] for snapshot in self.sample if np.any(snapshot.force)]
+        points = np.concatenate(seen) @ self.axes.T
+        low, high = points.min(axis=0), points.max(axis=0)
+        across, up, _ = VIEW_MARGIN * (high - low)
+        height = max(up, across / ASPECT_RATIO) / (1 - LEGEND_SHARE)
+        middle = 0.5 * (low + high) - [0.0, 0.5 * LEGEND_SHARE * height, 0.0]
+        return middle @ self.axes, height * ASPECT_RATIO
+
+    def _largest_value(self) -> float:
+        moved = ((each, each.displacements(self.surface)) for each in self.sample)
+        return max(*(colour_range(each.scalar(self.surface, self.scalar, u))[1] for each, u in moved), 1e-12)
 
     def _add_full_model(self, plotter: Any, pyvista: Any, faces: Any) -> Callable[[int], None]:
         """Add the full model as a wireframe; return a function that updates it to a frame."""
@@ -152,8 +234,9 @@ class RecordingPlotter:
         if not full:
             return lambda frame: None
         full_model = pyvista.PolyData(full["positions"][0].astype(float), faces)
-        plotter.add_mesh(full_model, style="wireframe", color=FULL_MODEL_COLOUR, line_width=1.0, opacity=0.6)
-        plotter.add_text("wireframe: full model", position="upper_left", font_size=10, color=FULL_MODEL_COLOUR)
+        plotter.add_mesh(
+            full_model, style="wireframe", color=FULL_MODEL_COLOUR, line_width=2.0, opacity=0.5, lighting=False
+        )
 
         def update(frame: int) -> None:
             nearest = int(np.argmin(np.abs(full["times"] - self.recording.times[frame])))
@@ -164,27 +247,124 @@ class RecordingPlotter:
     def _add_tools(self, plotter: Any, pyvista: Any) -> Callable[[int], None]:
         """Add the tools; return a function that shows the tool of a frame."""
         starts = [tool["start"] for tool in self.recording.tools]
-        meshes: list[tuple[Any, Any, Any] | None] = []
+        meshes: list[tuple[Any, Any, Any, Any] | None] = []
         for tool in self.recording.tools:
             radius, half = tool["radius"], 0.5 * tool["length"]
             if tool["kind"] in ("none", "group"):
                 meshes.append(None)
                 continue
-            solid = pyvista.Sphere(radius=radius if tool["kind"] != "grasp" else 0.3 * radius)
+            shown_radius = radius if tool["kind"] != "grasp" else 0.3 * radius
+            solid = pyvista.Sphere(radius=shown_radius, theta_resolution=96, phi_resolution=97)
+            normals = np.asarray(solid.points) / shown_radius
             if tool["kind"] == "capsule":
                 solid.points[:, 2] += np.where(solid.points[:, 2] > 0, half, -half)
-            meshes.append(
-                (plotter.add_mesh(solid, color=TOOL_COLOUR, smooth_shading=True), np.array(solid.points), solid)
-            )
+            solid["colour"] = np.zeros((solid.n_points, 3), dtype=np.uint8)
+            actor = plotter.add_mesh(solid, scalars="colour", rgb=True, lighting=False)
+            meshes.append((actor, np.array(solid.points), normals, solid))
 
         def update(frame: int) -> None:
             snapshot, present = self.recording.snapshots[frame], int(np.searchsorted(starts, frame, side="right")) - 1
             for index, parts in enumerate(meshes):
                 if parts is None:
                     continue
-                actor, points, solid = parts
+                actor, points, normals, solid = parts
                 actor.visibility = index == present and snapshot.tool != "none"
                 rotation = Rotation.from_quat(snapshot.quaternion, scalar_first=True)
                 solid.points = snapshot.position + rotation.apply(points)
+                solid["colour"] = shade_tool(rotation.apply(normals), self.axes)
 
         return update
+
+
+def _faces(triangles: Any) -> Any:
+    return np.column_stack([np.full(len(triangles), 3), triangles]).ravel()
+
+
+def _add_shadow(plotter: Any, pyvista: Any, rest: Floats) -> Callable[[Floats], None]:
+    """Add the ground below a body; return a function that gives it the soft shadow of points (n, 3) [m]."""
+    from scipy.ndimage import gaussian_filter
+
+    low, high = rest.min(axis=0), rest.max(axis=0)
+    radius = 0.5 * float(np.linalg.norm(high - low))
+    start, end = low - SHADOW_MARGIN * radius, high + SHADOW_MARGIN * radius
+    sides = [np.linspace(start[k], end[k], SHADOW_CELLS + 1) for k in range(2)]
+    ground = pyvista.RectilinearGrid(*(0.5 * (side[1:] + side[:-1]) for side in sides), [low[2] - 0.1 * radius])
+    ground["colour"] = np.zeros((ground.n_points, 4), dtype=np.uint8)
+    plotter.add_mesh(ground, scalars="colour", rgb=True, lighting=False)
+    blur = [SHADOW_BLUR * radius / (side[1] - side[0]) for side in sides]
+
+    def update(points: Floats) -> None:
+        counts = np.histogram2d(points[:, 0], points[:, 1], sides)[0]
+        ground["colour"][:, 3] = np.rint(255 * SHADOW_STRENGTH * gaussian_filter(1.0 * (counts > 0), blur).T.ravel())
+
+    return update
+
+
+class Caption:
+    """Title, a text that changes, legend and scale bar over a picture.
+
+    Parameters
+    ----------
+    title, quantity : str
+        Of the recording, and of the colours.
+    largest : float
+        End of the colours, in the unit of `quantity`.
+    signed : bool
+        The colours start at minus the largest value.
+    millimetres : float [mm]
+        Width of the picture.
+    """
+
+    def __init__(self, title: str, quantity: str, largest: float, signed: bool, millimetres: float) -> None:
+        self.title, self.quantity, self.largest, self.signed = title, quantity, largest, signed
+        self.millimetres = millimetres
+        self.notes: dict[str, str] = {}  # texts at the upper right, and their colours
+        self._figure: Any = None
+
+    def over(self, picture: Any, text: str) -> Any:
+        """Return a picture (h, w, 3) with the caption and a text below the title."""
+        if self._figure is None:
+            self._lay_out(picture)
+        self._shown.set_data(picture)
+        self._text.set_text(text)
+        self._figure.canvas.draw()
+        return np.asarray(self._figure.canvas.buffer_rgba())[..., :3].copy()
+
+    def _lay_out(self, picture: Any) -> None:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        height, width = picture.shape[:2]
+        dpi = 100 * width / MOVIE_PIXELS  # texts keep their share of the picture
+        self._figure = Figure(figsize=(width / dpi, height / dpi), dpi=dpi)
+        FigureCanvasAgg(self._figure)
+        axes = self._figure.add_axes((0, 0, 1, 1))
+        axes.set_axis_off()
+        self._shown = axes.imshow(picture, interpolation="none", aspect="auto")
+        tall = width / height / ASPECT_RATIO  # distances from the edges keep their share of the width
+
+        def bottom(height: float) -> float:
+            return height * tall
+
+        def top(height: float) -> float:
+            return 1 - (1 - height) * tall
+
+        text = self._figure.text
+        text(0.035, top(0.94), self.title, color=INK, size=11, weight="bold", va="center")
+        self._text = text(0.035, top(0.885), "", color=QUIET, size=9, va="center")
+        for row, (note, colour) in enumerate(self.notes.items()):
+            text(0.965, top(0.94 - 0.055 * row), note, color=colour, size=9, va="center", ha="right")
+        text(0.035, bottom(0.115), self.quantity, color=QUIET, size=9, va="center")
+        bar = self._figure.add_axes((0.035, bottom(0.075), 0.28, bottom(0.016)))
+        bar.imshow(np.linspace(0, 1, 256)[None], aspect="auto", cmap=colour_map(self.signed))
+        bar.set_axis_off()
+        start = f"\N{MINUS SIGN}{self.largest:g}" if self.signed else "0"
+        text(0.035, bottom(0.045), start, color=QUIET, size=9, va="center")
+        text(0.315, bottom(0.045), f"{self.largest:g}", color=QUIET, size=9, va="center", ha="right")
+        length = max(n for n in (1, 2, 5, 10, 20, 50, 100, 200, 500) if n <= max(1.0, self.millimetres / 6))
+        share = length / self.millimetres
+        line = self._figure.add_axes((0.965 - share, bottom(0.075), share, bottom(0.016)))
+        line.plot([0, 0, 1, 1], [1, 0, 0, 1], color=QUIET, lw=1.2, clip_on=False)
+        line.set(xlim=(0, 1), ylim=(0, 1))
+        line.set_axis_off()
+        text(0.965, bottom(0.045), f"{length} mm", color=QUIET, size=9, va="center", ha="right")

@@ -103,7 +103,7 @@ def add_replay(commands: Any) -> None:
     text = "with --full: your own scene, which the recording must name; also from the current folder"
     add("--scene", metavar="MODULE:FUNCTION", help=text)
     add("--png", type=path, metavar="FILE.png", help="draw the moment of the largest force into a PNG file")
-    text = "draw the whole recording into a film: .gif, or .mp4 with palpate[film]"
+    text = "draw the whole recording into a film: .gif, .webp or .mp4"
     add("--movie", type=path, metavar="FILE", help=text)
     text = "field that the colours of pictures show: displacement, stress or pressure"
     add("--scalar", default="displacement", metavar="NAME", help=text)

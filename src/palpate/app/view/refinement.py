@@ -27,7 +27,7 @@ class Trainer(Protocol):
     """A training in the background; see `palpate.app.view.training_process.TrainingProcess`."""
 
     def events(self) -> Iterator[dict[str, Any]]:
-        """Yield what it reports until it ends."""
+        """Yield its reports until it ends."""
 
     def stop(self) -> None:
         """End it."""
@@ -128,7 +128,7 @@ class Refinement:
 
     @property
     def _is_followed(self) -> bool:
-        """Whether the training that this thread follows was not stopped."""
+        """Whether the followed training is not stopped."""
         return self._state == TRAINING and self._thread is threading.current_thread()
 
     def _take(self, event: dict[str, Any]) -> None:
@@ -161,7 +161,7 @@ class Refinement:
         self._console.say(f"no reduced model was trained: {reason}; the full body stays")
 
     def next_source(self) -> Session | None:
-        """Return the running session of the model, once: when it is good and no tool touches the body, or accepted."""
+        """Return the running session of the model, once: if accepted, or if it is good and no tool touches the body."""
         with self._lock:
             ready = self._state == READY and (self._accepted or (self._is_good and not self._session.is_touched))
             if not ready or self._next is None:

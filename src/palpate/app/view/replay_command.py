@@ -11,6 +11,7 @@ from palpate.app.common.console import Console, count_nodes, percent, print_plai
 from palpate.app.recordings.recording import Recording, load_recording, save_recording
 from palpate.app.train.scene_folder import last_recording
 from palpate.app.view.film import (
+    MOVIE_PIXELS,
     RecordingPlotter,
     check_movie,
     check_picture,
@@ -106,14 +107,17 @@ def replay(
 
 
 def _draw(recording: Recording, scalar: str, png: Path | None, movie: Path | None, console: Console) -> None:
-    with RecordingPlotter(recording, scalar) as draw:
-        if png is not None:
+    if png is not None:
+        with RecordingPlotter(recording, scalar) as draw:
             write_picture(png, recording, draw)
-            console.say(f"drew {png}")
-        if movie is not None:
-            with progress_bar("movie", float(recording.times[-1]), True) as shown:
-                write_movie(movie, recording, draw, shown)
-            console.say(f"drew {movie}")
+        console.say(f"drew {png}")
+    if movie is not None:
+        with (
+            RecordingPlotter(recording, scalar, MOVIE_PIXELS) as draw,
+            progress_bar("movie", float(recording.times[-1]), True) as shown,
+        ):
+            write_movie(movie, recording, draw, shown)
+        console.say(f"drew {movie}")
 
 
 def _replay_full(recording: Recording, scene: str | None, console: Console) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Training of a scene's reduced model in a process of its own, at low priority, with its progress as lines of JSON.
+"""Training of a scene's reduced model in a separate process of low priority, with progress as lines of JSON.
 
 The process ends with the one that started it. What it has computed stays in the scene's folder
 (`palpate.app.models.trained`), from which the next one continues.
@@ -25,7 +25,7 @@ from palpate.app.common.console import Console
 from palpate.app.common.exit_status import RunError
 from palpate.app.models.touch import NODES_PER_CELL
 from palpate.app.models.trained import MAX_WORKERS, held_out_means, model_file, trained_model
-from palpate.app.train.local import THREADS
+from palpate.app.train.local import THREAD_VARIABLES
 from palpate.faults import DivergenceError, InputError
 from palpate.scenes.open_scene import described_scene, text_of_scene
 from palpate.scenes.organ_scene import OrganScene
@@ -33,8 +33,8 @@ from palpate.scenes.surface_scene import is_surface_file
 
 __all__ = ["Progress", "TrainingProcess", "refined_scene", "train_in_process"]
 
-CODE = "from palpate.app.view.training_process import train_in_process; train_in_process()"
-NICENESS = 19  # the lowest priority
+PROCESS_CODE = "from palpate.app.view.training_process import train_in_process; train_in_process()"
+WORKER_NICENESS = 19  # the lowest priority
 REFINED_NODES = 4500  # of a body without a spacing; statics of training take 5,000 at most
 TRAINING_SHARE = 1.3  # time of the training over that of all its runs: 1.3 on a liver of 4,500 nodes
 LEAST_SHARE = 0.02  # of the runs, from which their time is estimated
@@ -74,10 +74,10 @@ class TrainingProcess:
 
     def __init__(self, scene: OrganScene) -> None:
         workers = max(min((os.cpu_count() or 1) - 1, MAX_WORKERS), 1)  # the engine keeps a processor
-        threads = dict.fromkeys(THREADS, str(workers))
+        threads = dict.fromkeys(THREAD_VARIABLES, str(workers))
         idle = getattr(subprocess, "IDLE_PRIORITY_CLASS", 0)  # of Windows, where `os.nice` is not
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-c", CODE], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            [sys.executable, "-P", "-c", PROCESS_CODE], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL, env={**os.environ, **threads}, text=True, creationflags=idle,
         )  # fmt: skip
         given = {"name": scene.name, "description": text_of_scene(scene), "workers": workers}
@@ -87,10 +87,10 @@ class TrainingProcess:
             self._process.stdin.flush()
 
     def events(self) -> Iterator[dict[str, Any]]:
-        """Yield what the process reports until it ends; the last is ``trained`` or ``failed``.
+        """Yield the reports of the process until it ends; the last is ``trained`` or ``failed``.
 
-        ``phase`` has a text, and the time ``left`` [s] or None; ``trained`` the file of the model, and its mean
-        ``errors`` on held-out runs by name; ``failed`` a reason.
+        ``phase`` has a text, and the time ``left`` [s] or None. ``trained`` has the file of the model, and its
+        mean ``errors`` on held-out runs by name. ``failed`` has a reason.
         """
         assert self._process.stdout is not None
         last: dict[str, Any] = {}
@@ -152,7 +152,7 @@ def train_in_process() -> None:
     """Train the scene that the standard input describes; end when that ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process ends this one
     if hasattr(os, "nice"):
-        os.nice(NICENESS)
+        os.nice(WORKER_NICENESS)
     given = json.loads(sys.stdin.readline())
 
     def watch() -> None:

@@ -71,8 +71,8 @@ class _DigestCache(SafeCache):
         return (sig, codegen.magic_tuple(), numba.__version__, self._digest)
 
 
-IMPORT = re.compile(r"^from (palpate\.[\w.]+) import (\([^)]*\)|[^\n(]+)", re.MULTILINE)
-PLAIN = (bool, int, float, str, tuple)  # types of constants in compiled code
+IMPORT_PATTERN = re.compile(r"^from (palpate\.[\w.]+) import (\([^)]*\)|[^\n(]+)", re.MULTILINE)
+PLAIN_TYPES = (bool, int, float, str, tuple)  # types of constants in compiled code
 
 
 @cache
@@ -99,22 +99,22 @@ def kernel_sources(module: str) -> dict[str, str]:
     dict of str to str
         Text by the name of a module, or value by ``module:constant``.
     """
-    found: dict[str, str] = {}
+    sources: dict[str, str] = {}
     remaining = [module]
     while remaining:
         name = remaining.pop()
-        if name in found:
+        if name in sources:
             continue
-        found[name] = _source(name)
-        for imported, names in IMPORT.findall(found[name]):
+        sources[name] = _source(name)
+        for imported, names in IMPORT_PATTERN.findall(sources[name]):
             if _compiles(imported):
                 remaining.append(imported)
                 continue
             for word in re.findall(r"\w+", re.sub(r" as \w+|#.*", "", names)):
                 value = getattr(sys.modules.get(imported), word, None)
-                if isinstance(value, PLAIN):
-                    found[f"{imported}:{word}"] = repr(value)
-    return found
+                if isinstance(value, PLAIN_TYPES):
+                    sources[f"{imported}:{word}"] = repr(value)
+    return sources
 
 
 def _compiles(module: str) -> bool:
@@ -148,19 +148,19 @@ def _text(item: object) -> str:
     """Return the sources of a function and of all functions that it uses, or the repr of another value."""
     if not inspect.isfunction(item):
         return repr(item)
-    found: dict[object, str] = {}
+    sources: dict[object, str] = {}
     remaining: list[object] = [item]
     while remaining:
         value = remaining.pop()
         if not inspect.isfunction(value):
-            found[repr(value)] = ""
-        elif value not in found:
-            found[value] = inspect.getsource(value)
+            sources[repr(value)] = ""
+        elif value not in sources:
+            sources[value] = inspect.getsource(value)
             remaining += [cell.cell_contents for cell in value.__closure__ or ()]
             used = [value.__globals__.get(name) for name in value.__code__.co_names]
             used = [getattr(other, "py_func", other) for other in used]
-            remaining += [other for other in used if isinstance(other, PLAIN) or inspect.isfunction(other)]
-    return "".join(text or str(value) for value, text in found.items())
+            remaining += [other for other in used if isinstance(other, PLAIN_TYPES) or inspect.isfunction(other)]
+    return "".join(text or str(value) for value, text in sources.items())
 
 
 def rename_for(digest: str, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -183,9 +183,9 @@ def inline(digest: str, function: Callable[..., Any]) -> Any:
         CellType(inline(digest, cell.cell_contents)) if inspect.isfunction(cell.cell_contents) else cell
         for cell in function.__closure__ or ()
     )
-    own = FunctionType(function.__code__, function.__globals__, function.__name__, function.__defaults__, cells)
-    own.__qualname__, own.__module__ = function.__qualname__, function.__module__
-    return register_jitable(rename_for(digest, own))
+    copied = FunctionType(function.__code__, function.__globals__, function.__name__, function.__defaults__, cells)
+    copied.__qualname__, copied.__module__ = function.__qualname__, function.__module__
+    return register_jitable(rename_for(digest, copied))
 
 
 def kernel_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -230,11 +230,11 @@ def law_njit(
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        own = rename_for(digest, function)
-        compiled = njit(no_cfunc_wrapper=True, no_cpython_wrapper=inner, _nrt=allocates, **options)(own)
+        renamed = rename_for(digest, function)
+        compiled = njit(no_cfunc_wrapper=True, no_cpython_wrapper=inner, _nrt=allocates, **options)(renamed)
         if cached:
-            whole = law_digest(function.__module__, digest)
-            enable_cache(compiled, lambda: _DigestCache(own, whole))
+            full_digest = law_digest(function.__module__, digest)
+            enable_cache(compiled, lambda: _DigestCache(renamed, full_digest))
         return compiled
 
     return decorate

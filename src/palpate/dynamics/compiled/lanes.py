@@ -85,7 +85,7 @@ def lane_table(
     start = np.concatenate([[0], np.cumsum(length)])
     block = np.repeat(np.arange(len(nodes)), length)
     position = np.arange(start[-1]) - start[block]
-    own = ~shared[block]
+    separate = ~shared[block]
 
     # shared weights are stored once for every row that a block uses
     rows, first_block = np.unique(row[nodes[shared, 0]], return_index=True)
@@ -100,9 +100,9 @@ def lane_table(
     weights = []
     for table in tables:
         table = table.reshape(len(table), k, -1)
-        by_lane = np.empty((int(own.sum()), table.shape[2], LANES))
+        by_lane = np.empty((int(separate.sum()), table.shape[2], LANES))
         for lane in range(LANES):  # lane by lane, to store one copy only
-            by_lane[:, :, lane] = table[row[nodes[block[own], lane]], position[own]]
+            by_lane[:, :, lane] = table[row[nodes[block[separate], lane]], position[separate]]
         weights.append(Weights(np.ascontiguousarray(table[rows[r], row_position]), by_lane))
     neighbours = np.ascontiguousarray(near[nodes[block], position[:, None]])
     return Lanes(nodes.astype(np.int32), start.astype(np.int64), neighbours, shared, weight_start), tuple(weights)

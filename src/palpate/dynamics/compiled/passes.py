@@ -113,7 +113,7 @@ def combine(b, columns, table, out):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(parallel=True, fastmath={"contract"})
-def smooth_field(lanes, value, own, sums, values, smooth):  # type: ignore[no-untyped-def]
+def smooth_field(lanes, value, diagonal, sums, values, smooth):  # type: ignore[no-untyped-def]
     """Compute the fitted value of a nodal field (n,) at every node."""
     for b in prange(lanes.nodes.shape[0]):
         total = sums[get_thread_id()]
@@ -122,7 +122,7 @@ def smooth_field(lanes, value, own, sums, values, smooth):  # type: ignore[no-un
                     lanes.shared[b])  # fmt: skip
         for lane in range(LANES):
             i = lanes.nodes[b, lane]
-            smooth[i] = total[0, lane] + own[i] * values[i]
+            smooth[i] = total[0, lane] + diagonal[i] * values[i]
 
 
 @kernel_njit(inner=True)

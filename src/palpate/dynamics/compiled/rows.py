@@ -21,10 +21,10 @@ from palpate.dynamics.compiled.lanes import LANES
 
 __all__ = ["Rows", "aligned_zeros", "difference_sums", "gather_fluxes", "row_table"]
 
-CHAINS = 2  # independent sums of a node, as an addition takes some cycles
-ALIGNMENT = 64  # bytes of a cache line
-PREFETCH = 4096  # bytes by which weights are loaded in advance: some three nodes
-WIDTHS = (4, 8)  # numbers of a row of weights, and of the fluxes of a component
+SUM_CHAINS = 2  # independent sums of a node, as an addition takes some cycles
+ALIGNMENT_BYTES = 64  # bytes of a cache line
+PREFETCH_BYTES = 4096  # bytes by which weights are loaded in advance: some three nodes
+ROW_WIDTHS = (4, 8)  # numbers of a row of weights, and of the fluxes of a component
 
 
 class Rows(NamedTuple):
@@ -42,7 +42,7 @@ class Rows(NamedTuple):
     weight_start : (n,) int64
         First entry of every node in `weights`. Nodes with equal weights share them.
     weights : (s, w) float64
-        Of one of the `WIDTHS`, padded with zeros.
+        Of one of the `ROW_WIDTHS`, padded with zeros.
     """
 
     nodes: NDArray[np.int32]
@@ -61,9 +61,9 @@ class Rows(NamedTuple):
 def aligned_zeros(*shape: int) -> NDArray[np.float64]:
     """Return zeros that start at a cache line."""
     size = int(np.prod(shape))
-    spare = ALIGNMENT // 8
+    spare = ALIGNMENT_BYTES // 8
     data = np.zeros(size + spare)
-    first = -data.ctypes.data % ALIGNMENT // 8
+    first = -data.ctypes.data % ALIGNMENT_BYTES // 8
     return data[first : first + size].reshape(shape)
 
 
@@ -71,7 +71,7 @@ def row_table(
     near: NDArray[np.int32],
     row: NDArray[np.integer[Any]],
     table: NDArray[np.float64],
-    own: NDArray[np.float64] | None = None,
+    diagonal: NDArray[np.float64] | None = None,
 ) -> Rows:
     """Lay out stencils in compressed rows.
 
@@ -81,14 +81,14 @@ def row_table(
         `Stencils.neighbours` and `Stencils.row`.
     table : (s, k, w) array
         Weights, by row.
-    own : (s, w) array, optional
+    diagonal : (s, w) array, optional
         Weights of a node on itself, by row; by default 0.
     """
     n = len(near)
     every = np.arange(n, dtype=np.int32)
     count = np.sum(near != every[:, None], axis=1)
-    entries = count + (own is not None)
-    entries += -entries % CHAINS
+    entries = count + (diagonal is not None)
+    entries += -entries % SUM_CHAINS
     start = np.concatenate([[0], np.cumsum(entries)])
     neighbours = np.repeat(every, entries)
     node, place = _entries(count)
@@ -97,11 +97,11 @@ def row_table(
     used, first_node, which = np.unique(row, return_index=True, return_inverse=True)
     row_start = np.concatenate([[0], np.cumsum(entries[first_node])])
     numbers = table.shape[2]
-    weights = aligned_zeros(int(row_start[-1]), next(width for width in WIDTHS if width >= numbers))
+    weights = aligned_zeros(int(row_start[-1]), next(width for width in ROW_WIDTHS if width >= numbers))
     each, place = _entries(count[first_node])
     weights[row_start[each] + place, :numbers] = table[used[each], place]
-    if own is not None:
-        weights[row_start[:-1] + count[first_node], :numbers] = own[used]
+    if diagonal is not None:
+        weights[row_start[:-1] + count[first_node], :numbers] = diagonal[used]
     nodes = np.concatenate([every, np.repeat(every[-1:], -n % LANES)]).reshape(-1, LANES)
     return Rows(nodes, start, neighbours, row_start[which], weights)
 
@@ -128,11 +128,11 @@ def _row_sums(width: int, name: str, of_differences: bool) -> Any:
             values_at, out_at = emit.data(signature.args[0], args[0]), emit.data(signature.args[3], args[3])
             row = emit.row(signature.args[1], args[1], args[2])
             if of_differences:
-                found = emit.loop(row, emit.differences(values_at, args[2]))
-                emit.store_vectors(found, emit.at(out_at, args[4], 3 * width))
+                total_vectors = emit.loop(row, emit.differences(values_at, args[2]))
+                emit.store_vectors(total_vectors, emit.at(out_at, args[4], 3 * width))
             else:
-                found = emit.loop(row, emit.fluxes(values_at))
-                emit.store_negative_totals(found, emit.at(out_at, args[4], 3))
+                total_vectors = emit.loop(row, emit.fluxes(values_at))
+                emit.store_negative_totals(total_vectors, emit.at(out_at, args[4], 3))
             return context.get_dummy_value()
 
         return signature, codegen
@@ -232,10 +232,10 @@ class _Emitter:
         builder.position_at_end(loop)
         k = builder.phi(self.i64)
         k.add_incoming(ir.Constant(self.i64, 0), entry)
-        totals = [[builder.phi(self.vector) for _ in range(3)] for _ in range(CHAINS)]
+        totals = [[builder.phi(self.vector) for _ in range(3)] for _ in range(SUM_CHAINS)]
         index, weight = self.at(row.neighbours, k, 1, size=4), self.at(row.weights, k, self.width)
-        self.prefetch(weight, PREFETCH)
-        for chain in range(CHAINS):
+        self.prefetch(weight, PREFETCH_BYTES)
+        for chain in range(SUM_CHAINS):
             j = builder.sext(self.load(ir.IntType(32), index, 4 * chain, align=4), self.i64)
             factor = self.load(self.vector, weight, 8 * self.width * chain)
             for c, value in enumerate(term(j)):
@@ -243,7 +243,7 @@ class _Emitter:
                 total = totals[chain][c]
                 total.add_incoming(ir.Constant(self.vector, [0.0] * self.width), entry)
                 total.add_incoming(builder.fadd(product, total, flags=("contract",)), loop)
-        following = builder.add(k, ir.Constant(self.i64, CHAINS))
+        following = builder.add(k, ir.Constant(self.i64, SUM_CHAINS))
         k.add_incoming(following, loop)
         builder.cbranch(builder.icmp_signed("<", following, row.count), loop, end)
         builder.position_at_end(end)
@@ -290,4 +290,4 @@ def _gather(width: int) -> Any:
     return gather
 
 
-gather_fluxes = {width: _gather(width) for width in WIDTHS}
+gather_fluxes = {width: _gather(width) for width in ROW_WIDTHS}

@@ -37,7 +37,7 @@ __all__ = [
 ]
 
 CONTACT_GAP = {"nodes": 1e-6, "patches": 1e-3}  # gap of a node or patch in contact, in spacings
-OVERLAP = 0.05  # depth of a patch in a tool, in spacings; runs, whose tools begin outside, have less
+PATCH_OVERLAP = 0.05  # depth of a patch in a tool, in spacings; runs, whose tools begin outside, have less
 SEARCH_GAP = 0.1  # gap of a patch that is included in the sweeps, in spacings
 PATCH_RADIUS = 3.0  # largest distance of a patch from its node, in spacings
 SLIDING_RESISTANCE = 20.0  # of a held node, in masses times the speed of the fastest waves over the spacing
@@ -157,7 +157,7 @@ class Contacts(NamedTuple):
     held: HeldNodes
 
 
-SCRATCH = (
+SCRATCH_FIELDS = (
     "frames", "active_count", "active", "patch_impulses", "inverse_mass", "step_impulses", "nodal_impulses",
     "tool_impulses",
 )  # fmt: skip
@@ -167,7 +167,7 @@ HELD_SCRATCH = ("forces", "impulses", "energy")
 def with_scratch(contacts: Contacts) -> Contacts:
     """Return the same tools and patches with new scratch arrays."""
     held = contacts.held._replace(**{name: np.zeros_like(getattr(contacts.held, name)) for name in HELD_SCRATCH})
-    return contacts._replace(held=held, **{name: np.zeros_like(getattr(contacts, name)) for name in SCRATCH})
+    return contacts._replace(held=held, **{name: np.zeros_like(getattr(contacts, name)) for name in SCRATCH_FIELDS})
 
 
 def held_nodes(nodes: Ints, points: Floats, masses: Floats, rate: float, reach: NDArray[np.bool_]) -> HeldNodes:
@@ -378,7 +378,7 @@ def contacts(
         prescribed_until=prescribed_until,
         slide_of=sliding[0],
         slide=sliding[1],
-        overlap=OVERLAP * cloud.spacing,
+        overlap=PATCH_OVERLAP * cloud.spacing,
         contact_gap=CONTACT_GAP["nodes" if patches is None else "patches"] * cloud.spacing,
         search_gap=SEARCH_GAP * cloud.spacing,
         patch_radius=0.0 if patches is None else PATCH_RADIUS * cloud.spacing,

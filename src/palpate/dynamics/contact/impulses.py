@@ -68,17 +68,17 @@ def _find_active_patches(contacts, ahead, ratio, time, u, velocity, mass):  # ty
             y = points[i, 1] + u[i, 1] + ahead * velocity[i, 1]
             z = points[i, 2] + u[i, 2] + ahead * velocity[i, 2]
             square = (x - frame[0, 3]) ** 2 + (y - frame[1, 3]) ** 2 + (z - frame[2, 3]) ** 2
-            found = (
+            in_reach = (
                 square < radius * radius and time > prescribed_until[i] and gap(kind, sizes, frame, x, y, z)[0] < around
             )
-            if found:  # after the cheaper test of its node
+            if in_reach:  # after the cheaper test of its node
                 x, y, z, _, _, _ = patch(points, start, near, weights, i, ahead, u, velocity)
                 distance, nx, ny, nz = gap(kind, sizes, frame, x, y, z)
-                found = distance < search
-                if found and contacts.slide_of[i] >= 0:
+                in_reach = distance < search
+                if in_reach and contacts.slide_of[i] >= 0:
                     nx, ny, nz = project(contacts.slide, contacts.slide_of[i], nx, ny, nz)
-                    found = nx * nx + ny * ny + nz * nz > MIN_FREEDOM
-            if not found:
+                    in_reach = nx * nx + ny * ny + nz * nz > MIN_FREEDOM
+            if not in_reach:
                 if impulses[k, 3] != 0.0:
                     impulses[k] = 0.0
                 continue

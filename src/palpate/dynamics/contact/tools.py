@@ -40,7 +40,7 @@ Motion = Callable[[float], Any] | Sequence[Any] | Floats
 
 CAPSULE, PLANE, PUNCH, BONDED = 0, 1, 2, 3
 MAX_ROTATION = 1e6  # [rad], component of a rotation vector
-ROUNDING = 0.05  # default rounding of a punch's edge, in its radii
+ROUNDING_RADII = 0.05  # default rounding of a punch's edge, in its radii
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,7 @@ class Punch(Described):
     @property
     def sizes(self) -> tuple[float, float, float]:
         """Radius, half length and rounding [m]."""
-        return float(self.radius), 0.0, ROUNDING * self.radius if self.rounding is None else float(self.rounding)
+        return float(self.radius), 0.0, ROUNDING_RADII * self.radius if self.rounding is None else float(self.rounding)
 
 
 @dataclass(frozen=True)
@@ -191,8 +191,8 @@ class Forceps(Described):
     Examples
     --------
     >>> import palpate as pt
-    >>> pt.tools.Forceps(radius=0.006, point=(0.015, 0.015, 0.015)).until
-    inf
+    >>> pt.tools.Forceps(radius=0.006, point=(0.015, 0.015, 0.015))
+    Forceps(radius=6 mm, point=(15, 15, 15) mm, until=inf s)
     """
 
     radius: float
@@ -379,6 +379,15 @@ def _motion_fact(motion: Motion) -> str:
 
 def surface_nodes(cloud: Cloud) -> NDArray[np.int64]:
     """Return the surface nodes of a solid, or all nodes of a membrane.
+
+    Parameters
+    ----------
+    cloud : Cloud
+
+    Returns
+    -------
+    (k,) int array
+        In ascending order.
 
     Examples
     --------

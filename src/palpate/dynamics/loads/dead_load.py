@@ -43,9 +43,13 @@ class DeadLoad(ABC):
 
     Examples
     --------
+    >>> import numpy as np
     >>> import palpate as pt
-    >>> issubclass(pt.SurfaceForce, pt.typing.DeadLoad)
+    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
+    >>> isinstance(pull, pt.typing.DeadLoad)
     True
+    >>> pull.amplitudes(np.array([0.0, 0.5])).tolist()
+    [[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]]
     """
 
     group: str

@@ -70,12 +70,12 @@ class LoadHistory(NamedTuple):
 
     Examples
     --------
+    >>> import numpy as np
     >>> import palpate as pt
     >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
     >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
     >>> bar = pt.Solid(cloud, tissue, fixed="x-")
     >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
-    >>> import numpy as np
     >>> history = bar.prepare([pull, pt.Gravity()]).schedule(np.array([0.0, 0.01]))
     >>> history.gravity.tolist()
     [[0.0, 0.0, -9.81], [0.0, 0.0, -9.81]]
@@ -433,10 +433,10 @@ def with_held_nodes(prepared: PreparedLoads, masses: Floats, rate: float) -> Pre
     contacts, nodes = prepared.contacts, np.flatnonzero(prepared.sites.kind == FIXED)
     if not prepared.tools or not len(nodes):
         return prepared
-    own = [contacts.nodes[begin:end] for begin, end in pairwise(contacts.start)]
-    reach = np.array([np.isin(nodes, each) for each in own])
-    held = held_nodes(nodes, contacts.points[nodes], masses[nodes], rate, reach)
-    return replace(prepared, contacts=contacts._replace(held=held))
+    nodes_of_tools = [contacts.nodes[begin:end] for begin, end in pairwise(contacts.start)]
+    reach = np.array([np.isin(nodes, each) for each in nodes_of_tools])
+    records = held_nodes(nodes, contacts.points[nodes], masses[nodes], rate, reach)
+    return replace(prepared, contacts=contacts._replace(held=records))
 
 
 def _constraints(cloud: Cloud, supports: Sequence[Support], loads: Sequence[Load]) -> _Constraints:

@@ -42,8 +42,13 @@ class Support(Described, ABC):
     Examples
     --------
     >>> import palpate as pt
-    >>> issubclass(pt.Roller, pt.typing.Support)
+    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
+    >>> bar = pt.Solid(cloud, tissue, fixed=["x-", pt.Roller("y-")])
+    >>> all(isinstance(support, pt.typing.Support) for support in bar.supports)
     True
+    >>> [type(support).__name__ for support in bar.supports]
+    ['Clamp', 'Roller']
     """
 
     kinds: ClassVar[dict[str, type[Support]]] = {}
@@ -63,8 +68,8 @@ class Support(Described, ABC):
 
     def values(self) -> dict[str, Any]:
         """Return the kind and the parameters, as names, numbers and lists."""
-        own = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {"kind": type(self).__name__} | {k: list(v) if isinstance(v, tuple) else v for k, v in own.items()}
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {"kind": type(self).__name__} | {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
 
     def _facts(self) -> list[Fact]:
         return [("group", self.group, "")]
@@ -148,8 +153,19 @@ class SymmetryPlane(Roller):
 
     The stencils of the body contain its mirror images, so that the body moves as one part of the whole
     one. Loads and tools act on this part and, mirrored, on the images. Several planes must be at right
-    angles. Solids take planes of symmetry. Parameters and errors are those of `Roller`; the group holds all
-    nodes in the plane.
+    angles. Solids take planes of symmetry.
+
+    Parameters
+    ----------
+    group : str
+        All nodes in the plane.
+    normal : (3,) sequence, optional
+        As for `Roller`.
+
+    Raises
+    ------
+    InputError
+        As for `Roller`.
 
     Examples
     --------
@@ -164,8 +180,8 @@ class SymmetryPlane(Roller):
 
 def symmetry_planes(cloud: Cloud, supports: Sequence[Support]) -> tuple[MirrorPlane, ...]:
     """Return the planes of symmetry among supports."""
-    found = [support for support in supports if isinstance(support, SymmetryPlane)]
-    return tuple(MirrorPlane(each.group, cloud.group(each.group), each.directions(cloud)[0]) for each in found)
+    planes = [support for support in supports if isinstance(support, SymmetryPlane)]
+    return tuple(MirrorPlane(each.group, cloud.group(each.group), each.directions(cloud)[0]) for each in planes)
 
 
 @dataclass(frozen=True)
@@ -250,12 +266,12 @@ def support_from(values: Mapping[str, Any]) -> Support:
     InputError
         The kind is unknown, the values are not its parameters, or the group is not a name.
     """
-    own = dict(values)
-    name = own.pop("kind", None)
+    given = dict(values)
+    name = given.pop("kind", None)
     kind = Support.kinds.get(name) if isinstance(name, str) else None
-    if kind is None or own.keys() != {field.name for field in fields(kind)} or not isinstance(own["group"], str):
+    if kind is None or given.keys() != {field.name for field in fields(kind)} or not isinstance(given["group"], str):
         raise InputError(f"support must be one of {', '.join(Support.kinds)} with its parameters, got {brief(values)}")
-    return kind(**own)
+    return kind(**given)
 
 
 class SupportedNodes(NamedTuple):
@@ -304,22 +320,22 @@ def supported_nodes(cloud: Cloud, supports: Sequence[Support]) -> SupportedNodes
         for node in nodes:
             by_node.setdefault(int(node), []).append(directions)
     sliding, slide = [], []
-    for node, found in sorted(by_node.items()):
-        _, sizes, rows = np.linalg.svd(np.concatenate(found))
-        own = rows[: np.count_nonzero(sizes > SAME_DIRECTION)]
-        if len(own) == 3:
+    for node, spans in sorted(by_node.items()):
+        _, sizes, rows = np.linalg.svd(np.concatenate(spans))
+        held_directions = rows[: np.count_nonzero(sizes > SAME_DIRECTION)]
+        if len(held_directions) == 3:
             kind[node] = FIXED
         elif kind[node] == FREE:
             kind[node] = SLIDING
             sliding.append(node)
-            slide.append(np.eye(3) - own.T @ own)
+            slide.append(np.eye(3) - held_directions.T @ held_directions)
     return SupportedNodes(kind, np.array(sliding, dtype=np.int64), np.array(slide).reshape(-1, 3, 3))
 
 
 def constrained_directions(cloud: Cloud, supports: Sequence[Support]) -> dict[str, Floats]:
     """Return the directions (k, 3) of the supports that leave their groups free in others."""
-    found = {support.group: support.directions(cloud) for support in supports}
-    return {group: directions for group, directions in found.items() if len(directions) < 3}
+    by_group = {support.group: support.directions(cloud) for support in supports}
+    return {group: directions for group, directions in by_group.items() if len(directions) < 3}
 
 
 def free_rigid_motions(points: Floats, constrain: Callable[[Floats], Floats]) -> int:

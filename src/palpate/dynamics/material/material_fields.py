@@ -21,9 +21,9 @@ from palpate.meshfree.cloud import Cloud
 from palpate.tissue.materials import Material
 from palpate.tissue.regions import Regions
 
-__all__ = ["EVERYWHERE", "parameters_at", "regions_of", "spread"]
+__all__ = ["NO_FIELDS", "parameters_at", "regions_of", "spread"]
 
-EVERYWHERE = 0  # number of parameters that differ in a uniform body
+NO_FIELDS = 0  # number of parameters that differ in a uniform body
 
 
 def regions_of(
@@ -74,7 +74,7 @@ def _everywhere(coefficients, b, v):  # type: ignore[no-untyped-def]
 @cache
 def parameters_at(count: int) -> Any:
     """Return ``at(coefficients, b, v)``, which returns the law's parameters in a lane."""
-    if count == EVERYWHERE:
+    if count == NO_FIELDS:
         return _everywhere
     digest = law_digest(__name__, "parameters at", count)
     if count == 1:

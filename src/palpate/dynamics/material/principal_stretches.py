@@ -20,7 +20,7 @@ from palpate.dynamics.compiled.lanes import LANES
 __all__ = ["make_principal_response", "make_principal_stress", "principal"]
 
 EQUAL_STRETCH_TOLERANCE = 1e-5  # relative difference of squared stretches below which quotients use their limit
-TINY = 1e-300  # added to divisors that can vanish
+MIN_DIVISOR = 1e-300  # added to divisors that can vanish
 
 
 @kernel_njit(fastmath={"contract"}, forceinline=True)
@@ -28,7 +28,7 @@ def principal(C00, C11, C22, C01, C02, C12):  # type: ignore[no-untyped-def]
     """Return the eigenvalues of a symmetric matrix, unordered, and the matrix of its eigenvectors row by row."""
     mean = (C00 + C11 + C22) / 3.0
     a, b, c = C00 - mean, C11 - mean, C22 - mean
-    size = np.sqrt((a * a + b * b + c * c + 2.0 * (C01 * C01 + C02 * C02 + C12 * C12)) / 6.0 + TINY)
+    size = np.sqrt((a * a + b * b + c * c + 2.0 * (C01 * C01 + C02 * C02 + C12 * C12)) / 6.0 + MIN_DIVISOR)
     scale = 1.0 / size
     a, b, c, d, e, f = a * scale, b * scale, c * scale, C01 * scale, C02 * scale, C12 * scale
     half = 0.5 * (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e))
@@ -66,7 +66,7 @@ def principal(C00, C11, C22, C01, C02, C12):  # type: ignore[no-untyped-def]
     uu, vv, uv = u0 * Cu0 + u1 * Cu1 + u2 * Cu2, v0 * Cv0 + v1 * Cv1 + v2 * Cv2, u0 * Cv0 + u1 * Cv1 + u2 * Cv2
     # tangent of the smaller angle of the Jacobi rotation
     gap = 0.5 * (vv - uu)
-    radius = abs(gap) + np.sqrt(gap * gap + uv * uv) + TINY
+    radius = abs(gap) + np.sqrt(gap * gap + uv * uv) + MIN_DIVISOR
     tangent = (uv if gap >= 0.0 else -uv) / radius
     cosine = 1.0 / np.sqrt(1.0 + tangent * tangent)
     sine = tangent * cosine

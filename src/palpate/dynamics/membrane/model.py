@@ -22,7 +22,7 @@ from palpate.dynamics.material.fibres import lay_out_fibres, prepare_fibres
 from palpate.dynamics.material.relaxation import relaxation
 from palpate.dynamics.material.tissue import Tissue
 from palpate.dynamics.membrane.additional_stress import NO_ADDITIONAL_STRESS, AdditionalStress, additional_stress
-from palpate.dynamics.membrane.passes import POINTS, RADIUS, SheetBody, sheet, sheet_work
+from palpate.dynamics.membrane.passes import NODE_POINTS, POINT_RADIUS, SheetBody, sheet, sheet_work
 from palpate.dynamics.nodal.model import History, NodalModel, NodalWork
 from palpate.dynamics.nodal.stability import StabilityReport, resting_frequency, stable_step
 from palpate.dynamics.run.model import Evaluation
@@ -38,8 +38,9 @@ __all__ = ["Membrane", "load_areas"]
 
 MAX_FIBRE_TILT = 1e-6  # largest component of a fibre direction out of the plane
 TAUT_STRAIN = 1e-3  # extension of the taut sheet for its highest frequency
-DAMPING = {"energy": 0.1, "strong": 0.5}  # default stiffness damping times the highest frequency
-NEIGHBOURS = {"energy": 14, "strong": 18}  # default; fewer destabilise the strong form, more soften the energy form
+DAMPING_BY_FORM = {"energy": 0.1, "strong": 0.5}  # default stiffness damping times the highest frequency
+# defaults: fewer destabilise the strong form, more soften the energy form
+NEIGHBOURS_BY_FORM = {"energy": 14, "strong": 18}
 
 
 class Membrane(NodalModel):
@@ -109,9 +110,9 @@ class Membrane(NodalModel):
         neighbours: int | None = None,
         fibres: FibreLaw | None = None,
     ) -> None:
-        own = _validated_fibres(cloud, material, form, relaxed, fibres)
-        self.cloud, self.tissue = cloud, Tissue(material, None, np.zeros(0), own, len(cloud))
-        self.material, self.fibres = material, own
+        checked_fibres = _validated_fibres(cloud, material, form, relaxed, fibres)
+        self.cloud, self.tissue = cloud, Tissue(material, None, np.zeros(0), checked_fibres, len(cloud))
+        self.material, self.fibres = material, checked_fibres
         self.thickness = number_in_range("thickness", thickness, 0.0, open_low=True, unit="m")
         self.prestretch = number_in_range("prestretch", prestretch, 1.0, 10.0)
         self.supports = supports_of(fixed)
@@ -122,7 +123,7 @@ class Membrane(NodalModel):
         self.half_cell = 1.0
         self.mass_damping = number_in_range("mass_damping", mass_damping, 0.0, unit="1/s")
         self.stiffness_damping = 0.0
-        target = NEIGHBOURS[form] if neighbours is None else neighbours
+        target = NEIGHBOURS_BY_FORM[form] if neighbours is None else neighbours
         self.stencils = moving_least_squares(cloud.points / self.prestretch, order=2, neighbours=target)
         self._areas = cloud.volumes / self.prestretch**2
         self.volumes = self._areas * self.thickness
@@ -142,7 +143,7 @@ class Membrane(NodalModel):
         )
         self._history_at_rest = self.equilibrium_history(np.zeros((len(cloud), 3)))
         self._taut = resting_frequency(self, TAUT_STRAIN * self._in_space(cloud.points))
-        chosen = DAMPING[form] / self._taut if stiffness_damping is None else stiffness_damping
+        chosen = DAMPING_BY_FORM[form] / self._taut if stiffness_damping is None else stiffness_damping
         used = number_in_range("stiffness_damping", chosen, 0.0, unit="s")
         needed = 0.0 if self.conservative else np.nan
         step = stable_step(self._taut, used)
@@ -173,7 +174,7 @@ class Membrane(NodalModel):
             second=second_weights,
             transposed=transposed,
             boundary=np.ascontiguousarray(self.prestretch * cloud.boundary_vectors()[lanes.nodes].transpose(0, 2, 1)),
-            radius=RADIUS * np.sqrt(self._areas),
+            radius=POINT_RADIUS * np.sqrt(self._areas),
             coefficients=self.material.coefficients,
             prestretch=self.prestretch,
             relaxation=relaxation(self.material),
@@ -206,7 +207,7 @@ class Membrane(NodalModel):
 
     def _relaxed_energy(self, work: NodalWork) -> float:
         lost = work.passes.history.lost
-        by_node = lost.reshape(-1, POINTS, lost.shape[1]).mean(axis=1).ravel()[self.slot]
+        by_node = lost.reshape(-1, NODE_POINTS, lost.shape[1]).mean(axis=1).ravel()[self.slot]
         return sum_of_products(self.volumes, by_node)
 
     def stress_at(self, F: Floats) -> Floats:
@@ -294,7 +295,7 @@ def _validated_fibres(
         raise InputError(f"material of Membrane must be incompressible, got {material.poisson:g}; use poisson=0.5")
     if material.variables == "small strain":
         raise InputError("material of Membrane must be a law of large strains, got LinearElastic; use NeoHookean")
-    if form not in DAMPING:
+    if form not in DAMPING_BY_FORM:
         raise InputError(f"form must be 'energy' or 'strong', got {form!r}")
     if material.prony is not None and material.prony.bulk_shares:
         raise InputError("bulk_shares of a membrane's Prony series must be empty; its volume is constant")

@@ -35,15 +35,17 @@ from palpate.dynamics.membrane.additional_stress import NO_ADDITIONAL_STRESS, Ad
 from palpate.dynamics.membrane.principal_moduli import make_principal_moduli, make_principal_strong
 from palpate.tissue.materials import Material
 
-__all__ = ["COSINE", "POINTS", "SINE", "SheetBody", "SheetWork", "make_moduli", "sheet", "sheet_work"]
+__all__ = [
+    "NODE_POINTS", "POINT_COSINES", "POINT_SINES", "SheetBody", "SheetWork", "make_moduli", "sheet", "sheet_work",
+]  # fmt: skip
 
-WIDTH = 8  # numbers of a component's flux: two stresses, three moments and padding
-NUMBERS = 15  # derivatives per node: x_c,0 and x_c,1, then x_c,00 x_c,11 x_c,01, for three components c
-POINTS = 6  # integration points around a node, with the symmetry of a triangular lattice
+FLUX_WIDTH = 8  # numbers of a component's flux: two stresses, three moments and padding
+NODE_DERIVATIVES = 15  # derivatives per node: x_c,0 and x_c,1, then x_c,00 x_c,11 x_c,01, for three components c
+NODE_POINTS = 6  # integration points around a node, with the symmetry of a triangular lattice
 # Distance of the points from the node, in roots of its area. In a hexagonal cell 0.4 would integrate
 # exactly. The fitted gradient is too small in short waves; points at 1.0 cancel this leading error.
-RADIUS = 1.0
-COSINE, SINE = (f(np.arange(POINTS) * (2 * np.pi / POINTS)) for f in (np.cos, np.sin))
+POINT_RADIUS = 1.0
+POINT_COSINES, POINT_SINES = (f(np.arange(NODE_POINTS) * (2 * np.pi / NODE_POINTS)) for f in (np.cos, np.sin))
 MIN_SQUARE_GAP = 1e-30  # least difference of squared stretches in quotients, whose numerators vanish too
 
 
@@ -77,16 +79,16 @@ def sheet_work(nodes: int, blocks: int, longest: int, threads: int, branches: in
     """Allocate scratch arrays for `nodes` in `blocks` with at most `longest` neighbours."""
     return SheetWork(
         np.zeros((threads, longest, 3, LANES)),
-        np.zeros((threads, NUMBERS, LANES)),
+        np.zeros((threads, NODE_DERIVATIVES, LANES)),
         np.zeros((blocks, 9, LANES)),
-        aligned_zeros(nodes, 3, WIDTH),
+        aligned_zeros(nodes, 3, FLUX_WIDTH),
         np.zeros(nodes),
-        history(branches, POINTS * blocks, 0),
+        history(branches, NODE_POINTS * blocks, 0),
     )
 
 
 _lift, _differentiate = lift_passes("sheet", lane_sums_3x2, lane_sums_3x3, 6)
-_gather_fluxes = gather_fluxes[WIDTH]
+_gather_fluxes = gather_fluxes[FLUX_WIDTH]
 
 
 @kernel_njit(inner=True, parallel=True, fastmath={"contract"})
@@ -203,10 +205,10 @@ def _make_energy_response(digest: str, moduli: Any, added: Any) -> Any:
             i = nodes[b, v]
             total = 0.0
             for c in range(3):
-                for w in range(WIDTH):
+                for w in range(FLUX_WIDTH):
                     flux[i, c, w] = 0.0
-            for q in range(POINTS):
-                x, y = radius[i] * COSINE[q], radius[i] * SINE[q]
+            for q in range(NODE_POINTS):
+                x, y = radius[i] * POINT_COSINES[q], radius[i] * POINT_SINES[q]
                 F00 = prestretch + d[0, v] + d[6, v] * x + d[8, v] * y
                 F10 = d[2, v] + d[9, v] * x + d[11, v] * y
                 F20 = d[4, v] + d[12, v] * x + d[14, v] * y
@@ -217,10 +219,10 @@ def _make_energy_response(digest: str, moduli: Any, added: Any) -> Any:
                 C11 = F01 * F01 + F11 * F11 + F21 * F21
                 C01 = F00 * F01 + F10 * F11 + F20 * F21
                 W, a, g = moduli(C00, C11, C01, coefficients)
-                l00, l01, l11 = (a + g * C11) / POINTS, -g * C01 / POINTS, (a + g * C00) / POINTS
+                l00, l01, l11 = (a + g * C11) / NODE_POINTS, -g * C01 / NODE_POINTS, (a + g * C00) / NODE_POINTS
                 if has_additional:
-                    w, S00, S11, S01 = added(C00, C11, C01, b, POINTS * b + q, v, extras)
-                    W, l00, l01, l11 = W + w, l00 + S00 / POINTS, l01 + S01 / POINTS, l11 + S11 / POINTS
+                    w, S00, S11, S01 = added(C00, C11, C01, b, NODE_POINTS * b + q, v, extras)
+                    W, l00, l01, l11 = W + w, l00 + S00 / NODE_POINTS, l01 + S01 / NODE_POINTS, l11 + S11 / NODE_POINTS
                 total += W
                 P00, P01 = F00 * l00 + F01 * l01, F00 * l01 + F01 * l11
                 P10, P11 = F10 * l00 + F11 * l01, F10 * l01 + F11 * l11
@@ -240,7 +242,7 @@ def _make_energy_response(digest: str, moduli: Any, added: Any) -> Any:
                 flux[i, 0, 4] += P00 * y + P01 * x
                 flux[i, 1, 4] += P10 * y + P11 * x
                 flux[i, 2, 4] += P20 * y + P21 * x
-            energy[i] = total / POINTS
+            energy[i] = total / NODE_POINTS
             _normal(b, v, d, prestretch, cofactor)
 
     return node_response
@@ -374,4 +376,4 @@ def sheet(
             _gather_fluxes(body.transposed, work.flux, force)
 
     project = None if strong else _project
-    return Formulation(digest, NUMBERS, respond, respond_to_columns, _differentiate, finish, project, after)
+    return Formulation(digest, NODE_DERIVATIVES, respond, respond_to_columns, _differentiate, finish, project, after)

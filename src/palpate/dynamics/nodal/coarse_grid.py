@@ -31,7 +31,7 @@ CELL_SPACINGS = (2.0, 2.5, 3.0, 4.0, 6.0)  # widths of a cell in spacings; the f
 MAX_GRID_NODES = 1500
 NODE_STIFFNESS = 0.3  # stiffness of one node alone, over its moduli times volume / spacing^2
 CLAMP_FACTOR = 10.0  # stiffness by which the grid is clamped at a node, over that of the node alone
-SHIFT = 1e-8  # of the largest stiffness of the grid, for its nodes with little tissue
+DIAGONAL_SHIFT = 1e-8  # of the largest stiffness of the grid, for its nodes with little tissue
 MIN_MODULUS = 1e-4  # smallest modulus of a node alone, over the shear modulus
 
 
@@ -130,9 +130,9 @@ def static_estimate(
     sheet = cloud.points.shape[1] == 2
     moduli = _tension(shear) if sheet else _isotropic(shear, lame)
     stiff = CLAMP_FACTOR * NODE_STIFFNESS / cloud.spacing**2 * weights * (shear if sheet else lame + 2 * shear)
-    held = constrained, stiff, springs
+    constraints = constrained, stiff, springs
     grids = [(sign * cloud.points, cloud.spacing, weights) for sign in (1.0, -1.0)]
-    one, two = (_grid_solver(grid, moduli, held, supported) for grid in grids)
+    one, two = (_grid_solver(grid, moduli, constraints, supported) for grid in grids)
     return lambda forces: 0.5 * (one(forces) + two(forces))
 
 
@@ -157,7 +157,7 @@ def _tension(stress: Floats) -> _Moduli:
 def _grid_solver(
     grid: tuple[Floats, float, Floats],
     moduli: _Moduli,
-    held: tuple[NDArray[np.bool_], Floats, Floats],
+    constraints: tuple[NDArray[np.bool_], Floats, Floats],
     supported: SupportedNodes,
 ) -> Callable[[Floats], Floats]:
     """Return the displacements (n, 3) of the grid under nodal forces (n, 3), as a function.
@@ -167,11 +167,11 @@ def _grid_solver(
     grid : tuple
         Points (n, d), spacing and weights (n,).
     moduli : _Moduli
-    held : tuple
+    constraints : tuple
         Nodes that do not move (n,), the stiffness [N/m] by which the grid is held there, and springs [N/m].
     supported : SupportedNodes
     """
-    (points, spacing, weights), (constrained, stiff, springs) = grid, held
+    (points, spacing, weights), (constrained, stiff, springs) = grid, constraints
     corners, cell, value, slope = _multilinear(points, spacing)
     n, count = len(value), int(corners.max()) + 1
     values = sparse.csr_array((value.ravel(), (np.repeat(np.arange(n), value.shape[1]), corners.ravel())), (n, count))
@@ -181,9 +181,9 @@ def _grid_solver(
     stiffness = stiffness + sparse.kron(supports, sparse.eye_array(3), format="csr")
     if len(supported.sliding):
         across = stiff[supported.sliding, None, None] * (np.eye(3) - supported.slide)
-        own = sparse.kron(values[supported.sliding], sparse.eye_array(3), format="csr")
-        stiffness = stiffness + own.T @ sparse.block_diag(list(across), format="csr") @ own
-    stiffness = stiffness + SHIFT * stiffness.diagonal().max() * sparse.eye_array(3 * count)
+        sliding_values = sparse.kron(values[supported.sliding], sparse.eye_array(3), format="csr")
+        stiffness = stiffness + sliding_values.T @ sparse.block_diag(list(across), format="csr") @ sliding_values
+    stiffness = stiffness + DIAGONAL_SHIFT * stiffness.diagonal().max() * sparse.eye_array(3 * count)
     symmetric = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
     factor, gather = splu(sparse.csc_matrix(stiffness), **symmetric), values.T.tocsr()
     return lambda forces: np.asarray(values @ factor.solve((gather @ forces).ravel()).reshape(-1, 3))
@@ -210,8 +210,8 @@ def _positive_moduli(F: Floats, moduli: Floats) -> _Moduli:
 def _node_blocks(model: NodalModel, moduli: _Moduli) -> Floats:
     """Return the stiffness (n, 3, 3) [N/m] of every node alone."""
     n, size = moduli.cofactor.shape
-    whole = moduli.shear + moduli.bulk[:, None, None] * moduli.cofactor[:, :, None] * moduli.cofactor[:, None, :]
-    summed = np.einsum("nckek->nce", whole.reshape(n, 3, size // 3, 3, size // 3))
+    products = moduli.shear + moduli.bulk[:, None, None] * moduli.cofactor[:, :, None] * moduli.cofactor[:, None, :]
+    summed = np.einsum("nckek->nce", products.reshape(n, 3, size // 3, 3, size // 3))
     summed = summed + MIN_MODULUS * model.material.shear_modulus * np.eye(3)
     return np.asarray(NODE_STIFFNESS / model.cloud.spacing**2 * model.weights[:, None, None] * summed)
 

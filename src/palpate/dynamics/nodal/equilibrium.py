@@ -28,7 +28,7 @@ from palpate.faults import InputError, brief, integer_in_range, number_in_range
 __all__ = ["Equilibrium", "equilibrium"]
 
 MIN_TOLERANCE, MAX_TOLERANCE = 1e-10, 1e-2
-KINDS = (DeadLoad, Pressure, Gravity, PrescribedMotion, Grasp, Foundation)
+PERMITTED_LOADS = (DeadLoad, Pressure, Gravity, PrescribedMotion, Grasp, Foundation)
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def equilibrium(
     number_in_range("tolerance", tolerance, MIN_TOLERANCE, MAX_TOLERANCE)
     integer_in_range("max_iterations", max_iterations, 1)
     loads = listed(loads)
-    check_kinds(loads, KINDS, "loads of equilibrium")
+    check_kinds(loads, PERMITTED_LOADS, "loads of equilibrium")
     start = initial_field("displacement", displacement, len(model.cloud))
     with np.errstate(all="ignore"):  # trial states may have no energy
         balance = StaticBalance(model, model.prepare(loads), time, start)

@@ -35,10 +35,10 @@ from palpate.faults import DivergenceError
 
 __all__ = ["MixedNewton", "Tangent", "conjugate_gradients"]
 
-DIFFERENCE = 1e-6  # largest displacement of a difference of forces, in spacings
-FORCING = 1e-3  # relative error of the linear solution of a step
+DIFFERENCE_SPACINGS = 1e-6  # largest displacement of a difference of forces, in spacings
+LINEAR_TOLERANCE = 1e-3  # relative error of the linear solution of a step
 MAX_LINEAR_ITERATIONS = 500  # of conjugate gradients
-RESTART, MAX_CYCLES = 150, 4  # of GMRES
+RESTART_ITERATIONS, MAX_CYCLES = 150, 4  # of GMRES
 MAX_STEPS = 20  # of Newton's method in one increment
 STEPS_WITHOUT_DECREASE = 6  # steps after which the residual must decrease
 INCREMENT_TOLERANCE = 1e-2  # of the residual between two increments, over the increment
@@ -77,9 +77,9 @@ class MixedNewton:
         self._offset = self.balance.residual(u)
         while share < 1.0:
             target = min(share + increment, 1.0)
-            found = self._increase(u, share, target)
-            if found is not None:
-                u, share, increment = found, target, 2 * increment
+            solution = self._increase(u, share, target)
+            if solution is not None:
+                u, share, increment = solution, target, 2 * increment
                 continue
             increment /= 2
             if increment < MIN_INCREMENT or self.iterations >= self.max_iterations:
@@ -144,7 +144,7 @@ class Tangent:
         balance, model = self.balance, self.balance.model
         F, added = model.deformation_gradient(u), None
         modulus = model.material.shear_modulus
-        excess = max(float(np.abs(now - own).max()) for own, now in zip(present, given, strict=True))
+        excess = max(float(np.abs(b - a).max()) for a, b in zip(present, given, strict=True))
         if excess > MIN_EXCESS * modulus:
             added = added_moduli(F, present, given)
         if self._built_at is None or np.abs(F - self._built_at).max() > MAX_STRAIN_CHANGE:
@@ -156,7 +156,7 @@ class Tangent:
         before, spacing = balance.residual(u), model.cloud.spacing
 
         def apply(direction: Floats) -> Floats:
-            scale = DIFFERENCE * spacing / max(float(np.abs(direction).max()), 1e-300)
+            scale = DIFFERENCE_SPACINGS * spacing / max(float(np.abs(direction).max()), 1e-300)
             image = (before - balance.residual(u + scale * direction)) / scale
             if added is not None:
                 image += self._added_force(added, direction)
@@ -165,8 +165,8 @@ class Tangent:
         if jump.any():
             residual = residual - apply(jump)
         solver = conjugate_gradients if balance.symmetric else gmres_solution
-        found = solver(apply, self._precondition, residual)
-        return None if found is None else jump + found
+        correction = solver(apply, self._precondition, residual)
+        return None if correction is None else jump + correction
 
     def _added_force(self, moduli: Floats, direction: Floats) -> Floats:
         """Return the nodal forces (n, 3) [N] of additional moduli, without constrained parts."""
@@ -187,8 +187,8 @@ def _gradient_operator(model: NodalModel) -> tuple[Any, Any]:
         sparse.csr_array((weights[:, :, k].ravel(), nodes.ravel(), starts), shape=(n, n + images))
         for k in range(weights.shape[2])
     ]
-    whole = sparse.vstack(parts, format="csr")
-    return whole, whole.T.tocsr()
+    stacked = sparse.vstack(parts, format="csr")
+    return stacked, stacked.T.tocsr()
 
 
 def conjugate_gradients(
@@ -205,26 +205,26 @@ def conjugate_gradients(
         K d of displacements (n, 3), and an approximate inverse of K.
     forces : (n, 3) array [N]
     """
-    found, left = np.zeros_like(forces), forces.copy()
+    solution, left = np.zeros_like(forces), forces.copy()
     scaled = precondition(left)
     direction, product = scaled, float(np.vdot(left, scaled))
-    goal = FORCING**2 * product
+    goal = LINEAR_TOLERANCE**2 * product
     if product == 0.0:
-        return found
+        return solution
     for _ in range(MAX_LINEAR_ITERATIONS):
         image = tangent(direction)
         curvature = float(np.vdot(direction, image))
         if not abs(curvature) > 0:  # no stiffness, or NaN
             return None
         length = product / curvature
-        found += length * direction
+        solution += length * direction
         left -= length * image
         scaled = precondition(left)
         product, before = float(np.vdot(left, scaled)), product
         if product <= goal or not np.isfinite(product):
             break
         direction = scaled + (product / before) * direction
-    return found if np.isfinite(product) else None
+    return solution if np.isfinite(product) else None
 
 
 def gmres_solution(
@@ -236,7 +236,12 @@ def gmres_solution(
     def operator(function: Callable[[Floats], Floats]) -> Any:
         return LinearOperator((size, size), lambda x: function(x.reshape(shape)).ravel(), dtype=float)
 
-    found, _ = gmres(
-        operator(tangent), forces.ravel(), rtol=FORCING, restart=RESTART, maxiter=MAX_CYCLES, M=operator(precondition)
+    solution, _ = gmres(
+        operator(tangent),
+        forces.ravel(),
+        rtol=LINEAR_TOLERANCE,
+        restart=RESTART_ITERATIONS,
+        maxiter=MAX_CYCLES,
+        M=operator(precondition),
     )
-    return None if not np.isfinite(found).all() else np.asarray(found).reshape(shape)
+    return None if not np.isfinite(solution).all() else np.asarray(solution).reshape(shape)

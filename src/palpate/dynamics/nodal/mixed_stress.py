@@ -25,8 +25,8 @@ from palpate.dynamics.nodal.static_balance import StaticBalance
 
 __all__ = ["SplitStress", "added_moduli", "extrapolated_stress", "split_stress", "tangent_moduli"]
 
-STRAIN = 1e-5  # change of F for differences of stresses
-DISPLACEMENT = 1e-6  # largest displacement for differences along a step, in spacings
+STRAIN_DIFFERENCE = 1e-5  # change of F for differences of stresses
+DIFFERENCE_SPACINGS = 1e-6  # largest displacement for differences along a step, in spacings
 LEVI_CIVITA = np.zeros((3, 3, 3))
 LEVI_CIVITA[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1.0
 LEVI_CIVITA[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = -1.0
@@ -68,7 +68,7 @@ def extrapolated_stress(
     balance: StaticBalance, displacements: Floats, present: SplitStress, step: Floats
 ) -> SplitStress:
     """Return the stresses after a step (n, 3) [m], linear in it."""
-    scale = DISPLACEMENT * balance.model.cloud.spacing / max(float(np.abs(step).max()), 1e-300)
+    scale = DIFFERENCE_SPACINGS * balance.model.cloud.spacing / max(float(np.abs(step).max()), 1e-300)
     ahead = split_stress(balance, displacements + scale * step)
     return SplitStress(*(now + (later - now) / scale for now, later in zip(present, ahead, strict=True)))
 
@@ -85,8 +85,8 @@ def tangent_moduli(balance: StaticBalance, displacements: Floats) -> Floats:
     moduli = np.empty((n, 3 * d, 3 * d))
     for c, k in product(range(3), range(d)):
         field = np.zeros((n, 3))
-        field[:, c] = STRAIN * arms[:, k]
-        moduli[:, :, d * c + k] = (balance.stress(displacements + field).reshape(n, 3 * d) - before) / STRAIN
+        field[:, c] = STRAIN_DIFFERENCE * arms[:, k]
+        moduli[:, :, d * c + k] = (balance.stress(displacements + field).reshape(n, 3 * d) - before) / STRAIN_DIFFERENCE
     return moduli
 
 

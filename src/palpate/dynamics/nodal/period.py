@@ -48,16 +48,16 @@ ESTIMATE_PERIODS = 16  # between two iterations for the highest frequency
 FREQUENCY_MARGIN = 1.05  # of the estimate, because an iteration converges from below
 SLOWEST_DECREASE = 0.9  # of the frequency from one estimate to the next
 STEP_SAFETY = 0.85  # step over the stable one
-NOISE = 0.005  # added to the vector of the iteration, so that another mode can grow
+ITERATION_NOISE = 0.005  # added to the vector of the iteration, so that another mode can grow
 MAX_STEPS = 400  # in a period; beyond it the body's time runs slower
-MAX_ATTEMPTS, STIFFENING = 6, 1.6  # of a period, and factor of the frequency in the next attempt
+MAX_ATTEMPTS, STIFFENING_FACTOR = 6, 1.6  # of a period, and factor of the frequency in the next attempt
 TRIALS_OF_ENERGY = 2  # repetitions after which a gain of energy is accepted that is not of this period
 HELD_ATTEMPT, STOPPED_ATTEMPT = 3, 5  # from which on the tool is held, and the body loses its velocities
-CRUSHED = 6.0  # frequency over that at rest from which on the tool does not move on
-STIFF, STIFF_ESTIMATE = 1.5, 4  # frequency over that at rest from which on it is estimated after fewer periods
+CRUSHED_RATIO = 6.0  # frequency over that at rest from which on the tool does not move on
+STIFF_RATIO, STIFF_ESTIMATE = 1.5, 4  # frequency over that at rest from which on it is estimated after fewer periods
 MOST_STIFF = 100.0  # largest estimate over that at rest
 MAX_GAIN, LEAST_ENERGY = 0.05, 1e-9  # kinetic energy beyond the work, relative to all work; [J] that is rounding
-BLOCK = 256  # nodes of a sum
+BLOCK_NODES = 256  # nodes of a sum
 
 # entries of `NodalPeriodData.clock`
 BEHIND, STEP, FREQUENCY, UNTIL_ESTIMATE, WORK, LOST, KINETIC_ENERGY, GIVEN, NEXT_BEHIND = range(9)
@@ -157,7 +157,7 @@ class NodalPeriodData(NamedTuple):
 @kernel_njit(inner=True)
 def _crushes(data):  # type: ignore[no-untyped-def]
     """Return True if the tool would move on into tissue that is stiff already."""
-    if data.clock[ESTIMATE] < CRUSHED * data.resting_frequency:
+    if data.clock[ESTIMATE] < CRUSHED_RATIO * data.resting_frequency:
         return False
     work = 0.0
     for i in range(3):
@@ -213,17 +213,17 @@ def _kick_blocks(sites, nodes, scratch, previous, step, alpha, u, velocity, sums
     shares = (1.0 - half) / (1.0 + half), step / (1.0 + half)
     for b in prange(sums.shape[0]):
         work, square, lost = 0.0, 0.0, 0.0
-        first = np.int64(b) * BLOCK
-        for i in range(first, min(first + BLOCK, velocity.shape[0])):
+        first = np.int64(b) * BLOCK_NODES
+        for i in range(first, min(first + BLOCK_NODES, velocity.shape[0])):
             for c in range(3):
                 moved = nodes.volumes[i] * (scratch.damped[i, c] - u[i, c])
                 lost += moved * (previous[i, c] - scratch.force[i, c])
                 previous[i, c] = scratch.force[i, c]
             if sites.kind[i] != FIXED:
-                own = kick_node(
+                node_sums = kick_node(
                     i, sites.slide_of[i], sites.slide, nodes, scratch, (0.0, 0.0, 0.0), shares, velocity
                 )  # fmt: skip
-                work, square = work + own[0], square + own[1]
+                work, square = work + node_sums[0], square + node_sums[1]
         sums[b, 0], sums[b, 1] = work * step, lost + alpha * nodes.density * square * step
 
 
@@ -236,8 +236,8 @@ def _drift_blocks(kind, nodes, damped, surface, step, beta, u, velocity, sums): 
     """
     for b in prange(sums.shape[0]):
         energy, largest = 0.0, 0.0
-        first = np.int64(b) * BLOCK
-        for i in range(first, min(first + BLOCK, velocity.shape[0])):
+        first = np.int64(b) * BLOCK_NODES
+        for i in range(first, min(first + BLOCK_NODES, velocity.shape[0])):
             square = velocity[i, 0] ** 2 + velocity[i, 1] ** 2 + velocity[i, 2] ** 2
             energy += 0.5 * nodes.density * nodes.volumes[i] * square
             if not square <= largest:
@@ -321,7 +321,7 @@ def nodal_period(formulation: Formulation) -> Any:
         moved, largest_moved = scratch.surface, 0.0
         for i in range(u.shape[0]):
             for c in range(3):
-                moved[i, c] = vector[i, c] / largest + NOISE * noise[i, c] if sites.kind[i] != FIXED else 0.0
+                moved[i, c] = vector[i, c] / largest + ITERATION_NOISE * noise[i, c] if sites.kind[i] != FIXED else 0.0
                 largest_moved = max(largest_moved, abs(moved[i, c]))
         size = 0.0
         for i in range(u.shape[0]):
@@ -364,7 +364,7 @@ def nodal_period(formulation: Formulation) -> Any:
                 clock[ESTIMATE] = min(max(FREQUENCY_MARGIN * frequency, least), most)
                 # an iteration that has not converged must not lengthen the step at once
                 clock[FREQUENCY] = min(max(clock[ESTIMATE], SLOWEST_DECREASE * clock[FREQUENCY]), most)
-            is_stiff = clock[FREQUENCY] > STIFF * data.resting_frequency
+            is_stiff = clock[FREQUENCY] > STIFF_RATIO * data.resting_frequency
             clock[UNTIL_ESTIMATE] = STIFF_ESTIMATE if is_stiff else ESTIMATE_PERIODS
         set_step(data)
 
@@ -445,7 +445,7 @@ def nodal_period(formulation: Formulation) -> Any:
         for attempt in range(MAX_ATTEMPTS):
             if attempt > 0:
                 _restore(data, u, velocity)
-                clock[FREQUENCY] *= STIFFENING
+                clock[FREQUENCY] *= STIFFENING_FACTOR
                 clock[REPEATED] += 1.0 if attempt == 1 else 0.0
                 set_step(data)
                 if attempt >= HELD_ATTEMPT:
@@ -488,7 +488,7 @@ def nodal_period(formulation: Formulation) -> Any:
         for k in range(FORCES, report.shape[0]):
             report[k] = data.tool_force[k - FORCES]
         if attempt >= TRIALS_OF_ENERGY:  # shorter steps did not help
-            clock[FREQUENCY] = min(STIFFENING * frequency_before, MOST_STIFF * data.resting_frequency)
+            clock[FREQUENCY] = min(STIFFENING_FACTOR * frequency_before, MOST_STIFF * data.resting_frequency)
         clock[RESTED] = 0.0 if q.any() or v.any() else 1.0
         report[STEPS] = count
         report[KINETIC] = clock[KINETIC_ENERGY]

@@ -42,10 +42,10 @@ __all__ = [
 STEP_SAFETY = 0.85  # factor of the step: the power iteration converges from below, and the body deforms
 DAMPING_SAFETY = 2.0  # factor of the damping: a body stretched four times requires 1.8 times that at rest
 MAX_DENSE_NODES = 400  # largest cloud of the dense spectrum
-WINDOW_STEPS, WINDOWS, MAX_ROUNDS = 100, 12, 8  # steps a window, windows a round, rounds of raising beta
+WINDOW_STEPS, WINDOWS_PER_ROUND, MAX_ROUNDS = 100, 12, 8  # steps a window, windows a round, rounds of raising beta
 MIN_GROWTH = 0.03  # logarithmic growth per window of an unstable motion
 FIRST_ITERATIONS, LATER_ITERATIONS = 60, 4  # power iterations of the first estimate, and of those that follow it
-NOISE = 0.03  # noise in the start vector, relative to its largest component
+START_NOISE = 0.03  # noise in the start vector, relative to its largest component
 MIN_FREQUENCY, MAX_FREQUENCY = 1e-6, 1e15  # [rad/s], so that squares are in double precision
 
 
@@ -254,7 +254,7 @@ def highest_frequency(
     iterations = FIRST_ITERATIONS if start is None else LATER_ITERATIONS
     vector = noise if start is None else start
     rest, ratio = force(displacements), 0.0
-    vector = vector / np.abs(vector).max() + NOISE * noise
+    vector = vector / np.abs(vector).max() + START_NOISE * noise
     for _ in range(iterations):
         vector = constrain(vector.copy())
         vector *= amplitude / np.abs(vector).max()
@@ -320,7 +320,7 @@ def _damping_by_steps(model: ElasticBody, neighbours: int, frequency: float) -> 
         model.supported.project(tiny)
         state, logs = State(tiny, np.zeros_like(tiny)), []
         size = euclidean_norm(model.force(state.coordinates))
-        for _ in range(WINDOWS):
+        for _ in range(WINDOWS_PER_ROUND):
             state, _ = model.advance(state, prepared, step, WINDOW_STEPS, work)
             force = model.force(state.coordinates)
             logs.append(np.log(euclidean_norm(force) / size))

@@ -102,8 +102,8 @@ def check_penetration(
     for t, tool in enumerate(prepared.tools):
         if tool.group is not None:
             continue
-        own = slice(contacts.start[t], contacts.start[t + 1])
-        nodes, impulses = contacts.nodes[own], np.linalg.norm(contacts.patch_impulses[own, :3], axis=1)
+        of_tool = slice(contacts.start[t], contacts.start[t + 1])
+        nodes, impulses = contacts.nodes[of_tool], np.linalg.norm(contacts.patch_impulses[of_tool, :3], axis=1)
         below = ~np.isin(nodes, surface)
         positions = contacts.points + displacements
         compute_gaps(contacts.kind[t], contacts.sizes[t], schedule.poses[-1, t], positions, depth)
@@ -165,15 +165,15 @@ def next_contact_state(
     """
     (sites, contacts), after = after_steps, before
     if prepared.tools:
-        held, forces = contacts.held, contacts.step_impulses / kick
+        held_record, forces = contacts.held, contacts.step_impulses / kick
         nodal_impulses = before.nodal_impulses + contacts.nodal_impulses
-        forces[held.nodes] += held.forces
-        nodal_impulses[held.nodes] += held.impulses
+        forces[held_record.nodes] += held_record.forces
+        nodal_impulses[held_record.nodes] += held_record.impulses
         after = before._replace(
             forces=forces,
             impulses=before.impulses + contacts.tool_impulses,
             nodal_impulses=nodal_impulses,
-            held_energy=float(held.energy[0]),
+            held_energy=float(held_record.energy[0]),
         )
     if not len(before.constraint_impulses):
         return after

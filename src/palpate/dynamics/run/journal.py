@@ -30,10 +30,10 @@ __all__ = ["Journal", "Record", "is_journal", "read_record", "records"]
 Arrays = Mapping[str, NDArray[Any]]
 Record = tuple[dict[str, Any], dict[str, NDArray[Any]]]
 
-BEGIN = b"palpate journal\nversion 1\n"
-LENGTH = struct.Struct("<Q8s")  # of a record's content, and the first bytes of its digest
-DIGEST = 32  # bytes
-TABLE = struct.Struct("<I")
+FIRST_BYTES = b"palpate journal\nversion 1\n"
+LENGTH_STRUCT = struct.Struct("<Q8s")  # of a record's content, and the first bytes of its digest
+DIGEST_BYTES = 32  # bytes
+TABLE_STRUCT = struct.Struct("<I")
 
 
 class Journal:
@@ -53,9 +53,9 @@ class Journal:
     def __init__(self, path: Path) -> None:
         self.path = path.with_name(f".{path.stem}.{uuid4().hex[:12]}.partial{path.suffix}")
         self._file = self.path.open("wb", buffering=0)
-        self._chain, self._end, self.named = sha256(BEGIN).digest(), len(BEGIN), False
+        self._chain, self._end, self.named = sha256(FIRST_BYTES).digest(), len(FIRST_BYTES), False
         try:
-            self._write(BEGIN)
+            self._write(FIRST_BYTES)
         except OSError:
             self.close()
             raise
@@ -82,7 +82,7 @@ class Journal:
             with suppress(OSError):
                 self._file.truncate(self._end)
             raise
-        self._chain, self._end = chain, self._end + LENGTH.size + len(content) + DIGEST
+        self._chain, self._end = chain, self._end + LENGTH_STRUCT.size + len(content) + DIGEST_BYTES
 
     def rename(self, path: Path) -> None:
         """Rename the journal, replace an older file, and continue writing there.
@@ -119,7 +119,7 @@ class Journal:
 def is_journal(path: Path) -> bool:
     """Return True if a file begins like a journal."""
     with path.open("rb") as file:
-        return file.read(len(BEGIN)) == BEGIN
+        return file.read(len(FIRST_BYTES)) == FIRST_BYTES
 
 
 def records(path: Path) -> Iterator[tuple[int, bytes, Record]]:
@@ -141,18 +141,18 @@ def records(path: Path) -> Iterator[tuple[int, bytes, Record]]:
     """
     size, count = regular_file(path, "journal"), 0
     with path.open("rb") as file:
-        if file.read(len(BEGIN)) != BEGIN:
+        if file.read(len(FIRST_BYTES)) != FIRST_BYTES:
             raise InputError("this is not a palpate journal")
-        chain = sha256(BEGIN).digest()
-        while size - file.tell() >= LENGTH.size:
+        chain = sha256(FIRST_BYTES).digest()
+        while size - file.tell() >= LENGTH_STRUCT.size:
             position = file.tell()
             try:
-                found = _read_next(file, size, chain)
+                read = _read_next(file, size, chain)
             except InputError as error:
                 raise InputError(f"{error}; {count} records before it are whole") from None
-            if found is None:
+            if read is None:
                 return
-            record, digest = found
+            record, digest = read
             yield position, chain, record
             chain, count = digest, count + 1
 
@@ -167,28 +167,28 @@ def read_record(path: Path, position: int, chain: bytes) -> Record:
     """
     with path.open("rb") as file:
         file.seek(position)
-        found = _read_next(file, regular_file(path, "journal"), chain)
-    if found is None:
+        read = _read_next(file, regular_file(path, "journal"), chain)
+    if read is None:
         raise InputError("the journal was truncated after it was opened")
-    return found[0]
+    return read[0]
 
 
 def _read_next(file: BinaryIO, size: int, chain: bytes) -> tuple[Record, bytes] | None:
     """Return the next record and its digest; None for a truncated record."""
-    head = file.read(LENGTH.size)
-    length, _ = LENGTH.unpack(head)
+    head = file.read(LENGTH_STRUCT.size)
+    length, _ = LENGTH_STRUCT.unpack(head)
     if head != _pack_length(chain, length):
         raise InputError("the length of a record does not match its check: the journal is damaged")
-    if file.tell() + length + DIGEST > size:
+    if file.tell() + length + DIGEST_BYTES > size:
         return None
-    content, digest = file.read(length), file.read(DIGEST)
+    content, digest = file.read(length), file.read(DIGEST_BYTES)
     if sha256(chain + content).digest() != digest:
         raise InputError("a record does not match its checksum: the journal is damaged")
     return _unpack(content), digest
 
 
 def _pack_length(chain: bytes, length: int) -> bytes:
-    return LENGTH.pack(length, sha256(chain + length.to_bytes(8, "little")).digest()[:8])
+    return LENGTH_STRUCT.pack(length, sha256(chain + length.to_bytes(8, "little")).digest()[:8])
 
 
 def _pack(header: Mapping[str, Any], arrays: Arrays) -> bytes:
@@ -196,15 +196,15 @@ def _pack(header: Mapping[str, Any], arrays: Arrays) -> bytes:
     table = json.dumps({"header": dict(header), "arrays": listed}, allow_nan=False).encode()
     json_of(table)  # raises an error for a header that cannot be read back
     return b"".join(
-        [TABLE.pack(len(table)), table, *(np.ascontiguousarray(each).tobytes() for each in arrays.values())]
+        [TABLE_STRUCT.pack(len(table)), table, *(np.ascontiguousarray(each).tobytes() for each in arrays.values())]
     )
 
 
 def _unpack(content: bytes) -> Record:
-    if len(content) < TABLE.size or len(content) < TABLE.size + TABLE.unpack_from(content)[0]:
+    if len(content) < TABLE_STRUCT.size or len(content) < TABLE_STRUCT.size + TABLE_STRUCT.unpack_from(content)[0]:
         raise InputError("a record is shorter than its table")
-    at = TABLE.size + TABLE.unpack_from(content)[0]
-    table = json_of(content[TABLE.size : at])
+    at = TABLE_STRUCT.size + TABLE_STRUCT.unpack_from(content)[0]
+    table = json_of(content[TABLE_STRUCT.size : at])
     header, listed = (table.get("header"), table.get("arrays")) if isinstance(table, dict) else (None, None)
     if not isinstance(header, dict) or not isinstance(listed, dict):
         raise InputError("the table of a record has no header and arrays")

@@ -366,7 +366,17 @@ class Model(Described, metaclass=_Constant):
 
     @abstractmethod
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
-        """Prepare loads for this model."""
+        """Prepare loads for this model.
+
+        Parameters
+        ----------
+        loads : sequence of loads
+
+        Raises
+        ------
+        InputError
+            A load is of a kind that the model does not support, or its group is unknown.
+        """
 
     @abstractmethod
     def state(
@@ -376,17 +386,49 @@ class Model(Described, metaclass=_Constant):
         velocity: Floats | None = None,
         time: float = 0.0,
     ) -> State:
-        """Return the state at a time [s] with given nodal displacements and velocities (equations 7 and 8)."""
+        """Return the state at a time [s] with given nodal displacements and velocities (equations 7 and 8).
+
+        Parameters
+        ----------
+        prepared : PreparedLoads
+            Result of `prepare`.
+        displacement, velocity : (n, 3) arrays, optional [m], [m/s]
+            At rest by default.
+        time : float [s]
+        """
 
     @abstractmethod
     def stable_step(self, state: State, prepared: PreparedLoads, work: Any = None) -> tuple[float, State]:
-        """Estimate the largest stable time step [s] at a state; return it and the state with that estimate."""
+        """Estimate the largest stable time step [s] at a state; return it and the state with that estimate.
+
+        Parameters
+        ----------
+        state : State
+        prepared : PreparedLoads
+        work : object, optional
+            Result of `workspace`.
+        """
 
     @abstractmethod
     def advance(
         self, state: State, prepared: PreparedLoads, step: float, steps: int, work: Any = None
     ) -> tuple[State, StepReport]:
-        """Advance by a number of steps of one length [s]."""
+        """Advance by a number of steps of one length [s].
+
+        Parameters
+        ----------
+        state : State
+        prepared : PreparedLoads
+        step : float [s]
+        steps : int
+        work : object, optional
+            Result of `workspace`.
+
+        Returns
+        -------
+        State, StepReport
+            The new state; work, dissipation and impulses of the steps.
+        """
 
     @abstractmethod
     def outputs(self, state: State, prepared: PreparedLoads, work: Any = None) -> Outputs:

@@ -19,7 +19,7 @@ from palpate.dynamics.loads.prepared import PreparedLoads
 
 __all__ = ["Partition", "active_partitions", "partitions", "spread"]
 
-ORTHOGONAL = 1e-6  # cosine below which two directions are orthogonal
+MAX_COSINE = 1e-6  # cosine below which two directions are orthogonal
 Groups = Mapping[str, NDArray[np.int64]]
 
 
@@ -63,28 +63,28 @@ def partitions(points: Floats, groups: Groups, directions: Mapping[str, Floats])
     """
     axes = [directions.get(name, np.eye(3)) for name in groups]
     return [
-        Partition(part, _shepard(points, list(groups.values()), [_meet(part, own) * len(own) for own in axes]))
-        for part in _parts([own for own in axes if len(own) < 3])
+        Partition(part, _shepard(points, list(groups.values()), [_meet(part, axis) * len(axis) for axis in axes]))
+        for part in _parts([axis for axis in axes if len(axis) < 3])
     ]
 
 
 def _parts(axes: list[Floats]) -> list[Floats]:
     """Return projections (3, 3) on orthogonal subspaces, each with all or none of every support's directions."""
     spans: list[Floats] = []
-    for own in axes:
-        joined: list[Floats] = [own]
+    for axis in axes:
+        joined: list[Floats] = [axis]
         apart: list[Floats] = []
         for span in spans:
-            (joined if np.abs(span @ own.T).max() > ORTHOGONAL else apart).append(span)
+            (joined if np.abs(span @ axis.T).max() > MAX_COSINE else apart).append(span)
         _, sizes, rows = np.linalg.svd(np.concatenate(joined))
-        spans = [*apart, rows[: np.count_nonzero(sizes > ORTHOGONAL)]]
+        spans = [*apart, rows[: np.count_nonzero(sizes > MAX_COSINE)]]
     rest = np.eye(3) - sum((span.T @ span for span in spans), np.zeros((3, 3)))
     parts = [span.T @ span for span in spans]
-    return [*parts, rest] if np.abs(rest).max() > ORTHOGONAL else parts
+    return [*parts, rest] if np.abs(rest).max() > MAX_COSINE else parts
 
 
 def _meet(part: Floats, directions: Floats) -> bool:
-    return bool(np.abs(directions @ part).max() > ORTHOGONAL)
+    return bool(np.abs(directions @ part).max() > MAX_COSINE)
 
 
 def _shepard(points: Floats, nodes: list[NDArray[np.int64]], ranks: list[int]) -> Floats:
@@ -92,10 +92,10 @@ def _shepard(points: Floats, nodes: list[NDArray[np.int64]], ranks: list[int]) -
     phi, taken = np.zeros((len(nodes), len(points))), np.zeros(len(points), dtype=bool)
     owned = {}
     for g in sorted(range(len(nodes)), key=lambda g: -ranks[g]):
-        own = nodes[g][~taken[nodes[g]]]
-        if ranks[g] and len(own):
-            owned[g] = own
-            taken[own] = True
+        members_left = nodes[g][~taken[nodes[g]]]
+        if ranks[g] and len(members_left):
+            owned[g] = members_left
+            taken[members_left] = True
     members = sorted(owned)
     if len(members) == 1:
         phi[members] = 1.0

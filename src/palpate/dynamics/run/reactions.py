@@ -105,11 +105,11 @@ def group_forces(body: NodalBody, parts: Sequence[Partition], nodal: Floats, str
     """
     forces = np.zeros((len(parts[0].phi), 3))
     for directions, phi in parts:
-        own = np.einsum("gn,nc->gc", phi, nodal)  # without BLAS, whose threads spin (`palpate.arrays`)
+        group_force = np.einsum("gn,nc->gc", phi, nodal)  # without BLAS, whose threads spin (`palpate.arrays`)
         if stress is not None:
             slopes = body.stencils.gradient(body.mirror.scalars(phi.T))  # (n, groups, 3)
-            own = own + np.einsum("n,nil,ngl->gi", body.volumes, stress, slopes)
-        forces += own @ directions
+            group_force = group_force + np.einsum("n,nil,ngl->gi", body.volumes, stress, slopes)
+        forces += group_force @ directions
     return forces
 
 
@@ -147,10 +147,10 @@ def contact_outputs(
     nodal_forces = rate * contact_state.nodal_impulses
     bonded = np.zeros(len(nodal_forces), dtype=np.bool_)
     for name, where in prepared.grasp_slices().items() if len(contact_state.constraint_impulses) else ():
-        nodes, own = prepared.sites.prescribed[where], rate * contact_state.constraint_impulses[where]
-        forces[name] = own.sum(axis=0)
-        nodal_forces[nodes] += own
-        bonded[nodes] = own.any()
+        nodes, node_forces = prepared.sites.prescribed[where], rate * contact_state.constraint_impulses[where]
+        forces[name] = node_forces.sum(axis=0)
+        nodal_forces[nodes] += node_forces
+        bonded[nodes] = node_forces.any()
     nodes = np.flatnonzero(nodal_forces.any(axis=1))
     return forces, moments, np.column_stack([nodes, nodal_forces[nodes]]), bonded[nodes]
 

@@ -13,7 +13,7 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.dynamics.run.journal import Journal
 from palpate.dynamics.run.model import Outputs
-from palpate.dynamics.run.trajectory import FRAME_ARRAYS, GROUP_ARRAYS, SERIES, Trajectory, stack
+from palpate.dynamics.run.trajectory import FRAME_ARRAYS, GROUP_ARRAYS, SERIES_NAMES, Trajectory, stack
 
 __all__ = ["Recorder"]
 
@@ -68,8 +68,10 @@ class Recorder:
                 about = {"model": self.model, "label": self.label, "stiffness_damping": self.stiffness_damping}
                 names = {"reactions": list(frame.reactions), "moments": list(frame.moments)}
                 self._journal.add(about | names, {"points": np.asarray(self.points, dtype=float)})
-            numbers = {"times": time, "steps": steps} | {n: getattr(frame, n) for n in SERIES if hasattr(frame, n)}
-            arrays: dict[str, Any] = {"numbers": [numbers[name] for name in SERIES]}
+            numbers = {"times": time, "steps": steps} | {
+                n: getattr(frame, n) for n in SERIES_NAMES if hasattr(frame, n)
+            }
+            arrays: dict[str, Any] = {"numbers": [numbers[name] for name in SERIES_NAMES]}
             arrays |= {name: getattr(frame, name) for name in (*FRAME_ARRAYS, "contact_forces")}
             arrays |= {name: np.reshape(list(getattr(frame, name).values()), (-1, 3)) for name in GROUP_ARRAYS}
             arrays["trust"] = [] if frame.trust is None else [frame.trust]
@@ -94,16 +96,16 @@ class Recorder:
         points: Any = np.asarray(self.points, dtype=float)
         count = len(frames)  # a signal may arrive between the time and the frame
         series: dict[str, Any] = {"times": self.times[:count], "steps": self.steps[:count]}
-        series |= {name: [getattr(o, name) for o in frames] for name in SERIES if name not in series}
-        own: dict[str, Any] = {name: np.array(values, dtype=float) for name, values in series.items()}
+        series |= {name: [getattr(o, name) for o in frames] for name in SERIES_NAMES if name not in series}
+        numbers: dict[str, Any] = {name: np.array(values, dtype=float) for name, values in series.items()}
         forces: dict[str, Any] = {
-            name: {of: np.array([getattr(o, name)[of] for o in frames]) for of in getattr(frames[0], name)}
+            name: {key: np.array([getattr(o, name)[key] for o in frames]) for key in getattr(frames[0], name)}
             if frames else {} for name in GROUP_ARRAYS
         }  # fmt: skip
         rows: dict[str, Any] = {name: stack([getattr(o, name) for o in frames], (n, 3)) for name in FRAME_ARRAYS}
         return Trajectory(
             model=self.model, label=self.label, points=points,
-            **own, **forces, **rows,
+            **numbers, **forces, **rows,
             contact_forces=np.concatenate(
                 [np.zeros((0, 5)), *(np.insert(o.contact_forces, 0, k, axis=1) for k, o in enumerate(frames))]
             ),

@@ -18,17 +18,17 @@ from palpate.files import regular_file
 from palpate.plotting import curve_svg, plot_curves
 from palpate.sealed import loading, open_sealed, write_sealed
 
-__all__ = ["FRAME_ARRAYS", "GROUP_ARRAYS", "SERIES", "StoredTrajectory", "Trajectory", "stack"]
+__all__ = ["FRAME_ARRAYS", "GROUP_ARRAYS", "SERIES_NAMES", "StoredTrajectory", "Trajectory", "stack"]
 
 
 FORMAT, VERSION = "palpate trajectory", 4
-REMEDY = "run the simulation again"
+TRAJECTORY_REMEDY = "run the simulation again"
 MAX_DISPLACEMENT = 1e30  # [m], so that sums of squares are finite
-SERIES = ("times", "kinetic", "strain", "external", "dissipated", "steps")
+SERIES_NAMES = ("times", "kinetic", "strain", "external", "dissipated", "steps")
 FRAME_ARRAYS = ("displacements", "velocities")  # stored frame by frame
-INDICATORS = ("trust", "displacement_bounds", "force_bounds")  # (f,), or empty without an error indicator
+INDICATOR_NAMES = ("trust", "displacement_bounds", "force_bounds")  # (f,), or empty without an error indicator
 GROUP_ARRAYS = ("reactions", "moments")  # (f, 3) arrays of groups and tools
-HEADER = ("model", "label", "wall_seconds", "stiffness_damping", "complete")
+HEADER_KEYS = ("model", "label", "wall_seconds", "stiffness_damping", "complete")
 
 
 @dataclass(frozen=True)
@@ -75,6 +75,8 @@ class Trajectory(Described):
 
     Examples
     --------
+    >>> import tempfile
+    >>> from pathlib import Path
     >>> import palpate as pt
     >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
     >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
@@ -85,8 +87,6 @@ class Trajectory(Described):
     (31, True)
     >>> bool(abs(full.balance).max() < 0.02 * full.external.max())
     True
-    >>> import tempfile
-    >>> from pathlib import Path
     >>> path = Path(tempfile.mkdtemp()) / "run.h5"
     >>> full.save(path)
     >>> pt.Trajectory.load(path).reactions["x-"].shape
@@ -207,18 +207,18 @@ class Trajectory(Described):
                 f"got a run from {other.times[0]:g} s; continue the run from its last state"
             )
         joined: dict[str, Any] = {}
-        for name in (*SERIES, "displacements", "velocities"):
+        for name in (*SERIES_NAMES, "displacements", "velocities"):
             first, second = getattr(self, name), getattr(other, name)
             since = first[-1] - second[0] if name in ("external", "dissipated", "steps") else 0.0
             joined[name] = np.concatenate([first, second[1:] + since])
         for name in ("reactions", "moments"):
             first, second = getattr(self, name), getattr(other, name)
-            joined[name] = {of: np.concatenate([values, second[of][1:]]) for of, values in first.items()}
+            joined[name] = {key: np.concatenate([values, second[key][1:]]) for key, values in first.items()}
         after = other.contact_forces[:, 0] > 0
         later = other.contact_forces[after] + np.array([len(self.times) - 1.0, 0, 0, 0, 0])
         joined["contact_forces"] = np.concatenate([self.contact_forces, later])
         joined["bonded"] = np.concatenate([self.bonded, other.bonded[after]])
-        for name in INDICATORS:
+        for name in INDICATOR_NAMES:
             first, second = getattr(self, name), getattr(other, name)
             both = len(first) == len(self.times) and len(second) == len(other.times)
             joined[name] = np.concatenate([first, second[1:]]) if both else np.zeros(0)
@@ -235,16 +235,18 @@ class Trajectory(Described):
         OSError
             The file cannot be written; an existing file is unchanged.
         """
-        arrays: dict[str, Any] = {name: getattr(self, name) for name in (*SERIES, "points", "contact_forces", "bonded")}
-        arrays |= {_array_name(name, of): force for name in GROUP_ARRAYS for of, force in getattr(self, name).items()}
+        arrays: dict[str, Any] = {
+            name: getattr(self, name) for name in (*SERIES_NAMES, "points", "contact_forces", "bonded")
+        }
+        arrays |= {_array_name(name, key): force for name in GROUP_ARRAYS for key, force in getattr(self, name).items()}
         rows = {name: getattr(self, name) for name in FRAME_ARRAYS}
         if not len(self.times):
             arrays, rows = arrays | rows, {}
         for name, values in (arrays | rows).items():
             if not np.isfinite(values).all():
                 raise InputError(f"{name} is not finite: {path} was not written")
-        arrays |= {name: getattr(self, name) for name in INDICATORS}
-        header = {name: getattr(self, name) for name in HEADER}
+        arrays |= {name: getattr(self, name) for name in INDICATOR_NAMES}
+        header = {name: getattr(self, name) for name in HEADER_KEYS}
         header |= {name: float(header[name]) for name in ("wall_seconds", "stiffness_damping")}
         write_sealed(Path(path), FORMAT, VERSION, header | {name: list(getattr(self, name)) for name in GROUP_ARRAYS},
                      arrays, rows)  # fmt: skip
@@ -263,7 +265,7 @@ class Trajectory(Described):
             The file is truncated, damaged, or not a trajectory.
         """
         path = Path(path)
-        with loading(path, REMEDY):
+        with loading(path, TRAJECTORY_REMEDY):
             regular_file(path, "trajectory")
             if is_journal(path):
                 return _from_journal(path)
@@ -273,19 +275,19 @@ class Trajectory(Described):
 
 def _from_journal(path: Path) -> Trajectory:
     """Return the trajectory of the complete records of a journal."""
-    found = [record for _, _, record in records(path)]
-    (about, first), frames = found[0], found[1:]
+    journal_records = [record for _, _, record in records(path)]
+    (about, first), frames = journal_records[0], journal_records[1:]
     points, names = first["points"], {name: check_names(name, about.get(name)) for name in GROUP_ARRAYS}
-    numbers = stack([arrays["numbers"] for _, arrays in frames], (len(SERIES),))
-    data = {name: numbers[:, k] for k, name in enumerate(SERIES)} | {"points": points}
+    numbers = stack([arrays["numbers"] for _, arrays in frames], (len(SERIES_NAMES),))
+    data = {name: numbers[:, k] for k, name in enumerate(SERIES_NAMES)} | {"points": points}
     data |= {name: stack([arrays[name] for _, arrays in frames], (*points.shape[:1], 3)) for name in FRAME_ARRAYS}
     for name, each in names.items():
         forces = stack([arrays[name] for _, arrays in frames], (len(each), 3))
-        data |= {_array_name(name, of): forces[:, k] for k, of in enumerate(each)}
+        data |= {_array_name(name, key): forces[:, k] for k, key in enumerate(each)}
     numbered = [np.insert(arrays["contact_forces"], 0, k, axis=1) for k, (_, arrays) in enumerate(frames)]
     data["contact_forces"] = np.concatenate([np.zeros((0, 5)), *numbered])
     data["bonded"] = np.concatenate([np.zeros(0, dtype=np.bool_), *(arrays["bonded"] for _, arrays in frames)])
-    data |= dict.fromkeys(INDICATORS, np.zeros(0))
+    data |= dict.fromkeys(INDICATOR_NAMES, np.zeros(0))
     data["trust"] = np.concatenate([np.zeros(0), *(arrays["trust"] for _, arrays in frames)])
     return _from_arrays(about | names | {"wall_seconds": 0.0, "complete": False}, data)
 
@@ -303,8 +305,8 @@ def _from_arrays(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
     InputError
         A value is missing, not finite, or of another type, shape or range.
     """
-    if header.keys() != {*HEADER, *GROUP_ARRAYS}:
-        raise InputError(f"header must have {sorted({*HEADER, *GROUP_ARRAYS})}, got {sorted(header)}")
+    if header.keys() != {*HEADER_KEYS, *GROUP_ARRAYS}:
+        raise InputError(f"header must have {sorted({*HEADER_KEYS, *GROUP_ARRAYS})}, got {sorted(header)}")
     for name in ("model", "label"):
         if not isinstance(header[name], str):
             raise InputError(f"{name} must be text, got {header[name]!r:.60}")
@@ -315,31 +317,35 @@ def _from_arrays(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
     }
     names = {name: check_names(name, header[name]) for name in GROUP_ARRAYS}
     frames, n = len(data["times"]), len(data["points"])
-    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(FRAME_ARRAYS, (frames, n, 3)) | dict.fromkeys(SERIES, (frames,))
-    shapes |= {_array_name(name, of): (frames, 3) for name, each in names.items() for of in each}
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(FRAME_ARRAYS, (frames, n, 3)) | dict.fromkeys(
+        SERIES_NAMES, (frames,)
+    )
+    shapes |= {_array_name(name, key): (frames, 3) for name, each in names.items() for key in each}
     contact_forces = len(data.get("contact_forces", ()))
     shapes |= {
         "contact_forces": (contact_forces, 5),
         "bonded": (contact_forces,),
         "points": (n, 2 if data["points"].shape[-1:] == (2,) else 3),
     }
-    indicators = {name: data.pop(name, np.zeros(0)) for name in INDICATORS}
+    indicators = {name: data.pop(name, np.zeros(0)) for name in INDICATOR_NAMES}
     for name, values in indicators.items():
         if values.shape not in ((0,), (frames,)) or values.dtype != np.float64 or not np.all(values >= 0):
             raise InputError(f"{name} must hold {frames} positive numbers or none, got shape {values.shape}")
     if data.keys() != shapes.keys():
         raise InputError(f"arrays must be {', '.join(sorted(shapes))}, got {', '.join(sorted(data))}")
     for name, shape in shapes.items():
-        wanted = np.bool_ if name == "bonded" else np.float64
-        if data[name].shape != shape or data[name].dtype != wanted or not np.isfinite(data[name]).all():
+        dtype = np.bool_ if name == "bonded" else np.float64
+        if data[name].shape != shape or data[name].dtype != dtype or not np.isfinite(data[name]).all():
             raise InputError(f"{name} must be finite, of shape {shape}, got shape {data[name].shape}")
     if np.abs(data["displacements"]).max(initial=0.0) > MAX_DISPLACEMENT:
         raise InputError(f"displacements must be at most {MAX_DISPLACEMENT:g} m")
     if not n or np.any(np.diff(data["times"]) < 0) or np.any(np.diff(data["steps"]) < 0):
         raise InputError("times and steps must not decrease, and points must not be empty")
     _check_contact_forces(data["contact_forces"], frames, n)
-    forces: dict[str, Any] = {name: {of: data[_array_name(name, of)] for of in each} for name, each in names.items()}
-    arrays = {name: data[name] for name in (*SERIES, *FRAME_ARRAYS, "points", "contact_forces", "bonded")} | indicators
+    forces: dict[str, Any] = {name: {key: data[_array_name(name, key)] for key in each} for name, each in names.items()}
+    arrays = {
+        name: data[name] for name in (*SERIES_NAMES, *FRAME_ARRAYS, "points", "contact_forces", "bonded")
+    } | indicators
     return Trajectory(**arrays, **forces, **numbers, **{name: header[name] for name in ("model", "label", "complete")})
 
 
@@ -355,11 +361,11 @@ def check_names(what: str, names: Any) -> list[str]:
     return names
 
 
-def _array_name(what: str, of: str) -> str:
+def _array_name(what: str, key: str) -> str:
     """Return the HDF5 name of an array of a group or tool, without slashes and zero bytes."""
-    if of in ("", ".", ".."):
-        return f"{what}/%{of}"
-    return f"{what}/{of.replace('%', '%25').replace('/', '%2F').replace(chr(0), '%00')}"
+    if key in ("", ".", ".."):
+        return f"{what}/%{key}"
+    return f"{what}/{key.replace('%', '%25').replace('/', '%2F').replace(chr(0), '%00')}"
 
 
 def _check_contact_forces(contact_forces: Floats, frames: int, nodes: int) -> None:
@@ -395,7 +401,7 @@ class StoredTrajectory(Described):
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        with loading(self.path, REMEDY):
+        with loading(self.path, TRAJECTORY_REMEDY):
             regular_file(self.path, "trajectory")
             if is_journal(self.path):
                 self._open_journal()
@@ -418,9 +424,11 @@ class StoredTrajectory(Described):
         self.wall_seconds = number_in_range("wall_seconds", file.header.get("wall_seconds", 0.0), 0.0, unit="s")
         self.points, self.times, self.steps = map(file.read, ("points", "times", "steps"))
         self.contact_forces, self.bonded = map(file.read, ("contact_forces", "bonded"))
-        shape, wanted = file.arrays["displacements"].shape, (len(self.times), len(self.points), 3)
-        if shape != wanted or not len(self.points) or self.contact_forces.shape != (len(self.bonded), 5):
-            raise InputError(f"displacements must have shape {wanted}, got {shape}; and contact_forces must fit bonded")
+        shape, expected = file.arrays["displacements"].shape, (len(self.times), len(self.points), 3)
+        if shape != expected or not len(self.points) or self.contact_forces.shape != (len(self.bonded), 5):
+            raise InputError(
+                f"displacements must have shape {expected}, got {shape}; and contact_forces must fit bonded"
+            )
         if self.points.ndim != 2 or self.times.ndim != 1 or self.steps.shape != self.times.shape:
             raise InputError("points must be 2-d, and times and steps 1-d and of equal length")
         if file.arrays["displacements"].type not in ("<f8", "<f4") or np.any(np.diff(self.times) < 0):
@@ -464,7 +472,7 @@ class Frames:
         return self.shape[0]
 
     def __getitem__(self, which: int | slice) -> Floats:
-        with loading(self.path, REMEDY):
+        with loading(self.path, TRAJECTORY_REMEDY):
             if not isinstance(which, slice):
                 return self._frame(range(len(self))[which])
             chosen = range(len(self))[which]

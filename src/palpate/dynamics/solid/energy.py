@@ -16,7 +16,7 @@ from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed, prepare
 from palpate.dynamics.nodal.model import History, NodalWork
 from palpate.dynamics.nodal.stability import StabilityReport, resting_frequency, stable_step
 from palpate.dynamics.run.model import Evaluation, State, StepReport
-from palpate.dynamics.solid.base import NEIGHBOURS, Choices, Solid
+from palpate.dynamics.solid.base import STENCIL_SIZES, Choices, Solid
 from palpate.dynamics.solid.layout import energy_passes
 from palpate.faults import InputError, number_in_range
 from palpate.meshfree.consistent import consistent_stencils
@@ -25,7 +25,7 @@ from palpate.meshfree.patches import surface_patches
 __all__ = ["EnergySolid"]
 
 
-DAMPING = 0.1  # default stiffness damping, times the highest frequency
+DEFAULT_DAMPING = 0.1  # default stiffness damping, times the highest frequency
 CRUSHED_DILATATION = -0.6  # dilatation below which the energy balance of steps is checked
 MAX_ENERGY_ERROR = 1e-3  # largest energy error of such steps, relative to the energy
 
@@ -50,7 +50,7 @@ class EnergySolid(Solid):
                 raise InputError(f"{name} must be left out in the energy form, got {given!r}; use form='strong'")
         # the boundary vectors, which have c = 2, are a part of the energy
         self.half_cell = 1.0
-        tried = NEIGHBOURS if choices.neighbours is None else (choices.neighbours,)
+        tried = STENCIL_SIZES if choices.neighbours is None else (choices.neighbours,)
         images = choices.images
         self.neighbours, stencils, volumes, self._lattice = consistent_stencils(images.cloud, tried)
         compiled, self.stencils, self.smoothing = energy_passes(
@@ -61,7 +61,9 @@ class EnergySolid(Solid):
         self._compile(*compiled)
         self.stiffness_damping = 0.0
         highest, damping = resting_frequency(self), choices.stiffness_damping
-        used = number_in_range("stiffness_damping", DAMPING / highest if damping is None else damping, 0.0, unit="s")
+        used = number_in_range(
+            "stiffness_damping", DEFAULT_DAMPING / highest if damping is None else damping, 0.0, unit="s"
+        )
         self._set_stability(StabilityReport("energy form", None, 0.0, used, highest, stable_step(highest, used)))
 
     @property
@@ -97,8 +99,8 @@ class EnergySolid(Solid):
     def smooth(self, values: Floats) -> Floats:
         """Return nodal values (n,) smoothed like the volumetric measure."""
         body, passes, result = self.body, self._allocate(), np.empty(len(self.cloud))
-        own = np.ascontiguousarray(values, dtype=float)
-        smooth_field(body.smoothing, body.value, body.smoothing_own, passes.derivatives, own, result)
+        nodal_values = np.ascontiguousarray(values, dtype=float)
+        smooth_field(body.smoothing, body.value, body.smoothing_own, passes.derivatives, nodal_values, result)
         return result
 
     def smooth_transposed(self, weights: Floats) -> Floats:

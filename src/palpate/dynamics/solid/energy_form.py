@@ -38,7 +38,7 @@ from palpate.dynamics.compiled.mirror import fill_fluxes, fill_vectors
 from palpate.dynamics.compiled.passes import Formulation, add_blocks, combine, smooth_field, weights_address
 from palpate.dynamics.compiled.rows import Rows, aligned_zeros, difference_sums, gather_fluxes
 from palpate.dynamics.material.fibres import NO_FIBRES, Families, FibrePoints
-from palpate.dynamics.material.material_fields import EVERYWHERE, parameters_at
+from palpate.dynamics.material.material_fields import NO_FIELDS, parameters_at
 from palpate.dynamics.material.principal_stretches import make_principal_stress
 from palpate.dynamics.material.relaxation import HistoryVariables, Relaxation, after, history, overstress, relax_volume
 from palpate.dynamics.material.small_strain import make_linear_stress
@@ -48,10 +48,10 @@ from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 
 __all__ = ["EnergyBody", "EnergyWork", "energy_work", "make_stress", "solid_energy"]
 
-NUMBERS = 12  # per node: du_c/dX_d as 3 c + d, then the residuals e_c
-WIDTH = 4  # weights per neighbour
+NODE_NUMBERS = 12  # per node: du_c/dX_d as 3 c + d, then the residuals e_c
+WEIGHT_WIDTH = 4  # weights per neighbour
 # first rows in the scratch array of a block's response, (ROWS * LANES,)
-STRESS, COFACTOR, DILATATION, ROWS = NUMBERS, 2 * NUMBERS, 2 * NUMBERS + 9, 2 * NUMBERS + 10
+STRESS, COFACTOR, DILATATION, ROWS = NODE_NUMBERS, 2 * NODE_NUMBERS, 2 * NODE_NUMBERS + 9, 2 * NODE_NUMBERS + 10
 
 
 class EnergyBody(NamedTuple):
@@ -98,7 +98,7 @@ def energy_work(
     """Allocate scratch arrays for `nodes` in `blocks`, with numbers of images and of reflected fluxes."""
     return EnergyWork(
         aligned_zeros(threads, LANES, 3, 4),
-        aligned_zeros(threads, NUMBERS, LANES),
+        aligned_zeros(threads, NODE_NUMBERS, LANES),
         aligned_zeros(threads, ROWS * LANES),
         aligned_zeros(blocks, 9, LANES),
         aligned_zeros(nodes + images[1], 3, 4),
@@ -113,7 +113,7 @@ def energy_work(
     )
 
 
-_gather_fluxes = gather_fluxes[WIDTH]
+_gather_fluxes = gather_fluxes[WEIGHT_WIDTH]
 
 
 @kernel_njit(inner=True, cached=False)
@@ -135,7 +135,7 @@ def _lift_columns(modes, rows, sums, response, table):  # type: ignore[no-untype
         derivatives = response[get_thread_id()]
         for m in range(modes.shape[0]):
             _lift(b, modes[m], rows, sums[get_thread_id()], derivatives)
-            for q in range(NUMBERS):
+            for q in range(NODE_NUMBERS):
                 for lane in range(LANES):
                     table[b, m, q, lane] = derivatives[LANES * q + lane]
 
@@ -146,7 +146,7 @@ def _differentiate(modes, body, work, table):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True, parallel=True, fastmath={"contract"})
-def _add_pressure(lanes, value, own, lame, theta, slope, cofactor, sums, pressure, flux):  # type: ignore[no-untyped-def]
+def _add_pressure(lanes, value, diagonal, lame, theta, slope, cofactor, sums, pressure, flux):  # type: ignore[no-untyped-def]
     """Compute p, g' times the transposed smoothing of theta; add lame p cof(F) to the stresses.
 
     Blocks of the smoothing have all nodes in order, as those of the cofactors.
@@ -161,7 +161,7 @@ def _add_pressure(lanes, value, own, lame, theta, slope, cofactor, sums, pressur
             i = lanes.nodes[b, lane]
             if lane > 0 and i == lanes.nodes[b, lane - 1]:
                 break  # the last node of an unfilled block is repeated
-            p = total[0, lane] + own[i] * theta[i]
+            p = total[0, lane] + diagonal[i] * theta[i]
             if slope.shape[0] > 0:
                 p *= slope[i]
             pressure[i] = p
@@ -321,7 +321,7 @@ def make_stress(digest: str, law_first: Any, variables: str = "invariants") -> A
 
 @cache
 def solid_energy(
-    law: type[Material], volumetric: str = QUADRATIC, fibres: FibrePoints = NO_FIBRES, varied: int = EVERYWHERE
+    law: type[Material], volumetric: str = QUADRATIC, fibres: FibrePoints = NO_FIBRES, varied: int = NO_FIELDS
 ) -> Formulation:
     """Compile the passes of a solid.
 
@@ -390,11 +390,11 @@ def solid_energy(
     ):
         for block in prange(table.shape[0]):
             b = np.int64(block)
-            found, out = derivatives[get_thread_id()], response[get_thread_id()]
-            combine(b, columns, table, found)
-            for q in range(NUMBERS):
+            gradient, out = derivatives[get_thread_id()], response[get_thread_id()]
+            combine(b, columns, table, gradient)
+            for q in range(NODE_NUMBERS):
                 for v in range(LANES):
-                    out[LANES * q + v] = found[q, v]
+                    out[LANES * q + v] = gradient[q, v]
             node_response(b, nodes, out, law, hourglass, families, cofactor, flux, dilatation, slope)
 
     @law_njit(digest, inner=True)
@@ -408,4 +408,4 @@ def solid_energy(
         fill_fluxes(body.flux_mirror, work.flux)
         _gather_fluxes(body.transposed, work.flux, force)
 
-    return Formulation(digest, NUMBERS, respond, respond_to_columns, _differentiate, finish, _project, after)
+    return Formulation(digest, NODE_NUMBERS, respond, respond_to_columns, _differentiate, finish, _project, after)

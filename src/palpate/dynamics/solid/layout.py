@@ -15,7 +15,7 @@ from palpate.dynamics.compiled.lanes import gather_rows, lane_table, transpose
 from palpate.dynamics.compiled.passes import Formulation
 from palpate.dynamics.compiled.rows import Rows, row_table
 from palpate.dynamics.material.fibres import fibre_points, lay_out_fibres
-from palpate.dynamics.material.material_fields import EVERYWHERE, spread
+from palpate.dynamics.material.material_fields import NO_FIELDS, spread
 from palpate.dynamics.material.relaxation import relaxation
 from palpate.dynamics.material.tissue import Tissue
 from palpate.dynamics.solid.energy_form import EnergyBody, energy_work, solid_energy
@@ -27,7 +27,7 @@ from palpate.tissue.materials import Material
 
 __all__ = ["CompiledForm", "Smoothing", "energy_passes", "strong_passes"]
 
-HOURGLASS = 1.0  # modulus of the hourglass residual, in shear moduli over the spacing squared
+HOURGLASS_MODULUS = 1.0  # modulus of the hourglass residual, in shear moduli over the spacing squared
 
 
 class CompiledForm(NamedTuple):
@@ -53,8 +53,8 @@ def strong_passes(
     images: Images, material: Material, stencils: Stencils, smoother: Stencils, half_cell: float, direct: bool
 ) -> tuple[CompiledForm, Stencils]:
     """Lay out the passes of the strong form, for stencils of a cloud with its images; return the part's own, too."""
-    n, (mirror, own) = images.nodes, images.own(stencils)
-    lanes, (first, second) = lane_table(own.neighbours, own.row, own.first, own.second)
+    n, (mirror, of_part) = images.nodes, images.own(stencils)
+    lanes, (first, second) = lane_table(of_part.neighbours, of_part.row, of_part.first, of_part.second)
     boundary = half_cell * images.cloud.boundary_vectors()[:n]
     if len(mirror.source):
         near, weights, itself = images.folded(
@@ -79,7 +79,7 @@ def strong_passes(
     longest = int(max(np.diff(lanes.start).max(), np.diff(smooth_lanes.start).max()))
     threads = numba.config.NUMBA_NUM_THREADS
     allocate = partial(workspace, n, len(lanes.nodes), longest, threads, len(mirror.source))
-    return CompiledForm(solid(material.law, direct, material.volumetric), body, allocate, lanes), own
+    return CompiledForm(solid(material.law, direct, material.volumetric), body, allocate, lanes), of_part
 
 
 class Smoothing(NamedTuple):
@@ -123,7 +123,7 @@ def energy_passes(
         transposed_value=back_value,
         coefficients=material.coefficients if regions is None else spread(regions, lanes.nodes),
         lame=tissue.lame,
-        hourglass=HOURGLASS * material.shear_modulus / images.cloud.spacing**2,
+        hourglass=HOURGLASS_MODULUS * material.shear_modulus / images.cloud.spacing**2,
         relaxation=relaxation(material),
         stiffness=np.zeros((0, 3)) if tissue.uniform else np.ascontiguousarray(tissue.factors),
         families=lay_out_fibres(tissue.fibres, lanes.nodes),
@@ -135,7 +135,7 @@ def energy_passes(
     allocate = partial(
         energy_work, n, len(lanes.nodes), threads, branches, form, (len(mirror.source), len(flux_mirror.source))
     )
-    varied = EVERYWHERE if regions is None else len(material.coefficients)
+    varied = NO_FIELDS if regions is None else len(material.coefficients)
     formulation = solid_energy(material.law, form, fibre_points(tissue.fibres), varied)
     return CompiledForm(formulation, body, allocate, lanes), own_stencils, smoothing
 

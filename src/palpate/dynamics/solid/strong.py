@@ -11,7 +11,7 @@ from palpate.arrays import Floats
 from palpate.dynamics.nodal.model import History, NodalWork
 from palpate.dynamics.nodal.stability import choose_stiffness_damping
 from palpate.dynamics.run.model import Evaluation
-from palpate.dynamics.solid.base import NEIGHBOURS, Choices, Solid
+from palpate.dynamics.solid.base import STENCIL_SIZES, Choices, Solid
 from palpate.dynamics.solid.layout import strong_passes
 from palpate.faults import InputError, number_in_range
 from palpate.meshfree.stencils import moving_least_squares
@@ -43,15 +43,17 @@ class StrongSolid(Solid):
         self.volumes, self.pressure = cloud.volumes, "split" if choices.pressure is None else choices.pressure
         if self.pressure not in ("split", "direct"):
             raise InputError(f"pressure must be 'split' or 'direct', got {self.pressure!r}")
-        self.neighbours = NEIGHBOURS[0] if choices.neighbours is None else choices.neighbours
+        self.neighbours = STENCIL_SIZES[0] if choices.neighbours is None else choices.neighbours
         stencils = moving_least_squares(choices.images.cloud.points, order=2, neighbours=self.neighbours)
         direct = self.pressure == "direct"
-        compiled, own = strong_passes(choices.images, self.material, stencils, choices.smoother, self.half_cell, direct)
+        compiled, of_part = strong_passes(
+            choices.images, self.material, stencils, choices.smoother, self.half_cell, direct
+        )
         self.mirror = compiled.body.mirror
         self._compile(*compiled)
         # the second derivatives are in the lanes; gradients of nodal fields require the others only
         empty = np.zeros((0, 0))
-        self.stencils = replace(own, second=empty[:, :, None], value=empty)
+        self.stencils = replace(of_part, second=empty[:, :, None], value=empty)
         self._set_stability(choose_stiffness_damping(self, choices.stiffness_damping, self.neighbours))
 
     @property

@@ -63,10 +63,10 @@ def check_indices(values: NDArray[Any], what: str) -> Ints:
     """Return integer indices in [0, 2^31); raise `FileFormatError` for other values."""
     if values.size and not (values.min() >= 0 and values.max() < MAX_INDEX):  # false of NaN, too
         raise FileFormatError(f"its {what} must be from 0 to {MAX_INDEX - 1}")
-    whole = values.astype(np.int64)
-    if values.dtype.kind == "f" and np.any(whole != values):
+    integers = values.astype(np.int64)
+    if values.dtype.kind == "f" and np.any(integers != values):
         raise FileFormatError(f"its {what} must be integers")
-    return whole
+    return integers
 
 
 def fans(corners: Ints, sizes: Ints) -> Ints:

@@ -20,8 +20,8 @@ from palpate.meshfree.surfaces import MAX_TRIANGLES
 
 __all__ = ["read_glb", "read_gltf"]
 
-COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-WIDTHS = {"SCALAR": 1, "VEC3": 3}
+TYPE_BY_COMPONENT = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTH_BY_TYPE = {"SCALAR": 1, "VEC3": 3}
 TRIANGLES, STRIP, FAN = 4, 5, 6  # modes of primitives
 TRANSFORM_KEYS = {"matrix", "rotation", "scale", "translation"}
 MAX_BYTES = 2**40  # bytes
@@ -120,25 +120,25 @@ class _GltfFile:
             row = self.entry("buffers", number)
             uri = row.get("uri")
             if uri is None and number == 0 and self.binary is not None:
-                found = self.binary
+                content = self.binary
             elif isinstance(uri, str) and uri.startswith("data:") and ";base64," in uri[:200]:
                 try:
-                    found = base64.b64decode(uri.partition(",")[2], validate=True)
+                    content = base64.b64decode(uri.partition(",")[2], validate=True)
                 except (binascii.Error, ValueError):
                     raise FileFormatError(f"its buffer {number} is not valid base64") from None
             else:
                 raise FileFormatError(f"its buffer {number} is in another file, which is not read; export it as GLB")
-            if _integer(row, "byteLength", MAX_BYTES) > len(found):
+            if _integer(row, "byteLength", MAX_BYTES) > len(content):
                 raise FileFormatError(f"its buffer {number} is shorter than it states")
-            self.buffers[number] = found
-            self.size += len(found)
+            self.buffers[number] = content
+            self.size += len(content)
         return self.buffers[number]
 
     def array(self, number: Any, kind: str) -> NDArray[Any]:
         """Return the rows of an accessor, (n,) of scalars and (n, 3) of vectors."""
         row = self.entry("accessors", number)
-        width = WIDTHS[kind]
-        if row.get("type") != kind or row.get("componentType") not in COMPONENTS:
+        width = WIDTH_BY_TYPE[kind]
+        if row.get("type") != kind or row.get("componentType") not in TYPE_BY_COMPONENT:
             raise FileFormatError(f"its accessor {number} must be of type {kind}")
         if number not in self.arrays:
             if "sparse" in row or "bufferView" not in row:
@@ -147,7 +147,7 @@ class _GltfFile:
             if "extensions" in view:
                 raise FileFormatError("its buffers are compressed, which is not supported; export it without")
             data = self.buffer(view.get("buffer"))
-            dtype = np.dtype(COMPONENTS[row["componentType"]])
+            dtype = np.dtype(TYPE_BY_COMPONENT[row["componentType"]])
             count, size = _integer(row, "count", MAX_BYTES), width * dtype.itemsize
             start, length = _integer(view, "byteOffset", MAX_BYTES, 0), _integer(view, "byteLength", MAX_BYTES)
             offset, stride = _integer(row, "byteOffset", MAX_BYTES, 0), _integer(view, "byteStride", 1 << 16, size)
@@ -186,7 +186,7 @@ def _scene_meshes(file: _GltfFile) -> list[tuple[Any, Floats]]:
     else:
         children = {k for node in nodes for k in _numbers(node, "children")}
         roots = [k for k in range(len(nodes)) if k not in children]
-    found, seen = [], set()
+    meshes, seen = [], set()
     waiting = [(k, np.eye(4)) for k in reversed(roots)]
     while waiting:
         number, above = waiting.pop()
@@ -196,9 +196,9 @@ def _scene_meshes(file: _GltfFile) -> list[tuple[Any, Floats]]:
         seen.add(number)
         matrix = above @ _matrix(node) if TRANSFORM_KEYS & node.keys() else above
         if "mesh" in node:
-            found.append((node["mesh"], matrix))
+            meshes.append((node["mesh"], matrix))
         waiting += [(k, matrix) for k in reversed(_numbers(node, "children"))]
-    return found
+    return meshes
 
 
 def _numbers(row: dict[str, Any], key: str) -> list[int]:
@@ -256,11 +256,11 @@ def _join_primitives(file: _GltfFile, primitives: list[dict[str, Any]], matrix: 
             if corners.max() >= len(vertices[position]):
                 raise FileFormatError(f"its accessor {indices} names vertices that do not exist")
         if mode == TRIANGLES:
-            of = fans(corners, np.full(len(corners) // 3, 3))
+            corners_of_triangles = fans(corners, np.full(len(corners) // 3, 3))
         else:
-            of = (strips if mode == STRIP else fans)(corners, np.array([len(corners)]))
-        triangles.append(of + first[position])
-        total += len(of)
+            corners_of_triangles = (strips if mode == STRIP else fans)(corners, np.array([len(corners)]))
+        triangles.append(corners_of_triangles + first[position])
+        total += len(corners_of_triangles)
         if total > MAX_TRIANGLES:
             raise triangle_count_error(total)
     joined = np.concatenate(triangles)

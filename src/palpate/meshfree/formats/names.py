@@ -4,23 +4,23 @@ from __future__ import annotations
 
 from pathlib import PurePath
 
-__all__ = ["FORMATS", "FORMATS_WITH_PARTS", "GZIP", "format_of", "listed_formats"]
+__all__ = ["FORMATS_WITH_PARTS", "GZIP_SUFFIX", "SURFACE_FORMATS", "format_of", "listed_formats"]
 
-FORMATS = {
+SURFACE_FORMATS = {
     "stl": "STL", "obj": "OBJ", "ply": "PLY", "off": "OFF", "glb": "GLB", "gltf": "glTF", "vtk": "VTK", "vtp": "VTP",
     "trian": "trian",
 }  # fmt: skip
 FORMATS_WITH_PARTS = ("glb", "gltf", "obj", "stl")
-GZIP = "gz"  # suffix after that of the format
+GZIP_SUFFIX = "gz"  # suffix after that of the format
 
 
 def format_of(path: PurePath) -> tuple[str, bool]:
     """Return the format of a name by its suffix, in lower case, and whether the file is compressed by gzip."""
-    packed = path.suffix.lower() == f".{GZIP}"
+    packed = path.suffix.lower() == f".{GZIP_SUFFIX}"
     return (PurePath(path.stem) if packed else path).suffix[1:].lower(), packed
 
 
 def listed_formats() -> str:
     """Return the names of all formats for a sentence."""
-    *names, last = FORMATS.values()
+    *names, last = SURFACE_FORMATS.values()
     return f"{', '.join(names)} or {last}"

@@ -23,17 +23,17 @@ from palpate.meshfree.surfaces import MAX_TRIANGLES
 
 __all__ = ["read_obj", "read_off", "read_stl", "read_trian"]
 
-FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+FACET_DTYPE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
 def read_stl(data: bytes) -> Parts:
     """Return the parts of an STL file, binary or ASCII: the solids, by their names."""
     count = int.from_bytes(data[80:84], "little")
-    size = 84 + FACET.itemsize * count
+    size = 84 + FACET_DTYPE.itemsize * count
     if len(data) == size:
         if count > MAX_TRIANGLES:
             raise triangle_count_error(count)
-        corners = np.frombuffer(data, FACET, count, 84)["corners"]
+        corners = np.frombuffer(data, FACET_DTYPE, count, 84)["corners"]
         return {"": lambda: (corners.reshape(-1, 3).astype(float), np.arange(3 * count).reshape(-1, 3))}
     if not data.lstrip()[:5].lower() == b"solid":
         raise FileFormatError(f"its header states {count} triangles, which take {size} bytes; it has {len(data)}")
@@ -46,7 +46,7 @@ def read_stl(data: bytes) -> Parts:
 
 
 def _facets(text: bytes) -> tuple[Floats, Ints]:
-    words = [found[1] for found in re.finditer(rb"(?i)\bvertex\s+(\S+\s+\S+\s+\S+)", text)]
+    words = [match[1] for match in re.finditer(rb"(?i)\bvertex\s+(\S+\s+\S+\s+\S+)", text)]
     facets = len(re.findall(rb"(?i)\bendfacet\b", text))
     vertices = read_numbers(b" ".join(words))
     if not facets or len(words) != 3 * facets or len(vertices) != 9 * facets:

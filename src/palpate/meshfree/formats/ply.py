@@ -15,16 +15,16 @@ from palpate.meshfree.formats.common import Parts, check_indices, fans, printabl
 
 __all__ = ["read_ply"]
 
-TYPES = {
+NUMPY_TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
     "float": "f4", "double": "f8", "float32": "f4", "float64": "f8",
     "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
 }  # fmt: skip
-CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}
+STRUCT_CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}
 MAX_HEADER_BYTES = 1 << 16  # bytes
 MAX_RAGGED_VALUES = 4_000_000  # lists and numbers in rows of different lengths, which are read one by one
-NEEDED = ("vertex", "face")
-ORDERS = {b"ascii": "", b"binary_little_endian": "<", b"binary_big_endian": ">"}
+NEEDED_ELEMENTS = ("vertex", "face")
+BYTE_ORDERS = {b"ascii": "", b"binary_little_endian": "<", b"binary_big_endian": ">"}
 
 
 @dataclass
@@ -65,14 +65,14 @@ def _header(data: bytes) -> tuple[list[_Element], str, int]:
         if not words or words[0] in (b"comment", b"obj_info"):
             continue
         if words[0] == b"format" and len(words) == 3:
-            order = ORDERS.get(words[1])
+            order = BYTE_ORDERS.get(words[1])
         elif words[0] == b"element" and len(words) == 3:
             name = words[1].decode("ascii", "replace")
             elements.append(_Element(name, read_count(words[2], "triangles" if name == "face" else "rows", len(data))))
         elif (
             words[0] == b"property" and elements and len(words) in (3, 5) and (words[1] == b"list") == (len(words) == 5)
         ):
-            kinds = [TYPES.get(each.decode("ascii", "replace"), "") for each in words[1:-1] if each != b"list"]
+            kinds = [NUMPY_TYPES.get(each.decode("ascii", "replace"), "") for each in words[1:-1] if each != b"list"]
             if "" in kinds:
                 raise FileFormatError(f"its header states a property of unknown type: {printable_word(line)}")
             elements[-1].properties.append((words[-1].decode("ascii", "replace"), kinds[-1], "".join(kinds[:-1])))
@@ -97,12 +97,12 @@ def _rows(element: _Element, data: bytes, at: int, order: str) -> tuple[dict[str
     if element.count * row.itemsize <= len(data) - at:
         rows = np.frombuffer(data, row, element.count, at)
         if all(np.all(rows[f"n{k}"] == n) for k, n in enumerate(sizes) if n is not None):  # all lists as the first
-            found = {
+            values = {
                 name: (rows[f"v{k}"].ravel(), np.full(element.count, n))
                 for k, ((name, _, _), n) in enumerate(zip(element.properties, (s or 0 for s in sizes), strict=True))
-                if element.name in NEEDED
+                if element.name in NEEDED_ELEMENTS
             }
-            return found, at + element.count * row.itemsize
+            return values, at + element.count * row.itemsize
     return _ragged_rows(element, data, at, order)
 
 
@@ -112,7 +112,7 @@ def _sizes(element: _Element, data: bytes, at: int, order: str) -> list[int | No
     for _, kind, length in element.properties:
         n = None
         if length:
-            stated = struct.Struct(order + CODES[length])
+            stated = struct.Struct(order + STRUCT_CODES[length])
             n = _list_length(data, at, stated, np.dtype(kind).itemsize)
             at += stated.size
         sizes.append(n)
@@ -143,7 +143,7 @@ def _ragged_rows(
     starts = np.empty((len(element.properties), count), dtype=np.int64)  # the first byte of each value or list
     sizes = np.ones((len(element.properties), count), dtype=np.int64)
     layout = [
-        (np.dtype(kind).itemsize, struct.Struct(order + CODES[length]) if length else None)
+        (np.dtype(kind).itemsize, struct.Struct(order + STRUCT_CODES[length]) if length else None)
         for _, kind, length in element.properties
     ]
     for row in range(count):
@@ -157,15 +157,15 @@ def _ragged_rows(
             at += n * width
     if at > len(data):
         raise FileFormatError("it ends within a row")
-    if element.name not in NEEDED:
+    if element.name not in NEEDED_ELEMENTS:
         return {}, at
-    content, found = np.frombuffer(data, "u1"), {}
+    content, by_property = np.frombuffer(data, "u1"), {}
     for k, (name, kind, _) in enumerate(element.properties):
         width, total = layout[k][0], int(sizes[k].sum())
         first = np.cumsum(sizes[k]) - sizes[k]
         place = np.repeat(starts[k] - first * width, sizes[k]) + np.arange(total) * width
-        found[name] = (content[place[:, None] + np.arange(width)].view(order + kind).reshape(-1), sizes[k])
-    return found, at
+        by_property[name] = (content[place[:, None] + np.arange(width)].view(order + kind).reshape(-1), sizes[k])
+    return by_property, at
 
 
 def _list_length(data: bytes, at: int, length: struct.Struct, width: int) -> int:

@@ -15,13 +15,13 @@ from palpate.meshfree.formats.common import Parts, check_indices, fans, printabl
 
 __all__ = ["read_vtk"]
 
-TYPES = {
+NUMPY_TYPES = {
     b"char": ">i1", b"unsigned_char": ">u1", b"short": ">i2", b"unsigned_short": ">u2", b"int": ">i4",
     b"unsigned_int": ">u4", b"long": ">i8", b"unsigned_long": ">u8", b"float": ">f4", b"double": ">f8",
     b"vtkidtype": ">i4", b"vtktypeint32": ">i4", b"vtktypeint64": ">i8",
 }  # fmt: skip
 MAX_SECTIONS = 1000  # and arrays of fields
-CELLS = (b"VERTICES", b"LINES", b"POLYGONS", b"TRIANGLE_STRIPS")
+CELL_SECTIONS = (b"VERTICES", b"LINES", b"POLYGONS", b"TRIANGLE_STRIPS")
 
 
 def read_vtk(data: bytes) -> Parts:
@@ -54,7 +54,7 @@ def read_vtk(data: bytes) -> Parts:
         elif key == b"POINTS" and len(words) == 3:
             n = read_count(words[1], "points", len(data))
             points = lines.array(3 * n, words[2]).astype(float).reshape(-1, 3)
-        elif key in CELLS and len(words) == 3:
+        elif key in CELL_SECTIONS and len(words) == 3:
             corners, sizes = _cells(lines, words[1], words[2])
             if key == b"POLYGONS":
                 triangles.append(fans(corners, sizes))
@@ -89,12 +89,12 @@ class _Lines:
 
     def array(self, count: int, kind: bytes) -> NDArray[Any]:
         """Return numbers of a type; in text, all numbers before the next word."""
-        if kind.lower() not in TYPES:
+        if kind.lower() not in NUMPY_TYPES:
             raise FileFormatError(f"it has numbers of an unknown type {printable_word(kind)}")
-        dtype = np.dtype(TYPES[kind.lower()])
+        dtype = np.dtype(NUMPY_TYPES[kind.lower()])
         if self.text:
-            found = re.compile(rb"^[ \t]*[A-Za-z]", re.MULTILINE).search(self.data, self.at)
-            end = found.start() if found else len(self.data)
+            match = re.compile(rb"^[ \t]*[A-Za-z]", re.MULTILINE).search(self.data, self.at)
+            end = match.start() if match else len(self.data)
             values = read_numbers(self.data[self.at : end])
         else:
             end = min(self.at + count * dtype.itemsize, len(self.data))

@@ -19,14 +19,14 @@ from palpate.meshfree.formats.common import Parts, check_indices, fans, printabl
 
 __all__ = ["read_vtp"]
 
-TYPES = {
+NUMPY_TYPES = {
     "Int8": "i1", "UInt8": "u1", "Int16": "i2", "UInt16": "u2", "Int32": "i4", "UInt32": "u4", "Int64": "i8",
     "UInt64": "u8", "Float32": "f4", "Float64": "f8",
 }  # fmt: skip
 MAX_EXPANSION = 64  # of all arrays together over the file; that of surfaces is below 10
 MAX_ARRAYS = 100_000  # and pieces
 BLOCK_COST = 128  # bytes that a compressed block counts as
-SECTIONS = ("Points", "Polys", "Strips")
+NEEDED_SECTIONS = ("Points", "Polys", "Strips")
 
 
 @dataclass
@@ -73,10 +73,10 @@ def read_vtp(data: bytes) -> Parts:
             raise FileFormatError(f"it states {n} points and has {len(values)} coordinates")
         vertices.append(values.astype(float).reshape(-1, 3))
         for section, split in (("Polys", fans), ("Strips", strips)):
-            found = split(*_cells(file, arrays, section))
-            if found.size and found.max() >= n:
-                raise FileFormatError(f"its {section} must have points below {n}, got {found.max()}")
-            triangles.append(found + before)
+            faces = split(*_cells(file, arrays, section))
+            if faces.size and faces.max() >= n:
+                raise FileFormatError(f"its {section} must have points below {n}, got {faces.max()}")
+            triangles.append(faces + before)
         before += n
     if not sum(map(len, triangles)):
         raise FileFormatError("it must have Points, and Polys or Strips")
@@ -109,7 +109,7 @@ def _parse(data: bytes) -> _VtpFile:
             raise FileFormatError(f"it must have at most {MAX_ARRAYS} pieces and arrays; join its pieces")
         elif name == "Piece":
             file.pieces.append((attributes, {}))
-        elif name in SECTIONS and file.pieces:
+        elif name in NEEDED_SECTIONS and file.pieces:
             section = name
         elif name == "DataArray" and section:
             array = file.pieces[-1][1].setdefault((section, attributes.get("Name", "")), _Array(attributes))
@@ -153,7 +153,7 @@ def _cells(file: _VtpFile, arrays: dict[tuple[str, str], _Array], section: str) 
 
 def _values(file: _VtpFile, array: _Array) -> NDArray[Any]:
     kind, form = array.attributes.get("type", ""), array.attributes.get("format", "ascii")
-    if kind not in TYPES:
+    if kind not in NUMPY_TYPES:
         raise FileFormatError(f"it has an array of unknown type {printable_word(kind.encode())}")
     if form == "ascii":
         return read_numbers("".join(array.text).encode())
@@ -165,8 +165,8 @@ def _values(file: _VtpFile, array: _Array) -> NDArray[Any]:
     else:
         raise FileFormatError(f"it has an array of unknown format {printable_word(form.encode())}")
     order = ">" if file.attributes.get("byte_order") == "BigEndian" else "<"
-    raw = _bytes(file, source, coded, at, np.dtype(order + TYPES[_header_type(file)]))
-    dtype = np.dtype(order + TYPES[kind])
+    raw = _bytes(file, source, coded, at, np.dtype(order + NUMPY_TYPES[_header_type(file)]))
+    dtype = np.dtype(order + NUMPY_TYPES[kind])
     if len(raw) % dtype.itemsize:
         raise FileFormatError("an array of it ends within a number")
     return np.frombuffer(raw, dtype)
@@ -196,7 +196,7 @@ def _bytes(file: _VtpFile, source: bytes, coded: bool, at: int, header: np.dtype
     lengths = [int(n) for n in np.frombuffer(head, header)[3:]]
     _reserve_bytes(file, sum(lengths))
     packed, _ = _decode_bytes(source, coded, at, sum(lengths))
-    found, begin = [], 0
+    decoded, begin = [], 0
     for k, length in enumerate(lengths):
         size = last if last and k == blocks - 1 else each
         try:
@@ -205,9 +205,9 @@ def _bytes(file: _VtpFile, source: bytes, coded: bool, at: int, header: np.dtype
             raise FileFormatError(f"a compressed block cannot be expanded ({error})") from None
         if len(block) != size:
             raise FileFormatError(f"a compressed block must have {size} bytes")
-        found.append(block)
+        decoded.append(block)
         begin += length
-    return b"".join(found)
+    return b"".join(decoded)
 
 
 def _reserve_bytes(file: _VtpFile, size: int) -> None:
@@ -225,9 +225,9 @@ def _decode_bytes(source: bytes, coded: bool, at: int, size: int) -> tuple[bytes
     if not coded:
         return source[at:end], end
     try:
-        found = base64.b64decode(source[at:end], validate=True)[:size]
+        decoded = base64.b64decode(source[at:end], validate=True)[:size]
     except (binascii.Error, ValueError):
         raise FileFormatError("an array of it is not valid base64") from None
-    if len(found) < size:
+    if len(decoded) < size:
         raise FileFormatError("an array of it is cut off")
-    return found, end
+    return decoded, end

@@ -34,16 +34,16 @@ def lifting_vectors(body: EnergySolid | Membrane, tools: Sequence[str]) -> Float
     columns: list[Floats] = []
     parts = partitions(points, groups, constrained_directions(body.cloud, body.supports))
     for g, name in enumerate(tools):
-        nodes, own = groups[name], []
+        nodes, factors = groups[name], []
         arms = points - points[nodes].mean(axis=0)
         for factor in (np.ones(len(points)), *arms.T):
             if np.abs(factor[nodes]).max() > 1e-9 * body.cloud.spacing:
-                own.append(factor[:, None] / np.abs(factor[nodes]).max())
+                factors.append(factor[:, None] / np.abs(factor[nodes]).max())
         if isinstance(body, Membrane):
             shapes = [np.isin(np.arange(len(points)), nodes)[:, None] * axis for axis in np.eye(3)]
         else:
             shapes = [spread(parts, g, axis) for axis in np.eye(3)]
-        columns += [factor * shape for factor in own for shape in shapes]
+        columns += [factor * shape for factor in factors for shape in shapes]
     if isinstance(body, Membrane) or len(points) > MAX_NODES:
         return _on_supports(body, np.array(columns), np.unique(np.concatenate([groups[name] for name in tools])))
     return tool_responses(body, np.array(columns), tools)

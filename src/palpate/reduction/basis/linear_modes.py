@@ -83,10 +83,10 @@ def stiffness_blocks(body: Solid, kind: type[np.floating[Any]] = np.float64) -> 
     slopes = [_operator(near, body.stencils.first[row][:, :, d], images) for d in range(3)]
     hourglass_residual = _operator(near, body.stencils.value[row], images)
     smooth = _operator(body.smoothing.neighbours, body.smoothing.weights) + sparse.identity(n)
-    moduli, own = body.tissue.moduli("shear_modulus"), body.elastic_volumes
-    shear = sparse.diags(own * moduli)
-    second = sparse.diags(own * (body.tissue.moduli("shear_share") - 2 / 3 * moduli))
-    bulk = sparse.diags(own * body.tissue.moduli("lame")).astype(kind)
+    moduli, elastic_volumes = body.tissue.moduli("shear_modulus"), body.elastic_volumes
+    shear = sparse.diags(elastic_volumes * moduli)
+    second = sparse.diags(elastic_volumes * (body.tissue.moduli("shear_share") - 2 / 3 * moduli))
+    bulk = sparse.diags(elastic_volumes * body.tissue.moduli("lame")).astype(kind)
     thetas = [(smooth @ slope).astype(kind) for slope in slopes]
     common = sum(slope.T @ shear @ slope for slope in slopes)
     common = common + body.body.hourglass * hourglass_residual.T @ sparse.diags(body.shear_volumes) @ hourglass_residual
@@ -106,8 +106,8 @@ def _folded(blocks: dict[tuple[int, int], Any], mirror: Mirror, n: int) -> dict[
     """Return the blocks (n, n) of nodes for those (n + g, n + g) of nodes and images, whose displacements follow."""
     by_component = [np.arange(3 * size).reshape(size, 3).T.reshape(-1) for size in (n + len(mirror.source), n)]
     reflect = mirror.matrix(n)[by_component[0]][:, by_component[1]].astype(blocks[0, 0].dtype)
-    whole = (reflect.T @ _assembled(blocks) @ reflect).tocsr()
-    return {(c, e): whole[c * n : (c + 1) * n, e * n : (e + 1) * n] for c, e in blocks}
+    folded = (reflect.T @ _assembled(blocks) @ reflect).tocsr()
+    return {(c, e): folded[c * n : (c + 1) * n, e * n : (e + 1) * n] for c, e in blocks}
 
 
 def _operator(near: NDArray[np.int32], weights: Floats, images: int = 0) -> Any:
@@ -115,15 +115,15 @@ def _operator(near: NDArray[np.int32], weights: Floats, images: int = 0) -> Any:
     n = len(near)
     node, place = np.nonzero(near != np.arange(n)[:, None])
     matrix = sparse.csr_matrix((weights[node, place], (node, near[node, place])), (n, n + images))
-    own = sparse.diags(np.asarray(matrix.sum(axis=1)).ravel(), shape=(n, n + images))
-    return (matrix - own).tocsr()
+    sums = sparse.diags(np.asarray(matrix.sum(axis=1)).ravel(), shape=(n, n + images))
+    return (matrix - sums).tocsr()
 
 
 def _free(body: Solid, groups: Sequence[str]) -> tuple[Any, NDArray[np.int64]]:
     """Return the basis of displacements that supports and some groups, which do not move, leave free."""
-    held = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(body.cloud.group(name) for name in groups)]))
-    check_supported(body, held)
-    return free_directions(body.supported, held)
+    nodes = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(body.cloud.group(name) for name in groups)]))
+    check_supported(body, nodes)
+    return free_directions(body.supported, nodes)
 
 
 def check_supported(body: Solid, held: NDArray[np.int64] | None = None) -> None:
@@ -148,13 +148,13 @@ class _Statics(NamedTuple):
 
 
 def _statics(body: Solid, held: Sequence[str]) -> _Statics:
-    (free, numbers), whole = _free(body, held), rest_stiffness(body)
-    stiffness = (free.T @ whole @ free).tocsc()
+    (free, numbers), full = _free(body, held), rest_stiffness(body)
+    stiffness = (free.T @ full @ free).tocsc()
     if stiffness.nnz < DENSE_SHARE * len(numbers) ** 2:
         symmetric = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-        return _Statics(whole, free, numbers, stiffness, splu(stiffness, **symmetric).solve)
+        return _Statics(full, free, numbers, stiffness, splu(stiffness, **symmetric).solve)
     factor = cho_factor(stiffness.toarray(order="F"), lower=True, overwrite_a=True, check_finite=False)
-    return _Statics(whole, free, numbers, stiffness, lambda forces: cho_solve(factor, forces, check_finite=False))
+    return _Statics(full, free, numbers, stiffness, lambda forces: cho_solve(factor, forces, check_finite=False))
 
 
 def vibration_modes(body: Solid, count: int, held: Sequence[str] = ()) -> tuple[Floats, Floats]:
@@ -245,19 +245,31 @@ def tool_responses(body: Solid, fields: Floats, held: Sequence[str]) -> Floats:
         Only the values at the groups' nodes are used.
     held : sequence of str
     """
-    whole, free, _, _, solve = _statics(body, held)
+    full, free, _, _, solve = _statics(body, held)
     given = np.zeros((len(fields), 3 * len(body.cloud)))
     nodes = np.unique(np.concatenate([body.cloud.group(name) for name in held]))
     given.reshape(len(fields), -1, 3)[:, nodes] = fields[:, nodes]
-    given -= (free @ solve(free.T @ (whole @ given.T))).T
+    given -= (free @ solve(free.T @ (full @ given.T))).T
     return given.reshape(len(fields), -1, 3)
 
 
 def modal_derivatives(body: Solid, modes: Floats, held: Sequence[str] = ()) -> Floats:
-    """Return second-order responses of the body to pairs of modes, (k (k + 1) / 2, n, 3), for modes (k, n, 3).
+    """Return second-order responses of the body to pairs of modes.
 
     Each is the static response at rest to the second derivative of the internal force along two modes. Its
     largest displacement is 1 m.
+
+    Parameters
+    ----------
+    body : Solid
+        In the energy form.
+    modes : (k, n, 3) array [m]
+    held : sequence of str
+        Groups that tools hold, in addition to the supports.
+
+    Returns
+    -------
+    (k (k + 1) / 2, n, 3) array [m]
 
     Examples
     --------

@@ -47,6 +47,7 @@ class Basis(Described):
 
     Examples
     --------
+    >>> import numpy as np
     >>> import palpate as pt
     >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
     >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
@@ -57,7 +58,6 @@ class Basis(Described):
     >>> coordinates = basis.project(full.displacements)
     >>> coordinates.shape == (31, len(basis))
     True
-    >>> import numpy as np
     >>> difference = np.linalg.norm(basis.lift(coordinates) - full.displacements)
     >>> bool(difference < 0.05 * np.linalg.norm(full.displacements))
     True
@@ -174,11 +174,11 @@ def pod(
         raise InputError(
             f"snapshots must have shape (L, {len(weights)}, 3), got {snapshots.shape}; use those of this body"
         )
-    own = Snapshots(snapshots)
-    if own.nodes != len(weights):
-        raise InputError(f"snapshots must have {len(weights)} nodes, got {own.nodes}; use those of this body")
+    frames = Snapshots(snapshots)
+    if frames.nodes != len(weights):
+        raise InputError(f"snapshots must have {len(weights)} nodes, got {frames.nodes}; use those of this body")
     roots = np.repeat(np.sqrt(weights), 3)
-    shapes, values, dropped = _decompose(own, roots, modes or 0)
+    shapes, values, dropped = _decompose(frames, roots, modes or 0)
     rank = int(np.sum(values > NUMERICAL_RANK * values[0])) if values[0] > 0 else 0
     if rank == 0:
         raise InputError("snapshots must be non-zero, got zeros in all; train on a run with loads")
@@ -189,24 +189,25 @@ def pod(
     integer_in_range("modes", modes, 1)
     if modes > rank:
         raise InputError(
-            f"modes must be at most {rank}, the independent shapes of {len(own)} snapshots, got {modes}; use more runs"
+            f"modes must be at most {rank}, the independent shapes of {len(frames)} snapshots, got {modes}; "
+            "use more runs"
         )
     rows = shapes(modes) / roots
-    return Basis(rows.reshape(modes, -1, 3), values, len(own), np.asarray(weights, dtype=float), dropped)
+    return Basis(rows.reshape(modes, -1, 3), values, len(frames), np.asarray(weights, dtype=float), dropped)
 
 
-def _decompose(own: Snapshots, roots: Floats, least: int) -> tuple[Callable[[int], Floats], Floats, float]:
+def _decompose(frames: Snapshots, roots: Floats, least: int) -> tuple[Callable[[int], Floats], Floats, float]:
     """Return modes, singular values, and the sum of squares dropped.
 
     The first is a function of the number of modes; it returns rows times the roots.
     """
-    size = block_size(own.nodes)
-    if len(own) <= size:
-        left, values = _thin_svd(next(own.blocks(size)).reshape(len(own), -1) * roots)
+    size = block_size(frames.nodes)
+    if len(frames) <= size:
+        left, values = _thin_svd(next(frames.blocks(size)).reshape(len(frames), -1) * roots)
         return lambda count: left[:count], values, 0.0
     weights = (roots**2).reshape(-1, 3)
-    squares = sum(float(np.einsum("bnc,bnc,nc->", block, block, weights)) for block in own.blocks(size))
-    decomposition = decompose(own.blocks(size), lambda u: u * weights, allowance(squares, len(own), size), least)
+    squares = sum(float(np.einsum("bnc,bnc,nc->", block, block, weights)) for block in frames.blocks(size))
+    decomposition = decompose(frames.blocks(size), lambda u: u * weights, allowance(squares, len(frames), size), least)
 
     def shapes(count: int) -> Floats:
         # orthonormalise: products resolve the span better than small directions

@@ -92,8 +92,8 @@ class Snapshots:
             for part, length, end in zip(self.runs, self.lengths, self._ends, strict=True):
                 start, stop = max(first, end - length), min(last, end)
                 if start < stop:
-                    own = slice(start - (end - length), stop - (end - length))
-                    block[begin : begin + stop - start] = part.displacements[own]
+                    frames = slice(start - (end - length), stop - (end - length))
+                    block[begin : begin + stop - start] = part.displacements[frames]
                     begin += stop - start
             if not np.isfinite(block).all():
                 raise InputError("snapshots must be finite, got inf or nan; leave that run out")

@@ -46,25 +46,26 @@ def main_modes(
     InputError
         More modes than independent snapshots, or snapshots that are all zero or not finite.
     """
-    own = snapshots if isinstance(snapshots, Snapshots) else Snapshots(snapshots)
+    frames = snapshots if isinstance(snapshots, Snapshots) else Snapshots(snapshots)
     prepare = prepared or (lambda block: block)
     sheet, image = isinstance(body, Membrane), _inner_product(body)
-    size = block_size(own.nodes)
-    sizes = np.concatenate([_sizes(prepare(block), image) for block in own.blocks(size)])
+    size = block_size(frames.nodes)
+    sizes = np.concatenate([_sizes(prepare(block), image) for block in frames.blocks(size)])
     if sizes.max() == 0:
         raise InputError("snapshots must be non-zero, got zeros in all; train on a run with loads")
     scale = np.maximum(sizes, MIN_SIZE * sizes.max()) ** (-1.0 if sheet else -0.5)
-    parts = np.split(scale, range(size, len(own), size))
-    scaled = (prepare(u) * part[:, None, None] for u, part in zip(own.blocks(size), parts, strict=True))
+    parts = np.split(scale, range(size, len(frames), size))
+    scaled = (prepare(u) * part[:, None, None] for u, part in zip(frames.blocks(size), parts, strict=True))
     squares = float(np.sum((sizes * scale) ** 2))
-    found = decompose(scaled, image, allowance(squares, len(own), size), least=modes + spare)
-    rank = int(np.sum(found.values**2 > RANK_TOLERANCE * found.values[0] ** 2))
+    decomposition = decompose(scaled, image, allowance(squares, len(frames), size), least=modes + spare)
+    rank = int(np.sum(decomposition.values**2 > RANK_TOLERANCE * decomposition.values[0] ** 2))
     if modes > rank:
         raise InputError(
-            f"modes must be at most {rank}, the independent shapes of {len(own)} snapshots, got {modes}; use more runs"
+            f"modes must be at most {rank}, the independent shapes of {len(frames)} snapshots, got {modes}; "
+            "use more runs"
         )
-    lost = float(np.sqrt(found.dropped / squares))
-    return _orthonormal(body, found.shapes(min(modes + spare, rank))), lost
+    lost = float(np.sqrt(decomposition.dropped / squares))
+    return _orthonormal(body, decomposition.shapes(min(modes + spare, rank))), lost
 
 
 def _inner_product(body: EnergySolid | Membrane) -> Callable[[Floats], Floats]:

@@ -26,7 +26,7 @@ __all__ = ["coarse_body", "explicit_supports", "statics_body"]
 
 COARSE_NODES = 3000  # of the coarser body: factorised in seconds, and fine enough for modes and statics
 SURFACE_SHARE = 0.95  # surface nodes of `fill` over area / spacing^2, less the inner ones that they replace
-FINER = 0.9  # factor on a spacing that is too coarse for thin parts of the body
+FINER_FACTOR = 0.9  # factor on a spacing that is too coarse for thin parts of the body
 
 
 def coarse_body(body: EnergySolid, spacing: float | None = None, most: int = MAX_NODES) -> EnergySolid:
@@ -86,8 +86,8 @@ def _refill(surface: Surface, spacing: float | None, most: int) -> Cloud:
     if spacing is not None:
         return fill(surface, number_in_range("spacing", spacing, 0.0, open_low=True, unit="m"))
     volume, area = abs(surface.volume), surface.area
-    wanted = min(COARSE_NODES, 0.75 * most)
-    roots = np.roots([wanted, 0.0, -SURFACE_SHARE * area, -volume])
+    target = min(COARSE_NODES, 0.75 * most)
+    roots = np.roots([target, 0.0, -SURFACE_SHARE * area, -volume])
     spacing = float(roots[np.abs(roots.imag) < 1e-9 * np.abs(roots.real)].real.max())
     while True:
         try:
@@ -98,7 +98,7 @@ def _refill(surface: Surface, spacing: float | None, most: int) -> Cloud:
             if len(cloud) <= most:
                 return cloud
             fault = InputError(f"a spacing of {spacing:.3g} m gives {len(cloud)} nodes")
-        spacing *= FINER
+        spacing *= FINER_FACTOR
         if volume / spacing**3 + SURFACE_SHARE * area / spacing**2 > most:
             raise fault
 
@@ -133,9 +133,9 @@ def explicit_supports(cloud: Cloud, supports: Sequence[Support]) -> list[Support
 def _nearest_nodes(fine: Cloud, coarse: Cloud) -> Ints:
     """Return the node of a fine cloud nearest to each of a coarse one, on the surface or inside as that."""
     nearest = np.zeros(len(coarse), dtype=np.int64)
-    for of, to in zip(_surface_and_interior(fine), _surface_and_interior(coarse), strict=True):
-        of = of if len(of) else np.arange(len(fine))
-        nearest[to] = of[cKDTree(fine.points[of]).query(coarse.points[to])[1]]
+    for fine_nodes, coarse_nodes in zip(_surface_and_interior(fine), _surface_and_interior(coarse), strict=True):
+        fine_nodes = fine_nodes if len(fine_nodes) else np.arange(len(fine))
+        nearest[coarse_nodes] = fine_nodes[cKDTree(fine.points[fine_nodes]).query(coarse.points[coarse_nodes])[1]]
     return nearest
 
 
@@ -148,9 +148,9 @@ def _carry_groups(fine: Cloud, coarse: Cloud, nearest: Ints) -> Cloud:
     """Return the coarse cloud with the groups of the fine one."""
     groups = dict(coarse.groups)
     for name, nodes in fine.groups.items():
-        own = np.flatnonzero(np.isin(nearest, nodes))
-        if not len(own):
+        members = np.flatnonzero(np.isin(nearest, nodes))
+        if not len(members):
             surface = np.unique(coarse.face_nodes)
-            own = np.unique(surface[cKDTree(coarse.points[surface]).query(fine.points[nodes])[1]])
-        groups[name] = own
+            members = np.unique(surface[cKDTree(coarse.points[surface]).query(fine.points[nodes])[1]])
+        groups[name] = members
     return replace(coarse, groups=groups)

@@ -166,9 +166,9 @@ def _patch_carriers(compliance: SurfaceCompliance) -> tuple[Ints, Floats]:
     )
 
 
-def active_compliance(of: ComplianceTable, tools: int) -> ActiveCompliance:
+def active_compliance(table: ComplianceTable, tools: int) -> ActiveCompliance:
     """Return empty storage for the rows in contact with some tools."""
-    nodes = len(of.members) // 2
+    nodes = len(table.members) // 2
     most = min(nodes, MAX_ACTIVE) if tools else 0
     return ActiveCompliance(
         matrix=np.zeros((most, most, 3, 3)),
@@ -176,8 +176,8 @@ def active_compliance(of: ComplianceTable, tools: int) -> ActiveCompliance:
         slot=np.full(2 * nodes, -1),
         used=np.zeros(1, dtype=np.int64),
         block=np.zeros((3, 3)),
-        row=np.zeros((3, len(of.flexibility) if tools else 0)),
-        near_row=np.zeros((3, 3 * nodes if tools and of.nearby.size else 0)),
+        row=np.zeros((3, len(table.flexibility) if tools else 0)),
+        near_row=np.zeros((3, 3 * nodes if tools and table.nearby.size else 0)),
     )
 
 
@@ -354,9 +354,9 @@ def contact_displacements(
         displacement *= compliance.bonded_scale if nodal else secant_factor(compliance.stiffening, total)
         result[compliance.nodes] += displacement
         if compliance.interior is not None:
-            own = carrier_forces(compliance, forces[on], on)
+            on_carriers = carrier_forces(compliance, forces[on], on)
             result[compliance.interior.nodes] += interior_displacements(
-                compliance.interior, own, flexible_displacements(compliance.flexibility, own)
+                compliance.interior, on_carriers, flexible_displacements(compliance.flexibility, on_carriers)
             )
         share = 1.0 if nodal else energy_factor(compliance.stiffening, total)
         energy += 0.5 * share * float(np.sum(forces[on] * displacement[on]))

@@ -165,18 +165,18 @@ def _propagate(surface, contact, cached, e, x, y, z):  # type: ignore[no-untyped
 @kernel_njit(inline="always")
 def _own_compliance(surface, contact, cached, e, nx, ny, nz):  # type: ignore[no-untyped-def]
     """Return a node's own compliance along a normal, and an upper bound of that across it [m/N]."""
-    own, matrix = contact.active.block, contact.active.matrix
+    block, matrix = contact.active.block, contact.active.matrix
     i, h = contact.point[e], contact.factor[contact.tool[e]]
     if cached:
         s = contact.active.slot[i]
         for c in range(3):
             for d in range(3):
-                own[c, d] = matrix[s, s, c, d]
+                block[c, d] = matrix[s, s, c, d]
     else:
-        pair(surface.compliance, i, i, own)
-    along = nx * (own[0, 0] * nx + 2 * own[0, 1] * ny) + ny * (own[1, 1] * ny + 2 * own[1, 2] * nz)
-    along = h * (along + nz * (own[2, 2] * nz + 2 * own[0, 2] * nx))
-    return along, h * (own[0, 0] + own[1, 1] + own[2, 2]) - along
+        pair(surface.compliance, i, i, block)
+    along = nx * (block[0, 0] * nx + 2 * block[0, 1] * ny) + ny * (block[1, 1] * ny + 2 * block[1, 2] * nz)
+    along = h * (along + nz * (block[2, 2] * nz + 2 * block[0, 2] * nx))
+    return along, h * (block[0, 0] + block[1, 1] + block[2, 2]) - along
 
 
 @kernel_njit(inline="always")

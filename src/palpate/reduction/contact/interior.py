@@ -72,16 +72,16 @@ def interior_flexibility(
     if coarse is fine:
         sources, shares = np.searchsorted(coarse_nodes, nodes)[:, None], np.ones((len(nodes), 1))
     else:
-        known = coarse.points[np.concatenate([coarse_nodes, carriers])]
-        sources, shares = _linear_fits(fine.points[nodes], known, coarse.spacing)
+        sources_at = coarse.points[np.concatenate([coarse_nodes, carriers])]
+        sources, shares = _linear_fits(fine.points[nodes], sources_at, coarse.spacing)
     return Interior(nodes, np.ascontiguousarray(rows.T, dtype=np.float32), sources, shares)
 
 
-def _linear_fits(points: Floats, known: Floats, spacing: float) -> tuple[Ints, Floats]:
+def _linear_fits(points: Floats, source_points: Floats, spacing: float) -> tuple[Ints, Floats]:
     """Return sources and weights (i, w) of linear fits at points to values at known positions."""
-    distances, sources = cKDTree(known).query(points, k=range(1, min(MAX_SOURCES, len(known)) + 1))
+    distances, sources = cKDTree(source_points).query(points, k=range(1, min(MAX_SOURCES, len(source_points)) + 1))
     weights = np.exp((distances[:, :1] ** 2 - distances**2) / (KERNEL_WIDTH * spacing) ** 2)
-    away = (known[sources] - points[:, None]) / spacing
+    away = (source_points[sources] - points[:, None]) / spacing
     basis = np.concatenate([np.ones((*sources.shape, 1)), away], axis=2)
     moments = np.einsum("iw,iwp,iwq->ipq", weights, basis, basis)
     moments[:, [1, 2, 3], [1, 2, 3]] += SLOPE_RIDGE * weights.sum(axis=1, keepdims=True)
@@ -89,19 +89,21 @@ def _linear_fits(points: Floats, known: Floats, spacing: float) -> tuple[Ints, F
     return sources, weights * np.einsum("iwp,ip->iw", basis, level)
 
 
-def interior_displacements(of: Interior, forces: Floats, surface: Floats) -> Floats:
+def interior_displacements(interior: Interior, forces: Floats, surface: Floats) -> Floats:
     """Return the displacements (i, 3) [m] of the interior nodes by a tool, in addition to the modes.
 
     Parameters
     ----------
-    of : Interior
+    interior : Interior
     forces : (c, 3) array [N]
         Of the tool, on the carriers of the surface.
     surface : (c, 3) array [m]
         Displacements of the carriers by `SurfaceCompliance.flexibility`.
     """
-    known = np.concatenate([flexible_displacements(of.flexibility, forces), surface / of.factor])
-    return np.asarray(np.einsum("iw,iwc->ic", of.shares, known[of.sources]))
+    source_displacements = np.concatenate(
+        [flexible_displacements(interior.flexibility, forces), surface / interior.factor]
+    )
+    return np.asarray(np.einsum("iw,iwc->ic", interior.shares, source_displacements[interior.sources]))
 
 
 def flexible_displacements(flexibility: NDArray[np.float32], forces: Floats) -> Floats:

@@ -25,9 +25,9 @@ __all__ = ["add_own_compliance", "lowest_compliance", "near_field_compliance"]
 
 
 # radii in coarse spacings: of a piece's core, of the near field beyond it, and of the rest of the piece
-CORE_RADIUS, NEAR_RADIUS, MARGIN = 1.0, 2.5, 1.0
+CORE_RADIUS, NEAR_RADIUS, MARGIN_SPACINGS = 1.0, 2.5, 1.0
 FADE_START = 0.5  # where the correction starts to fade out, as a fraction of the near radius
-TOLERANCE, SAFETY = 1e-3, 0.05  # of the lowest compliance
+EIGENVALUE_TOLERANCE, EIGENVALUE_MARGIN = 1e-3, 0.05  # of the lowest compliance
 
 
 def near_field_compliance(
@@ -58,25 +58,25 @@ def near_field_compliance(
         A model has the strong form.
     """
     points = fine.cloud.points[nodes]
-    core, near_radius, margin = (coarse.cloud.spacing * share for share in (CORE_RADIUS, NEAR_RADIUS, MARGIN))
+    core, near_radius, margin = (coarse.cloud.spacing * share for share in (CORE_RADIUS, NEAR_RADIUS, MARGIN_SPACINGS))
     tree, bodies = cKDTree(points), (_Piece(fine), _Piece(coarse))
     carried = sparse.csr_array(
         (weights.ravel(), (np.repeat(np.arange(len(nodes)), weights.shape[1]), coarse_nodes[places].ravel())),
         (len(nodes), len(coarse.cloud)),
     )
     rows, columns, blocks = [], [], []
-    for middle, own in _cores(tree, core):
+    for middle, inside in _cores(tree, core):
         around = np.array(tree.query_ball_point(points[middle], core + near_radius))
         radius = core + near_radius + margin
-        exact = bodies[0].compliance(points[middle], radius, nodes[own], nodes[around])
+        exact = bodies[0].compliance(points[middle], radius, nodes[inside], nodes[around])
         used = np.unique(carried[around].indices)
         rough = bodies[1].compliance(points[middle], radius, used, used)
-        first, second = carried[own][:, used], carried[around][:, used]
+        first, second = carried[inside][:, used], carried[around][:, used]
         coarse_compliance = np.einsum("acbd,jb->acjd", rough, second.toarray(), optimize=True)
         correction = exact - np.einsum("ia,acjd->icjd", first.toarray(), coarse_compliance, optimize=True)
-        distance = np.linalg.norm(points[own][:, None] - points[around], axis=2)
+        distance = np.linalg.norm(points[inside][:, None] - points[around], axis=2)
         i, j = np.nonzero(distance < near_radius)
-        rows.append(own[i])
+        rows.append(inside[i])
         columns.append(around[j])
         blocks.append(correction[i, :, j] * _fade_factor(distance[i, j], near_radius)[:, None, None])
     return _table_of_blocks(np.concatenate(rows), np.concatenate(columns), np.concatenate(blocks), len(nodes))
@@ -100,19 +100,19 @@ class _Piece:
         size = len(ball)
         stiffness = np.empty((size, 3, size, 3), np.float32)  # the error, 5e-7, is far below that of any piece
         for (c, e), block in self.blocks.items():
-            own = block[ball][:, ball].toarray()
-            stiffness[:, c, :, e] = own
-            stiffness[:, e, :, c] = own.T
+            entries = block[ball][:, ball].toarray()
+            stiffness[:, c, :, e] = entries
+            stiffness[:, e, :, c] = entries.T
         self._constrain(stiffness, ball)
         # symmetric: its transpose is the same, and LAPACK need not copy it
         factor = cho_factor(stiffness.reshape(3 * size, -1).T, lower=True, overwrite_a=True, check_finite=False)
         result = np.zeros((len(moved), 3, len(pushed), 3))
         here, there = np.isin(moved, ball), np.isin(pushed, ball)
         axes = np.arange(3)
-        of = (3 * np.searchsorted(ball, moved[here])[:, None] + np.arange(3)).ravel()
+        loaded = (3 * np.searchsorted(ball, moved[here])[:, None] + np.arange(3)).ravel()
         by = (3 * np.searchsorted(ball, pushed[there])[:, None] + np.arange(3)).ravel()
-        unit = np.zeros((3 * size, len(of)), np.float32, order="F")
-        unit[of, np.arange(len(of))] = 1.0
+        unit = np.zeros((3 * size, len(loaded)), np.float32, order="F")
+        unit[loaded, np.arange(len(loaded))] = 1.0
         answer = cho_solve(factor, unit, overwrite_b=True, check_finite=False)[by].T
         result[np.ix_(np.flatnonzero(here), axes, np.flatnonzero(there), axes)] = answer.reshape(
             here.sum(), 3, there.sum(), 3
@@ -132,14 +132,14 @@ class _Piece:
 
 def _cores(tree: Any, size: float) -> list[tuple[int, Ints]]:
     """Partition points into sets within a distance of one of theirs; return that point and the set."""
-    left, found = np.ones(tree.n, dtype=bool), []
+    left, cores = np.ones(tree.n, dtype=bool), []
     for middle in range(tree.n):
         if left[middle]:
-            own = np.array(tree.query_ball_point(tree.data[middle], size))
-            own = np.sort(own[left[own]])
-            left[own] = False
-            found.append((middle, own))
-    return found
+            members = np.array(tree.query_ball_point(tree.data[middle], size))
+            members = np.sort(members[left[members]])
+            left[members] = False
+            cores.append((middle, members))
+    return cores
 
 
 def _fade_factor(distance: Floats, near_radius: float) -> Floats:
@@ -176,7 +176,7 @@ def add_own_compliance(
         return near_field
     itself = (nearby == np.arange(len(nearby))[:, None]).argmax(axis=1)
     raised = near_field.copy()
-    raised[np.arange(len(nearby)), itself] -= (1 + SAFETY) * lowest * np.eye(3, dtype=np.float32)
+    raised[np.arange(len(nearby)), itself] -= (1 + EIGENVALUE_MARGIN) * lowest * np.eye(3, dtype=np.float32)
     return raised
 
 
@@ -204,5 +204,7 @@ def lowest_compliance(
         return np.asarray(far + np.einsum("kqcd,kqd->kc", near_field, force[nearby])).ravel()
 
     start = np.random.default_rng(0).standard_normal(3 * count)
-    whole = LinearOperator((3 * count, 3 * count), matvec=moved, dtype=float)
-    return float(eigsh(whole, k=1, which="SA", tol=TOLERANCE, v0=start, return_eigenvectors=False)[0])
+    compliance_operator = LinearOperator((3 * count, 3 * count), matvec=moved, dtype=float)
+    return float(
+        eigsh(compliance_operator, k=1, which="SA", tol=EIGENVALUE_TOLERANCE, v0=start, return_eigenvectors=False)[0]
+    )

@@ -82,17 +82,19 @@ def residual_flexibility(
     modal = modes @ (stiffness @ modes.T)
     factor = cholesky(stiffness.toarray(order="F"), lower=True, overwrite_a=True, check_finite=False)
     last = np.ascontiguousarray(factor[-3 * len(nodes) :, -3 * len(nodes) :])
-    own = modes[:, -3 * len(nodes) :]
-    whole = cho_solve((last, True), np.eye(len(last)), overwrite_b=True)
-    rest = whole - own.T @ np.linalg.solve(modal, own)
+    surface_modes = modes[:, -3 * len(nodes) :]
+    compliance = cho_solve((last, True), np.eye(len(last)), overwrite_b=True)
+    rest = compliance - surface_modes.T @ np.linalg.solve(modal, surface_modes)
     rest = (rest + rest.T) / 2
     if interior_nodes is None or not len(interior_nodes):
         return np.asarray(rest)
     # with a factor's first rows L and the last rows B below them, the interior depends on the surface by -L^-T B^T
     first = slice(len(interior))
-    follow = solve_triangular(factor[first, first], factor[len(interior) :, first].T @ whole, lower=True, trans="T")
+    follow = solve_triangular(
+        factor[first, first], factor[len(interior) :, first].T @ compliance, lower=True, trans="T"
+    )
     rows = np.searchsorted(numbers[interior], (3 * interior_nodes[:, None] + np.arange(3)).ravel())
-    return np.concatenate([rest, -follow[rows] - modes[:, rows].T @ np.linalg.solve(modal, own)])
+    return np.concatenate([rest, -follow[rows] - modes[:, rows].T @ np.linalg.solve(modal, surface_modes)])
 
 
 def carriers(coarse: Cloud, coarse_nodes: Ints, fine: Cloud, nodes: Ints) -> tuple[Ints, Floats]:

@@ -1,4 +1,4 @@
-"""How much the force of a tool depends on where and how firmly a body is held, from statics at rest.
+"""Sensitivity of a tool's force to the place and the stiffness of supports, from statics at rest.
 
 A press with nodal forces f moves the tool by f K^-1 f / |f|, with the stiffness K at rest of the body, its supports
 and the springs of its foundations. So for a given depth the force is proportional to 1 / (f K^-1 f). It is compared
@@ -53,15 +53,15 @@ class Press(NamedTuple):
 
 def select_presses(runs: Sequence[StoredTrajectory], most: int = MAX_PRESSES) -> list[Press]:
     """Return the strongest press of some runs whose presses are far from each other."""
-    found = [press for run in runs if (press := _strongest(run.contact_forces)) is not None]
-    if not found:
+    presses = [press for run in runs if (press := _strongest(run.contact_forces)) is not None]
+    if not presses:
         return []
-    places = np.array([press.place(runs[0].points) for press in found])
+    places = np.array([press.place(runs[0].points) for press in presses])
     chosen, distance = [0], np.linalg.norm(places - places[0], axis=1)
-    while len(chosen) < min(most, len(found)) and distance.max() > 0:
+    while len(chosen) < min(most, len(presses)) and distance.max() > 0:
         chosen.append(int(distance.argmax()))
         distance = np.minimum(distance, np.linalg.norm(places - places[chosen[-1]], axis=1))
-    return [found[k] for k in chosen]
+    return [presses[k] for k in chosen]
 
 
 def _strongest(contact_forces: Floats) -> Press | None:
@@ -103,9 +103,9 @@ def support_sensitivity(
     cloud, supports = body.cloud, explicit_supports(body.cloud, body.supports)
     outer, inner, distance = moved_borders(cloud, supports)
     forces, places = _on_body(body, points, presses)
-    held = supported_nodes(_with_groups(cloud, outer), supports).kind != 0
+    held_nodes = supported_nodes(_with_groups(cloud, outer), supports).kind != 0
     sizes = np.linalg.norm(forces, axis=2)
-    usable = sizes[:, held].sum(axis=1) <= MAX_HELD_SHARE * sizes.sum(axis=1)
+    usable = sizes[:, held_nodes].sum(axis=1) <= MAX_HELD_SHARE * sizes.sum(axis=1)
     forces, places = forces[usable], places[usable]
     sites = body.prepare(list(foundations)).sites
     springs = np.bincount(sites.foundation_node, sites.foundation_spring, minlength=len(cloud)).astype(float)
@@ -195,10 +195,10 @@ def _on_body(body: EnergySolid, points: Floats, presses: Sequence[Press]) -> tup
     cloud, forces = body.cloud, np.zeros((len(presses), len(body.cloud), 3))
     places = np.array([press.place(points) for press in presses]).reshape(-1, 3)
     surface = np.unique(cloud.face_nodes)
-    for own, press in zip(forces, presses, strict=True):
+    for nodal_forces, press in zip(forces, presses, strict=True):
         if points is cloud.points:
-            np.add.at(own, press.nodes, press.forces)
+            np.add.at(nodal_forces, press.nodes, press.forces)
             continue
-        np.add.at(own, surface[cKDTree(cloud.points[surface]).query(points[press.nodes])[1]], press.forces)
-        own[:] = body.patches.T @ own
+        np.add.at(nodal_forces, surface[cKDTree(cloud.points[surface]).query(points[press.nodes])[1]], press.forces)
+        nodal_forces[:] = body.patches.T @ nodal_forces
     return forces, places

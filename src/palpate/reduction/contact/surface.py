@@ -123,12 +123,12 @@ def _clusters(points: Floats, size: int) -> tuple[Ints, Ints]:
     return np.concatenate(done), np.cumsum([len(part) for part in done], dtype=np.int64)
 
 
-def rigid_tools(prepared: PreparedLoads | None, of: ContactSurface) -> RigidTools:
+def rigid_tools(prepared: PreparedLoads | None, contact_surface: ContactSurface) -> RigidTools:
     """Return the tools of prepared loads; none for None."""
     kind, sizes, friction, origins = np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3))
-    held = held_nodes(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0), 0.0, np.zeros((0, 0), bool))
+    held_record = held_nodes(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0), 0.0, np.zeros((0, 0), bool))
     if prepared is not None:
-        held = with_scratch(prepared.contacts).held
+        held_record = with_scratch(prepared.contacts).held
         kind, sizes, friction = prepared.contacts.kind, prepared.contacts.sizes, prepared.contacts.friction
         shapes = [load.tool for load in prepared.tools]
         origins = np.array([s.point if isinstance(s, Forceps) else np.zeros(3) for s in shapes]).reshape(-1, 3)
@@ -138,24 +138,24 @@ def rigid_tools(prepared: PreparedLoads | None, of: ContactSurface) -> RigidTool
         friction=friction,
         origins=origins,
         frames=np.zeros((len(kind), 2, 3, 4)),
-        load=np.zeros(of.columns.shape[2]),
-        own_load=np.zeros(of.columns.shape[2]),
+        load=np.zeros(contact_surface.columns.shape[2]),
+        own_load=np.zeros(contact_surface.columns.shape[2]),
         impulses=np.zeros((len(kind), 6)),
-        nodal_impulses=np.zeros((len(of.nodes), 3)),
-        held=held,
+        nodal_impulses=np.zeros((len(contact_surface.nodes), 3)),
+        held=held_record,
         path=np.tile(np.eye(3, 4), (3, 1, 1)),
     )
 
 
-def contact_scratch(of: ContactSurface, tools: int) -> ContactScratch:
+def contact_scratch(contact_surface: ContactSurface, tools: int) -> ContactScratch:
     """Return zeroed work arrays for a number of tools, none of them in contact."""
-    pairs, by_tool = tools * len(of.nodes), (tools, len(of.nodes), 3)
+    pairs, by_tool = tools * len(contact_surface.nodes), (tools, len(contact_surface.nodes), 3)
     modal, now, before, push = np.zeros((4, pairs, 3))
     node, point, tool = np.zeros((3, pairs), dtype=np.int64)
     return ContactScratch(
         force=np.zeros(by_tool),
         place=np.zeros(by_tool),
-        busy=np.ones((tools, len(of.leader)), dtype=np.bool_),
+        busy=np.ones((tools, len(contact_surface.leader)), dtype=np.bool_),
         node=node,
         point=point,
         tool=tool,
@@ -165,6 +165,6 @@ def contact_scratch(of: ContactSurface, tools: int) -> ContactScratch:
         push=push,
         displacement=np.zeros(3),
         factor=np.ones(tools),
-        active=active_compliance(of.compliance, tools),
+        active=active_compliance(contact_surface.compliance, tools),
         numbers=np.zeros(3, dtype=np.int64),
     )

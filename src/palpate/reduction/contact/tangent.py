@@ -38,7 +38,7 @@ __all__ = ["ContactSystem", "contact_stiffness", "contact_system"]
 
 RIGHT_SIDES = 4  # a displacement along each axis, and the change of the secant factor
 CALL_WORK = 300_000  # multiplications per call, approximately
-PANEL = 4  # unknowns per elimination
+PANEL_UNKNOWNS = 4  # unknowns per elimination
 STICK_LIMIT = 1.0 - 1e-6  # fraction of Coulomb's limit below which a patch sticks
 MIN_CURVATURE = 1e-3  # stiffness p k times a patch's compliance below which the tool counts as flat
 CURVATURE_STEP = 1e-4  # distance for difference quotients of the normal, in tool sizes
@@ -105,11 +105,11 @@ def contact_stiffness(data, q, out):  # type: ignore[no-untyped-def]
     table = system.table[: size * (size + RIGHT_SIDES)].reshape(size, size + RIGHT_SIDES)
     while numbers[NEXT_PIVOT] < size and work < CALL_WORK:
         remaining = size - numbers[NEXT_PIVOT]
-        if not _eliminate(system, contact.active, table, numbers[NEXT_PIVOT], min(PANEL, remaining)):
+        if not _eliminate(system, contact.active, table, numbers[NEXT_PIVOT], min(PANEL_UNKNOWNS, remaining)):
             numbers[:] = 0
             return
-        numbers[NEXT_PIVOT] += min(PANEL, remaining)
-        work += PANEL * (remaining * remaining // 2 + max(remaining - data.modes, 0) * data.modes)
+        numbers[NEXT_PIVOT] += min(PANEL_UNKNOWNS, remaining)
+        work += PANEL_UNKNOWNS * (remaining * remaining // 2 + max(remaining - data.modes, 0) * data.modes)
     if numbers[NEXT_PIVOT] == size:
         _write_derivatives(system.gram, system.pull, out)
 
@@ -147,11 +147,11 @@ def _eliminate(system, active, table, first, rows):  # type: ignore[no-untyped-d
         for i in range(RIGHT_SIDES):
             for j in range(RIGHT_SIDES):
                 gram[i, j] += table[k, size + i] * table[k, size + j] / pivot
-    if rows < PANEL:  # the remaining unknowns
+    if rows < PANEL_UNKNOWNS:  # the remaining unknowns
         return True
     a, b, c, d = table[first], table[first + 1], table[first + 2], table[first + 3]
     p, q, r, s = a[first], b[first + 1], c[first + 2], d[first + 3]
-    for i in range(first + PANEL, size):
+    for i in range(first + PANEL_UNKNOWNS, size):
         x, y, z, w, row = a[i] / p, b[i] / q, c[i] / r, d[i] / s, table[i]
         for j in range(i, end):
             row[j] -= x * a[j] + y * b[j] + z * c[j] + w * d[j]
@@ -171,9 +171,9 @@ def _add_compliance(system, active, table, k):  # type: ignore[no-untyped-def]
         for d in range(3):
             table[k, j] += (block[0, d] * x + block[1, d] * y + block[2, d] * z) * direction[j, d]
     for m in range(system.swift.shape[0]):
-        own, others = system.swift[m, k], system.swift[m]
+        pivot, others = system.swift[m, k], system.swift[m]
         for j in range(k, system.numbers[FORCES]):
-            table[k, j] -= own * others[j]
+            table[k, j] -= pivot * others[j]
     return True
 
 
@@ -237,8 +237,8 @@ def _add_directions(data, e, rows):  # type: ignore[no-untyped-def]
         return _add_axes(contact, system, e, rows)
     rows = _add_row(contact, system, e, rows, nx, ny, nz, 0.0)
     s = contact.active.slot[contact.point[e]]
-    own = contact.active.matrix[s, s]
-    own_compliance = contact.factor[t] * (own[0, 0] + own[1, 1] + own[2, 2]) / 3.0
+    block = contact.active.matrix[s, s]
+    own_compliance = contact.factor[t] * (block[0, 0] + block[1, 1] + block[2, 2]) / 3.0
     for curvature, x, y, z in _curvatures(kind, sizes, frame, place, nx, ny, nz):
         if normal * curvature * own_compliance > MIN_CURVATURE:
             rows = _add_row(contact, system, e, rows, x, y, z, -1.0 / (normal * curvature))

@@ -27,10 +27,10 @@ class ContactTools:
     prepared : PreparedLoads
     """
 
-    def __init__(self, of: ContactSurface, prepared: PreparedLoads) -> None:
-        self.contact_surface, self.prepared = of, prepared
-        self.tools: RigidTools = rigid_tools(prepared, of)
-        self.scratch: ContactScratch = contact_scratch(of, len(prepared.tools))
+    def __init__(self, contact_surface: ContactSurface, prepared: PreparedLoads) -> None:
+        self.contact_surface, self.prepared = contact_surface, prepared
+        self.tools: RigidTools = rigid_tools(prepared, contact_surface)
+        self.scratch: ContactScratch = contact_scratch(contact_surface, len(prepared.tools))
 
     def initial_state(self, displacements: Callable[[], Floats], time: float, spacing: float) -> ContactState | None:
         """Return the contact state at the start of a run, without forces; refuse tools inside the body."""
@@ -63,19 +63,19 @@ class ContactTools:
         forces, nodal_impulses = np.zeros_like(before.forces), before.nodal_impulses.copy()
         forces[nodes] = self.scratch.force.sum(axis=0)
         nodal_impulses[nodes] += self.tools.nodal_impulses
-        held = self.tools.held
-        forces[held.nodes] += held.forces
-        nodal_impulses[held.nodes] += held.impulses
+        pressed = self.tools.held
+        forces[pressed.nodes] += pressed.forces
+        nodal_impulses[pressed.nodes] += pressed.impulses
         return ContactState(
             forces, before.impulses + self.tools.impulses, before.start_time, nodal_impulses,
-            self.scratch.place.copy(), self.scratch.force.copy(), before.constraint_impulses, float(held.energy[0]),
+            self.scratch.place.copy(), self.scratch.force.copy(), before.constraint_impulses, float(pressed.energy[0]),
         )  # fmt: skip
 
 
 def tool_displacements(
     compliance: SurfaceCompliance | None,
     points: Floats,
-    of: ContactSurface,
+    contact_surface: ContactSurface,
     contact_state: ContactState | None,
     prepared: PreparedLoads,
 ) -> tuple[Floats, float]:
@@ -83,17 +83,17 @@ def tool_displacements(
     if contact_state is None or compliance is None:
         return np.zeros((len(points), 3)), 0.0
     pushes = np.zeros((len(contact_state.surface_forces), len(points), 3))
-    pushes[:, of.nodes] = contact_state.surface_forces
+    pushes[:, contact_surface.nodes] = contact_state.surface_forces
     bonded = [isinstance(tool.tool, Forceps) for tool in prepared.tools]
     return contact_displacements(compliance, points, pushes[:, compliance.nodes], bonded)
 
 
-def bonded_nodes(of: ContactSurface, contact_state: ContactState | None, prepared: PreparedLoads) -> Ints:
+def bonded_nodes(contact_surface: ContactSurface, contact_state: ContactState | None, prepared: PreparedLoads) -> Ints:
     """Return the nodes that forceps hold."""
     if contact_state is None:
-        return of.nodes[:0]
+        return contact_surface.nodes[:0]
     forceps = np.array([isinstance(tool.tool, Forceps) for tool in prepared.tools], dtype=bool)
-    return np.asarray(of.nodes[contact_state.surface_forces[forceps].any(axis=(0, 2))])
+    return np.asarray(contact_surface.nodes[contact_state.surface_forces[forceps].any(axis=(0, 2))])
 
 
 def contact_at_frame(run: Trajectory, frame: int, nodes: int) -> ContactState | None:

@@ -30,7 +30,7 @@ from palpate.reduction.galerkin.step import BasisData, BodyData, GalerkinWork, r
 __all__ = ["GalerkinModel", "galerkin"]
 
 
-KINDS = (DeadLoad, Pressure, Gravity, PrescribedMotion, Grasp)  # of loads, whose forces the step has
+PERMITTED_LOADS = (DeadLoad, Pressure, Gravity, PrescribedMotion, Grasp)  # of loads, whose forces the step has
 REFRESH_DISPLACEMENT = 0.1  # displacement after which the tangent is updated, as a fraction of the largest so far
 MIN_SIZE = 1e-3  # of the largest snapshot, below which one has reduced weight in a relative basis
 LIFTING_TOLERANCE = 1e-3  # largest error of a prescribed motion in the lifting vectors, relative
@@ -67,8 +67,10 @@ class GalerkinModel(CoordinateModel):
     >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
     >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
     >>> model = pt.galerkin(bar, full, modes=4)
-    >>> len(model.basis), model.name
-    (4, 'projected')
+    >>> len(model.basis)
+    4
+    >>> pt.rollout(model, [pull], duration=0.03, every=0.01).model
+    'projected'
     """
 
     name = "projected"
@@ -141,7 +143,7 @@ class GalerkinModel(CoordinateModel):
         return work.result / self.material.density
 
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
-        check_kinds(loads, KINDS, "loads of a projected model")
+        check_kinds(loads, PERMITTED_LOADS, "loads of a projected model")
         prepared = self.full.prepare(loads)
         if len(prepared.sites.prescribed) and not len(self.lifting):
             raise InputError(
@@ -191,8 +193,10 @@ class GalerkinModel(CoordinateModel):
         if prepared.is_prescribed(np.array([time]))[0]:
             lifted = self._lifting_coordinates(prepared, np.array([time]))[0]
             rates = prepared.rates(lambda times: self._lifting_coordinates(prepared, times), time)[0]
-            known = np.stack([lifted, rates])
-            coordinates = np.hstack([self.basis.project(fields - np.tensordot(known, self.lifting, 1)), known])
+            tool_motion = np.stack([lifted, rates])
+            coordinates = np.hstack(
+                [self.basis.project(fields - np.tensordot(tool_motion, self.lifting, 1)), tool_motion]
+            )
         else:
             weighted = (fields * self.basis.weights[:, None]).reshape(2, -1)
             coordinates = np.linalg.solve(self.mass, (weighted @ self.columns.reshape(len(self.mass), -1).T).T).T
@@ -232,8 +236,8 @@ class GalerkinModel(CoordinateModel):
         matrix, modes = self.mass, slice(len(self.basis))
         if self.implicit:
             matrix = self.mass + step * (0.5 * step + self.stiffness_damping) * state.estimate[0]
-        constrained, whole = (np.asarray(np.linalg.inv(each), dtype=float) for each in (matrix[modes, modes], matrix))
-        return constrained, whole
+        constrained, full = (np.asarray(np.linalg.inv(each), dtype=float) for each in (matrix[modes, modes], matrix))
+        return constrained, full
 
     def stiffness(self, columns: Floats, work: GalerkinWork | None = None) -> Floats:
         """Return the tangent -d(force)/d(coordinates) [1/s^2], (M + l, M + l), by differences."""

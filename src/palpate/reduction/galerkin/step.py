@@ -51,7 +51,18 @@ class BasisData(NamedTuple):
 
 
 class GalerkinWork(NamedTuple):
-    """Scratch arrays of the step.
+    """Scratch arrays of a Galerkin model for one thread, with n nodes, b blocks and m coordinates.
+
+    Parameters
+    ----------
+    full : NodalWork
+    force, surface : (n, 3) arrays [N/m^3]
+        Internal force, and surface loads.
+    partial : (b, m) array
+        Partial sums of the projection.
+    coordinates, result, previous, rates, mean, power : (m,) arrays
+        Trial coordinates; projected force, and the previous one; accelerations; mean velocities; power of the
+        surface forces.
 
     Examples
     --------

@@ -160,8 +160,8 @@ class ReducedBody:
 
     def workspace(self) -> ReducedWork:
         """Allocate the scratch arrays of evaluations and steps, for one thread at a time."""
-        own, forces = scratch(self.points), (np.zeros(self.count), np.zeros(len(self.data.basis_vectors)))
-        return ReducedWork(own, scratch(self.all_points, own.history), newton_scratch(self.count), *forces)
+        sampled, forces = scratch(self.points), (np.zeros(self.count), np.zeros(len(self.data.basis_vectors)))
+        return ReducedWork(sampled, scratch(self.all_points, sampled.history), newton_scratch(self.count), *forces)
 
     def force(self, coordinates: Floats, history: History = (), work: ReducedWork | None = None) -> Floats:
         """Return the internal forces on the coordinates, -dE/da, shape (m + l,).
@@ -207,8 +207,8 @@ class ReducedBody:
         restore_history(work.coordinates.history, history)
         matrix = np.zeros((self.count, self.count))
         a, vectors = np.ascontiguousarray(coordinates, dtype=float), np.zeros((3, self.count))
-        own = self.points if points is None else points
-        self.tangent(a, self.differences, own, work.coordinates, vectors, self.count, matrix)
+        chosen_points = self.points if points is None else points
+        self.tangent(a, self.differences, chosen_points, work.coordinates, vectors, self.count, matrix)
         return matrix
 
     def highest_frequency(

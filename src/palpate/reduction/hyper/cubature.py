@@ -117,8 +117,8 @@ class _GramMatrix:
         old = self._taken.shape[1]
         self._place[new] = old + np.arange(len(new))
         more = self._columns[:, new] / self._size[new]
-        across, own = self._taken.T @ more, more.T @ more
-        self._gram = np.block([[self._gram, across], [across.T, own]])
+        across, block = self._taken.T @ more, more.T @ more
+        self._gram = np.block([[self._gram, across], [across.T, block]])
         self._taken = np.hstack([self._taken, more])
 
     def solve(self, where: Ints) -> Floats:
@@ -165,18 +165,18 @@ def sketch(rows: int, entries: int, generator: np.random.Generator) -> Floats:
     return generator.standard_normal((rows, entries)) / np.sqrt(rows)
 
 
-def fit_moments(sampled: Floats, whole: Floats, ridge: float = 1e-6) -> Floats:
+def fit_moments(sampled: Floats, moments: Floats, ridge: float = 1e-6) -> Floats:
     """Return coefficients Z (k, s) with Z @ sampled = whole in the least-squares sense.
 
     Parameters
     ----------
     sampled : (s, r) array
         Dilatations at the integration points, and their slopes along the coordinates, at many states.
-    whole : (k, r) array
+    moments : (k, r) array
         The moments and their slopes.
     ridge : float
         Regularisation, as a fraction of the largest singular value.
     """
     u, values, vt = np.linalg.svd(sampled, full_matrices=False)
     damped = values / (values**2 + (ridge * values[0]) ** 2)
-    return np.asarray((whole @ vt.T * damped) @ u.T)
+    return np.asarray((moments @ vt.T * damped) @ u.T)

@@ -112,18 +112,18 @@ def expected_error(report: Mapping[str, Any], trust: float, of: str = "displacem
     number = number_in_range("trust", trust, 0.0)
     if of not in ("displacement", "force"):
         raise InputError(f"of must be 'displacement' or 'force', got {of!r:.60}; choose one of them")
-    known = _curves(report)
-    if known is None:
+    curves = _curves(report)
+    if curves is None:
         raise InputError(
             "held_out must be given in training to expect errors, got none; train with hyper_reduce(..., held_out=...)"
         )
-    if of not in known:
+    if of not in curves:
         raise InputError(
             "of must be 'displacement' for a model whose held-out runs have no tool, got 'force'; "
             "train it with tools, or with prescribed="
         )
-    median, bound = (float(_errors(known[of], name, np.array([number]))[0]) for name in ("median", "bound"))
-    return ExpectedError(median, bound, known["level"])
+    median, bound = (float(_errors(curves[of], name, np.array([number]))[0]) for name in ("median", "bound"))
+    return ExpectedError(median, bound, curves["level"])
 
 
 def error_bounds(data: ReducedData, run: Trajectory) -> tuple[Floats, Floats]:
@@ -132,14 +132,14 @@ def error_bounds(data: ReducedData, run: Trajectory) -> tuple[Floats, Floats]:
     The displacement's is the root mean square over the body, the forces' that of each tool. They are
     infinite where the error is unknown, and empty without held-out runs.
     """
-    known = _curves(data.report)
+    curves = _curves(data.report)
     result = []
-    for of, sizes in (("displacement", rms_sizes(data, run)), ("force", force_sizes(data, run))):
-        if known is None or of not in known or not len(sizes) or len(run.trust) < len(run.times):
+    for quantity, sizes in (("displacement", rms_sizes(data, run)), ("force", force_sizes(data, run))):
+        if curves is None or quantity not in curves or not len(sizes) or len(run.trust) < len(run.times):
             result.append(np.zeros(0))
             continue
-        relative = _errors(known[of], "bound", np.maximum.accumulate(run.trust))
-        result.append(relative * np.maximum(np.maximum.accumulate(sizes), known[of]["least_size"]))
+        relative = _errors(curves[quantity], "bound", np.maximum.accumulate(run.trust))
+        result.append(relative * np.maximum(np.maximum.accumulate(sizes), curves[quantity]["least_size"]))
     return result[0], result[1]
 
 
@@ -166,8 +166,8 @@ def _curves(report: Mapping[str, Any]) -> dict[str, Any] | None:
 
 def _errors(curve: dict[str, float], name: str, trust: Floats) -> Floats:
     """Return the relative errors of a curve at trust numbers (f,): ``"median"`` or ``"bound"``."""
-    found = curve[name] * np.maximum(trust, curve["least_trust"]) ** curve["exponent"]
-    return np.where(trust <= curve["largest_trust"], found, np.inf)
+    errors = curve[name] * np.maximum(trust, curve["least_trust"]) ** curve["exponent"]
+    return np.where(trust <= curve["largest_trust"], errors, np.inf)
 
 
 def rms_sizes(data: ReducedData, run: Trajectory) -> Floats:

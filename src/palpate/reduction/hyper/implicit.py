@@ -34,7 +34,7 @@ __all__ = ["ImplicitData", "NewtonScratch", "cholesky_factor", "cholesky_solve",
 
 GAUSS_POINTS = (0.5 - np.sqrt(3.0) / 6.0, 0.5 + np.sqrt(3.0) / 6.0)  # of Gauss's rule in a step
 MAX_ITERATIONS = 30  # of Newton's method in a step
-REFRESH = (4, 10, 18, 24)  # iterations after which the tangent is updated
+REFRESH_ITERATIONS = (4, 10, 18, 24)  # iterations after which the tangent is updated
 
 # rows of `NewtonScratch.vectors`
 PROBE, AHEAD, BEHIND, MEAN_VELOCITY, TRIAL, FORCE, RATE, UPDATE, ELASTIC, LOAD = range(10)
@@ -226,8 +226,8 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
                 return True
             if not largest < 1e12:
                 return False
-            for r in range(len(REFRESH)):
-                if iteration == REFRESH[r]:
+            for r in range(len(REFRESH_ITERATIONS)):
+                if iteration == REFRESH_ITERATIONS[r]:
                     refactor(at, step, data, moving)
         return False
 

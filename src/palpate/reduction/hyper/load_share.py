@@ -69,9 +69,9 @@ def static_response(data: ReducedData, springs: Floats) -> Response:
     for group in data.prescribed:
         constrained[data.cloud.group(group)] = True
     if not (constrained.any() or len(supported.sliding) or springs.any()):
-        whole = float(data.volumes.sum())
-        stiffness = RIGID_STIFFNESS * data.tissue.material.shear_modulus * np.cbrt(whole)
-        springs = stiffness * data.volumes / whole
+        total_volume = float(data.volumes.sum())
+        stiffness = RIGID_STIFFNESS * data.tissue.material.shear_modulus * np.cbrt(total_volume)
+        springs = stiffness * data.volumes / total_volume
     return static_estimate(data.cloud, data.volumes, data.tissue, supported, constrained, springs)
 
 
@@ -89,9 +89,9 @@ def load_share(body: ReducedBody, state: State, responses: ResponseSquares, ampl
     """
     if not amplitudes.any():
         return 0.0
-    missed, whole = (float(np.sqrt(max(float(amplitudes @ form @ amplitudes), 0.0))) for form in responses)
+    missed, size = (float(np.sqrt(max(float(amplitudes @ form @ amplitudes), 0.0))) for form in responses)
     moved = float(np.sqrt(state.coordinates @ body.mass @ state.coordinates / body.masses.sum()))
-    return missed / max(whole, moved, LEAST_DISPLACEMENT * body.data.cloud.spacing)
+    return missed / max(size, moved, LEAST_DISPLACEMENT * body.data.cloud.spacing)
 
 
 def response_squares(body: ReducedBody, sites: LoadSites, response: Callable[[], Response]) -> ResponseSquares:
@@ -114,14 +114,14 @@ def response_squares(body: ReducedBody, sites: LoadSites, response: Callable[[],
     lifting = body.vectors[data.modes :]
     inertia = -body.masses[:, None] * lifting
     moved = _responses_to_motion(data, lifting, springs) if len(lifting) else []
-    whole = np.array([*map(respond, _unit_forces(body, sites)), *moved, *map(respond, inertia)])
-    outside = whole.copy()
-    count = len(whole) - 2 * len(lifting)
+    responses = np.array([*map(respond, _unit_forces(body, sites)), *moved, *map(respond, inertia)])
+    outside = responses.copy()
+    count = len(responses) - 2 * len(lifting)
     outside[count : count + len(lifting)] -= lifting
     moving = body.vectors[: data.modes]
     outside -= np.tensordot(_project(outside, moving, body.masses), moving, 1)
     weights = np.repeat(body.masses / body.masses.sum(), 3)
-    flat = (each.reshape(len(whole), -1) for each in (outside, whole))
+    flat = (each.reshape(len(responses), -1) for each in (outside, responses))
     return ResponseSquares(*((rows * weights) @ rows.T for rows in flat))
 
 

@@ -34,7 +34,7 @@ from palpate.reduction.hyper.load_share import Response, ResponseSquares, respon
 __all__ = ["ReducedLoads", "lifting_coordinates", "load_work", "prepare_reduced_loads", "reduced_loads"]
 
 
-KINDS = (DeadLoad, Gravity, PrescribedMotion, Grasp, Contact, Foundation)  # whose forces the step has
+PERMITTED_LOADS = (DeadLoad, Gravity, PrescribedMotion, Grasp, Contact, Foundation)  # whose forces the step has
 RIGID_TOLERANCE = 1e-3  # largest error of a prescribed motion in the lifting vectors, relative
 
 
@@ -107,7 +107,9 @@ def prepare_reduced_loads(
     InputError
         A load is not supported, or was not part of the training.
     """
-    check_kinds(loads, KINDS, "loads of a sampled reduced model", "run the full model or palpate.galerkin with it")
+    check_kinds(
+        loads, PERMITTED_LOADS, "loads of a sampled reduced model", "run the full model or palpate.galerkin with it"
+    )
     data = body.data
     kinematics = data.kinematics
     loads = [

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import inline, law_digest, law_njit
 from palpate.dynamics.material.fibres import NO_FIBRES, FibrePoints, fibre_points
-from palpate.dynamics.material.material_fields import EVERYWHERE, parameters_at
+from palpate.dynamics.material.material_fields import NO_FIELDS, parameters_at
 from palpate.dynamics.material.principal_point import make_principal_point
 from palpate.dynamics.membrane.passes import make_moduli
 from palpate.dynamics.solid.energy_form import make_stress
@@ -77,7 +77,7 @@ class MaterialPoint:
     density: Any
     measure: Any = None
     fibres: FibrePoints = NO_FIBRES
-    parameter_count: int = EVERYWHERE
+    parameter_count: int = NO_FIELDS
 
     @property
     def at(self) -> Any:

@@ -80,11 +80,13 @@ class ReducedModel(CoordinateModel):
     >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
     >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
     >>> model = pt.hyper_reduce(bar, full, modes=4)
-    >>> model.count, model.name
-    (4, 'reduced')
+    >>> model.count
+    4
     >>> fast = pt.rollout(model, [pull], duration=0.03, every=0.001)
     >>> bool(fast.trust.max() < 1.5)
     True
+    >>> model.with_step(1e-3).step
+    0.001
     """
 
     name = "reduced"
@@ -108,15 +110,15 @@ class ReducedModel(CoordinateModel):
         self._implicit, _ = implicit_step(self.body.law, single)
 
     def _own_facts(self) -> list[Fact]:
-        data, found = self.data, self.report.get("held_out", {}).get("mean", {}).get("displacement")
+        data, error = self.data, self.report.get("held_out", {}).get("mean", {}).get("displacement")
         return [
             ("modes", data.modes, ""),
             ("lifting columns", data.lifting_count or None, ""),
             ("sampled nodes", len(data.cubature.nodes), ""),
             (
                 "held-out displacement error",
-                "not measured" if found is None else 100 * found,
-                "" if found is None else "%",
+                "not measured" if error is None else 100 * error,
+                "" if error is None else "%",
             ),
             ("prescribed", data.prescribed or None, ""),
             ("step", "explicit" if self.step is None else self.step, "" if self.step is None else "s"),
@@ -152,11 +154,11 @@ class ReducedModel(CoordinateModel):
         if prepared.is_prescribed(np.array([time]))[0]:
             lifting = lifting_coordinates(self.data, prepared, np.array([time]))[0]
             rates = prepared.rates(lambda times: lifting_coordinates(self.data, prepared, times), time)[0]
-            for vector, known in ((coordinates, lifting), (velocities, rates)):
+            for vector, tool_values in ((coordinates, lifting), (velocities, rates)):
                 vector[modes] = self.body.constrained_inverse_mass @ (
-                    vector[modes] - self.body.mass[modes, self.data.modes :] @ known
+                    vector[modes] - self.body.mass[modes, self.data.modes :] @ tool_values
                 )
-                vector[self.data.modes :] = known
+                vector[self.data.modes :] = tool_values
         else:
             coordinates, velocities = self.body.inverse_mass @ coordinates, self.body.inverse_mass @ velocities
         history = self.body.equilibrium_history(coordinates, work)

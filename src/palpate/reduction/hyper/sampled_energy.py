@@ -128,14 +128,14 @@ def integration_points(
     )  # fmt: skip
 
 
-def scratch(of: IntegrationPoints, saved_history: HistoryVariables | None = None) -> Scratch:
+def scratch(points: IntegrationPoints, saved_history: HistoryVariables | None = None) -> Scratch:
     """Return work arrays for integration points, with their own history variables or given ones."""
-    blocks, columns, _, _ = of.table.shape
+    (blocks, columns, _, _), pressures = points.table.shape, points.pressure.shape[1]
     stresses = np.zeros((2, blocks, 9, LANES))
     return Scratch(
-        stresses[0], stresses[1], np.zeros((blocks, LANES)), np.ones((blocks, LANES)), np.zeros(of.pressure.shape[1]),
+        stresses[0], stresses[1], np.zeros((blocks, LANES)), np.ones((blocks, LANES)), np.zeros(pressures),
         np.zeros((columns, LANES)), np.zeros(columns),
-        history(len(of.relaxation.times), blocks, of.pressure.shape[1]) if saved_history is None else saved_history,
+        history(len(points.relaxation.times), blocks, pressures) if saved_history is None else saved_history,
     )  # fmt: skip
 
 
@@ -178,9 +178,9 @@ def _collect(partial, constant, columns, force):  # type: ignore[no-untyped-def]
         force[m] = -total
 
 
-def shear_weights(of: IntegrationPoints) -> Floats:
+def shear_weights(points: IntegrationPoints) -> Floats:
     """Return the weights [m^3] of the points times their modulus ratios, as the branches of a Prony series use them."""
-    return of.weights if isinstance(of.coefficients, tuple) else of.weights * of.coefficients[:, -1]
+    return points.weights if isinstance(points.coefficients, tuple) else points.weights * points.coefficients[:, -1]
 
 
 @cache

@@ -17,8 +17,8 @@ from palpate.reduction.lti.system import LinearSystem
 __all__ = ["Budget", "Estimate", "dense_lyapunov", "sparse_lyapunov"]
 
 TIMED_ORDER = 240  # order of the dense equation that is timed
-ARRAYS = 8  # square arrays that a dense solver stores at a time: the Schur form, vectors and work
-STEPS = 100  # smallest number of shifts of an alternating-direction iteration for a lightly damped body
+SOLVER_ARRAYS = 8  # square arrays that a dense solver stores at a time: the Schur form, vectors and work
+MIN_SHIFTS = 100  # smallest number of shifts of an alternating-direction iteration for a lightly damped body
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Budget:
 
 def dense_lyapunov(order: int) -> Estimate:
     """Estimate the two dense Lyapunov equations of a system of first order: O(N^2) numbers, O(N^3) operations."""
-    return Estimate(8.0 * ARRAYS * order**2, 2 * _dense_seconds() * (order / TIMED_ORDER) ** 3)
+    return Estimate(8.0 * SOLVER_ARRAYS * order**2, 2 * _dense_seconds() * (order / TIMED_ORDER) ** 3)
 
 
 @cache
@@ -86,8 +86,8 @@ def sparse_lyapunov(system: LinearSystem) -> Estimate:
     factors = factorise(system, 1j * float(np.sqrt(_middle(system))))
     seconds = perf_counter() - start
     numbers = factors.L.nnz + factors.U.nnz
-    columns = 2 * STEPS * max(system.input.shape[1], system.output.shape[0])
-    return Estimate(16.0 * numbers + 16.0 * columns * system.order, 2 * STEPS * seconds)
+    columns = 2 * MIN_SHIFTS * max(system.input.shape[1], system.output.shape[0])
+    return Estimate(16.0 * numbers + 16.0 * columns * system.order, 2 * MIN_SHIFTS * seconds)
 
 
 def _middle(system: LinearSystem) -> float:

@@ -28,6 +28,11 @@ def save_matlab(system: LinearSystem, path: str | Path) -> None:
     It contains the matrices, and ``node`` and ``component`` of the unknowns, counted from 1 as in
     MATLAB. ``points`` (n, 3) [m], and the names ``inputs`` and ``outputs`` as cells, follow.
 
+    Parameters
+    ----------
+    system : LinearSystem
+    path : path
+
     Raises
     ------
     OSError
@@ -35,14 +40,14 @@ def save_matlab(system: LinearSystem, path: str | Path) -> None:
 
     Examples
     --------
+    >>> import tempfile
+    >>> from pathlib import Path
     >>> import palpate as pt
     >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
     >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
     >>> bar = pt.Solid(cloud, tissue, fixed="x-")
     >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
     >>> system = pt.lti.linearise(bar, [pull], outputs=["x+"])
-    >>> import tempfile
-    >>> from pathlib import Path
     >>> path = Path(tempfile.mkdtemp()) / "bar.mat"
     >>> pt.lti.save_matlab(system, path)
     >>> path.stat().st_size > 0
@@ -70,6 +75,12 @@ def save_matrix_market(system: LinearSystem, folder: str | Path) -> None:
 
     The comments of ``B.mtx`` and ``Cp.mtx`` name the inputs and outputs.
 
+    Parameters
+    ----------
+    system : LinearSystem
+    folder : path
+        Created if it does not exist.
+
     Raises
     ------
     OSError
@@ -77,14 +88,14 @@ def save_matrix_market(system: LinearSystem, folder: str | Path) -> None:
 
     Examples
     --------
+    >>> import tempfile
+    >>> from pathlib import Path
     >>> import palpate as pt
     >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
     >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
     >>> bar = pt.Solid(cloud, tissue, fixed="x-")
     >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
     >>> system = pt.lti.linearise(bar, [pull], outputs=["x+"])
-    >>> import tempfile
-    >>> from pathlib import Path
     >>> folder = Path(tempfile.mkdtemp()) / "bar"
     >>> pt.lti.save_matrix_market(system, folder)
     >>> sorted(path.name for path in folder.iterdir())

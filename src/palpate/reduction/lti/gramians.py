@@ -22,10 +22,10 @@ from palpate.reduction.lti.system import LinearSystem
 __all__ = ["balance_in_low_rank", "dense_solver", "residual"]
 
 
-STEPS, TOLERANCE = 400, 1e-8  # of the iteration
+MAX_ITERATIONS, ITERATION_TOLERANCE = 400, 1e-8  # of the iteration
 MAX_RESIDUAL = 2e-2  # largest residual of a solution, relative to the right-hand side
-PROBES = 4
-REMEDY = "balance the body condensed to its slowest modes instead: method 'balanced'"
+RESIDUAL_PROBES = 4
+LOW_RANK_REMEDY = "balance the body condensed to its slowest modes instead: method 'balanced'"
 
 
 def dense_solver() -> Any:
@@ -65,11 +65,11 @@ def balance_in_low_rank(
     from pymor.solvers.matrix_equations.adi import ADILyapunovSolver
     from pymor.solvers.matrix_equations.default import MatrixEquationSolvers
 
-    budget.check(sparse_lyapunov(system), "low-rank Lyapunov equations of this body", REMEDY)
+    budget.check(sparse_lyapunov(system), "low-rank Lyapunov equations of this body", LOW_RANK_REMEDY)
     outputs, inputs = scales
     b = system.input.toarray() * inputs
     cp, cv = outputs[:, None] * system.output.toarray(), outputs[:, None] * system.rate_output.toarray()
-    solver = ADILyapunovSolver(adi_tol=TOLERANCE, adi_maxiter=STEPS)
+    solver = ADILyapunovSolver(adi_tol=ITERATION_TOLERANCE, adi_maxiter=MAX_ITERATIONS)
     lti = SecondOrderModel.from_matrices(
         system.mass, system.damping, system.stiffness, b, cp, cv,
         matrix_equation_solvers=MatrixEquationSolvers(lyapunov_lr=solver), name="palpate",
@@ -80,8 +80,8 @@ def balance_in_low_rank(
     missed = max(residual(a, e, b0, factors[0]), residual(a.T, e.T, c0.T, factors[1]))
     if not missed < MAX_RESIDUAL:
         raise InputError(
-            f"residual of the low-rank Lyapunov solver must be below {MAX_RESIDUAL:g}, got {missed:.2g} after {STEPS} "
-            f"steps: the body is too lightly damped for it; {REMEDY}"
+            f"residual of the low-rank Lyapunov solver must be below {MAX_RESIDUAL:g}, got {missed:.2g} after "
+            f"{MAX_ITERATIONS} steps: the body is too lightly damped for it; {LOW_RANK_REMEDY}"
         )
     if 2 * modes > min(factor.shape[1] for factor in factors):
         raise InputError(f"modes must be at most half the number of columns of the Gramians, got {modes}")
@@ -108,7 +108,7 @@ def _stacked(vectors: Any) -> Floats:
 
 def residual(a: Any, e: Any, b: Floats, factor: Floats) -> float:
     """Return the norm of A Z Z^T E^T + E Z Z^T A^T + B B^T relative to B B^T, estimated with random vectors."""
-    probes = np.random.default_rng(0).standard_normal((len(b), PROBES))
+    probes = np.random.default_rng(0).standard_normal((len(b), RESIDUAL_PROBES))
     source = b @ (b.T @ probes)
     left = a @ (factor @ (factor.T @ (e.T @ probes))) + e @ (factor @ (factor.T @ (a.T @ probes))) + source
     return float(np.linalg.norm(left) / np.linalg.norm(source))

@@ -21,7 +21,7 @@ __all__ = ["Realisation", "balance", "hankel_norm", "lyapunov_factor", "nearest_
 
 
 MIN_HANKEL_VALUE = 1e-10  # relative to the largest Hankel singular value: states below it are rounding errors
-EQUAL = 1e-6  # relative difference of Hankel singular values that count as equal
+EQUAL_VALUES_TOLERANCE = 1e-6  # relative difference of Hankel singular values that count as equal
 
 
 class Realisation(NamedTuple):
@@ -57,16 +57,16 @@ def balance(system: Realisation) -> tuple[Realisation, Floats, Floats]:
     roots = np.sqrt(values[kept])
     into = controlled @ right[: len(values)][kept].T / roots
     back = (observed @ left[:, : len(values)][:, kept] / roots).T
-    own = Realisation(back @ system.A @ into, back @ system.B, system.C @ into, system.D)
-    return own, values[kept], into
+    balanced = Realisation(back @ system.A @ into, back @ system.B, system.C @ into, system.D)
+    return balanced, values[kept], into
 
 
-def hankel_norm(own: Realisation, values: Floats, order: int) -> Realisation:
+def hankel_norm(balanced: Realisation, values: Floats, order: int) -> Realisation:
     """Return the optimal Hankel-norm approximation of a balanced realisation.
 
     Parameters
     ----------
-    own : Realisation
+    balanced : Realisation
         Balanced.
     values : (n,) array
         Its Hankel singular values, descending.
@@ -76,27 +76,27 @@ def hankel_norm(own: Realisation, values: Floats, order: int) -> Realisation:
     """
     integer_in_range("order", order, 1, len(values) - 1)
     sigma = values[order]
-    same = np.abs(values - sigma) <= EQUAL * sigma
-    count = int(np.sum(values > sigma * (1 + EQUAL)))
+    same = np.abs(values - sigma) <= EQUAL_VALUES_TOLERANCE * sigma
+    count = int(np.sum(values > sigma * (1 + EQUAL_VALUES_TOLERANCE)))
     if count == 0:
         raise InputError(
             f"order must be at least {int(same.sum())}, got {order}: so many Hankel singular values are equal"
         )
     one = ~same
-    (outs, ins), size = own.D.shape, max(own.D.shape)
-    b, c = np.pad(own.B, ((0, 0), (0, size - ins))), np.pad(own.C, ((0, size - outs), (0, 0)))
+    (outs, ins), size = balanced.D.shape, max(balanced.D.shape)
+    b, c = np.pad(balanced.B, ((0, 0), (0, size - ins))), np.pad(balanced.C, ((0, size - outs), (0, 0)))
     # the orthogonal U with B2 = - C2^T U
     u, _, v = np.linalg.svd(-c[:, same] @ b[same])
     turned = u @ v
-    s, a = values[one], own.A[np.ix_(one, one)]
+    s, a = values[one], balanced.A[np.ix_(one, one)]
     gamma = 1.0 / (s**2 - sigma**2)
     b1, c1 = b[one], c[:, one]
     hat = gamma[:, None] * (sigma**2 * a.T + s[:, None] * a * s - sigma * c1.T @ turned @ b1.T)
     b_hat = gamma[:, None] * (s[:, None] * b1 + sigma * c1.T @ turned)
     c_hat = c1 * s + sigma * turned @ b1.T
-    d_hat = np.pad(own.D, ((0, size - outs), (0, size - ins))) - sigma * turned
-    whole = _stable_part(Realisation(hat, b_hat, c_hat, d_hat), count)
-    return Realisation(whole.A, whole.B[:, :ins], whole.C[:outs], whole.D[:outs, :ins])
+    d_hat = np.pad(balanced.D, ((0, size - outs), (0, size - ins))) - sigma * turned
+    stable = _stable_part(Realisation(hat, b_hat, c_hat, d_hat), count)
+    return Realisation(stable.A, stable.B[:, :ins], stable.C[:outs], stable.D[:outs, :ins])
 
 
 def _stable_part(system: Realisation, count: int) -> Realisation:
@@ -120,6 +120,6 @@ def nearest_fields(full: Realisation, fields: Floats, reduced: Realisation) -> F
     states, and P that of the reduced states.
     """
     joint = scipy.linalg.solve_sylvester(full.A, reduced.A.T, -full.B @ reduced.B.T)
-    own = scipy.linalg.solve_continuous_lyapunov(reduced.A, -reduced.B @ reduced.B.T)
-    weights = np.linalg.lstsq((own + own.T) / 2, joint.T, rcond=1e-12)[0]
+    gramian = scipy.linalg.solve_continuous_lyapunov(reduced.A, -reduced.B @ reduced.B.T)
+    weights = np.linalg.lstsq((gramian + gramian.T) / 2, joint.T, rcond=1e-12)[0]
     return np.asarray(np.tensordot(weights, fields, 1))

@@ -12,7 +12,7 @@ from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, check_kinds
 from palpate.faults import InputError
-from palpate.reduction.lti.system import INPUTS, LinearSystem
+from palpate.reduction.lti.system import INPUT_LOADS, LinearSystem
 
 __all__ = ["LinearLoads", "linear_loads", "prepare_linear_loads", "tool_accelerations", "tool_coordinates"]
 
@@ -59,7 +59,7 @@ def prepare_linear_loads(system: LinearSystem, loads: Sequence[Load]) -> LinearL
     InputError
         The system does not include one of the loads, or its tools differ.
     """
-    check_kinds(loads, INPUTS, "loads of a linear model")
+    check_kinds(loads, INPUT_LOADS, "loads of a linear model")
     full = system.model
     ready = full.prepare(loads)
     inputs = {_input(load) for load in system.loads if isinstance(load, DeadLoad)}

@@ -135,21 +135,21 @@ class LinearModel(CoordinateModel):
         rates = tools
         if self.lifting_count:
             rates = prepared.rates(lambda times: tool_coordinates(self.system, prepared, times), time)[0]
-        own: Floats = np.zeros((2, self.count))
+        coordinates: Floats = np.zeros((2, self.count))
         if isinstance(self.reduced, FirstOrder):
             if any(given is not None and np.any(given) for given in (displacement, velocity)):
                 raise InputError(
                     "displacement and velocity must be zero for a first-order linear model, which starts at rest"
                 )
-            own[1] = self.B[:, : self.system.forces] @ linear_loads(prepared).inputs(now)[0]
+            coordinates[1] = self.B[:, : self.system.forces] @ linear_loads(prepared).inputs(now)[0]
         else:
             begun = np.stack([nodal.coordinates.ravel(), nodal.velocities.ravel()])
             begun -= np.stack([tools, rates]) @ self.system.lifts
             self.full.constrain(prepared.constraint_mask(time))(begun.reshape(2, -1, 3))
             flat = self.reduced.fields.reshape(self.count, -1)
             weighted = flat * np.repeat(self.full.weights * self.material.density, 3)
-            own = np.asarray(np.linalg.solve(weighted @ flat.T, weighted @ begun.T).T, dtype=float)
-        return State(np.concatenate([own[0], tools]), np.concatenate([own[1], rates]), time)
+            coordinates = np.asarray(np.linalg.solve(weighted @ flat.T, weighted @ begun.T).T, dtype=float)
+        return State(np.concatenate([coordinates[0], tools]), np.concatenate([coordinates[1], rates]), time)
 
     def stable_step(self, state: State, prepared: PreparedLoads, work: None = None) -> tuple[float, State]:
         """Return infinity: the step is exact, and a run takes the steps of `longest_step`."""
@@ -162,8 +162,8 @@ class LinearModel(CoordinateModel):
             if len(self._steps) > 16:
                 self._steps.clear()
             forces = self.system.forces
-            own = first_order_hold(self.A, self.B[:, :forces], step)
-            self._steps[step] = known = tuple(np.ascontiguousarray(m) for m in (*own, self.B[:, forces:]))
+            hold = first_order_hold(self.A, self.B[:, :forces], step)
+            self._steps[step] = known = tuple(np.ascontiguousarray(m) for m in (*hold, self.B[:, forces:]))
         return known
 
     def advance(
@@ -199,10 +199,13 @@ class LinearModel(CoordinateModel):
 
     def _tool_forces(self, x: Floats, f: Floats, g: Floats, speeds: Floats, bends: Floats) -> Floats:
         """Return forces (t, l) [N], [N m] of the tools on the body, conjugate to their coordinates."""
-        own, system = slice(len(self.C) - self.lifting_count, None), self.system
+        rows, system = slice(len(self.C) - self.lifting_count, None), self.system
         inputs = np.hstack([f, bends])
         return np.asarray(
-            x @ self.C[own].T + inputs @ self.D[own].T + g @ system.static[own].T + speeds @ system.static_rate[own].T
+            x @ self.C[rows].T
+            + inputs @ self.D[rows].T
+            + g @ system.static[rows].T
+            + speeds @ system.static_rate[rows].T
         )
 
     def responses(self, state: State, prepared: PreparedLoads) -> Floats:
@@ -218,16 +221,16 @@ class LinearModel(CoordinateModel):
 
     def outputs(self, state: State, prepared: PreparedLoads, work: None = None) -> Outputs:
         u, v = self.displacement(state, prepared), self.velocity(state, prepared)
-        damped, whole = u + self.stiffness_damping * v, self.system.whole
+        damped, nodal = u + self.stiffness_damping * v, self.system.whole
         acceleration = np.tensordot(self._accelerations(state, prepared), self.columns, 1)
         unbalanced = self.masses[:, None] * (acceleration + self.mass_damping * v)
         unbalanced -= self.full.external_force(State(u, v, state.time), prepared)
         stress = None
         if self.conservative:
-            unbalanced += self.full.without_images((whole @ damped.ravel()).reshape(-1, 3))
+            unbalanced += self.full.without_images((nodal @ damped.ravel()).reshape(-1, 3))
         else:
             stress = partial(linear_stress, self.full, damped)
-        strain_energy = float(0.5 * u.ravel() @ (whole @ u.ravel()))
+        strain_energy = float(0.5 * u.ravel() @ (nodal @ u.ravel()))
         return nodal_outputs(self.full, NodalFields(u, v, unbalanced, stress), state, prepared, strain_energy)
 
     def _accelerations(self, state: State, prepared: PreparedLoads) -> Floats:
@@ -240,8 +243,8 @@ class LinearModel(CoordinateModel):
             slope = prepared.rates(inputs, state.time)[0]
         motion = state.coordinates[: self.count], state.velocities[: self.count]
         damped_inputs = np.concatenate([now, bends + self.mass_damping * state.velocities[self.count :]])
-        own = self.reduced.accelerations(*motion, damped_inputs, np.concatenate([slope, self.mass_damping * bends]))
-        return np.concatenate([own, bends])
+        rates = self.reduced.accelerations(*motion, damped_inputs, np.concatenate([slope, self.mass_damping * bends]))
+        return np.concatenate([rates, bends])
 
 
 @kernel_njit(allocates=True, fastmath={"contract", "reassoc"})

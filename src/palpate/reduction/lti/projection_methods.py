@@ -26,9 +26,9 @@ __all__ = ["Columns", "condense", "eigenvectors", "modal", "moments", "project",
 
 Columns = tuple[Floats, Floats]
 
-DEGENERACY = 1e-5  # relative distance of squared frequencies that count as equal
+DEGENERACY_TOLERANCE = 1e-5  # relative distance of squared frequencies that count as equal
 EXTRA_MODES = 12  # additional modes in the eigenvalue solver
-DEFLATION = 1e-10  # relative norm of a vector's new part below which it is linearly dependent
+DEFLATION_TOLERANCE = 1e-10  # relative norm of a vector's new part below which it is linearly dependent
 
 
 def project(system: LinearSystem, columns: Floats, test: Floats | None = None) -> SecondOrder:
@@ -74,16 +74,16 @@ def eigenvectors(system: LinearSystem, count: int) -> tuple[NDArray[np.complex12
             chosen = np.argsort(values)[:count]
             columns = np.ascontiguousarray(vectors[:, chosen])
             return values[chosen].astype(complex), columns, columns
-        found = []
+        pairs = []
         for trans in "NT":
             inverse = LinearOperator(order, matvec=lambda x, t=trans: solver.solve(x, t))
             matrix = system.stiffness if trans == "N" else system.stiffness.T.tocsc()
-            found.append(eigs(matrix, k=ask, M=system.mass, sigma=0.0, OPinv=inverse, v0=start))
+            pairs.append(eigs(matrix, k=ask, M=system.mass, sigma=0.0, OPinv=inverse, v0=start))
     except ArpackNoConvergence as error:
         raise InputError(f"eigenvalue solver did not converge for the slowest {count} modes: {error}") from error
-    (values, right), (others, left) = (_by_size(*pair) for pair in found)
+    (values, right), (others, left) = (_by_size(*pair) for pair in pairs)
     sizes = np.abs(values)
-    while count < len(sizes) and sizes[count] - sizes[count - 1] < DEGENERACY * sizes[count]:
+    while count < len(sizes) and sizes[count] - sizes[count - 1] < DEGENERACY_TOLERANCE * sizes[count]:
         count += 1  # left and right modes of a separated pair, complex or degenerate, need not match
     columns, tests = _real(values, right, count), _real(others, left, count)
     if columns.shape != tests.shape:
@@ -160,15 +160,15 @@ def moments(system: LinearSystem, modes: int, points: Sequence[complex] = (0.0,)
         raise InputError(f"points must be one or more numbers with real parts of at least 0, got {points}")
     solvers = [factorise(system, s) for s in points]
     basis, nothing = np.zeros((system.order, 0)), np.zeros((system.order, 0))
-    known = [nothing.astype(complex if s.imag != 0 else float) for s in points]
+    bases = [nothing.astype(complex if s.imag != 0 else float) for s in points]
     fresh = [solver.solve(_typed(system.input.toarray(), s)) for solver, s in zip(solvers, points, strict=True)]
     while basis.shape[1] < modes:
         before = basis.shape[1]
         for at, s in enumerate(points):
-            own = _orthonormal(system, fresh[at], known[at])
-            known[at] = np.hstack([known[at], own])
-            fresh[at] = solvers[at].solve(_typed(system.mass @ own, s)) if own.shape[1] else own
-            parts = np.hstack([own.real, own.imag]) if s.imag != 0 else own
+            vectors = _orthonormal(system, fresh[at], bases[at])
+            bases[at] = np.hstack([bases[at], vectors])
+            fresh[at] = solvers[at].solve(_typed(system.mass @ vectors, s)) if vectors.shape[1] else vectors
+            parts = np.hstack([vectors.real, vectors.imag]) if s.imag != 0 else vectors
             basis = np.hstack([basis, _orthonormal(system, parts, basis)])
         if basis.shape[1] == before:
             raise InputError(
@@ -185,13 +185,13 @@ def _orthonormal(system: LinearSystem, block: Any, basis: Any) -> Any:
     """Return the part of vectors (d, b) orthogonal to a basis, orthonormal with respect to the mass."""
     masses, kept = system.mass.diagonal(), basis[:, :0]
     for column in block.T:
-        own, size = column.copy(), np.sqrt(np.vdot(column, masses * column).real)
+        vector, size = column.copy(), np.sqrt(np.vdot(column, masses * column).real)
         for _ in range(2):  # twice, against rounding errors
-            for known in (basis, kept):
-                own = own - known @ (known.conj().T @ (masses * own))
-        left = np.sqrt(np.vdot(own, masses * own).real)
-        if left > DEFLATION * size:
-            kept = np.hstack([kept, (own / left)[:, None]])
+            for previous in (basis, kept):
+                vector = vector - previous @ (previous.conj().T @ (masses * vector))
+        left = np.sqrt(np.vdot(vector, masses * vector).real)
+        if left > DEFLATION_TOLERANCE * size:
+            kept = np.hstack([kept, (vector / left)[:, None]])
     return kept
 
 

@@ -23,8 +23,8 @@ from palpate.reduction.lti.state_space import SecondOrder, first_order_hold
 __all__ = ["LinearData", "LinearRealtime", "linear_range", "linear_realtime"]
 
 
-NONLINEARITY = 0.1  # relative difference of the tool's force from the linear one at a trust number of 1
-BISECTIONS, MAX_RANGE = 24, 64.0  # of the search for that range; its upper end, in spacings or radians
+TRUSTED_NONLINEARITY = 0.1  # relative difference of the tool's force from the linear one at a trust number of 1
+RANGE_BISECTIONS, MAX_RANGE = 24, 64.0  # of the search for that range; its upper end, in spacings or radians
 SERIES_NORM, SERIES_TERMS = 0.5, 14  # largest norm for the series of a matrix exponential, and number of terms
 
 
@@ -77,7 +77,19 @@ class LinearData(NamedTuple):
 
 
 class LinearRealtime(NamedTuple):
-    """Linear model with the contract of `palpate.realtime.contract`; the bound of its force's error is unknown.
+    """Linear model for the engine.
+
+    Parameters
+    ----------
+    advance, stiffness : functions
+        Compiled; see `palpate.realtime.contract`.
+    data : LinearData
+    rest : (m,) array
+        Coordinates at rest.
+    tool : (l, 12) array
+        Map from a rigid pose to the tool coordinates.
+    force_bound : None
+        The bound of the force's error is unknown.
 
     Examples
     --------
@@ -128,8 +140,8 @@ def linear_realtime(model: LinearModel, period: float) -> LinearRealtime:
     sizes = np.ones(states)
     if isinstance(model.reduced, SecondOrder):
         sizes[count:] = np.abs(np.linalg.eigvals(model.A)).max()
-    own = slice(len(model.C) - lifting_count, None)
-    mean_force = np.array(np.linalg.solve(model.A.T, model.C[own].T).T, dtype=float, order="C")
+    tool_rows = slice(len(model.C) - lifting_count, None)
+    mean_force = np.array(np.linalg.solve(model.A.T, model.C[tool_rows].T).T, dtype=float, order="C")
     drag = np.array(model.mass_damping * np.linalg.solve(model.A, model.B), dtype=float, order="C")
     data = LinearData(
         modes=count,
@@ -141,9 +153,9 @@ def linear_realtime(model: LinearModel, period: float) -> LinearRealtime:
         impulse=model.B.copy(),
         drag=drag,
         mean_force=mean_force,
-        static=system.static[own].copy(),
-        static_rate=system.static_rate[own] + model.mass_damping * model.D[own] - model.C[own] @ drag,
-        inertia=model.D[own].copy(),
+        static=system.static[tool_rows].copy(),
+        static_rate=system.static_rate[tool_rows] + model.mass_damping * model.D[tool_rows] - model.C[tool_rows] @ drag,
+        inertia=model.D[tool_rows].copy(),
         mass=(flat * weight) @ flat.T,
         elastic=flat @ (system.whole @ flat.T),
         linear_range=linear_range(model),
@@ -174,7 +186,7 @@ def linear_range(model: LinearModel) -> Floats:
     They follow from the nonlinear forces of the tool's static fields L. They measure the range of
     linearity, and not an error.
     """
-    system, full, found = model.system, model.full, []
+    system, full, ranges = model.system, model.full, []
     prescribed = np.repeat(full.prepare(system.loads).sites.kind == PRESCRIBED, 3)
     for field in system.lifting:
         rigid = np.where(prescribed, field.ravel(), 0.0)
@@ -185,14 +197,14 @@ def linear_range(model: LinearModel) -> Floats:
             for sign in (-1.0, 1.0):
                 pulled = -float(rigid @ (full.force(sign * size * field) * full.volumes[:, None]).ravel())
                 worst = max(worst, abs(pulled / (sign * size * straight) - 1)) if np.isfinite(pulled) else np.inf
-            return worst > NONLINEARITY
+            return worst > TRUSTED_NONLINEARITY
 
         low, high = 0.0, MAX_RANGE * full.cloud.spacing / np.abs(field).max()
-        for _ in range(BISECTIONS):
+        for _ in range(RANGE_BISECTIONS):
             middle = 0.5 * (low + high)
             low, high = (low, middle) if bent(middle) else (middle, high)
-        found.append(max(low, 1e-300))
-    return np.array(found, dtype=float)
+        ranges.append(max(low, 1e-300))
+    return np.array(ranges, dtype=float)
 
 
 @kernel_njit(inner=True)

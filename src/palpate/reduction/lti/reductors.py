@@ -27,14 +27,14 @@ from palpate.reduction.lti.simulate import linear_run
 from palpate.reduction.lti.state_space import FirstOrder, Reduced, SecondOrder
 from palpate.reduction.lti.system import LinearSystem
 
-__all__ = ["METHODS", "Reduction", "reduce_linear"]
+__all__ = ["TITLE_BY_METHOD", "Reduction", "reduce_linear"]
 
 
 SECOND_ORDER_BALANCING = {
     "sobt": "SOBTReductor", "sobt-p": "SOBTpReductor", "sobt-v": "SOBTvReductor", "sobt-pv": "SOBTpvReductor",
     "sobt-vp": "SOBTvpReductor", "sobt-fv": "SOBTfvReductor",
 }  # fmt: skip
-METHODS = {
+TITLE_BY_METHOD = {
     "modal": "modal truncation",
     "moments": "Krylov, moments matched",
     "irka": "Krylov, second-order IRKA",
@@ -49,9 +49,9 @@ METHODS = {
     "sobt-vp": "the same, velocity-position",
     "sobt-fv": "the same, free velocity",
 }
-PYMOR = {"irka", "balanced", "balanced-low-rank", *SECOND_ORDER_BALANCING}
-CONDENSED = 240  # modes of the condensed body that replaces a large one in balancing
-IRKA: dict[str, Any] = {"tol": 1e-3, "maxit": 20, "irka_options": {"tol": 1e-3, "maxit": 20}}
+PYMOR_METHODS = {"irka", "balanced", "balanced-low-rank", *SECOND_ORDER_BALANCING}
+CONDENSED_MODES = 240  # modes of the condensed body that replaces a large one in balancing
+IRKA_OPTIONS: dict[str, Any] = {"tol": 1e-3, "maxit": 20, "irka_options": {"tol": 1e-3, "maxit": 20}}
 Run = tuple[Sequence[Load], float, float]
 
 
@@ -91,7 +91,9 @@ class Reduction:
         if system.at.any():
             raise InputError("system must be linearised at rest, got another state; linearise without state")
         self.system, self.budget, self.training = system, budget or Budget(), training
-        self.condense = min(CONDENSED, system.order) if condense is None else integer_in_range("condense", condense, 0)
+        self.condense = (
+            min(CONDENSED_MODES, system.order) if condense is None else integer_in_range("condense", condense, 0)
+        )
         count = len(system.inputs)
         self.emphasis = np.ones(count) if emphasis is None else np.array(emphasis, dtype=float)
         if self.emphasis.shape != (count,) or not np.all(np.isfinite(self.emphasis) & (self.emphasis > 0)):
@@ -104,7 +106,7 @@ class Reduction:
         Parameters
         ----------
         method : str
-            One of `METHODS`.
+            One of `TITLE_BY_METHOD`.
         modes : int
             Number of displacement coordinates; methods of first order have twice as many states.
         options
@@ -115,12 +117,12 @@ class Reduction:
         InputError
             An unknown method, too many modes, a cost beyond the budget, or a missing pyMOR.
         """
-        if method not in METHODS:
-            raise InputError(f"method must be one of {', '.join(map(repr, METHODS))}, got {method!r}")
+        if method not in TITLE_BY_METHOD:
+            raise InputError(f"method must be one of {', '.join(map(repr, TITLE_BY_METHOD))}, got {method!r}")
         if options and method != "moments":
             raise InputError(f"options must be empty for method {method!r}, got {', '.join(options)}")
         integer_in_range("modes", modes, 1, self.system.order - 1)
-        if method in PYMOR:
+        if method in PYMOR_METHODS:
             need_pymor(f"method {method!r}")
         before, start = sum(self.seconds.values()), perf_counter()
         reduced = self._reduced(method, modes, options)
@@ -156,8 +158,8 @@ class Reduction:
             "pod": ("run",),
             "balanced-low-rank": ("low-rank",),
         }
-        own = parts.get(method, ("condensed", "hankel" if method == "hankel" else "gramians"))
-        return float(sum(self.seconds.get(part, 0.0) for part in own))
+        shared_parts = parts.get(method, ("condensed", "hankel" if method == "hankel" else "gramians"))
+        return float(sum(self.seconds.get(part, 0.0) for part in shared_parts))
 
     def _timed(self, part: str, make: Callable[[], Any]) -> Any:
         start = perf_counter()
@@ -184,7 +186,7 @@ class Reduction:
         estimate = dense_lyapunov(2 * system.order)
         self.budget.check(
             estimate, f"dense Lyapunov equations of order {2 * system.order}",
-            f"give condense={CONDENSED} to balance that many of the slowest modes instead, or a coarser cloud",
+            f"give condense={CONDENSED_MODES} to balance that many of the slowest modes instead, or a coarser cloud",
         )  # fmt: skip
         roots = 1.0 / np.sqrt(system.mass.diagonal())
         return self._timed("condensed", lambda: project(system, np.diag(roots)))
@@ -209,10 +211,10 @@ class Reduction:
     @cached_property
     def scaled(self) -> SecondOrder:
         """System `source` with scaled inputs and outputs."""
-        own, (outputs, inputs) = self.source, self.scales
+        system, (outputs, inputs) = self.source, self.scales
         return SecondOrder(
-            own.mass, own.damping, own.stiffness, own.input * inputs, outputs[:, None] * own.output,
-            outputs[:, None] * own.rate_output, outputs[:, None] * own.feedthrough * inputs, own.fields,
+            system.mass, system.damping, system.stiffness, system.input * inputs, outputs[:, None] * system.output,
+            outputs[:, None] * system.rate_output, outputs[:, None] * system.feedthrough * inputs, system.fields,
         )  # fmt: skip
 
     @cached_property
@@ -222,10 +224,11 @@ class Reduction:
         from pymor.models.iosys import SecondOrderModel
         from pymor.solvers.matrix_equations.default import MatrixEquationSolvers
 
-        own = self.scaled
+        scaled = self.scaled
         return SecondOrderModel.from_matrices(
-            own.mass, own.damping, own.stiffness, own.input, own.output, own.rate_output, own.feedthrough,
-            matrix_equation_solvers=MatrixEquationSolvers(lyapunov_lr=dense_solver()), name="palpate",
+            scaled.mass, scaled.damping, scaled.stiffness, scaled.input, scaled.output, scaled.rate_output,
+            scaled.feedthrough, name="palpate",
+            matrix_equation_solvers=MatrixEquationSolvers(lyapunov_lr=dense_solver()),
         )  # fmt: skip
 
     def _gramians(self) -> None:
@@ -262,7 +265,7 @@ class Reduction:
     def _second_order(self, method: str, modes: int) -> SecondOrder:
         if modes >= len(self.source.mass):
             raise InputError(f"modes must be below {len(self.source.mass)}, got {modes}; increase condense")
-        fom, own = self.pymor, self.scaled
+        fom, system = self.pymor, self.scaled
         if method == "irka":
             from pymor.reductors.bt import BTReductor
             from pymor.reductors.sor_irka import SORIRKAReductor
@@ -270,7 +273,7 @@ class Reduction:
             self._gramians()
             start = BTReductor(fom.to_lti()).reduce(modes)  # one pole for each initial interpolation point
             reductor = SORIRKAReductor(fom)
-            rom = reductor.reduce(start, **IRKA)
+            rom = reductor.reduce(start, **IRKA_OPTIONS)
             fields = _columns(reductor.V)
         else:
             from pymor.reductors import sobt
@@ -288,7 +291,7 @@ class Reduction:
         cv = np.zeros_like(cp) if cv is None else cv
         return SecondOrder(
             m, e, k, b / inputs, cp / outputs[:, None], cv / outputs[:, None],
-            own.feedthrough / outputs[:, None] / inputs, np.tensordot(fields.T, own.fields, 1),
+            system.feedthrough / outputs[:, None] / inputs, np.tensordot(fields.T, system.fields, 1),
         )  # fmt: skip
 
     def _balanced(self, modes: int) -> FirstOrder:
@@ -307,19 +310,19 @@ class Reduction:
         )
 
     def _hankel(self, modes: int) -> FirstOrder:
-        own, values, into = self.realisation
+        balanced, values, into = self.realisation
         if 2 * modes >= len(values):
             raise InputError(
                 f"modes must be below half of the {len(values)} Hankel singular values above rounding, got {modes}"
             )
-        reduced = hankel_norm(own, values, 2 * modes)
+        reduced = hankel_norm(balanced, values, 2 * modes)
         fields = np.tensordot(into[: len(self.scaled.fields)].T, self.scaled.fields, 1)
-        return self._unscaled(reduced, nearest_fields(own, fields, reduced))
+        return self._unscaled(reduced, nearest_fields(balanced, fields, reduced))
 
-    def _unscaled(self, own: Realisation, fields: Floats) -> FirstOrder:
+    def _unscaled(self, system: Realisation, fields: Floats) -> FirstOrder:
         outputs, inputs = self.scales
         return FirstOrder(
-            own.A, own.B / inputs, own.C / outputs[:, None], own.D / outputs[:, None] / inputs, fields
+            system.A, system.B / inputs, system.C / outputs[:, None], system.D / outputs[:, None] / inputs, fields
         )  # fmt: skip
 
 
@@ -342,6 +345,10 @@ def reduce_linear(system: LinearSystem, method: str, modes: int, **options: Any)
         Number of displacement coordinates; methods of first order have twice as many states.
     options
         `condense`, `budget`, `training` and `emphasis` of `Reduction`; `points` of the moments.
+
+    Returns
+    -------
+    LinearModel
 
     Raises
     ------

@@ -159,9 +159,9 @@ def first_order_hold(a: Floats, b: Floats, step: float) -> tuple[Floats, Floats,
     They follow from the exponential of one matrix (Van Loan, IEEE Trans. Autom. Control 23, 1978).
     """
     n, p = b.shape
-    whole = np.zeros((n + 2 * p, n + 2 * p))
-    whole[:n, :n], whole[:n, n : n + p] = step * a, step * b
-    whole[n : n + p, n + p :] = np.eye(p)
-    moved = scipy.linalg.expm(whole)
+    block_matrix = np.zeros((n + 2 * p, n + 2 * p))
+    block_matrix[:n, :n], block_matrix[:n, n : n + p] = step * a, step * b
+    block_matrix[n : n + p, n + p :] = np.eye(p)
+    moved = scipy.linalg.expm(block_matrix)
     ramp = moved[:n, n + p :]
     return moved[:n, :n], moved[:n, n : n + p] - ramp, ramp

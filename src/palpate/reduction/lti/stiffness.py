@@ -23,8 +23,9 @@ from palpate.reduction.basis.linear_modes import rest_stiffness
 __all__ = ["coupling", "independent_groups", "linear_stress", "nodal_stiffness"]
 
 
-STEP = 1e-5  # of the spacing: displacements for central differences, as in `palpate.dynamics.nodal.stability.stiffness`
-NOISE = 1e-10  # of the largest entry: rounding error of differences for entries that are zero
+# displacements for central differences, over the spacing, as in `palpate.dynamics.nodal.stability.stiffness`
+STEP_SPACINGS = 1e-5
+ROUNDING_SHARE = 1e-10  # of the largest entry: rounding error of differences for entries that are zero
 STRESS_STEP = 1e-4  # displacements for difference quotients of the stress, in spacings
 
 
@@ -47,7 +48,7 @@ def nodal_stiffness(model: NodalModel, displacements: Floats | None = None) -> A
     if displacements is None and isinstance(model, EnergySolid) and model.fibres is None:
         return rest_stiffness(model)
     u = np.zeros((len(model.cloud), 3)) if displacements is None else np.array(displacements, dtype=float)
-    n, pattern, delta = len(u), coupling(model), STEP * model.cloud.spacing
+    n, pattern, delta = len(u), coupling(model), STEP_SPACINGS * model.cloud.spacing
     rows, columns, values, work = [], [], [], model.workspace()
     for group in independent_groups(pattern):
         inside = pattern[:, group].tocoo()
@@ -63,7 +64,7 @@ def nodal_stiffness(model: NodalModel, displacements: Floats | None = None) -> A
                 columns.append(3 * moved + c)
                 values.append(slope[node, e])
     entries = np.concatenate(values)
-    kept = np.abs(entries) > NOISE * np.abs(entries).max()
+    kept = np.abs(entries) > ROUNDING_SHARE * np.abs(entries).max()
     places = np.concatenate(rows)[kept], np.concatenate(columns)[kept]
     return sparse.csc_matrix((entries[kept], places), (3 * n, 3 * n))
 

@@ -18,12 +18,12 @@ from palpate.sealed import loading, open_sealed, write_sealed
 __all__ = ["read_linear", "save_linear"]
 
 FORMAT, VERSION = "palpate linear model", 2
-REMEDY = "make the linear model again"
-SHAPES: dict[str, tuple[str | int, ...]] = {
+LINEAR_MODEL_REMEDY = "make the linear model again"
+ARRAY_SHAPES: dict[str, tuple[str | int, ...]] = {
     "mass": ("k", "k"), "damping": ("k", "k"), "stiffness": ("k", "k"), "state": ("k", "k"), "input": ("k", "p"),
     "output": ("q", "k"), "rate_output": ("q", "k"), "feedthrough": ("q", "p"), "fields": ("k", "n", 3),
 }  # fmt: skip
-KINDS: dict[str, type[SecondOrder] | type[FirstOrder]] = {"second": SecondOrder, "first": FirstOrder}
+CLASS_BY_ORDER: dict[str, type[SecondOrder] | type[FirstOrder]] = {"second": SecondOrder, "first": FirstOrder}
 
 
 def save_linear(model: LinearModel, path: str | Path) -> None:
@@ -36,11 +36,11 @@ def save_linear(model: LinearModel, path: str | Path) -> None:
     OSError
         The place cannot be written.
     """
-    arrays = {own.name: getattr(model.reduced, own.name) for own in fields(model.reduced)}
+    arrays = {each.name: getattr(model.reduced, each.name) for each in fields(model.reduced)}
     for name, array in arrays.items():
         if not np.isfinite(array).all():
             raise InputError(f"{name} of the linear model is not finite: {path} was not written")
-    kind = next(name for name, form in KINDS.items() if isinstance(model.reduced, form))
+    kind = next(name for name, form in CLASS_BY_ORDER.items() if isinstance(model.reduced, form))
     header = _header(model.system) | {"kind": kind, "report": plain(model.report)}
     write_sealed(Path(path), FORMAT, VERSION, header, arrays | {"points": model.cloud.points})
 
@@ -68,15 +68,15 @@ def read_linear(path: str | Path, system: LinearSystem) -> LinearModel:
         The model belongs to another body, or has other inputs or outputs.
     """
     path = Path(path)
-    with loading(path, REMEDY):
+    with loading(path, LINEAR_MODEL_REMEDY):
         file = open_sealed(path, FORMAT, VERSION)
-        header, wanted = file.header, _header(system)
-        if header.keys() != {*wanted, "kind", "report"} or not isinstance(header["report"], dict):
+        header, expected = file.header, _header(system)
+        if header.keys() != {*expected, "kind", "report"} or not isinstance(header["report"], dict):
             raise InputError("the header is not that of a linear model")
-        if not isinstance(header["kind"], str) or header["kind"] not in KINDS:
-            raise InputError(f"kind must be one of {', '.join(KINDS)}, got {header['kind']!r:.60}")
-        form = KINDS[header["kind"]]
-        names = [own.name for own in fields(form)]
+        if not isinstance(header["kind"], str) or header["kind"] not in CLASS_BY_ORDER:
+            raise InputError(f"kind must be one of {', '.join(CLASS_BY_ORDER)}, got {header['kind']!r:.60}")
+        form = CLASS_BY_ORDER[header["kind"]]
+        names = [each.name for each in fields(form)]
         if file.arrays.keys() != {*names, "points"}:
             raise InputError(f"the arrays are {', '.join(sorted(file.arrays))}; expected {', '.join(names)}, points")
         arrays = {name: file.read(name) for name in file.arrays}
@@ -84,10 +84,10 @@ def read_linear(path: str | Path, system: LinearSystem) -> LinearModel:
             if array.dtype != np.float64 or not np.isfinite(array).all():
                 raise InputError(f"array {name} is not of finite numbers")
     points = arrays.pop("points")
-    differ = [name for name in wanted if header[name] != wanted[name]]
+    differ = [name for name in expected if header[name] != expected[name]]
     if differ or points.shape != system.model.cloud.points.shape or not np.allclose(points, system.model.cloud.points):
         raise InputError(f"{path} was made of another linear system: {', '.join(differ) or 'points'} differ")
-    with loading(path, REMEDY):
+    with loading(path, LINEAR_MODEL_REMEDY):
         _check_shapes(arrays, {"p": len(system.inputs), "q": len(system.outputs), "n": len(points)})
         with np.errstate(all="ignore"):
             model = LinearModel(system, form(**arrays), header["report"])
@@ -98,9 +98,9 @@ def read_linear(path: str | Path, system: LinearSystem) -> LinearModel:
 
 
 def _check_shapes(arrays: dict[str, Any], sizes: dict[str | int, int]) -> None:
-    """Check that arrays have the shapes of `SHAPES`, with one k for all."""
+    """Check that arrays have the shapes of `ARRAY_SHAPES`, with one k for all."""
     sizes = sizes | {"k": len(arrays["fields"]) if arrays["fields"].ndim else 0}
     for name, array in arrays.items():
-        wanted = tuple(sizes.get(size, size) for size in SHAPES[name])
-        if array.shape != wanted or not sizes["k"]:
-            raise InputError(f"array {name} has shape {array.shape}, expected {wanted}")
+        expected = tuple(sizes.get(size, size) for size in ARRAY_SHAPES[name])
+        if array.shape != expected or not sizes["k"]:
+            raise InputError(f"array {name} has shape {array.shape}, expected {expected}")

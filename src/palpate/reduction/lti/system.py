@@ -49,7 +49,7 @@ __all__ = ["LinearSystem", "force_inputs", "linearise"]
 
 
 AXES = "xyz"
-INPUTS = (DeadLoad, Gravity, PrescribedMotion, Grasp)  # kinds of loads that are inputs
+INPUT_LOADS = (DeadLoad, Gravity, PrescribedMotion, Grasp)  # kinds of loads that are inputs
 MIN_ROTATION = 1e-9  # displacement, in spacings, below which a rotation is left out
 
 
@@ -200,6 +200,10 @@ def linearise(
     state : State or (n, 3) array, optional [m]
         State of linearisation; rest by default.
 
+    Returns
+    -------
+    LinearSystem
+
     Raises
     ------
     InputError
@@ -224,19 +228,19 @@ def linearise(
     if model.material.prony is not None:
         raise InputError("material must be without prony, which M, D and K do not describe; leave prony out")
     loads = listed(loads)
-    check_kinds(loads, INPUTS, "loads of a linear system", "leave it out, or run the nonlinear body")
+    check_kinds(loads, INPUT_LOADS, "loads of a linear system", "leave it out, or run the nonlinear body")
     _check_moved_nodes(loads, model)
     displaced = state.coordinates if isinstance(state, State) else state
     at = np.zeros((len(model.cloud), 3)) if displaced is None else np.array(displaced, dtype=float)
     if at.shape != (len(model.cloud), 3) or not np.isfinite(at).all():
         raise InputError(f"state must be finite displacements of shape {(len(model.cloud), 3)}, got shape {at.shape}")
     prepared = model.prepare(loads)
-    whole = nodal_stiffness(model, at if at.any() else None)
+    nodal = nodal_stiffness(model, at if at.any() else None)
     free, dofs = free_directions(model.supported, prepared.sites.prescribed)
     weight = np.repeat(model.weights * model.material.density, 3)
-    stiffness = (free.T @ whole @ free).tocsc()
+    stiffness = (free.T @ nodal @ free).tocsc()
     rigid, tools = _rigid_motions(model, prepared)
-    lifting = _continued(whole, free, stiffness, rigid)
+    lifting = _continued(nodal, free, stiffness, rigid)
     forces, names = force_inputs(model, prepared, weight)
     pushed = np.concatenate([forces @ free, -(weight * lifting) @ free]).T
     mass, kind = sparse.diags(weight[dofs]).tocsc(), "damped acceleration" if model.mass_damping else "acceleration"
@@ -245,10 +249,10 @@ def linearise(
         damping = damping + model.mass_damping * mass
     system = LinearSystem(
         model, loads, at, dofs, free, mass, damping.tocsc(), stiffness,
-        sparse.csc_matrix(pushed), *_outputs(model, prepared, outputs, whole, free, (forces, rigid, lifting), weight),
+        sparse.csc_matrix(pushed), *_outputs(model, prepared, outputs, nodal, free, (forces, rigid, lifting), weight),
         (*names, *(f"{kind} of {tool}" for tool in tools)), _output_names(model, outputs, tools),
         lifting.reshape(len(lifting), len(model.cloud), 3),
-        *_statics(model, prepared, outputs, whole, (rigid, lifting)), whole,
+        *_statics(model, prepared, outputs, nodal, (rigid, lifting)), nodal,
     )  # fmt: skip
     return system
 
@@ -271,24 +275,24 @@ def _rigid_motions(model: NodalModel, prepared: PreparedLoads) -> tuple[Floats, 
         arms = np.pad(points[nodes] - points[nodes].mean(axis=0), ((0, 0), (0, 3 - points.shape[1])))
         for kind in ("translation", "rotation"):
             for c in range(3):
-                own = (
+                shifts = (
                     np.broadcast_to(np.eye(3)[c], arms.shape) if kind == "translation" else np.cross(np.eye(3)[c], arms)
                 )
-                if np.abs(own).max() <= MIN_ROTATION * model.cloud.spacing:
+                if np.abs(shifts).max() <= MIN_ROTATION * model.cloud.spacing:
                     continue
                 column = np.zeros((len(points), 3))
-                column[nodes] = own
+                column[nodes] = shifts
                 columns.append(column.ravel())
                 names.append(f"{motion.group}, {kind} {AXES[c]}")
     return np.array(columns).reshape(-1, 3 * len(points)), names
 
 
-def _continued(whole: Any, free: Any, stiffness: Any, rigid: Floats) -> Floats:
+def _continued(nodal: Any, free: Any, stiffness: Any, rigid: Floats) -> Floats:
     """Return the static continuation (l, 3 n) of the tools' motions, without forces at free nodes."""
     fields = rigid.copy()
     if len(rigid):
         try:
-            fields -= (free @ splu(stiffness).solve(free.T @ (whole @ rigid.T))).T
+            fields -= (free @ splu(stiffness).solve(free.T @ (nodal @ rigid.T))).T
         except RuntimeError as error:
             raise InputError("stiffness of the body at this state must be non-singular; fix a group") from error
     return fields
@@ -302,10 +306,10 @@ def force_inputs(model: NodalModel, prepared: PreparedLoads, weight: Floats) -> 
             columns += [weight * np.tile(np.eye(3)[c], n) for c in range(3)]
             names += [f"gravity {AXES[c]}" for c in range(3)]
         elif isinstance(load, DeadLoad):
-            own = slice(sites.dead_start[g], sites.dead_start[g + 1])
+            dead = slice(sites.dead_start[g], sites.dead_start[g + 1])
             for a in range(len(load.labels)):
                 column = np.zeros((n, 3))
-                np.add.at(column, sites.dead_node[own], sites.dead_pattern[own, a])
+                np.add.at(column, sites.dead_node[dead], sites.dead_pattern[dead, a])
                 columns.append(column.ravel())
             names += [f"{label} on {load.group}" for label in load.labels]
             g += 1
@@ -329,7 +333,7 @@ def _rows(model: NodalModel, prepared: PreparedLoads, group: str) -> Any:
 
 
 def _outputs(
-    model: NodalModel, prepared: PreparedLoads, outputs: Sequence[str], whole: Any, free: Any,
+    model: NodalModel, prepared: PreparedLoads, outputs: Sequence[str], nodal: Any, free: Any,
     inputs: tuple[Floats, Floats, Floats], weight: Floats,
 ) -> tuple[Any, Any, Floats]:  # fmt: skip
     """Return Cp, Cv (q, d) and Df (q, p)."""
@@ -342,14 +346,14 @@ def _outputs(
             rates.append(sparse.csr_matrix((3, free.shape[1])))
             through.append(np.zeros((3, width)))
             continue
-        own, direct = _support_force(model, group, whole, free, forces, bool(len(rigid)))
-        positions.append(own)
-        rates.append(beta * own)
+        map_to_force, direct = _support_force(model, group, nodal, free, forces, bool(len(rigid)))
+        positions.append(map_to_force)
+        rates.append(beta * map_to_force)
         through.append(np.hstack([direct, np.zeros((3, len(lifting)))]))
     if len(rigid):
-        own = sparse.csr_matrix(rigid) @ whole @ free
-        positions.append(own)
-        rates.append(beta * own)
+        map_to_force = sparse.csr_matrix(rigid) @ nodal @ free
+        positions.append(map_to_force)
+        rates.append(beta * map_to_force)
         # a tool carries the loads on its nodes, and accelerates their mass
         through.append(np.hstack([-rigid @ forces.T, (rigid * weight) @ rigid.T]))
     if not positions:
@@ -362,7 +366,7 @@ def _outputs(
 
 
 def _support_force(
-    model: NodalModel, group: str, whole: Any, free: Any, forces: Floats, tools: bool
+    model: NodalModel, group: str, nodal: Any, free: Any, forces: Floats, tools: bool
 ) -> tuple[Any, Floats]:
     """Return the maps from displacements (3, d) and inputs (3, forces) to the total force of a support on the body."""
     n = len(model.cloud)
@@ -370,7 +374,7 @@ def _support_force(
     if model.conservative:
         nodes = (3 * model.cloud.group(group)[:, None] + np.arange(3)).ravel()
         loads = sparse.csr_matrix(_constrained_part(model, group)) @ total[:, nodes] @ forces.T[nodes]
-        return _force_rows(model, group, whole) @ free, -loads
+        return _force_rows(model, group, nodal) @ free, -loads
     if len(model.fixed) > 1 or tools:
         raise InputError(
             f"support {group!r} must be the only one, without tools, for its force to be an output of the strong form; "
@@ -379,10 +383,10 @@ def _support_force(
     # balance of momentum of the whole body: the collocated rows weighted by volumes, not by `weights`
     along = sparse.csr_matrix(_constrained_part(model, group))
     rows = along @ total @ sparse.diags(np.repeat(model.volumes / model.weights, 3)) @ free
-    return -(rows @ (free.T @ whole @ free)), np.asarray(rows @ (free.T @ forces.T) - along @ total @ forces.T)
+    return -(rows @ (free.T @ nodal @ free)), np.asarray(rows @ (free.T @ forces.T) - along @ total @ forces.T)
 
 
-def _force_rows(model: NodalModel, group: str, whole: Any) -> Any:
+def _force_rows(model: NodalModel, group: str, nodal: Any) -> Any:
     """Return the map (3, 3 n) from displacements to the force of a support, in the energy form.
 
     The internal forces along the normal of a plane of symmetry include those of the images, which the
@@ -390,9 +394,9 @@ def _force_rows(model: NodalModel, group: str, whole: Any) -> Any:
     """
     nodes = (3 * model.cloud.group(group)[:, None] + np.arange(3)).ravel()
     total = sparse.csr_matrix(np.tile(np.eye(3), len(model.cloud)))
-    rows = total[:, nodes] @ whole.tocsr()[nodes]
+    rows = total[:, nodes] @ nodal.tocsr()[nodes]
     if any(plane.name == group for plane in model.planes):
-        rows = rows - total @ whole
+        rows = rows - total @ nodal
     return sparse.csr_matrix(_constrained_part(model, group)) @ rows
 
 
@@ -403,19 +407,19 @@ def _constrained_part(model: NodalModel, group: str) -> Floats:
 
 
 def _statics(
-    model: NodalModel, prepared: PreparedLoads, outputs: Sequence[str], whole: Any, tools: tuple[Floats, Floats]
+    model: NodalModel, prepared: PreparedLoads, outputs: Sequence[str], nodal: Any, tools: tuple[Floats, Floats]
 ) -> tuple[Floats, Floats]:
     """Return S and S' (q, l), the static parts of the outputs in the tools' coordinates and their rates."""
     rigid, lifting = tools
     statics, rates = [], []
     for group in outputs:
         if group in model.fixed:
-            statics.append(np.asarray(_force_rows(model, group, whole) @ lifting.T))
+            statics.append(np.asarray(_force_rows(model, group, nodal) @ lifting.T))
             rates.append(model.stiffness_damping * statics[-1])
         else:
             statics.append(np.asarray(_rows(model, prepared, group) @ lifting.T))
             rates.append(np.zeros((3, len(lifting))))
     if len(rigid):
-        statics.append(np.asarray(rigid @ (whole @ lifting.T)))
+        statics.append(np.asarray(rigid @ (nodal @ lifting.T)))
         rates.append(model.stiffness_damping * statics[-1])
     return np.concatenate(statics), np.concatenate(rates)

@@ -21,10 +21,10 @@ from palpate.faults import InputError
 from palpate.reduction.contact.compliance import secant_factor, static_displacements
 from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["SCALARS", "DisplaySurface", "Surface", "fixed_nodes"]
+__all__ = ["SCALAR_NAMES", "DisplaySurface", "Surface", "fixed_nodes"]
 
 
-SCALARS = ("displacement", "stress", "pressure")
+SCALAR_NAMES = ("displacement", "stress", "pressure")
 
 
 class DisplaySurface(Protocol):
@@ -125,11 +125,11 @@ class Surface:
         self._visible = self._vertex >= 0
         rows = np.repeat(np.arange(len(compliance.nodes)), compliance.patches.shape[1])
         shares = compliance.shares.ravel().astype(np.float32), (rows, compliance.patches.ravel())
-        own = compliance.patches.shape[1] == 1 and np.array_equal(
+        single = compliance.patches.shape[1] == 1 and np.array_equal(
             compliance.patches[:, 0], np.arange(len(compliance.nodes))
         )
         self._patches = (
-            None if own or not self._visible.all() else sparse.csr_array(shares, shape=(len(compliance.nodes),) * 2)
+            None if single or not self._visible.all() else sparse.csr_array(shares, shape=(len(compliance.nodes),) * 2)
         )
 
     def displacements(self, coordinates: Floats, nodes: Ints, forces: Floats, bonded: bool = False) -> Singles:
@@ -164,27 +164,27 @@ class Surface:
         """Return the displacements (k, 3) [m] of the surface compliance under forces."""
         compliance = self._contact_displacements
         assert compliance is not None
-        touched, own = self._compliance_rows[nodes], np.zeros((len(compliance.nodes), 3))
+        touched, pushes = self._compliance_rows[nodes], np.zeros((len(compliance.nodes), 3))
         if bonded:
-            np.add.at(own, touched, forces)
+            np.add.at(pushes, touched, forces)
         else:
-            np.add.at(own, compliance.patches[touched], compliance.shares[touched][:, :, None] * forces[:, None])
-        on = np.flatnonzero(own.any(axis=1))
+            np.add.at(pushes, compliance.patches[touched], compliance.shares[touched][:, :, None] * forces[:, None])
+        on = np.flatnonzero(pushes.any(axis=1))
         if not len(on):
-            return np.zeros_like(own)
+            return np.zeros_like(pushes)
         soft = (
             compliance.bonded_scale
             if bonded
             else secant_factor(compliance.stiffening, float(np.linalg.norm(forces.sum(axis=0))))
         )
-        return np.asarray(soft * static_displacements(compliance, own[on], on, np.arange(len(own))))
+        return np.asarray(soft * static_displacements(compliance, pushes[on], on, np.arange(len(pushes))))
 
     # scalars
 
     @property
     def scalars(self) -> tuple[str, ...]:
         """Names of the scalars; of a membrane only the displacement."""
-        return SCALARS[:1] if self.model.data.kinematics.sheet else SCALARS
+        return SCALAR_NAMES[:1] if self.model.data.kinematics.sheet else SCALAR_NAMES
 
     def scalar(self, name: str, coordinates: Floats, displacements: Singles) -> Singles:
         """Return a number for every vertex.

@@ -16,7 +16,7 @@ from palpate.dynamics.material.relaxation import history_copy
 from palpate.dynamics.nodal.central_difference import Damping
 from palpate.dynamics.nodal.model import NodalModel, nodal_data
 from palpate.dynamics.nodal.period import (
-    BLOCK,
+    BLOCK_NODES,
     FREQUENCY,
     GAINED,
     HELD,
@@ -32,7 +32,7 @@ from palpate.faults import InputError
 __all__ = ["change_full_tool", "full_period", "step_statistics"]
 
 MAX_WAY, MAX_TOOL_WAY = 0.4, 0.25  # of a node and of the tool in a step, in spacings
-AWAY = 1e3  # [m] beyond the body, where a tool stays while forceps hold it
+AWAY_DISTANCE = 1e3  # [m] beyond the body, where a tool stays while forceps hold it
 
 
 def full_period(
@@ -49,7 +49,7 @@ def full_period(
         raise InputError("model must have the energy form for the engine, got the strong form; leave form= out")
     tool = contact
     if isinstance(contact, Grasp):
-        tool = Contact(Sphere(2 * model.cloud.spacing), np.full(3, model.cloud.points.max() + AWAY))
+        tool = Contact(Sphere(2 * model.cloud.spacing), np.full(3, model.cloud.points.max() + AWAY_DISTANCE))
     prepared, work = model.prepare([tool, *foundations]), model.workspace()
     model.state(prepared)  # refuses a tool inside the body
     sites, contacts = prepared.with_scratch()
@@ -73,7 +73,7 @@ def full_period(
         grip=empty_grip(n),
         scratch=work.step,
         clock=np.array([0.0, model.stability.step, frequency, *np.zeros(11)]),
-        sums=np.zeros((-(-n // BLOCK), 4)),
+        sums=np.zeros((-(-n // BLOCK_NODES), 4)),
         secant=np.zeros((5, 3)),
         tool_force=np.zeros(12),
         path=path,

@@ -15,7 +15,7 @@ from palpate.arrays import Floats, Ints, Singles
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.realtime.display_surface import SCALARS, DisplaySurface, Surface, fixed_nodes
+from palpate.reduction.realtime.display_surface import SCALAR_NAMES, DisplaySurface, Surface, fixed_nodes
 
 __all__ = ["FullSurface", "display_surface"]
 
@@ -45,7 +45,7 @@ class FullSurface:
     """
 
     local_indentation = True  # stresses include the indentation under a tool
-    scalars = SCALARS
+    scalars = SCALAR_NAMES
 
     def __init__(self, model: EnergySolid) -> None:
         self.model = model

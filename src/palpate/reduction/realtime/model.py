@@ -75,8 +75,8 @@ class RealtimeModel(NamedTuple):
     >>> block = pt.Solid(cloud, tissue, fixed="z-")
     >>> ball = pt.tools.Contact(pt.tools.Sphere(radius=0.01), (0.015, 0.015, 0.026))
     >>> model = pt.realtime_model(block, contact=ball)
-    >>> isinstance(model, pt.typing.RealtimeModel), model.catch_up
-    (True, 4)
+    >>> isinstance(model, pt.typing.RealtimeModel), model.rest.ndim
+    (True, 1)
     """
 
     advance: Any
@@ -148,8 +148,10 @@ def realtime_model(
     >>> block = pt.Solid(cloud, tissue, fixed="z-")
     >>> ball = pt.tools.Contact(pt.tools.Sphere(radius=0.01), (0.015, 0.015, 0.026))
     >>> model = pt.realtime_model(block, contact=ball)
-    >>> model.change_tool is not None
-    True
+    >>> with pt.Engine(model) as engine:
+    ...     reading = engine.read()
+    >>> reading.force.tolist()
+    [0.0, 0.0, 0.0]
     """
     if isinstance(model, LinearModel):
         if contact is not None or foundations:

@@ -34,7 +34,7 @@ __all__ = ["MAX_SUBSTEPS", "IndicatorData", "PeriodData", "PeriodStart", "period
 
 STEP_SAFETY = 0.8  # explicit step over the stable one, whose frequency one power iteration a period estimates
 MAX_SUBSTEPS = 1000  # explicit steps in a period
-REFINEMENT, MAX_ATTEMPTS = 4, 4  # factor of the steps in a repeated period, and most attempts
+REFINEMENT_FACTOR, MAX_ATTEMPTS = 4, 4  # factor of the steps in a repeated period, and most attempts
 MAX_GAIN = 0.5  # largest gain of energy in a period without contact, relative to energy and work
 LEAST_ENERGY = 1e-12  # [J] below which a gain is rounding
 
@@ -397,7 +397,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         for attempt in range(attempts):
             if attempt > 0:  # the body has stiffened faster than the estimate of its frequency
                 restore_start(data)
-                refinement *= REFINEMENT
+                refinement *= REFINEMENT_FACTOR
             begin(data, q, v, period, report)
             if data.step > 0.0:
                 steps = max(1, int(np.round(period / data.step)))

@@ -25,7 +25,7 @@ from palpate.sealed import ArrayFile
 __all__ = [
     "BODY_ATTRIBUTES",
     "BODY_LAYOUT",
-    "REGIONS",
+    "REGIONS_LAYOUT",
     "Arrays",
     "Header",
     "Layout",
@@ -59,9 +59,9 @@ BODY_LAYOUT: Layout = {
     "stiffness": ("<f8", ("nodes",)),
     "fibres/directions": ("<f8", ("families", "nodes", 3)),
 }
-REGIONS: Layout = {"regions": ("<i8", ("nodes",))}  # with several materials
+REGIONS_LAYOUT: Layout = {"regions": ("<i8", ("nodes",))}  # with several materials
 # datasets of node numbers
-NODES = (
+NODE_ARRAYS = (
     "cloud/face_nodes",
     "cloud/group_nodes",
     "cloud/triangles",
@@ -73,7 +73,8 @@ BODY_ATTRIBUTES: dict[str, type] = {
     "material": str, "parameters": str, "regions": str, "expression": str, "prony": str, "fibres": str,
     "groups": list, "spacing": float, "supports": str, "stiffness_damping": float,
 }  # fmt: skip
-OPTIONAL: dict[str, type] = {"mass_damping": float}  # attributes of bodies that need them; without one it is 0
+# attributes of bodies that need them; without one it is 0
+OPTIONAL_ATTRIBUTES: dict[str, type] = {"mass_damping": float}
 
 
 def body_header(
@@ -109,7 +110,7 @@ def body_arrays(cloud: Cloud, tissue: Tissue) -> Arrays:
     }
     layout = BODY_LAYOUT
     if tissue.regions is not None:
-        layout, values = BODY_LAYOUT | REGIONS, values | {"regions": tissue.regions.which}
+        layout, values = BODY_LAYOUT | REGIONS_LAYOUT, values | {"regions": tissue.regions.which}
     return {name: np.asarray(values[name], dtype=dtype) for name, (dtype, _) in layout.items()}
 
 
@@ -121,12 +122,12 @@ def body_of(header: Header, arrays: Arrays) -> tuple[Cloud, Tissue, tuple[Suppor
     InputError
         A value is out of range, or a support names no group.
     """
-    own, count = arrays, len(arrays["cloud/points"])
-    ends = np.cumsum(own["cloud/group_sizes"])
-    groups = np.split(own["cloud/group_nodes"], ends[:-1]) if len(ends) else []
+    values, count = arrays, len(arrays["cloud/points"])
+    ends = np.cumsum(values["cloud/group_sizes"])
+    groups = np.split(values["cloud/group_nodes"], ends[:-1]) if len(ends) else []
     cloud = Cloud(
-        own["cloud/points"], own["cloud/volumes"], own["cloud/face_nodes"], own["cloud/face_normals"],
-        own["cloud/face_areas"], dict(zip(header["groups"], groups, strict=True)), own["cloud/triangles"],
+        values["cloud/points"], values["cloud/volumes"], values["cloud/face_nodes"], values["cloud/face_normals"],
+        values["cloud/face_areas"], dict(zip(header["groups"], groups, strict=True)), values["cloud/triangles"],
         number_in_range("spacing", header["spacing"], 0.0, open_low=True, unit="m"),
     )  # fmt: skip
     supports = supports_in(header)
@@ -138,9 +139,9 @@ def body_of(header: Header, arrays: Arrays) -> tuple[Cloud, Tissue, tuple[Suppor
         header["expression"],
         mapping_in("prony", header["prony"]),
     )
-    regions = regions_of(_json("regions", header["regions"]), own.get("regions", np.zeros(0, dtype=int)), material)
-    factors = own["stiffness"] if np.any(own["stiffness"] != 1.0) else np.zeros(0)
-    fibres = fibres_of(mapping_in("fibres", header["fibres"]), own["fibres/directions"])
+    regions = regions_of(_json("regions", header["regions"]), values.get("regions", np.zeros(0, dtype=int)), material)
+    factors = values["stiffness"] if np.any(values["stiffness"] != 1.0) else np.zeros(0)
+    fibres = fibres_of(mapping_in("fibres", header["fibres"]), values["fibres/directions"])
     return cloud, Tissue(material, regions, factors, fibres, count), supports
 
 
@@ -154,16 +155,16 @@ def supports_in(header: Header) -> tuple[Support, ...]:
 
 def read_arrays(file: ArrayFile, prefix: str, layout: Layout) -> Arrays:
     """Return the arrays of a file whose names begin with a prefix; refuse others than those of a layout."""
-    own = {name.removeprefix(prefix) for name in file.arrays if name.startswith(prefix)}
-    if own != layout.keys():
-        odd = sorted(own ^ layout.keys())[0]
+    names = {name.removeprefix(prefix) for name in file.arrays if name.startswith(prefix)}
+    if names != layout.keys():
+        odd = sorted(names ^ layout.keys())[0]
         raise InputError(f"array {shortened(odd)} is {'missing' if odd in layout else 'not one of a model'}")
     return {name: file.read(prefix + name) for name in layout}
 
 
 def check_header(header: Header, attributes: dict[str, type]) -> None:
     """Refuse a header that does not have these attributes, of these types."""
-    expected = attributes | {name: kind for name, kind in OPTIONAL.items() if name in header}
+    expected = attributes | {name: kind for name, kind in OPTIONAL_ATTRIBUTES.items() if name in header}
     if header.keys() != expected.keys():
         odd = sorted(header.keys() ^ expected.keys())[0]
         raise InputError(f"header {shortened(odd)} is {'missing' if odd in expected else 'not one of a model'}")
@@ -181,11 +182,11 @@ def check_shapes(arrays: Arrays, layout: Layout, sizes: dict[str | int, int]) ->
         data = arrays[name]
         expected = tuple(sizes.get(size, size) for size in shape)
         fits = len(expected) == data.ndim and all(
-            found == size or isinstance(size, str) for found, size in zip(data.shape, expected, strict=True)
+            length == size or isinstance(size, str) for length, size in zip(data.shape, expected, strict=True)
         )
         if not fits or data.dtype != dtype:
-            wanted = f"({', '.join(map(str, expected))}) of {dtype}"
-            raise InputError(f"array {name} has shape {data.shape} of {data.dtype.str}, expected {wanted}")
+            description = f"({', '.join(map(str, expected))}) of {dtype}"
+            raise InputError(f"array {name} has shape {data.shape} of {data.dtype.str}, expected {description}")
         sizes.update(zip(shape, data.shape, strict=True))
 
 
@@ -197,7 +198,7 @@ def check_values(arrays: Arrays) -> None:
             raise InputError(f"array {name} holds numbers that are not finite")
         if array.dtype.kind == "f" and array.size and np.abs(array).max() > MAX_NUMBER:
             raise InputError(f"array {name} holds numbers beyond {MAX_NUMBER:g}")
-        if name in NODES and not np.all((array >= 0) & (array < count)):
+        if name in NODE_ARRAYS and not np.all((array >= 0) & (array < count)):
             raise InputError(f"array {name} names nodes outside 0..{count - 1}")
     if not np.all(arrays["stiffness"] > 0):
         raise InputError("array stiffness holds stiffness that are not positive")

@@ -1,9 +1,10 @@
 """Surface compliance in a model's file: its datasets and their validation.
 
-Flexibilities are multiples of a power of two (`palpate.reduction.contact.compliance.round_flexibility`). Such an array
-k times a step is stored as the unsigned integers k + `OFFSET`, whose high bytes are equal for all small k. Other
-arrays, of models that were not rounded, are stored as they are. Of a symmetric array the upper triangle is zero in the
-file. Both only make the file smaller: a loaded model has the bits of the saved one.
+Flexibilities are multiples of a power of two (`palpate.reduction.contact.compliance.round_flexibility`).
+Such an array, k times a step, is stored as the unsigned integers k + `INTEGER_OFFSET`, whose high bytes
+are equal for all small k. Other arrays, of models that were not rounded, are stored as they are. Of a
+symmetric array the upper triangle is zero in the file. Both only make the file smaller: a loaded model
+has the bits of the saved one.
 """
 
 from __future__ import annotations
@@ -17,31 +18,40 @@ from palpate.faults import InputError, number_in_range
 from palpate.reduction.contact.compliance import SurfaceCompliance
 from palpate.reduction.contact.interior import Interior
 
-__all__ = ["COMPLIANCE", "INTERIOR", "STEPS", "pack_flexibilities", "read_compliance", "unpack_flexibilities"]
+__all__ = [
+    "COMPLIANCE_ARRAYS",
+    "INTERIOR_LAYOUT",
+    "STEPS_LAYOUT",
+    "pack_flexibilities",
+    "read_compliance",
+    "unpack_flexibilities",
+]
 
 Arrays = Mapping[str, np.ndarray[Any, Any]]
 
-COMPLIANCE = ("nodes", "carriers", "weights", "flexibility", "nearby", "near_field", "patches", "shares", "stiffening")
+COMPLIANCE_ARRAYS = (
+    "nodes", "carriers", "weights", "flexibility", "nearby", "near_field", "patches", "shares", "stiffening",
+)  # fmt: skip
 MAX_WEIGHT, ROW_TOLERANCE = 1e3, 1e-6  # of interpolations, whose rows sum to 1
 # of the interior nodes: type, and shape in sizes that all datasets of the file share
-INTERIOR: dict[str, tuple[str, tuple[str | int, ...]]] = {
+INTERIOR_LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "interior/nodes": ("<i8", ("followers",)),
     "interior/flexibility": ("<f4", ("carriers", "moved")),
     "interior/sources": ("<i8", ("followers", "followed")),
     "interior/shares": ("<f8", ("followers", "followed")),
     "interior/factor": ("<f8", (1,)),
 }
-FLEXIBILITIES = ("compliance/flexibility", "compliance/near_field", "interior/flexibility")
-STEPS: dict[str, tuple[str, tuple[str | int, ...]]] = {"compliance/steps": ("<f8", (len(FLEXIBILITIES),))}
-OFFSET = (1 << 15) + (1 << 7)  # added to integers; those in -128..127 then have equal high bytes
+FLEXIBILITY_ARRAYS = ("compliance/flexibility", "compliance/near_field", "interior/flexibility")
+STEPS_LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {"compliance/steps": ("<f8", (len(FLEXIBILITY_ARRAYS),))}
+INTEGER_OFFSET = (1 << 15) + (1 << 7)  # added to integers; those in -128..127 then have equal high bytes
 MIN_EXPONENT = -100  # of a step; its multiples then have all digits in single precision
 
 
 def pack_flexibilities(arrays: Arrays) -> dict[str, np.ndarray[Any, Any]]:
     """Return the arrays of a file with flexibilities as integers, and their steps; 0 for those stored as they are."""
-    result, steps = dict(arrays), np.zeros(len(FLEXIBILITIES))
+    result, steps = dict(arrays), np.zeros(len(FLEXIBILITY_ARRAYS))
     result["compliance/flexibility"] = np.tril(arrays["compliance/flexibility"])
-    for k, name in enumerate(FLEXIBILITIES):
+    for k, name in enumerate(FLEXIBILITY_ARRAYS):
         if name in arrays:
             result[name], steps[k] = _pack(result[name])
     return result | {"compliance/steps": steps}
@@ -49,9 +59,13 @@ def pack_flexibilities(arrays: Arrays) -> dict[str, np.ndarray[Any, Any]]:
 
 def _pack(values: np.ndarray[Any, Any]) -> tuple[np.ndarray[Any, Any], float]:
     step = _common_step(values)
-    if not step or values.max() / step + OFFSET > np.iinfo(np.uint16).max or values.min() / step + OFFSET < 0:
+    if (
+        not step
+        or values.max() / step + INTEGER_OFFSET > np.iinfo(np.uint16).max
+        or values.min() / step + INTEGER_OFFSET < 0
+    ):
         return values, 0.0
-    return (values / np.float32(step) + OFFSET).astype("<u2"), step
+    return (values / np.float32(step) + INTEGER_OFFSET).astype("<u2"), step
 
 
 def _common_step(values: np.ndarray[Any, Any]) -> float:
@@ -77,20 +91,20 @@ def unpack_flexibilities(arrays: Arrays) -> dict[str, np.ndarray[Any, Any]]:
         Steps are not powers of two, or belong to arrays of other types.
     """
     result = dict(arrays)
-    steps = result.pop("compliance/steps", np.zeros(len(FLEXIBILITIES)))
-    if steps.shape != (len(FLEXIBILITIES),) or steps.dtype != "<f8":
+    steps = result.pop("compliance/steps", np.zeros(len(FLEXIBILITY_ARRAYS)))
+    if steps.shape != (len(FLEXIBILITY_ARRAYS),) or steps.dtype != "<f8":
         raise InputError(f"array compliance/steps has shape {steps.shape} of {steps.dtype.str}, expected (3,) of <f8")
     fractions, exponents = np.frexp(steps)
     if not np.all((steps == 0) | ((fractions == 0.5) & (exponents > MIN_EXPONENT) & (exponents < -MIN_EXPONENT))):
         raise InputError("array compliance/steps must hold powers of two, or 0 for arrays without a step")
-    for name, step in zip(FLEXIBILITIES, steps, strict=True):
+    for name, step in zip(FLEXIBILITY_ARRAYS, steps, strict=True):
         if step and name in result:
             if result[name].dtype != "<u2":
                 raise InputError(f"array {name} has values of {result[name].dtype.str} with a step, expected <u2")
-            result[name] = (result[name].astype("<f4") - np.float32(OFFSET)) * np.float32(step)
-    whole = result["compliance/flexibility"]
-    if whole.ndim == 2 and whole.shape[0] == whole.shape[1] and not np.triu(whole, 1).any():
-        result["compliance/flexibility"] = whole + np.tril(whole, -1).T
+            result[name] = (result[name].astype("<f4") - np.float32(INTEGER_OFFSET)) * np.float32(step)
+    flexibility = result["compliance/flexibility"]
+    if flexibility.ndim == 2 and flexibility.shape[0] == flexibility.shape[1] and not np.triu(flexibility, 1).any():
+        result["compliance/flexibility"] = flexibility + np.tril(flexibility, -1).T
     return result
 
 
@@ -102,8 +116,8 @@ def read_compliance(arrays: Arrays, bonded_scale: float) -> SurfaceCompliance | 
     InputError
         The arrays do not describe a compliance.
     """
-    known: dict[str, Any] = {name: arrays[f"compliance/{name}"] for name in COMPLIANCE}
-    compliance = SurfaceCompliance(**known, bonded_scale=bonded_scale)
+    values: dict[str, Any] = {name: arrays[f"compliance/{name}"] for name in COMPLIANCE_ARRAYS}
+    compliance = SurfaceCompliance(**values, bonded_scale=bonded_scale)
     if not len(compliance.nodes):
         return None
     if len(np.unique(compliance.nodes)) < len(compliance.nodes):
@@ -131,12 +145,12 @@ def read_compliance(arrays: Arrays, bonded_scale: float) -> SurfaceCompliance | 
 
 
 def _interior(arrays: Arrays, compliance: SurfaceCompliance) -> Interior:
-    nodes, flexibility, sources, shares, factor = (arrays[name] for name in INTERIOR)
+    nodes, flexibility, sources, shares, factor = (arrays[name] for name in INTERIOR_LAYOUT)
     count, more = divmod(flexibility.shape[1], 3)
     if more:
         raise InputError(f"array interior/flexibility holds {3 * count + more} columns, not 3 a node")
     carriers = len(compliance.flexibility) // 3
     if not np.all((sources >= 0) & (sources < count + carriers)):
         raise InputError(f"array interior/sources names more than {count} nodes inside and {carriers} carriers")
-    whole = number_in_range("interior/factor", float(factor[0]), 0.0, open_low=True)
-    return Interior(nodes, flexibility, sources, shares, whole)
+    interior_factor = number_in_range("interior/factor", float(factor[0]), 0.0, open_low=True)
+    return Interior(nodes, flexibility, sources, shares, interior_factor)

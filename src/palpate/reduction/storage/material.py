@@ -21,8 +21,8 @@ from palpate.tissue.volumetric import QUADRATIC
 
 __all__ = ["describe_fibres", "describe_material", "describe_regions", "fibres_of", "material_of", "regions_of"]
 
-KINDS = {law.name: law.kind for law in LAWS} | {"VolumeOnly": VolumeOnly}
-FIBRES: dict[str, Any] = {law.name: law.kind for law in FIBRE_LAWS}
+LAW_BY_NAME = {law.name: law.kind for law in LAWS} | {"VolumeOnly": VolumeOnly}
+FIBRE_LAW_BY_NAME: dict[str, Any] = {law.name: law.kind for law in FIBRE_LAWS}
 SYMBOLIC_LAW = "Hyperelastic"
 
 
@@ -35,8 +35,8 @@ def describe_material(material: Material) -> dict[str, str]:
         The material is neither one of the library's nor a symbolic law.
     """
     name, expression = type(material).__name__, getattr(material, "expression", "")
-    known = symbolic_law.law_of(expression) if name == SYMBOLIC_LAW and expression else KINDS.get(name)
-    if type(material) is not known:
+    law = symbolic_law.law_of(expression) if name == SYMBOLIC_LAW and expression else LAW_BY_NAME.get(name)
+    if type(material) is not law:
         raise InputError(f"the law of {material} is not one of palpate's: it cannot be kept in a file")
     parameters = {f.name: getattr(material, f.name) for f in fields(material) if f.name != "prony"}
     if material.volumetric == QUADRATIC:  # the default of the file
@@ -61,16 +61,16 @@ def material_of(name: Any, parameters: Any, expression: Any, prony: Any) -> Mate
     InputError
         The law is unknown, its parameters have other names, or a value is not a number in range.
     """
-    if not isinstance(name, str) or (name != SYMBOLIC_LAW and name not in KINDS):
-        raise InputError(f"unknown material {brief(name)}: the laws are {', '.join(sorted(KINDS))}")
-    law: Any = symbolic_law.law_of(expression) if name == SYMBOLIC_LAW else KINDS[name]
+    if not isinstance(name, str) or (name != SYMBOLIC_LAW and name not in LAW_BY_NAME):
+        raise InputError(f"unknown material {brief(name)}: the laws are {', '.join(sorted(LAW_BY_NAME))}")
+    law: Any = symbolic_law.law_of(expression) if name == SYMBOLIC_LAW else LAW_BY_NAME[name]
     given = _mapping("parameters", parameters)
     forms = {"volumetric": given.pop("volumetric", QUADRATIC), "split": given.pop("split", COUPLED)}
-    wanted = {field.name for field in fields(law)} - {"prony", *forms}
+    expected = {field.name for field in fields(law)} - {"prony", *forms}
     if given.get("poisson") == 0.5:
-        wanted.discard("bulk")
-    if given.keys() != wanted:
-        raise InputError(f"{name} has the parameters {sorted(wanted)}, not {brief(sorted(given))}")
+        expected.discard("bulk")
+    if given.keys() != expected:
+        raise InputError(f"{name} has the parameters {sorted(expected)}, not {brief(sorted(given))}")
     values = {key: _numbers(key, value) for key, value in given.items()}
     series = _mapping("prony", prony)
     if series.keys() - {field.name for field in fields(Prony)}:
@@ -144,10 +144,10 @@ def describe_fibres(fibres: FibreLaw | None) -> str:
     """
     if fibres is None:
         return "{}"
-    if type(fibres) is not FIBRES.get(type(fibres).__name__):
+    if type(fibres) is not FIBRE_LAW_BY_NAME.get(type(fibres).__name__):
         raise InputError(f"the law of {fibres} is not one of palpate's: it cannot be kept in a file")
-    own = {f.name: getattr(fibres, f.name) for f in fields(fibres) if f.name != "directions"}
-    return json.dumps({"law": type(fibres).__name__, **own})
+    parameters = {f.name: getattr(fibres, f.name) for f in fields(fibres) if f.name != "directions"}
+    return json.dumps({"law": type(fibres).__name__, **parameters})
 
 
 def fibres_of(value: Any, directions: NDArray[np.float64]) -> FibreLaw | None:
@@ -167,12 +167,12 @@ def fibres_of(value: Any, directions: NDArray[np.float64]) -> FibreLaw | None:
             raise InputError("there are directions of fibres, but no law of them")
         return None
     name = given.pop("law", None)
-    if not isinstance(name, str) or name not in FIBRES:
-        raise InputError(f"unknown law of fibres {brief(name)}: the laws are {', '.join(sorted(FIBRES))}")
-    law: Any = FIBRES[name]
-    wanted = {f.name for f in fields(law)} - {"directions"}
-    if given.keys() != wanted:
-        raise InputError(f"fibres of {name} have {sorted(wanted)}, not {brief(sorted(given))}")
+    if not isinstance(name, str) or name not in FIBRE_LAW_BY_NAME:
+        raise InputError(f"unknown law of fibres {brief(name)}: the laws are {', '.join(sorted(FIBRE_LAW_BY_NAME))}")
+    law: Any = FIBRE_LAW_BY_NAME[name]
+    expected = {f.name for f in fields(law)} - {"directions"}
+    if given.keys() != expected:
+        raise InputError(f"fibres of {name} have {sorted(expected)}, not {brief(sorted(given))}")
     values = {key: _number(key, value) for key, value in given.items()}
     fibres: FibreLaw = law(**values, directions=directions)
     return fibres

@@ -23,7 +23,7 @@ from palpate.reduction.hyper.model import ReducedData, ReducedModel
 from palpate.reduction.storage.body import (
     BODY_ATTRIBUTES,
     BODY_LAYOUT,
-    REGIONS,
+    REGIONS_LAYOUT,
     Arrays,
     Header,
     Layout,
@@ -38,25 +38,25 @@ from palpate.reduction.storage.body import (
     supports_in,
 )
 from palpate.reduction.storage.compliance import (
-    COMPLIANCE,
-    INTERIOR,
-    STEPS,
+    COMPLIANCE_ARRAYS,
+    INTERIOR_LAYOUT,
+    STEPS_LAYOUT,
     pack_flexibilities,
     read_compliance,
     unpack_flexibilities,
 )
 from palpate.sealed import ArrayFile, loading, open_sealed, write_sealed
 
-__all__ = ["REMEDY", "contents", "load_hyper_reduced", "model_of", "save_hyper_reduced"]
+__all__ = ["MODEL_REMEDY", "contents", "load_hyper_reduced", "model_of", "save_hyper_reduced"]
 
 FORMAT, VERSION = "palpate reduced model", 13
 OLDER_VERSIONS = (12,)  # also read
-REMEDY = "copy the file again, or train the model again"
+MODEL_REMEDY = "copy the file again, or train the model again"
 MAX_NAME_LENGTH = 200  # characters of a scene's name
 MAX_ADVICE_LENGTH = 1000  # characters
 
 # One line per dataset: its type, and its shape in sizes that all datasets share.
-LAYOUT: Layout = BODY_LAYOUT | {
+MODEL_LAYOUT: Layout = BODY_LAYOUT | {
     "volumes": ("<f8", ("nodes",)),
     "basis_vectors": ("<f4", ("basis_vectors", "nodes", 3)),
     "cubature/nodes": ("<i8", ("integration_points",)),
@@ -75,8 +75,8 @@ LAYOUT: Layout = BODY_LAYOUT | {
     "compliance/shares": ("<f8", ("touched", "patched")),
     "compliance/stiffening": ("<f8", (2,)),
 }
-CURVE = ("bound", "exponent", "largest_trust", "least_size", "least_trust", "median")  # of an expected error
-ATTRIBUTES: dict[str, type] = BODY_ATTRIBUTES | {
+CURVE_KEYS = ("bound", "exponent", "largest_trust", "least_size", "least_trust", "median")  # of an expected error
+ATTRIBUTE_TYPES: dict[str, type] = BODY_ATTRIBUTES | {
     "prescribed": list, "wave_speed": float, "modes": int, "lifting_count": int, "residual": float,
     "distance_scale": float, "report": str,
     "sheet": bool, "prestretch": float, "relaxed": bool, "taut_frequency": float,
@@ -117,7 +117,7 @@ def load_hyper_reduced(path: str | Path) -> ReducedModel:
         file and the fault.
     """
     path = Path(path)
-    with loading(path, REMEDY):
+    with loading(path, MODEL_REMEDY):
         file = open_sealed(path, FORMAT, VERSION, OLDER_VERSIONS)
         return model_of(file.header, file)
 
@@ -135,7 +135,7 @@ def contents(model: ReducedModel) -> tuple[Header, Arrays]:
     """
     data, rule = model.data, {"step": float(model.step or 0.0), "single": bool(model.single)}
     header, arrays = _header(data) | rule, _arrays(data)
-    check_header(header, ATTRIBUTES)
+    check_header(header, ATTRIBUTE_TYPES)
     _step_rule(header)
     packed = pack_flexibilities(arrays)
     if _data(header, _check_shapes(header, unpack_flexibilities(packed))).tissue.material != data.tissue.material:
@@ -168,10 +168,10 @@ def _header(data: ReducedData) -> Header:
 def _arrays(data: ReducedData) -> Arrays:
     compliance = data.compliance or NO_COMPLIANCE
     values: dict[str, Any] = body_arrays(data.cloud, data.tissue)
-    layout = LAYOUT if "regions" not in values else LAYOUT | REGIONS
-    values |= {f"compliance/{name}": getattr(compliance, name) for name in COMPLIANCE}
+    layout = MODEL_LAYOUT if "regions" not in values else MODEL_LAYOUT | REGIONS_LAYOUT
+    values |= {f"compliance/{name}": getattr(compliance, name) for name in COMPLIANCE_ARRAYS}
     if compliance.interior is not None:
-        layout = layout | INTERIOR
+        layout = layout | INTERIOR_LAYOUT
         values |= {f"interior/{name}": array for name, array in compliance.interior._asdict().items()}
         values["interior/factor"] = [compliance.interior.factor]
     return {
@@ -191,16 +191,16 @@ def model_of(header: Header, file: ArrayFile, prefix: str = "") -> ReducedModel:
     InputError
         The content is not that of a reduced model.
     """
-    check_header(header, ATTRIBUTES)
+    check_header(header, ATTRIBUTE_TYPES)
     layout = _layout(header, f"{prefix}interior/nodes" in file.arrays)
-    steps = STEPS if f"{prefix}compliance/steps" in file.arrays else {}
+    steps = STEPS_LAYOUT if f"{prefix}compliance/steps" in file.arrays else {}
     arrays = unpack_flexibilities(read_arrays(file, prefix, layout | steps))
     return ReducedModel(_data(header, _check_shapes(header, arrays)), **_step_rule(header))
 
 
 def _layout(header: Header, interior: bool) -> dict[str, tuple[str, tuple[str | int, ...]]]:
-    layout = LAYOUT if header["regions"] == "[]" else LAYOUT | REGIONS
-    return layout | INTERIOR if interior else layout
+    layout = MODEL_LAYOUT if header["regions"] == "[]" else MODEL_LAYOUT | REGIONS_LAYOUT
+    return layout | INTERIOR_LAYOUT if interior else layout
 
 
 def _check_shapes(header: Header, arrays: Arrays) -> Arrays:
@@ -222,8 +222,8 @@ def _check_shapes(header: Header, arrays: Arrays) -> Arrays:
 def _data(header: Header, arrays: Arrays) -> ReducedData:
     """Return the data of a model; refuse values out of range."""
     _check_values(arrays)
-    own: dict[str, Any] = arrays | {"basis_vectors": arrays["basis_vectors"].astype(float)}
-    cloud, tissue, supports = body_of(header, own)
+    values: dict[str, Any] = arrays | {"basis_vectors": arrays["basis_vectors"].astype(float)}
+    cloud, tissue, supports = body_of(header, values)
     if bool(header["prescribed"]) != bool(header["lifting_count"]):
         raise InputError(
             f"header lifting_count must be positive for models with prescribed groups only, got "
@@ -237,17 +237,17 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
         tissue=tissue,
         supports=supports,
         prescribed=tuple(header["prescribed"]),
-        volumes=own["volumes"],
+        volumes=values["volumes"],
         stiffness_damping=number_in_range("stiffness_damping", header["stiffness_damping"], 0.0, unit="s"),
         mass_damping=number_in_range("mass_damping", header.get("mass_damping", 0.0), 0.0, unit="1/s"),
         wave_speed=number_in_range("wave_speed", header["wave_speed"], 0.0, unit="m/s"),
-        basis_vectors=own["basis_vectors"],
+        basis_vectors=values["basis_vectors"],
         modes=header["modes"],
         lifting_count=header["lifting_count"],
-        cubature=Cubature(own["cubature/nodes"], own["cubature/weights"], own["cubature/pressure"], residual),
-        gradients=own["gradients"],
-        constant=own["constant"],
-        training_states=own["training_states"],
+        cubature=Cubature(values["cubature/nodes"], values["cubature/weights"], values["cubature/pressure"], residual),
+        gradients=values["gradients"],
+        constant=values["constant"],
+        training_states=values["training_states"],
         distance_scale=number_in_range("distance_scale", header["distance_scale"], 0.0, open_low=True, unit="m"),
         residual_fields=header["residual_fields"],
         residual_scale=number_in_range("residual_scale", header["residual_scale"], 0.0, open_low=True, unit="m"),
@@ -260,7 +260,7 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
             header["sheet"], number_in_range("prestretch", header["prestretch"], 1.0), header["relaxed"]
         ),
         taut_frequency=number_in_range("taut_frequency", header["taut_frequency"], 0.0, unit="rad/s"),
-        compliance=read_compliance(own, number_in_range("bonded_scale", header["bonded_scale"], 0.0, open_low=True)),
+        compliance=read_compliance(values, number_in_range("bonded_scale", header["bonded_scale"], 0.0, open_low=True)),
     )
 
 
@@ -289,11 +289,11 @@ def _check_curves(curves: Any) -> None:
     if not isinstance(curves, dict) or not {"level"} < curves.keys() <= {"level", "displacement", "force"}:
         raise InputError("header report holds expected errors without level and displacement")
     number_in_range("level", curves["level"], 0.0, 1.0)
-    for of in curves.keys() - {"level"}:
-        if not isinstance(curves[of], dict) or curves[of].keys() != {*CURVE}:
-            raise InputError(f"header report holds an expected error of the {of} without {', '.join(CURVE)}")
-        for name in CURVE:
-            number_in_range(name, curves[of][name], 0.0)
+    for quantity in curves.keys() - {"level"}:
+        if not isinstance(curves[quantity], dict) or curves[quantity].keys() != {*CURVE_KEYS}:
+            raise InputError(f"header report holds an expected error of the {quantity} without {', '.join(CURVE_KEYS)}")
+        for name in CURVE_KEYS:
+            number_in_range(name, curves[quantity][name], 0.0)
 
 
 def _step_rule(header: Header) -> Header:

@@ -35,6 +35,8 @@ def save(model: ReducedModel | LinearModel, path: str | Path) -> None:
 
     Examples
     --------
+    >>> import tempfile
+    >>> from pathlib import Path
     >>> import palpate as pt
     >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
     >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
@@ -42,8 +44,6 @@ def save(model: ReducedModel | LinearModel, path: str | Path) -> None:
     >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
     >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
     >>> model = pt.hyper_reduce(bar, full, modes=4)
-    >>> import tempfile
-    >>> from pathlib import Path
     >>> path = Path(tempfile.mkdtemp()) / "bar.rom"
     >>> pt.save(model, path)
     >>> pt.load(path).count == model.count
@@ -74,6 +74,10 @@ def load(path: str | Path, system: LinearSystem | None = None) -> ReducedModel |
     system : LinearSystem, optional
         The linearised body. The file of a linear model stores its reduced equations only.
 
+    Returns
+    -------
+    ReducedModel or LinearModel
+
     Raises
     ------
     FileNotFoundError
@@ -86,6 +90,8 @@ def load(path: str | Path, system: LinearSystem | None = None) -> ReducedModel |
 
     Examples
     --------
+    >>> import tempfile
+    >>> from pathlib import Path
     >>> import palpate as pt
     >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
     >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
@@ -93,8 +99,6 @@ def load(path: str | Path, system: LinearSystem | None = None) -> ReducedModel |
     >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
     >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
     >>> model = pt.hyper_reduce(bar, full, modes=4)
-    >>> import tempfile
-    >>> from pathlib import Path
     >>> path = Path(tempfile.mkdtemp()) / "bar.rom"
     >>> pt.save(model, path)
     >>> pt.rollout(pt.load(path), [pull], duration=0.01, every=0.005).model

@@ -8,7 +8,7 @@ from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.body import (
     BODY_ATTRIBUTES,
     BODY_LAYOUT,
-    REGIONS,
+    REGIONS_LAYOUT,
     Arrays,
     Header,
     body_arrays,
@@ -58,7 +58,7 @@ def body_in(header: Header, file: ArrayFile, prefix: str) -> ReducedModel | Ener
     if "neighbours" not in header:
         return model_of(header, file, prefix)
     check_header(header, SOLID_ATTRIBUTES)
-    layout = BODY_LAYOUT if header["regions"] == "[]" else BODY_LAYOUT | REGIONS
+    layout = BODY_LAYOUT if header["regions"] == "[]" else BODY_LAYOUT | REGIONS_LAYOUT
     arrays = read_arrays(file, prefix, layout)
     check_shapes(arrays, layout, {"space": 3, "groups": len(header["groups"])})
     check_values(arrays)

@@ -1,4 +1,4 @@
-"""What to change about a reduced model whose errors on held-out runs are too large to use it."""
+"""Advice for a reduced model with large errors on held-out runs."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ def advice(report: Mapping[str, Any]) -> str | None:
     report : mapping
         Of a reduced model, with its held-out errors.
     """
-    found = report["held_out"]
-    touched = "contact" in found
+    held_out = report["held_out"]
+    touched = "contact" in held_out
     names = {"force": "force", "surface_95": "surface"}
     if not touched:
         names = {"displacement": "displacement", "reaction": "reaction"}
-    mean = found["contact"]["mean"] if touched else found["mean"]
-    failed, runs = sum(run["failed"] for run in found["runs"]), len(found["runs"])
+    mean = held_out["contact"]["mean"] if touched else held_out["mean"]
+    failed, runs = sum(run["failed"] for run in held_out["runs"]), len(held_out["runs"])
     largest = max(mean[name] for name in names)
     if not failed and largest <= MAX_ERROR:
         return None
@@ -45,9 +45,9 @@ def advice(report: Mapping[str, Any]) -> str | None:
 
 def _changes(report: Mapping[str, Any], error: float) -> list[str]:
     """Return changes by the projection errors of training and held-out runs on the modes."""
-    known, unseen = report["projection_error"], report["held_out"]["projection_error"]
-    missed = f"(modes miss {unseen:.0%} of the held-out runs, {known:.0%} of the training runs)"
-    if unseen > max(UNSEEN_RATIO * known, LARGE_SHARE * error):
+    trained, unseen = report["projection_error"], report["held_out"]["projection_error"]
+    missed = f"(modes miss {unseen:.0%} of the held-out runs, {trained:.0%} of the training runs)"
+    if unseen > max(UNSEEN_RATIO * trained, LARGE_SHARE * error):
         return [f"use more paths than {report['training_runs']} {missed}"]
     return [f"use more modes than {report['modes']} {missed}"]
 

@@ -58,24 +58,24 @@ def calibrate_contact(model: ReducedModel, repeated: Sequence[Trial]) -> tuple[R
     InputError
         A run has no contact, in the full or in the reduced model.
     """
-    compliance, whole, ratios = model.data.compliance, 1.0, []
+    compliance, total_factor, ratios = model.data.compliance, 1.0, []
     assert compliance is not None
     whole_runs = [_FullForces(*trial) for trial in repeated]
     for number in range(FORCE_PASSES + 1):
         model = ReducedModel(replace(model.data, compliance=compliance))
-        found = in_threads(partial(_force_sizes, model), whole_runs)
-        ratios.append(float(np.median([mine.sum() / theirs.sum() for mine, theirs in found])))
+        sizes_by_run = in_threads(partial(_force_sizes, model), whole_runs)
+        ratios.append(float(np.median([mine.sum() / theirs.sum() for mine, theirs in sizes_by_run])))
         if number < FORCE_PASSES:
-            held = np.array([any(isinstance(load, Grasp) for load in loads) for loads, _ in repeated])
+            are_grasps = np.array([any(isinstance(load, Grasp) for load in loads) for loads, _ in repeated])
             bonded_scale, factor, stiffening = compliance.bonded_scale, 1.0, compliance.stiffening
-            if held.any():
-                bonded_scale *= _scale([sizes for sizes, own in zip(found, held, strict=True) if own])
-            if not held.all():
-                presses = [sizes for sizes, own in zip(found, held, strict=True) if not own]
+            if are_grasps.any():
+                bonded_scale *= _scale([sizes for sizes, grasp in zip(sizes_by_run, are_grasps, strict=True) if grasp])
+            if not are_grasps.all():
+                presses = [sizes for sizes, grasp in zip(sizes_by_run, are_grasps, strict=True) if not grasp]
                 factor, stiffening = _correction(compliance, np.concatenate(presses, axis=1))
-            whole *= factor
+            total_factor *= factor
             compliance = compliance.scaled(factor)._replace(stiffening=stiffening, bonded_scale=bonded_scale / factor)
-    return model, {"force_factor": whole, "force_ratios": ratios}
+    return model, {"force_factor": total_factor, "force_ratios": ratios}
 
 
 def _scale(sizes: Sequence[Floats]) -> float:
@@ -91,8 +91,8 @@ def _correction(compliance: SurfaceCompliance, sizes: Floats) -> tuple[float, Fl
     little influence.
     """
     mine, theirs = sizes
-    wanted = secant_factor(compliance.stiffening, theirs) * (mine / theirs) ** FORCE_STEP
-    return fit_stiffening(theirs, wanted, np.ones(len(theirs)), FORCE_SPREAD)
+    factors = secant_factor(compliance.stiffening, theirs) * (mine / theirs) ** FORCE_STEP
+    return fit_stiffening(theirs, factors, np.ones(len(theirs)), FORCE_SPREAD)
 
 
 class _FullForces:
@@ -108,7 +108,9 @@ class _FullForces:
 
 def _sizes(names: Sequence[str], forces: Sequence[Mapping[str, Floats]]) -> Floats:
     """Return the sum over tools of the magnitudes of their forces, whose last axis has 3 components."""
-    return np.concatenate([np.atleast_1d(sum(np.linalg.norm(of[name], axis=-1) for name in names)) for of in forces])
+    return np.concatenate(
+        [np.atleast_1d(sum(np.linalg.norm(frame[name], axis=-1) for name in names)) for frame in forces]
+    )
 
 
 def _force_sizes(model: ReducedModel, run: _FullForces) -> Floats:
@@ -116,8 +118,8 @@ def _force_sizes(model: ReducedModel, run: _FullForces) -> Floats:
     prepared, work = model.prepare(run.loads), model.workspace()
     states = frame_states(model, model.state(prepared), prepared, len(run.sizes) - 1, run.every, None, work)
     with np.errstate(all="ignore"):  # non-finite values raise errors that name them
-        own = [contact_outputs(state, prepared)[0] for state, _, _ in states]
-    sizes = np.array([[0.0, *_sizes(run.names, own)], run.sizes])
+        contact_forces = [contact_outputs(state, prepared)[0] for state, _, _ in states]
+    sizes = np.array([[0.0, *_sizes(run.names, contact_forces)], run.sizes])
     if not 0.0 < sizes[0].sum() < np.inf:
         raise InputError("repeated must be runs with contact on the reduced body, got one without; give more modes")
     return np.asarray(sizes[:, (sizes[1] > MIN_FORCE * sizes[1].max()) & (sizes[0] > 0)])

@@ -29,7 +29,7 @@ from palpate.reduction.hyper.reactions import constraint_forces
 __all__ = ["Frames", "Measures", "Scales", "calibrate_scales", "error_curves", "held_out_frames", "trust_numbers"]
 
 
-LEVEL = 0.95  # probability that a run keeps the bound
+BOUND_PROBABILITY = 0.95  # probability that a run keeps the bound
 REPEAT_MARGIN = 1.001  # a margin, by which the trust number of a held-out run stays below 1 when it is repeated
 MIN_RELATIVE_SIZE = 0.2  # size in relative errors, over the median of the runs' largest sizes
 SMALL_SHARE = 0.1  # of the frames, whose trust numbers and errors are too small to count
@@ -84,15 +84,15 @@ class Scales(NamedTuple):
     flexibility_scale: float
 
 
-def held_out_frames(model: ReducedModel, loads: Sequence[Load], own: Trajectory, full: Trajectory) -> Frames:
+def held_out_frames(model: ReducedModel, loads: Sequence[Load], run: Trajectory, full: Trajectory) -> Frames:
     """Return measures and errors of all frames of a reduced model's run."""
     prepared, weights = model.prepare(loads), model.masses / model.masses.sum()
-    contact_forces = [contact_at_frame(own, k, len(model.cloud)) for k in range(len(own.times))]
-    moved, energies = zip(*(_contact_displacements(model, own, k) for k in range(len(own.times))), strict=True)
-    coordinates, velocities = model.body.project(own.displacements - moved), model.body.project(own.velocities)
+    contact_forces = [contact_at_frame(run, k, len(model.cloud)) for k in range(len(run.times))]
+    moved, energies = zip(*(_contact_displacements(model, run, k) for k in range(len(run.times))), strict=True)
+    coordinates, velocities = model.body.project(run.displacements - moved), model.body.project(run.velocities)
     states: list[State] = []
     work = model.workspace()
-    for a, v, time in zip(coordinates, velocities, own.times.tolist(), strict=True):
+    for a, v, time in zip(coordinates, velocities, run.times.tolist(), strict=True):
         last = states[-1] if states else None
         history = (
             model.body.history_after(a, last.history, time - last.time, work)
@@ -106,24 +106,24 @@ def held_out_frames(model: ReducedModel, loads: Sequence[Load], own: Trajectory,
         np.array([model.load_share(state, prepared) for state in states]),
         np.array(energies),
     )
-    missed = np.einsum("tnc,n->t", (own.displacements - full.displacements) ** 2, weights)
-    errors, sizes = {"displacement": np.sqrt(missed)}, {"displacement": rms_sizes(model.data, own)}
-    tools = [name for name in tools_of(model.data, own) if name in full.reactions]
+    missed = np.einsum("tnc,n->t", (run.displacements - full.displacements) ** 2, weights)
+    errors, sizes = {"displacement": np.sqrt(missed)}, {"displacement": rms_sizes(model.data, run)}
+    tools = [name for name in tools_of(model.data, run) if name in full.reactions]
     if tools:
-        missed = [np.linalg.norm(own.reactions[name] - full.reactions[name], axis=1) for name in tools]
-        errors["force"], sizes["force"] = np.max(missed, axis=0), force_sizes(model.data, own)
-    return Frames(measures, errors, {of: np.maximum.accumulate(values) for of, values in sizes.items()})
+        missed = [np.linalg.norm(run.reactions[name] - full.reactions[name], axis=1) for name in tools]
+        errors["force"], sizes["force"] = np.max(missed, axis=0), force_sizes(model.data, run)
+    return Frames(measures, errors, {quantity: np.maximum.accumulate(values) for quantity, values in sizes.items()})
 
 
-def _contact_displacements(model: ReducedModel, own: Trajectory, frame: int) -> tuple[Floats, float]:
+def _contact_displacements(model: ReducedModel, run: Trajectory, frame: int) -> tuple[Floats, float]:
     """Return displacements (n, 3) [m] and energy [J] of the surface compliance by the stored forces of a frame."""
-    known, of_frame = model.data.compliance, own.contact_forces[:, 0] == frame
-    if known is None or not of_frame.any():
+    compliance, of_frame = model.data.compliance, run.contact_forces[:, 0] == frame
+    if compliance is None or not of_frame.any():
         return np.zeros((len(model.cloud), 3)), 0.0
-    rows, bonded = own.contact_forces[of_frame], own.bonded[of_frame]
+    rows, bonded = run.contact_forces[of_frame], run.bonded[of_frame]
     pushes = np.zeros((2, len(model.cloud), 3))
     pushes[bonded.astype(int), rows[:, 1].astype(int)] = rows[:, 2:]
-    return contact_displacements(known, model.cloud.points, pushes[:, known.nodes], [False, True])
+    return contact_displacements(compliance, model.cloud.points, pushes[:, compliance.nodes], [False, True])
 
 
 def calibrate_scales(runs: Sequence[Measures], share: float) -> Scales:
@@ -132,8 +132,8 @@ def calibrate_scales(runs: Sequence[Measures], share: float) -> Scales:
     With these scales the trust number is at most 1 in all frames of a given share of the runs, unless the
     scale of the load shares would be above `MAX_LOAD_SCALE`.
     """
-    found = [_run_quantile([values.max(initial=0.0) for values in each], share) for each in zip(*runs, strict=True)]
-    scales = Scales(*(max(value, 1e-300) for value in found))
+    quantiles = [_run_quantile([values.max(initial=0.0) for values in each], share) for each in zip(*runs, strict=True)]
+    scales = Scales(*(max(value, 1e-300) for value in quantiles))
     scales = scales._replace(load_scale=max(scales.load_scale, MIN_LOAD_SCALE))
     wider = max(_run_quantile([float(trust_numbers(run, scales).max()) for run in runs], share), 1.0)
     wider *= REPEAT_MARGIN
@@ -169,14 +169,14 @@ def error_curves(runs: Sequence[Frames], scales: Scales) -> dict[str, Any]:
         relative to that.
     """
     worst = [np.maximum.accumulate(trust_numbers(run.measures, scales)) for run in runs]
-    k = min(int(np.ceil(LEVEL * (len(runs) + 1))), len(runs))
-    result: dict[str, Any] = {"level": min(LEVEL, k / (len(runs) + 1))}
-    for of in runs[0].errors:
-        least = max(MIN_RELATIVE_SIZE * float(np.median([run.sizes[of][-1] for run in runs])), 1e-300)
-        relative = [run.errors[of] / np.maximum(run.sizes[of], least) for run in runs]
+    k = min(int(np.ceil(BOUND_PROBABILITY * (len(runs) + 1))), len(runs))
+    result: dict[str, Any] = {"level": min(BOUND_PROBABILITY, k / (len(runs) + 1))}
+    for quantity in runs[0].errors:
+        least = max(MIN_RELATIVE_SIZE * float(np.median([run.sizes[quantity][-1] for run in runs])), 1e-300)
+        relative = [run.errors[quantity] / np.maximum(run.sizes[quantity], least) for run in runs]
         curve = _power_law(worst, relative)
-        ratios = np.concatenate([own / curve.at(trust) for own, trust in zip(relative, worst, strict=True)])
-        result[of] = {
+        ratios = np.concatenate([errors / curve.at(trust) for errors, trust in zip(relative, worst, strict=True)])
+        result[quantity] = {
             "least_size": least,
             "least_trust": curve.least_trust,
             "largest_trust": REPEAT_MARGIN**2 * curve.largest_trust,  # at least 1
@@ -219,14 +219,14 @@ def _power_law(worst: Sequence[Floats], errors: Sequence[Floats]) -> _PowerLaw:
     worst, errors : sequences of (f,) arrays
         Largest trust number so far and relative error of every run, frame by frame.
     """
-    trust, found = np.concatenate(list(worst)), np.concatenate(list(errors))
+    trust, missed = np.concatenate(list(worst)), np.concatenate(list(errors))
     largest = float(trust.max())
     least = max(float(np.quantile(trust, SMALL_SHARE)), MIN_TRUST * largest, 1e-300)
-    counted = found > 0
+    counted = missed > 0
     if not counted.any():  # exact, such as bodies at rest
         return _PowerLaw(MIN_ERROR, 0.0, least, largest)
     x = np.log(np.maximum(trust[counted], least))
-    y = np.log(np.maximum(found[counted], max(float(np.quantile(found[counted], SMALL_SHARE)), MIN_ERROR)))
+    y = np.log(np.maximum(missed[counted], max(float(np.quantile(missed[counted], SMALL_SHARE)), MIN_ERROR)))
     spread = float(np.sum((x - x.mean()) ** 2))
     slope = float(np.sum((x - x.mean()) * (y - y.mean()))) / spread if spread > 0 else 0.0
     exponent = float(np.clip(slope, 0.0, MAX_EXPONENT))

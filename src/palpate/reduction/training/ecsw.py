@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats
 from palpate.dynamics.membrane.model import Membrane
-from palpate.dynamics.membrane.passes import COSINE, SINE
+from palpate.dynamics.membrane.passes import POINT_COSINES, POINT_SINES
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.reduction.basis.snapshots import Snapshots
@@ -27,11 +27,11 @@ __all__ = ["Fields", "choose_integration_points", "compliance_root", "deformatio
 
 
 PRESSURE_STATES = 240  # training states for the pressure modes
-BALANCED = 1e-9  # relative size of a sum of forces that counts as zero, as in a taut sheet at rest
+BALANCED_SHARE = 1e-9  # relative size of a sum of forces that counts as zero, as in a taut sheet at rest
 REACTION_WEIGHT = 0.1  # of the forces on tools and supports, relative to those on all coordinates
 MAX_ROWS, MAX_ENTRIES = 12_000, 150_000_000  # of the least-squares problem for the weights; more rows are sketched
 SLOPE_STATES = 60  # training states for the fit of the moments' slopes
-BLOCK = 4096  # nodes per block
+BLOCK_NODES = 4096  # nodes per block
 NO_VECTORS = slice(0, 0)
 MIN_SIZE = 1e-3  # of the largest pressure, below which a state has reduced weight
 RIGID_BODY_SHIFT = 1e-12  # least squared frequency, relative to the highest, for bodies without supports
@@ -88,12 +88,12 @@ def differentiate(body: EnergySolid | Membrane, columns: Floats, even: slice = N
 def _differentiate_sheet(body: Membrane, columns: Floats) -> Fields:
     """Return basis vectors with their derivatives at six points per node; the third entry of every row is 0."""
     n, count = len(body.cloud), len(columns)
-    points = len(COSINE)
+    points = len(POINT_COSINES)
     gradients = np.zeros((points, n, count, 3, 3), dtype=_precision(points * n, count))
     for m, by_node in enumerate(_by_node(body, columns, 15)):
         first, second = by_node[:, :6].reshape(n, 3, 2), by_node[:, 6:].reshape(n, 3, 3)
         for q in range(points):
-            x, y = (body.body.radius[:, None] * turn for turn in (COSINE[q], SINE[q]))
+            x, y = (body.body.radius[:, None] * turn for turn in (POINT_COSINES[q], POINT_SINES[q]))
             gradients[q, :, m, :, 0] = first[:, :, 0] + second[:, :, 0] * x + second[:, :, 2] * y
             gradients[q, :, m, :, 1] = first[:, :, 1] + second[:, :, 2] * x + second[:, :, 1] * y
     nodes = np.tile(np.arange(n), points)
@@ -140,15 +140,16 @@ def choose_integration_points(
     count = len(mass)
     root = compliance_root(body, fields, count, moments, mass)
     if share == 0.0:
-        whole = moments if len(moments) else np.zeros((0, len(fields.nodes)))  # a membrane has several points per node
-        return np.arange(len(fields.nodes)), Cubature(fields.nodes, fields.volumes, whole, 0.0)
+        if not len(moments):  # a membrane has several points per node
+            moments = np.zeros((0, len(fields.nodes)))
+        return np.arange(len(fields.nodes)), Cubature(fields.nodes, fields.volumes, moments, 0.0)
     rows = _rows(body, fields, modes, states, root, np.random.default_rng(seed))
     multiples, residual = sparse_nnls(rows, rows.sum(axis=1), share)
     chosen = np.flatnonzero(multiples > 0)
-    own = fields.gradients[:, :count]
+    gradients = fields.gradients[:, :count]
     pressure = np.zeros((0, len(chosen)))
     if len(moments):
-        pressure = _pressure(body.material, own, states, moments, chosen, root)
+        pressure = _pressure(body.material, gradients, states, moments, chosen, root)
     return chosen, Cubature(fields.nodes[chosen], multiples[chosen] * fields.volumes[chosen], pressure, residual)
 
 
@@ -174,15 +175,15 @@ def _rows(
         weighted = sketch(most, count, generator) @ root @ work[:count]
         for rows, into in ((weighted, weighted_forces), (work[modes:], reactions)):
             size = float(np.linalg.norm(rows.sum(axis=1)))
-            if size > BALANCED * float(np.linalg.norm(rows, axis=0).sum()):
+            if size > BALANCED_SHARE * float(np.linalg.norm(rows, axis=0).sum()):
                 into.append(rows / np.sqrt(size))
-    whole = [np.concatenate(rows) for rows in (weighted_forces, reactions) if rows]
-    if not whole:
+    blocks = [np.concatenate(rows) for rows in (weighted_forces, reactions) if rows]
+    if not blocks:
         raise InputError("trajectories must deform the body, got rest or rigid motions only; train on other runs")
-    sizes = [float(np.linalg.norm(rows.sum(axis=1))) for rows in whole]
-    if len(whole) == 2:
-        whole[1] *= REACTION_WEIGHT * sizes[0] / sizes[1]
-    return np.concatenate(whole)
+    sizes = [float(np.linalg.norm(rows.sum(axis=1))) for rows in blocks]
+    if len(blocks) == 2:
+        blocks[1] *= REACTION_WEIGHT * sizes[0] / sizes[1]
+    return np.concatenate(blocks)
 
 
 def deformation(gradients: Floats, state: Floats) -> tuple[Floats, Floats, Floats]:
@@ -233,14 +234,14 @@ def compliance_root(body: EnergySolid | Membrane, fields: Fields, count: int, mo
 
     For a membrane it is that of the taut state.
     """
-    stiffness, own = fields.constant[:count, :count].copy(), fields.gradients[:, :count]
+    stiffness, gradients = fields.constant[:count, :count].copy(), fields.gradients[:, :count]
     shear, second = np.full(len(body.cloud), body.material.shear_modulus), np.zeros(len(body.cloud))
     if isinstance(body, EnergySolid):
         shear = body.tissue.moduli("shear_modulus")
         second = body.tissue.moduli("shear_share") - 2 / 3 * shear
-    for start in range(0, len(own), BLOCK):
-        block = own[start : start + BLOCK].astype(float).reshape(-1, count, 3, 3)
-        roots, nodes = np.sqrt(fields.volumes[start : start + BLOCK]), fields.nodes[start : start + BLOCK]
+    for start in range(0, len(gradients), BLOCK_NODES):
+        block = gradients[start : start + BLOCK_NODES].astype(float).reshape(-1, count, 3, 3)
+        roots, nodes = np.sqrt(fields.volumes[start : start + BLOCK_NODES]), fields.nodes[start : start + BLOCK_NODES]
         # tension resists every slope of a sheet, not only strain
         strain = 2 * block if isinstance(body, Membrane) else block + np.swapaxes(block, 2, 3)
         rows = (strain.reshape(-1, count, 9) * roots[:, None, None]).transpose(0, 2, 1).reshape(-1, count)
@@ -248,7 +249,7 @@ def compliance_root(body: EnergySolid | Membrane, fields: Fields, count: int, mo
         stiffness += 0.5 * rows.T @ (np.repeat(shear[nodes], 9)[:, None] * rows)
         stiffness += slopes.T @ (second[nodes, None] * slopes)
     if len(moments):
-        slopes = moments @ (own[:, :, 0] + own[:, :, 4] + own[:, :, 8])
+        slopes = moments @ (gradients[:, :, 0] + gradients[:, :, 4] + gradients[:, :, 8])
         stiffness += slopes.T @ slopes
     values, vectors = scipy.linalg.eigh(0.5 * (stiffness + stiffness.T), mass)
     return np.asarray((vectors / np.sqrt(np.maximum(values, RIGID_BODY_SHIFT * np.abs(values).max()))).T)
@@ -258,7 +259,7 @@ def _pressure(
     material: Material, gradients: Floats, states: Floats, moments: Floats, nodes: NDArray[np.int64], root: Floats
 ) -> Floats:
     """Fit the coefficients (k, s) of the sampled dilatations to the moments and their slopes."""
-    sampled, whole, stiff = [], [], np.linalg.inv(root).T
+    sampled, summed, stiff = [], [], np.linalg.inv(root).T
     for state in (np.zeros(states.shape[1]), *states[:: max(1, len(states) // SLOPE_STATES)]):
         _, cofactor, J = deformation(gradients, state)
         volume, rise = volume_measure(material, J - 1)
@@ -267,5 +268,5 @@ def _pressure(
         value = volume[:, None] / max(float(np.linalg.norm(stiff @ state)), 1e-300)
         both = np.hstack([slope, value if state.any() else 0 * value])
         sampled.append(both[nodes])
-        whole.append(moments @ both)
-    return fit_moments(np.hstack(sampled), np.hstack(whole))
+        summed.append(moments @ both)
+    return fit_moments(np.hstack(sampled), np.hstack(summed))

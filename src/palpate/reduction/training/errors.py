@@ -67,6 +67,16 @@ class Errors(_Named):
 def relative_errors(full: Trajectory, other: Trajectory) -> Errors:
     """Return the errors of a run against a reference at the same times.
 
+    Parameters
+    ----------
+    full : Trajectory
+        The reference.
+    other : Trajectory
+
+    Returns
+    -------
+    Errors
+
     Raises
     ------
     InputError
@@ -157,10 +167,10 @@ def contact_errors(
     )
 
 
-def _relative(expected: Floats, found: Floats) -> float:
+def _relative(expected: Floats, actual: Floats) -> float:
     size = np.linalg.norm(expected, axis=2).sum(axis=1)
     moving = size > 1e-12 * size.max()
     if not moving.any():
         return 0.0
-    difference = np.linalg.norm(found - expected, axis=2).sum(axis=1)
+    difference = np.linalg.norm(actual - expected, axis=2).sum(axis=1)
     return float(np.mean(difference[moving] / size[moving]))

@@ -77,8 +77,8 @@ def fit_compliance(
         no supports, or belongs to another body.
     """
     cloud = model.cloud
-    ends, wanted = (np.array([c.points.min(axis=0), c.points.max(axis=0)]) for c in (statics.cloud, cloud))
-    if np.abs(ends - wanted).max() > statics.cloud.spacing:
+    ends, corners = (np.array([c.points.min(axis=0), c.points.max(axis=0)]) for c in (statics.cloud, cloud))
+    if np.abs(ends - corners).max() > statics.cloud.spacing:
         raise InputError(
             "coarse must have the bounds of the body, got other points; give a coarser model of the same body"
         )
@@ -90,10 +90,10 @@ def fit_compliance(
         )
     coarse_nodes = _free_surface(statics.cloud, statics.fixed)
     interior_nodes, coarse_interior = _free_interior(cloud, model.fixed), _free_interior(statics.cloud, statics.fixed)
-    known = residual_flexibility(
+    rows = residual_flexibility(
         statics, coarse_nodes, cloud.points, model.data.basis_vectors[: model.count], coarse_interior
     )
-    flexibility, interior_rows = np.split(known, [3 * len(coarse_nodes)])
+    flexibility, interior_rows = np.split(rows, [3 * len(coarse_nodes)])
     places, weights = carriers(statics.cloud, coarse_nodes, cloud, nodes)
     nearby, near_field = np.zeros((len(nodes), 0), dtype=np.int64), np.zeros((len(nodes), 0, 3, 3), dtype=np.float32)
     if statics.cloud is not cloud:
@@ -149,7 +149,7 @@ def _frames(model: ReducedModel, snapshots: Snapshots, nodes: NDArray[np.int64])
     cloud, place = model.cloud, np.full(len(model.cloud), -1)
     place[nodes] = np.arange(len(nodes))
     total = sum(len(np.unique(run.contact_forces[:, 0])) for run in snapshots.runs)
-    every, found = max(1, total // MAX_FRAMES), []
+    every, frames = max(1, total // MAX_FRAMES), []
     for run in snapshots.runs:
         moments = np.unique(run.contact_forces[:, 0].astype(int))[::every]
         moments = moments[moments + 1 < len(run.times)]
@@ -165,8 +165,8 @@ def _frames(model: ReducedModel, snapshots: Snapshots, nodes: NDArray[np.int64])
             missed = run.displacements[frame] - np.tensordot(
                 coordinates[frame], model.data.basis_vectors[: model.count], 1
             )
-            found.append(_Frame(on, forces[on], bool(bonded[on].all()), np.flatnonzero(around), missed[nodes[around]]))
-    return found
+            frames.append(_Frame(on, forces[on], bool(bonded[on].all()), np.flatnonzero(around), missed[nodes[around]]))
+    return frames
 
 
 def _forces_at(run: Any, frame: int, place: Ints, count: int) -> tuple[Floats, NDArray[np.bool_]]:
@@ -191,21 +191,21 @@ def _fit_factors(
     here = [np.searchsorted(frame.near, frame.on) for frame in frames]
     size = np.array([np.linalg.norm(frame.forces.sum(axis=0)) for frame in frames])
     depth = np.array([np.sum(f.forces * f.missed[h]) for f, h in zip(frames, here, strict=True)])
-    linear = np.array([np.sum(f.forces * own[h]) for f, own, h in zip(frames, fields, here, strict=True)])
+    linear = np.array([np.sum(f.forces * field[h]) for f, field, h in zip(frames, fields, here, strict=True)])
     bonded, factor, stiffening = np.array([frame.bonded for frame in frames]), 1.0, np.array([0.0, 1.0])
     if not bonded.all():
         factor, stiffening = fit_stiffening(size[~bonded], depth[~bonded], linear[~bonded])
     bonded_scale = float(depth[bonded].sum() / linear[bonded].sum()) if bonded.any() else factor
     if not bonded_scale > 0:
         raise InputError(NO_RESIDUAL)
-    left = whole = 0.0
+    left = total = 0.0
     factors = np.where(bonded, bonded_scale, factor * secant_factor(stiffening, size))
-    for frame, own, secant in zip(frames, fields, factors, strict=True):
+    for frame, field, secant in zip(frames, fields, factors, strict=True):
         at = points[compliance.nodes[frame.near]]
-        missed, residual = _without_affine(at, np.array([frame.missed, frame.missed - secant * own]))
-        whole, left = whole + float(np.sum(missed**2)), left + float(np.sum(residual**2))
+        missed, residual = _without_affine(at, np.array([frame.missed, frame.missed - secant * field]))
+        total, left = total + float(np.sum(missed**2)), left + float(np.sum(residual**2))
     scaled = compliance._replace(stiffening=stiffening, bonded_scale=bonded_scale / factor).scaled(factor)
-    return scaled, 1.0 - left / whole, 0.5 * float(np.max(factors * linear))
+    return scaled, 1.0 - left / total, 0.5 * float(np.max(factors * linear))
 
 
 def fit_stiffening(size: Floats, depth: Floats, linear: Floats, spread: float = RATIO_SPREAD) -> tuple[float, Floats]:
@@ -230,12 +230,12 @@ def fit_stiffening(size: Floats, depth: Floats, linear: Floats, spread: float = 
     use = (size > MIN_FORCE * largest) & (depth > 0) & (linear > 0)
     if not use.any():
         raise InputError(NO_RESIDUAL)
-    wanted, weight = np.log(depth[use] / linear[use]), np.sqrt(size[use] / largest)
+    log_ratio, weight = np.log(depth[use] / linear[use]), np.sqrt(size[use] / largest)
 
     def missed(at: Floats) -> Floats:
-        return np.asarray(weight * (at[0] - at[1] * np.log1p(size[use] / (largest * np.exp(at[2]))) - wanted))
+        return np.asarray(weight * (at[0] - at[1] * np.log1p(size[use] / (largest * np.exp(at[2]))) - log_ratio))
 
-    start = np.array([float(np.median(wanted)), 0.1, 0.0])
+    start = np.array([float(np.median(log_ratio)), 0.1, 0.0])
     bounds = ([-np.inf, 0.0, np.log(0.1)], [np.inf, MAX_EXPONENT, np.log(10.0)])
     at = least_squares(missed, start, bounds=bounds, loss="soft_l1", f_scale=spread).x
     return float(np.exp(at[0])), np.array([at[1], largest * np.exp(at[2])])
@@ -262,7 +262,7 @@ def _follow_run(model: ReducedModel, run: Any) -> Floats:
     prepared, columns, work = model.prepare(()), model.data.basis_vectors[: model.count], model.workspace()
     rest_step, _ = model.stable_step(model.state(prepared), prepared, work)
     state = model.state(prepared, run.displacements[0], time=float(run.times[0]))
-    found, start = [state.coordinates], np.searchsorted(run.contact_forces[:, 0], np.arange(len(run.times) + 1))
+    coordinates, start = [state.coordinates], np.searchsorted(run.contact_forces[:, 0], np.arange(len(run.times) + 1))
     for frame in range(1, len(run.times)):
         contact_forces = run.contact_forces[start[frame] : start[frame + 1]]
         forces = np.einsum("mkc,kc->m", columns[:, contact_forces[:, 1].astype(int)], contact_forces[:, 2:])
@@ -280,5 +280,5 @@ def _follow_run(model: ReducedModel, run: Any) -> Floats:
             )
         steps = int(np.ceil(required * (1 - 1e-9)))
         state, _ = model.advance(state, prepared, interval / steps, steps, work, forces)
-        found.append(state.coordinates)
-    return np.array(found)
+        coordinates.append(state.coordinates)
+    return np.array(coordinates)

@@ -46,13 +46,13 @@ from palpate.reduction.training.threads import in_threads
 __all__ = ["Trial", "energy_form", "hyper_reduce"]
 
 
-SIZES = (8, 12, 16, 24, 32, 48, 64, 96)  # numbers of modes for a given tolerance
+TRIED_MODES = (8, 12, 16, 24, 32, 48, 64, 96)  # numbers of modes for a given tolerance
 # largest relative error of sampled forces: where tools touch a body anywhere, and elsewhere
-CONTACT_CUBATURE, CUBATURE = 1e-2, 1e-3
+CONTACT_CUBATURE_ERROR, CUBATURE_ERROR = 1e-2, 1e-3
 TRAINING_STATES = 240  # for the fit of the cubature
 MIN_DISPLACEMENT = 1e-10  # of the largest one in training over the spacing; strains below are lost by rounding
 MODES_PER_PRESSURE = 4  # more pressure modes would cause volumetric locking
-QUANTILE = 0.95  # of errors, and of runs with a trust number of at most 1
+ERROR_QUANTILE = 0.95  # of errors, and of runs with a trust number of at most 1
 FREQUENCY_STATES = 16  # training states for the highest frequency of a membrane
 
 
@@ -179,7 +179,7 @@ def hyper_reduce(
     if (touched or vibrations) and coarse is None and isinstance(body, EnergySolid):
         coarse = statics_body(body)
     if cubature is None:
-        cubature = CONTACT_CUBATURE if touched else CUBATURE
+        cubature = CONTACT_CUBATURE_ERROR if touched else CUBATURE_ERROR
     options = _Options(tools, held_out, enrichment, cubature, pressures, seed, coarse, repeated, vibrations)
     if modes is not None:
         count = integer_in_range("modes", modes, 0 if enrichment is not None else 1)
@@ -188,20 +188,20 @@ def hyper_reduce(
         raise InputError(
             "held_out must be given with a tolerance, got none; give held_out=, or modes= instead of tolerance="
         )
-    wanted, reached = number_in_range("tolerance", tolerance or 0.0, 0.0, 1.0, open_low=True), []
-    for size in SIZES:
+    largest, reached = number_in_range("tolerance", tolerance or 0.0, 0.0, 1.0, open_low=True), []
+    for size in TRIED_MODES:
         try:
             model = _train(full, body, snapshots, size, options)
         except InputError as error:  # more modes than the snapshots hold
             reached.append(str(error))
             break
-        found = model.report["held_out"]["mean"]
-        worst = max(found[name] for name in ("displacement", "velocity", "reaction"))
+        mean_errors = model.report["held_out"]["mean"]
+        worst = max(mean_errors[name] for name in ("displacement", "velocity", "reaction"))
         reached.append(f"{size}: {worst:.2%}")
-        if worst <= wanted:
+        if worst <= largest:
             return _warned(model)
     raise InputError(
-        f"tolerance must be attainable on the held-out runs, got {wanted:.2%} with errors by modes "
+        f"tolerance must be attainable on the held-out runs, got {largest:.2%} with errors by modes "
         f"({', '.join(reached)}); increase it, or train on more runs"
     )
 
@@ -252,8 +252,8 @@ def _has_vibrations(
 
 
 def _check(full: Solid | Membrane, points: Sequence[Floats]) -> None:
-    for own in points:
-        if own.shape != full.cloud.points.shape or not np.allclose(own, full.cloud.points):
+    for run_points in points:
+        if run_points.shape != full.cloud.points.shape or not np.allclose(run_points, full.cloud.points):
             raise InputError(
                 "trajectories must belong to the model's cloud, got one of another cloud; run the same model"
             )
@@ -322,8 +322,8 @@ def _train(
         )
         model = ReducedModel(replace(model.data, compliance=compliance, flexibility_scale=max(energy, 1e-300)))
         if options.repeated:
-            model, found = calibrate_contact(model, options.repeated)
-            report |= found
+            model, calibration = calibrate_contact(model, options.repeated)
+            report |= calibration
         assert model.data.compliance is not None
         model = ReducedModel(replace(model.data, compliance=round_compliance(model.data.compliance)))
     model = model.with_report(report)
@@ -352,10 +352,10 @@ class _BasisVectors:
 def _basis_vectors(body: EnergySolid | Membrane, snapshots: Snapshots, size: int, options: _Options) -> _BasisVectors:
     lifting, supports = lifting_vectors(body, options.tools), support_fields(body, options.tools)
     rest = RemoveToolMotion(body, lifting, options.tools)
-    found, lost = main_modes(body, snapshots, size, 0 if isinstance(body, Membrane) else RESIDUAL_FIELDS, rest)
+    main, lost = main_modes(body, snapshots, size, 0 if isinstance(body, Membrane) else RESIDUAL_FIELDS, rest)
     rest.check()
-    shapes = join(body, found[:size] if size else None, options.enrichment)
-    residual_fields = orthogonal_complement(body, shapes, found[size:])
+    shapes = join(body, main[:size] if size else None, options.enrichment)
+    residual_fields = orthogonal_complement(body, shapes, main[size:])
     # rounded to single precision as in the file, so that a saved and loaded model is identical
     columns = np.concatenate([shapes, lifting, supports, residual_fields]).astype(np.float32).astype(float)
     count = len(shapes) + len(lifting)
@@ -368,21 +368,21 @@ def _basis_vectors(body: EnergySolid | Membrane, snapshots: Snapshots, size: int
 def _states(body: EnergySolid | Membrane, columns: _BasisVectors, snapshots: Snapshots) -> tuple[Floats, float]:
     """Return the coordinates (t, m + l) of all snapshots, and their relative projection error."""
     flat = columns.fields.columns[: columns.count].reshape(columns.count, -1)
-    weighted, states, projection_error, whole = flat * np.repeat(body.masses, 3), [], 0.0, 0.0
+    weighted, states, projection_error, total = flat * np.repeat(body.masses, 3), [], 0.0, 0.0
     largest, least = 0.0, MIN_DISPLACEMENT * body.cloud.spacing
     for block in snapshots.blocks(block_size(snapshots.nodes)):
         rows = block.reshape(len(block), -1)
         largest = max(largest, float(np.abs(rows).max()))
-        own = np.linalg.solve(columns.mass, weighted @ rows.T).T
-        states.append(own)
-        whole += float(np.linalg.norm(rows)) ** 2
-        rows -= own @ flat
+        coordinates = np.linalg.solve(columns.mass, weighted @ rows.T).T
+        states.append(coordinates)
+        total += float(np.linalg.norm(rows)) ** 2
+        rows -= coordinates @ flat
         projection_error += float(np.linalg.norm(rows)) ** 2
     if largest < least:
         raise InputError(
             f"trajectories must move the body by at least {least:.3g} m, got {largest:.3g} m; train on larger loads"
         )
-    return np.concatenate(states), float(np.sqrt(projection_error / whole))
+    return np.concatenate(states), float(np.sqrt(projection_error / total))
 
 
 def _data(
@@ -436,16 +436,16 @@ def _test(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
     """Run the held-out motions; return the model with their errors in its report and calibrated scales."""
     with warnings.catch_warnings(action="ignore", category=TrustWarning):  # its scales are not calibrated yet
         tested = in_threads(partial(_test_run, model), held_out)
-    found, frames = [entry for entry, _, _ in tested], [own for _, own, _ in tested if own is not None]
-    touched = [entry for entry in found if entry["failed"] or "force" in entry]
-    missed, whole = np.sum([squares for _, _, squares in tested], axis=0)
-    report: dict[str, Any] = {"runs": found, **_over_runs(found, list(Errors.__annotations__))}
-    report["projection_error"] = float(np.sqrt(missed / whole)) if whole else 0.0
+    entries, frames = [entry for entry, _, _ in tested], [each for _, each, _ in tested if each is not None]
+    touched = [entry for entry in entries if entry["failed"] or "force" in entry]
+    missed, total = np.sum([squares for _, _, squares in tested], axis=0)
+    report: dict[str, Any] = {"runs": entries, **_over_runs(entries, list(Errors.__annotations__))}
+    report["projection_error"] = float(np.sqrt(missed / total)) if total else 0.0
     if any(not entry["failed"] for entry in touched):
         report["contact"] = _over_runs(touched, list(ContactErrors.__annotations__))
     if not frames:
         return model.with_report({"held_out": report})
-    scales = calibrate_scales([run.measures for run in frames], QUANTILE)
+    scales = calibrate_scales([run.measures for run in frames], ERROR_QUANTILE)
     report["expected_error"] = error_curves(frames, scales)
     return ReducedModel(replace(model.data, **scales._asdict())).with_report({"held_out": report})
 
@@ -463,27 +463,31 @@ def _test_run(model: ReducedModel, trial: Trial) -> tuple[dict[str, Any], Frames
     )
     squares = float(np.linalg.norm(rest)) ** 2, float(np.linalg.norm(run.displacements)) ** 2
     try:
-        own = rollout(model, loads, duration=float(run.times[-1]), every=every, progress=False)
-        errors = relative_errors(run, own).as_dict() | _contact_errors(model, loads, run, own)
-        return {"failed": False} | errors, held_out_frames(model, loads, own, run), squares
+        reduced = rollout(model, loads, duration=float(run.times[-1]), every=every, progress=False)
+        errors = relative_errors(run, reduced).as_dict() | _contact_errors(model, loads, run, reduced)
+        return {"failed": False} | errors, held_out_frames(model, loads, reduced, run), squares
     except DivergenceError as error:
         return {"failed": True, "reason": str(error)}, None, squares
 
 
-def _contact_errors(model: ReducedModel, loads: Sequence[Load], run: Trajectory, own: Trajectory) -> dict[str, float]:
+def _contact_errors(
+    model: ReducedModel, loads: Sequence[Load], run: Trajectory, reduced: Trajectory
+) -> dict[str, float]:
     """Return the errors of contact by name; none without contact."""
     tools = [load.name for load in loads if isinstance(load, Contact | Grasp)]
-    found = contact_errors(run, own, tools, model.data.compliance.nodes) if model.data.compliance is not None else None
-    return found.as_dict() if found is not None else {}
+    errors = (
+        contact_errors(run, reduced, tools, model.data.compliance.nodes) if model.data.compliance is not None else None
+    )
+    return errors.as_dict() if errors is not None else {}
 
 
-def _over_runs(found: Sequence[dict[str, Any]], names: Sequence[str]) -> dict[str, dict[str, float]]:
+def _over_runs(entries: Sequence[dict[str, Any]], names: Sequence[str]) -> dict[str, dict[str, float]]:
     """Return mean and 95th percentile of the errors of runs; infinite if one of them failed."""
-    failed = any(entry["failed"] for entry in found)
-    values = {name: np.inf if failed else np.array([entry[name] for entry in found]) for name in names}
+    failed = any(entry["failed"] for entry in entries)
+    values = {name: np.inf if failed else np.array([entry[name] for entry in entries]) for name in names}
     return {
-        "mean": {name: float(np.mean(own)) for name, own in values.items()},
-        "percentile_95": {name: float(np.quantile(own, QUANTILE)) for name, own in values.items()},
+        "mean": {name: float(np.mean(errors)) for name, errors in values.items()},
+        "percentile_95": {name: float(np.quantile(errors, ERROR_QUANTILE)) for name, errors in values.items()},
     }
 
 
@@ -493,9 +497,9 @@ def _distance_scale(chosen: Floats, mass: Floats, snapshots: Snapshots) -> float
     owner = np.repeat(np.arange(runs), snapshots.lengths)[snapshots.evenly_spaced(TRAINING_STATES)]
     distances = []
     for run in range(runs):
-        own = owner == run
-        if own.any() and (~own).any():
-            distances.append(distances_to_nearest(chosen[own], chosen[~own], mass))
+        of_run = owner == run
+        if of_run.any() and (~of_run).any():
+            distances.append(distances_to_nearest(chosen[of_run], chosen[~of_run], mass))
     if not distances:
         distances = [np.asarray(np.linalg.norm(np.diff(chosen, axis=0) @ np.linalg.cholesky(mass), axis=1))]
-    return max(float(np.quantile(np.concatenate(distances), QUANTILE)), 1e-300)
+    return max(float(np.quantile(np.concatenate(distances), ERROR_QUANTILE)), 1e-300)

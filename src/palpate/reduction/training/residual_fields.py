@@ -36,7 +36,7 @@ __all__ = ["RESIDUAL_FIELDS", "orthogonal_complement", "scale_residual_fields", 
 
 RESIDUAL_FIELDS = 8
 MIN_INDEPENDENT = 1e-3  # least norm of a field without its modal part, relative
-RIDGE = 1e-3  # of the largest singular value, for the factors
+RIDGE_SHARE = 1e-3  # of the largest singular value, for the factors
 MIN_SIZE = 1e-3  # of the largest force, below which a state has reduced weight
 TYPICAL_SHARE = 0.95  # of the training states
 MIN_SCALE = 0.05  # least residual norm at which the trust number is 1, over the largest displacement in training
@@ -93,20 +93,20 @@ def scale_residual_fields(
         return fields, gradients
     multiples = _factors(body, fields, count, residual_fields, states, rule, moments)
     scale, first = _scale(body, fields, modes, residual_fields, moments), len(fields.columns) - residual_fields
-    own = np.einsum("vw,swk->svk", scale, multiples[:, :, None] * gradients[:, first:])
+    scaled = np.einsum("vw,swk->svk", scale, multiples[:, :, None] * gradients[:, first:])
     columns, mixed = fields.columns.copy(), np.eye(len(fields.columns))
     columns[first:] = np.tensordot(scale, fields.columns[first:], 1).astype(np.float32)
     mixed[first:, first:] = scale
-    gradients[:, first:] = own
+    gradients[:, first:] = scaled
     return replace(fields, columns=columns, constant=mixed @ fields.constant @ mixed.T), gradients
 
 
 def _scale(body: EnergySolid, fields: Fields, modes: int, residual_fields: int, moments: Floats) -> Floats:
     """Return A (w, w) [m/N] for which |A r| is the displacement [m] caused by a residual r."""
-    own = fields.of(np.r_[:modes, len(fields.columns) - residual_fields : len(fields.columns)])
-    flat = own.columns.reshape(len(own.columns), -1)
+    residual_part = fields.of(np.r_[:modes, len(fields.columns) - residual_fields : len(fields.columns)])
+    flat = residual_part.columns.reshape(len(residual_part.columns), -1)
     mass = (flat * np.repeat(body.masses, 3)) @ flat.T
-    root = compliance_root(body, own, len(own.columns), moments, mass)
+    root = compliance_root(body, residual_part, len(residual_part.columns), moments, mass)
     response = root.T @ root[:, -residual_fields:]
     return _triangular_root(response.T @ mass @ response / body.masses.sum())
 
@@ -137,8 +137,8 @@ class _Quadrature:
         stress = body.tissue.shear_stress(F, self.nodes)
         measure, slope = volume_measure(body.material, J - 1)
         pressure = slope * (self.pressure.T @ (self.pressure @ measure))
-        whole = self.weights[:, None, None] * stress + pressure[:, None, None] * cofactor
-        return np.asarray(np.matmul(self.gradients[:, -residual_fields:], whole.reshape(-1, 9, 1))[:, :, 0])
+        nodal_stress = self.weights[:, None, None] * stress + pressure[:, None, None] * cofactor
+        return np.asarray(np.matmul(self.gradients[:, -residual_fields:], nodal_stress.reshape(-1, 9, 1))[:, :, 0])
 
 
 def _factors(
@@ -150,18 +150,18 @@ def _factors(
     )
     full_sum = _Quadrature(fields.nodes, fields.gradients, body.elastic_volumes, moments)
     terms = np.array([sampled.work(body, count, residual_fields, state) for state in states])
-    whole = np.array([full_sum.work(body, count, residual_fields, state).sum(axis=0) for state in states])
-    defined = np.isfinite(terms).all(axis=(1, 2)) & np.isfinite(whole).all(axis=1)  # states without inverted nodes
+    full_work = np.array([full_sum.work(body, count, residual_fields, state).sum(axis=0) for state in states])
+    defined = np.isfinite(terms).all(axis=(1, 2)) & np.isfinite(full_work).all(axis=1)  # states without inverted nodes
     if not defined.any():
         raise InputError("trajectories must keep all volumes positive, got none that does; train on smaller loads")
-    terms, whole = terms[defined], whole[defined]
-    sizes = np.linalg.norm(whole, axis=1)
+    terms, full_work = terms[defined], full_work[defined]
+    sizes = np.linalg.norm(full_work, axis=1)
     scale = 1 / np.sqrt(np.maximum(sizes, max(MIN_SIZE * sizes.max(), 1e-300)))
     result = np.ones((len(rule.nodes), residual_fields))
     for w in range(residual_fields):
         u, values, vt = np.linalg.svd(terms[:, :, w] * scale[:, None], full_matrices=False)
-        damped = values / (values**2 + max((RIDGE * values[0]) ** 2, 1e-300))
-        result[:, w] += vt.T @ (damped * (u.T @ ((whole[:, w] - terms[:, :, w].sum(axis=1)) * scale)))
+        damped = values / (values**2 + max((RIDGE_SHARE * values[0]) ** 2, 1e-300))
+        result[:, w] += vt.T @ (damped * (u.T @ ((full_work[:, w] - terms[:, :, w].sum(axis=1)) * scale)))
     return result
 
 
@@ -173,12 +173,12 @@ def typical_residual(model: ReducedModel, body: EnergySolid | Membrane, displace
     neglected. As the norm is about the displacement that the coordinates miss, the result is at least 5 %
     of the largest displacement in training, root mean squares over the body.
     """
-    first, found, largest = len(model.data.basis_vectors) - model.data.residual_fields, [], 0.0
+    first, norms, largest = len(model.data.basis_vectors) - model.data.residual_fields, [], 0.0
     residual_fields = model.data.basis_vectors[first:]
     for u in displacements:
         state = model.body.project(u[None])[0]
-        whole = np.tensordot(residual_fields, body.force(u) * body.volumes[:, None], 2)
-        found.append(np.linalg.norm(whole - model.body.all_forces(state)[first:]))
+        full_work = np.tensordot(residual_fields, body.force(u) * body.volumes[:, None], 2)
+        norms.append(np.linalg.norm(full_work - model.body.all_forces(state)[first:]))
         largest = max(largest, float(np.sqrt(np.average(np.sum(u**2, axis=1), weights=body.volumes))))
-    typical = max(float(np.quantile(found, TYPICAL_SHARE)), MIN_SCALE * largest)
+    typical = max(float(np.quantile(norms, TYPICAL_SHARE)), MIN_SCALE * largest)
     return typical if typical > 0 else 1.0

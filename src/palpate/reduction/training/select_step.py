@@ -19,7 +19,7 @@ from palpate.reduction.hyper.model import ReducedModel
 __all__ = ["select_time_step"]
 
 
-STEPS = (None, 1e-3, 0.5e-3, 0.25e-3)  # explicit; implicit, [s]
+TRIED_STEPS = (None, 1e-3, 0.5e-3, 0.25e-3)  # explicit; implicit, [s]
 REFERENCE_REFINEMENT = 20  # steps of the reference per explicit step
 DEFAULT_FRAMES = 100  # of the motion
 
@@ -87,9 +87,9 @@ def select_time_step(
     """
     number_in_range("duration", duration, 0.0, open_low=True, unit="s")
     tolerance_value = number_in_range("tolerance", tolerance, 0.0, 1.0, open_low=True)
-    frame_interval = min(duration, max(duration / DEFAULT_FRAMES, STEPS[1] or 0.0)) if every is None else every
+    frame_interval = min(duration, max(duration / DEFAULT_FRAMES, TRIED_STEPS[1] or 0.0)) if every is None else every
     rounds = integer_in_range("repeats", repeats, 1)
-    steps = [step for step in STEPS if step is None or model.material.prony is None]
+    steps = [step for step in TRIED_STEPS if step is None or model.material.prony is None]
     rules = [_Rule(model.with_step(step), loads, duration, frame_interval, clock) for step in steps]
     explicit = rules[0].run()
     finest = duration / float(explicit.steps[-1]) / REFERENCE_REFINEMENT

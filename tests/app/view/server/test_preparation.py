@@ -243,16 +243,16 @@ sys.exit(main(["view", sys.argv[1], "--units", "mm", "--no-browser", "--port", "
 @pytest.mark.parametrize("kind", ["python", "library"])
 def test_an_interrupt_ends_the_preparation_at_once(write_organ, kind):
     words = [sys.executable, "-c", PREPARES_FOREVER, str(write_organ(SURFACE)), kind]
-    own = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
     try:
-        while not own.stderr.readline().startswith("open "):
-            assert own.poll() is None
+        while not process.stderr.readline().startswith("open "):
+            assert process.poll() is None
         time.sleep(2.0)
-        os.kill(own.pid, signal.SIGINT)
-        said = own.communicate(timeout=SECONDS)[1]
+        os.kill(process.pid, signal.SIGINT)
+        said = process.communicate(timeout=SECONDS)[1]
     finally:
-        own.kill()
-    assert own.returncode == 130
+        process.kill()
+    assert process.returncode == 130
     assert "palpate: interrupted" in said
     assert "Traceback" not in said
 

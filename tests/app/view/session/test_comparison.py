@@ -43,9 +43,9 @@ def press(comparison, ball, until, depth=0.003):
 
     def resting():
         full = comparison.full.snapshot()
-        own = comparison.snapshot()
-        kinetic = max(own.kinetic / max(own.strain, 1e-30), full.kinetic / max(full.strain, 1e-30))
-        return kinetic < 1e-4 and min(own.force[2], full.force[2]) > 0.05
+        reduced = comparison.snapshot()
+        kinetic = max(reduced.kinetic / max(reduced.strain, 1e-30), full.kinetic / max(full.strain, 1e-30))
+        return kinetic < 1e-4 and min(reduced.force[2], full.force[2]) > 0.05
 
     until(resting)
 

@@ -153,11 +153,12 @@ def test_replay_writes_pictures_and_films(recorded, tmp_path, assert_drawn, monk
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # imageio's reader leaves pipes open
-def test_replay_writes_films_as_mp4(recorded, tmp_path, monkeypatch):
+@pytest.mark.parametrize("suffix", [".mp4", ".webp"])
+def test_replay_writes_films_by_ffmpeg(recorded, tmp_path, monkeypatch, suffix):
     import imageio.v3 as imageio
 
     pytest.importorskip("imageio_ffmpeg", reason="pip install 'palpate[film]'")
-    path, film = recorded[0], tmp_path / "press.mp4"
+    path, film = recorded[0], tmp_path / f"press{suffix}"
     monkeypatch.setattr("palpate.app.view.film.FRAME_RATE", 6.5 / float(load_recording(path).times[-1]))
     assert main(["replay", str(path), "--movie", str(film)]) == 0
     frames = imageio.imread(film, index=None)

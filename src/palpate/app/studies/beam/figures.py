@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,6 @@ from palpate.app.common.figures import (
     GREY,
     ORANGE,
     RED,
-    SKY,
     draw_singular_values,
     energy_unit,
     figure,
@@ -24,7 +24,7 @@ from palpate.app.common.figures import (
     percent_axis,
     plot_errors,
 )
-from palpate.app.studies.beam.report import ENERGY_FORM, tip_displacement
+from palpate.app.studies.beam.report import tip_displacement
 from palpate.app.studies.study import HYPER_REDUCED, PROJECTED, Study
 
 if TYPE_CHECKING:
@@ -34,16 +34,22 @@ __all__ = ["draw_figures"]
 
 
 Entries = list[dict[str, Any]]
-TITLES = {PROJECTED: "Projected, all nodes (the paper's)", HYPER_REDUCED: "Hyper-reduced, few nodes"}
+TITLES = {
+    PROJECTED: "Projected at all nodes (the paper's), strong form",
+    HYPER_REDUCED: "Hyper-reduced to few nodes, energy form",
+}
 COLOURS = {PROJECTED: BLUE, HYPER_REDUCED: GREEN}
 
 
-def draw_figures(study: Study, report: dict[str, Any], out: Path) -> None:
+def draw_figures(strong: Study, energy: Study | None, report: dict[str, Any], out: Path) -> None:
     """Draw Figures 3 to 5 of the paper, the singular values, the pulled end and the energies.
 
     Parameters
     ----------
-    study : Study
+    strong : Study
+        Of the strong form.
+    energy : Study, optional
+        Of the energy form.
     report : dict
         Of `palpate.app.studies.beam.report.build_report`.
     out : path
@@ -53,31 +59,27 @@ def draw_figures(study: Study, report: dict[str, Any], out: Path) -> None:
         series: [entry for entry in report["reduced"] if entry["series"] == series and not entry["failed"]]
         for series in TITLES
     }
-    apart = report["energy_form"] and report["energy_form"]["errors"]["displacement"]
-    draw_error(done, apart, out / "figure3_error.png")
+    draw_error(done, out / "figure3_error.png")
     draw_time(done, out / "figure4_time.png")
     draw_ratio(done, out / "figure5_ratio.png")
     title = "Singular values of the full model's snapshots"
     draw_singular_values({"snapshots": report["singular_values"]}, title, out / "singular_values.png")
-    draw_tip(study, out / "tip.png")
-    draw_energies(study, out / "energies.png")
+    draw_tip([study for study in (strong, energy) if study], out / "tip.png")
+    draw_energies(strong, out / "energies.png")
 
 
-def draw_error(done: dict[str, Entries], apart: float | None, path: Path) -> None:
-    """Draw errors over the number of modes for each series (Figure 3), and the energy form's distance `apart`."""
+def draw_error(done: dict[str, Entries], path: Path) -> None:
+    """Draw errors over the number of modes for each series (Figure 3)."""
     with figure(path, (10.4, 5.6)) as drawn:
-        heading(drawn, "Error of the reduced models against the full model in its strong form (paper: Figure 3)")
+        heading(drawn, "Error of the reduced models, each against the full model that it reduces (paper: Figure 3)")
         both = drawn.subplots(1, 2, sharey=True)
         for axes, (series, entries) in zip(both, done.items(), strict=True):
             over_modes(axes, entries, TITLES[series], "relative error [%]" if axes is both[0] else "")
             if entries:
                 percent_axis(axes)
-        projected, sampled = done.values()
-        if sampled:
-            _draw_energy_form(both[1], sampled, apart)
-            plot_errors(both[1], sampled)
+                plot_errors(axes, entries)
+        projected = done[PROJECTED]
         if projected:
-            plot_errors(both[0], projected)
             _draw_error_claims(both[0], [entry["modes"] for entry in projected])
         legend_below(drawn, *both)
 
@@ -90,18 +92,6 @@ def _draw_error_claims(axes: Axes, sizes: list[int]) -> None:
     if min(sizes) <= 6 <= max(sizes):
         axes.axhline(3, color=RED, lw=1, ls=":")
         axes.plot(6, 3, "v", color=RED, ms=9, zorder=4, label="paper: below 3 % with 6 modes")
-
-
-def _draw_energy_form(axes: Axes, entries: Entries, apart: float | None) -> None:
-    """Draw how far the two forms of the full model are apart, and the displacement's error against the energy form."""
-    if apart is None:
-        return
-    label = "displacement of the full model's energy form"
-    axes.axhline(100 * apart, color="black", lw=1.4, ls=(0, (5, 3)), label=label)
-    values = [100 * entry["errors_against"][ENERGY_FORM]["displacement"] for entry in entries]
-    sizes = [entry["modes"] for entry in entries]
-    label = "displacement, against that energy form"
-    axes.plot(sizes, values, "o-", color=SKY, lw=2.2, ms=7, label=label)
 
 
 def draw_time(done: dict[str, Entries], path: Path) -> None:
@@ -148,20 +138,21 @@ def draw_ratio(done: dict[str, Entries], path: Path) -> None:
         axes.legend(loc="upper left")
 
 
-def draw_tip(study: Study, path: Path) -> None:
+def draw_tip(studies: Sequence[Study], path: Path) -> None:
     """Draw the displacement of the pulled end, and the support force against the load, over time."""
-    full = study.full
-    force: Any = study.scene.loads[0].force  # type: ignore[union-attr]
-    runs = [("full model, strong form", full, {"ls": "-", "color": BLUE, "lw": 2.4})]
-    if ENERGY_FORM in study.peers:
-        runs.append(("full model, energy form", study.peers[ENERGY_FORM], {"ls": "-", "color": GREY, "lw": 1.2}))
-    for (series, shown), colour in zip(study.shown.items(), (ORANGE, GREEN), strict=False):
-        runs.append((f"{series}, {shown.modes} modes", shown.runs[0], {"ls": "--", "color": colour, "lw": 1.6}))
+    scene, full = studies[0].scene, studies[0].full
+    force: Any = scene.loads[0].force  # type: ignore[union-attr]
+    runs = []
+    for study, (full_colour, reduced_colour) in zip(studies, ((BLUE, ORANGE), (GREY, GREEN)), strict=False):
+        runs.append((study.title, study.full, {"ls": "-", "color": full_colour, "lw": 2.0}))
+        for series, shown in study.shown.items():
+            style = {"ls": "--", "color": reduced_colour, "lw": 1.6}
+            runs.append((f"{series}, {shown.modes} modes", shown.runs[0], style))
     with figure(path, (9.0, 6.0)) as drawn:
         upper, lower = drawn.subplots(2, 1, sharex=True)
         lower.plot(full.times, [force(t)[0] for t in full.times], ":", color="black", lw=1.4, label="load applied")
         for label, run, style in runs:
-            upper.plot(run.times, 1e3 * tip_displacement(study, run), label=label, **style)
+            upper.plot(run.times, 1e3 * tip_displacement(studies[0], run), label=label, **style)
             lower.plot(run.times, -run.reactions["x-"][:, 0], label=label, **style)
         upper.set(title="Pulled end: mean axial displacement", ylabel="displacement [mm]")
         lower.set(title="Held end: force of the support", xlabel="time [s]", ylabel="force [N]")

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.common.figures import RED, figure, scale_bar
-from palpate.app.common.rendering import COLOURS, check_drawing, off_screen, surface
+from palpate.app.common.rendering import add_shaded, check_drawing, off_screen, screenshot, surface
+from palpate.app.common.shading import RefinedSurface, colour_map
 from palpate.arrays import Floats
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.meshfree.cloud import Cloud
@@ -76,17 +77,17 @@ def draw_beam(cloud: Cloud, run: Trajectory, stress: Floats, path: Path) -> None
     moments = {k: _Moment(cloud, run.displacements[k], stress[k], limit) for k in shown}
     reach = cloud.points[:, 0] + run.displacements[shown][..., 0]
     thick = float(np.ptp(cloud.points[:, 1:], axis=0).max())
-    whole = _View(reach.min() - 0.5 * thick, reach.max() + 0.2 * thick, 2.0 * thick)
-    close = min(5 * thick, 0.45 * whole.width)
-    held = _View(whole.left, whole.left + close, 2.0 * thick)
-    pulled = _View(whole.right - close, whole.right, 2.0 * thick)
-    row, last = WIDE_INCH * whole.height / whole.width, WIDE_INCH * held.height / (2 * close)
+    whole_view = _View(reach.min() - 0.5 * thick, reach.max() + 0.2 * thick, 2.0 * thick)
+    close = min(5 * thick, 0.45 * whole_view.width)
+    held_view = _View(whole_view.left, whole_view.left + close, 2.0 * thick)
+    pulled_view = _View(whole_view.right - close, whole_view.right, 2.0 * thick)
+    row, last = WIDE_INCH * whole_view.height / whole_view.width, WIDE_INCH * held_view.height / (2 * close)
     with figure(path, (WIDE_INCH, len(frames) * (row + 0.35) + last + 1.5)) as drawn:
         grid = drawn.add_gridspec(len(frames) + 1, 2, height_ratios=[row] * len(frames) + [last])
         for place, (name, frame) in enumerate(frames.items()):
             title = f"{name}, t = {run.times[frame]:.2f} s"
-            _picture(drawn.add_subplot(grid[place, :]), moments[frame], whole, title, nodes=False)
-        for place, (name, view) in enumerate({"Held": held, "Pulled": pulled}.items()):
+            _picture(drawn.add_subplot(grid[place, :]), moments[frame], whole_view, title, nodes=False)
+        for place, (name, view) in enumerate({"Held": held_view, "Pulled": pulled_view}.items()):
             title = f"{name} end at the largest displacement, with the nodes"
             _picture(drawn.add_subplot(grid[len(frames), place]), moments[peak], view, title, nodes=True)
         _colour_bar(drawn, limit, float(stress[shown].max()))
@@ -125,7 +126,6 @@ def _render(moment: _Moment, view: _View, nodes: bool) -> NDArray[np.uint8]:
     pv: Any = pyvista
     points = moment.cloud.points
     body = surface(moment.cloud, points + moment.displacement)
-    body["stress"] = moment.stress
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.2 * (high - low)
     start, end = low - margin, high + margin
@@ -133,26 +133,27 @@ def _render(moment: _Moment, view: _View, nodes: bool) -> NDArray[np.uint8]:
     angle = np.radians(ELEVATION)
     towards = np.array([0.0, -np.cos(angle), np.sin(angle)])  # the camera
     middle = np.array([(view.left + view.right) / 2, *(low[1:] + high[1:]) / 2])
+
+    def colours(refined: RefinedSurface) -> dict[str, Floats]:
+        return {"values": refined.values(moment.stress / moment.limit)}
+
     with off_screen(view.width, view.height, middle, towards) as plotter:
-        # without lighting the colours are those of the colour bar; the edges show the shape
-        colours = {"scalars": "stress", "clim": (0.0, moment.limit), "cmap": COLOURS, "show_scalar_bar": False}
-        plotter.add_mesh(body, lighting=False, **colours)
+        add_shaded(plotter, body.points, moment.cloud.triangles, towards, colours)
         # in a parallel projection nearer lines and nodes stay in place, and clear of the faces they lie on
         nearer = 0.1 * margin[1] * towards
-        plotter.add_mesh(_edges(body).translate(nearer), color="#101010", line_width=3.0)
+        plotter.add_mesh(_edges(body).translate(nearer), color="#101010", line_width=5.0)
         plotter.add_mesh(plate, color="#404040", ambient=0.4)
         if nodes:
             dots = pv.PolyData(body.points + nearer)
-            plotter.add_mesh(dots, color="#101010", point_size=16, render_points_as_spheres=True)
-        plotter.reset_camera_clipping_range()
-        return np.asarray(plotter.screenshot(return_img=True))
+            plotter.add_mesh(dots, color="#101010", point_size=26, render_points_as_spheres=True)
+        return screenshot(plotter)
 
 
 def _colour_bar(drawn: Figure, limit: float, largest: float) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    scale = ScalarMappable(Normalize(0, limit / 1e3), COLOURS)
+    scale = ScalarMappable(Normalize(0, limit / 1e3), colour_map())
     bar = drawn.colorbar(scale, ax=drawn.axes, orientation="horizontal", shrink=0.6, aspect=45, extend="max")
     bar.set_label(
         f"von Mises Cauchy stress [kPa]; largest at a node {largest / 1e3:.4g} kPa.   "

@@ -126,8 +126,8 @@ def draw_time(done: dict[str, Done], full: list[float], path: Path) -> None:
                 sizes, label = [entry["modes"] for entry in entries], f"{TITLES[series]}: {title}"
                 left.plot(sizes, [entry["wall_seconds"] for entry in entries], MARKS[series], color=colour, label=label)
                 right.plot(sizes, [100 * entry["ratio"] for entry in entries], MARKS[series], color=colour)
-        for whole, colour in zip(full, (BLUE, ORANGE), strict=True):
-            left.axhline(whole, color=colour, ls="--", lw=1.4)
+        for full_seconds, colour in zip(full, (BLUE, ORANGE), strict=True):
+            left.axhline(full_seconds, color=colour, ls="--", lw=1.4)
         left.plot([], [], "--", color=GREY, lw=1.4, label="dashed: full model")
         percent_axis(left)
         percent_axis(right)

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.common.figures import BLUE, ORANGE, figure, heading, scale_bar
-from palpate.app.common.rendering import COLOURS, PIXELS, check_drawing, off_screen, surface
+from palpate.app.common.rendering import PIXELS, add_shaded, check_drawing, off_screen, screenshot, surface
+from palpate.app.common.shading import RefinedSurface, colour_map
 from palpate.app.studies.study import PROJECTED, Study
 from palpate.arrays import Floats
 from palpate.meshfree.cloud import Cloud
@@ -86,25 +87,26 @@ def _render(cloud: Cloud, displacement: Floats, limit: float, low: float, high: 
     sheet = surface(cloud, points)
     sheet["deflection"] = 1e3 * displacement[:, 2]
     middle = np.array([0.0, 0.0, (low + high) / 2 / np.cos(angle)])
+
+    def colours(refined: RefinedSurface) -> dict[str, Floats]:
+        return {"values": refined.values(displacement[:, 2] / limit)}
+
     with off_screen(PICTURE_WIDTH, high - low, middle, towards, PIXELS // 2) as plotter:  # two stand side by side
-        colours = {"scalars": "deflection", "clim": (0.0, 1e3 * limit), "cmap": COLOURS, "show_scalar_bar": False}
-        plotter.add_mesh(sheet, ambient=0.75, diffuse=0.25, smooth_shading=True, **colours)
-        plotter.reset_camera_clipping_range()
+        add_shaded(plotter, points, cloud.triangles, towards, colours)
         nearer = 0.002 * RADIUS * towards
         lines = sheet.contour(np.arange(1.0, 1e3 * limit), scalars="deflection")
         if lines.n_points:
-            plotter.add_mesh(lines.translate(nearer), color="#101010", line_width=1.5)
+            plotter.add_mesh(lines.translate(nearer), color="#101010", line_width=2.5)
         rim = sheet.extract_feature_edges(boundary_edges=True, feature_edges=False, manifold_edges=False)
-        plotter.add_mesh(rim.translate(nearer), color="#404040", line_width=2.5)
-        plotter.reset_camera_clipping_range()
-        return np.asarray(plotter.screenshot(return_img=True))
+        plotter.add_mesh(rim.translate(nearer), color="#404040", line_width=4.0)
+        return screenshot(plotter)
 
 
 def _colour_bar(drawn: Figure, views: list[Any], limit: float) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    scale = ScalarMappable(Normalize(0, 1e3 * limit), COLOURS)
+    scale = ScalarMappable(Normalize(0, 1e3 * limit), colour_map())
     bar = drawn.colorbar(scale, ax=views, orientation="horizontal", shrink=0.5, aspect=45)
     bar.set_label(f"deflection [mm].   Heights are scaled by {HEIGHT_SCALE:g}.   Lines: every 1 mm.")
 

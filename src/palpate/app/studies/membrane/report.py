@@ -111,8 +111,8 @@ def tables(report: dict[str, Any]) -> list[Any]:
     drawn = [quantities_table(title, list(report["full"]), rows)]
     for series, title in {PROJECTED: "Projected models (the paper's)", HYPER_REDUCED: "Hyper-reduced models"}.items():
         for name in report["full"]:
-            own = [entry for entry in report["reduced"] if entry["series"] == series]
-            entries = [{"modes": entry["modes"]} | entry["phases"][name] for entry in own]
+            series_entries = [entry for entry in report["reduced"] if entry["series"] == series]
+            entries = [{"modes": entry["modes"]} | entry["phases"][name] for entry in series_entries]
             drawn.append(reduced_table(f"{title}, {name}: errors, time over the full model's", entries))
     return drawn
 

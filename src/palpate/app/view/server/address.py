@@ -53,8 +53,8 @@ def is_loopback(host: str) -> bool:
 
 def allowed_hosts(host: str, port: int) -> list[str]:
     """Return the allowed ``Host`` headers of requests; the first one is for the printed address."""
-    own = f"[{host}]" if ":" in host else host
-    names = [own] if not is_loopback(host) else [own, LOOPBACK, "localhost", "[::1]"]
+    bracketed_host = f"[{host}]" if ":" in host else host
+    names = [bracketed_host] if not is_loopback(host) else [bracketed_host, LOOPBACK, "localhost", "[::1]"]
     return [f"{name}:{port}" for name in dict.fromkeys(names)]
 
 

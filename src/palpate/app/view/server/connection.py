@@ -46,7 +46,7 @@ class CountedConnection(ServerConnection):
         super().process_event(event)
 
     def send_data(self) -> None:
-        """Write all pending data at once: thousands of pings may await answers after the client has left."""
+        """Write all pending data immediately; a client that left may have sent thousands of pings."""
         pending = self.protocol.data_to_send()
         data, ends = b"".join(pending), [b""] * pending.count(b"")
         self.protocol.writes = [data, *ends] if data else ends

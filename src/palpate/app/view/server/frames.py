@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.app.recordings.snapshot import STATES, TOOL_KINDS, OverlayState, Snapshot
+from palpate.app.recordings.snapshot import ENGINE_STATES, TOOL_KINDS, OverlayState, Snapshot
 from palpate.arrays import Singles
 
 if TYPE_CHECKING:
@@ -22,13 +22,13 @@ __all__ = [
 
 
 GEOMETRY, STATE, OVERLAY, FORCE, PREVIEW = 1, 2, 3, 4, 5
-HEADER = struct.Struct("<4I")
+FRAME_HEADER = struct.Struct("<4I")
 RANGE_PERCENTILE = 99.0  # of a scalar, at which its colour range ends; excludes peaks of single vertices at edges
 
 
 def pack_frame(kind: int, sequence: int, vertices: int, body: bytes, triangles: int = 0) -> bytes:
     """Return a frame: a header of 16 bytes and the body."""
-    return HEADER.pack(kind, sequence % 2**32, vertices, triangles) + body
+    return FRAME_HEADER.pack(kind, sequence % 2**32, vertices, triangles) + body
 
 
 def geometry_frame(surface: DisplaySurface) -> bytes:
@@ -57,7 +57,7 @@ def state_body(surface: DisplaySurface, snapshot: Snapshot, scalar: str) -> byte
         [
             snapshot.time, snapshot.trust, *snapshot.force, *snapshot.moment, *snapshot.position, *snapshot.quaternion,
             snapshot.kinetic, snapshot.strain, snapshot.computing, snapshot.lateness, snapshot.steps,
-            STATES.index(snapshot.state), TOOL_KINDS.index(snapshot.tool), low, high, snapshot.sequence,
+            ENGINE_STATES.index(snapshot.state), TOOL_KINDS.index(snapshot.tool), low, high, snapshot.sequence,
         ], dtype="<f8",
     )  # fmt: skip
     return numbers.tobytes() + (surface.rest + displacements).astype("<f4").tobytes() + values.tobytes()
@@ -79,7 +79,7 @@ def force_frame(snapshot: Snapshot, sequence: int) -> bytes:
     numbers = np.array(
         [
             snapshot.time, snapshot.trust, *snapshot.device_force, *snapshot.moment, *snapshot.stiffness.ravel(),
-            *snapshot.position, snapshot.steps, STATES.index(snapshot.state), snapshot.sequence,
+            *snapshot.position, snapshot.steps, ENGINE_STATES.index(snapshot.state), snapshot.sequence,
         ], dtype="<f8",
     )  # fmt: skip
     return pack_frame(FORCE, sequence, 0, numbers.tobytes())

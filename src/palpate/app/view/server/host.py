@@ -67,7 +67,7 @@ class Host:
 
     @contextlib.contextmanager
     def serving(self) -> Iterator[None]:
-        """Serve in a thread of its own within a context, which begins once clients are answered."""
+        """Serve in a separate thread within a context, which begins once clients are answered."""
         ready = threading.Event()
         self._loop = asyncio.new_event_loop()
         self._task = self._loop.create_task(self.run(ready.set))
@@ -90,7 +90,7 @@ class Host:
             self.stop()
 
     def show(self, source: ViewSource, refinement: Refining | None = None) -> None:
-        """Show a session to all viewers, whose preparation has ended, and what may replace it later."""
+        """Show a prepared session to all viewers, and the refinement that may replace it later."""
         self._call(self._server.show, source, refinement)
 
     def fail(self, reason: str) -> None:
@@ -123,31 +123,31 @@ class Host:
 
 def serve_source(source: ViewSource, console: Console, port: int, host: str, browser: bool) -> None:
     """Serve a session or a replay until interrupted, print its address, and open it in a browser."""
-    with serve(source, console, port, host, browser) as own, contextlib.suppress(KeyboardInterrupt):
-        own.wait()
+    with serve(source, console, port, host, browser) as server, contextlib.suppress(KeyboardInterrupt):
+        server.wait()
 
 
 @contextlib.contextmanager
 def serve(source: ViewSource | Preparation, console: Console, port: int, host: str, browser: bool) -> Iterator[Host]:
     """Serve within a context: print the address, and open it in a browser."""
-    own = Host(source, host, port)
-    if own.port != port:
-        console.say(f"port {port} is busy; using {own.port}")
+    server = Host(source, host, port)
+    if server.port != port:
+        console.say(f"port {port} is busy; using {server.port}")
     if not is_loopback(host):
         console.say(
             f"WARNING: other machines can reach {host}. Anyone with the address below can watch and control the "
             "session, and nothing is encrypted: use it only in networks that you trust"
         )
-    if not own.page.exists:
+    if not server.page.exists:
         console.say("the page was not built: programs can connect, browsers show no page (see docs/view.md)")
 
     def visit() -> None:
-        if not open_browser(own.address):
+        if not open_browser(server.address):
             console.say("no browser was found: open the address yourself")
 
     visitor = threading.Thread(target=visit, name="palpate browser", daemon=True)  # some take seconds to start
-    with own.serving():
-        console.say(f"open {own.address}  (stop with Ctrl-C)")
-        if browser and own.page.exists:
+    with server.serving():
+        console.say(f"open {server.address}  (stop with Ctrl-C)")
+        if browser and server.page.exists:
             visitor.start()
-        yield own
+        yield server

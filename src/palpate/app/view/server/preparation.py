@@ -126,15 +126,15 @@ class _CompiledFunctions(event.Listener):  # type: ignore[misc]
 
 
 def _code_digest() -> str:
-    """Return a digest of the installed sources and of where their compiled code is kept."""
+    """Return a digest of the installed sources and of the folder of their compiled code."""
     root = Path(palpate.__file__).parent
-    found = [(str(path), path.stat().st_mtime_ns, path.stat().st_size) for path in sorted(root.rglob("*.py"))]
+    source_files = [(str(path), path.stat().st_mtime_ns, path.stat().st_size) for path in sorted(root.rglob("*.py"))]
     settings = os.environ.get("NUMBA_CACHE_DIR", ""), numba.__version__, sys.version
-    return hashlib.sha256(repr((found, settings)).encode()).hexdigest()
+    return hashlib.sha256(repr((source_files, settings)).encode()).hexdigest()
 
 
 def _read_durations(file: Path) -> dict[str, Any]:
-    """Return the kept durations; none where there is no such file, or it is damaged."""
+    """Return the kept durations; empty if the file is missing or damaged."""
     try:
         kept = read_json(file, "durations")
     except (FileFormatError, InputError, OSError):

@@ -31,7 +31,7 @@ from palpate.app.view.server.preparation import Preparation
 from palpate.app.view.server.streams import Streams
 from palpate.app.view.server.view_source import Refining, ViewSource
 from palpate.app.view.server.viewer import VIEWER_TOO_SLOW, Viewer
-from palpate.app.view.session.messages import MAX_MESSAGE_BYTES, PROTOCOL, Message, parse_message
+from palpate.app.view.session.messages import MAX_MESSAGE_BYTES, PROTOCOL_VERSION, Message, parse_message
 from palpate.faults import InputError
 from palpate.files import shortened
 
@@ -50,7 +50,7 @@ MAX_UNSENT_BYTES = 2**22  # of a connection, in addition to two geometry frames
 BATCH_SIZE = 32  # messages read before other tasks run
 MAX_PINGS = 100  # of a connection between two ticks
 MAX_MESSAGE_RATE = 2000  # [1/s] of a viewer; further messages wait
-LOG = logging.getLogger(__name__)
+SERVER_LOG = logging.getLogger(__name__)
 DRIVER_MESSAGES = ("pose", "tool", "release", "control", "speed", "material", "record", "replay", "refine")
 
 
@@ -90,13 +90,13 @@ class Server:
             self.show(source)
 
     def show(self, source: ViewSource, refinement: Refining | None = None) -> None:
-        """Show a session or a replay to all viewers, in place of what was shown; called in the server's thread.
+        """Replace the source of all viewers by a session or a replay; called in the server's thread.
 
         Parameters
         ----------
         source : Session or Replay
         refinement : Refining, optional
-            What may replace the source later.
+            Training whose session replaces the source later.
         """
         self.source, self._streams, self._refinement = source, Streams(source), refinement
         self._replaced.set()
@@ -105,10 +105,10 @@ class Server:
         self._preparation, self._preview = None, b""
         for viewer in self.viewers:  # each is ready again after its hello
             viewer.ready = False
-            viewer.acknowledge(viewer.sent)  # what is in flight shows another body
+            viewer.acknowledge(viewer.sent)  # frames in flight show another body
             if viewer.scalar not in source.surface.scalars:
                 viewer.scalar = "none"
-        if self.driver is None and self.viewers:  # the one that drove has left meanwhile
+        if self.driver is None and self.viewers:  # the driver has left
             self.driver, self.viewers[0].last_drive = self.viewers[0], time.monotonic()
         if not self.viewers:
             source.pause(NO_VIEWERS)
@@ -178,7 +178,9 @@ class Server:
         text = shortened(f"{where} failed: {type(error).__name__}: {error}", 200)
         if text not in self._logged:
             self._logged.add(text)
-            LOG.error("%s; the server continues", text, exc_info=error if LOG.isEnabledFor(logging.DEBUG) else None)
+            SERVER_LOG.error(
+                "%s; the server continues", text, exc_info=error if SERVER_LOG.isEnabledFor(logging.DEBUG) else None
+            )
 
     def _broadcast_status(self) -> None:
         status = self.source.status()
@@ -191,7 +193,7 @@ class Server:
             self._schedule(viewer, self._send_to(viewer, _to_json(self._status_message(viewer, status))))
 
     def _refine(self) -> None:
-        """Report the progress of a refinement, and show what it has made."""
+        """Report the progress of a refinement, and show its session."""
         if self._refinement is None:
             return
         message = self._refinement.message()
@@ -262,7 +264,7 @@ class Server:
             self._remove_viewer(viewer)
 
     async def _introduce(self, viewer: Viewer) -> asyncio.Event:
-        """Send hello, geometry and status of the source that is shown; return what is set when another one is."""
+        """Send hello, geometry and status of the current source; return the event of its replacement."""
         while True:
             replaced = self._replaced
             await viewer.send_message(self._hello_message(viewer))
@@ -324,8 +326,8 @@ class Server:
         if hello["type"] != "hello" or not hmac.compare_digest(hello["token"].encode(), self._token.encode()):
             await close_connection(connection, WRONG_TOKEN, "wrong token; open the address that palpate view prints")
             return None
-        if hello["protocol"] != PROTOCOL:
-            reason = f"protocol must be {PROTOCOL}, got {hello['protocol']}; reload the page"
+        if hello["protocol"] != PROTOCOL_VERSION:
+            reason = f"protocol must be {PROTOCOL_VERSION}, got {hello['protocol']}; reload the page"
             await close_connection(connection, INVALID_MESSAGES, reason)
             return None
         if len(self.viewers) >= MAX_VIEWERS:
@@ -363,7 +365,7 @@ class Server:
     def _hello_message(self, viewer: Viewer) -> dict[str, Any]:
         surface = self.source.surface
         return {
-            "type": "hello", "protocol": PROTOCOL, "title": self.source.title, "driver": viewer is self.driver,
+            "type": "hello", "protocol": PROTOCOL_VERSION, "title": self.source.title, "driver": viewer is self.driver,
             "viewers": len(self.viewers), "mode": self.source.mode, "vertices": len(surface.rest),
             "triangles": len(surface.triangles), "spacing": surface.model.cloud.spacing,
             "bounds": [surface.rest.min(axis=0).tolist(), surface.rest.max(axis=0).tolist()], **self.source.hello(),

@@ -21,7 +21,7 @@ MAX_BACKLOG = 0.005  # [s] of force frames that are sent late; older ones are dr
 
 
 class _CachedState(NamedTuple):
-    """Body of a state frame, its key, when it was made [s], and the time of its snapshot [s]."""
+    """Body of a state frame, its key, its time of creation [s], and the time of its snapshot [s]."""
 
     key: Any
     created: float

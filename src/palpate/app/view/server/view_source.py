@@ -1,4 +1,4 @@
-"""The interface between the server and what it shows: a session or a replay."""
+"""The interface between the server and its source: a session or a replay."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class ViewSource(Protocol):
 
 
 class Refining(Protocol):
-    """The training of a model that replaces what is shown; called in the server's thread."""
+    """The training of a model whose session replaces the current one; called in the server's thread."""
 
     def message(self) -> dict[str, Any]:
         """Return the message ``refinement`` of the protocol."""
@@ -63,4 +63,4 @@ class Refining(Protocol):
         """Execute an action of the driver: ``start``, ``stop`` or ``use``."""
 
     def next_source(self) -> ViewSource | None:
-        """Return what is to be shown from now on, once; None otherwise."""
+        """Return the next source, once; None otherwise."""

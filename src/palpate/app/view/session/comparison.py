@@ -8,7 +8,7 @@ import numpy as np
 
 from palpate.app.recordings.snapshot import OverlayState
 from palpate.app.view.session.messages import Message
-from palpate.app.view.session.session import NO_TOOL, RATE, Session
+from palpate.app.view.session.session import NO_TOOL, PERIODS_PER_SECOND, Session
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
@@ -16,11 +16,16 @@ from palpate.reduction.hyper.model import ReducedModel
 
 __all__ = ["Comparison"]
 
-SHARED = ("pose", "tool", "material", "speed")  # messages that `Session.handle` does not pass to a command below
+SHARED_MESSAGES = (
+    "pose",
+    "tool",
+    "material",
+    "speed",
+)  # messages that `Session.handle` does not pass to a command below
 
 
 class Comparison(Session):
-    """The session of a reduced model, with the full body in an engine of its own.
+    """The session of a reduced model, with the full body in a second engine.
 
     Both have the same tool at the same pose, with a rigid coupling: the tools of two springs would differ. Each
     body has its own clock. While one is slower than real time and the tool moves, the two are at different times.
@@ -40,7 +45,7 @@ class Comparison(Session):
         A model takes no tool, the full model is not a solid of the energy form, or the surfaces differ.
     """
 
-    def __init__(self, model: ReducedModel, full_model: Model, title: str, rate: float = RATE) -> None:
+    def __init__(self, model: ReducedModel, full_model: Model, title: str, rate: float = PERIODS_PER_SECOND) -> None:
         if not isinstance(full_model, EnergySolid) or model.data.compliance is None:
             raise InputError(
                 "model must be of a solid that a tool touches to be compared, got another one; leave --compare out"
@@ -56,8 +61,8 @@ class Comparison(Session):
 
     def statistics(self) -> dict[str, Any]:
         """Return the statistics of the reduced model, with the pace of the slower body."""
-        own, full = super().statistics(), self.full.statistics()
-        return {**own, "pace": min(own["pace"], full["pace"])}
+        reduced, full = super().statistics(), self.full.statistics()
+        return {**reduced, "pace": min(reduced["pace"], full["pace"])}
 
     def overlay(self, time: float) -> OverlayState:
         """Return positions (n, 3) [m] of the full body, and the force (3,) [N] on its tool."""
@@ -66,7 +71,7 @@ class Comparison(Session):
 
     @property
     def tool_kinds(self) -> list[str]:
-        """Kinds of tools that both bodies take: each would grasp other nodes with forceps."""
+        """Kinds of tools for both bodies; not forceps, which would grasp different nodes."""
         return [kind for kind in self.full.tool_kinds if kind != "grasp"]
 
     def handle(self, message: Message) -> None:
@@ -83,7 +88,7 @@ class Comparison(Session):
                 raise InputError(f"kind must be one of {allowed} in a comparison, got {message['kind']!r}; use another")
             message = {**message, "stiffness": None}
         super().handle(message)
-        if message["type"] not in SHARED:
+        if message["type"] not in SHARED_MESSAGES:
             return
         try:
             self.full.handle(message)

@@ -20,7 +20,7 @@ from palpate.faults import InputError
 from palpate.files import shortened
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.realtime.display_surface import Surface
-from palpate.scenes.names import SCENES
+from palpate.scenes.names import PACKAGE_SCENES
 from palpate.scenes.training import search_current_folder, training_scene
 
 __all__ = ["full_model", "reduced_model", "replay_errors", "replay_on_full_model", "tool_path"]
@@ -58,10 +58,10 @@ def full_model(reduced: ReducedModel, trusted_scene: str | None = None) -> Model
         scene = trusted_scene  # its digest is checked, wherever it lies
     if trusted_scene is not None and trusted_scene != scene:
         raise InputError(f"scene must be {scene!r}, on which the model was trained, got {trusted_scene!r}")
-    if trusted_scene is None and scene not in SCENES:
+    if trusted_scene is None and scene not in PACKAGE_SCENES:
         kind = scene if is_file(scene) else "MODULE:FUNCTION if you trust that module"
         raise InputError(
-            f"scene of the model must be one of {', '.join(SCENES)}, got {shortened(scene)!r}; names in a file "
+            f"scene of the model must be one of {', '.join(PACKAGE_SCENES)}, got {shortened(scene)!r}; names in a file "
             f"are not imported or opened: add --scene {kind}"
         )
     if trusted_scene is not None:

@@ -9,9 +9,9 @@ from typing import Any
 from palpate.faults import InputError
 from palpate.files import json_of, shortened
 
-__all__ = ["MAX_MESSAGE_BYTES", "PROTOCOL", "Message", "parse_message", "validate_message"]
+__all__ = ["MAX_MESSAGE_BYTES", "PROTOCOL_VERSION", "Message", "parse_message", "validate_message"]
 
-PROTOCOL = 2
+PROTOCOL_VERSION = 2
 MAX_MESSAGE_BYTES = 64 * 1024
 MAX_COORDINATE = 10.0  # [m] of a position
 MAX_TEXT_LENGTH = 200  # characters
@@ -104,39 +104,39 @@ def _short(value: Any) -> str:
     return shortened(repr(value))
 
 
-REQUIRED = object()  # marks a field without default
+REQUIRED_FIELD = object()  # marks a field without default
 _TOOL: dict[str, tuple[Check, Any]] = {
-    "kind": (_one_of("sphere", "capsule", "grasp"), REQUIRED),
+    "kind": (_one_of("sphere", "capsule", "grasp"), REQUIRED_FIELD),
     "radius": (_number(1e-4, 1.0), 0.015),
     "length": (_number(1e-4, 1.0), 0.04),
     "friction": (_number(0.0, 2.0), 0.2),
     "stiffness": (_or_none(_number(1.0, 1e4)), None),
-    "position": (_vector(3), REQUIRED),
+    "position": (_vector(3), REQUIRED_FIELD),
     "quaternion": (_unit_quaternion, (1.0, 0.0, 0.0, 0.0)),
     "sequence": (_whole_number, 0),
 }
 # fields of each type of message: check and default
-FIELDS: dict[str, dict[str, tuple[Check, Any]]] = {
+FIELDS_BY_MESSAGE: dict[str, dict[str, tuple[Check, Any]]] = {
     "hello": {
-        "protocol": (_whole_number, REQUIRED), "token": (_text, REQUIRED), "name": (_text, ""),
+        "protocol": (_whole_number, REQUIRED_FIELD), "token": (_text, REQUIRED_FIELD), "name": (_text, ""),
         "preparation": (_boolean, False),
     },
-    "ack": {"sequence": (_whole_number, REQUIRED)},
+    "ack": {"sequence": (_whole_number, REQUIRED_FIELD)},
     "pose": {
-        "position": (_vector(3), REQUIRED), "quaternion": (_unit_quaternion, (1.0, 0.0, 0.0, 0.0)),
+        "position": (_vector(3), REQUIRED_FIELD), "quaternion": (_unit_quaternion, (1.0, 0.0, 0.0, 0.0)),
         "sequence": (_whole_number, 0),
     },
     "tool": _TOOL,
     "release": {},
     "drive": {},
-    "control": {"action": (_one_of("reset", "pause", "resume"), REQUIRED)},
-    "speed": {"factor": (_number(0.05, 1.0), REQUIRED)},
-    "show": {"scalar": (_one_of("displacement", "stress", "pressure", "none"), REQUIRED)},
-    "material": {"name": (_text, REQUIRED), "value": (_number(0.0, 1e12, open_low=True), REQUIRED)},
-    "record": {"action": (_one_of("start", "stop"), REQUIRED)},
-    "replay": {"action": (_one_of("play", "pause", "seek"), REQUIRED), "time": (_number(0.0, 1e6), 0.0)},
-    "refine": {"action": (_one_of("start", "stop", "use"), REQUIRED)},
-    "force": {"rate": (_rate, REQUIRED)},
+    "control": {"action": (_one_of("reset", "pause", "resume"), REQUIRED_FIELD)},
+    "speed": {"factor": (_number(0.05, 1.0), REQUIRED_FIELD)},
+    "show": {"scalar": (_one_of("displacement", "stress", "pressure", "none"), REQUIRED_FIELD)},
+    "material": {"name": (_text, REQUIRED_FIELD), "value": (_number(0.0, 1e12, open_low=True), REQUIRED_FIELD)},
+    "record": {"action": (_one_of("start", "stop"), REQUIRED_FIELD)},
+    "replay": {"action": (_one_of("play", "pause", "seek"), REQUIRED_FIELD), "time": (_number(0.0, 1e6), 0.0)},
+    "refine": {"action": (_one_of("start", "stop", "use"), REQUIRED_FIELD)},
+    "force": {"rate": (_rate, REQUIRED_FIELD)},
     "latency": {"stamp": (_stamp, None)},
 }  # fmt: skip
 
@@ -160,13 +160,13 @@ def validate_message(given: Any) -> Message:
     if not isinstance(given, dict):
         raise InputError(f"message must be a JSON object, got {_short(given)}; {SEE_DOCS}")
     kind = given.get("type")
-    if not isinstance(kind, str) or kind not in FIELDS:
-        raise InputError(f"type must be one of {', '.join(FIELDS)}, got {_short(kind)}; {SEE_DOCS}")
+    if not isinstance(kind, str) or kind not in FIELDS_BY_MESSAGE:
+        raise InputError(f"type must be one of {', '.join(FIELDS_BY_MESSAGE)}, got {_short(kind)}; {SEE_DOCS}")
     message: Message = {"type": kind}
-    for name, (check, default) in FIELDS[kind].items():
+    for name, (check, default) in FIELDS_BY_MESSAGE[kind].items():
         if name in given:
             message[name] = check(f"{kind}: {name}", given[name])
-        elif default is REQUIRED:
+        elif default is REQUIRED_FIELD:
             raise InputError(f"{kind}: {name} must be given, got nothing; {SEE_DOCS}")
         else:
             message[name] = list(default) if isinstance(default, tuple) else default

@@ -54,7 +54,7 @@ class Recorder:
         self._writer.join()
 
     def _keep_journal(self) -> None:
-        """Write snapshots until the end; where the disk is full, try again later with all that is missing."""
+        """Write snapshots until the end; on a full disk, try again later with all missing ones."""
         while not self._end.wait(JOURNAL_INTERVAL):
             self._write_new()
         self._thread.join()

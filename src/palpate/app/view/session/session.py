@@ -48,16 +48,16 @@ from palpate.reduction.realtime.model import realtime_model
 __all__ = ["Session"]
 
 
-RATE = 1000.0  # [Hz]
+PERIODS_PER_SECOND = 1000.0  # [Hz]
 MAX_TOOL_SPEED = 0.5  # [m/s]
 FULL_INTERVAL = 0.04  # [s] between snapshots of a full body: a minute of 3,000 nodes takes 54 MB
 MAX_READS = 1000  # attempts to read the engine and the model in the same period
 PACE_SECONDS = 3.0  # [s] over which the pace is taken
 HOLD_SECONDS = 1.0  # [s] after its last pose for which a tool counts as held
 SLEEP_TIME = 3.0  # [s] without a tick after which the machine is taken to have slept
-ABSENT_TOOL_DISTANCE = 10.0  # [m] beyond the body, where an absent tool is
+ABSENT_TOOL_DISTANCE = 10.0  # [m] from the body to an absent tool
 NO_TOOL = SelectedTool("none", None)
-MODULUS = "shear modulus"
+MODULUS_NAME = "shear modulus"
 HAND_FORCE = 3.3  # [N] of a coupled tool: the largest of a common haptic device (Touch, 3D Systems, data sheet)
 MIN_MODULUS_RATIO, MAX_MODULUS_RATIO = 0.25, 4.0  # to the model's own moduli
 
@@ -88,7 +88,7 @@ class Session:
         self,
         model: ReducedModel | EnergySolid,
         title: str,
-        rate: float = RATE,
+        rate: float = PERIODS_PER_SECOND,
         foundations: Sequence[Foundation] = (),
     ) -> None:
         self.model, self.title, self.rate = model, title, rate
@@ -161,7 +161,7 @@ class Session:
         if self.model.material.prony is not None:
             return []
         modulus = 1e-3 * float(self.model.material.shear_modulus)
-        return [{"name": MODULUS, "unit": "kPa", "value": self.modulus_ratio * modulus,
+        return [{"name": MODULUS_NAME, "unit": "kPa", "value": self.modulus_ratio * modulus,
                  "low": MIN_MODULUS_RATIO * modulus, "high": MAX_MODULUS_RATIO * modulus, "live": True}]  # fmt: skip
 
     def _describe_tool(self) -> dict[str, Any]:
@@ -220,8 +220,8 @@ class Session:
         """Whether a tool touches the body, or is held by its user: it was moved within the last second."""
         if self.tool is NO_TOOL:
             return False
-        held = time.monotonic() - self._last_pose < HOLD_SECONDS
-        return held or (self.accepts_tools and bool(np.any(self.engine.read().force)))
+        moved_lately = time.monotonic() - self._last_pose < HOLD_SECONDS
+        return moved_lately or (self.accepts_tools and bool(np.any(self.engine.read().force)))
 
     # commands
 
@@ -423,18 +423,18 @@ class Session:
             self.pause("sleep")
 
     def _set_modulus(self, name: str, modulus: float) -> None:
-        if name != MODULUS or not self._materials():
-            allowed = repr(MODULUS) if self._materials() else "left out for tissue that relaxes"
+        if name != MODULUS_NAME or not self._materials():
+            allowed = repr(MODULUS_NAME) if self._materials() else "left out for tissue that relaxes"
             raise InputError(f"material: name must be {allowed}, got {name!r}; see docs/protocol.md")
-        own = float(self.model.material.shear_modulus)
-        if not MIN_MODULUS_RATIO <= modulus / own <= MAX_MODULUS_RATIO:
-            low, high = 1e-3 * MIN_MODULUS_RATIO * own, 1e-3 * MAX_MODULUS_RATIO * own
+        material_modulus = float(self.model.material.shear_modulus)
+        if not MIN_MODULUS_RATIO <= modulus / material_modulus <= MAX_MODULUS_RATIO:
+            low, high = 1e-3 * MIN_MODULUS_RATIO * material_modulus, 1e-3 * MAX_MODULUS_RATIO * material_modulus
             raise InputError(
                 f"{name} must be from {low:g} to {high:g} kPa, got {1e-3 * modulus:g} kPa; choose a value in this range"
             )
         with self._lock, self._pause_engine():
-            self._observable.set_modulus_ratio(modulus / own)
-            self.modulus_ratio = modulus / own
+            self._observable.set_modulus_ratio(modulus / material_modulus)
+            self.modulus_ratio = modulus / material_modulus
 
     # the tool
 

@@ -1,4 +1,4 @@
-"""Tool control of a session: the selected tool, and the places where a tool may be put."""
+"""Tool control of a session: the selected tool, and the permitted places of tools."""
 
 from __future__ import annotations
 

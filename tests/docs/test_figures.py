@@ -1,0 +1,77 @@
+"""Tables of README and docs are those that docs/figures.py makes from the committed result files."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+sys.path.append(str(ROOT / "docs"))
+figures = __import__("figures")
+sys.path.append(str(ROOT / "validation"))
+result_files = __import__("result_files")
+
+PAGES = [page for page in figures.pages() if "<!-- figures: " in page.read_text(encoding="utf-8")]
+FILES = sorted((ROOT / "docs" / "validation").glob("*.json"))
+
+
+def names(page):
+    return [match[2] for match in figures.BLOCK.finditer(page.read_text(encoding="utf-8"))]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_every_block_of_a_page_is_what_its_result_files_make(page):
+    text = page.read_text(encoding="utf-8")
+    assert figures.rewritten(page) == text, "stale figures; run: python docs/figures.py"
+    assert len(names(page)) == text.count("<!-- figures: "), "a block has no end"
+
+
+def test_every_block_and_every_result_file_is_on_a_page():
+    used = {name for page in PAGES for name in names(page)}
+    assert used <= set(figures.BLOCKS)
+    shown = {file for name in used for file in figures.BLOCKS[name].files}
+    assert shown == {path.stem for path in FILES}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_result_files_name_what_made_them(path):
+    content = json.loads(path.read_text(encoding="utf-8"))
+    assert set(content) == {"made", "results"}
+    for entry in content["made"]:
+        assert re.fullmatch(r"[0-9a-f]{7,}\+?", entry["commit"])
+        assert re.fullmatch(r"\d{4}-\d\d-\d\d", entry["date"])
+    assert path.read_text(encoding="utf-8") == result_files.text(content)
+
+
+def test_a_changed_result_changes_its_block(monkeypatch):
+    page = ROOT / "README.md"
+    before = figures.text("frequencies_energy", page)
+    content = figures.content("frequencies")
+    for row in content["results"]:
+        row["bending_error"] += 0.1
+    monkeypatch.setattr(figures, "content", lambda name: content)
+    assert figures.text("frequencies_energy", page) != before
+
+
+def test_written_results_are_read_again_with_their_origin(tmp_path, monkeypatch):
+    monkeypatch.setattr(result_files, "FOLDER", tmp_path)
+    assert result_files.read("heights", []) == []
+    for height in (1.0, 2.0):
+        result_files.write("heights", [{"height": height}], "python heights.py")
+    result_files.write("heights", [{"height": 2.0}, {"height": 3.0}], "python heights.py --more")
+    assert result_files.read("heights", []) == [{"height": 2.0}, {"height": 3.0}]
+    made = json.loads((tmp_path / "heights.json").read_text(encoding="utf-8"))["made"]
+    assert [entry["command"] for entry in made] == ["python heights.py", "python heights.py --more"]
+    assert all(entry["machine"] and entry["commit"] for entry in made)
+
+
+SHARES = {0.0: "0 %", 3e-8: "< 0.001 %", 0.00123: "0.12 %", 0.0999: "10 %", 0.236: "24 %", 1.0316: "103 %"}
+
+
+@pytest.mark.parametrize(("value", "text"), SHARES.items())
+def test_shares_have_two_significant_digits(value, text):
+    assert sys.modules["figure_tables"].percent(value) == text

@@ -1,0 +1,43 @@
+"""Lines of prose in the README and the docs have at most 100 characters."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+sys.path.append(str(ROOT / "docs"))
+wrap = __import__("wrap")
+
+
+@pytest.mark.parametrize("page", list(wrap.pages()), ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_prose_is_wrapped(page):
+    text = page.read_text(encoding="utf-8")
+    assert wrap.wrapped(text) == text, "lines of prose are too long; run: python docs/wrap.py"
+
+
+def test_prose_is_filled_and_the_rest_is_kept():
+    long = " ".join(["word"] * 30)
+    table, code, block = f"| {long} |", f"    {long}", f"<!-- figures: tips -->\n{long}\n<!-- end -->"
+    page = f"# {long}\n\n{long}\n\n- {long}\n  more\n- short\n\n{table}\n\n{code}\n\n```\n{long}\n```\n\n{block}\n"
+    new = wrap.wrapped(page)
+    assert new.split() == page.split()
+    assert {line for line in new.split("\n") if len(line) > wrap.WIDTH} == {f"# {long}", table, code, long}
+    assert new.count(long) == 5  # heading, table, code twice, block
+    assert "\n  word" in new  # the item keeps its indent
+    assert wrap.wrapped(new) == new
+
+
+def test_code_is_not_broken_and_a_dash_begins_no_line():
+    page = ("x" * 97) + " - y `a b` " + ("z" * 90) + " `one two three`\n"
+    assert [line.strip() for line in wrap.wrapped(page).splitlines()] == [
+        "x" * 97 + " -", "y `a b` " + "z" * 90, "`one two three`",
+    ]  # fmt: skip
+
+
+def test_wrapping_keeps_the_words_of_every_page():
+    for page in wrap.pages():
+        text = page.read_text(encoding="utf-8")
+        assert wrap.wrapped(text).split() == text.split()
