@@ -10,6 +10,8 @@ from importlib.metadata import version as installed_version
 from pathlib import Path
 from typing import Any
 
+import latex2mathml.converter
+from docutils.nodes import SkipNode
 from sphinx.application import Sphinx
 from sphinx.domains.python import PyObject
 from sphinx.util.inspect import stringify_signature
@@ -30,7 +32,6 @@ version = release
 extensions = [
     "myst_nb",
     "sphinx.ext.autodoc",
-    "sphinx.ext.mathjax",
     "sphinx.ext.napoleon",
     "sphinx_copybutton",
 ]
@@ -52,7 +53,8 @@ html_theme_options = {
     "dark_css_variables": {"color-brand-primary": "#e58a93", "color-brand-content": "#e58a93"},
 }
 
-# Notebooks: only pages with notebook front matter run; results are kept between builds.
+# Notebooks: only pages with notebook front matter run. Results are kept until the cells of a page change; after a
+# change of palpate, `make clean docs` runs all of them again.
 nb_execution_mode = "cache"
 nb_execution_cache_path = str(ROOT / "out" / "site-cache" / "notebooks")
 nb_execution_timeout = 600  # [s] of one cell
@@ -80,9 +82,7 @@ add_module_names = False
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 
-# MathJax is needed when a page is read, not when it is built. Its SVG output needs no fonts; a site without a
-# network serves a copy of the file and names it by -D mathjax_path=...
-mathjax_path = "https://cdn.jsdelivr.net/npm/mathjax@4/tex-svg.js"
+html_math_renderer = "mathml"  # browsers draw it without a script or a network
 
 linkcheck_anchors = False
 linkcheck_timeout = 20
@@ -136,6 +136,8 @@ def show_constructor(
 ) -> tuple[str, None] | None:
     """Show the arguments of a class whose metaclass takes any and checks them."""
     if kind == "class" and signature and signature.startswith("(*"):
+        if obj.__init__ is object.__init__:  # an abstract class
+            return "", None
         constructor = inspect.signature(obj.__init__)
         arguments = [
             each.replace(annotation=inspect.Parameter.empty)
@@ -161,8 +163,25 @@ def restore_colons(app: Sphinx, kind: str, name: str, obj: Any, options: Any, li
 property_docs: dict[str, list[str]] = {}
 
 
+def draw_inline_math(translator: Any, node: Any) -> None:
+    """Write a formula in a line as MathML."""
+    translator.body.append(latex2mathml.converter.convert(node.astext()))
+    raise SkipNode
+
+
+def draw_equation(translator: Any, node: Any) -> None:
+    """Write an equation as MathML, with its number in the margin."""
+    text = re.sub(r"\\(?:begin|end)\{equation\*\}", "", node.astext())
+    number = re.search(r"\\tag\{(.*?)\}", text)
+    formula = latex2mathml.converter.convert(re.sub(r"\\tag\{.*?\}", "", text), display="block")
+    shown = f'<span class="eqno">({number[1]})</span>' if number else ""
+    translator.body.append(f'<div class="equation">{formula}{shown}</div>\n')
+    raise SkipNode
+
+
 def setup(app: Sphinx) -> None:
     """Connect what changes pages and docstrings before they are parsed."""
+    app.add_html_math_renderer("mathml", (draw_inline_math, None), (draw_equation, None))
     app.connect("source-read", show_root_file)
     app.connect("source-read", fill_generated_parts)
     app.connect("source-read", drop_empty_patterns)

@@ -143,19 +143,28 @@ def beam_full(beam: Row, softer: Row) -> str:
     return markdown([*heads, "largest miss of the energy balance over the largest work"], rows)
 
 
-@block("reproduce_beam", command=BEAM_RUNS)
-def beam_sampled(beam: Row) -> str:
-    """Return the errors of sampled models against their own full model, and against the strong form."""
+@block("reproduce_beam", "reproduce_beam_045", command=f"{BEAM_RUNS}` and `{BEAM_RUNS} --poisson 0.45")
+def beam_sampled(beam: Row, softer: Row) -> str:
+    """Return the errors of sampled models against the energy form, which they reduce."""
     rows = []
-    for row in beam["reduced"]:
-        if row["series"] != "projected":
-            for name, errors in (("energy", row["errors_against"]["energy form"]), ("strong", row["errors"])):
-                counts = [str(row["modes"]), str(row["nodes"])]
-                rows.append([*counts, name, *error_cells(errors), percent(row["ratio"])])
-    form = beam["energy_form"]
-    ratio = form["wall_seconds"] / beam["full"]["wall_seconds"]
-    rows.append(["full", f"{beam['nodes']:,}", "strong", *error_cells(form["errors"]), percent(ratio)])
-    return markdown(["modes", "nodes", "against the form", *ERRORS, "time / strong form"], rows)
+    for report in (beam, softer):
+        for row in report["reduced"]:
+            if row["series"] == "hyper-reduced":
+                counts = [f"{report['parameters']['poisson']:g}", str(row["modes"]), str(row["nodes"])]
+                rows.append([*counts, *error_cells(row["errors"]), percent(row["ratio"])])
+    return markdown(["ν", "modes", "nodes", *ERRORS, "time / full"], rows)
+
+
+@block("reproduce_beam", "reproduce_beam_045", command=f"{BEAM_RUNS}` and `{BEAM_RUNS} --poisson 0.45")
+def beam_forms(beam: Row, softer: Row) -> str:
+    """Return the difference of the two forms of the full model."""
+    rows = []
+    for report in (beam, softer):
+        forms = report["forms"]
+        rows.append([
+            f"{report['parameters']['poisson']:g}", *error_cells(forms["errors"]), percent(forms["displacement_until"]),
+        ])  # fmt: skip
+    return markdown(["ν", *ERRORS, f"displacement until {beam['forms']['until']:g} s"], rows)
 
 
 def membrane_phase(report: Row, series: str, phase: str) -> dict[int, Row]:

@@ -32,18 +32,25 @@ def content(name: str) -> dict[str, Any]:
     return json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
 
 
-def origin(name: str, page: Path) -> str:
-    """Return a link to a result file, with the last commit and machine that made it."""
-    made = content(name)["made"][-1]
+def origin(name: str, command: str, page: Path) -> str:
+    """Return a link to a result file, with the commit and machine of the last run of a command, or of commands.
+
+    A run of all parts of a study counts for each. Where no run of the command is known, it is the oldest entry, which
+    names none.
+    """
+    made = content(name)["made"]
+    wanted = re.split(r"`[^`]*`", command)
+    runs = [each for each in made if any(f"{one} ".startswith(f"{each.get('command')} ") for one in wanted)]
+    entry = (runs or [each for each in made if "command" not in each] or made)[-1]
     link = Path(os.path.relpath(RESULTS / f"{name}.json", page.parent)).as_posix()
-    return f"[{name}.json]({link}), commit {made['commit']} of {made['date']}, {made.get('machine', NO_MACHINE)}"
+    return f"[{name}.json]({link}), commit {entry['commit']} of {entry['date']}, {entry.get('machine', NO_MACHINE)}"
 
 
 def text(name: str, page: Path) -> str:
     """Return a block for a page: the table, and what made it."""
     block = BLOCKS[name]
     table = block.table(*(content(file)["results"] for file in block.files))
-    origins = ";\n".join(origin(file, page) for file in block.files)
+    origins = ";\n".join(origin(file, block.command, page) for file in block.files)
     return f"{table}\n\nMade by `{block.command}`:\n{origins}.\n"
 
 

@@ -8,8 +8,8 @@ import re
 from importlib import import_module
 from pathlib import Path
 
-REFERENCE = Path(__file__).parent / "reference"
-DIRECTIVE = re.compile(r"\.\. (?:auto(?:function|class|exception)|py:type):: (\w+)")
+REFERENCE_FOLDER = Path(__file__).parent / "reference"
+NAME_DIRECTIVE = re.compile(r"\.\. (?:auto(?:function|class|exception)|py:type):: (\w+)")
 
 
 def documented_names(page: Path) -> list[str]:
@@ -18,7 +18,7 @@ def documented_names(page: Path) -> list[str]:
     for line in page.read_text(encoding="utf-8").splitlines():
         if line.startswith(".. currentmodule::"):
             module = line.split()[-1]
-        elif described := DIRECTIVE.match(line):
+        elif described := NAME_DIRECTIVE.match(line):
             names.append(f"{module}.{described[1]}")
     return names
 
@@ -38,13 +38,13 @@ def names() -> str:
 
 def summary(name: str) -> str:
     """Return the first line of the docstring of a public name."""
-    if name in UNIONS:
-        return UNIONS[name]
+    if name in UNION_SUMMARIES:
+        return UNION_SUMMARIES[name]
     module, _, own_name = name.rpartition(".")
     return (inspect.getdoc(getattr(import_module(module), own_name)) or "").partition("\n")[0]
 
 
-UNIONS = {  # types without a docstring
+UNION_SUMMARIES = {  # types without a docstring
     "palpate.typing.Load": "Type of loads.",
     "palpate.typing.Motion": "Type of the motion of a tool.",
     "palpate.typing.Tool": "Type of rigid tools.",
@@ -53,9 +53,9 @@ UNIONS = {  # types without a docstring
 
 def ordered_pages() -> list[Path]:
     """Return the reference pages with public names in the order of the index."""
-    index = (REFERENCE.parent / "index.md").read_text(encoding="utf-8")
+    index = (REFERENCE_FOLDER.parent / "index.md").read_text(encoding="utf-8")
     order = {name: place for place, name in enumerate(re.findall(r"^reference/(\w+)\*?$", index, re.MULTILINE))}
-    pages = [page for page in REFERENCE.glob("*.md") if documented_names(page)]
+    pages = [page for page in REFERENCE_FOLDER.glob("*.md") if documented_names(page)]
     return sorted(pages, key=lambda page: (order.get(page.stem, len(order)), page.stem))
 
 
@@ -68,12 +68,12 @@ def commands() -> str:
 
 def subcommands(parser: argparse.ArgumentParser, path: str = "palpate") -> list[tuple[str, argparse.ArgumentParser]]:
     """Return the commands below a parser and their own parsers, in the order of ``--help``."""
-    found: list[tuple[str, argparse.ArgumentParser]] = []
+    parsers: list[tuple[str, argparse.ArgumentParser]] = []
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for name, inner in action.choices.items():
-                found += [(f"{path} {name}", inner), *subcommands(inner, f"{path} {name}")]
-    return found
+                parsers += [(f"{path} {name}", inner), *subcommands(inner, f"{path} {name}")]
+    return parsers
 
 
 def described(path: str, parser: argparse.ArgumentParser) -> list[str]:
@@ -105,9 +105,9 @@ def linked(text: str) -> str:
     return re.sub(r"docs/(\w+)\.md(#[\w-]+)?", r"[\1](../\1.md\2)", text)
 
 
-GENERATED = {"names": names, "commands": commands}
+GENERATED_PARTS = {"names": names, "commands": commands}
 
 
 def fill(text: str) -> str:
     """Return the text of a page with its marks ``<!-- generated: ... -->`` replaced."""
-    return re.sub(r"<!-- generated: (\w+) -->", lambda mark: GENERATED[mark[1]](), text)
+    return re.sub(r"<!-- generated: (\w+) -->", lambda mark: GENERATED_PARTS[mark[1]](), text)

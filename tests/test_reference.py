@@ -16,18 +16,18 @@ import pytest
 
 import palpate as pt
 
-DOCS = Path(__file__).parents[1] / "docs"
-sys.path.insert(0, str(DOCS))
+DOCS_FOLDER = Path(__file__).parents[1] / "docs"
+sys.path.insert(0, str(DOCS_FOLDER))
 
-from generated_parts import UNIONS, commands, documented_names, names, ordered_pages, subcommands  # noqa: E402
+from generated_parts import UNION_SUMMARIES, commands, documented_names, names, ordered_pages, subcommands  # noqa: E402
 
-MODULES = ("io", "lti", "materials", "tools", "typing")
-PUBLIC = sorted(
-    [f"palpate.{name}" for name in pt.__all__ if name not in MODULES]
-    + [f"palpate.{module}.{name}" for module in MODULES for name in getattr(pt, module).__all__]
+PUBLIC_MODULES = ("io", "lti", "materials", "tools", "typing")
+PUBLIC_NAMES = sorted(
+    [f"palpate.{name}" for name in pt.__all__ if name not in PUBLIC_MODULES]
+    + [f"palpate.{module}.{name}" for module in PUBLIC_MODULES for name in getattr(pt, module).__all__]
 )
-COMPILING = r"pt\.(Solid|Membrane|open_scene|Engine|lti)\b"  # examples with a body: kernels and runs
-SLOW = {"palpate.io.read_painted"}  # a process with VTK
+COMPILING_CALLS = r"pt\.(Solid|Membrane|open_scene|Engine|lti)\b"  # examples with a body: kernels and runs
+SLOW_EXAMPLES = {"palpate.io.read_painted"}  # a process with VTK
 
 
 def public_object(name: str) -> Any:
@@ -38,8 +38,8 @@ def public_object(name: str) -> Any:
 
 def example(name: str) -> str:
     """Return the section Examples of a public name: of its docstring, or of the reference page of a type alias."""
-    if name in UNIONS:
-        page = (DOCS / "reference" / "types.md").read_text(encoding="utf-8")
+    if name in UNION_SUMMARIES:
+        page = (DOCS_FOLDER / "reference" / "types.md").read_text(encoding="utf-8")
         text = page.partition(f".. py:type:: {name.rpartition('.')[2]}\n")[2].partition(".. py:type::")[0]
         return inspect.cleandoc(text.partition(".. rubric:: Examples\n")[2].partition("```")[0])
     return (inspect.getdoc(public_object(name)) or "").partition("Examples\n--------\n")[2]
@@ -47,25 +47,25 @@ def example(name: str) -> str:
 
 def examples() -> list[Any]:
     """Return all public names as parameters, those whose examples take long with the marker ``slow``."""
-    slow = {name for name in PUBLIC if name in SLOW or re.search(COMPILING, example(name))}
-    return [pytest.param(name, marks=[pytest.mark.slow] if name in slow else []) for name in PUBLIC]
+    slow = {name for name in PUBLIC_NAMES if name in SLOW_EXAMPLES or re.search(COMPILING_CALLS, example(name))}
+    return [pytest.param(name, marks=[pytest.mark.slow] if name in slow else []) for name in PUBLIC_NAMES]
 
 
 def test_every_public_name_is_on_one_reference_page():
     described = [name for page in ordered_pages() for name in documented_names(page)]
-    assert sorted(described) == PUBLIC
+    assert sorted(described) == PUBLIC_NAMES
 
 
 def test_the_list_of_names_has_a_summary_of_each():
     rows = dict(re.findall(r"^\| \{py:obj\}`[\w.]+ <([\w.]+)>` \| (.+) \|$", names(), re.MULTILINE))
-    assert sorted(rows) == PUBLIC
+    assert sorted(rows) == PUBLIC_NAMES
     assert all(re.search(r"[.:]$", text) for text in rows.values())
 
 
-@pytest.mark.parametrize("name", PUBLIC)
+@pytest.mark.parametrize("name", PUBLIC_NAMES)
 def test_every_public_name_has_an_example_with_a_result(name):
-    found = doctest.DocTestParser().get_examples(example(name))
-    assert any(each.want for each in found)
+    statements = doctest.DocTestParser().get_examples(example(name))
+    assert any(each.want for each in statements)
 
 
 @pytest.mark.parametrize("name", examples())
@@ -91,14 +91,14 @@ def test_every_command_and_option_is_on_the_page_of_commands():
 
 
 def explanation_pages() -> list[Path]:
-    return sorted((DOCS / "explanation").glob("*.md"))
+    return sorted((DOCS_FOLDER / "explanation").glob("*.md"))
 
 
 @pytest.mark.parametrize("page", explanation_pages(), ids=lambda page: page.stem)
 def test_functions_named_on_pages_of_explanation_exist(page):
     """A name in code, such as ``palpate.meshfree.stencils.moving_least_squares``, is a module or is in one."""
-    found = re.findall(r"`(palpate(?:\.\w+)+)`", page.read_text(encoding="utf-8"))
-    for name in found:
+    named = re.findall(r"`(palpate(?:\.\w+)+)`", page.read_text(encoding="utf-8"))
+    for name in named:
         parts = name.split(".")
         for count in range(len(parts), 0, -1):
             try:
@@ -112,17 +112,17 @@ def test_functions_named_on_pages_of_explanation_exist(page):
 
 
 def test_the_page_of_the_method_has_all_equations_of_the_paper_and_functions_for_each():
-    text = (DOCS / "explanation" / "method.md").read_text(encoding="utf-8")
+    text = (DOCS_FOLDER / "explanation" / "method.md").read_text(encoding="utf-8")
     assert [int(number) for number in re.findall(r"\\tag\{(\d+)\}", text)] == list(range(1, 35))
     for section in re.findall(r"\\tag\{.*?(?=\n## )", text, re.DOTALL):
         assert "| computed by |" in section
 
 
 def test_the_index_lists_every_page_and_every_pattern_of_a_part():
-    index = (DOCS / "index.md").read_text(encoding="utf-8")
+    index = (DOCS_FOLDER / "index.md").read_text(encoding="utf-8")
     for part in ("tutorials/*", "howto/*", "explanation/*", "reference/*", "claims/*", "notes/*"):
         assert f"\n{part}\n" in index
-    for page in DOCS.glob("*.md"):
+    for page in DOCS_FOLDER.glob("*.md"):
         listed = re.search(rf"^{page.stem}\*?$", index, re.MULTILINE)
         assert listed or page.stem in ("index", "package"), f"docs/index.md does not list {page.name}"
 
@@ -138,12 +138,12 @@ def sections(text: str) -> dict[str, str]:
 
 def documented_parameters(docstring: str) -> set[str]:
     """Return the names in the sections Parameters and Attributes."""
-    found: set[str] = set()
+    described: set[str] = set()
     for title in ("Parameters", "Attributes"):
         for line in sections(docstring).get(title, "").splitlines():
             if line and not line.startswith(" "):
-                found |= {name.strip().lstrip("*") for name in line.split(" : ")[0].split(",")}
-    return found
+                described |= {name.strip().lstrip("*") for name in line.split(" : ")[0].split(",")}
+    return described
 
 
 def parameters(thing: Any) -> set[str]:
@@ -154,7 +154,7 @@ def parameters(thing: Any) -> set[str]:
     return {each.name for each in inspect.signature(thing).parameters.values() if each.kind not in kinds}
 
 
-@pytest.mark.parametrize("name", [name for name in PUBLIC if name not in UNIONS])
+@pytest.mark.parametrize("name", [name for name in PUBLIC_NAMES if name not in UNION_SUMMARIES])
 def test_every_parameter_and_result_of_a_public_name_is_described(name):
     thing = public_object(name)
     docstring = inspect.getdoc(thing) or ""

@@ -57,6 +57,23 @@ def test_a_changed_result_changes_its_block(monkeypatch):
     assert figures.text("frequencies_energy", page) != before
 
 
+def test_a_table_names_the_last_run_of_its_command(monkeypatch):
+    old, part, whole = (
+        {"commit": commit, "date": "2026-01-01", **command}
+        for commit, command in (
+            ("1111111", {}), ("2222222", {"command": "a.py b"}), ("3333333", {"command": "a.py"})
+        )
+    )  # fmt: skip
+    page = ROOT / "README.md"
+    for made, command, commit in (
+        ([old], "a.py b", old), ([old, part], "a.py b", part), ([old, part], "a.py c", old),
+        ([old, part, whole], "a.py b", whole), ([old, whole, part], "a.py c", whole), ([part], "a.py c", part),
+        ([old, part], "z.py` and `a.py b", part), ([old, whole], "a.pyx", old),
+    ):  # fmt: skip
+        monkeypatch.setattr(figures, "content", lambda name, made=made: {"made": made})
+        assert commit["commit"] in figures.origin("tips", command, page)
+
+
 def test_written_results_are_read_again_with_their_origin(tmp_path, monkeypatch):
     monkeypatch.setattr(result_files, "FOLDER", tmp_path)
     assert result_files.read("heights", []) == []

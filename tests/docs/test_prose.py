@@ -30,6 +30,12 @@ def test_prose_is_filled_and_the_rest_is_kept():
     assert wrap.wrapped(new) == new
 
 
+def test_equations_are_kept():
+    long = " + ".join(["x"] * 60)
+    page = f"Text\n\n$$\n{long}\n{long}\n$$\n\n\\begin{{equation*}}\n{long}\n{long}\n\\end{{equation*}}\n"
+    assert wrap.wrapped(page) == page
+
+
 def test_code_is_not_broken_and_a_dash_begins_no_line():
     page = ("x" * 97) + " - y `a b` " + ("z" * 90) + " `one two three`\n"
     assert [line.strip() for line in wrap.wrapped(page).splitlines()] == [

@@ -21,7 +21,7 @@ from palpate.meshfree.surfaces import Surface
 __all__ = ["draw_cloud", "draw_surface"]
 
 
-MESH_EDGES_COLOUR = "#5A2F28"  # colour of the triangles' edges
+MESH_EDGE_COLOUR = "#5A2F28"  # colour of the triangles' edges
 MARKS = {
     "error": ("#0072B2", "blue: faults"),
     "repair": ("#E69F00", "orange: repairs"),
@@ -87,7 +87,13 @@ def _show_edges(axes: Any, cloud: Cloud, towards: Floats, title: str) -> None:
         normals = shape.compute_normals(cell_normals=False, split_vertices=False).point_data["Normals"]
         shape["colour"] = shade(np.asarray(normals, dtype=float), camera_axes(towards))
         plotter.add_mesh(
-            shape, scalars="colour", rgb=True, lighting=False, show_edges=True, edge_color=MESH_EDGES_COLOUR, line_width=2
+            shape,
+            scalars="colour",
+            rgb=True,
+            lighting=False,
+            show_edges=True,
+            edge_color=MESH_EDGE_COLOUR,
+            line_width=2,
         )
 
     show(axes, cloud.points, towards, title, draw)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.common.figures import RED, figure, scale_bar
-from palpate.app.common.rendering import add_shaded, check_drawing, off_screen, screenshot, surface
-from palpate.app.common.shading import RefinedSurface, colour_map
+from palpate.app.common.rendering import check_drawing, off_screen, screenshot, surface
+from palpate.app.common.shading import colour_map
 from palpate.arrays import Floats
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.meshfree.cloud import Cloud
@@ -126,6 +126,7 @@ def _render(moment: _Moment, view: _View, nodes: bool) -> NDArray[np.uint8]:
     pv: Any = pyvista
     points = moment.cloud.points
     body = surface(moment.cloud, points + moment.displacement)
+    body["stress"] = moment.stress
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.2 * (high - low)
     start, end = low - margin, high + margin
@@ -133,12 +134,10 @@ def _render(moment: _Moment, view: _View, nodes: bool) -> NDArray[np.uint8]:
     angle = np.radians(ELEVATION)
     towards = np.array([0.0, -np.cos(angle), np.sin(angle)])  # the camera
     middle = np.array([(view.left + view.right) / 2, *(low[1:] + high[1:]) / 2])
-
-    def colours(refined: RefinedSurface) -> dict[str, Floats]:
-        return {"values": refined.values(moment.stress / moment.limit)}
-
     with off_screen(view.width, view.height, middle, towards) as plotter:
-        add_shaded(plotter, body.points, moment.cloud.triangles, towards, colours)
+        # without light the colours are those of the colour bar; the edges show the shape
+        colours = {"scalars": "stress", "clim": (0.0, moment.limit), "cmap": colour_map(), "show_scalar_bar": False}
+        plotter.add_mesh(body, lighting=False, **colours)
         # in a parallel projection nearer lines and nodes stay in place, and clear of the faces they lie on
         nearer = 0.1 * margin[1] * towards
         plotter.add_mesh(_edges(body).translate(nearer), color="#101010", line_width=5.0)
