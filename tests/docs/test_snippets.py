@@ -13,6 +13,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "howto").glob("*.md")])
+FRAGMENTS = {"docs/extending.md"}  # pieces of files, which test_extending.py applies
 QUICK = {"docs/howto/loads.md", "docs/supports.md"}
 PACKAGES = {"pandas": "pandas", "websockets": "websockets", "pyvista": "pyvista", "pymor": "pymor"}
 FENCE = re.compile(
@@ -54,8 +55,8 @@ def page_name(path):
 def cases():
     """Yield the pages with snippets that run."""
     for path in PAGES:
-        if program(path.read_text(encoding="utf-8")).strip():
-            name = page_name(path)
+        name = page_name(path)
+        if name not in FRAGMENTS and program(path.read_text(encoding="utf-8")).strip():
             yield pytest.param(path, id=name, marks=[] if name in QUICK else pytest.mark.slow)
 
 
