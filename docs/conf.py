@@ -112,20 +112,6 @@ def show_root_file(app: Sphinx, page: str, source: list[str]) -> None:
         source[0] = re.sub(rf"\]\((?:\.\./)*{file}(?=[)#])", f"]({up}{target}.md", source[0])
 
 
-def drop_empty_patterns(app: Sphinx, page: str, source: list[str]) -> None:
-    """Drop patterns of the index that match no further page: Sphinx 9 warns of each and has no setting against it."""
-    if page != "index":
-        return
-    lines, taken = [], set()
-    for line in source[0].splitlines():
-        listed = re.fullmatch(r"[\w/]+\*?", line)
-        matches = set(app.srcdir.glob(f"{line}.md")) if listed else set()
-        if not line.endswith("*") or matches - taken:
-            lines.append(line)
-        taken |= matches
-    source[0] = "\n".join(lines)
-
-
 def fill_generated_parts(app: Sphinx, page: str, source: list[str]) -> None:
     """Replace the marks of a page by what comes of the code."""
     source[0] = generated_parts.fill(source[0])
@@ -184,7 +170,6 @@ def setup(app: Sphinx) -> None:
     app.add_html_math_renderer("mathml", (draw_inline_math, None), (draw_equation, None))
     app.connect("source-read", show_root_file)
     app.connect("source-read", fill_generated_parts)
-    app.connect("source-read", drop_empty_patterns)
     app.connect("autodoc-process-signature", show_constructor)
     app.connect("autodoc-process-docstring", keep_colons, priority=400)  # napoleon has 500
     app.connect("autodoc-process-docstring", restore_colons, priority=600)

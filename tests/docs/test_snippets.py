@@ -1,4 +1,7 @@
-"""Every snippet of README and docs runs as it stands, page by page in one namespace."""
+"""Every snippet of the docs runs as it stands, page by page in one namespace.
+
+`tests/test_public.py` runs that of the README, and the build of the site runs the tutorials.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from typing import NamedTuple
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "howto").glob("*.md")])
+PAGES = sorted([*(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "howto").glob("*.md")])
 FRAGMENTS = {"docs/extending.md"}  # pieces of files, which test_extending.py applies
 QUICK = {"docs/howto/loads.md", "docs/supports.md"}
 PACKAGES = {"pandas": "pandas", "websockets": "websockets", "pyvista": "pyvista", "pymor": "pymor"}
