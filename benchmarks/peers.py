@@ -135,20 +135,41 @@ def smith_neo_hookean(F: Array) -> Array:
     return SMITH_SHEAR * (1 - 1 / (first + 1)) * F + SMITH_LAME * (J - shift) * cofactor
 
 
-def palpate(case: Case, cells: int) -> tuple[Callable[[], Run], float]:
-    """Return a run of palpate's `Solid` with its defaults, and its step [s]."""
+def palpate_body(case: Case, cells: int) -> tuple[Any, list[Any]]:
+    """Return palpate's `Solid` with its defaults, and its loads."""
     import palpate as pt
 
     tissue = pt.materials.NeoHookean(C1=SHEAR / 2, density=DENSITY, poisson=POISSON)
     cloud = pt.box(case.size, case.size[1] / cells)
     body = pt.Solid(cloud, tissue, "x-", mass_damping=case.damping)
-    end = cloud.group("x+")
     if case.press:
-        loads: list[Any] = [
-            pt.PrescribedMotion("x+", lambda points, t: (-case.press * min(1.0, t / case.ramp), 0.0, 0.0))
-        ]
-    else:
-        loads = [pt.SurfaceForce("x+", force=(0.0, 0.0, case.force))]
+        return body, [pt.PrescribedMotion("x+", lambda points, t: (-case.press * min(1.0, t / case.ramp), 0.0, 0.0))]
+    return body, [pt.SurfaceForce("x+", force=(0.0, 0.0, case.force))]
+
+
+def palpate_statics(case: Case, cells: int) -> tuple[Callable[[], Run], float]:
+    """Return a static solve of palpate."""
+    import palpate as pt
+
+    body, loads = palpate_body(case, cells)
+
+    def solve() -> Run:
+        began = process_time()
+        rest = pt.equilibrium(body, loads, time=case.duration)
+        seconds = process_time() - began
+        end = rest.displacements[body.cloud.group("x+"), 2].mean()
+        return Run(float(abs(rest.reactions["x+"][0]) if case.press else end), 0, seconds)
+
+    solve()  # compiles
+    return solve, 0.0
+
+
+def palpate(case: Case, cells: int) -> tuple[Callable[[], Run], float]:
+    """Return a run of palpate, and its duration for compilation [s]."""
+    import palpate as pt
+
+    body, loads = palpate_body(case, cells)
+    end = body.cloud.group("x+")
 
     def run(duration: float = case.duration) -> Run:
         began = process_time()
@@ -446,6 +467,7 @@ CASES = {case.name: case for case in (BEAM, BLOCK)}
 PROGRAMS: dict[str, tuple[str, str, Callable[[float], Array], Callable[[Case, int], Any]]] = {
     # name in figures: package, what it solves, its law, and its runs
     "palpate": ("palpate", "dynamics", neo_hookean, palpate),
+    "palpate, statics": ("palpate", "statics", neo_hookean, palpate_statics),
     "MuJoCo, Euler": ("mujoco", "dynamics", saint_venant_kirchhoff, lambda c, n: mujoco(c, n, "Euler", 0.0)),
     "MuJoCo, discrete": ("mujoco", "dynamics", saint_venant_kirchhoff, lambda c, n: mujoco(c, n, "discrete", 2e-3)),
     "Newton, semi-implicit": ("newton", "dynamics", smith_neo_hookean, lambda c, n: newton(c, n, "semi-implicit")),
@@ -468,7 +490,7 @@ def measure(case: Case, name: str, cells: int) -> dict[str, Any]:
     if name == "palpate":
         run(first)  # compiles
         result = run()
-    elif name == "FElupe":
+    elif PROGRAMS[name][1] == "statics":
         result = run()
     else:
         step = longest_stable(run, first, TRIAL_STEPS_IMPLICIT if name in IMPLICIT else TRIAL_STEPS)
@@ -494,35 +516,44 @@ def versions() -> dict[str, str]:
     return installed
 
 
-def measure_all() -> dict[str, Any]:
-    """Return references and rows of all installed programs."""
+def measure_all(only: str | None) -> dict[str, Any]:
+    """Return references and rows of all installed programs, or those of the file with one program measured again."""
     names = [name for name, (package, *_) in PROGRAMS.items() if importlib.util.find_spec(package)]
     for name in PROGRAMS.keys() - set(names):
         print(f"{name} is left out: pip install {PROGRAMS[name][0]}")
-    if "FElupe" not in names:
+    if "FElupe" not in names and not only:
         raise SystemExit("FElupe gives the reference: pip install felupe")
-    expected: dict[str, Any] = {}
-    rows = []
+    kept = result_files.read("peers", {}) if only else {}
+    expected = kept.get("references", {})
+    rows = [row for row in kept.get("rows", []) if row["program"] != only]
     for case in CASES.values():
-        expected[case.name] = references(case, {PROGRAMS[name][2] for name in names})
-        print(case.name, expected[case.name], flush=True)
-        for name in names:
-            laws = expected[case.name]["laws"]
-            exact = laws.get(PROGRAMS[name][2].__name__, laws[neo_hookean.__name__])
-            for cells in case.cells:
-                row = measure(case, name, cells)
-                row["error"] = row["value"] / exact - 1
-                time = row.get("seconds_per_second", row.get("solve_seconds"))
-                print(f"{name:22} {row['nodes']:6,} nodes {time:9.3g} s {100 * row['error']:+8.2f} %", flush=True)
-                rows.append(row)
-                if time * (case.duration if "step" in row else 1.0) > MAX_SECONDS:
-                    break
-    return {"versions": versions(), "shear": SHEAR, "poisson": POISSON, "references": expected, "rows": rows}
+        if not only:
+            expected[case.name] = references(case, {PROGRAMS[name][2] for name in names})
+            print(case.name, expected[case.name], flush=True)
+        for name in [only] if only else names:
+            rows += measure_program(case, name, expected[case.name]["laws"])
+    rows.sort(key=lambda row: (list(CASES).index(row["case"]), list(PROGRAMS).index(row["program"]), row["nodes"]))
+    installed = kept.get("versions", {}) | versions()
+    return {"versions": installed, "shear": SHEAR, "poisson": POISSON, "references": expected, "rows": rows}
+
+
+def measure_program(case: Case, name: str, laws: dict[str, float]) -> list[dict[str, Any]]:
+    """Return the rows of one program on all lattices, until one takes too long."""
+    exact, rows = laws.get(PROGRAMS[name][2].__name__, laws[neo_hookean.__name__]), []
+    for cells in case.cells:
+        row = measure(case, name, cells)
+        row["error"] = row["value"] / exact - 1
+        time = row.get("seconds_per_second", row.get("solve_seconds"))
+        print(f"{name:22} {row['nodes']:6,} nodes {time:9.3g} s {100 * row['error']:+8.2f} %", flush=True)
+        rows.append(row)
+        if time * (case.duration if "step" in row else 1.0) > MAX_SECONDS:
+            break
+    return rows
 
 
 MARKERS = {"FElupe": ("x", "#555555"), "Newton, VBD": ("v", "#CC79A7"), "Newton, semi-implicit": ("^", "#009E73"),
            "MuJoCo, discrete": ("D", "#56B4E9"), "MuJoCo, Euler": ("s", "#0072B2"),
-           "palpate": ("o", "#D55E00")}  # fmt: skip
+           "palpate": ("o", "#D55E00"), "palpate, statics": ("P", "#D55E00")}  # fmt: skip
 
 
 def check() -> None:
@@ -568,8 +599,8 @@ def draw(result: dict[str, Any]) -> None:
                     continue
                 times = [row.get("seconds_per_second", row.get("solve_seconds")) for row in rows]
                 static = "solve_seconds" in rows[0]
-                label = "FElupe, statics: time of the solve" if static else program
-                style = {"ls": ":" if static else "-", "lw": 2.2 if program == "palpate" else 1.4, "ms": 7}
+                label = f"{program.partition(',')[0]}, statics: time of the solve" if static else program
+                style = {"ls": ":" if static else "-", "lw": 2.2 if program.startswith("palpate") else 1.4, "ms": 7}
                 axes.plot(times, [100 * abs(row["error"]) for row in rows], marker=marker, color=colour, label=label,
                           **style)  # fmt: skip
             axes.set_xscale("log")
@@ -591,13 +622,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--draw", action="store_true", help="measure nothing; draw the picture")
     parser.add_argument("--check", action="store_true", help="only compare MuJoCo's beam with FElupe on its mesh")
+    parser.add_argument("--only", choices=PROGRAMS, help="measure this program again, and keep the others")
     chosen = parser.parse_args()
     if chosen.check:
         check()
         return
     if not chosen.draw:
         with TemporaryDirectory() as folder, chdir(folder):  # where MuJoCo leaves its log
-            result = measure_all()
+            result = measure_all(chosen.only)
         result_files.write("peers", result)
     draw(result_files.read("peers", None))
 
