@@ -1,7 +1,8 @@
-"""Lines of prose in the README and the docs have at most 100 characters."""
+"""Prose in the README and the docs: lines of at most 100 characters, and short sentences."""
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
@@ -12,10 +13,23 @@ sys.path.append(str(ROOT / "docs"))
 wrap = __import__("wrap")
 
 
+MAX_WORDS = 45  # of a sentence between marks; 25 is the aim, which a count of words cannot judge alone
+LISTS_OF_FIELDS = {"protocol.md", "ARCHITECTURE.md"}  # pages with items that list the fields of a message or a flow
+
+
 @pytest.mark.parametrize("page", list(wrap.pages()), ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_prose_is_wrapped(page):
     text = page.read_text(encoding="utf-8")
     assert wrap.wrapped(text) == text, "lines of prose are too long; run: python docs/wrap.py"
+
+
+@pytest.mark.parametrize("page", list(wrap.pages()), ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_sentences_are_short(page):
+    if page.name in LISTS_OF_FIELDS:
+        return
+    prose = (" ".join(lines) for is_prose, lines in wrap.blocks(page.read_text(encoding="utf-8")) if is_prose)
+    sentences = [sentence for block in prose for sentence in re.split(r"(?<=[.!?:;])\s+", block)]
+    assert [sentence for sentence in sentences if len(sentence.split()) > MAX_WORDS] == []
 
 
 def test_prose_is_filled_and_the_rest_is_kept():
