@@ -37,11 +37,19 @@ def origin(name: str, command: str, page: Path) -> str:
 
     A run of all parts of a study counts for each. Where no run of the command is known, it is the oldest entry, which
     names none.
+
+    Raises
+    ------
+    ValueError
+        Only other commands made the file.
     """
     made = content(name)["made"]
     wanted = re.split(r"`[^`]*`", command)
     runs = [each for each in made if any(f"{one} ".startswith(f"{each.get('command')} ") for one in wanted)]
-    entry = (runs or [each for each in made if "command" not in each] or made)[-1]
+    possible = runs or [each for each in made if "command" not in each]
+    if not possible:
+        raise ValueError(f"{name}.json must have a run of {command}, got {[each['command'] for each in made]}; run it")
+    entry = possible[-1]
     link = Path(os.path.relpath(RESULTS / f"{name}.json", page.parent)).as_posix()
     return f"[{name}.json]({link}), commit {entry['commit']} of {entry['date']}, {entry.get('machine', NO_MACHINE)}"
 

@@ -149,8 +149,10 @@ def test_the_example_prints_the_errors_that_the_readme_shows(capsys):
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     shown = re.search(r"`print` shows `(Errors\(.*\))`", text)
     assert shown is not None
-    exec(compile(example(), "README.md", "exec"), {})
+    namespace: dict[str, Any] = {}
+    exec(compile(example(), "README.md", "exec"), namespace)
     assert capsys.readouterr().out.splitlines()[-1] == shown[1]
+    assert f"{len(namespace['rom'].data.cubature.nodes)} sampled nodes of 1,025" in text
 
 
 def test_the_example_of_the_readme_passes_mypy(tmp_path):

@@ -63,6 +63,13 @@ def test_the_page_has_a_law_a_load_a_tool_and_a_scene():
         assert len(STEP.findall(text)) == text.count("\n```") / 2
 
 
+def test_every_source_that_the_page_names_exists_or_is_created():
+    text = PAGE.read_text(encoding="utf-8")
+    created = {step["created"] for step in STEP.finditer(text)}
+    named = set(re.findall(r"`((?:src|tests)/[^`\s]+)`", text))
+    assert [path for path in named - created if not (ROOT / path).exists()] == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("heading", sections())
 def test_an_example_applied_to_the_sources_passes_its_tests(copy, heading):

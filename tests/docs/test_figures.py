@@ -67,11 +67,14 @@ def test_a_table_names_the_last_run_of_its_command(monkeypatch):
     page = ROOT / "README.md"
     for made, command, commit in (
         ([old], "a.py b", old), ([old, part], "a.py b", part), ([old, part], "a.py c", old),
-        ([old, part, whole], "a.py b", whole), ([old, whole, part], "a.py c", whole), ([part], "a.py c", part),
+        ([old, part, whole], "a.py b", whole), ([old, whole, part], "a.py c", whole),
         ([old, part], "z.py` and `a.py b", part), ([old, whole], "a.pyx", old),
     ):  # fmt: skip
         monkeypatch.setattr(figures, "content", lambda name, made=made: {"made": made})
         assert commit["commit"] in figures.origin("tips", command, page)
+    monkeypatch.setattr(figures, "content", lambda name: {"made": [part]})
+    with pytest.raises(ValueError, match=r"tips\.json must have a run of a\.py c"):
+        figures.origin("tips", "a.py c", page)
 
 
 def test_written_results_are_read_again_with_their_origin(tmp_path, monkeypatch):

@@ -57,7 +57,8 @@ def test_code_is_not_broken_and_a_dash_begins_no_line():
     ]  # fmt: skip
 
 
-def test_wrapping_keeps_the_words_of_every_page():
+def test_wrapping_keeps_the_words_of_every_page(monkeypatch):
+    monkeypatch.setattr(wrap, "WIDTH", 40)
     for page in wrap.pages():
         text = page.read_text(encoding="utf-8")
         assert wrap.wrapped(text).split() == text.split()

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([*(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "howto").glob("*.md")])
+PAGES = sorted(path for path in (ROOT / "docs").rglob("*.md") if path.parent.name != "tutorials")
 FRAGMENTS = {"docs/extending.md"}  # pieces of files, which test_extending.py applies
 QUICK = {"docs/howto/loads.md", "docs/supports.md"}
 PACKAGES = {"pandas": "pandas", "websockets": "websockets", "pyvista": "pyvista", "pymor": "pymor"}
