@@ -1,6 +1,6 @@
 """Every snippet of the docs runs as it stands, page by page in one namespace.
 
-`tests/test_public.py` runs that of the README, and the build of the site runs the tutorials.
+`tests/test_public.py` runs that of the README, of which package.md has a part, and the build of the site runs the tutorials.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from typing import NamedTuple
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted(path for path in (ROOT / "docs").rglob("*.md") if path.parent.name != "tutorials")
+PAGES = sorted(
+    path for path in (ROOT / "docs").rglob("*.md") if path.parent.name != "tutorials" and path.name != "package.md"
+)
 FRAGMENTS = {"docs/extending.md"}  # pieces of files, which test_extending.py applies
 QUICK = {"docs/howto/loads.md", "docs/supports.md"}
 PACKAGES = {"pandas": "pandas", "websockets": "websockets", "pyvista": "pyvista", "pymor": "pymor"}
