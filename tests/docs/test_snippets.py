@@ -1,6 +1,7 @@
 """Every snippet of the docs runs as it stands, page by page in one namespace.
 
-`tests/test_public.py` runs that of the README, of which package.md has a part. The build of the site runs the tutorials.
+`tests/test_public.py` runs that of the README, of which package.md has a part. The build of the site runs the
+tutorials.
 """
 
 from __future__ import annotations
