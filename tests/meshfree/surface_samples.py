@@ -58,8 +58,7 @@ def vtk_samples(body, folder):
     from vtkmodules.vtkIOLegacy import vtkPolyDataWriter
     from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter
 
-    flat = np.column_stack([np.full(len(body.triangles), 3), body.triangles]).ravel()
-    surface = PolyData(body.vertices, flat)
+    surface = PolyData.from_regular_faces(body.vertices, body.triangles)
     surface.field_data["note"] = np.arange(3.0)
     surface.cell_data["number"] = np.arange(len(body.triangles))
     made = {}

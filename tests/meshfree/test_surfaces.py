@@ -150,8 +150,7 @@ def test_every_kind_of_file_gives_the_same_surface(kind, tmp_path):
 def test_vtk_files_give_the_same_surface(kind, tmp_path):
     pyvista = pytest.importorskip("pyvista")
     body = ball()
-    flat = np.column_stack([np.full(len(body.triangles), 3), body.triangles]).ravel()
-    pyvista.PolyData(body.vertices, flat).save(tmp_path / f"ball.{kind}")
+    pyvista.PolyData.from_regular_faces(body.vertices, body.triangles).save(tmp_path / f"ball.{kind}")
     assert pt.io.read_surface(tmp_path / f"ball.{kind}", units="m").volume == pytest.approx(body.volume, rel=1e-5)
 
 

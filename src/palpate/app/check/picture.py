@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from palpate.app.common.figures import BLUE, ORANGE, figure, heading
-from palpate.app.common.rendering import add_shaded, camera_axes, show, surface
-from palpate.app.common.shading import RefinedSurface, shade
+from palpate.app.common.rendering import add_shaded, camera_axes, show
+from palpate.app.common.shading import RefinedSurface, shade, triangle_mesh
 from palpate.arrays import Floats, Ints
 from palpate.files import shortened
 from palpate.meshfree.cloud import Cloud
@@ -83,7 +83,7 @@ def _show_edges(axes: Any, cloud: Cloud, towards: Floats, title: str) -> None:
     """Draw the triangles of a cloud's surface seen from a side."""
 
     def draw(plotter: Any, _width: float) -> None:
-        shape = surface(cloud, cloud.points)
+        shape = triangle_mesh(cloud.points, cloud.triangles)
         normals = shape.compute_normals(cell_normals=False, split_vertices=False).point_data["Normals"]
         shape["colour"] = shade(np.asarray(normals, dtype=float), camera_axes(towards))
         plotter.add_mesh(

@@ -13,15 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.common.figures import scale_bar
-from palpate.app.common.shading import RefinedSurface, shade
+from palpate.app.common.shading import RefinedSurface, shade, triangle_mesh
 from palpate.arrays import Floats, Ints
 from palpate.extras import require
 from palpate.faults import InputError
-from palpate.meshfree.cloud import Cloud
 
 __all__ = [
     "PIXELS", "DrawingError", "add_shaded", "camera_axes", "check_drawing", "off_screen", "screenshot", "show",
-    "surface",
 ]  # fmt: skip
 
 
@@ -70,13 +68,6 @@ def check_drawing() -> None:
         raise DrawingError(
             "VTK cannot draw off-screen on this machine; on Debian or Ubuntu: apt-get install libegl1 libgl1-mesa-dri"
         )
-
-
-def surface(cloud: Cloud, points: Floats) -> Any:
-    """Return the surface triangles of a cloud as PyVista's, their corners at `points` (n, 3) [m]."""
-    import pyvista
-
-    return pyvista.PolyData(points, np.column_stack([np.full(len(cloud.triangles), 3), cloud.triangles]).ravel())
 
 
 def camera_axes(towards: Floats) -> Floats:
@@ -147,13 +138,9 @@ def add_shaded(
     colours : function
         Returns further arguments of `palpate.app.common.shading.shade` at the vertices of the refined surface.
     """
-    import pyvista
-
     refined = RefinedSurface(points, triangles)
     places, normals = refined.places(points)
-    body: Any = pyvista.PolyData(
-        places, np.column_stack([np.full(len(refined.triangles), 3), refined.triangles]).ravel()
-    )
+    body = triangle_mesh(places, refined.triangles)
     body["colour"] = shade(normals, camera_axes(towards), **colours(refined))
     plotter.add_mesh(body, scalars="colour", rgb=True, lighting=False)
 

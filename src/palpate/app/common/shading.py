@@ -17,7 +17,18 @@ from palpate.arrays import Floats, Ints
 if TYPE_CHECKING:
     from matplotlib.colors import ListedColormap
 
-__all__ = ["INK", "QUIET", "TISSUE", "RefinedSurface", "colour_at", "colour_map", "round_up", "shade", "shade_tool"]
+__all__ = [
+    "INK",
+    "QUIET",
+    "TISSUE",
+    "RefinedSurface",
+    "colour_at",
+    "colour_map",
+    "round_up",
+    "shade",
+    "shade_tool",
+    "triangle_mesh",
+]
 
 INK, QUIET = "#1b1f23", "#646b73"  # text, and quieter text
 TISSUE = np.array([0.43, 0.15, 0.12])  # reflectance of tissue, sRGB
@@ -144,6 +155,14 @@ def shade_tool(normals: Floats, camera: Floats, colour: Floats = STEEL) -> NDArr
     return _bytes(_linear(colour) * light + 0.5 * _shine(n, KEY, 120) + rim)
 
 
+def triangle_mesh(points: ArrayLike, triangles: ArrayLike) -> Any:
+    """Return PyVista's mesh of points (n, 3) [m] and triangles (t, 3)."""
+    import pyvista
+
+    make: Any = pyvista.PolyData.from_regular_faces
+    return make(points, triangles)
+
+
 def _bytes(light: Floats) -> NDArray[np.uint8]:
     return np.rint(255 * _encoded(np.clip(light, 0.0, 1.0))).astype(np.uint8)
 
@@ -239,9 +258,7 @@ def _normals(p: Floats, corners: Ints, sums: Any) -> Floats:
 
 def _split_creases(rest: Floats, triangles: Ints) -> tuple[Ints, Ints]:
     """Return the vertex of which each vertex is a copy, and triangles whose sharp edges share no vertices."""
-    import pyvista
-
-    body: Any = pyvista.PolyData(rest, np.column_stack([np.full(len(triangles), 3), triangles]).ravel())
+    body = triangle_mesh(rest, triangles)
     body.point_data["origin"] = np.arange(len(rest))
     split = body.compute_normals(
         cell_normals=False,
@@ -250,4 +267,4 @@ def _split_creases(rest: Floats, triangles: Ints) -> tuple[Ints, Ints]:
         consistent_normals=False,
         auto_orient_normals=False,
     )
-    return np.asarray(split.point_data["origin"], dtype=np.int64), split.faces.reshape(-1, 4)[:, 1:].astype(np.int64)
+    return np.asarray(split.point_data["origin"], dtype=np.int64), split.regular_faces.astype(np.int64)

@@ -11,7 +11,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from palpate.app.common.rendering import camera_axes, check_drawing, off_screen, screenshot
-from palpate.app.common.shading import INK, QUIET, RefinedSurface, colour_map, round_up, shade, shade_tool
+from palpate.app.common.shading import (
+    INK,
+    QUIET,
+    RefinedSurface,
+    colour_map,
+    round_up,
+    shade,
+    shade_tool,
+    triangle_mesh,
+)
 from palpate.app.recordings.recording import Recording
 from palpate.app.recordings.snapshot import FIELD_UNITS
 from palpate.app.view.server.frames import colour_range
@@ -185,11 +194,11 @@ class RecordingPlotter:
         plotter: Any = self._window.__enter__()
         unit, factor = FIELD_UNITS[self.scalar]
         largest = round_up(factor * self._largest_value())
-        body: Any = pyvista.PolyData(refined.places(rest)[0], _faces(refined.triangles))
+        body = triangle_mesh(refined.places(rest)[0], refined.triangles)
         body["colour"] = np.zeros((body.n_points, 3), dtype=np.uint8)
         plotter.add_mesh(body, scalars="colour", rgb=True, lighting=False)
         shadow = _add_shadow(plotter, pyvista, rest)
-        full_model = self._add_full_model(plotter, pyvista, _faces(surface.triangles))
+        full_model = self._add_full_model(plotter)
         tools = self._add_tools(plotter, pyvista)
         signed = self.scalar == "pressure"
         caption = Caption(self.recording.title, f"{self.scalar.capitalize()} [{unit}]", largest, signed, 1e3 * width)
@@ -228,12 +237,12 @@ class RecordingPlotter:
         moved = ((each, each.displacements(self.surface)) for each in self.sample)
         return max(*(colour_range(each.scalar(self.surface, self.scalar, u))[1] for each, u in moved), 1e-12)
 
-    def _add_full_model(self, plotter: Any, pyvista: Any, faces: Any) -> Callable[[int], None]:
+    def _add_full_model(self, plotter: Any) -> Callable[[int], None]:
         """Add the full model as a wireframe; return a function that updates it to a frame."""
         full = self.recording.full
         if not full:
             return lambda frame: None
-        full_model = pyvista.PolyData(full["positions"][0].astype(float), faces)
+        full_model = triangle_mesh(full["positions"][0].astype(float), self.surface.triangles)
         plotter.add_mesh(
             full_model, style="wireframe", color=FULL_MODEL_COLOUR, line_width=2.0, opacity=0.5, lighting=False
         )
@@ -269,15 +278,13 @@ class RecordingPlotter:
                     continue
                 actor, points, normals, solid = parts
                 actor.visibility = index == present and snapshot.tool != "none"
+                if not actor.visibility:
+                    continue
                 rotation = Rotation.from_quat(snapshot.quaternion, scalar_first=True)
                 solid.points = snapshot.position + rotation.apply(points)
                 solid["colour"] = shade_tool(rotation.apply(normals), self.axes)
 
         return update
-
-
-def _faces(triangles: Any) -> Any:
-    return np.column_stack([np.full(len(triangles), 3), triangles]).ravel()
 
 
 def _add_shadow(plotter: Any, pyvista: Any, rest: Floats) -> Callable[[Floats], None]:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.common.figures import RED, figure, scale_bar
-from palpate.app.common.rendering import check_drawing, off_screen, screenshot, surface
-from palpate.app.common.shading import colour_map
+from palpate.app.common.rendering import check_drawing, off_screen, screenshot
+from palpate.app.common.shading import colour_map, triangle_mesh
 from palpate.arrays import Floats
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.meshfree.cloud import Cloud
@@ -125,7 +125,7 @@ def _render(moment: _Moment, view: _View, nodes: bool) -> NDArray[np.uint8]:
 
     pv: Any = pyvista
     points = moment.cloud.points
-    body = surface(moment.cloud, points + moment.displacement)
+    body = triangle_mesh(points + moment.displacement, moment.cloud.triangles)
     body["stress"] = moment.stress
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.2 * (high - low)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.common.figures import BLUE, ORANGE, figure, heading, scale_bar
-from palpate.app.common.rendering import PIXELS, add_shaded, check_drawing, off_screen, screenshot, surface
-from palpate.app.common.shading import RefinedSurface, colour_map
+from palpate.app.common.rendering import PIXELS, add_shaded, check_drawing, off_screen, screenshot
+from palpate.app.common.shading import RefinedSurface, colour_map, triangle_mesh
 from palpate.app.studies.study import PROJECTED, Study
 from palpate.arrays import Floats
 from palpate.meshfree.cloud import Cloud
@@ -84,7 +84,7 @@ def _render(cloud: Cloud, displacement: Floats, limit: float, low: float, high: 
     angle = np.radians(ELEVATION)
     towards = np.array([0.0, -np.cos(angle), np.sin(angle)])  # the camera
     points = np.column_stack([cloud.points, np.zeros(len(cloud))]) + displacement * (1.0, 1.0, HEIGHT_SCALE)
-    sheet = surface(cloud, points)
+    sheet = triangle_mesh(points, cloud.triangles)
     sheet["deflection"] = 1e3 * displacement[:, 2]
     middle = np.array([0.0, 0.0, (low + high) / 2 / np.cos(angle)])
 
