@@ -4,7 +4,7 @@
     python docs/figures.py --show NAME    prints one block
 
 A page has a block between two comments, ``<!-- figures: NAME -->`` and ``<!-- end -->``. Its text is the table that the
-function of that name in `docs/figure_tables.py` returns, then the command, the result files, their commit and machine.
+function of that name in `docs/figure_tables` returns, then the command, the result files, their commit and machine.
 `tests/docs/test_figures.py` fails where a page and its result files differ.
 """
 

@@ -94,4 +94,4 @@ SHARES = {0.0: "0 %", 3e-8: "< 0.001 %", 0.00123: "0.12 %", 0.0999: "10 %", 0.23
 
 @pytest.mark.parametrize(("value", "text"), SHARES.items())
 def test_shares_have_two_significant_digits(value, text):
-    assert sys.modules["figure_tables"].percent(value) == text
+    assert sys.modules["figure_tables.cells"].percent(value) == text

@@ -1,0 +1,26 @@
+"""The tables of the docs, one function each, from the results of docs/validation/*.json. SI units.
+
+`docs/figures.py` calls them. A function takes the results of its files and returns Markdown; its name is the name of
+its block in the pages.
+"""
+
+from figure_tables import (
+    contact,
+    examples,
+    frequencies,
+    incompressible,
+    laws,
+    linear,
+    membranes,
+    organs,
+    peers,
+    readme,
+    sampled,
+    steps,
+)
+from figure_tables.cells import BLOCKS, Block
+
+__all__ = [
+    "BLOCKS", "Block", "contact", "examples", "frequencies", "incompressible", "laws", "linear",
+    "membranes", "organs", "peers", "readme", "sampled", "steps",
+]  # fmt: skip

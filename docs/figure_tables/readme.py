@@ -1,0 +1,156 @@
+"""The six figures of the README, the speed of models, and the paper's claims next to ours."""
+
+# ruff: noqa: RUF001  (Greek letters and the typographer's minus and dash are meant)
+from __future__ import annotations
+
+from figure_tables.cells import Row, block, find, markdown, microseconds, percent, significant
+from figure_tables.examples import BEAM_RUNS, MEMBRANE_RUN, error_cells, membrane_phase, projected, series_of
+
+
+def displacements(rows: dict[int, Row], *sizes: int) -> str:
+    """Return the displacement errors of models of some numbers of modes."""
+    return "; ".join(percent(rows[modes]["errors"]["displacement"]) for modes in sizes)
+
+
+@block("reproduce_beam", "reproduce_beam_045", command=f"{BEAM_RUNS}` and `{BEAM_RUNS} --poisson 0.45")
+def beam_claims(beam: Row, softer: Row) -> str:
+    """Return the paper's claims on the beam next to what was measured."""
+    both = [projected(report) for report in (beam, softer)]
+    several = ("velocity", "energy", "reaction")
+    rows = [
+        ["displacement error (34) with 6 modes", "< 3 %", *(displacements(each, 6) for each in both)],
+        ["with 8 modes; with 12", "slight decrease after 8", *(displacements(each, 8, 12) for each in both)],
+        [
+            "velocity / energy / reaction-force error, 12 modes", "–",
+            *(" / ".join(error_cells(each[12]["errors"], several)) for each in both),
+        ],
+        ["time over the full model's, 8 modes", "3 %", *(percent(each[8]["ratio"]) for each in both)],
+    ]  # fmt: skip
+    heads = ["", "paper", *(f"ν = {report['parameters']['poisson']:g}" for report in (beam, softer))]
+    return markdown(heads, rows)
+
+
+@block("reproduce_membrane", command=MEMBRANE_RUN)
+def membrane_claims(report: Row) -> str:
+    """Return the paper's claims on the membrane next to what was measured while the tool pushes."""
+    plain, sampled = (membrane_phase(report, series, "push") for series in series_of(report))
+    last = " / ".join(error_cells(plain[12]["errors"], ("energy", "reaction")))
+
+    points = "; ".join(str(sampled[modes]["nodes"]) for modes in (2, 8, 12))
+    rows = [
+        ["displacement error (34) with 2; 8; 12 modes", "high; very small; as with 8", displacements(plain, 2, 8, 12)],
+        [f"the same, hyper-reduced to {points} points", "–", displacements(sampled, 2, 8, 12)],
+        ["the same at 0.1 s alone, 8; 12 modes", "–", "; ".join(percent(plain[m]["error_at_end"]) for m in (8, 12))],
+        ["energy / tool-force error, 12 modes", "–", last],
+        [
+            "time over the full model's, 8 modes; hyper-reduced", "dramatically less",
+            "; ".join(percent(rows[8]["ratio"]) for rows in (plain, sampled)),
+        ],
+    ]  # fmt: skip
+    return markdown(["", "paper", "here"], rows)
+
+
+def bench_rows(bench: Row) -> list[list[str]]:
+    """Return what `palpate bench` measured of reduced models."""
+    beam, large = bench["beam"][0], bench["large"]
+    fast, bodies = beam["hyper_reduced"], large["bodies"]
+    pull = "; ".join(percent(fast["ratio"][form]) for form in ("strong", "energy"))
+    return [
+        [
+            f"beam, {beam['nodes']:,} nodes: a step of {fast['modes']} modes at {fast['nodes']} sampled nodes",
+            microseconds(fast["compiled_seconds_per_step"]),
+        ],
+        ["the paper's pull, over the full model's time: strong form; energy form (paper: 3 %)", pull],
+        [
+            f"a force evaluation of {large['modes']} modes at {large['nodes']} sampled nodes",
+            microseconds(large["force_seconds"]),
+        ],
+        [
+            "the same over reading its operators from memory; from the cache",
+            f"{large['force_over_memory_reading']:.1f}; {large['force_over_reading']:.1f}",
+        ],
+        [
+            f"a step of that model trained on {bodies[1]['nodes']:,} nodes over one trained on {bodies[0]['nodes']:,}",
+            f"{large['compiled_step_ratio']:.2f}",
+        ],
+    ]  # fmt: skip
+
+
+@block("bench", command="palpate bench")
+def bench_models(bench: Row) -> str:
+    """Return the speed of full and reduced models."""
+    beam, full = bench["beam"][0], bench["full_body"]
+    rows = [
+        [
+            f"beam, {beam['nodes']:,} nodes: full model, {form} form",
+            f"{run['steps_per_second']:,.0f} steps/s, {significant(run['real_time_factor'])} of real time",
+        ]
+        for form, run in beam["full"].items()
+    ]  # fmt: skip
+    rows += [
+        [
+            f"full liver of {full['nodes']:,} nodes under a ball, {run['threads']} threads: a period of 1 ms, mean; "
+            "median; 99 %",
+            "; ".join(f"{1e3 * run[name]:.2f}" for name in ("mean_seconds", "median_seconds", "seconds_99")) + " ms",
+        ]
+        for run in full["threads"]
+    ]  # fmt: skip
+    return markdown(["quantity, medians of 3 rounds", "here"], [*bench_rows(bench), *rows])
+
+
+@block(
+    "organ_models", "bench", "reproduce_beam", "held_out",
+    command=f"python validation/organ_models.py`, `palpate bench`, `{BEAM_RUNS}` and "
+    "`python validation/held_out.py",
+)  # fmt: skip
+def readme_figures(organs: list[Row], bench: Row, beam: Row, studies: Row) -> str:
+    """Return the six figures of the README, each with the command that makes it."""
+    first, errors = ([select(organ) for organ in organs] for select in (_first_force, _small_model_force))
+    full, fast = max(bench["full_body"]["threads"], key=lambda run: run["nodes_in_real_time"]), bench["beam"][0]
+    full_nodes = bench["full_body"]["nodes"]
+    runs = [row[rule] for row in studies["stability"] for rule in ("explicit", "implicit")]
+    six, eight = projected(beam)[6], find(beam["reduced"], series="hyper-reduced", modes=8)
+    organ_command, bench_command = "`python validation/organ_models.py`", "`palpate bench`"
+    rows = [
+        [
+            f"from a surface to the first force on the tool, median of {len(organs)} organs; the one that compiled",
+            f"{sorted(first)[len(first) // 2]:.0f} s; {max(first):.0f} s", organ_command,
+        ],
+        [
+            f"nodes of a full body in real time under a ball, by the mean period of {full_nodes:,} nodes",
+            f"{100 * round(full['nodes_in_real_time'] / 100):,}", bench_command,
+        ],
+        [
+            "force on the tool of organs trained with default choices, median error on unseen paths",
+            f"{percent(min(errors))} to {percent(max(errors))}", organ_command,
+        ],
+        [
+            f"a step of the reduced beam, {fast['hyper_reduced']['modes']} modes",
+            microseconds(fast["hyper_reduced"]["compiled_seconds_per_step"]), bench_command,
+        ],
+        [
+            "the paper's beam: error (34) projected, 6 modes (paper: < 3 %); sampled, 8 modes, and its time",
+            f"{displacement(six)}; {displacement(eight)}, {percent(eight['ratio'])} of the full model's",
+            f"`{BEAM_RUNS}`",
+        ],
+        [
+            f"runs of reduced models into buckling that diverged, {studies['stability'][0]['modes']} to "
+            f"{studies['stability'][-1]['modes']} modes",
+            f"{sum(run['failed'] for run in runs)} of {sum(run['runs'] for run in runs)}",
+            "`python validation/held_out.py`",
+        ],
+    ]  # fmt: skip
+    return markdown(["figure", "here", "command"], rows)
+
+
+def _first_force(organ: Row) -> float:
+    return organ["new"] + organ["first_force"]
+
+
+def _small_model_force(organ: Row) -> float:
+    return organ["small"]["force"]
+
+
+def displacement(entry: Row) -> str:
+    """Return the displacement error of a reduced run."""
+    return percent(entry["errors"]["displacement"])

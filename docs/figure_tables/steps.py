@@ -1,0 +1,83 @@
+"""Stable steps, coverage of bounds, and the force of organs of real-time spacing."""
+
+from __future__ import annotations
+
+import math
+from statistics import mean, median
+
+from figure_tables.cells import Row, block, markdown, percent, signed, significant
+
+
+@block("stable_step", command="python validation/stable_step.py")
+def stable_step_limits(found: Row) -> str:
+    """Return what limits the stable step of four bodies."""
+    lines = [
+        [
+            f"{row['body']}, {row['nodes']:,} nodes", f"{row['frequency_over_wave']:.2f}",
+            f"{row['share_of_four']:.0%}, {row['mass_of_four']:.2f}".replace("%", " %"),
+            f"{row['largest_step']:.2f}", f"{row['step_with_least_mass']['0.25']:.2f}",
+        ]
+        for row in found["limits"]
+    ]  # fmt: skip
+    heads = [
+        "body", "highest frequency, over that of a wave of two spacings",
+        "four fastest nodes: share of the vibration, mass over the median", "largest stable step over that of runs",
+        "step with masses of at least a quarter of the median, over the step",
+    ]  # fmt: skip
+    return markdown(heads, lines)
+
+
+@block("stable_step", command="python validation/stable_step.py --filled")
+def stable_step_filled(found: Row) -> str:
+    """Return the stable steps of filled bodies without and with transfers of weight."""
+    lines = [
+        [
+            row["body"], f"{row['nodes']:,}", *(f"{1e6 * step:.0f}" for step in row["steps"]),
+            f"{row['steps'][1] / row['steps'][0]:.2f}", signed(row["frequency_change"], 2),
+            signed(row["displacement_change"], 2),
+        ]
+        for row in found["filled"]
+    ]  # fmt: skip
+    heads = [
+        "body", "nodes", "step without transfers [µs]", "with [µs]", "ratio", "first frequency", "displacement",
+    ]  # fmt: skip
+    return markdown(heads, lines)
+
+
+@block("coverage", command="python validation/coverage.py")
+def coverage(rows: list[Row]) -> str:
+    """Return how many further runs keep their error bounds."""
+    lines = [
+        [
+            row["body"], str(row["modes"]), row["of"], f"{100 * row['kept']:.1f} %", f"{100 * row['unknown']:.1f} %",
+            percent(row["error"]), f"{row['bound over error']:.1f}", f"{row['rank correlation']:.2f}",
+        ]
+        for row in rows
+    ]  # fmt: skip
+    lines.append(["mean of all", "", "", f"{100 * mean(row['kept'] for row in rows):.1f} %", "", "", "", ""])
+    heads = [
+        "body", "modes", "error of", "runs kept", "unknown", "median largest error of a run",
+        "last bound over largest error, median", "rank correlation of largest number and error",
+    ]  # fmt: skip
+    return markdown(heads, lines)
+
+
+@block("spacing_force", command="python validation/spacing_force.py")
+def organ_force(rows: list[Row]) -> str:
+    """Return the force of a ball on livers of real-time spacing next to that on finer ones."""
+    lines = []
+    for row in rows:
+        (coarse, fine), ball = row["force"], (1e3 * row["radius"], 1e3 * row["depth"])
+        lines.append([
+            row["organ"], ", ".join(f"{nodes:,}" for nodes in row["nodes"]),
+            ", ".join(significant(length, 3) for length in ball),
+            f"{math.sqrt(row['radius'] * row['depth']) / row['spacing']:.1f}",
+            ", ".join(significant(force, 3) for force in (coarse, fine)), signed(coarse / fine - 1),
+            ", ".join(signed(drift) for drift in row["drift"]),
+        ])  # fmt: skip
+    errors = [abs(row["force"][0] / row["force"][1] - 1) for row in rows]
+    lines.append(["median; largest", "", "", "", "", f"{100 * median(errors):.1f}; {100 * max(errors):.1f} %", ""])
+    heads = [
+        "organ", "nodes", "radius of the ball, depth [mm]", "contact radius / spacing", "force [N]", "error", "drift",
+    ]  # fmt: skip
+    return markdown(heads, lines)
