@@ -40,6 +40,7 @@ _HOME = {
     "moving_least_squares": "meshfree.stencils",
     "Solid": "dynamics.solid.model",
     "Membrane": "dynamics.membrane.model",
+    "cut": "dynamics.solid.cut",
     "equilibrium": "dynamics.nodal.equilibrium",
     "Foundation": "dynamics.loads.foundation",
     "Gravity": "dynamics.loads.body_force",

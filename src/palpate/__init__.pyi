@@ -16,6 +16,7 @@ from palpate.dynamics.nodal.equilibrium import equilibrium as equilibrium
 from palpate.dynamics.run.model import State as State
 from palpate.dynamics.run.rollout import rollout as rollout
 from palpate.dynamics.run.trajectory import Trajectory as Trajectory
+from palpate.dynamics.solid.cut import cut as cut
 from palpate.dynamics.solid.model import Solid as Solid
 from palpate.faults import CloudError as CloudError
 from palpate.faults import DivergenceError as DivergenceError

@@ -14,6 +14,7 @@ from palpate.dynamics.nodal.model import NodalModel, NodalWork
 from palpate.dynamics.nodal.stability import StabilityReport
 from palpate.dynamics.run.model import ContactState, Evaluation, Model, Outputs, StepReport
 from palpate.dynamics.run.reactions import NodalFields
+from palpate.meshfree.cut_surface import CutSurface
 from palpate.meshfree.mirror import Mirror, MirrorPlane
 from palpate.realtime.device import DeviceLog
 from palpate.realtime.record import Reading
@@ -29,6 +30,7 @@ from palpate.scenes.organ_scene import OrganScene
 __all__ = [
     "Clamp",
     "ContactState",
+    "CutSurface",
     "DeadLoad",
     "DeviceLog",
     "Distribution",

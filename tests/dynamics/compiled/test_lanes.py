@@ -27,7 +27,7 @@ def sums(lanes, weights, field):
     """The weighted sums of differences that the kernels take, block by block."""
     result = np.full((len(field), weights.one.shape[1]), np.nan)
     for b, nodes in enumerate(lanes.nodes):
-        near = lanes.neighbours[lanes.start[b] : lanes.start[b + 1]]
+        near = lanes.neighbours[lanes.start[b] : lanes.stop[b]]
         begin = lanes.weight_start[b]
         numbers = weights.one[..., None] if lanes.shared[b] else weights.lanes
         difference = field[near] - field[nodes]

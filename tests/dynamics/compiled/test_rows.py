@@ -56,7 +56,7 @@ def test_rows_keep_neighbours_and_weights(stencils):
     field = np.random.default_rng(1).normal(size=len(stencils.row))
     difference = field[stencils.neighbours] - field[:, None]
     expected = np.einsum("nkw,nk->nw", weights[stencils.row], difference)
-    for i, (begin, end) in enumerate(zip(rows.start[:-1], rows.start[1:], strict=True)):
+    for i, (begin, end) in enumerate(zip(rows.start, rows.stop, strict=True)):
         first = rows.weight_start[i]
         found = (field[rows.neighbours[begin:end]] - field[i]) @ rows.weights[first : first + end - begin]
         np.testing.assert_allclose(found, expected[i], rtol=0.0, atol=1e-12)

@@ -31,7 +31,9 @@ __all__ = [
     "lane_sums_3x3",
     "lane_sums_3x6",
     "lane_table",
+    "ranges",
     "transpose",
+    "with_blocks",
 ]
 
 
@@ -42,8 +44,8 @@ class Lanes(NamedTuple):
     ----------
     nodes : (b, LANES) int32
         Nodes of every block; the last node of an unfilled block is repeated.
-    start : (b + 1,) int64
-        First entry of every block in `neighbours`.
+    start, stop : (b,) int64
+        First entry of every block in `neighbours`, and the one after its last.
     neighbours : (t, LANES) int32
         Neighbours of every lane.
     shared : (b,) bool
@@ -54,6 +56,7 @@ class Lanes(NamedTuple):
 
     nodes: NDArray[np.int32]
     start: NDArray[np.int64]
+    stop: NDArray[np.int64]
     neighbours: NDArray[np.int32]
     shared: NDArray[np.bool_]
     weight_start: NDArray[np.int64]
@@ -105,7 +108,15 @@ def lane_table(
             by_lane[:, :, lane] = table[row[nodes[block[separate], lane]], position[separate]]
         weights.append(Weights(np.ascontiguousarray(table[rows[r], row_position]), by_lane))
     neighbours = np.ascontiguousarray(near[nodes[block], position[:, None]])
-    return Lanes(nodes.astype(np.int32), start.astype(np.int64), neighbours, shared, weight_start), tuple(weights)
+    bounds = start[:-1].astype(np.int64), start[1:].astype(np.int64)
+    return Lanes(nodes.astype(np.int32), *bounds, neighbours, shared, weight_start), tuple(weights)
+
+
+def ranges(start: NDArray[np.int64], stop: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the row and the entry of all entries of rows that begin at `start` and end before `stop`."""
+    count = stop - start
+    row = np.repeat(np.arange(len(count)), count)
+    return row, np.arange(len(row)) + np.repeat(start - np.cumsum(count) + count, count)
 
 
 def transpose(
@@ -149,6 +160,33 @@ def gather_rows(
     back = np.zeros((n, count.max(), weights.shape[1]))
     back[receiver, column] = weights[order] * (volumes[node] / volumes[receiver])[:, None]
     return near, back
+
+
+def with_blocks(
+    lanes: Lanes, weights: Weights, blocks: NDArray[np.integer[Any]], near: NDArray[np.int32], values: Any
+) -> tuple[Lanes, Weights]:
+    """Return stencils with one weight a neighbour, and other entries for some blocks, none of which shares weights.
+
+    Parameters
+    ----------
+    lanes, weights : Lanes, Weights
+    blocks : (m,) int array
+    near : (m, k, LANES) int array
+        Neighbours, padded with the node itself.
+    values : (m, k, LANES) array
+        Weights.
+    """
+    kept = lanes.stop - lanes.start
+    kept[blocks] = 0
+    _, entry = ranges(lanes.start, lanes.start + kept)
+    _, weight_entry = ranges(lanes.weight_start, lanes.weight_start + kept)
+    start = np.cumsum(kept) - kept
+    start[blocks] = len(entry) + near.shape[1] * np.arange(len(blocks))
+    kept[blocks] = near.shape[1]
+    neighbours = np.concatenate([lanes.neighbours[entry], near.reshape(-1, LANES)])
+    table = np.concatenate([weights.lanes[weight_entry], values.reshape(-1, 1, LANES)])
+    changed = lanes._replace(start=start, stop=start + kept, neighbours=neighbours, weight_start=start.copy())
+    return changed, Weights(weights.one, table)
 
 
 def _blocks(row: NDArray[np.integer[Any]]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

@@ -91,7 +91,7 @@ def weights_address(weights, lanes, b):  # type: ignore[no-untyped-def]
 @kernel_njit(forceinline=True)
 def differences(b, u, lanes, fields):  # type: ignore[no-untyped-def]
     """Gather u_J - u_I of the neighbours J of the nodes I of a block; return the number of neighbours."""
-    begin, end = lanes.start[b], lanes.start[b + 1]
+    begin, end = lanes.start[b], lanes.stop[b]
     for k in range(begin, end):
         for lane in range(LANES):
             i, j = lanes.nodes[b, lane], lanes.neighbours[k, lane]
@@ -117,7 +117,7 @@ def smooth_field(lanes, value, diagonal, sums, values, smooth):  # type: ignore[
     """Compute the fitted value of a nodal field (n,) at every node."""
     for b in prange(lanes.nodes.shape[0]):
         total = sums[get_thread_id()]
-        begin, end = lanes.start[b], lanes.start[b + 1]
+        begin, end = lanes.start[b], lanes.stop[b]
         lane_gather(weights_address(value, lanes, b), lanes.neighbours, begin, values, total.ctypes.data, end - begin,
                     lanes.shared[b])  # fmt: skip
         for lane in range(LANES):

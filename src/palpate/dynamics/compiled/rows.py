@@ -8,6 +8,7 @@ of a node are in vector registers, which requires intrinsics (`palpate.dynamics.
 from __future__ import annotations
 
 from collections.abc import Callable
+from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,14 +18,16 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import law_digest, law_njit
-from palpate.dynamics.compiled.lanes import LANES
+from palpate.dynamics.compiled.lanes import LANES, ranges
 
-__all__ = ["Rows", "aligned_zeros", "difference_sums", "gather_fluxes", "row_table"]
+__all__ = ["Rows", "aligned_zeros", "difference_sums", "gather_fluxes", "row_table", "with_rows"]
 
 SUM_CHAINS = 2  # independent sums of a node, as an addition takes some cycles
 ALIGNMENT_BYTES = 64  # bytes of a cache line
 PREFETCH_BYTES = 4096  # bytes by which weights are loaded in advance: some three nodes
 ROW_WIDTHS = (4, 8)  # numbers of a row of weights, and of the fluxes of a component
+GROWTH_FACTOR, GROWTH_ENTRIES = 1.5, 4096  # entries of larger arrays, over those in use, and in addition
+_APPEND_LOCK = Lock()  # two threads can cut one body
 
 
 class Rows(NamedTuple):
@@ -36,26 +39,38 @@ class Rows(NamedTuple):
     ----------
     nodes : (b, LANES) int32
         Nodes in blocks for the material law; the last node of an unfilled block is repeated.
-    start : (n + 1,) int64
-        First entry of every node in `neighbours`.
+    start, stop : (n,) int64
+        First entry of every node in `neighbours`, and the one after its last.
     neighbours : (t,) int32
     weight_start : (n,) int64
         First entry of every node in `weights`. Nodes with equal weights share them.
     weights : (s, w) float64
         Of one of the `ROW_WIDTHS`, padded with zeros.
+    used : (2,) int64
+        Entries of `neighbours` and of `weights` that some layout reads. Layouts share arrays (`with_rows`).
     """
 
     nodes: NDArray[np.int32]
     start: NDArray[np.int64]
+    stop: NDArray[np.int64]
     neighbours: NDArray[np.int32]
     weight_start: NDArray[np.int64]
     weights: NDArray[np.float64]
+    used: NDArray[np.int64]
 
     @classmethod
     def none(cls) -> Rows:
         """Return an empty layout."""
-        nodes, start = np.zeros((0, LANES), dtype=np.int32), np.zeros(1, dtype=np.int64)
-        return cls(nodes, start, np.zeros(0, dtype=np.int32), start[:0].copy(), np.zeros((0, 1)))
+        nodes, empty = np.zeros((0, LANES), dtype=np.int32), np.zeros(0, dtype=np.int64)
+        return cls(
+            nodes,
+            empty,
+            empty.copy(),
+            np.zeros(0, dtype=np.int32),
+            empty.copy(),
+            np.zeros((0, 1)),
+            np.zeros(2, dtype=np.int64),
+        )
 
 
 def aligned_zeros(*shape: int) -> NDArray[np.float64]:
@@ -91,25 +106,73 @@ def row_table(
     entries += -entries % SUM_CHAINS
     start = np.concatenate([[0], np.cumsum(entries)])
     neighbours = np.repeat(every, entries)
-    node, place = _entries(count)
+    node, place = ranges(np.zeros_like(count), count)
     neighbours[start[node] + place] = near[node, place]
 
     used, first_node, which = np.unique(row, return_index=True, return_inverse=True)
     row_start = np.concatenate([[0], np.cumsum(entries[first_node])])
     numbers = table.shape[2]
     weights = aligned_zeros(int(row_start[-1]), next(width for width in ROW_WIDTHS if width >= numbers))
-    each, place = _entries(count[first_node])
+    each, place = ranges(np.zeros_like(first_node), count[first_node])
     weights[row_start[each] + place, :numbers] = table[used[each], place]
     if diagonal is not None:
         weights[row_start[:-1] + count[first_node], :numbers] = diagonal[used]
     nodes = np.concatenate([every, np.repeat(every[-1:], -n % LANES)]).reshape(-1, LANES)
-    return Rows(nodes, start, neighbours, row_start[which], weights)
+    used = np.array([len(neighbours), len(weights)])
+    return Rows(nodes, start[:-1].copy(), start[1:].copy(), neighbours, row_start[which], weights, used)
 
 
-def _entries(count: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the row and the place in it of all entries of rows with so many entries."""
-    row = np.repeat(np.arange(len(count)), count)
-    return row, np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
+def with_rows(
+    rows: Rows, nodes: NDArray[np.integer[Any]], count: NDArray[np.int64], near: NDArray[np.int32], weights: Any
+) -> Rows:
+    """Return stencils with other entries for some nodes.
+
+    The entries of all other nodes are shared with `rows`. The new ones are appended to the same arrays, whose spare
+    part no earlier layout reads; full arrays are copied to larger ones.
+
+    Parameters
+    ----------
+    rows : Rows
+    nodes : (m,) int array
+    count : (m,) int array
+        Number of entries of every node.
+    near, weights : (t,) and (t, w) arrays
+        Neighbours and weights, node by node.
+    """
+    padded = count + count % SUM_CHAINS
+    begin = np.concatenate([[0], np.cumsum(padded)])
+    with _APPEND_LOCK:
+        if (rows.used + begin[-1] > (len(rows.neighbours), len(rows.weights))).any():
+            rows = _with_room(rows, int(begin[-1]))
+        first, first_weight = (int(used) for used in rows.used)
+        rows.used[:] += begin[-1]
+    row, place = ranges(np.zeros_like(count), count)
+    entry = begin[row] + place
+    rows.neighbours[first : first + begin[-1]] = np.repeat(nodes, padded)  # the node itself fills an odd row
+    rows.neighbours[first + entry] = near
+    rows.weights[first_weight : first_weight + begin[-1]] = 0.0
+    rows.weights[first_weight + entry, : weights.shape[1]] = weights
+    start, stop, weight_start = rows.start.copy(), rows.stop.copy(), rows.weight_start.copy()
+    start[nodes], stop[nodes], weight_start[nodes] = first + begin[:-1], first + begin[1:], first_weight + begin[:-1]
+    return rows._replace(start=start, stop=stop, weight_start=weight_start)
+
+
+def _with_room(rows: Rows, needed: int) -> Rows:
+    """Return the same stencils in larger arrays, without entries that no node uses."""
+    _row, entry = ranges(rows.start, rows.stop)
+    neighbours = np.zeros(int(GROWTH_FACTOR * len(entry)) + GROWTH_ENTRIES + needed, dtype=np.int32)
+    neighbours[: len(entry)] = rows.neighbours[entry]
+    count = rows.stop - rows.start
+    stop = np.cumsum(count)
+    _, first, which = np.unique(rows.weight_start, return_index=True, return_inverse=True)
+    weight_stop = np.cumsum(count[first])
+    _, kept = ranges(rows.weight_start[first], rows.weight_start[first] + count[first])
+    weights = aligned_zeros(int(GROWTH_FACTOR * len(kept)) + GROWTH_ENTRIES + needed, rows.weights.shape[1])
+    weights[: len(kept)] = rows.weights[kept]
+    return Rows(
+        rows.nodes, stop - count, stop, neighbours, (weight_stop - count[first])[which], weights,
+        np.array([len(entry), len(kept)]),
+    )  # fmt: skip
 
 
 def _row_sums(width: int, name: str, of_differences: bool) -> Any:
@@ -165,9 +228,9 @@ class _Emitter:
         field = {
             name: self.data(kind.types[k], self.builder.extract_value(rows, k)) for k, name in enumerate(Rows._fields)
         }
-        start = self.at(field["start"], node, 1)
-        begin, end = self.load(self.i64, start), self.load(self.i64, start, 8)
-        first = self.load(self.i64, self.at(field["weight_start"], node, 1))
+        begin, end, first = (
+            self.load(self.i64, self.at(field[name], node, 1)) for name in ("start", "stop", "weight_start")
+        )
         neighbours = self.at(field["neighbours"], begin, 1, size=4)
         return _Row(neighbours, self.at(field["weights"], first, self.width), self.builder.sub(end, begin))
 

@@ -180,7 +180,7 @@ class Membrane(NodalModel):
             relaxation=relaxation(self.material),
             families=lay_out_fibres(self.fibres, lanes.nodes),
         )
-        return body, int(np.diff(lanes.start).max())
+        return body, int(np.max(lanes.stop - lanes.start))
 
     @staticmethod
     def _in_space(points: Floats) -> Floats:

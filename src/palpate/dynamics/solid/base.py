@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.arrays import Floats, Ints
 from palpate.describe import Fact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed, prepare_loads
 from palpate.dynamics.loads.supports import Support, supports_of, symmetry_planes
@@ -17,6 +17,8 @@ from palpate.dynamics.material.tissue import Tissue, tissue_of
 from palpate.dynamics.nodal.model import History, NodalModel
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.cut_stencils import CutState
+from palpate.meshfree.cut_surface import NO_CUT, CutSurface
 from palpate.meshfree.mirror import Images, mirror_images
 from palpate.meshfree.stencils import Stencils, moving_least_squares
 from palpate.tissue.fibres import FibreLaw
@@ -115,6 +117,7 @@ class Solid(NodalModel):
     form: ClassVar[str]
     tissue: Tissue
     neighbours: int
+    _cut: CutState | None = None
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -160,6 +163,16 @@ class Solid(NodalModel):
     def _build(self, choices: Choices) -> None:
         """Compute the stencils, compile the passes, and examine the stability."""
         raise NotImplementedError
+
+    @property
+    def cut_surface(self) -> CutSurface:
+        """Triangles along which the body is cut (`palpate.cut`), and their fronts."""
+        return NO_CUT if self._cut is None else self._cut.surface
+
+    @property
+    def released_nodes(self) -> Ints:
+        """Nodes (r,) that slivers of a cut have released: they carry no force."""
+        return np.zeros(0, dtype=np.int64) if self._cut is None else np.flatnonzero(self._cut.released)
 
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
         return self._press_supports(prepare_loads(self.cloud, self.supports, listed(loads)))

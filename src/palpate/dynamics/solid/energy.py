@@ -17,10 +17,13 @@ from palpate.dynamics.nodal.model import History, NodalWork
 from palpate.dynamics.nodal.stability import StabilityReport, resting_frequency, stable_step
 from palpate.dynamics.run.model import Evaluation, State, StepReport
 from palpate.dynamics.solid.base import STENCIL_SIZES, Choices, Solid
-from palpate.dynamics.solid.layout import energy_passes
+from palpate.dynamics.solid.cut_layout import smoothing_of, stencils_of
+from palpate.dynamics.solid.layout import Smoothing, energy_passes
 from palpate.faults import InputError, number_in_range
 from palpate.meshfree.consistent import consistent_stencils
 from palpate.meshfree.patches import surface_patches
+from palpate.meshfree.quadrature import conservative_smoothing
+from palpate.meshfree.stencils import Stencils
 
 __all__ = ["EnergySolid"]
 
@@ -53,11 +56,11 @@ class EnergySolid(Solid):
         tried = STENCIL_SIZES if choices.neighbours is None else (choices.neighbours,)
         images = choices.images
         self.neighbours, stencils, volumes, self._lattice = consistent_stencils(images.cloud, tried)
-        compiled, self.stencils, self.smoothing = energy_passes(
-            images, self.tissue, stencils, choices.smoother, volumes
-        )
-        self.mirror = compiled.body.mirror
+        weights = conservative_smoothing(choices.smoother, volumes)
+        self.smoothing = Smoothing(*images.folded(choices.smoother.neighbours, *weights))
         self.volumes = volumes[: images.nodes] / images.copies
+        compiled, self.stencils = energy_passes(images, self.tissue, stencils, self.smoothing, self.volumes)
+        self.mirror = compiled.body.mirror
         self._compile(*compiled)
         self.stiffness_damping = 0.0
         highest, damping = resting_frequency(self), choices.stiffness_damping
@@ -65,6 +68,21 @@ class EnergySolid(Solid):
             "stiffness_damping", DEFAULT_DAMPING / highest if damping is None else damping, 0.0, unit="s"
         )
         self._set_stability(StabilityReport("energy form", None, 0.0, used, highest, stable_step(highest, used)))
+
+    # a body that is cut computes these on first use
+
+    @cached_property
+    def stencils(self) -> Stencils:  # type: ignore[override]
+        return stencils_of(self.body, len(self.cloud))
+
+    @cached_property
+    def smoothing(self) -> Smoothing:
+        return smoothing_of(self.body, len(self.cloud))
+
+    @cached_property
+    def stability(self) -> StabilityReport:  # type: ignore[override]
+        highest, damping = resting_frequency(self), self.stiffness_damping
+        return StabilityReport("energy form", None, 0.0, damping, highest, stable_step(highest, damping))
 
     @property
     def elastic_volumes(self) -> Floats:

@@ -154,7 +154,7 @@ def _add_pressure(lanes, value, diagonal, lame, theta, slope, cofactor, sums, pr
     for block in prange(lanes.nodes.shape[0]):
         b = np.int64(block)
         total = sums[get_thread_id()]
-        begin, end = lanes.start[b], lanes.start[b + 1]
+        begin, end = lanes.start[b], lanes.stop[b]
         lane_gather(weights_address(value, lanes, b), lanes.neighbours, begin, theta, total.ctypes.data, end - begin,
                     lanes.shared[b])  # fmt: skip
         for lane in range(LANES):

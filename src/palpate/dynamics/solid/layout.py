@@ -21,7 +21,6 @@ from palpate.dynamics.material.tissue import Tissue
 from palpate.dynamics.solid.energy_form import EnergyBody, energy_work, solid_energy
 from palpate.dynamics.solid.strong_form import Body, solid, workspace
 from palpate.meshfree.mirror import Images, Mirror
-from palpate.meshfree.quadrature import conservative_smoothing
 from palpate.meshfree.stencils import Stencils
 from palpate.tissue.materials import Material
 
@@ -76,7 +75,7 @@ def strong_passes(
         lame=material.lame,
         mirror=mirror,
     )
-    longest = int(max(np.diff(lanes.start).max(), np.diff(smooth_lanes.start).max()))
+    longest = int(max(np.max(lanes.stop - lanes.start), np.max(smooth_lanes.stop - smooth_lanes.start)))
     threads = numba.config.NUMBA_NUM_THREADS
     allocate = partial(workspace, n, len(lanes.nodes), longest, threads, len(mirror.source))
     return CompiledForm(solid(material.law, direct, material.volumetric), body, allocate, lanes), of_part
@@ -91,25 +90,22 @@ class Smoothing(NamedTuple):
 
 
 def energy_passes(
-    images: Images, tissue: Tissue, stencils: Stencils, smoother: Stencils, images_volumes: Floats
-) -> tuple[CompiledForm, Stencils, Smoothing]:
-    """Lay out the passes of the energy form, for stencils and volumes of a cloud with its images.
+    images: Images, tissue: Tissue, stencils: Stencils, smoothing: Smoothing, volumes: Floats
+) -> tuple[CompiledForm, Stencils]:
+    """Lay out the passes of the energy form, for stencils of a cloud with its images.
 
     Returns
     -------
     compiled : CompiledForm
     stencils : Stencils
         Those of the part, with the images as `compiled.body.mirror` numbers them.
-    smoothing : Smoothing
     """
-    volumes = images_volumes[: images.nodes] / images.copies
     material, regions = tissue.material, tissue.regions
     mirror, own_stencils = images.own(stencils)
     n, row, rows = images.nodes, own_stencils.row, np.arange(images.nodes)
     both = np.concatenate([stencils.first, stencils.value[:, :, None]], axis=2)
     lanes = row_table(own_stencils.neighbours, row, both)
     flux_mirror, transposed = _transposed(own_stencils.neighbours, mirror, both[row], volumes)
-    smoothing = Smoothing(*images.folded(smoother.neighbours, *conservative_smoothing(smoother, images_volumes)))
     smooth_lanes, (value,) = lane_table(smoothing.neighbours, rows, smoothing.weights)
     back, weights = transpose(smoothing.neighbours, smoothing.weights[:, :, None], volumes)
     back_lanes, (back_value,) = lane_table(back, rows, weights)
@@ -137,7 +133,7 @@ def energy_passes(
     )
     varied = NO_FIELDS if regions is None else len(material.coefficients)
     formulation = solid_energy(material.law, form, fibre_points(tissue.fibres), varied)
-    return CompiledForm(formulation, body, allocate, lanes), own_stencils, smoothing
+    return CompiledForm(formulation, body, allocate, lanes), own_stencils
 
 
 def _transposed(near: NDArray[np.int32], mirror: Mirror, weights: Floats, volumes: Floats) -> tuple[Mirror, Rows]:

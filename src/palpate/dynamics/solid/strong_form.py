@@ -85,7 +85,7 @@ def _add_pressure(lanes, first, boundary, fields, derivatives, cofactor, shear, 
     for b in prange(lanes.nodes.shape[0]):
         field = fields[get_thread_id()].reshape(-1, LANES)
         gradient = derivatives[get_thread_id()]
-        begin, end = lanes.start[b], lanes.start[b + 1]
+        begin, end = lanes.start[b], lanes.stop[b]
         for k in range(begin, end):
             for lane in range(LANES):
                 field[k - begin, lane] = smooth[lanes.neighbours[k, lane]] - smooth[lanes.nodes[b, lane]]

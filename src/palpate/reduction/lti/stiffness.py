@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sparse
 
 from palpate.arrays import Floats, Ints
-from palpate.dynamics.compiled.lanes import Lanes
+from palpate.dynamics.compiled.lanes import Lanes, ranges
 from palpate.dynamics.compiled.rows import Rows
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.solid.model import EnergySolid
@@ -89,11 +89,10 @@ def coupling(model: NodalModel) -> Any:
 def _neighbours(family: Lanes | Rows, sources: Ints) -> Any:
     """Return the nodes of a family of stencils, the centre included, sparse (n, n); images count as their sources."""
     n = int(sources.max()) + 1  # every node is its own source
-    counts = np.diff(family.start)
-    nodes = np.repeat(family.nodes if isinstance(family, Lanes) else np.arange(n), counts, axis=0).ravel()
-    pattern = sparse.csr_matrix(
-        (np.ones(nodes.size, dtype=np.int32), (nodes, sources[family.neighbours.ravel()])), (n, n)
-    )
+    row, entry = ranges(family.start, family.stop)
+    nodes = family.nodes[row].ravel() if isinstance(family, Lanes) else row
+    near = sources[family.neighbours[entry].ravel()]
+    pattern = sparse.csr_matrix((np.ones(nodes.size, dtype=np.int32), (nodes, near)), (n, n))
     return (pattern + sparse.identity(n, dtype=np.int32, format="csr")).astype(bool).astype(np.int32)
 
 

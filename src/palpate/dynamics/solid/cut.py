@@ -1,0 +1,176 @@
+"""Cuts of a body in the energy form: a body that shares all that a cut does not change."""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.arrays import Floats
+from palpate.dynamics.material.fibres import always_taut
+from palpate.dynamics.solid.base import Solid
+from palpate.dynamics.solid.cut_layout import fitted_entries, row_entries, smoothing_entries, with_stencils
+from palpate.dynamics.solid.energy import EnergySolid
+from palpate.faults import CloudError, InputError, brief
+from palpate.meshfree.cut_stencils import (
+    RELEASED_FIT,
+    CutState,
+    FittedRows,
+    conserve_integrals,
+    fit_rows,
+    keep_uniform_stress,
+    uncut_stencils,
+)
+from palpate.meshfree.cut_surface import MAX_WAY, NO_CUT, CutSurface, cut_surface, nodes_near
+
+__all__ = ["cut"]
+
+MAX_ROUNDS = 20  # of releases of nodes
+MAX_RESIDUAL = 1e-6  # of the uniform stress along a cut and of the integrals that are kept, relative to a node's
+
+
+def cut(body: Solid, triangles: Any) -> Solid:
+    """Return a body that is cut along triangles, in addition to its present cut.
+
+    Nodes, volumes and masses stay. Stencils of nodes near the triangles go round the fronts of the cut, or end at its
+    faces (`palpate.meshfree.cut_stencils`). A state of `body` is one of the cut body: a run goes on from it. Extend
+    triangles beyond the surface where the cut shall open it, and advance a front by at most a quarter of the spacing
+    at a time, for its energy release to be that of the tissue.
+
+    Parameters
+    ----------
+    body : Solid
+        In the energy form, without planes of symmetry. It does not change.
+    triangles : (t, 3, 3) array [m]
+        Corners in the stress-free body. Neighbouring triangles share their corners.
+
+    Returns
+    -------
+    Solid
+        Its `cut_surface` holds the triangles. It shares with `body` what the cut does not change.
+
+    Raises
+    ------
+    InputError
+        The body has another form or planes of symmetry, or the triangles are not a finite array of that shape.
+    CloudError
+        A triangle has no width, the surface of the body is not known, or stencils along the cut do not exist.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.03, 0.015), spacing=0.0025)
+    >>> tissue = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1060, poisson=0.45)
+    >>> block = pt.Solid(cloud, tissue, fixed="z-")
+    >>> a, b, c, d = (0.014, -0.01, 0.008), (0.014, 0.04, 0.008), (0.014, 0.04, 0.02), (0.014, -0.01, 0.02)
+    >>> opened = pt.cut(block, [(a, b, c), (a, c, d)])
+    >>> stretched = 0.1 * cloud.points * (1, 0, 0)
+    >>> opened.strain_energy(stretched) < block.strain_energy(stretched)
+    True
+    """
+    solid, corners = _checked(body, triangles)
+    cloud, before = body.cloud, body._cut or _uncut_state(solid)
+    surface = cut_surface(before.surface, corners, cloud.points[cloud.triangles], cloud.spacing)
+    nodes = _nodes_to_fit(surface, before, cloud.points, cloud.spacing)
+    rows, released = _fit(before, surface, nodes)
+    state, constants = _exchange(body.body, before, surface, rows, released)
+    return _with_cut(solid, state, constants)
+
+
+def _checked(body: Any, triangles: Any) -> tuple[EnergySolid, Floats]:
+    """Return the body and the corners (t, 3, 3) of triangles; raise `InputError` for others."""
+    if not isinstance(body, EnergySolid):
+        raise InputError(f"body of a cut must be a Solid in the energy form, got {brief(body)}; use form='energy'")
+    if body.planes:
+        raise InputError("body of a cut must have no planes of symmetry, got some; cut the complete body")
+    if not len(body.cloud.triangles):
+        raise CloudError("cloud of a cut body must have triangles of its surface, got none; use fill() or box()")
+    try:
+        corners = np.array(triangles, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        corners = np.zeros(0)
+    if corners.ndim != 3 or corners.shape[1:] != (3, 3):
+        raise InputError(f"triangles of a cut must be numbers of shape (t, 3, 3), got {brief(triangles)}")
+    bad = np.flatnonzero(~np.isfinite(corners).all(axis=(1, 2)))
+    if bad.size:
+        raise InputError(f"triangles of a cut must be finite, got {corners[bad[0]].tolist()} for triangle {bad[0]}")
+    return body, corners
+
+
+def _uncut_state(body: EnergySolid) -> CutState:
+    """Return the state of a body without a cut."""
+    stencils, n = body.stencils, len(body.cloud)
+    uncut = uncut_stencils(
+        body.cloud.points, body.volumes, body.cloud.spacing, stencils.neighbours, stencils.first[stencils.row],
+        body.smoothing.neighbours,
+    )  # fmt: skip
+    return CutState(NO_CUT, uncut, uncut.sums, np.zeros(n), np.zeros(n, np.bool_), np.zeros(n, np.bool_), (0.0, 0.0))
+
+
+def _nodes_to_fit(surface: CutSurface, before: CutState, points: Floats, spacing: float) -> NDArray[np.int64]:
+    """Return the nodes whose stencils new triangles, or fronts that have moved, can change."""
+    count = len(before.surface.triangles)
+    changed = np.ones(len(surface.triangles), dtype=np.bool_)
+    changed[:count] = np.any(surface.extended[:count] != before.surface.extended, axis=(1, 2))
+    near = np.zeros(len(points), dtype=np.bool_)
+    nodes_near(points, surface.extended[changed], MAX_WAY * spacing, near)
+    if count:
+        nodes_near(points, before.surface.extended[changed[:count]], MAX_WAY * spacing, near)
+    return np.flatnonzero(near)
+
+
+def _fit(before: CutState, surface: CutSurface, nodes: NDArray[np.int64]) -> tuple[FittedRows, NDArray[np.bool_]]:
+    """Return the new stencils of the nodes that the cut touches, and the nodes that are released.
+
+    The nodes around a released one are fitted again without it, until none is new.
+    """
+    uncut, released = before.uncut, before.released.copy()
+    for _ in range(MAX_ROUNDS):
+        rows = fit_rows(before, surface, nodes, released)
+        new = rows.nodes[(rows.kind == RELEASED_FIT) & ~released[rows.nodes]]
+        if not new.size:
+            break
+        released[new] = True
+        around = uncut.tree.query_ball_point(uncut.points[new], MAX_WAY * uncut.spacing)
+        nodes = np.union1d(nodes, np.concatenate([np.asarray(each, dtype=np.int64) for each in around]))
+    return rows, released
+
+
+def _exchange(
+    body: Any, before: CutState, surface: CutSurface, rows: FittedRows, released: NDArray[np.bool_]
+) -> tuple[CutState, Any]:
+    """Return the state and the constants of the cut body."""
+    uncut, nodes = before.uncut, rows.nodes
+    if not len(nodes):
+        return before._replace(surface=surface), body
+    volumes = uncut.volumes
+    old, (new, smoothing) = row_entries(body.lanes, nodes), fitted_entries(rows)
+    rest = before.sums - old.sums(volumes)[:, :3]
+    missing = uncut.sums - rest - new.sums(volumes)[:, :3]
+    missing[released] = 0.0
+    stress_left = keep_uniform_stress(uncut, surface, rows, missing)
+    old_smoothing = smoothing_entries(body.smoothing, body.value, nodes)
+    integrals_left = conserve_integrals(uncut, rows, (old_smoothing.sums(volumes) - smoothing.sums(volumes))[:, 0])
+    if integrals_left > MAX_RESIDUAL:
+        raise CloudError(
+            f"no smoothing along the cut keeps the integral of the pressure near {uncut.points[nodes[0]]} m "
+            f"({integrals_left:.1g} of a nodal volume is left); move the cut, or use a finer spacing"
+        )
+    new, smoothing = fitted_entries(rows)
+    touched, checks = before.touched.copy(), before.checks.copy()
+    touched[nodes], checks[nodes] = True, rows.checks
+    residuals = max(before.residuals[0], stress_left), max(before.residuals[1], integrals_left)
+    state = CutState(surface, uncut, rest + new.sums(volumes)[:, :3], checks, touched, released, residuals)
+    return state, with_stencils(body, nodes, new, smoothing, volumes)
+
+
+def _with_cut(body: EnergySolid, state: CutState, constants: Any) -> EnergySolid:
+    """Return a copy of a body with other constants, without what was computed from the former ones."""
+    result = copy(body)
+    for name in ("stencils", "smoothing", "patches", "stability", "_recovery"):
+        vars(result).pop(name, None)
+    taut = constants if body.fibres is None else constants._replace(families=always_taut(constants.families))
+    vars(result).update(body=constants, taut_body=taut, _cut=state)
+    return result

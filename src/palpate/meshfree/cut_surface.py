@@ -1,0 +1,413 @@
+"""Surfaces along which a body is cut, and the ways of its bonds round their fronts.
+
+A cut is a union of triangles in the stress-free body. A bond is a pair of nodes, one in the stencil of the other.
+A bond that crosses no triangle does not change. The distance of one that does is the shortest way round a front,
+
+    p = min over the fronts of |A - x| + |x - B|,      x on the front,
+
+so the weight of the neighbour follows from p (diffraction: Organ, Fleming, Terry and Belytschko, Computational
+Mechanics 18, 1996). Without a front near, the bond is severed. A front is an edge of one triangle only and inside the
+body. It is declared `FRONT_LEAD` spacings ahead of the edge, for which the energy release has the least error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from palpate.arrays import Floats
+from palpate.code_cache import cached_njit
+from palpate.describe import Described, Fact
+from palpate.faults import CloudError
+
+__all__ = ["CutSurface", "bond_paths", "cut_surface", "nearest_normals", "nodes_near", "swept", "triangle_areas"]
+
+FRONT_LEAD = 0.2  # spacings by which a front is ahead of the edge of the cut
+PIECE_LENGTH = 0.5  # longest piece of an edge that is inside or outside as a whole, in spacings
+MERGE_DISTANCE = 1e-6  # of equal corners, in spacings
+ON_PLANE = 1e-6  # distance from a triangle below which a node is on the side of its normal, in spacings
+MIN_WIDTH = 1e-3  # least height of a triangle, in spacings
+MAX_WAY = 1.6 * 2.3  # longest way round a front, in spacings
+MIN_MITRE = 0.5  # least 1 + cosine of the normals of two edges for the mitre at their corner
+
+
+@dataclass(frozen=True)
+class CutSurface(Described):
+    """Triangles along which a body is cut.
+
+    Parameters
+    ----------
+    triangles : (t, 3, 3) array [m]
+        Corners in the stress-free body.
+    extended : (t, 3, 3) array [m]
+        The same triangles with their fronts ahead.
+    fronts : (e, 2, 3) array [m]
+        Pieces of the fronts of `extended`.
+    inside : dict
+        For the pieces of edges that were examined, whether they are inside the body.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.03, 0.015), spacing=0.0025)
+    >>> tissue = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1060, poisson=0.45)
+    >>> block = pt.Solid(cloud, tissue, fixed="z-")
+    >>> a, b, c, d = (0.014, -0.01, 0.008), (0.014, 0.015, 0.008), (0.014, 0.015, 0.02), (0.014, -0.01, 0.02)
+    >>> opened = pt.cut(block, [(a, b, c), (a, c, d)])
+    >>> len(opened.cut_surface.triangles), len(opened.cut_surface.fronts) > 0
+    (2, True)
+    """
+
+    triangles: Floats
+    extended: Floats
+    fronts: Floats
+    inside: Mapping[bytes, bool] = field(default_factory=dict, repr=False, compare=False)
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("triangles", len(self.triangles), ""),
+            ("area", float(triangle_areas(self.triangles).sum()), "m^2"),
+            ("length of the fronts", float(np.linalg.norm(self.fronts[:, 1] - self.fronts[:, 0], axis=1).sum()), "m"),
+        ]
+
+
+NO_CUT = CutSurface(np.zeros((0, 3, 3)), np.zeros((0, 3, 3)), np.zeros((0, 2, 3)))
+
+
+def swept(edges: Floats) -> Floats:
+    """Return the triangles (2 (k - 1) (m - 1), 3, 3) between successive positions (k, m, 3) of an edge of m points."""
+    a, b, c, d = edges[:-1, :-1], edges[1:, :-1], edges[1:, 1:], edges[:-1, 1:]
+    halves = [np.stack(corners, axis=2).reshape(-1, 3, 3) for corners in ((a, b, c), (a, c, d))]
+    return np.stack(halves, axis=1).reshape(-1, 3, 3)
+
+
+def triangle_areas(triangles: Floats) -> Floats:
+    """Return the areas (t,) [m^2] of triangles (t, 3, 3)."""
+    a, b, c = (triangles[:, k] for k in range(3))
+    return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
+
+
+def cut_surface(before: CutSurface, triangles: Floats, corners: Floats, spacing: float) -> CutSurface:
+    """Return the union of a cut surface and further triangles.
+
+    Parameters
+    ----------
+    before : CutSurface
+    triangles : (t, 3, 3) array [m]
+    corners : (s, 3, 3) array [m]
+        Triangles of the closed surface of the body.
+    spacing : float [m]
+
+    Raises
+    ------
+    CloudError
+        A triangle is narrower than a thousandth of the spacing.
+    """
+    longest = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max(axis=1, initial=0.0)
+    narrow = np.flatnonzero(2 * triangle_areas(triangles) < MIN_WIDTH * spacing * np.maximum(longest, spacing * 1e-9))
+    if narrow.size:
+        raise CloudError(
+            f"triangles of a cut must be at least {MIN_WIDTH * spacing:.2g} m wide, got triangle {narrow[0]} with "
+            f"corners {triangles[narrow[0]].tolist()}; leave it out"
+        )
+    union = np.concatenate([before.triangles, triangles])
+    number, vertices = _merged(union, spacing)
+    edges, normals = _boundary(number, vertices)
+    pieces, owner = _pieces(vertices[edges], spacing)
+    known = dict(before.inside)
+    inside = _inside(pieces.mean(axis=1), corners, spacing, known)
+    on_front = np.bincount(owner[inside], minlength=len(edges)) > 0
+    lead = _leads(edges[on_front], normals[on_front], len(vertices)) * FRONT_LEAD * spacing
+    moved = vertices + lead
+    pieces, owner = _pieces(moved[edges], spacing, vertices[edges])
+    return CutSurface(union, moved[number], np.ascontiguousarray(pieces[inside]), known)
+
+
+def _merged(triangles: Floats, spacing: float) -> tuple[Any, Floats]:
+    """Return the vertices (v, 3) of triangles, and their numbers (t, 3); equal corners are one vertex."""
+    flat = triangles.reshape(-1, 3)
+    keys = np.rint(flat / (MERGE_DISTANCE * spacing)).astype(np.int64)
+    _, first, number = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    return number.reshape(-1, 3), flat[first]
+
+
+def _boundary(number: Any, vertices: Floats) -> tuple[Any, Floats]:
+    """Return the edges (e, 2) of one triangle only, and their normals (e, 3) in its plane, away from it."""
+    sides = np.concatenate([number[:, [0, 1, 2]], number[:, [1, 2, 0]], number[:, [2, 0, 1]]])
+    keys = np.sort(sides[:, :2], axis=1)
+    _, first, count = np.unique(keys, axis=0, return_index=True, return_counts=True)
+    edge = sides[first[count == 1]]
+    a, b, opposite = (vertices[edge[:, k]] for k in range(3))
+    along = b - a
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    away = a - opposite
+    away -= np.sum(away * along, axis=1, keepdims=True) * along
+    return edge[:, :2], away / np.linalg.norm(away, axis=1, keepdims=True)
+
+
+def _pieces(ends: Floats, spacing: float, divided_as: Floats | None = None) -> tuple[Floats, Any]:
+    """Divide edges (e, 2, 3) into pieces (p, 2, 3) of at most `PIECE_LENGTH`; return the edge of every piece, too."""
+    lengths = np.linalg.norm(np.diff(ends if divided_as is None else divided_as, axis=1)[:, 0], axis=1)
+    count = np.maximum(np.ceil(lengths / (PIECE_LENGTH * spacing) * (1 - 1e-9)).astype(int), 1)
+    owner = np.repeat(np.arange(len(ends)), count)
+    place = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+    shares = np.stack([place, place + 1], axis=1) / count[owner, None]
+    start, way = ends[owner, 0], ends[owner, 1] - ends[owner, 0]
+    return start[:, None] + shares[:, :, None] * way[:, None], owner
+
+
+def _inside(points: Floats, corners: Floats, spacing: float, known: dict[bytes, bool]) -> Any:
+    """Return whether points (p, 3) are inside the body; add the answers to those that are known."""
+    keys = [key.tobytes() for key in np.rint(points / (MERGE_DISTANCE * spacing)).astype(np.int64)]
+    new = [k for k, key in enumerate(keys) if key not in known]
+    if new:
+        answers = np.zeros(len(new))
+        _winding_numbers(np.ascontiguousarray(points[new]), corners, answers)
+        known.update((keys[k], bool(abs(answer) > 0.5)) for k, answer in zip(new, answers, strict=True))
+    return np.array([known[key] for key in keys], dtype=np.bool_)
+
+
+@cached_njit(nogil=True)
+def _difference(a, b):  # type: ignore[no-untyped-def]
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@cached_njit(nogil=True)
+def _length(x, y, z):  # type: ignore[no-untyped-def]
+    return np.sqrt(x * x + y * y + z * z)
+
+
+@cached_njit(nogil=True)
+def _winding_numbers(points, corners, result):  # type: ignore[no-untyped-def]
+    """Write the winding numbers of a closed surface (s, 3, 3) about points, as `palpate.meshfree.nesting`."""
+    for k in range(points.shape[0]):
+        total = 0.0
+        for t in range(corners.shape[0]):
+            ax, ay, az = _difference(corners[t, 0], points[k])
+            bx, by, bz = _difference(corners[t, 1], points[k])
+            cx, cy, cz = _difference(corners[t, 2], points[k])
+            a, b, c = _length(ax, ay, az), _length(bx, by, bz), _length(cx, cy, cz)
+            above = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+            below = a * b * c + (ax * bx + ay * by + az * bz) * c + (bx * cx + by * cy + bz * cz) * a
+            total += np.arctan2(above, below + (cx * ax + cy * ay + cz * az) * b)
+        result[k] = total / (2.0 * np.pi)
+
+
+def _leads(edges: Any, normals: Floats, count: int) -> Floats:
+    """Return the ways (v, 3) of the vertices for which all edges of the fronts move by 1 along their normals."""
+    total, used = np.zeros((count, 3)), np.zeros(count)
+    for k in range(2):
+        np.add.at(total, edges[:, k], normals)
+        np.add.at(used, edges[:, k], 1.0)
+    square = np.sum(total**2, axis=1)
+    # for two edges the mitre (n1 + n2) / (1 + n1 . n2), and |n1 + n2|^2 = 2 (1 + n1 . n2)
+    divisor = np.where(used > 1, np.maximum(square / np.maximum(used, 1.0), MIN_MITRE), 1.0)
+    return np.asarray(total / divisor[:, None])
+
+
+@cached_njit(nogil=True)
+def nodes_near(points, triangles, reach, near):  # type: ignore[no-untyped-def]
+    """Set entries of `near` (n,) to True for points (n, 3) within a distance [m] of spheres about triangles."""
+    for t in range(triangles.shape[0]):
+        x, y, z, radius = _sphere(triangles[t])
+        limit = (reach + radius) ** 2
+        for i in range(points.shape[0]):
+            square = (points[i, 0] - x) ** 2 + (points[i, 1] - y) ** 2 + (points[i, 2] - z) ** 2
+            if square < limit:
+                near[i] = True
+
+
+@cached_njit(nogil=True)
+def _sphere(corners):  # type: ignore[no-untyped-def]
+    """Return the mean of a triangle's corners, and the radius of the sphere about it that holds them."""
+    x = (corners[0, 0] + corners[1, 0] + corners[2, 0]) / 3.0
+    y = (corners[0, 1] + corners[1, 1] + corners[2, 1]) / 3.0
+    z = (corners[0, 2] + corners[1, 2] + corners[2, 2]) / 3.0
+    square = 0.0
+    for k in range(3):
+        square = max(square, (corners[k, 0] - x) ** 2 + (corners[k, 1] - y) ** 2 + (corners[k, 2] - z) ** 2)
+    return x, y, z, np.sqrt(square)
+
+
+@cached_njit(nogil=True)
+def nearest_normals(points, triangles, normals):  # type: ignore[no-untyped-def]
+    """Write the unit normals (p, 3) of the triangles nearest to points (p, 3)."""
+    spheres = np.empty((triangles.shape[0], 4))
+    for t in range(triangles.shape[0]):
+        spheres[t, 0], spheres[t, 1], spheres[t, 2], spheres[t, 3] = _sphere(triangles[t])
+    for k in range(points.shape[0]):
+        best = np.inf
+        for t in range(triangles.shape[0]):
+            x, y, z = _difference(spheres[t], points[k])
+            if x * x + y * y + z * z > (np.sqrt(best) + spheres[t, 3]) ** 2:
+                continue
+            square = _square_distance(points[k], triangles[t])
+            if square < best:
+                best = square
+                n = _normal(triangles[t])
+                normals[k, 0], normals[k, 1], normals[k, 2] = n
+
+
+@cached_njit(nogil=True)
+def _normal(corners):  # type: ignore[no-untyped-def]
+    """Return the unit normal of a triangle, whose largest component is positive.
+
+    It does not depend on the order of the corners: the rule for nodes on a plane is one for the whole plane.
+    """
+    ax, ay, az = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1], corners[1, 2] - corners[0, 2]
+    bx, by, bz = corners[2, 0] - corners[0, 0], corners[2, 1] - corners[0, 1], corners[2, 2] - corners[0, 2]
+    x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    largest = x
+    if abs(y) > abs(largest) * (1.0 + 1e-6):
+        largest = y
+    if abs(z) > abs(largest) * (1.0 + 1e-6):
+        largest = z
+    length = np.sqrt(x * x + y * y + z * z)
+    if largest < 0.0:
+        length = -length
+    return x / length, y / length, z / length
+
+
+@cached_njit(nogil=True)
+def _square_distance(point, corners):  # type: ignore[no-untyped-def]
+    """Return the squared distance of a point from a triangle (Ericson, Real-Time Collision Detection, 2005)."""
+    ax, ay, az = corners[0, 0], corners[0, 1], corners[0, 2]
+    ux, uy, uz = corners[1, 0] - ax, corners[1, 1] - ay, corners[1, 2] - az
+    vx, vy, vz = corners[2, 0] - ax, corners[2, 1] - ay, corners[2, 2] - az
+    px, py, pz = point[0] - ax, point[1] - ay, point[2] - az
+    uu, vv, uv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, ux * vx + uy * vy + uz * vz
+    pu, pv = px * ux + py * uy + pz * uz, px * vx + py * vy + pz * vz
+    det = uu * vv - uv * uv
+    s, t = (vv * pu - uv * pv) / det, (uu * pv - uv * pu) / det
+    if s >= 0.0 and t >= 0.0 and s + t <= 1.0:
+        x, y, z = px - s * ux - t * vx, py - s * uy - t * vy, pz - s * uz - t * vz
+        return x * x + y * y + z * z
+    best = np.inf
+    for k in range(3):
+        m = (k + 1) % 3
+        ex, ey, ez = corners[m, 0] - corners[k, 0], corners[m, 1] - corners[k, 1], corners[m, 2] - corners[k, 2]
+        qx, qy, qz = point[0] - corners[k, 0], point[1] - corners[k, 1], point[2] - corners[k, 2]
+        share = min(max((qx * ex + qy * ey + qz * ez) / (ex * ex + ey * ey + ez * ez), 0.0), 1.0)
+        x, y, z = qx - share * ex, qy - share * ey, qz - share * ez
+        best = min(best, x * x + y * y + z * z)
+    return best
+
+
+@cached_njit(nogil=True)
+def _planes(triangles, planes):  # type: ignore[no-untyped-def]
+    """Write the functions n . x - d, s(x) and t(x) of triangles as coefficients (t, 3, 4), and a relative slack.
+
+    The first is the distance from the plane, the others are the coordinates of its points along two sides.
+    """
+    for q in range(triangles.shape[0]):
+        corners, n = triangles[q], _normal(triangles[q])
+        ux, uy, uz = _difference(corners[1], corners[0])
+        vx, vy, vz = _difference(corners[2], corners[0])
+        uu, vv, uv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, ux * vx + uy * vy + uz * vz
+        det = uu * vv - uv * uv
+        planes[q, 0, 0], planes[q, 0, 1], planes[q, 0, 2] = n
+        planes[q, 1, 0], planes[q, 1, 1] = (vv * ux - uv * vx) / det, (vv * uy - uv * vy) / det
+        planes[q, 2, 0], planes[q, 2, 1] = (uu * vx - uv * ux) / det, (uu * vy - uv * uy) / det
+        planes[q, 1, 2], planes[q, 2, 2] = (vv * uz - uv * vz) / det, (uu * vz - uv * uz) / det
+        for k in range(3):
+            planes[q, k, 3] = 0.0
+            for c in range(3):
+                planes[q, k, 3] -= planes[q, k, c] * corners[0, c]
+
+
+@cached_njit(nogil=True)
+def _value(plane, x, y, z):  # type: ignore[no-untyped-def]
+    return plane[0] * x + plane[1] * y + plane[2] * z + plane[3]
+
+
+@cached_njit(nogil=True)
+def _find_crossed(plane, slack, tiny, ax, ay, az, x, y, z, crossed):  # type: ignore[no-untyped-def]
+    """Set the entries of bonds from A that cross a triangle; a node on its plane is on the side of the normal."""
+    above = _value(plane[0], ax, ay, az)
+    if abs(above) < tiny:
+        above = tiny
+    n0, n1, n2, n3 = plane[0, 0], plane[0, 1], plane[0, 2], plane[0, 3]
+    for k in range(x.shape[0]):
+        below = n0 * x[k] + n1 * y[k] + n2 * z[k] + n3
+        if above * below < tiny * abs(above) and not crossed[k]:
+            if abs(below) < tiny:
+                below = tiny
+            if (above > 0.0) == (below > 0.0):
+                continue
+            share = above / (above - below)
+            px, py, pz = ax + share * (x[k] - ax), ay + share * (y[k] - ay), az + share * (z[k] - az)
+            s, t = _value(plane[1], px, py, pz), _value(plane[2], px, py, pz)
+            crossed[k] = s > -slack and t > -slack and s + t < 1.0 + slack
+
+
+@cached_njit(nogil=True)
+def _way_round(ax, ay, az, dx, dy, dz, front):  # type: ignore[no-untyped-def]
+    """Return the length of the shortest way from A to A + d that touches a front (2, 3)."""
+    ex, ey, ez = front[1, 0] - front[0, 0], front[1, 1] - front[0, 1], front[1, 2] - front[0, 2]
+    length = np.sqrt(ex * ex + ey * ey + ez * ez)
+    ex, ey, ez = ex / length, ey / length, ez / length
+    px, py, pz = ax - front[0, 0], ay - front[0, 1], az - front[0, 2]
+    qx, qy, qz = px + dx, py + dy, pz + dz
+    along_a, along_b = px * ex + py * ey + pz * ez, qx * ex + qy * ey + qz * ez
+    off_a = np.sqrt(max(px * px + py * py + pz * pz - along_a * along_a, 0.0))
+    off_b = np.sqrt(max(qx * qx + qy * qy + qz * qz - along_b * along_b, 0.0))
+    foot = (along_a * off_b + along_b * off_a) / max(off_a + off_b, 1e-12 * length)
+    foot = min(max(foot, 0.0), length)
+    return np.sqrt(off_a**2 + (along_a - foot) ** 2) + np.sqrt(off_b**2 + (along_b - foot) ** 2)
+
+
+@cached_njit(nogil=True)
+def bond_paths(points, nodes, start, near, triangles, fronts, spacing, reach, paths):  # type: ignore[no-untyped-def]
+    """Write the lengths of bonds round the fronts of a cut; infinite for severed ones.
+
+    Parameters
+    ----------
+    points : (n, 3) array [m]
+    nodes : (m,) int array
+    start : (m + 1,) int array
+        First neighbour of every node.
+    near : (t,) int array
+        Neighbours.
+    triangles : (s, 3, 3) array [m]
+    fronts : (e, 2, 3) array [m]
+    spacing, reach : float [m]
+        Longest distance of neighbours.
+    paths : (t,) array [m]
+    """
+    planes, spheres = np.empty((triangles.shape[0], 3, 4)), np.empty((triangles.shape[0], 4))
+    tiny, most, longest = ON_PLANE * spacing, MAX_WAY * spacing, 0
+    _planes(triangles, planes)
+    for q in range(triangles.shape[0]):
+        spheres[q, 0], spheres[q, 1], spheres[q, 2], spheres[q, 3] = _sphere(triangles[q])
+    for m in range(nodes.shape[0]):
+        longest = max(longest, start[m + 1] - start[m])
+    x, y, z, crossed = np.empty(longest), np.empty(longest), np.empty(longest), np.empty(longest, np.bool_)
+    edges = np.empty(fronts.shape[0], np.int64)
+    for m in range(nodes.shape[0]):
+        ax, ay, az = points[nodes[m], 0], points[nodes[m], 1], points[nodes[m], 2]
+        begin, count, fronts_near = start[m], start[m + 1] - start[m], 0
+        for k in range(count):
+            j = near[begin + k]
+            x[k], y[k], z[k], crossed[k] = points[j, 0], points[j, 1], points[j, 2], False
+        for q in range(triangles.shape[0]):
+            square = (spheres[q, 0] - ax) ** 2 + (spheres[q, 1] - ay) ** 2 + (spheres[q, 2] - az) ** 2
+            if square < (reach + spheres[q, 3]) ** 2:
+                slack = tiny / spheres[q, 3]
+                _find_crossed(planes[q], slack, tiny, ax, ay, az, x[:count], y[:count], z[:count], crossed[:count])
+        for e in range(fronts.shape[0]):
+            square = (fronts[e, 0, 0] - ax) ** 2 + (fronts[e, 0, 1] - ay) ** 2 + (fronts[e, 0, 2] - az) ** 2
+            if square < (most + spacing) ** 2:
+                edges[fronts_near] = e
+                fronts_near += 1
+        for k in range(count):
+            dx, dy, dz = x[k] - ax, y[k] - ay, z[k] - az
+            length = _length(dx, dy, dz)
+            paths[begin + k] = length
+            if crossed[k]:
+                best = np.inf
+                for q in range(fronts_near):
+                    best = min(best, _way_round(ax, ay, az, dx, dy, dz, fronts[edges[q]]))
+                paths[begin + k] = max(best, length) if best <= most else np.inf

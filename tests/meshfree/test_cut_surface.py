@@ -1,0 +1,89 @@
+"""Cut surfaces: fronts of the union, the way of a bond round them, and the side of nodes on a cut."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import palpate as pt
+from palpate.meshfree.cut_surface import NO_CUT, bond_paths, cut_surface, swept
+
+SPACING = 0.1
+BODY = pt.box((1.0, 1.0, 1.0), SPACING)
+CORNERS = BODY.points[BODY.triangles]
+
+
+def half_plane(end, height=0.55, low=-0.5, high=1.5):
+    """Rectangle in a plane of constant z, from outside the body to x = `end`."""
+    across = np.linspace(low, high, 5)
+    positions = [np.column_stack([np.full(5, x), across, np.full(5, height)]) for x in (-0.5, end)]
+    return swept(np.array(positions))
+
+
+def paths(surface, pairs):
+    """Lengths of the bonds between pairs of points (k, 2, 3)."""
+    points = np.asarray(pairs, dtype=float).reshape(-1, 3)
+    count = len(points) // 2
+    result = np.empty(count)
+    start, near = np.arange(count + 1), np.arange(1, 2 * count, 2)
+    bond_paths(points, np.arange(0, 2 * count, 2), start, near, surface.extended, surface.fronts, SPACING, 0.34, result)
+    return result
+
+
+def test_the_front_is_the_edge_inside_the_body_moved_ahead():
+    surface = cut_surface(NO_CUT, half_plane(0.5), CORNERS, SPACING)
+    np.testing.assert_allclose(surface.fronts[:, :, 0], 0.52, atol=1e-12)  # 0.2 spacings ahead
+    assert 0.9 <= np.linalg.norm(np.diff(surface.fronts, axis=1), axis=2).sum() <= 1.1
+    assert surface.extended[:, :, 0].max() == pytest.approx(0.52)
+
+
+def test_fronts_are_those_of_the_union():
+    first = cut_surface(NO_CUT, half_plane(0.5), CORNERS, SPACING)
+    further = swept(np.array([[(x, y, 0.55) for y in np.linspace(-0.5, 1.5, 5)] for x in (0.5, 0.7)]))
+    both = cut_surface(first, further, CORNERS, SPACING)
+    np.testing.assert_allclose(both.fronts[:, :, 0], 0.72, atol=1e-12)
+    at_once = cut_surface(NO_CUT, np.concatenate([half_plane(0.5), further]), CORNERS, SPACING)
+    np.testing.assert_array_equal(both.extended, at_once.extended)
+
+
+def test_a_cut_through_the_body_has_no_front():
+    assert len(cut_surface(NO_CUT, half_plane(1.5), CORNERS, SPACING).fronts) == 0
+
+
+def test_the_front_of_a_corner_moves_along_both_edges():
+    surface = cut_surface(NO_CUT, half_plane(0.5, high=0.5), CORNERS, SPACING)
+    assert np.abs(surface.fronts - (0.52, 0.52, 0.55)).max(axis=2).min() == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_bond_goes_the_shortest_way_round_the_front():
+    surface = cut_surface(NO_CUT, half_plane(0.5), CORNERS, SPACING)
+    ahead = [(0.6, 0.5, 0.5), (0.6, 0.5, 0.6)]
+    across = [(0.45, 0.42, 0.5), (0.45, 0.58, 0.6)]
+    far = [(0.1, 0.5, 0.5), (0.1, 0.5, 0.6)]
+    along = [(0.1, 0.5, 0.5), (0.3, 0.5, 0.5)]
+    length = paths(surface, [ahead, across, far, along])
+    off = np.hypot(0.52 - 0.45, 0.05)
+    np.testing.assert_allclose(length, [0.1, np.hypot(0.16, 2 * off), np.inf, 0.2], rtol=1e-9)
+
+
+def test_the_way_of_a_bond_is_that_of_the_opposite_bond():
+    random = np.random.default_rng(0)
+    surface = cut_surface(NO_CUT, half_plane(0.5, height=0.5), CORNERS, SPACING)
+    pairs = 0.5 + random.uniform(-0.15, 0.15, (200, 2, 3))
+    pairs[::3, 0, 2] = 0.5  # on the plane
+    pairs[::5, 1, 2] = 0.5 + 1e-9 * random.uniform(-1, 1, 40)
+    np.testing.assert_allclose(paths(surface, pairs), paths(surface, pairs[:, ::-1]), rtol=1e-12)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_node_on_a_cut_is_on_one_side_of_it(turned):
+    triangles = half_plane(1.5, height=0.5)
+    surface = cut_surface(NO_CUT, triangles[:, ::-1] if turned else triangles, CORNERS, SPACING)
+    on = (0.5, 0.5, 0.5)
+    length = paths(surface, [(on, (0.5, 0.5, 0.6)), (on, (0.5, 0.5, 0.4)), (on, (0.6, 0.5, 0.5))])
+    np.testing.assert_allclose(length, [0.1, np.inf, 0.1])
+
+
+def test_a_triangle_without_width_is_refused():
+    with pytest.raises(pt.CloudError, match=r"must be at least .* wide, got triangle 0"):
+        cut_surface(NO_CUT, np.array([[(0, 0, 0), (0.5, 0, 0), (1.0, 0, 0)]], dtype=float), CORNERS, SPACING)
