@@ -17,7 +17,6 @@ from palpate.dynamics.material.tissue import Tissue, tissue_of
 from palpate.dynamics.nodal.model import History, NodalModel
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud
-from palpate.meshfree.cut_stencils import CutState
 from palpate.meshfree.cut_surface import NO_CUT, CutSurface
 from palpate.meshfree.mirror import Images, mirror_images
 from palpate.meshfree.stencils import Stencils, moving_least_squares
@@ -117,7 +116,7 @@ class Solid(NodalModel):
     form: ClassVar[str]
     tissue: Tissue
     neighbours: int
-    _cut: CutState | None = None
+    _cut: Any = None  # `CutState` of a body that is cut
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
