@@ -67,6 +67,7 @@ class UncutStencils(NamedTuple):
         Sum over I of V_I g_IJ.
     tree : cKDTree
         Of the points.
+    on_surface : (n,) bool array
     """
 
     points: Floats
@@ -77,6 +78,7 @@ class UncutStencils(NamedTuple):
     limit: Floats
     sums: Floats
     tree: cKDTree
+    on_surface: NDArray[np.bool_]
 
 
 class CutState(NamedTuple):
@@ -139,7 +141,7 @@ class FittedRows(NamedTuple):
 
 
 def uncut_stencils(
-    points: Floats, volumes: Floats, spacing: float, near: Any, first: Floats, smoothing_near: Any
+    points: Floats, volumes: Floats, spacing: float, near: Any, first: Floats, smoothing_near: Any, surface: Any
 ) -> UncutStencils:
     """Return what the stencils of cut nodes depend on.
 
@@ -151,6 +153,8 @@ def uncut_stencils(
     near, first : (n, k) and (n, k, 3) arrays
         Neighbours and weights of the first derivatives; the node itself fills rows.
     smoothing_near : (n, l) array
+    surface : (k,) int array
+        Nodes of the surface.
     """
     size = spacing**2 * (np.sum(first**2, axis=(1, 2)) + np.sum(first.sum(axis=1) ** 2, axis=1))
     common = min(SIZE_FACTOR * float(size.max()), LARGEST_SIZE)
@@ -161,7 +165,9 @@ def uncut_stencils(
         np.linalg.norm(points[each] - points[:, None], axis=2).max(axis=1) for each in (near, smoothing_near)
     )
     limit = np.maximum(common, SIZE_FACTOR * size)
-    return UncutStencils(points, volumes, spacing, reach, smoothing_reach, limit, sums, cKDTree(points))
+    on_surface = np.zeros(len(points), dtype=np.bool_)
+    on_surface[surface] = True
+    return UncutStencils(points, volumes, spacing, reach, smoothing_reach, limit, sums, cKDTree(points), on_surface)
 
 
 def fit_rows(state: CutState, surface: CutSurface, nodes: Ints, released: NDArray[np.bool_]) -> FittedRows:

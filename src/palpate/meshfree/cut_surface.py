@@ -13,7 +13,7 @@ body. It is declared `FRONT_LEAD` spacings ahead of the edge, for which the ener
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,19 @@ from palpate.code_cache import cached_njit
 from palpate.describe import Described, Fact
 from palpate.faults import CloudError
 
-__all__ = ["CutSurface", "bond_paths", "cut_surface", "nearest_normals", "nodes_near", "swept", "triangle_areas"]
+__all__ = [
+    "CutSurface",
+    "bond_paths",
+    "cut_surface",
+    "first_triangles",
+    "inside_shares",
+    "is_narrow",
+    "nearest_normals",
+    "nearest_on_cut",
+    "nodes_near",
+    "swept",
+    "triangle_areas",
+]
 
 FRONT_LEAD = 0.2  # spacings by which a front is ahead of the edge of the cut
 PIECE_LENGTH = 0.5  # longest piece of an edge that is inside or outside as a whole, in spacings
@@ -31,6 +43,7 @@ MERGE_DISTANCE = 1e-6  # of equal corners, in spacings
 ON_PLANE = 1e-6  # distance from a triangle below which a node is on the side of its normal, in spacings
 MIN_WIDTH = 1e-3  # least height of a triangle, in spacings
 MAX_WAY = 1.6 * 2.3  # longest way round a front, in spacings
+COVER_AHEAD, COVER_DISTANCE = 0.3, 0.1  # from an edge, and from there to the cut that covers it, in spacings
 MIN_MITRE = 0.5  # least 1 + cosine of the normals of two edges for the mitre at their corner
 
 
@@ -84,6 +97,11 @@ def swept(edges: Floats) -> Floats:
     return np.stack(halves, axis=1).reshape(-1, 3, 3)
 
 
+def first_triangles(surface: CutSurface, count: int) -> CutSurface:
+    """Return a cut surface with the first triangles only, and without the fronts of the others."""
+    return replace(surface, triangles=surface.triangles[:count], extended=surface.extended[:count])
+
+
 def triangle_areas(triangles: Floats) -> Floats:
     """Return the areas (t,) [m^2] of triangles (t, 3, 3)."""
     a, b, c = (triangles[:, k] for k in range(3))
@@ -106,8 +124,7 @@ def cut_surface(before: CutSurface, triangles: Floats, corners: Floats, spacing:
     CloudError
         A triangle is narrower than a thousandth of the spacing.
     """
-    longest = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max(axis=1, initial=0.0)
-    narrow = np.flatnonzero(2 * triangle_areas(triangles) < MIN_WIDTH * spacing * np.maximum(longest, spacing * 1e-9))
+    narrow = np.flatnonzero(is_narrow(triangles, spacing))
     if narrow.size:
         raise CloudError(
             f"triangles of a cut must be at least {MIN_WIDTH * spacing:.2g} m wide, got triangle {narrow[0]} with "
@@ -118,12 +135,28 @@ def cut_surface(before: CutSurface, triangles: Floats, corners: Floats, spacing:
     edges, normals = _boundary(number, vertices)
     pieces, owner = _pieces(vertices[edges], spacing)
     known = dict(before.inside)
-    inside = _inside(pieces.mean(axis=1), corners, spacing, known)
+    middles = pieces.mean(axis=1)
+    inside = _inside(middles, corners, spacing, known)
+    inside[inside] = ~_is_covered(middles[inside], normals[owner[inside]], union, spacing)
     on_front = np.bincount(owner[inside], minlength=len(edges)) > 0
     lead = _leads(edges[on_front], normals[on_front], len(vertices)) * FRONT_LEAD * spacing
     moved = vertices + lead
     pieces, owner = _pieces(moved[edges], spacing, vertices[edges])
     return CutSurface(union, moved[number], np.ascontiguousarray(pieces[inside]), known)
+
+
+def is_narrow(triangles: Floats, spacing: float) -> Any:
+    """Return which triangles (t, 3, 3) are narrower than a thousandth of the spacing."""
+    longest = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max(axis=1, initial=0.0)
+    return 2 * triangle_areas(triangles) < MIN_WIDTH * spacing * np.maximum(longest, spacing * MIN_WIDTH)
+
+
+def _is_covered(points: Floats, normals: Floats, triangles: Floats, spacing: float) -> Any:
+    """Return whether the cut goes on beyond points (p, 3) of an edge: a seam of two cuts is not a front."""
+    ahead = points + COVER_AHEAD * spacing * normals
+    projections, distance, over = np.empty_like(ahead), np.empty(len(ahead)), np.empty(len(ahead), dtype=np.bool_)
+    nearest_on_cut(ahead, triangles, projections, distance, over)
+    return distance < COVER_DISTANCE * spacing
 
 
 def _merged(triangles: Floats, spacing: float) -> tuple[Any, Floats]:
@@ -181,19 +214,76 @@ def _length(x, y, z):  # type: ignore[no-untyped-def]
 
 
 @cached_njit(nogil=True)
+def _winding_number(point, corners):  # type: ignore[no-untyped-def]
+    """Return the winding number of a closed surface (s, 3, 3) about a point, as `palpate.meshfree.nesting`."""
+    total = 0.0
+    for t in range(corners.shape[0]):
+        ax, ay, az = _difference(corners[t, 0], point)
+        bx, by, bz = _difference(corners[t, 1], point)
+        cx, cy, cz = _difference(corners[t, 2], point)
+        a, b, c = _length(ax, ay, az), _length(bx, by, bz), _length(cx, cy, cz)
+        above = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+        below = a * b * c + (ax * bx + ay * by + az * bz) * c + (bx * cx + by * cy + bz * cz) * a
+        total += np.arctan2(above, below + (cx * ax + cy * ay + cz * az) * b)
+    return total / (2.0 * np.pi)
+
+
+@cached_njit(nogil=True)
 def _winding_numbers(points, corners, result):  # type: ignore[no-untyped-def]
-    """Write the winding numbers of a closed surface (s, 3, 3) about points, as `palpate.meshfree.nesting`."""
     for k in range(points.shape[0]):
-        total = 0.0
+        result[k] = _winding_number(points[k], corners)
+
+
+@cached_njit(nogil=True)
+def inside_shares(segments, corners, shares):  # type: ignore[no-untyped-def]
+    """Write the shares of the lengths of segments (s, 2, 3) that are inside a closed surface (t, 3, 3)."""
+    for k in range(segments.shape[0]):
+        start = segments[k, 0]
+        dx, dy, dz = _difference(segments[k, 1], start)
+        total = 1.0 if abs(_winding_number(start, corners)) > 0.5 else 0.0
         for t in range(corners.shape[0]):
-            ax, ay, az = _difference(corners[t, 0], points[k])
-            bx, by, bz = _difference(corners[t, 1], points[k])
-            cx, cy, cz = _difference(corners[t, 2], points[k])
-            a, b, c = _length(ax, ay, az), _length(bx, by, bz), _length(cx, cy, cz)
-            above = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-            below = a * b * c + (ax * bx + ay * by + az * bz) * c + (bx * cx + by * cy + bz * cz) * a
-            total += np.arctan2(above, below + (cx * ax + cy * ay + cz * az) * b)
-        result[k] = total / (2.0 * np.pi)
+            ux, uy, uz = _difference(corners[t, 1], corners[t, 0])
+            vx, vy, vz = _difference(corners[t, 2], corners[t, 0])
+            nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+            slope = nx * dx + ny * dy + nz * dz
+            if slope == 0.0:
+                continue
+            px, py, pz = _difference(corners[t, 0], start)
+            share = (nx * px + ny * py + nz * pz) / slope
+            if not 0.0 < share < 1.0:
+                continue
+            qx, qy, qz = share * dx - px, share * dy - py, share * dz - pz
+            square = nx * nx + ny * ny + nz * nz
+            a = ((qy * vz - qz * vy) * nx + (qz * vx - qx * vz) * ny + (qx * vy - qy * vx) * nz) / square
+            b = ((uy * qz - uz * qy) * nx + (uz * qx - ux * qz) * ny + (ux * qy - uy * qx) * nz) / square
+            if a >= 0.0 and b >= 0.0 and a + b < 1.0:
+                total += (1.0 - share) * (1.0 if slope < 0.0 else -1.0)
+        shares[k] = min(max(total, 0.0), 1.0)
+
+
+@cached_njit(nogil=True)
+def nearest_on_cut(points, triangles, projections, distance, over):  # type: ignore[no-untyped-def]
+    """Write the projections (p, 3) of points on their nearest triangles, and the distances (p,) [m].
+
+    `over` is True for a point whose projection is inside a triangle, False for one beyond the edges of all.
+    """
+    for k in range(points.shape[0]):
+        distance[k], over[k] = np.inf, False
+        for t in range(triangles.shape[0]):
+            square = _square_distance(points[k], triangles[t])
+            if square >= distance[k]:
+                continue
+            distance[k] = square
+            n = _normal(triangles[t])
+            x, y, z = _difference(points[k], triangles[t, 0])
+            height = x * n[0] + y * n[1] + z * n[2]
+            projections[k, 0], projections[k, 1], projections[k, 2] = (
+                points[k, 0] - height * n[0],
+                points[k, 1] - height * n[1],
+                points[k, 2] - height * n[2],
+            )
+            over[k] = square <= height * height * (1.0 + 1e-9) + 1e-30
+        distance[k] = np.sqrt(distance[k])
 
 
 def _leads(edges: Any, normals: Floats, count: int) -> Floats:

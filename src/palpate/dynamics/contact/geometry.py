@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats, Ints
 from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.dynamics.contact.blade import BLADE_KIND
+from palpate.dynamics.contact.blade_sites import BladeSites, no_sites
 from palpate.dynamics.contact.tools import BONDED, CAPSULE, PLANE, Contact
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
@@ -126,6 +128,7 @@ class Contacts(NamedTuple):
         Impulse of every tool on the body and its moment about the tool's origin, since the start of
         a call.
     held : HeldNodes
+    sites : BladeSites
     """
 
     kind: NDArray[np.int64]
@@ -155,6 +158,7 @@ class Contacts(NamedTuple):
     nodal_impulses: Floats
     tool_impulses: Floats
     held: HeldNodes
+    sites: BladeSites
 
 
 SCRATCH_FIELDS = (
@@ -167,7 +171,10 @@ HELD_SCRATCH = ("forces", "impulses", "energy")
 def with_scratch(contacts: Contacts) -> Contacts:
     """Return the same tools and patches with new scratch arrays."""
     held = contacts.held._replace(**{name: np.zeros_like(getattr(contacts.held, name)) for name in HELD_SCRATCH})
-    return contacts._replace(held=held, **{name: np.zeros_like(getattr(contacts, name)) for name in SCRATCH_FIELDS})
+    sites = contacts.sites._replace(impulses=np.zeros_like(contacts.sites.impulses), works=np.zeros(2))
+    return contacts._replace(
+        held=held, sites=sites, **{name: np.zeros_like(getattr(contacts, name)) for name in SCRATCH_FIELDS}
+    )
 
 
 def held_nodes(nodes: Ints, points: Floats, masses: Floats, rate: float, reach: NDArray[np.bool_]) -> HeldNodes:
@@ -359,8 +366,10 @@ def contacts(
         A group is unknown, two tools have one name, or a tool is smaller than the spacing.
     """
     _check_tools(loads, cloud)
+    if patches is None and any(load.tool.kind == BLADE_KIND for load in loads):
+        raise InputError("model of a Blade must be a Solid in the energy form, got another; use form='energy'")
     # with the interior nodes: a tool that presses deep acts on them below a stretched surface
-    nodes = [np.arange(len(cloud)) if load.group is None else cloud.group(load.group) for load in loads]
+    nodes = [_candidates(load, cloud) for load in loads]
     sizes = np.array([load.tool.sizes for load in loads]).reshape(-1, 3)
     kind = np.array([load.tool.kind for load in loads], dtype=np.int64)
     tools, count, candidates = len(loads), len(cloud) if loads else 0, [len(n) for n in nodes]
@@ -393,7 +402,15 @@ def contacts(
         nodal_impulses=np.zeros((count, 3)),
         tool_impulses=np.zeros((tools, 6)),
         held=held_nodes(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0), 0.0, np.zeros((tools, 0), bool)),
+        sites=no_sites(),
     )
+
+
+def _candidates(load: Contact, cloud: Cloud) -> NDArray[np.int64]:
+    """Return the nodes whose patches a tool can reach; none for a blade, which touches its sites."""
+    if load.tool.kind == BLADE_KIND:
+        return np.zeros(0, dtype=np.int64)
+    return np.arange(len(cloud)) if load.group is None else cloud.group(load.group)
 
 
 def _check_tools(loads: Sequence[Contact], cloud: Cloud) -> None:
@@ -404,7 +421,7 @@ def _check_tools(loads: Sequence[Contact], cloud: Cloud) -> None:
             raise InputError(f"name of every Contact must be unique, got {load.name!r} twice; choose another name")
         # runs of solids detect a tool between nodes; a membrane has no interior nodes
         least = cloud.spacing * (1 if cloud.points.shape[1] == 3 else 2)
-        if load.tool.kind not in (PLANE, BONDED) and load.tool.sizes[0] < least:
+        if load.tool.kind not in (PLANE, BONDED, BLADE_KIND) and load.tool.sizes[0] < least:
             raise InputError(
                 f"radius of Contact {load.name!r} must be at least {least:g} m for a spacing of {cloud.spacing:g} m, "
                 f"got {load.tool.sizes[0]:g} m; use a larger tool or a finer spacing"

@@ -23,6 +23,7 @@ not move into the tool with their half kick; the same law holds for velocities.
 from __future__ import annotations
 
 from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.dynamics.contact.blade_impulses import clear_sites, push_sites, site_works
 from palpate.dynamics.contact.geometry import coulomb, gap, material_velocity, patch, project, rotation
 from palpate.dynamics.contact.held import press_held_nodes
 
@@ -258,12 +259,14 @@ def push_patches(contacts, ends, times, ratio, u, velocity, data):  # type: igno
     """
     ahead, step, kick, time = times
     nodes, scratch, gravity = data
+    clear_sites(contacts, time, nodes.mass)
     _find_active_patches(contacts, ahead, ratio, time, u, velocity, nodes.mass)
     for _ in range(MAX_SWEEPS):
         changed, largest = _sweep(contacts, ends, step, u, velocity)
         if changed <= SWEEP_TOLERANCE * largest:
             break
-    tools, lost, loads = 0.0, 0.0, 0.0
+    push_sites(contacts, ends, step, kick, u, velocity)
+    tools, lost, loads = site_works(contacts, step, kick, u, velocity, (nodes, scratch, gravity))
     impulses = contacts.patch_impulses
     for k in contacts.active[: contacts.active_count[0]]:
         if impulses[k, 0] != 0.0 or impulses[k, 1] != 0.0 or impulses[k, 2] != 0.0:

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
+from palpate.dynamics.contact.blade import Blade
 from palpate.faults import InputError, brief, number_in_range
 from palpate.meshfree.cloud import Cloud
 
@@ -213,7 +214,7 @@ class Forceps(Described):
         return float(self.radius), 0.0, 0.0
 
 
-Tool = Sphere | Capsule | Plane | Punch | Forceps
+Tool = Sphere | Capsule | Plane | Punch | Forceps | Blade
 
 
 @dataclass(frozen=True)
@@ -226,7 +227,7 @@ class Contact(Described):
 
     Parameters
     ----------
-    tool : Sphere, Capsule, Plane or Punch
+    tool : Sphere, Capsule, Plane, Punch or Blade
     motion : pose, or function of time [s], or sampled arrays
         Pose of the tool: a position (3,) [m], or a position and a rotation. A rotation is a rotation
         vector (3,) [rad] or a quaternion (4,), w x y z. A function of time returns one of these.
@@ -267,7 +268,8 @@ class Contact(Described):
     def __post_init__(self) -> None:
         if not isinstance(self.tool, Tool):
             raise InputError(
-                f"tool of Contact {self.name!r} must be a Sphere, Capsule, Plane or Punch, got {self.tool!r:.200}"
+                f"tool of Contact {self.name!r} must be a Sphere, Capsule, Plane, Punch or Blade, got "
+                f"{self.tool!r:.200}"
             )
         number_in_range(f"friction of Contact {self.name!r}", self.friction, 0.0)
 

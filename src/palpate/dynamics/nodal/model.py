@@ -383,6 +383,9 @@ class NodalModel(Model):
             state, coordinates=u, velocities=v, time=float(times[-1]), external_work=state.external_work + done,
             dissipated=state.dissipated + lost, history=history, contact_state=contact_state,
         )  # fmt: skip
+        if new.incision is not None:
+            edge, friction = contacts.sites.works
+            new = replace(new, incision=new.incision.with_works(float(edge), float(friction)))
         if powered:  # trapezium rule for the power of the tools
             power += tool_power(self, self._fields(new, prepared, work), new, prepared)
             tools = 0.5 * step * steps * power

@@ -24,6 +24,7 @@ __all__ = ["ContactState", "Evaluation", "Model", "Nodes", "Outputs", "State", "
 Nodes = NDArray[np.int64] | slice
 
 
+MANY_STEPS = 10**9  # more than a call of `Model.advance` takes
 RESOLVED_STEP = 1e-4  # [s]: resolves motions of tools and loads at ten steps a period of 1 kHz
 
 
@@ -169,6 +170,8 @@ class State(Described):
     estimate : tuple of arrays
         Last estimate of the highest frequency or of the tangent, from which the next one starts;
         empty at the start of a run.
+    incision : Incision, optional
+        Of a blade in the body.
 
     Examples
     --------
@@ -189,6 +192,7 @@ class State(Described):
     history: tuple[Floats, ...] = ()
     contact_state: ContactState | None = None
     estimate: tuple[Floats, ...] = ()
+    incision: Any = None
 
     def _facts(self) -> list[Fact]:
         return [
@@ -223,6 +227,11 @@ class Outputs(Described):
         True for the nodes bonded to a `Grasp`.
     trust : float, optional
         Trust number of a model with an error indicator.
+    blade : (4,) array
+        Cut area [m^2], released energy, and energies dissipated at a blade's edge and by friction on its sides [J]
+        since the start; empty without a blade.
+    cut_triangles : (c, 3, 3) array [m]
+        Triangles along which the body is cut.
 
     Examples
     --------
@@ -247,6 +256,8 @@ class Outputs(Described):
     contact_forces: Floats = field(default_factory=lambda: np.zeros((0, 4)))
     bonded: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     trust: float | None = None
+    blade: Floats = field(default_factory=lambda: np.zeros(0))
+    cut_triangles: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
 
     def _facts(self) -> list[Fact]:
         return [
@@ -455,6 +466,14 @@ class Model(Described, metaclass=_Constant):
         The default accepts every finite state.
         """
         return bool(np.isfinite(after.coordinates).all())
+
+    def after_steps(self, state: State, prepared: PreparedLoads) -> tuple[Model, State, PreparedLoads]:
+        """Return the model, the state and the loads after some steps; other ones where a blade has cut the body."""
+        return self, state, prepared
+
+    def most_steps(self, state: State, prepared: PreparedLoads, step: float) -> int:
+        """Return the most steps [s] until the next call of `after_steps`; without a blade it makes no difference."""
+        return MANY_STEPS
 
     def error_bounds(self, run: Trajectory) -> tuple[Floats, Floats]:
         """Return the error bounds of a run's displacement [m] and of its tool forces [N]; empty by default."""

@@ -13,7 +13,7 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.dynamics.run.journal import Journal
 from palpate.dynamics.run.model import Outputs
-from palpate.dynamics.run.trajectory import FRAME_ARRAYS, GROUP_ARRAYS, SERIES_NAMES, Trajectory, stack
+from palpate.dynamics.run.trajectory import FRAME_ARRAYS, GROUP_ARRAYS, SERIES_NAMES, Trajectory, blade_series, stack
 
 __all__ = ["Recorder"]
 
@@ -75,6 +75,7 @@ class Recorder:
             arrays |= {name: getattr(frame, name) for name in (*FRAME_ARRAYS, "contact_forces")}
             arrays |= {name: np.reshape(list(getattr(frame, name).values()), (-1, 3)) for name in GROUP_ARRAYS}
             arrays["trust"] = [] if frame.trust is None else [frame.trust]
+            arrays |= {"blade": frame.blade, "cuts": _new_cuts(self.frames, len(self.frames) - 1)}
             arrays = {name: np.asarray(values, dtype=float) for name, values in arrays.items()}
             self._journal.add({}, arrays | {"bonded": np.asarray(frame.bonded, dtype=np.bool_)})
             if len(self.times) == 1:
@@ -111,8 +112,19 @@ class Recorder:
             ),
             bonded=np.concatenate([np.zeros(0, dtype=np.bool_), *(o.bonded for o in frames)]),
             trust=np.array([o.trust for o in frames if o.trust is not None], dtype=float),
+            **blade_series([o.blade for o in frames]),
+            cuts=np.concatenate([np.zeros((0, 10)), *(_new_cuts(frames, k) for k in range(count))]),
             wall_seconds=wall_seconds, stiffness_damping=self.stiffness_damping, complete=complete,
         )  # fmt: skip
+
+
+def _new_cuts(frames: list[Outputs], k: int) -> Floats:
+    """Return the triangles (c, 10) that frame k has and the one before has not, with its number."""
+    corners, former = frames[k].cut_triangles.reshape(-1, 9), frames[max(k - 1, 0)].cut_triangles.reshape(-1, 9)
+    common = min(len(corners), len(former)) if k > 0 else 0
+    differs = np.flatnonzero(np.any(corners[:common] != former[:common], axis=1))
+    corners = corners[differs[0] if differs.size else common :]
+    return np.insert(corners, 0, k, axis=1)
 
 
 @contextmanager

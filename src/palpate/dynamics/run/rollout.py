@@ -127,9 +127,11 @@ def rollout(
         bar = nullcontext(progress) if callable(progress) else progress_bar(model.name, duration, progress)
         with bar as report_progress, np.errstate(all="ignore"):
             recorder.add(start, 0, outputs)
-            for reached, steps, last in frame_states(model, state, prepared, frames, every, step, work):
-                outputs = model.outputs(reached, prepared, work)
-                _check_outputs(model, reached, prepared, outputs, last)
+            for present, reached, loads_then, steps, last in frame_states(
+                model, state, prepared, frames, every, step, work
+            ):
+                outputs = present.outputs(reached, loads_then, work)
+                _check_outputs(present, reached, loads_then, outputs, last)
                 recorder.add(reached.time, steps, outputs)
                 report_progress(reached.time - start, perf_counter() - began)
     except DivergenceError as error:
@@ -145,8 +147,10 @@ def rollout(
 
 def frame_states(
     model: Model, state: State, prepared: PreparedLoads, frames: int, every: float, step: float | None, work: Any
-) -> Iterator[tuple[State, int, float]]:
-    """Yield the state at every frame after the present one, the number of steps until then, and the last step [s].
+) -> Iterator[tuple[Model, State, PreparedLoads, int, float]]:
+    """Yield the model, state and loads at every frame after the present one, the number of steps, the last step [s].
+
+    Model and loads are those of the start, unless a blade cuts the body.
 
     Raises
     ------
@@ -157,14 +161,14 @@ def frame_states(
     for frame in range(1, frames + 1):
         for time in prepared.breakpoints(state.time, start + frame * every):
             try:
-                state, taken, last = _advance_to(model, state, prepared, time, control, work)
+                model, state, prepared, taken, last = _advance_to(model, state, prepared, time, control, work)
             except (ArithmeticError, np.linalg.LinAlgError) as error:
                 if not _is_own(error):  # of a function that a person has given, such as a load's
                     raise
                 what = f"the equations of a step have no solution ({shortened(str(error))})"
                 raise _divergence(model, state, prepared, what, control.last) from error
             steps += taken
-        yield state, steps, last
+        yield model, state, prepared, steps, last
         if state.contact_state is not None:  # contact forces are means over one frame
             state = replace(state, contact_state=state.contact_state.reset_impulses(state.time))
 
@@ -248,8 +252,8 @@ def _initial_outputs(model: Model, state: State, prepared: PreparedLoads) -> Out
 
 def _advance_to(
     model: Model, state: State, prepared: PreparedLoads, time: float, control: _StepControl, work: Any
-) -> tuple[State, int, float]:
-    """Advance to a time [s]; return the state, the number of steps and the last step [s]."""
+) -> tuple[Model, State, PreparedLoads, int, float]:
+    """Advance to a time [s]; return the model, state and loads then, the number of steps and the last step [s]."""
     taken, used, share, interval = 0, control.longest, 1.0, time - state.time
     stable = control.last  # of the state after the last steps
     if not stable:
@@ -270,7 +274,7 @@ def _advance_to(
             raise _divergence(model, state, prepared, what, target)
         left = int(np.ceil((time - state.time) / target * (1 - 1e-9)))
         step = (time - state.time) / left
-        count = min(left, STEPS_PER_ESTIMATE)
+        count = min(left, STEPS_PER_ESTIMATE, model.most_steps(state, prepared, step))
         new, report = model.advance(state, prepared, step, count, work)
         checked, after = control.fixed is None and share > MIN_RETRY_STEP, stable
         accepted = not checked or model.accept_step(state, new, report, work)
@@ -284,8 +288,9 @@ def _advance_to(
         if not np.isfinite(new.coordinates).all():
             raise _divergence(model, state, prepared, "the state became non-finite", step, new)
         share = 1.0 if after < stable else min(1.0, 2 * share)  # a smaller estimate has taken account of it
-        state, stable, taken, used = new, after, taken + count, step
-    return state, taken, used
+        stable, taken, used = after, taken + count, step
+        model, state, prepared = model.after_steps(new, prepared)
+    return model, state, prepared, taken, used
 
 
 def _check_outputs(model: Model, state: State, prepared: PreparedLoads, outputs: Outputs, step: float) -> None:

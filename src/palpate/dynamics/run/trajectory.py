@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from palpate.files import regular_file
 from palpate.plotting import curve_svg, plot_curves
 from palpate.sealed import loading, open_sealed, write_sealed
 
-__all__ = ["FRAME_ARRAYS", "GROUP_ARRAYS", "SERIES_NAMES", "StoredTrajectory", "Trajectory", "stack"]
+__all__ = ["FRAME_ARRAYS", "GROUP_ARRAYS", "SERIES_NAMES", "StoredTrajectory", "Trajectory", "blade_series", "stack"]
 
 
 FORMAT, VERSION = "palpate trajectory", 4
@@ -26,7 +26,9 @@ TRAJECTORY_REMEDY = "run the simulation again"
 MAX_DISPLACEMENT = 1e30  # [m], so that sums of squares are finite
 SERIES_NAMES = ("times", "kinetic", "strain", "external", "dissipated", "steps")
 FRAME_ARRAYS = ("displacements", "velocities")  # stored frame by frame
-INDICATOR_NAMES = ("trust", "displacement_bounds", "force_bounds")  # (f,), or empty without an error indicator
+BLADE_NAMES = ("cut_area", "released_energy", "edge_work", "friction_work")  # as `Outputs.blade`
+# (f,), or empty without an error indicator or a blade
+INDICATOR_NAMES = ("trust", "displacement_bounds", "force_bounds", *BLADE_NAMES)
 GROUP_ARRAYS = ("reactions", "moments")  # (f, 3) arrays of groups and tools
 HEADER_KEYS = ("model", "label", "wall_seconds", "stiffness_damping", "complete")
 
@@ -72,6 +74,12 @@ class Trajectory(Described):
     displacement_bounds, force_bounds : (f,) arrays [m], [N]
         Error bounds of the displacement, root mean square over the body, and of the tools' forces
         (`palpate.ReducedModel.error_bounds`); infinite where the error is unknown. Empty without them.
+    cut_area, released_energy, edge_work, friction_work : (f,) arrays [m^2], [J]
+        Books of a blade since the start: the area that it has cut, the strain energy that the front has released
+        at fixed displacements, and the energies dissipated at its edge and by friction on its sides. Empty
+        without a blade.
+    cuts : (c, 10) array
+        Frame from which on the body is cut along a triangle, and its corners [m] in the stress-free body.
 
     Examples
     --------
@@ -114,6 +122,11 @@ class Trajectory(Described):
     trust: Floats = field(default_factory=lambda: np.zeros(0))
     displacement_bounds: Floats = field(default_factory=lambda: np.zeros(0))
     force_bounds: Floats = field(default_factory=lambda: np.zeros(0))
+    cut_area: Floats = field(default_factory=lambda: np.zeros(0))
+    released_energy: Floats = field(default_factory=lambda: np.zeros(0))
+    edge_work: Floats = field(default_factory=lambda: np.zeros(0))
+    friction_work: Floats = field(default_factory=lambda: np.zeros(0))
+    cuts: Floats = field(default_factory=lambda: np.zeros((0, 10)))
 
     def _facts(self) -> list[Fact]:
         frames, energy = len(self.times), self.kinetic + self.strain
@@ -222,6 +235,8 @@ class Trajectory(Described):
             first, second = getattr(self, name), getattr(other, name)
             both = len(first) == len(self.times) and len(second) == len(other.times)
             joined[name] = np.concatenate([first, second[1:]]) if both else np.zeros(0)
+        further = other.cuts[other.cuts[:, 0] > 0] + np.array([len(self.times) - 1.0, *np.zeros(9)])
+        joined["cuts"] = np.concatenate([self.cuts, further])
         seconds, complete = self.wall_seconds + other.wall_seconds, self.complete and other.complete
         return replace(self, **joined, wall_seconds=seconds, complete=complete)
 
@@ -236,7 +251,7 @@ class Trajectory(Described):
             The file cannot be written; an existing file is unchanged.
         """
         arrays: dict[str, Any] = {
-            name: getattr(self, name) for name in (*SERIES_NAMES, "points", "contact_forces", "bonded")
+            name: getattr(self, name) for name in (*SERIES_NAMES, "points", "contact_forces", "bonded", "cuts")
         }
         arrays |= {_array_name(name, key): force for name in GROUP_ARRAYS for key, force in getattr(self, name).items()}
         rows = {name: getattr(self, name) for name in FRAME_ARRAYS}
@@ -288,8 +303,18 @@ def _from_journal(path: Path) -> Trajectory:
     data["contact_forces"] = np.concatenate([np.zeros((0, 5)), *numbered])
     data["bonded"] = np.concatenate([np.zeros(0, dtype=np.bool_), *(arrays["bonded"] for _, arrays in frames)])
     data |= dict.fromkeys(INDICATOR_NAMES, np.zeros(0))
+    data |= blade_series([arrays["blade"] for _, arrays in frames])
+    data["cuts"] = np.concatenate([np.zeros((0, 10)), *(arrays["cuts"] for _, arrays in frames)])
     data["trust"] = np.concatenate([np.zeros(0), *(arrays["trust"] for _, arrays in frames)])
     return _from_arrays(about | names | {"wall_seconds": 0.0, "complete": False}, data)
+
+
+def blade_series(books: Sequence[Floats]) -> dict[str, Any]:
+    """Return the books of a blade at all frames by name; zeros before it cuts, and none without a blade."""
+    if not any(len(each) for each in books):
+        return {}
+    rows = np.array([each if len(each) else np.zeros(len(BLADE_NAMES)) for each in books])
+    return {name: rows[:, k] for k, name in enumerate(BLADE_NAMES)}
 
 
 def stack(values: list[Any], shape: tuple[int, ...]) -> Floats:
@@ -322,14 +347,17 @@ def _from_arrays(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
     )
     shapes |= {_array_name(name, key): (frames, 3) for name, each in names.items() for key in each}
     contact_forces = len(data.get("contact_forces", ()))
+    data.setdefault("cuts", np.zeros((0, 10)))  # of files of runs without blades
     shapes |= {
         "contact_forces": (contact_forces, 5),
         "bonded": (contact_forces,),
+        "cuts": (len(data["cuts"]), 10),
         "points": (n, 2 if data["points"].shape[-1:] == (2,) else 3),
     }
     indicators = {name: data.pop(name, np.zeros(0)) for name in INDICATOR_NAMES}
     for name, values in indicators.items():
-        if values.shape not in ((0,), (frames,)) or values.dtype != np.float64 or not np.all(values >= 0):
+        least = -np.inf if name in BLADE_NAMES[1:] else 0.0
+        if values.shape not in ((0,), (frames,)) or values.dtype != np.float64 or not np.all(values >= least):
             raise InputError(f"{name} must hold {frames} positive numbers or none, got shape {values.shape}")
     if data.keys() != shapes.keys():
         raise InputError(f"arrays must be {', '.join(sorted(shapes))}, got {', '.join(sorted(data))}")
@@ -344,7 +372,7 @@ def _from_arrays(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
     _check_contact_forces(data["contact_forces"], frames, n)
     forces: dict[str, Any] = {name: {key: data[_array_name(name, key)] for key in each} for name, each in names.items()}
     arrays = {
-        name: data[name] for name in (*SERIES_NAMES, *FRAME_ARRAYS, "points", "contact_forces", "bonded")
+        name: data[name] for name in (*SERIES_NAMES, *FRAME_ARRAYS, "points", "contact_forces", "bonded", "cuts")
     } | indicators
     return Trajectory(**arrays, **forces, **numbers, **{name: header[name] for name in ("model", "label", "complete")})
 

@@ -12,7 +12,6 @@ from palpate.arrays import Floats
 from palpate.dynamics.material.fibres import always_taut
 from palpate.dynamics.solid.base import Solid
 from palpate.dynamics.solid.cut_layout import fitted_entries, row_entries, smoothing_entries, with_stencils
-from palpate.dynamics.solid.energy import EnergySolid
 from palpate.faults import CloudError, InputError, brief
 from palpate.meshfree.cut_stencils import (
     RELEASED_FIT,
@@ -23,9 +22,9 @@ from palpate.meshfree.cut_stencils import (
     keep_uniform_stress,
     uncut_stencils,
 )
-from palpate.meshfree.cut_surface import MAX_WAY, NO_CUT, CutSurface, cut_surface, nodes_near
+from palpate.meshfree.cut_surface import MAX_WAY, NO_CUT, CutSurface, cut_surface, first_triangles, nodes_near
 
-__all__ = ["cut"]
+__all__ = ["cut", "cut_from", "uncut_state"]
 
 MAX_ROUNDS = 20  # of releases of nodes
 MAX_RESIDUAL = 1e-6  # of the uniform stress along a cut and of the integrals that are kept, relative to a node's
@@ -71,17 +70,23 @@ def cut(body: Solid, triangles: Any) -> Solid:
     True
     """
     solid, corners = _checked(body, triangles)
-    cloud, before = body.cloud, body._cut or _uncut_state(solid)
-    surface = cut_surface(before.surface, corners, cloud.points[cloud.triangles], cloud.spacing)
-    nodes = _nodes_to_fit(surface, before, cloud.points, cloud.spacing)
+    return cut_from(solid, len(solid.cut_surface.triangles), corners)
+
+
+def cut_from(body: Any, kept: int, corners: Floats) -> Solid:
+    """Return a body whose cut has the first `kept` of its triangles, and others (t, 3, 3) in place of the rest."""
+    solid, cloud, before = body, body.cloud, body.cut_state
+    first = first_triangles(before.surface, kept)
+    surface = cut_surface(first, corners, cloud.points[cloud.triangles], cloud.spacing)
+    nodes = _nodes_to_fit(surface, kept, before, cloud.points, cloud.spacing)
     rows, released = _fit(before, surface, nodes)
     state, constants = _exchange(body.body, before, surface, rows, released)
     return _with_cut(solid, state, constants)
 
 
-def _checked(body: Any, triangles: Any) -> tuple[EnergySolid, Floats]:
+def _checked(body: Any, triangles: Any) -> tuple[Any, Floats]:
     """Return the body and the corners (t, 3, 3) of triangles; raise `InputError` for others."""
-    if not isinstance(body, EnergySolid):
+    if not isinstance(body, Solid) or body.form != "energy":
         raise InputError(f"body of a cut must be a Solid in the energy form, got {brief(body)}; use form='energy'")
     if body.planes:
         raise InputError("body of a cut must have no planes of symmetry, got some; cut the complete body")
@@ -99,25 +104,25 @@ def _checked(body: Any, triangles: Any) -> tuple[EnergySolid, Floats]:
     return body, corners
 
 
-def _uncut_state(body: EnergySolid) -> CutState:
+def uncut_state(body: Any) -> CutState:
     """Return the state of a body without a cut."""
     stencils, n = body.stencils, len(body.cloud)
     uncut = uncut_stencils(
         body.cloud.points, body.volumes, body.cloud.spacing, stencils.neighbours, stencils.first[stencils.row],
-        body.smoothing.neighbours,
+        body.smoothing.neighbours, body.cloud.triangles.ravel(),
     )  # fmt: skip
     return CutState(NO_CUT, uncut, uncut.sums, np.zeros(n), np.zeros(n, np.bool_), np.zeros(n, np.bool_), (0.0, 0.0))
 
 
-def _nodes_to_fit(surface: CutSurface, before: CutState, points: Floats, spacing: float) -> NDArray[np.int64]:
+def _nodes_to_fit(
+    surface: CutSurface, kept: int, before: CutState, points: Floats, spacing: float
+) -> NDArray[np.int64]:
     """Return the nodes whose stencils new triangles, or fronts that have moved, can change."""
-    count = len(before.surface.triangles)
-    changed = np.ones(len(surface.triangles), dtype=np.bool_)
-    changed[:count] = np.any(surface.extended[:count] != before.surface.extended, axis=(1, 2))
-    near = np.zeros(len(points), dtype=np.bool_)
-    nodes_near(points, surface.extended[changed], MAX_WAY * spacing, near)
-    if count:
-        nodes_near(points, before.surface.extended[changed[:count]], MAX_WAY * spacing, near)
+    former, near = before.surface.extended, np.zeros(len(points), dtype=np.bool_)
+    is_moved = np.any(surface.extended[:kept] != former[:kept], axis=(1, 2))
+    for triangles in (surface.extended, former):
+        changed = np.concatenate([is_moved, np.ones(len(triangles) - kept, dtype=np.bool_)])
+        nodes_near(points, triangles[changed], MAX_WAY * spacing, near)
     return np.flatnonzero(near)
 
 
@@ -166,9 +171,9 @@ def _exchange(
     return state, with_stencils(body, nodes, new, smoothing, volumes)
 
 
-def _with_cut(body: EnergySolid, state: CutState, constants: Any) -> EnergySolid:
+def _with_cut(body: Any, state: CutState, constants: Any) -> Solid:
     """Return a copy of a body with other constants, without what was computed from the former ones."""
-    result = copy(body)
+    result: Solid = copy(body)
     for name in ("stencils", "smoothing", "patches", "stability", "_recovery"):
         vars(result).pop(name, None)
     taut = constants if body.fibres is None else constants._replace(families=always_taut(constants.families))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -15,12 +16,15 @@ from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed, prepare_loads
 from palpate.dynamics.nodal.model import History, NodalWork
 from palpate.dynamics.nodal.stability import StabilityReport, resting_frequency, stable_step
-from palpate.dynamics.run.model import Evaluation, State, StepReport
+from palpate.dynamics.run.model import Evaluation, Model, Outputs, State, StepReport
 from palpate.dynamics.solid.base import STENCIL_SIZES, Choices, Solid
+from palpate.dynamics.solid.blade_cut import cut_with_blade, steps_of_blade
+from palpate.dynamics.solid.cut import uncut_state
 from palpate.dynamics.solid.cut_layout import smoothing_of, stencils_of
 from palpate.dynamics.solid.layout import Smoothing, energy_passes
 from palpate.faults import InputError, number_in_range
 from palpate.meshfree.consistent import consistent_stencils
+from palpate.meshfree.cut_stencils import CutState
 from palpate.meshfree.patches import surface_patches
 from palpate.meshfree.quadrature import conservative_smoothing
 from palpate.meshfree.stencils import Stencils
@@ -165,6 +169,27 @@ class EnergySolid(Solid):
         kinetic = 0.5 * sum_of_products(self.masses[:, None], state.velocities**2)
         held = state.contact_state.held_energy if state.contact_state is not None else 0.0
         return kinetic + self.strain_energy(state.coordinates, state.history, work) + held
+
+    @cached_property
+    def _uncut_state(self) -> CutState:
+        return uncut_state(self)
+
+    @property
+    def cut_state(self) -> CutState:
+        """The body's cut, and the stencils of the uncut body on which further cuts depend."""
+        return self._uncut_state if self._cut is None else self._cut
+
+    def outputs(self, state: State, prepared: PreparedLoads, work: NodalWork | None = None) -> Outputs:
+        result = super().outputs(state, prepared, work)
+        if state.incision is None:
+            return result
+        return replace(result, blade=state.incision.books, cut_triangles=self.cut_surface.triangles)
+
+    def most_steps(self, state: State, prepared: PreparedLoads, step: float) -> int:
+        return steps_of_blade(prepared, state, step, self.cloud.spacing)
+
+    def after_steps(self, state: State, prepared: PreparedLoads) -> tuple[Model, State, PreparedLoads]:
+        return cut_with_blade(self, state, prepared)
 
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
         loads = listed(loads)

@@ -118,7 +118,7 @@ def _force_sizes(model: ReducedModel, run: _FullForces) -> Floats:
     prepared, work = model.prepare(run.loads), model.workspace()
     states = frame_states(model, model.state(prepared), prepared, len(run.sizes) - 1, run.every, None, work)
     with np.errstate(all="ignore"):  # non-finite values raise errors that name them
-        contact_forces = [contact_outputs(state, prepared)[0] for state, _, _ in states]
+        contact_forces = [contact_outputs(state, prepared)[0] for _, state, *_ in states]
     sizes = np.array([[0.0, *_sizes(run.names, contact_forces)], run.sizes])
     if not 0.0 < sizes[0].sum() < np.inf:
         raise InputError("repeated must be runs with contact on the reduced body, got one without; give more modes")

@@ -1,0 +1,161 @@
+"""The compiled impulses of blades in one explicit step.
+
+A site is a point of the tissue at the blade, whose displacement is a weighted sum over nodes. Its impulse in a step
+follows from the velocity of the tissue relative to the blade, by sweeps over all sites, as in
+`palpate.dynamics.contact.impulses`. At the edge an impulse along the direction of the cut stops the tissue that moves
+into it, within the force that cuts. At a side, one along its normal keeps the face of the cut out of the blade, and one
+across it stops its sliding within the friction.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.dynamics.contact.blade_sites import EDGE_SITE
+from palpate.dynamics.contact.geometry import project
+
+__all__ = ["clear_sites", "push_sites", "site_works"]
+
+SITE_SWEEPS = 4  # of the impulses of all sites in a step
+RECOVERY_SHARE = 0.1  # of the depth of a face in the blade that a step removes
+
+
+@kernel_njit(inner=True)
+def clear_sites(contacts, time, mass):  # type: ignore[no-untyped-def]
+    """Prepare the nodes of the sites for the impulses of a step that ends at a time [s]."""
+    sites = contacts.sites
+    for e in range(sites.nodes.shape[0]):
+        j = sites.nodes[e]
+        contacts.inverse_mass[j] = 1.0 / mass[j] if time > contacts.prescribed_until[j] else 0.0
+        for c in range(3):
+            contacts.step_impulses[j, c] = 0.0
+
+
+@kernel_njit(inner=True)
+def _turned(frame, v):  # type: ignore[no-untyped-def]
+    """Return a vector of the tool's frame in space."""
+    return (
+        frame[0, 0] * v[0] + frame[0, 1] * v[1] + frame[0, 2] * v[2],
+        frame[1, 0] * v[0] + frame[1, 1] * v[1] + frame[1, 2] * v[2],
+        frame[2, 0] * v[0] + frame[2, 1] * v[1] + frame[2, 2] * v[2],
+    )
+
+
+@kernel_njit(inner=True)
+def _tissue(sites, s, u, velocity, inverse_mass):  # type: ignore[no-untyped-def]
+    """Return the position (3) and the velocity (3) of the tissue at a site, and the sum of w^2 / m."""
+    x, y, z = sites.points[s, 0], sites.points[s, 1], sites.points[s, 2]
+    vx, vy, vz, response = 0.0, 0.0, 0.0, 0.0
+    for e in range(sites.start[s], sites.start[s + 1]):
+        j, w = sites.nodes[e], sites.weights[e]
+        response += w * w * inverse_mass[j]
+        x, y, z = x + w * u[j, 0], y + w * u[j, 1], z + w * u[j, 2]
+        vx, vy, vz = vx + w * velocity[j, 0], vy + w * velocity[j, 1], vz + w * velocity[j, 2]
+    return (x, y, z), (vx, vy, vz), response
+
+
+@kernel_njit(inner=True)
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel_njit(inner=True)
+def _edge_impulse(direction, along, response, most, before):  # type: ignore[no-untyped-def]
+    """Return the impulse that holds the tissue ahead of the edge, at most `most` [N s]."""
+    size = min(max(_dot(before, direction) - along / response, 0.0), most)
+    return size * direction[0], size * direction[1], size * direction[2]
+
+
+@kernel_njit(inner=True)
+def _face_impulse(normal, along, relative, response, needed, most, before):  # type: ignore[no-untyped-def]
+    """Return the impulse for a change `needed` [m/s] of a face's normal velocity, with its friction."""
+    size = _dot(before, normal)
+    pressed = max(size + needed / response, 0.0)
+    x = before[0] - size * normal[0] - (relative[0] - along * normal[0]) / response
+    y = before[1] - size * normal[1] - (relative[1] - along * normal[1]) / response
+    z = before[2] - size * normal[2] - (relative[2] - along * normal[2]) / response
+    length = np.sqrt(x * x + y * y + z * z)
+    share = 1.0 if length <= most else most / length
+    return share * x + pressed * normal[0], share * y + pressed * normal[1], share * z + pressed * normal[2]
+
+
+@kernel_njit(inner=True)
+def push_sites(contacts, ends, step, kick, u, velocity):  # type: ignore[no-untyped-def]
+    """Change the velocities of the nodes by the impulses of the sites in a step; see `push_patches`."""
+    sites = contacts.sites
+    sites.impulses[:] = 0.0
+    for _ in range(SITE_SWEEPS):
+        for s in range(sites.tool.shape[0]):
+            first, last = contacts.frames[sites.tool[s], 0], contacts.frames[sites.tool[s], 1]
+            place, speed, response = _tissue(sites, s, u, velocity, contacts.inverse_mass)
+            if not response > 0.0:
+                continue
+            start, end = _turned(first, sites.places[s]), _turned(last, sites.places[s])
+            normal = _turned(last, sites.directions[s])
+            relative = (
+                speed[0] - (end[0] + last[0, 3] - start[0] - first[0, 3]) / step,
+                speed[1] - (end[1] + last[1, 3] - start[1] - first[1, 3]) / step,
+                speed[2] - (end[2] + last[2, 3] - start[2] - first[2, 3]) / step,
+            )
+            along = _dot(relative, normal)
+            old = sites.impulses[s, 0], sites.impulses[s, 1], sites.impulses[s, 2]
+            if sites.kind[s] == EDGE_SITE:
+                new = _edge_impulse(normal, along, response, sites.limits[s] * kick, old)
+            else:
+                at, origin = (end, last[:, 3]) if ends else (start, first[:, 3])
+                away = place[0] - at[0] - origin[0], place[1] - at[1] - origin[1], place[2] - at[2] - origin[2]
+                gap = _dot(away, normal)
+                if ends:  # moves no node
+                    needed = -along if gap < contacts.contact_gap else -np.inf
+                else:
+                    needed = ((1.0 - RECOVERY_SHARE) * min(gap, 0.0) - gap) / step - along
+                new = _face_impulse(normal, along, relative, response, needed, sites.limits[s] * kick, old)
+            change = new[0] - old[0], new[1] - old[1], new[2] - old[2]
+            for e in range(sites.start[s], sites.start[s + 1]):
+                j, w = sites.nodes[e], sites.weights[e]
+                free = project(contacts.slide, contacts.slide_of[j], change[0], change[1], change[2])
+                for c in range(3):
+                    contacts.step_impulses[j, c] += w * change[c]
+                    velocity[j, c] += w * contacts.inverse_mass[j] * free[c]
+            sites.impulses[s, 0], sites.impulses[s, 1], sites.impulses[s, 2] = new
+
+
+@kernel_njit(inner=True)
+def site_works(contacts, step, kick, u, velocity, data):  # type: ignore[no-untyped-def]
+    """Add the impulses of the sites to the sums of the call; return energies as `apply_contact_impulses`."""
+    nodes, scratch, gravity = data
+    sites, density = contacts.sites, nodes.density
+    tools, lost, loads = 0.0, 0.0, 0.0
+    for s in range(sites.tool.shape[0]):
+        push, t = sites.impulses[s], sites.tool[s]
+        if push[0] == 0.0 and push[1] == 0.0 and push[2] == 0.0:
+            continue
+        first, last = contacts.frames[t, 0], contacts.frames[t, 1]
+        start, end = _turned(first, sites.places[s]), _turned(last, sites.places[s])
+        power, on_nodes = 0.0, 0.0
+        for d in range(3):
+            a, b = (d + 1) % 3, (d + 2) % 3
+            contacts.tool_impulses[t, d] += push[d]
+            contacts.tool_impulses[t, 3 + d] += end[a] * push[b] - end[b] * push[a]
+            power += push[d] * (end[d] + last[d, 3] - start[d] - first[d, 3]) / step
+        for e in range(sites.start[s], sites.start[s + 1]):
+            j, w = sites.nodes[e], sites.weights[e]
+            free = project(contacts.slide, contacts.slide_of[j], push[0], push[1], push[2])
+            inverse_mass = contacts.inverse_mass[j]
+            for d in range(3):
+                contacts.nodal_impulses[j, d] += w * push[d]
+                mean, surface = velocity[j, d], scratch.surface[j, d]
+                if inverse_mass > 0.0:
+                    kicked = kick * ((scratch.force[j, d] + nodes.half_cell * surface) / density + gravity[d])
+                    mean -= 0.5 * (kicked + contacts.step_impulses[j, d] * inverse_mass)
+                    loads += (
+                        0.5 * kick * nodes.volumes[j] * (surface + density * gravity[d]) * w * free[d] * inverse_mass
+                    )
+                    on_nodes += w * free[d] * mean
+                else:  # the constraint takes the impulse
+                    loads -= w * push[d] * mean
+                    on_nodes += w * push[d] * mean
+        sites.works[sites.kind[s]] += power - on_nodes
+        tools, lost = tools + power, lost + power - on_nodes
+    return tools, lost, loads

@@ -1,0 +1,59 @@
+"""Sites of blades: points of the tissue at their edges and sides, for the compiled step."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from palpate.arrays import Floats, Ints
+
+__all__ = ["EDGE_SITE", "FACE_SITE", "BladeSites", "no_sites"]
+
+EDGE_SITE, FACE_SITE = 0, 1  # kinds of a site
+
+
+class BladeSites(NamedTuple):
+    """Points of the tissue at blades, for the compiled step.
+
+    Parameters
+    ----------
+    tool, kind : (s,) arrays
+        Number of the tool, and EDGE_SITE or FACE_SITE.
+    start : (s + 1,) array
+        First entry of every site in the next two arrays.
+    nodes, weights : (e,) arrays
+    points : (s, 3) array [m]
+        Reference positions.
+    places : (s, 3) array [m]
+        The points of the blade, in its frame.
+    directions : (s, 3) array
+        In the tool's frame, the direction in which the edge cuts, or the normal of the blade's side.
+    limits : (s,) array [N]
+        Largest force of the edge, or largest friction.
+    impulses : (s, 3) array [N s]
+        Of the present step.
+    works : (2,) array [J]
+        Energy dissipated at the edge and by friction since the start of a call.
+    """
+
+    tool: Ints
+    kind: Ints
+    start: Ints
+    nodes: Ints
+    weights: Floats
+    points: Floats
+    places: Floats
+    directions: Floats
+    limits: Floats
+    impulses: Floats
+    works: Floats
+
+
+def no_sites() -> BladeSites:
+    """Return no sites."""
+    numbers, vectors = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
+    return BladeSites(
+        numbers, numbers, np.zeros(1, dtype=np.int64), numbers, np.zeros(0), vectors, vectors, vectors, np.zeros(0),
+        vectors, np.zeros(2),
+    )  # fmt: skip
