@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 import warnings
 import weakref
 from collections.abc import Sequence
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -38,7 +40,7 @@ from palpate.realtime.loop import (
     compile_loop,
 )
 from palpate.realtime.pose import IDENTITY_POSE, normalise_pose
-from palpate.realtime.record import Reading, field_offset
+from palpate.realtime.record import HEADER_SIZE, Reading, field_offset
 from palpate.realtime.runner import Runner
 from palpate.realtime.statistics import Statistics
 
@@ -51,6 +53,7 @@ MIN_RATE, MAX_RATE = 1e-6, 20_000.0  # [Hz]; the period of a lower rate overflow
 MAX_HISTORY = 600.0  # [s]
 MIN_TIME_SCALE = 1e-3  # model time per wall-clock time
 MAX_SPIN = 1e-3  # [s]
+CUT_INTERVAL = 5e-3  # [s] between two looks at where a blade is
 
 
 def _make_settings(
@@ -163,6 +166,7 @@ class Engine(Described):
                 "the system must have clock_gettime and nanosleep, got neither; run the engine on Linux or macOS"
             )
         self._force_bound, catch_up = getattr(model, "force_bound", None), getattr(model, "catch_up", 0)
+        self._cutter = getattr(model, "cutter", None)
         model = check_contract(model)
         if black_box is not None and not Path(black_box).absolute().parent.is_dir():
             raise InputError(
@@ -177,9 +181,10 @@ class Engine(Described):
         self._channels = Channels.allocate(len(model.rest), math.ceil(history / self.period))
         attributes = {"period": self.period, "coordinates": len(model.rest), "on_distrust": on_distrust}
         self._write = partial(write_black_box, buffer=self._channels.ring_buffer, attributes=attributes)
-        loop = compile_loop(model.advance, model.stiffness)
+        self._loop = compile_loop(model.advance, model.stiffness)
+        self._data = model.data
         self._runner = Runner(
-            partial(loop, model.data, self._work, self._channels, self._settings),
+            partial(self._loop, model.data, self._work, self._channels, self._settings),
             self._channels.command,
             partial(self._write, black_box) if black_box is not None else None,
         )
@@ -187,6 +192,8 @@ class Engine(Described):
         self._to_rest()
         snapshot(self._channels.record)  # compiles it before the loop runs
         weakref.finalize(self, self._runner.stop, STOPPED)  # at exit, or without references to the engine
+        if self._cutter is not None:
+            threading.Thread(target=_cut, args=(weakref.ref(self),), name="palpate cutter", daemon=True).start()
 
     def _facts(self) -> list[Fact]:
         record, statistics = snapshot(self._channels.record), self.statistics()
@@ -249,15 +256,48 @@ class Engine(Described):
 
     def reset(self) -> None:
         """Set body and tool to rest and time to 0; a running engine continues, a diverged one becomes stopped."""
-        with self._lock:
+        with self._cutter_lock(), self._lock:
             running = self._runner.state == RUNNING
             if running:
                 self._runner.stop(PAUSED)
+            if self._cutter is not None:
+                self._cutter.restore()
+                self.exchange(self._cutter.update(self._rest))
             self._to_rest()
             if self._runner.state == DIVERGED:
                 self._runner.state = STOPPED
             elif running:
                 self._runner.start()
+
+    def exchange(self, data: Any) -> None:
+        """Exchange the data of the model between two periods; state, statistics and pose stay.
+
+        Parameters
+        ----------
+        data : any type that Numba supports
+            Of the same types as the data before.
+        """
+        with self._lock:
+            running = self._runner.state == RUNNING
+            if running:
+                self._runner.stop(PAUSED)
+            self._data = data
+            self._runner.exchange(partial(self._loop, data, self._work, self._channels, self._settings))
+            if running and self._runner.state == PAUSED:
+                self._runner.start()
+
+    def _cutter_lock(self) -> Any:
+        """Return a context in which nothing is cut."""
+        return nullcontext() if self._cutter is None else self._cutter.lock
+
+    def _cut(self) -> None:
+        """Cut the body up to where the blade is, once."""
+        if self._runner.state != RUNNING or self._cutter is None:
+            return
+        with self._cutter.lock:
+            data = self._cutter.update(snapshot(self._channels.record)[HEADER_SIZE : HEADER_SIZE + len(self._rest)])
+            if data is not None:
+                self.exchange(data)
 
     def _to_rest(self) -> None:
         self._work.reset(self._rest)
@@ -389,3 +429,11 @@ class Engine(Described):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.stop()
+
+
+def _cut(reference: weakref.ref[Engine]) -> None:
+    """Cut the body of an engine with its blade until nothing refers to the engine."""
+    while (engine := reference()) is not None:
+        engine._cut()
+        del engine
+        time.sleep(CUT_INTERVAL)

@@ -138,6 +138,7 @@ class ObservableModel(NamedTuple):
     tool: Floats
     force_bound: Callable[[float, float], float] | None = None
     catch_up: int = 0
+    cutter: Any = None
 
     def observe(self) -> Observation:
         """Return the values that the last period published; may be called from any thread."""
@@ -215,7 +216,11 @@ def make_observable(model: RealtimeModel) -> ObservableModel:
         tangent=np.zeros((tools, tools)),
         modulus_ratio=np.ones(2),
     )
-    observable = ObservableModel(advance, stiffness, data, model.rest, model.tool, model.force_bound, model.catch_up)
+    if model.cutter is not None:
+        model.cutter.wrap = lambda inner: data._replace(inner=inner)
+    observable = ObservableModel(
+        advance, stiffness, data, model.rest, model.tool, model.force_bound, model.catch_up, model.cutter
+    )
     observable.set_state(model.rest, np.zeros(3))
     return observable
 

@@ -44,6 +44,10 @@ class Runner:
         set_flag(command, 0, STOPPED)
         loop()  # compiles it; returns at once
 
+    def exchange(self, loop: Callable[[], int]) -> None:
+        """Exchange the loop, which must not run."""
+        self._loop = loop
+
     def start(self) -> None:
         """Start the loop."""
         set_flag(self._command, 0, RUNNING)

@@ -87,6 +87,8 @@ def push_sites(contacts, ends, step, kick, u, velocity):  # type: ignore[no-unty
     sites.impulses[:] = 0.0
     for _ in range(SITE_SWEEPS):
         for s in range(sites.tool.shape[0]):
+            if sites.tool[s] < 0:  # of a tool that was put away
+                continue
             first, last = contacts.frames[sites.tool[s], 0], contacts.frames[sites.tool[s], 1]
             place, speed, response = _tissue(sites, s, u, velocity, contacts.inverse_mass)
             if not response > 0.0:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from palpate.arrays import Floats
+from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import rotation
 from palpate.dynamics.contact.grip import empty_grip, grasped_nodes, set_grip
 from palpate.dynamics.contact.tools import CAPSULE, PLANE, Contact, Forceps, Grasp, Sphere, Tool
@@ -28,6 +29,7 @@ from palpate.dynamics.nodal.period import (
 )
 from palpate.dynamics.nodal.tool_path import END, HOME, START
 from palpate.faults import InputError
+from palpate.reduction.realtime.full_blade import BladeCutter
 
 __all__ = ["change_full_tool", "full_period", "step_statistics"]
 
@@ -48,7 +50,7 @@ def full_period(
     if not model.conservative:
         raise InputError("model must have the energy form for the engine, got the strong form; leave form= out")
     tool = contact
-    if isinstance(contact, Grasp):
+    if isinstance(contact, Grasp) or isinstance(contact.tool, Blade):
         tool = Contact(Sphere(2 * model.cloud.spacing), np.full(3, model.cloud.points.max() + AWAY_DISTANCE))
     prepared, work = model.prepare([tool, *foundations]), model.workspace()
     model.state(prepared)  # refuses a tool inside the body
@@ -90,7 +92,7 @@ def full_period(
     )  # fmt: skip
     if isinstance(contact, Grasp):
         forceps = Forceps(contact.radius, contact.point, contact.until)
-        change_full_tool(model, data, forceps, contact.poses(np.zeros(1))[0], 0.0)
+        change_full_tool(model, data, None, forceps, contact.poses(np.zeros(1))[0], 0.0)
     return nodal_period(model.formulation), data
 
 
@@ -114,7 +116,12 @@ def step_statistics(data: NodalPeriodData) -> dict[str, float]:
 
 
 def change_full_tool(
-    model: NodalModel, data: NodalPeriodData, tool: Tool | None, pose: Floats, friction: float
+    model: NodalModel,
+    data: NodalPeriodData,
+    cutter: BladeCutter | None,
+    tool: Tool | None,
+    pose: Floats,
+    friction: float,
 ) -> None:
     """Replace the tool of a full body, as `palpate.reduction.realtime.change_tool.change_tool`.
 
@@ -125,6 +132,13 @@ def change_full_tool(
         release.
     """
     contacts, spacing, nodes = data.contacts, model.cloud.spacing, np.zeros(0, dtype=np.int64)
+    blade = None
+    if isinstance(tool, Blade):
+        if cutter is None:
+            raise InputError(
+                "tool must be another than a Blade, got a Blade for a sheet or a body with planes of symmetry"
+            )
+        blade, tool = tool, None
     if isinstance(tool, Forceps):
         if tool.until < np.inf:
             raise InputError(f"until of forceps must be infinite in the engine, got {tool.until:g} s; change the tool")
@@ -146,4 +160,6 @@ def change_full_tool(
     contacts.held.energy[0], contacts.held.forces[:] = 0.0, 0.0
     data.contact_work.numbers[:] = 0
     rotation(pose, data.path[HOME])
+    if cutter is not None:
+        cutter.take(blade, pose)
     data.path[START], data.path[END], contacts.frames[0, 1] = data.path[HOME], data.path[HOME], data.path[HOME]

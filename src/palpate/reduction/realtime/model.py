@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 
 from palpate.arrays import Floats, Ints
+from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import rotation
 from palpate.dynamics.contact.tools import Contact, Grasp, Tool
 from palpate.dynamics.loads.foundation import Foundation
@@ -16,6 +17,7 @@ from palpate.dynamics.loads.prepared import check_kinds, prepare_loads
 from palpate.dynamics.material.relaxation import history_copy
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.nodal.tool_path import contact_stiffness as nodal_stiffness
+from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.contact.surface import contact_scratch, rigid_tools
 from palpate.reduction.contact.tangent import contact_stiffness, contact_system
@@ -29,6 +31,7 @@ from palpate.reduction.hyper.sampled_energy import scratch
 from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.realtime import LinearRealtime, linear_realtime
 from palpate.reduction.realtime.change_tool import change_tool
+from palpate.reduction.realtime.full_blade import BladeCutter
 from palpate.reduction.realtime.full_body import change_full_tool, full_period
 from palpate.reduction.realtime.period import (
     MAX_SUBSTEPS,
@@ -66,6 +69,9 @@ class RealtimeModel(NamedTuple):
         ``change_tool(tool, pose, friction)`` replaces the tool in contact between two periods; the body keeps its state
         and nothing is compiled. `tool` is a Sphere, Capsule, Plane, Punch, Forceps or None, `pose` (7,) its position
         [m] and unit quaternion, to which later displacements and rotations are relative. The engine must be paused.
+        A full body also takes a Blade.
+    cutter : BladeCutter, optional
+        Of a solid, which the engine cuts with a blade.
 
     Examples
     --------
@@ -87,6 +93,7 @@ class RealtimeModel(NamedTuple):
     force_bound: Callable[[float, float], float] | None = None
     catch_up: int = 0
     change_tool: Callable[[Tool | None, Floats, float], None] | None = None
+    cutter: BladeCutter | None = None
 
 
 @overload
@@ -247,9 +254,13 @@ def _full_body(model: NodalModel, contact: Contact | Grasp | None, foundations: 
     check_kinds([contact], (Contact, Grasp), "contact")
     _check_foundations(foundations)
     advance, data = full_period(model, contact, foundations)
+    cutter = BladeCutter(model, data) if isinstance(model, EnergySolid) and not model.planes else None
+    change = partial(change_full_tool, model, data, cutter)
+    if isinstance(contact, Contact) and isinstance(contact.tool, Blade):
+        change(contact.tool, contact.poses(np.zeros(1))[0], 0.0)
     return RealtimeModel(
         advance, nodal_stiffness, data, np.zeros(3 * len(model.cloud)), np.eye(12),
-        catch_up=CATCH_UP, change_tool=partial(change_full_tool, model, data),
+        catch_up=CATCH_UP, change_tool=change, cutter=cutter,
     )  # fmt: skip
 
 

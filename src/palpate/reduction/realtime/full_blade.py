@@ -1,0 +1,138 @@
+"""Cuts of a full body in the engine: the body is cut next to the running loop, and exchanged between two periods.
+
+A cutter takes the state of a period and cuts the body along the way of the blade
+(`palpate.dynamics.solid.blade_cut`), while the loop goes on with the body before. The new constants then take
+their places in the data of the period. A blade moves at most so fast that it advances by half a spacing meanwhile.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from palpate.arrays import Floats
+from palpate.dynamics.contact.blade import Blade
+from palpate.dynamics.contact.blade_sites import no_sites
+from palpate.dynamics.contact.tools import Contact
+from palpate.dynamics.loads.supports import FREE
+from palpate.dynamics.nodal.period import LOST, NodalPeriodData
+from palpate.dynamics.nodal.tool_path import END
+from palpate.dynamics.run.model import State
+from palpate.dynamics.solid.blade_cut import advance_blade
+from palpate.dynamics.solid.incision import Incision
+from palpate.dynamics.solid.model import EnergySolid
+from palpate.faults import CloudError, DivergenceError, InputError
+
+__all__ = ["BladeCutter"]
+
+WAY_OF_A_CUT = 0.5  # largest way of a blade while the body is cut, in spacings
+MEAN_CUTS, FIRST_SECONDS = 5.0, 0.03  # cuts over which their time is averaged, and the first guess [s]
+
+
+class BladeCutter:
+    """Cuts a full body with the blade that the engine moves.
+
+    Parameters
+    ----------
+    model : EnergySolid
+    data : NodalPeriodData
+        Of the running period.
+
+    Attributes
+    ----------
+    model : EnergySolid
+        The body as it is cut now.
+    incision : Incision or None
+        Of the present blade.
+    cuts : int
+        Number of exchanges of the body since it was whole.
+    failure : str
+        Why the last cut was not made; empty if it was.
+    wrap : function
+        Makes the data of the engine's model from those of the period.
+    """
+
+    def __init__(self, model: EnergySolid, data: NodalPeriodData) -> None:
+        self.whole_model, self.model, self.data = model, model, data
+        self.incision: Incision | None = None
+        self.cuts, self.failure, self.wrap = 0, "", lambda data: data
+        self.lock = threading.RLock()
+        self._contact: Contact | None = None
+        self._seconds, self._tool_reach = FIRST_SECONDS, data.tool_reach
+        self._is_due = False
+
+    wrap: Callable[[Any], Any]
+
+    @property
+    def books(self) -> Floats:
+        """Cut area [m^2], released energy, and energies dissipated at the edge and by friction [J] of this blade."""
+        return np.zeros(4) if self.incision is None else self.incision.books
+
+    def take(self, blade: Blade | None, pose: Floats) -> None:
+        """Take another tool in a pose (7,): a blade, or None for one that does not cut. The engine must be paused."""
+        with self.lock:
+            self.data.contacts.sites.tool[:] = -1  # the sites of the blade before
+            self._contact = None if blade is None else Contact(blade, (pose[:3], pose[3:]), name="blade")
+            self.incision, self.failure, self._is_due = None, "", True
+
+    def restore(self) -> None:
+        """Return to the whole body; the engine must be paused."""
+        with self.lock:
+            self.take(None, np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
+            self.model, self.cuts = self.whole_model, 0
+
+    def update(self, coordinates: Floats) -> Any:
+        """Return new data for the engine's loop, or None: the body cut up to where the blade is.
+
+        Parameters
+        ----------
+        coordinates : (3 n,) array [m]
+        """
+        with self.lock:
+            if self._contact is None and not self._is_due:
+                return None
+            began = perf_counter()
+            sites, released = no_sites(), 0.0
+            if self._contact is not None:
+                new_sites, released = self._advance(self._contact, coordinates)
+                if new_sites is None and not self._is_due:
+                    return None
+                sites = self.data.contacts.sites if new_sites is None else new_sites
+            self._is_due = False
+            if self.incision is not None:
+                self.incision = self.incision.with_works(*map(float, self.data.contacts.sites.works))
+            self._seconds += (perf_counter() - began - self._seconds) / MEAN_CUTS
+            self.data.clock[LOST] += released
+            self.data = self.data._replace(
+                passes=(self.model.body, self.data.passes[1]),
+                taut_passes=(self.model.taut_body, self.data.taut_passes[1]),
+                contacts=self.data.contacts._replace(sites=sites),
+                tool_reach=self._reach(),
+            )
+            return self.wrap(self.data)
+
+    def _reach(self) -> float:
+        """Return the largest way [m] of the tool in a step."""
+        if self._contact is None:
+            return self._tool_reach
+        step = self.whole_model.stability.step
+        return min(self._tool_reach, WAY_OF_A_CUT * self.model.cloud.spacing * step / self._seconds)
+
+    def _advance(self, contact: Contact, coordinates: Floats) -> tuple[Any, float]:
+        """Cut up to the blade; return its new sites or None, and the released energy [J]."""
+        u = coordinates.reshape(-1, 3)
+        state = State(u, np.zeros_like(u), incision=self.incision)
+        held = np.flatnonzero(self.data.sites.kind != FREE)
+        before = self.model
+        try:
+            model, incision, sites, released = advance_blade(before, state, contact, self.data.path[END].copy(), held)
+        except (CloudError, DivergenceError, InputError) as error:
+            self.failure = str(error)
+            return None, 0.0
+        self.cuts += model is not before
+        self.model, self.incision, self.failure = model, incision, ""
+        return sites, released
