@@ -99,7 +99,7 @@ export class InputControls {
     const kind = this.page.driver() && this.scene.body && this.page.tool()?.kind;
     if (!kind || kind === "group") return;
     const box = this.scene.canvas.getBoundingClientRect();
-    this.page.missed(`nothing here to ${kind === "grasp" ? "hold" : "press"}`, [event.clientX - box.left, event.clientY - box.top]);
+    this.page.missed(`nothing here to ${{ grasp: "hold", scalpel: "cut" }[kind] ?? "press"}`, [event.clientX - box.left, event.clientY - box.top]);
   }
 
   begin(hit, stamp) {

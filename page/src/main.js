@@ -22,6 +22,7 @@ const legend = new Legend(byId);
 const preparation = new Preparation(byId);
 const FRICTION = 0.2;
 const COUPLING_STIFFNESS = 300; // [N/m], smooths the motion of a mouse
+const LIVER_TOUGHNESS = 164; // [J/m^2], bovine (Gokgol, Basdogan and Canadinc 2012)
 const READOUT_INTERVAL = 60; // [ms] between updates of the readings
 const SPEECH_INTERVAL = 1500; // [ms] between announcements
 const AIR_TIME = 0.5; // [s] without a force after which a tool is in the air
@@ -167,7 +168,7 @@ function message(received) {
 
 function frame(received) {
   if (received.kind === 2) session.next = received;
-  else if (received.kind === 5) scene.setBody(received);
+  else if (received.kind === 5 || received.kind === 6) scene.setBody(received);
   else if (received.kind === 1) {
     scene.setBody(received);
     byId("fixed-key").hidden = !received.fixed.includes(1);
@@ -236,6 +237,7 @@ function initialTools({ bounds: [low, high], spacing, full, compare }) {
   return {
     sphere: { kind: "sphere", radius: Math.max(round(0.075 * size), least), length: round(0.2 * size), ...held },
     capsule: { kind: "capsule", radius: Math.max(round(0.04 * size), least), length: round(0.2 * size), ...held },
+    scalpel: { kind: "scalpel", radius: 0.001, length: Math.max(round(0.15 * size), 2 * least), toughness: LIVER_TOUGHNESS, ...held },
     grasp: { kind: "grasp", radius: round(Math.max(0.05 * size, 1.5 * (spacing ?? 0))), length: round(0.2 * size), ...held },
   };
 }
@@ -266,8 +268,8 @@ function change(part) {
 function sendTool() {
   const { tool } = session;
   const { sphere } = scene.body;
-  if (tool.kind === "sphere" || tool.kind === "capsule") {
-    const far = sphere.radius + 2 * tool.radius + (tool.kind === "capsule" ? tool.length : 0);
+  if (tool.kind === "sphere" || tool.kind === "capsule" || tool.kind === "scalpel") {
+    const far = sphere.radius + 2 * tool.radius + (tool.kind === "sphere" ? 0 : tool.length);
     const position = [sphere.center.x, sphere.center.y, sphere.center.z + far];
     send({ ...tool, type: "tool", position, quaternion: [1, 0, 0, 0] });
     send({ type: "release" });
@@ -352,7 +354,7 @@ function announceForce(state, now) {
 let airTime = 0;
 function showAir(state, seconds) {
   const { press } = controls;
-  const touches = !press || press.grasps || press.approach > 0 || state?.state !== "running" || state.newtons > LEAST_FORCE;
+  const touches = !press || press.grasps || press.tool.kind === "scalpel" || press.approach > 0 || state?.state !== "running" || state.newtons > LEAST_FORCE;
   const before = airTime;
   airTime = touches ? 0 : airTime + seconds;
   panel.through = airTime > AIR_TIME && scene.body.isInside(press.position);

@@ -2,7 +2,7 @@
 import { choice, slider, formatNumber } from "./widgets.js";
 import { comparisonText, forceReading, isBeyond } from "./forceText.js";
 
-const NAMES = { sphere: "Sphere", capsule: "Capsule", grasp: "Forceps" };
+const NAMES = { sphere: "Sphere", capsule: "Capsule", grasp: "Forceps", scalpel: "Scalpel" };
 const MIN_STIFFNESS_EXPONENT = 1.5; // power of ten of the coupling [N/m]
 const RIGID_EXPONENT = 4; // the end of the slider stands for a rigid coupling
 
@@ -46,14 +46,18 @@ export class Panel {
     this.sliders = {
       radius: slider({ name: "Radius", low: Math.max(millimetres(0.012, 1), Math.ceil(2 * leastRadius) / 2), high: Math.max(millimetres(0.12, 4), 2 * leastRadius), value: 0, ...metres("radius") }),
       length: slider({ name: "Length", low: millimetres(0.03, 2), high: millimetres(0.4, 20), value: 0, ...metres("length") }),
+      toughness: slider({
+        name: "Toughness", low: 0, high: 400, step: 1, value: 0, text: (value) => `${formatNumber(value)} J/m²`,
+        settled: (value) => this.actions.change({ toughness: value }),
+      }),
       stiffness: slider({
         name: "Coupling stiffness", low: MIN_STIFFNESS_EXPONENT, high: RIGID_EXPONENT, step: 0.01, value: RIGID_EXPONENT,
         text: (power) => (power >= RIGID_EXPONENT ? "rigid" : `${formatNumber(10 ** power, 2)} N/m`),
         settled: (power) => this.actions.change({ stiffness: power >= RIGID_EXPONENT ? null : Number((10 ** power).toPrecision(2)) }),
       }),
     };
-    const { radius, length: long, stiffness } = this.sliders;
-    this.byId("sizes").replaceChildren(radius.label, long.label);
+    const { radius, length: long, toughness, stiffness } = this.sliders;
+    this.byId("sizes").replaceChildren(radius.label, long.label, toughness.label);
     this.byId("coupling").replaceChildren(stiffness.label);
   }
 
@@ -80,8 +84,12 @@ export class Panel {
   status({ tool, driver }, replay) {
     if (tool && this.sliders.radius) {
       this.markKind(tool.kind);
-      this.sliders.length.label.hidden = tool.kind !== "capsule";
-      this.byId("sizes").classList.toggle("two", tool.kind === "capsule");
+      const cuts = tool.kind === "scalpel";
+      this.sliders.radius.label.hidden = cuts;
+      this.sliders.toughness.label.hidden = !cuts;
+      this.sliders.length.label.hidden = tool.kind !== "capsule" && !cuts;
+      this.byId("sizes").classList.toggle("two", tool.kind === "capsule" || cuts);
+      if (cuts) this.sliders.toughness.set(tool.toughness);
       this.sliders.radius.set(1e3 * tool.radius);
       if (tool.length) this.sliders.length.set(1e3 * tool.length);
       this.sliders.stiffness.set(tool.stiffness ? Math.log10(tool.stiffness) : RIGID_EXPONENT);

@@ -13,7 +13,7 @@ export class Press {
     this.tool = page.tool();
     this.grasps = this.tool.kind === "grasp" || this.tool.kind === "group";
     this.offset = new three.Vector3(); // along the surface; for forceps in any direction
-    this.depth = this.grasps ? 0 : Math.min(0.35 * this.tool.radius, 0.02 * scene.size);
+    this.depth = this.grasps || this.tool.kind === "scalpel" ? 0 : Math.min(0.35 * this.tool.radius, 0.02 * scene.size);
     this.approach = this.grasps ? 0 : this.depth + APPROACH_GAP;
     this.deepest = 0.2 * scene.size;
     this.viewAxes = [0, 1].map((k) => new three.Vector3().setFromMatrixColumn(scene.camera.matrixWorld, k));

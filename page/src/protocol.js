@@ -1,7 +1,7 @@
 // The protocol: binary frames from the server, and JSON messages in both directions.
 
 export const STATES = ["stopped", "running", "paused", "diverged"];
-export const TOOLS = ["none", "sphere", "capsule", "grasp", "group"];
+export const TOOLS = ["none", "sphere", "capsule", "grasp", "group", "scalpel"];
 
 const HEADER_BYTES = 16; // kind, sequence, vertices, triangles
 const STATE_NUMBERS = 25; // float64 values of a state
@@ -9,7 +9,7 @@ const STATE_NUMBERS = 25; // float64 values of a state
 /** Decode a binary frame; arrays are views of the buffer. */
 export function decode(buffer) {
   const [kind, sequence, vertices, triangles] = new Uint32Array(buffer, 0, 4);
-  if (kind === 1 || kind === 5) {
+  if (kind === 1 || kind === 5 || kind === 6) {
     const positions = new Float32Array(buffer, HEADER_BYTES, 3 * vertices);
     const start = HEADER_BYTES + 12 * vertices;
     const fixed = new Uint8Array(buffer, start + 12 * triangles, vertices);

@@ -18,6 +18,7 @@ function material(colour, opacity = 1, more = {}) {
 }
 
 const STEEL = [0.914, 0.925, 0.933]; // sRGB
+const BELLY_SHARE = 0.97; // sine of the angle at the ends of a scalpel's edge, as in the session
 const WARNING = [0.86, 0.2, 0.16]; // where a model was not trained
 
 /** A sphere, a capsule or forceps, in the tool's own frame. */
@@ -40,7 +41,8 @@ export class ToolGlyph {
     if (kind === "sphere") this.group.add(this.part(new three.SphereGeometry(radius, 24 * this.parts, 16 * this.parts)));
     else if (kind === "capsule") {
       this.group.add(this.part(new three.CapsuleGeometry(radius, length, 8 * this.parts, 20 * this.parts).rotateX(Math.PI / 2)));
-    } else for (const side of [1, -1]) this.group.add(this.jaw(side, 0.02 * size));
+    } else if (kind === "scalpel") this.group.add(...this.scalpel(length, 0.02 * size));
+    else for (const side of [1, -1]) this.group.add(this.jaw(side, 0.02 * size));
   }
 
   /** Colour the tool red beyond training. */
@@ -50,6 +52,20 @@ export class ToolGlyph {
 
   part(shape) {
     return new three.Mesh(shape, this.material);
+  }
+
+  /** A flat blade with a round belly around the origin, and a handle above it. */
+  scalpel(length, unit) {
+    const flat = new three.Shape();
+    const angle = Math.asin(BELLY_SHARE);
+    const radius = (0.5 * length) / BELLY_SHARE;
+    flat.absarc(0, radius, radius, -Math.PI / 2 - angle, -Math.PI / 2 + angle, false);
+    const top = radius * (1 - Math.cos(angle)) + 0.25 * length;
+    flat.lineTo(0.5 * length, top).lineTo(-0.5 * length, top).closePath();
+    const thick = 0.1 * unit;
+    const blade = new three.ExtrudeGeometry(flat, { depth: thick, bevelEnabled: false, curveSegments: 24 }).translate(0, 0, -thick / 2);
+    const handle = new three.BoxGeometry(0.35 * length, 0.5 * unit, 4.5 * unit).translate(0, 0, top + 2.2 * unit);
+    return [this.part(blade.rotateX(Math.PI / 2)), this.part(handle)];
   }
 
   jaw(side, unit) {

@@ -14,7 +14,7 @@ from palpate.arrays import Floats, Ints
 from palpate.meshfree.cut_stencils import REACH_MARGIN, UncutStencils
 from palpate.meshfree.cut_surface import CutSurface, bond_paths
 
-__all__ = ["SIGHT_DISTANCE", "PointWeights", "point_weights", "reference_points"]
+__all__ = ["LEAST_VOLUME", "SIGHT_DISTANCE", "PointWeights", "point_weights", "reference_points"]
 
 CANDIDATE_NODES, FIT_NODES = 64, 20  # nearest nodes, and nodes inside the radius of the fit
 MAX_ITERATIONS, LAST_CHANGE = 4, 1e-3  # of the reference point, and its last change in spacings

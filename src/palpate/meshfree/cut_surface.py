@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from palpate.arrays import Floats
 from palpate.code_cache import cached_njit
@@ -27,7 +28,9 @@ __all__ = [
     "CutSurface",
     "bond_paths",
     "cut_surface",
+    "first_crossings",
     "first_triangles",
+    "inside_points",
     "inside_shares",
     "is_narrow",
     "nearest_normals",
@@ -197,9 +200,8 @@ def _inside(points: Floats, corners: Floats, spacing: float, known: dict[bytes, 
     keys = [key.tobytes() for key in np.rint(points / (MERGE_DISTANCE * spacing)).astype(np.int64)]
     new = [k for k, key in enumerate(keys) if key not in known]
     if new:
-        answers = np.zeros(len(new))
-        _winding_numbers(np.ascontiguousarray(points[new]), corners, answers)
-        known.update((keys[k], bool(abs(answer) > 0.5)) for k, answer in zip(new, answers, strict=True))
+        answers = inside_points(points[new], corners)
+        known.update((keys[k], bool(answer)) for k, answer in zip(new, answers, strict=True))
     return np.array([known[key] for key in keys], dtype=np.bool_)
 
 
@@ -232,6 +234,13 @@ def _winding_number(point, corners):  # type: ignore[no-untyped-def]
 def _winding_numbers(points, corners, result):  # type: ignore[no-untyped-def]
     for k in range(points.shape[0]):
         result[k] = _winding_number(points[k], corners)
+
+
+def inside_points(points: Floats, corners: Floats) -> NDArray[np.bool_]:
+    """Return whether points (p, 3) are inside a closed surface (s, 3, 3)."""
+    numbers = np.zeros(len(points))
+    _winding_numbers(np.ascontiguousarray(points), corners, numbers)
+    return np.asarray(np.abs(numbers) > 0.5)
 
 
 @cached_njit(nogil=True)
@@ -501,3 +510,27 @@ def bond_paths(points, nodes, start, near, triangles, fronts, spacing, reach, pa
                 for q in range(fronts_near):
                     best = min(best, _way_round(ax, ay, az, dx, dy, dz, fronts[edges[q]]))
                 paths[begin + k] = max(best, length) if best <= most else np.inf
+
+
+@cached_njit(nogil=True)
+def first_crossings(segments, triangles, shares):  # type: ignore[no-untyped-def]
+    """Write the shares of segments (s, 2, 3) at which they first cross triangles (t, 3, 3); infinite without one."""
+    planes = np.empty((triangles.shape[0], 3, 4))
+    _planes(triangles, planes)
+    for k in range(segments.shape[0]):
+        shares[k] = np.inf
+        a, b = segments[k, 0], segments[k, 1]
+        dx, dy, dz = _difference(b, a)
+        tiny = ON_PLANE * _length(dx, dy, dz)
+        for q in range(triangles.shape[0]):
+            above = _value(planes[q, 0], a[0], a[1], a[2])
+            below = _value(planes[q, 0], b[0], b[1], b[2])
+            above = tiny if abs(above) < tiny else above
+            below = tiny if abs(below) < tiny else below
+            if (above > 0.0) == (below > 0.0):
+                continue
+            share = above / (above - below)
+            x, y, z = a[0] + share * dx, a[1] + share * dy, a[2] + share * dz
+            s, t = _value(planes[q, 1], x, y, z), _value(planes[q, 2], x, y, z)
+            if s > -1e-6 and t > -1e-6 and s + t < 1.0 + 1e-6:
+                shares[k] = min(shares[k], share)

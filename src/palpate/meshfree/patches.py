@@ -20,8 +20,9 @@ import numpy as np
 import scipy.sparse as sparse
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats
+from palpate.arrays import Floats, Ints
 from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.cut_surface import NO_CUT, CutSurface, bond_paths
 
 __all__ = ["surface_patches"]
 
@@ -30,7 +31,7 @@ MAX_PATCH_DEPTH = 2.0  # largest distance of interior nodes in a patch, in spaci
 MAX_PATCH_NODES = 96  # candidates within that distance
 
 
-def surface_patches(cloud: Cloud, *, lattice: bool) -> sparse.csr_array:
+def surface_patches(cloud: Cloud, *, lattice: bool, cut: CutSurface = NO_CUT) -> sparse.csr_array:
     """Return the weights (n, n) of nodes in patch displacements; the rows of interior nodes are identity.
 
     Parameters
@@ -39,6 +40,8 @@ def surface_patches(cloud: Cloud, *, lattice: bool) -> sparse.csr_array:
         In space.
     lattice : bool
         Whether the cloud is a lattice.
+    cut : CutSurface
+        Across which a patch does not reach.
 
     Returns
     -------
@@ -56,6 +59,9 @@ def surface_patches(cloud: Cloud, *, lattice: bool) -> sparse.csr_array:
         points[surface], k=min(MAX_PATCH_NODES, count), distance_upper_bound=farthest
     )
     near = np.where(np.isfinite(distance), near, surface[:, None])
+    if len(cut.triangles):
+        distance = _distances_round(cut, points, surface, near, distance, cloud.spacing)
+        near = np.where(np.isfinite(distance), near, surface[:, None])
     across = _kernel(distance, reach)
     below = np.where(np.isin(near, surface), across, _kernel(distance, MAX_PATCH_DEPTH * cloud.spacing))
     facing = np.maximum(np.einsum("skc,sc->sk", normal[near], normal[surface]), 0.0)
@@ -74,6 +80,18 @@ def surface_patches(cloud: Cloud, *, lattice: bool) -> sparse.csr_array:
     result.data[np.abs(result.data) < 1e-12] = 0.0
     result.eliminate_zeros()
     return result
+
+
+def _distances_round(
+    cut: CutSurface, points: Floats, nodes: Ints, near: Ints, distance: Floats, spacing: float
+) -> Floats:
+    """Return distances (s, k) [m] of nodes from others with the ways round the fronts of a cut."""
+    count, paths = near.shape[1], np.empty(near.size)
+    start = np.arange(0, near.size + 1, count)
+    every = np.ascontiguousarray(near.ravel(), dtype=np.int64)
+    reach = float(np.max(np.where(np.isfinite(distance), distance, 0.0)))
+    bond_paths(points, nodes, start, every, cut.extended, cut.fronts, spacing, reach, paths)
+    return np.where(np.isfinite(distance), np.maximum(distance, paths.reshape(near.shape)), distance)
 
 
 def _kernel(distance: Floats, reach: float) -> Floats:

@@ -33,7 +33,7 @@ FIELD_UNITS = {
     "stress": ("kPa", 1e-3),
     "pressure": ("kPa", 1e-3),
 }  # display unit, factor from SI
-TOOL_KINDS = ("none", "sphere", "capsule", "grasp", "group")
+TOOL_KINDS = ("none", "sphere", "capsule", "grasp", "group", "scalpel")
 MAX_FINITE = 1e30  # replaces infinities
 MODES_ONLY = "excludes the local indentation at the tool"
 

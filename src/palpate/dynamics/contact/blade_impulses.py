@@ -2,9 +2,9 @@
 
 A site is a point of the tissue at the blade, whose displacement is a weighted sum over nodes. Its impulse in a step
 follows from the velocity of the tissue relative to the blade, by sweeps over all sites, as in
-`palpate.dynamics.contact.impulses`. At the edge an impulse along the direction of the cut stops the tissue that moves
-into it, within the force that cuts. At a side, one along its normal keeps the face of the cut out of the blade, and one
-across it stops its sliding within the friction.
+`palpate.dynamics.contact.impulses`. At the edge an impulse stops the tissue that moves into it, within the force
+that cuts, which is smaller for an edge that is drawn along itself. At a side, one along its normal keeps the face of
+the cut out of the blade, and one across it stops its sliding within the friction.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from palpate.dynamics.contact.geometry import project
 __all__ = ["clear_sites", "push_sites", "site_works"]
 
 SITE_SWEEPS = 4  # of the impulses of all sites in a step
-RECOVERY_SHARE = 0.1  # of the depth of a face in the blade that a step removes
+RECOVERY_TIME = 0.01  # [s] in which a face leaves a blade that it is in
 
 
 @kernel_njit(inner=True)
@@ -61,10 +61,25 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _edge_impulse(direction, along, response, most, before):  # type: ignore[no-untyped-def]
-    """Return the impulse that holds the tissue ahead of the edge, at most `most` [N s]."""
-    size = min(max(_dot(before, direction) - along / response, 0.0), most)
-    return size * direction[0], size * direction[1], size * direction[2]
+def _edge_impulse(normal, tangent, relative, response, most, before):  # type: ignore[no-untyped-def]
+    """Return the impulse of the edge on the tissue, in place of the one before in this step, for a push at most `most`.
+
+    The force opposes the velocity w of the tissue relative to the edge, and its power is that of the normal part times
+    the force of a straight push: F = F_push w_n w / |w|^2 (Atkins, Xu and Jeronimidis, Journal of Materials Science 39,
+    2004). With the velocity after the impulse, w' = (1 - most w_n / (m |w|^2)) w; the tissue stops where this is
+    negative.
+    """
+    advance = _dot(before, normal) * response - _dot(relative, normal)
+    slide = _dot(relative, tangent) - _dot(before, tangent) * response
+    if advance <= 0.0:
+        return 0.0, 0.0, 0.0
+    share = min(1.0, most * response * advance / (advance * advance + slide * slide)) / response
+    push, pull = share * advance, -share * slide
+    return (
+        push * normal[0] + pull * tangent[0],
+        push * normal[1] + pull * tangent[1],
+        push * normal[2] + pull * tangent[2],
+    )
 
 
 @kernel_njit(inner=True)
@@ -103,7 +118,8 @@ def push_sites(contacts, ends, step, kick, u, velocity):  # type: ignore[no-unty
             along = _dot(relative, normal)
             old = sites.impulses[s, 0], sites.impulses[s, 1], sites.impulses[s, 2]
             if sites.kind[s] == EDGE_SITE:
-                new = _edge_impulse(normal, along, response, sites.limits[s] * kick, old)
+                tangent = _turned(last, (-sites.directions[s, 2], 0.0, sites.directions[s, 0]))
+                new = _edge_impulse(normal, tangent, relative, response, sites.limits[s] * kick, old)
             else:
                 at, origin = (end, last[:, 3]) if ends else (start, first[:, 3])
                 away = place[0] - at[0] - origin[0], place[1] - at[1] - origin[1], place[2] - at[2] - origin[2]
@@ -111,7 +127,7 @@ def push_sites(contacts, ends, step, kick, u, velocity):  # type: ignore[no-unty
                 if ends:  # moves no node
                     needed = -along if gap < contacts.contact_gap else -np.inf
                 else:
-                    needed = ((1.0 - RECOVERY_SHARE) * min(gap, 0.0) - gap) / step - along
+                    needed = (max(0.0, 1.0 - step / RECOVERY_TIME) * min(gap, 0.0) - gap) / step - along
                 new = _face_impulse(normal, along, relative, response, needed, sites.limits[s] * kick, old)
             change = new[0] - old[0], new[1] - old[1], new[2] - old[2]
             for e in range(sites.start[s], sites.start[s + 1]):

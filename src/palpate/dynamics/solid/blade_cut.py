@@ -101,7 +101,7 @@ def advance_blade(
     is_new = incision is None
     if is_new:
         incision = start_incision(cut_state, blade, frame, u)
-        sites, length = blade_sites(cut_state, incision, blade, frame, u, corners, number)
+        sites, incision, length = blade_sites(cut_state, incision, blade, frame, u, corners, number)
         if length > 0:
             raise InputError(
                 f"motion of Contact {tool.name!r} must start outside the body, got {length:.3g} m of the edge inside; "
@@ -121,7 +121,8 @@ def advance_blade(
         released += lost
     if not cuts:
         return body, incision, None, 0.0
-    return body, incision, blade_sites(body.cut_state, incision, blade, frame, u, corners, number)[0], released
+    sites, incision, _ = blade_sites(body.cut_state, incision, blade, frame, u, corners, number)
+    return body, incision, sites, released
 
 
 def _check_distance(tool: Contact, triangles: Floats, points: Floats, held: Any, spacing: float) -> None:

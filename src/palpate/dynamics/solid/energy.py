@@ -200,4 +200,4 @@ class EnergySolid(Solid):
     @cached_property
     def patches(self) -> sparse.csr_array:
         """Weights (n, n) of the nodal displacements in those of the contact patches."""
-        return surface_patches(self.cloud, lattice=self._lattice)
+        return surface_patches(self.cloud, lattice=self._lattice, cut=self.cut_surface)

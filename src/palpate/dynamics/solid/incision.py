@@ -24,7 +24,7 @@ from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.blade_sites import EDGE_SITE, FACE_SITE, BladeSites
-from palpate.meshfree.cut_points import SIGHT_DISTANCE, point_weights, reference_points
+from palpate.meshfree.cut_points import LEAST_VOLUME, SIGHT_DISTANCE, PointWeights, point_weights, reference_points
 from palpate.meshfree.cut_stencils import CutState
 from palpate.meshfree.cut_surface import inside_shares, is_narrow, nearest_on_cut, swept, triangle_areas
 
@@ -45,6 +45,8 @@ LEAST_WAY = 0.02  # of a point of the edge in one cut, below which it stays, in 
 IN_CUT = 0.3  # distance from the present cut below which the edge is in it, in spacings
 NEAR_BODY = 3.0  # distance from the nearest node beyond which an edge cuts nothing, in spacings
 AHEAD_OF_EDGE = 0.1  # from the edge to a point that is in the cut if the edge is not at a front, in spacings
+KEPT_OFFSET = 1.0  # share of the distance of tissue from a new place of the edge that is not counted as an advance
+NEW_DEPTH = 0.02  # of a face in the blade when its site is made, in spacings
 NEAR_FACE = 1.5  # distance of a point of the blade's flat from the nearest node, in spacings
 LEAST_SHARE = 1e-3  # of a piece of the edge in the body, for it to hold tissue
 LONGEST_STRIP, MAX_BEND = 1.0, 0.01  # of a strip of triangles, and its distance from the way of the edge, in spacings
@@ -69,6 +71,26 @@ class Strip(NamedTuple):
     triangles: int
 
 
+class HeldPieces(NamedTuple):
+    """Pieces of an edge that hold tissue.
+
+    Parameters
+    ----------
+    pieces : (m,) int array
+    points : (m, 3) array [m]
+        Their middles in the stress-free body.
+    weights : PointWeights
+        Of the nodes there.
+    offsets : (m, 3) array [m]
+        From the tissue there to the blade that are not counted as an advance.
+    """
+
+    pieces: NDArray[np.int64]
+    points: Floats
+    weights: PointWeights
+    offsets: Floats
+
+
 @dataclass(frozen=True)
 class Incision(Described):
     """A blade in a body: where its edge is, and its energies since the start.
@@ -79,6 +101,7 @@ class Incision(Described):
         Points of the edge in the stress-free body.
     strip : Strip
         Last strip of triangles of the cut, which goes on with the edge.
+    hold : HeldPieces, optional
     area : float [m^2]
         That the blade has cut.
     released : float [J]
@@ -105,6 +128,7 @@ class Incision(Described):
 
     edge: Floats
     strip: Strip
+    hold: HeldPieces | None = None
     area: float = 0.0
     released: float = 0.0
     release_rate: float = 0.0
@@ -186,6 +210,8 @@ def advance_edge(
     """
     spacing = state.uncut.spacing
     target = _edge_in_body(state, blade, frame, u, incision.edge)
+    if incision.hold is not None:
+        _follow_slip(incision, target, _in_space(frame, edge_points(blade, spacing)), u)
     way = target - incision.edge
     distance = np.asarray(state.uncut.tree.query(np.concatenate([incision.edge, target]))[0]).reshape(2, -1).min(axis=0)
     near = distance < NEAR_BODY * spacing
@@ -201,6 +227,24 @@ def advance_edge(
         pieces = _cutting_pieces(state, edges, near, normals)
         cuts.append((edges[1], pieces, _inner_area(edges, pieces, corners)))
     return cuts
+
+
+def _follow_slip(incision: Incision, target: Floats, places: Floats, u: Floats) -> None:
+    """Move the points of the target (p, 3) at pieces that hold tissue by as much as the tissue has slipped there.
+
+    Fits about other points would count as a small advance where nothing slips.
+    """
+    hold = incision.hold
+    assert hold is not None
+    tissue = hold.points + np.einsum("pk,pkc->pc", hold.weights.values, u[hold.weights.nodes])
+    slip = 0.5 * (places[hold.pieces] + places[hold.pieces + 1]) - tissue - hold.offsets
+    moved = np.linalg.solve(_gradients(hold, u), slip[:, :, None])[:, :, 0]
+    total, count = np.zeros_like(target), np.zeros(len(target))
+    for k in range(2):
+        np.add.at(total, hold.pieces + k, moved)
+        np.add.at(count, hold.pieces + k, 1.0)
+    held = count > 0
+    target[held] = incision.edge[held] + total[held] / count[held, None]
 
 
 def _forward(edge: Floats, frame: Floats, blade: Blade, spacing: float) -> Floats:
@@ -281,8 +325,8 @@ def after_cut(incision: Incision, edge: Floats, strip: Strip, area: float, relea
 
 def blade_sites(
     state: CutState, incision: Incision, blade: Blade, frame: Floats, u: Floats, corners: Floats, tool: int
-) -> tuple[BladeSites, float]:
-    """Return the sites of a blade, and the length [m] of its edge in the body."""
+) -> tuple[BladeSites, Incision, float]:
+    """Return the sites of a blade, the incision with the pieces that hold tissue, and the length [m] in the body."""
     spacing = state.uncut.spacing
     points = edge_points(blade, spacing)
     middles, directions = 0.5 * (points[:-1] + points[1:]), _cutting_directions(points)
@@ -293,12 +337,15 @@ def blade_sites(
     seen = _forward(incision.edge, frame, blade, spacing)
     in_cut = _in_cut(state, segments.mean(axis=1) + AHEAD_OF_EDGE * spacing * seen)
     held = np.flatnonzero((shares > LEAST_SHARE) & ~in_cut)
-    force = np.maximum(blade.toughness - max(incision.release_rate, 0.0), 0.0) * lengths
-    parts = [(EDGE_SITE, segments.mean(axis=1)[held], seen[held], middles[held], directions[held], force[held])]
+    parts = [(EDGE_SITE, segments.mean(axis=1)[held], seen[held], middles[held], directions[held], np.zeros(len(held)))]
     parts += _faces(state, blade, frame, u, points, incision.edge, corners)
     kinds = np.concatenate([np.full(len(part[1]), part[0]) for part in parts])
     at, sights, places, normals, limits = (np.concatenate([part[k] for part in parts]) for k in range(1, 6))
     weights = point_weights(state.uncut, state.surface, at, at + SIGHT_DISTANCE * spacing * sights)
+    hold = _held_pieces(held, at, weights, _in_space(frame, middles), u)
+    strength = max(blade.toughness - max(incision.release_rate, 0.0), 0.0)
+    ways = segments[held, 1] - segments[held, 0]
+    limits[: len(held)] = strength * shares[held] * _area_rates(hold, ways, directions[held] @ frame[:, :3].T, u)
     used = weights.values != 0.0
     start = np.concatenate([[0], np.cumsum(used.sum(axis=1))]).astype(np.int64)
     sites = BladeSites(
@@ -307,7 +354,34 @@ def blade_sites(
         places=np.ascontiguousarray(places), directions=np.ascontiguousarray(normals),
         limits=np.ascontiguousarray(limits), impulses=np.zeros((len(kinds), 3)), works=np.zeros(2),
     )  # fmt: skip
-    return sites, float(lengths.sum())
+    return sites, replace(incision, hold=hold), float(lengths.sum())
+
+
+def _area_rates(hold: HeldPieces, ways: Floats, normals: Floats, u: Floats) -> Floats:
+    """Return the areas (m,) [m] of the stress-free body that pieces of ways (m, 3) cut per advance along normals."""
+    moved = np.linalg.solve(_gradients(hold, u), normals[:, :, None])[:, :, 0]
+    return np.asarray(np.linalg.norm(np.cross(ways, moved), axis=1))
+
+
+def _gradients(hold: HeldPieces, u: Floats) -> Floats:
+    """Return the deformation gradients (m, 3, 3) at pieces; unity where the fit is too much compressed."""
+    gradient = np.eye(3) + np.einsum("pkd,pkc->pcd", hold.weights.slopes, u[hold.weights.nodes])
+    gradient[~(np.linalg.det(gradient) > LEAST_VOLUME)] = np.eye(3)
+    return gradient
+
+
+def _held_pieces(pieces: Any, points: Floats, weights: PointWeights, places: Floats, u: Floats) -> HeldPieces:
+    """Return the pieces (m,) that hold tissue, whose sites are the first."""
+    count = len(pieces)
+    first = PointWeights(weights.nodes[:count], weights.values[:count], weights.slopes[:count])
+    tissue = points[:count] + np.einsum("pk,pkc->pc", first.values, u[first.nodes])
+    return HeldPieces(pieces, points[:count], first, KEPT_OFFSET * (places[pieces] - tissue))
+
+
+def _displacements(state: CutState, points: Floats, sides: Floats, u: Floats) -> Floats:
+    """Return the displacements (p, 3) [m] of points that are seen from their sides."""
+    weights = point_weights(state.uncut, state.surface, points, points + SIGHT_DISTANCE * state.uncut.spacing * sides)
+    return np.einsum("pk,pkc->pc", weights.values, u[weights.nodes])
 
 
 def _shares_inside(state: CutState, points: Floats, ways: Floats, corners: Floats) -> Floats:
@@ -348,7 +422,8 @@ def _faces(
         projections, distance, over = _project(state, at)
         shares = _shares_inside(state, projections, along[close], corners)
         used = over & (distance < spacing) & (shares > 0)
-        side_places = flat + 0.5 * blade.wedge * normal
+        depth = np.minimum(0.0, (projections + _displacements(state, projections, seen, u) - places) @ sight[0])
+        side_places = flat + (np.minimum(0.5 * blade.wedge, NEW_DEPTH * spacing + depth))[:, None] * normal
         count = int(used.sum())
         result.append(
             (FACE_SITE, projections[used], seen[used], side_places[used],

@@ -16,12 +16,13 @@ if TYPE_CHECKING:
     from palpate.reduction.realtime.display_surface import DisplaySurface
 
 __all__ = [
+    "CUT_GEOMETRY",
     "FORCE", "GEOMETRY", "OVERLAY", "PREVIEW", "STATE", "colour_range", "force_frame", "geometry_frame", "overlay_body",
     "pack_frame", "preview_frame", "state_body",
 ]  # fmt: skip
 
 
-GEOMETRY, STATE, OVERLAY, FORCE, PREVIEW = 1, 2, 3, 4, 5
+GEOMETRY, STATE, OVERLAY, FORCE, PREVIEW, CUT_GEOMETRY = 1, 2, 3, 4, 5, 6
 FRAME_HEADER = struct.Struct("<4I")
 RANGE_PERCENTILE = 99.0  # of a scalar, at which its colour range ends; excludes peaks of single vertices at edges
 
@@ -31,9 +32,9 @@ def pack_frame(kind: int, sequence: int, vertices: int, body: bytes, triangles: 
     return FRAME_HEADER.pack(kind, sequence % 2**32, vertices, triangles) + body
 
 
-def geometry_frame(surface: DisplaySurface) -> bytes:
+def geometry_frame(surface: DisplaySurface, kind: int = GEOMETRY) -> bytes:
     """Return the geometry frame of a surface: positions at rest, triangles, and which vertices are fixed."""
-    return _mesh_frame(GEOMETRY, surface.rest, surface.triangles, surface.fixed)
+    return _mesh_frame(kind, surface.rest, surface.triangles, surface.fixed)
 
 
 def preview_frame(surface: Surface) -> bytes:

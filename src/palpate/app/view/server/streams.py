@@ -21,12 +21,13 @@ MAX_BACKLOG = 0.005  # [s] of force frames that are sent late; older ones are dr
 
 
 class _CachedState(NamedTuple):
-    """Body of a state frame, its key, its time of creation [s], and the time of its snapshot [s]."""
+    """Body of a state frame, its key, its time of creation [s], the time of its snapshot [s], and its surface."""
 
     key: Any
     created: float
     time: float
     body: bytes
+    surface: Any
 
 
 class Streams:
@@ -43,7 +44,7 @@ class Streams:
 
     async def send_states(self, viewer: Viewer) -> None:
         """Send the newest state whenever it has changed and the viewer has acknowledged earlier frames."""
-        sent_key: Any = None
+        sent_key, shown = None, self.source.surface
         while True:
             await viewer.may_send_frame.wait()
             start = time.monotonic()
@@ -51,7 +52,10 @@ class Streams:
             if state.key == sent_key:
                 await asyncio.sleep(POLL_INTERVAL)
                 continue
-            sent_key, sequence, vertices = state.key, viewer.next_frame(), len(self.source.surface.rest)
+            if state.surface is not shown:
+                shown = state.surface
+                await viewer.send(frames.geometry_frame(shown, frames.CUT_GEOMETRY))
+            sent_key, sequence, vertices = state.key, viewer.next_frame(), len(shown.rest)
             full = self.source.overlay(state.time)
             if full is not None:
                 await viewer.send(frames.pack_frame(frames.OVERLAY, sequence, vertices, frames.overlay_body(full)))
@@ -61,12 +65,13 @@ class Streams:
     def _state(self, scalar: str) -> _CachedState:
         """Return the newest state with a scalar, shared between viewers for half a state interval."""
         snapshot = self.source.snapshot()
-        key = (scalar, snapshot.steps, snapshot.time, snapshot.state, snapshot.tool, snapshot.sequence,
+        surface = self.source.shown_surface
+        key = (scalar, id(surface), snapshot.steps, snapshot.time, snapshot.state, snapshot.tool, snapshot.sequence,
                *snapshot.position)  # fmt: skip
         cached = self._states.get(scalar)
         if cached is None or (cached.key != key and time.monotonic() - cached.created > 0.5 * STATE_INTERVAL):
-            body = frames.state_body(self.source.surface, snapshot, scalar)
-            cached = self._states[scalar] = _CachedState(key, time.monotonic(), snapshot.time, body)
+            body = frames.state_body(surface, snapshot, scalar)
+            cached = self._states[scalar] = _CachedState(key, time.monotonic(), snapshot.time, body, surface)
         return cached
 
     async def send_forces(self, viewer: Viewer) -> None:

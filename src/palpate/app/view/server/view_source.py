@@ -19,6 +19,11 @@ class ViewSource(Protocol):
     mode: str
     title: str
     surface: DisplaySurface
+
+    @property
+    def shown_surface(self) -> DisplaySurface:
+        """The surface that is drawn, which a cut changes."""
+
     pause_reason: str | None
     notifications: list[dict[str, Any]]  # messages still to be sent to all viewers
 

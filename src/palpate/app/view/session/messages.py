@@ -16,6 +16,7 @@ MAX_MESSAGE_BYTES = 64 * 1024
 MAX_COORDINATE = 10.0  # [m] of a position
 MAX_TEXT_LENGTH = 200  # characters
 SEE_DOCS = "see docs/protocol.md"
+LIVER_TOUGHNESS = 164.0  # [J/m^2], bovine (Gokgol, Basdogan and Canadinc 2012)
 MIN_FORCE_RATE, MAX_FORCE_RATE = 1.0, 1000.0  # [Hz] of force frames
 
 Message = dict[str, Any]
@@ -106,11 +107,12 @@ def _short(value: Any) -> str:
 
 REQUIRED_FIELD = object()  # marks a field without default
 _TOOL: dict[str, tuple[Check, Any]] = {
-    "kind": (_one_of("sphere", "capsule", "grasp"), REQUIRED_FIELD),
+    "kind": (_one_of("sphere", "capsule", "grasp", "scalpel"), REQUIRED_FIELD),
     "radius": (_number(1e-4, 1.0), 0.015),
     "length": (_number(1e-4, 1.0), 0.04),
     "friction": (_number(0.0, 2.0), 0.2),
     "stiffness": (_or_none(_number(1.0, 1e4)), None),
+    "toughness": (_number(0.0, 1e4), LIVER_TOUGHNESS),
     "position": (_vector(3), REQUIRED_FIELD),
     "quaternion": (_unit_quaternion, (1.0, 0.0, 0.0, 0.0)),
     "sequence": (_whole_number, 0),

@@ -51,6 +51,11 @@ class Replay:
         """Index of the newest snapshot at the playback time."""
         return max(0, int(np.searchsorted(self.recording.times, self.time, side="right")) - 1)
 
+    @property
+    def shown_surface(self) -> DisplaySurface:
+        """The surface that is drawn."""
+        return self.surface
+
     def snapshot(self) -> Snapshot:
         """Return the present snapshot, with the time of the recording."""
         frame = self.frame

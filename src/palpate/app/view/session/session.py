@@ -40,9 +40,10 @@ from palpate.realtime.observable import Observation, make_observable
 from palpate.realtime.record import Reading
 from palpate.realtime.statistics import Statistics
 from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.realtime.cut_display import CutFullSurface
 from palpate.reduction.realtime.display_surface import DisplaySurface
 from palpate.reduction.realtime.full_body import step_statistics
-from palpate.reduction.realtime.full_surface import display_surface
+from palpate.reduction.realtime.full_surface import FullSurface, display_surface
 from palpate.reduction.realtime.model import realtime_model
 
 __all__ = ["Session"]
@@ -58,6 +59,7 @@ SLEEP_TIME = 3.0  # [s] without a tick after which the machine is taken to have 
 ABSENT_TOOL_DISTANCE = 10.0  # [m] from the body to an absent tool
 NO_TOOL = SelectedTool("none", None)
 MODULUS_NAME = "shear modulus"
+REDRAW_INTERVAL = 0.1  # [s] between new surfaces of a body that is being cut
 HAND_FORCE = 3.3  # [N] of a coupled tool: the largest of a common haptic device (Touch, 3D Systems, data sheet)
 MIN_MODULUS_RATIO, MAX_MODULUS_RATIO = 0.25, 4.0  # to the model's own moduli
 
@@ -122,9 +124,23 @@ class Session:
         self._writers: list[threading.Thread] = []
         self._paces: deque[tuple[float, int, int]] = deque()  # time [s], periods, dropped periods
         self._last_pose = -math.inf  # [s]
+        self._cut_surface, self._cut_shown = self.surface, (0, -math.inf)  # number of cuts, and time [s]
         self._lock, self._last_tick = threading.RLock(), (time.time(), time.monotonic())
 
     # queries
+
+    @property
+    def shown_surface(self) -> DisplaySurface:
+        """The surface that is drawn: of the body as it is cut now."""
+        cutter = getattr(self._realtime_model, "cutter", None)
+        if cutter is None or not cutter.cuts:
+            return self.surface
+        with self._lock:
+            is_old = time.monotonic() - self._cut_shown[1] > REDRAW_INTERVAL
+            if self._cut_shown[0] != cutter.cuts and is_old and isinstance(self.surface, FullSurface):
+                self._cut_surface = CutFullSurface(cutter.model, self.surface)
+                self._cut_shown = cutter.cuts, time.monotonic()
+        return self._cut_surface
 
     def snapshot(self) -> Snapshot:
         """Return the results of the last period, from the engine and the observable model."""
@@ -213,7 +229,8 @@ class Session:
         """Kinds of tools that a user may select."""
         if not self.accepts_tools:
             return []
-        return ["sphere", "capsule", "grasp"]
+        cutter = getattr(self._realtime_model, "cutter", None)
+        return ["sphere", "capsule", "grasp", *(["scalpel"] if cutter is not None else [])]
 
     @property
     def is_touched(self) -> bool:
@@ -481,9 +498,11 @@ class Session:
             shape = tool_shape(message)
             if not self._workspace.is_outside(self._displacements(), shape, np.concatenate([position, quaternion])):
                 raise InputError("tool must be outside the body, got a position inside; put it down outside")
+        toughness = message["toughness"] if message["kind"] == "scalpel" else None
         self.selected_tool = SelectedTool(
-            message["kind"], shape, message["radius"], message["length"], message["friction"], message["stiffness"]
-        )
+            message["kind"], shape, message["radius"], message["length"], message["friction"], message["stiffness"],
+            toughness,
+        )  # fmt: skip
         self._change_tool(self.selected_tool, position, quaternion, message["sequence"])
 
     def _displacements(self) -> Floats:

@@ -9,6 +9,7 @@ import numpy as np
 
 from palpate.app.view.session.messages import Message
 from palpate.arrays import Floats
+from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import compute_gaps
 from palpate.dynamics.contact.tools import Capsule, Forceps, Sphere, Tool
 from palpate.faults import InputError
@@ -18,6 +19,8 @@ __all__ = ["NO_ROTATION", "SelectedTool", "ToolWorkspace", "compose_rotations", 
 
 
 WORKSPACE_MARGIN = 0.3  # [m] around the body
+POINT_RADIUS = 1e-6  # [m] of the point of a blade
+BELLY_POINTS, BELLY_SHARE = 13, 0.97  # of a scalpel's edge, and the sine of the angle at its ends
 MAX_PENETRATION = 0.25  # of a vertex into a tool that is put down, as a fraction of the spacing
 NO_ROTATION = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -37,6 +40,8 @@ class SelectedTool:
         Coefficient of friction.
     stiffness : float or None [N/m]
         Stiffness of the virtual coupling; None for a rigid coupling.
+    toughness : float or None [J/m^2]
+        Of the tissue that a scalpel cuts; None for other tools.
     """
 
     kind: str
@@ -45,12 +50,14 @@ class SelectedTool:
     length: float = 0.0
     friction: float = 0.0
     stiffness: float | None = None
+    toughness: float | None = None
 
     def describe(self, position: Floats, quaternion: Floats, active: bool) -> dict[str, Any]:
         """Return the description of the tool for the protocol; an inactive one is selected but put away."""
         return {
             "kind": self.kind, "active": active, "radius": self.radius, "length": self.length,
-            "friction": self.friction, "stiffness": self.stiffness, "position": [float(x) for x in position],
+            "friction": self.friction, "stiffness": self.stiffness, "toughness": self.toughness,
+            "position": [float(x) for x in position],
             "quaternion": [float(x) for x in quaternion],
         }  # fmt: skip
 
@@ -67,10 +74,27 @@ def compose_rotations(first: Floats, second: Floats, invert_first: bool = False)
 
 
 def tool_shape(message: Message) -> Tool:
-    """Return the sphere or capsule of a message of type ``"tool"``."""
+    """Return the sphere, capsule or scalpel of a message of type ``"tool"``."""
+    if message["kind"] == "scalpel":
+        return scalpel(message["length"], message["toughness"])
     if message["kind"] == "sphere":
         return Sphere(message["radius"])
     return Capsule(message["radius"], message["length"])
+
+
+def scalpel(length: float, toughness: float) -> Blade:
+    """Return a blade with a round belly, which cuts ahead to both sides.
+
+    Parameters
+    ----------
+    length : float [m]
+        Between the ends of the edge.
+    toughness : float [J/m^2]
+    """
+    shares = np.linspace(-1.0, 1.0, BELLY_POINTS)
+    belly = 1.0 - np.sqrt(1.0 - (BELLY_SHARE * shares) ** 2)
+    edge = np.column_stack([0.5 * length * shares, np.zeros(BELLY_POINTS), 0.5 * length * belly])
+    return Blade(edge, toughness, height=0.5 * length)
 
 
 def make_forceps(
@@ -130,6 +154,8 @@ class ToolWorkspace:
     def is_outside(self, displacements: Floats, tool: Tool, pose: Floats) -> bool:
         """Return whether a tool is outside a body whose vertices have displacements (n, 3) [m]."""
         vertices = np.ascontiguousarray(self.surface.rest + displacements, dtype=float)
+        if isinstance(tool, Blade):  # the point of its edge that is deepest
+            tool = Sphere(POINT_RADIUS)
         distance = np.zeros(len(vertices))
         compute_gaps(tool.kind, np.array(tool.sizes), pose, vertices, distance)
         if distance.min() < -self._max_depth:
