@@ -22,7 +22,7 @@ const legend = new Legend(byId);
 const preparation = new Preparation(byId);
 const FRICTION = 0.2;
 const COUPLING_STIFFNESS = 300; // [N/m], smooths the motion of a mouse
-const LIVER_TOUGHNESS = 164; // [J/m^2], bovine (Gokgol, Basdogan and Canadinc 2012)
+const TOUGHNESS = 20; // [J/m^2], so that soft tissue is cut before it is dragged far; of bovine liver 164
 const READOUT_INTERVAL = 60; // [ms] between updates of the readings
 const SPEECH_INTERVAL = 1500; // [ms] between announcements
 const AIR_TIME = 0.5; // [s] without a force after which a tool is in the air
@@ -237,7 +237,7 @@ function initialTools({ bounds: [low, high], spacing, full, compare }) {
   return {
     sphere: { kind: "sphere", radius: Math.max(round(0.075 * size), least), length: round(0.2 * size), ...held },
     capsule: { kind: "capsule", radius: Math.max(round(0.04 * size), least), length: round(0.2 * size), ...held },
-    scalpel: { kind: "scalpel", radius: 0.001, length: Math.max(round(0.15 * size), 2 * least), toughness: LIVER_TOUGHNESS, ...held },
+    scalpel: { kind: "scalpel", radius: 0.001, length: Math.max(round(0.15 * size), 2 * least), toughness: TOUGHNESS, ...held },
     grasp: { kind: "grasp", radius: round(Math.max(0.05 * size, 1.5 * (spacing ?? 0))), length: round(0.2 * size), ...held },
   };
 }

@@ -182,7 +182,7 @@ class Engine(Described):
         attributes = {"period": self.period, "coordinates": len(model.rest), "on_distrust": on_distrust}
         self._write = partial(write_black_box, buffer=self._channels.ring_buffer, attributes=attributes)
         self._loop = compile_loop(model.advance, model.stiffness)
-        self._data = model.data
+        self._exchanges = False  # while the loop stops for an exchange
         self._runner = Runner(
             partial(self._loop, model.data, self._work, self._channels, self._settings),
             self._channels.command,
@@ -210,7 +210,7 @@ class Engine(Described):
     @property
     def state(self) -> str:
         """``"stopped"``, ``"running"``, ``"paused"`` or ``"diverged"`` (after the black box is written)."""
-        return STATE_NAMES[self._runner.state]
+        return "running" if self._exchanges else STATE_NAMES[self._runner.state]
 
     def start(self) -> None:
         """Start stepping from the present state; from ``"stopped"`` this resets the statistics.
@@ -278,13 +278,13 @@ class Engine(Described):
             Of the same types as the data before.
         """
         with self._lock:
-            running = self._runner.state == RUNNING
-            if running:
+            self._exchanges = self._runner.state == RUNNING
+            if self._exchanges:
                 self._runner.stop(PAUSED)
-            self._data = data
             self._runner.exchange(partial(self._loop, data, self._work, self._channels, self._settings))
-            if running and self._runner.state == PAUSED:
+            if self._exchanges and self._runner.state == PAUSED:
                 self._runner.start()
+            self._exchanges = False
 
     def _cutter_lock(self) -> Any:
         """Return a context in which nothing is cut."""

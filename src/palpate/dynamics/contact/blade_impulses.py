@@ -61,24 +61,38 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _edge_impulse(normal, tangent, relative, response, most, before):  # type: ignore[no-untyped-def]
+def _slip(sites, s, place, at, frame, normal):  # type: ignore[no-untyped-def]
+    """Return how far [m] an edge at a point of its frame is beyond the tissue at its site."""
+    return (
+        (at[0] + frame[0, 3] - place[0] - sites.offsets[s, 0]) * normal[0]
+        + (at[1] + frame[1, 3] - place[1] - sites.offsets[s, 1]) * normal[1]
+        + (at[2] + frame[2, 3] - place[2] - sites.offsets[s, 2]) * normal[2]
+    )
+
+
+@kernel_njit(inner=True)
+def _edge_impulse(frame, direction, relative, response, most, before, clear):  # type: ignore[no-untyped-def]
     """Return the impulse of the edge on the tissue, in place of the one before in this step, for a push at most `most`.
 
     The force opposes the velocity w of the tissue relative to the edge, and its power is that of the normal part times
     the force of a straight push: F = F_push w_n w / |w|^2 (Atkins, Xu and Jeronimidis, Journal of Materials Science 39,
     2004). With the velocity after the impulse, w' = (1 - most w_n / (m |w|^2)) w; the tissue stops where this is
-    negative.
+    negative. `clear` is the speed at which the edge just reaches the front at the end of the step. Across its flat the
+    blade moves with the tissue.
     """
-    advance = _dot(before, normal) * response - _dot(relative, normal)
+    normal, tangent = _turned(frame, direction), _turned(frame, (-direction[2], 0.0, direction[0]))
+    flat = _turned(frame, (0.0, 1.0, 0.0))
+    across = _dot(before, flat) - _dot(relative, flat) / response
+    advance = _dot(before, normal) * response - _dot(relative, normal) - clear
     slide = _dot(relative, tangent) - _dot(before, tangent) * response
-    if advance <= 0.0:
-        return 0.0, 0.0, 0.0
-    share = min(1.0, most * response * advance / (advance * advance + slide * slide)) / response
-    push, pull = share * advance, -share * slide
+    push, pull = 0.0, 0.0
+    if advance > 0.0:
+        share = min(1.0, most * response * advance / (advance * advance + slide * slide)) / response
+        push, pull = share * advance, -share * slide
     return (
-        push * normal[0] + pull * tangent[0],
-        push * normal[1] + pull * tangent[1],
-        push * normal[2] + pull * tangent[2],
+        push * normal[0] + pull * tangent[0] + across * flat[0],
+        push * normal[1] + pull * tangent[1] + across * flat[1],
+        push * normal[2] + pull * tangent[2] + across * flat[2],
     )
 
 
@@ -118,8 +132,10 @@ def push_sites(contacts, ends, step, kick, u, velocity):  # type: ignore[no-unty
             along = _dot(relative, normal)
             old = sites.impulses[s, 0], sites.impulses[s, 1], sites.impulses[s, 2]
             if sites.kind[s] == EDGE_SITE:
-                tangent = _turned(last, (-sites.directions[s, 2], 0.0, sites.directions[s, 0]))
-                new = _edge_impulse(normal, tangent, relative, response, sites.limits[s] * kick, old)
+                clear = (sites.slips[s] - _slip(sites, s, place, start, first, normal)) / step
+                if ends:  # moves no node
+                    clear = 0.0 if clear * step < contacts.contact_gap else np.inf
+                new = _edge_impulse(last, sites.directions[s], relative, response, sites.limits[s] * kick, old, clear)
             else:
                 at, origin = (end, last[:, 3]) if ends else (start, first[:, 3])
                 away = place[0] - at[0] - origin[0], place[1] - at[1] - origin[1], place[2] - at[2] - origin[2]
@@ -140,10 +156,18 @@ def push_sites(contacts, ends, step, kick, u, velocity):  # type: ignore[no-unty
 
 
 @kernel_njit(inner=True)
-def site_works(contacts, step, kick, u, velocity, data):  # type: ignore[no-untyped-def]
+def site_works(contacts, ends, step, kick, u, velocity, data):  # type: ignore[no-untyped-def]
     """Add the impulses of the sites to the sums of the call; return energies as `apply_contact_impulses`."""
     nodes, scratch, gravity = data
     sites, density = contacts.sites, nodes.density
+    for s in range(sites.tool.shape[0]):
+        if sites.kind[s] == EDGE_SITE and sites.tool[s] >= 0:
+            last = contacts.frames[sites.tool[s], 1]
+            place, speed, _ = _tissue(sites, s, u, velocity, contacts.inverse_mass)
+            ahead = 0.0 if ends else step
+            end = place[0] + ahead * speed[0], place[1] + ahead * speed[1], place[2] + ahead * speed[2]
+            normal, at = _turned(last, sites.directions[s]), _turned(last, sites.places[s])
+            sites.slips[s] = max(sites.slips[s], _slip(sites, s, end, at, last, normal))
     tools, lost, loads = 0.0, 0.0, 0.0
     for s in range(sites.tool.shape[0]):
         push, t = sites.impulses[s], sites.tool[s]

@@ -31,6 +31,10 @@ class BladeSites(NamedTuple):
         In the tool's frame, the direction in which the edge cuts, or the normal of the blade's side.
     limits : (s,) array [N]
         Largest force of the edge, or largest friction.
+    offsets : (s, 3) array [m]
+        From the tissue to the point of the blade where an edge is at the front.
+    slips : (s,) array [m]
+        How far the front has advanced since the site was made.
     impulses : (s, 3) array [N s]
         Of the present step.
     works : (2,) array [J]
@@ -46,6 +50,8 @@ class BladeSites(NamedTuple):
     places: Floats
     directions: Floats
     limits: Floats
+    offsets: Floats
+    slips: Floats
     impulses: Floats
     works: Floats
 
@@ -54,6 +60,7 @@ def no_sites() -> BladeSites:
     """Return no sites."""
     numbers, vectors = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
     return BladeSites(
-        numbers, numbers, np.zeros(1, dtype=np.int64), numbers, np.zeros(0), vectors, vectors, vectors, np.zeros(0),
-        vectors, np.zeros(2),
+        tool=numbers, kind=numbers, start=np.zeros(1, dtype=np.int64), nodes=numbers, weights=np.zeros(0),
+        points=vectors, places=vectors, directions=vectors, limits=np.zeros(0), offsets=vectors, slips=np.zeros(0),
+        impulses=vectors, works=np.zeros(2),
     )  # fmt: skip

@@ -266,7 +266,7 @@ def push_patches(contacts, ends, times, ratio, u, velocity, data):  # type: igno
         if changed <= SWEEP_TOLERANCE * largest:
             break
     push_sites(contacts, ends, step, kick, u, velocity)
-    tools, lost, loads = site_works(contacts, step, kick, u, velocity, (nodes, scratch, gravity))
+    tools, lost, loads = site_works(contacts, ends, step, kick, u, velocity, (nodes, scratch, gravity))
     impulses = contacts.patch_impulses
     for k in contacts.active[: contacts.active_count[0]]:
         if impulses[k, 0] != 0.0 or impulses[k, 1] != 0.0 or impulses[k, 2] != 0.0:

@@ -45,7 +45,6 @@ LEAST_WAY = 0.02  # of a point of the edge in one cut, below which it stays, in 
 IN_CUT = 0.3  # distance from the present cut below which the edge is in it, in spacings
 NEAR_BODY = 3.0  # distance from the nearest node beyond which an edge cuts nothing, in spacings
 AHEAD_OF_EDGE = 0.1  # from the edge to a point that is in the cut if the edge is not at a front, in spacings
-KEPT_OFFSET = 1.0  # share of the distance of tissue from a new place of the edge that is not counted as an advance
 NEW_DEPTH = 0.02  # of a face in the blade when its site is made, in spacings
 NEAR_FACE = 1.5  # distance of a point of the blade's flat from the nearest node, in spacings
 LEAST_SHARE = 1e-3  # of a piece of the edge in the body, for it to hold tissue
@@ -83,12 +82,18 @@ class HeldPieces(NamedTuple):
         Of the nodes there.
     offsets : (m, 3) array [m]
         From the tissue there to the blade that are not counted as an advance.
+    normals : (m, 3) array
+        In which they advance, in the tool's frame.
+    slips : (m,) array [m]
+        How far the front has advanced since the sites were made; the compiled step writes them.
     """
 
     pieces: NDArray[np.int64]
     points: Floats
     weights: PointWeights
     offsets: Floats
+    normals: Floats
+    slips: Floats
 
 
 @dataclass(frozen=True)
@@ -211,7 +216,7 @@ def advance_edge(
     spacing = state.uncut.spacing
     target = _edge_in_body(state, blade, frame, u, incision.edge)
     if incision.hold is not None:
-        _follow_slip(incision, target, _in_space(frame, edge_points(blade, spacing)), u)
+        _follow_slip(incision, target, edge_points(blade, spacing), frame, u)
     way = target - incision.edge
     distance = np.asarray(state.uncut.tree.query(np.concatenate([incision.edge, target]))[0]).reshape(2, -1).min(axis=0)
     near = distance < NEAR_BODY * spacing
@@ -229,15 +234,23 @@ def advance_edge(
     return cuts
 
 
-def _follow_slip(incision: Incision, target: Floats, places: Floats, u: Floats) -> None:
+def _slips(hold: HeldPieces, points: Floats, frame: Floats, u: Floats) -> tuple[Floats, Floats]:
+    """Return how far (m, 3) [m] an edge of points (p, 3) has slipped from the tissue, and its normals, in space."""
+    tissue = hold.points + np.einsum("pk,pkc->pc", hold.weights.values, u[hold.weights.nodes])
+    middles = 0.5 * (points[hold.pieces] + points[hold.pieces + 1])
+    return _in_space(frame, middles) - tissue - hold.offsets, hold.normals @ frame[:, :3].T
+
+
+def _follow_slip(incision: Incision, target: Floats, points: Floats, frame: Floats, u: Floats) -> None:
     """Move the points of the target (p, 3) at pieces that hold tissue by as much as the tissue has slipped there.
 
     Fits about other points would count as a small advance where nothing slips.
     """
     hold = incision.hold
     assert hold is not None
-    tissue = hold.points + np.einsum("pk,pkc->pc", hold.weights.values, u[hold.weights.nodes])
-    slip = 0.5 * (places[hold.pieces] + places[hold.pieces + 1]) - tissue - hold.offsets
+    slip, normals = _slips(hold, points, frame, u)
+    behind = hold.slips - np.sum(slip * normals, axis=1)  # of the edge behind the front
+    slip += np.maximum(behind, 0.0)[:, None] * normals
     moved = np.linalg.solve(_gradients(hold, u), slip[:, :, None])[:, :, 0]
     total, count = np.zeros_like(target), np.zeros(len(target))
     for k in range(2):
@@ -342,10 +355,12 @@ def blade_sites(
     kinds = np.concatenate([np.full(len(part[1]), part[0]) for part in parts])
     at, sights, places, normals, limits = (np.concatenate([part[k] for part in parts]) for k in range(1, 6))
     weights = point_weights(state.uncut, state.surface, at, at + SIGHT_DISTANCE * spacing * sights)
-    hold = _held_pieces(held, at, weights, _in_space(frame, middles), u)
+    hold = _held_pieces(state, incision, blade, frame, u, held, at, weights)
     strength = max(blade.toughness - max(incision.release_rate, 0.0), 0.0)
     ways = segments[held, 1] - segments[held, 0]
     limits[: len(held)] = strength * shares[held] * _area_rates(hold, ways, directions[held] @ frame[:, :3].T, u)
+    slips = np.zeros(len(kinds))
+    hold = hold._replace(slips=slips[: len(held)])  # a part of the array that the step writes
     used = weights.values != 0.0
     start = np.concatenate([[0], np.cumsum(used.sum(axis=1))]).astype(np.int64)
     sites = BladeSites(
@@ -353,6 +368,7 @@ def blade_sites(
         nodes=weights.nodes[used], weights=weights.values[used], points=np.ascontiguousarray(at),
         places=np.ascontiguousarray(places), directions=np.ascontiguousarray(normals),
         limits=np.ascontiguousarray(limits), impulses=np.zeros((len(kinds), 3)), works=np.zeros(2),
+        offsets=np.concatenate([hold.offsets, np.zeros((len(kinds) - len(held), 3))]), slips=slips,
     )  # fmt: skip
     return sites, replace(incision, hold=hold), float(lengths.sum())
 
@@ -370,12 +386,30 @@ def _gradients(hold: HeldPieces, u: Floats) -> Floats:
     return gradient
 
 
-def _held_pieces(pieces: Any, points: Floats, weights: PointWeights, places: Floats, u: Floats) -> HeldPieces:
-    """Return the pieces (m,) that hold tissue, whose sites are the first."""
-    count = len(pieces)
+def _held_pieces(
+    state: CutState,
+    incision: Incision,
+    blade: Blade,
+    frame: Floats,
+    u: Floats,
+    pieces: Any,
+    points: Floats,
+    weights: PointWeights,
+) -> HeldPieces:
+    """Return the pieces (m,) that hold tissue, whose sites are the first; an edge behind the front stays behind it."""
+    edge, count = edge_points(blade, state.uncut.spacing), len(pieces)
     first = PointWeights(weights.nodes[:count], weights.values[:count], weights.slopes[:count])
-    tissue = points[:count] + np.einsum("pk,pkc->pc", first.values, u[first.nodes])
-    return HeldPieces(pieces, points[:count], first, KEPT_OFFSET * (places[pieces] - tissue))
+    hold = HeldPieces(
+        pieces, points[:count], first, np.zeros((count, 3)), _cutting_directions(edge)[pieces], np.zeros(count)
+    )
+    offsets, normals = _slips(hold, edge, frame, u)
+    before = incision.hold
+    if before is not None:
+        slip, normals_before = _slips(before, edge, frame, u)
+        behind = np.zeros(len(edge) - 1)
+        behind[before.pieces] = np.maximum(before.slips - np.sum(slip * normals_before, axis=1), 0.0)
+        offsets = offsets + behind[pieces, None] * normals
+    return hold._replace(offsets=offsets)
 
 
 def _displacements(state: CutState, points: Floats, sides: Floats, u: Floats) -> Floats:
