@@ -159,3 +159,21 @@ def test_bodies_that_cannot_be_cut_are_refused():
         pt.cut(pt.Solid(cloud, TISSUE, "x-", form="strong"), triangles)
     with pytest.raises(pt.InputError, match="planes of symmetry"):
         pt.cut(pt.Solid(cloud, TISSUE, pt.SymmetryPlane("x-")), triangles)
+
+
+@pytest.mark.parametrize("inward", [True, False], ids=["together", "apart"])
+def test_faces_of_a_cut_do_not_pass_through_each_other(block, inward):
+    body = pt.cut(block, rectangle(0.5 * SIZE + (0, 0, 0.3e-3), (0, 0, 1), 0.05))
+    upper = block.cloud.points[:, 2] > 0.5 * SIZE[2] + 0.3e-3
+    velocity = np.where(upper[:, None], (0, 0, -0.05 if inward else 0.05), (0.0, 0.0, 0.0))
+    run = pt.rollout(body, duration=8e-3, every=2e-3, velocity=velocity, progress=False)
+    momentum = np.einsum("n,tnc->tc", body.masses, run.velocities)
+    np.testing.assert_allclose(momentum, momentum[:1].repeat(5, axis=0), rtol=0.0, atol=1e-12 * body.masses.sum())
+    heights = block.cloud.points[:, 2] + run.displacements[-1, :, 2]
+    opening = heights[upper].min() - heights[~upper].max()
+    if inward:
+        assert opening >= 0.0
+        assert run.velocities[-1, ~upper, 2].mean() < -0.01  # pushed
+        assert np.abs(run.balance).max() <= 0.1 * run.kinetic[0]
+    else:
+        assert opening >= 0.05 * 8e-3

@@ -12,12 +12,12 @@ from __future__ import annotations
 import numpy as np
 
 from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.dynamics.contact.blade_sites import EDGE_SITE
+from palpate.dynamics.contact.blade_sites import EDGE_SITE, PAIR_SITE
 from palpate.dynamics.contact.geometry import project
 
 __all__ = ["clear_sites", "push_sites", "site_works"]
 
-SITE_SWEEPS = 4  # of the impulses of all sites in a step
+MAX_SITE_SWEEPS, SITE_TOLERANCE = 30, 3e-2  # of the impulses in a step, and largest change in the last one, relative
 RECOVERY_TIME = 0.01  # [s] in which a face leaves a blade that it is in
 
 
@@ -110,13 +110,51 @@ def _face_impulse(normal, along, relative, response, needed, most, before):  # t
 
 
 @kernel_njit(inner=True)
+def _push_pair(contacts, s, ends, step, u, velocity):  # type: ignore[no-untyped-def]
+    """Push the faces of a cut apart that would enter each other; return the squared change and the squared impulse."""
+    sites = contacts.sites
+    opening, speed, response = _tissue(sites, s, u, velocity, contacts.inverse_mass)
+    normal = sites.directions[s]
+    gap, along, old = _dot(opening, normal), _dot(speed, normal), _dot(sites.impulses[s], normal)
+    if ends:  # moves no node
+        needed = -along if gap < contacts.contact_gap else -np.inf
+    else:
+        needed = (max(0.0, 1.0 - step / RECOVERY_TIME) * min(gap, 0.0) - gap) / step - along
+    new = max(old + needed / response, 0.0) if response > 0.0 else 0.0
+    if new != old:
+        _add_impulse(contacts, s, (new - old) * normal[0], (new - old) * normal[1], (new - old) * normal[2], velocity)
+    return (new - old) ** 2, new**2
+
+
+@kernel_njit(inner=True)
+def _add_impulse(contacts, s, x, y, z, velocity):  # type: ignore[no-untyped-def]
+    """Distribute an impulse (3) [N s] on a site to its nodes, and change their velocities."""
+    sites = contacts.sites
+    for e in range(sites.start[s], sites.start[s + 1]):
+        j, w = sites.nodes[e], sites.weights[e]
+        free = project(contacts.slide, contacts.slide_of[j], x, y, z)
+        contacts.step_impulses[j, 0] += w * x
+        contacts.step_impulses[j, 1] += w * y
+        contacts.step_impulses[j, 2] += w * z
+        for c in range(3):
+            velocity[j, c] += w * contacts.inverse_mass[j] * free[c]
+    sites.impulses[s, 0] += x
+    sites.impulses[s, 1] += y
+    sites.impulses[s, 2] += z
+
+
+@kernel_njit(inner=True)
 def push_sites(contacts, ends, step, kick, u, velocity):  # type: ignore[no-untyped-def]
     """Change the velocities of the nodes by the impulses of the sites in a step; see `push_patches`."""
     sites = contacts.sites
     sites.impulses[:] = 0.0
-    for _ in range(SITE_SWEEPS):
+    for _ in range(MAX_SITE_SWEEPS):
+        changed, largest = 0.0, 0.0
         for s in range(sites.tool.shape[0]):
-            if sites.tool[s] < 0:  # of a tool that was put away
+            if sites.kind[s] == PAIR_SITE:
+                change, size = _push_pair(contacts, s, ends, step, u, velocity)
+                changed, largest = max(changed, change), max(largest, size)
+            if sites.tool[s] < 0:
                 continue
             first, last = contacts.frames[sites.tool[s], 0], contacts.frames[sites.tool[s], 1]
             place, speed, response = _tissue(sites, s, u, velocity, contacts.inverse_mass)
@@ -146,13 +184,10 @@ def push_sites(contacts, ends, step, kick, u, velocity):  # type: ignore[no-unty
                     needed = (max(0.0, 1.0 - step / RECOVERY_TIME) * min(gap, 0.0) - gap) / step - along
                 new = _face_impulse(normal, along, relative, response, needed, sites.limits[s] * kick, old)
             change = new[0] - old[0], new[1] - old[1], new[2] - old[2]
-            for e in range(sites.start[s], sites.start[s + 1]):
-                j, w = sites.nodes[e], sites.weights[e]
-                free = project(contacts.slide, contacts.slide_of[j], change[0], change[1], change[2])
-                for c in range(3):
-                    contacts.step_impulses[j, c] += w * change[c]
-                    velocity[j, c] += w * contacts.inverse_mass[j] * free[c]
-            sites.impulses[s, 0], sites.impulses[s, 1], sites.impulses[s, 2] = new
+            _add_impulse(contacts, s, change[0], change[1], change[2], velocity)
+            changed, largest = max(changed, _dot(change, change)), max(largest, _dot(new, new))
+        if changed <= SITE_TOLERANCE**2 * largest:
+            break
 
 
 @kernel_njit(inner=True)
@@ -173,14 +208,15 @@ def site_works(contacts, ends, step, kick, u, velocity, data):  # type: ignore[n
         push, t = sites.impulses[s], sites.tool[s]
         if push[0] == 0.0 and push[1] == 0.0 and push[2] == 0.0:
             continue
-        first, last = contacts.frames[t, 0], contacts.frames[t, 1]
-        start, end = _turned(first, sites.places[s]), _turned(last, sites.places[s])
         power, on_nodes = 0.0, 0.0
-        for d in range(3):
-            a, b = (d + 1) % 3, (d + 2) % 3
-            contacts.tool_impulses[t, d] += push[d]
-            contacts.tool_impulses[t, 3 + d] += end[a] * push[b] - end[b] * push[a]
-            power += push[d] * (end[d] + last[d, 3] - start[d] - first[d, 3]) / step
+        if t >= 0:
+            first, last = contacts.frames[t, 0], contacts.frames[t, 1]
+            start, end = _turned(first, sites.places[s]), _turned(last, sites.places[s])
+            for d in range(3):
+                a, b = (d + 1) % 3, (d + 2) % 3
+                contacts.tool_impulses[t, d] += push[d]
+                contacts.tool_impulses[t, 3 + d] += end[a] * push[b] - end[b] * push[a]
+                power += push[d] * (end[d] + last[d, 3] - start[d] - first[d, 3]) / step
         for e in range(sites.start[s], sites.start[s + 1]):
             j, w = sites.nodes[e], sites.weights[e]
             free = project(contacts.slide, contacts.slide_of[j], push[0], push[1], push[2])
@@ -198,6 +234,7 @@ def site_works(contacts, ends, step, kick, u, velocity, data):  # type: ignore[n
                 else:  # the constraint takes the impulse
                     loads -= w * push[d] * mean
                     on_nodes += w * push[d] * mean
-        sites.works[sites.kind[s]] += power - on_nodes
+        if sites.kind[s] != PAIR_SITE:
+            sites.works[sites.kind[s]] += power - on_nodes
         tools, lost = tools + power, lost + power - on_nodes
     return tools, lost, loads

@@ -8,9 +8,10 @@ import numpy as np
 
 from palpate.arrays import Floats, Ints
 
-__all__ = ["EDGE_SITE", "FACE_SITE", "BladeSites", "no_sites"]
+__all__ = ["AWAY_TOOL", "EDGE_SITE", "FACE_SITE", "NO_TOOL", "PAIR_SITE", "BladeSites", "no_sites"]
 
-EDGE_SITE, FACE_SITE = 0, 1  # kinds of a site
+EDGE_SITE, FACE_SITE, PAIR_SITE = 0, 1, 2  # kinds of a site; a pair are the two faces of a cut
+AWAY_TOOL, NO_TOOL = -1, -2  # of sites of a tool that was put away, and of pairs
 
 
 class BladeSites(NamedTuple):
@@ -19,7 +20,7 @@ class BladeSites(NamedTuple):
     Parameters
     ----------
     tool, kind : (s,) arrays
-        Number of the tool, and EDGE_SITE or FACE_SITE.
+        Number of the tool or AWAY_TOOL or NO_TOOL, and EDGE_SITE, FACE_SITE or PAIR_SITE.
     start : (s + 1,) array
         First entry of every site in the next two arrays.
     nodes, weights : (e,) arrays
@@ -28,7 +29,8 @@ class BladeSites(NamedTuple):
     places : (s, 3) array [m]
         The points of the blade, in its frame.
     directions : (s, 3) array
-        In the tool's frame, the direction in which the edge cuts, or the normal of the blade's side.
+        In the tool's frame, the direction in which the edge cuts, or the normal of the blade's side. In space, the
+        normal from the second face of a pair to its first.
     limits : (s,) array [N]
         Largest force of the edge, or largest friction.
     offsets : (s, 3) array [m]

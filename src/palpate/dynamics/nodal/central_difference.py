@@ -305,7 +305,7 @@ def full_step(formulation: Formulation) -> Any:
         body, work = passes
         sites, contacts, schedule = loads
         total, lost, tools = 0.0, 0.0, 0.0
-        steps, in_contact = schedule.motion.shape[0] - 1, contacts.kind.shape[0] > 0
+        steps, in_contact = schedule.motion.shape[0] - 1, contacts.kind.shape[0] + contacts.sites.kind.shape[0] > 0
         for s in range(steps + 1):
             for i in range(u.shape[0]):
                 for c in range(3):

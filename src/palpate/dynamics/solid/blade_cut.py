@@ -15,6 +15,7 @@ from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.loads.supports import FREE
 from palpate.dynamics.run.model import MANY_STEPS, State
 from palpate.dynamics.solid.cut import cut_from
+from palpate.dynamics.solid.face_pairs import face_pairs, joined_sites, turn_pairs
 from palpate.dynamics.solid.incision import (
     Incision,
     advance_edge,
@@ -26,7 +27,7 @@ from palpate.dynamics.solid.incision import (
 )
 from palpate.faults import DivergenceError, InputError, first_few
 
-__all__ = ["advance_blade", "blade_of", "cut_with_blade", "steps_of_blade"]
+__all__ = ["advance_blade", "blade_of", "cut_with_blade", "steps_of_blade", "with_pairs"]
 
 STEP_WAY = 0.1  # of the edge between two cuts, in spacings
 SUPPORT_DISTANCE = 0.5  # from a cut to the nodes that supports and tools hold, in spacings
@@ -76,7 +77,7 @@ def cut_with_blade(body: Any, state: State, prepared: PreparedLoads) -> tuple[An
     """
     blade = blade_of(prepared)
     if blade is None:
-        return body, state, prepared
+        return body, state, with_turned_pairs(body, state.coordinates, prepared)
     number, tool = blade
     frame = _frame(tool, state.time)
     held = np.flatnonzero(prepared.sites.kind != FREE)
@@ -85,6 +86,26 @@ def cut_with_blade(body: Any, state: State, prepared: PreparedLoads) -> tuple[An
     if sites is not None:
         prepared = replace(prepared, contacts=prepared.contacts._replace(sites=sites))
     return body, state, prepared
+
+
+def with_turned_pairs(body: Any, u: Floats, prepared: PreparedLoads) -> PreparedLoads:
+    """Return loads in which the faces of a cut touch each other along the normals of displacements (n, 3)."""
+    sites = prepared.contacts.sites
+    if not len(sites.kind):
+        return prepared
+    turned = turn_pairs(sites, body.cut_state, u, body.cloud.points[body.cloud.triangles])
+    return replace(prepared, contacts=prepared.contacts._replace(sites=turned))
+
+
+def with_pairs(body: Any, prepared: PreparedLoads) -> PreparedLoads:
+    """Return the loads of a cut body, whose faces touch each other."""
+    cloud, count = body.cloud, len(body.cloud)
+    u = np.zeros((count, 3))
+    contacts = prepared.contacts._replace(
+        sites=face_pairs(body.cut_state, u, cloud.points[cloud.triangles]), inverse_mass=np.zeros(count),
+        step_impulses=np.zeros((count, 3)), nodal_impulses=np.zeros((count, 3)),
+    )  # fmt: skip
+    return replace(prepared, contacts=contacts)
 
 
 def advance_blade(
@@ -107,7 +128,7 @@ def advance_blade(
                 f"motion of Contact {tool.name!r} must start outside the body, got {length:.3g} m of the edge inside; "
                 "start it outside and move it in"
             )
-        return body, incision, sites, 0.0
+        return body, incision, joined_sites(sites, face_pairs(cut_state, u, corners)), 0.0
     cuts = advance_edge(cut_state, incision, blade, frame, u, corners)
     for edge, pieces, area in cuts:
         strip, triangles, replaced = next_strip(incision.strip, incision.edge, edge, pieces, cloud.spacing)
@@ -122,7 +143,7 @@ def advance_blade(
     if not cuts:
         return body, incision, None, 0.0
     sites, incision, _ = blade_sites(body.cut_state, incision, blade, frame, u, corners, number)
-    return body, incision, sites, released
+    return body, incision, joined_sites(sites, face_pairs(body.cut_state, u, corners)), released
 
 
 def _check_distance(tool: Contact, triangles: Floats, points: Floats, held: Any, spacing: float) -> None:

@@ -18,7 +18,7 @@ from palpate.dynamics.nodal.model import History, NodalWork
 from palpate.dynamics.nodal.stability import StabilityReport, resting_frequency, stable_step
 from palpate.dynamics.run.model import Evaluation, Model, Outputs, State, StepReport
 from palpate.dynamics.solid.base import STENCIL_SIZES, Choices, Solid
-from palpate.dynamics.solid.blade_cut import cut_with_blade, steps_of_blade
+from palpate.dynamics.solid.blade_cut import cut_with_blade, steps_of_blade, with_pairs
 from palpate.dynamics.solid.cut import uncut_state
 from palpate.dynamics.solid.cut_layout import smoothing_of, stencils_of
 from palpate.dynamics.solid.layout import Smoothing, energy_passes
@@ -195,7 +195,8 @@ class EnergySolid(Solid):
         loads = listed(loads)
         in_contact = any(isinstance(load, Contact) for load in loads)
         patches = self.patches if in_contact else None
-        return self._press_supports(prepare_loads(self.cloud, self.supports, loads, patches=patches))
+        prepared = self._press_supports(prepare_loads(self.cloud, self.supports, loads, patches=patches))
+        return prepared if self._cut is None else with_pairs(self, prepared)
 
     @cached_property
     def patches(self) -> sparse.csr_array:

@@ -16,13 +16,14 @@ import numpy as np
 
 from palpate.arrays import Floats
 from palpate.dynamics.contact.blade import Blade
-from palpate.dynamics.contact.blade_sites import no_sites
+from palpate.dynamics.contact.blade_sites import AWAY_TOOL, NO_TOOL
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.supports import FREE
 from palpate.dynamics.nodal.period import LOST, NodalPeriodData
 from palpate.dynamics.nodal.tool_path import END
 from palpate.dynamics.run.model import State
 from palpate.dynamics.solid.blade_cut import advance_blade
+from palpate.dynamics.solid.face_pairs import face_pairs, turn_pairs
 from palpate.dynamics.solid.incision import Incision
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import CloudError, DivergenceError, InputError
@@ -30,6 +31,7 @@ from palpate.faults import CloudError, DivergenceError, InputError
 __all__ = ["BladeCutter"]
 
 WAY_OF_A_CUT = 0.5  # largest way of a blade while the body is cut, in spacings
+TURN_INTERVAL = 0.05  # [s] between turns of the normals of faces
 MEAN_CUTS, FIRST_SECONDS = 5.0, 0.03  # cuts over which their time is averaged, and the first guess [s]
 
 
@@ -63,7 +65,7 @@ class BladeCutter:
         self.lock = threading.RLock()
         self._contact: Contact | None = None
         self._seconds, self._tool_reach = FIRST_SECONDS, data.tool_reach
-        self._is_due = False
+        self._is_due, self._turned = False, 0.0
 
     wrap: Callable[[Any], Any]
 
@@ -75,7 +77,8 @@ class BladeCutter:
     def take(self, blade: Blade | None, pose: Floats) -> None:
         """Take another tool in a pose (7,): a blade, or None for one that does not cut. The engine must be paused."""
         with self.lock:
-            self.data.contacts.sites.tool[:] = -1  # the sites of the blade before
+            tools = self.data.contacts.sites.tool
+            tools[tools != NO_TOOL] = AWAY_TOOL  # the sites of the blade before
             self._contact = None if blade is None else Contact(blade, (pose[:3], pose[3:]), name="blade")
             self.incision, self.failure, self._is_due = None, "", True
 
@@ -94,9 +97,11 @@ class BladeCutter:
         """
         with self.lock:
             if self._contact is None and not self._is_due:
+                self._turn_pairs(coordinates)
                 return None
             began = perf_counter()
-            sites, released = no_sites(), 0.0
+            cloud, u = self.model.cloud, coordinates.reshape(-1, 3)
+            sites, released = face_pairs(self.model.cut_state, u, cloud.points[cloud.triangles]), 0.0
             if self._contact is not None:
                 new_sites, released = self._advance(self._contact, coordinates)
                 if new_sites is None and not self._is_due:
@@ -114,6 +119,16 @@ class BladeCutter:
                 tool_reach=self._reach(),
             )
             return self.wrap(self.data)
+
+    def _turn_pairs(self, coordinates: Floats) -> None:
+        """Turn the normals along which the faces of the cut touch each other, now and then."""
+        sites, now = self.data.contacts.sites, perf_counter()
+        if len(sites.kind) and now - self._turned > TURN_INTERVAL:
+            self._turned, cloud = now, self.model.cloud
+            corners = cloud.points[cloud.triangles]
+            sites.directions[:] = turn_pairs(
+                sites, self.model.cut_state, coordinates.reshape(-1, 3), corners
+            ).directions
 
     def _reach(self) -> float:
         """Return the largest way [m] of the tool in a step."""
