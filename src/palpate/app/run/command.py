@@ -59,7 +59,7 @@ def run(*, scene: str, realtime: bool = False, **options: Any) -> int:
     """
     given = {name: value for name, value in options.items() if value is not None and value is not False and value != []}
     given.setdefault("as_json", False)
-    if not realtime:
+    if not (realtime or given.get("cut")):  # a cut is in real time
         for name in REALTIME_OPTIONS:
             if name in given:
                 raise InputError(f"{name} must be left out of a single run, got {given[name]}; or add --realtime")

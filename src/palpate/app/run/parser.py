@@ -43,6 +43,11 @@ def add_run(commands: Any) -> None:
     text = "in real time: load this reduced model of palpate train, train none"
     add("--model", type=existing_file, metavar="FILE", help=text)
     add("--full", action="store_true", help="in real time: step the full body; nothing is trained")
+    add(
+        "--cut",
+        action="store_true",
+        help="in real time: step the full body, and cut it with a scalpel; nothing is trained",
+    )
     add("--seconds", type=number, metavar="S", help="in real time: length of the run [s], at most 600 (default: 10)")
     add("--rate", type=number, metavar="HZ", help="in real time: steps per second, 50 to 20000 (default: 1000)")
     add_output(run, "out/run")

@@ -21,6 +21,7 @@ from palpate.realtime.device import DummyDevice
 from palpate.realtime.engine import Engine
 from palpate.realtime.statistics import Distribution, Statistics
 from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.realtime.full_blade import BladeCutter
 from palpate.reduction.realtime.model import realtime_model
 
 __all__ = ["FILES", "Poses", "run_realtime"]
@@ -102,6 +103,8 @@ def run_realtime(
         "tool": _observations(out / BLACK_BOX, body),
         "timing": _timing(statistics),
     }
+    if ready.cutter is not None and ready.cutter.cuts:
+        report["cut"] = _cut_report(out / BLACK_BOX, ready.cutter)
     report = plain(report)
     deliver(report, [*_tables(report, statistics), *_verdict(report)], out, FILES, as_json)
     return 0
@@ -164,6 +167,24 @@ def _observations(black_box: Path, body: Any) -> dict[str, Any]:
     }
 
 
+def _cut_report(black_box: Path, cutter: BladeCutter) -> dict[str, Any]:
+    """Return the books of a blade, and computing times of periods before the first cut and from then on."""
+    import h5py
+
+    with h5py.File(black_box) as file:
+        computing, force = file["computing"][:], np.linalg.norm(file["force"][:], axis=1)
+    first = int(np.argmax(force > 0)) if force.any() else len(force)
+    area, released, edge, friction = cutter.books.tolist()
+    return {
+        "area": area, "released_energy": released, "edge_work": edge, "friction_work": friction,
+        "cuts": cutter.cuts, "seconds_per_cut": cutter.seconds, "released_nodes": len(cutter.model.released_nodes),
+        "failure": cutter.failure,
+        "computing_before": float(np.median(computing[:first])) if first else None,
+        "computing_after": float(np.median(computing[first:])) if first < len(computing) else None,
+        "longest_after": float(computing[first:].max(initial=0.0)),
+    }  # fmt: skip
+
+
 def _timing(statistics: Statistics) -> dict[str, Any]:
     return {
         "period": statistics.period,
@@ -208,11 +229,28 @@ def _tables(report: dict[str, Any], statistics: Statistics) -> list[Table]:
     if "held_out" in report["model"]:
         error = report["model"]["held_out"]["mean"].get("reaction")
         single["error of reaction forces on held-out runs, mean"] = "-" if error is None else percent(error)
+    if "cut" in report:
+        single |= _cut_rows(report["cut"])
     return [
         quantities_table(title, ["computing (the model)", "lateness (the scheduler)"], rows),
         quantities_table("Periods", ["computing", "lateness"], _histogram(statistics), "time", "left"),
         quantities_table("Tool", ["value"], {name: [value] for name, value in single.items()}),
     ]
+
+
+def _cut_rows(cut: dict[str, Any]) -> dict[str, str]:
+    """Return the rows of a blade's books."""
+    before, after = cut["computing_before"], cut["computing_after"]
+    ratio = f"{after / before:.2f}" if before and after else "-"
+    return {
+        "cut area": f"{1e6 * cut['area']:.0f} mm^2 in {cut['cuts']} steps of {1e3 * cut['seconds_per_cut']:.0f} ms",
+        "work at the edge; by friction; energy that fronts released": (
+            f"{1e3 * cut['edge_work']:.3g}; {1e3 * cut['friction_work']:.3g}; {1e3 * cut['released_energy']:.3g} mJ"
+        ),
+        "computing time while it is cut over that before": ratio,
+        "longest period while it is cut": _microseconds(cut["longest_after"]),
+        **({"the cut ended early": cut["failure"]} if cut["failure"] else {}),
+    }
 
 
 def _indicators(tool: dict[str, Any]) -> dict[str, str]:

@@ -12,7 +12,9 @@ import numpy as np
 from palpate.app.common.console import Console
 from palpate.app.models.trained import model_file, trained_model
 from palpate.app.run.realtime import Poses, run_realtime
+from palpate.dynamics.contact.blade import scalpel
 from palpate.dynamics.contact.tools import Contact
+from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import load
@@ -24,6 +26,11 @@ __all__ = ["pressing_ball", "run_scene_realtime"]
 
 UNTRAINED_SEED = 1_500_000  # of a path that was not trained on
 PRESS_SECONDS, SWING_SECONDS = 2.0, 3.0  # [s] duration of such a path
+REST_SECONDS, CUT_SPEED = 1.0, 0.02  # [s] above the body at first, and [m/s] of a scalpel
+CUT_SHARE, MAX_CUT_DEPTH = 0.25, 0.015  # of the size of a body that is cut, and [m] depth of the cut at most
+AIR_GAP, SCALPEL_LENGTH = 0.005, 0.03  # [m] of a scalpel over the body at first, and of its edge
+SCALPEL_TOUGHNESS = 20.0  # [J/m^2]: bovine liver has 164, and soft tissue is then dragged far before it is cut
+NO_ROTATION = np.array([1.0, 0.0, 0.0, 0.0])
 MAX_PRESS_DEPTH, MIN_DEPTH_SHARE = 0.015, 2 / 3  # [m] depth of the press at most; least depth over that
 
 
@@ -33,6 +40,7 @@ def run_scene_realtime(
     settings: Mapping[str, Any],
     model: Path | None = None,
     full: bool = False,
+    cut: bool = False,
     **options: Any,
 ) -> int:
     """Step a scene's body in real time for some seconds under its moving tool, and report missed deadlines.
@@ -47,6 +55,8 @@ def run_scene_realtime(
         File of a reduced model of the scene. By default that of the scene, trained at the first use.
     full : bool
         Step the full body in place of a reduced model.
+    cut : bool
+        Step the full body, and cut it with a scalpel.
     options : mapping
         ``seconds``, ``rate``, ``out`` and ``as_json``: see `palpate.app.run.realtime.run_realtime`.
 
@@ -64,10 +74,12 @@ def run_scene_realtime(
     OSError
         A file could not be read or written.
     """
+    full = full or cut
     if full and model is not None:
-        raise InputError(f"model must be left out with --full, got {str(model)!r}; leave out one of the two")
+        given = "--cut" if cut else "--full"
+        raise InputError(f"model must be left out with {given}, got {str(model)!r}; leave out one of the two")
     opened = open_scene(scene, settings)
-    about = {"full": True} if full else {"file": str(model_file(opened) if model is None else model)}
+    about: dict[str, Any] = {"full": True} if full else {"file": str(model_file(opened) if model is None else model)}
 
     def make(console: Console) -> tuple[Any, Poses, Contact | None]:
         if full:
@@ -75,12 +87,52 @@ def run_scene_realtime(
                 body = opened.body
         else:
             body = trained_model(opened, console) if model is None else load(model)  # type: ignore[assignment]
+        if cut:
+            return body, *cutting_scalpel(body)
         if opened.held_group:
             return body, opened.held_motion(UNTRAINED_SEED, SWING_SECONDS), None
         return body, *pressing_ball(opened, body, model)
 
+    if cut:
+        about |= {"toughness": SCALPEL_TOUGHNESS}
     title = f"{'Full ' + opened.title.lower() if full else opened.title} in real time"
     return run_realtime(make, title=title, about=about, **options)
+
+
+def cutting_scalpel(body: Any) -> tuple[Poses, Contact]:
+    """Return the poses of a scalpel that cuts across the top of a body, and the scalpel at its first pose.
+
+    It goes down into the body, along its longest horizontal axis, and out again.
+
+    Raises
+    ------
+    InputError
+        The body is a sheet.
+    """
+    points, spacing = body.cloud.points, body.cloud.spacing
+    if points.shape[1] != 3 or not isinstance(body, EnergySolid):
+        raise InputError("body that a scalpel cuts must be a solid in the energy form, got another; use another scene")
+    centre, size = points.mean(axis=0), np.ptp(points, axis=0)
+    axis = int(np.argmax(size[:2]))
+    length = CUT_SHARE * size[axis]
+    near = np.abs(points[:, :2] - centre[:2])
+    above = points[(near[:, axis] < 0.5 * length) & (near[:, 1 - axis] < 2 * spacing)]
+    depth = min(MAX_CUT_DEPTH, CUT_SHARE * np.ptp(above[:, 2]))
+    blade = scalpel(max(SCALPEL_LENGTH, 4 * spacing), SCALPEL_TOUGHNESS)
+    along = np.zeros(3)
+    along[axis] = 1.0
+    first = np.array([*(centre[:2] - 0.5 * length * along[:2]), above[:, 2].max() + AIR_GAP])
+    down, across = (AIR_GAP + depth) / CUT_SPEED, length / CUT_SPEED
+    times = np.cumsum([0.0, REST_SECONDS, down, across, down])
+    turns = np.array([[0, 0, 0], [0, 0, 0], [0, 0, -down], [0, 0, -down], [0, 0, 0]]) * CUT_SPEED
+    ways = np.array([0.0, 0.0, 0.0, length, length])
+
+    def poses(time: float) -> Any:
+        place = [np.interp(time, times, column) for column in (turns + ways[:, None] * along).T]
+        return np.array(place), NO_ROTATION
+
+    rotation = (0.0, 0.0, 0.5 * np.pi * axis)
+    return poses, Contact(blade, (tuple(first), rotation), name="scalpel")
 
 
 def pressing_ball(scene: OrganScene, body: Any, file: Path | None = None) -> tuple[Poses, Contact]:

@@ -23,9 +23,10 @@ from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.faults import InputError, brief, number_in_range
 
-__all__ = ["BLADE_KIND", "Blade"]
+__all__ = ["BLADE_KIND", "Blade", "scalpel"]
 
 BLADE_KIND = 4  # kind of the shape
+BELLY_POINTS, BELLY_SHARE = 13, 0.97  # of a scalpel's edge, and the sine of the angle at its ends
 
 
 @dataclass(frozen=True)
@@ -100,3 +101,18 @@ class Blade(Described):
     def sizes(self) -> tuple[float, float, float]:
         """Zeros: a blade touches the tissue at its sites only."""
         return 0.0, 0.0, 0.0
+
+
+def scalpel(length: float, toughness: float) -> Blade:
+    """Return a blade with a round belly, which cuts ahead to both sides.
+
+    Parameters
+    ----------
+    length : float [m]
+        Between the ends of the edge.
+    toughness : float [J/m^2]
+    """
+    shares = np.linspace(-1.0, 1.0, BELLY_POINTS)
+    belly = 1.0 - np.sqrt(1.0 - (BELLY_SHARE * shares) ** 2)
+    edge = np.column_stack([0.5 * length * shares, np.zeros(BELLY_POINTS), 0.5 * length * belly])
+    return Blade(edge, toughness, height=0.5 * length)

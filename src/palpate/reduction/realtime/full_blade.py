@@ -52,6 +52,8 @@ class BladeCutter:
         Of the present blade.
     cuts : int
         Number of exchanges of the body since it was whole.
+    seconds : float [s]
+        Mean time of a cut.
     failure : str
         Why the last cut was not made; empty if it was.
     wrap : function
@@ -64,7 +66,7 @@ class BladeCutter:
         self.cuts, self.failure, self.wrap = 0, "", lambda data: data
         self.lock = threading.RLock()
         self._contact: Contact | None = None
-        self._seconds, self._tool_reach = FIRST_SECONDS, data.tool_reach
+        self.seconds, self._tool_reach = FIRST_SECONDS, data.tool_reach
         self._is_due, self._turned = False, 0.0
 
     wrap: Callable[[Any], Any]
@@ -110,7 +112,7 @@ class BladeCutter:
             self._is_due = False
             if self.incision is not None:
                 self.incision = self.incision.with_works(*map(float, self.data.contacts.sites.works))
-            self._seconds += (perf_counter() - began - self._seconds) / MEAN_CUTS
+            self.seconds += (perf_counter() - began - self.seconds) / MEAN_CUTS
             self.data.clock[LOST] += released
             self.data = self.data._replace(
                 passes=(self.model.body, self.data.passes[1]),
@@ -135,7 +137,7 @@ class BladeCutter:
         if self._contact is None:
             return self._tool_reach
         step = self.whole_model.stability.step
-        return min(self._tool_reach, WAY_OF_A_CUT * self.model.cloud.spacing * step / self._seconds)
+        return min(self._tool_reach, WAY_OF_A_CUT * self.model.cloud.spacing * step / self.seconds)
 
     def _advance(self, contact: Contact, coordinates: Floats) -> tuple[Any, float]:
         """Cut up to the blade; return its new sites or None, and the released energy [J]."""

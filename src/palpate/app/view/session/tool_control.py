@@ -9,7 +9,7 @@ import numpy as np
 
 from palpate.app.view.session.messages import Message
 from palpate.arrays import Floats
-from palpate.dynamics.contact.blade import Blade
+from palpate.dynamics.contact.blade import Blade, scalpel
 from palpate.dynamics.contact.geometry import compute_gaps
 from palpate.dynamics.contact.tools import Capsule, Forceps, Sphere, Tool
 from palpate.faults import InputError
@@ -20,7 +20,6 @@ __all__ = ["NO_ROTATION", "SelectedTool", "ToolWorkspace", "compose_rotations", 
 
 WORKSPACE_MARGIN = 0.3  # [m] around the body
 POINT_RADIUS = 1e-6  # [m] of the point of a blade
-BELLY_POINTS, BELLY_SHARE = 13, 0.97  # of a scalpel's edge, and the sine of the angle at its ends
 MAX_PENETRATION = 0.25  # of a vertex into a tool that is put down, as a fraction of the spacing
 NO_ROTATION = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -80,21 +79,6 @@ def tool_shape(message: Message) -> Tool:
     if message["kind"] == "sphere":
         return Sphere(message["radius"])
     return Capsule(message["radius"], message["length"])
-
-
-def scalpel(length: float, toughness: float) -> Blade:
-    """Return a blade with a round belly, which cuts ahead to both sides.
-
-    Parameters
-    ----------
-    length : float [m]
-        Between the ends of the edge.
-    toughness : float [J/m^2]
-    """
-    shares = np.linspace(-1.0, 1.0, BELLY_POINTS)
-    belly = 1.0 - np.sqrt(1.0 - (BELLY_SHARE * shares) ** 2)
-    edge = np.column_stack([0.5 * length * shares, np.zeros(BELLY_POINTS), 0.5 * length * belly])
-    return Blade(edge, toughness, height=0.5 * length)
 
 
 def make_forceps(
