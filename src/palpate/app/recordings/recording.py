@@ -7,10 +7,10 @@ ParaView, has the surface over time.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,7 @@ from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import plain, regular_file, shortened
 from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.cut_surface import is_narrow
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.realtime.full_surface import display_surface
 from palpate.reduction.storage.solid import body_contents, body_in
@@ -47,14 +48,38 @@ __all__ = [
 RECORDING_REMEDY = "record the session again"
 MAX_VALUE_OF = {"steps": 2.0**53, "sequence": 2.0**53, "stiffness": 1e30}  # exceptions
 ERROR_NAMES = ("displacement", "largest", "force", "peak", "wall_seconds", "seconds")  # of the replay on the full model
-TOOL_FIELDS = {"kind", "radius", "length", "friction", "stiffness", "start"}
+TOOL_FIELDS = {"kind", "radius", "length", "friction", "stiffness", "toughness", "start"}  # the last but one is new
 RECORDING_INTERVAL = 0.01  # [s] between snapshots
 MAX_DURATION = 600.0  # [s]
 VTKHDF_INTERVAL = 0.04  # [s] between snapshots in the file for ParaView
 
 
+CUT_SHAPES: dict[str, tuple[str, tuple[int | str, ...]]] = {
+    "cuts/start": ("<i8", ("cuts",)), "cuts/kept": ("<i8", ("cuts",)), "cuts/count": ("<i8", ("cuts",)),
+    "cuts/triangles": ("<f8", ("cut triangles", 3, 3)),
+}  # fmt: skip
+
+
 class SurfaceFileError(OSError):
     """The file for ParaView cannot be written; the recording was."""
+
+
+class Cut(NamedTuple):
+    """A change of the cut of a body.
+
+    Parameters
+    ----------
+    start : int
+        Index of the first snapshot of the body that is cut so.
+    kept : int
+        Number of triangles that stay.
+    triangles : (t, 3, 3) array [m]
+        Those that follow them.
+    """
+
+    start: int
+    kept: int
+    triangles: Floats
 
 
 @dataclass(frozen=True)
@@ -74,6 +99,8 @@ class Recording:
         Descriptions of the selected tools, with ``"start"``, the index of the first snapshot of each.
     full : dict
         Result of `palpate.app.view.session.full_model_replay.replay_on_full_model`; empty without such a run.
+    cuts : list of Cut
+        Changes of the cut of a full body, in the order of their snapshots.
     """
 
     title: str
@@ -82,6 +109,7 @@ class Recording:
     snapshots: list[Snapshot]
     tools: list[dict[str, Any]]
     full: dict[str, Any]
+    cuts: list[Cut] = field(default_factory=list)
 
 
 def save_recording(path: Path, recording: Recording) -> None:
@@ -105,6 +133,8 @@ def save_recording(path: Path, recording: Recording) -> None:
     header, arrays = body_contents(model)
     arrays = {f"model/{name}": values for name, values in arrays.items()}
     arrays |= {**snapshot_arrays(snapshots, model), "wall": np.array(recording.times, dtype=float)}
+    if recording.cuts:
+        arrays |= _cut_arrays(recording.cuts)
     if recording.full:
         full = recording.full
         arrays |= {"full/times": np.array(full["times"], dtype=float), "full/force": np.array(full["force"], float)}
@@ -178,6 +208,8 @@ def read_recording(file: ArrayFile) -> Recording:
     model = body_in(header["model"], file, "model/")
     count = len(arrays["wall"]) if "wall" in arrays and arrays["wall"].ndim else 0
     shapes = _shapes(model, count, header["errors"] is not None)
+    if "cuts/start" in arrays:
+        shapes |= CUT_SHAPES
     if arrays.keys() != shapes.keys() or not count:
         raise InputError(f"arrays must be {', '.join(sorted(shapes))}, got {', '.join(sorted(arrays))}")
     sizes: dict[str, int] = {}
@@ -197,7 +229,39 @@ def read_recording(file: ArrayFile) -> Recording:
     start, nodes, forces = (arrays[f"contact/{name}"] for name in ("start", "nodes", "forces"))
     parts = [slice(first, last) for first, last in pairwise(start)]
     snapshots = [_snapshot(arrays, k, nodes[part], forces[part]) for k, part in enumerate(parts)]
-    return Recording(header["title"], model, arrays["wall"], snapshots, tools, _full(arrays, header["errors"]))
+    return Recording(header["title"], model, arrays["wall"], snapshots, tools, _full(arrays, header["errors"]),
+                     _cuts(arrays, model, count))  # fmt: skip
+
+
+def _cut_arrays(cuts: list[Cut]) -> dict[str, Any]:
+    """Return the arrays of a recording for its cuts."""
+    return {
+        "cuts/start": np.array([cut.start for cut in cuts]), "cuts/kept": np.array([cut.kept for cut in cuts]),
+        "cuts/count": np.array([len(cut.triangles) for cut in cuts]),
+        "cuts/triangles": np.concatenate([np.zeros((0, 3, 3)), *(cut.triangles for cut in cuts)]),
+    }  # fmt: skip
+
+
+def _cuts(arrays: dict[str, Any], model: Any, snapshots: int) -> list[Cut]:
+    """Return the cuts in the arrays of a file; raise InputError for those that no session writes."""
+    if "cuts/start" not in arrays:
+        return []
+    start, kept, count = (arrays[f"cuts/{name}"] for name in ("start", "kept", "count"))
+    _require(isinstance(model, EnergySolid), "model", "a full body for cuts", "another")
+    _require(np.all((start >= 0) & (start < snapshots)) and np.all(np.diff(start) > 0), "cuts/start",
+             "increasing indices of snapshots", "others")  # fmt: skip
+    _require(
+        not is_narrow(arrays["cuts/triangles"], model.cloud.spacing).any(), "cuts/triangles", "wide", "narrow ones"
+    )
+    parts = np.cumsum(count)
+    _require(np.all(count >= 0) and (parts[-1] if len(parts) else 0) == len(arrays["cuts/triangles"]), "cuts/count",
+             "numbers of the triangles", "others")  # fmt: skip
+    cuts, total = [], 0
+    for first, stay, last, number in zip(start, kept, parts, count, strict=True):
+        _require(0 <= stay <= total, "cuts/kept", f"at most {total}", str(stay))
+        cuts.append(Cut(int(first), int(stay), arrays["cuts/triangles"][last - number : last]))
+        total = int(stay + number)
+    return cuts
 
 
 def _shapes(model: ReducedModel | EnergySolid, count: int, full: bool) -> dict[str, tuple[str, tuple[int | str, ...]]]:
@@ -264,12 +328,14 @@ def validate_tools(tools: Any, count: int) -> list[dict[str, Any]]:
     if not isinstance(tools, list) or not tools or not all(isinstance(tool, dict) for tool in tools):
         raise InputError(f"tools must be a list of tools, got {tools!r:.80}")
     for tool in tools:
-        if tool.keys() != TOOL_FIELDS or tool["kind"] not in TOOL_KINDS:
+        if tool.keys() | {"toughness"} != TOOL_FIELDS or tool["kind"] not in TOOL_KINDS:
             raise InputError(f"each entry of tools must be a tool, got {tool!r:.80}")
         for name, most in (("radius", 1.0), ("length", 1.0), ("friction", 2.0)):
             number_in_range(f"{name} of a tool", tool[name], 0.0, most)
         if tool["stiffness"] is not None:
             number_in_range("stiffness of a tool", tool["stiffness"], 0.0, MAX_VALUE, open_low=True, unit="N/m")
+        if tool.setdefault("toughness", None) is not None:
+            number_in_range("toughness of a tool", tool["toughness"], 0.0, MAX_VALUE, unit="J/m^2")
         integer_in_range("start of a tool", tool["start"], 0, count - 1)
     first = [tool["start"] for tool in tools]
     if first[0] != 0 or any(b <= a for a, b in pairwise(first)):

@@ -9,6 +9,7 @@ import numpy as np
 
 from palpate.arrays import Floats
 from palpate.dynamics.contact.blade import Blade
+from palpate.dynamics.contact.blade_sites import BladeSites
 from palpate.dynamics.contact.geometry import rotation
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.prepared import PreparedLoads
@@ -128,7 +129,7 @@ def advance_blade(
                 f"motion of Contact {tool.name!r} must start outside the body, got {length:.3g} m of the edge inside; "
                 "start it outside and move it in"
             )
-        return body, incision, joined_sites(sites, face_pairs(cut_state, u, corners)), 0.0
+        return body, *_with_faces(incision, sites, face_pairs(cut_state, u, corners)), 0.0
     cuts = advance_edge(cut_state, incision, blade, frame, u, corners)
     for edge, pieces, area in cuts:
         strip, triangles, replaced = next_strip(incision.strip, incision.edge, edge, pieces, cloud.spacing)
@@ -143,7 +144,15 @@ def advance_blade(
     if not cuts:
         return body, incision, None, 0.0
     sites, incision, _ = blade_sites(body.cut_state, incision, blade, frame, u, corners, number)
-    return body, incision, joined_sites(sites, face_pairs(body.cut_state, u, corners)), released
+    return body, *_with_faces(incision, sites, face_pairs(body.cut_state, u, corners)), released
+
+
+def _with_faces(incision: Incision, sites: BladeSites, pairs: BladeSites) -> tuple[Incision, BladeSites]:
+    """Return the incision, and the sites of its blade followed by pairs of faces."""
+    joined = joined_sites(sites, pairs)
+    if incision.hold is not None:  # the step writes the slips of the joined sites
+        incision = replace(incision, hold=incision.hold._replace(slips=joined.slips[: len(incision.hold.pieces)]))
+    return incision, joined
 
 
 def _check_distance(tool: Contact, triangles: Floats, points: Floats, held: Any, spacing: float) -> None:

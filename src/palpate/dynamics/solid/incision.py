@@ -360,7 +360,6 @@ def blade_sites(
     ways = segments[held, 1] - segments[held, 0]
     limits[: len(held)] = strength * shares[held] * _area_rates(hold, ways, directions[held] @ frame[:, :3].T, u)
     slips = np.zeros(len(kinds))
-    hold = hold._replace(slips=slips[: len(held)])  # a part of the array that the step writes
     used = weights.values != 0.0
     start = np.concatenate([[0], np.cumsum(used.sum(axis=1))]).astype(np.int64)
     sites = BladeSites(

@@ -43,7 +43,7 @@ class CutFullSurface(FullSurface):
         Of the uncut body.
     """
 
-    def __init__(self, model: EnergySolid, uncut: FullSurface) -> None:
+    def __init__(self, model: Any, uncut: FullSurface) -> None:
         self.model, self._kept_vertices = model, len(uncut.nodes)
         opened = _opened(model, uncut)
         faces = _faces(model, len(uncut.nodes) + len(opened.points))

@@ -8,9 +8,12 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from palpate.app.recordings.recording import MAX_DURATION, RECORDING_INTERVAL
+import numpy as np
+
+from palpate.app.recordings.recording import MAX_DURATION, RECORDING_INTERVAL, Cut
 from palpate.app.recordings.recording_journal import RecordingJournal
 from palpate.app.recordings.snapshot import Snapshot
+from palpate.arrays import Floats
 from palpate.faults import InputError
 
 __all__ = ["Recorder"]
@@ -24,7 +27,8 @@ class Recorder:
     Parameters
     ----------
     describe_period : function
-        Returns the present snapshot and the description of the selected tool; called from the recorder's thread.
+        Returns the present snapshot, the description of the selected tool, and the triangles (t, 3, 3) of the cut;
+        called from the recorder's thread.
     journal : RecordingJournal
         Receives the snapshots twice a second, and the rest at the end.
     interval : float [s]
@@ -33,7 +37,7 @@ class Recorder:
 
     def __init__(
         self,
-        describe_period: Callable[[], tuple[Snapshot, dict[str, Any]]],
+        describe_period: Callable[[], tuple[Snapshot, dict[str, Any], Floats]],
         journal: RecordingJournal,
         interval: float = RECORDING_INTERVAL,
     ) -> None:
@@ -41,6 +45,8 @@ class Recorder:
         self.times: list[float] = []
         self.snapshots: list[Snapshot] = []
         self.tools: list[dict[str, Any]] = []
+        self.cuts: list[Cut] = []
+        self._triangles: Floats = np.zeros((0, 3, 3))
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="palpate recorder", daemon=True)
         self._writer = threading.Thread(target=self._keep_journal, name="palpate journal", daemon=True)
@@ -69,13 +75,25 @@ class Recorder:
         with suppress(OSError, InputError):  # the snapshots stay in memory, and the end writes them
             self.journal.add(self.times[first:last], self.snapshots[first:last], tools)
 
+    def _add_cut(self, triangles: Floats) -> None:
+        """Note a change of the cut, at the snapshot that comes next."""
+        if triangles is self._triangles:
+            return
+        common = min(len(triangles), len(self._triangles))
+        differs = np.flatnonzero(np.any(triangles[:common] != self._triangles[:common], axis=(1, 2)))
+        kept = int(differs[0]) if differs.size else common
+        if kept < max(len(triangles), len(self._triangles)):
+            self.cuts.append(Cut(len(self.times), kept, triangles[kept:].copy()))
+        self._triangles = triangles
+
     def _run(self) -> None:
         start, due = time.monotonic(), 0.0
         while not self._end.is_set() and due < MAX_DURATION:
             now = time.monotonic() - start
             if now > MAX_DURATION:  # the machine slept
                 return
-            snapshot, tool = self._describe_period()
+            snapshot, tool, triangles = self._describe_period()
+            self._add_cut(triangles)
             tool = {name: value for name, value in tool.items() if name not in ("position", "quaternion", "active")}
             if not self.tools or any(self.tools[-1][name] != value for name, value in tool.items()):
                 self.tools.append({**tool, "start": len(self.times)})

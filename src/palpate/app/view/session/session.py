@@ -35,6 +35,7 @@ from palpate.dynamics.contact.tools import Contact, Forceps, Sphere, Tool
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
+from palpate.meshfree.cut_surface import NO_CUT
 from palpate.realtime.engine import Engine
 from palpate.realtime.observable import Observation, make_observable
 from palpate.realtime.record import Reading
@@ -187,6 +188,12 @@ class Session:
         with self._lock:
             now, active = self.snapshot(), self.tool is self.selected_tool
             return now, self.selected_tool.describe(now.position, now.quaternion, active)
+
+    def _describe_recorded(self) -> tuple[Snapshot, dict[str, Any], Floats]:
+        """Return the present snapshot, the description of the tool, and the triangles of the cut."""
+        cutter = getattr(self._realtime_model, "cutter", None)
+        triangles = NO_CUT.triangles if cutter is None else cutter.model.cut_surface.triangles
+        return *self._describe_period(), triangles
 
     def overlay(self, time: float) -> OverlayState | None:
         """Return None: a session of one body has no full model to show."""
@@ -369,7 +376,9 @@ class Session:
         if self._recorder is not None:
             raise InputError("record must be 'stop' during a recording, got 'start'; stop the present one first")
         journal = RecordingJournal(path or _create_file(self.folder), self.title, self.model)
-        self._recorder = Recorder(self._describe_period, journal, FULL_INTERVAL if self.is_full else RECORDING_INTERVAL)
+        self._recorder = Recorder(
+            self._describe_recorded, journal, FULL_INTERVAL if self.is_full else RECORDING_INTERVAL
+        )
 
     def _start_file(self) -> None:
         try:
@@ -400,7 +409,7 @@ class Session:
         recorder, self._recorder = self._recorder, None
         recorder.stop()
         recording = Recording(
-            self.title, self.model, np.array(recorder.times), recorder.snapshots, recorder.tools, {}
+            self.title, self.model, np.array(recorder.times), recorder.snapshots, recorder.tools, {}, recorder.cuts
         )  # fmt: skip
         writer = threading.Thread(target=self._write, args=(path, recorder.journal, recording), name="palpate writer")
         self._writers = [*(each for each in self._writers if each.is_alive()), writer]
