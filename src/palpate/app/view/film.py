@@ -21,14 +21,16 @@ from palpate.app.common.shading import (
     shade_tool,
     triangle_mesh,
 )
+from palpate.app.recordings.cut_surfaces import CutSurfaces
 from palpate.app.recordings.recording import Recording
 from palpate.app.recordings.snapshot import FIELD_UNITS
 from palpate.app.view.server.frames import colour_range
-from palpate.arrays import Floats
+from palpate.arrays import Floats, Singles
+from palpate.dynamics.contact.blade import scalpel
 from palpate.extras import require
 from palpate.faults import InputError
 from palpate.files import whole_file
-from palpate.reduction.realtime.full_surface import display_surface
+from palpate.reduction.realtime.display_surface import DisplaySurface
 
 __all__ = [
     "FRAME_RATE",
@@ -57,6 +59,7 @@ VIEW_MARGIN = 1.12  # of the picture around the body
 LEGEND_SHARE = 0.16  # of the height, below the body
 VIEWED_SNAPSHOTS = 50  # of a recording, from which view and range are chosen
 FULL_MODEL_COLOUR = "#0b7285"
+BLADE_HEIGHT, BLADE_THICKNESS, HANDLE_LENGTH = 0.25, 0.02, 0.9  # of a scalpel, over the length of its edge
 SHADOW_CELLS, SHADOW_MARGIN, SHADOW_BLUR, SHADOW_STRENGTH = 128, 0.6, 0.1, 0.2  # margin and blur over the radius
 
 
@@ -173,7 +176,8 @@ class RecordingPlotter:
 
     def __init__(self, recording: Recording, scalar: str, pixels: int = PICTURE_PIXELS) -> None:
         check_drawing()
-        self.recording, self.scalar, self.surface = recording, scalar, display_surface(recording.model)
+        self.recording, self.scalar, self.surfaces = recording, scalar, CutSurfaces(recording)
+        self.surface = self.surfaces.whole
         if scalar not in self.surface.scalars:
             allowed = ", ".join(map(repr, self.surface.scalars))
             raise InputError(f"scalar must be one of {allowed}, got {scalar!r}; choose one of these")
@@ -187,16 +191,12 @@ class RecordingPlotter:
         surface, snapshots = self.surface, self.recording.snapshots
         rest = surface.rest.astype(float)
         size = float(np.linalg.norm(np.ptp(rest, axis=0)))
-        refined = RefinedSurface(rest, surface.triangles)
-        fixed, mottling = refined.values(surface.fixed), refined.values(rest / size)
         middle, width = self._view(rest)
         self._window = off_screen(width, width / ASPECT_RATIO, middle, self.axes[2], self.pixels)
         plotter: Any = self._window.__enter__()
         unit, factor = FIELD_UNITS[self.scalar]
         largest = round_up(factor * self._largest_value())
-        body = triangle_mesh(refined.places(rest)[0], refined.triangles)
-        body["colour"] = np.zeros((body.n_points, 3), dtype=np.uint8)
-        plotter.add_mesh(body, scalars="colour", rgb=True, lighting=False)
+        drawn = _DrawnBody(plotter, size)
         shadow = _add_shadow(plotter, pyvista, rest)
         full_model = self._add_full_model(plotter)
         tools = self._add_tools(plotter, pyvista)
@@ -207,12 +207,10 @@ class RecordingPlotter:
             caption.notes["Pale: fixed"] = QUIET
 
         def draw(frame: int) -> Any:
-            snapshot = snapshots[frame]
-            displacements = snapshot.displacements(surface)
-            values = refined.values(factor / largest * snapshot.scalar(surface, self.scalar, displacements))
-            body.points, normals = refined.places(surface.rest + displacements)
-            body["colour"] = shade(normals, self.axes, values, fixed, mottling)
-            shadow(body.points)
+            snapshot, present = snapshots[frame], self.surfaces.at(frame)
+            displacements = snapshot.displacements(present)
+            values = factor / largest * snapshot.scalar(present, self.scalar, displacements)
+            shadow(drawn.update(present, displacements, values, self.axes))
             full_model(frame)
             tools(frame)
             return caption.over(screenshot(plotter), f"Force {np.linalg.norm(snapshot.force):.2f} N")
@@ -263,6 +261,12 @@ class RecordingPlotter:
                 meshes.append(None)
                 continue
             shown_radius = radius if tool["kind"] != "grasp" else 0.3 * radius
+            if tool["kind"] == "scalpel":
+                solid, normals = _scalpel_solid(pyvista, tool["length"])
+                solid["colour"] = np.zeros((solid.n_points, 3), dtype=np.uint8)
+                actor = plotter.add_mesh(solid, scalars="colour", rgb=True, lighting=False)
+                meshes.append((actor, np.array(solid.points), normals, solid))
+                continue
             solid = pyvista.Sphere(radius=shown_radius, theta_resolution=96, phi_resolution=97)
             normals = np.asarray(solid.points) / shown_radius
             if tool["kind"] == "capsule":
@@ -285,6 +289,53 @@ class RecordingPlotter:
                 solid["colour"] = shade_tool(rotation.apply(normals), self.axes)
 
         return update
+
+
+class _DrawnBody:
+    """The body in a plotter, whose surface a cut can exchange.
+
+    Parameters
+    ----------
+    plotter : pyvista.Plotter
+    size : float [m]
+        Of the body.
+    """
+
+    def __init__(self, plotter: Any, size: float) -> None:
+        self._plotter, self._size = plotter, size
+        self._surface: DisplaySurface | None = None
+        self._actor: Any = None
+
+    def update(self, surface: DisplaySurface, displacements: Singles, values: Any, axes: Floats) -> Floats:
+        """Draw a surface with displacements (n, 3) [m] and shares of the colours (n,); return its points."""
+        if surface is not self._surface:
+            self._exchange(surface)
+        self._mesh.points, normals = self._refined.places(surface.rest + displacements)
+        self._mesh["colour"] = shade(normals, axes, self._refined.values(values), self._fixed, self._mottling)
+        return np.asarray(self._mesh.points)
+
+    def _exchange(self, surface: DisplaySurface) -> None:
+        rest = surface.rest.astype(float)
+        self._surface, self._refined = surface, RefinedSurface(rest, surface.triangles)
+        self._fixed, self._mottling = self._refined.values(surface.fixed), self._refined.values(rest / self._size)
+        self._mesh = triangle_mesh(self._refined.places(rest)[0], self._refined.triangles)
+        self._mesh["colour"] = np.zeros((self._mesh.n_points, 3), dtype=np.uint8)
+        if self._actor is not None:
+            self._plotter.remove_actor(self._actor)
+        self._actor = self._plotter.add_mesh(self._mesh, scalars="colour", rgb=True, lighting=False)
+
+
+def _scalpel_solid(pyvista: Any, length: float) -> tuple[Any, Floats]:
+    """Return a scalpel of an edge length [m] in its frame, and the normals of its points."""
+    belly = np.array(scalpel(length, 0.0).edge)
+    top = belly[:, 2].max() + BLADE_HEIGHT * length
+    outline = np.concatenate([belly, [[0.5 * length, 0.0, top], [-0.5 * length, 0.0, top]]])
+    count, thick = len(outline), BLADE_THICKNESS * length
+    flat = pyvista.PolyData(outline - [0.0, 0.5 * thick, 0.0], np.concatenate([[count], np.arange(count)]))
+    blade = flat.triangulate().extrude((0.0, thick, 0.0), capping=True)
+    handle = pyvista.Box((-0.12 * length, 0.12 * length, -2 * thick, 2 * thick, top, top + HANDLE_LENGTH * length))
+    solid = blade.merge(handle.triangulate()).extract_surface().compute_normals(split_vertices=True)
+    return solid, np.asarray(solid.point_data["Normals"])
 
 
 def _add_shadow(plotter: Any, pyvista: Any, rest: Floats) -> Callable[[Floats], None]:

@@ -8,15 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from palpate.app.recordings.cut_surfaces import CutSurfaces
 from palpate.app.recordings.recording import Recording
 from palpate.app.recordings.snapshot import OverlayState, Snapshot, scalar_descriptions, training_errors
 from palpate.app.view.session.messages import Message
-from palpate.dynamics.solid.cut import cut
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
-from palpate.reduction.realtime.cut_display import CutFullSurface
 from palpate.reduction.realtime.display_surface import DisplaySurface
-from palpate.reduction.realtime.full_surface import FullSurface, display_surface
 
 __all__ = ["Replay"]
 
@@ -33,12 +31,12 @@ class Replay:
 
     def __init__(self, recording: Recording) -> None:
         self.recording, self.title = recording, recording.title
-        self.surface: DisplaySurface = display_surface(recording.model)
+        self._surfaces = CutSurfaces(recording)
+        self.surface = self._surfaces.whole
         self.duration = float(recording.times[-1])
         self.pause_reason: str | None = None
         self.notifications: list[dict[str, Any]] = []
         self.speed = 1.0
-        self._cut_surface, self._cuts_shown = self.surface, 0
         self._at, self._since, self._playing = 0.0, time.monotonic(), True
 
     @property
@@ -57,17 +55,7 @@ class Replay:
     @property
     def shown_surface(self) -> DisplaySurface:
         """The surface that is drawn: of the body as it was cut."""
-        frame = self.frame
-        count = sum(cut.start <= frame for cut in self.recording.cuts)
-        if count != self._cuts_shown:
-            self._cuts_shown, triangles = count, np.zeros((0, 3, 3))
-            for change in self.recording.cuts[:count]:
-                triangles = np.concatenate([triangles[: change.kept], change.triangles])
-            self._cut_surface = self.surface
-            model = self.recording.model
-            if len(triangles) and isinstance(self.surface, FullSurface) and isinstance(model, EnergySolid):
-                self._cut_surface = CutFullSurface(cut(model, triangles), self.surface)
-        return self._cut_surface
+        return self._surfaces.at(self.frame)
 
     def snapshot(self) -> Snapshot:
         """Return the present snapshot, with the time of the recording."""

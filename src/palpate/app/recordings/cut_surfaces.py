@@ -1,0 +1,45 @@
+"""Surfaces of a recorded body that is cut, snapshot by snapshot."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from palpate.app.recordings.recording import Recording
+from palpate.dynamics.solid.cut import cut
+from palpate.dynamics.solid.model import EnergySolid
+from palpate.reduction.realtime.cut_display import CutFullSurface
+from palpate.reduction.realtime.display_surface import DisplaySurface
+from palpate.reduction.realtime.full_surface import FullSurface, display_surface
+
+__all__ = ["CutSurfaces"]
+
+
+class CutSurfaces:
+    """Surfaces of a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+
+    Attributes
+    ----------
+    whole : DisplaySurface
+        Of the body without a cut.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording, self._count = recording, 0
+        self.whole: DisplaySurface = display_surface(recording.model)
+        self._present = self.whole
+
+    def at(self, frame: int) -> DisplaySurface:
+        """Return the surface that is drawn at a snapshot; the same object while the cut does not change."""
+        cuts = [change for change in self._recording.cuts if change.start <= frame]
+        if len(cuts) != self._count:
+            self._count, triangles = len(cuts), np.zeros((0, 3, 3))
+            for change in cuts:
+                triangles = np.concatenate([triangles[: change.kept], change.triangles])
+            self._present, model = self.whole, self._recording.model
+            if len(triangles) and isinstance(self.whole, FullSurface) and isinstance(model, EnergySolid):
+                self._present = CutFullSurface(cut(model, triangles), self.whole)
+        return self._present
