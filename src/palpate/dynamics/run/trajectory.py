@@ -79,7 +79,8 @@ class Trajectory(Described):
         at fixed displacements, and the energies dissipated at its edge and by friction on its sides. Empty
         without a blade.
     cuts : (c, 10) array
-        Frame from which on the body is cut along a triangle, and its corners [m] in the stress-free body.
+        Frame from which on the body is cut along a triangle, and its corners [m] in the stress-free body. Triangles
+        of a later frame can overlap earlier ones. `palpate.cut` takes those up to a frame together.
 
     Examples
     --------
