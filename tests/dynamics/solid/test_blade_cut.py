@@ -139,3 +139,9 @@ def test_two_blades_are_refused():
     blades = [pt.tools.Contact(pt.tools.Blade(EDGE, TOUGHNESS), (-0.1, 0, 0), name=name) for name in ("a", "b")]
     with pytest.raises(pt.InputError, match="one Blade at most"):
         pt.rollout(sheet(), blades, duration=0.01, every=0.01, progress=False)
+
+
+def test_a_body_with_planes_of_symmetry_is_not_cut():
+    body = pt.Solid(pt.box(SIZE, SPACING), sheet().material, ["x+", pt.SymmetryPlane("z-")])
+    with pytest.raises(pt.InputError, match="no planes of symmetry"):
+        pt.rollout(body, [knife(pt.tools.Blade(EDGE, TOUGHNESS))], duration=0.01, every=0.01, progress=False)

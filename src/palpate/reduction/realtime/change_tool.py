@@ -9,8 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from palpate.arrays import Floats
+from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import rotation
 from palpate.dynamics.contact.tools import CAPSULE, Forceps, Tool
+from palpate.faults import InputError
 from palpate.reduction.contact.surface import PAIRS
 from palpate.reduction.realtime.period import PeriodData
 
@@ -18,7 +20,17 @@ __all__ = ["change_tool"]
 
 
 def change_tool(data: PeriodData, tool: Tool | None, pose: Floats, friction: float) -> None:
-    """Replace the tool of a reduced body; see `palpate.reduction.realtime.model.RealtimeModel`."""
+    """Replace the tool of a reduced body; see `palpate.reduction.realtime.model.RealtimeModel`.
+
+    Raises
+    ------
+    InputError
+        The tool is a blade.
+    """
+    if isinstance(tool, Blade):
+        raise InputError(
+            "tool of a reduced model must be another than a Blade, which cuts full bodies; use a full body"
+        )
     tools, contact = data.tools, data.contact_work
     tools.kind[0] = CAPSULE if tool is None else tool.kind
     tools.sizes[0] = (-np.inf, 0.0, 0.0) if tool is None else tool.sizes  # every point is outside

@@ -20,7 +20,7 @@ from palpate.dynamics.contact.blade_sites import AWAY_TOOL, NO_TOOL
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.supports import FREE
 from palpate.dynamics.nodal.period import LOST, NodalPeriodData
-from palpate.dynamics.nodal.tool_path import END
+from palpate.dynamics.nodal.tool_path import END, HOME
 from palpate.dynamics.run.model import State
 from palpate.dynamics.solid.blade_cut import advance_blade
 from palpate.dynamics.solid.face_pairs import face_pairs, turn_pairs
@@ -146,7 +146,9 @@ class BladeCutter:
         held = np.flatnonzero(self.data.sites.kind != FREE)
         before = self.model
         try:
-            model, incision, sites, released = advance_blade(before, state, contact, self.data.path[END].copy(), held)
+            model, incision, sites, released = advance_blade(
+                before, state, contact, self.data.path[HOME if self.incision is None else END].copy(), held
+            )
         except (CloudError, DivergenceError, InputError) as error:
             self.failure = str(error)
             return None, 0.0

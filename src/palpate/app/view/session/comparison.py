@@ -71,8 +71,8 @@ class Comparison(Session):
 
     @property
     def tool_kinds(self) -> list[str]:
-        """Kinds of tools for both bodies; not forceps, which would grasp different nodes."""
-        return [kind for kind in self.full.tool_kinds if kind != "grasp"]
+        """Kinds of tools for both bodies; not forceps, which would grasp different nodes, and scalpels."""
+        return [kind for kind in self.full.tool_kinds if kind not in ("grasp", "scalpel")]
 
     def handle(self, message: Message) -> None:
         """Execute a message of the driver for both bodies.

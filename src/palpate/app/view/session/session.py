@@ -240,6 +240,12 @@ class Session:
         return ["sphere", "capsule", "grasp", *(["scalpel"] if cutter is not None else [])]
 
     @property
+    def is_cut(self) -> bool:
+        """Whether a scalpel has cut the body."""
+        cutter = getattr(self._realtime_model, "cutter", None)
+        return cutter is not None and cutter.cuts > 0
+
+    @property
     def is_touched(self) -> bool:
         """Whether a tool touches the body, or is held by its user: it was moved within the last second."""
         if self.tool is NO_TOOL:
@@ -305,7 +311,7 @@ class Session:
         former.stop()
         self.notifications, self.failures, self.folder = former.notifications, former.failures, former.folder
         self._writers = former._writers
-        if self.accepts_tools and former.accepts_tools:
+        if former.selected_tool.kind in self.tool_kinds:
             self.selected_tool = former.selected_tool
         self.engine.slow_down(former.speed)
         self.speed = former.speed
@@ -498,6 +504,9 @@ class Session:
     def _select_tool(self, message: Message) -> None:
         if not self.accepts_tools:
             raise InputError("tool must be the model's prescribed group, got another tool; use a model with contact")
+        if message["kind"] not in self.tool_kinds:
+            allowed = ", ".join(map(repr, self.tool_kinds))
+            raise InputError(f"tool: kind must be one of {allowed} for this body, got {message['kind']!r}; use another")
         position = self._workspace.nearest_position(np.array(message["position"]))
         quaternion = np.array(message["quaternion"])
         shape: Tool
