@@ -124,6 +124,9 @@ def test_a_sliver_of_one_layer_is_released(block):
     assert np.isin(body.released_nodes, bottom).all()
     u = 0.01 * SPACING * np.random.default_rng(0).normal(size=(len(block.cloud), 3))
     assert not body.force(u)[body.released_nodes].any()
+    moved = u.copy()
+    moved[body.released_nodes] += SPACING
+    assert body.strain_energy(moved) == body.strain_energy(u)
 
 
 def test_a_cut_body_has_a_stable_step_like_the_uncut_one(halved, block):
