@@ -447,7 +447,7 @@ def keep_uniform_stress(uncut: UncutStencils, surface: CutSurface, rows: FittedR
     right = missing[nodes] * (uncut.spacing / volume)
     return float(
         _balance(uncut.points, rows.nodes, rows.start, rows.near, rows.freedom, uncut.volumes / volume, center, other,
-                 normals, right, uncut.spacing, rows.first)
+                 normals, right, uncut.spacing, uncut.limit, rows.first)
     )  # fmt: skip
 
 
@@ -524,7 +524,7 @@ def _inverse_moments(start, freedom, offset, inverse):  # type: ignore[no-untype
 
 
 @cached_njit(nogil=True)
-def _balance(points, nodes, start, near, freedom, volumes, center, other, normals, right, spacing, first):  # type: ignore[no-untyped-def]
+def _balance(points, nodes, start, near, freedom, volumes, center, other, normals, right, spacing, limit, first):  # type: ignore[no-untyped-def]
     """Solve for the least change, and add it to `first`; return the largest residual.
 
     The method of conjugate residuals has the least residual after every iteration. A piece that is cut off has nodal
@@ -580,13 +580,39 @@ def _balance(points, nodes, start, near, freedom, volumes, center, other, normal
             for c in range(3):
                 direction[k, c] = residual[k, c] + product / product_before * direction[k, c]
                 moved[k, c] = image[k, c] + product / product_before * moved[k, c]
+    image[:] = 0.0
     for m in range(nodes.shape[0]):
         _change(m, start, freedom, sizes[m], center, other, offset, inverse, solution, block)
+        share = _largest_share(m, start, freedom, limit[nodes[m]], spacing, first, block)
         for p in range(start[m], start[m + 1]):
             if freedom[p] > 0.0:
                 for c in range(3):
-                    first[p, c] += block[p - start[m], c] / spacing
-    return largest
+                    value = share * block[p - start[m], c]
+                    first[p, c] += value / spacing
+                    image[other[p], c] += sizes[m] * value
+                    image[center[m], c] -= sizes[m] * value
+    _across(normals, image)
+    return np.abs(right - image).max()
+
+
+@cached_njit(nogil=True)
+def _largest_share(m, start, freedom, limit, spacing, first, block):  # type: ignore[no-untyped-def]
+    """Return the share of the changes (k, 3) of row m, at most 1, for which its size q is below the limit.
+
+    q is a + 2 b x + c x^2 for a share x.
+    """
+    a, b, c = 0.0, 0.0, 0.0
+    for d in range(3):
+        total, total_change = 0.0, 0.0
+        for p in range(start[m], start[m + 1]):
+            weight = spacing * first[p, d]
+            change = block[p - start[m], d] if freedom[p] > 0.0 else 0.0
+            total, total_change = total + weight, total_change + change
+            a, b, c = a + weight**2, b + weight * change, c + change**2
+        a, b, c = a + total**2, b + total * total_change, c + total_change**2
+    if a + 2.0 * b + c <= limit:
+        return 1.0
+    return max((np.sqrt(max(b * b + c * (limit - a), 0.0)) - b) / c, 0.0)
 
 
 def conserve_integrals(uncut: UncutStencils, rows: FittedRows, missing: Floats) -> float:
