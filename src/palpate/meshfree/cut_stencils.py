@@ -41,7 +41,7 @@ __all__ = [
 
 WIDEST_REACH = 3.2  # largest reach of a cut node, in spacings
 REACH_MARGIN = 1.05  # radius of a stencil over the distance of its last node
-SIZE_FACTOR, LARGEST_SIZE = 1.2, 9.0  # largest q over that of uncut nodes, and in itself
+SIZE_FACTOR, LARGEST_SIZE = 1.2, 6.0  # largest q over that of uncut nodes, and in itself
 REACH_BISECTIONS = 30
 RAMP_WIDTH = 0.045  # range of distances in which a node enters the hourglass residual, over the reach
 LEAST_PIVOT = 1e-10  # of a moment matrix, relative to its diagonal
