@@ -1,0 +1,97 @@
+"""Cuts of a body against closed forms: forces along a cut, its opening and energy release, and its stability.
+
+    python validation/cuts.py [--parts patch halves penny strip stability] [--bodies NAME ...] [--count 50]
+
+writes docs/validation/cuts.json, which keeps the results of parts that were not asked for, and prints the figures.
+`cut_cracks.py`, `cut_strip.py` and `cut_stability.py` say what each part measures.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+import cut_cracks
+import cut_stability
+import cut_strip
+import numpy as np
+import result_files
+
+import palpate as pt
+
+FINE = "generated liver, fine"
+BOTH = ("box", "generated liver")  # bodies that meet every random cut at both Poisson's ratios
+AXIS, OBLIQUE = (0.0, 0.0, 1.0), cut_cracks.OBLIQUE
+
+
+def patch() -> list[dict[str, Any]]:
+    return [
+        cut_cracks.patch(place, jitter) for jitter in (0.0, cut_cracks.JITTER) for place in cut_cracks.PLANES
+    ]  # fmt: skip
+
+
+def halves() -> list[dict[str, Any]]:
+    return [cut_cracks.halves(jitter) for jitter in (0.0, cut_cracks.JITTER)]
+
+
+def penny() -> list[dict[str, Any]]:
+    rows = []
+    for radius, half_width in ((5, 2.0), (10, 1.4)):
+        for normal, jitter in ((AXIS, 0.0), (OBLIQUE, 0.0), (OBLIQUE, cut_cracks.JITTER)):
+            rows += cut_cracks.penny(radius, [0.3, 0.45, 0.49], normal, jitter, half_width)
+    return rows
+
+
+def strip() -> list[dict[str, Any]]:
+    rows = []
+    for law in cut_strip.LAWS:
+        for stretch in (0.25, 0.5, 0.8):
+            for jitter in (0.0, cut_cracks.JITTER):
+                moving = law == "neo-Hookean" and stretch < 0.5
+                try:
+                    rows.append(cut_strip.strip(law, stretch, jitter, moving))
+                except pt.DivergenceError as error:
+                    rows.append({"law": law, "stretch": stretch, "jitter": jitter, "why": " ".join(str(error).split())})
+                    print(f"strip of {law}, stretch {stretch}, jitter {jitter}: {rows[-1]['why']}", flush=True)
+    return rows
+
+
+def stability(bodies: list[str], count: int) -> list[dict[str, Any]]:
+    """Run random cuts; seeds alternate between Poisson's ratios where a body does not meet every cut at both."""
+    rows = result_files.read("cuts", {}).get("stability", [])
+    for name in bodies:
+        rows = [row for row in rows if row["body"] != name]
+        for seed in range(count):
+            ratios = (0.45, 0.49) if name in BOTH else ((0.45, 0.49)[seed // len(cut_stability.KINDS) % 2],)
+            rows += [cut_stability.run(name, poisson, seed) for poisson in ratios]
+    return rows
+
+
+def main() -> None:
+    """Run the parts asked for, and keep their results."""
+    parts = {"patch": patch, "halves": halves, "penny": penny, "strip": strip}
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--parts", nargs="+", choices=[*parts, "stability"], default=[*parts, "stability"])
+    parser.add_argument("--bodies", nargs="+", choices=list(cut_stability.BODIES))
+    parser.add_argument("--count", type=int, default=50, help="random cuts of a body")
+    options = parser.parse_args()
+    for name in options.parts:
+        if name == "stability":
+            bodies = options.bodies or [body for body in cut_stability.BODIES if body != FINE]
+            found = stability(bodies, options.count)
+        else:
+            found = parts[name]()
+        result_files.write("cuts", result_files.read("cuts", {}) | {name: plain(found)})
+
+
+def plain(value: Any) -> Any:
+    """Return results with numbers of Python in place of those of NumPy."""
+    if isinstance(value, dict):
+        return {key: plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(each) for each in value]
+    return value.item() if isinstance(value, np.generic) else value
+
+
+if __name__ == "__main__":
+    main()
