@@ -43,7 +43,7 @@ def cloud_of(name: str) -> pt.Cloud:
 def stretched(name: str, poisson: float) -> tuple[pt.Solid, list, Floats]:
     """Return an uncut body, its loads, and displacements."""
     cloud = cloud_of(name)
-    material = pt.materials.NeoHookean(C1=500.0, poisson=poisson, density=1000.0)
+    material = pt.materials.MooneyRivlin(C1=1000.0, C2=0.0, poisson=poisson, density=1000.0)
     if name == "box":
         body, loads = pt.Solid(cloud, material, "x-"), [pt.PrescribedMotion("x+", (0.15 * BOX[0], 0.0, 0.0))]
         return body, loads, pt.equilibrium(body, loads).displacements

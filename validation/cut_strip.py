@@ -18,16 +18,16 @@ from palpate.meshfree.cut_surface import swept
 SPACING = 2.5e-3
 SIZE = np.array([90e-3, 22.5e-3, 10e-3])
 PLANE = 0.5 * SIZE[1] + 0.15 * SPACING  # between nodes
-FIRST_END, LAST_END = 37.5e-3, 45e-3
+FIRST_END, WAY = 37.5e-3, 3.0  # [m], and spacings by which the front moves
 SHORTEST_STEP = 0.25  # of the front, in spacings
 STEPS = (0.25, 0.5, 1.0, 2.0)
 AHEAD = (20e-3, 70e-3)  # where the uncut strip is far from its ends
 POISSON, SHEAR_MODULUS = 0.45, 1e3
 COMMON = {"poisson": POISSON, "density": 1000.0}
 LAWS = {
-    "neo-Hookean": pt.materials.MooneyRivlin(C1=0.5 * SHEAR_MODULUS, C2=0.0, **COMMON),
+    "neo-Hookean": pt.materials.MooneyRivlin(C1=SHEAR_MODULUS, C2=0.0, **COMMON),
     "Gent": pt.materials.Gent(mu=SHEAR_MODULUS, Jm=8.0, **COMMON),
-    "Ogden": pt.materials.Ogden(C=SHEAR_MODULUS, alpha=4.0, **COMMON),
+    "Ogden": pt.materials.Ogden(C=SHEAR_MODULUS / 8, alpha=4.0, **COMMON),
 }
 
 
@@ -50,7 +50,7 @@ def energy_per_area(body: pt.Solid, u: Floats) -> float:
     return float(np.bincount(column, energies)[first : last + 1].mean() / (SPACING * SIZE[2]))
 
 
-def strip(law: str, stretch: float, jitter: float, moving: bool) -> dict:
+def strip(law: str, stretch: float, jitter: float, moving: bool, way: float = WAY) -> dict:
     """Energy release of fronts between two ends, and what a step of the front does at fixed displacements."""
     begin = time.perf_counter()
     cloud = pt.box(SIZE, SPACING, jitter=jitter, seed=4)
@@ -58,7 +58,7 @@ def strip(law: str, stretch: float, jitter: float, moving: bool) -> dict:
     loads = [pt.PrescribedMotion("y+", (0.0, stretch * SIZE[1], 0.0))]
     u = pt.equilibrium(uncut, loads).displacements
     expected = energy_per_area(uncut, u)
-    ends = np.arange(FIRST_END, LAST_END + 1e-9, SHORTEST_STEP * SPACING)
+    ends = FIRST_END + SPACING * np.arange(0.0, way + 1e-9, SHORTEST_STEP)
     bodies, states = [opened(uncut, ends[0])], []
     for end in ends[1:]:
         bodies.append(opened(bodies[-1], end, end - SHORTEST_STEP * SPACING))
@@ -69,7 +69,7 @@ def strip(law: str, stretch: float, jitter: float, moving: bool) -> dict:
     line = np.polyfit(ends, energies, 1)
     unit = expected * SIZE[2]
     changes = {}
-    for step in STEPS:
+    for step in (each for each in STEPS if each <= way):
         k = round(step / SHORTEST_STEP)
         change = [
             (after.strain_energy(state.displacements) - state.strain_energy) / (unit * step * SPACING)
@@ -94,7 +94,11 @@ def strip(law: str, stretch: float, jitter: float, moving: bool) -> dict:
         ) + f", frequency {row['frequency']:.2f}, released {row['released']}, {row['seconds']:.0f} s", flush=True,
     )  # fmt: skip
     for each in row.get("moving", []):
-        print("  moving", each, flush=True)
+        print(
+            f"  front at {each['speed']} m/s in steps of {each['step']} h: lost {each['lost']:.2f} G dA, at fixed "
+            f"displacements {each['at_once']:.2f}, damped {each['damped']:.2f}, kinetic {each['kinetic']:.2f}",
+            flush=True,
+        )  # fmt: skip
     return row
 
 
@@ -111,7 +115,7 @@ def equilibrium(body: pt.Solid, loads: list, starts: list[Floats]) -> pt.Equilib
 def move(body: pt.Solid, state: pt.Equilibrium, loads: list, unit: float, speed: float, step: float) -> dict:
     """Shares of G dA of a front that moves by three spacings: released at fixed displacements, damped, kinetic."""
     u, v, at_once = state.displacements, np.zeros_like(state.displacements), 0.0
-    end, last = FIRST_END, FIRST_END + 3 * SPACING
+    end, last = FIRST_END, FIRST_END + WAY * SPACING
     while end < last - 1e-9:
         cut = opened(body, end + step * SPACING, end)
         at_once += body.strain_energy(u) - cut.strain_energy(u)
