@@ -48,6 +48,8 @@ LEAST_PIVOT = 1e-10  # of a moment matrix, relative to its diagonal
 MAX_ITERATIONS, RESIDUAL_TOLERANCE = 400, 1e-11  # of the iterations for the changes; relative to V / h
 WINDOW_ITERATIONS, SLOWEST_DECREASE = 40, 0.5  # iterations after which the residual must have decreased by a factor
 LEAST_PROGRESS, LEAST_SCALE = 1e-13, 1e-3
+MAX_CHANGE = 1.5  # size q of a change above which the sums of its nodes need not be kept; 1 where they can be kept
+SOFTNESS = (0.01, 0.1, 1.0)  # of the multipliers of such sums, relative to their diagonal, in attempts
 QUADRATIC_FIT, LINEAR_FIT, RELEASED_FIT = 0, 1, 2  # kinds of a fit
 
 
@@ -497,8 +499,8 @@ def _apply(rows, field, image, block):  # type: ignore[no-untyped-def]
 
 
 @cached_njit(nogil=True)
-def _apply_scaled(rows, normals, scale, field, image, block):  # type: ignore[no-untyped-def]
-    """Write the changes of the scaled sums across the normals that scaled multipliers cause."""
+def _apply_scaled(rows, normals, scale, softness, field, image, block):  # type: ignore[no-untyped-def]
+    """Write the changes of the scaled sums across the normals that scaled multipliers cause, and soft multipliers."""
     for k in range(field.shape[0]):
         for c in range(3):
             field[k, c] *= scale[k]
@@ -507,7 +509,7 @@ def _apply_scaled(rows, normals, scale, field, image, block):  # type: ignore[no
     for k in range(field.shape[0]):
         for c in range(3):
             field[k, c] /= scale[k]
-            image[k, c] *= scale[k]
+            image[k, c] = scale[k] * image[k, c] + softness[k] * field[k, c]
 
 
 @cached_njit(nogil=True)
@@ -549,37 +551,22 @@ def _balance(points, nodes, start, near, freedom, volumes, center, other, normal
     for k in range(count):
         scale[k] = 1.0 / np.sqrt(max(scale[k], LEAST_SCALE))
     _across(normals, right)
-    residual, image = np.zeros((count, 3)), np.zeros((count, 3))
-    for k in range(count):
-        for c in range(3):
-            residual[k, c] = scale[k] * right[k, c]
-    _apply_scaled(rows, normals, scale, residual, image, block)
-    solution, direction, moved = np.zeros((count, 3)), residual.copy(), image.copy()
-    product, first_product, best = (residual * image).sum(), (residual * image).sum(), np.inf
-    for iteration in range(MAX_ITERATIONS):
-        largest = 0.0
-        for k in range(count):
-            for c in range(3):
-                largest = max(largest, abs(residual[k, c]) / scale[k])
-        if largest < RESIDUAL_TOLERANCE or not product > LEAST_PROGRESS**2 * first_product:
+    solution, image, softness = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
+    for attempt in range(len(SOFTNESS) + 1):
+        _solve_softened(rows, normals, scale, softness, right, solution, image, block)
+        if attempt == len(SOFTNESS):
             break
-        if iteration % WINDOW_ITERATIONS == 0:
-            if largest > SLOWEST_DECREASE * best:
-                break
-            best = largest
-        square = (moved * moved).sum()
-        step = product / square
-        for k in range(count):
-            for c in range(3):
-                solution[k, c] += step * direction[k, c] * scale[k]
-                residual[k, c] -= step * moved[k, c]
-        _apply_scaled(rows, normals, scale, residual, image, block)
-        product_before = product
-        product = (residual * image).sum()
-        for k in range(count):
-            for c in range(3):
-                direction[k, c] = residual[k, c] + product / product_before * direction[k, c]
-                moved[k, c] = image[k, c] + product / product_before * moved[k, c]
+        soft = False
+        for m in range(nodes.shape[0]):
+            _change(m, start, freedom, sizes[m], center, other, offset, inverse, solution, block)
+            if _square_change(m, start, freedom, block) > MAX_CHANGE:
+                soft = True
+                softness[center[m]] = SOFTNESS[attempt]
+                for p in range(start[m], start[m + 1]):
+                    if freedom[p] > 0.0:
+                        softness[other[p]] = SOFTNESS[attempt]
+        if not soft:
+            break
     image[:] = 0.0
     for m in range(nodes.shape[0]):
         _change(m, start, freedom, sizes[m], center, other, offset, inverse, solution, block)
@@ -593,6 +580,57 @@ def _balance(points, nodes, start, near, freedom, volumes, center, other, normal
                     image[center[m], c] -= sizes[m] * value
     _across(normals, image)
     return np.abs(right - image).max()
+
+
+@cached_njit(nogil=True)
+def _solve_softened(rows, normals, scale, softness, right, solution, image, block):  # type: ignore[no-untyped-def]
+    """Write the multipliers for which the sums change by `right`; those of nodes with a softness change less."""
+    count = right.shape[0]
+    residual = np.zeros((count, 3))
+    for k in range(count):
+        for c in range(3):
+            residual[k, c] = scale[k] * right[k, c]
+    _apply_scaled(rows, normals, scale, softness, residual, image, block)
+    solution[:] = 0.0
+    direction, moved = residual.copy(), image.copy()
+    product, first_product, best = (residual * image).sum(), (residual * image).sum(), np.inf
+    for iteration in range(MAX_ITERATIONS):
+        largest = 0.0
+        for k in range(count):
+            for c in range(3):
+                largest = max(largest, abs(residual[k, c]) / scale[k])
+        if largest < RESIDUAL_TOLERANCE or not product > LEAST_PROGRESS**2 * first_product:
+            break
+        if iteration % WINDOW_ITERATIONS == 0:
+            if largest > SLOWEST_DECREASE * best:
+                break
+            best = largest
+        step = product / (moved * moved).sum()
+        for k in range(count):
+            for c in range(3):
+                solution[k, c] += step * direction[k, c] * scale[k]
+                residual[k, c] -= step * moved[k, c]
+        _apply_scaled(rows, normals, scale, softness, residual, image, block)
+        product_before = product
+        product = (residual * image).sum()
+        for k in range(count):
+            for c in range(3):
+                direction[k, c] = residual[k, c] + product / product_before * direction[k, c]
+                moved[k, c] = image[k, c] + product / product_before * moved[k, c]
+
+
+@cached_njit(nogil=True)
+def _square_change(m, start, freedom, block):  # type: ignore[no-untyped-def]
+    """Return the size q of the changes (k, 3) of row m."""
+    square = 0.0
+    for c in range(3):
+        total = 0.0
+        for p in range(start[m], start[m + 1]):
+            if freedom[p] > 0.0:
+                square += block[p - start[m], c] ** 2
+                total += block[p - start[m], c]
+        square += total**2
+    return square
 
 
 @cached_njit(nogil=True)
