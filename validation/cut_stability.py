@@ -22,12 +22,13 @@ BODIES = {  # name of the surface in `organs`, nodes, and duration of a run [s]
     "box": ("", 2600, 0.1),
     "generated liver": ("generated", 3000, 0.2),
     "HRA liver": ("HRA female 6k", 5000, 0.2),
-    "SOFA liver": ("SOFA smooth", 10000, 0.2),
+    "SOFA liver": ("SOFA smooth", 10000, 0.1),
     "generated liver, fine": ("generated", 30000, 0.2),
 }
 BOX, BOX_SPACING, BOX_JITTER = np.array([40e-3, 40e-3, 20e-3]), 2.5e-3, 0.25
 BETWEEN = 0.1  # share of a run between two cuts
 FRAMES = 20
+STEP, SPEED = 0.25, 0.2  # of a blade that advances, in spacings, and [m/s]
 
 
 @cache
@@ -51,24 +52,33 @@ def stretched(name: str, poisson: float) -> tuple[pt.Solid, list, Floats]:
 
 
 def blade_path(
-    points: Floats, spacing: float, center: Floats, normal: Floats, end: float, bend: float, turn: float
-) -> Floats:
-    """Triangles of a cut through a place, `end` [m] beyond it, with a curvature [1/m]; only those near the body."""
+    points: Floats,
+    spacing: float,
+    center: Floats,
+    normal: Floats,
+    end: float,
+    bend: float,
+    turn: float,
+    step: float = 2.0,
+) -> list[Floats]:
+    """Triangles of the steps of a cut through a place, `end` [m] beyond it, bent by so much [1/m], near the body."""
     normal = normal / np.linalg.norm(normal)
     first = np.linalg.svd(normal[None])[2][1]
     along = np.cos(turn) * first + np.sin(turn) * np.cross(normal, first)
     reach = float(np.linalg.norm(np.ptp(points, axis=0))) + 6 * spacing
-    x = np.arange(-reach, min(end, reach) - 1e-3 * spacing, 2 * spacing)
+    x = np.arange(-reach, min(end, reach) - 1e-3 * spacing, step * spacing)
     x = np.append(x, min(end, reach))[:, None]
     across = np.arange(-reach, reach + spacing, 2 * spacing)[:, None] * np.cross(normal, along)
     line = center + x * along + bend * x**2 * normal
-    triangles = swept(line[:, None] + across[None])
+    edges = line[:, None] + across[None]
     low, high = points.min(axis=0) - 5 * spacing, points.max(axis=0) + 5 * spacing
-    return triangles[np.any(np.all((triangles > low) & (triangles < high), axis=2), axis=1)]
+    steps = [swept(edges[k : k + 2]) for k in range(len(edges) - 1)]
+    near = [each[np.any(np.all((each > low) & (each < high), axis=2), axis=1)] for each in steps]
+    return [each for each in near if len(each)]
 
 
-def random_cuts(name: str, seed: int) -> tuple[str, list[Floats]]:
-    """Return the kind of a random cut, and the triangles of one or two."""
+def random_paths(name: str, seed: int) -> tuple[str, list[dict]]:
+    """Return the kind of a random cut, and the paths of one or two blades."""
     cloud, random, kind = cloud_of(name), np.random.default_rng(seed), KINDS[seed % len(KINDS)]
     points, h = cloud.points, cloud.spacing
     low, size = points.min(axis=0), np.ptp(points, axis=0)
@@ -84,17 +94,17 @@ def random_cuts(name: str, seed: int) -> tuple[str, list[Floats]]:
         draw["normal"] = np.eye(3)[axis] + 0.03 * random.normal(size=3)
         draw["center"] = middle.copy()
         draw["center"][axis] = low[axis] + h * random.uniform(0.2, 1.3)
-    cuts = [blade_path(points, h, **draw)]
+    paths = [draw]
     if kind == "crossing":
         other = {"normal": random.normal(size=3), "turn": random.uniform(0, 2 * np.pi)}
-        cuts.append(blade_path(points, h, **{**draw, **other}))
+        paths.append({**draw, **other})
     if kind in ("again", "adjacent"):  # farther, and in another plane that is close by
         normal = draw["normal"] / np.linalg.norm(draw["normal"])
         aside = h * random.uniform(0.05, 1.0) * (kind == "adjacent")
         tilt = 0.02 * random.normal(size=3) * (kind == "adjacent")
         farther = {"center": draw["center"] + aside * normal, "normal": normal + tilt, "end": draw["end"] + 1.5 * h}
-        cuts.append(blade_path(points, h, **{**draw, **farther}))
-    return kind, cuts
+        paths.append({**draw, **farther})
+    return kind, paths
 
 
 def run(name: str, poisson: float, seed: int) -> dict:
@@ -102,7 +112,8 @@ def run(name: str, poisson: float, seed: int) -> dict:
     begin = time.perf_counter()
     body, loads, u = stretched(name, poisson)
     uncut, v, worst, seconds = body, np.zeros_like(u), -np.inf, 0.0
-    kind, cuts = random_cuts(name, seed)
+    kind, paths = random_paths(name, seed)
+    cuts = [np.concatenate(blade_path(body.cloud.points, body.cloud.spacing, **path)) for path in paths]
     row = {
         "body": name, "nodes": len(body.cloud), "poisson": poisson, "seed": seed, "kind": kind, "stable": False,
     }  # fmt: skip
@@ -142,5 +153,39 @@ def run(name: str, poisson: float, seed: int) -> dict:
         f"{' '.join(f'{each:+.3f}' for each in changes)}, residuals {row['residuals'][0]:.0e} "
         f"{row['residuals'][1]:.0e}, momentum {row['momentum']}, {row['cut_seconds']:.1f} of {row['seconds']:.0f} s",
         flush=True,
+    )  # fmt: skip
+    return row
+
+
+def advance(name: str, poisson: float, seed: int) -> dict:
+    """Move the second blade of a random cut in steps of `STEP` through the body with its first cut, at rest.
+
+    Returns the energy that the steps made and released at fixed displacements, over that of the body at rest.
+    """
+    begin = time.perf_counter()
+    body, loads, u = stretched(name, poisson)
+    points, spacing = body.cloud.points, body.cloud.spacing
+    kind, (first, second) = random_paths(name, seed)
+    body = pt.cut(body, np.concatenate(blade_path(points, spacing, **first)))
+    start = pt.equilibrium(body, loads, displacement=u)
+    u, v, changes = start.displacements, np.zeros_like(u), []
+    steps = blade_path(points, spacing, **second, step=STEP)
+    for triangles in steps:
+        cut = pt.cut(body, triangles)
+        changes.append((cut.strain_energy(u) - body.strain_energy(u)) / start.strain_energy)
+        duration, body = STEP * spacing / SPEED, cut
+        run = pt.rollout(
+            body, loads, duration=duration, every=duration, displacement=u, velocity=v, progress=False
+        )  # fmt: skip
+        u, v = run.displacements[-1], run.velocities[-1]
+    row = {
+        "body": name, "poisson": poisson, "seed": seed, "kind": kind, "steps": len(steps),
+        "made": sum(each for each in changes if each > 0), "freed": -sum(each for each in changes if each < 0),
+        "largest": max(changes), "end": float(run.kinetic[-1] + run.strain[-1]) / start.strain_energy,
+        "seconds": time.perf_counter() - begin,
+    }  # fmt: skip
+    print(
+        f"{name} nu {poisson} seed {seed} {kind}: {len(steps)} steps made {row['made']:.4f}, freed {row['freed']:.4f}, "
+        f"end {row['end']:.3f}, {row['seconds']:.0f} s", flush=True,
     )  # fmt: skip
     return row
