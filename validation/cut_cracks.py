@@ -93,9 +93,9 @@ def jump(points: Floats, u: Floats, place: Floats, normal: Floats) -> float:
     normal, first, second = frame(normal)
     offset = (points - place) / SPACING
     x, y, z = offset @ first, offset @ second, offset @ normal
-    values = []
-    for side in (1, -1):
-        near = (np.hypot(x, y) < 2.3) & (side * z > 0) & (side * z < 3.2)
+    values, above = [], z > -1e-6  # a node on the plane is on the side of the normal
+    for side in (above, ~above):
+        near = side & (np.hypot(x, y) < 2.3) & (np.abs(z) < 3.2)
         a, b, c = x[near], y[near], z[near]
         terms = np.column_stack([np.ones(len(a)), a, b, c, a * a, b * b, c * c, a * b, a * c, b * c])
         values.append(np.linalg.lstsq(terms, u[near] @ normal, rcond=None)[0][0])
