@@ -66,3 +66,11 @@ def test_strips_of_other_laws_release_their_energy_at_large_strain(law):
 @pytest.mark.parametrize("seed", range(14, 28))
 def test_random_cuts_of_nearly_incompressible_tissue_make_no_energy(seed):
     check(cut_stability.run("box", 0.49, seed))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [2, 48])  # across an open cut, and 0.4 spacings from it
+def test_a_blade_that_meets_an_open_cut_makes_little_energy(seed):
+    row = cut_stability.advance("box", 0.45, seed)
+    assert row["made"] <= 0.05
+    assert row["end"] <= 1.0

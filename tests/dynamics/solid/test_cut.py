@@ -129,6 +129,17 @@ def test_a_sliver_of_one_layer_is_released(block):
     assert body.strain_energy(moved) == body.strain_energy(u)
 
 
+def test_weights_between_two_close_cuts_stay_bounded(block):
+    """A slice of 0.75 spacings cannot keep the sums of uniform stress."""
+    first = pt.cut(block, rectangle(0.5 * SIZE + (0, 0, 0.2e-3), (0.3, 0.2, 1.0), 2e-3))
+    body = pt.cut(first, rectangle(0.5 * SIZE + (0, 0, 0.95e-3), (0.3, 0.2, 1.0), 3e-3))
+    stencils, uncut = body.stencils, body._cut.uncut
+    weights = SPACING * stencils.first[stencils.row]
+    size = np.sum(weights**2, axis=(1, 2)) + np.sum(weights.sum(axis=1) ** 2, axis=1)
+    assert np.all(size <= uncut.limit * (1 + 1e-9))
+    assert body.stability.step >= block.stability.step / 1.5
+
+
 def test_a_cut_body_has_a_stable_step_like_the_uncut_one(halved, block):
     assert halved[0].stability.step >= block.stability.step / 1.5
 
