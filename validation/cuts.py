@@ -62,15 +62,21 @@ def blade() -> list[dict[str, Any]]:
     return [cut_stability.advance("box", poisson, seed) for poisson in (0.45, 0.49) for seed in seeds[:6]]
 
 
-def stability(bodies: list[str], count: int) -> list[dict[str, Any]]:
-    """Run random cuts; seeds alternate between Poisson's ratios where a body does not meet every cut at both."""
-    rows = result_files.read("cuts", {}).get("stability", [])
-    for name in bodies:
-        rows = [row for row in rows if row["body"] != name]
-        for seed in range(count):
-            ratios = (0.45, 0.49) if name in BOTH else ((0.45, 0.49)[seed // len(cut_stability.KINDS) % 2],)
-            rows += [cut_stability.run(name, poisson, seed) for poisson in ratios]
+def stability(name: str, count: int) -> list[dict[str, Any]]:
+    """Cut a body at random; seeds alternate between Poisson's ratios where it does not meet every cut at both."""
+    rows = []
+    for seed in range(count):
+        ratios = (0.45, 0.49) if name in BOTH else ((0.45, 0.49)[seed // len(cut_stability.KINDS) % 2],)
+        rows += [cut_stability.run(name, poisson, seed) for poisson in ratios]
     return rows
+
+
+def keep(part: str, found: list[dict[str, Any]]) -> None:
+    """Write the results of a part; those of random cuts in place of the ones of the same body."""
+    results = result_files.read("cuts", {})
+    if part == "stability":
+        found = [row for row in results.get(part, []) if row["body"] != found[0]["body"]] + found
+    result_files.write("cuts", results | {part: plain(found)})
 
 
 def main() -> None:
@@ -83,11 +89,10 @@ def main() -> None:
     options = parser.parse_args()
     for name in options.parts:
         if name == "stability":
-            bodies = options.bodies or [body for body in cut_stability.BODIES if body != FINE]
-            found = stability(bodies, options.count)
+            for body in options.bodies or [each for each in cut_stability.BODIES if each != FINE]:
+                keep(name, stability(body, options.count))
         else:
-            found = parts[name]()
-        result_files.write("cuts", result_files.read("cuts", {}) | {name: plain(found)})
+            keep(name, parts[name]())
 
 
 def plain(value: Any) -> Any:
