@@ -17,42 +17,36 @@ import cut_strip
 import numpy as np
 import result_files
 
-import palpate as pt
-
 FINE = "generated liver, fine"
 BOTH = ("box", "generated liver")  # bodies that meet every random cut at both Poisson's ratios
-AXIS, OBLIQUE = (0.0, 0.0, 1.0), cut_cracks.OBLIQUE
+AXIS, OBLIQUE, JITTER = (0.0, 0.0, 1.0), cut_cracks.OBLIQUE, cut_cracks.JITTER
 
 
 def patch() -> list[dict[str, Any]]:
     return [
-        cut_cracks.patch(place, jitter) for jitter in (0.0, cut_cracks.JITTER) for place in cut_cracks.PLANES
+        cut_cracks.patch(place, jitter) for jitter in (0.0, JITTER) for place in cut_cracks.PLANES
     ]  # fmt: skip
 
 
 def halves() -> list[dict[str, Any]]:
-    return [cut_cracks.halves(jitter) for jitter in (0.0, cut_cracks.JITTER)]
+    return [cut_cracks.halves(jitter) for jitter in (0.0, JITTER)]
 
 
 def penny() -> list[dict[str, Any]]:
     rows = []
     for radius, half_width in ((5, 2.0), (10, 1.4)):
-        for normal, jitter in ((AXIS, 0.0), (OBLIQUE, 0.0), (OBLIQUE, cut_cracks.JITTER)):
+        for normal, jitter in ((AXIS, 0.0), (OBLIQUE, 0.0), (OBLIQUE, JITTER)):
             rows += cut_cracks.penny(radius, [0.3, 0.45, 0.49], normal, jitter, half_width)
     return rows
 
 
 def strip() -> list[dict[str, Any]]:
+    """Run strips; at a stretch of 1.8 the statics of an irregular cloud do not converge."""
     rows = []
     for law in cut_strip.LAWS:
-        for stretch in (0.25, 0.8):
-            for jitter in (0.0, cut_cracks.JITTER):
-                moving = law == "neo-Hookean" and stretch < 0.5
-                try:
-                    rows.append(cut_strip.strip(law, stretch, jitter, moving))
-                except pt.DivergenceError as error:
-                    rows.append({"law": law, "stretch": stretch, "jitter": jitter, "why": " ".join(str(error).split())})
-                    print(f"strip of {law}, stretch {stretch}, jitter {jitter}: {rows[-1]['why']}", flush=True)
+        for stretch, jitter in ((0.25, 0.0), (0.25, JITTER), (0.5, JITTER), (0.8, 0.0)):
+            moving = law == "neo-Hookean" and stretch < 0.5
+            rows.append(cut_strip.strip(law, stretch, jitter, moving))
     return rows
 
 
