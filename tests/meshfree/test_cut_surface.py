@@ -26,8 +26,8 @@ def paths(surface, pairs):
     count = len(points) // 2
     result = np.empty(count)
     start, near = np.arange(count + 1), np.arange(1, 2 * count, 2)
-    nodes, fronts = np.arange(0, 2 * count, 2), (surface.fronts, surface.front_sheets)
-    bond_paths(points, nodes, start, near, surface.extended, surface.sheets, *fronts, SPACING, 0.34, result)
+    nodes, fronts = np.arange(0, 2 * count, 2), (surface.fronts, surface.front_components)
+    bond_paths(points, nodes, start, near, surface.extended, surface.components, *fronts, SPACING, 0.34, result)
     return result
 
 

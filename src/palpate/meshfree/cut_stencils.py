@@ -213,8 +213,8 @@ def _bonds(uncut: UncutStencils, surface: CutSurface, nodes: Ints) -> tuple[Ints
     near = near[near != np.repeat(nodes, count)]
     start, paths = np.concatenate([[0], np.cumsum(count - 1)]).astype(np.int64), np.empty(len(near))
     bond_paths(
-        uncut.points, nodes, start, near, surface.extended, surface.sheets, surface.fronts, surface.front_sheets,
-        uncut.spacing, float(widest.max(initial=0.0)), paths,
+        uncut.points, nodes, start, near, surface.extended, surface.components, surface.fronts,
+        surface.front_components, uncut.spacing, float(widest.max(initial=0.0)), paths,
     )  # fmt: skip
     return nodes, start, near, paths
 

@@ -8,8 +8,8 @@ A bond that crosses no triangle does not change. The distance of one that does i
 so the weight of the neighbour follows from p (diffraction: Organ, Fleming, Terry and Belytschko, Computational
 Mechanics 18, 1996). Without a front near, the bond is severed. A front is an edge of one triangle only, inside the body
 and not on other triangles. It is declared `FRONT_LEAD` spacings ahead of the edge, for which the energy release has the
-least error. A way round a front must not cross another sheet, which is triangles that hang together: else the front of
-a cut would connect the faces of an open one next to it.
+least error. A way round a front must not cross another component, a set of triangles that share corners: else the front
+of a cut would connect the faces of an open one next to it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ MERGE_DISTANCE = 1e-6  # of equal corners, in spacings
 ON_PLANE = 1e-6  # distance from a triangle below which a node is on the side of its normal, in spacings
 MIN_WIDTH = 1e-3  # least height of a triangle, in spacings
 MAX_WAY = 1.6 * 2.3  # longest way round a front, in spacings
-SAME_SHEET = 0.3  # distance of a front from the plane of its sheet's triangles around it, in spacings
+SAME_COMPONENT = 0.3  # distance of a front from the plane of its component's triangles around it, in spacings
 COVER_REACH, COVER_DISTANCE = 0.02, 0.01  # way ahead of a front, and how near other triangles must be, in spacings
 MIN_MITRE = 0.5  # least 1 + cosine of the normals of two edges for the mitre at their corner
 
@@ -52,8 +52,8 @@ class CutSurface(Described):
         The same triangles with their fronts ahead.
     fronts : (e, 2, 3) array [m]
         Pieces of the fronts of `extended`.
-    sheets, front_sheets : (t,), (e,) int arrays
-        Number of the sheet of every triangle and front. Triangles of a sheet hang together.
+    components, front_components : (t,), (e,) int arrays
+        Number of the component of every triangle and front.
     inside : dict
         For the pieces of edges that were examined, whether they are inside the body.
 
@@ -72,8 +72,8 @@ class CutSurface(Described):
     triangles: Floats
     extended: Floats
     fronts: Floats
-    sheets: Ints = field(repr=False)
-    front_sheets: Ints = field(repr=False)
+    components: Ints = field(repr=False)
+    front_components: Ints = field(repr=False)
     inside: Mapping[bytes, bool] = field(default_factory=dict, repr=False, compare=False)
 
     def _facts(self) -> list[Fact]:
@@ -135,11 +135,12 @@ def cut_surface(before: CutSurface, triangles: Floats, corners: Floats, spacing:
     lead = _leads(edges[on_front], normals[on_front], len(vertices)) * FRONT_LEAD * spacing
     moved = vertices + lead
     pieces, owner = _pieces(moved[edges], spacing, vertices[edges])
-    pieces, owner, extended, sheets = pieces[inside], owner[inside], moved[number], _sheets(number, len(vertices))
+    pieces, owner, extended = pieces[inside], owner[inside], moved[number]
     ahead = pieces.mean(axis=1) + COVER_REACH * spacing * normals[owner]
     free = np.ones(len(pieces), dtype=np.bool_)
     _uncovered(ahead, extended, COVER_DISTANCE * spacing, free)
-    return CutSurface(union, extended, np.ascontiguousarray(pieces[free]), sheets, sheets[owners[owner[free]]], known)
+    components, pieces = _components(number, len(vertices)), np.ascontiguousarray(pieces[free])
+    return CutSurface(union, extended, pieces, components, components[owners[owner[free]]], known)
 
 
 def _merged(triangles: Floats, spacing: float) -> tuple[Any, Floats]:
@@ -150,8 +151,8 @@ def _merged(triangles: Floats, spacing: float) -> tuple[Any, Floats]:
     return number.reshape(-1, 3), flat[first]
 
 
-def _sheets(number: Any, count: int) -> Ints:
-    """Return the sheets (t,) of triangles; those with a common vertex are of one sheet."""
+def _components(number: Any, count: int) -> Ints:
+    """Return the components (t,) of triangles; those with a common vertex are of one component."""
     rows, columns = number[:, [0, 1]].ravel(), number[:, [1, 2]].ravel()
     joined = coo_array((np.ones(len(rows)), (rows, columns)), shape=(count, count))
     _, label = connected_components(joined, directed=False)
@@ -398,12 +399,12 @@ def _way_round(ax, ay, az, dx, dy, dz, front):  # type: ignore[no-untyped-def]
 
 
 @cached_njit(nogil=True)
-def _is_blocked(ax, ay, az, px, py, pz, planes, spheres, sheets, close, sheet, tiny, spacing):  # type: ignore[no-untyped-def]
-    """Return whether the line from A to a place on a front crosses another sheet, or another part of its own."""
+def _is_blocked(ax, ay, az, px, py, pz, planes, spheres, components, close, component, tiny, spacing):  # type: ignore[no-untyped-def]
+    """Return whether the line from A to a place on a front crosses another component, or another part of its own."""
     for k in range(close.shape[0]):
         q = close[k]
         above, below = _value(planes[q, 0], ax, ay, az), _value(planes[q, 0], px, py, pz)
-        if sheets[q] == sheet and abs(below) < SAME_SHEET * spacing:
+        if components[q] == component and abs(below) < SAME_COMPONENT * spacing:
             continue
         above, below = tiny if abs(above) < tiny else above, tiny if abs(below) < tiny else below
         if (above > 0.0) == (below > 0.0):
@@ -417,18 +418,18 @@ def _is_blocked(ax, ay, az, px, py, pz, planes, spheres, sheets, close, sheet, t
 
 
 @cached_njit(nogil=True)
-def _shortest_free(ax, ay, az, bx, by, bz, ways, edges, front_sheets, most, surface, tiny, spacing):  # type: ignore[no-untyped-def]
+def _shortest_free(ax, ay, az, bx, by, bz, ways, edges, front_components, most, surface, tiny, spacing):  # type: ignore[no-untyped-def]
     """Return the length of the shortest way (length and place) from A to B that crosses nothing, or infinity."""
-    planes, spheres, sheets, close = surface
+    planes, spheres, components, close = surface
     while ways.shape[0] > 0:
         q = np.argmin(ways[:, 0])
         length, px, py, pz = ways[q]
         if not length <= most:
             break
-        sheet = front_sheets[edges[q]]
+        component = front_components[edges[q]]
         if not (
-            _is_blocked(ax, ay, az, px, py, pz, planes, spheres, sheets, close, sheet, tiny, spacing)
-            or _is_blocked(bx, by, bz, px, py, pz, planes, spheres, sheets, close, sheet, tiny, spacing)
+            _is_blocked(ax, ay, az, px, py, pz, planes, spheres, components, close, component, tiny, spacing)
+            or _is_blocked(bx, by, bz, px, py, pz, planes, spheres, components, close, component, tiny, spacing)
         ):
             return length
         ways[q, 0] = np.inf
@@ -436,7 +437,7 @@ def _shortest_free(ax, ay, az, bx, by, bz, ways, edges, front_sheets, most, surf
 
 
 @cached_njit(nogil=True)
-def bond_paths(points, nodes, start, near, triangles, sheets, fronts, front_sheets, spacing, reach, paths):  # type: ignore[no-untyped-def]
+def bond_paths(points, nodes, start, near, triangles, components, fronts, front_components, spacing, reach, paths):  # type: ignore[no-untyped-def]
     """Write the lengths of bonds round the fronts of a cut; infinite for severed ones.
 
     Parameters
@@ -448,9 +449,9 @@ def bond_paths(points, nodes, start, near, triangles, sheets, fronts, front_shee
     near : (t,) int array
         Neighbours.
     triangles : (s, 3, 3) array [m]
-    sheets : (s,) int array
+    components : (s,) int array
     fronts : (e, 2, 3) array [m]
-    front_sheets : (e,) int array
+    front_components : (e,) int array
     spacing, reach : float [m]
         Longest distance of neighbours.
     paths : (t,) array [m]
@@ -490,7 +491,7 @@ def bond_paths(points, nodes, start, near, triangles, sheets, fronts, front_shee
                 for q in range(fronts_near):
                     ways[q] = _way_round(ax, ay, az, dx, dy, dz, fronts[edges[q]])
                 best = _shortest_free(
-                    ax, ay, az, x[k], y[k], z[k], ways[:fronts_near], edges, front_sheets, most,
-                    (planes, spheres, sheets, close[:triangles_near]), tiny, spacing,
+                    ax, ay, az, x[k], y[k], z[k], ways[:fronts_near], edges, front_components, most,
+                    (planes, spheres, components, close[:triangles_near]), tiny, spacing,
                 )  # fmt: skip
                 paths[begin + k] = max(best, length) if best <= most else np.inf
