@@ -8,7 +8,7 @@ A bond that crosses no triangle does not change. The distance of one that does i
 so the weight of the neighbour follows from p (diffraction: Organ, Fleming, Terry and Belytschko, Computational
 Mechanics 18, 1996). Without a front near, the bond is severed. A front is an edge of one triangle only, inside the body
 and not on other triangles. It is declared `FRONT_LEAD` spacings ahead of the edge, for which the energy release has the
-least error. A way round a front must not cross another component, a set of triangles that share corners: else the front
+least error. A way round a front must not cross another component, a set of triangles that share edges: else the front
 of a cut would connect the faces of an open one next to it.
 """
 
@@ -139,7 +139,7 @@ def cut_surface(before: CutSurface, triangles: Floats, corners: Floats, spacing:
     ahead = pieces.mean(axis=1) + COVER_REACH * spacing * normals[owner]
     free = np.ones(len(pieces), dtype=np.bool_)
     _uncovered(ahead, extended, COVER_DISTANCE * spacing, free)
-    components, pieces = _components(number, len(vertices)), np.ascontiguousarray(pieces[free])
+    components, pieces = _components(number), np.ascontiguousarray(pieces[free])
     return CutSurface(union, extended, pieces, components, components[owners[owner[free]]], known)
 
 
@@ -151,12 +151,16 @@ def _merged(triangles: Floats, spacing: float) -> tuple[Any, Floats]:
     return number.reshape(-1, 3), flat[first]
 
 
-def _components(number: Any, count: int) -> Ints:
-    """Return the components (t,) of triangles; those with a common vertex are of one component."""
-    rows, columns = number[:, [0, 1]].ravel(), number[:, [1, 2]].ravel()
-    joined = coo_array((np.ones(len(rows)), (rows, columns)), shape=(count, count))
+def _components(number: Any) -> Ints:
+    """Return the components (t,) of triangles; those with a common edge are of one component."""
+    count = len(number)
+    keys = np.sort(np.concatenate([number[:, [0, 1]], number[:, [1, 2]], number[:, [2, 0]]]), axis=1)
+    _, edge = np.unique(keys, axis=0, return_inverse=True)
+    rows, columns = np.tile(np.arange(count), 3), count + edge.ravel()
+    size = count + int(edge.max(initial=-1)) + 1
+    joined = coo_array((np.ones(len(rows)), (rows, columns)), shape=(size, size))
     _, label = connected_components(joined, directed=False)
-    return np.asarray(label[number[:, 0]], dtype=np.int64)
+    return np.asarray(label[:count], dtype=np.int64)
 
 
 def _boundary(number: Any, vertices: Floats) -> tuple[Any, Floats, Ints]:
