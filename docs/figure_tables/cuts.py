@@ -9,7 +9,11 @@ from figure_tables.cells import Row, block, distinct, markdown, percent, signed
 
 CRACKS = "python validation/cuts.py --parts patch halves penny strip blade"
 STRIPS = "python validation/cuts.py --parts strip blade"
-STABILITY = "python validation/cuts.py --parts stability"
+BLADE = "python validation/cuts.py --parts blade"
+STABILITY = (
+    "python validation/cuts.py --parts stability --bodies box 'generated liver' 'HRA liver'` and "
+    "`python validation/cuts.py --parts stability --bodies 'SOFA liver' --count 21"
+)
 
 
 def _cloud(row: Row) -> str:
@@ -78,7 +82,7 @@ def cuts_moving(found: Row) -> str:
     return markdown(["cloud", "step", "lost", "at fixed displacements", "damped", "kinetic at the end"], lines)
 
 
-@block("cuts", command=STRIPS)
+@block("cuts", command=BLADE)
 def cuts_blade(found: Row) -> str:
     """Return the energy that a second blade makes and releases in steps."""
     lines = [

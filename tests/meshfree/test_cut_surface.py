@@ -87,6 +87,14 @@ def test_a_way_round_a_front_does_not_cross_another_cut():
     assert length[1] == pytest.approx(np.hypot(0.02, 0.05) + np.hypot(0.02, 0.03))
 
 
+def test_triangles_with_a_common_edge_are_a_component():
+    """A second cut shares one corner of the first, (0.5, 0.5, 0.55)."""
+    positions = np.array([[(x, y, 0.05 + y) for y in (0.5, 1.5)] for x in (0.5, 1.5)])
+    surface = cut_surface(cut_surface(NO_CUT, half_plane(0.5), CORNERS, SPACING), swept(positions), CORNERS, SPACING)
+    np.testing.assert_array_equal(surface.components, [0] * 8 + [1] * 2)
+    assert set(surface.front_components) == {0, 1}
+
+
 def test_a_front_that_a_further_cut_covers_is_no_longer_one():
     first = cut_surface(NO_CUT, half_plane(0.5), CORNERS, SPACING)
     farther = cut_surface(first, half_plane(0.8), CORNERS, SPACING)
