@@ -53,7 +53,7 @@ def strip() -> list[dict[str, Any]]:
 def blade() -> list[dict[str, Any]]:
     kinds = cut_stability.KINDS
     seeds = [seed for seed in range(50) if kinds[seed % len(kinds)] in ("crossing", "adjacent")]
-    return [cut_stability.advance("box", poisson, seed) for poisson in (0.45, 0.49) for seed in seeds[:6]]
+    return [cut_stability.advance("box", poisson, seed) for poisson in (0.45, 0.49) for seed in seeds[:4]]
 
 
 def stability(name: str, count: int) -> list[dict[str, Any]]:
