@@ -14,6 +14,9 @@ of g^2 / f with f = exp(-|X_IJ|^2 / 4 h^2), for the part along the cut of the su
 value, and for linear fields to remain exact. This is variationally consistent integration (Chen, Hillman and Rueter,
 Int. J. Numer. Methods Eng. 95, 2013) without the component that a free face changes. The smoothing changes as little
 as possible for the integrals of smoothed fields to remain.
+
+Sums that no small change keeps, as in a slice between two cuts, are kept only in part: their multipliers are
+regularized.
 """
 
 from __future__ import annotations
@@ -49,7 +52,7 @@ MAX_ITERATIONS, RESIDUAL_TOLERANCE = 400, 1e-11  # of the iterations for the cha
 WINDOW_ITERATIONS, SLOWEST_DECREASE = 40, 0.5  # iterations after which the residual must have decreased by a factor
 LEAST_PROGRESS, LEAST_SCALE = 1e-13, 1e-3
 MAX_CHANGE = 1.5  # size q of a change above which the sums of its nodes need not be kept; 1 where they can be kept
-SOFTNESS = (0.01, 0.1, 1.0)  # of the multipliers of such sums, relative to their diagonal, in attempts
+REGULARIZATION = (0.01, 0.1, 1.0)  # of the multipliers of such sums, relative to their diagonal, in attempts
 QUADRATIC_FIT, LINEAR_FIT, RELEASED_FIT = 0, 1, 2  # kinds of a fit
 
 
@@ -499,8 +502,8 @@ def _apply(rows, field, image, block):  # type: ignore[no-untyped-def]
 
 
 @cached_njit(nogil=True)
-def _apply_scaled(rows, normals, scale, softness, field, image, block):  # type: ignore[no-untyped-def]
-    """Write the changes of the scaled sums across the normals that scaled multipliers cause, and soft multipliers."""
+def _apply_scaled(rows, normals, scale, regularization, field, image, block):  # type: ignore[no-untyped-def]
+    """Write the changes of the scaled sums across the normals that scaled multipliers cause, regularized."""
     for k in range(field.shape[0]):
         for c in range(3):
             field[k, c] *= scale[k]
@@ -509,7 +512,7 @@ def _apply_scaled(rows, normals, scale, softness, field, image, block):  # type:
     for k in range(field.shape[0]):
         for c in range(3):
             field[k, c] /= scale[k]
-            image[k, c] = scale[k] * image[k, c] + softness[k] * field[k, c]
+            image[k, c] = scale[k] * image[k, c] + regularization[k] * field[k, c]
 
 
 @cached_njit(nogil=True)
@@ -551,20 +554,20 @@ def _balance(points, nodes, start, near, freedom, volumes, center, other, normal
     for k in range(count):
         scale[k] = 1.0 / np.sqrt(max(scale[k], LEAST_SCALE))
     _across(normals, right)
-    solution, image, softness = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
-    for attempt in range(len(SOFTNESS) + 1):
-        _solve_softened(rows, normals, scale, softness, right, solution, image, block)
-        if attempt == len(SOFTNESS):
+    solution, image, regularization = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
+    for attempt in range(len(REGULARIZATION) + 1):
+        _solve_regularized(rows, normals, scale, regularization, right, solution, image, block)
+        if attempt == len(REGULARIZATION):
             break
         soft = False
         for m in range(nodes.shape[0]):
             _change(m, start, freedom, sizes[m], center, other, offset, inverse, solution, block)
             if _square_change(m, start, freedom, block) > MAX_CHANGE:
                 soft = True
-                softness[center[m]] = SOFTNESS[attempt]
+                regularization[center[m]] = REGULARIZATION[attempt]
                 for p in range(start[m], start[m + 1]):
                     if freedom[p] > 0.0:
-                        softness[other[p]] = SOFTNESS[attempt]
+                        regularization[other[p]] = REGULARIZATION[attempt]
         if not soft:
             break
     image[:] = 0.0
@@ -583,14 +586,14 @@ def _balance(points, nodes, start, near, freedom, volumes, center, other, normal
 
 
 @cached_njit(nogil=True)
-def _solve_softened(rows, normals, scale, softness, right, solution, image, block):  # type: ignore[no-untyped-def]
-    """Write the multipliers for which the sums change by `right`; those of nodes with a softness change less."""
+def _solve_regularized(rows, normals, scale, regularization, right, solution, image, block):  # type: ignore[no-untyped-def]
+    """Write the multipliers for which the sums change by `right`; those of nodes with a regularization change less."""
     count = right.shape[0]
     residual = np.zeros((count, 3))
     for k in range(count):
         for c in range(3):
             residual[k, c] = scale[k] * right[k, c]
-    _apply_scaled(rows, normals, scale, softness, residual, image, block)
+    _apply_scaled(rows, normals, scale, regularization, residual, image, block)
     solution[:] = 0.0
     direction, moved = residual.copy(), image.copy()
     product, first_product, best = (residual * image).sum(), (residual * image).sum(), np.inf
@@ -610,7 +613,7 @@ def _solve_softened(rows, normals, scale, softness, right, solution, image, bloc
             for c in range(3):
                 solution[k, c] += step * direction[k, c] * scale[k]
                 residual[k, c] -= step * moved[k, c]
-        _apply_scaled(rows, normals, scale, softness, residual, image, block)
+        _apply_scaled(rows, normals, scale, regularization, residual, image, block)
         product_before = product
         product = (residual * image).sum()
         for k in range(count):
