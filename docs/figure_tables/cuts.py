@@ -5,15 +5,11 @@ from __future__ import annotations
 
 from statistics import median
 
-from figure_tables.cells import Row, block, distinct, markdown, percent, signed
+from figure_tables.cells import Row, block, distinct, markdown, signed
 
 CRACKS = "python validation/cuts.py --parts patch halves penny strip blade"
 STRIPS = "python validation/cuts.py --parts strip blade"
-BLADE = "python validation/cuts.py --parts blade"
-STABILITY = (
-    "python validation/cuts.py --parts stability --bodies box 'generated liver' 'HRA liver'` and "
-    "`python validation/cuts.py --parts stability --bodies 'SOFA liver' --count 21"
-)
+STABILITY = "python validation/cuts.py --parts stability --bodies box 'generated liver' 'HRA liver'"
 
 
 def _cloud(row: Row) -> str:
@@ -80,19 +76,6 @@ def cuts_moving(found: Row) -> str:
         for row in found["strip"] for each in row.get("moving", [])
     ]  # fmt: skip
     return markdown(["cloud", "step", "lost", "at fixed displacements", "damped", "kinetic at the end"], lines)
-
-
-@block("cuts", command=BLADE)
-def cuts_blade(found: Row) -> str:
-    """Return the energy that a second blade makes and releases in steps."""
-    lines = [
-        [
-            row["kind"], f"{row['poisson']:g}", str(row["seed"]), str(row["steps"]),
-            *(percent(row[name]) if row[name] else "0" for name in ("made", "freed")), percent(row["end"], 3),
-        ]
-        for row in sorted(found["blade"], key=lambda row: (row["kind"], row["poisson"], row["seed"]))
-    ]  # fmt: skip
-    return markdown(["second cut", "ν", "seed", "steps", "made", "released", "energy at the end"], lines)
 
 
 @block("cuts", command=STABILITY)
