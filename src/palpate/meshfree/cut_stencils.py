@@ -52,7 +52,7 @@ MAX_ITERATIONS, RESIDUAL_TOLERANCE = 400, 1e-11  # of the iterations for the cha
 WINDOW_ITERATIONS, SLOWEST_DECREASE = 40, 0.5  # iterations after which the residual must have decreased by a factor
 LEAST_PROGRESS, LEAST_SCALE = 1e-13, 1e-3
 MAX_CHANGE = 1.5  # size q of a change above which the sums of its nodes need not be kept; 1 where they can be kept
-REGULARIZATION = (0.01, 0.1, 1.0)  # of the multipliers of such sums, relative to their diagonal, in attempts
+REGULARIZATION_SHARES = (0.01, 0.1, 1.0)  # of the multipliers of such sums, relative to their diagonal, in attempts
 QUADRATIC_FIT, LINEAR_FIT, RELEASED_FIT = 0, 1, 2  # kinds of a fit
 
 
@@ -555,19 +555,19 @@ def _balance(points, nodes, start, near, freedom, volumes, center, other, normal
         scale[k] = 1.0 / np.sqrt(max(scale[k], LEAST_SCALE))
     _across(normals, right)
     solution, image, regularization = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
-    for attempt in range(len(REGULARIZATION) + 1):
+    for attempt in range(len(REGULARIZATION_SHARES) + 1):
         _solve_regularized(rows, normals, scale, regularization, right, solution, image, block)
-        if attempt == len(REGULARIZATION):
+        if attempt == len(REGULARIZATION_SHARES):
             break
         soft = False
         for m in range(nodes.shape[0]):
             _change(m, start, freedom, sizes[m], center, other, offset, inverse, solution, block)
             if _square_change(m, start, freedom, block) > MAX_CHANGE:
                 soft = True
-                regularization[center[m]] = REGULARIZATION[attempt]
+                regularization[center[m]] = REGULARIZATION_SHARES[attempt]
                 for p in range(start[m], start[m + 1]):
                     if freedom[p] > 0.0:
-                        regularization[other[p]] = REGULARIZATION[attempt]
+                        regularization[other[p]] = REGULARIZATION_SHARES[attempt]
         if not soft:
             break
     image[:] = 0.0
