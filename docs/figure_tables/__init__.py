@@ -6,6 +6,7 @@ its block in the pages.
 
 from figure_tables import (
     contact,
+    cuts,
     examples,
     frequencies,
     incompressible,
@@ -21,6 +22,6 @@ from figure_tables import (
 from figure_tables.cells import BLOCKS, Block
 
 __all__ = [
-    "BLOCKS", "Block", "contact", "examples", "frequencies", "incompressible", "laws", "linear",
+    "BLOCKS", "Block", "contact", "cuts", "examples", "frequencies", "incompressible", "laws", "linear",
     "membranes", "organs", "peers", "readme", "sampled", "steps",
 ]  # fmt: skip

@@ -26,7 +26,8 @@ def paths(surface, pairs):
     count = len(points) // 2
     result = np.empty(count)
     start, near = np.arange(count + 1), np.arange(1, 2 * count, 2)
-    bond_paths(points, np.arange(0, 2 * count, 2), start, near, surface.extended, surface.fronts, SPACING, 0.34, result)
+    nodes, fronts = np.arange(0, 2 * count, 2), (surface.fronts, surface.front_components)
+    bond_paths(points, nodes, start, near, surface.extended, surface.components, *fronts, SPACING, 0.34, result)
     return result
 
 
@@ -73,6 +74,33 @@ def test_the_way_of_a_bond_is_that_of_the_opposite_bond():
     pairs[::3, 0, 2] = 0.5  # on the plane
     pairs[::5, 1, 2] = 0.5 + 1e-9 * random.uniform(-1, 1, 40)
     np.testing.assert_allclose(paths(surface, pairs), paths(surface, pairs[:, ::-1]), rtol=1e-12)
+
+
+def test_a_way_round_a_front_does_not_cross_another_cut():
+    """The first cut is open far beyond the front of the second one, 0.4 spacings below it."""
+    opened = cut_surface(NO_CUT, half_plane(0.9), CORNERS, SPACING)
+    both = cut_surface(opened, half_plane(0.5, height=0.51), CORNERS, SPACING)
+    through_both, between = [(0.5, 0.5, 0.46), (0.5, 0.5, 0.6)], [(0.5, 0.5, 0.46), (0.5, 0.5, 0.54)]
+    assert np.isinf(paths(opened, [through_both])).all()
+    length = paths(both, [through_both, between])
+    assert np.isinf(length[0])
+    assert length[1] == pytest.approx(np.hypot(0.02, 0.05) + np.hypot(0.02, 0.03))
+
+
+def test_triangles_with_a_common_edge_are_a_component():
+    """A second cut shares one corner of the first, (0.5, 0.5, 0.55)."""
+    positions = np.array([[(x, y, 0.05 + y) for y in (0.5, 1.5)] for x in (0.5, 1.5)])
+    surface = cut_surface(cut_surface(NO_CUT, half_plane(0.5), CORNERS, SPACING), swept(positions), CORNERS, SPACING)
+    np.testing.assert_array_equal(surface.components, [0] * 8 + [1] * 2)
+    assert set(surface.front_components) == {0, 1}
+
+
+def test_a_front_that_a_further_cut_covers_is_no_longer_one():
+    first = cut_surface(NO_CUT, half_plane(0.5), CORNERS, SPACING)
+    farther = cut_surface(first, half_plane(0.8), CORNERS, SPACING)
+    np.testing.assert_allclose(farther.fronts[:, :, 0], 0.82, atol=1e-12)
+    again = cut_surface(first, half_plane(0.5), CORNERS, SPACING)
+    np.testing.assert_array_equal(again.fronts, first.fronts)
 
 
 @pytest.mark.parametrize("turned", [False, True])

@@ -55,11 +55,11 @@ def point_weights(uncut: UncutStencils, surface: CutSurface, points: Floats, see
     n, count = len(uncut.points), min(CANDIDATE_NODES, len(uncut.points))
     _, near = uncut.tree.query(points, k=count)
     near = np.asarray(near, dtype=np.int64)
-    triangles, fronts = _near_points(surface, points, uncut.spacing)
+    near_cut = _near_points(surface, points, uncut.spacing)
     start, paths = np.arange(0, len(points) * count + 1, count), np.empty(near.size)
     every = np.concatenate([uncut.points, seen_from])
     bond_paths(
-        every, n + np.arange(len(points)), start, near.ravel(), triangles, fronts, uncut.spacing,
+        every, n + np.arange(len(points)), start, near.ravel(), *near_cut, uncut.spacing,
         SEARCH_DISTANCE * uncut.spacing, paths,
     )  # fmt: skip
     ways: Floats = paths.reshape(near.shape)
@@ -77,14 +77,14 @@ def point_weights(uncut: UncutStencils, surface: CutSurface, points: Floats, see
     return PointWeights(near, table[..., 0], table[..., 1:] / radius[:, None, None])
 
 
-def _near_points(surface: CutSurface, points: Floats, spacing: float) -> tuple[Floats, Floats]:
-    """Return the triangles and fronts of a cut that can be near points (p, 3)."""
+def _near_points(surface: CutSurface, points: Floats, spacing: float) -> tuple[Floats, Ints, Floats, Ints]:
+    """Return the triangles and the fronts of a cut that can be near points (p, 3), each with their components."""
     if not len(points) or not len(surface.extended):
-        return surface.extended, surface.fronts
+        return surface.extended, surface.components, surface.fronts, surface.front_components
     low, high = points.min(axis=0) - SEARCH_DISTANCE * spacing, points.max(axis=0) + SEARCH_DISTANCE * spacing
     parts = surface.extended, surface.fronts
-    near = [np.all((p.max(axis=1) > low) & (p.min(axis=1) < high), axis=1) for p in parts]
-    return parts[0][near[0]], parts[1][near[1]]
+    close, ahead = (np.all((p.max(axis=1) > low) & (p.min(axis=1) < high), axis=1) for p in parts)
+    return parts[0][close], surface.components[close], parts[1][ahead], surface.front_components[ahead]
 
 
 def reference_points(

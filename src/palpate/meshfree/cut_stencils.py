@@ -14,6 +14,9 @@ of g^2 / f with f = exp(-|X_IJ|^2 / 4 h^2), for the part along the cut of the su
 value, and for linear fields to remain exact. This is variationally consistent integration (Chen, Hillman and Rueter,
 Int. J. Numer. Methods Eng. 95, 2013) without the component that a free face changes. The smoothing changes as little
 as possible for the integrals of smoothed fields to remain.
+
+Sums that no small change keeps, as in a slice between two cuts, are kept only in part: their multipliers are
+regularized.
 """
 
 from __future__ import annotations
@@ -41,13 +44,15 @@ __all__ = [
 
 WIDEST_REACH = 3.2  # largest reach of a cut node, in spacings
 REACH_MARGIN = 1.05  # radius of a stencil over the distance of its last node
-SIZE_FACTOR, LARGEST_SIZE = 1.2, 9.0  # largest q over that of uncut nodes, and in itself
+SIZE_FACTOR, LARGEST_SIZE = 1.2, 6.0  # largest q over that of uncut nodes, and in itself
 REACH_BISECTIONS = 30
 RAMP_WIDTH = 0.045  # range of distances in which a node enters the hourglass residual, over the reach
 LEAST_PIVOT = 1e-10  # of a moment matrix, relative to its diagonal
 MAX_ITERATIONS, RESIDUAL_TOLERANCE = 400, 1e-11  # of the iterations for the changes; relative to V / h
 WINDOW_ITERATIONS, SLOWEST_DECREASE = 40, 0.5  # iterations after which the residual must have decreased by a factor
 LEAST_PROGRESS, LEAST_SCALE = 1e-13, 1e-3
+MAX_CHANGE = 1.5  # size q of a change above which the sums of its nodes need not be kept; 1 where they can be kept
+REGULARIZATION_SHARES = (0.01, 0.1, 1.0)  # of the multipliers of such sums, relative to their diagonal, in attempts
 QUADRATIC_FIT, LINEAR_FIT, RELEASED_FIT = 0, 1, 2  # kinds of a fit
 
 
@@ -217,8 +222,8 @@ def _bonds(uncut: UncutStencils, surface: CutSurface, nodes: Ints) -> tuple[Ints
     near = near[near != np.repeat(nodes, count)]
     start, paths = np.concatenate([[0], np.cumsum(count - 1)]).astype(np.int64), np.empty(len(near))
     bond_paths(
-        uncut.points, nodes, start, near, surface.extended, surface.fronts, uncut.spacing,
-        float(widest.max(initial=0.0)), paths,
+        uncut.points, nodes, start, near, surface.extended, surface.components, surface.fronts,
+        surface.front_components, uncut.spacing, float(widest.max(initial=0.0)), paths,
     )  # fmt: skip
     return nodes, start, near, paths
 
@@ -453,7 +458,7 @@ def keep_uniform_stress(uncut: UncutStencils, surface: CutSurface, rows: FittedR
     right = missing[nodes] * (uncut.spacing / volume)
     return float(
         _balance(uncut.points, rows.nodes, rows.start, rows.near, rows.freedom, uncut.volumes / volume, center, other,
-                 normals, right, uncut.spacing, rows.first)
+                 normals, right, uncut.spacing, uncut.limit, rows.first)
     )  # fmt: skip
 
 
@@ -503,8 +508,8 @@ def _apply(rows, field, image, block):  # type: ignore[no-untyped-def]
 
 
 @cached_njit(nogil=True)
-def _apply_scaled(rows, normals, scale, field, image, block):  # type: ignore[no-untyped-def]
-    """Write the changes of the scaled sums across the normals that scaled multipliers cause."""
+def _apply_scaled(rows, normals, scale, regularization, field, image, block):  # type: ignore[no-untyped-def]
+    """Write the changes of the scaled sums across the normals that scaled multipliers cause, regularized."""
     for k in range(field.shape[0]):
         for c in range(3):
             field[k, c] *= scale[k]
@@ -513,7 +518,7 @@ def _apply_scaled(rows, normals, scale, field, image, block):  # type: ignore[no
     for k in range(field.shape[0]):
         for c in range(3):
             field[k, c] /= scale[k]
-            image[k, c] *= scale[k]
+            image[k, c] = scale[k] * image[k, c] + regularization[k] * field[k, c]
 
 
 @cached_njit(nogil=True)
@@ -530,7 +535,7 @@ def _inverse_moments(start, freedom, offset, inverse):  # type: ignore[no-untype
 
 
 @cached_njit(nogil=True)
-def _balance(points, nodes, start, near, freedom, volumes, center, other, normals, right, spacing, first):  # type: ignore[no-untyped-def]
+def _balance(points, nodes, start, near, freedom, volumes, center, other, normals, right, spacing, limit, first):  # type: ignore[no-untyped-def]
     """Solve for the least change, and add it to `first`; return the largest residual.
 
     The method of conjugate residuals has the least residual after every iteration. A piece that is cut off has nodal
@@ -555,12 +560,48 @@ def _balance(points, nodes, start, near, freedom, volumes, center, other, normal
     for k in range(count):
         scale[k] = 1.0 / np.sqrt(max(scale[k], LEAST_SCALE))
     _across(normals, right)
-    residual, image = np.zeros((count, 3)), np.zeros((count, 3))
+    solution, image, regularization = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
+    for attempt in range(len(REGULARIZATION_SHARES) + 1):
+        _solve_regularized(rows, normals, scale, regularization, right, solution, image, block)
+        if attempt == len(REGULARIZATION_SHARES):
+            break
+        soft = False
+        for m in range(nodes.shape[0]):
+            _change(m, start, freedom, sizes[m], center, other, offset, inverse, solution, block)
+            if _square_change(m, start, freedom, block) > MAX_CHANGE:
+                soft = True
+                regularization[center[m]] = REGULARIZATION_SHARES[attempt]
+                for p in range(start[m], start[m + 1]):
+                    if freedom[p] > 0.0:
+                        regularization[other[p]] = REGULARIZATION_SHARES[attempt]
+        if not soft:
+            break
+    image[:] = 0.0
+    for m in range(nodes.shape[0]):
+        _change(m, start, freedom, sizes[m], center, other, offset, inverse, solution, block)
+        share = _largest_share(m, start, freedom, limit[nodes[m]], spacing, first, block)
+        for p in range(start[m], start[m + 1]):
+            if freedom[p] > 0.0:
+                for c in range(3):
+                    value = share * block[p - start[m], c]
+                    first[p, c] += value / spacing
+                    image[other[p], c] += sizes[m] * value
+                    image[center[m], c] -= sizes[m] * value
+    _across(normals, image)
+    return np.abs(right - image).max()
+
+
+@cached_njit(nogil=True)
+def _solve_regularized(rows, normals, scale, regularization, right, solution, image, block):  # type: ignore[no-untyped-def]
+    """Write the multipliers for which the sums change by `right`; those of nodes with a regularization change less."""
+    count = right.shape[0]
+    residual = np.zeros((count, 3))
     for k in range(count):
         for c in range(3):
             residual[k, c] = scale[k] * right[k, c]
-    _apply_scaled(rows, normals, scale, residual, image, block)
-    solution, direction, moved = np.zeros((count, 3)), residual.copy(), image.copy()
+    _apply_scaled(rows, normals, scale, regularization, residual, image, block)
+    solution[:] = 0.0
+    direction, moved = residual.copy(), image.copy()
     product, first_product, best = (residual * image).sum(), (residual * image).sum(), np.inf
     for iteration in range(MAX_ITERATIONS):
         largest = 0.0
@@ -573,26 +614,52 @@ def _balance(points, nodes, start, near, freedom, volumes, center, other, normal
             if largest > SLOWEST_DECREASE * best:
                 break
             best = largest
-        square = (moved * moved).sum()
-        step = product / square
+        step = product / (moved * moved).sum()
         for k in range(count):
             for c in range(3):
                 solution[k, c] += step * direction[k, c] * scale[k]
                 residual[k, c] -= step * moved[k, c]
-        _apply_scaled(rows, normals, scale, residual, image, block)
+        _apply_scaled(rows, normals, scale, regularization, residual, image, block)
         product_before = product
         product = (residual * image).sum()
         for k in range(count):
             for c in range(3):
                 direction[k, c] = residual[k, c] + product / product_before * direction[k, c]
                 moved[k, c] = image[k, c] + product / product_before * moved[k, c]
-    for m in range(nodes.shape[0]):
-        _change(m, start, freedom, sizes[m], center, other, offset, inverse, solution, block)
+
+
+@cached_njit(nogil=True)
+def _square_change(m, start, freedom, block):  # type: ignore[no-untyped-def]
+    """Return the size q of the changes (k, 3) of row m."""
+    square = 0.0
+    for c in range(3):
+        total = 0.0
         for p in range(start[m], start[m + 1]):
             if freedom[p] > 0.0:
-                for c in range(3):
-                    first[p, c] += block[p - start[m], c] / spacing
-    return largest
+                square += block[p - start[m], c] ** 2
+                total += block[p - start[m], c]
+        square += total**2
+    return square
+
+
+@cached_njit(nogil=True)
+def _largest_share(m, start, freedom, limit, spacing, first, block):  # type: ignore[no-untyped-def]
+    """Return the share of the changes (k, 3) of row m, at most 1, for which its size q is below the limit.
+
+    q is a + 2 b x + c x^2 for a share x.
+    """
+    a, b, c = 0.0, 0.0, 0.0
+    for d in range(3):
+        total, total_change = 0.0, 0.0
+        for p in range(start[m], start[m + 1]):
+            weight = spacing * first[p, d]
+            change = block[p - start[m], d] if freedom[p] > 0.0 else 0.0
+            total, total_change = total + weight, total_change + change
+            a, b, c = a + weight**2, b + weight * change, c + change**2
+        a, b, c = a + total**2, b + total * total_change, c + total_change**2
+    if a + 2.0 * b + c <= limit:
+        return 1.0
+    return max((np.sqrt(max(b * b + c * (limit - a), 0.0)) - b) / c, 0.0)
 
 
 def conserve_integrals(uncut: UncutStencils, rows: FittedRows, missing: Floats) -> float:

@@ -6,8 +6,10 @@ A bond that crosses no triangle does not change. The distance of one that does i
     p = min over the fronts of |A - x| + |x - B|,      x on the front,
 
 so the weight of the neighbour follows from p (diffraction: Organ, Fleming, Terry and Belytschko, Computational
-Mechanics 18, 1996). Without a front near, the bond is severed. A front is an edge of one triangle only and inside the
-body. It is declared `FRONT_LEAD` spacings ahead of the edge, for which the energy release has the least error.
+Mechanics 18, 1996). Without a front near, the bond is severed. A front is an edge of one triangle only, inside the body
+and not on other triangles. It is declared `FRONT_LEAD` spacings ahead of the edge, for which the energy release has the
+least error. A way round a front must not cross another component, a set of triangles that share edges: else the front
+of a cut would connect the faces of an open one next to it.
 """
 
 from __future__ import annotations
@@ -18,8 +20,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from palpate.arrays import Floats
+from palpate.arrays import Floats, Ints
 from palpate.code_cache import cached_njit
 from palpate.describe import Described, Fact
 from palpate.faults import CloudError
@@ -46,6 +50,7 @@ MERGE_DISTANCE = 1e-6  # of equal corners, in spacings
 ON_PLANE = 1e-6  # distance from a triangle below which a node is on the side of its normal, in spacings
 MIN_WIDTH = 1e-3  # least height of a triangle, in spacings
 MAX_WAY = 1.6 * 2.3  # longest way round a front, in spacings
+SAME_COMPONENT = 0.3  # distance of a front from the plane of its component's triangles around it, in spacings
 COVER_AHEAD, COVER_DISTANCE = 0.3, 0.1  # from an edge, and from there to the cut that covers it, in spacings
 MIN_MITRE = 0.5  # least 1 + cosine of the normals of two edges for the mitre at their corner
 
@@ -62,6 +67,8 @@ class CutSurface(Described):
         The same triangles with their fronts ahead.
     fronts : (e, 2, 3) array [m]
         Pieces of the fronts of `extended`.
+    components, front_components : (t,), (e,) int arrays
+        Number of the component of every triangle and front.
     inside : dict
         For the pieces of edges that were examined, whether they are inside the body.
 
@@ -80,6 +87,8 @@ class CutSurface(Described):
     triangles: Floats
     extended: Floats
     fronts: Floats
+    components: Ints = field(repr=False)
+    front_components: Ints = field(repr=False)
     inside: Mapping[bytes, bool] = field(default_factory=dict, repr=False, compare=False)
 
     def _facts(self) -> list[Fact]:
@@ -90,7 +99,9 @@ class CutSurface(Described):
         ]
 
 
-NO_CUT = CutSurface(np.zeros((0, 3, 3)), np.zeros((0, 3, 3)), np.zeros((0, 2, 3)))
+NO_CUT = CutSurface(
+    np.zeros((0, 3, 3)), np.zeros((0, 3, 3)), np.zeros((0, 2, 3)), np.zeros(0, np.int64), np.zeros(0, np.int64)
+)  # fmt: skip
 
 
 def swept(edges: Floats) -> Floats:
@@ -102,7 +113,10 @@ def swept(edges: Floats) -> Floats:
 
 def first_triangles(surface: CutSurface, count: int) -> CutSurface:
     """Return a cut surface with the first triangles only, and without the fronts of the others."""
-    return replace(surface, triangles=surface.triangles[:count], extended=surface.extended[:count])
+    return replace(
+        surface, triangles=surface.triangles[:count], extended=surface.extended[:count],
+        components=surface.components[:count],
+    )  # fmt: skip
 
 
 def triangle_areas(triangles: Floats) -> Floats:
@@ -135,7 +149,7 @@ def cut_surface(before: CutSurface, triangles: Floats, corners: Floats, spacing:
         )
     union = np.concatenate([before.triangles, triangles])
     number, vertices = _merged(union, spacing)
-    edges, normals = _boundary(number, vertices)
+    edges, normals, owners = _boundary(number, vertices)
     pieces, owner = _pieces(vertices[edges], spacing)
     known = dict(before.inside)
     middles = pieces.mean(axis=1)
@@ -145,7 +159,8 @@ def cut_surface(before: CutSurface, triangles: Floats, corners: Floats, spacing:
     lead = _leads(edges[on_front], normals[on_front], len(vertices)) * FRONT_LEAD * spacing
     moved = vertices + lead
     pieces, owner = _pieces(moved[edges], spacing, vertices[edges])
-    return CutSurface(union, moved[number], np.ascontiguousarray(pieces[inside]), known)
+    components, fronts = _components(number), np.ascontiguousarray(pieces[inside])
+    return CutSurface(union, moved[number], fronts, components, components[owners[owner[inside]]], known)
 
 
 def is_narrow(triangles: Floats, spacing: float) -> Any:
@@ -170,18 +185,32 @@ def _merged(triangles: Floats, spacing: float) -> tuple[Any, Floats]:
     return number.reshape(-1, 3), flat[first]
 
 
-def _boundary(number: Any, vertices: Floats) -> tuple[Any, Floats]:
-    """Return the edges (e, 2) of one triangle only, and their normals (e, 3) in its plane, away from it."""
-    sides = np.concatenate([number[:, [0, 1, 2]], number[:, [1, 2, 0]], number[:, [2, 0, 1]]])
+def _components(number: Any) -> Ints:
+    """Return the components (t,) of triangles; those with a common edge are of one component."""
+    count = len(number)
+    keys = np.sort(np.concatenate([number[:, [0, 1]], number[:, [1, 2]], number[:, [2, 0]]]), axis=1)
+    _, edge = np.unique(keys, axis=0, return_inverse=True)
+    rows, columns = np.tile(np.arange(count), 3), count + edge.ravel()
+    size = count + int(edge.max(initial=-1)) + 1
+    joined = coo_array((np.ones(len(rows)), (rows, columns)), shape=(size, size))
+    _, label = connected_components(joined, directed=False)
+    return np.asarray(label[:count], dtype=np.int64)
+
+
+def _boundary(number: Any, vertices: Floats) -> tuple[Any, Floats, Ints]:
+    """Return the edges (e, 2) of one triangle only, their normals (e, 3) in its plane, away from it, and its number."""
+    _, single = np.unique(np.sort(number, axis=1), axis=0, return_index=True)  # a triangle counts once
+    kept = number[single]
+    sides = np.concatenate([kept[:, [0, 1, 2]], kept[:, [1, 2, 0]], kept[:, [2, 0, 1]]])
     keys = np.sort(sides[:, :2], axis=1)
     _, first, count = np.unique(keys, axis=0, return_index=True, return_counts=True)
-    edge = sides[first[count == 1]]
+    edge, owners = sides[first[count == 1]], np.tile(single, 3)[first[count == 1]]
     a, b, opposite = (vertices[edge[:, k]] for k in range(3))
     along = b - a
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     away = a - opposite
     away -= np.sum(away * along, axis=1, keepdims=True) * along
-    return edge[:, :2], away / np.linalg.norm(away, axis=1, keepdims=True)
+    return edge[:, :2], away / np.linalg.norm(away, axis=1, keepdims=True), owners
 
 
 def _pieces(ends: Floats, spacing: float, divided_as: Floats | None = None) -> tuple[Floats, Any]:
@@ -444,7 +473,7 @@ def _find_crossed(plane, slack, tiny, ax, ay, az, x, y, z, crossed):  # type: ig
 
 @cached_njit(nogil=True)
 def _way_round(ax, ay, az, dx, dy, dz, front):  # type: ignore[no-untyped-def]
-    """Return the length of the shortest way from A to A + d that touches a front (2, 3)."""
+    """Return the length of the shortest way from A to A + d that touches a front (2, 3), and the place there."""
     ex, ey, ez = front[1, 0] - front[0, 0], front[1, 1] - front[0, 1], front[1, 2] - front[0, 2]
     length = np.sqrt(ex * ex + ey * ey + ez * ez)
     ex, ey, ez = ex / length, ey / length, ez / length
@@ -455,11 +484,50 @@ def _way_round(ax, ay, az, dx, dy, dz, front):  # type: ignore[no-untyped-def]
     off_b = np.sqrt(max(qx * qx + qy * qy + qz * qz - along_b * along_b, 0.0))
     foot = (along_a * off_b + along_b * off_a) / max(off_a + off_b, 1e-12 * length)
     foot = min(max(foot, 0.0), length)
-    return np.sqrt(off_a**2 + (along_a - foot) ** 2) + np.sqrt(off_b**2 + (along_b - foot) ** 2)
+    total = np.sqrt(off_a**2 + (along_a - foot) ** 2) + np.sqrt(off_b**2 + (along_b - foot) ** 2)
+    return total, front[0, 0] + foot * ex, front[0, 1] + foot * ey, front[0, 2] + foot * ez
 
 
 @cached_njit(nogil=True)
-def bond_paths(points, nodes, start, near, triangles, fronts, spacing, reach, paths):  # type: ignore[no-untyped-def]
+def _is_blocked(ax, ay, az, px, py, pz, planes, spheres, components, close, component, tiny, spacing):  # type: ignore[no-untyped-def]
+    """Return whether the line from A to a place on a front crosses another component, or another part of its own."""
+    for k in range(close.shape[0]):
+        q = close[k]
+        above, below = _value(planes[q, 0], ax, ay, az), _value(planes[q, 0], px, py, pz)
+        if components[q] == component and abs(below) < SAME_COMPONENT * spacing:
+            continue
+        above, below = tiny if abs(above) < tiny else above, tiny if abs(below) < tiny else below
+        if (above > 0.0) == (below > 0.0):
+            continue
+        share, slack = above / (above - below), tiny / spheres[q, 3]
+        x, y, z = ax + share * (px - ax), ay + share * (py - ay), az + share * (pz - az)
+        s, t = _value(planes[q, 1], x, y, z), _value(planes[q, 2], x, y, z)
+        if s > -slack and t > -slack and s + t < 1.0 + slack:
+            return True
+    return False
+
+
+@cached_njit(nogil=True)
+def _shortest_free(ax, ay, az, bx, by, bz, ways, edges, front_components, most, surface, tiny, spacing):  # type: ignore[no-untyped-def]
+    """Return the length of the shortest way (length and place) from A to B that crosses nothing, or infinity."""
+    planes, spheres, components, close = surface
+    while ways.shape[0] > 0:
+        q = np.argmin(ways[:, 0])
+        length, px, py, pz = ways[q]
+        if not length <= most:
+            break
+        component = front_components[edges[q]]
+        if not (
+            _is_blocked(ax, ay, az, px, py, pz, planes, spheres, components, close, component, tiny, spacing)
+            or _is_blocked(bx, by, bz, px, py, pz, planes, spheres, components, close, component, tiny, spacing)
+        ):
+            return length
+        ways[q, 0] = np.inf
+    return np.inf
+
+
+@cached_njit(nogil=True)
+def bond_paths(points, nodes, start, near, triangles, components, fronts, front_components, spacing, reach, paths):  # type: ignore[no-untyped-def]
     """Write the lengths of bonds round the fronts of a cut; infinite for severed ones.
 
     Parameters
@@ -471,7 +539,9 @@ def bond_paths(points, nodes, start, near, triangles, fronts, spacing, reach, pa
     near : (t,) int array
         Neighbours.
     triangles : (s, 3, 3) array [m]
+    components : (s,) int array
     fronts : (e, 2, 3) array [m]
+    front_components : (e,) int array
     spacing, reach : float [m]
         Longest distance of neighbours.
     paths : (t,) array [m]
@@ -484,10 +554,11 @@ def bond_paths(points, nodes, start, near, triangles, fronts, spacing, reach, pa
     for m in range(nodes.shape[0]):
         longest = max(longest, start[m + 1] - start[m])
     x, y, z, crossed = np.empty(longest), np.empty(longest), np.empty(longest), np.empty(longest, np.bool_)
-    edges = np.empty(fronts.shape[0], np.int64)
+    edges, close = np.empty(fronts.shape[0], np.int64), np.empty(triangles.shape[0], np.int64)
+    ways = np.empty((fronts.shape[0], 4))
     for m in range(nodes.shape[0]):
         ax, ay, az = points[nodes[m], 0], points[nodes[m], 1], points[nodes[m], 2]
-        begin, count, fronts_near = start[m], start[m + 1] - start[m], 0
+        begin, count, fronts_near, triangles_near = start[m], start[m + 1] - start[m], 0, 0
         for k in range(count):
             j = near[begin + k]
             x[k], y[k], z[k], crossed[k] = points[j, 0], points[j, 1], points[j, 2], False
@@ -495,6 +566,7 @@ def bond_paths(points, nodes, start, near, triangles, fronts, spacing, reach, pa
             square = (spheres[q, 0] - ax) ** 2 + (spheres[q, 1] - ay) ** 2 + (spheres[q, 2] - az) ** 2
             if square < (reach + spheres[q, 3]) ** 2:
                 slack = tiny / spheres[q, 3]
+                close[triangles_near], triangles_near = q, triangles_near + 1
                 _find_crossed(planes[q], slack, tiny, ax, ay, az, x[:count], y[:count], z[:count], crossed[:count])
         for e in range(fronts.shape[0]):
             square = (fronts[e, 0, 0] - ax) ** 2 + (fronts[e, 0, 1] - ay) ** 2 + (fronts[e, 0, 2] - az) ** 2
@@ -506,9 +578,12 @@ def bond_paths(points, nodes, start, near, triangles, fronts, spacing, reach, pa
             length = _length(dx, dy, dz)
             paths[begin + k] = length
             if crossed[k]:
-                best = np.inf
                 for q in range(fronts_near):
-                    best = min(best, _way_round(ax, ay, az, dx, dy, dz, fronts[edges[q]]))
+                    ways[q] = _way_round(ax, ay, az, dx, dy, dz, fronts[edges[q]])
+                best = _shortest_free(
+                    ax, ay, az, x[k], y[k], z[k], ways[:fronts_near], edges, front_components, most,
+                    (planes, spheres, components, close[:triangles_near]), tiny, spacing,
+                )  # fmt: skip
                 paths[begin + k] = max(best, length) if best <= most else np.inf
 
 

@@ -90,7 +90,10 @@ def _distances_round(
     start = np.arange(0, near.size + 1, count)
     every = np.ascontiguousarray(near.ravel(), dtype=np.int64)
     reach = float(np.max(np.where(np.isfinite(distance), distance, 0.0)))
-    bond_paths(points, nodes, start, every, cut.extended, cut.fronts, spacing, reach, paths)
+    bond_paths(
+        points, nodes, start, every, cut.extended, cut.components, cut.fronts, cut.front_components, spacing, reach,
+        paths,
+    )  # fmt: skip
     return np.where(np.isfinite(distance), np.maximum(distance, paths.reshape(near.shape)), distance)
 
 

@@ -124,6 +124,20 @@ def test_a_sliver_of_one_layer_is_released(block):
     assert np.isin(body.released_nodes, bottom).all()
     u = 0.01 * SPACING * np.random.default_rng(0).normal(size=(len(block.cloud), 3))
     assert not body.force(u)[body.released_nodes].any()
+    moved = u.copy()
+    moved[body.released_nodes] += SPACING
+    assert body.strain_energy(moved) == body.strain_energy(u)
+
+
+def test_weights_between_two_close_cuts_stay_bounded(block):
+    """A slice of 0.75 spacings cannot keep the sums of uniform stress."""
+    first = pt.cut(block, rectangle(0.5 * SIZE + (0, 0, 0.2e-3), (0.3, 0.2, 1.0), 2e-3))
+    body = pt.cut(first, rectangle(0.5 * SIZE + (0, 0, 0.95e-3), (0.3, 0.2, 1.0), 3e-3))
+    stencils, uncut = body.stencils, body._cut.uncut
+    weights = SPACING * stencils.first[stencils.row]
+    size = np.sum(weights**2, axis=(1, 2)) + np.sum(weights.sum(axis=1) ** 2, axis=1)
+    assert np.all(size <= uncut.limit * (1 + 1e-9))
+    assert body.stability.step >= block.stability.step / 1.5
 
 
 def test_a_cut_body_has_a_stable_step_like_the_uncut_one(halved, block):
@@ -172,7 +186,7 @@ def test_faces_of_a_cut_do_not_pass_through_each_other(block, inward):
     heights = block.cloud.points[:, 2] + run.displacements[-1, :, 2]
     opening = heights[upper].min() - heights[~upper].max()
     if inward:
-        assert opening >= 0.0
+        assert opening >= -0.1 * SPACING  # the faces are penalised, so they overlap a little
         assert run.velocities[-1, ~upper, 2].mean() < -0.01  # pushed
         assert np.abs(run.balance).max() <= 0.1 * run.kinetic[0]
     else:

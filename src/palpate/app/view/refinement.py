@@ -161,7 +161,7 @@ class Refinement:
         self._console.say(f"no reduced model was trained: {reason}; the full body stays")
 
     def next_source(self) -> Session | None:
-        """Return the running session of the model, once: if accepted, or if it is good and the body is whole and not touched."""
+        """Return the running session of the model, once: if accepted, or if it is good and the body not in use."""
         in_use = self._session.is_touched or self._session.is_cut
         with self._lock:
             ready = self._state == READY and (self._accepted or (self._is_good and not in_use))

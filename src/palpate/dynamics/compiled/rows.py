@@ -33,7 +33,7 @@ _APPEND_LOCK = Lock()  # two threads can cut one body
 class Rows(NamedTuple):
     """Stencils in compressed rows: a node's neighbours are next to each other, and so are their weights.
 
-    A row has an even number of entries. The last can be the node itself with zero weights.
+    A row has an even number of entries, at least two. The last can be the node itself with zero weights.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def with_rows(
     near, weights : (t,) and (t, w) arrays
         Neighbours and weights, node by node.
     """
-    padded = count + count % SUM_CHAINS
+    padded = np.maximum(count + count % SUM_CHAINS, SUM_CHAINS)  # the loop of the sums runs at least once
     begin = np.concatenate([[0], np.cumsum(padded)])
     with _APPEND_LOCK:
         if (rows.used + begin[-1] > (len(rows.neighbours), len(rows.weights))).any():

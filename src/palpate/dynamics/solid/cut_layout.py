@@ -189,7 +189,7 @@ def _with_smoothing(lanes: Lanes, weights: Weights, nodes: Ints, entries: Entrie
     block, lane = np.searchsorted(blocks, total.node // LANES), total.node % LANES
     first = np.concatenate([[True], np.diff(total.node) != 0]) if len(total.node) else np.zeros(0, dtype=bool)
     place = np.arange(len(total.node)) - np.flatnonzero(first)[np.cumsum(first) - 1]
-    longest = int(place.max(initial=-1)) + 1
+    longest = max(int(place.max(initial=-1)) + 1, 1)  # the loop of the sums runs at least once
     near = np.broadcast_to(lanes.nodes[blocks][:, None], (len(blocks), longest, LANES)).copy()
     values: Any = np.zeros((len(blocks), longest, LANES))
     near[block, place, lane], values[block, place, lane] = total.near, total.weights[:, 0]
