@@ -21,7 +21,7 @@ HEADS = {
     sections.Region: "[[region]]", sections.Support: "[[support]]", sections.Place: "place = { ... }",
     sections.Plane: "plane = { ... }", sections.Box: "box = { ... }", sections.Ball: "ball = { ... }",
     sections.Painted: "painted = { ... }", sections.Near: "near = { ... }", sections.Tool: "[tool]",
-    sections.Load: "[[load]]", sections.Run: "[run]", sections.Training: "[training]",
+    sections.Cut: "[cut]", sections.Load: "[[load]]", sections.Run: "[run]", sections.Training: "[training]",
 }  # fmt: skip
 
 

@@ -16,11 +16,11 @@ from palpate.tissue.catalogue import LAWS
 from palpate.tissue.liver import LIVER_DENSITY, LIVER_POISSON, MASS_DAMPING
 
 __all__ = [
-    "Ball", "Body", "Box", "Description", "Fibre", "Load", "Near", "Painted", "Place", "Plane", "Region", "Relaxation",
-    "Run", "Shape", "Support", "Tissue", "Tool", "Training", "chooses_runs", "with_settings",
+    "Ball", "Body", "Box", "Cut", "Description", "Fibre", "Load", "Near", "Painted", "Place", "Plane", "Region",
+    "Relaxation", "Run", "Shape", "Support", "Tissue", "Tool", "Training", "chooses_runs", "with_settings",
 ]  # fmt: skip
 
-SINGLE_SECTIONS = ("surface", "body", "tissue", "tool", "run", "training")
+SINGLE_SECTIONS = ("surface", "body", "tissue", "tool", "cut", "run", "training")
 SURFACE_SHAPES = ("liver", "box", "disc")
 # keys of [training] that choose runs and the size of the model; neither the body nor a path depends on them
 CHOICES_OF_RUNS = ("paths", "held_out", "modes", "tolerance", "cubature", "seed")
@@ -211,6 +211,22 @@ class Tool:
 
 
 @dataclass(frozen=True)
+class Cut:
+    """Scalpel of `palpate run --cut`, which goes down into the body, along it, and out again."""
+
+    toughness: float = setting(20.0, "energy of a cut per area: 164 of bovine liver", unit="J/m^2", low=0.0, high=1e4)
+    wedge: float = setting(0.0, "thickness of the blade", unit="m", low=0.0, high=0.01)
+    shear_stress: float = setting(0.0, "friction on each side of the blade", unit="Pa", low=0.0, high=1e6)
+    edge_length: float | None = setting(None, "of the blade; one that fits the spacing if it is left out", unit="m",
+                                        above=0.0, high=1.0)  # fmt: skip
+    cut_length: float | None = setting(None, "way along the body; one that fits it if it is left out", unit="m",
+                                       above=0.0, high=1.0)  # fmt: skip
+    cut_depth: float | None = setting(None, "way into the body; one that fits it if it is left out", unit="m",
+                                      above=0.0, high=0.2)  # fmt: skip
+    cut_speed: float = setting(0.02, "speed of the blade", unit="m/s", above=0.0, high=1.0)
+
+
+@dataclass(frozen=True)
 class Load:
     """Load of a single run: a force, a pressure or gravity over time."""
 
@@ -288,6 +304,7 @@ class Description:
     region: tuple[Region, ...] = setting((), "regions of other tissue")
     support: tuple[Support, ...] = setting((), "supports; the side away from the first view is fixed if there are none")
     tool: Tool = setting(Tool(), "tool")
+    cut: Cut = setting(Cut(), "scalpel of a cut in real time")
     load: tuple[Load, ...] = setting((), "loads of a single run")
     run: Run = setting(Run(), "single run of the full body")
     training: Training = setting(Training(), "training of a reduced model")

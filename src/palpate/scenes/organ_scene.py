@@ -313,7 +313,7 @@ class OrganScene(Described):
         about = asdict(self.description)
         for name in CHOICES_OF_RUNS:
             about["training"].pop(name)
-        about.pop("title"), about.pop("run"), about.pop("load")
+        about.pop("title"), about.pop("run"), about.pop("load"), about.pop("cut")
         digests = {file: sha256(read_bytes(self.folder / file, "file")).hexdigest() for file in sorted(_files(about))}
         return {"sections": about, "files": digests}
 

@@ -45,6 +45,8 @@ FACTORS_BY_UNIT: dict[str, dict[str, float]] = {
     "m^3": {"m^3": 1.0, "l": 1e-3, "ml": 1e-6, "cm^3": 1e-6},
     "N/m^3": {"N/m^3": 1.0, "Pa/m": 1.0, "Pa/mm": 1e3, "kPa/cm": 1e5, "kPa/mm": 1e6, "N/cm^3": 1e6},
     "N s/m^3": {"N s/m^3": 1.0, "Pa s/m": 1.0, "kPa s/m": 1e3},
+    "m/s": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
+    "J/m^2": {"J/m^2": 1.0, "mJ/cm^2": 10.0, "kJ/m^2": 1e3},
     "rad": {"rad": 1.0, "deg": math.pi / 180},
 }
 QUANTITY_PATTERN = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*", re.ASCII)

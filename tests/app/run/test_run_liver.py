@@ -119,6 +119,34 @@ def test_the_full_liver_is_pressed_without_training(cache, tmp_path, capsys):
     assert not cache.exists()
 
 
+def test_a_scalpel_goes_the_way_of_the_scene():
+    settings = {"spacing": 0.012, "cut_depth": "8 mm", "cut_length": 0.03, "cut_speed": "10 mm/s", "toughness": 50}
+    scene = open_scene("liver", settings)
+    poses, contact = realtime_scene.cutting_scalpel(scene.body, scene.description.cut)
+    ways = np.array([poses(time)[0] for time in np.linspace(0.0, 10.0, 1001)])
+    top, gap = scene.body.cloud.points[:, 2].max(), realtime_scene.AIR_GAP
+    assert contact.tool.toughness == 50
+    np.testing.assert_allclose(np.ptp(ways, axis=0).max(), 0.03)
+    np.testing.assert_allclose(ways[:, 2].min(), -(0.008 + gap))
+    assert contact.motion[0][2] - gap <= top  # the depth is below the surface there
+    np.testing.assert_allclose(np.linalg.norm(np.diff(ways, axis=0), axis=1).max(), 0.01 * 0.01)
+
+
+def test_the_way_of_a_scalpel_changes_no_training():
+    assert open_scene("liver", {"toughness": 50}).digest == open_scene("liver", {}).digest
+
+
+def test_the_liver_is_cut_in_real_time(cache, tmp_path, capsys):
+    options = ["--cut", "--set", "spacing=0.012", "cut_depth=10mm", "--seconds", "3", "--out", str(tmp_path)]
+    assert main(["run", "liver", *options]) == 0
+    printed = capsys.readouterr().out
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["cut"]["area"] > 2e-5
+    assert report["cut"]["failure"] == ""
+    assert "cut area" in printed
+    assert not cache.exists()
+
+
 @pytest.mark.slow
 def test_a_model_from_a_file_is_pressed_and_the_force_is_reported(trained, swift, tmp_path, capsys):
     file = trained / "model.rom"
@@ -204,6 +232,8 @@ def test_a_model_without_contact_is_refused(run, held, tmp_path, assert_refused)
         (["--realtime", "--full", "--model", __file__], ["--model must be left out with --full", __file__]),
         (["--realtime", "--model", __file__, "--spacing", "0.01"], ["--spacing must be left out with --model"]),
         (["--realtime", "--full", "--spacing", "0.1"], ["--spacing"]),
+        (["--cut", "--set", "toughness=-1"], ["toughness", "J/m^2"]),
+        (["--cut", "--model", __file__], ["--model must be left out with --cut", __file__]),
     ],
 )
 def test_bad_options_are_refused_in_one_line_and_no_file_is_left(cache, tmp_path, assert_refused, options, parts):

@@ -18,6 +18,7 @@ from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import load
+from palpate.scenes.description import Cut
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.scene_paths import MIN_RADIUS, touching_paths
@@ -26,10 +27,9 @@ __all__ = ["pressing_ball", "run_scene_realtime"]
 
 UNTRAINED_SEED = 1_500_000  # of a path that was not trained on
 PRESS_SECONDS, SWING_SECONDS = 2.0, 3.0  # [s] duration of such a path
-REST_SECONDS, CUT_SPEED = 1.0, 0.02  # [s] above the body at first, and [m/s] of a scalpel
+REST_SECONDS = 1.0  # [s] of a scalpel above the body at first
 CUT_SHARE, MAX_CUT_DEPTH = 0.25, 0.015  # of the size of a body that is cut, and [m] depth of the cut at most
 AIR_GAP, SCALPEL_LENGTH = 0.005, 0.03  # [m] of a scalpel over the body at first, and of its edge
-SCALPEL_TOUGHNESS = 20.0  # [J/m^2]: bovine liver has 164, and soft tissue is then dragged far before it is cut
 NO_ROTATION = np.array([1.0, 0.0, 0.0, 0.0])
 MAX_PRESS_DEPTH, MIN_DEPTH_SHARE = 0.015, 2 / 3  # [m] depth of the press at most; least depth over that
 
@@ -88,21 +88,27 @@ def run_scene_realtime(
         else:
             body = trained_model(opened, console) if model is None else load(model)  # type: ignore[assignment]
         if cut:
-            return body, *cutting_scalpel(body)
+            return body, *cutting_scalpel(body, opened.description.cut)
         if opened.held_group:
             return body, opened.held_motion(UNTRAINED_SEED, SWING_SECONDS), None
         return body, *pressing_ball(opened, body, model)
 
     if cut:
-        about |= {"toughness": SCALPEL_TOUGHNESS}
+        about |= {"toughness": opened.description.cut.toughness}
     title = f"{'Full ' + opened.title.lower() if full else opened.title} in real time"
     return run_realtime(make, title=title, about=about, **options)
 
 
-def cutting_scalpel(body: Any) -> tuple[Poses, Contact]:
+def cutting_scalpel(body: Any, cut: Cut) -> tuple[Poses, Contact]:
     """Return the poses of a scalpel that cuts across the top of a body, and the scalpel at its first pose.
 
     It goes down into the body, along its longest horizontal axis, and out again.
+
+    Parameters
+    ----------
+    body : EnergySolid
+    cut : Cut
+        Section of a scene. Sizes that it leaves out fit the body.
 
     Raises
     ------
@@ -114,17 +120,18 @@ def cutting_scalpel(body: Any) -> tuple[Poses, Contact]:
         raise InputError("body that a scalpel cuts must be a solid in the energy form, got another; use another scene")
     centre, size = points.mean(axis=0), np.ptp(points, axis=0)
     axis = int(np.argmax(size[:2]))
-    length = CUT_SHARE * size[axis]
+    length = cut.cut_length or CUT_SHARE * size[axis]
     near = np.abs(points[:, :2] - centre[:2])
     above = points[(near[:, axis] < 0.5 * length) & (near[:, 1 - axis] < 2 * spacing)]
-    depth = min(MAX_CUT_DEPTH, CUT_SHARE * np.ptp(above[:, 2]))
-    blade = scalpel(max(SCALPEL_LENGTH, 4 * spacing), SCALPEL_TOUGHNESS)
+    depth = cut.cut_depth or min(MAX_CUT_DEPTH, CUT_SHARE * np.ptp(above[:, 2]))
+    edge_length = cut.edge_length or max(SCALPEL_LENGTH, 4 * spacing)
+    blade = scalpel(edge_length, cut.toughness, cut.shear_stress, cut.wedge)
     along = np.zeros(3)
     along[axis] = 1.0
     first = np.array([*(centre[:2] - 0.5 * length * along[:2]), above[:, 2].max() + AIR_GAP])
-    down, across = (AIR_GAP + depth) / CUT_SPEED, length / CUT_SPEED
+    down, across = (AIR_GAP + depth) / cut.cut_speed, length / cut.cut_speed
     times = np.cumsum([0.0, REST_SECONDS, down, across, down])
-    turns = np.array([[0, 0, 0], [0, 0, 0], [0, 0, -down], [0, 0, -down], [0, 0, 0]]) * CUT_SPEED
+    turns = np.array([[0, 0, 0], [0, 0, 0], [0, 0, -down], [0, 0, -down], [0, 0, 0]]) * cut.cut_speed
     ways = np.array([0.0, 0.0, 0.0, length, length])
 
     def poses(time: float) -> Any:

@@ -103,7 +103,7 @@ class Blade(Described):
         return 0.0, 0.0, 0.0
 
 
-def scalpel(length: float, toughness: float) -> Blade:
+def scalpel(length: float, toughness: float, friction: float = 0.0, wedge: float = 0.0) -> Blade:
     """Return a blade with a round belly, which cuts ahead to both sides.
 
     Parameters
@@ -111,8 +111,10 @@ def scalpel(length: float, toughness: float) -> Blade:
     length : float [m]
         Between the ends of the edge.
     toughness : float [J/m^2]
+    friction : float [Pa]
+    wedge : float [m]
     """
     shares = np.linspace(-1.0, 1.0, BELLY_POINTS)
     belly = 1.0 - np.sqrt(1.0 - (BELLY_SHARE * shares) ** 2)
     edge = np.column_stack([0.5 * length * shares, np.zeros(BELLY_POINTS), 0.5 * length * belly])
-    return Blade(edge, toughness, height=0.5 * length)
+    return Blade(edge, toughness, friction, wedge, height=0.5 * length)

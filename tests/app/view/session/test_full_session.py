@@ -138,7 +138,7 @@ def test_forged_bodies_are_refused(recorded, tmp_path, forge, change, message):
 
 def test_forceps_pull_a_full_body_on_a_session(body, until):
     session = Session(body, "Full block")
-    assert session.hello()["tools"] == ["sphere", "capsule", "grasp"]
+    assert session.hello()["tools"] == ["sphere", "capsule", "grasp", "scalpel"]
     session.start()
     session.handle(validate_message({"type": "tool", "kind": "grasp", "radius": BALL / 2, "position": MIDDLE.tolist()}))
     pulled = MIDDLE + np.array([0.0, 0.0, 0.003])
