@@ -145,7 +145,7 @@ def test_a_surface_is_touched_at_once(organ, capsys):
         assert word in printed, printed
     session = Session(model, "Organ")
     assert session.hello()["full"]
-    assert session.tool_kinds == ["sphere", "capsule", "grasp"]
+    assert session.tool_kinds == ["sphere", "capsule", "grasp", "scalpel"]
     front = model.cloud.points[np.argmin(model.cloud.points[:, 1])]
     session.start()
     try:
