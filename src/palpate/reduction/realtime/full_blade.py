@@ -101,14 +101,16 @@ class BladeCutter:
             if self._contact is None and not self._is_due:
                 self._turn_pairs(coordinates)
                 return None
-            began = perf_counter()
-            cloud, u = self.model.cloud, coordinates.reshape(-1, 3)
-            sites, released = face_pairs(self.model.cut_state, u, cloud.points[cloud.triangles]), 0.0
+            began, released = perf_counter(), 0.0
+            sites = None
             if self._contact is not None:
-                new_sites, released = self._advance(self._contact, coordinates)
-                if new_sites is None and not self._is_due:
+                sites, released = self._advance(self._contact, coordinates)
+                if sites is None and not self._is_due:
                     return None
-                sites = self.data.contacts.sites if new_sites is None else new_sites
+            if sites is None:
+                cloud = self.model.cloud
+                corners = cloud.points[cloud.triangles]
+                sites = face_pairs(self.model.cut_state, coordinates.reshape(-1, 3), corners)
             self._is_due = False
             if self.incision is not None:
                 self.incision = self.incision.with_works(*map(float, self.data.contacts.sites.works))
