@@ -21,11 +21,11 @@ import numpy as np
 
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
+from palpate.dynamics.contact.kinds import BLADE
 from palpate.faults import InputError, brief, number_in_range
 
-__all__ = ["BLADE_KIND", "Blade", "scalpel"]
+__all__ = ["Blade", "scalpel"]
 
-BLADE_KIND = 4  # kind of the shape
 BELLY_POINTS, BELLY_SHARE = 13, 0.97  # of a scalpel's edge, and the sine of the angle at its ends
 
 
@@ -65,7 +65,7 @@ class Blade(Described):
     friction: float = 0.0
     wedge: float = 0.0
     height: float = 0.02
-    kind: ClassVar[int] = BLADE_KIND
+    kind: ClassVar[int] = BLADE
 
     def __post_init__(self) -> None:
         try:

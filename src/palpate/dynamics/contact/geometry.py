@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats, Ints
 from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.dynamics.contact.blade import BLADE_KIND
 from palpate.dynamics.contact.blade_sites import BladeSites, no_sites
-from palpate.dynamics.contact.tools import BONDED, CAPSULE, PLANE, Contact
+from palpate.dynamics.contact.kinds import BLADE, BONDED, CAPSULE, PLANE
+from palpate.dynamics.contact.tools import Contact
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 
@@ -366,7 +366,7 @@ def contacts(
         A group is unknown, two tools have one name, or a tool is smaller than the spacing.
     """
     _check_tools(loads, cloud)
-    if patches is None and any(load.tool.kind == BLADE_KIND for load in loads):
+    if patches is None and any(load.tool.kind == BLADE for load in loads):
         raise InputError("model of a Blade must be a Solid in the energy form, got another; use form='energy'")
     # with the interior nodes: a tool that presses deep acts on them below a stretched surface
     nodes = [_candidates(load, cloud) for load in loads]
@@ -408,7 +408,7 @@ def contacts(
 
 def _candidates(load: Contact, cloud: Cloud) -> NDArray[np.int64]:
     """Return the nodes whose patches a tool can reach; none for a blade, which touches its sites."""
-    if load.tool.kind == BLADE_KIND:
+    if load.tool.kind == BLADE:
         return np.zeros(0, dtype=np.int64)
     return np.arange(len(cloud)) if load.group is None else cloud.group(load.group)
 
@@ -421,7 +421,7 @@ def _check_tools(loads: Sequence[Contact], cloud: Cloud) -> None:
             raise InputError(f"name of every Contact must be unique, got {load.name!r} twice; choose another name")
         # runs of solids detect a tool between nodes; a membrane has no interior nodes
         least = cloud.spacing * (1 if cloud.points.shape[1] == 3 else 2)
-        if load.tool.kind not in (PLANE, BONDED, BLADE_KIND) and load.tool.sizes[0] < least:
+        if load.tool.kind not in (PLANE, BONDED, BLADE) and load.tool.sizes[0] < least:
             raise InputError(
                 f"radius of Contact {load.name!r} must be at least {least:g} m for a spacing of {cloud.spacing:g} m, "
                 f"got {load.tool.sizes[0]:g} m; use a larger tool or a finer spacing"

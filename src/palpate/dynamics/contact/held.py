@@ -19,9 +19,8 @@ from __future__ import annotations
 import numpy as np
 
 from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.dynamics.contact.blade import BLADE_KIND
 from palpate.dynamics.contact.geometry import coulomb, gap, material_velocity
-from palpate.dynamics.contact.tools import BONDED, CAPSULE
+from palpate.dynamics.contact.kinds import BLADE, BONDED, CAPSULE
 
 __all__ = ["press_held_nodes"]
 
@@ -49,7 +48,7 @@ def press_held_nodes(held, kinds, sizes, friction, frames, step, kick, tool_impu
     held.forces[:] = 0.0
     held.energy[0] = 0.0
     for t in range(kinds.shape[0]):
-        if kinds[t] == BONDED or kinds[t] == BLADE_KIND:
+        if kinds[t] == BONDED or kinds[t] == BLADE:
             continue
         before, after, origin = frames[t, 0], frames[t, 1], frames[t, 1, :, 3]
         far = sizes[t, 0] + sizes[t, 1] if kinds[t] == CAPSULE else np.inf

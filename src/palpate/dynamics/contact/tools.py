@@ -19,11 +19,11 @@ from scipy.spatial.transform import Rotation, Slerp
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.dynamics.contact.blade import Blade
+from palpate.dynamics.contact.kinds import BONDED, CAPSULE, PLANE, PUNCH
 from palpate.faults import InputError, brief, number_in_range
 from palpate.meshfree.cloud import Cloud
 
 __all__ = [
-    "BONDED",
     "Capsule",
     "Contact",
     "Forceps",
@@ -39,7 +39,6 @@ __all__ = [
 
 Motion = Callable[[float], Any] | Sequence[Any] | Floats
 
-CAPSULE, PLANE, PUNCH, BONDED = 0, 1, 2, 3
 MAX_ROTATION = 1e6  # [rad], component of a rotation vector
 ROUNDING_RADII = 0.05  # default rounding of a punch's edge, in its radii
 

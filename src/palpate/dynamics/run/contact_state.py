@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats
-from palpate.dynamics.contact.blade import BLADE_KIND
 from palpate.dynamics.contact.geometry import Contacts, compute_gaps, compute_patch_positions
-from palpate.dynamics.contact.tools import BONDED, PLANE
+from palpate.dynamics.contact.kinds import BLADE, BONDED, PLANE
 from palpate.dynamics.loads.prepared import LoadHistory, LoadSites, PreparedLoads
 from palpate.dynamics.run.model import ContactState
 from palpate.faults import DivergenceError, InputError, first_few
@@ -43,7 +42,7 @@ def check_initial_penetration(
     contacts, depth, positions = prepared.contacts, np.zeros(len(displacements)), np.zeros((len(displacements), 3))
     compute_patch_positions(contacts, np.ascontiguousarray(displacements), positions)
     for t, tool in enumerate(prepared.tools):
-        if tool.tool.kind in (BONDED, BLADE_KIND):
+        if tool.tool.kind in (BONDED, BLADE):
             continue
         compute_gaps(contacts.kind[t], contacts.sizes[t], schedule.poses[0, t], positions, depth)
         free = schedule.times[0] > contacts.prescribed_until
@@ -68,7 +67,7 @@ def check_tool_step(prepared: PreparedLoads, schedule: LoadHistory, spacing: flo
     """
     for t, tool in enumerate(prepared.tools):
         radius, half, _ = tool.tool.sizes
-        allowed = spacing if tool.tool.kind in (PLANE, BLADE_KIND) else MAX_TOOL_STEP * radius
+        allowed = spacing if tool.tool.kind in (PLANE, BLADE) else MAX_TOOL_STEP * radius
         poses = schedule.poses[:, t]
         angle = 2 * np.arccos(np.clip(np.abs(np.sum(poses[1:, 3:] * poses[:-1, 3:], axis=1)), 0.0, 1.0))
         distance = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1) + half * angle
@@ -101,7 +100,7 @@ def check_penetration(
     """
     depth = np.zeros(len(displacements))
     for t, tool in enumerate(prepared.tools):
-        if tool.group is not None or tool.tool.kind == BLADE_KIND:
+        if tool.group is not None or tool.tool.kind == BLADE:
             continue
         of_tool = slice(contacts.start[t], contacts.start[t + 1])
         nodes, impulses = contacts.nodes[of_tool], np.linalg.norm(contacts.patch_impulses[of_tool, :3], axis=1)

@@ -12,7 +12,7 @@ import scipy.sparse as sparse
 
 from palpate.arrays import Floats, sum_of_products
 from palpate.dynamics.compiled.passes import smooth_field
-from palpate.dynamics.contact.blade import BLADE_KIND
+from palpate.dynamics.contact.kinds import BLADE
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed, prepare_loads
 from palpate.dynamics.nodal.model import History, NodalWork
@@ -196,7 +196,7 @@ class EnergySolid(Solid):
         loads = listed(loads)
         in_contact = any(isinstance(load, Contact) for load in loads)
         patches = self.patches if in_contact else None
-        if self.planes and any(isinstance(load, Contact) and load.tool.kind == BLADE_KIND for load in loads):
+        if self.planes and any(isinstance(load, Contact) and load.tool.kind == BLADE for load in loads):
             raise InputError("model of a Blade must have no planes of symmetry, got some; cut the complete body")
         prepared = self._press_supports(prepare_loads(self.cloud, self.supports, loads, patches=patches))
         return prepared if self._cut is None else with_pairs(self, prepared)

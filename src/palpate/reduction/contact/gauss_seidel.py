@@ -22,7 +22,7 @@ import numpy as np
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.geometry import gap, material_velocity
 from palpate.dynamics.contact.held import press_held_nodes
-from palpate.dynamics.contact.tools import BONDED
+from palpate.dynamics.contact.kinds import BONDED
 from palpate.reduction.contact.compliance import energy_factor, pair, refresh, secant_factor, stiffened_force
 from palpate.reduction.contact.surface import PAIRS, SWEEPS, UNCONVERGED
 

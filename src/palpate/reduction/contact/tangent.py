@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.geometry import gap
-from palpate.dynamics.contact.tools import BONDED
+from palpate.dynamics.contact.kinds import BONDED
 from palpate.reduction.contact.compliance import refresh
 from palpate.reduction.contact.surface import PAIRS
 

@@ -11,7 +11,8 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import rotation
-from palpate.dynamics.contact.tools import CAPSULE, Forceps, Tool
+from palpate.dynamics.contact.kinds import CAPSULE
+from palpate.dynamics.contact.tools import Forceps, Tool
 from palpate.faults import InputError
 from palpate.reduction.contact.surface import PAIRS
 from palpate.reduction.realtime.period import PeriodData

@@ -10,7 +10,8 @@ from palpate.arrays import Floats
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import rotation
 from palpate.dynamics.contact.grip import empty_grip, grasped_nodes, set_grip
-from palpate.dynamics.contact.tools import CAPSULE, PLANE, Contact, Forceps, Grasp, Sphere, Tool
+from palpate.dynamics.contact.kinds import CAPSULE, PLANE
+from palpate.dynamics.contact.tools import Contact, Forceps, Grasp, Sphere, Tool
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.supports import FREE
 from palpate.dynamics.material.relaxation import history_copy

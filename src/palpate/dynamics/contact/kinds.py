@@ -1,0 +1,7 @@
+"""The kinds of tools, as the compiled passes compare them. A new tool takes the next number."""
+
+from __future__ import annotations
+
+__all__ = ["BLADE", "BONDED", "CAPSULE", "PLANE", "PUNCH"]
+
+CAPSULE, PLANE, PUNCH, BONDED, BLADE = 0, 1, 2, 3, 4
