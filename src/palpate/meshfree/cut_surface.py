@@ -19,7 +19,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -27,6 +26,7 @@ from palpate.arrays import Floats, Ints
 from palpate.code_cache import cached_njit
 from palpate.describe import Described, Fact
 from palpate.faults import CloudError
+from palpate.meshfree.nesting import inside_points
 
 __all__ = [
     "CutSurface",
@@ -34,8 +34,6 @@ __all__ = [
     "cut_surface",
     "first_crossings",
     "first_triangles",
-    "inside_points",
-    "inside_shares",
     "is_narrow",
     "nearest_normals",
     "nearest_on_cut",
@@ -242,61 +240,6 @@ def _difference(a, b):  # type: ignore[no-untyped-def]
 @cached_njit(nogil=True)
 def _length(x, y, z):  # type: ignore[no-untyped-def]
     return np.sqrt(x * x + y * y + z * z)
-
-
-@cached_njit(nogil=True)
-def _winding_number(point, corners):  # type: ignore[no-untyped-def]
-    """Return the winding number of a closed surface (s, 3, 3) about a point, as `palpate.meshfree.nesting`."""
-    total = 0.0
-    for t in range(corners.shape[0]):
-        ax, ay, az = _difference(corners[t, 0], point)
-        bx, by, bz = _difference(corners[t, 1], point)
-        cx, cy, cz = _difference(corners[t, 2], point)
-        a, b, c = _length(ax, ay, az), _length(bx, by, bz), _length(cx, cy, cz)
-        above = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-        below = a * b * c + (ax * bx + ay * by + az * bz) * c + (bx * cx + by * cy + bz * cz) * a
-        total += np.arctan2(above, below + (cx * ax + cy * ay + cz * az) * b)
-    return total / (2.0 * np.pi)
-
-
-@cached_njit(nogil=True)
-def _winding_numbers(points, corners, result):  # type: ignore[no-untyped-def]
-    for k in range(points.shape[0]):
-        result[k] = _winding_number(points[k], corners)
-
-
-def inside_points(points: Floats, corners: Floats) -> NDArray[np.bool_]:
-    """Return whether points (p, 3) are inside a closed surface (s, 3, 3)."""
-    numbers = np.zeros(len(points))
-    _winding_numbers(np.ascontiguousarray(points), corners, numbers)
-    return np.asarray(np.abs(numbers) > 0.5)
-
-
-@cached_njit(nogil=True)
-def inside_shares(segments, corners, shares):  # type: ignore[no-untyped-def]
-    """Write the shares of the lengths of segments (s, 2, 3) that are inside a closed surface (t, 3, 3)."""
-    for k in range(segments.shape[0]):
-        start = segments[k, 0]
-        dx, dy, dz = _difference(segments[k, 1], start)
-        total = 1.0 if abs(_winding_number(start, corners)) > 0.5 else 0.0
-        for t in range(corners.shape[0]):
-            ux, uy, uz = _difference(corners[t, 1], corners[t, 0])
-            vx, vy, vz = _difference(corners[t, 2], corners[t, 0])
-            nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-            slope = nx * dx + ny * dy + nz * dz
-            if slope == 0.0:
-                continue
-            px, py, pz = _difference(corners[t, 0], start)
-            share = (nx * px + ny * py + nz * pz) / slope
-            if not 0.0 < share < 1.0:
-                continue
-            qx, qy, qz = share * dx - px, share * dy - py, share * dz - pz
-            square = nx * nx + ny * ny + nz * nz
-            a = ((qy * vz - qz * vy) * nx + (qz * vx - qx * vz) * ny + (qx * vy - qy * vx) * nz) / square
-            b = ((uy * qz - uz * qy) * nx + (uz * qx - ux * qz) * ny + (ux * qy - uy * qx) * nz) / square
-            if a >= 0.0 and b >= 0.0 and a + b < 1.0:
-                total += (1.0 - share) * (1.0 if slope < 0.0 else -1.0)
-        shares[k] = min(max(total, 0.0), 1.0)
 
 
 @cached_njit(nogil=True)

@@ -14,7 +14,7 @@ from palpate.arrays import Floats
 from palpate.faults import InputError, brief, number_in_range
 from palpate.meshfree.attachment import painted
 from palpate.meshfree.cloud import Cloud
-from palpate.meshfree.nesting import winding_number
+from palpate.meshfree.nesting import inside_points
 from palpate.meshfree.refining import refine_surface
 from palpate.meshfree.surface_files import METRES_BY_UNIT, read_surface
 from palpate.meshfree.surfaces import Surface
@@ -148,7 +148,7 @@ def inside_surface(surface: Surface, points: Floats) -> NDArray[np.bool_]:
     corners = surface.vertices[surface.triangles]
     low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     mask = np.all((points >= low) & (points <= high), axis=1)
-    mask[mask] = [abs(winding_number(corners, point)) > 0.5 for point in points[mask]]
+    mask[mask] = inside_points(points[mask], corners)
     return mask
 
 

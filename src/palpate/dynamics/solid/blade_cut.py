@@ -131,14 +131,15 @@ def advance_blade(
             )
         return body, *_with_faces(incision, sites, face_pairs(cut_state, u, corners)), 0.0
     cuts = advance_edge(cut_state, incision, blade, frame, u, corners)
+    energy = body.strain_energy(u, history) if cuts else 0.0
     for edge, pieces, area in cuts:
         strip, triangles, replaced = next_strip(incision.strip, incision.edge, edge, pieces, cloud.spacing)
         lost = 0.0
         if len(triangles):
             _check_distance(tool, triangles, cloud.points, held, cloud.spacing)
-            before = body.strain_energy(u, history)
             body = cut_from(body, len(body.cut_surface.triangles) - replaced, triangles)
-            lost = before - body.strain_energy(u, history)
+            before, energy = energy, body.strain_energy(u, history)
+            lost = before - energy
         incision = after_cut(incision, edge, strip, area, lost, cloud.spacing)
         released += lost
     if not cuts:

@@ -13,7 +13,8 @@ from palpate.arrays import Floats
 from palpate.dynamics.contact.blade_sites import NO_TOOL, PAIR_SITE, BladeSites, no_sites
 from palpate.meshfree.cut_points import SIGHT_DISTANCE, PointWeights, point_weights
 from palpate.meshfree.cut_stencils import CutState
-from palpate.meshfree.cut_surface import inside_points, triangle_areas
+from palpate.meshfree.cut_surface import triangle_areas
+from palpate.meshfree.nesting import inside_points
 
 __all__ = ["face_pairs", "joined_sites", "turn_pairs"]
 

@@ -26,7 +26,8 @@ from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.blade_sites import EDGE_SITE, FACE_SITE, BladeSites
 from palpate.meshfree.cut_points import LEAST_VOLUME, SIGHT_DISTANCE, PointWeights, point_weights, reference_points
 from palpate.meshfree.cut_stencils import CutState
-from palpate.meshfree.cut_surface import inside_shares, is_narrow, nearest_on_cut, swept, triangle_areas
+from palpate.meshfree.cut_surface import is_narrow, nearest_on_cut, swept, triangle_areas
+from palpate.meshfree.nesting import inside_shares
 
 __all__ = [
     "Incision",

@@ -15,7 +15,8 @@ import scipy.sparse as sparse
 from palpate.arrays import Floats, Ints, Singles
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.meshfree.cut_points import SIGHT_DISTANCE, point_weights
-from palpate.meshfree.cut_surface import first_crossings, inside_points
+from palpate.meshfree.cut_surface import first_crossings
+from palpate.meshfree.nesting import inside_points
 from palpate.reduction.realtime.display_surface import fixed_nodes
 from palpate.reduction.realtime.full_surface import FullSurface
 
