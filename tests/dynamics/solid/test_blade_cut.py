@@ -83,6 +83,25 @@ def test_out_and_in_again_costs_the_toughness_of_the_new_area_only():
     assert work[9] - work[3] <= 0.12 * work[3]
 
 
+def test_a_curved_blade_that_is_drawn_out_along_its_edge_cuts_nothing():
+    tissue = pt.materials.MooneyRivlin(C1=1500.0, C2=0, density=1060.0, poisson=0.45)
+    body = pt.Solid(pt.box((0.06, 0.03, 0.02), 5e-3, jitter=0.2), tissue, fixed="z-")
+    edge = [(-0.012, 0, 0.004), (-0.006, 0, 0.001), (0, 0, 0), (0.006, 0, 0.001), (0.012, 0, 0.004)]
+
+    def motion(t):
+        down, out = min(t, 0.25), max(t - 0.25, 0.0)
+        return 0.02 + 0.06 * out, 0.015, 0.021 - 0.036 * down + 0.03 * out
+
+    knife = pt.tools.Contact(pt.tools.Blade(edge, toughness=5.0), motion)
+    run = pt.rollout(body, [knife], duration=0.5, every=0.025)
+    area, work = run.cut_area, run.edge_work + run.released_energy
+    assert area[-1] < 1.03 * area[13]  # at 0.325 s, when the edge no longer pushes
+    assert not run.friction_work.any()
+    # pieces of the edge that enter the body cut without a force until the next cut
+    assert work[10] == pytest.approx(5.0 * area[10], rel=0.08)
+    assert work[10] - work[5] == pytest.approx(5.0 * (area[10] - area[5]), rel=0.03)
+
+
 @pytest.mark.slow
 def test_friction_adds_the_shear_stress_on_both_sides():
     runs = [

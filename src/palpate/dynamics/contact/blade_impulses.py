@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.dynamics.contact.blade_sites import EDGE_SITE, PAIR_SITE
+from palpate.dynamics.contact.blade_sites import EDGE_SITE, FACE_SITE, PAIR_SITE
 from palpate.dynamics.contact.geometry import project
 
 __all__ = ["clear_sites", "push_sites", "site_works"]
@@ -208,7 +208,8 @@ def site_works(contacts, ends, step, kick, u, velocity, data):  # type: ignore[n
         push, t = sites.impulses[s], sites.tool[s]
         if push[0] == 0.0 and push[1] == 0.0 and push[2] == 0.0:
             continue
-        power, on_nodes = 0.0, 0.0
+        power, on_nodes, rubbed = 0.0, 0.0, 0.0
+        along = push[0], push[1], push[2]  # the face
         if t >= 0:
             first, last = contacts.frames[t, 0], contacts.frames[t, 1]
             start, end = _turned(first, sites.places[s]), _turned(last, sites.places[s])
@@ -217,6 +218,12 @@ def site_works(contacts, ends, step, kick, u, velocity, data):  # type: ignore[n
                 contacts.tool_impulses[t, d] += push[d]
                 contacts.tool_impulses[t, 3 + d] += end[a] * push[b] - end[b] * push[a]
                 power += push[d] * (end[d] + last[d, 3] - start[d] - first[d, 3]) / step
+            if sites.kind[s] == FACE_SITE:
+                normal = _turned(last, sites.directions[s])
+                pressed = _dot(along, normal)
+                along = along[0] - pressed * normal[0], along[1] - pressed * normal[1], along[2] - pressed * normal[2]
+                for d in range(3):
+                    rubbed += along[d] * (end[d] + last[d, 3] - start[d] - first[d, 3]) / step
         for e in range(sites.start[s], sites.start[s + 1]):
             j, w = sites.nodes[e], sites.weights[e]
             free = project(contacts.slide, contacts.slide_of[j], push[0], push[1], push[2])
@@ -234,7 +241,10 @@ def site_works(contacts, ends, step, kick, u, velocity, data):  # type: ignore[n
                 else:  # the constraint takes the impulse
                     loads -= w * push[d] * mean
                     on_nodes += w * push[d] * mean
-        if sites.kind[s] != PAIR_SITE:
-            sites.works[sites.kind[s]] += power - on_nodes
+                rubbed -= w * along[d] * mean
+        if sites.kind[s] == EDGE_SITE:
+            sites.works[EDGE_SITE] += power - on_nodes
+        elif sites.kind[s] == FACE_SITE:  # without what an impulse along the normal takes
+            sites.works[FACE_SITE] += rubbed
         tools, lost = tools + power, lost + power - on_nodes
     return tools, lost, loads

@@ -39,7 +39,17 @@ from palpate.dynamics.nodal.central_difference import (
     foundation_force,
     kick_node,
 )
-from palpate.dynamics.nodal.tool_path import END, HOME, SAVED, START, limit_path, place_tool, set_path, write_place
+from palpate.dynamics.nodal.tool_path import (
+    END,
+    HOME,
+    SAVED,
+    START,
+    limit_path,
+    limit_to_cut,
+    place_tool,
+    set_path,
+    write_place,
+)
 from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN
 
 __all__ = ["ContactReport", "NodalPeriodData", "nodal_period"]
@@ -109,17 +119,17 @@ class NodalPeriodData(NamedTuple):
         Contact stiffness [N/m], and position and force of the tool at its last update.
     tool_force : (12,) array
         Forces on the tool's coordinates in the last period with a step.
-    path : (4, 3, 4) array
-        Frames of the tool at the start and the end of a period, at zero displacement, and before the
-        first step.
+    path : (5, 3, 4) array
+        Frames of the tool at the start and the end of a period, at zero displacement, before the first
+        step, and where it cut the body last.
     resting_frequency : float [rad/s]
         Highest frequency at rest, with foundations.
     vector, noise : (n, 3) arrays
         Of the power iteration.
     amplitude : float [m]
         Displacement of its difference quotient.
-    reach, tool_reach : float [m]
-        Largest ways of a node and of the tool in a step.
+    reach, tool_reach, cut_reach : float [m]
+        Largest ways of a node and of the tool in a step, and of the tool from its last cut.
     saved : (3, n, 3) array
         Displacements, velocities and the last internal forces at the start of the period.
     saved_work : (2,) array [J]
@@ -148,6 +158,7 @@ class NodalPeriodData(NamedTuple):
     amplitude: float
     reach: float
     tool_reach: float
+    cut_reach: float
     saved: Floats
     saved_work: Floats
     saved_history: HistoryCopy
@@ -437,6 +448,7 @@ def nodal_period(formulation: Formulation) -> Any:
         excess_before = kinetic - (clock[GIVEN] + clock[WORK] - clock[LOST])
         choose_step(data, u)
         late = limit_path(data.path, data.tool_reach * max(1.0, period / clock[STEP]))
+        late = limit_to_cut(data.path, data.cut_reach) or late
         if _crushes(data):
             copy_values(data.path[START], data.path[END])
             late = True

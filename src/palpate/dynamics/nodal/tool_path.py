@@ -1,7 +1,7 @@
 """Path of the tool of a full body in a period of the engine, and its contact stiffness, compiled.
 
-A path has the frames (3, 4) of the tool at the start and the end of a period, at zero displacement, and before the
-period's first step.
+A path has the frames (3, 4) of the tool at the start and the end of a period, at zero displacement, before the
+period's first step, and where it cut the body last.
 """
 
 from __future__ import annotations
@@ -11,9 +11,21 @@ import numpy as np
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.material.relaxation import copy_values
 
-__all__ = ["END", "HOME", "SAVED", "START", "contact_stiffness", "limit_path", "place_tool", "set_path", "write_place"]
+__all__ = [
+    "END",
+    "HOME",
+    "LAST_CUT",
+    "SAVED",
+    "START",
+    "contact_stiffness",
+    "limit_path",
+    "limit_to_cut",
+    "place_tool",
+    "set_path",
+    "write_place",
+]
 
-START, END, HOME, SAVED = range(4)  # frames of a path
+START, END, HOME, SAVED, LAST_CUT = range(5)  # frames of a path
 POSITION, FORCE = 3, 4  # rows of `NodalPeriodData.secant` after those of the matrix
 LEAST_WAY = 1e-4  # [m] of the tool between two updates of the contact stiffness
 
@@ -58,6 +70,18 @@ def limit_path(path, most):  # type: ignore[no-untyped-def]
         for i in range(3):
             path[END, i, j] /= np.sqrt(length)
     return True
+
+
+@kernel_njit(inner=True)
+def limit_to_cut(path, most):  # type: ignore[no-untyped-def]
+    """Shorten a way of the tool that leads beyond `most` [m] from its last cut; return True if it did."""
+    before, after = 0.0, 0.0
+    for i in range(3):
+        before += (path[START, i, 3] - path[LAST_CUT, i, 3]) ** 2
+        after += (path[END, i, 3] - path[LAST_CUT, i, 3]) ** 2
+    if after <= most * most or after <= before:
+        return False
+    return limit_path(path, max(0.0, most - np.sqrt(before)))
 
 
 @kernel_njit(inner=True)

@@ -50,6 +50,7 @@ NEW_DEPTH = 0.02  # of a face in the blade when its site is made, in spacings
 NEAR_FACE = 1.5  # distance of a point of the blade's flat from the nearest node, in spacings
 LEAST_SHARE = 1e-3  # of a piece of the edge in the body, for it to hold tissue
 LONGEST_STRIP, MAX_BEND = 1.0, 0.01  # of a strip of triangles, and its distance from the way of the edge, in spacings
+LONGEST_RETREAT = 0.3  # of a piece of the edge behind the front, beyond which it holds no tissue, in spacings
 RELEASE_WAY = 1.0  # spacings over which the release is averaged
 
 
@@ -217,7 +218,7 @@ def advance_edge(
     spacing = state.uncut.spacing
     target = _edge_in_body(state, blade, frame, u, incision.edge)
     if incision.hold is not None:
-        _follow_slip(incision, target, edge_points(blade, spacing), frame, u)
+        _follow_slip(incision, target, edge_points(blade, spacing), frame, u, spacing)
     way = target - incision.edge
     distance = np.asarray(state.uncut.tree.query(np.concatenate([incision.edge, target]))[0]).reshape(2, -1).min(axis=0)
     near = distance < NEAR_BODY * spacing
@@ -242,21 +243,28 @@ def _slips(hold: HeldPieces, points: Floats, frame: Floats, u: Floats) -> tuple[
     return _in_space(frame, middles) - tissue - hold.offsets, hold.normals @ frame[:, :3].T
 
 
-def _follow_slip(incision: Incision, target: Floats, points: Floats, frame: Floats, u: Floats) -> None:
+def _follow_slip(incision: Incision, target: Floats, points: Floats, frame: Floats, u: Floats, spacing: float) -> None:
     """Move the points of the target (p, 3) at pieces that hold tissue by as much as the tissue has slipped there.
 
-    Fits about other points would count as a small advance where nothing slips.
+    Fits about other points would count as a small advance where nothing slips. What is drawn along the edge cuts
+    nothing, as in its work. A piece that has moved back from the front by more than a spacing holds no tissue.
     """
     hold = incision.hold
     assert hold is not None
     slip, normals = _slips(hold, points, frame, u)
     behind = hold.slips - np.sum(slip * normals, axis=1)  # of the edge behind the front
     slip += np.maximum(behind, 0.0)[:, None] * normals
-    moved = np.linalg.solve(_gradients(hold, u), slip[:, :, None])[:, :, 0]
+    tangents = np.cross(normals, frame[:, 1])
+    drawn = np.sum(slip * tangents, axis=1, keepdims=True) * tangents
+    gradients, along = _gradients(hold, u), incision.edge[hold.pieces + 1] - incision.edge[hold.pieces]
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
+    moved, drawn = (np.linalg.solve(gradients, way[:, :, None])[:, :, 0] for way in (slip - drawn, drawn))
+    moved += np.sum(drawn * along, axis=1, keepdims=True) * along
     total, count = np.zeros_like(target), np.zeros(len(target))
+    near = behind < LONGEST_RETREAT * spacing
     for k in range(2):
-        np.add.at(total, hold.pieces + k, moved)
-        np.add.at(count, hold.pieces + k, 1.0)
+        np.add.at(total, hold.pieces[near] + k, moved[near])
+        np.add.at(count, hold.pieces[near] + k, 1.0)
     held = count > 0
     target[held] = incision.edge[held] + total[held] / count[held, None]
 

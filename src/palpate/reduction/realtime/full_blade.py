@@ -2,13 +2,16 @@
 
 A cutter takes the state of a period and cuts the body along the way of the blade
 (`palpate.dynamics.solid.blade_cut`), while the loop goes on with the body before. The new constants then take
-their places in the data of the period. A blade moves at most so fast that it advances by half a spacing meanwhile.
+their places in the data of the period. A blade in tissue moves at most so fast that it advances by half a spacing in
+the mean time of a cut, and no blade moves further than that from where the body was cut last.
 """
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
@@ -20,7 +23,7 @@ from palpate.dynamics.contact.blade_sites import AWAY_TOOL, NO_TOOL
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.supports import FREE
 from palpate.dynamics.nodal.period import LOST, NodalPeriodData
-from palpate.dynamics.nodal.tool_path import END, HOME
+from palpate.dynamics.nodal.tool_path import END, HOME, LAST_CUT
 from palpate.dynamics.run.model import State
 from palpate.dynamics.solid.blade_cut import advance_blade
 from palpate.dynamics.solid.face_pairs import face_pairs, turn_pairs
@@ -30,7 +33,7 @@ from palpate.faults import CloudError, DivergenceError, InputError
 
 __all__ = ["BladeCutter"]
 
-WAY_OF_A_CUT = 0.5  # largest way of a blade while the body is cut, in spacings
+WAY_OF_A_CUT = 0.5  # largest way of a blade from where it cut the body last, in spacings
 TURN_INTERVAL = 0.05  # [s] between turns of the normals of faces
 MEAN_CUTS, FIRST_SECONDS = 5.0, 0.03  # cuts over which their time is averaged, and the first guess [s]
 
@@ -67,7 +70,7 @@ class BladeCutter:
         self.lock = threading.RLock()
         self._contact: Contact | None = None
         self.seconds, self._tool_reach = FIRST_SECONDS, data.tool_reach
-        self._is_due, self._turned = False, 0.0
+        self._is_due, self._is_compiled, self._turned = False, False, 0.0
 
     wrap: Callable[[Any], Any]
 
@@ -79,10 +82,29 @@ class BladeCutter:
     def take(self, blade: Blade | None, pose: Floats) -> None:
         """Take another tool in a pose (7,): a blade, or None for one that does not cut. The engine must be paused."""
         with self.lock:
+            if blade is not None and not self._is_compiled:
+                self._compile(blade)
             tools = self.data.contacts.sites.tool
             tools[tools != NO_TOOL] = AWAY_TOOL  # the sites of the blade before
             self._contact = None if blade is None else Contact(blade, (pose[:3], pose[3:]), name="blade")
             self.incision, self.failure, self._is_due = None, "", True
+
+    def _compile(self, blade: Blade) -> None:
+        """Cut a copy of the body from above, so that no cut next to the loop compiles code while the blade waits."""
+        model, frame = self.whole_model, np.eye(3, 4)
+        points, spacing = model.cloud.points, model.cloud.spacing
+        away = np.linalg.norm((points - points.mean(axis=0))[:, :2], axis=1)
+        column = points[away < away.min() + spacing]
+        frame[:, 3] = column[column[:, 2].argmax()] - (0.0, 0.0, np.asarray(blade.edge)[:, 2].min() - spacing)
+        contact, no_nodes = Contact(blade, (frame[:, 3], (0.0, 0.0, 0.0)), name="blade"), np.zeros(0, dtype=np.int64)
+        state = State(np.zeros_like(points), np.zeros_like(points))
+        with suppress(CloudError, InputError):  # of a surface that cannot be cut there
+            for depth in (0.0, 1.5, 0.5, 0.5):
+                frame[2, 3] -= depth * spacing
+                model, incision, sites, _ = advance_blade(model, state, contact, frame.copy(), no_nodes)
+                state = replace(state, incision=incision)
+            turn_pairs(sites, model.cut_state, state.coordinates, points[model.cloud.triangles])
+        self._is_compiled = True
 
     def restore(self) -> None:
         """Return to the whole body; the engine must be paused."""
@@ -112,6 +134,7 @@ class BladeCutter:
                 corners = cloud.points[cloud.triangles]
                 sites = face_pairs(self.model.cut_state, coordinates.reshape(-1, 3), corners)
             self._is_due = False
+            is_blade = self._contact is not None
             if self.incision is not None:
                 self.incision = self.incision.with_works(*map(float, self.data.contacts.sites.works))
             self.seconds += (perf_counter() - began - self.seconds) / MEAN_CUTS
@@ -121,6 +144,7 @@ class BladeCutter:
                 taut_passes=(self.model.taut_body, self.data.taut_passes[1]),
                 contacts=self.data.contacts._replace(sites=sites),
                 tool_reach=self._reach(),
+                cut_reach=WAY_OF_A_CUT * self.model.cloud.spacing if is_blade else np.inf,
             )
             return self.wrap(self.data)
 
@@ -136,7 +160,7 @@ class BladeCutter:
 
     def _reach(self) -> float:
         """Return the largest way [m] of the tool in a step."""
-        if self._contact is None:
+        if self.incision is None or self.incision.hold is None or not len(self.incision.hold.pieces):
             return self._tool_reach
         step = self.whole_model.stability.step
         return min(self._tool_reach, WAY_OF_A_CUT * self.model.cloud.spacing * step / self.seconds)
@@ -144,16 +168,25 @@ class BladeCutter:
     def _advance(self, contact: Contact, coordinates: Floats) -> tuple[Any, float]:
         """Cut up to the blade; return its new sites or None, and the released energy [J]."""
         u = coordinates.reshape(-1, 3)
-        state = State(u, np.zeros_like(u), incision=self.incision)
+        state = State(u, np.zeros_like(u), incision=_constant(self.incision))
         held = np.flatnonzero(self.data.sites.kind != FREE)
-        before = self.model
+        before, path = self.model, self.data.path
+        frame = path[HOME if self.incision is None else END].copy()
         try:
-            model, incision, sites, released = advance_blade(
-                before, state, contact, self.data.path[HOME if self.incision is None else END].copy(), held
-            )
+            model, incision, sites, released = advance_blade(before, state, contact, frame, held)
         except (CloudError, DivergenceError, InputError) as error:
             self.failure = str(error)
+            if self.incision is None:  # cuts nothing, and moves freely
+                path[LAST_CUT] = path[END]
             return None, 0.0
+        path[LAST_CUT] = frame
         self.cuts += model is not before
         self.model, self.incision, self.failure = model, incision, ""
         return sites, released
+
+
+def _constant(incision: Incision | None) -> Incision | None:
+    """Return an incision with the present slips of its sites, which the loop goes on to write."""
+    if incision is None or incision.hold is None:
+        return incision
+    return replace(incision, hold=incision.hold._replace(slips=incision.hold.slips.copy()))

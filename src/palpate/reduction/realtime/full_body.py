@@ -28,7 +28,7 @@ from palpate.dynamics.nodal.period import (
     NodalPeriodData,
     nodal_period,
 )
-from palpate.dynamics.nodal.tool_path import END, HOME, START
+from palpate.dynamics.nodal.tool_path import END, HOME, LAST_CUT, START
 from palpate.faults import InputError
 from palpate.reduction.realtime.full_blade import BladeCutter
 
@@ -62,7 +62,7 @@ def full_period(
         response = 1.0 / (model.volumes[sites.foundation_node] * model.material.density)
         springs = np.bincount(sites.foundation_node, sites.foundation_spring * response, minlength=n).max()
         frequency = float(np.hypot(frequency, np.sqrt(springs)))
-    path = np.zeros((4, 3, 4))
+    path = np.zeros((5, 3, 4))
     rotation(prepared.schedule(np.zeros(1)).poses[0, 0], path[HOME])
     path[START], path[END], contacts.frames[0, 1] = path[HOME], path[HOME], path[HOME]
     noise = model.supported.project(np.random.default_rng(0).standard_normal((n, 3)))
@@ -86,6 +86,7 @@ def full_period(
         amplitude=1e-6 * model.cloud.spacing,
         reach=MAX_WAY * model.cloud.spacing,
         tool_reach=MAX_TOOL_WAY * model.cloud.spacing,
+        cut_reach=np.inf,
         saved=np.zeros((3, n, 3)),
         saved_work=np.zeros(2),
         saved_history=history_copy(work.passes.history),
@@ -163,4 +164,6 @@ def change_full_tool(
     rotation(pose, data.path[HOME])
     if cutter is not None:
         cutter.take(blade, pose)
-    data.path[START], data.path[END], contacts.frames[0, 1] = data.path[HOME], data.path[HOME], data.path[HOME]
+    for frame in (START, END, LAST_CUT):
+        data.path[frame] = data.path[HOME]
+    contacts.frames[0, 1] = data.path[HOME]

@@ -21,15 +21,15 @@ def send(session, **message):
     session.handle(validate_message(message))
 
 
-def lower(session, deadline=60.0, depth=0.012):
-    """Lower the scalpel into the body until it has cut some area."""
-    cutter, end, height, sequence = session._realtime_model.cutter, time.monotonic() + deadline, 0.04, 0
-    while cutter.books[0] < 5e-5 and time.monotonic() < end:
+def lower(session, area, height=0.04, deadline=60.0, depth=0.012):
+    """Lower the scalpel into the body until it has cut an area [m^2]; return the cutter and the scalpel's height."""
+    cutter, end, sequence = session._realtime_model.cutter, time.monotonic() + deadline, int(1e4 * (0.04 - height))
+    while cutter.books[0] < area and time.monotonic() < end:
         height = max(height - 2e-4, SIZE[2] - depth)
         sequence += 1
         send(session, type="pose", position=[0.025, 0.02, height], sequence=sequence)
         time.sleep(0.01)
-    return cutter
+    return cutter, height
 
 
 @pytest.fixture(scope="module")
@@ -41,11 +41,13 @@ def cut_session(tmp_path_factory):
     session.start()
     send(session, type="tool", kind="scalpel", length=0.03, toughness=TOUGHNESS, position=[0.025, 0.02, 0.045])
     session.start_recording(path)
-    cutter = lower(session)
+    cutter, height = lower(session, 5e-5)
+    entered = cutter.books
+    lower(session, 1.5e-4, height)
     time.sleep(0.3)
     shown = session.shown_surface
     session.finish_recording(wait=True)
-    yield session, cutter, shown, path
+    yield session, cutter, shown, path, entered
     session.close()
 
 
@@ -54,18 +56,18 @@ def test_a_full_body_offers_a_scalpel(cut_session):
 
 
 def test_the_scalpel_cuts_the_body_and_costs_work(cut_session):
-    session, cutter, _, _ = cut_session
-    area, released, edge, _ = cutter.books
+    session, cutter, _, _, entered = cut_session
+    area, released, edge, friction = cutter.books - entered  # an edge that enters cuts without a force at first
     assert not cutter.failure
-    assert area > 5e-5
-    assert 0 < edge <= 1.5 * TOUGHNESS * area
-    assert abs(released) <= TOUGHNESS * area
+    assert area > 8e-5
+    assert edge + released == pytest.approx(TOUGHNESS * area, rel=0.35)  # it moves on while the body is cut
+    assert friction == 0.0
     assert session.engine.state == "running"
     assert cutter.model.cut_state.touched.any()
 
 
 def test_the_cut_body_is_drawn_open_with_both_faces(cut_session):
-    session, cutter, shown, _ = cut_session
+    session, cutter, shown, _, _ = cut_session
     assert len(shown.rest) > len(session.surface.rest)
     assert shown.triangles.max() < len(shown.rest)
     coordinates = session.engine.read().coordinates
@@ -91,7 +93,7 @@ def test_a_recording_holds_the_cut_and_its_replay_shows_it(cut_session):
 
 
 def test_a_reset_restores_the_whole_body(cut_session):
-    session, cutter, _, _ = cut_session
+    session, cutter, _, _, _ = cut_session
     session.reset()
     time.sleep(0.1)
     assert session.shown_surface is session.surface
