@@ -15,16 +15,16 @@ from numba import njit
 from palpate.dynamics.compiled.cache import law_njit
 from palpate.realtime.engine import _make_settings
 from palpate.realtime.exchange import Slot, publish
-from palpate.realtime.loop import (
+from palpate.realtime.loop import _fetch_pose, compile_loop
+from palpate.realtime.period import (
     CLAMPED,
     MAX_TRAIL,
     SETTLING_TIME,
     Work,
-    _clamp_tool,
-    _move_tool,
-    _write_record,
-    compile_loop,
+    clamp_tool,
     function_key,
+    move_tool,
+    write_record,
 )
 from palpate.realtime.pose import IDENTITY_POSE
 
@@ -92,10 +92,11 @@ def prescribed(poses, seconds, max_speed=2.0):
     for pose, lasting in zip(poses, np.broadcast_to(seconds, len(poses)), strict=True):
         publish(slot, np.append(pose, 0.0))
         for _ in range(round(lasting / 1e-3)):
-            _move_tool(work, slot, settings)
+            _fetch_pose(work, slot)
+            move_tool(work, settings)
             advance_late(body.data, work.q, work.v, work.target, 1e-3, work.report)
-            assert _write_record(work, settings)
-            _clamp_tool(work, 1e-3)
+            assert write_record(work, settings)
+            clamp_tool(work, 1e-3)
             trust.append(work.report[1])
             place.append(work.pose.copy())
             held.append(bool(work.record[CLAMPED]))

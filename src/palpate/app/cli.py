@@ -65,6 +65,7 @@ def build_parser() -> Any:
     from palpate.app.check.parser import add_check
     from palpate.app.common.arguments import Parser
     from palpate.app.compare.parser import add_compare
+    from palpate.app.export.parser import add_export
     from palpate.app.fit.parser import add_fit
     from palpate.app.laws.parser import add_laws
     from palpate.app.new.parser import add_new
@@ -83,7 +84,7 @@ def build_parser() -> Any:
     commands = parser.add_subparsers(metavar="COMMAND")
     for add in (
         add_reproduce, add_view, add_new, add_train, add_run, add_replay, add_check, add_fit, add_laws, add_compare,
-        add_bench,
+        add_export, add_bench,
     ):  # fmt: skip
         add(commands)
     return parser

@@ -23,22 +23,8 @@ from palpate.realtime.black_box import write_black_box
 from palpate.realtime.clock import HAS_THREAD_CLOCK
 from palpate.realtime.contract import check_contract
 from palpate.realtime.exchange import publish, snapshot
-from palpate.realtime.loop import (
-    CLAMP,
-    DIVERGED,
-    IGNORE,
-    PAUSED,
-    RUNNING,
-    STOP,
-    STOPPED,
-    TIME_SCALE,
-    WARN,
-    WORST_SINCE_RESET,
-    Channels,
-    Settings,
-    Work,
-    compile_loop,
-)
+from palpate.realtime.loop import DIVERGED, PAUSED, RUNNING, STOPPED, Channels, compile_loop
+from palpate.realtime.period import CLAMP, IGNORE, STOP, TIME_SCALE, WARN, WORST_SINCE_RESET, Settings, Work
 from palpate.realtime.pose import IDENTITY_POSE, normalise_pose
 from palpate.realtime.record import HEADER_SIZE, Reading, field_offset
 from palpate.realtime.runner import Runner

@@ -1,74 +1,28 @@
-"""The compiled loop of the engine: wait, read the pose, advance the model, publish the forces, count."""
+"""The compiled loop of the engine: wait, read the pose, take a period, publish its record, count."""
 
 from __future__ import annotations
 
-import inspect
 from functools import cache
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
+from palpate.dynamics.compiled.cache import kernel_njit, law_njit
 from palpate.realtime.black_box import RingBuffer, append_record
 from palpate.realtime.clock import now, sleep_until, thread_time
-from palpate.realtime.contract import FORCES, KINETIC, POSE_COLUMNS, STATUS, STEPS, STRAIN, TRUST
 from palpate.realtime.exchange import Slot, fetch, get_flag, make_flags, publish
-from palpate.realtime.pose import IDENTITY_POSE, follow_pose, pose_of_coordinates, tool_coordinates, wrench
+from palpate.realtime.period import STOP, TRUSTED, compile_period, copy_to, functions_digest
+from palpate.realtime.pose import IDENTITY_POSE
 from palpate.realtime.record import HEADER_SIZE, field_offset
 from palpate.realtime.statistics import Histograms, count_step
 
-__all__ = [
-    "CLAMP",
-    "DIVERGED",
-    "IGNORE",
-    "PAUSED",
-    "RUNNING",
-    "STOP",
-    "STOPPED",
-    "TIME_SCALE",
-    "WARN",
-    "WORST_SINCE_RESET",
-    "Channels",
-    "Settings",
-    "Work",
-    "compile_loop",
-    "function_key",
-]
+__all__ = ["DIVERGED", "PAUSED", "RUNNING", "STOPPED", "Channels", "compile_loop"]
 
 
 RUNNING, STOPPED, PAUSED, DIVERGED = range(4)  # commands to the loop, and reasons for its end
-WARN, CLAMP, STOP, IGNORE = range(4)  # responses to a trust number above 1
 MAX_SLEEP = 10_000_000  # [ns], which bounds the delay of a command
-MAX_TRAIL = 256  # stored trusted poses
-RETREAT_DIVISOR = 4  # the tool moves back by 1 / RETREAT_DIVISOR of its trail ...
-SETTLING_TIME = 0.05  # [s] ... if trust does not return within this time, in which vibrations decay
-REST_ENERGY = 1e-4  # energy of a body at rest, over the largest since it was at rest: 1 % of the amplitude
-MODEL_TIME, TIME_SCALE, WAITED, LARGEST_ENERGY, WORST_SINCE_RESET = range(5)  # indices in `Work.clock`
-
-TIME, PERIODS, FAILED, ITERATIONS = (field_offset(name) for name in ("time", "steps", "failed", "iterations"))
-COMPUTING, LATENESS, TRUSTED, WORST_TRUST = (field_offset(n) for n in ("computing", "lateness", "trust", "worst_trust"))
-CLAMPED, LIMITED, ENERGIES, POSE = (field_offset(name) for name in ("clamped", "limited", "kinetic", "position"))
-SEQUENCE, LARGEST_FORCE = field_offset("sequence"), field_offset("largest_force")
-FORCE, MOMENT, STIFFNESS = (field_offset(name) for name in ("force", "moment", "stiffness"))
-
-
-class Settings(NamedTuple):
-    """Constants of a run: times in [ns]; `max_distance` [m] and `max_angle` [rad] of the tool in one period.
-
-    `catch_up` is the number of periods by which the model may be late and still take them all.
-    """
-
-    period: int
-    spin: int
-    max_distance: float
-    max_angle: float
-    force_limit: float
-    stiffness_every: int
-    on_distrust: int
-    catch_up: int
+COMPUTING, LATENESS, SEQUENCE = (field_offset(name) for name in ("computing", "lateness", "sequence"))
 
 
 class Channels(NamedTuple):
@@ -105,90 +59,6 @@ class Channels(NamedTuple):
         )
 
 
-class Work(NamedTuple):
-    """State of body and tool, and scratch arrays; owned by the loop.
-
-    Parameters
-    ----------
-    q, v : (m,)
-        Coordinates and velocities.
-    tool : (l, 12)
-        See `Realtime`.
-    pose, wanted : (7,)
-        Present and requested pose of the tool.
-    trail, length : (MAX_TRAIL, 7), (1,)
-        Trusted poses, newest last, and their number. The first is where the tool was put down. A full trail keeps every
-        second pose.
-    fetched : (8,)
-        Copy of the newest pose and its sequence number.
-    target, lost_at, last_trusted, wanted_coordinates : (l,)
-        Tool coordinates of `pose`, of the pose at which trust was lost, of the last trusted pose, and of `wanted`.
-    report, tangent : (8 + l,), (l, l)
-        Results of the model's functions.
-    record : (HEADER_SIZE + 2 m,)
-        Record of the present period.
-    clock : (5,)
-        Model time [ns], model time per wall-clock time, the time [s] that a clamped tool has waited for trust, the
-        largest energy [J] since the body was at rest, and the largest trust number since the reset.
-    """
-
-    q: Floats
-    v: Floats
-    tool: Floats
-    pose: Floats
-    wanted: Floats
-    trail: Floats
-    length: NDArray[np.int64]
-    fetched: Floats
-    target: Floats
-    lost_at: Floats
-    last_trusted: Floats
-    wanted_coordinates: Floats
-    report: Floats
-    tangent: Floats
-    record: Floats
-    clock: Floats
-
-    @classmethod
-    def at_rest(cls, rest: Floats, tool: Floats) -> Work:
-        """Make the state at rest."""
-        m, tools = len(rest), len(tool)
-        poses = {name: np.zeros(len(IDENTITY_POSE)) for name in ("pose", "wanted")}
-        poses["trail"] = np.zeros((MAX_TRAIL, len(IDENTITY_POSE)))
-        coordinates = {name: np.zeros(tools) for name in ("target", "lost_at", "last_trusted", "wanted_coordinates")}
-        report, tangent, record = np.zeros(FORCES + tools), np.zeros((tools, tools)), np.zeros(HEADER_SIZE + 2 * m)
-        clock = np.array([0.0, 1.0, 0.0, 0.0, 0.0])
-        work = cls(
-            np.zeros(m), np.zeros(m), tool, **poses, length=np.ones(1, dtype=np.int64),
-            fetched=np.zeros(len(IDENTITY_POSE) + 1), **coordinates, report=report, tangent=tangent, record=record,
-            clock=clock,
-        )  # fmt: skip
-        work.reset(rest)
-        return work
-
-    def reset(self, rest: Floats) -> None:
-        """Set body and tool to rest."""
-        for array in (self.v, self.target, self.lost_at, self.report, self.tangent, self.record):
-            array[:] = 0.0
-        self._start_trail(IDENTITY_POSE)
-        self.q[:] = rest
-        self.clock[[MODEL_TIME, LARGEST_ENERGY, WORST_SINCE_RESET]] = 0.0
-        self.record[POSE : POSE + 7] = IDENTITY_POSE
-        self.record[HEADER_SIZE : HEADER_SIZE + len(rest)] = rest
-
-    def place_tool(self, pose: Floats) -> None:
-        """Move the tool to a pose at once."""
-        self._start_trail(pose)
-        self.record[CLAMPED] = 0.0
-        self.record[POSE : POSE + 7] = pose
-        self.record[FORCE : FORCE + 6] = 0.0
-
-    def _start_trail(self, pose: Floats) -> None:
-        for array in (self.pose, self.wanted, self.trail[0]):
-            array[:] = pose
-        self.length[0] = 1
-
-
 @kernel_njit(inner=True)
 def _wait(deadline, spin, command):  # type: ignore[no-untyped-def]
     """Sleep until shortly before the deadline [ns], then poll the clock; return whether to continue."""
@@ -202,171 +72,12 @@ def _wait(deadline, spin, command):  # type: ignore[no-untyped-def]
     return False
 
 
-@kernel_njit(inner=True)
-def _copy_to(values, out, first):  # type: ignore[no-untyped-def]
-    """Copy numbers; an assignment of slices would take seconds to compile."""
-    for i in range(values.shape[0]):
-        out[first + i] = values[i]
-
-
 @kernel_njit()
-def _move_tool(work, slot, settings):  # type: ignore[no-untyped-def]
-    """Move the tool towards the newest pose, or a clamped tool towards its last trusted pose."""
+def _fetch_pose(work, slot):  # type: ignore[no-untyped-def]
+    """Read the newest pose."""
     if fetch(slot, work.fetched):  # during a write, the next period reads it
-        _copy_to(work.fetched[:7], work.wanted, 0)
+        copy_to(work.fetched[:7], work.wanted, 0)
         work.record[SEQUENCE] = work.fetched[7]
-    goal = work.wanted
-    if work.record[CLAMPED]:
-        if work.record[TRUSTED] > 1.0 or _is_beyond(work):
-            goal = work.trail[work.length[0] - 1]
-        else:
-            work.record[CLAMPED] = 0.0
-    time_scale = work.clock[TIME_SCALE]
-    follow_pose(work.pose, goal, time_scale * settings.max_distance, time_scale * settings.max_angle)
-    tool_coordinates(work.tool, work.pose, work.target)
-
-
-@kernel_njit(inner=True)
-def _take_back(work):  # type: ignore[no-untyped-def]
-    """Set the pose to that of a tool in contact that the model has held; it follows from there."""
-    if work.tool.shape[0] != POSE_COLUMNS:
-        return
-    tool_coordinates(work.tool, work.pose, work.wanted_coordinates)
-    if not _is_equal(work.target, work.wanted_coordinates):
-        pose_of_coordinates(work.target, work.pose)
-
-
-@kernel_njit(inner=True)
-def _is_beyond(work):  # type: ignore[no-untyped-def]
-    """Return whether the requested pose is beyond the last trusted one, in the direction that lost trust."""
-    tool_coordinates(work.tool, work.wanted, work.wanted_coordinates)
-    beyond = 0.0
-    for k in range(work.wanted_coordinates.shape[0]):
-        beyond += (work.lost_at[k] - work.last_trusted[k]) * (work.wanted_coordinates[k] - work.last_trusted[k])
-    return beyond > 0.0
-
-
-@kernel_njit()
-def _clamp_tool(work, seconds):  # type: ignore[no-untyped-def]
-    """After a period [s], store a trusted pose, or clamp the tool to the last one."""
-    if work.record[TRUSTED] > 1.0 and not work.record[CLAMPED]:
-        work.record[CLAMPED], work.clock[WAITED] = 1.0, 0.0
-        _copy_to(work.target, work.lost_at, 0)
-        tool_coordinates(work.tool, work.trail[work.length[0] - 1], work.last_trusted)
-    elif work.record[TRUSTED] > 1.0:
-        _retreat(work, seconds)
-    elif work.record[CLAMPED]:
-        work.clock[WAITED] = 0.0
-    elif not _is_equal(work.pose, work.trail[work.length[0] - 1]):
-        if work.length[0] == work.trail.shape[0]:
-            work.length[0] = _thin(work.trail)
-        _copy_to(work.pose, work.trail[work.length[0]], 0)
-        work.length[0] += 1
-
-
-@kernel_njit(inner=True)
-def _retreat(work, seconds):  # type: ignore[no-untyped-def]
-    """Move a clamped tool back along its trail if trust does not return."""
-    length = work.length[0]
-    if length > 1 and _is_equal(work.pose, work.trail[length - 1]):
-        work.clock[WAITED] += seconds
-        if work.clock[WAITED] >= SETTLING_TIME:
-            work.clock[WAITED] = 0.0
-            work.length[0] = length - max(1, length // RETREAT_DIVISOR)
-            if _is_equal(work.lost_at, work.last_trusted):  # the tool stood still when trust was lost
-                tool_coordinates(work.tool, work.trail[work.length[0] - 1], work.last_trusted)
-
-
-@kernel_njit(inner=True)
-def _is_equal(numbers, others):  # type: ignore[no-untyped-def]
-    different = 0
-    for i in range(numbers.shape[0]):
-        different += numbers[i] != others[i]
-    return different == 0
-
-
-@kernel_njit(inner=True)
-def _thin(trail):  # type: ignore[no-untyped-def]
-    """Keep every second pose, including the first; return their number."""
-    kept = (trail.shape[0] + 1) // 2
-    for k in range(1, kept):
-        _copy_to(trail[2 * k], trail[k], 0)
-    return kept
-
-
-@kernel_njit(inner=True)
-def _is_finite(array):  # type: ignore[no-untyped-def]
-    total = 0.0
-    for i in range(array.size):
-        total += 0.0 * array.flat[i]  # 0, or not a number
-    return total == 0.0
-
-
-@kernel_njit(inner=True)
-def _forget_at_rest(work):  # type: ignore[no-untyped-def]
-    """Forget the largest trust number and force of a motion when the body is at rest again."""
-    energy, clock = work.report[KINETIC] + work.report[STRAIN], work.clock
-    clock[LARGEST_ENERGY] = max(clock[LARGEST_ENERGY], energy)
-    if clock[LARGEST_ENERGY] > 0.0 and energy <= REST_ENERGY * clock[LARGEST_ENERGY]:
-        clock[LARGEST_ENERGY], work.record[WORST_TRUST], work.record[LARGEST_FORCE] = 0.0, 0.0, 0.0
-
-
-@kernel_njit()
-def _write_record(work, settings):  # type: ignore[no-untyped-def]
-    """Write the model's report to the record; return whether the state is finite."""
-    report, record = work.report, work.record
-    valid = report[STATUS] == 0.0 and _is_finite(report) and _is_finite(work.q) and _is_finite(work.v)
-    record[FAILED] = 0.0 if valid else 1.0
-    if valid:
-        record[PERIODS] += 1.0
-        work.clock[MODEL_TIME] += work.clock[TIME_SCALE] * settings.period
-    record[TIME] = 1e-9 * work.clock[MODEL_TIME]
-    record[ITERATIONS], record[TRUSTED] = report[STEPS], report[TRUST]
-    _forget_at_rest(work)
-    record[WORST_TRUST] = max(record[WORST_TRUST], report[TRUST])
-    work.clock[WORST_SINCE_RESET] = max(work.clock[WORST_SINCE_RESET], report[TRUST])
-    record[ENERGIES], record[ENERGIES + 1] = report[KINETIC], report[STRAIN]
-    _copy_to(work.pose, record, POSE)
-    force, moment = record[FORCE : FORCE + 3], record[MOMENT : MOMENT + 3]
-    wrench(work.tool, work.pose, report[FORCES:], force, moment)
-    size = np.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
-    record[LARGEST_FORCE] = max(record[LARGEST_FORCE], size)
-    record[LIMITED] = 1.0 if size > settings.force_limit else 0.0
-    if size > settings.force_limit:
-        for i in range(3):
-            force[i] *= settings.force_limit / size
-            moment[i] *= settings.force_limit / size
-    _copy_to(work.q, record, HEADER_SIZE)
-    _copy_to(work.v, record, HEADER_SIZE + work.q.shape[0])
-    return valid
-
-
-@kernel_njit(inner=True)
-def _write_stiffness(work):  # type: ignore[no-untyped-def]
-    """Write the contact stiffness (3, 3) to the record if it is finite."""
-    tool, tools = work.tool, work.tool.shape[0]
-    if not _is_finite(work.tangent):
-        return
-    for i in range(3):
-        for j in range(3):
-            total = 0.0
-            for a in range(tools):
-                for b in range(tools):
-                    total += tool[a, i] * work.tangent[a, b] * tool[b, j]
-            work.record[STIFFNESS + 3 * i + j] = total
-
-
-def function_key(function: Any) -> str | None:
-    """Return a key that identifies a compiled function in all processes, or None if there is none."""
-    digest = getattr(function._cache, "_digest", None)  # of `law_njit`
-    python = function.py_func
-    if digest is None and python.__closure__:
-        return None
-    try:
-        source = digest or Path(inspect.getsourcefile(python) or "").read_text(encoding="utf-8")
-    except (TypeError, OSError):
-        return None
-    return f"{python.__module__} {python.__qualname__} {source}"
 
 
 @cache
@@ -379,10 +90,8 @@ def compile_loop(advance: Any, stiffness: Any) -> Any:
         ``loop(data, work, channels, settings)`` runs until the command changes, the state diverges, or trust is lost
         with `on_distrust` STOP. It returns the command, DIVERGED or PAUSED.
     """
-    has_stiffness = stiffness is not None
-    names = [function_key(function) for function in (advance, stiffness) if function is not None]
-    cached = None not in names
-    digest = law_digest(__name__, *(names if cached else (repr(advance), repr(stiffness))))
+    digest, cached = functions_digest(__name__, advance, stiffness)
+    take_period = compile_period(advance, stiffness)
 
     @law_njit(digest, cached=cached, nogil=True)
     def loop(data, work, channels, settings):  # type: ignore[no-untyped-def]
@@ -390,17 +99,8 @@ def compile_loop(advance: Any, stiffness: Any) -> Any:
         deadline = now() + period
         while _wait(deadline, settings.spin, channels.command):
             began, thread_began, trusted = now(), thread_time(), record[TRUSTED] <= 1.0
-            _move_tool(work, channels.pose, settings)
-            advance(data, work.q, work.v, work.target, 1e-9 * period * work.clock[TIME_SCALE], work.report)
-            _take_back(work)
-            valid = _write_record(work, settings)
-            if has_stiffness:  # a constant of the compiled loop
-                due = settings.stiffness_every > 0 and (record[PERIODS] - 1) % settings.stiffness_every == 0
-                if valid and due:
-                    stiffness(data, work.q, work.tangent)
-                    _write_stiffness(work)
-            if settings.on_distrust == CLAMP:
-                _clamp_tool(work, 1e-9 * period * work.clock[TIME_SCALE])
+            _fetch_pose(work, channels.pose)
+            valid = take_period(data, work, settings)
             record[COMPUTING], record[LATENESS] = 1e-9 * (thread_time() - thread_began), 1e-9 * (began - deadline)
             ended = now()
             if valid:

@@ -37,7 +37,7 @@ from palpate.dynamics.compiled.cache import law_digest, law_njit
 from palpate.faults import number_in_range
 from palpate.realtime.contract import FORCES, KINETIC, STATUS, STRAIN
 from palpate.realtime.exchange import Slot, publish, snapshot
-from palpate.realtime.loop import function_key
+from palpate.realtime.period import function_key
 from palpate.reduction.contact.surface import PAIRS
 from palpate.reduction.realtime.model import RealtimeModel
 

@@ -16,7 +16,7 @@ from palpate.dynamics.run.period_report import FORCES, STEPS
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.meshfree.filling import fill
 from palpate.realtime.clock import now
-from palpate.realtime.loop import function_key
+from palpate.realtime.period import function_key
 from palpate.reduction.realtime.model import RealtimeModel, realtime_model
 from palpate.scenes.organ import liver_surface
 from palpate.tissue.materials import NeoHookean

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats, Ints
@@ -274,7 +275,7 @@ def _block(compliance, i, j, active, block):  # type: ignore[no-untyped-def]
             block[c, d] = value
 
 
-@kernel_njit(allocates=True)
+@register_jitable
 def secant_factor(stiffening, force):  # type: ignore[no-untyped-def]
     """Return the secant factor h under a tool's force [N], or under those of an array."""
     return (1.0 + force / stiffening[1]) ** -stiffening[0]

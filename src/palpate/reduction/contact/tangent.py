@@ -49,7 +49,7 @@ SECANT = 3  # entry of `ContactSystem.pull` after the direction
 class ContactSystem(NamedTuple):
     """Linear system for forces and coordinates, with the progress of its solution."""
 
-    table: Floats  # upper triangle of a symmetric matrix row by row, each followed by its right-hand sides
+    table: Floats  # (u, u + 4) upper triangle of a symmetric matrix of the first unknowns, then right-hand sides
     direction: Floats  # (r, 3) of the forces
     entry: NDArray[np.int64]  # (r,) contact pair of each force
     point: NDArray[np.int64]  # (r,) its row in the compliance
@@ -66,7 +66,7 @@ def contact_system(columns: NDArray[np.float32], mass: Floats, patches: int) -> 
     rows, modes = 3 * patches, len(mass)
     swift = columns @ np.linalg.inv(np.linalg.cholesky(mass)).T if patches else np.zeros((0, 3, modes))
     return ContactSystem(
-        table=np.zeros((rows + modes) * (rows + modes + RIGHT_SIDES)),
+        table=np.zeros((rows + modes, rows + modes + RIGHT_SIDES)),
         direction=np.zeros((rows, 3)),
         entry=np.zeros(rows, dtype=np.int64),
         point=np.zeros(rows, dtype=np.int64),
@@ -102,10 +102,9 @@ def contact_stiffness(data, q, out):  # type: ignore[no-untyped-def]
         numbers[:] = 0
         return
     size, work = numbers[UNKNOWNS], 0
-    table = system.table[: size * (size + RIGHT_SIDES)].reshape(size, size + RIGHT_SIDES)
     while numbers[NEXT_PIVOT] < size and work < CALL_WORK:
         remaining = size - numbers[NEXT_PIVOT]
-        if not _eliminate(system, contact.active, table, numbers[NEXT_PIVOT], min(PANEL_UNKNOWNS, remaining)):
+        if not _eliminate(system, contact.active, numbers[NEXT_PIVOT], min(PANEL_UNKNOWNS, remaining)):
             numbers[:] = 0
             return
         numbers[NEXT_PIVOT] += min(PANEL_UNKNOWNS, remaining)
@@ -129,9 +128,10 @@ def _write_derivatives(gram, pull, out):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True, fastmath={"contract"})
-def _eliminate(system, active, table, first, rows):  # type: ignore[no-untyped-def]
+def _eliminate(system, active, first, rows):  # type: ignore[no-untyped-def]
     """Eliminate a few unknowns; return False if a pivot is not valid."""
-    size, forces, gram = table.shape[0], system.numbers[FORCES], system.gram
+    table, gram = system.table, system.gram
+    size, forces = system.numbers[UNKNOWNS], system.numbers[FORCES]
     end = size + RIGHT_SIDES
     for k in range(first, min(first + rows, forces)):
         if not _add_compliance(system, active, table, k):
@@ -200,7 +200,7 @@ def _assemble(data):  # type: ignore[no-untyped-def]
     size, softening = rows + modes, -compliance.stiffening[0] / (compliance.stiffening[1] + total)
     if data.tools.kind[0] == BONDED:  # pulls do not stiffen the tissue
         softening = 0.0
-    table = system.table[: size * (size + RIGHT_SIDES)].reshape(size, size + RIGHT_SIDES)
+    table = system.table
     for k in range(size):
         for j in range(k, size + RIGHT_SIDES):
             table[k, j] = 0.0

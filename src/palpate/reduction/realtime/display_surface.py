@@ -160,6 +160,27 @@ class Surface:
         result[self._vertex] = self._patches @ displacements[self._vertex]
         return result
 
+    def tables(self, contact_nodes: Ints) -> tuple[Singles, Singles, Ints]:
+        """Return displacements of vertices and of patches by unit coordinates, and rows of contact nodes.
+
+        Parameters
+        ----------
+        contact_nodes : (k,) int array
+            The body's nodes of the contact surface.
+
+        Returns
+        -------
+        columns, patch_columns : (n, 3, m) float32 arrays
+        places : (n,) int array
+            Number of each vertex in `contact_nodes`, or -1.
+        """
+        count = self._columns.shape[1]
+        columns = self._columns.reshape(-1, 3, count)
+        patches = np.stack([self.patch_displacements(np.ascontiguousarray(columns[:, :, m])) for m in range(count)], 2)
+        places = np.full(len(self.model.cloud), -1)
+        places[contact_nodes] = np.arange(len(contact_nodes))
+        return columns, np.ascontiguousarray(patches, dtype=np.float32), places[self.nodes]
+
     def _contact_displacement(self, nodes: Ints, forces: Floats, bonded: bool) -> Floats:
         """Return the displacements (k, 3) [m] of the surface compliance under forces."""
         compliance = self._contact_displacements

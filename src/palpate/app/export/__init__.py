@@ -1,0 +1,1 @@
+"""``palpate export``: a model as a library for programs without Python."""

@@ -1,0 +1,44 @@
+"""Parser of ``palpate export``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from palpate.app.common.arguments import Command, add_command, path
+
+__all__ = ["add_export"]
+
+TARGET_NAMES = (
+    "host", "linux-x86-64-v2", "linux-x86-64-v3", "linux-aarch64", "windows-x86-64", "macos-arm64",
+)  # fmt: skip
+
+
+def _load() -> Command:
+    from palpate.app.export.command import export
+
+    return export
+
+
+def add_export(commands: Any) -> None:
+    """Add the command to those of a parser."""
+    export = add_command(
+        commands,
+        "export",
+        _load,
+        summary="compile a trained model to a library for C, C++ and Unity",
+        description="Compile the engine's step of a reduced model to a library without Python: objects, a shared "
+        "library, a file of constants, a C header, a program that presses the organ at 1 kHz, and a C# file for "
+        "Unity. See docs/howto/export.md.",
+    )
+    add = export.add_argument
+    text = "file of palpate train, a scene of palpate view, or a scene file"
+    add("model", metavar="MODEL", help=text)
+    text = "folder for the library; new or empty (default: out/export)"
+    add("--c", type=path, default=Path("out/export"), dest="folder", metavar="FOLDER", help=text)
+    text = "beginning of the names of files and functions (default: the name of the model)"
+    add("--name", metavar="NAME", help=text)
+    text = "machine that the library is for; may be repeated (default: host, this one)"
+    add("--target", action="append", choices=TARGET_NAMES, metavar="TARGET", dest="targets", help=text)
+    text = "allow fused and reordered sums: faster by a tenth, and targets differ in the last bits"
+    add("--relaxed", action="store_true", help=text)

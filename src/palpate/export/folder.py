@@ -1,0 +1,204 @@
+"""The folder of an exported model: objects, its file, and sources in C and C# around them."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from importlib.resources import files
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from palpate import __version__
+from palpate.arrays import Floats
+from palpate.dynamics.compiled.cache import kernel_sources
+from palpate.dynamics.contact import kinds
+from palpate.export.library import lower_model
+from palpate.export.link import TARGETS, host_target
+from palpate.faults import InputError
+from palpate.files import check_folder, whole_file
+from palpate.realtime.record import HEADER_DTYPE, field_offset
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.realtime.display_surface import Surface
+
+__all__ = ["HOST_TARGET", "TARGET_NAMES", "export_c", "identifier"]
+
+HOST_TARGET = "host"
+TARGET_NAMES = (HOST_TARGET, *TARGETS)
+TEMPLATES = ("palpate.h", "model.h", "main.c", "CMakeLists.txt", "Organ.cs", "README.md")
+PRESS_SHARE, RADIUS_SPACINGS = 0.5, 3.0  # depth of the example's press over the ball's radius, and that radius
+ZIG_TARGETS = {
+    "linux-x86-64-v2": "x86_64-linux-gnu.2.17", "linux-x86-64-v3": "x86_64-linux-gnu.2.17",
+    "linux-aarch64": "aarch64-linux-gnu.2.17", "windows-x86-64": "x86_64-windows-gnu", "macos-arm64": "aarch64-macos",
+}  # fmt: skip
+DESCRIPTIONS = {
+    "palpate.h": "arrays of a model, and functions that find them",
+    "main.c": "a program that presses the organ and prints forces and deadline statistics",
+    "CMakeLists.txt": "builds it",
+    "Organ.cs": "the model in C#, for Unity",
+    "kernels/": "the Python code that was compiled, to read",
+}
+
+
+def identifier(text: str) -> str:
+    """Return an identifier of C for the name of a file."""
+    name = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_").lower()
+    return name if name and not name[0].isdigit() else f"model_{name}".strip("_")
+
+
+def export_c(
+    model: ReducedModel,
+    folder: Path,
+    *,
+    name: str,
+    title: str = "",
+    targets: Sequence[str] = (HOST_TARGET,),
+    strict: bool = True,
+    say: Callable[[str], None] = print,
+) -> dict[str, str]:
+    """Write a library of a reduced model for programs in C, and what they need to use it.
+
+    No compiled function can be called in this process afterwards.
+
+    Parameters
+    ----------
+    model : ReducedModel
+        With tool contact, or with one prescribed group.
+    folder : path
+        Must be new or empty.
+    name : str
+        An identifier of C, with which the names of files and functions begin.
+    title : str
+        Of the model, for the README.
+    targets : sequence of str
+        Of `TARGET_NAMES`.
+    strict : bool
+        True compiles without contraction and reassociation of sums, so that all targets compute the same bits but for
+        the functions of their C library.
+    say : function
+        Is called with a line about each file that could not be made.
+
+    Returns
+    -------
+    dict of str to str
+        Files, and what they are.
+
+    Raises
+    ------
+    InputError
+        A target is not known, the folder is not empty, or the model takes no tool.
+    OSError
+        A file cannot be written.
+    """
+    for target in targets:
+        if target not in TARGET_NAMES:
+            raise InputError(f"target must be one of {', '.join(TARGET_NAMES)}, got {target!r}; choose one of these")
+    check_folder(folder.parent)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"folder must be new or empty, got {str(folder)!r}; choose another, or remove it")
+    words = _words(model, name)
+    library = lower_model(model, name)
+    folder.mkdir(parents=True, exist_ok=True)
+    written = {f"{name}.palpate": "the constants of the model"}
+    _write(folder / f"{name}.palpate", library.image)
+    for target in targets:
+        stem = name if target == HOST_TARGET else f"{name}.{target}"
+        content = library.emit(host_target() if target == HOST_TARGET else TARGETS[target], strict)
+        _write(folder / f"{stem}.o", content)
+        written[f"{stem}.o"] = f"the functions, for {'this machine' if target == HOST_TARGET else target}"
+        shared = _link_shared(folder, name, target)
+        if shared is None:
+            say(f"{stem}.o has no shared library beside it: the linker for {target} comes with pip install ziglang")
+        else:
+            written[shared] = f"the same as a shared library, for {'this machine' if target == HOST_TARGET else target}"
+    written |= {f"{name}.h": "the functions of the model", **DESCRIPTIONS}
+    rows = "\n".join(f"| `{file}` | {about} |" for file, about in written.items())
+    words |= {"FILES": rows, "TITLE": title or name, "MODEL": title or name, "VERSION": __version__}
+    for template in TEMPLATES:
+        text = files("palpate.export").joinpath("c", template).read_text(encoding="utf-8")
+        text = re.sub(r"@([A-Z_]+)@", lambda match: words[match[1]], text)
+        _write(folder / (f"{name}.h" if template == "model.h" else template), text.encode())
+    _write_kernels(folder / "kernels")
+    return written | {"README.md": "how to build and use it"}
+
+
+def _write(path: Path, content: bytes) -> None:
+    with whole_file(path) as partial:
+        partial.write_bytes(content)
+
+
+def _words(model: ReducedModel, name: str) -> dict[str, str]:
+    """Return what stands in place of the words of the templates."""
+    places = {field: field_offset(field) for field in HEADER_DTYPE.names or ()}
+    lines = [f"    PALPATE_{field.upper()} = {place}" for field, place in places.items()]
+    lines += [f"    PALPATE_HEADER_SIZE = {HEADER_DTYPE.itemsize // 8}"]
+    names = {"CAPSULE": kinds.CAPSULE, "PLANE": kinds.PLANE, "PUNCH": kinds.PUNCH, "FORCEPS": kinds.BONDED}
+    point, inward, radius = _example_press(model)
+    return {
+        "NAME": name,
+        "RECORD": ",\n".join(lines),
+        "KINDS": ", ".join(f"PALPATE_{key} = {value}" for key, value in names.items()),
+        "POINT": ", ".join(f"{x:.6g}" for x in point),
+        "INWARD": ", ".join(f"{x:.6g}" for x in inward),
+        "RADIUS": f"{radius:.6g}",
+        "DEPTH": f"{PRESS_SHARE * radius:.6g}",
+        "TAKES_TOOLS": "1" if not model.data.prescribed else "0",
+        "TRUST_INDEX": str(places["trust"]),
+        "FORCE_INDEX": str(places["force"]),
+        "POSITION_INDEX": str(places["position"]),
+    }
+
+
+def _example_press(model: ReducedModel) -> tuple[Floats, Floats, float]:
+    """Return a point of the surface far from the supports, its inward normal, and the radius of a ball [m]."""
+    surface = Surface(model)
+    rest, triangles = surface.rest.astype(float), surface.triangles
+    normals = np.zeros_like(rest)
+    faces = np.cross(rest[triangles[:, 1]] - rest[triangles[:, 0]], rest[triangles[:, 2]] - rest[triangles[:, 0]])
+    for corner in range(3):
+        np.add.at(normals, triangles[:, corner], faces)
+    lengths = np.linalg.norm(normals, axis=1)
+    fixed = rest[surface.fixed] if surface.fixed.any() else rest.mean(axis=0, keepdims=True)
+    inward = -normals / np.maximum(lengths, 1e-30)[:, None]
+    # against the supports: the product with the way to their middle
+    towards = fixed.mean(axis=0) - rest
+    score = np.sum(inward * towards, axis=1) * (lengths > 0)
+    best = int(np.argmax(score))
+    return rest[best], inward[best], RADIUS_SPACINGS * float(model.cloud.spacing)
+
+
+def _link_shared(folder: Path, name: str, target: str) -> str | None:
+    """Link the object of a target to a shared library; return its name, or None without a linker."""
+    if target == HOST_TARGET:
+        compiler, stem = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang"), name
+        command = [] if compiler is None else [compiler, "-shared"]
+    else:
+        stem = f"{name}.{target}"
+        zig = [sys.executable, "-m", "ziglang", "cc", "-target", ZIG_TARGETS[target], "-s", "-shared"]
+        command = [] if find_spec("ziglang") is None else zig
+    if not command:
+        return None
+    system = "windows" if "windows" in target or (target == HOST_TARGET and sys.platform == "win32") else ""
+    system = "macos" if "macos" in target or (target == HOST_TARGET and sys.platform == "darwin") else system
+    shared = f"{stem}.dll" if system == "windows" else f"lib{stem}.{'dylib' if system == 'macos' else 'so'}"
+    exports = ["-Wl,--export-all-symbols"] if system == "windows" else []
+    math = [] if system else ["-lm"]
+    done = subprocess.run(
+        [*command, "-o", shared, f"{stem}.o", *exports, *math], cwd=folder, capture_output=True, text=True, check=False
+    )
+    return shared if done.returncode == 0 else None
+
+
+def _write_kernels(folder: Path) -> None:
+    """Write the sources of the compiled functions, to read."""
+    folder.mkdir()
+    modules: Mapping[str, str] = kernel_sources("palpate.export.entries") | kernel_sources(
+        "palpate.reduction.realtime.period"
+    )
+    for module, text in modules.items():
+        if ":" not in module and text:
+            _write(folder / f"{module.removeprefix('palpate.')}.py", text.encode())

@@ -1,0 +1,165 @@
+"""A reduced model as functions without Python: their modules, the memory they work in, and objects for targets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.arrays import Floats
+from palpate.dynamics.contact.tools import Contact, Sphere
+from palpate.export.digest import DIGEST_WORDS, check_file
+from palpate.export.entries import OPTIONS, compile_step, exchange_tool, reset_model, write_vertices
+from palpate.export.link import Target, emit_object
+from palpate.export.lowering import LoweredFunction, recording
+from palpate.export.memory import DIGEST_PLACE, Memory, constant_function
+from palpate.faults import InputError
+from palpate.realtime.loop import compile_loop
+from palpate.realtime.observable import ObservableModel, make_observable
+from palpate.realtime.period import IGNORE, Work
+from palpate.realtime.pose import IDENTITY_POSE
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.realtime.display_surface import Surface
+from palpate.reduction.realtime.model import RealtimeModel, realtime_model
+
+__all__ = ["FUNCTIONS", "Library", "lower_model", "ready_model"]
+
+FUNCTIONS = ("step", "reset", "set_tool", "vertices", "check", "memory_size", "file_size")  # of every library
+ABSENT_TOOL_DISTANCE = 10.0  # [m]
+CHECKED_LENGTH = 7  # place of the length among the flat arguments of `check_file`, after an array
+DEFAULT_OPTIONS = {
+    "period": 1e-3, "force_limit": np.inf, "max_speed": 2.0, "max_angular_speed": 10.0, "stiffness_every": 50.0,
+    "on_distrust": float(IGNORE),
+}  # fmt: skip
+
+
+class Library(NamedTuple):
+    """Functions of a model before they are compiled for a target.
+
+    Parameters
+    ----------
+    name : str
+        With which the names of all functions begin.
+    texts : list of str
+        Modules of LLVM's intermediate representation.
+    memory : Memory
+    image : bytes
+        Content of the model's file.
+    """
+
+    name: str
+    texts: list[str]
+    memory: Memory
+    image: bytes
+
+    def emit(self, target: Target, strict: bool = True) -> bytes:
+        """Return the object of the functions for a target; see `palpate.export.link.emit_object`."""
+        return emit_object(self.texts, [f"{self.name}_{function}" for function in FUNCTIONS], target, strict)
+
+
+def ready_model(model: ReducedModel) -> tuple[RealtimeModel, ObservableModel]:
+    """Return a reduced model for the engine without a tool in contact, and the same with its observations.
+
+    Raises
+    ------
+    InputError
+        The model takes no tool.
+    """
+    takes_tools = not model.data.prescribed and model.data.compliance is not None
+    away = model.cloud.points.max(axis=0) + ABSENT_TOOL_DISTANCE
+    ready = realtime_model(model, contact=Contact(Sphere(model.cloud.spacing), away) if takes_tools else None)
+    if ready.change_tool is not None:
+        ready.change_tool(None, IDENTITY_POSE, 0.0)
+    return ready, make_observable(ready)
+
+
+def lower_model(model: ReducedModel, name: str) -> Library:
+    """Return the library of a reduced model; no compiled function can be called in this process afterwards.
+
+    Parameters
+    ----------
+    model : ReducedModel
+        With tool contact, or with one prescribed group.
+    name : str
+        An identifier of C.
+
+    Raises
+    ------
+    InputError
+        The name is not an identifier, or the model takes no tool.
+    """
+    if not (name.isascii() and name.isidentifier()):
+        raise InputError(f"name must be an identifier of C, got {name!r}; use letters, digits and underscores")
+    ready, observable = ready_model(model)
+    compile_loop(observable.advance, observable.stiffness)  # makes its functions, which recording then lowers
+    work, named, hidden = _arrays(model, ready, observable)
+    n, h, data = named, hidden, observable.data
+    step = compile_step(observable.advance, observable.stiffness)
+    placeholder, digest = np.zeros(0, dtype=np.uint8), (0,) * DIGEST_WORDS
+    tools = (n["tool_kind"], n["tool_sizes"], n["tool_friction"], n["tool_point"], n["tool_pose"])
+    tables = (h["rest"], h["columns"], h["patch_columns"], h["places"], h["fields"])
+    with recording() as texts:
+        functions = [
+            LoweredFunction(f"{name}_step", step, (data, work, n["pose"], n["options"], h["curve"], n["force_bound"])),
+            LoweredFunction(f"{name}_reset", reset_model, (data, work, observable.rest)),
+            LoweredFunction(f"{name}_set_tool", exchange_tool, (data, work, *tools)),
+            LoweredFunction(f"{name}_vertices", write_vertices, (data, work.q, *tables, n["vertices"])),
+            LoweredFunction(f"{name}_check", check_file, (placeholder, 0, h["words"], h["digest"], digest)),
+        ]
+    memory = Memory(functions, named)
+    image = memory.image()
+    words = [int.from_bytes(image[DIGEST_PLACE + 4 * k : DIGEST_PLACE + 4 * k + 4], "big") for k in range(DIGEST_WORDS)]
+    check = functions[-1].leaves
+    check[-DIGEST_WORDS:] = words
+    check[CHECKED_LENGTH] = memory.stored
+    entries = [memory.entry_point(function) for function in functions]
+    sizes = {"memory_size": memory.size, "file_size": memory.stored}
+    entries += [constant_function(f"{name}_{key}", value) for key, value in sizes.items()]
+    return Library(name, [*texts, *entries], memory, image)
+
+
+def _arrays(
+    model: ReducedModel, ready: RealtimeModel, observable: ObservableModel
+) -> tuple[Work, dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
+    """Return the state, the arrays that a program uses by name, and those that only the functions use."""
+    surface, data = Surface(model), observable.data
+    work = Work.at_rest(observable.rest, observable.tool)
+    columns, patch_columns, places = surface.tables(ready.data.contact_surface.nodes)
+    named: dict[str, NDArray[Any]] = {
+        "pose": IDENTITY_POSE.copy(),
+        "options": np.array([DEFAULT_OPTIONS[name] for name in OPTIONS]),
+        "record": work.record,
+        "force_bound": np.full(1, np.inf),
+        "modulus_ratio": data.modulus_ratio,
+        "coupling": data.coupling.parameters,
+        "tool_kind": np.full(1, -1),
+        "tool_sizes": np.zeros(3),
+        "tool_friction": np.zeros(1),
+        "tool_point": np.zeros(3),
+        "tool_pose": IDENTITY_POSE.copy(),
+        "vertices": surface.rest.copy(),
+        "triangles": surface.triangles,
+    }
+    compliance = ready.data.contact_surface.compliance
+    carriers, nodes = compliance.flexibility.shape[0], compliance.members.shape[0] // 2
+    hidden = {
+        "rest": surface.rest.astype(float),
+        "columns": columns,
+        "patch_columns": patch_columns,
+        "places": places,
+        "fields": np.zeros(2 * carriers + 3 * nodes),
+        "curve": _bound_curve(model.report),
+        "words": np.zeros(64, dtype=np.int64),
+        "digest": np.zeros(DIGEST_WORDS, dtype=np.int64),
+    }
+    return work, named, hidden
+
+
+def _bound_curve(report: Mapping[str, Any]) -> Floats:
+    """Return the numbers of the error bound of forces (5,); zeros without held-out runs with tools."""
+    curve = (report.get("held_out", {}).get("expected_error") or {}).get("force")
+    if curve is None:
+        return np.zeros(5)
+    return np.array([float(curve[k]) for k in ("bound", "least_trust", "exponent", "largest_trust", "least_size")])

@@ -1,0 +1,126 @@
+"""The memory of an exported model, and its file.
+
+A model is one block of memory without pointers: a header, a table of named arrays, and the arrays, which functions
+address by constant offsets. Arrays that share memory share it here. Arrays of zeros are last, and not in the file.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import struct
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from llvmlite import ir
+from numpy.typing import NDArray
+
+from palpate.export.lowering import LoweredFunction
+
+__all__ = ["DIGEST_PLACE", "HEADER_BYTES", "MAGIC", "Memory", "constant_function"]
+
+MAGIC, FORMAT_VERSION = b"PALPATE\0", 1
+HEADER = struct.Struct("<8sIIQQ32s")  # magic, version, named arrays, bytes of memory and file, digest
+ENTRY = struct.Struct("<24sQIIII")  # name, offset, type, rows, columns, zero
+HEADER_BYTES, DIGEST_PLACE, ALIGNMENT_BYTES = HEADER.size, 32, 64
+TYPE_CODES = {"f8": 0, "f4": 1, "i8": 2, "u4": 3, "b1": 4, "u1": 5, "i4": 6}
+
+
+class _Range(NamedTuple):
+    """Addresses of this process from low to high, and where they are in the memory of the model."""
+
+    low: int
+    high: int
+    place: int
+
+
+class Memory:
+    """Places of all arrays of some functions.
+
+    Parameters
+    ----------
+    functions : sequence of LoweredFunction
+    named : mapping of str to array
+        What a program reads and writes by name; at most two dimensions.
+
+    Attributes
+    ----------
+    size, stored : int
+        Bytes of the memory, and of the file.
+    """
+
+    def __init__(self, functions: Sequence[LoweredFunction], named: Mapping[str, NDArray[Any]]) -> None:
+        self.named, self.stored = dict(named), 0
+        leaves = [leaf for function in functions for leaf in function.leaves if isinstance(leaf, np.ndarray)]
+        bounds = sorted(np.lib.array_utils.byte_bounds(a) for a in (*leaves, *self.named.values()) if a.size)
+        ranges: list[list[int]] = []
+        for low, high in bounds:
+            if ranges and low < ranges[-1][1]:
+                ranges[-1][1] = max(high, ranges[-1][1])
+            else:
+                ranges.append([low, high])
+        filled = [any(ctypes.string_at(low, high - low)) for low, high in ranges]
+        at, self._ranges = HEADER_BYTES + ENTRY.size * len(self.named), []
+        for is_filled in (True, False):
+            for (low, high), this in zip(ranges, filled, strict=True):
+                if this is is_filled:
+                    at = -(-at // ALIGNMENT_BYTES) * ALIGNMENT_BYTES
+                    self._ranges.append(_Range(low, high, at))
+                    at += high - low
+            at = -(-at // ALIGNMENT_BYTES) * ALIGNMENT_BYTES
+            self.stored = at if is_filled else self.stored
+        self.size = at
+
+    def offset(self, array: NDArray[Any]) -> int:
+        """Return the place of an array [B]; 0 for an empty one."""
+        low = np.lib.array_utils.byte_bounds(array)[0]
+        return next((place + low - first for first, last, place in self._ranges if first <= low < last), 0)
+
+    def image(self) -> bytes:
+        """Return the content of the file, with its digest (SHA-256, of the content with zeros in its place)."""
+        data = bytearray(self.stored)
+        for k, (name, array) in enumerate(self.named.items()):
+            rows, columns = (*array.shape, 1, 1)[:2]
+            entry = ENTRY.pack(name.encode(), self.offset(array), TYPE_CODES[array.dtype.str[1:]], rows, columns, 0)
+            data[HEADER_BYTES + ENTRY.size * k : HEADER_BYTES + ENTRY.size * (k + 1)] = entry
+        for low, high, place in self._ranges:
+            if place < self.stored:
+                data[place : place + high - low] = ctypes.string_at(low, high - low)
+        header = (MAGIC, FORMAT_VERSION, len(self.named), self.size, self.stored)
+        data[:HEADER_BYTES] = HEADER.pack(*header, bytes(32))
+        digest = hashlib.sha256(data).digest()
+        data[:HEADER_BYTES] = HEADER.pack(*header, digest)
+        return bytes(data)
+
+    def entry_point(self, function: LoweredFunction) -> str:
+        """Return the module of ``int32_t NAME(void *memory)``, which returns the result of a function, or -1."""
+        module, byte, i32, i64 = ir.Module(function.name), ir.IntType(8).as_pointer(), ir.IntType(32), ir.IntType(64)
+        callee = ir.Function(module, function.function_type, function.callee)
+        entry = ir.Function(module, ir.FunctionType(i32, [byte]), function.name)
+        entry.args[0].add_attribute("noalias")
+        builder = ir.IRBuilder(entry.append_basic_block())
+        kinds = function.function_type.args
+        result, exception = (builder.alloca(kind.pointee) for kind in kinds[:2])
+        arguments = []
+        for leaf, kind in zip(function.leaves, kinds[2:], strict=True):
+            if leaf is None:
+                arguments.append(ir.Constant(kind, None))
+            elif isinstance(leaf, np.ndarray):
+                place = builder.gep(entry.args[0], [ir.Constant(i64, self.offset(leaf))])
+                arguments.append(builder.bitcast(place, kind))
+            else:
+                arguments.append(ir.Constant(kind, int(leaf) if isinstance(kind, ir.IntType) else float(leaf)))
+        status = builder.call(callee, [result, exception, *arguments])
+        value = builder.trunc(builder.load(result), i32)
+        failed = builder.icmp_signed("!=", status, ir.Constant(status.type, 0))
+        builder.ret(builder.select(failed, ir.Constant(i32, -1), value))
+        return str(module)
+
+
+def constant_function(name: str, value: int) -> str:
+    """Return the module of ``int64_t NAME(void)``, which returns a number."""
+    module = ir.Module(name)
+    function = ir.Function(module, ir.FunctionType(ir.IntType(64), []), name)
+    ir.IRBuilder(function.append_basic_block()).ret(ir.Constant(ir.IntType(64), value))
+    return str(module)
