@@ -16,7 +16,6 @@ from palpate.export.link import Target, emit_object
 from palpate.export.lowering import LoweredFunction, recording
 from palpate.export.memory import DIGEST_PLACE, Memory, constant_function
 from palpate.faults import InputError
-from palpate.realtime.loop import compile_loop
 from palpate.realtime.observable import ObservableModel, make_observable
 from palpate.realtime.period import IGNORE, Work
 from palpate.realtime.pose import IDENTITY_POSE
@@ -24,7 +23,7 @@ from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.realtime.display_surface import Surface
 from palpate.reduction.realtime.model import RealtimeModel, realtime_model
 
-__all__ = ["FUNCTIONS", "Library", "lower_model", "ready_model"]
+__all__ = ["FUNCTIONS", "Library", "lower_model", "model_functions"]
 
 FUNCTIONS = ("step", "reset", "set_tool", "vertices", "check", "memory_size", "file_size")  # of every library
 ABSENT_TOOL_DISTANCE = 10.0  # [m]
@@ -56,10 +55,15 @@ class Library(NamedTuple):
 
     def emit(self, target: Target, strict: bool = True) -> bytes:
         """Return the object of the functions for a target; see `palpate.export.link.emit_object`."""
-        return emit_object(self.texts, [f"{self.name}_{function}" for function in FUNCTIONS], target, strict)
+        return emit_object(self.texts, self.symbols, target, strict)
+
+    @property
+    def symbols(self) -> list[str]:
+        """Names of the functions."""
+        return [f"{self.name}_{function}" for function in FUNCTIONS]
 
 
-def ready_model(model: ReducedModel) -> tuple[RealtimeModel, ObservableModel]:
+def _ready_model(model: ReducedModel) -> tuple[RealtimeModel, ObservableModel]:
     """Return a reduced model for the engine without a tool in contact, and the same with its observations.
 
     Raises
@@ -92,38 +96,32 @@ def lower_model(model: ReducedModel, name: str) -> Library:
     """
     if not (name.isascii() and name.isidentifier()):
         raise InputError(f"name must be an identifier of C, got {name!r}; use letters, digits and underscores")
-    ready, observable = ready_model(model)
-    compile_loop(observable.advance, observable.stiffness)  # makes its functions, which recording then lowers
-    work, named, hidden = _arrays(model, ready, observable)
-    n, h, data = named, hidden, observable.data
-    step = compile_step(observable.advance, observable.stiffness)
-    placeholder, digest = np.zeros(0, dtype=np.uint8), (0,) * DIGEST_WORDS
-    tools = (n["tool_kind"], n["tool_sizes"], n["tool_friction"], n["tool_point"], n["tool_pose"])
-    tables = (h["rest"], h["columns"], h["patch_columns"], h["places"], h["fields"])
+    functions, named = model_functions(model)
+    placeholder, scratch, digest = np.zeros(0, dtype=np.uint8), np.zeros((2, 64), dtype=np.int64), (0,) * DIGEST_WORDS
+    functions["check"] = check_file, (placeholder, 0, scratch[0], scratch[1], digest)
     with recording() as texts:
-        functions = [
-            LoweredFunction(f"{name}_step", step, (data, work, n["pose"], n["options"], h["curve"], n["force_bound"])),
-            LoweredFunction(f"{name}_reset", reset_model, (data, work, observable.rest)),
-            LoweredFunction(f"{name}_set_tool", exchange_tool, (data, work, *tools)),
-            LoweredFunction(f"{name}_vertices", write_vertices, (data, work.q, *tables, n["vertices"])),
-            LoweredFunction(f"{name}_check", check_file, (placeholder, 0, h["words"], h["digest"], digest)),
-        ]
-    memory = Memory(functions, named)
+        lowered = [LoweredFunction(f"{name}_{key}", *each) for key, each in functions.items()]
+    memory = Memory(lowered, named)
     image = memory.image()
     words = [int.from_bytes(image[DIGEST_PLACE + 4 * k : DIGEST_PLACE + 4 * k + 4], "big") for k in range(DIGEST_WORDS)]
-    check = functions[-1].leaves
+    check = lowered[-1].leaves
     check[-DIGEST_WORDS:] = words
     check[CHECKED_LENGTH] = memory.stored
-    entries = [memory.entry_point(function) for function in functions]
+    entries = [memory.entry_point(function) for function in lowered]
     sizes = {"memory_size": memory.size, "file_size": memory.stored}
     entries += [constant_function(f"{name}_{key}", value) for key, value in sizes.items()]
     return Library(name, [*texts, *entries], memory, image)
 
 
-def _arrays(
-    model: ReducedModel, ready: RealtimeModel, observable: ObservableModel
-) -> tuple[Work, dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
-    """Return the state, the arrays that a program uses by name, and those that only the functions use."""
+def model_functions(model: ReducedModel) -> tuple[dict[str, tuple[Any, tuple[Any, ...]]], dict[str, NDArray[Any]]]:
+    """Return the functions of a library with their arguments, and the arrays that a program uses by name.
+
+    Raises
+    ------
+    InputError
+        The model takes no tool.
+    """
+    ready, observable = _ready_model(model)
     surface, data = Surface(model), observable.data
     work = Work.at_rest(observable.rest, observable.tool)
     columns, patch_columns, places = surface.tables(ready.data.contact_surface.nodes)
@@ -143,18 +141,18 @@ def _arrays(
         "triangles": surface.triangles,
     }
     compliance = ready.data.contact_surface.compliance
-    carriers, nodes = compliance.flexibility.shape[0], compliance.members.shape[0] // 2
-    hidden = {
-        "rest": surface.rest.astype(float),
-        "columns": columns,
-        "patch_columns": patch_columns,
-        "places": places,
-        "fields": np.zeros(2 * carriers + 3 * nodes),
-        "curve": _bound_curve(model.report),
-        "words": np.zeros(64, dtype=np.int64),
-        "digest": np.zeros(DIGEST_WORDS, dtype=np.int64),
-    }
-    return work, named, hidden
+    fields = np.zeros(2 * compliance.flexibility.shape[0] + 3 * (compliance.members.shape[0] // 2))
+    step = compile_step(observable.advance, observable.stiffness)
+    n, rest, curve = named, surface.rest.astype(float), _bound_curve(model.report)
+    tool = (n["tool_kind"], n["tool_sizes"], n["tool_friction"], n["tool_point"], n["tool_pose"])
+    return {
+        "step": (step, (data, work, n["pose"], n["options"], curve, n["force_bound"])),
+        "reset": (reset_model, (data, work, observable.rest)),
+        "set_tool": (exchange_tool, (data, work, *tool)),
+        "vertices": (
+            write_vertices, (data, work.q, rest, columns, patch_columns, places, fields, n["vertices"])
+        ),
+    }, named  # fmt: skip
 
 
 def _bound_curve(report: Mapping[str, Any]) -> Floats:

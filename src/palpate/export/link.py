@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import llvmlite.binding as llvm
 
-__all__ = ["TARGETS", "Target", "emit_object", "host_target"]
+__all__ = ["TARGETS", "Target", "emit_object", "host_target", "link_modules", "target_machine"]
 
 RELAXED = re.compile(
     r"\b(fadd|fsub|fmul|fdiv|frem|fneg|fcmp|call|select|phi)"
@@ -55,23 +55,19 @@ def host_target() -> Target:
     return Target(llvm.get_default_triple(), llvm.get_host_cpu_name(), features)
 
 
-def emit_object(texts: Sequence[str], kept: Collection[str], target: Target, strict: bool = True) -> bytes:
-    """Return the object of recorded modules in which the functions `kept` are visible.
-
-    Raises
-    ------
-    RuntimeError
-        A module uses a function that neither another module nor the C library has.
-    """
+def target_machine(target: Target) -> Any:
+    """Return LLVM's machine of a target."""
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
-    machine = llvm.Target.from_triple(target.triple).create_target_machine(
+    return llvm.Target.from_triple(target.triple).create_target_machine(
         cpu=target.processor, features=target.features, opt=3, reloc=target.relocation
     )
-    module = _link(texts, kept, target.triple, str(machine.target_data), strict)
-    missing = [f.name for f in module.functions if f.is_declaration and not MATH_FUNCTIONS.fullmatch(f.name)]
-    if missing:
-        raise RuntimeError(f"exported code must need the C library only, got calls of {', '.join(missing)}")
+
+
+def emit_object(texts: Sequence[str], kept: Collection[str], target: Target, strict: bool = True) -> bytes:
+    """Return the object of recorded modules in which the functions `kept` are visible; see `link_modules`."""
+    machine = target_machine(target)
+    module = link_modules(texts, kept, target.triple, str(machine.target_data), strict)
     tuning = llvm.create_pipeline_tuning_options(speed_level=3)
     tuning.loop_vectorization = tuning.slp_vectorization = True
     passes = llvm.create_pass_builder(machine, tuning)
@@ -79,8 +75,14 @@ def emit_object(texts: Sequence[str], kept: Collection[str], target: Target, str
     return bytes(machine.emit_object(module))
 
 
-def _link(texts: Sequence[str], kept: Collection[str], triple: str, layout: str, strict: bool) -> Any:
-    """Return one module; all its functions but those that are kept are internal."""
+def link_modules(texts: Sequence[str], kept: Collection[str], triple: str, layout: str, strict: bool) -> Any:
+    """Return one module; all its functions but those that are kept are internal.
+
+    Raises
+    ------
+    RuntimeError
+        A function is used that neither a module nor the C library has, such as one that allocates an array.
+    """
     linked = None
     for text in reversed(texts):  # the last use the others
         text = re.sub(r"^target triple = .*$", f'target triple = "{triple}"', text, flags=re.M)
@@ -98,5 +100,8 @@ def _link(texts: Sequence[str], kept: Collection[str], triple: str, layout: str,
     for value in (*linked.functions, *linked.global_variables):
         if not value.is_declaration:
             value.linkage = "external" if value.name in kept else "internal"
+    missing = [f.name for f in linked.functions if f.is_declaration and not MATH_FUNCTIONS.fullmatch(f.name)]
+    if missing:
+        raise RuntimeError(f"exported code must need the C library only, got calls of {', '.join(missing)}")
     linked.verify()
     return linked

@@ -1,0 +1,29 @@
+"""The studies' modules can be imported by these tests; and a model of a block that a ball presses."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.append(str(Path(__file__).parents[2] / "validation"))
+
+
+@pytest.fixture(scope="session")
+def model_file(tmp_path_factory):
+    from exported import train
+
+    path = tmp_path_factory.mktemp("model") / "organ.rom"
+    train("NeoHookean", path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def exported_folder(model_file):
+    folder = model_file.parent / "organ"
+    command = [sys.executable, "-m", "palpate", "export", str(model_file), "--c", str(folder)]
+    done = subprocess.run([*command, "--target", "host", "--target", "linux-aarch64"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder
