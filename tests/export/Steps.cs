@@ -1,0 +1,21 @@
+// Presses the model organ in C#, and prints the force of the last period.
+using System;
+
+static class Steps
+{
+    static int Main(string[] arguments)
+    {
+        using (var organ = new Palpate.Organ(arguments[0]))
+        {
+            if (organ.SetBall(0.015, 0.024, 0.038, 0.046, 0.3) != 0) return 1;
+            for (int k = 0; k < 200; k++)
+                if (organ.Step(0, 0, -0.005 * Math.Min(1, k / 100.0)) != 0) return 2;
+            double[] force = organ.Force;
+            Console.WriteLine("{0:R} {1:R} {2:R}", force[0], force[1], force[2]);
+            Console.WriteLine("{0} {1}", organ.Vertices().Length, organ.Triangles().Length);
+        }
+        try { new Palpate.Organ(arguments[1]); }
+        catch (System.IO.InvalidDataException error) { Console.WriteLine(error.Message.Contains("must be")); }
+        return 0;
+    }
+}

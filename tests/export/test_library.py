@@ -1,0 +1,246 @@
+"""An exported library: the engine's numbers in C, C# and for another processor, and what it refuses."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from exported import BALL, FORCE, SIZE, Engine, Library, drive, pose_at, set_tool
+
+import palpate as pt
+from palpate.realtime.record import HEADER_SIZE, field_offset
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler"),
+]
+PERIODS, PLACE = 400, (0.024, 0.038, SIZE[2] + BALL + 0.001)
+STRICT_WARNINGS = ["-Wall", "-Wextra", "-Werror", "-Wno-unused-function"]
+
+
+def needs(program):
+    return pytest.mark.skipif(shutil.which(program) is None, reason=f"{program} is not installed")
+
+
+@pytest.fixture
+def library(exported_folder):
+    return Library(exported_folder, "organ")
+
+
+def press(model, periods=200):
+    set_tool(model, 0, (BALL, 0.0, 0.0), PLACE, 0.3)
+    return [step(model, pose_at(k / periods, True)) for k in range(periods)]
+
+
+def step(model, pose):
+    model.arrays["pose"][:] = pose
+    assert model("step") == 0
+    return model.arrays["record"].copy()
+
+
+def run(*command, cwd=None):
+    done = subprocess.run([str(part) for part in command], capture_output=True, cwd=cwd, check=False)
+    assert done.returncode == 0, (done.stdout[-1000:], done.stderr[-3000:])
+    return done.stdout
+
+
+# numbers
+
+
+def test_presses_and_grasps_are_those_of_the_engine(library, model_file):
+    records, vertices, _ = drive(library, PERIODS, True)
+    model = pt.load(model_file)
+    expected, expected_vertices, _ = drive(Engine(model), PERIODS, True)
+    force, coordinates = slice(FORCE, FORCE + 3), slice(HEADER_SIZE, HEADER_SIZE + model.count)
+    for part in (force, coordinates):
+        scale = np.abs(expected[:, part]).max()
+        assert scale > 0
+        np.testing.assert_allclose(records[:, part], expected[:, part], rtol=0, atol=1e-12 * scale)
+    np.testing.assert_allclose(vertices, expected_vertices, rtol=0, atol=1e-8)
+    assert np.abs(records[:, FORCE + 2]).max() > 0.5  # of a press and of a pull
+    assert records[: PERIODS // 2, FORCE + 2].max() > 0 > records[PERIODS // 2 :, FORCE + 2].min()
+
+
+def test_vertices_are_those_that_the_page_draws(library, model_file):
+    from palpate.reduction.contact.surface import PAIRS
+    from palpate.reduction.realtime.display_surface import Surface
+
+    model = pt.load(model_file)
+    engine, surface = Engine(model), Surface(model)
+    data, work = engine._functions["step"][1][:2]
+    for drawn in (library, engine):
+        press(drawn, 100)
+        drawn("vertices")
+    contact = data.inner.contact_work
+    count = contact.numbers[PAIRS]
+    assert count > 0
+    moved = surface.displacements(work.q, contact.node[:count], contact.push[:count])
+    for drawn in (library, engine):
+        np.testing.assert_allclose(drawn.arrays["vertices"], surface.rest + moved, rtol=0, atol=1e-8)
+
+
+def test_a_copy_of_the_memory_is_another_model_in_the_same_state(library):
+    press(library, 100)
+    kept = library.memory.copy()
+    after = [step(library, pose_at(0.5 + k / 200, True)) for k in range(50)]
+    library.memory[:] = kept
+    again = [step(library, pose_at(0.5 + k / 200, True)) for k in range(50)]
+    np.testing.assert_array_equal(after, again)
+
+
+def test_a_reset_returns_to_rest(library):
+    first = press(library)
+    assert library("reset") == 0
+    assert not library.arrays["record"][FORCE : FORCE + 3].any()
+    again, stiffness = press(library), field_offset("stiffness")
+    for records in (first, again):  # it follows from the tangents of the periods before
+        for record in records:
+            record[stiffness : stiffness + 9] = 0.0
+    np.testing.assert_array_equal(again, first)
+
+
+def test_a_clamped_tool_stays_where_the_model_is_trusted(library):
+    library.arrays["options"][5] = 1.0  # PALPATE_CLAMP
+    set_tool(library, 0, (BALL, 0.0, 0.0), PLACE, 0.3)
+    for k in range(400):
+        record = step(library, (0.0, 0.0, -0.02 * min(1.0, k / 200), 1.0, 0.0, 0.0, 0.0))
+    height = record[field_offset("position") + 2]
+    assert record[field_offset("clamped")] == 1.0
+    assert -0.015 < height < 0.0
+    assert record[field_offset("trust")] < 1.5
+
+
+def test_the_force_limit_and_the_moduli_are_those_of_the_options(library):
+    free = press(library)[-1]
+    library("reset")
+    library.arrays["options"][1] = 0.2
+    limited = press(library)[-1]
+    assert np.linalg.norm(limited[FORCE : FORCE + 3]) == pytest.approx(0.2)
+    assert limited[field_offset("limited")] == 1.0
+    library("reset")
+    library.arrays["options"][1] = np.inf
+    library.arrays["modulus_ratio"][:] = 2.0
+    stiff = press(library)[-1]
+    assert stiff[FORCE + 2] == pytest.approx(2.0 * free[FORCE + 2], rel=0.1)
+
+
+# bad input
+
+
+@pytest.mark.parametrize("pose", [(np.nan, 0, 0, 1, 0, 0, 0), (0, 0, 0, 0, 0, 0, 0), (5, 0, 0, 1, 0, 0, 0)])
+def test_a_pose_that_is_not_finite_or_jumps_keeps_the_last(library, pose):
+    press(library, 50)
+    before = library.arrays["record"][:HEADER_SIZE].copy()
+    library.arrays["pose"][:] = pose
+    assert library("step") == 1
+    after, place = library.arrays["record"], field_offset("position")
+    assert after[0] > before[0]  # the period was taken
+    np.testing.assert_array_equal(after[place : place + 7], before[place : place + 7])
+
+
+@pytest.mark.parametrize(("name", "value"), [("period", 0.0), ("period", np.nan), ("force_limit", -1.0)])
+def test_options_out_of_range_are_refused(library, name, value):
+    from palpate.export.entries import OPTIONS
+
+    library.arrays["options"][OPTIONS.index(name)] = value
+    assert library("step") == 3
+
+
+@pytest.mark.parametrize("sizes", [(0.0, 0.0, 0.0), (np.nan, 0.0, 0.0), (0.01, -1.0, 0.0)])
+def test_a_tool_out_of_range_is_refused(library, sizes):
+    library.arrays["tool_kind"][0], library.arrays["tool_sizes"][:] = 0, sizes
+    assert library("set_tool") == 3
+
+
+def test_a_library_refuses_every_file_but_its_own(library, exported_folder):
+    assert library("check") == 0
+    size, random = library._number("file_size"), np.random.default_rng(0)
+    for place in [*random.integers(64, size, 200), 0, 8, 12, 16, 24, size - 1]:
+        library.memory[place] ^= 1 << int(random.integers(8))
+        assert library("check") != 0, place
+        library.memory[:size] = np.frombuffer((exported_folder / "organ.palpate").read_bytes(), np.uint8)
+    assert library("check") == 0
+
+
+# programs
+
+
+@pytest.fixture
+def poses(tmp_path):
+    rows = [pose_at(k / 200, True) for k in range(200)]
+    path = tmp_path / "poses"
+    path.write_bytes(np.array([*PLACE, 1, 0, 0, 0, BALL, 0, 0, *np.ravel(rows)], dtype=float).tobytes())
+    return path
+
+
+@pytest.mark.parametrize("compiler", [pytest.param(name, marks=needs(name)) for name in ("gcc", "clang", "g++")])
+def test_a_c_program_takes_the_same_periods(library, exported_folder, poses, tmp_path, compiler):
+    source, program = Path(__file__).with_name("steps.c"), tmp_path / "steps"
+    language = ["-x", "c++"] if compiler == "g++" else ["-std=c99", "-pedantic"]
+    command = [compiler, *language, *STRICT_WARNINGS, f"-I{exported_folder}", source, "-x", "none"]
+    run(*command, exported_folder / "organ.o", "-lm", "-o", program)
+    records = np.frombuffer(run(program, exported_folder / "organ.palpate", poses)).reshape(200, -1)
+    np.testing.assert_array_equal(records, press(library))
+
+
+def test_damaged_and_missing_files_end_a_program_with_a_line(exported_folder, tmp_path):
+    run("cc", "-O1", *STRICT_WARNINGS, "main.c", "organ.o", "-lm", "-o", tmp_path / "press", cwd=exported_folder)
+    content = (exported_folder / "organ.palpate").read_bytes()
+    short, long = tmp_path / "short", tmp_path / "long"
+    short.write_bytes(content[:-100])
+    long.write_bytes(content + b"\0")
+    for path in (short, long, tmp_path / "none", tmp_path):
+        done = subprocess.run([tmp_path / "press", path, "0.1"], capture_output=True, text=True, check=False)
+        assert done.returncode == 1
+        assert len(done.stderr.splitlines()) == 1
+    output = run(tmp_path / "press", exported_folder / "organ.palpate", "0.3").decode()
+    assert "deadlines missed" in output
+    assert "force" in output
+
+
+def test_damaged_files_are_refused_under_the_address_sanitizer(exported_folder, tmp_path):
+    source, program = Path(__file__).with_name("damaged.c"), tmp_path / "damaged"
+    sanitizers = ["-fsanitize=address,undefined", "-fno-sanitize-recover"]
+    run("cc", "-O1", *sanitizers, f"-I{exported_folder}", source, exported_folder / "organ.o", "-lm", "-o", program)
+    output = run(program, exported_folder / "organ.palpate", tmp_path / "scratch", 210, 1)
+    assert output == b"210 of 210\n"
+
+
+@needs("cmake")
+def test_the_cmake_file_builds_the_example(exported_folder, tmp_path):
+    run("cmake", "-S", exported_folder, "-B", tmp_path / "build")
+    run("cmake", "--build", tmp_path / "build")
+    assert b"of 100 deadlines missed" in run("./press", "organ.palpate", "0.1", cwd=tmp_path / "build")
+
+
+@needs("aarch64-linux-gnu-gcc")
+@needs("qemu-aarch64")
+def test_another_processor_computes_the_same(library, exported_folder, poses, tmp_path):
+    source, program = Path(__file__).with_name("steps.c"), tmp_path / "steps"
+    objects = exported_folder / "organ.linux-aarch64.o"
+    run("aarch64-linux-gnu-gcc", "-static", f"-I{exported_folder}", source, objects, "-lm", "-o", program)
+    records = np.frombuffer(run("qemu-aarch64", program, exported_folder / "organ.palpate", poses)).reshape(200, -1)
+    expected = np.array(press(library))
+    scale = np.maximum(np.abs(expected).max(axis=0), 1e-30)
+    finite = np.isfinite(expected).all(axis=0)
+    assert np.abs((records - expected)[:, finite] / scale[finite]).max() < 1e-12
+
+
+@needs("mcs")
+@needs("mono")
+def test_csharp_takes_the_same_periods(library, exported_folder, tmp_path):
+    for name in ("liborgan.so", "organ.palpate"):
+        shutil.copy(exported_folder / name, tmp_path)
+    (tmp_path / "other").write_bytes(b"PALPATE")
+    run("mcs", f"-out:{tmp_path / 'steps.exe'}", exported_folder / "Organ.cs", Path(__file__).with_name("Steps.cs"))
+    lines = run("mono", "steps.exe", "organ.palpate", "other", cwd=tmp_path).decode().splitlines()
+    set_tool(library, 0, (BALL, 0.0, 0.0), PLACE, 0.3)
+    for k in range(200):
+        record = step(library, (0.0, 0.0, -0.005 * min(1.0, k / 100), 1.0, 0.0, 0.0, 0.0))
+    np.testing.assert_array_equal([float(part) for part in lines[0].split()], record[FORCE : FORCE + 3])
+    numbers = [3 * len(library.arrays["vertices"]), library.arrays["triangles"].size]
+    assert lines[1].split() == [str(number) for number in numbers]
+    assert lines[2] == "True"
