@@ -90,7 +90,7 @@ class Engine:
         return int(function(*arguments))
 
 
-def drive(model: Any, periods: int, touches: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def step_through(model: Any, periods: int, touches: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Step a library or an engine through the motions; return records, vertices of the end, and times [s]."""
     arrays, records, times = model.arrays, [], np.zeros(periods)
     for k in range(periods):
@@ -191,10 +191,10 @@ def compare(case: str, folder: Path, periods: int) -> dict[str, Any]:
     library, model = Library(folder / "c", "organ"), pt.load(path)
     if library("check"):
         raise RuntimeError("the library refuses its own file")
-    records, vertices, times = drive(library, periods, touches)
+    records, vertices, times = step_through(library, periods, touches)
     strict_records, strict_vertices = reference(path, periods)
-    shipped, shipped_vertices, _ = drive(Engine(model), periods, touches)
-    _, _, shipped_times = drive(Engine(model), periods, touches)  # compiled by now
+    shipped, shipped_vertices, _ = step_through(Engine(model), periods, touches)
+    _, _, shipped_times = step_through(Engine(model), periods, touches)  # compiled by now
     moved = np.abs(shipped_vertices - Surface(model).rest).max()
     coordinates = slice(HEADER_SIZE, HEADER_SIZE + model.count)
     parts = {"force": slice(FORCE, FORCE + 3), "stiffness": slice(STIFFNESS, STIFFNESS + 9), "coordinates": coordinates}
@@ -235,7 +235,7 @@ def main() -> None:
 if __name__ == "__main__":
     if STRICT:
         model, target, count = pt.load(sys.argv[2]), sys.argv[3], int(sys.argv[4])
-        records, vertices, _ = drive(Engine(model), count, not model.data.prescribed)
+        records, vertices, _ = step_through(Engine(model), count, not model.data.prescribed)
         np.savez(target, records=records, vertices=vertices)
     else:
         main()

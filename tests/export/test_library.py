@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exported import BALL, FORCE, SIZE, Engine, Library, drive, pose_at, set_tool
+from exported import BALL, FORCE, SIZE, Engine, Library, pose_at, set_tool, step_through
 
 import palpate as pt
 from palpate.realtime.record import HEADER_SIZE, field_offset
@@ -51,9 +51,9 @@ def run(*command, cwd=None):
 
 
 def test_presses_and_grasps_are_those_of_the_engine(library, model_file):
-    records, vertices, _ = drive(library, PERIODS, True)
+    records, vertices, _ = step_through(library, PERIODS, True)
     model = pt.load(model_file)
-    expected, expected_vertices, _ = drive(Engine(model), PERIODS, True)
+    expected, expected_vertices, _ = step_through(Engine(model), PERIODS, True)
     force, coordinates = slice(FORCE, FORCE + 3), slice(HEADER_SIZE, HEADER_SIZE + model.count)
     for part in (force, coordinates):
         scale = np.abs(expected[:, part]).max()
@@ -143,9 +143,9 @@ def test_a_pose_that_is_not_finite_or_jumps_keeps_the_last(library, pose):
 
 @pytest.mark.parametrize(("name", "value"), [("period", 0.0), ("period", np.nan), ("force_limit", -1.0)])
 def test_options_out_of_range_are_refused(library, name, value):
-    from palpate.export.entries import OPTIONS
+    from palpate.export.entries import OPTION_NAMES
 
-    library.arrays["options"][OPTIONS.index(name)] = value
+    library.arrays["options"][OPTION_NAMES.index(name)] = value
     assert library("step") == 3
 
 

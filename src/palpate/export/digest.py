@@ -12,8 +12,8 @@ __all__ = ["DIGEST_WORDS", "check_file"]
 
 DIGEST_FIRST, DIGEST_END, BLOCK_BYTES, WORD_BITS = 32, 64, 64, 0xFFFFFFFF
 DIGEST_WORDS = 8
-ROUNDS = 64
-PRIMES = [p for p in range(2, 312) if all(p % d for d in range(2, math.isqrt(p) + 1))][:ROUNDS]
+ROUND_COUNT = 64
+FIRST_PRIMES = [p for p in range(2, 312) if all(p % d for d in range(2, math.isqrt(p) + 1))][:ROUND_COUNT]
 
 
 def _cube_root(number: int) -> int:
@@ -25,8 +25,8 @@ def _cube_root(number: int) -> int:
 
 
 # the first 32 bits of the fractions of cube roots and of square roots of primes
-ROUND_CONSTANTS = np.array([_cube_root(p << 96) & WORD_BITS for p in PRIMES], dtype=np.int64)
-INITIAL_STATE = np.array([math.isqrt(p << 64) & WORD_BITS for p in PRIMES[:DIGEST_WORDS]], dtype=np.int64)
+ROUND_CONSTANTS = np.array([_cube_root(p << 96) & WORD_BITS for p in FIRST_PRIMES], dtype=np.int64)
+INITIAL_STATE = np.array([math.isqrt(p << 64) & WORD_BITS for p in FIRST_PRIMES[:DIGEST_WORDS]], dtype=np.int64)
 
 
 @kernel_njit(inner=True)

@@ -20,7 +20,7 @@ from palpate.reduction.realtime.change_tool import replace_tool
 
 __all__ = [
     "DIVERGED_STATUS",
-    "OPTIONS",
+    "OPTION_NAMES",
     "compile_step",
     "exchange_tool",
     "reset_model",
@@ -28,9 +28,11 @@ __all__ = [
 ]
 
 TAKEN_STATUS, POSE_STATUS, DIVERGED_STATUS, INVALID_STATUS = range(4)
-OPTIONS = ("period", "force_limit", "max_speed", "max_angular_speed", "stiffness_every", "on_distrust")
-PERIOD, FORCE_LIMIT, MAX_SPEED, MAX_ANGULAR_SPEED, STIFFNESS_EVERY, ON_DISTRUST = range(len(OPTIONS))
-ERROR, LEAST_TRUST, EXPONENT, LARGEST_TRUST, LEAST_SIZE = range(5)  # entries of the curve of the error bound
+OPTION_NAMES = ("period", "force_limit", "max_speed", "max_angular_speed", "stiffness_every", "on_distrust")
+OPTION_PERIOD, FORCE_LIMIT, MAX_SPEED, MAX_ANGULAR_SPEED, STIFFNESS_EVERY, ON_DISTRUST = range(len(OPTION_NAMES))
+BOUND_ERROR, LEAST_TRUST, BOUND_EXPONENT, LARGEST_TRUST, LEAST_SIZE = range(
+    5
+)  # entries of the curve of the error bound
 WORST_TRUST, LARGEST_FORCE = field_offset("worst_trust"), field_offset("largest_force")
 MIN_PERIOD, MAX_PERIOD = 5e-5, 0.02  # [s]
 
@@ -80,14 +82,14 @@ def compile_step(advance: Any, stiffness: Any) -> Any:
     def step(data, work, pose, options, curve, bound):  # type: ignore[no-untyped-def]
         if work.record[FAILED] != 0.0:
             return DIVERGED_STATUS
-        if not MIN_PERIOD <= options[PERIOD] <= MAX_PERIOD:
+        if not MIN_PERIOD <= options[OPTION_PERIOD] <= MAX_PERIOD:
             return INVALID_STATUS
         if not (options[FORCE_LIMIT] > 0.0 and options[MAX_SPEED] > 0.0 and options[MAX_ANGULAR_SPEED] > 0.0):
             return INVALID_STATUS
         if not (0.0 <= options[STIFFNESS_EVERY] <= 1e6 and 0.0 <= options[ON_DISTRUST] <= 3.0):
             return INVALID_STATUS
         is_taken = _request_pose(work, pose)
-        period = options[PERIOD]
+        period = options[OPTION_PERIOD]
         settings = Settings(
             int(1e9 * period + 0.5), 0, period * options[MAX_SPEED], period * options[MAX_ANGULAR_SPEED],
             options[FORCE_LIMIT], int(options[STIFFNESS_EVERY]), int(options[ON_DISTRUST]), 0,
@@ -95,8 +97,8 @@ def compile_step(advance: Any, stiffness: Any) -> Any:
         valid = take_period(data, work, settings)
         bound[0] = np.inf
         trust = work.record[WORST_TRUST]
-        if curve[ERROR] > 0.0 and trust <= curve[LARGEST_TRUST]:
-            error = curve[ERROR] * max(trust, curve[LEAST_TRUST]) ** curve[EXPONENT]
+        if curve[BOUND_ERROR] > 0.0 and trust <= curve[LARGEST_TRUST]:
+            error = curve[BOUND_ERROR] * max(trust, curve[LEAST_TRUST]) ** curve[BOUND_EXPONENT]
             bound[0] = error * max(work.record[LARGEST_FORCE], curve[LEAST_SIZE])
         if not valid:
             return DIVERGED_STATUS

@@ -18,7 +18,7 @@ from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_sources
 from palpate.dynamics.contact import kinds
 from palpate.export.library import lower_model
-from palpate.export.link import TARGETS, host_target
+from palpate.export.link import TARGET_MACHINES, host_target
 from palpate.faults import InputError
 from palpate.files import check_folder, whole_file
 from palpate.realtime.record import HEADER_DTYPE, field_offset
@@ -28,14 +28,14 @@ from palpate.reduction.realtime.display_surface import Surface
 __all__ = ["HOST_TARGET", "TARGET_NAMES", "export_c", "identifier"]
 
 HOST_TARGET = "host"
-TARGET_NAMES = (HOST_TARGET, *TARGETS)
-TEMPLATES = ("palpate.h", "model.h", "main.c", "CMakeLists.txt", "Organ.cs", "README.md")
+TARGET_NAMES = (HOST_TARGET, *TARGET_MACHINES)
+TEMPLATE_NAMES = ("palpate.h", "model.h", "main.c", "CMakeLists.txt", "Organ.cs", "README.md")
 PRESS_SHARE, RADIUS_SPACINGS = 0.5, 3.0  # depth of the example's press over the ball's radius, and that radius
 ZIG_TARGETS = {
     "linux-x86-64-v2": "x86_64-linux-gnu.2.17", "linux-x86-64-v3": "x86_64-linux-gnu.2.17",
     "linux-aarch64": "aarch64-linux-gnu.2.17", "windows-x86-64": "x86_64-windows-gnu", "macos-arm64": "aarch64-macos",
 }  # fmt: skip
-DESCRIPTIONS = {
+FILE_DESCRIPTIONS = {
     "palpate.h": "arrays of a model, and functions that find them",
     "main.c": "a program that presses the organ and prints forces and deadline statistics",
     "CMakeLists.txt": "builds it",
@@ -107,18 +107,18 @@ def export_c(
     _write(folder / f"{name}.palpate", library.image)
     for target in targets:
         stem = name if target == HOST_TARGET else f"{name}.{target}"
-        content = library.emit(host_target() if target == HOST_TARGET else TARGETS[target], strict)
+        content = library.emit(host_target() if target == HOST_TARGET else TARGET_MACHINES[target], strict)
         _write(folder / f"{stem}.o", content)
         written[f"{stem}.o"] = f"the functions, for {'this machine' if target == HOST_TARGET else target}"
         shared = _link_shared(folder, name, target)
         if shared is None:
-            say(f"{stem}.o has no shared library beside it: the linker for {target} comes with pip install ziglang")
+            say(f"{stem}.o was not linked to a shared library; the linker for {target} comes with pip install ziglang")
         else:
             written[shared] = f"the same as a shared library, for {'this machine' if target == HOST_TARGET else target}"
-    written |= {f"{name}.h": "the functions of the model", **DESCRIPTIONS}
+    written |= {f"{name}.h": "the functions of the model", **FILE_DESCRIPTIONS}
     rows = "\n".join(f"| `{file}` | {about} |" for file, about in written.items())
     words |= {"FILES": rows, "TITLE": title or name, "MODEL": title or name, "VERSION": __version__}
-    for template in TEMPLATES:
+    for template in TEMPLATE_NAMES:
         text = files("palpate.export").joinpath("c", template).read_text(encoding="utf-8")
         text = re.sub(r"@([A-Z_]+)@", lambda match: words[match[1]], text)
         _write(folder / (f"{name}.h" if template == "model.h" else template), text.encode())

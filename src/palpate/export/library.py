@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats
 from palpate.dynamics.contact.tools import Contact, Sphere
 from palpate.export.digest import DIGEST_WORDS, check_file
-from palpate.export.entries import OPTIONS, compile_step, exchange_tool, reset_model, write_vertices
+from palpate.export.entries import OPTION_NAMES, compile_step, exchange_tool, reset_model, write_vertices
 from palpate.export.link import Target, emit_object
 from palpate.export.lowering import LoweredFunction, recording
 from palpate.export.memory import DIGEST_PLACE, Memory, constant_function
@@ -23,9 +23,9 @@ from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.realtime.display_surface import Surface
 from palpate.reduction.realtime.model import RealtimeModel, realtime_model
 
-__all__ = ["FUNCTIONS", "Library", "lower_model", "model_functions"]
+__all__ = ["FUNCTION_NAMES", "Library", "lower_model", "model_functions"]
 
-FUNCTIONS = ("step", "reset", "set_tool", "vertices", "check", "memory_size", "file_size")  # of every library
+FUNCTION_NAMES = ("step", "reset", "set_tool", "vertices", "check", "memory_size", "file_size")  # of every library
 ABSENT_TOOL_DISTANCE = 10.0  # [m]
 CHECKED_LENGTH = 7  # place of the length among the flat arguments of `check_file`, after an array
 DEFAULT_OPTIONS = {
@@ -60,7 +60,7 @@ class Library(NamedTuple):
     @property
     def symbols(self) -> list[str]:
         """Names of the functions."""
-        return [f"{self.name}_{function}" for function in FUNCTIONS]
+        return [f"{self.name}_{function}" for function in FUNCTION_NAMES]
 
 
 def _ready_model(model: ReducedModel) -> tuple[RealtimeModel, ObservableModel]:
@@ -127,7 +127,7 @@ def model_functions(model: ReducedModel) -> tuple[dict[str, tuple[Any, tuple[Any
     columns, patch_columns, places = surface.tables(ready.data.contact_surface.nodes)
     named: dict[str, NDArray[Any]] = {
         "pose": IDENTITY_POSE.copy(),
-        "options": np.array([DEFAULT_OPTIONS[name] for name in OPTIONS]),
+        "options": np.array([DEFAULT_OPTIONS[name] for name in OPTION_NAMES]),
         "record": work.record,
         "force_bound": np.full(1, np.inf),
         "modulus_ratio": data.modulus_ratio,

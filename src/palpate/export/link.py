@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import llvmlite.binding as llvm
 
-__all__ = ["TARGETS", "Target", "emit_object", "host_target", "link_modules", "target_machine"]
+__all__ = ["TARGET_MACHINES", "Target", "emit_object", "host_target", "link_modules", "target_machine"]
 
-RELAXED = re.compile(
+RELAXED_FLAGS = re.compile(
     r"\b(fadd|fsub|fmul|fdiv|frem|fneg|fcmp|call|select|phi)"
     r"((?: (?:contract|reassoc|nsz|arcp|afn|nnan|ninf|fast))+) "
 )
@@ -40,7 +40,7 @@ class Target(NamedTuple):
     relocation: str = "pic"
 
 
-TARGETS = {
+TARGET_MACHINES = {
     "linux-x86-64-v2": Target("x86_64-unknown-linux-gnu", "x86-64-v2"),
     "linux-x86-64-v3": Target("x86_64-unknown-linux-gnu", "x86-64-v3"),
     "linux-aarch64": Target("aarch64-unknown-linux-gnu", "generic", "+neon"),
@@ -87,7 +87,7 @@ def link_modules(texts: Sequence[str], kept: Collection[str], triple: str, layou
     for text in reversed(texts):  # the last use the others
         text = re.sub(r"^target triple = .*$", f'target triple = "{triple}"', text, flags=re.M)
         text = re.sub(r"^target datalayout = .*$", f'target datalayout = "{layout}"', text, flags=re.M)
-        module = llvm.parse_assembly(RELAXED.sub(r"\1 ", text) if strict else text)
+        module = llvm.parse_assembly(RELAXED_FLAGS.sub(r"\1 ", text) if strict else text)
         for function in module.functions:
             is_exported = function.linkage == llvm.Linkage.external and not function.is_declaration
             if is_exported and function.name not in kept:

@@ -21,7 +21,7 @@ from numba.core.registry import cpu_target
 
 __all__ = ["LoweredFunction", "recording"]
 
-FLAGS = {"_nrt": False, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+COMPILE_FLAGS = {"_nrt": False, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 class _RecordedLibrary(AOTCodeLibrary):  # type: ignore[misc]
@@ -107,7 +107,7 @@ class LoweredFunction:
     def __init__(self, name: str, function: Any, arguments: Sequence[Any]) -> None:
         kinds = tuple(typeof(argument) for argument in arguments)
         options = {key: value for key, value in function.targetoptions.items() if key == "fastmath"}
-        compiled = njit(**options, **FLAGS)(function.py_func)
+        compiled = njit(**options, **COMPILE_FLAGS)(function.py_func)
         compiled.compile(kinds)
         result = compiled.overloads[kinds]
         self.name, self.callee = name, result.fndesc.llvm_func_name

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from palpate.export.lowering import LoweredFunction
 
-__all__ = ["DIGEST_PLACE", "HEADER_BYTES", "MAGIC", "Memory", "constant_function"]
+__all__ = ["DIGEST_PLACE", "FILE_MAGIC", "HEADER_BYTES", "Memory", "constant_function"]
 
-MAGIC, FORMAT_VERSION = b"PALPATE\0", 1
-HEADER = struct.Struct("<8sIIQQ32s")  # magic, version, named arrays, bytes of memory and file, digest
-ENTRY = struct.Struct("<24sQIIII")  # name, offset, type, rows, columns, zero
-HEADER_BYTES, DIGEST_PLACE, ALIGNMENT_BYTES = HEADER.size, 32, 64
+FILE_MAGIC, FORMAT_VERSION = b"PALPATE\0", 1
+HEADER_FORMAT = struct.Struct("<8sIIQQ32s")  # magic, version, named arrays, bytes of memory and file, digest
+ENTRY_FORMAT = struct.Struct("<24sQIIII")  # name, offset, type, rows, columns, zero
+HEADER_BYTES, DIGEST_PLACE, ALIGNMENT_BYTES = HEADER_FORMAT.size, 32, 64
 TYPE_CODES = {"f8": 0, "f4": 1, "i8": 2, "u4": 3, "b1": 4, "u1": 5, "i4": 6}
 
 
@@ -61,7 +61,7 @@ class Memory:
             else:
                 ranges.append([low, high])
         filled = [any(ctypes.string_at(low, high - low)) for low, high in ranges]
-        at, self._ranges = HEADER_BYTES + ENTRY.size * len(self.named), []
+        at, self._ranges = HEADER_BYTES + ENTRY_FORMAT.size * len(self.named), []
         for is_filled in (True, False):
             for (low, high), this in zip(ranges, filled, strict=True):
                 if this is is_filled:
@@ -82,15 +82,17 @@ class Memory:
         data = bytearray(self.stored)
         for k, (name, array) in enumerate(self.named.items()):
             rows, columns = (*array.shape, 1, 1)[:2]
-            entry = ENTRY.pack(name.encode(), self.offset(array), TYPE_CODES[array.dtype.str[1:]], rows, columns, 0)
-            data[HEADER_BYTES + ENTRY.size * k : HEADER_BYTES + ENTRY.size * (k + 1)] = entry
+            entry = ENTRY_FORMAT.pack(
+                name.encode(), self.offset(array), TYPE_CODES[array.dtype.str[1:]], rows, columns, 0
+            )
+            data[HEADER_BYTES + ENTRY_FORMAT.size * k : HEADER_BYTES + ENTRY_FORMAT.size * (k + 1)] = entry
         for low, high, place in self._ranges:
             if place < self.stored:
                 data[place : place + high - low] = ctypes.string_at(low, high - low)
-        header = (MAGIC, FORMAT_VERSION, len(self.named), self.size, self.stored)
-        data[:HEADER_BYTES] = HEADER.pack(*header, bytes(32))
+        header = (FILE_MAGIC, FORMAT_VERSION, len(self.named), self.size, self.stored)
+        data[:HEADER_BYTES] = HEADER_FORMAT.pack(*header, bytes(32))
         digest = hashlib.sha256(data).digest()
-        data[:HEADER_BYTES] = HEADER.pack(*header, digest)
+        data[:HEADER_BYTES] = HEADER_FORMAT.pack(*header, digest)
         return bytes(data)
 
     def entry_point(self, function: LoweredFunction) -> str:
