@@ -2,6 +2,7 @@ import { defineConfig } from "vite";
 
 export default defineConfig({
   base: "./", // the page is served from any port
+  worker: { format: "es", rollupOptions: { output: { entryFileNames: "assets/worker.js" } } },
   build: {
     outDir: "../src/palpate/app/view/page",
     emptyOutDir: true,

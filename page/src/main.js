@@ -3,6 +3,7 @@ import "./style.css";
 import { Vector3 } from "three";
 import { InputControls } from "./inputControls.js";
 import { Legend, updateScaleBar } from "./legend.js";
+import { LocalConnection, localModel } from "./localConnection.js";
 import { paceText } from "./forceText.js";
 import { FrameMeter } from "./meter.js";
 import { StatusLine } from "./statusLine.js";
@@ -85,7 +86,8 @@ function start() {
   addEventListener("online", () => connection?.reconnect());
   document.addEventListener("visibilitychange", () => document.hidden || connection?.reconnect());
   const token = location.hash.slice(1);
-  if (!token) {
+  if (localModel()) connection = new LocalConnection(localModel(), { message, frame });
+  else if (!token) {
     statusLine.setConnection("Not connected", "bad");
     statusLine.showMessage("Open the complete address that palpate view prints, including the part after #.");
   } else connection = new Connection(`ws://${location.host}/session`, token, { message, frame, lost, ended });

@@ -8,17 +8,19 @@ export class Transport {
     press("pause", () => this.pause());
     press("record", () => send({ type: "record", action: this.now.recording ? "stop" : "start" }));
     press("play", () => send({ type: "replay", action: this.now.state === "running" ? "pause" : "play" }));
+    press("live", () => send({ type: "replay", action: "live" }));
     byId("speed").onchange = ({ target }) => send({ type: "speed", factor: Number(target.value) });
     byId("time").oninput = ({ target }) => this.seek(Number(target.value));
     byId("time").onpointerdown = () => (this.held = true);
     addEventListener("pointerup", () => (this.held = false));
   }
 
-  offer({ mode, duration }) {
+  offer({ mode, duration, returns }) {
     this.replay = mode === "replay";
     this.duration = duration ?? 0;
     this.byId("transport").hidden = this.replay;
     this.byId("replay").hidden = !this.replay;
+    this.byId("live").hidden = !returns;
     if (this.replay) Object.assign(this.byId("time"), { max: this.duration, step: this.duration / 1000 || 0.001 });
   }
 

@@ -25,7 +25,7 @@ from palpate.realtime.record import HEADER_DTYPE, field_offset
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.realtime.display_surface import Surface
 
-__all__ = ["HOST_TARGET", "TARGET_NAMES", "export_c", "identifier"]
+__all__ = ["HOST_TARGET", "TARGET_NAMES", "check_new", "export_c", "identifier"]
 
 HOST_TARGET = "host"
 TARGET_NAMES = (HOST_TARGET, *TARGET_MACHINES)
@@ -48,6 +48,13 @@ def identifier(text: str) -> str:
     """Return an identifier of C for the name of a file."""
     name = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_").lower()
     return name if name and not name[0].isdigit() else f"model_{name}".strip("_")
+
+
+def check_new(folder: Path) -> None:
+    """Raise `InputError` unless a folder is new or empty, and OSError if it cannot be made."""
+    check_folder(folder.parent)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"folder must be new or empty, got {str(folder)!r}; choose another, or remove it")
 
 
 def export_c(
@@ -97,9 +104,7 @@ def export_c(
     for target in targets:
         if target not in TARGET_NAMES:
             raise InputError(f"target must be one of {', '.join(TARGET_NAMES)}, got {target!r}; choose one of these")
-    check_folder(folder.parent)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"folder must be new or empty, got {str(folder)!r}; choose another, or remove it")
+    check_new(folder)
     words = _words(model, name)
     library = lower_model(model, name)
     folder.mkdir(parents=True, exist_ok=True)

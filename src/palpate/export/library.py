@@ -16,7 +16,7 @@ from palpate.export.link import Target, emit_object
 from palpate.export.lowering import LoweredFunction, recording
 from palpate.export.memory import DIGEST_PLACE, Memory, constant_function
 from palpate.faults import InputError
-from palpate.realtime.observable import ObservableModel, make_observable
+from palpate.realtime.observable import TOOL_POSITION, ObservableModel, make_observable
 from palpate.realtime.period import IGNORE, Work
 from palpate.realtime.pose import IDENTITY_POSE
 from palpate.reduction.hyper.model import ReducedModel
@@ -132,25 +132,28 @@ def model_functions(model: ReducedModel) -> tuple[dict[str, tuple[Any, tuple[Any
         "force_bound": np.full(1, np.inf),
         "modulus_ratio": data.modulus_ratio,
         "coupling": data.coupling.parameters,
+        "tool_position": data.values[TOOL_POSITION : TOOL_POSITION + 3],
         "tool_kind": np.full(1, -1),
         "tool_sizes": np.zeros(3),
         "tool_friction": np.zeros(1),
         "tool_point": np.zeros(3),
         "tool_pose": IDENTITY_POSE.copy(),
         "vertices": surface.rest.copy(),
+        "rest": surface.rest,
         "triangles": surface.triangles,
+        "fixed": surface.fixed.astype(np.uint8),
     }
     compliance = ready.data.contact_surface.compliance
     fields = np.zeros(2 * compliance.flexibility.shape[0] + 3 * (compliance.members.shape[0] // 2))
     step = compile_step(observable.advance, observable.stiffness)
-    n, rest, curve = named, surface.rest.astype(float), _bound_curve(model.report)
+    n, curve = named, _bound_curve(model.report)
     tool = (n["tool_kind"], n["tool_sizes"], n["tool_friction"], n["tool_point"], n["tool_pose"])
     return {
         "step": (step, (data, work, n["pose"], n["options"], curve, n["force_bound"])),
         "reset": (reset_model, (data, work, observable.rest)),
         "set_tool": (exchange_tool, (data, work, *tool)),
         "vertices": (
-            write_vertices, (data, work.q, rest, columns, patch_columns, places, fields, n["vertices"])
+            write_vertices, (data, work.q, n["rest"], columns, patch_columns, places, fields, n["vertices"])
         ),
     }, named  # fmt: skip
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import llvmlite.binding as llvm
 
-__all__ = ["TARGET_MACHINES", "Target", "emit_object", "host_target", "link_modules", "target_machine"]
+__all__ = ["TARGET_MACHINES", "WEB_TARGETS", "Target", "emit_object", "host_target", "link_modules", "target_machine"]
 
 RELAXED_FLAGS = re.compile(
     r"\b(fadd|fsub|fmul|fdiv|frem|fneg|fcmp|call|select|phi)"
@@ -46,6 +46,13 @@ TARGET_MACHINES = {
     "linux-aarch64": Target("aarch64-unknown-linux-gnu", "generic", "+neon"),
     "windows-x86-64": Target("x86_64-pc-windows-msvc", "x86-64-v3"),
     "macos-arm64": Target("arm64-apple-macos11", "apple-m1"),
+}
+
+
+WEB_FEATURES = "+bulk-memory,+nontrapping-fptoint,+sign-ext,+mutable-globals"
+WEB_TARGETS = {
+    "simd": Target("wasm32-unknown-unknown", "generic", f"+simd128,{WEB_FEATURES}", "static"),
+    "scalar": Target("wasm32-unknown-unknown", "generic", WEB_FEATURES, "static"),
 }
 
 

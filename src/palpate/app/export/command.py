@@ -6,16 +6,24 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from palpate.app.common.console import Console
+from palpate.app.export.web import export_web
 from palpate.app.models.loader import open_model
-from palpate.export.folder import HOST_TARGET, export_c, identifier
+from palpate.export.folder import HOST_TARGET, check_new, export_c, identifier
+from palpate.faults import InputError
 
 __all__ = ["export"]
 
 
 def export(
-    *, model: str, folder: Path, name: str | None = None, targets: Sequence[str] | None = None, relaxed: bool = False
+    *,
+    model: str,
+    folder: Path | None = None,
+    web: Path | None = None,
+    name: str | None = None,
+    targets: Sequence[str] | None = None,
+    relaxed: bool = False,
 ) -> int:
-    """Write a library of a model for programs in C.
+    """Write a library of a model for programs in C, or a page on which a browser steps it.
 
     Parameters
     ----------
@@ -23,6 +31,8 @@ def export(
         As for `palpate.app.models.loader.open_model`.
     folder, name, targets, relaxed
         As for `palpate.export.folder.export_c`.
+    web : path
+        Folder of a page, in place of `folder`.
 
     Returns
     -------
@@ -36,16 +46,32 @@ def export(
     OSError
         A file cannot be written.
     """
+    target = folder if web is None else web
+    if target is None or (folder is not None and web is not None):
+        raise InputError("c or web must be one folder, got both or none; export to one at a time")
     console = Console()
+    check_new(target)
     reduced, title = open_model(model, console)
+    if web is not None:
+        with console.status("compiling the step of the model (about a minute)"):
+            written = export_web(reduced, web, title)
+        _say(console, web, written)
+        console.say(f"open it:          python3 -m http.server --directory {web} 8000")
+        console.say("                  http://localhost:8000")
+        return 0
+    assert folder is not None
     chosen = identifier(Path(model).stem) if name is None else name
     with console.status("compiling the step of the model (about a minute)"):
         written = export_c(
             reduced, folder, name=chosen, title=title, targets=list(dict.fromkeys(targets or [HOST_TARGET])),
             strict=not relaxed, say=console.say,
         )  # fmt: skip
-    for file, about in written.items():
-        console.say(f"{folder / file}: {about}")
+    _say(console, folder, written)
     console.say(f"build and run it: cmake -S {folder} -B {folder}/build && cmake --build {folder}/build")
     console.say(f"                  {folder}/build/press")
     return 0
+
+
+def _say(console: Console, folder: Path, written: dict[str, str]) -> None:
+    for file, about in written.items():
+        console.say(f"{folder / file}: {about}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from palpate.app.common.arguments import Command, add_command, path
@@ -26,16 +25,18 @@ def add_export(commands: Any) -> None:
         commands,
         "export",
         _load,
-        summary="compile a trained model to a library for C, C++ and Unity",
+        summary="compile a trained model to a library for C, C++ and Unity, or to a page for any web server",
         description="Compile the engine's step of a reduced model to a library without Python: objects, a shared "
         "library, a file of constants, a C header, a program that presses the organ at 1 kHz, and a C# file for "
-        "Unity. See docs/howto/export.md.",
+        "Unity (--c). Or to a page on which a browser steps it (--web). See docs/howto/export.md.",
     )
     add = export.add_argument
     text = "file of palpate train, a scene of palpate view, or a scene file"
     add("model", metavar="MODEL", help=text)
-    text = "folder for the library; new or empty (default: out/export)"
-    add("--c", type=path, default=Path("out/export"), dest="folder", metavar="FOLDER", help=text)
+    text = "folder for a library and its sources in C; new or empty"
+    add("--c", type=path, dest="folder", metavar="FOLDER", help=text)
+    text = "folder for a page without a server, on which the browser steps the model; new or empty"
+    add("--web", type=path, metavar="FOLDER", help=text)
     text = "beginning of the names of files and functions (default: the name of the model)"
     add("--name", metavar="NAME", help=text)
     text = "machine that the library is for; may be repeated (default: host, this one)"

@@ -9,7 +9,10 @@
    double  record[]           results of the last period; the indices are PALPATE_TIME, PALPATE_FORCE, ... below
    double  force_bound[1]     error bound of the force [N], infinite where it is not known
    float   vertices[n][3]     positions of the surface, after NAME_vertices()
+   float   rest[n][3]         positions at rest
+   uint8   fixed[n]           1 for vertices of supports
    uint32  triangles[t][3]    vertices of its triangles, counter-clockwise from outside
+   double  tool_position[3]   displacement of the tool, which differs from the pose with a coupling
    double  options[6]         period [s], largest force [N], largest speeds [m/s] and [rad/s] of the tool, periods
                               between evaluations of the contact stiffness, and the response to a trust number above 1
    double  modulus_ratio[2]   present and requested ratio of all moduli to those of the model
@@ -56,7 +59,7 @@ enum { /* indices of the record */
 typedef struct {
     char name[24];
     uint64_t offset;
-    uint32_t type, rows, columns, reserved; /* type: 0 double, 1 float, 2 int64, 3 uint32 */
+    uint32_t type, rows, columns, reserved; /* type: 0 double, 1 float, 2 int64, 3 uint32, 5 uint8 */
 } palpate_entry;
 
 static const palpate_entry *palpate_describe(const void *memory, const char *name) {

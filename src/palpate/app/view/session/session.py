@@ -174,12 +174,7 @@ class Session:
         }  # fmt: skip
 
     def _materials(self) -> list[dict[str, Any]]:
-        """Return the adjustable parameters: the shear modulus, unless the tissue has relaxation times."""
-        if self.model.material.prony is not None:
-            return []
-        modulus = 1e-3 * float(self.model.material.shear_modulus)
-        return [{"name": MODULUS_NAME, "unit": "kPa", "value": self.modulus_ratio * modulus,
-                 "low": MIN_MODULUS_RATIO * modulus, "high": MAX_MODULUS_RATIO * modulus, "live": True}]  # fmt: skip
+        return material_sliders(self.model, self.modulus_ratio)
 
     def _describe_tool(self) -> dict[str, Any]:
         return self._describe_period()[1]
@@ -542,6 +537,15 @@ class Session:
         self._observable.set_state(self.engine.read().coordinates, np.zeros(3))
         self.engine.place_tool(np.zeros(3), NO_ROTATION, sequence)
         self.tool, self._tool_origin, self._tool_rotation = tool, np.array(position), np.array(quaternion)
+
+
+def material_sliders(model: ReducedModel | EnergySolid, ratio: float) -> list[dict[str, Any]]:
+    """Return the adjustable parameters for ``hello``: the shear modulus, unless the tissue has relaxation times."""
+    if model.material.prony is not None:
+        return []
+    modulus = 1e-3 * float(model.material.shear_modulus)
+    return [{"name": MODULUS_NAME, "unit": "kPa", "value": ratio * modulus, "low": MIN_MODULUS_RATIO * modulus,
+             "high": MAX_MODULUS_RATIO * modulus, "live": True}]  # fmt: skip
 
 
 def _create_file(folder: Path) -> Path:

@@ -1,0 +1,386 @@
+// A session of an exported model: its tool, its periods in real time, recordings, and frames as those of the server.
+
+const PERIOD = 1; // [ms]
+const TURN = 4; // [ms] between two turns of the loop
+const MAX_DELAY = 50; // [ms] by which the body may be late before periods are dropped
+const FRAME_INTERVAL = 1000 / 60; // [ms]
+const RECORD_INTERVAL = 1000 / 30;
+const MAX_RECORD_SECONDS = 120;
+const STATISTICS_INTERVAL = 500;
+const UNACKNOWLEDGED = 2; // state frames that wait for the page
+const SAMPLES = 4000; // computing times that the statistics are of
+const HAND_FORCE = 3.3; // [N], largest force of the spring between pointer and tool
+const TOOL_MASS = 0.05; // [kg]
+const MARGIN = 0.3; // [m] around the body in which a tool may be
+const STATES = { stopped: 0, running: 1, paused: 2, diverged: 3 };
+const TOOLS = ["none", "sphere", "capsule", "grasp", "group", "scalpel"];
+const KINDS = { none: -1n, sphere: 0n, capsule: 0n, grasp: 3n };
+const IDENTITY = [1, 0, 0, 0];
+
+/** The product of quaternions: the rotation b, then a. */
+function multiply([a, b, c, d], [w, x, y, z]) {
+  return [a * w - b * x - c * y - d * z, a * x + b * w + c * z - d * y, a * y - b * z + c * w + d * x, a * z + b * y - c * x + d * w];
+}
+const inverse = ([w, x, y, z]) => [w, -x, -y, -z];
+
+export class LocalSession {
+  /** `post` sends a message, or a frame (ArrayBuffer), to the page. */
+  constructor(model, post) {
+    Object.assign(this, { model, post, about: model.about, arrays: model.arrays });
+    this.state = "running";
+    this.speed = 1;
+    this.modulus = 1;
+    this.show = "displacement";
+    this.selected = { kind: "none", radius: 0, length: 0, friction: 0, stiffness: null };
+    this.tool = this.selected;
+    this.origin = [0, 0, 0];
+    this.rotation = IDENTITY;
+    this.groups = this.about.tools.length === 0; // the tool moves a group of nodes
+    if (this.groups) {
+      this.origin = this.about.group_centre;
+      this.tool = this.selected = { ...this.selected, kind: "group" };
+    }
+    this.sequence = this.sent = this.acknowledged = 0;
+    this.computing = new Float64Array(SAMPLES);
+    this.periods = this.dropped = this.counted = 0;
+    this.frames = null; // of the recording
+    this.replay = null; // { frames, at, since, playing }
+    this.last = this.drawn = this.recorded = this.told = performance.now();
+    this.begin();
+    this.turn();
+  }
+
+  /** Say hello, and send the surface. */
+  begin() {
+    const { about } = this;
+    const replay = this.replay && { mode: "replay", duration: this.duration(), tools: [], materials: [] };
+    this.post({
+      type: "hello", protocol: 2, driver: true, viewers: 1, mode: "live", ...about, tool: this.describe(),
+      materials: this.materials(), overlay: false, full: false, returns: true, ...replay,
+    });
+    const { vertices, triangles, fixed, rest } = this.arrays;
+    const count = vertices.length / 3;
+    const buffer = new ArrayBuffer(16 + 12 * count + 4 * triangles.length + count);
+    new Uint32Array(buffer, 0, 4).set([1, 0, count, triangles.length / 3]);
+    new Float32Array(buffer, 16, 3 * count).set(rest);
+    new Uint32Array(buffer, 16 + 12 * count, triangles.length).set(triangles);
+    new Uint8Array(buffer, 16 + 12 * count + 4 * triangles.length, count).set(fixed);
+    this.post(buffer);
+    this.acknowledged = this.sent;
+    this.dirty = true;
+    this.sendStatus();
+  }
+
+  materials() {
+    return this.about.materials.map((material) => ({ ...material, value: this.modulus * material.value }));
+  }
+
+  describe() {
+    const active = this.tool === this.selected;
+    return { ...this.selected, active, position: this.position(), quaternion: this.quaternion() };
+  }
+
+  position() {
+    return this.origin.map((part, k) => part + this.arrays.tool_position[k]);
+  }
+
+  quaternion() {
+    const first = this.about.record.quaternion;
+    return multiply(Array.from(this.arrays.record.subarray(first, first + 4)), this.rotation);
+  }
+
+  sendStatus() {
+    const state = this.replay ? (this.replay.playing ? "running" : "paused") : this.state;
+    this.post({
+      type: "status", driver: true, viewers: 1, state, speed: this.speed, tool: this.describe(), pause_reason: null,
+      recording: this.frames !== null, ...(this.replay ? {} : { materials: this.materials() }),
+    });
+  }
+
+  // the loop
+
+  turn() {
+    setTimeout(() => this.turn(), TURN);
+    const now = performance.now();
+    if (this.replay) this.playOn(now);
+    else this.stepTo(now);
+    if (now - this.told > STATISTICS_INTERVAL) this.sendStatistics(now);
+  }
+
+  /** Take the periods up to now; drop those by which the body is too late. */
+  stepTo(now) {
+    if (this.state !== "running") this.last = now;
+    const period = PERIOD / this.speed;
+    if (now - this.last > MAX_DELAY) {
+      const late = Math.floor((now - this.last - MAX_DELAY) / period);
+      this.dropped += Math.max(late, 0);
+      this.last = now - MAX_DELAY;
+    }
+    const began = performance.now();
+    let [count, status] = [0, 0];
+    while (now - this.last >= period && status !== 2 && performance.now() - began < FRAME_INTERVAL) {
+      status = this.model.call("step");
+      this.last += period;
+      count++;
+    }
+    // the clocks of browsers are too coarse for one period
+    for (let k = 0; k < count; k++) this.computing[this.periods++ % SAMPLES] = (performance.now() - began) / count;
+    this.dirty ||= count > 0;
+    if (status === 2) {
+      this.state = "diverged";
+      this.sendStatus();
+    }
+    if (this.frames && now - this.recorded > RECORD_INTERVAL) this.record(now);
+    if (this.dirty && now - this.drawn >= FRAME_INTERVAL && this.sent - this.acknowledged < UNACKNOWLEDGED) {
+      this.drawn = now;
+      this.dirty = false;
+      this.post(this.frame(++this.sent));
+    }
+  }
+
+  /** The frame of the present state; docs/protocol.md, kind 2. */
+  frame(sequence) {
+    const { record, vertices, rest } = this.arrays;
+    const at = this.about.record;
+    const count = vertices.length / 3;
+    this.model.call("vertices");
+    const shown = this.show === "displacement";
+    const buffer = new ArrayBuffer(16 + 200 + 12 * count + (shown ? 4 * count : 0));
+    new Uint32Array(buffer, 0, 4).set([2, sequence, count, 0]);
+    const numbers = new Float64Array(buffer, 16, 25);
+    numbers.set([record[at.time], record[at.trust], ...record.subarray(at.force, at.force + 3), ...record.subarray(at.moment, at.moment + 3)]);
+    numbers.set([...this.position(), ...this.quaternion(), record[at.kinetic], record[at.strain]], 8);
+    const last = this.periods ? this.computing[(this.periods - 1) % SAMPLES] / 1e3 : 0;
+    numbers.set([last, 0, record[at.steps], STATES[this.state], TOOLS.indexOf(this.tool.kind)], 17);
+    numbers[24] = this.sequence;
+    new Float32Array(buffer, 216, 3 * count).set(vertices);
+    if (shown) {
+      const sizes = new Float32Array(buffer, 216 + 12 * count, count);
+      for (let i = 0; i < count; i++) {
+        sizes[i] = Math.hypot(vertices[3 * i] - rest[3 * i], vertices[3 * i + 1] - rest[3 * i + 1], vertices[3 * i + 2] - rest[3 * i + 2]);
+      }
+      numbers[23] = sizes.slice().sort()[Math.min(count - 1, Math.round(0.99 * (count - 1)))]; // peaks of single vertices
+    }
+    return buffer;
+  }
+
+  sendStatistics(now) {
+    const sorted = this.computing.slice(0, Math.min(this.periods, SAMPLES)).sort();
+    const at = (share) => (sorted.length ? sorted[Math.round(share * (sorted.length - 1))] : 0);
+    const [periods, lost] = [this.periods - this.counted, this.dropped];
+    const bound = this.arrays.force_bound[0];
+    this.post({
+      type: "statistics", median_ms: at(0.5), p99_ms: at(0.99), misses: 0, periods: Math.max(this.periods, 1),
+      pace: periods + lost > 0 ? periods / (periods + lost) : 1, force_bound: Number.isFinite(bound) ? bound : null,
+    });
+    Object.assign(this, { told: now, counted: this.periods, dropped: 0 });
+  }
+
+  // messages of the page
+
+  handle(message) {
+    const act = {
+      ack: ({ sequence }) => (this.acknowledged = Math.max(this.acknowledged, sequence)),
+      show: ({ scalar }) => Object.assign(this, { show: scalar, dirty: true }),
+      pose: (pose) => this.move(pose),
+      tool: (tool) => this.select(tool),
+      release: () => this.release(),
+      control: ({ action }) => this.control(action),
+      speed: ({ factor }) => Object.assign(this, { speed: factor, last: performance.now() }),
+      material: ({ value }) => this.setModulus(value),
+      record: ({ action }) => (action === "start" ? this.startRecording() : this.stopRecording()),
+      replay: ({ action, time }) => this.control(action, time),
+    }[message.type];
+    act?.(message);
+    if (!["ack", "pose"].includes(message.type)) this.sendStatus();
+  }
+
+  inside(position) {
+    const [low, high] = this.about.bounds;
+    return position.map((part, k) => Math.min(Math.max(part, low[k] - MARGIN), high[k] + MARGIN));
+  }
+
+  move({ position, quaternion = IDENTITY, sequence = 0 }) {
+    if (this.replay) return;
+    const place = this.inside(position);
+    if (this.tool.kind === "none" && !this.putBack(place, quaternion)) return;
+    this.sequence = sequence;
+    this.arrays.pose.set(place.map((part, k) => part - this.origin[k]));
+    this.arrays.pose.set(multiply(quaternion, inverse(this.rotation)), 3);
+  }
+
+  /** Put the selected tool down again where it is outside of the body; forceps do not come back. */
+  putBack(position, quaternion) {
+    const { kind } = this.selected;
+    if ((kind !== "sphere" && kind !== "capsule") || !this.isOutside(this.selected, position, quaternion)) return false;
+    this.put(this.selected, position, quaternion);
+    return true;
+  }
+
+  select(message) {
+    const { kind, radius = 0.015, length = 0.04, friction = 0.2, stiffness = null, quaternion = IDENTITY } = message;
+    if (!this.about.tools.includes(kind)) return this.refuse(`This body takes no tool of kind ${kind}.`);
+    let position = this.inside(message.position);
+    const tool = { kind, radius, length, friction, stiffness };
+    if (kind === "grasp") {
+      const vertex = this.nearest(position);
+      if (vertex.distance > Math.max(radius, 2 * this.about.spacing)) return this.refuse("Forceps must be at the surface; choose a point on it.");
+      if (this.holdsSupport(vertex.number, radius)) return this.refuse("Forceps must be away from the support; choose another place.");
+      this.arrays.tool_point.set(this.arrays.rest.subarray(3 * vertex.number, 3 * vertex.number + 3));
+      position = Array.from(this.arrays.vertices.subarray(3 * vertex.number, 3 * vertex.number + 3));
+    } else if (!this.isOutside(tool, position, quaternion)) return this.refuse("The tool must be outside the body; put it down outside.");
+    this.selected = tool;
+    this.put(tool, position, quaternion);
+    this.sequence = message.sequence ?? 0;
+  }
+
+  refuse(reason) {
+    this.post({ type: "error", reason });
+  }
+
+  put(tool, position, quaternion) {
+    const { arrays } = this;
+    const turned = tool.kind === "grasp" ? IDENTITY : quaternion; // forceps turn nodes as much as they are turned
+    arrays.tool_kind[0] = KINDS[tool.kind];
+    arrays.tool_sizes.set([tool.radius, tool.kind === "capsule" ? tool.length / 2 : 0, 0]);
+    arrays.tool_friction[0] = tool.friction;
+    arrays.tool_pose.set([...position, ...turned]);
+    arrays.pose.set([0, 0, 0, ...IDENTITY]);
+    if (this.model.call("set_tool") !== 0) return this.refuse("The tool is out of range.");
+    const k = tool.stiffness ?? 0;
+    arrays.coupling.set(k > 0 ? [k, 2 * Math.sqrt(k * TOOL_MASS), TOOL_MASS, HAND_FORCE] : [0, 0, 0, Infinity]);
+    Object.assign(this, { tool, origin: position, rotation: quaternion, dirty: true });
+  }
+
+  /** Put the tool away; a group of nodes returns to its place at rest. */
+  release() {
+    if (this.groups) this.arrays.pose.set([0, 0, 0, ...IDENTITY]);
+    else if (this.tool.kind !== "none") this.put({ ...this.selected, kind: "none" }, this.position(), this.quaternion());
+  }
+
+  nearest(position) {
+    const { vertices } = this.arrays;
+    this.model.call("vertices");
+    let [number, distance] = [0, Infinity];
+    for (let i = 0; i < vertices.length / 3; i++) {
+      const far = Math.hypot(vertices[3 * i] - position[0], vertices[3 * i + 1] - position[1], vertices[3 * i + 2] - position[2]);
+      if (far < distance) [number, distance] = [i, far];
+    }
+    return { number, distance };
+  }
+
+  holdsSupport(vertex, radius) {
+    const { rest, fixed } = this.arrays;
+    return fixed.some((held, i) => held && Math.hypot(...[0, 1, 2].map((k) => rest[3 * i + k] - rest[3 * vertex + k])) <= radius);
+  }
+
+  /** Whether a ball or a capsule along its z axis is outside: its nearest vertex is, and faces it. */
+  isOutside({ kind, radius, length }, position, [w, x, y, z]) {
+    const { vertices, triangles } = this.arrays;
+    const axis = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)];
+    const half = kind === "capsule" ? length / 2 : 0;
+    this.model.call("vertices");
+    let [number, gap, near] = [0, Infinity, position];
+    for (let i = 0; i < vertices.length / 3; i++) {
+      const away = [0, 1, 2].map((k) => vertices[3 * i + k] - position[k]);
+      const along = Math.min(Math.max(away[0] * axis[0] + away[1] * axis[1] + away[2] * axis[2], -half), half);
+      const distance = Math.hypot(...away.map((part, k) => part - along * axis[k])) - radius;
+      if (distance < gap) [number, gap, near] = [i, distance, position.map((part, k) => part + along * axis[k])];
+    }
+    if (gap < -0.25 * this.about.spacing) return false;
+    const normal = [0, 0, 0];
+    const at = (corner, k) => vertices[3 * corner + k];
+    for (let t = 0; t < triangles.length; t += 3) {
+      const [a, b, c] = triangles.subarray(t, t + 3);
+      if (a !== number && b !== number && c !== number) continue;
+      const [u, v] = [b, c].map((corner) => [0, 1, 2].map((k) => at(corner, k) - at(a, k)));
+      for (let k = 0; k < 3; k++) normal[k] += u[(k + 1) % 3] * v[(k + 2) % 3] - u[(k + 2) % 3] * v[(k + 1) % 3];
+    }
+    return normal.reduce((sum, part, k) => sum + part * (near[k] - at(number, k)), 0) > 0;
+  }
+
+  setModulus(value) {
+    const [{ value: own, low, high }] = this.about.materials;
+    if (!(value >= low && value <= high)) return this.refuse(`The modulus must be from ${low} to ${high} kPa.`);
+    this.modulus = value / own;
+    this.arrays.modulus_ratio[1] = this.modulus;
+  }
+
+  control(action, time) {
+    const { replay } = this;
+    const now = performance.now();
+    if (replay) {
+      if (action === "live") return this.endReplay();
+      if (action === "seek" || action === "reset") Object.assign(replay, { at: Math.min(time ?? 0, this.duration()), since: now, shown: -1 });
+      if (action === "play" || action === "resume") {
+        const over = replay.at >= this.duration();
+        Object.assign(replay, { at: over ? 0 : replay.at, since: now, playing: true });
+      }
+      if (action === "pause") Object.assign(replay, { playing: false });
+      return;
+    }
+    if (action === "reset") {
+      if (!this.groups) this.put({ ...this.selected, kind: "none" }, this.origin, IDENTITY);
+      this.arrays.pose.set([0, 0, 0, ...IDENTITY]);
+      this.model.call("reset");
+      if (this.state === "diverged") this.state = "running";
+    }
+    if (action === "pause") this.state = "paused";
+    if (action === "resume" && this.state === "paused") this.state = "running";
+    Object.assign(this, { last: now, dirty: true });
+  }
+
+  // recordings
+
+  startRecording() {
+    this.frames = [];
+    this.began = this.recorded = performance.now();
+  }
+
+  record(now) {
+    this.recorded = now;
+    this.frames.push({ time: (now - this.began) / 1000, data: this.frame(0), tool: this.selected });
+    if (now - this.began > 1000 * MAX_RECORD_SECONDS) {
+      this.stopRecording();
+      this.sendStatus();
+    }
+  }
+
+  /** Show the recording. */
+  stopRecording() {
+    const { frames } = this;
+    this.frames = null;
+    if (!frames?.length) return this.refuse("The recording is empty.");
+    this.release();
+    this.replay = { frames, at: 0, since: performance.now(), playing: true, shown: -1 };
+    this.begin();
+  }
+
+  endReplay() {
+    this.replay = null;
+    this.last = performance.now();
+    this.begin();
+  }
+
+  duration() {
+    return this.replay.frames.at(-1).time;
+  }
+
+  playOn(now) {
+    const { replay } = this;
+    if (replay.playing) replay.at += (this.speed * (now - replay.since)) / 1000;
+    replay.since = now;
+    if (replay.at >= this.duration() && replay.playing) {
+      Object.assign(replay, { at: this.duration(), playing: false });
+      this.sendStatus();
+    }
+    const number = Math.max(0, replay.frames.findLastIndex(({ time }) => time <= replay.at));
+    if (number === replay.shown || this.sent - this.acknowledged >= UNACKNOWLEDGED) return;
+    const { data, time } = replay.frames[number];
+    const buffer = data.slice(0);
+    new Uint32Array(buffer, 4, 1)[0] = ++this.sent;
+    new Float64Array(buffer, 16, 1)[0] = time;
+    replay.shown = number;
+    this.post(buffer);
+  }
+}

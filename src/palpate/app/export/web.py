@@ -1,0 +1,85 @@
+"""A page without a server: the page of ``palpate view`` with a model in WebAssembly that the browser steps."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpate.app.recordings.snapshot import scalar_descriptions, training_errors
+from palpate.app.view.server.page import PAGE_FOLDER
+from palpate.app.view.session.session import material_sliders
+from palpate.export.library import lower_model
+from palpate.export.link import WEB_TARGETS
+from palpate.export.wasm import module_of_object
+from palpate.faults import InputError
+from palpate.files import whole_file
+from palpate.realtime.record import HEADER_DTYPE, field_offset
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.realtime.display_surface import Surface
+
+__all__ = ["export_web"]
+
+MODEL_NAME, MODEL_FOLDER = "model", "model"  # the beginning of the functions' names, and the folder of the files
+PAGE_MARK, DISCLAIMER = '<meta charset="utf-8" />', '<p id="disclaimer" hidden>'
+RATE = 1000.0  # [Hz] of the periods
+
+
+def export_web(model: ReducedModel, folder: Path, title: str) -> dict[str, str]:
+    """Write a page for any web server, on which a browser steps a model; as `palpate.export.folder.export_c`.
+
+    Raises
+    ------
+    InputError
+        The page was not built.
+    """
+    if not (PAGE_FOLDER / "index.html").is_file():
+        raise InputError(f"the page must be built, got no {PAGE_FOLDER / 'index.html'}; see docs/view.md")
+    about = _describe(model, title)
+    library = lower_model(model, MODEL_NAME)
+    modules = {name: module_of_object(library.emit(target), library.symbols) for name, target in WEB_TARGETS.items()}
+    about["memory_size"], about["data_end"] = library.memory.size, max(each.data_end for each in modules.values())
+    shutil.copytree(PAGE_FOLDER, folder, dirs_exist_ok=True)
+    page = (folder / "index.html").read_text(encoding="utf-8")
+    page = page.replace(PAGE_MARK, f'{PAGE_MARK}\n    <meta name="palpate-model" content="{MODEL_FOLDER}" />')
+    _write(folder / "index.html", page.replace(DISCLAIMER, '<p id="disclaimer">').encode())
+    data = folder / MODEL_FOLDER
+    data.mkdir(exist_ok=True)
+    _write(data / "model.json", json.dumps(about).encode())
+    _write(data / "model.gz", gzip.compress(library.image, mtime=0))
+    for name, module in modules.items():
+        _write(data / f"{name}.wasm", module.content)
+    return {
+        "index.html": "the page; any web server can serve the folder",
+        f"{MODEL_FOLDER}/simd.wasm": "the functions; scalar.wasm for browsers without vectors",
+        f"{MODEL_FOLDER}/model.gz": "the constants of the model",
+    }
+
+
+def _write(path: Path, content: bytes) -> None:
+    with whole_file(path) as partial:
+        partial.write_bytes(content)
+
+
+def _describe(model: ReducedModel, title: str) -> dict[str, Any]:
+    """Return the constants of ``hello`` (docs/protocol.md), and the places of the record's fields."""
+    surface, prescribed = Surface(model), model.data.prescribed
+    about: dict[str, Any] = {
+        "title": title, "vertices": len(surface.rest), "triangles": len(surface.triangles),
+        "spacing": model.cloud.spacing, "rate": RATE,
+        "bounds": [surface.rest.min(axis=0).tolist(), surface.rest.max(axis=0).tolist()],
+        "tools": [] if prescribed else ["sphere", "capsule", "grasp"],
+        "scalars": [scalar for scalar in scalar_descriptions(surface) if scalar["name"] == "displacement"],
+        "materials": material_sliders(model, 1.0), "training_errors": training_errors(model),
+        "record": {name: field_offset(name) for name in HEADER_DTYPE.names or ()},
+    }  # fmt: skip
+    if prescribed:
+        centre = np.zeros(3)
+        points = model.cloud.points[model.cloud.group(prescribed[0])]
+        centre[: points.shape[1]] = points.mean(axis=0)
+        about["group_centre"] = centre.tolist()
+    return about
