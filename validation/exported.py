@@ -1,6 +1,6 @@
 """Exported libraries against the engine: equal bits, largest differences, and times, for many kinds of models.
 
-    python validation/exported.py [--cases NeoHookean ...] [--periods 1000]
+    python validation/exported.py [--cases NeoHookean ...] [--periods 1000] [--times]
 
 trains a small block of every kind, exports it by `palpate export`, and steps the library and the engine's period
 through the same presses, slides, turns, grasps and pulls. Strict libraries are compared bit by bit with the same
@@ -212,11 +212,62 @@ def compare(case: str, folder: Path, periods: int) -> dict[str, Any]:
     }
 
 
+def measure_times(folder: Path, periods: int, rounds: int = 7) -> list[dict[str, Any]]:
+    """Return the time of a period [s] of libraries and of the engine, in turn in one run, while a ball presses."""
+    from numba import njit
+
+    path = folder / "organ.rom"
+    train("NeoHookean", path)
+    libraries = {}
+    for name, more in (("library, strict", []), ("library, relaxed", ["--relaxed"])):
+        target = folder / name.replace(", ", "_")
+        export = [sys.executable, "-m", "palpate", "export", str(path), "--c", str(target), *more]
+        subprocess.run(export, check=True, capture_output=True)
+        libraries[name] = Library(target, "organ")
+    engine = Engine(pt.load(path))
+    step, arguments = engine._functions["step"]
+
+    @njit
+    def repeat(data, work, pose, options, curve, bound, count):  # type: ignore[no-untyped-def]
+        for _ in range(count):
+            step(data, work, pose, options, curve, bound)
+
+    models = {"engine (Numba)": engine, **libraries}
+    for model in models.values():
+        set_tool(model, 0, (BALL, 0.0, 0.0), (0.024, 0.038, SIZE[2] + BALL + 0.001), 0.3)
+        model.arrays["pose"][:] = pose_at(0.34, True)
+        for _ in range(200):
+            model("step")
+    repeat(*arguments, 1)
+    times: dict[str, list[float]] = {name: [] for name in models}
+    for _ in range(rounds):
+        for name, model in models.items():
+            began = perf_counter()
+            if model is engine:
+                repeat(*arguments, periods)
+            else:
+                function, memory = model.functions["organ_step"], ctypes.c_void_p(model.memory.ctypes.data)
+                for _ in range(periods):
+                    function(memory)
+            times[name].append((perf_counter() - began) / periods)
+    medians = {name: float(np.median(each)) for name, each in times.items()}
+    base = medians["engine (Numba)"]
+    return [{"name": name, "seconds": value, "ratio": value / base} for name, value in medians.items()]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", nargs="+", choices=list(materials()), default=list(materials()))
     parser.add_argument("--periods", type=int, default=1000)
+    parser.add_argument("--times", action="store_true", help="measure times instead, of libraries and engine in turn")
     options = parser.parse_args()
+    if options.times:
+        with tempfile.TemporaryDirectory() as folder:
+            rows = measure_times(Path(folder), options.periods)
+        for row in rows:
+            print(f"{row['name']}: {1e6 * row['seconds']:.1f} us, {row['ratio']:.2f} of the engine's")
+        result_files.write("exported_times", rows)
+        return
     found = {row["case"]: row for row in result_files.read("exported", [])}
     for case in options.cases:
         with tempfile.TemporaryDirectory() as folder:

@@ -8,6 +8,7 @@ from figure_tables import (
     contact,
     cuts,
     examples,
+    exported,
     frequencies,
     incompressible,
     laws,
@@ -22,6 +23,6 @@ from figure_tables import (
 from figure_tables.cells import BLOCKS, Block
 
 __all__ = [
-    "BLOCKS", "Block", "contact", "cuts", "examples", "frequencies", "incompressible", "laws", "linear",
+    "BLOCKS", "Block", "contact", "cuts", "examples", "exported", "frequencies", "incompressible", "laws", "linear",
     "membranes", "organs", "peers", "readme", "sampled", "steps",
 ]  # fmt: skip
