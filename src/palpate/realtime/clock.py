@@ -1,9 +1,9 @@
-"""Operating-system clocks and sleeps for compiled code.
+"""Clocks and sleeps of the operating system for compiled code.
 
 `now` reads CLOCK_MONOTONIC and `thread_time` reads CLOCK_THREAD_CPUTIME_ID, which excludes the time of other threads.
 C functions are called by symbol, not by address, so that compiled code can be cached. Linux sleeps until a point in
 time (clock_nanosleep). macOS sleeps for a duration (nanosleep): any delay between computing the duration and falling
-asleep adds to the lateness. Windows provides neither.
+asleep adds to the lateness. Windows has its own functions (`windows_clock`).
 """
 
 from __future__ import annotations
@@ -19,10 +19,14 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.realtime.windows_clock import now as windows_now
+from palpate.realtime.windows_clock import sleep_until as windows_sleep_until
+from palpate.realtime.windows_clock import use_precise_sleep as windows_use_precise_sleep
 
-__all__ = ["HAS_ABSOLUTE_SLEEP", "HAS_THREAD_CLOCK", "now", "sleep_until", "thread_time", "use_precise_sleep"]
+__all__ = ["HAS_ABSOLUTE_SLEEP", "HAS_CLOCKS", "now", "sleep_until", "thread_time", "use_precise_sleep"]
 
-HAS_THREAD_CLOCK = hasattr(time, "CLOCK_THREAD_CPUTIME_ID") and hasattr(time, "clock_gettime")
+IS_WINDOWS = sys.platform == "win32"
+HAS_CLOCKS = IS_WINDOWS or (hasattr(time, "CLOCK_THREAD_CPUTIME_ID") and hasattr(time, "clock_gettime"))
 HAS_ABSOLUTE_SLEEP = sys.platform.startswith("linux")  # clock_nanosleep until a point in time
 
 MONOTONIC_CLOCK = getattr(time, "CLOCK_MONOTONIC", -1)
@@ -95,19 +99,26 @@ def _sleep_for(typingctx, duration):  # type: ignore[no-untyped-def]
     return types.int32(types.int64), codegen
 
 
-@kernel_njit()
-def now():  # type: ignore[no-untyped-def]
-    """Return a monotonic time [ns], int64."""
-    return _read_clock(MONOTONIC_CLOCK)
+if IS_WINDOWS:
+    now = thread_time = windows_now  # Windows counts the processor time of a thread in ticks of 16 ms
+
+else:
+
+    @kernel_njit()
+    def now():  # type: ignore[no-untyped-def]
+        """Return a monotonic time [ns], int64."""
+        return _read_clock(MONOTONIC_CLOCK)
+
+    @kernel_njit()
+    def thread_time():  # type: ignore[no-untyped-def]
+        """Return the processor time [ns] of this thread, int64; on Windows the time of `now`."""
+        return _read_clock(THREAD_CLOCK)
 
 
-@kernel_njit()
-def thread_time():  # type: ignore[no-untyped-def]
-    """Return the processor time [ns] of this thread, int64."""
-    return _read_clock(THREAD_CLOCK)
+if IS_WINDOWS:
+    sleep_until = windows_sleep_until
 
-
-if HAS_ABSOLUTE_SLEEP:
+elif HAS_ABSOLUTE_SLEEP:
 
     @kernel_njit()
     def sleep_until(instant):  # type: ignore[no-untyped-def]
@@ -126,5 +137,7 @@ else:
 
 def use_precise_sleep() -> None:
     """Set the timer slack of the calling thread to 1 ns; by default Linux merges wake-ups within 50 us."""
-    if HAS_ABSOLUTE_SLEEP:
+    if IS_WINDOWS:
+        windows_use_precise_sleep()
+    elif HAS_ABSOLUTE_SLEEP:
         ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, ctypes.c_ulong(1), 0, 0, 0)

@@ -20,7 +20,7 @@ from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.faults import InputError, TrustWarning, integer_in_range, number_in_range
 from palpate.realtime.black_box import write_black_box
-from palpate.realtime.clock import HAS_THREAD_CLOCK
+from palpate.realtime.clock import HAS_CLOCKS
 from palpate.realtime.contract import check_contract
 from palpate.realtime.exchange import publish, snapshot
 from palpate.realtime.loop import DIVERGED, PAUSED, RUNNING, STOPPED, Channels, compile_loop
@@ -112,7 +112,7 @@ class Engine(Described):
     InputError
         An argument is out of range, or the model lacks an attribute of `Realtime`.
     RuntimeError
-        The system lacks the required clocks (Windows).
+        The system lacks the required clocks.
 
     Examples
     --------
@@ -147,9 +147,9 @@ class Engine(Described):
         spin: float = 50e-6,
         black_box: str | Path | None = None,
     ) -> None:
-        if not HAS_THREAD_CLOCK:
+        if not HAS_CLOCKS:
             raise RuntimeError(
-                "the system must have clock_gettime and nanosleep, got neither; run the engine on Linux or macOS"
+                "the system must have clock_gettime and nanosleep, got neither; use Linux, macOS or Windows"
             )
         self._force_bound, catch_up = getattr(model, "force_bound", None), getattr(model, "catch_up", 0)
         self._cutter = getattr(model, "cutter", None)
