@@ -100,7 +100,7 @@ def _sections(content: bytes) -> Iterator[tuple[int, bytes]]:
 
 def _function_symbols(reader: _Reader) -> dict[str, int]:
     """Return the indices of the functions that an object defines, by name."""
-    found: dict[str, int] = {}
+    indices: dict[str, int] = {}
     reader.number()  # version
     while reader.at < len(reader.content):
         kind, size = reader.byte(), reader.number()
@@ -117,9 +117,9 @@ def _function_symbols(reader: _Reader) -> dict[str, int]:
             named = symbol != SECTION_SYMBOL and (is_defined or bool(flags & EXPLICIT_NAME_FLAG))
             name = reader.name() if named else ""
             if symbol == FUNCTION_SYMBOL and is_defined:
-                found[name] = index
+                indices[name] = index
         reader.at = end
-    return found
+    return indices
 
 
 def _data_end(body: bytes) -> int:

@@ -25,7 +25,7 @@ from palpate.reduction.realtime.display_surface import Surface
 __all__ = ["export_web"]
 
 MODEL_NAME, MODEL_FOLDER = "model", "model"  # the beginning of the functions' names, and the folder of the files
-PAGE_MARK, DISCLAIMER = '<meta charset="utf-8" />', '<p id="disclaimer" hidden>'
+PAGE_MARK, HIDDEN_DISCLAIMER = '<meta charset="utf-8" />', '<p id="disclaimer" hidden>'
 RATE = 1000.0  # [Hz] of the periods
 
 
@@ -46,7 +46,7 @@ def export_web(model: ReducedModel, folder: Path, title: str) -> dict[str, str]:
     shutil.copytree(PAGE_FOLDER, folder, dirs_exist_ok=True)
     page = (folder / "index.html").read_text(encoding="utf-8")
     page = page.replace(PAGE_MARK, f'{PAGE_MARK}\n    <meta name="palpate-model" content="{MODEL_FOLDER}" />')
-    _write(folder / "index.html", page.replace(DISCLAIMER, '<p id="disclaimer">').encode())
+    _write(folder / "index.html", page.replace(HIDDEN_DISCLAIMER, '<p id="disclaimer">').encode())
     data = folder / MODEL_FOLDER
     data.mkdir(exist_ok=True)
     _write(data / "model.json", json.dumps(about).encode())
