@@ -13,7 +13,7 @@ import numpy as np
 from palpate.dynamics.compiled.cache import kernel_njit, law_njit
 from palpate.dynamics.contact.kinds import BONDED, PLANE
 from palpate.realtime.period import FAILED, Settings, compile_period, functions_digest, place_work, reset_work
-from palpate.realtime.pose import MAX_JUMP
+from palpate.realtime.pose import request_pose
 from palpate.realtime.record import field_offset
 from palpate.reduction.contact.surface import PAIRS
 from palpate.reduction.realtime.change_tool import replace_tool
@@ -45,25 +45,6 @@ def _is_finite(values):  # type: ignore[no-untyped-def]
     return total == 0.0
 
 
-@kernel_njit(inner=True)
-def _request_pose(work, pose):  # type: ignore[no-untyped-def]
-    """Take a pose as the requested one, with a unit quaternion; return False and keep the last if it is not valid."""
-    if not _is_finite(pose):
-        return False
-    largest, square, jump = 0.0, 0.0, 0.0
-    for i in range(3):
-        jump += (pose[i] - work.wanted[i]) ** 2
-    for i in range(3, 7):
-        largest = max(largest, abs(pose[i]))
-    if largest == 0.0 or not jump <= MAX_JUMP * MAX_JUMP:
-        return False
-    for i in range(3, 7):
-        square += (pose[i] / largest) ** 2
-    for i in range(7):
-        work.wanted[i] = pose[i] if i < 3 else pose[i] / largest / np.sqrt(square)
-    return True
-
-
 @cache
 def compile_step(advance: Any, stiffness: Any) -> Any:
     """Compile the step of a library around the functions of an observable model.
@@ -88,7 +69,7 @@ def compile_step(advance: Any, stiffness: Any) -> Any:
             return INVALID_STATUS
         if not (0.0 <= options[STIFFNESS_EVERY] <= 1e6 and 0.0 <= options[ON_DISTRUST] <= 3.0):
             return INVALID_STATUS
-        is_taken = _request_pose(work, pose)
+        is_taken = request_pose(work.wanted, pose)
         period = options[OPTION_PERIOD]
         settings = Settings(
             int(1e9 * period + 0.5), 0, period * options[MAX_SPEED], period * options[MAX_ANGULAR_SPEED],

@@ -20,6 +20,7 @@ from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.faults import InputError, TrustWarning, integer_in_range, number_in_range
 from palpate.realtime.black_box import write_black_box
+from palpate.realtime.channel import SharedSlots
 from palpate.realtime.clock import HAS_CLOCKS
 from palpate.realtime.contract import check_contract
 from palpate.realtime.exchange import publish, snapshot
@@ -106,11 +107,14 @@ class Engine(Described):
         Time before each deadline at which the thread stops sleeping and polls the clock; up to 1 ms.
     black_box : path, optional
         File for the black box, written if the state diverges.
+    shared_memory : str, optional
+        Name of shared memory through which a program on this machine sends poses and reads records
+        (``palpate_channel.h``, see `palpate.realtime.channel`). The poses are then those of that program only.
 
     Raises
     ------
     InputError
-        An argument is out of range, or the model lacks an attribute of `Realtime`.
+        An argument is out of range, the model lacks an attribute of `Realtime`, or `shared_memory` is in use.
     RuntimeError
         The system lacks the required clocks.
 
@@ -146,6 +150,7 @@ class Engine(Described):
         max_angular_speed: float = 10.0,
         spin: float = 50e-6,
         black_box: str | Path | None = None,
+        shared_memory: str | None = None,
     ) -> None:
         if not HAS_CLOCKS:
             raise RuntimeError(
@@ -164,7 +169,9 @@ class Engine(Described):
         )
         self.period = 1e-9 * self._settings.period
         self._rest, self._work = model.rest, Work.at_rest(model.rest, model.tool)
-        self._channels = Channels.allocate(len(model.rest), math.ceil(history / self.period))
+        self._shared_name = shared_memory
+        shared = None if shared_memory is None else SharedSlots(shared_memory, len(model.rest))
+        self._channels = Channels.allocate(len(model.rest), math.ceil(history / self.period), shared)
         attributes = {"period": self.period, "coordinates": len(model.rest), "on_distrust": on_distrust}
         self._write = partial(write_black_box, buffer=self._channels.ring_buffer, attributes=attributes)
         self._loop = compile_loop(model.advance, model.stiffness)
@@ -175,6 +182,7 @@ class Engine(Described):
             partial(self._write, black_box) if black_box is not None else None,
         )
         self._lock, self._last_pose, self._warned = threading.RLock(), IDENTITY_POSE, False
+        publish(self._channels.pose, np.append(IDENTITY_POSE, 0.0))
         self._to_rest()
         snapshot(self._channels.record)  # compiles it before the loop runs
         weakref.finalize(self, self._runner.stop, STOPPED)  # at exit, or without references to the engine
@@ -292,7 +300,15 @@ class Engine(Described):
 
     def _publish_pose(self, pose: Floats, sequence: int) -> None:
         self._last_pose = pose
-        publish(self._channels.pose, np.append(pose, float(sequence)))
+        if self._shared_name is None:  # a slot has one writer
+            publish(self._channels.pose, np.append(pose, float(sequence)))
+
+    def _require_own_poses(self) -> None:
+        if self._shared_name is not None:
+            raise InputError(
+                f"poses must come through the shared memory {self._shared_name!r}, got one of this program; start the "
+                "engine without shared_memory"
+            )
 
     def set_pose(
         self,
@@ -315,9 +331,10 @@ class Engine(Described):
         ------
         InputError
             The pose is not finite, the quaternion is zero, the position is more than a metre from the last one, or the
-            sequence number is negative. The last pose is kept.
+            sequence number is negative. The last pose is kept. Or the engine has `shared_memory`.
         """
         sequence = integer_in_range("sequence", sequence, 0)
+        self._require_own_poses()
         with self._lock:
             self._publish_pose(normalise_pose(position, quaternion, self._last_pose), sequence)
 
@@ -339,6 +356,7 @@ class Engine(Described):
             The engine runs.
         """
         sequence = integer_in_range("sequence", sequence, 0)
+        self._require_own_poses()
         with self._lock:
             if self._runner.state == RUNNING:
                 raise RuntimeError("the engine must be paused for place_tool, got a running one; call pause() first")

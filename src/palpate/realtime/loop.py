@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import kernel_njit, law_njit
 from palpate.realtime.black_box import RingBuffer, append_record
+from palpate.realtime.channel import SharedSlots
 from palpate.realtime.clock import now, sleep_until, thread_time
 from palpate.realtime.exchange import Slot, fetch, get_flag, make_flags, publish
-from palpate.realtime.period import STOP, TRUSTED, compile_period, copy_to, functions_digest
-from palpate.realtime.pose import IDENTITY_POSE
+from palpate.realtime.period import STOP, TRUSTED, compile_period, functions_digest
+from palpate.realtime.pose import IDENTITY_POSE, request_pose
 from palpate.realtime.record import HEADER_SIZE, field_offset
 from palpate.realtime.statistics import Histograms, count_step
 
@@ -47,13 +48,12 @@ class Channels(NamedTuple):
     ring_buffer: RingBuffer
 
     @classmethod
-    def allocate(cls, coordinates: int, history: int) -> Channels:
-        """Make channels for a number of coordinates and a number of stored records."""
-        record = Slot.zeros(HEADER_SIZE + 2 * coordinates)
+    def allocate(cls, coordinates: int, history: int, shared: SharedSlots | None = None) -> Channels:
+        """Make channels for a number of coordinates and a number of stored records; the slots may be shared."""
         return cls(
             make_flags(),
-            Slot.zeros(len(IDENTITY_POSE) + 1),
-            record,
+            Slot.zeros(len(IDENTITY_POSE) + 1) if shared is None else shared.pose,
+            Slot.zeros(HEADER_SIZE + 2 * coordinates) if shared is None else shared.record,
             Histograms.zeros(),
             RingBuffer.empty(history, coordinates),
         )
@@ -74,9 +74,9 @@ def _wait(deadline, spin, command):  # type: ignore[no-untyped-def]
 
 @kernel_njit()
 def _fetch_pose(work, slot):  # type: ignore[no-untyped-def]
-    """Read the newest pose."""
-    if fetch(slot, work.fetched):  # during a write, the next period reads it
-        copy_to(work.fetched[:7], work.wanted, 0)
+    """Read the newest pose; another program may have written one that is not valid."""
+    is_complete = fetch(slot, work.fetched)  # during a write, the next period reads it
+    if is_complete and request_pose(work.wanted, work.fetched[:7]):
         work.record[SEQUENCE] = work.fetched[7]
 
 

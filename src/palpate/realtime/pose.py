@@ -12,11 +12,12 @@ from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.faults import InputError
 from palpate.files import shortened
 
-__all__ = ["IDENTITY_POSE", "MAX_JUMP", "follow_pose", "normalise_pose", "tool_coordinates", "wrench"]
+__all__ = ["IDENTITY_POSE", "MAX_JUMP", "follow_pose", "normalise_pose", "request_pose", "tool_coordinates", "wrench"]
 
 
 IDENTITY_POSE = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 MAX_JUMP = 1.0  # [m] between consecutive poses; a larger one is a device error
+UNIT_TOLERANCE = 1e-12  # of the size of a quaternion that is kept as it is
 
 
 def normalise_pose(
@@ -60,6 +61,31 @@ def _finite_numbers(name: str, given: Any, count: int) -> Floats:
     if not np.isfinite(numbers).all():
         raise InputError(f"{name} must be finite, got {numbers}; check the device; the last pose is kept")
     return numbers
+
+
+@kernel_njit()
+def request_pose(wanted, pose):  # type: ignore[no-untyped-def]
+    """Take a pose (7,) with a unit quaternion as the wanted one; return False and keep it if the new is not valid.
+
+    It is not valid if a number is not finite, the quaternion is zero, or the position is more than `MAX_JUMP` away.
+    """
+    total, largest, square, jump = 0.0, 0.0, 0.0, 0.0
+    for i in range(7):
+        total += 0.0 * pose[i]  # 0, or not a number
+    for i in range(3):
+        jump += (pose[i] - wanted[i]) ** 2
+    for i in range(3, 7):
+        largest = max(largest, abs(pose[i]))
+    if total != 0.0 or largest == 0.0 or not jump <= MAX_JUMP * MAX_JUMP:
+        return False
+    for i in range(3, 7):
+        square += (pose[i] / largest) ** 2
+    size = largest * np.sqrt(square)
+    if abs(size - 1.0) < UNIT_TOLERANCE:
+        size = 1.0
+    for i in range(7):
+        wanted[i] = pose[i] if i < 3 else pose[i] / size
+    return True
 
 
 @kernel_njit()

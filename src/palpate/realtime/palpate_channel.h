@@ -1,0 +1,83 @@
+/* Pose in, force out: the channel between an engine of palpate with shared_memory="NAME" and a program on this machine.
+   Include it in one C or C++ file; on older Linux link with -lrt. One program may write poses, any number may read. */
+#ifndef PALPATE_CHANNEL_H
+#define PALPATE_CHANNEL_H
+
+#include <stdint.h>
+#include <string.h>
+#ifdef _WIN32
+#include <windows.h>
+#else
+#include <fcntl.h>
+#include <sys/mman.h>
+#include <unistd.h>
+#endif
+
+enum { /* indices of a record; SI units; position and quaternion (w, x, y, z) are relative to the tool at rest */
+    PALPATE_CHANNEL_TIME = 0, PALPATE_CHANNEL_PERIODS = 1, PALPATE_CHANNEL_FAILED = 2, PALPATE_CHANNEL_TRUST = 6,
+    PALPATE_CHANNEL_SEQUENCE = 11, PALPATE_CHANNEL_POSITION = 14, PALPATE_CHANNEL_QUATERNION = 17,
+    PALPATE_CHANNEL_FORCE = 21, PALPATE_CHANNEL_MOMENT = 24, PALPATE_CHANNEL_STIFFNESS = 27, PALPATE_CHANNEL_SIZE = 36
+};
+
+typedef struct {
+    int64_t *pose_version, *record_version; /* odd during a write */
+    double *pose, *record;
+} palpate_channel;
+
+/* Open the channel NAME; returns 0, or -1 if no engine has it. */
+static int palpate_channel_open(palpate_channel *channel, const char *name) {
+    char path[128] = "";
+    const size_t size = 64 + 128 + 64 + 128 + 8 * PALPATE_CHANNEL_SIZE;
+    char *memory;
+#ifdef _WIN32
+    HANDLE file;
+    strncat(path, name, 100);
+    file = OpenFileMappingA(FILE_MAP_ALL_ACCESS, FALSE, path);
+    if (!file || !(memory = (char *)MapViewOfFile(file, FILE_MAP_ALL_ACCESS, 0, 0, size))) return -1;
+#else
+    int file;
+    strcat(path, "/");
+    strncat(path, name, 100);
+    file = shm_open(path, O_RDWR, 0);
+    if (file < 0 || lseek(file, 0, SEEK_END) < (off_t)size) return -1;
+    memory = (char *)mmap(NULL, size, PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
+    close(file);
+    if (memory == (char *)MAP_FAILED) return -1;
+#endif
+    if (memcmp(memory, "PALPATE\1", 8) != 0) return -1;
+    channel->pose_version = (int64_t *)(memory + 64);
+    channel->pose = (double *)(memory + 64 + 128);
+    channel->record_version = (int64_t *)(memory + 64 + 128 + 64);
+    channel->record = (double *)(memory + 64 + 128 + 64 + 128);
+    return 0;
+}
+
+/* Request a pose: position [m] and quaternion; records return its number once they include it. Never waits. */
+static void palpate_channel_write(palpate_channel *channel, const double pose[7], double number) {
+    int64_t version = __atomic_load_n(channel->pose_version, __ATOMIC_RELAXED), bits;
+    int i;
+    double value;
+    __atomic_store_n(channel->pose_version, version + 1, __ATOMIC_RELAXED);
+    __atomic_thread_fence(__ATOMIC_RELEASE);
+    for (i = 0; i < 8; i++) {
+        value = i < 7 ? pose[i] : number;
+        memcpy(&bits, &value, 8);
+        __atomic_store_n((int64_t *)channel->pose + i, bits, __ATOMIC_RELAXED);
+    }
+    __atomic_store_n(channel->pose_version, version + 2, __ATOMIC_RELEASE);
+}
+
+/* Copy the newest record; returns 0, or -1 if the engine was writing at that moment: then call it again. */
+static int palpate_channel_read(const palpate_channel *channel, double record[PALPATE_CHANNEL_SIZE]) {
+    int64_t version = __atomic_load_n(channel->record_version, __ATOMIC_ACQUIRE), bits;
+    int i;
+    if (version & 1) return -1;
+    for (i = 0; i < PALPATE_CHANNEL_SIZE; i++) {
+        bits = __atomic_load_n((int64_t *)channel->record + i, __ATOMIC_RELAXED);
+        memcpy(&record[i], &bits, 8);
+    }
+    __atomic_thread_fence(__ATOMIC_ACQUIRE);
+    return __atomic_load_n(channel->record_version, __ATOMIC_RELAXED) == version ? 0 : -1;
+}
+
+#endif
