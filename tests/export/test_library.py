@@ -11,6 +11,7 @@ import pytest
 from exported import BALL, FORCE, SIZE, Engine, Library, pose_at, set_tool, step_through
 
 import palpate as pt
+from palpate.dynamics.contact import kinds
 from palpate.realtime.record import HEADER_SIZE, field_offset
 
 pytestmark = [
@@ -62,6 +63,28 @@ def test_presses_and_grasps_are_those_of_the_engine(library, model_file):
     np.testing.assert_allclose(vertices, expected_vertices, rtol=0, atol=1e-8)
     assert np.abs(records[:, FORCE + 2]).max() > 0.5  # of a press and of a pull
     assert records[: PERIODS // 2, FORCE + 2].max() > 0 > records[PERIODS // 2 :, FORCE + 2].min()
+
+
+@pytest.mark.parametrize(
+    ("kind", "sizes", "height"),
+    [
+        (kinds.CAPSULE, (0.008, 0.01, 0.0), 0.018),
+        (kinds.PLANE, (0.0, 0.0, 0.0), 0.0),
+        (kinds.PUNCH, (0.012, 0.0, 6e-4), 0.0),
+    ],
+)
+def test_other_tools_press_as_in_the_engine(library, model_file, kind, sizes, height):
+    engine, records = Engine(pt.load(model_file)), []
+    turn = (0.0, 1.0, 0.0, 0.0) if kind == kinds.PLANE else (1.0, 0.0, 0.0, 0.0)  # its tissue side is up
+    for model in (library, engine):
+        arrays = model.arrays
+        arrays["tool_kind"][0], arrays["tool_sizes"][:], arrays["tool_friction"][0] = kind, sizes, 0.2
+        arrays["tool_pose"][:] = (0.03, 0.03, SIZE[2] + height + 0.001, *turn)
+        assert model("set_tool") == 0
+        records.append([step(model, (0.0, 0.0, -0.003 * min(1.0, k / 80), 1, 0, 0, 0)) for k in range(120)])
+    forces = np.array(records)[:, :, FORCE : FORCE + 3]
+    assert forces[0, -1, 2] > 0.1
+    np.testing.assert_allclose(forces[0], forces[1], rtol=0, atol=1e-12 * np.abs(forces).max())
 
 
 def test_vertices_are_those_that_the_page_draws(library, model_file):

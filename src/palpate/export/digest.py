@@ -76,5 +76,8 @@ def check_file(content, length, words, state, expected):  # type: ignore[no-unty
             state[k] &= WORD_BITS
     different = 0
     for k in range(8):
-        different += state[k] != expected[k]
+        word = 0
+        for b in range(4):
+            word = (word << 8) | int(content[DIGEST_FIRST + 4 * k + b])
+        different += state[k] != expected[k] or word != expected[k]
     return 0 if different == 0 else 1

@@ -17,9 +17,10 @@ __all__ = ["TARGET_MACHINES", "WEB_TARGETS", "Target", "emit_object", "host_targ
 RELAXED_FLAGS = re.compile(
     r"\b(fadd|fsub|fmul|fdiv|frem|fneg|fcmp|call|select|phi)"
     r"((?: (?:contract|reassoc|nsz|arcp|afn|nnan|ninf|fast))+) "
+    r'(?!double @"?llvm\.pow)'  # Numba writes the cube root as a fast power, which LLVM then makes a cube root
 )
 MATH_FUNCTIONS = re.compile(
-    r"(?:llvm\..*|exp|expm1|log|log1p|pow|sqrt|sin|cos|tan|acos|asin|atan|atan2|cosh|sinh|tanh|hypot|copysign|fmod|floor|ceil|"
+    r"(?:llvm\..*|cbrt|exp|expm1|log|log1p|pow|sqrt|sin|cos|tan|acos|asin|atan|atan2|cosh|sinh|tanh|hypot|copysign|fmod|floor|ceil|"
     r"mem(?:set|cpy|move))"
 )
 

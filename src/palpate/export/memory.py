@@ -53,13 +53,17 @@ class Memory:
     def __init__(self, functions: Sequence[LoweredFunction], named: Mapping[str, NDArray[Any]]) -> None:
         self.named, self.stored = dict(named), 0
         leaves = [leaf for function in functions for leaf in function.leaves if isinstance(leaf, np.ndarray)]
-        bounds = sorted(np.lib.array_utils.byte_bounds(a) for a in (*leaves, *self.named.values()) if a.size)
-        ranges: list[list[int]] = []
-        for low, high in bounds:
-            if ranges and low < ranges[-1][1]:
-                ranges[-1][1] = max(high, ranges[-1][1])
+        order = [np.lib.array_utils.byte_bounds(a) for a in (*leaves, *self.named.values()) if a.size]
+        joined: list[list[int]] = []
+        for low, high in sorted(order):
+            if joined and low < joined[-1][1]:
+                joined[-1][1] = max(high, joined[-1][1])
             else:
-                ranges.append([low, high])
+                joined.append([low, high])
+        # in the order of their first use, so that every export of a model is equal
+        starts = np.array([low for low, _ in joined])
+        used = dict.fromkeys(int(np.searchsorted(starts, low, side="right")) - 1 for low, _ in order)
+        ranges = [joined[k] for k in used]
         filled = [any(ctypes.string_at(low, high - low)) for low, high in ranges]
         at, self._ranges = HEADER_BYTES + ENTRY_FORMAT.size * len(self.named), []
         for is_filled in (True, False):
