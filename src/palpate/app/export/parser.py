@@ -34,9 +34,10 @@ def add_export(commands: Any) -> None:
     text = "file of palpate train, a scene of palpate view, or a scene file"
     add("model", metavar="MODEL", help=text)
     text = "folder for a library and its sources in C; new or empty"
-    add("--c", type=path, dest="folder", metavar="FOLDER", help=text)
+    target = export.add_mutually_exclusive_group(required=True)
+    target.add_argument("--c", type=path, dest="folder", metavar="FOLDER", help=text)
     text = "folder for a page without a server, on which the browser steps the model; new or empty"
-    add("--web", type=path, metavar="FOLDER", help=text)
+    target.add_argument("--web", type=path, metavar="FOLDER", help=text)
     text = "beginning of the names of files and functions (default: the name of the model)"
     add("--name", metavar="NAME", help=text)
     text = "machine that the library is for; may be repeated (default: host, this one)"
