@@ -166,6 +166,15 @@ def train(case: str, path: Path) -> None:
     pt.save(model, path)
 
 
+def export(path: Path, *options: str) -> Path:
+    """Run `palpate export` on a model; return the last option, its folder."""
+    command = [sys.executable, "-m", "palpate", "export", str(path), *options]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise RuntimeError(done.stdout + done.stderr)
+    return Path(options[-1])
+
+
 def reference(path: Path, periods: int) -> tuple[np.ndarray, np.ndarray]:
     """Return records and vertices of the functions that Numba compiles in another process, without fast math."""
     target = path.with_suffix(".npz")
@@ -185,9 +194,8 @@ def compare(case: str, folder: Path, periods: int) -> dict[str, Any]:
     """Return how a library of a case differs from the engine, and the time of a period of either [s]."""
     path, touches = folder / "organ.rom", not case.startswith("moved")
     train(case, path)
-    export = [sys.executable, "-m", "palpate", "export", str(path), "--c", str(folder / "c")]
     began = perf_counter()
-    subprocess.run(export, check=True, capture_output=True)
+    export(path, "--c", str(folder / "c"))
     exported = perf_counter() - began
     library, model = Library(folder / "c", "organ"), pt.load(path)
     if library("check"):
@@ -222,8 +230,7 @@ def measure_times(folder: Path, periods: int, rounds: int = 7) -> list[dict[str,
     libraries = {}
     for name, more in (("library, strict", []), ("library, relaxed", ["--relaxed"])):
         target = folder / name.replace(", ", "_")
-        export = [sys.executable, "-m", "palpate", "export", str(path), "--c", str(target), *more]
-        subprocess.run(export, check=True, capture_output=True)
+        export(path, *more, "--c", str(target))
         libraries[name] = Library(target, "organ")
     engine = Engine(pt.load(path))
     step, arguments = engine._functions["step"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 
@@ -22,8 +21,7 @@ def model_file(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def exported_folder(model_file):
-    folder = model_file.parent / "organ"
-    command = [sys.executable, "-m", "palpate", "export", str(model_file), "--c", str(folder)]
-    done = subprocess.run([*command, "--target", "host", "--target", "linux-aarch64"], capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return folder
+    from exported import export
+
+    targets = ["--target", "host", "--target", "linux-aarch64"]
+    return export(model_file, *targets, "--c", str(model_file.parent / "organ"))

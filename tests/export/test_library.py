@@ -114,6 +114,18 @@ def test_a_copy_of_the_memory_is_another_model_in_the_same_state(library):
     np.testing.assert_array_equal(after, again)
 
 
+def test_a_coupled_tool_begins_at_rest_where_it_is_put(library):
+    library.arrays["coupling"][:] = (300.0, 2 * np.sqrt(300 * 0.05), 0.05, np.inf)
+    press(library, 100)
+    assert library.arrays["tool_position"][2] < 0.0
+    set_tool(library, 0, (BALL, 0.0, 0.0), PLACE, 0.3)
+    assert not library.arrays["tool_position"].any()
+    assert not library.arrays["record"][field_offset("position") : field_offset("position") + 3].any()
+    record = step(library, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
+    assert not record[FORCE : FORCE + 3].any()
+    assert not library.arrays["tool_position"].any()  # no force of the tool before moves it
+
+
 def test_a_reset_returns_to_rest(library):
     first = press(library)
     assert library("reset") == 0
@@ -164,7 +176,9 @@ def test_a_pose_that_is_not_finite_or_jumps_keeps_the_last(library, pose):
     np.testing.assert_array_equal(after[place : place + 7], before[place : place + 7])
 
 
-@pytest.mark.parametrize(("name", "value"), [("period", 0.0), ("period", np.nan), ("force_limit", -1.0)])
+@pytest.mark.parametrize(
+    ("name", "value"), [("period", 0.0), ("period", np.nan), ("force_limit", -1.0), ("on_distrust", 2.0)]
+)
 def test_options_out_of_range_are_refused(library, name, value):
     from palpate.export.entries import OPTION_NAMES
 

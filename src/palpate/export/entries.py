@@ -12,14 +12,24 @@ import numpy as np
 
 from palpate.dynamics.compiled.cache import kernel_njit, law_njit
 from palpate.dynamics.contact.kinds import BONDED, PLANE
-from palpate.realtime.period import FAILED, Settings, compile_period, functions_digest, place_work, reset_work
+from palpate.realtime.observable import DEVICE_FORCE, TOOL_POSITION
+from palpate.realtime.period import (
+    CLAMP,
+    FAILED,
+    IGNORE,
+    Settings,
+    compile_period,
+    functions_digest,
+    place_work,
+    reset_work,
+)
 from palpate.realtime.pose import request_pose
 from palpate.realtime.record import field_offset
 from palpate.reduction.contact.surface import PAIRS
+from palpate.reduction.hyper.error_indicator import curve_bound
 from palpate.reduction.realtime.change_tool import replace_tool
 
 __all__ = [
-    "DIVERGED_STATUS",
     "OPTION_NAMES",
     "compile_step",
     "exchange_tool",
@@ -30,9 +40,6 @@ __all__ = [
 TAKEN_STATUS, POSE_STATUS, DIVERGED_STATUS, INVALID_STATUS = range(4)
 OPTION_NAMES = ("period", "force_limit", "max_speed", "max_angular_speed", "stiffness_every", "on_distrust")
 OPTION_PERIOD, FORCE_LIMIT, MAX_SPEED, MAX_ANGULAR_SPEED, STIFFNESS_EVERY, ON_DISTRUST = range(len(OPTION_NAMES))
-BOUND_ERROR, LEAST_TRUST, BOUND_EXPONENT, LARGEST_TRUST, LEAST_SIZE = range(
-    5
-)  # entries of the curve of the error bound
 WORST_TRUST, LARGEST_FORCE = field_offset("worst_trust"), field_offset("largest_force")
 MIN_PERIOD, MAX_PERIOD = 5e-5, 0.02  # [s]
 
@@ -67,7 +74,9 @@ def compile_step(advance: Any, stiffness: Any) -> Any:
             return INVALID_STATUS
         if not (options[FORCE_LIMIT] > 0.0 and options[MAX_SPEED] > 0.0 and options[MAX_ANGULAR_SPEED] > 0.0):
             return INVALID_STATUS
-        if not (0.0 <= options[STIFFNESS_EVERY] <= 1e6 and 0.0 <= options[ON_DISTRUST] <= 3.0):
+        if not 0.0 <= options[STIFFNESS_EVERY] <= 1e6:
+            return INVALID_STATUS
+        if options[ON_DISTRUST] != CLAMP and options[ON_DISTRUST] != IGNORE:
             return INVALID_STATUS
         is_taken = request_pose(work.wanted, pose)
         period = options[OPTION_PERIOD]
@@ -76,11 +85,7 @@ def compile_step(advance: Any, stiffness: Any) -> Any:
             options[FORCE_LIMIT], int(options[STIFFNESS_EVERY]), int(options[ON_DISTRUST]), 0,
         )  # fmt: skip
         valid = take_period(data, work, settings)
-        bound[0] = np.inf
-        trust = work.record[WORST_TRUST]
-        if curve[BOUND_ERROR] > 0.0 and trust <= curve[LARGEST_TRUST]:
-            error = curve[BOUND_ERROR] * max(trust, curve[LEAST_TRUST]) ** curve[BOUND_EXPONENT]
-            bound[0] = error * max(work.record[LARGEST_FORCE], curve[LEAST_SIZE])
+        bound[0] = curve_bound(curve, work.record[WORST_TRUST], work.record[LARGEST_FORCE])
         if not valid:
             return DIVERGED_STATUS
         return TAKEN_STATUS if is_taken else POSE_STATUS
@@ -88,13 +93,20 @@ def compile_step(advance: Any, stiffness: Any) -> Any:
     return step
 
 
+@kernel_njit(inner=True)
+def _rest_tool(data):  # type: ignore[no-untyped-def]
+    """Set the tool at the end of the coupling to rest at zero displacement."""
+    coupling = data.coupling
+    for i in range(3):
+        coupling.position[i], coupling.velocity[i], coupling.device[i], coupling.force[i] = 0.0, 0.0, 0.0, 0.0
+        data.values[TOOL_POSITION + i], data.values[DEVICE_FORCE + i] = 0.0, 0.0
+
+
 @kernel_njit()
 def reset_model(data, work, rest):  # type: ignore[no-untyped-def]
     """Set body and tool to rest; the tool and the moduli stay."""
     reset_work(work, rest)
-    coupling = data.coupling
-    for i in range(3):
-        coupling.position[i], coupling.velocity[i], coupling.device[i], coupling.force[i] = 0.0, 0.0, 0.0, 0.0
+    _rest_tool(data)
     return TAKEN_STATUS
 
 
@@ -114,9 +126,10 @@ def exchange_tool(data, work, kind, sizes, friction, point, pose):  # type: igno
     if not valid or (kind[0] >= 0 and kind[0] != PLANE and not sizes[0] > 0.0):
         return INVALID_STATUS
     replace_tool(data.inner, kind[0], sizes, friction[0], point, pose)
+    for i in range(7):
+        work.pose[i] = 1.0 if i == 3 else 0.0
     place_work(work)
-    for i in range(3):
-        data.coupling.position[i], data.coupling.velocity[i], data.coupling.device[i] = 0.0, 0.0, 0.0
+    _rest_tool(data)
     return TAKEN_STATUS
 
 

@@ -18,17 +18,16 @@ from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_sources
 from palpate.dynamics.contact import kinds
 from palpate.export.library import lower_model
-from palpate.export.link import TARGET_MACHINES, host_target
+from palpate.export.link import host_target
+from palpate.export.targets import HOST_TARGET, TARGET_MACHINES, TARGET_NAMES
 from palpate.faults import InputError
-from palpate.files import check_folder, whole_file
+from palpate.files import check_folder, write_bytes
 from palpate.realtime.record import HEADER_DTYPE, field_offset
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.realtime.display_surface import Surface
 
-__all__ = ["HOST_TARGET", "TARGET_NAMES", "check_new", "export_c", "identifier"]
+__all__ = ["check_new", "export_c", "identifier"]
 
-HOST_TARGET = "host"
-TARGET_NAMES = (HOST_TARGET, *TARGET_MACHINES)
 TEMPLATE_NAMES = ("palpate.h", "model.h", "main.c", "CMakeLists.txt", "Organ.cs", "README.md")
 PRESS_SHARE, RADIUS_SPACINGS = 0.5, 3.0  # depth of the example's press over the ball's radius, and that radius
 ZIG_TARGETS = {
@@ -109,11 +108,11 @@ def export_c(
     library = lower_model(model, name)
     folder.mkdir(parents=True, exist_ok=True)
     written = {f"{name}.palpate": "the constants of the model"}
-    _write(folder / f"{name}.palpate", library.image)
+    write_bytes(folder / f"{name}.palpate", library.image)
     for target in targets:
         stem = name if target == HOST_TARGET else f"{name}.{target}"
         content = library.emit(host_target() if target == HOST_TARGET else TARGET_MACHINES[target], strict)
-        _write(folder / f"{stem}.o", content)
+        write_bytes(folder / f"{stem}.o", content)
         written[f"{stem}.o"] = f"the functions, for {'this machine' if target == HOST_TARGET else target}"
         shared = _link_shared(folder, name, target)
         if shared is None:
@@ -126,14 +125,9 @@ def export_c(
     for template in TEMPLATE_NAMES:
         text = files("palpate.export").joinpath("c", template).read_text(encoding="utf-8")
         text = re.sub(r"@([A-Z_]+)@", lambda match: words[match[1]], text)
-        _write(folder / (f"{name}.h" if template == "model.h" else template), text.encode())
+        write_bytes(folder / (f"{name}.h" if template == "model.h" else template), text.encode())
     _write_kernels(folder / "kernels")
     return written | {"README.md": "how to build and use it"}
-
-
-def _write(path: Path, content: bytes) -> None:
-    with whole_file(path) as partial:
-        partial.write_bytes(content)
 
 
 def _words(model: ReducedModel, name: str) -> dict[str, str]:
@@ -206,4 +200,4 @@ def _write_kernels(folder: Path) -> None:
     )
     for module, text in modules.items():
         if ":" not in module and text:
-            _write(folder / f"{module.removeprefix('palpate.')}.py", text.encode())
+            write_bytes(folder / f"{module.removeprefix('palpate.')}.py", text.encode())

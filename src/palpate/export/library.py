@@ -2,31 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.dynamics.contact.tools import Contact, Sphere
 from palpate.export.digest import DIGEST_WORDS, check_file
 from palpate.export.entries import OPTION_NAMES, compile_step, exchange_tool, reset_model, write_vertices
-from palpate.export.link import Target, emit_object
+from palpate.export.link import emit_object
 from palpate.export.lowering import LoweredFunction, recording
 from palpate.export.memory import DIGEST_PLACE, Memory, constant_function
+from palpate.export.targets import Target
 from palpate.faults import InputError
-from palpate.realtime.observable import TOOL_POSITION, ObservableModel, make_observable
+from palpate.realtime.observable import TOOL_POSITION, make_observable
 from palpate.realtime.period import IGNORE, Work
 from palpate.realtime.pose import IDENTITY_POSE
+from palpate.reduction.hyper.error_indicator import bound_curve
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.realtime.display_surface import Surface
-from palpate.reduction.realtime.model import RealtimeModel, realtime_model
+from palpate.reduction.realtime.model import idle_model
 
 __all__ = ["FUNCTION_NAMES", "Library", "lower_model", "model_functions"]
 
 FUNCTION_NAMES = ("step", "reset", "set_tool", "vertices", "check", "memory_size", "file_size")  # of every library
-ABSENT_TOOL_DISTANCE = 10.0  # [m]
 CHECKED_LENGTH = 7  # place of the length among the flat arguments of `check_file`, after an array
 DEFAULT_OPTIONS = {
     "period": 1e-3, "force_limit": np.inf, "max_speed": 2.0, "max_angular_speed": 10.0, "stiffness_every": 50.0,
@@ -61,22 +59,6 @@ class Library(NamedTuple):
     def symbols(self) -> list[str]:
         """Names of the functions."""
         return [f"{self.name}_{function}" for function in FUNCTION_NAMES]
-
-
-def _ready_model(model: ReducedModel) -> tuple[RealtimeModel, ObservableModel]:
-    """Return a reduced model for the engine without a tool in contact, and the same with its observations.
-
-    Raises
-    ------
-    InputError
-        The model takes no tool.
-    """
-    takes_tools = not model.data.prescribed and model.data.compliance is not None
-    away = model.cloud.points.max(axis=0) + ABSENT_TOOL_DISTANCE
-    ready = realtime_model(model, contact=Contact(Sphere(model.cloud.spacing), away) if takes_tools else None)
-    if ready.change_tool is not None:
-        ready.change_tool(None, IDENTITY_POSE, 0.0)
-    return ready, make_observable(ready)
 
 
 def lower_model(model: ReducedModel, name: str) -> Library:
@@ -121,7 +103,8 @@ def model_functions(model: ReducedModel) -> tuple[dict[str, tuple[Any, tuple[Any
     InputError
         The model takes no tool.
     """
-    ready, observable = _ready_model(model)
+    ready = idle_model(model)
+    observable = make_observable(ready)
     surface, data = Surface(model), observable.data
     work = Work.at_rest(observable.rest, observable.tool)
     columns, patch_columns, places = surface.tables(ready.data.contact_surface.nodes)
@@ -146,7 +129,7 @@ def model_functions(model: ReducedModel) -> tuple[dict[str, tuple[Any, tuple[Any
     compliance = ready.data.contact_surface.compliance
     fields = np.zeros(2 * compliance.flexibility.shape[0] + 3 * (compliance.members.shape[0] // 2))
     step = compile_step(observable.advance, observable.stiffness)
-    n, curve = named, _bound_curve(model.report)
+    n, curve = named, bound_curve(model.report)
     tool = (n["tool_kind"], n["tool_sizes"], n["tool_friction"], n["tool_point"], n["tool_pose"])
     return {
         "step": (step, (data, work, n["pose"], n["options"], curve, n["force_bound"])),
@@ -156,11 +139,3 @@ def model_functions(model: ReducedModel) -> tuple[dict[str, tuple[Any, tuple[Any
             write_vertices, (data, work.q, n["rest"], columns, patch_columns, places, fields, n["vertices"])
         ),
     }, named  # fmt: skip
-
-
-def _bound_curve(report: Mapping[str, Any]) -> Floats:
-    """Return the numbers of the error bound of forces (5,); zeros without held-out runs with tools."""
-    curve = (report.get("held_out", {}).get("expected_error") or {}).get("force")
-    if curve is None:
-        return np.zeros(5)
-    return np.array([float(curve[k]) for k in ("bound", "least_trust", "exponent", "largest_trust", "least_size")])

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import llvmlite.binding as llvm
 
-__all__ = ["TARGET_MACHINES", "WEB_TARGETS", "Target", "emit_object", "host_target", "link_modules", "target_machine"]
+from palpate.export.targets import Target
+
+__all__ = ["emit_object", "host_target", "link_modules", "target_machine"]
 
 RELAXED_FLAGS = re.compile(
     r"\b(fadd|fsub|fmul|fdiv|frem|fneg|fcmp|call|select|phi)"
@@ -20,41 +22,9 @@ RELAXED_FLAGS = re.compile(
     r'(?!double @"?llvm\.pow)'  # Numba writes the cube root as a fast power, which LLVM then makes a cube root
 )
 MATH_FUNCTIONS = re.compile(
-    r"(?:llvm\..*|cbrt|exp|expm1|log|log1p|pow|sqrt|sin|cos|tan|acos|asin|atan|atan2|cosh|sinh|tanh|hypot|copysign|fmod|floor|ceil|"
-    r"mem(?:set|cpy|move))"
+    r"(?:llvm\..*|cbrt|exp|expm1|log|log1p|pow|sqrt|sin|cos|tan|acos|asin|atan|atan2|cosh|sinh|tanh|hypot|copysign|"
+    r"fmod|floor|ceil|mem(?:set|cpy|move))"
 )
-
-
-class Target(NamedTuple):
-    """A machine that a library runs on.
-
-    Parameters
-    ----------
-    triple, processor, features : str
-        As LLVM names them.
-    relocation : str
-    """
-
-    triple: str
-    processor: str
-    features: str = ""
-    relocation: str = "pic"
-
-
-TARGET_MACHINES = {
-    "linux-x86-64-v2": Target("x86_64-unknown-linux-gnu", "x86-64-v2"),
-    "linux-x86-64-v3": Target("x86_64-unknown-linux-gnu", "x86-64-v3"),
-    "linux-aarch64": Target("aarch64-unknown-linux-gnu", "generic", "+neon"),
-    "windows-x86-64": Target("x86_64-pc-windows-msvc", "x86-64-v3"),
-    "macos-arm64": Target("arm64-apple-macos11", "apple-m1"),
-}
-
-
-WEB_FEATURES = "+bulk-memory,+nontrapping-fptoint,+sign-ext,+mutable-globals"
-WEB_TARGETS = {
-    "simd": Target("wasm32-unknown-unknown", "generic", f"+simd128,{WEB_FEATURES}", "static"),
-    "scalar": Target("wasm32-unknown-unknown", "generic", WEB_FEATURES, "static"),
-}
 
 
 def host_target() -> Target:

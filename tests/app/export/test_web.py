@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import functools
+import gzip
 import http.server
 import json
 import shutil
-import subprocess
-import sys
 import threading
 from pathlib import Path
 from time import sleep
@@ -15,7 +14,7 @@ from time import sleep
 import numpy as np
 import pytest
 from browser_input import NARROW, hold, needs_chromium, opening, picture
-from exported import BALL, FORCE, SIZE, Engine, pose_at, set_tool, train
+from exported import BALL, FORCE, SIZE, Engine, export, pose_at, set_tool, train
 
 import palpate as pt
 from palpate.app.bench.chromium import Chromium
@@ -55,11 +54,7 @@ def model_file(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def folder(model_file):
-    target = model_file.parent / "web"
-    command = [sys.executable, "-m", "palpate", "export", str(model_file), "--web", str(target)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return target
+    return export(model_file, "--web", str(model_file.parent / "web"))
 
 
 @pytest.fixture(scope="module")
@@ -199,8 +194,6 @@ def test_damaged_files_are_named(browser, folder, serve, tmp_path):
         tab = browser.open(serve(copy))
         tab.wait(f"document.getElementById('message')?.textContent.includes('{name} cannot be read')")
         tab.close()
-    import gzip
-
     copy = shutil.copytree(folder, tmp_path / "damaged")
     content = bytearray(gzip.decompress((copy / "model" / "model.gz").read_bytes()))
     content[len(content) // 2] ^= 1
@@ -208,3 +201,8 @@ def test_damaged_files_are_named(browser, folder, serve, tmp_path):
     tab = browser.open(serve(copy))
     tab.wait("document.getElementById('message')?.textContent.includes('damaged')")
     tab.close()
+
+
+def test_options_of_a_library_are_refused_for_a_page(model_file, tmp_path):
+    with pytest.raises(RuntimeError, match="--web must be alone"):
+        export(model_file, "--relaxed", "--web", str(tmp_path / "page"))

@@ -8,7 +8,8 @@ from pathlib import Path
 from palpate.app.common.console import Console
 from palpate.app.export.web import export_web
 from palpate.app.models.loader import open_model
-from palpate.export.folder import HOST_TARGET, check_new, export_c, identifier
+from palpate.export.folder import check_new, export_c, identifier
+from palpate.export.targets import HOST_TARGET
 from palpate.faults import InputError
 
 __all__ = ["export"]
@@ -46,20 +47,21 @@ def export(
     OSError
         A file cannot be written.
     """
-    target = folder if web is None else web
-    if target is None or (folder is not None and web is not None):
-        raise InputError("c or web must be one folder, got both or none; export to one at a time")
     console = Console()
-    check_new(target)
-    reduced, title = open_model(model, console)
     if web is not None:
+        if name is not None or targets or relaxed:
+            raise InputError("web must be alone, got an option of a library; leave name, target and relaxed out")
+        check_new(web)
+        reduced, title = open_model(model, console)
         with console.status("compiling the step of the model (about a minute)"):
             written = export_web(reduced, web, title)
         _say(console, web, written)
         console.say(f"open it:          python3 -m http.server --directory {web} 8000")
         console.say("                  http://localhost:8000")
         return 0
-    assert folder is not None
+    assert folder is not None  # the parser requires one
+    check_new(folder)
+    reduced, title = open_model(model, console)
     chosen = identifier(Path(model).stem) if name is None else name
     with console.status("compiling the step of the model (about a minute)"):
         written = export_c(

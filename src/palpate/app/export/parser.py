@@ -5,12 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from palpate.app.common.arguments import Command, add_command, path
+from palpate.export.targets import TARGET_NAMES
 
 __all__ = ["add_export"]
-
-TARGET_NAMES = (
-    "host", "linux-x86-64-v2", "linux-x86-64-v3", "linux-aarch64", "windows-x86-64", "macos-arm64",
-)  # fmt: skip
 
 
 def _load() -> Command:

@@ -14,10 +14,10 @@ from palpate.app.recordings.snapshot import scalar_descriptions, training_errors
 from palpate.app.view.server.page import PAGE_FOLDER
 from palpate.app.view.session.session import material_sliders
 from palpate.export.library import lower_model
-from palpate.export.link import WEB_TARGETS
+from palpate.export.targets import WEB_TARGETS
 from palpate.export.wasm import module_of_object
 from palpate.faults import InputError
-from palpate.files import whole_file
+from palpate.files import write_bytes
 from palpate.realtime.record import HEADER_DTYPE, field_offset
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.realtime.display_surface import Surface
@@ -46,23 +46,18 @@ def export_web(model: ReducedModel, folder: Path, title: str) -> dict[str, str]:
     shutil.copytree(PAGE_FOLDER, folder, dirs_exist_ok=True)
     page = (folder / "index.html").read_text(encoding="utf-8")
     page = page.replace(PAGE_MARK, f'{PAGE_MARK}\n    <meta name="palpate-model" content="{MODEL_FOLDER}" />')
-    _write(folder / "index.html", page.replace(HIDDEN_DISCLAIMER, '<p id="disclaimer">').encode())
+    write_bytes(folder / "index.html", page.replace(HIDDEN_DISCLAIMER, '<p id="disclaimer">').encode())
     data = folder / MODEL_FOLDER
     data.mkdir(exist_ok=True)
-    _write(data / "model.json", json.dumps(about).encode())
-    _write(data / "model.gz", gzip.compress(library.image, mtime=0))
+    write_bytes(data / "model.json", json.dumps(about).encode())
+    write_bytes(data / "model.gz", gzip.compress(library.image, mtime=0))
     for name, module in modules.items():
-        _write(data / f"{name}.wasm", module.content)
+        write_bytes(data / f"{name}.wasm", module.content)
     return {
         "index.html": "the page; any web server can serve the folder",
         f"{MODEL_FOLDER}/simd.wasm": "the functions; scalar.wasm for browsers without vectors",
         f"{MODEL_FOLDER}/model.gz": "the constants of the model",
     }
-
-
-def _write(path: Path, content: bytes) -> None:
-    with whole_file(path) as partial:
-        partial.write_bytes(content)
 
 
 def _describe(model: ReducedModel, title: str) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba.extending import register_jitable
 
 from palpate.arrays import Floats
 from palpate.dynamics.run.model import State
@@ -148,14 +149,27 @@ def force_bound(report: Mapping[str, Any]) -> Callable[[float, float], float] | 
 
     It is None without held-out runs with tools.
     """
+    curve = bound_curve(report)
+    if not curve.any():
+        return None
+    return lambda trust, size: float(curve_bound(curve, trust, size))
+
+
+def bound_curve(report: Mapping[str, Any]) -> Floats:
+    """Return the numbers of `curve_bound` for tool forces (5,); zeros without held-out runs with tools."""
     curve = (_curves(report) or {}).get("force")
     if curve is None:
-        return None
+        return np.zeros(5)
+    return np.array([float(curve[k]) for k in ("bound", "least_trust", "exponent", "largest_trust", "least_size")])
 
-    def bound(trust: float, size: float) -> float:
-        return float(_errors(curve, "bound", np.array([trust]))[0]) * max(size, float(curve["least_size"]))
 
-    return bound
+@register_jitable
+def curve_bound(curve, trust, size):  # type: ignore[no-untyped-def]
+    """Return the error bound [N] by the largest trust number and force [N] so far; infinite where it is not known."""
+    error, least_trust, exponent, largest_trust, least_size = curve[0], curve[1], curve[2], curve[3], curve[4]
+    if not (error > 0.0 and trust <= largest_trust):
+        return np.inf
+    return error * max(trust, least_trust) ** exponent * max(size, least_size)
 
 
 def _curves(report: Mapping[str, Any]) -> dict[str, Any] | None:

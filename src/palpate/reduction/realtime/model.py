@@ -11,7 +11,7 @@ import numpy as np
 from palpate.arrays import Floats, Ints
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import rotation
-from palpate.dynamics.contact.tools import Contact, Grasp, Tool
+from palpate.dynamics.contact.tools import Contact, Grasp, Sphere, Tool
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.prepared import check_kinds, prepare_loads
 from palpate.dynamics.material.relaxation import history_copy
@@ -42,9 +42,10 @@ from palpate.reduction.realtime.period import (
     period_functions,
 )
 
-__all__ = ["RealtimeModel", "realtime_model"]
+__all__ = ["RealtimeModel", "idle_model", "realtime_model"]
 
 
+ABSENT_TOOL_DISTANCE = 10.0  # [m] from the body to an absent tool
 CATCH_UP = 4  # periods by which a full body may be late, because its periods take one step or two
 
 
@@ -245,6 +246,22 @@ def realtime_model(
     return RealtimeModel(
         advance, contact_stiffness, data, np.zeros(count), np.eye(12), bound, change_tool=partial(change_tool, data)
     )
+
+
+def idle_model(model: ReducedModel | NodalModel, foundations: Sequence[Foundation] = ()) -> RealtimeModel:
+    """Return a model for the engine that takes tools by `RealtimeModel.change_tool`, and has none yet.
+
+    A reduced model that was trained without tools has its prescribed group as the tool, and no `change_tool`.
+    """
+    takes_tools = not isinstance(model, ReducedModel) or (
+        not model.data.prescribed and model.data.compliance is not None
+    )
+    away = model.cloud.points.max(axis=0) + ABSENT_TOOL_DISTANCE
+    contact = Contact(Sphere(model.cloud.spacing), away) if takes_tools else None
+    ready = realtime_model(model, contact=contact, foundations=foundations)
+    if ready.change_tool is not None:
+        ready.change_tool(None, np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), 0.0)
+    return ready
 
 
 def _full_body(model: NodalModel, contact: Contact | Grasp | None, foundations: Sequence[Foundation]) -> RealtimeModel:

@@ -31,7 +31,7 @@ from palpate.app.view.session.tool_control import (
     tool_shape,
 )
 from palpate.arrays import Floats
-from palpate.dynamics.contact.tools import Contact, Forceps, Sphere, Tool
+from palpate.dynamics.contact.tools import Forceps, Tool
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
@@ -45,7 +45,7 @@ from palpate.reduction.realtime.cut_display import CutFullSurface
 from palpate.reduction.realtime.display_surface import DisplaySurface
 from palpate.reduction.realtime.full_body import step_statistics
 from palpate.reduction.realtime.full_surface import FullSurface, display_surface
-from palpate.reduction.realtime.model import realtime_model
+from palpate.reduction.realtime.model import idle_model
 
 __all__ = ["Session"]
 
@@ -57,7 +57,6 @@ MAX_READS = 1000  # attempts to read the engine and the model in the same period
 PACE_SECONDS = 3.0  # [s] over which the pace is taken
 HOLD_SECONDS = 1.0  # [s] after its last pose for which a tool counts as held
 SLEEP_TIME = 3.0  # [s] without a tick after which the machine is taken to have slept
-ABSENT_TOOL_DISTANCE = 10.0  # [m] from the body to an absent tool
 NO_TOOL = SelectedTool("none", None)
 MODULUS_NAME = "shear modulus"
 REDRAW_INTERVAL = 0.1  # [s] between new surfaces of a body that is being cut
@@ -98,17 +97,11 @@ class Session:
         self.surface: DisplaySurface = display_surface(model)
         self._workspace = ToolWorkspace(self.surface)
         self.is_full = not isinstance(model, ReducedModel)
-        self.accepts_tools = not isinstance(model, ReducedModel) or (
-            not model.data.prescribed and model.data.compliance is not None
-        )
-        away = model.cloud.points.max(axis=0) + ABSENT_TOOL_DISTANCE
-        contact = Contact(Sphere(model.cloud.spacing), away) if self.accepts_tools else None
-        self._realtime_model = realtime_model(model, contact=contact, foundations=foundations)
+        self._realtime_model = idle_model(model, foundations)
+        self.accepts_tools = self._realtime_model.change_tool is not None
         self._tool_origin, self._tool_rotation = np.zeros(3), NO_ROTATION  # when the tool was put down
         self.tool, self.selected_tool = NO_TOOL, NO_TOOL
-        if self._realtime_model.change_tool is not None:
-            self._realtime_model.change_tool(None, np.concatenate([np.zeros(3), NO_ROTATION]), 0.0)
-        elif isinstance(model, ReducedModel):
+        if not self.accepts_tools and isinstance(model, ReducedModel):
             centre = model.cloud.points[model.cloud.group(model.data.prescribed[0])].mean(axis=0)
             self._tool_origin[: len(centre)] = centre
             self.tool = self.selected_tool = SelectedTool("group", None)
