@@ -23,7 +23,9 @@ __all__ = [
     "Lanes",
     "Weights",
     "column_sums",
+    "column_sums_2",
     "column_work",
+    "column_work_3",
     "gather_rows",
     "lane_gather",
     "lane_sums_1x3",
@@ -332,79 +334,103 @@ def _emit_gather(
     builder.store(following, builder.inttoptr(out_at, vector.as_pointer()), align=8)
 
 
-def _column_pass(single: bool, back: bool, name: str) -> Any:
+def _column_pass(single: bool, back: bool, rows: int, name: str) -> Any:
     """Return an intrinsic for sums over the nine derivatives (m, 9, LANES) of basis vectors at one block.
 
-    Its arguments are the addresses of the derivatives, of the coordinates (m,) and of the result
-    (9, LANES), the sum over the basis vectors. With `back` they are those of the derivatives, of nine
-    vectors (9, LANES) and of the result (m, LANES), to which the products with every basis vector's
-    derivatives are added. The last argument is the number of basis vectors.
+    Its arguments are the addresses of the derivatives, of the coordinates (m,) of every row, and of the
+    result (9, LANES) of every row, the sum over the basis vectors. With `back` they are those of the
+    derivatives, of nine vectors (9, LANES) of every row, and of the result (m, LANES) of every row, to which
+    the products with every basis vector's derivatives are added. The last argument is the number of basis vectors.
     """
 
-    def sums(typingctx, table_at, given_at, out_at, count):  # type: ignore[no-untyped-def]
-        signature = types.void(types.intp, types.intp, types.intp, types.intp)
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        given, out = args[1 : 1 + rows], args[1 + rows : 1 + 2 * rows]
+        _emit_column_loop(builder, args[0], given, out, args[-1], single, back)
+        return context.get_dummy_value()
 
-        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-            _emit_column_loop(builder, args, single, back)
-            return context.get_dummy_value()
+    if rows == 1:
 
-        return signature, codegen
+        def sums(typingctx, table_at, given_at, out_at, count):  # type: ignore[no-untyped-def]
+            return types.void(*(types.intp,) * 4), codegen
+
+    elif rows == 2:
+
+        def sums(typingctx, table_at, given_at, given_2_at, out_at, out_2_at, count):  # type: ignore[no-untyped-def]
+            return types.void(*(types.intp,) * 6), codegen
+
+    else:
+
+        def sums(  # type: ignore[no-untyped-def]
+            typingctx, table_at, given_at, given_2_at, given_3_at, out_at, out_2_at, out_3_at, count
+        ):
+            return types.void(*(types.intp,) * 8), codegen
 
     sums.__name__ = sums.__qualname__ = name
     return intrinsic(sums)
 
 
-def _emit_column_loop(builder: Any, args: list[Any], single: bool, back: bool) -> None:
-    """Emit the loop over basis vectors, with the nine vectors in registers."""
-    table_at, given_at, out_at, count = args
+def _emit_column_loop(
+    builder: Any, table_at: Any, given_at: list[Any], out_at: list[Any], count: Any, single: bool, back: bool
+) -> None:
+    """Emit the loop over basis vectors, with the nine vectors of every row in registers."""
     i64, i32, scalar = ir.IntType(64), ir.IntType(32), ir.DoubleType()
     vector = ir.VectorType(scalar, LANES)
     stored = ir.VectorType(ir.FloatType(), LANES) if single else vector
     table_ptr = builder.inttoptr(table_at, stored.as_pointer())
-    given_ptr = builder.inttoptr(given_at, (vector if back else scalar).as_pointer())
-    out_ptr = builder.inttoptr(out_at, vector.as_pointer())
+    given_ptr = [builder.inttoptr(at, (vector if back else scalar).as_pointer()) for at in given_at]
+    out_ptr = [builder.inttoptr(at, vector.as_pointer()) for at in out_at]
     undefined, lane_zero = ir.Constant(vector, ir.Undefined), ir.Constant(ir.VectorType(i32, LANES), [0] * LANES)
     nine = [ir.Constant(i64, q) for q in range(9)]
-    factors = [builder.load(builder.gep(given_ptr, [q]), align=8) for q in nine] if back else []
+    factors = [[builder.load(builder.gep(at, [q]), align=8) for q in nine] if back else [] for at in given_ptr]
     entry, loop = builder.block, builder.append_basic_block("column")
     end = builder.append_basic_block("columns.end")
     builder.branch(loop)
     builder.position_at_end(loop)
     m = builder.phi(i64)
     m.add_incoming(ir.Constant(i64, 0), entry)
-    totals = [] if back else [builder.phi(vector) for _ in nine]
+    totals = [[] if back else [builder.phi(vector) for _ in nine] for _ in given_ptr]
     row = builder.mul(m, ir.Constant(i64, 9))
     values = [builder.load(builder.gep(table_ptr, [builder.add(row, q)]), align=4) for q in nine]
     if single:
         values = [builder.fpext(value, vector) for value in values]
-    if back:
-        at = builder.gep(out_ptr, [m])
-        total, other = builder.load(at, align=8), ir.Constant(vector, [0.0] * LANES)
-        for q in range(9):  # two independent chains of additions
-            product = builder.fmul(values[q], factors[q], flags=("contract",))
-            total, other = other, builder.fadd(product, total, flags=("contract",))
-        builder.store(builder.fadd(total, other), at, align=8)
-    else:
-        first = builder.insert_element(undefined, builder.load(builder.gep(given_ptr, [m])), ir.Constant(i32, 0))
+    sums: list[list[Any]] = []
+    for k, given in enumerate(given_ptr):
+        if back:
+            at = builder.gep(out_ptr[k], [m])
+            total, other = builder.load(at, align=8), ir.Constant(vector, [0.0] * LANES)
+            for q in range(9):  # two independent chains of additions
+                product = builder.fmul(values[q], factors[k][q], flags=("contract",))
+                total, other = other, builder.fadd(product, total, flags=("contract",))
+            builder.store(builder.fadd(total, other), at, align=8)
+            continue
+        first = builder.insert_element(undefined, builder.load(builder.gep(given, [m])), ir.Constant(i32, 0))
         coordinate = builder.shuffle_vector(first, undefined, lane_zero)
-        sums = []
+        sums.append([])
         for q in range(9):
             product = builder.fmul(values[q], coordinate, flags=("contract",))
-            sums.append(builder.fadd(product, totals[q], flags=("contract",)))
-        for phi, value in zip(totals, sums, strict=True):
+            sums[k].append(builder.fadd(product, totals[k][q], flags=("contract",)))
+        for phi, value in zip(totals[k], sums[k], strict=True):
             phi.add_incoming(ir.Constant(vector, [0.0] * LANES), entry)
             phi.add_incoming(value, loop)
     following = builder.add(m, ir.Constant(i64, 1))
     m.add_incoming(following, loop)
     builder.cbranch(builder.icmp_signed("<", following, count), loop, end)
     builder.position_at_end(end)
-    if not back:
+    for k, row_sums in enumerate(sums):
         for q in range(9):
-            builder.store(sums[q], builder.gep(out_ptr, [nine[q]]), align=8)
+            builder.store(row_sums[q], builder.gep(out_ptr[k], [nine[q]]), align=8)
 
 
-column_sums = {False: _column_pass(False, False, "column_sums"), True: _column_pass(True, False, "column_sums_single")}
-column_work = {False: _column_pass(False, True, "column_work"), True: _column_pass(True, True, "column_work_single")}
+column_sums, column_work = (
+    {single: _column_pass(single, back, 1, name + "_single" * single) for single in (False, True)}
+    for back, name in ((False, "column_sums"), (True, "column_work"))
+)
+column_sums_2 = {
+    single: _column_pass(single, False, 2, "column_sums_2" + "_single" * single) for single in (False, True)
+}
+column_work_3 = {
+    single: _column_pass(single, True, 3, "column_work_3" + "_single" * single) for single in (False, True)
+}
 lane_sums_3x3 = _lane_sums(3, 3, "lane_sums_3x3")
 lane_sums_3x6 = _lane_sums(3, 6, "lane_sums_3x6")
 lane_sums_1x3 = _lane_sums(1, 3, "lane_sums_1x3")

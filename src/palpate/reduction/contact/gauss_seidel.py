@@ -34,7 +34,7 @@ SWEEP_TOLERANCE = 1e-3  # largest change of a position in the last sweep, as a f
 PATH_START, PATH_END, PATH_NOW = range(3)  # entries of `RigidTools.path`
 
 
-@kernel_njit(inner=True, fastmath={"contract"})
+@kernel_njit(inner=True, fastmath={"contract", "reassoc"})
 def _modal_displacement(surface, i, coordinates, out):  # type: ignore[no-untyped-def]
     """Write the displacement of a node by the coordinates."""
     x, y, z = 0.0, 0.0, 0.0
@@ -385,6 +385,16 @@ def place_frame(turned, home, frame):  # type: ignore[no-untyped-def]
         frame[i, 3] = turned[i, 3]
 
 
+@kernel_njit(inner=True, fastmath={"contract", "reassoc"})
+def kick_by_load(v, step, response, load):  # type: ignore[no-untyped-def]
+    """Accelerate coordinates (m,) by a load on them during a step [s]."""
+    for m in range(v.shape[0]):
+        value = 0.0
+        for k in range(v.shape[0]):
+            value += response[m, k] * load[k]
+        v[m] += step * value
+
+
 @kernel_njit(inner=True)
 def press(data, q, v, at, step, period, share, tool_forces):  # type: ignore[no-untyped-def]
     """Advance the tool to a fraction of its path in a period [s], and apply its forces in a step [s].
@@ -415,9 +425,7 @@ def press(data, q, v, at, step, period, share, tool_forces):  # type: ignore[no-
         at[m] = q[m] + step * v[m]
     tools.impulses[:] = 0.0
     settle(data.contact_surface, data.contact_work, tools, at, v, step, response, q.shape[0])
-    for m in range(q.shape[0]):
-        for k in range(q.shape[0]):
-            v[m] += step * response[m, k] * tools.load[k]
+    kick_by_load(v, step, response, tools.load)
     for i in range(3):
         k, m = (i + 1) % 3, (i + 2) % 3
         tool_forces[i] += tools.impulses[0, i] / period

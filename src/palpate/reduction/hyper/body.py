@@ -265,7 +265,7 @@ def reduced_body(data: ReducedData, single: bool = True) -> ReducedBody:
     all_mass = (flat * np.repeat(masses, 3)) @ flat.T
     mass = np.ascontiguousarray(all_mass[:count, :count])
     all_points, points = (data.integration_points(np.arange(size), coefficients, single) for size in (len(flat), count))
-    force, energy = sampled_energy(law, single)
+    compiled = sampled_energy(law, single)
     sizes = np.linalg.norm(data.basis_vectors[:count], axis=2).max(axis=1)
     return ReducedBody(
         data=data,
@@ -284,7 +284,7 @@ def reduced_body(data: ReducedData, single: bool = True) -> ReducedBody:
         all_points=all_points,
         taut_points=points._replace(families=always_taut(points.families)),
         surface=data.surface,
-        sampled_force=force,
-        sampled_energy=energy,
+        sampled_force=compiled.force,
+        sampled_energy=compiled.energy,
         tangent=implicit_step(law, single)[1],
     )

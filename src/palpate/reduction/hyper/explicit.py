@@ -81,7 +81,7 @@ def explicit_step(law: MaterialPoint, single: bool) -> Any:
         is an `ExplicitData`, `contact` a `ContactData`.
     """
     digest = law_digest(__name__, "explicit step", law.digest, single)
-    force, _ = sampled_energy(law, single)
+    force = sampled_energy(law, single).force
 
     @law_njit(digest, nogil=True, fastmath={"contract"})
     def explicit(a, v, lifting, holds, step, loads, data, contact):  # type: ignore[no-untyped-def]

@@ -127,7 +127,7 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         ``tangent(a, sizes, integration_points, scratch, vectors, count, matrix)`` writes -df/da.
     """
     digest = law_digest(__name__, "implicit step", law.digest, single)
-    force, _ = sampled_energy(law, single)
+    force = sampled_energy(law, single).force
 
     @law_njit(digest, nogil=True, fastmath={"contract"})
     def tangent(a, sizes, integration_points, scratch, vectors, count, matrix):  # type: ignore[no-untyped-def]

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
-from palpate.dynamics.compiled.lanes import LANES, column_sums, column_work
+from palpate.dynamics.compiled.lanes import LANES, column_sums, column_sums_2, column_work, column_work_3
 from palpate.dynamics.material.fibres import Families, lay_out_fibres
 from palpate.dynamics.material.material_fields import spread
 from palpate.dynamics.material.relaxation import HistoryVariables, Relaxation, history, overstress_alone, relax_volume
@@ -34,7 +34,15 @@ from palpate.reduction.hyper.material_point import MaterialPoint
 from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.regions import Regions
 
-__all__ = ["IntegrationPoints", "Scratch", "integration_points", "sampled_energy", "scratch", "shear_weights"]
+__all__ = [
+    "IntegrationPoints",
+    "SampledEnergy",
+    "Scratch",
+    "integration_points",
+    "sampled_energy",
+    "scratch",
+    "shear_weights",
+]
 
 
 NO_RELAXATION = Relaxation(np.zeros(0), np.zeros(0), np.zeros(0))  # elastic tissue
@@ -183,8 +191,28 @@ def shear_weights(points: IntegrationPoints) -> Floats:
     return points.weights if isinstance(points.coefficients, tuple) else points.weights * points.coefficients[:, -1]
 
 
+class SampledEnergy(NamedTuple):
+    """Compiled functions of a law.
+
+    Parameters
+    ----------
+    force : function
+        ``force(coordinates, integration_points, scratch, result)`` writes -dE/da (m,).
+    energy : function
+        ``energy(coordinates, integration_points, scratch)`` returns E [J].
+    probe : function
+        ``probe(rows, column, change, integration_points, scratches, results)`` writes -dE/da (3, m) at two rows of
+        coordinates (2, m), and at the first with one of them changed, and returns E [J] at the first. It reads the
+        table once for all. The `scratches` are a tuple of three, which share their history variables.
+    """
+
+    force: Any
+    energy: Any
+    probe: Any
+
+
 @cache
-def sampled_energy(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
+def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
     """Compile force and energy of sampled bodies.
 
     Parameters
@@ -192,15 +220,10 @@ def sampled_energy(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
     law : MaterialPoint
     single : bool
         Whether the table has single precision. Sums have double precision in either case.
-
-    Returns
-    -------
-    force, energy : functions
-        ``force(coordinates, integration_points, scratch, result)`` writes -dE/da (m,);
-        ``energy(coordinates, integration_points, scratch)`` returns E [J].
     """
     digest = law_digest(__name__, "sampled energy", law.digest, single)
     sums, work, stress_of, density_of = column_sums[single], column_work[single], law.stress, law.density
+    two_sums, three_works = column_sums_2[single], column_work_3[single]
     measure_of, curved = law.measure, law.measure is not None
     add_stress, add_energy, at, parameter_count = (
         law.fibres.add_stress,
@@ -228,27 +251,30 @@ def sampled_energy(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
                     scratch.stress[b, q, v] += modulus_ratio * scratch.history.stress[b, q, v]
         relax_volume(integration_points.relaxation, scratch.history, scratch.moments)
 
-    @law_njit(digest, fastmath={"contract"})
-    def force(columns, integration_points, scratch, result):  # type: ignore[no-untyped-def]
-        for b in range(integration_points.table.shape[0]):
-            P, c = scratch.stress[b], scratch.cofactor[b]
-            sums(integration_points.table[b].ctypes.data, columns.ctypes.data, P.ctypes.data, columns.shape[0])
-            for v in range(LANES):
-                stress, cofactor, volume = stress_of(
-                    P[0, v], P[1, v], P[2, v], P[3, v], P[4, v], P[5, v], P[6, v], P[7, v], P[8, v],
-                    at(integration_points.coefficients, b, v),
-                )  # fmt: skip
-                stress = add_stress(
-                    stress, P[0, v], P[1, v], P[2, v], P[3, v], P[4, v], P[5, v], P[6, v], P[7, v], P[8, v],
-                    b, v, integration_points.families,
-                )  # fmt: skip
-                P[0, v], P[1, v], P[2, v] = stress[0], stress[1], stress[2]
-                P[3, v], P[4, v], P[5, v] = stress[3], stress[4], stress[5]
-                P[6, v], P[7, v], P[8, v] = stress[6], stress[7], stress[8]
-                c[0, v], c[1, v], c[2, v] = cofactor[0], cofactor[1], cofactor[2]
-                c[3, v], c[4, v], c[5, v] = cofactor[3], cofactor[4], cofactor[5]
-                c[6, v], c[7, v], c[8, v] = cofactor[6], cofactor[7], cofactor[8]
-                scratch.dilatation[b, v] = volume
+    @law_njit(digest, inner=True, fastmath={"contract"})
+    def stress_block(integration_points, scratch, b):  # type: ignore[no-untyped-def]
+        """Replace the displacement gradients of a block by stresses; write cofactors and volumetric measures."""
+        P, c = scratch.stress[b], scratch.cofactor[b]
+        for v in range(LANES):
+            stress, cofactor, volume = stress_of(
+                P[0, v], P[1, v], P[2, v], P[3, v], P[4, v], P[5, v], P[6, v], P[7, v], P[8, v],
+                at(integration_points.coefficients, b, v),
+            )  # fmt: skip
+            stress = add_stress(
+                stress, P[0, v], P[1, v], P[2, v], P[3, v], P[4, v], P[5, v], P[6, v], P[7, v], P[8, v],
+                b, v, integration_points.families,
+            )  # fmt: skip
+            P[0, v], P[1, v], P[2, v] = stress[0], stress[1], stress[2]
+            P[3, v], P[4, v], P[5, v] = stress[3], stress[4], stress[5]
+            P[6, v], P[7, v], P[8, v] = stress[6], stress[7], stress[8]
+            c[0, v], c[1, v], c[2, v] = cofactor[0], cofactor[1], cofactor[2]
+            c[3, v], c[4, v], c[5, v] = cofactor[3], cofactor[4], cofactor[5]
+            c[6, v], c[7, v], c[8, v] = cofactor[6], cofactor[7], cofactor[8]
+            scratch.dilatation[b, v] = volume
+
+    @law_njit(digest, inner=True)
+    def add_volume_stress(integration_points, scratch):  # type: ignore[no-untyped-def]
+        """Compute the moments, and add overstress and pressure to the stresses."""
         measure(scratch)
         _moments(integration_points.pressure, scratch.dilatation, scratch.moments)
         effective = scratch.moments
@@ -257,33 +283,42 @@ def sampled_energy(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             effective = scratch.history.effective
         _add_pressure(integration_points, effective, scratch, curved)
         scratch.partial[:] = 0.0
+
+    @law_njit(digest, fastmath={"contract"})
+    def force(columns, integration_points, scratch, result):  # type: ignore[no-untyped-def]
+        for b in range(integration_points.table.shape[0]):
+            sums(integration_points.table[b].ctypes.data, columns.ctypes.data, scratch.stress[b].ctypes.data,
+                 columns.shape[0])  # fmt: skip
+            stress_block(integration_points, scratch, b)
+        add_volume_stress(integration_points, scratch)
         for b in range(integration_points.table.shape[0]):
             work(integration_points.table[b].ctypes.data, scratch.stress[b].ctypes.data, scratch.partial.ctypes.data,
                  columns.shape[0])  # fmt: skip
         _collect(scratch.partial, integration_points.constant, columns, result)
 
-    @law_njit(digest)
-    def energy(columns, integration_points, scratch):  # type: ignore[no-untyped-def]
+    @law_njit(digest, inner=True)
+    def density_block(integration_points, scratch, b):  # type: ignore[no-untyped-def]
+        """Return the energy [J] of the points of a block by their displacement gradients; write volumetric measures."""
+        total, d = 0.0, scratch.stress[b]
+        for v in range(LANES):
+            density, scratch.dilatation[b, v] = density_of(
+                d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v],
+                at(integration_points.coefficients, b, v),
+            )  # fmt: skip
+            density = add_energy(
+                density, d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v],
+                b, v, integration_points.families,
+            )  # fmt: skip
+            total += integration_points.weights[b, v] * density
+        return total
+
+    @law_njit(digest, inner=True, fastmath={"contract", "reassoc"})
+    def volume_energy(columns, integration_points, scratch):  # type: ignore[no-untyped-def]
+        """Return the energy [J] of moments and hourglass residual, and of the branches after a force."""
         total = 0.0
-        for b in range(integration_points.table.shape[0]):
-            d = scratch.stress[b]
-            sums(integration_points.table[b].ctypes.data, columns.ctypes.data, d.ctypes.data, columns.shape[0])
-            for v in range(LANES):
-                density, scratch.dilatation[b, v] = density_of(
-                    d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v],
-                    at(integration_points.coefficients, b, v),
-                )  # fmt: skip
-                density = add_energy(
-                    density, d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v],
-                    b, v, integration_points.families,
-                )  # fmt: skip
-                total += integration_points.weights[b, v] * density
-        measure(scratch)
-        _moments(integration_points.pressure, scratch.dilatation, scratch.moments)
         for k in range(scratch.moments.shape[0]):
             total += 0.5 * scratch.moments[k] * scratch.moments[k]
         if integration_points.relaxation.times.shape[0] > 0:
-            force(columns, integration_points, scratch, scratch.spare)
             for b in range(integration_points.weights.shape[0]):
                 for v in range(LANES):
                     ratio = integration_points.coefficients[b, parameter_count, v] if parameter_count else 1.0
@@ -291,8 +326,55 @@ def sampled_energy(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             for k in range(scratch.history.volume_energy.shape[0]):
                 total += scratch.history.volume_energy[k]
         for m in range(columns.shape[0]):
+            stiff = 0.0
             for k in range(columns.shape[0]):
-                total += 0.5 * columns[m] * integration_points.constant[m, k] * columns[k]
+                stiff += integration_points.constant[m, k] * columns[k]
+            total += 0.5 * columns[m] * stiff
         return total
 
-    return force, energy
+    @law_njit(digest)
+    def energy(columns, integration_points, scratch):  # type: ignore[no-untyped-def]
+        total = 0.0
+        for b in range(integration_points.table.shape[0]):
+            sums(integration_points.table[b].ctypes.data, columns.ctypes.data, scratch.stress[b].ctypes.data,
+                 columns.shape[0])  # fmt: skip
+            total += density_block(integration_points, scratch, b)
+        measure(scratch)
+        _moments(integration_points.pressure, scratch.dilatation, scratch.moments)
+        if integration_points.relaxation.times.shape[0] > 0:
+            force(columns, integration_points, scratch, scratch.spare)
+        return total + volume_energy(columns, integration_points, scratch)
+
+    @law_njit(digest, fastmath={"contract"})
+    def probe(rows, column, change, integration_points, scratches, results):  # type: ignore[no-untyped-def]
+        here, along, aside = scratches
+        total, table, count = 0.0, integration_points.table, rows.shape[1]
+        for b in range(table.shape[0]):  # its part of the table stays in the fastest memory
+            G, shifted, D = here.stress[b], aside.stress[b], table[b, column]
+            two_sums(table[b].ctypes.data, rows[0].ctypes.data, rows[1].ctypes.data, G.ctypes.data,
+                     along.stress[b].ctypes.data, count)  # fmt: skip
+            for q in range(9):
+                for v in range(LANES):
+                    shifted[q, v] = G[q, v] + change * D[q, v]
+            total += density_block(integration_points, here, b)
+            stress_block(integration_points, here, b)
+            stress_block(integration_points, along, b)
+            stress_block(integration_points, aside, b)
+        add_volume_stress(integration_points, here)
+        total += volume_energy(rows[0], integration_points, here)
+        add_volume_stress(integration_points, along)
+        add_volume_stress(integration_points, aside)
+        for b in range(table.shape[0]):
+            three_works(
+                table[b].ctypes.data, here.stress[b].ctypes.data, along.stress[b].ctypes.data,
+                aside.stress[b].ctypes.data, here.partial.ctypes.data, along.partial.ctypes.data,
+                aside.partial.ctypes.data, count,
+            )  # fmt: skip
+        _collect(here.partial, integration_points.constant, rows[0], results[0])
+        _collect(along.partial, integration_points.constant, rows[1], results[1])
+        _collect(aside.partial, integration_points.constant, rows[0], results[2])
+        for m in range(count):
+            results[2, m] -= change * integration_points.constant[m, column]
+        return total
+
+    return SampledEnergy(force, energy, probe)

@@ -40,6 +40,7 @@ from palpate.reduction.realtime.period import (
     PeriodData,
     PeriodStart,
     period_functions,
+    probes,
 )
 
 __all__ = ["RealtimeModel", "idle_model", "realtime_model"]
@@ -217,6 +218,7 @@ def realtime_model(
         constrained_inverse_mass=model.body.constrained_inverse_mass,
         indicator=_indicator(model, which, body, contact is not None),
         vectors=vectors,
+        probes=probes(body),
         tangent=tangent,
         condensed=np.zeros((count, count)),
         tracking=np.array([frequency, frequency, 0.0, 0.0]),

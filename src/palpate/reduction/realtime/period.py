@@ -27,9 +27,9 @@ from palpate.reduction.hyper.implicit import LOAD as NEWTON_LOAD
 from palpate.reduction.hyper.implicit import RATE as NEWTON_RATE
 from palpate.reduction.hyper.implicit import ImplicitData, cholesky_factor, cholesky_solve, implicit_step
 from palpate.reduction.hyper.material_point import MaterialPoint
-from palpate.reduction.hyper.sampled_energy import IntegrationPoints, Scratch, sampled_energy
+from palpate.reduction.hyper.sampled_energy import IntegrationPoints, Scratch, sampled_energy, scratch
 
-__all__ = ["MAX_SUBSTEPS", "IndicatorData", "PeriodData", "PeriodStart", "period_functions"]
+__all__ = ["MAX_SUBSTEPS", "IndicatorData", "PeriodData", "PeriodStart", "period_functions", "probes"]
 
 
 STEP_SAFETY = 0.8  # explicit step over the stable one, whose frequency one power iteration a period estimates
@@ -41,6 +41,7 @@ LEAST_ENERGY = 1e-12  # [J] below which a gain is rounding
 # rows of `PeriodData.vectors`
 POWER_SHAPE, WORK, FORCE, RATE, VELOCITY_CHANGE, SAVED_COORDINATES, SAVED_VELOCITIES, TOOL_RATES = range(8)
 REST_FREQUENCY, FREQUENCY, NEXT_COLUMN, ENERGY = range(4)  # entries of `PeriodData.tracking`
+HERE, ALONG_SHAPE, ALONG_COLUMN = range(3)  # rows of `Probes.forces`
 
 
 class IndicatorData(NamedTuple):
@@ -72,6 +73,21 @@ class IndicatorData(NamedTuple):
     vectors: Floats
 
 
+class Probes(NamedTuple):
+    """Forces at the coordinates, and next to them along the shape of the power iteration and one coordinate."""
+
+    rows: Floats  # (2, m)
+    forces: Floats  # (3, m)
+    scratches: tuple[Scratch, Scratch, Scratch]
+
+
+def probes(body: ImplicitData) -> Probes:
+    """Return zeroed probes of a body; the first scratch is that of its steps."""
+    count, points = len(body.mass), body.integration_points
+    along_shape, along_column = (scratch(points, body.scratch.history) for _ in range(2))
+    return Probes(np.zeros((2, count)), np.zeros((3, count)), (body.scratch, along_shape, along_column))
+
+
 class PeriodStart(NamedTuple):
     """Copies of the history variables, of contact forces and positions, and of the frames of tools."""
 
@@ -96,6 +112,7 @@ class PeriodData(NamedTuple):
     indicator : IndicatorData
     vectors : (8, m) array
         Work arrays; the first is the state of the power iteration.
+    probes : Probes
     tangent : (m, m) array
         Each period updates one column.
     condensed : (m, m) array
@@ -121,6 +138,7 @@ class PeriodData(NamedTuple):
     constrained_inverse_mass: Floats
     indicator: IndicatorData
     vectors: Floats
+    probes: Probes
     tangent: Floats
     condensed: Floats
     tracking: Floats
@@ -171,58 +189,67 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         (l, l) of the static forces by the tool's coordinates, from the tangents of the last m periods.
     """
     digest = law_digest(__name__, "period", law.digest, single)
-    force, energy = sampled_energy(law, single)
+    compiled = sampled_energy(law, single)
+    force, probe_forces = compiled.force, compiled.probe
     average, _ = implicit_step(law, single)
 
     @law_njit(digest, inner=True, fastmath={"contract"})
-    def update_tangent(data, q):  # type: ignore[no-untyped-def]
-        """Do one power iteration for the highest frequency, and update one column of the tangent."""
-        modes, count = data.modes, q.shape[0]
-        shape, probe = data.vectors[POWER_SHAPE], data.vectors[WORK]
-        ahead, behind = data.vectors[FORCE], data.vectors[RATE]
+    def probe(data, q):  # type: ignore[no-untyped-def]
+        """Evaluate the forces that `update_tangent` requires, and return the strain energy [J] of the coordinates."""
+        modes, count, shape, rows = data.modes, q.shape[0], data.vectors[POWER_SHAPE], data.probes.rows
         largest = 0.0
         for m in range(modes):
             largest = max(largest, abs(shape[m]) / data.body.differences[m])
-        for m in range(count):
-            probe[m] = q[m]
         if not 0.0 < largest < np.inf:  # also where the vector of a crushed body is not a number
             for m in range(modes):
                 shape[m] = data.body.differences[m]
             largest = 1.0
+        for m in range(count):
+            rows[HERE, m], rows[ALONG_SHAPE, m] = q[m], q[m]
         for m in range(modes):
             shape[m] /= largest
-            probe[m] += shape[m]
-        force(q, data.body.integration_points, data.body.scratch, behind)
-        force(probe, data.body.integration_points, data.body.scratch, ahead)
+            rows[ALONG_SHAPE, m] += shape[m]
+        column, probes = int(data.tracking[NEXT_COLUMN]), data.probes
+        change, points = data.body.differences[column], data.body.integration_points
+        return probe_forces(rows, column, change, points, probes.scratches, probes.forces)
+
+    @law_njit(digest, inner=True, fastmath={"contract", "reassoc"})
+    def update_tangent(data):  # type: ignore[no-untyped-def]
+        """Do one power iteration for the highest frequency, and update one column of the tangent."""
+        modes, count = data.modes, data.tangent.shape[0]
+        shape, image, change = data.vectors[POWER_SHAPE], data.vectors[WORK], data.vectors[RATE]
+        behind, ahead, along = (
+            data.probes.forces[HERE],
+            data.probes.forces[ALONG_SHAPE],
+            data.probes.forces[ALONG_COLUMN],
+        )
         size, grown = 0.0, 0.0
+        for m in range(modes):
+            change[m] = behind[m] - ahead[m]
         for m in range(modes):
             value = 0.0
             for k in range(modes):
-                value += data.constrained_inverse_mass[m, k] * (behind[k] - ahead[k])
-            probe[m] = value
+                value += data.constrained_inverse_mass[m, k] * change[k]
+            image[m] = value
         for m in range(modes):
-            image, reference = 0.0, 0.0
+            inertia, reference = 0.0, 0.0
             for k in range(modes):
-                image += data.body.mass[m, k] * probe[k]
+                inertia += data.body.mass[m, k] * image[k]
                 reference += data.body.mass[m, k] * shape[k]
-            grown += image * probe[m]
+            grown += inertia * image[m]
             size += reference * shape[m]
         for m in range(modes):
-            shape[m] = probe[m]
+            shape[m] = image[m]
         if grown > 0.0 and size > 0.0:
             data.tracking[FREQUENCY] = np.sqrt(np.sqrt(grown / size))
         column = int(data.tracking[NEXT_COLUMN])
         data.tracking[NEXT_COLUMN] = (column + 1) % count
         for m in range(count):
-            probe[m] = q[m]
-        probe[column] += data.body.differences[column]
-        force(probe, data.body.integration_points, data.body.scratch, ahead)
-        for m in range(count):
-            data.tangent[m, column] = (behind[m] - ahead[m]) / data.body.differences[column]
+            data.tangent[m, column] = (behind[m] - along[m]) / data.body.differences[column]
             if data.body.springs.stiffness.shape[0] > 0:
                 data.tangent[m, column] += data.body.springs.stiffness[m, column]
 
-    @law_njit(digest, inner=True, fastmath={"contract"})
+    @law_njit(digest, inner=True, fastmath={"contract", "reassoc"})
     def substeps(data, q, v, speeds, period, report, refinement):  # type: ignore[no-untyped-def]
         """Take explicit steps over a period, shorter than stable ones by a factor; return their number."""
         modes, count = data.modes, q.shape[0]
@@ -286,7 +313,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
                 report[FORCES + j - data.modes] += value / steps
         return steps
 
-    @law_njit(digest, inner=True, fastmath={"contract"})
+    @law_njit(digest, inner=True, fastmath={"contract", "reassoc"})
     def distance(data, q):  # type: ignore[no-untyped-def]
         """Return the distance to the nearest training state, divided by its scale."""
         place, count, nearest = data.vectors[WORK], q.shape[0], np.inf
@@ -303,7 +330,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             nearest = min(nearest, square)
         return np.sqrt(nearest) / data.indicator.distance_scale
 
-    @law_njit(digest, inner=True, fastmath={"contract"})
+    @law_njit(digest, inner=True, fastmath={"contract", "reassoc"})
     def residual_norm(data, q, v):  # type: ignore[no-untyped-def]
         """Return the norm of the unbalanced forces on the residual fields, divided by its scale."""
         at, result, rate = data.indicator.vectors[0], data.indicator.vectors[1], data.vectors[WORK]
@@ -328,7 +355,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             total += unbalanced * unbalanced
         return np.sqrt(total) / data.indicator.residual_scale
 
-    @law_njit(digest, inner=True, fastmath={"contract"})
+    @law_njit(digest, inner=True, fastmath={"contract", "reassoc"})
     def change_rates(data, q, v, target, period):  # type: ignore[no-untyped-def]
         """Write the rates of the tool in a period, and the change of all velocities that they cause at its start."""
         modes, count, mass, constrained_inverse = data.modes, q.shape[0], data.body.mass, data.constrained_inverse_mass
@@ -343,7 +370,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
                     value -= constrained_inverse[m, k] * mass[k, j] * change[j]
             change[m] = value
 
-    @law_njit(digest, inner=True, fastmath={"contract"})
+    @law_njit(digest, inner=True, fastmath={"contract", "reassoc"})
     def begin(data, q, v, period, report):  # type: ignore[no-untyped-def]
         """Set the state at the start of a period, and the impulses of the tool there."""
         count, vectors, mass = q.shape[0], data.vectors, data.body.mass
@@ -355,22 +382,25 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             for k in range(count):
                 report[FORCES + j - data.modes] += mass[j, k] * change[k] / period
 
-    @law_njit(digest, inner=True, fastmath={"contract"})
+    @law_njit(digest, inner=True, fastmath={"contract", "reassoc"})
     def finish(data, q, v, target, period, report, flexible):  # type: ignore[no-untyped-def]
-        """Write the energies at the end of a period; return whether state and energy balance are right."""
+        """Write the energies at the end of a period, and `probe`; return whether state and energy balance are right."""
         modes, count, mass, speeds = data.modes, q.shape[0], data.body.mass, data.vectors[TOOL_RATES]
         work = 0.0
         for j in range(modes, count):  # remove rounding errors
             q[j] = target[j - modes]
             v[j] = speeds[j]
             work += period * speeds[j] * report[FORCES + j - modes]
-        report[KINETIC] = 0.0
+        kinetic = 0.0
         for m in range(count):
             if not (np.isfinite(q[m]) and np.isfinite(v[m])):
                 return False
+            momentum = 0.0
             for k in range(count):
-                report[KINETIC] += 0.5 * v[m] * mass[m, k] * v[k]
-        report[STRAIN] = energy(q, data.body.integration_points, data.body.scratch) + flexible
+                momentum += mass[m, k] * v[k]
+            kinetic += 0.5 * v[m] * momentum
+        report[KINETIC] = kinetic
+        report[STRAIN] = probe(data, q) + flexible
         before, after = data.tracking[ENERGY], report[KINETIC] + report[STRAIN]
         if data.step > 0.0 or data.tools.kind.shape[0] > 0:
             return np.isfinite(after)
@@ -388,7 +418,6 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             data.contact_work.force[:] = 0.0
             data.system.numbers[:] = 0
             data.tracking[ENERGY] = 0.0
-        update_tangent(data, q)
         change_rates(data, q, v, target, period)
         set_tool_path(data.tools, data.home, target, at_rest)
         save_start(data)
@@ -417,7 +446,10 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             report[STATUS] = 1.0
             return
         data.tracking[ENERGY] = report[KINETIC] + report[STRAIN]
-        report[TRUST] = max(distance(data, q), residual_norm(data, q, v))
+        update_tangent(data)
+        report[TRUST] = distance(data, q)
+        if data.indicator.residual_scale < np.inf:
+            report[TRUST] = max(report[TRUST], residual_norm(data, q, v))
         report[TRUST], report[STEPS] = max(report[TRUST], np.sqrt(flexible / data.indicator.flexibility_scale)), taken
 
     @law_njit(digest, inline="always", fastmath={"contract"})
