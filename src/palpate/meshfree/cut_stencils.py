@@ -97,8 +97,9 @@ class CutState(NamedTuple):
         Sum over I of V_I g_IJ.
     checks : (n,) array
         Sums of the lengths of every node's bonds, which change with any of them; 0 where no bond is longer.
-    touched, released : (n,) bool arrays
-        Nodes whose stencils the cut has changed, and those that left all stencils.
+    touched, released, removed : (n,) bool arrays
+        Nodes whose stencils the cut has changed, those that left all stencils, and those of the latter that left the
+        body, too.
     residuals : tuple of float
         Largest errors of the uniform stress along the cut and of the kept integrals.
     """
@@ -109,6 +110,7 @@ class CutState(NamedTuple):
     checks: Floats
     touched: NDArray[np.bool_]
     released: NDArray[np.bool_]
+    removed: NDArray[np.bool_]
     residuals: tuple[float, float]
 
 

@@ -345,6 +345,7 @@ def contacts(
     prescribed_until: Floats,
     sliding: tuple[NDArray[np.int64], Floats],
     patches: sparse.csr_array | None = None,
+    removed: Ints | None = None,
 ) -> Contacts:
     """Prepare rigid tools for a cloud.
 
@@ -359,6 +360,8 @@ def contacts(
     patches : csr_array, optional
         (n, n) weights of the nodal displacements in those of the contact patches; by default the
         patches are the nodes.
+    removed : int array, optional
+        Nodes that no tool reaches.
 
     Raises
     ------
@@ -370,6 +373,8 @@ def contacts(
         raise InputError("model of a Blade must be a Solid in the energy form, got another; use form='energy'")
     # with the interior nodes: a tool that presses deep acts on them below a stretched surface
     nodes = [_candidates(load, cloud) for load in loads]
+    if removed is not None and len(removed):
+        nodes = [each[~np.isin(each, removed)] for each in nodes]
     sizes = np.array([load.tool.sizes for load in loads]).reshape(-1, 3)
     kind = np.array([load.tool.kind for load in loads], dtype=np.int64)
     tools, count, candidates = len(loads), len(cloud) if loads else 0, [len(n) for n in nodes]

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
+from palpate.arrays import Floats, Ints
 from palpate.describe import Described, Fact
 from palpate.dynamics.contact.geometry import Contacts, contacts, held_nodes, with_scratch
 from palpate.dynamics.contact.tools import Contact, Grasp
@@ -158,6 +158,8 @@ class PreparedLoads(Described):
         Constrained directions (k, 3) of the supports that leave their groups free in others.
     partitions : dict
         Partitions of unity by groups, computed on first use.
+    removed : (r,) int array
+        Nodes that left the body, for which no group bears a force.
 
     Examples
     --------
@@ -180,6 +182,7 @@ class PreparedLoads(Described):
     grasps: tuple[str, ...] = ()
     directions: dict[str, Floats] = field(default_factory=dict, repr=False, compare=False)
     partitions: dict[tuple[str, ...], Any] = field(default_factory=dict, repr=False, compare=False)
+    removed: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64), repr=False, compare=False)
 
     def is_prescribed(self, times: Floats) -> NDArray[np.bool_]:
         """Return whether the motion of groups is prescribed at some times [s], shape (t,); True without such groups."""
@@ -371,6 +374,7 @@ def prepare_loads(
     loads: Sequence[Load],
     areas_of: Callable[[DeadLoad | Pressure], Floats] | None = None,
     patches: sparse.csr_array | None = None,
+    removed: Ints | None = None,
 ) -> PreparedLoads:
     """Prepare loads for a cloud with supports.
 
@@ -384,6 +388,8 @@ def prepare_loads(
     patches : csr_array, optional
         (n, n) weights of the nodal displacements in those of the contact patches; by default the
         patches are the nodes.
+    removed : int array, optional
+        Nodes that left the body: they are fixed, and no tool reaches them.
 
     Raises
     ------
@@ -399,7 +405,8 @@ def prepare_loads(
         PrescribedMotion(load.name, load.displacement, load.until) if isinstance(load, Grasp) else load
         for load in loads
     )
-    constraints = _constraints(cloud, supports, loads)
+    gone = np.zeros(0, dtype=np.int64) if removed is None else removed
+    constraints = _constraints(cloud, supports, loads, gone)
     sites = _load_sites(cloud, loads, constraints, areas_of)
     _check_free_nodes(cloud, loads, constraints)
     tools = [load for load in loads if isinstance(load, Contact)]
@@ -413,10 +420,11 @@ def prepare_loads(
         sites=sites,
         supports=constraints.supports,
         points=cloud.points,
-        contacts=contacts(tools, cloud, constraints.until, (sites.slide_of, sites.slide), patches),
+        contacts=contacts(tools, cloud, constraints.until, (sites.slide_of, sites.slide), patches, gone),
         motions=constraints.motions,
         grasps=grasps,
         directions=constrained_directions(cloud, supports),
+        removed=gone,
     )
 
 
@@ -439,17 +447,24 @@ def with_held_nodes(prepared: PreparedLoads, masses: Floats, rate: float) -> Pre
     return replace(prepared, contacts=contacts._replace(held=records))
 
 
-def _constraints(cloud: Cloud, supports: Sequence[Support], loads: Sequence[Load]) -> _Constraints:
+def _constraints(cloud: Cloud, supports: Sequence[Support], loads: Sequence[Load], removed: Ints) -> _Constraints:
     """Return the constraints of supports and prescribed motions; raise `InputError` for overlaps."""
     groups = {support.group: cloud.group(support.group) for support in supports}
     supported = supported_nodes(cloud, supports)
     kind = supported.kind.copy()
+    kind[removed] = FIXED
     until = np.where(kind == FIXED, np.inf, -np.inf)
     prescribed, motions, count = [np.zeros(0, dtype=np.int64)], [], 0
     for load in loads:
         if not isinstance(load, PrescribedMotion):
             continue
         nodes = cloud.group(load.group)
+        gone = np.intersect1d(nodes, removed)
+        if gone.size:
+            raise InputError(
+                f"group of PrescribedMotion must have no removed nodes, got {load.group!r}, whose nodes "
+                f"{first_few(gone)} are of a piece that was cut off; cut with detached='keep', or use another group"
+            )
         taken = nodes[(kind[nodes] == FIXED) | (kind[nodes] == PRESCRIBED)]
         if taken.size:
             raise InputError(

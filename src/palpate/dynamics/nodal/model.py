@@ -369,7 +369,7 @@ class NodalModel(Model):
             work.step,
         )
         if prepared.tools:
-            check_penetration(prepared, contacts, schedule, u, surface_nodes(self.cloud), self.cloud.spacing, step)
+            check_penetration(prepared, contacts, schedule, u, self._touched_nodes(), self.cloud.spacing, step)
         history: History = ()
         if self.material.prony is not None:
             lost += self._relaxed_energy(work)
@@ -391,6 +391,10 @@ class NodalModel(Model):
             tools = 0.5 * step * steps * power
         report = StepReport(done + tools, lost, float(least.min(initial=0.0)), contacts.tool_impulses)
         return replace(new, external_work=new.external_work + tools), report
+
+    def _touched_nodes(self) -> NDArray[np.int64]:
+        """Return the nodes of the surface that tools can touch."""
+        return surface_nodes(self.cloud)
 
     def _least_dilatation(self, work: NodalWork) -> Floats:
         """Return the array (1,) in which the passes store the least dilatation; empty where they do not."""

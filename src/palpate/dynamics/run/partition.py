@@ -45,7 +45,9 @@ def active_partitions(
     supports = prepared.active_supports(time)
     names = tuple(supports)
     if names not in prepared.partitions:
-        prepared.partitions[names] = partitions(points, supports, prepared.directions)
+        parts = prepared.partitions[names] = partitions(points, supports, prepared.directions)
+        for part in parts:
+            part.phi[:, prepared.removed] = 0.0
     return supports, prepared.partitions[names]
 
 

@@ -173,6 +173,11 @@ class Solid(NodalModel):
         """Nodes (r,) that slivers of a cut have released: they carry no force."""
         return np.zeros(0, dtype=np.int64) if self._cut is None else np.flatnonzero(self._cut.released)
 
+    @property
+    def removed_nodes(self) -> Ints:
+        """Nodes (r,) of pieces that were cut off and removed; see ``detached`` of `palpate.cut`."""
+        return np.zeros(0, dtype=np.int64) if self._cut is None else np.flatnonzero(self._cut.removed)
+
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
         return self._press_supports(prepare_loads(self.cloud, self.supports, listed(loads)))
 

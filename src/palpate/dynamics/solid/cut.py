@@ -1,4 +1,9 @@
-"""Cuts of a body in the energy form: a body that shares all that a cut does not change."""
+"""Cuts of a body in the energy form: a body that shares all that a cut does not change.
+
+A piece is a set of nodes that bonds connect, also those of the smoothing. No bond connects two pieces, so that the
+others keep their stencils when one is removed. Its nodes stay in all arrays. They leave all stencils, are held at their
+places in the stress-free body, and no tool reaches them.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +11,15 @@ from copy import copy
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sparse
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from palpate.arrays import Floats
+from palpate.dynamics.loads.supports import FIXED
 from palpate.dynamics.material.fibres import always_taut
 from palpate.dynamics.solid.base import Solid
-from palpate.dynamics.solid.cut_layout import fitted_entries, row_entries, smoothing_entries, with_stencils
+from palpate.dynamics.solid.cut_layout import Entries, fitted_entries, row_entries, smoothing_entries, with_stencils
 from palpate.faults import CloudError, InputError, brief
 from palpate.meshfree.cut_stencils import (
     RELEASED_FIT,
@@ -24,13 +32,14 @@ from palpate.meshfree.cut_stencils import (
 )
 from palpate.meshfree.cut_surface import MAX_WAY, NO_CUT, CutSurface, cut_surface, first_triangles, nodes_near
 
-__all__ = ["cut", "cut_from", "uncut_state"]
+__all__ = ["cut", "cut_from", "uncut_state", "without_detached"]
 
+KEEP_PIECES, REMOVE_PIECES = "keep", "remove"
 MAX_ROUNDS = 20  # of releases of nodes
 MAX_RESIDUAL = 1e-6  # of the uniform stress along a cut and of the integrals that are kept, relative to a node's
 
 
-def cut(body: Solid, triangles: Any) -> Solid:
+def cut(body: Solid, triangles: Any, *, detached: str = KEEP_PIECES) -> Solid:
     """Return a body that is cut along triangles, in addition to its present cut.
 
     Nodes, volumes and masses stay. Stencils of nodes near the triangles go round the fronts of the cut, or end at its
@@ -44,6 +53,10 @@ def cut(body: Solid, triangles: Any) -> Solid:
         In the energy form, without planes of symmetry. It does not change.
     triangles : (t, 3, 3) array [m]
         Corners in the stress-free body. Neighbouring triangles share their corners.
+    detached : str
+        ``"keep"``: pieces that no support holds any more move freely. ``"remove"``: they leave the body, as released
+        nodes of slivers do, and are `removed_nodes` of the result. They have no force, no motion and no contact, and
+        are not drawn. All arrays keep their sizes. Of a body without supports the largest piece stays.
 
     Returns
     -------
@@ -53,7 +66,8 @@ def cut(body: Solid, triangles: Any) -> Solid:
     Raises
     ------
     InputError
-        The body has another form or planes of symmetry, or the triangles are not a finite array of that shape.
+        The body has another form or planes of symmetry, the triangles are not a finite array of that shape, or
+        `detached` is another word.
     CloudError
         A triangle has no width, the surface of the body is not known, or stencils along the cut do not exist.
 
@@ -69,8 +83,11 @@ def cut(body: Solid, triangles: Any) -> Solid:
     >>> opened.strain_energy(parted) < 0.8 * block.strain_energy(parted)
     True
     """
+    if detached not in (KEEP_PIECES, REMOVE_PIECES):
+        raise InputError(f"detached must be 'keep' or 'remove', got {brief(detached)}")
     solid, corners = _checked(body, triangles)
-    return cut_from(solid, len(solid.cut_surface.triangles), corners)
+    result = cut_from(solid, len(solid.cut_surface.triangles), corners)
+    return without_detached(result) if detached == REMOVE_PIECES else result
 
 
 def cut_from(body: Any, kept: int, corners: Floats) -> Solid:
@@ -111,7 +128,8 @@ def uncut_state(body: Any) -> CutState:
         body.cloud.points, body.volumes, body.cloud.spacing, stencils.neighbours, stencils.first[stencils.row],
         body.smoothing.neighbours, body.cloud.triangles.ravel(),
     )  # fmt: skip
-    return CutState(NO_CUT, uncut, uncut.sums, np.zeros(n), np.zeros(n, np.bool_), np.zeros(n, np.bool_), (0.0, 0.0))
+    none = np.zeros(n, np.bool_)
+    return CutState(NO_CUT, uncut, uncut.sums, np.zeros(n), none, none, none, (0.0, 0.0))
 
 
 def _nodes_to_fit(
@@ -167,14 +185,49 @@ def _exchange(
     touched, checks = before.touched.copy(), before.checks.copy()
     touched[nodes], checks[nodes] = True, rows.checks
     residuals = max(before.residuals[0], stress_left), max(before.residuals[1], integrals_left)
-    state = CutState(surface, uncut, rest + new.sums(volumes)[:, :3], checks, touched, released, residuals)
+    sums = rest + new.sums(volumes)[:, :3]
+    state = CutState(surface, uncut, sums, checks, touched, released, before.removed, residuals)
     return state, with_stencils(body, nodes, new, smoothing, volumes)
+
+
+def without_detached(body: Any) -> Solid:
+    """Return a body without the pieces that no support holds; of one without supports the largest piece stays."""
+    before, n = body.cut_state, len(body.cloud)
+    pieces = _pieces(body.body, n)
+    anchors = [body.cloud.group(support.group) for support in body.supports]
+    if not anchors:
+        volumes = np.bincount(pieces, np.where(before.removed, 0.0, body.volumes))
+        anchors = [np.flatnonzero(pieces == volumes.argmax())]
+    removed = ~np.isin(pieces, pieces[np.concatenate(anchors)])
+    new = np.flatnonzero(removed & ~before.removed)
+    if not len(new):
+        return body
+    none = np.zeros(0, dtype=np.int64)
+    rows, smoothing = (Entries(none, none, np.zeros((0, width))) for width in (4, 1))
+    sums, touched = before.sums.copy(), before.touched | removed
+    sums[removed] = 0.0
+    state = before._replace(sums=sums, touched=touched, released=before.released | removed, removed=removed)
+    result = _with_cut(body, state, with_stencils(body.body, new, rows, smoothing, body.volumes))
+    kind = body.supported.kind.copy()
+    kind[new] = FIXED
+    vars(result).update(supported=body.supported._replace(kind=kind), fixed_mask=kind == FIXED)
+    return result
+
+
+def _pieces(body: Any, n: int) -> NDArray[np.int64]:
+    """Return the number of every node's piece, shape (n,)."""
+    nodes = np.arange(n)
+    bonds = [row_entries(body.lanes, nodes), smoothing_entries(body.smoothing, body.value, nodes)]
+    node, near = (np.concatenate([getattr(each, name) for each in bonds]) for name in ("node", "near"))
+    used = np.concatenate([np.any(each.weights != 0.0, axis=1) for each in bonds])
+    graph = sparse.coo_array((np.ones(int(used.sum())), (node[used], near[used])), shape=(n, n))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def _with_cut(body: Any, state: CutState, constants: Any) -> Solid:
     """Return a copy of a body with other constants, without what was computed from the former ones."""
     result: Solid = copy(body)
-    for name in ("stencils", "smoothing", "patches", "stability", "_recovery"):
+    for name in ("stencils", "smoothing", "patches", "stability", "_recovery", "free_directions"):
         vars(result).pop(name, None)
     taut = constants if body.fibres is None else constants._replace(families=always_taut(constants.families))
     vars(result).update(body=constants, taut_body=taut, _cut=state)

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sparse
+from numpy.typing import NDArray
 
 from palpate.arrays import Floats, sum_of_products
 from palpate.dynamics.compiled.passes import smooth_field
@@ -33,6 +34,7 @@ from palpate.meshfree.stencils import Stencils
 __all__ = ["EnergySolid"]
 
 
+NEW_SURFACE = 1.5  # distance from removed nodes below which others are at the surface, in spacings
 DEFAULT_DAMPING = 0.1  # default stiffness damping, times the highest frequency
 CRUSHED_DILATATION = -0.6  # dilatation below which the energy balance of steps is checked
 MAX_ENERGY_ERROR = 1e-3  # largest energy error of such steps, relative to the energy
@@ -198,8 +200,17 @@ class EnergySolid(Solid):
         patches = self.patches if in_contact else None
         if self.planes and any(isinstance(load, Contact) and load.tool.kind == BLADE for load in loads):
             raise InputError("model of a Blade must have no planes of symmetry, got some; cut the complete body")
-        prepared = self._press_supports(prepare_loads(self.cloud, self.supports, loads, patches=patches))
+        prepared = self._press_supports(
+            prepare_loads(self.cloud, self.supports, loads, patches=patches, removed=self.removed_nodes)
+        )
         return prepared if self._cut is None else with_pairs(self, prepared)
+
+    def _touched_nodes(self) -> NDArray[np.int64]:
+        nodes, removed = super()._touched_nodes(), self.removed_nodes
+        if not len(removed):
+            return nodes
+        near = self.cut_state.uncut.tree.query_ball_point(self.cloud.points[removed], NEW_SURFACE * self.cloud.spacing)
+        return np.setdiff1d(np.concatenate([nodes, *near]), removed).astype(np.int64)
 
     @cached_property
     def patches(self) -> sparse.csr_array:

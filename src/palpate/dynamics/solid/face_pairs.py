@@ -49,7 +49,11 @@ def face_pairs(state: CutState, u: Floats, corners: Floats) -> BladeSites:
     above, below = (point_weights(state.uncut, state.surface, points, points + side * sight) for side in (1.0, -1.0))
     nodes = np.concatenate([above.nodes, below.nodes], axis=1)
     weights = np.concatenate([above.values, -below.values], axis=1)
-    used, count = weights != 0.0, len(points)
+    used = weights != 0.0
+    kept = ~np.any(used & state.removed[nodes], axis=1)
+    nodes, weights, used, normals = nodes[kept], weights[kept], used[kept], normals[kept]
+    above, below = (PointWeights(*(array[kept] for array in side)) for side in (above, below))
+    count = len(nodes)
     vectors = np.zeros((count, 3))
     return BladeSites(
         tool=np.full(count, NO_TOOL, dtype=np.int64), kind=np.full(count, PAIR_SITE, dtype=np.int64),

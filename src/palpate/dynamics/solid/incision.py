@@ -284,7 +284,15 @@ def _cutting_pieces(state: CutState, edges: Floats, near: Any, normals: Floats) 
     centers = 0.5 * (middles[:-1] + middles[1:])
     way = 0.5 * ((edges[1] - edges[0])[:-1] + (edges[1] - edges[0])[1:])
     new = (near[:-1] | near[1:]) & (np.sum(way * normals, axis=1) > 0)
-    return np.asarray(new & ~_in_cut(state, centers))
+    return np.asarray(new & ~_in_cut(state, centers) & ~_in_removed(state, centers, normals))
+
+
+def _in_removed(state: CutState, points: Floats, sights: Floats) -> NDArray[np.bool_]:
+    """Return which points (p, 3), seen along unit vectors (p, 3), are in tissue that was removed."""
+    if not state.removed.any() or not len(points):
+        return np.zeros(len(points), dtype=np.bool_)
+    weights = point_weights(state.uncut, state.surface, points, points + SIGHT_DISTANCE * state.uncut.spacing * sights)
+    return np.asarray(np.sum(weights.values * state.removed[weights.nodes], axis=1) > 0.5)
 
 
 def _in_cut(state: CutState, points: Floats) -> NDArray[np.bool_]:
@@ -358,6 +366,7 @@ def blade_sites(
     lengths = shares * np.linalg.norm(np.diff(points, axis=0), axis=1)
     seen = _forward(incision.edge, frame, blade, spacing)
     in_cut = _in_cut(state, segments.mean(axis=1) + AHEAD_OF_EDGE * spacing * seen)
+    shares[_in_removed(state, segments.mean(axis=1), seen)] = 0.0
     held = np.flatnonzero((shares > LEAST_SHARE) & ~in_cut)
     parts = [(EDGE_SITE, segments.mean(axis=1)[held], seen[held], middles[held], directions[held], np.zeros(len(held)))]
     parts += _faces(state, blade, frame, u, points, incision.edge, corners)
@@ -463,7 +472,7 @@ def _faces(
         at, seen = reference_points(state.uncut, surface, u, places, guesses, sight)
         projections, distance, over = _project(state, at)
         shares = _shares_inside(state, projections, along[close], corners)
-        used = over & (distance < spacing) & (shares > 0)
+        used = over & (distance < spacing) & (shares > 0) & ~_in_removed(state, projections, seen)
         depth = np.minimum(0.0, (projections + _displacements(state, projections, seen, u) - places) @ sight[0])
         side_places = flat + (np.minimum(0.5 * blade.wedge, NEW_DEPTH * spacing + depth))[:, None] * normal
         count = int(used.sum())

@@ -58,7 +58,9 @@ class CutFullSurface(FullSurface):
         nearest = weights.nodes[np.arange(len(points)), np.argmax(weights.values, axis=1)]
         self.nodes = np.concatenate([uncut.nodes, nearest])
         self.rest = np.concatenate([uncut.rest, points.astype(np.float32)])
-        self.triangles = np.ascontiguousarray(np.concatenate([opened.triangles, faces.triangles]), dtype=np.uint32)
+        triangles = np.concatenate([opened.triangles, faces.triangles])
+        triangles = triangles[~state.removed[self.nodes][triangles].any(axis=1)]
+        self.triangles = np.ascontiguousarray(triangles, dtype=np.uint32)
         self.fixed = np.concatenate([fixed_nodes(model)[uncut.nodes], np.zeros(len(points), dtype=np.bool_)])
         self._patches = sparse.vstack([model.patches[uncut.nodes], new], format="csr").astype(np.float32)
 

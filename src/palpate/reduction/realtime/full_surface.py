@@ -49,7 +49,9 @@ class FullSurface:
 
     def __init__(self, model: EnergySolid) -> None:
         self.model = model
-        self.nodes, triangles = np.unique(model.cloud.triangles, return_inverse=True)
+        surface = model.cloud.triangles
+        surface = surface[~np.isin(surface, model.removed_nodes).any(axis=1)]
+        self.nodes, triangles = np.unique(surface, return_inverse=True)
         if not len(self.nodes):
             raise InputError("cloud must have triangles to be drawn, got none; use fill, or a box")
         self.triangles = np.ascontiguousarray(triangles.reshape(-1, 3), dtype=np.uint32)
