@@ -39,10 +39,13 @@ __all__ = [
     "PICTURE_PIXELS",
     "Caption",
     "Draw",
+    "DrawnBody",
     "RecordingPlotter",
+    "add_shadow",
     "check_movie",
     "check_picture",
     "movie_writer",
+    "scalpel_solid",
     "write_movie",
     "write_picture",
 ]
@@ -196,8 +199,8 @@ class RecordingPlotter:
         plotter: Any = self._window.__enter__()
         unit, factor = FIELD_UNITS[self.scalar]
         largest = round_up(factor * self._largest_value())
-        drawn = _DrawnBody(plotter, size)
-        shadow = _add_shadow(plotter, pyvista, rest)
+        drawn = DrawnBody(plotter, size)
+        shadow = add_shadow(plotter, pyvista, rest)
         full_model = self._add_full_model(plotter)
         tools = self._add_tools(plotter, pyvista)
         signed = self.scalar == "pressure"
@@ -262,7 +265,7 @@ class RecordingPlotter:
                 continue
             shown_radius = radius if tool["kind"] != "grasp" else 0.3 * radius
             if tool["kind"] == "scalpel":
-                solid, normals = _scalpel_solid(pyvista, tool["length"])
+                solid, normals = scalpel_solid(pyvista, tool["length"])
                 solid["colour"] = np.zeros((solid.n_points, 3), dtype=np.uint8)
                 actor = plotter.add_mesh(solid, scalars="colour", rgb=True, lighting=False)
                 meshes.append((actor, np.array(solid.points), normals, solid))
@@ -291,7 +294,7 @@ class RecordingPlotter:
         return update
 
 
-class _DrawnBody:
+class DrawnBody:
     """The body in a plotter, whose surface a cut can exchange.
 
     Parameters
@@ -325,7 +328,7 @@ class _DrawnBody:
         self._actor = self._plotter.add_mesh(self._mesh, scalars="colour", rgb=True, lighting=False)
 
 
-def _scalpel_solid(pyvista: Any, length: float) -> tuple[Any, Floats]:
+def scalpel_solid(pyvista: Any, length: float) -> tuple[Any, Floats]:
     """Return a scalpel of an edge length [m] in its frame, and the normals of its points."""
     belly = np.array(scalpel(length, 0.0).edge)
     top = belly[:, 2].max() + BLADE_HEIGHT * length
@@ -338,7 +341,7 @@ def _scalpel_solid(pyvista: Any, length: float) -> tuple[Any, Floats]:
     return solid, np.asarray(solid.point_data["Normals"])
 
 
-def _add_shadow(plotter: Any, pyvista: Any, rest: Floats) -> Callable[[Floats], None]:
+def add_shadow(plotter: Any, pyvista: Any, rest: Floats) -> Callable[[Floats], None]:
     """Add the ground below a body; return a function that gives it the soft shadow of points (n, 3) [m]."""
     from scipy.ndimage import gaussian_filter
 
