@@ -1,9 +1,9 @@
 """Cuts of a body against closed forms: forces along a cut, its opening and energy release, and its stability.
 
-    python validation/cuts.py [--parts patch halves penny strip blade stability] [--bodies NAME ...] [--count 50]
+    python validation/cuts.py [--parts patch halves penny strip trousers blade stability] [--bodies NAME ...] [--count]
 
 writes docs/validation/cuts.json, which keeps the results of parts that were not asked for, and prints the figures.
-`cut_cracks.py`, `cut_strip.py` and `cut_stability.py` say what each part measures.
+`cut_cracks.py`, `cut_strip.py`, `cut_trousers.py` and `cut_stability.py` say what each part measures.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any
 import cut_cracks
 import cut_stability
 import cut_strip
+import cut_trousers
 import numpy as np
 import result_files
 
@@ -50,6 +51,11 @@ def strip() -> list[dict[str, Any]]:
     return rows
 
 
+def trousers() -> list[dict[str, Any]]:
+    """Pull trousers apart; on an irregular cloud the statics do not converge."""
+    return cut_trousers.trousers(0.0, (75e-3, 85e-3, 95e-3))
+
+
 def blade() -> list[dict[str, Any]]:
     kinds = cut_stability.KINDS
     seeds = [seed for seed in range(50) if kinds[seed % len(kinds)] in ("crossing", "adjacent")]
@@ -75,7 +81,7 @@ def keep(part: str, found: list[dict[str, Any]]) -> None:
 
 def main() -> None:
     """Run the parts asked for, and keep their results."""
-    parts = {"patch": patch, "halves": halves, "penny": penny, "strip": strip, "blade": blade}
+    parts = {"patch": patch, "halves": halves, "penny": penny, "strip": strip, "trousers": trousers, "blade": blade}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--parts", nargs="+", choices=[*parts, "stability"], default=[*parts, "stability"])
     parser.add_argument("--bodies", nargs="+", choices=list(cut_stability.BODIES))

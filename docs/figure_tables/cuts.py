@@ -9,6 +9,7 @@ from figure_tables.cells import Row, block, distinct, markdown, signed
 
 CRACKS = "python validation/cuts.py --parts patch halves penny strip blade"
 STRIPS = "python validation/cuts.py --parts strip blade"
+TROUSERS = "python validation/cuts.py --parts trousers"
 STABILITY = "python validation/cuts.py --parts stability --bodies box 'generated liver' 'HRA liver'"
 
 
@@ -63,6 +64,20 @@ def cuts_strip(found: Row) -> str:
         lines.append([*head, signed(row["release"]), f"{row['staircase']:.2f} h", *steps])
     heads = ["law", "stretch", "cloud", "G", "staircase", *(f"step {step} h" for step in ("¼", "½", "1", "2"))]
     return markdown(heads, lines)
+
+
+@block("cuts", command=TROUSERS)
+def cuts_trousers(found: Row) -> str:
+    """Return release rates of trousers from energies, and from force and stretch of the legs."""
+    lines = [
+        [
+            f"{1e3 * row['height']:.0f} mm", f"{row['stretch']:.2f}", f"{1e3 * row['force']:.1f} mN",
+            *(f"{row[name]:.2f} J/m²" for name in ("release", "legs")), signed(row["release"] / row["legs"] - 1),
+            f"{row['simple']:.2f} J/m²",
+        ]
+        for row in found["trousers"]
+    ]  # fmt: skip
+    return markdown(["grips", "λ", "F", "−ΔU/ΔA", "2 λ F/t − 2 b W", "difference", "2 F/t"], lines)
 
 
 @block("cuts", command=STRIPS)
