@@ -29,7 +29,7 @@ from scipy.sparse.linalg import eigsh
 
 import palpate as pt
 from palpate.meshfree import quadrature
-from palpate.reduction.basis.linear_modes import _statics, _vibrations, rest_stiffness
+from palpate.reduction.basis.linear_modes import _vibrations, rest_statics, rest_stiffness
 from palpate.scenes.open_scene import open_scene
 
 FACTORS = np.arange(1.0, 1.41, 0.02)  # steps tried, over the stable step
@@ -103,7 +103,7 @@ def clamped(cloud: pt.Cloud, law: pt.materials.NeoHookean) -> pt.Solid:
 
 def responses(model: pt.Solid) -> tuple[float, float]:
     """Return the first frequency, and the mean displacement under a small weight along (0, 0, 1)."""
-    statics = _statics(model, ())
+    statics = rest_statics(model, ())
     weight = np.zeros((len(model.cloud), 3))
     weight[:, 2] = 1e-3 * model.masses
     field = (statics.free @ statics.solve(statics.free.T @ weight.ravel())).reshape(-1, 3)

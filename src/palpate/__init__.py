@@ -41,6 +41,7 @@ _HOME = {
     "Solid": "dynamics.solid.model",
     "Membrane": "dynamics.membrane.model",
     "cut": "dynamics.solid.cut",
+    "cut_reduced": "reduction.training.cut_reduced",
     "equilibrium": "dynamics.nodal.equilibrium",
     "Foundation": "dynamics.loads.foundation",
     "Gravity": "dynamics.loads.body_force",

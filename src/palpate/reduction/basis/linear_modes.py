@@ -137,7 +137,7 @@ def check_supported(body: Solid, held: NDArray[np.int64] | None = None) -> None:
         )
 
 
-class _Statics(NamedTuple):
+class RestStatics(NamedTuple):
     """Stiffness of a body at rest, the free directions and their block, and a solver for that block."""
 
     whole: Any
@@ -147,14 +147,14 @@ class _Statics(NamedTuple):
     solve: Callable[[Floats], Floats]
 
 
-def _statics(body: Solid, held: Sequence[str]) -> _Statics:
+def rest_statics(body: Solid, held: Sequence[str]) -> RestStatics:
     (free, numbers), full = _free(body, held), rest_stiffness(body)
     stiffness = (free.T @ full @ free).tocsc()
     if stiffness.nnz < DENSE_SHARE * len(numbers) ** 2:
         symmetric = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-        return _Statics(full, free, numbers, stiffness, splu(stiffness, **symmetric).solve)
+        return RestStatics(full, free, numbers, stiffness, splu(stiffness, **symmetric).solve)
     factor = cho_factor(stiffness.toarray(order="F"), lower=True, overwrite_a=True, check_finite=False)
-    return _Statics(full, free, numbers, stiffness, lambda forces: cho_solve(factor, forces, check_finite=False))
+    return RestStatics(full, free, numbers, stiffness, lambda forces: cho_solve(factor, forces, check_finite=False))
 
 
 def vibration_modes(body: Solid, count: int, held: Sequence[str] = ()) -> tuple[Floats, Floats]:
@@ -191,10 +191,10 @@ def vibration_modes(body: Solid, count: int, held: Sequence[str] = ()) -> tuple[
     ((6, 112, 3), True)
     """
     integer_in_range("count", count, 1, len(_free(body, held)[1]) - 2)
-    return _vibrations(body, _statics(body, held), count)
+    return _vibrations(body, rest_statics(body, held), count)
 
 
-def _vibrations(body: Solid, statics: _Statics, count: int) -> tuple[Floats, Floats]:
+def _vibrations(body: Solid, statics: RestStatics, count: int) -> tuple[Floats, Floats]:
     _, free, numbers, stiffness, solve = statics
     inverse = LinearOperator(stiffness.shape, matvec=solve)
     masses = sparse.diags(np.repeat(body.masses, 3)[numbers])
@@ -221,7 +221,7 @@ def interpolated_modes(coarse: Solid, body: Solid, count: int) -> Floats:
     bent = int((np.sqrt(8 * DERIVATIVE_SHARE * count + 1) - 1) / 2)
     slowest = count - bent * (bent + 1) // 2
     integer_in_range("count", slowest, 1, len(_free(coarse, ())[1]) - 2)
-    statics = _statics(coarse, ())
+    statics = rest_statics(coarse, ())
     shapes = _vibrations(coarse, statics, slowest)[0]
     if bent:
         shapes = np.concatenate([shapes, _derivatives(coarse, statics, shapes[:bent])])
@@ -245,7 +245,7 @@ def tool_responses(body: Solid, fields: Floats, held: Sequence[str]) -> Floats:
         Only the values at the groups' nodes are used.
     held : sequence of str
     """
-    full, free, _, _, solve = _statics(body, held)
+    full, free, _, _, solve = rest_statics(body, held)
     given = np.zeros((len(fields), 3 * len(body.cloud)))
     nodes = np.unique(np.concatenate([body.cloud.group(name) for name in held]))
     given.reshape(len(fields), -1, 3)[:, nodes] = fields[:, nodes]
@@ -281,10 +281,10 @@ def modal_derivatives(body: Solid, modes: Floats, held: Sequence[str] = ()) -> F
     >>> pt.modal_derivatives(bar, modes).shape
     (6, 112, 3)
     """
-    return _derivatives(body, _statics(body, held), modes)
+    return _derivatives(body, rest_statics(body, held), modes)
 
 
-def _derivatives(body: Solid, statics: _Statics, modes: Floats) -> Floats:
+def _derivatives(body: Solid, statics: RestStatics, modes: Floats) -> Floats:
     pairs, force = [], partial(body.force, work=body.workspace())
     shapes = DIFFERENCE_STEP * body.cloud.spacing * modes / np.linalg.norm(modes, axis=2).max(axis=1)[:, None, None]
     for i, one in enumerate(shapes):

@@ -201,7 +201,7 @@ def _shear_work(body: EnergySolid | Membrane, fields: Fields, state: Floats) -> 
         stress = np.zeros_like(F)
         stress[:, :, :2] = body.stress_at(F[:, :, :2] + (body.prestretch - 1) * np.eye(3, 2))
     else:
-        stress = body.tissue.shear_stress(F)
+        stress = body.tissue.shear_stress(F, fields.nodes)
     weighted = (stress * fields.volumes[:, None, None]).reshape(-1, 9).astype(gradients.dtype)
     return np.asarray(np.matmul(gradients, weighted[:, :, None])[:, :, 0].T, dtype=float)
 

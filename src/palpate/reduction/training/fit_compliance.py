@@ -32,7 +32,7 @@ from palpate.reduction.contact.near_field import add_own_compliance, near_field_
 from palpate.reduction.contact.residual_flexibility import carriers, residual_flexibility
 from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["fit_compliance", "fit_stiffening"]
+__all__ = ["fit_compliance", "fit_stiffening", "rest_compliance"]
 
 
 MAX_FRAMES = 400  # of the runs, in the fit
@@ -88,11 +88,30 @@ def fit_compliance(
         raise InputError(
             "trajectories must include contact to fit the surface compliance, got none; add a run with a Contact"
         )
+    unscaled = rest_compliance(body, statics, model.data.basis_vectors[: model.count])
+    return _fit_factors(unscaled, cloud.points, frames)
+
+
+def rest_compliance(body: EnergySolid, statics: EnergySolid, columns: Floats) -> SurfaceCompliance:
+    """Return the surface compliance of a body at rest in addition to basis vectors (m, n, 3), without stiffening.
+
+    Parameters
+    ----------
+    body : EnergySolid
+    statics : EnergySolid
+        The body, or a coarser model of it.
+    columns : (m, n, 3) array
+
+    Raises
+    ------
+    InputError
+        `statics` is too large, or has no supports.
+    """
+    cloud = body.cloud
+    nodes = _free_surface(cloud, body.fixed)
     coarse_nodes = _free_surface(statics.cloud, statics.fixed)
-    interior_nodes, coarse_interior = _free_interior(cloud, model.fixed), _free_interior(statics.cloud, statics.fixed)
-    rows = residual_flexibility(
-        statics, coarse_nodes, cloud.points, model.data.basis_vectors[: model.count], coarse_interior
-    )
+    interior_nodes, coarse_interior = _free_interior(cloud, body.fixed), _free_interior(statics.cloud, statics.fixed)
+    rows = residual_flexibility(statics, coarse_nodes, cloud.points, columns, coarse_interior)
     flexibility, interior_rows = np.split(rows, [3 * len(coarse_nodes)])
     places, weights = carriers(statics.cloud, coarse_nodes, cloud, nodes)
     nearby, near_field = np.zeros((len(nodes), 0), dtype=np.int64), np.zeros((len(nodes), 0, 3, 3), dtype=np.float32)
@@ -105,12 +124,11 @@ def fit_compliance(
         interior = interior_flexibility(
             statics.cloud, coarse_interior, coarse_nodes, interior_rows, cloud, interior_nodes
         )
-    unscaled = NO_COMPLIANCE._replace(
+    return NO_COMPLIANCE._replace(
         nodes=nodes, carriers=places, weights=weights, flexibility=flexibility.astype(np.float32),
         nearby=nearby, near_field=near_field, patches=patches, shares=shares,
         interior=interior,
     )  # fmt: skip
-    return _fit_factors(unscaled, cloud.points, frames)
 
 
 def _patches(body: EnergySolid, nodes: Ints) -> tuple[Ints, Floats]:
