@@ -17,6 +17,7 @@ from figure_tables import (
     organs,
     peers,
     readme,
+    reduced_cuts,
     sampled,
     steps,
 )
@@ -24,5 +25,5 @@ from figure_tables.cells import BLOCKS, Block
 
 __all__ = [
     "BLOCKS", "Block", "contact", "cuts", "examples", "exported", "frequencies", "incompressible", "laws", "linear",
-    "membranes", "organs", "peers", "readme", "sampled", "steps",
+    "membranes", "organs", "peers", "readme", "reduced_cuts", "sampled", "steps",
 ]  # fmt: skip
