@@ -324,11 +324,15 @@ def lifted(trained: Trained, pull: Any) -> Floats:
 
 def newton(force: Callable[[Floats], Floats], tangent: Callable[[Floats], Floats], count: int) -> Floats:
     """Return coordinates without forces."""
-    a = np.zeros(count)
+    a, residual = np.zeros(count), force(np.zeros(count))
     for _ in range(12):
-        residual = force(a)
         step = scipy.linalg.lstsq(tangent(a), residual, cond=1e-12, check_finite=False)[0]
-        a = a + step
+        for _ in range(5):  # shorter steps where tissue would be crushed
+            trial = force(a + step)
+            if np.linalg.norm(trial) < np.linalg.norm(residual):
+                break
+            step = 0.5 * step
+        a, residual = a + step, trial
         if np.linalg.norm(step) < 1e-5 * np.linalg.norm(a):
             break
     return a

@@ -45,7 +45,7 @@ from palpate.reduction.training.round_compliance import round_compliance
 __all__ = ["cut_reduced"]
 
 
-MAX_NODES = 5000  # of a body whose equations are solved
+MAX_NODES = 6000  # of a body whose equations are solved; the compliance under tools has a lower limit
 MAX_STATES = 60  # training states with the static response of the cut
 CUBATURE_ERROR = 3e-3  # largest relative error of the sampled forces
 MODES_PER_PRESSURE = 4
@@ -65,7 +65,7 @@ def cut_reduced(model: ReducedModel, body: Solid, triangles: Any, *, columns: in
     model : ReducedModel
         Of the uncut body. It does not change.
     body : Solid
-        The uncut body in the energy form, of at most 5,000 nodes.
+        The uncut body in the energy form, of at most 6,000 nodes; of 5,000 if tools touch it.
     triangles : (t, 3, 3) array [m]
         Of the complete cut, as for `palpate.cut`.
     columns : int
