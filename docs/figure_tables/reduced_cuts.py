@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from figure_tables.cells import Row, block, markdown, microseconds, percent, signed
 
-RUNS = "python validation/reduced_cuts.py --nodes 3000"
+RUNS = "python validation/reduced_cuts.py --nodes 3000` and `python validation/reduced_cuts.py --nodes 5000"
 PULLS = ("apart", "lifted")
 MAX_FIELD_ERROR = 2.0  # of displacements that are an equilibrium, relative
 
