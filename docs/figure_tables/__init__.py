@@ -5,6 +5,7 @@ its block in the pages.
 """
 
 from figure_tables import (
+    bases,
     contact,
     cuts,
     examples,
@@ -24,6 +25,6 @@ from figure_tables import (
 from figure_tables.cells import BLOCKS, Block
 
 __all__ = [
-    "BLOCKS", "Block", "contact", "cuts", "examples", "exported", "frequencies", "incompressible", "laws", "linear",
-    "membranes", "organs", "peers", "readme", "reduced_cuts", "sampled", "steps",
+    "BLOCKS", "Block", "bases", "contact", "cuts", "examples", "exported", "frequencies", "incompressible", "laws",
+    "linear", "membranes", "organs", "peers", "readme", "reduced_cuts", "sampled", "steps",
 ]  # fmt: skip
