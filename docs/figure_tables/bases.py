@@ -44,9 +44,9 @@ def bases_states(studies: Row) -> str:
                 if row["coordinates"] == count and least <= row["largest_displacement"] < most
             ]
             cells.append(f"{percent(median(some))} (up to {percent(max(some))})")
-        states = f"{len(some)}, "
-        states += f"{1e3 * least:.0f} to {1e3 * most:.0f} mm" if most < CLASS_BOUNDS[-1] else f"above {1e3 * least:.0f} mm"
-        lines.append([states, *cells])
+        last = most == CLASS_BOUNDS[-1]
+        sizes = f"above {1e3 * least:.0f} mm" if last else f"{1e3 * least:.0f} to {1e3 * most:.0f} mm"
+        lines.append([f"{len(some)}, {sizes}", *cells])
     counts = sorted({row["coordinates"] for row in rows})
     return markdown(["states", *(f"{count} coordinates" for count in counts)], lines)
 
