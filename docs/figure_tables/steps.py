@@ -44,20 +44,41 @@ def stable_step_filled(found: Row) -> str:
     return markdown(heads, lines)
 
 
-@block("coverage", command="python validation/coverage.py")
-def coverage(rows: list[Row]) -> str:
-    """Return how many further runs keep their error bounds."""
+@block("bounds", command="python validation/bounds.py")
+def bounds(rows: list[Row]) -> str:
+    """Return how many further runs keep their error bounds, and how wide these are."""
     lines = [
         [
-            row["body"], str(row["modes"]), row["of"], f"{100 * row['kept']:.1f} %", f"{100 * row['unknown']:.1f} %",
-            percent(row["error"]), f"{row['bound over error']:.1f}", f"{row['rank correlation']:.2f}",
+            row["body"], str(row["modes"]), row["of"], str(row["held out"]), f"{100 * row['kept']:.1f} %",
+            f"{100 * row['unknown']:.1f} %", f"{100 * row['least level']:.0f} %, {100 * row['campaigns']:.0f} %",
+            percent(row["error"]), f"{row['bound over error']:.1f}",
+            f"{row['rank of runs']:.2f}, {row['rank of frames']:.2f}",
         ]
         for row in rows
     ]  # fmt: skip
-    lines.append(["mean of all", "", "", f"{100 * mean(row['kept'] for row in rows):.1f} %", "", "", "", ""])
+    lines.append(["mean of all", "", "", "", f"{100 * mean(row['kept'] for row in rows):.1f} %", "", "", "", "", ""])
     heads = [
-        "body", "modes", "error of", "runs kept", "unknown", "median largest error of a run",
-        "last bound over largest error, median", "rank correlation of largest number and error",
+        "body", "modes", "error of", "held-out runs", "runs kept", "unknown",
+        "level with 90 % confidence, campaigns that keep it", "median largest error of a run",
+        "largest bound over largest error", "rank correlation: runs, frames",
+    ]  # fmt: skip
+    return markdown(heads, lines)
+
+
+@block("blind", command="python validation/blind.py")
+def blind(found: Row) -> str:
+    """Return how often a trust number below 1 hides a large error."""
+    lines = [
+        [
+            row["kind"], str(row["runs"]), f"{percent(row['error'])}; {percent(row['largest_error'])}",
+            str(row["large"]), str(row["trusted"]), percent(row["hidden"]), str(row["blind"]),
+        ]
+        for part in ("organ", "bodies")
+        for row in found.get(part, [])
+    ]  # fmt: skip
+    heads = [
+        "runs", "number", "error, median; largest", "that err by 30 %", "trusted throughout",
+        "largest error below a number of 1", "blind",
     ]  # fmt: skip
     return markdown(heads, lines)
 

@@ -40,7 +40,7 @@ __all__ = [
 TAKEN_STATUS, POSE_STATUS, DIVERGED_STATUS, INVALID_STATUS = range(4)
 OPTION_NAMES = ("period", "force_limit", "max_speed", "max_angular_speed", "stiffness_every", "on_distrust")
 OPTION_PERIOD, FORCE_LIMIT, MAX_SPEED, MAX_ANGULAR_SPEED, STIFFNESS_EVERY, ON_DISTRUST = range(len(OPTION_NAMES))
-WORST_TRUST, LARGEST_FORCE = field_offset("worst_trust"), field_offset("largest_force")
+WORST_TRUST, RECORD_FORCE = field_offset("worst_trust"), field_offset("force")
 MIN_PERIOD, MAX_PERIOD = 5e-5, 0.02  # [s]
 
 
@@ -85,7 +85,10 @@ def compile_step(advance: Any, stiffness: Any) -> Any:
             options[FORCE_LIMIT], int(options[STIFFNESS_EVERY]), int(options[ON_DISTRUST]), 0,
         )  # fmt: skip
         valid = take_period(data, work, settings)
-        bound[0] = curve_bound(curve, work.record[WORST_TRUST], work.record[LARGEST_FORCE])
+        square = 0.0
+        for i in range(3):
+            square += work.record[RECORD_FORCE + i] ** 2
+        bound[0] = curve_bound(curve, work.record[WORST_TRUST], np.sqrt(square))
         if not valid:
             return DIVERGED_STATUS
         return TAKEN_STATUS if is_taken else POSE_STATUS

@@ -142,16 +142,16 @@ class Reading(PeriodRecord):
 
     @classmethod
     def from_record(cls, record: Floats, state: str, bound: Callable[[float, float], float] | None = None) -> Reading:
-        """Read a record (HEADER_SIZE + 2 m,), with the error bound by trust number and largest force."""
+        """Read a record (HEADER_SIZE + 2 m,), with the error bound by the largest trust number and the force."""
         header = record[:HEADER_SIZE].view(HEADER_DTYPE)[0]
         names = ("time", "trust", "worst_trust", "largest_force", "kinetic", "strain", "computing", "lateness")
         numbers: dict[str, Any] = {name: float(header[name]) for name in names}
         numbers |= {name: int(header[name]) for name in ("steps", "sequence")}
         arrays = {name: header[name].copy() for name in ("force", "moment", "stiffness", "position", "quaternion")}
-        worst, largest = numbers["worst_trust"], numbers["largest_force"]
+        worst, size = numbers["worst_trust"], float(np.linalg.norm(arrays["force"]))
         coordinates, velocities = record[HEADER_SIZE:].reshape(2, -1).copy()
         return cls(
-            **numbers, **arrays, force_bound=bound(worst, largest) if bound else math.inf,
+            **numbers, **arrays, force_bound=bound(worst, size) if bound else math.inf,
             clamped=bool(header["clamped"]), limited=bool(header["limited"]),
             coordinates=coordinates, velocities=velocities, state=state,
         )  # fmt: skip

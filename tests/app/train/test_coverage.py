@@ -62,9 +62,16 @@ def test_runs_without_a_tool_on_the_surface_have_no_coverage(scene):
 
 def chosen(monkeypatch, scene, trust, count, trained=(), largest=10.0):
     """Choose among paths on which the reduced model has these trust numbers, and errors of 0.1 at 1."""
-    curve = {"median": 0.1, "bound": 0.2, "exponent": 1.0, "least_trust": 1e-3, "largest_trust": largest}
+    curve = {
+        "median": 0.1,
+        "bound": 0.2,
+        "exponent": 1.0,
+        "least_trust": 1e-3,
+        "largest_trust": largest,
+        "typical_size": 1.0,
+    }
     body = SimpleNamespace(mass=np.eye(2), masses=np.ones(2), project=lambda displacements: displacements)
-    report = {"held_out": {"expected_error": {"displacement": curve, "level": 0.95}}}
+    report = {"held_out": {"expected_error": {"displacement": curve, "level": 0.95, "least_level": 0.9}}}
     model = SimpleNamespace(body=body, report=report, data=SimpleNamespace(distance_scale=1e-9))
     jobs = [Job(TRAINED, number, number) for number in trust]
     runs = {

@@ -69,7 +69,8 @@ def test_a_tool_on_another_side_than_in_training_is_not_trusted(model):
 
 def test_the_engine_has_the_same_trust_number_as_a_run(model):
     """All other measures are made small, so that the compliance alone counts."""
-    alone = pt.ReducedModel(replace(model.data, distance_scale=1e9, residual_scale=1e9))
+    others = ("distance_scale", "residual_scale", "speed_scale", "nearness_scale")
+    alone = pt.ReducedModel(replace(model.data, **dict.fromkeys(others, 1e9)))
     home = press(0.024, 0.03, 0.0, axis=0)[0].motion(0.0)
     ready = pt.realtime_model(alone, contact=pt.tools.Contact(pt.tools.Sphere(BALL), home))
     q, v, report, largest = np.zeros(model.count), np.zeros(model.count), np.zeros(20), 0.0
@@ -87,7 +88,8 @@ def test_a_reading_has_the_bound_of_its_force(model):
     engine = pt.Engine(pt.realtime_model(model, contact=pt.tools.Contact(pt.tools.Sphere(BALL), home)))
     bound = engine.read().force_bound
     curve = model.report["held_out"]["expected_error"]["force"]
-    assert bound == pytest.approx(model.expected_error(0.0, "force").bound * curve["least_size"])
+    assert bound == pytest.approx(model.expected_error(0.0, "force").bound * 0.5 * curve["typical_size"])
     bare = engine._force_bound
-    assert bare(0.5, 3.0) == pytest.approx(model.expected_error(0.5, "force").bound * 3.0)
+    size = 0.5 * (3.0 + curve["typical_size"])
+    assert bare(0.5, 3.0) == pytest.approx(model.expected_error(0.5, "force").bound * size)
     assert bare(1.01 * curve["largest_trust"], 3.0) == np.inf

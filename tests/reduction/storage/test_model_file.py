@@ -21,7 +21,8 @@ from palpate.dynamics.material.tissue import Tissue
 from palpate.reduction.contact.compliance import SurfaceCompliance
 from palpate.reduction.contact.interior import Interior
 from palpate.reduction.hyper.cubature import Cubature
-from palpate.reduction.hyper.model import ReducedData, ReducedModel
+from palpate.reduction.hyper.data import UNLIMITED_SCALE, ReducedData
+from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.realtime.display_surface import Surface
 from palpate.reduction.storage import model_file as storage
 from palpate.reduction.storage.compliance import pack_flexibilities, unpack_flexibilities
@@ -173,12 +174,22 @@ def test_a_file_without_interior_gives_a_model_with_compliance_at_its_surface_on
     np.testing.assert_equal(found.compliance, trained.data.compliance._replace(interior=None))
 
 
-def test_a_file_of_the_version_before_is_loaded(trained, saved, path):
+@pytest.mark.parametrize("version", [12, 13])
+def test_a_file_of_a_version_before_is_loaded(trained, saved, path, version):
+    """Such files limit neither speed nor nearness to supports, and their error bounds mean something else."""
     file = open_sealed(saved, storage.FORMAT, storage.VERSION)
-    arrays = {name: file.read(name) for name in file.arrays if name != "compliance/steps"}
-    arrays["compliance/flexibility"] = trained.data.compliance.flexibility
-    write_sealed(path, storage.FORMAT, 12, file.header, arrays)
-    assert_equal(pt.load(path).data, rounded(trained.data))
+    arrays = {name: file.read(name) for name in file.arrays}
+    if version == 12:
+        del arrays["compliance/steps"]
+        arrays["compliance/flexibility"] = trained.data.compliance.flexibility
+    header = {name: value for name, value in file.header.items() if name not in storage.NEW_ATTRIBUTES}
+    older = {"held_out": {"mean": {"displacement": 0.1}, "expected_error": {"level": 0.95, "displacement": {}}}}
+    write_sealed(path, storage.FORMAT, version, header | {"report": json.dumps(older)}, arrays)
+    found = pt.load(path).data
+    assert found.speed_scale == found.nearness_scale == UNLIMITED_SCALE
+    assert found.report == {"held_out": {"mean": {"displacement": 0.1}}}
+    scales = {name: getattr(trained.data, name) for name in storage.NEW_ATTRIBUTES}
+    assert_equal(replace(found, report=trained.report, **scales), rounded(trained.data))
 
 
 @pytest.mark.parametrize("largest", [1, 100, 32_639, 32_640])
@@ -294,7 +305,7 @@ def test_a_file_is_at_most_as_large_as_the_columns_in_single_precision_and_the_o
 def test_other_programs_can_read_units_parameters_and_arrays(trained, saved):
     with h5py.File(saved) as file:
         assert file.attrs["format"] == "palpate reduced model"
-        assert (file.attrs["version"], file.attrs["units"], file.attrs["material"]) == (13, "SI", "MooneyRivlin")
+        assert (file.attrs["version"], file.attrs["units"], file.attrs["material"]) == (14, "SI", "MooneyRivlin")
         assert '"C1": 20000.0' in file.attrs["parameters"]
         assert file["basis_vectors"].dtype == np.float32
         np.testing.assert_array_equal(file["cubature/weights"], trained.data.cubature.weights)
@@ -343,8 +354,8 @@ def test_the_documentation_shows_the_version_of_files():
 
 
 def test_another_version_is_refused_even_in_a_truncated_file(saved, path):
-    path.write_bytes(saved.read_bytes().replace(b"version 13", b"version 11", 1)[:-7])
-    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 11, and version 13 is the one"):
+    path.write_bytes(saved.read_bytes().replace(b"version 14", b"version 11", 1)[:-7])
+    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 11, and version 14 is the one"):
         pt.load(path)
 
 
@@ -452,6 +463,7 @@ def parameters(old, new):
     return change
 
 
+LEVELS = {"level": 0.9, "least_level": 0.8}
 CASES = {
     "an attribute missing": (lambda header, arrays: header.pop("distance_scale"), "header distance_scale is missing"),
     "an attribute of another type": (attribute("modes", "four"), "header modes must be of type int, got 'four'"),
@@ -478,18 +490,18 @@ CASES = {
     "numbers beyond all sizes": (entry("basis_vectors", (0, 0, 0), 3e38), "basis_vectors holds numbers beyond"),
     "errors that are text": (attribute("report", '{"held_out": {"mean": {"force": "5"}}}'), "errors under held_out"),
     "errors that are nothing": (attribute("report", '{"held_out": 5}'), "errors under held_out"),
-    "expected errors without a level": (expected({"displacement": {}}), "without level and displacement"),
-    "expected errors of another kind": (expected({"level": 0.9, "moment": {}}), "without level and displacement"),
-    "expected errors without numbers": (expected({"level": 0.9, "force": {"bound": 1}}), "of the force without bound"),
+    "expected errors without a level": (expected({"displacement": {}}), "without levels and displacement"),
+    "expected errors of another kind": (expected(LEVELS | {"moment": {}}), "without levels and displacement"),
+    "expected errors without numbers": (expected(LEVELS | {"force": {"bound": 1}}), "of the force without bound"),
     "an expected error that is text": (
-        expected({"level": 0.9, "force": dict.fromkeys(CURVE_KEYS, "1")}), "bound must be a number, got '1'"
+        expected(LEVELS | {"force": dict.fromkeys(CURVE_KEYS, "1")}), "bound must be a number, got '1'"
     ),
     "advice that is a number": (attribute("report", '{"advice": 5}'), "advice that is not a text"),
     "advice without end": (attribute("report", json.dumps({"advice": "a" * 2000})), "advice that is not a text"),
     "a scene that is a number": (attribute("report", '{"scene": 5}'), "a scene without name and parameters"),
     "a scene with a list": (attribute("report", '{"scene": {"name": "a", "parameters": {"b": []}}}'), "parameters of"),
     "a scene that is null": (attribute("report", '{"scene": null}'), "a scene without name and parameters"),
-    "expected errors that are null": (expected(None), "without level and displacement"),
+    "expected errors that are null": (expected(None), "without levels and displacement"),
     "lifting vectors without tools": (attribute("prescribed", []), "lifting_count must be positive for models"),
     "no training state": (put("training_states", lambda a: a[:0]), "training_states must hold at least one state"),
     "shares of other patches": (put("compliance/shares", lambda a: 2 * a), "compliance/shares must have rows of sum 1"),

@@ -273,7 +273,8 @@ def _error_text(error: dict[str, float | None] | None) -> str:
         return "not measured"
     if error["median"] is None or error["bound"] is None:
         return "unknown: no held-out run had so large a number"
-    return f"{error['median']:.2%}; {error['bound']:.2%} ({error['level']:.0%} of runs)"
+    levels = f"{error['level']:.0%} of runs, at least {error['least_level']:.0%}"
+    return f"{error['median']:.2%}; {error['bound']:.2%} ({levels})"
 
 
 def _microseconds(seconds: float) -> str:

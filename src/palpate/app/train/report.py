@@ -156,9 +156,13 @@ def _rows(report: dict[str, Any]) -> dict[str, str]:
         rows |= _by_load(report) | _contact_rows(model["held_out"])
         for quantity in ("displacement", "force"):
             if quantity in model["held_out"].get("expected_error", {}):
-                median, bound, level = expected_error(model, 1.0, quantity)
-                name = f"error of {quantity} expected at a trust number of 1, median; {level:.0%} of runs stay below"
-                rows[name] = f"{percent(median)}; {percent(bound)}" if np.isfinite(bound) else "unknown; unknown"
+                error = expected_error(model, 1.0, quantity)
+                name = (
+                    f"error of {quantity} expected at a trust number of 1, median; {error.level:.0%} of runs "
+                    f"stay below ({error.least_level:.0%} or more with a confidence of 90%)"
+                )
+                known = np.isfinite(error.bound)
+                rows[name] = f"{percent(error.median)}; {percent(error.bound)}" if known else "unknown; unknown"
     return rows | _support_rows(report["supports"])
 
 
@@ -306,7 +310,7 @@ def _draw(folder: Folder, report: dict[str, Any], names: Sequence[str]) -> None:
             errors = 100 * np.array([expected_error(model, number, what)[:2] for number in numbers])
             trust.plot(numbers, errors[:, 1], color=colour, label=f"{what}: {curves['level']:.0%} of runs stay below")
             trust.plot(numbers, errors[:, 0], color=colour, ls=":", label=f"{what}: median of the frames")
-        trust.set(xlabel="largest trust number so far", ylabel="error over the largest size so far [%]")
+        trust.set(xlabel="largest trust number so far", ylabel="error over the mean of present and typical size [%]")
         trust.set_title("by trust number; unknown beyond the curves")
         trust.set_ylim(bottom=0.0)
         legend_below(drawn, paths, columns=len(ERROR_COLOURS))

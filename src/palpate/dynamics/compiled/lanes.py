@@ -348,25 +348,18 @@ def _column_pass(single: bool, back: bool, rows: int, name: str) -> Any:
         _emit_column_loop(builder, args[0], given, out, args[-1], single, back)
         return context.get_dummy_value()
 
-    if rows == 1:
+    def sums(typingctx, table_at, given_at, out_at, count):  # type: ignore[no-untyped-def]
+        return types.void(*(types.intp,) * 4), codegen
 
-        def sums(typingctx, table_at, given_at, out_at, count):  # type: ignore[no-untyped-def]
-            return types.void(*(types.intp,) * 4), codegen
+    def sums_2(typingctx, table_at, given_at, given_2_at, out_at, out_2_at, count):  # type: ignore[no-untyped-def]
+        return types.void(*(types.intp,) * 6), codegen
 
-    elif rows == 2:
+    def sums_3(typingctx, table_at, given_at, given_2_at, given_3_at, out_at, out_2_at, out_3_at, count):  # type: ignore[no-untyped-def]
+        return types.void(*(types.intp,) * 8), codegen
 
-        def sums(typingctx, table_at, given_at, given_2_at, out_at, out_2_at, count):  # type: ignore[no-untyped-def]
-            return types.void(*(types.intp,) * 6), codegen
-
-    else:
-
-        def sums(  # type: ignore[no-untyped-def]
-            typingctx, table_at, given_at, given_2_at, given_3_at, out_at, out_2_at, out_3_at, count
-        ):
-            return types.void(*(types.intp,) * 8), codegen
-
-    sums.__name__ = sums.__qualname__ = name
-    return intrinsic(sums)
+    of_rows: Any = {1: sums, 2: sums_2, 3: sums_3}[rows]
+    of_rows.__name__ = of_rows.__qualname__ = name
+    return intrinsic(of_rows)
 
 
 def _emit_column_loop(

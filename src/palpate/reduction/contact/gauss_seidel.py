@@ -26,7 +26,7 @@ from palpate.dynamics.contact.kinds import BONDED
 from palpate.reduction.contact.compliance import energy_factor, pair, refresh, secant_factor, stiffened_force
 from palpate.reduction.contact.surface import PAIRS, SWEEPS, UNCONVERGED
 
-__all__ = ["compliance_energy", "place_frame", "press", "relax", "set_tool_path", "settle"]
+__all__ = ["approach_speed", "compliance_energy", "place_frame", "press", "relax", "set_tool_path", "settle"]
 
 CLUSTER_STRETCH = 1.5  # largest extent of a cluster over that at rest
 MAX_SWEEPS = 60
@@ -433,6 +433,19 @@ def press(data, q, v, at, step, period, share, tool_forces):  # type: ignore[no-
         for j in range(3):
             tool_forces[3 + 3 * m + j] += half * turned[k, j]
             tool_forces[3 + 3 * k + j] -= half * turned[m, j]
+
+
+@kernel_njit(inner=True)
+def approach_speed(tools, force, period):  # type: ignore[no-untyped-def]
+    """Return the speed [m/s] of the tool in a period [s] along its force (t, k, 3) on the body; 0 if it moves back."""
+    square, power = 0.0, 0.0
+    for d in range(3):
+        total = 0.0
+        for i in range(force.shape[1]):
+            total += force[0, i, d]
+        square += total * total
+        power += total * (tools.path[PATH_END, d, 3] - tools.path[PATH_START, d, 3]) / period
+    return max(power, 0.0) / np.sqrt(square) if square > 0.0 else 0.0
 
 
 @kernel_njit(inner=True)

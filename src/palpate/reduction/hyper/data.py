@@ -21,7 +21,10 @@ from palpate.reduction.hyper.cubature import Cubature
 from palpate.reduction.hyper.material_point import Kinematics
 from palpate.reduction.hyper.sampled_energy import IntegrationPoints, integration_points
 
-__all__ = ["ReducedData"]
+__all__ = ["UNLIMITED_SCALE", "ReducedData"]
+
+
+UNLIMITED_SCALE = 1e300  # scale of a measure without training states
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,11 @@ class ReducedData(Described):
         Share of the loads' static response outside the coordinates at which the trust number is 1.
     flexibility_scale : float [J]
         Energy of the surface compliance at which the trust number is 1.
+    speed_scale : float [m/s]
+        Touch speed of tools at which the trust number is 1; without a contact surface, root mean square speed over
+        the body.
+    nearness_scale : float
+        Nearness of tools to supports, as the spacing over their distance, at which the trust number is 1.
     report : mapping
         Figures measured in training.
     kinematics : Kinematics
@@ -112,6 +120,8 @@ class ReducedData(Described):
     residual_scale: float = 1.0
     load_scale: float = 0.3
     flexibility_scale: float = 1.0
+    speed_scale: float = UNLIMITED_SCALE
+    nearness_scale: float = UNLIMITED_SCALE
     report: Mapping[str, Any] = field(default_factory=dict)
     kinematics: Kinematics = field(default_factory=Kinematics)
     taut_frequency: float = 0.0

@@ -1,4 +1,4 @@
-"""The error indicator: four measures of a state, and the errors expected at a trust number.
+"""The error indicator: six measures of a state, and the errors expected at a trust number.
 
 Each measure over its scale is a number, and the largest of them is the trust number of
 `palpate.hyper_reduce`:
@@ -6,42 +6,63 @@ Each measure over its scale is a number, and the largest of them is the trust nu
 - the distance to the nearest training state,
 - the residual norm of the forces on test fields (`palpate.reduction.training.residual_fields`),
 - the share of the loads' static response outside the coordinates (`palpate.reduction.hyper.load_share`),
-- the displacement of the surface compliance under tools, by the square root of its energy.
+- the displacement of the surface compliance under tools, by the square root of its energy,
+- the touch speed of tools, or the speed of a body without them: what is faster than training excites modes that are
+  not there,
+- the nearness of tools to supports, where the body is stiffer than its smooth modes.
 
 Errors expected at a trust number come from the held-out runs (`palpate.reduction.training.calibrate_indicator`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import register_jitable
+from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats
+from palpate.arrays import Floats, Ints
+from palpate.dynamics.loads.prepared import PreparedLoads
+from palpate.dynamics.loads.supports import FIXED, Support, supported_nodes
 from palpate.dynamics.run.model import State
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import InputError, number_in_range
+from palpate.meshfree.cloud import Cloud
 from palpate.reduction.hyper.body import ReducedBody
 from palpate.reduction.hyper.data import ReducedData
 
 __all__ = [
     "ExpectedError",
+    "approach_speeds",
     "distances_to_nearest",
     "error_bounds",
     "expected_error",
     "force_bound",
     "force_sizes",
+    "mean_size",
+    "nearness_to_supports",
     "residual_norm",
     "rms_sizes",
+    "rms_speeds",
+    "support_nearness",
     "tools_of",
+    "touch_speed",
     "training_distance",
 ]
 
 
+LEAST_DISTANCE = 0.25  # from a fixed node that counts, in spacings
+TOUCH_SHARE = 0.2  # of a typical force, which counts in addition to the force of a tool
+SPEED_INTERVAL = 1e-4  # [s] over which the speed of a tool is measured
+
+
 class ExpectedError(NamedTuple):
-    """The error expected at a trust number, relative to the largest displacement or tool force so far.
+    """The error expected at a trust number, relative to the mean of the present and the typical size.
+
+    The size is the displacement or the tool force. The typical one is the median of the largest sizes of the
+    held-out runs.
 
     Parameters
     ----------
@@ -52,7 +73,10 @@ class ExpectedError(NamedTuple):
         Bound that the errors of a run do not exceed in any frame, with the probability `level`.
     level : float
         0.95, or n / (n + 1) for less than 19 held-out runs n. It is the share of runs, of the kind of the
-        held-out runs, that keep the bound in all their frames.
+        held-out runs, that keep the bound in all their frames, in the mean over campaigns.
+    least_level : float
+        Share of such runs that keep the bound of this campaign, with a confidence of 90 %.
+    typical_size : float [m] or [N]
 
     Examples
     --------
@@ -73,6 +97,8 @@ class ExpectedError(NamedTuple):
     median: float
     bound: float
     level: float
+    least_level: float
+    typical_size: float
 
 
 def distances_to_nearest(states: Floats, others: Floats, mass: Floats) -> Floats:
@@ -91,6 +117,58 @@ def training_distance(body: ReducedBody, state: State) -> float:
     """Return the root mean square displacement [m] over the body from a state to the nearest training state."""
     states, root = body.trained
     return float(np.sqrt(np.min(np.sum((states - state.coordinates @ root) ** 2, axis=1))))
+
+
+def rms_speeds(mass: Floats, velocities: Floats) -> Floats:
+    """Return the root mean square speeds (f,) [m/s] over the body of velocities (f, m) of the coordinates.
+
+    `mass` (m, m) is the mass matrix divided by the mass of the body.
+    """
+    return np.sqrt(np.maximum(np.einsum("tm,mk,tk->t", velocities, mass, velocities), 0.0))
+
+
+def approach_speeds(prepared: PreparedLoads, times: Floats, forces: Floats) -> Floats:
+    """Return the speeds (f, t) [m/s] of tools along their forces on the body (f, t, 3), before some times (f,) [s].
+
+    It is 0 of a tool that has no force, or that moves back from the body.
+    """
+    first = np.maximum(times - SPEED_INTERVAL, 0.0)
+    before, after = (prepared.schedule(each).poses[:, :, :3] for each in (first, first + SPEED_INTERVAL))
+    velocities = np.nan_to_num((after - before) / SPEED_INTERVAL)
+    size = np.maximum(np.linalg.norm(forces, axis=2), np.finfo(float).tiny)
+    return np.asarray(np.maximum(np.sum(velocities * forces, axis=2) / size, 0.0))
+
+
+@register_jitable
+def touch_speed(speed, energy, scale):  # type: ignore[no-untyped-def]
+    """Return the touch speed [m/s] of a tool of a speed [m/s], by the energy of the surface compliance and its scale.
+
+    The tissue under a tool has inertia, which the static compliance lacks: a force in proportion to the square of the
+    speed. It counts relative to the force of the tool, which is in proportion to the root of the energy, and to a small
+    share of a typical force. So the touch speed is that of a tool without force that errs as much.
+    """
+    return speed / np.sqrt(1.0 + np.sqrt(energy / scale) / TOUCH_SHARE)
+
+
+def nearness_to_supports(cloud: Cloud, supports: Sequence[Support], nodes: Ints) -> Floats:
+    """Return the spacing over the distance to the nearest fixed node (k,) of some nodes; 0 without supports."""
+    fixed = cloud.points[supported_nodes(cloud, supports).kind == FIXED]
+    if not len(fixed) or not len(nodes):
+        return np.zeros(len(nodes))
+    distances = np.asarray(cKDTree(fixed).query(cloud.points[nodes])[0])
+    return np.asarray(cloud.spacing / np.maximum(distances, LEAST_DISTANCE * cloud.spacing))
+
+
+@register_jitable
+def support_nearness(nearness, forces):  # type: ignore[no-untyped-def]
+    """Return the mean of nearness (k,) under the forces (t, k, 3) of tools, weighted by their magnitudes; 0 without."""
+    total, size = 0.0, 0.0
+    for t in range(forces.shape[0]):
+        for i in range(forces.shape[1]):
+            force = np.sqrt(forces[t, i, 0] ** 2 + forces[t, i, 1] ** 2 + forces[t, i, 2] ** 2)
+            size += force
+            total += force * nearness[i]
+    return total / size if size > 0.0 else 0.0
 
 
 def residual_norm(data: ReducedData, forces: Floats) -> float:
@@ -124,7 +202,7 @@ def expected_error(report: Mapping[str, Any], trust: float, of: str = "displacem
             "train it with tools, or with prescribed="
         )
     median, bound = (float(_errors(curves[of], name, np.array([number]))[0]) for name in ("median", "bound"))
-    return ExpectedError(median, bound, curves["level"])
+    return ExpectedError(median, bound, curves["level"], curves["least_level"], curves[of]["typical_size"])
 
 
 def error_bounds(data: ReducedData, run: Trajectory) -> tuple[Floats, Floats]:
@@ -140,12 +218,12 @@ def error_bounds(data: ReducedData, run: Trajectory) -> tuple[Floats, Floats]:
             result.append(np.zeros(0))
             continue
         relative = _errors(curves[quantity], "bound", np.maximum.accumulate(run.trust))
-        result.append(relative * np.maximum(np.maximum.accumulate(sizes), curves[quantity]["least_size"]))
+        result.append(relative * mean_size(sizes, curves[quantity]["typical_size"]))
     return result[0], result[1]
 
 
 def force_bound(report: Mapping[str, Any]) -> Callable[[float, float], float] | None:
-    """Return the error bound [N] of tool forces, by the largest trust number and force [N] so far, as a function.
+    """Return the error bound [N] of tool forces, by the largest trust number so far and the force [N], as a function.
 
     It is None without held-out runs with tools.
     """
@@ -160,16 +238,22 @@ def bound_curve(report: Mapping[str, Any]) -> Floats:
     curve = (_curves(report) or {}).get("force")
     if curve is None:
         return np.zeros(5)
-    return np.array([float(curve[k]) for k in ("bound", "least_trust", "exponent", "largest_trust", "least_size")])
+    return np.array([float(curve[k]) for k in ("bound", "least_trust", "exponent", "largest_trust", "typical_size")])
+
+
+@register_jitable
+def mean_size(size, typical_size):  # type: ignore[no-untyped-def]
+    """Return the mean of the present and the typical size, to which errors are relative."""
+    return 0.5 * (size + typical_size)
 
 
 @register_jitable
 def curve_bound(curve, trust, size):  # type: ignore[no-untyped-def]
-    """Return the error bound [N] by the largest trust number and force [N] so far; infinite where it is not known."""
-    error, least_trust, exponent, largest_trust, least_size = curve[0], curve[1], curve[2], curve[3], curve[4]
+    """Return the error bound [N] by the largest trust number so far and the force [N]; infinite where not known."""
+    error, least_trust, exponent, largest_trust, typical_size = curve[0], curve[1], curve[2], curve[3], curve[4]
     if not (error > 0.0 and trust <= largest_trust):
         return np.inf
-    return error * max(trust, least_trust) ** exponent * max(size, least_size)
+    return error * max(trust, least_trust) ** exponent * mean_size(size, typical_size)
 
 
 def _curves(report: Mapping[str, Any]) -> dict[str, Any] | None:

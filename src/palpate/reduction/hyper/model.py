@@ -29,9 +29,14 @@ from palpate.reduction.hyper.body import DIFFERENCE_STEP, ReducedWork, reduced_b
 from palpate.reduction.hyper.data import ReducedData
 from palpate.reduction.hyper.error_indicator import (
     ExpectedError,
+    approach_speeds,
     error_bounds,
     expected_error,
+    nearness_to_supports,
     residual_norm,
+    rms_speeds,
+    support_nearness,
+    touch_speed,
     training_distance,
 )
 from palpate.reduction.hyper.explicit import ContactData, ExplicitData, explicit_step
@@ -369,11 +374,12 @@ class ReducedModel(CoordinateModel):
     def trust(self, state: State, prepared: PreparedLoads) -> float:
         """Return the trust number of a state: above 1 the state is outside the training data.
 
-        It is the largest of four numbers, each a measure of `palpate.reduction.hyper.error_indicator` over
+        It is the largest of six numbers, each a measure of `palpate.reduction.hyper.error_indicator` over
         its scale: the distance to the nearest training state, the residual norm of the forces on test fields,
-        the share of the loads' static response that the coordinates cannot represent, and the displacement
-        of the surface compliance under tools. The scales make the trust number at most 1 in all frames of
-        95 % of the held-out runs. Without such runs, they come from the training data.
+        the share of the loads' static response that the coordinates cannot represent, the displacement of the
+        surface compliance under tools, their touch speed, and the nearness of tools to supports. The scales make the
+        trust number at most 1 in all frames of 95 % of the held-out runs. Without such runs, they come from
+        the training data.
         """
         constraints, (_, energy) = (
             constraint_forces(self.body, state, prepared),
@@ -388,7 +394,38 @@ class ReducedModel(CoordinateModel):
             residual_norm(self.data, constraints) / self.data.residual_scale,
             self.load_share(state, prepared) / self.data.load_scale,
             float(np.sqrt(energy / self.data.flexibility_scale)),
+            float(touch_speed(self.speed(state, prepared), energy, self.data.flexibility_scale))
+            / self.data.speed_scale,
+            self.support_nearness(state) / self.data.nearness_scale,
         )
+
+    @cached_property
+    def _mass_share(self) -> Floats:
+        """Mass matrix (m + l, m + l) divided by the mass of the body."""
+        return np.asarray(self.body.mass / self.masses.sum())
+
+    def speed(self, state: State, prepared: PreparedLoads) -> float:
+        """Return the largest speed [m/s] at which a tool that touches the body moves into it, or 0.
+
+        Without a contact surface it is the root mean square speed over the body.
+        """
+        if self.data.compliance is None:
+            return float(rms_speeds(self._mass_share, state.velocities[None])[0])
+        if state.contact_state is None or not prepared.tools:
+            return 0.0
+        forces = state.contact_state.surface_forces.sum(axis=1)
+        return float(approach_speeds(prepared, np.array([state.time]), forces[None]).max()) if forces.any() else 0.0
+
+    @cached_property
+    def _nearness(self) -> Floats:
+        """Nearness to supports of all nodes (n,)."""
+        return nearness_to_supports(self.cloud, self.supports, np.arange(len(self.cloud)))
+
+    def support_nearness(self, state: State) -> float:
+        """Return the nearness of tools to supports: the mean of the spacing over the distance, weighted by forces."""
+        if state.contact_state is None:
+            return 0.0
+        return float(support_nearness(self._nearness, state.contact_state.forces[None]))
 
     def load_share(self, state: State, prepared: PreparedLoads) -> float:
         """Return the share of the loads' static response that the coordinates cannot represent, 0 to 1."""
@@ -407,8 +444,7 @@ class ReducedModel(CoordinateModel):
         trust : float
             The largest trust number of a motion so far, because an error persists as a vibration.
         of : str
-            ``"displacement"``: root mean square over the body, over the largest such displacement so far.
-            ``"force"``: of the force on a tool, over the largest so far.
+            ``"displacement"``: root mean square over the body. ``"force"``: of the force on a tool.
 
         Returns
         -------

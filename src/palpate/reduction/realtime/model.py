@@ -22,7 +22,7 @@ from palpate.faults import InputError, number_in_range
 from palpate.reduction.contact.surface import contact_scratch, rigid_tools
 from palpate.reduction.contact.tangent import contact_stiffness, contact_system
 from palpate.reduction.contact.tools import ContactTools
-from palpate.reduction.hyper.error_indicator import force_bound
+from palpate.reduction.hyper.error_indicator import force_bound, nearness_to_supports
 from palpate.reduction.hyper.foundation import Springs, project_springs
 from palpate.reduction.hyper.implicit import ImplicitData, newton_scratch
 from palpate.reduction.hyper.model import ReducedModel
@@ -63,8 +63,8 @@ class RealtimeModel(NamedTuple):
     tool : (l, 12) array
         Map from a rigid pose to the tool coordinates, see `palpate.reduction.hyper.reactions.tool_map`.
     force_bound : function, optional
-        ``force_bound(trust, size)`` returns the error bound [N] of the tool's force, by the largest trust number and
-        the largest force [N] so far. None without held-out runs with tools.
+        ``force_bound(trust, size)`` returns the error bound [N] of the tool's force, by the largest trust number so
+        far and the present force [N]. None without held-out runs with tools.
     catch_up : int
         Number of periods by which the engine may be late and still take them all.
     change_tool : function, optional
@@ -136,8 +136,9 @@ def realtime_model(
         Longest period that the engine may request.
     contact : Contact or Grasp, optional
         The tool in contact. The engine's poses are displacements and rotations from its pose at time 0,
-        the rotations about its position. The trust number is then the larger of the distance from the
-        training states and the displacement of the surface compliance, each over its scale.
+        the rotations about its position. The trust number then counts the distance from the
+        training states, the displacement of the surface compliance, the speed, and the nearness of the tool to
+        supports, each over its scale.
     foundations : sequence of Foundation
         Springs between the body and the ground. Other loads are not supported in real time.
     period : float [s]
@@ -299,6 +300,10 @@ def _indicator(model: ReducedModel, which: Ints, body: ImplicitData, contact: bo
         distance_scale=model.data.distance_scale,
         residual_scale=np.inf if contact else model.data.residual_scale,
         flexibility_scale=model.data.flexibility_scale,
+        speed_scale=model.data.speed_scale,
+        nearness_scale=model.data.nearness_scale,
+        nearness=nearness_to_supports(model.cloud, model.supports, model.body.surface.nodes),
+        body_mass=float(model.masses.sum()),
         integration_points=points,
         scratch=scratch(points, body.scratch.history),
         mass=model.body.all_mass[np.ix_(which[count:], which[:count])],

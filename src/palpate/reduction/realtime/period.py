@@ -17,10 +17,11 @@ from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.material.relaxation import HistoryCopy, copy_history, copy_values, reset_history
 from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN, TRUST
-from palpate.reduction.contact.gauss_seidel import compliance_energy, press, set_tool_path
+from palpate.reduction.contact.gauss_seidel import approach_speed, compliance_energy, press, set_tool_path
 from palpate.reduction.contact.surface import ContactScratch, ContactSurface, RigidTools
 from palpate.reduction.contact.tangent import ContactSystem
 from palpate.reduction.galerkin.central_difference import drift, kick_coordinates, trial_coordinates
+from palpate.reduction.hyper.error_indicator import support_nearness, touch_speed
 from palpate.reduction.hyper.foundation import add_spring_forces
 from palpate.reduction.hyper.implicit import FORCE as NEWTON_FORCE
 from palpate.reduction.hyper.implicit import LOAD as NEWTON_LOAD
@@ -41,7 +42,7 @@ LEAST_ENERGY = 1e-12  # [J] below which a gain is rounding
 # rows of `PeriodData.vectors`
 POWER_SHAPE, WORK, FORCE, RATE, VELOCITY_CHANGE, SAVED_COORDINATES, SAVED_VELOCITIES, TOOL_RATES = range(8)
 REST_FREQUENCY, FREQUENCY, NEXT_COLUMN, ENERGY = range(4)  # entries of `PeriodData.tracking`
-HERE, ALONG_SHAPE, ALONG_COLUMN = range(3)  # rows of `Probes.forces`
+AT_STATE, ALONG_SHAPE, ALONG_COLUMN = range(3)  # rows of `Probes.forces`
 
 
 class IndicatorData(NamedTuple):
@@ -53,7 +54,12 @@ class IndicatorData(NamedTuple):
         Training states times the root; transposed root of the mass matrix divided by the body's mass.
     distance_scale, residual_scale : float [m]
     flexibility_scale : float [J]
+    speed_scale : float [m/s]
+    nearness_scale : float
         See `palpate.reduction.hyper.data.ReducedData`.
+    nearness : (k,) array
+        Of the surface nodes to supports.
+    body_mass : float [kg]
     integration_points, scratch : tuples
         For the coordinates and the w residual fields.
     mass : (w, m) array
@@ -67,6 +73,10 @@ class IndicatorData(NamedTuple):
     distance_scale: float
     residual_scale: float
     flexibility_scale: float
+    speed_scale: float
+    nearness_scale: float
+    nearness: Floats
+    body_mass: float
     integration_points: IntegrationPoints
     scratch: Scratch
     mass: Floats
@@ -205,7 +215,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
                 shape[m] = data.body.differences[m]
             largest = 1.0
         for m in range(count):
-            rows[HERE, m], rows[ALONG_SHAPE, m] = q[m], q[m]
+            rows[AT_STATE, m], rows[ALONG_SHAPE, m] = q[m], q[m]
         for m in range(modes):
             shape[m] /= largest
             rows[ALONG_SHAPE, m] += shape[m]
@@ -219,7 +229,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         modes, count = data.modes, data.tangent.shape[0]
         shape, image, change = data.vectors[POWER_SHAPE], data.vectors[WORK], data.vectors[RATE]
         behind, ahead, along = (
-            data.probes.forces[HERE],
+            data.probes.forces[AT_STATE],
             data.probes.forces[ALONG_SHAPE],
             data.probes.forces[ALONG_COLUMN],
         )
@@ -450,7 +460,17 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         report[TRUST] = distance(data, q)
         if data.indicator.residual_scale < np.inf:
             report[TRUST] = max(report[TRUST], residual_norm(data, q, v))
-        report[TRUST], report[STEPS] = max(report[TRUST], np.sqrt(flexible / data.indicator.flexibility_scale)), taken
+        speed = np.sqrt(2.0 * report[KINETIC] / data.indicator.body_mass)
+        if data.tools.kind.shape[0] > 0:
+            speed = approach_speed(data.tools, data.contact_work.force, period)
+        nearness = support_nearness(data.indicator.nearness, data.contact_work.force)
+        report[TRUST] = max(
+            report[TRUST],
+            np.sqrt(flexible / data.indicator.flexibility_scale),
+            touch_speed(speed, flexible, data.indicator.flexibility_scale) / data.indicator.speed_scale,
+            nearness / data.indicator.nearness_scale,
+        )
+        report[STEPS] = taken
 
     @law_njit(digest, inline="always", fastmath={"contract"})
     def stiffness(data, q, out):  # type: ignore[no-untyped-def]

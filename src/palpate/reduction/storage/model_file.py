@@ -18,8 +18,9 @@ from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import plain
 from palpate.reduction.contact.compliance import NO_COMPLIANCE
 from palpate.reduction.hyper.cubature import Cubature
+from palpate.reduction.hyper.data import UNLIMITED_SCALE, ReducedData
 from palpate.reduction.hyper.material_point import Kinematics
-from palpate.reduction.hyper.model import ReducedData, ReducedModel
+from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.body import (
     BODY_ATTRIBUTES,
     BODY_LAYOUT,
@@ -49,8 +50,9 @@ from palpate.sealed import ArrayFile, loading, open_sealed, write_sealed
 
 __all__ = ["MODEL_REMEDY", "contents", "load_hyper_reduced", "model_of", "save_hyper_reduced"]
 
-FORMAT, VERSION = "palpate reduced model", 13
-OLDER_VERSIONS = (12,)  # also read
+FORMAT, VERSION = "palpate reduced model", 14
+OLDER_VERSIONS = (12, 13)  # also read
+NEW_ATTRIBUTES = {"speed_scale", "nearness_scale"}  # that older files lack; their error bounds have another meaning
 MODEL_REMEDY = "copy the file again, or train the model again"
 MAX_NAME_LENGTH = 200  # characters of a scene's name
 MAX_ADVICE_LENGTH = 1000  # characters
@@ -75,13 +77,13 @@ MODEL_LAYOUT: Layout = BODY_LAYOUT | {
     "compliance/shares": ("<f8", ("touched", "patched")),
     "compliance/stiffening": ("<f8", (2,)),
 }
-CURVE_KEYS = ("bound", "exponent", "largest_trust", "least_size", "least_trust", "median")  # of an expected error
+CURVE_KEYS = ("bound", "exponent", "largest_trust", "least_trust", "median", "typical_size")  # of an expected error
 ATTRIBUTE_TYPES: dict[str, type] = BODY_ATTRIBUTES | {
     "prescribed": list, "wave_speed": float, "modes": int, "lifting_count": int, "residual": float,
     "distance_scale": float, "report": str,
     "sheet": bool, "prestretch": float, "relaxed": bool, "taut_frequency": float,
     "residual_fields": int, "residual_scale": float, "load_scale": float,
-    "flexibility_scale": float, "bonded_scale": float,
+    "flexibility_scale": float, "speed_scale": float, "nearness_scale": float, "bonded_scale": float,
     "step": float, "single": bool,
 }  # fmt: skip
 
@@ -156,6 +158,8 @@ def _header(data: ReducedData) -> Header:
         "residual_scale": float(data.residual_scale),
         "load_scale": float(data.load_scale),
         "flexibility_scale": float(data.flexibility_scale),
+        "speed_scale": float(data.speed_scale),
+        "nearness_scale": float(data.nearness_scale),
         "sheet": data.kinematics.sheet,
         "prestretch": float(data.kinematics.prestretch),
         "relaxed": data.kinematics.relaxed,
@@ -191,11 +195,22 @@ def model_of(header: Header, file: ArrayFile, prefix: str = "") -> ReducedModel:
     InputError
         The content is not that of a reduced model.
     """
+    header = header if NEW_ATTRIBUTES & header.keys() else _converted(header)
     check_header(header, ATTRIBUTE_TYPES)
     layout = _layout(header, f"{prefix}interior/nodes" in file.arrays)
     steps = STEPS_LAYOUT if f"{prefix}compliance/steps" in file.arrays else {}
     arrays = unpack_flexibilities(read_arrays(file, prefix, layout | steps))
     return ReducedModel(_data(header, _check_shapes(header, arrays)), **_step_rule(header))
+
+
+def _converted(header: Header) -> Header:
+    """Return the header of an older file: without limits of speed and nearness, and without its error bounds."""
+    check_header(header, {name: kind for name, kind in ATTRIBUTE_TYPES.items() if name not in NEW_ATTRIBUTES})
+    report = mapping_in("report", header["report"])
+    held_out = report.get("held_out")
+    if isinstance(held_out, dict):
+        report = report | {"held_out": {name: value for name, value in held_out.items() if name != "expected_error"}}
+    return header | dict.fromkeys(NEW_ATTRIBUTES, UNLIMITED_SCALE) | {"report": json.dumps(report)}
 
 
 def _layout(header: Header, interior: bool) -> dict[str, tuple[str, tuple[str | int, ...]]]:
@@ -255,6 +270,8 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
         flexibility_scale=number_in_range(
             "flexibility_scale", header["flexibility_scale"], 0.0, open_low=True, unit="J"
         ),
+        speed_scale=number_in_range("speed_scale", header["speed_scale"], 0.0, open_low=True, unit="m/s"),
+        nearness_scale=number_in_range("nearness_scale", header["nearness_scale"], 0.0, open_low=True),
         report=_report(mapping_in("report", header["report"])),
         kinematics=Kinematics(
             header["sheet"], number_in_range("prestretch", header["prestretch"], 1.0), header["relaxed"]
@@ -286,10 +303,12 @@ def _report(report: dict[str, Any]) -> dict[str, Any]:
 
 def _check_curves(curves: Any) -> None:
     """Refuse curves of expected errors that the calibration does not write."""
-    if not isinstance(curves, dict) or not {"level"} < curves.keys() <= {"level", "displacement", "force"}:
-        raise InputError("header report holds expected errors without level and displacement")
-    number_in_range("level", curves["level"], 0.0, 1.0)
-    for quantity in curves.keys() - {"level"}:
+    levels = {"level", "least_level"}
+    if not isinstance(curves, dict) or not levels < curves.keys() <= levels | {"displacement", "force"}:
+        raise InputError("header report holds expected errors without levels and displacement")
+    for name in sorted(levels):
+        number_in_range(name, curves[name], 0.0, 1.0)
+    for quantity in curves.keys() - levels:
         if not isinstance(curves[quantity], dict) or curves[quantity].keys() != {*CURVE_KEYS}:
             raise InputError(f"header report holds an expected error of the {quantity} without {', '.join(CURVE_KEYS)}")
         for name in CURVE_KEYS:

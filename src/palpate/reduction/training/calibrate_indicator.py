@@ -2,10 +2,13 @@
 
 Frames of one run err together. So all quantiles count runs, not frames. The error bound is a conformal
 prediction of runs (Vovk, Gammerman and Shafer, Algorithmic Learning in a Random World, Springer 2005;
-Barber et al., Ann. Stat. 49, 2021, for its leave-one-out form): a power law of the trust number, fitted
-to the errors of the frames, times a factor. The factor of a run is the largest ratio of its errors to
-the power law of the other runs. The k-th smallest factor of n runs bounds that of one more run with a
-probability of about k / (n + 1).
+Barber et al., Ann. Stat. 49, 2021, for its leave-one-out form): the mean of the present and the typical
+size, times a power of the largest trust number so far, times a factor. The exponent is fitted between
+runs. The factor of a run is the largest ratio of its errors to the product by the exponent of the other
+runs. The k-th smallest factor of n runs bounds that of one more run with a probability of about
+k / (n + 1). That is a mean over campaigns. The share of runs that keep the bound of one campaign has the
+beta distribution B(k, n + 1 - k) (Vovk, Asian Conference on Machine Learning 2012), whose tenth
+percentile the campaign at hand exceeds with a confidence of 90 %.
 """
 
 from __future__ import annotations
@@ -14,14 +17,26 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.stats import beta
 
 from palpate.arrays import Floats
-from palpate.dynamics.loads.prepared import Load
+from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.run.model import State
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.reduction.contact.compliance import contact_displacements
 from palpate.reduction.contact.tools import contact_at_frame
-from palpate.reduction.hyper.error_indicator import force_sizes, residual_norm, rms_sizes, tools_of, training_distance
+from palpate.reduction.hyper.data import UNLIMITED_SCALE
+from palpate.reduction.hyper.error_indicator import (
+    approach_speeds,
+    force_sizes,
+    mean_size,
+    residual_norm,
+    rms_sizes,
+    rms_speeds,
+    tools_of,
+    touch_speed,
+    training_distance,
+)
 from palpate.reduction.hyper.load_share import MAX_LOAD_SCALE, MIN_LOAD_SCALE
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.hyper.reactions import constraint_forces
@@ -30,12 +45,13 @@ __all__ = ["Frames", "Measures", "Scales", "calibrate_scales", "error_curves", "
 
 
 BOUND_PROBABILITY = 0.95  # probability that a run keeps the bound
+CONFIDENCE_LEVEL = 0.9  # that at least a share of the runs keeps the bound of a campaign
 REPEAT_MARGIN = 1.001  # a margin, by which the trust number of a held-out run stays below 1 when it is repeated
-MIN_RELATIVE_SIZE = 0.2  # size in relative errors, over the median of the runs' largest sizes
-SMALL_SHARE = 0.1  # of the frames, whose trust numbers and errors are too small to count
-MIN_TRUST = 1e-3  # least trust number that counts, over the largest
+# Least trust number that counts. The first errors of a force, at touch, do not depend on the trust number.
+LEAST_TRUST = {"displacement": 0.05, "force": 0.4}
 MIN_ERROR = 1e-12  # smallest error in a logarithm, relative
-MAX_EXPONENT = 2.0  # of the power law
+MAX_EXPONENT = 2.0  # of the trust number
+EXPONENT_RIDGE = 0.3  # added to the sum of squares of logarithms: few runs show little of the exponent
 
 
 class Measures(NamedTuple):
@@ -49,12 +65,18 @@ class Measures(NamedTuple):
         See `palpate.reduction.hyper.load_share`.
     flexibility_energies : (f,) array [J]
         Energy of the surface compliance.
+    speeds : (f,) array [m/s]
+        Of tools that move into the body, or of the body.
+    nearness : (f,) array
+        Of tools to supports.
     """
 
     distances: Floats
     residual_norms: Floats
     load_shares: Floats
     flexibility_energies: Floats
+    speeds: Floats
+    nearness: Floats
 
 
 class Frames(NamedTuple):
@@ -67,7 +89,7 @@ class Frames(NamedTuple):
         Of ``"displacement"``, the root mean square over the body [m], and with tools of ``"force"``, the largest
         over the tools [N].
     sizes : mapping of quantity to (f,) array
-        Largest displacement or tool force of the reduced run so far.
+        Displacement [m] or tool force [N] of the reduced run.
     """
 
     measures: Measures
@@ -82,6 +104,8 @@ class Scales(NamedTuple):
     residual_scale: float
     load_scale: float
     flexibility_scale: float
+    speed_scale: float
+    nearness_scale: float
 
 
 def held_out_frames(model: ReducedModel, loads: Sequence[Load], run: Trajectory, full: Trajectory) -> Frames:
@@ -105,6 +129,8 @@ def held_out_frames(model: ReducedModel, loads: Sequence[Load], run: Trajectory,
         np.array([residual_norm(model.data, constraint_forces(model.body, state, prepared)) for state in states]),
         np.array([model.load_share(state, prepared) for state in states]),
         np.array(energies),
+        _speeds(model, prepared, run, velocities),
+        np.array([model.support_nearness(state) for state in states]),
     )
     missed = np.einsum("tnc,n->t", (run.displacements - full.displacements) ** 2, weights)
     errors, sizes = {"displacement": np.sqrt(missed)}, {"displacement": rms_sizes(model.data, run)}
@@ -112,7 +138,17 @@ def held_out_frames(model: ReducedModel, loads: Sequence[Load], run: Trajectory,
     if tools:
         missed = [np.linalg.norm(run.reactions[name] - full.reactions[name], axis=1) for name in tools]
         errors["force"], sizes["force"] = np.max(missed, axis=0), force_sizes(model.data, run)
-    return Frames(measures, errors, {quantity: np.maximum.accumulate(values) for quantity, values in sizes.items()})
+    return Frames(measures, errors, sizes)
+
+
+def _speeds(model: ReducedModel, prepared: PreparedLoads, run: Trajectory, velocities: Floats) -> Floats:
+    """Return the speeds (f,) [m/s] of `palpate.ReducedModel.speed` in all frames of a run."""
+    if model.data.compliance is None:
+        return rms_speeds(model.body.mass / model.masses.sum(), velocities)
+    if not prepared.tools:
+        return np.zeros(len(run.times))
+    forces = np.stack([run.reactions[tool.name] for tool in prepared.tools], axis=1)
+    return np.asarray(approach_speeds(prepared, run.times, forces).max(axis=1))
 
 
 def _contact_displacements(model: ReducedModel, run: Trajectory, frame: int) -> tuple[Floats, float]:
@@ -132,8 +168,14 @@ def calibrate_scales(runs: Sequence[Measures], share: float) -> Scales:
     With these scales the trust number is at most 1 in all frames of a given share of the runs, unless the
     scale of the load shares would be above `MAX_LOAD_SCALE`.
     """
-    quantiles = [_run_quantile([values.max(initial=0.0) for values in each], share) for each in zip(*runs, strict=True)]
+    energy = max(_run_quantile([run.flexibility_energies.max(initial=0.0) for run in runs], share), 1e-300)
+    measures = [run._replace(speeds=touch_speed(run.speeds, run.flexibility_energies, energy)) for run in runs]
+    quantiles = [
+        _run_quantile([values.max(initial=0.0) for values in each], share) for each in zip(*measures, strict=True)
+    ]
     scales = Scales(*(max(value, 1e-300) for value in quantiles))
+    if not any(run.nearness.any() for run in runs):  # without tools or supports
+        scales = scales._replace(nearness_scale=UNLIMITED_SCALE)
     scales = scales._replace(load_scale=max(scales.load_scale, MIN_LOAD_SCALE))
     wider = max(_run_quantile([float(trust_numbers(run, scales).max()) for run in runs], share), 1.0)
     wider *= REPEAT_MARGIN
@@ -142,6 +184,8 @@ def calibrate_scales(runs: Sequence[Measures], share: float) -> Scales:
         wider * scales.residual_scale,
         min(wider * scales.load_scale, MAX_LOAD_SCALE),
         wider**2 * scales.flexibility_scale,
+        wider * scales.speed_scale,
+        min(wider * scales.nearness_scale, UNLIMITED_SCALE),
     )
 
 
@@ -153,7 +197,8 @@ def _run_quantile(values: Sequence[float], share: float) -> float:
 def trust_numbers(run: Measures, scales: Scales) -> Floats:
     """Return the trust numbers (f,) of the frames of a run."""
     ratios = [values / scale for values, scale in zip(run, scales, strict=True)]
-    return np.asarray(np.max([*ratios[:3], np.sqrt(ratios[3])], axis=0))
+    touching = touch_speed(run.speeds, run.flexibility_energies, scales.flexibility_scale) / scales.speed_scale
+    return np.asarray(np.max([*ratios[:3], np.sqrt(ratios[3]), touching, ratios[5]], axis=0))
 
 
 def error_curves(runs: Sequence[Frames], scales: Scales) -> dict[str, Any]:
@@ -162,72 +207,50 @@ def error_curves(runs: Sequence[Frames], scales: Scales) -> dict[str, Any]:
     Returns
     -------
     mapping
-        ``"level"``: the probability that a further run keeps the bounds. ``"displacement"``, and with tools
-        ``"force"``: a mapping of numbers. At a trust number T, the median and the bound of the errors, relative to the
-        size, are ``"median"`` and ``"bound"`` times T^``"exponent"``, with T at least ``"least_trust"``. Above
-        ``"largest_trust"`` the error is unknown. While a run is smaller than ``"least_size"`` [m] or [N], errors are
-        relative to that.
+        ``"level"``: the probability that a further run keeps the bounds; ``"least_level"``: the share of runs that keep
+        them with the confidence `CONFIDENCE_LEVEL`. ``"displacement"``, and with tools ``"force"``: a mapping.
+        At a trust number T, the median and the bound of the errors, relative to the mean of the present and the
+        typical size, are ``"median"`` and ``"bound"`` times T^``"exponent"``, with T at least ``"least_trust"``. Above
+        ``"largest_trust"`` the error is unknown. ``"typical_size"`` [m] or [N] is the median of the runs' largest.
     """
     worst = [np.maximum.accumulate(trust_numbers(run.measures, scales)) for run in runs]
-    k = min(int(np.ceil(BOUND_PROBABILITY * (len(runs) + 1))), len(runs))
-    result: dict[str, Any] = {"level": min(BOUND_PROBABILITY, k / (len(runs) + 1))}
-    for quantity in runs[0].errors:
-        least = max(MIN_RELATIVE_SIZE * float(np.median([run.sizes[quantity][-1] for run in runs])), 1e-300)
-        relative = [run.errors[quantity] / np.maximum(run.sizes[quantity], least) for run in runs]
-        curve = _power_law(worst, relative)
-        ratios = np.concatenate([errors / curve.at(trust) for errors, trust in zip(relative, worst, strict=True)])
+    n = len(runs)
+    k = min(int(np.ceil(BOUND_PROBABILITY * (n + 1))), n)
+    result: dict[str, Any] = {
+        "level": min(BOUND_PROBABILITY, k / (n + 1)),
+        "least_level": float(beta.ppf(1 - CONFIDENCE_LEVEL, k, n + 1 - k)),
+    }
+    for quantity, least in LEAST_TRUST.items():
+        if quantity not in runs[0].errors:
+            continue
+        typical = max(float(np.median([run.sizes[quantity].max() for run in runs])), 1e-300)
+        relative = [run.errors[quantity] / mean_size(run.sizes[quantity], typical) for run in runs]
+        trust = [np.maximum(numbers, least) for numbers in worst]
+        peaks = np.array([run.errors[quantity].max() / mean_size(run.sizes[quantity].max(), typical) for run in runs])
+        largest = np.array([numbers[-1] for numbers in trust])
+        exponent = _exponent(largest, peaks)
+        others = [np.arange(n) != r if n > 1 else np.ones(1, dtype=bool) for r in range(n)]
+        factors = [
+            float(np.max(errors / numbers ** _exponent(largest[kept], peaks[kept])))
+            for errors, numbers, kept in zip(relative, trust, others, strict=True)
+        ]
+        ratios = np.concatenate([errors / numbers**exponent for errors, numbers in zip(relative, trust, strict=True)])
         result[quantity] = {
-            "least_size": least,
-            "least_trust": curve.least_trust,
-            "largest_trust": REPEAT_MARGIN**2 * curve.largest_trust,  # at least 1
-            "exponent": curve.exponent,
-            "median": curve.factor * float(np.median(ratios)),
-            "bound": curve.factor * float(np.sort(_largest_ratios(worst, relative))[k - 1]),
+            "typical_size": typical,
+            "least_trust": least,
+            "largest_trust": REPEAT_MARGIN**2 * float(max(numbers[-1] for numbers in worst)),  # at least 1
+            "exponent": exponent,
+            "median": float(np.median(ratios)),
+            "bound": max(float(np.sort(factors)[k - 1]), MIN_ERROR),
         }
     return result
 
 
-def _largest_ratios(worst: Sequence[Floats], errors: Sequence[Floats]) -> list[float]:
-    """Return the largest ratio of the errors of each run to the curve of the other runs, or of itself if alone."""
-    result = []
-    for r in range(len(worst)):
-        others = [k for k in range(len(worst)) if k != r] or [r]
-        curve = _power_law([worst[k] for k in others], [errors[k] for k in others])
-        result.append(float(np.max(errors[r] / curve.at(worst[r]))))  # 0 above all that the others met
-    return result
+def _exponent(trust: Floats, errors: Floats) -> float:
+    """Return the exponent of a power law of the largest trust numbers (n,) fitted to the largest errors (n,) of runs.
 
-
-class _PowerLaw(NamedTuple):
-    """A typical error factor * T^exponent at trust numbers T, at least `least_trust`; infinite above the largest."""
-
-    factor: float
-    exponent: float
-    least_trust: float
-    largest_trust: float
-
-    def at(self, trust: Floats) -> Floats:
-        """Return the typical errors at trust numbers (f,)."""
-        typical = self.factor * np.maximum(trust, self.least_trust) ** self.exponent
-        return np.where(trust <= self.largest_trust, typical, np.inf)
-
-
-def _power_law(worst: Sequence[Floats], errors: Sequence[Floats]) -> _PowerLaw:
-    """Return a power law fitted to the errors of all frames, by least squares of logarithms.
-
-    Parameters
-    ----------
-    worst, errors : sequences of (f,) arrays
-        Largest trust number so far and relative error of every run, frame by frame.
+    It is that of least squares of logarithms, with a ridge.
     """
-    trust, missed = np.concatenate(list(worst)), np.concatenate(list(errors))
-    largest = float(trust.max())
-    least = max(float(np.quantile(trust, SMALL_SHARE)), MIN_TRUST * largest, 1e-300)
-    counted = missed > 0
-    if not counted.any():  # exact, such as bodies at rest
-        return _PowerLaw(MIN_ERROR, 0.0, least, largest)
-    x = np.log(np.maximum(trust[counted], least))
-    y = np.log(np.maximum(missed[counted], max(float(np.quantile(missed[counted], SMALL_SHARE)), MIN_ERROR)))
-    spread = float(np.sum((x - x.mean()) ** 2))
-    slope = float(np.sum((x - x.mean()) * (y - y.mean()))) / spread if spread > 0 else 0.0
-    exponent = float(np.clip(slope, 0.0, MAX_EXPONENT))
-    return _PowerLaw(float(np.exp(np.mean(y - exponent * x))), exponent, least, largest)
+    x, y = np.log(trust), np.log(np.maximum(errors, MIN_ERROR))
+    x, y = x - x.mean(), y - y.mean()
+    return float(np.clip((x @ y) / (x @ x + EXPONENT_RIDGE), 0.0, MAX_EXPONENT))

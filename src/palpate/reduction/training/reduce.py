@@ -25,7 +25,8 @@ from palpate.reduction.basis.linear_modes import interpolated_modes
 from palpate.reduction.basis.snapshots import Run, Snapshots
 from palpate.reduction.basis.strain_pod import join, main_modes
 from palpate.reduction.contact.coarse_body import statics_body
-from palpate.reduction.hyper.error_indicator import distances_to_nearest
+from palpate.reduction.hyper.data import UNLIMITED_SCALE
+from palpate.reduction.hyper.error_indicator import distances_to_nearest, nearness_to_supports, rms_speeds
 from palpate.reduction.hyper.material_point import Kinematics
 from palpate.reduction.hyper.model import ReducedData, ReducedModel
 from palpate.reduction.training.advice import advice
@@ -53,6 +54,7 @@ TRAINING_STATES = 240  # for the fit of the cubature
 MIN_DISPLACEMENT = 1e-10  # of the largest one in training over the spacing; strains below are lost by rounding
 MODES_PER_PRESSURE = 4  # more pressure modes would cause volumetric locking
 ERROR_QUANTILE = 0.95  # of errors, and of runs with a trust number of at most 1
+FRAME_SPEED_MARGIN = 1.5  # of a scale from differences of frames, which miss the peaks between
 FREQUENCY_STATES = 16  # training states for the highest frequency of a membrane
 
 
@@ -417,6 +419,8 @@ def _data(
         constant=fields.constant,
         training_states=chosen,
         distance_scale=_distance_scale(chosen, mass / body.masses.sum(), snapshots),
+        speed_scale=_speed_scale(states, mass / body.masses.sum(), snapshots, options),
+        nearness_scale=_nearness_scale(body, snapshots),
         residual_fields=columns.residual_fields,
         kinematics=_kinematics(body),
     )
@@ -489,6 +493,56 @@ def _over_runs(entries: Sequence[dict[str, Any]], names: Sequence[str]) -> dict[
         "mean": {name: float(np.mean(errors)) for name, errors in values.items()},
         "percentile_95": {name: float(np.quantile(errors, ERROR_QUANTILE)) for name, errors in values.items()},
     }
+
+
+def _speed_scale(states: Floats, mass: Floats, snapshots: Snapshots, options: _Options) -> float:
+    """Return the largest speed [m/s] that most runs do not exceed; unlimited without times.
+
+    It is that of the tools in contact, or of the body, as in `palpate.ReducedModel.speed`.
+    """
+    fastest, parts = [], np.split(states, np.cumsum(snapshots.lengths)[:-1])
+    of_tools = snapshots.has_contact and not options.tools
+    for run, coordinates in zip(snapshots.runs, parts, strict=True):
+        if not len(run.times) == len(coordinates) > 1:
+            continue
+        if of_tools:
+            fastest.append(_speed_in_contact(run))
+            continue
+        velocities = np.diff(coordinates, axis=0) / np.diff(run.times)[:, None]
+        fastest.append(float(rms_speeds(mass, velocities).max()))
+    return FRAME_SPEED_MARGIN * _of_most_runs(fastest)
+
+
+def _speed_in_contact(run: Any) -> float:
+    """Return the largest mean speed [m/s] between frames of the nodes that tools touch, weighted by their forces."""
+    rows, times = np.asarray(run.contact_forces), np.asarray(run.times)
+    frames, fastest = rows[:, 0].astype(int), 0.0
+    for frame in np.unique(frames[frames > 0]):
+        nodes, forces = rows[frames == frame, 1].astype(int), np.linalg.norm(rows[frames == frame, 2:], axis=1)
+        moved = np.asarray(run.displacements[int(frame)])[nodes] - np.asarray(run.displacements[int(frame) - 1])[nodes]
+        if forces.any():
+            speeds = np.linalg.norm(moved, axis=1) / (times[frame] - times[frame - 1])
+            fastest = max(fastest, float(np.average(speeds, weights=forces)))
+    return fastest
+
+
+def _nearness_scale(body: EnergySolid | Membrane, snapshots: Snapshots) -> float:
+    """Return the largest nearness of tools to supports that most runs do not exceed; unlimited without contact."""
+    nearness, nearest = nearness_to_supports(body.cloud, body.supports, np.arange(len(body.cloud))), []
+    for run in snapshots.runs:
+        rows = np.asarray(run.contact_forces)
+        if len(rows):
+            frames, size = rows[:, 0].astype(int), np.linalg.norm(rows[:, 2:], axis=1)
+            total = np.bincount(frames, size)
+            mean = np.bincount(frames, size * nearness[rows[:, 1].astype(int)]) / np.maximum(total, 1e-300)
+            nearest.append(float(mean.max()))
+    return _of_most_runs(nearest)
+
+
+def _of_most_runs(values: Sequence[float]) -> float:
+    """Return the value that most runs do not exceed; unlimited without values, or where they are zero."""
+    scale = float(np.quantile(values, ERROR_QUANTILE, method="higher")) if len(values) else 0.0
+    return scale if scale > 0.0 else UNLIMITED_SCALE
 
 
 def _distance_scale(chosen: Floats, mass: Floats, snapshots: Snapshots) -> float:
