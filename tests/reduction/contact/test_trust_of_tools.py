@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.reduction.hyper.error_indicator import approach_speeds
 
 pytestmark = pytest.mark.slow
 
@@ -93,3 +94,57 @@ def test_a_reading_has_the_bound_of_its_force(model):
     size = 0.5 * (3.0 + curve["typical_size"])
     assert bare(0.5, 3.0) == pytest.approx(model.expected_error(0.5, "force").bound * size)
     assert bare(1.01 * curve["largest_trust"], 3.0) == np.inf
+
+
+def only(model, *names: str) -> pt.ReducedModel:
+    """The model with all other measures made small."""
+    every = {"distance_scale", "residual_scale", "flexibility_scale", "speed_scale", "nearness_scale"}
+    large = dict.fromkeys(every.difference(names), 1e30)
+    return pt.ReducedModel(replace(model.data, load_scale=1.0, **large))
+
+
+def test_a_tool_next_to_a_support_is_not_trusted(model):
+    """The lowest nodes of the side are next to the fixed ones, and training pressed the top."""
+    near = only(model, "nearness_scale")
+    low, high = (run(near, press(0.024, height, 0.003, axis=0)).trust.max() for height in (0.008, 0.03))
+    assert low > 1.5 > 1.2 * high
+    assert run(near, press(0.024, 0.024, 0.003)).trust.max() <= 1.1
+
+
+def timed_press(factor: float, depth: float = 0.004) -> list[pt.tools.Contact]:
+    slow = press(0.024, 0.022, depth)[0]
+    return [pt.tools.Contact(slow.tool, lambda t: slow.motion(factor * t), friction=slow.friction)]
+
+
+def test_a_tool_faster_than_in_training_is_not_trusted_from_touch_on(model):
+    fast = only(model, "speed_scale")
+    assert run(fast, timed_press(1.0)).trust.max() <= 1.1
+    quick = pt.rollout(fast, timed_press(8.0), duration=0.02, every=1e-3)
+    touched = np.flatnonzero(quick.reactions[timed_press(8.0)[0].name].any(axis=1))
+    assert len(touched)
+    assert np.all(np.maximum.accumulate(quick.trust)[touched] > 1)
+
+
+def test_a_tool_that_moves_back_has_no_speed(model):
+    forces = np.array([[[0.0, 0.0, -2.0]], [[0.0, 0.0, -2.0]], [[0.0, 0.0, 0.0]]])
+    up = model.prepare([pt.tools.Contact(pt.tools.Sphere(BALL), lambda t: (0.024, 0.024, 0.05 + 0.3 * t))])
+    down = model.prepare([pt.tools.Contact(pt.tools.Sphere(BALL), lambda t: (0.024, 0.024, 0.05 - 0.3 * t))])
+    times = np.array([0.0, 0.01, 0.02])
+    np.testing.assert_allclose(approach_speeds(down, times, forces)[:, 0], [0.3, 0.3, 0.0], rtol=1e-6)
+    np.testing.assert_array_equal(approach_speeds(up, times, forces), 0.0)
+
+
+def test_the_engine_has_the_same_speed_and_nearness_as_a_run(model):
+    alone, depth = only(model, "speed_scale", "nearness_scale"), 0.004
+    home = press(0.024, 0.022, 0.0)[0].motion(0.0)
+    ready = pt.realtime_model(alone, contact=pt.tools.Contact(pt.tools.Sphere(BALL), home))
+    q, v, report, trust = np.zeros(model.count), np.zeros(model.count), np.zeros(20), []
+    for period in range(1, 51):
+        move = -depth * np.sin(20.0 * period * 1e-3) ** 2
+        ready.advance(ready.data, q, v, np.r_[0.0, 0.0, move, np.zeros(9)], 1e-3, report)
+        trust.append(report[1])
+    down = np.array([0.0, 0.0, -depth])
+    contact = pt.tools.Contact(pt.tools.Sphere(BALL), lambda t: np.array(home) + down * np.sin(20.0 * t) ** 2)
+    expected = pt.rollout(alone, [contact], duration=0.05, every=1e-3).trust[1:]
+    assert max(trust) > 0
+    np.testing.assert_allclose(trust[10:], expected[10:], rtol=0.1, atol=0.02 * max(trust))
