@@ -26,6 +26,7 @@ from palpate.app.models.loader import open_model
 from palpate.app.recordings.recording import Recording, save_recording
 from palpate.app.recordings.snapshot import Snapshot, training_errors
 from palpate.app.train import folder as folders
+from palpate.app.train.campaign import Campaign
 from palpate.app.train.choose import choose
 from palpate.app.train.report import _by_load
 from palpate.dynamics.run.trajectory import FORMAT, VERSION
@@ -292,6 +293,31 @@ def test_with_a_tolerance_paths_are_added_until_it_is_met(tmp_path, capsys):
     assert "kept" in capsys.readouterr().out
     assert read_sealed_json(folder / "rounds.json", "chosen paths")["rounds"] == [first]
     assert pt.load(folder / "model.rom").report["training_runs"] == 4
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "expected"), [(0.05, [24]), (0.025, [24, 32, 48]), (0.001, [24, 32, 48, 66, 96])]
+)
+def test_more_modes_are_tried_on_the_same_runs(monkeypatch, tolerance, expected):
+    """A model errs by one over its number of modes; all paths are there at once."""
+    told, trained = [], []
+
+    def train(self, jobs):
+        trained.append(jobs)
+        return SimpleNamespace(data=SimpleNamespace(modes=self.modes))
+
+    monkeypatch.setattr(Campaign, "train", train)
+    monkeypatch.setattr(Campaign, "jobs", lambda self, paths, held_out: [*paths])
+    monkeypatch.setattr("palpate.app.train.campaign._held_out_error", lambda model: 1 / model.data.modes)
+    folder = SimpleNamespace(rounds=list, write_rounds=lambda numbers: None)
+    campaign = Campaign(folder, None, SimpleNamespace(say=told.append), modes=24)
+    jobs, model, rounds = campaign.train_to_tolerance(tolerance, 4, 2, more_modes=True)
+    assert [each.modes for each in rounds] == expected
+    assert model.data.modes == expected[-1]
+    assert all(each == jobs == [0, 1, 2, 3] for each in trained)
+    assert len(told) == len(expected)
+    _, _, alone = campaign.train_to_tolerance(tolerance, 4, 2)
+    assert [each.modes for each in alone] == [24]
 
 
 def test_chosen_paths_differ_from_the_training_and_each_other(whole):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Collection, Generator, Iterable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from time import perf_counter
@@ -45,13 +45,15 @@ MODEL_FILE = "model.rom"
 # With 3 to 6 modes the 95th percentile of the force errs by 12 to 14 %, with 8 by 10 %, with 24 by 9 % (liver of
 # 12 mm).
 MIN_PATHS, MIN_MODES = 4, 8
+MODE_STEPS = (32, 48, 66, 96)  # numbers of modes that are tried where runs do not keep a tolerance
 MAX_REPEATED = 32  # training runs in which tools touch or hold the body, by which their forces are measured
 
 
 class Round(NamedTuple):
-    """A model of a campaign with a tolerance: its number of training runs, and its error on the held-out runs."""
+    """A model of a campaign with a tolerance: its training runs, its modes, and its error on the held-out runs."""
 
     runs: int
+    modes: int
     error: float
     tolerance: float
 
@@ -114,12 +116,13 @@ class Campaign:
         return model
 
     def train_to_tolerance(
-        self, tolerance: float, most: int, held_out: int
+        self, tolerance: float, most: int, held_out: int, more_modes: bool = False
     ) -> tuple[list[Job], ReducedModel, list[Round]]:
         """Train models on an increasing number of runs, until the held-out error is at most a tolerance.
 
         The paths of further runs are those that cover most of the uncovered surface, and on which the model so
-        far errs most (`palpate.app.train.choose`). The folder keeps their numbers.
+        far errs most (`palpate.app.train.choose`). The folder keeps their numbers. If the tolerance is not kept with
+        all of them, models with more modes are trained on the same runs.
 
         Parameters
         ----------
@@ -130,6 +133,15 @@ class Campaign:
             Largest number of training paths.
         held_out : int
             Number of held-out runs.
+        more_modes : bool
+            Whether to try more modes.
+
+        Returns
+        -------
+        jobs : list of Job
+        model : ReducedModel
+            The last one.
+        rounds : list of Round
         """
         numbers, rounds = self.folder.rounds() or [list(range(min(FIRST_RUNS, most)))], list[Round]()
         while True:
@@ -137,11 +149,21 @@ class Campaign:
             chosen = [k for each in numbers for k in each]
             jobs = self.jobs(chosen, held_out)
             model = self.train(jobs)
-            rounds.append(Round(len(chosen), _held_out_error(model), tolerance))
-            self.console.say(f"{len(chosen)} paths: error {percent(rounds[-1].error)}")
+            rounds.append(self._round(model, len(chosen), tolerance))
             if rounds[-1].error <= tolerance or len(chosen) >= most:
-                return jobs, model, rounds
+                break
             numbers.append(self.further_paths(model, chosen, most))
+        for modes in MODE_STEPS if more_modes else ():
+            if modes > self.modes and rounds[-1].error > tolerance:
+                model = replace(self, modes=modes).train(jobs)
+                rounds.append(self._round(model, len(chosen), tolerance))
+        return jobs, model, rounds
+
+    def _round(self, model: ReducedModel, runs: int, tolerance: float) -> Round:
+        """Return the record of a model, and print its error."""
+        error, modes = _held_out_error(model), int(model.data.modes)
+        self.console.say(f"{runs} paths, {modes} modes: error {percent(error)}")
+        return Round(runs, modes, error, tolerance)
 
     def support_study(self, jobs: Sequence[Job]) -> dict[str, Any] | None:
         """Return changes of tool forces by changes of the supports; None without contact.

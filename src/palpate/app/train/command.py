@@ -65,7 +65,7 @@ def train(
     more : sequence of path
         Recordings of sessions: the campaign also trains on their tool paths beyond trust, from now on.
     modes : int, optional
-        Size of the reduced model.
+        Size of the reduced model. By default that of the scene, and more if a tolerance requires them.
     cubature : float, optional
         As for `palpate.hyper_reduce`: relative error of the sampled forces; by default the scene's.
     workers : int, optional
@@ -103,6 +103,7 @@ def train(
     paths = defaults.paths if paths is None else paths
     held_out = defaults.held_out if held_out is None else held_out
     seed = defaults.seed if seed is None else seed
+    more_modes = modes is None
     modes = defaults.modes if modes is None else modes
     tolerance = defaults.tolerance if tolerance is None else tolerance
     seed = integer_in_range("seed", seed, 0, MAX_SEED)
@@ -135,7 +136,7 @@ def train(
             jobs = campaign.jobs(range(paths), held_out)
             model = campaign.train(jobs)
         else:
-            jobs, model, rounds = campaign.train_to_tolerance(tolerance, paths, held_out)
+            jobs, model, rounds = campaign.train_to_tolerance(tolerance, paths, held_out, more_modes)
         supports = campaign.support_study(jobs)
         report_campaign(campaign_folder, made, jobs, model, campaign.seconds, rounds, supports, as_json)
     if "advice" in model.report:

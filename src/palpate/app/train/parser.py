@@ -46,7 +46,10 @@ def add_train(commands: Any) -> None:
     add("--tolerance", type=number, metavar="E", help=text)
     text = "recordings of sessions (palpate view): also train on their tool paths with trust numbers above 1"
     add("--more", type=existing_file, nargs="+", action="extend", default=[], metavar="FILE.h5", help=text)
-    text = "number of modes of the reduced model (default: that of the scene; 24 of a function)"
+    text = (
+        "number of modes of the reduced model (default: that of the scene, 24 of a function; with --tolerance, up to "
+        "96 if all paths do not keep it)"
+    )
     add("--modes", type=whole, metavar="M", help=text)
     text = (
         "largest relative error of the sampled forces in training: the larger it is, the fewer nodes are sampled and "

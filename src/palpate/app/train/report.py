@@ -170,10 +170,11 @@ def _round_rows(rounds: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     """Return the errors of the models by number of training runs; empty without a tolerance."""
     if not rounds:
         return {}
-    errors = "; ".join(f"{each['runs']}: {percent(each['error'])}" for each in rounds)
+    errors = "; ".join(f"{each['runs']}, {each['modes']}: {percent(each['error'])}" for each in rounds)
     last = rounds[-1]
     kept = "kept" if last["error"] <= last["tolerance"] else "not kept"
-    return {f"error by number of training runs; tolerance of {percent(last['tolerance'])}": f"{errors}; {kept}"}
+    tolerance = percent(last["tolerance"])
+    return {f"error by number of training runs and modes; tolerance of {tolerance}": f"{errors}; {kept}"}
 
 
 def _coverage_rows(shares: Mapping[str, float] | None) -> dict[str, str]:
