@@ -34,9 +34,14 @@ __all__ = [
     "Strip",
     "advance_edge",
     "after_cut",
+    "area_inside",
     "blade_sites",
+    "cutting_directions",
     "edge_points",
+    "length_inside",
     "next_strip",
+    "points_in_space",
+    "project_on_cut",
     "start_incision",
 ]
 
@@ -105,7 +110,7 @@ class Incision(Described):
     Parameters
     ----------
     edge : (p, 3) array [m]
-        Points of the edge in the stress-free body.
+        Points of the edge in the stress-free body, or of the front ahead of a blunt one.
     strip : Strip
         Last strip of triangles of the cut, which goes on with the edge.
     hold : HeldPieces, optional
@@ -114,7 +119,7 @@ class Incision(Described):
     released : float [J]
         Strain energy that fronts have released at fixed displacements.
     release_rate : float [J/m^2]
-        Released energy per area, averaged over the last spacing.
+        Released energy per area, averaged over the last spacing; of a blunt blade that of the present front.
     edge_work, friction_work : float [J]
         Energies dissipated at the edge and by friction on the sides.
 
@@ -170,12 +175,12 @@ def edge_points(blade: Blade, spacing: float) -> Floats:
     return np.concatenate([*parts, corners[-1:]])
 
 
-def _in_space(frame: Floats, points: Floats) -> Floats:
+def points_in_space(frame: Floats, points: Floats) -> Floats:
     """Return points (p, 3) of a frame (3, 4) in space."""
     return np.asarray(points @ frame[:, :3].T + frame[:, 3])
 
 
-def _cutting_directions(points: Floats) -> Floats:
+def cutting_directions(points: Floats) -> Floats:
     """Return the directions (p - 1, 3) in which the pieces of an edge cut, in the tool's frame."""
     along = np.diff(points, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -184,7 +189,7 @@ def _cutting_directions(points: Floats) -> Floats:
 
 def start_incision(state: CutState, blade: Blade, frame: Floats, u: Floats) -> Incision:
     """Return a blade that begins outside a body with displacements (n, 3), in a frame (3, 4)."""
-    places = _in_space(frame, edge_points(blade, state.uncut.spacing))
+    places = points_in_space(frame, edge_points(blade, state.uncut.spacing))
     edge = _edge_in_body(state, blade, frame, u, places)
     return Incision(edge, Strip(edge, np.zeros(len(edge) - 1, dtype=np.bool_), 0))
 
@@ -192,10 +197,10 @@ def start_incision(state: CutState, blade: Blade, frame: Floats, u: Floats) -> I
 def _edge_in_body(state: CutState, blade: Blade, frame: Floats, u: Floats, guesses: Floats) -> Floats:
     """Return the points of the edge in the stress-free body."""
     points = edge_points(blade, state.uncut.spacing)
-    directions = _cutting_directions(points)
+    directions = cutting_directions(points)
     ahead = np.concatenate([directions[:1], directions]) + np.concatenate([directions, directions[-1:]])
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-    places = _in_space(frame, points)
+    places = points_in_space(frame, points)
     return reference_points(state.uncut, state.surface, u, places, guesses, ahead @ frame[:, :3].T)[0]
 
 
@@ -232,7 +237,7 @@ def advance_edge(
     for k in range(count):
         edges = incision.edge + np.array([k / count, (k + 1) / count])[:, None, None] * way
         pieces = _cutting_pieces(state, edges, near, normals)
-        cuts.append((edges[1], pieces, _inner_area(edges, pieces, corners)))
+        cuts.append((edges[1], pieces, area_inside(edges, pieces, corners)))
     return cuts
 
 
@@ -240,7 +245,7 @@ def _slips(hold: HeldPieces, points: Floats, frame: Floats, u: Floats) -> tuple[
     """Return how far (m, 3) [m] an edge of points (p, 3) has slipped from the tissue, and its normals, in space."""
     tissue = hold.points + np.einsum("pk,pkc->pc", hold.weights.values, u[hold.weights.nodes])
     middles = 0.5 * (points[hold.pieces] + points[hold.pieces + 1])
-    return _in_space(frame, middles) - tissue - hold.offsets, hold.normals @ frame[:, :3].T
+    return points_in_space(frame, middles) - tissue - hold.offsets, hold.normals @ frame[:, :3].T
 
 
 def _follow_slip(incision: Incision, target: Floats, points: Floats, frame: Floats, u: Floats, spacing: float) -> None:
@@ -271,7 +276,7 @@ def _follow_slip(incision: Incision, target: Floats, points: Floats, frame: Floa
 
 def _forward(edge: Floats, frame: Floats, blade: Blade, spacing: float) -> Floats:
     """Return the directions (p - 1, 3) in which the pieces of the edge cut, roughly, in the stress-free body."""
-    directions = _cutting_directions(edge_points(blade, spacing)) @ frame[:, :3].T
+    directions = cutting_directions(edge_points(blade, spacing)) @ frame[:, :3].T
     along = np.diff(edge, axis=0)
     square = np.maximum(np.sum(along**2, axis=1, keepdims=True), 1e-30)
     across = directions - np.sum(directions * along, axis=1, keepdims=True) / square * along
@@ -297,11 +302,11 @@ def _in_removed(state: CutState, points: Floats, sights: Floats) -> NDArray[np.b
 
 def _in_cut(state: CutState, points: Floats) -> NDArray[np.bool_]:
     """Return which points (p, 3) are between the edges of the present cut."""
-    distance, over = _project(state, points)[1:]
+    distance, over = project_on_cut(state, points)[1:]
     return np.asarray(over & (distance < IN_CUT * state.uncut.spacing))
 
 
-def _project(state: CutState, points: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+def project_on_cut(state: CutState, points: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Return the results of `nearest_on_cut` for points (p, 3); all are far from a body without a cut."""
     count = len(points)
     projections, distance, over = points.copy(), np.full(count, np.inf), np.zeros(count, dtype=np.bool_)
@@ -310,7 +315,7 @@ def _project(state: CutState, points: Floats) -> tuple[Floats, Floats, NDArray[n
     return projections, distance, over
 
 
-def _inner_area(edges: Floats, pieces: NDArray[np.bool_], corners: Floats) -> float:
+def area_inside(edges: Floats, pieces: NDArray[np.bool_], corners: Floats) -> float:
     """Return the area [m^2] inside the body between two places (2, p, 3) of the pieces of an edge."""
     shares = np.zeros((2, len(pieces)))
     for k in range(2):
@@ -318,6 +323,13 @@ def _inner_area(edges: Floats, pieces: NDArray[np.bool_], corners: Floats) -> fl
         inside_shares(segments, corners, shares[k])
     areas = triangle_areas(swept(edges)).reshape(-1, 2).sum(axis=1)
     return float(np.sum((areas * shares.mean(axis=0))[pieces]))
+
+
+def length_inside(front: Floats, corners: Floats) -> float:
+    """Return the length [m] of a front (p, 3) inside a body with a surface (s, 3, 3)."""
+    segments, shares = np.ascontiguousarray(np.stack([front[:-1], front[1:]], axis=1)), np.zeros(len(front) - 1)
+    inside_shares(segments, corners, shares)
+    return float(shares @ np.linalg.norm(np.diff(front, axis=0), axis=1))
 
 
 def next_strip(strip: Strip, before: Floats, edge: Floats, pieces: NDArray[np.bool_], spacing: float) -> Any:
@@ -359,7 +371,7 @@ def blade_sites(
     """Return the sites of a blade, the incision with the pieces that hold tissue, and the length [m] in the body."""
     spacing = state.uncut.spacing
     points = edge_points(blade, spacing)
-    middles, directions = 0.5 * (points[:-1] + points[1:]), _cutting_directions(points)
+    middles, directions = 0.5 * (points[:-1] + points[1:]), cutting_directions(points)
     segments = np.ascontiguousarray(np.stack([incision.edge[:-1], incision.edge[1:]], axis=1))
     shares = np.zeros(len(segments))
     inside_shares(segments, corners, shares)
@@ -367,7 +379,7 @@ def blade_sites(
     seen = _forward(incision.edge, frame, blade, spacing)
     in_cut = _in_cut(state, segments.mean(axis=1) + AHEAD_OF_EDGE * spacing * seen)
     shares[_in_removed(state, segments.mean(axis=1), seen)] = 0.0
-    held = np.flatnonzero((shares > LEAST_SHARE) & ~in_cut)
+    held = np.flatnonzero((shares > LEAST_SHARE) & ~in_cut & blade.sharp)
     parts = [(EDGE_SITE, segments.mean(axis=1)[held], seen[held], middles[held], directions[held], np.zeros(len(held)))]
     parts += _faces(state, blade, frame, u, points, incision.edge, corners)
     kinds = np.concatenate([np.full(len(part[1]), part[0]) for part in parts])
@@ -417,7 +429,7 @@ def _held_pieces(
     edge, count = edge_points(blade, state.uncut.spacing), len(pieces)
     first = PointWeights(weights.nodes[:count], weights.values[:count], weights.slopes[:count])
     hold = HeldPieces(
-        pieces, points[:count], first, np.zeros((count, 3)), _cutting_directions(edge)[pieces], np.zeros(count)
+        pieces, points[:count], first, np.zeros((count, 3)), cutting_directions(edge)[pieces], np.zeros(count)
     )
     offsets, normals = _slips(hold, edge, frame, u)
     before = incision.hold
@@ -459,25 +471,37 @@ def _faces(
     flat = (middles[:, None] + heights[None, :, None] * np.array([0.0, 0.0, 1.0])).reshape(-1, 3)
     areas = np.repeat(np.diff(points[:, 0]) * blade.height / rows, rows)
     along = np.repeat(np.diff(edge, axis=0), rows, axis=0)
-    places, result = _in_space(frame, flat), []
-    distance, nearest = cKDTree(state.uncut.points + u).query(places)
-    close = np.asarray(distance) < NEAR_FACE * spacing
-    flat, places, areas, nearest = flat[close], places[close], areas[close], np.asarray(nearest)[close]
-    if not len(flat):
-        return []
+    half = np.full(len(flat), 0.5 * blade.wedge)
+    slope = 0.0  # of the sides
+    if not blade.sharp:
+        half, slope = (
+            np.tile(0.5 * blade.wedge * heights / blade.height, len(middles)),
+            0.5 * blade.wedge / blade.height,
+        )
+    tree, result = cKDTree(state.uncut.points + u), []
     for side in (1.0, -1.0):
-        normal = side * np.array([0.0, 1.0, 0.0])
-        guesses = places - u[nearest]
+        across = side * np.array([0.0, 1.0, 0.0])
+        normal = (across - np.array([0.0, 0.0, slope])) / np.hypot(1.0, slope)
+        targets = flat if blade.sharp else flat + half[:, None] * across
+        places = points_in_space(frame, targets)
+        distance, nearest = tree.query(places)
+        close = np.asarray(distance) < NEAR_FACE * spacing
+        places, nearest = places[close], np.asarray(nearest)[close]
+        if not len(places):
+            continue
         sight = np.broadcast_to(frame[:, :3] @ normal, places.shape)
-        at, seen = reference_points(state.uncut, surface, u, places, guesses, sight)
-        projections, distance, over = _project(state, at)
+        at, seen = reference_points(state.uncut, surface, u, places, places - u[nearest], sight)
+        projections, distance, over = project_on_cut(state, at)
         shares = _shares_inside(state, projections, along[close], corners)
         used = over & (distance < spacing) & (shares > 0) & ~_in_removed(state, projections, seen)
         depth = np.minimum(0.0, (projections + _displacements(state, projections, seen, u) - places) @ sight[0])
-        side_places = flat + (np.minimum(0.5 * blade.wedge, NEW_DEPTH * spacing + depth))[:, None] * normal
+        ways = np.minimum(half[close], NEW_DEPTH * spacing + depth)
+        if not blade.sharp:
+            ways = np.minimum(0.0, NEW_DEPTH * spacing + depth)
+        side_places = targets[close] + ways[:, None] * normal
         count = int(used.sum())
         result.append(
             (FACE_SITE, projections[used], seen[used], side_places[used],
-             np.tile(normal, (count, 1)), blade.friction * (shares * areas)[used])
+             np.tile(normal, (count, 1)), blade.friction * (shares * areas[close])[used])
         )  # fmt: skip
     return result
