@@ -279,9 +279,20 @@ MUTATIONS = (
     ),
     Mutation(
         "bounds of frames, not of runs", "reduction/training/calibrate_indicator.py",
-        "result.append(float(np.max(errors[r] / curve.at(worst[r]))))",
-        "result.append(float(np.median(errors[r] / curve.at(worst[r]))))",
+        "float(np.max(errors / numbers ** _exponent(largest[kept], peaks[kept])))",
+        "float(np.median(errors / numbers ** _exponent(largest[kept], peaks[kept])))",
         ("tests/reduction/training/test_calibrate_indicator.py::test_error_bounds_hold_for_their_level_of_new_runs",),
+    ),
+    Mutation(
+        "tools next to supports trusted", "reduction/hyper/model.py",
+        "self.support_nearness(state) / self.data.nearness_scale", "0.0 * self.support_nearness(state)",
+        ("tests/reduction/contact/test_trust_of_tools.py::test_a_tool_next_to_a_support_is_not_trusted",),
+    ),
+    Mutation(
+        "speed at which a tool moves back counted", "reduction/hyper/error_indicator.py",
+        "np.maximum(np.sum(velocities * forces, axis=2) / size, 0.0)",
+        "np.abs(np.sum(velocities * forces, axis=2) / size)",
+        ("tests/reduction/contact/test_trust_of_tools.py::test_a_tool_that_moves_back_has_no_speed",),
     ),
     Mutation(
         "weights of the cubature ignored", "reduction/hyper/sampled_energy.py",

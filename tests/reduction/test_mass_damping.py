@@ -134,7 +134,7 @@ def test_a_poles_real_part_is_half_of_the_damping():
 def test_the_damping_comes_back_from_a_file_and_files_without_it_open(tmp_path):
     for model in (reduced("explicit"), with_mass_damping(reduced("explicit"), 0.0)):
         pt.save(model, tmp_path / "model.rom")
-        header = open_sealed(tmp_path / "model.rom", "palpate reduced model", 13).header
+        header = open_sealed(tmp_path / "model.rom", "palpate reduced model", 14).header
         assert ("mass_damping" in header) == (model.mass_damping > 0)
         again = pt.load(tmp_path / "model.rom")
         assert again.mass_damping == model.mass_damping

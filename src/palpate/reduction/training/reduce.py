@@ -503,7 +503,7 @@ def _speed_scale(states: Floats, mass: Floats, snapshots: Snapshots, options: _O
     fastest, parts = [], np.split(states, np.cumsum(snapshots.lengths)[:-1])
     of_tools = snapshots.has_contact and not options.tools
     for run, coordinates in zip(snapshots.runs, parts, strict=True):
-        if not len(run.times) == len(coordinates) > 1:
+        if not (len(run.times) == len(coordinates) > 1 and np.all(np.diff(run.times) > 0)):
             continue
         if of_tools:
             fastest.append(_speed_in_contact(run))
