@@ -83,6 +83,30 @@ def blind(found: Row) -> str:
     return markdown(heads, lines)
 
 
+@block(
+    "greedy",
+    command="python validation/greedy.py --scene liver --set spacing=0.012 radius=0.026 --held-out 28 --modes 32 "
+    "--workers 1 --out out/greedy/liver",
+)
+def chosen_paths_of_liver(found: Row) -> str:
+    """Return the errors of models of a liver trained on chosen and on random paths."""
+    lines = [
+        [
+            str(row["runs"]),
+            *(
+                f"{percent(row['chosen'][name])}; {percent(row['random'][name])}"
+                for name in ("force", "force_95", "surface_95", "largest")
+            ),
+        ]
+        for row in found["liver"]["rows"]
+    ]
+    heads = [
+        "training runs", "force, median: chosen; random", "force, 95th percentile", "surface, 95th percentile",
+        "force, worst run",
+    ]  # fmt: skip
+    return markdown(heads, lines)
+
+
 @block("spacing_force", command="python validation/spacing_force.py")
 def organ_force(rows: list[Row]) -> str:
     """Return the force of a ball on livers of real-time spacing next to that on finer ones."""
