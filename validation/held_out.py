@@ -30,6 +30,7 @@ from scipy.stats import spearmanr
 
 import palpate as pt
 from palpate.reduction.hyper.cubature import sparse_nnls
+from palpate.reduction.hyper.error_indicator import mean_size
 from palpate.reduction.training.calibrate_indicator import Frames, Scales, held_out_frames, trust_numbers
 from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.motions import random_motion, training_motions
@@ -152,8 +153,8 @@ def _repeated(rom: pt.ReducedModel, loads: Any, full: pt.Trajectory) -> Frames:
 
 def _judged(rom: pt.ReducedModel, some: list[Frames]) -> dict[str, float]:
     """How distance, residual norm and trust rank errors (Spearman), and how well the table foretells them."""
-    least = rom.report["held_out"]["expected_error"]["displacement"]["least_size"]
-    relative = [f.errors["displacement"] / np.maximum(f.sizes["displacement"], least) for f in some]
+    typical = rom.report["held_out"]["expected_error"]["displacement"]["typical_size"]
+    relative = [f.errors["displacement"] / mean_size(f.sizes["displacement"], typical) for f in some]
     errors, scales = np.concatenate(relative), Scales(*(getattr(rom.data, name) for name in Scales._fields))
     numbers = {
         "distance": [f.measures.distances / scales.distance_scale for f in some],
@@ -344,13 +345,13 @@ STUDIES: dict[str, Callable[..., Any]] = {
 def main() -> None:
     """Run the studies asked for and keep their figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("studies", nargs="*", choices=[[], *STUDIES], default=list(STUDIES))
+    parser.add_argument("studies", nargs="*", choices=[[], *STUDIES], default=[], help="all by default")
     parser.add_argument("--runs", type=Path, default=Path("out/held_out"))
     args = parser.parse_args()
     model = body()
     runs = {kind: full_runs(model, kind, args.runs) for kind in ("train", *SETS)}
     kept = result_files.read("held_out", {})
-    for name in args.studies:
+    for name in args.studies or STUDIES:
         began = perf_counter()
         kept[name] = STUDIES[name](model, runs)
         result_files.write("held_out", kept)

@@ -26,7 +26,16 @@ from palpate.dynamics.contact.kinds import BONDED
 from palpate.reduction.contact.compliance import energy_factor, pair, refresh, secant_factor, stiffened_force
 from palpate.reduction.contact.surface import PAIRS, SWEEPS, UNCONVERGED
 
-__all__ = ["approach_speed", "compliance_energy", "place_frame", "press", "relax", "set_tool_path", "settle"]
+__all__ = [
+    "approach_speed",
+    "compliance_energy",
+    "contact_nearness",
+    "place_frame",
+    "press",
+    "relax",
+    "set_tool_path",
+    "settle",
+]
 
 CLUSTER_STRETCH = 1.5  # largest extent of a cluster over that at rest
 MAX_SWEEPS = 60
@@ -446,6 +455,19 @@ def approach_speed(tools, force, period):  # type: ignore[no-untyped-def]
         square += total * total
         power += total * (tools.path[PATH_END, d, 3] - tools.path[PATH_START, d, 3]) / period
     return max(power, 0.0) / np.sqrt(square) if square > 0.0 else 0.0
+
+
+@kernel_njit(inner=True)
+def contact_nearness(nearness, force):  # type: ignore[no-untyped-def]
+    """Return `palpate.reduction.hyper.error_indicator.support_nearness` of nodes under forces (t, k, 3) of tools."""
+    total, size = 0.0, 0.0
+    for t in range(force.shape[0]):
+        for i in range(force.shape[1]):
+            square = force[t, i, 0] ** 2 + force[t, i, 1] ** 2 + force[t, i, 2] ** 2
+            if square > 0.0:
+                size += np.sqrt(square)
+                total += np.sqrt(square) * nearness[i]
+    return total / size if size > 0.0 else 0.0
 
 
 @kernel_njit(inner=True)

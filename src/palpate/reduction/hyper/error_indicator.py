@@ -119,12 +119,12 @@ def training_distance(body: ReducedBody, state: State) -> float:
     return float(np.sqrt(np.min(np.sum((states - state.coordinates @ root) ** 2, axis=1))))
 
 
-def rms_speeds(mass: Floats, velocities: Floats) -> Floats:
+def rms_speeds(root: Floats, velocities: Floats) -> Floats:
     """Return the root mean square speeds (f,) [m/s] over the body of velocities (f, m) of the coordinates.
 
-    `mass` (m, m) is the mass matrix divided by the mass of the body.
+    `root` (m, m) is the root of the mass matrix divided by the mass of the body.
     """
-    return np.sqrt(np.maximum(np.einsum("tm,mk,tk->t", velocities, mass, velocities), 0.0))
+    return np.asarray(np.linalg.norm(velocities @ root, axis=1))
 
 
 def approach_speeds(prepared: PreparedLoads, times: Floats, forces: Floats) -> Floats:
@@ -159,16 +159,11 @@ def nearness_to_supports(cloud: Cloud, supports: Sequence[Support], nodes: Ints)
     return np.asarray(cloud.spacing / np.maximum(distances, LEAST_DISTANCE * cloud.spacing))
 
 
-@register_jitable
-def support_nearness(nearness, forces):  # type: ignore[no-untyped-def]
-    """Return the mean of nearness (k,) under the forces (t, k, 3) of tools, weighted by their magnitudes; 0 without."""
-    total, size = 0.0, 0.0
-    for t in range(forces.shape[0]):
-        for i in range(forces.shape[1]):
-            force = np.sqrt(forces[t, i, 0] ** 2 + forces[t, i, 1] ** 2 + forces[t, i, 2] ** 2)
-            size += force
-            total += force * nearness[i]
-    return total / size if size > 0.0 else 0.0
+def support_nearness(nearness: Floats, forces: Floats) -> float:
+    """Return the mean of the nearness (k,) of nodes under forces (k, 3), weighted by their magnitudes; 0 without."""
+    sizes = np.linalg.norm(forces, axis=1)
+    total = float(sizes.sum())
+    return float(sizes @ nearness) / total if total > 0.0 else 0.0
 
 
 def residual_norm(data: ReducedData, forces: Floats) -> float:

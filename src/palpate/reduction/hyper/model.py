@@ -399,18 +399,13 @@ class ReducedModel(CoordinateModel):
             self.support_nearness(state) / self.data.nearness_scale,
         )
 
-    @cached_property
-    def _mass_share(self) -> Floats:
-        """Mass matrix (m + l, m + l) divided by the mass of the body."""
-        return np.asarray(self.body.mass / self.masses.sum())
-
     def speed(self, state: State, prepared: PreparedLoads) -> float:
         """Return the largest speed [m/s] at which a tool that touches the body moves into it, or 0.
 
         Without a contact surface it is the root mean square speed over the body.
         """
         if self.data.compliance is None:
-            return float(rms_speeds(self._mass_share, state.velocities[None])[0])
+            return float(rms_speeds(self.body.trained[1], state.velocities[None])[0])
         if state.contact_state is None or not prepared.tools:
             return 0.0
         forces = state.contact_state.surface_forces.sum(axis=1)
@@ -425,7 +420,7 @@ class ReducedModel(CoordinateModel):
         """Return the nearness of tools to supports: the mean of the spacing over the distance, weighted by forces."""
         if state.contact_state is None:
             return 0.0
-        return float(support_nearness(self._nearness, state.contact_state.forces[None]))
+        return support_nearness(self._nearness, state.contact_state.forces)
 
     def load_share(self, state: State, prepared: PreparedLoads) -> float:
         """Return the share of the loads' static response that the coordinates cannot represent, 0 to 1."""

@@ -17,11 +17,17 @@ from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.material.relaxation import HistoryCopy, copy_history, copy_values, reset_history
 from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN, TRUST
-from palpate.reduction.contact.gauss_seidel import approach_speed, compliance_energy, press, set_tool_path
+from palpate.reduction.contact.gauss_seidel import (
+    approach_speed,
+    compliance_energy,
+    contact_nearness,
+    press,
+    set_tool_path,
+)
 from palpate.reduction.contact.surface import ContactScratch, ContactSurface, RigidTools
 from palpate.reduction.contact.tangent import ContactSystem
 from palpate.reduction.galerkin.central_difference import drift, kick_coordinates, trial_coordinates
-from palpate.reduction.hyper.error_indicator import support_nearness, touch_speed
+from palpate.reduction.hyper.error_indicator import touch_speed
 from palpate.reduction.hyper.foundation import add_spring_forces
 from palpate.reduction.hyper.implicit import FORCE as NEWTON_FORCE
 from palpate.reduction.hyper.implicit import LOAD as NEWTON_LOAD
@@ -463,7 +469,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         speed = np.sqrt(2.0 * report[KINETIC] / data.indicator.body_mass)
         if data.tools.kind.shape[0] > 0:
             speed = approach_speed(data.tools, data.contact_work.force, period)
-        nearness = support_nearness(data.indicator.nearness, data.contact_work.force)
+        nearness = contact_nearness(data.indicator.nearness, data.contact_work.force)
         report[TRUST] = max(
             report[TRUST],
             np.sqrt(flexible / data.indicator.flexibility_scale),

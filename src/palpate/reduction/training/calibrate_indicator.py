@@ -144,7 +144,7 @@ def held_out_frames(model: ReducedModel, loads: Sequence[Load], run: Trajectory,
 def _speeds(model: ReducedModel, prepared: PreparedLoads, run: Trajectory, velocities: Floats) -> Floats:
     """Return the speeds (f,) [m/s] of `palpate.ReducedModel.speed` in all frames of a run."""
     if model.data.compliance is None:
-        return rms_speeds(model.body.mass / model.masses.sum(), velocities)
+        return rms_speeds(model.body.trained[1], velocities)
     if not prepared.tools:
         return np.zeros(len(run.times))
     forces = np.stack([run.reactions[tool.name] for tool in prepared.tools], axis=1)

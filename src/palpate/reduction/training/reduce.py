@@ -26,7 +26,12 @@ from palpate.reduction.basis.snapshots import Run, Snapshots
 from palpate.reduction.basis.strain_pod import join, main_modes
 from palpate.reduction.contact.coarse_body import statics_body
 from palpate.reduction.hyper.data import UNLIMITED_SCALE
-from palpate.reduction.hyper.error_indicator import distances_to_nearest, nearness_to_supports, rms_speeds
+from palpate.reduction.hyper.error_indicator import (
+    distances_to_nearest,
+    nearness_to_supports,
+    rms_speeds,
+    support_nearness,
+)
 from palpate.reduction.hyper.material_point import Kinematics
 from palpate.reduction.hyper.model import ReducedData, ReducedModel
 from palpate.reduction.training.advice import advice
@@ -501,6 +506,7 @@ def _speed_scale(states: Floats, mass: Floats, snapshots: Snapshots, options: _O
     It is that of the tools in contact, or of the body, as in `palpate.ReducedModel.speed`.
     """
     fastest, parts = [], np.split(states, np.cumsum(snapshots.lengths)[:-1])
+    root = np.asarray(np.linalg.cholesky(mass), dtype=float)
     of_tools = snapshots.has_contact and not options.tools
     for run, coordinates in zip(snapshots.runs, parts, strict=True):
         if not (len(run.times) == len(coordinates) > 1 and np.all(np.diff(run.times) > 0)):
@@ -509,7 +515,7 @@ def _speed_scale(states: Floats, mass: Floats, snapshots: Snapshots, options: _O
             fastest.append(_speed_in_contact(run))
             continue
         velocities = np.diff(coordinates, axis=0) / np.diff(run.times)[:, None]
-        fastest.append(float(rms_speeds(mass, velocities).max()))
+        fastest.append(float(rms_speeds(root, velocities).max()))
     return FRAME_SPEED_MARGIN * _of_most_runs(fastest)
 
 
@@ -532,10 +538,9 @@ def _nearness_scale(body: EnergySolid | Membrane, snapshots: Snapshots) -> float
     for run in snapshots.runs:
         rows = np.asarray(run.contact_forces)
         if len(rows):
-            frames, size = rows[:, 0].astype(int), np.linalg.norm(rows[:, 2:], axis=1)
-            total = np.bincount(frames, size)
-            mean = np.bincount(frames, size * nearness[rows[:, 1].astype(int)]) / np.maximum(total, 1e-300)
-            nearest.append(float(mean.max()))
+            frames, near = rows[:, 0], nearness[rows[:, 1].astype(int)]
+            in_frames = (frames == frame for frame in np.unique(frames))
+            nearest.append(max(support_nearness(near[kept], rows[kept, 2:]) for kept in in_frames))
     return _of_most_runs(nearest)
 
 
