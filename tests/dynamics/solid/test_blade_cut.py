@@ -116,6 +116,24 @@ def test_friction_adds_the_shear_stress_on_both_sides():
     assert np.abs(runs[1].balance).max() <= 5e-3 * runs[1].external[-1]
 
 
+@pytest.mark.slow
+def test_the_thickness_of_a_blade_wedges_the_cut_apart():
+    """Without a thickness the faces stay together; the balance of the run closes all the same."""
+    wedge = 1.5e-3
+    openings = []
+    for thickness in (0.0, wedge):
+        blade = pt.tools.Blade(EDGE, toughness=TOUGHNESS, wedge=thickness, height=20e-3)
+        body = sheet()
+        run = pt.rollout(body, [knife(blade)], duration=0.16, every=0.01, progress=False)
+        x, y = body.cloud.points[:, 0], body.cloud.points[:, 1] - 0.5 * SIZE[1] - 0.2e-3
+        near = (x < 8e-3) & (np.abs(y) < SPACING)
+        sides = [run.displacements[-1][near & side, 1].mean() for side in (y > 0, y < 0)]
+        openings.append(sides[0] - sides[1])
+        assert np.abs(run.balance).max() <= 0.02 * run.external[-1]
+    assert abs(openings[0]) < 0.2 * wedge
+    assert 0.5 * wedge < openings[1] < 1.2 * wedge
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

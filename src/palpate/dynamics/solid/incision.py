@@ -471,18 +471,13 @@ def _faces(
     flat = (middles[:, None] + heights[None, :, None] * np.array([0.0, 0.0, 1.0])).reshape(-1, 3)
     areas = np.repeat(np.diff(points[:, 0]) * blade.height / rows, rows)
     along = np.repeat(np.diff(edge, axis=0), rows, axis=0)
-    half = np.full(len(flat), 0.5 * blade.wedge)
-    slope = 0.0  # of the sides
-    if not blade.sharp:
-        half, slope = (
-            np.tile(0.5 * blade.wedge * heights / blade.height, len(middles)),
-            0.5 * blade.wedge / blade.height,
-        )
+    slope = 0.0 if blade.sharp else 0.5 * blade.wedge / blade.height  # of the sides
+    half = 0.5 * blade.wedge - slope * (blade.height - np.tile(heights, len(middles)))
     tree, result = cKDTree(state.uncut.points + u), []
     for side in (1.0, -1.0):
         across = side * np.array([0.0, 1.0, 0.0])
         normal = (across - np.array([0.0, 0.0, slope])) / np.hypot(1.0, slope)
-        targets = flat if blade.sharp else flat + half[:, None] * across
+        targets = flat + half[:, None] * across
         places = points_in_space(frame, targets)
         distance, nearest = tree.query(places)
         close = np.asarray(distance) < NEAR_FACE * spacing
@@ -495,10 +490,7 @@ def _faces(
         shares = _shares_inside(state, projections, along[close], corners)
         used = over & (distance < spacing) & (shares > 0) & ~_in_removed(state, projections, seen)
         depth = np.minimum(0.0, (projections + _displacements(state, projections, seen, u) - places) @ sight[0])
-        ways = np.minimum(half[close], NEW_DEPTH * spacing + depth)
-        if not blade.sharp:
-            ways = np.minimum(0.0, NEW_DEPTH * spacing + depth)
-        side_places = targets[close] + ways[:, None] * normal
+        side_places = targets[close] + np.minimum(0.0, NEW_DEPTH * spacing + depth)[:, None] * normal
         count = int(used.sum())
         result.append(
             (FACE_SITE, projections[used], seen[used], side_places[used],
