@@ -25,8 +25,9 @@ from uuid import uuid4
 from palpate.faults import FileFormatError, InputError
 
 __all__ = [
-    "check_folder", "check_space", "digest_of", "json_of", "plain", "read_bytes", "read_json", "read_sealed_json",
-    "read_text", "regular_file", "settle", "shortened", "unpack_gzip", "whole_file", "write_json", "write_sealed_json",
+    "check_folder", "check_nesting", "check_space", "digest_of", "json_of", "plain", "read_bytes", "read_json",
+    "read_sealed_json", "read_text", "regular_file", "settle", "shortened", "unpack_gzip", "whole_file", "write_json",
+    "write_sealed_json",
 ]  # fmt: skip
 
 STALE_AGE = 86400.0  # [s] of temporary files of dead writers
@@ -34,6 +35,10 @@ MAX_DEPTH = 32  # of nested lists and objects in JSON
 MAX_TEXT_BYTES = 16 << 20
 MAX_EXPANSION = 64  # of a packed file; text of coordinates expands less than 10 times
 MAX_INTEGER = 2**53  # larger integers are not exact in other programs
+# a string or a comment of JSON or TOML, or a bracket outside of them
+BRACKET_PATTERN = re.compile(
+    r""""{3}(?:\\.|[^\\])*?"{3}|'{3}.*?'{3}|"(?:\\.|[^"\\])*+"|'[^'\n]*+'|#[^\n]*+|([\[{])|([\]}])""", re.DOTALL
+)
 
 
 @contextmanager
@@ -204,6 +209,8 @@ def json_of(text: str | bytes) -> Any:
         object, half a surrogate pair, or more than 32 nested levels.
     """
     try:
+        text = text if isinstance(text, str) else text.decode()
+        check_nesting(text, "JSON")
         value = json.loads(
             text,
             parse_constant=_refuse_constant,
@@ -211,12 +218,31 @@ def json_of(text: str | bytes) -> Any:
             parse_int=_integer,
             object_pairs_hook=_unique_keys,
         )
-    except RecursionError:
-        raise InputError(f"the JSON text has more than {MAX_DEPTH} nested levels") from None
+    except InputError:
+        raise
     except ValueError as error:
         raise InputError(f"this is not valid JSON: {shortened(str(error), 150)}") from None
-    _check_plain(value, MAX_DEPTH)
+    _check_plain(value)
     return value
+
+
+def check_nesting(text: str, form: str) -> None:
+    """Check that a text in JSON or TOML has at most 32 nested levels, before it is parsed.
+
+    The parsers recurse by level. At the recursion limit, finalizers of other objects fail too.
+
+    Raises
+    ------
+    InputError
+        The text has more levels; the message names the form.
+    """
+    if text.count("[") + text.count("{") <= MAX_DEPTH:
+        return
+    depth = 0
+    for bracket in BRACKET_PATTERN.finditer(text):
+        depth += (bracket[1] is not None) - (bracket[2] is not None)
+        if depth > MAX_DEPTH:
+            raise InputError(f"the {form} text has more than {MAX_DEPTH} nested levels")
 
 
 def read_json(path: Path, what: str, most: int = MAX_TEXT_BYTES) -> dict[str, Any]:
@@ -297,21 +323,20 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return value
 
 
-def _check_plain(value: Any, deepest: int) -> None:
-    """Check that text can be encoded and that nesting is limited."""
+def _check_plain(value: Any) -> None:
+    """Check that text can be encoded."""
     if isinstance(value, str):
         try:
             value.encode("utf-8")
         except UnicodeEncodeError:
             raise InputError("the JSON text holds half a surrogate pair") from None
-    elif isinstance(value, dict | list):
-        if deepest == 0:
-            raise InputError(f"the JSON text has more than {MAX_DEPTH} nested levels")
-        if isinstance(value, dict):
-            for key in value:
-                _check_plain(key, deepest)
-        for entry in value.values() if isinstance(value, dict) else value:
-            _check_plain(entry, deepest - 1)
+    elif isinstance(value, dict):
+        for key, entry in value.items():
+            _check_plain(key)
+            _check_plain(entry)
+    elif isinstance(value, list):
+        for entry in value:
+            _check_plain(entry)
 
 
 def check_folder(folder: Path, name: str = "out") -> None:

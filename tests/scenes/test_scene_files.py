@@ -313,7 +313,7 @@ def test_what_is_wrong_is_refused_with_file_line_key_and_remedy(write, old, new,
     [
         (b"title = ", "must be a scene file in TOML"),
         (b"\x89HDF\r\n\x1a\n" + bytes(range(256)), "is not text in UTF-8"),
-        (b"a = " + b"[" * 100_000, "must be a scene file in TOML"),
+        (b"a = " + b"[" * 100_000, "more than 32 nested levels"),
         (b"a = " + b"9" * 5000, "must be a scene file in TOML"),
         (b"title = 'a'\ntitle = 'b'", "must be a scene file in TOML"),
         (b"#" * (1 << 20) + b"\n", "a scene file has at most 1048576"),

@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 
 from palpate.faults import FileFormatError, InputError
-from palpate.files import read_text, shortened
+from palpate.files import check_nesting, read_text, shortened
 from palpate.scenes.description import Description
 from palpate.scenes.settings import Fault, read_section
 
@@ -44,8 +44,9 @@ def parse_scene(text: str, name: str) -> Description:
             f"{name}, line {line}: a key must have at most 16 parts, got {long[0][:40]}...; shorten it"
         )
     try:
+        check_nesting(text, "TOML")
         table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # also a whole number of thousands of digits
+    except ValueError as error:  # also a whole number of thousands of digits
         why = shortened(str(error), 150)
         raise FileFormatError(f"{name} must be a scene file in TOML, got a text that is not: {why}") from error
     try:

@@ -261,10 +261,13 @@ def parse_settings(given: Sequence[str]) -> dict[str, Any]:
     """Return the settings of texts such as ``poisson=0.4``; a value is one of TOML, or else a text such as ``5 mm``."""
     import tomllib
 
+    from palpate.files import check_nesting
+
     settings: dict[str, Any] = {}
     for name, text in split_settings(given).items():
         try:
+            check_nesting(text, "TOML")
             settings[name] = tomllib.loads(f"value = {text}")["value"]
-        except (ValueError, RecursionError):  # also a whole number of thousands of digits, or very deep lists
+        except ValueError:  # also a whole number of thousands of digits, or very deep lists
             settings[name] = text
     return settings
