@@ -128,7 +128,7 @@ MUTATIONS = (
     ),
     Mutation(
         "springs dropped in real time", "reduction/realtime/model.py",
-        "_springs(model, foundations).of(which)", "_springs(model, ()).of(which)",
+        "all_springs = _springs(model, foundations)", "all_springs = _springs(model, ())",
         (f"{LOADS}::test_in_real_time_a_load_moves_a_sampled_model_or_is_refused_by_name[held-Foundation, springs]",),
     ),
     Mutation(

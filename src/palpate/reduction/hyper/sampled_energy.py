@@ -38,6 +38,7 @@ __all__ = [
     "IntegrationPoints",
     "SampledEnergy",
     "Scratch",
+    "collect_forces",
     "integration_points",
     "sampled_energy",
     "scratch",
@@ -176,7 +177,8 @@ def _add_pressure(integration_points, moments, scratch, curved):  # type: ignore
 
 
 @kernel_njit(inner=True, fastmath={"contract", "reassoc"})
-def _collect(partial, constant, columns, force):  # type: ignore[no-untyped-def]
+def collect_forces(partial, constant, columns, force):  # type: ignore[no-untyped-def]
+    """Write forces (w,) by their work in lanes (w, LANES) and a constant stiffness (w, m) of coordinates (m,)."""
     for m in range(partial.shape[0]):
         total = 0.0
         for lane in range(LANES):
@@ -294,7 +296,7 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
         for b in range(integration_points.table.shape[0]):
             work(integration_points.table[b].ctypes.data, scratch.stress[b].ctypes.data, scratch.partial.ctypes.data,
                  columns.shape[0])  # fmt: skip
-        _collect(scratch.partial, integration_points.constant, columns, result)
+        collect_forces(scratch.partial, integration_points.constant, columns, result)
 
     @law_njit(digest, inner=True)
     def density_block(integration_points, scratch, b):  # type: ignore[no-untyped-def]
@@ -370,9 +372,9 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
                 aside.stress[b].ctypes.data, here.partial.ctypes.data, along.partial.ctypes.data,
                 aside.partial.ctypes.data, count,
             )  # fmt: skip
-        _collect(here.partial, integration_points.constant, rows[0], results[0])
-        _collect(along.partial, integration_points.constant, rows[1], results[1])
-        _collect(aside.partial, integration_points.constant, rows[0], results[2])
+        collect_forces(here.partial, integration_points.constant, rows[0], results[0])
+        collect_forces(along.partial, integration_points.constant, rows[1], results[1])
+        collect_forces(aside.partial, integration_points.constant, rows[0], results[2])
         for m in range(count):
             results[2, m] -= change * integration_points.constant[m, column]
         return total

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple, overload
 
 import numpy as np
 
-from palpate.arrays import Floats, Ints
+from palpate.arrays import Floats
+from palpate.dynamics.compiled.lanes import LANES
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import rotation
 from palpate.dynamics.contact.tools import Contact, Grasp, Sphere, Tool
@@ -39,6 +40,7 @@ from palpate.reduction.realtime.period import (
     IndicatorData,
     PeriodData,
     PeriodStart,
+    ResidualFields,
     period_functions,
     probes,
 )
@@ -189,11 +191,11 @@ def realtime_model(
         tools.path[:, :, 3] = home[:, 3]
     number_in_range("step", model.step or longest, longest / MAX_SUBSTEPS, unit="s")
     steps = int(np.ceil(longest / (model.step or longest)))
-    which = np.r_[:count, len(reduced.basis_vectors) - reduced.residual_fields : len(reduced.basis_vectors)]
-    springs = _springs(model, foundations).of(which)
+    all_springs = _springs(model, foundations)
+    springs = all_springs.of(np.arange(count))
     tangent = model.body.stiffness(np.zeros(count))
     if springs.stiffness.size:
-        tangent += springs.stiffness[:count]
+        tangent += springs.stiffness
     modes, frequency, vectors = (
         slice(reduced.modes),
         model.body.highest_frequency(np.zeros(count)),
@@ -217,7 +219,7 @@ def realtime_model(
         step=model.step or 0.0,
         body=body,
         constrained_inverse_mass=model.body.constrained_inverse_mass,
-        indicator=_indicator(model, which, body, contact is not None),
+        indicator=_indicator(model, all_springs),
         vectors=vectors,
         probes=probes(body),
         tangent=tangent,
@@ -290,24 +292,36 @@ def _check_foundations(foundations: Sequence[Foundation]) -> None:
             raise InputError(f"foundations must be Foundation objects, got {load!r}; leave out all other loads")
 
 
-def _indicator(model: ReducedModel, which: Ints, body: ImplicitData, contact: bool) -> IndicatorData:
-    """Return the data of the error indicator; with a tool in contact the residual norm counts for nothing."""
-    count, points = model.count, model.data.integration_points(which, model.body.coefficients, model.single)
+def _indicator(model: ReducedModel, springs: Springs) -> IndicatorData:
+    """Return the data of the error indicator, with springs on all basis vectors."""
     root = np.linalg.cholesky(model.body.mass / model.masses.sum()).T
     return IndicatorData(
         training_states=np.ascontiguousarray(model.data.training_states @ root.T),
         mass_root=root,
         distance_scale=model.data.distance_scale,
-        residual_scale=np.inf if contact else model.data.residual_scale,
+        residual_scale=model.data.residual_scale,
         flexibility_scale=model.data.flexibility_scale,
         speed_scale=model.data.speed_scale,
         nearness_scale=model.data.nearness_scale,
         nearness=nearness_to_supports(model.cloud, model.supports, model.body.surface.nodes),
         body_mass=float(model.masses.sum()),
-        integration_points=points,
-        scratch=scratch(points, body.scratch.history),
-        mass=model.body.all_mass[np.ix_(which[count:], which[:count])],
-        vectors=np.zeros((2, len(which))),
+        residual_fields=_residual_fields(model, springs),
+    )
+
+
+def _residual_fields(model: ReducedModel, springs: Springs) -> ResidualFields:
+    """Return constants and work arrays of the residual norm."""
+    data, count, nodes = model.data, model.count, model.body.surface.nodes
+    which = np.arange(len(data.basis_vectors) - data.residual_fields, len(data.basis_vectors))
+    at_surface = data.basis_vectors[which][:, nodes].transpose(1, 2, 0)
+    return ResidualFields(
+        table=data.integration_points(which, model.body.coefficients, model.single).table,
+        constant=np.ascontiguousarray(data.constant[which, :count]),
+        mass=np.ascontiguousarray(model.body.all_mass[which, :count]),
+        springs=springs.of(which),
+        columns=np.ascontiguousarray(at_surface, dtype=np.float32),
+        forces=np.zeros(len(which)),
+        partial=np.zeros((len(which), LANES)),
     )
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
+from palpate.dynamics.compiled.lanes import column_work
 from palpate.dynamics.material.relaxation import HistoryCopy, copy_history, copy_values, reset_history
 from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN, TRUST
 from palpate.reduction.contact.gauss_seidel import (
@@ -24,19 +25,27 @@ from palpate.reduction.contact.gauss_seidel import (
     press,
     set_tool_path,
 )
-from palpate.reduction.contact.surface import ContactScratch, ContactSurface, RigidTools
+from palpate.reduction.contact.surface import PAIRS, ContactScratch, ContactSurface, RigidTools
 from palpate.reduction.contact.tangent import ContactSystem
 from palpate.reduction.galerkin.central_difference import drift, kick_coordinates, trial_coordinates
 from palpate.reduction.hyper.error_indicator import touch_speed
-from palpate.reduction.hyper.foundation import add_spring_forces
+from palpate.reduction.hyper.foundation import Springs, add_spring_forces
 from palpate.reduction.hyper.implicit import FORCE as NEWTON_FORCE
 from palpate.reduction.hyper.implicit import LOAD as NEWTON_LOAD
 from palpate.reduction.hyper.implicit import RATE as NEWTON_RATE
 from palpate.reduction.hyper.implicit import ImplicitData, cholesky_factor, cholesky_solve, implicit_step
 from palpate.reduction.hyper.material_point import MaterialPoint
-from palpate.reduction.hyper.sampled_energy import IntegrationPoints, Scratch, sampled_energy, scratch
+from palpate.reduction.hyper.sampled_energy import Scratch, collect_forces, sampled_energy, scratch
 
-__all__ = ["MAX_SUBSTEPS", "IndicatorData", "PeriodData", "PeriodStart", "period_functions", "probes"]
+__all__ = [
+    "MAX_SUBSTEPS",
+    "IndicatorData",
+    "PeriodData",
+    "PeriodStart",
+    "ResidualFields",
+    "period_functions",
+    "probes",
+]
 
 
 STEP_SAFETY = 0.8  # explicit step over the stable one, whose frequency one power iteration a period estimates
@@ -49,6 +58,34 @@ LEAST_ENERGY = 1e-12  # [J] below which a gain is rounding
 POWER_SHAPE, WORK, FORCE, RATE, VELOCITY_CHANGE, SAVED_COORDINATES, SAVED_VELOCITIES, TOOL_RATES = range(8)
 REST_FREQUENCY, FREQUENCY, NEXT_COLUMN, ENERGY = range(4)  # entries of `PeriodData.tracking`
 AT_STATE, ALONG_SHAPE, ALONG_COLUMN = range(3)  # rows of `Probes.forces`
+
+
+class ResidualFields(NamedTuple):
+    """Constants and work arrays of the residual norm.
+
+    Parameters
+    ----------
+    table : (b, w, 9, LANES) array
+        Derivatives of the w residual fields at the integration points.
+    constant, mass : (w, m) arrays
+        Stiffness of the hourglass residual, and mass matrix, of residual fields and coordinates.
+    springs : Springs
+        Of foundations, on the residual fields.
+    columns : (k, 3, w) array
+        The residual fields at the nodes of the contact surface.
+    forces : (w,) array [N times the unit of the fields]
+        Internal forces and those of springs.
+    partial : (w, LANES) array
+        Scratch.
+    """
+
+    table: NDArray[np.float32] | Floats
+    constant: Floats
+    mass: Floats
+    springs: Springs
+    columns: NDArray[np.float32]
+    forces: Floats
+    partial: Floats
 
 
 class IndicatorData(NamedTuple):
@@ -66,12 +103,7 @@ class IndicatorData(NamedTuple):
     nearness : (k,) array
         Of the surface nodes to supports.
     body_mass : float [kg]
-    integration_points, scratch : tuples
-        For the coordinates and the w residual fields.
-    mass : (w, m) array
-        Mass matrix of the residual fields and the coordinates.
-    vectors : (2, m + w) array
-        Coordinates and forces.
+    residual_fields : ResidualFields
     """
 
     training_states: Floats
@@ -83,10 +115,7 @@ class IndicatorData(NamedTuple):
     nearness_scale: float
     nearness: Floats
     body_mass: float
-    integration_points: IntegrationPoints
-    scratch: Scratch
-    mass: Floats
-    vectors: Floats
+    residual_fields: ResidualFields
 
 
 class Probes(NamedTuple):
@@ -122,7 +151,7 @@ class PeriodData(NamedTuple):
     step : float [s]
         Of the implicit rule, 0 for explicit steps.
     body : ImplicitData
-        Mass, damping, integration points and springs. The springs act on coordinates and residual fields.
+        Mass, damping, integration points and springs of the coordinates.
     constrained_inverse_mass : (modes, modes) array
         Inverse of the modes' block of the mass matrix.
     indicator : IndicatorData
@@ -206,7 +235,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
     """
     digest = law_digest(__name__, "period", law.digest, single)
     compiled = sampled_energy(law, single)
-    force, probe_forces = compiled.force, compiled.probe
+    force, probe_forces, work = compiled.force, compiled.probe, column_work[single]
     average, _ = implicit_step(law, single)
 
     @law_njit(digest, inner=True, fastmath={"contract"})
@@ -265,6 +294,16 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             if data.body.springs.stiffness.shape[0] > 0:
                 data.tangent[m, column] += data.body.springs.stiffness[m, column]
 
+    @law_njit(digest, inner=True)
+    def residual_forces(data, at, q, v):  # type: ignore[no-untyped-def]
+        """Write the forces on the residual fields of springs, and of the stresses of the last force at `at`."""
+        fields, stress = data.indicator.residual_fields, data.body.scratch.stress
+        fields.partial[:] = 0.0
+        for b in range(fields.table.shape[0]):
+            work(fields.table[b].ctypes.data, stress[b].ctypes.data, fields.partial.ctypes.data, fields.forces.shape[0])
+        collect_forces(fields.partial, fields.constant, at, fields.forces)
+        add_spring_forces(fields.springs, q, v, fields.forces)
+
     @law_njit(digest, inner=True, fastmath={"contract", "reassoc"})
     def substeps(data, q, v, speeds, period, report, refinement):  # type: ignore[no-untyped-def]
         """Take explicit steps over a period, shorter than stable ones by a factor; return their number."""
@@ -297,6 +336,8 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             clock[0] = clock[1]
             force(at, points, scratch, result)
             add_spring_forces(springs, q, v, result)
+            if s == steps - 1:
+                residual_forces(data, at, q, v)
             clock[0], clock[1] = 0.0, step
             kick_coordinates(v, result, no_load, even, 0, step, step, True, mass, constrained_inverse, alpha, mean)
             for j in range(modes, count):
@@ -348,26 +389,41 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
 
     @law_njit(digest, inner=True, fastmath={"contract", "reassoc"})
     def residual_norm(data, q, v):  # type: ignore[no-untyped-def]
-        """Return the norm of the unbalanced forces on the residual fields, divided by its scale."""
-        at, result, rate = data.indicator.vectors[0], data.indicator.vectors[1], data.vectors[WORK]
+        """Return the norm of the unbalanced forces on the residual fields, divided by its scale.
+
+        It is that at the beginning of the last explicit step, whose forces are known.
+        """
+        fields, contact, result, rate = (
+            data.indicator.residual_fields,
+            data.contact_work,
+            data.vectors[FORCE],
+            data.vectors[WORK],
+        )
         count, total = q.shape[0], 0.0
-        for m in range(count):
-            at[m] = q[m] + data.body.stiffness_damping * v[m]
-        force(at, data.indicator.integration_points, data.indicator.scratch, result)
-        add_spring_forces(data.body.springs, q, v, result)
-        for j in range(data.modes, count):
-            rate[j] = data.body.mass_damping * v[j]  # the tools move evenly
+        if data.step > 0.0:
+            trial_coordinates(q, v, data.body.stiffness_damping, v[data.modes :], False, rate)
+            force(rate, data.body.integration_points, data.body.scratch, result)
+            add_spring_forces(data.body.springs, q, v, result)
+            residual_forces(data, rate, q, v)
             for k in range(data.modes):
-                result[k] -= data.body.mass[k, j] * rate[j]
+                for j in range(data.modes, count):
+                    result[k] -= data.body.mass[k, j] * data.body.mass_damping * v[j]
         for m in range(data.modes):
             value = 0.0
             for k in range(data.modes):
-                value += data.constrained_inverse_mass[m, k] * result[k]
+                value += data.constrained_inverse_mass[m, k] * (result[k] + data.tools.load[k])
             rate[m] = value
-        for j in range(data.indicator.mass.shape[0]):
-            unbalanced = -result[count + j]
+        for j in range(data.modes, count):
+            rate[j] = data.body.mass_damping * v[j]  # the tools move evenly
+        for e in range(contact.numbers[PAIRS]):
+            for d in range(3):
+                push = contact.push[e, d]
+                for j in range(fields.forces.shape[0] if push != 0.0 else 0):
+                    fields.forces[j] += fields.columns[contact.node[e], d, j] * push
+        for j in range(fields.forces.shape[0]):
+            unbalanced = -fields.forces[j]
             for m in range(count):
-                unbalanced += data.indicator.mass[j, m] * rate[m]
+                unbalanced += fields.mass[j, m] * rate[m]
             total += unbalanced * unbalanced
         return np.sqrt(total) / data.indicator.residual_scale
 
@@ -463,9 +519,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             return
         data.tracking[ENERGY] = report[KINETIC] + report[STRAIN]
         update_tangent(data)
-        report[TRUST] = distance(data, q)
-        if data.indicator.residual_scale < np.inf:
-            report[TRUST] = max(report[TRUST], residual_norm(data, q, v))
+        report[TRUST] = max(distance(data, q), residual_norm(data, q, v))
         speed = np.sqrt(2.0 * report[KINETIC] / data.indicator.body_mass)
         if data.tools.kind.shape[0] > 0:
             speed = approach_speed(data.tools, data.contact_work.force, period)

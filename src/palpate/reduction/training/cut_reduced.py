@@ -197,7 +197,7 @@ def _cut_data(
     mass = weighted @ flat.T
     states = np.linalg.solve(mass, weighted @ displacements.reshape(len(displacements), -1).T).T
     places, rule, moments = _terms(cut_body, fields.of(slice(len(basis) - len(residual_fields))), modes, states, mass)
-    sizes = modes, count, len(residual_fields)
+    sizes = modes, len(residual_fields)
     fields, gradients = scale_residual_fields(cut_body, fields, sizes, states, rule, places, moments)
     return replace(
         data, basis_vectors=fields.columns, modes=modes, cubature=rule, gradients=gradients, constant=fields.constant,

@@ -23,7 +23,15 @@ from palpate.reduction.hyper.cubature import Cubature, fit_moments, sketch, spar
 from palpate.reduction.hyper.material_point import volume_measure
 from palpate.tissue.materials import Material
 
-__all__ = ["Fields", "choose_integration_points", "compliance_root", "deformation", "differentiate", "pressure_moments"]
+__all__ = [
+    "Fields",
+    "choose_integration_points",
+    "compliance_root",
+    "deformation",
+    "differentiate",
+    "pressure_moments",
+    "shear_work",
+]
 
 
 PRESSURE_STATES = 240  # training states for the pressure modes
@@ -32,7 +40,7 @@ REACTION_WEIGHT = 0.1  # of the forces on tools and supports, relative to those 
 MAX_ROWS, MAX_ENTRIES = 12_000, 150_000_000  # of the least-squares problem for the weights; more rows are sketched
 SLOPE_STATES = 60  # training states for the fit of the moments' slopes
 BLOCK_NODES = 4096  # nodes per block
-NO_VECTORS = slice(0, 0)
+NO_VECTORS, ALL_VECTORS = slice(0, 0), slice(None)
 MIN_SIZE = 1e-3  # of the largest pressure, below which a state has reduced weight
 RIGID_BODY_SHIFT = 1e-12  # least squared frequency, relative to the highest, for bodies without supports
 
@@ -171,7 +179,7 @@ def _rows(
     weighted_forces: list[Floats] = []
     reactions: list[Floats] = []
     for state in states:
-        work = _shear_work(body, fields, state)
+        work = shear_work(body, fields, state)
         weighted = sketch(most, count, generator) @ root @ work[:count]
         for rows, into in ((weighted, weighted_forces), (work[modes:], reactions)):
             size = float(np.linalg.norm(rows.sum(axis=1)))
@@ -193,8 +201,8 @@ def deformation(gradients: Floats, state: Floats) -> tuple[Floats, Floats, Float
     return F, cofactor, np.sum(F[:, 0] * cofactor[:, 0], axis=1)
 
 
-def _shear_work(body: EnergySolid | Membrane, fields: Fields, state: Floats) -> Floats:
-    """Return the work (m, p) of every point's shear stress, times its volume, on all basis vectors."""
+def shear_work(body: EnergySolid | Membrane, fields: Fields, state: Floats, which: slice = ALL_VECTORS) -> Floats:
+    """Return the work (m, p) of every point's shear stress, times its volume, on basis vectors."""
     gradients = fields.gradients
     F, _, _ = deformation(gradients[:, : len(state)], state)
     if isinstance(body, Membrane):
@@ -203,7 +211,7 @@ def _shear_work(body: EnergySolid | Membrane, fields: Fields, state: Floats) -> 
     else:
         stress = body.tissue.shear_stress(F, fields.nodes)
     weighted = (stress * fields.volumes[:, None, None]).reshape(-1, 9).astype(gradients.dtype)
-    return np.asarray(np.matmul(gradients, weighted[:, :, None])[:, :, 0].T, dtype=float)
+    return np.asarray(np.matmul(gradients[:, which], weighted[:, :, None])[:, :, 0].T, dtype=float)
 
 
 def pressure_moments(body: EnergySolid | Membrane, snapshots: Snapshots, pressures: int) -> Floats:

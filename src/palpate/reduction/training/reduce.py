@@ -359,7 +359,7 @@ class _BasisVectors:
 def _basis_vectors(body: EnergySolid | Membrane, snapshots: Snapshots, size: int, options: _Options) -> _BasisVectors:
     lifting, supports = lifting_vectors(body, options.tools), support_fields(body, options.tools)
     rest = RemoveToolMotion(body, lifting, options.tools)
-    main, lost = main_modes(body, snapshots, size, 0 if isinstance(body, Membrane) else RESIDUAL_FIELDS, rest)
+    main, lost = main_modes(body, snapshots, size, RESIDUAL_FIELDS, rest)
     rest.check()
     shapes = join(body, main[:size] if size else None, options.enrichment)
     residual_fields = orthogonal_complement(body, shapes, main[size:])
@@ -405,7 +405,7 @@ def _data(
         body, without_residual, modes, chosen, mass, options.cubature, moments, options.seed
     )
     fields, gradients = scale_residual_fields(
-        body, fields, (modes, count, columns.residual_fields), chosen, rule, places, moments
+        body, fields, (modes, columns.residual_fields), chosen, rule, places, moments
     )
     data = ReducedData(
         cloud=body.cloud,

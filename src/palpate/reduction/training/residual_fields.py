@@ -17,7 +17,7 @@ integration point, fitted to the forces from all nodes at the training states.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,14 +29,14 @@ from palpate.faults import InputError
 from palpate.reduction.hyper.cubature import Cubature
 from palpate.reduction.hyper.material_point import volume_measure
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.training.ecsw import Fields, compliance_root, deformation
+from palpate.reduction.training.ecsw import Fields, compliance_root, deformation, shear_work
 
 __all__ = ["RESIDUAL_FIELDS", "orthogonal_complement", "scale_residual_fields", "typical_residual"]
 
 
 RESIDUAL_FIELDS = 8
 MIN_INDEPENDENT = 1e-3  # least norm of a field without its modal part, relative
-RIDGE_SHARE = 1e-3  # of the largest singular value, for the factors
+RIDGE_SHARE = 1e-3  # of the largest singular value of the changes from rest, for the factors
 MIN_SIZE = 1e-3  # of the largest force, below which a state has reduced weight
 TYPICAL_SHARE = 0.95  # of the training states
 MIN_SCALE = 0.05  # least residual norm at which the trust number is 1, over the largest displacement in training
@@ -58,7 +58,7 @@ def orthogonal_complement(body: EnergySolid | Membrane, shapes: Floats, fields: 
 
 
 def scale_residual_fields(
-    body: EnergySolid | Membrane, fields: Fields, sizes: tuple[int, int, int], states: Floats, rule: Cubature,
+    body: EnergySolid | Membrane, fields: Fields, sizes: tuple[int, int], states: Floats, rule: Cubature,
     places: NDArray[np.int64], moments: Floats,
 ) -> tuple[Fields, Floats]:  # fmt: skip
     """Combine the residual fields so that the residual is a displacement, and return their derivatives.
@@ -66,11 +66,10 @@ def scale_residual_fields(
     Parameters
     ----------
     body : EnergySolid or Membrane
-        A membrane has no residual fields.
     fields : Fields
         All basis vectors, the residual fields last.
     sizes : tuple
-        Numbers of modes, of coordinates, and of residual fields w.
+        Numbers of modes and of residual fields w.
     states : (t, m + l) array
         Training states.
     rule : Cubature
@@ -87,11 +86,11 @@ def scale_residual_fields(
         Derivatives of all basis vectors at the integration points, those of the residual fields multiplied
         by their factors.
     """
-    modes, count, residual_fields = sizes
+    modes, residual_fields = sizes
     gradients = np.asarray(fields.gradients[places], dtype=float)
-    if not residual_fields or isinstance(body, Membrane):
+    if not residual_fields:
         return fields, gradients
-    multiples = _factors(body, fields, count, residual_fields, states, rule, moments)
+    multiples = _factors(body, fields, residual_fields, states, rule, places, moments)
     scale, first = _scale(body, fields, modes, residual_fields, moments), len(fields.columns) - residual_fields
     scaled = np.einsum("vw,swk->svk", scale, multiples[:, :, None] * gradients[:, first:])
     columns, mixed = fields.columns.copy(), np.eye(len(fields.columns))
@@ -101,7 +100,7 @@ def scale_residual_fields(
     return replace(fields, columns=columns, constant=mixed @ fields.constant @ mixed.T), gradients
 
 
-def _scale(body: EnergySolid, fields: Fields, modes: int, residual_fields: int, moments: Floats) -> Floats:
+def _scale(body: EnergySolid | Membrane, fields: Fields, modes: int, residual_fields: int, moments: Floats) -> Floats:
     """Return A (w, w) [m/N] for which |A r| is the displacement [m] caused by a residual r."""
     residual_part = fields.of(np.r_[:modes, len(fields.columns) - residual_fields : len(fields.columns)])
     flat = residual_part.columns.reshape(len(residual_part.columns), -1)
@@ -122,35 +121,32 @@ def _triangular_root(square: Floats) -> Floats:
     return np.asarray(root * np.where(np.diagonal(root) < 0, -1.0, 1.0)[:, None])
 
 
-@dataclass(frozen=True)
-class _Quadrature:
-    """A quadrature of stresses: nodes, weights (s,) [m^3], and coefficients (k, s) of the moments."""
+def _work(
+    body: EnergySolid | Membrane, fields: Fields, pressure: Floats, residual_fields: int, state: Floats
+) -> Floats:
+    """Return the work (p, w) of the stresses at points on the residual fields, the last basis vectors.
 
-    nodes: NDArray[np.int64]
-    gradients: Floats
-    weights: Floats
-    pressure: Floats
-
-    def work(self, body: EnergySolid, count: int, residual_fields: int, state: Floats) -> Floats:
-        """Return the work (s, w) of the nodes' stresses on the residual fields, the last basis vectors."""
-        F, cofactor, J = deformation(self.gradients[:, :count], state)
-        stress = body.tissue.shear_stress(F, self.nodes)
+    `pressure` are the coefficients (k, p) of the points in the moments of the dilatation.
+    """
+    which = slice(len(fields.columns) - residual_fields, len(fields.columns))
+    work = shear_work(body, fields, state, which).T
+    if len(pressure):
+        _, cofactor, J = deformation(fields.gradients[:, : len(state)], state)
         measure, slope = volume_measure(body.material, J - 1)
-        pressure = slope * (self.pressure.T @ (self.pressure @ measure))
-        nodal_stress = self.weights[:, None, None] * stress + pressure[:, None, None] * cofactor
-        return np.asarray(np.matmul(self.gradients[:, -residual_fields:], nodal_stress.reshape(-1, 9, 1))[:, :, 0])
+        stress = (slope * (pressure.T @ (pressure @ measure)))[:, None, None] * cofactor
+        work = work + np.matmul(fields.gradients[:, which], stress.reshape(-1, 9, 1))[:, :, 0]
+    return work
 
 
 def _factors(
-    body: EnergySolid, fields: Fields, count: int, residual_fields: int, states: Floats, rule: Cubature, moments: Floats
-) -> Floats:
+    body: EnergySolid | Membrane, fields: Fields, residual_fields: int, states: Floats, rule: Cubature,
+    places: NDArray[np.int64], moments: Floats,
+) -> Floats:  # fmt: skip
     """Return factors (s, w) on the residual fields' derivatives at the integration points."""
-    sampled = _Quadrature(
-        rule.nodes, np.asarray(fields.gradients[rule.nodes], dtype=float), rule.weights, rule.pressure
-    )
-    full_sum = _Quadrature(fields.nodes, fields.gradients, body.elastic_volumes, moments)
-    terms = np.array([sampled.work(body, count, residual_fields, state) for state in states])
-    full_work = np.array([full_sum.work(body, count, residual_fields, state).sum(axis=0) for state in states])
+    sampled = replace(fields, gradients=fields.gradients[places].astype(float), nodes=rule.nodes, volumes=rule.weights)
+    terms = np.array([_work(body, sampled, rule.pressure, residual_fields, state) for state in states])
+    at_rest = _work(body, sampled, rule.pressure, residual_fields, np.zeros_like(states[0]))
+    full_work = np.array([_work(body, fields, moments, residual_fields, state).sum(axis=0) for state in states])
     defined = np.isfinite(terms).all(axis=(1, 2)) & np.isfinite(full_work).all(axis=1)  # states without inverted nodes
     if not defined.any():
         raise InputError("trajectories must keep all volumes positive, got none that does; train on smaller loads")
@@ -160,7 +156,8 @@ def _factors(
     result = np.ones((len(rule.nodes), residual_fields))
     for w in range(residual_fields):
         u, values, vt = np.linalg.svd(terms[:, :, w] * scale[:, None], full_matrices=False)
-        damped = values / (values**2 + max((RIDGE_SHARE * values[0]) ** 2, 1e-300))
+        largest = np.linalg.norm((terms[:, :, w] - at_rest[:, w]) * scale[:, None], 2)
+        damped = values / (values**2 + max((RIDGE_SHARE * largest) ** 2, 1e-300))
         result[:, w] += vt.T @ (damped * (u.T @ ((full_work[:, w] - terms[:, :, w].sum(axis=1)) * scale)))
     return result
 
