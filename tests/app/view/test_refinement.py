@@ -9,6 +9,7 @@ import os
 import queue
 import re
 import signal
+import struct
 import subprocess
 import sys
 import threading
@@ -24,6 +25,7 @@ from palpate.app.train.folder import manifest_of, open_campaign
 from palpate.app.train.scene_folder import name_in_folder, training_folder
 from palpate.app.view.command import view
 from palpate.app.view.refinement import Refinement
+from palpate.app.view.server.frames import STATE
 from palpate.app.view.session.messages import validate_message
 from palpate.app.view.session.session import Session
 from palpate.app.view.training_process import LEAST_SHARE, Progress, TrainingProcess, refined_scene
@@ -366,7 +368,8 @@ def test_a_training_and_its_workers_end_with_a_killed_parent(scene, until):
 @pytest.mark.slow
 def test_the_command_changes_over_and_ends_its_training_at_an_interrupt(scene, tmp_path):
     words = [sys.executable, "-m", "palpate", "view", scene.name, "--refine", "--no-browser", "--port", "18800"]
-    command = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+    environment = {**os.environ, "PYTHONFAULTHANDLER": "1"}  # shows where it is, if it does not end
+    command = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, cwd=tmp_path, env=environment)
     said = []
     for line in command.stderr:
         said.append(line)
@@ -382,7 +385,12 @@ def test_the_command_changes_over_and_ends_its_training_at_an_interrupt(scene, t
             await socket.send(json.dumps({"type": "hello", "protocol": 2, "token": address[2]}))
             while time.monotonic() < end:
                 message = await asyncio.wait_for(socket.recv(), 200.0)
-                message = json.loads(message) if isinstance(message, str) else {"type": "frame"}
+                if isinstance(message, bytes):
+                    kind, sequence = struct.unpack("<2I", message[:8])
+                    if kind == STATE:
+                        await socket.send(json.dumps({"type": "ack", "sequence": sequence}))
+                    continue
+                message = json.loads(message)
                 if message["type"] == "hello":
                     full.append(message["full"])
                 if message.get("state") == "ready" and not message["good"]:
@@ -395,7 +403,11 @@ def test_the_command_changes_over_and_ends_its_training_at_an_interrupt(scene, t
         full, last = asyncio.run(visit())
     finally:
         command.send_signal(signal.SIGINT)
-        code = command.wait(60)
+        try:
+            code = command.wait(60)
+        except subprocess.TimeoutExpired:
+            command.send_signal(signal.SIGABRT)
+            code = command.wait()
         reading.join()
         command.stderr.close()
     assert last["state"] == "used", "".join(said)
