@@ -66,10 +66,15 @@ class Organ(NamedTuple):
 
 
 ORGANS = {
+    "liver, 15 mm": Organ("liver", ("spacing=0.015", "radius=0.0325"), 24),
     "liver, 12 mm": Organ("liver", ("spacing=0.012", "radius=0.026"), 32),
     "liver, 9 mm": Organ("liver", ("spacing=0.009", "radius=0.0225", "depth=0.016"), 48),
+    "HRA liver, 15 mm": Organ("hra-liver-15.toml", (), 24, "hra/VH_F_liver_solid_2k.ply", "0.015"),
     "HRA liver, 12 mm": Organ("hra-liver.toml", (), 32, "hra/VH_F_liver_solid_2k.ply", "0.012"),
+    "HRA liver, 10 mm": Organ("hra-liver-10.toml", (), 40, "hra/VH_F_liver_solid_2k.ply", "0.010"),
+    "SOFA liver, 4.5 mm": Organ("sofa-liver-45.toml", (), 24, "sofa/liver-smooth.obj", "0.0045"),
     "SOFA liver, 3.5 mm": Organ("sofa-liver.toml", (), 32, "sofa/liver-smooth.obj", "0.0035"),
+    "SOFA liver, 3 mm": Organ("sofa-liver-30.toml", (), 40, "sofa/liver-smooth.obj", "0.003"),
 }
 
 
