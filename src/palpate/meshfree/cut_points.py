@@ -9,18 +9,29 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from palpate.arrays import Floats, Ints
 from palpate.meshfree.cut_stencils import REACH_MARGIN, UncutStencils
 from palpate.meshfree.cut_surface import CutSurface, bond_paths
+from palpate.meshfree.nesting import inside_points, inside_shares
 
-__all__ = ["LEAST_VOLUME", "SIGHT_DISTANCE", "PointWeights", "point_weights", "reference_points"]
+__all__ = [
+    "LEAST_VOLUME",
+    "SIGHT_DISTANCE",
+    "PointWeights",
+    "inside_body",
+    "point_weights",
+    "reference_points",
+    "shares_inside",
+]
 
 CANDIDATE_NODES, FIT_NODES = 64, 20  # nearest nodes, and nodes inside the radius of the fit
 MAX_ITERATIONS, LAST_CHANGE = 4, 1e-3  # of the reference point, and its last change in spacings
 SIGHT_DISTANCE = 0.3  # from a point to where it is seen from, in spacings
 SEARCH_DISTANCE = 4.0  # of the cut from points, in spacings
 LEAST_VOLUME = 0.1  # ratio of volumes below which a fit is not used
+MAX_DEPTH = 2.0  # of a point in the body whose nearest node is on the surface, in spacings
 FAR_DISTANCE = 1.5  # distance from the nearest node beyond which a point moves with it, in spacings
 
 
@@ -75,6 +86,29 @@ def point_weights(uncut: UncutStencils, surface: CutSurface, points: Floats, see
     inverse = np.linalg.pinv(moments, rcond=1e-9, hermitian=True)
     table = np.einsum("pk,pki,pij->pkj", weights, monomials, inverse)
     return PointWeights(near, table[..., 0], table[..., 1:] / radius[:, None, None])
+
+
+def inside_body(uncut: UncutStencils, corners: Floats, points: Floats) -> NDArray[np.bool_]:
+    """Return which points (p, 3) are inside a body with a surface of triangles (t, 3, 3).
+
+    Points whose nearest node is not on the surface are inside, and those far from all nodes are outside.
+    """
+    distance, nearest = uncut.tree.query(points)
+    on_surface = uncut.on_surface[nearest]
+    inside, near = ~on_surface, on_surface & (distance < MAX_DEPTH * uncut.spacing)
+    inside[near] = inside_points(points[near], corners)
+    return np.asarray(inside)
+
+
+def shares_inside(uncut: UncutStencils, corners: Floats, segments: Floats) -> Floats:
+    """Return the shares of the lengths of short segments (p, 2, 3) inside a body, as `inside_body` does for points."""
+    distance, nearest = uncut.tree.query(segments.mean(axis=1))
+    on_surface = uncut.on_surface[nearest]
+    shares, near = np.where(on_surface, 0.0, 1.0), on_surface & (distance < MAX_DEPTH * uncut.spacing)
+    result = np.zeros(int(near.sum()))
+    inside_shares(np.ascontiguousarray(segments[near]), corners, result)
+    shares[near] = result
+    return shares
 
 
 def _near_points(surface: CutSurface, points: Floats, spacing: float) -> tuple[Floats, Ints, Floats, Ints]:

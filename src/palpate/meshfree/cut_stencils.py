@@ -21,7 +21,6 @@ regularized.
 
 from __future__ import annotations
 
-from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -73,6 +72,10 @@ class UncutStencils(NamedTuple):
     tree : cKDTree
         Of the points.
     on_surface : (n,) bool array
+    widest : (n,) array [m]
+        Largest distance of neighbours of cut nodes.
+    bond_start, bond_near : (n + 1,), (t,) int arrays
+        First bond of every node, and the other nodes of all bonds: all nodes within that distance.
     """
 
     points: Floats
@@ -84,6 +87,9 @@ class UncutStencils(NamedTuple):
     sums: Floats
     tree: cKDTree
     on_surface: NDArray[np.bool_]
+    widest: Floats
+    bond_start: Ints
+    bond_near: NDArray[np.int32]
 
 
 class CutState(NamedTuple):
@@ -174,7 +180,23 @@ def uncut_stencils(
     limit = np.maximum(common, SIZE_FACTOR * size)
     on_surface = np.zeros(len(points), dtype=np.bool_)
     on_surface[surface] = True
-    return UncutStencils(points, volumes, spacing, reach, smoothing_reach, limit, sums, cKDTree(points), on_surface)
+    tree = cKDTree(points)
+    widest = REACH_MARGIN * np.maximum(WIDEST_REACH * spacing, np.maximum(reach, smoothing_reach))
+    return UncutStencils(
+        points, volumes, spacing, reach, smoothing_reach, limit, sums, tree, on_surface, widest,
+        *_bonds_within(points, tree, widest),
+    )  # fmt: skip
+
+
+def _bonds_within(points: Floats, tree: cKDTree, widest: Floats) -> tuple[Ints, NDArray[np.int32]]:
+    """Return the first bond of every node, and the other nodes of all bonds, in ascending order for each node."""
+    pairs = tree.query_pairs(float(widest.max()), output_type="ndarray")
+    square = np.sum((points[pairs[:, 0]] - points[pairs[:, 1]]) ** 2, axis=1)
+    both = [pairs[square <= widest[pairs[:, k]] ** 2][:, [k, 1 - k]] for k in range(2)]
+    node, near = np.concatenate(both).T
+    order = np.lexsort((near, node))
+    count = np.bincount(node, minlength=len(points))
+    return np.concatenate([[0], np.cumsum(count)]).astype(np.int64), near[order].astype(np.int32)
 
 
 def fit_rows(state: CutState, surface: CutSurface, nodes: Ints, released: NDArray[np.bool_]) -> FittedRows:
@@ -190,12 +212,12 @@ def fit_rows(state: CutState, surface: CutSurface, nodes: Ints, released: NDArra
         Nodes that leave all stencils.
     """
     uncut = state.uncut
-    nodes, start, near, paths = _bonds(uncut, surface, nodes)
+    start, near, paths = _bonds(uncut, surface, nodes)
     paths[released[near]] = np.inf
     paths[np.repeat(released[nodes], np.diff(start))] = np.inf
     checks, touched = np.zeros(len(nodes)), np.zeros(len(nodes), dtype=np.bool_)
     radius = REACH_MARGIN * np.maximum(uncut.reach, uncut.smoothing_reach)
-    _examine(uncut.points, nodes, start, near, paths, radius, _widest(uncut), checks, touched)
+    _examine(uncut.points, nodes, start, near, paths, radius, uncut.widest, checks, touched)
     changed = (touched | state.touched[nodes]) & (checks != state.checks[nodes])
     entry = np.repeat(changed, np.diff(start))
     start = np.concatenate([[0], np.cumsum(np.diff(start)[changed])])
@@ -209,25 +231,18 @@ def fit_rows(state: CutState, surface: CutSurface, nodes: Ints, released: NDArra
     return FittedRows(nodes, start, near, *tables, kind, checks[changed])
 
 
-def _widest(uncut: UncutStencils) -> Floats:
-    """Return the largest distance (n,) [m] of neighbours of cut nodes."""
-    reach = np.maximum(uncut.reach, uncut.smoothing_reach)
-    return np.asarray(REACH_MARGIN * np.maximum(WIDEST_REACH * uncut.spacing, reach))
-
-
-def _bonds(uncut: UncutStencils, surface: CutSurface, nodes: Ints) -> tuple[Ints, Ints, Ints, Floats]:
-    """Return nodes, the first bond of each, the other nodes of all bonds, and their lengths round the fronts."""
-    widest = _widest(uncut)[nodes]
-    lists = uncut.tree.query_ball_point(uncut.points[nodes], widest, return_sorted=True)
-    count = np.array([len(each) for each in lists], dtype=np.int64)
-    near = np.fromiter(chain.from_iterable(lists), dtype=np.int64, count=int(count.sum()))
-    near = near[near != np.repeat(nodes, count)]
-    start, paths = np.concatenate([[0], np.cumsum(count - 1)]).astype(np.int64), np.empty(len(near))
+def _bonds(uncut: UncutStencils, surface: CutSurface, nodes: Ints) -> tuple[Ints, Ints, Floats]:
+    """Return the first bond of some nodes, the other nodes of their bonds, and the bonds' lengths round the fronts."""
+    first = uncut.bond_start[nodes]
+    count = uncut.bond_start[nodes + 1] - first
+    start = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+    near = uncut.bond_near[np.repeat(first - start[:-1], count) + np.arange(start[-1])].astype(np.int64)
+    paths = np.empty(len(near))
     bond_paths(
         uncut.points, nodes, start, near, surface.extended, surface.components, surface.fronts,
-        surface.front_components, uncut.spacing, float(widest.max(initial=0.0)), paths,
+        surface.front_components, uncut.spacing, float(uncut.widest[nodes].max(initial=0.0)), paths,
     )  # fmt: skip
-    return nodes, start, near, paths
+    return start, near, paths
 
 
 @cached_njit(nogil=True)
@@ -458,10 +473,14 @@ def keep_uniform_stress(uncut: UncutStencils, surface: CutSurface, rows: FittedR
     nearest_normals(uncut.points[nodes], surface.triangles, normals)
     volume = float(np.median(uncut.volumes))
     right = missing[nodes] * (uncut.spacing / volume)
-    return float(
-        _balance(uncut.points, rows.nodes, rows.start, rows.near, rows.freedom, uncut.volumes / volume, center, other,
-                 normals, right, uncut.spacing, uncut.limit, rows.first)
+    free = rows.freedom > 0.0
+    start, first = np.concatenate([[0], np.cumsum(free)])[rows.start], rows.first[free]
+    left = _balance(
+        uncut.points, rows.nodes, start, rows.near[free], rows.freedom[free], uncut.volumes / volume, center,
+        other[free], normals, right, uncut.spacing, uncut.limit, first,
     )  # fmt: skip
+    rows.first[free] = first
+    return float(left)
 
 
 @cached_njit(nogil=True)
@@ -476,21 +495,18 @@ def _across(normals, field):  # type: ignore[no-untyped-def]
 @cached_njit(nogil=True)
 def _change(m, start, freedom, size, center, other, offset, inverse, field, block):  # type: ignore[no-untyped-def]
     """Write the changes (k, 3) of the weights of row m for multipliers (l, 3) into `block`."""
-    moment = np.zeros((3, 3))
-    for p in range(start[m], start[m + 1]):
-        k = p - start[m]
-        if freedom[p] > 0.0:
-            for c in range(3):
-                block[k, c] = freedom[p] * size * (field[other[p], c] - field[center[m], c])
-                for a in range(3):
-                    moment[c, a] += block[k, c] * offset[p, a]
-    for p in range(start[m], start[m + 1]):
-        k = p - start[m]
-        if freedom[p] > 0.0:
-            for c in range(3):
-                for a in range(3):
-                    for b in range(3):
-                        block[k, c] -= freedom[p] * moment[c, a] * inverse[m, a, b] * offset[p, b]
+    begin, end, i = start[m], start[m + 1], center[m]
+    for c in range(3):
+        x, y, z = 0.0, 0.0, 0.0
+        for p in range(begin, end):
+            value = freedom[p] * size * (field[other[p], c] - field[i, c])
+            block[p - begin, c] = value
+            x, y, z = x + value * offset[p, 0], y + value * offset[p, 1], z + value * offset[p, 2]
+        fx = x * inverse[m, 0, 0] + y * inverse[m, 1, 0] + z * inverse[m, 2, 0]
+        fy = x * inverse[m, 0, 1] + y * inverse[m, 1, 1] + z * inverse[m, 2, 1]
+        fz = x * inverse[m, 0, 2] + y * inverse[m, 1, 2] + z * inverse[m, 2, 2]
+        for p in range(begin, end):
+            block[p - begin, c] -= freedom[p] * (fx * offset[p, 0] + fy * offset[p, 1] + fz * offset[p, 2])
 
 
 @cached_njit(nogil=True)
@@ -502,11 +518,10 @@ def _apply(rows, field, image, block):  # type: ignore[no-untyped-def]
         size = sizes[m]
         _change(m, start, freedom, size, center, other, offset, inverse, field, block)
         for p in range(start[m], start[m + 1]):
-            if freedom[p] > 0.0:
-                for c in range(3):
-                    value = size * block[p - start[m], c]
-                    image[other[p], c] += value
-                    image[center[m], c] -= value
+            for c in range(3):
+                value = size * block[p - start[m], c]
+                image[other[p], c] += value
+                image[center[m], c] -= value
 
 
 @cached_njit(nogil=True)
@@ -570,25 +585,23 @@ def _balance(points, nodes, start, near, freedom, volumes, center, other, normal
         soft = False
         for m in range(nodes.shape[0]):
             _change(m, start, freedom, sizes[m], center, other, offset, inverse, solution, block)
-            if _square_change(m, start, freedom, block) > MAX_CHANGE:
+            if _square_change(m, start, block) > MAX_CHANGE:
                 soft = True
                 regularization[center[m]] = REGULARIZATION_SHARES[attempt]
                 for p in range(start[m], start[m + 1]):
-                    if freedom[p] > 0.0:
-                        regularization[other[p]] = REGULARIZATION_SHARES[attempt]
+                    regularization[other[p]] = REGULARIZATION_SHARES[attempt]
         if not soft:
             break
     image[:] = 0.0
     for m in range(nodes.shape[0]):
         _change(m, start, freedom, sizes[m], center, other, offset, inverse, solution, block)
-        share = _largest_share(m, start, freedom, limit[nodes[m]], spacing, first, block)
+        share = _largest_share(m, start, limit[nodes[m]], spacing, first, block)
         for p in range(start[m], start[m + 1]):
-            if freedom[p] > 0.0:
-                for c in range(3):
-                    value = share * block[p - start[m], c]
-                    first[p, c] += value / spacing
-                    image[other[p], c] += sizes[m] * value
-                    image[center[m], c] -= sizes[m] * value
+            for c in range(3):
+                value = share * block[p - start[m], c]
+                first[p, c] += value / spacing
+                image[other[p], c] += sizes[m] * value
+                image[center[m], c] -= sizes[m] * value
     _across(normals, image)
     return np.abs(right - image).max()
 
@@ -631,21 +644,20 @@ def _solve_regularized(rows, normals, scale, regularization, right, solution, im
 
 
 @cached_njit(nogil=True)
-def _square_change(m, start, freedom, block):  # type: ignore[no-untyped-def]
+def _square_change(m, start, block):  # type: ignore[no-untyped-def]
     """Return the size q of the changes (k, 3) of row m."""
     square = 0.0
     for c in range(3):
         total = 0.0
         for p in range(start[m], start[m + 1]):
-            if freedom[p] > 0.0:
-                square += block[p - start[m], c] ** 2
-                total += block[p - start[m], c]
+            square += block[p - start[m], c] ** 2
+            total += block[p - start[m], c]
         square += total**2
     return square
 
 
 @cached_njit(nogil=True)
-def _largest_share(m, start, freedom, limit, spacing, first, block):  # type: ignore[no-untyped-def]
+def _largest_share(m, start, limit, spacing, first, block):  # type: ignore[no-untyped-def]
     """Return the share of the changes (k, 3) of row m, at most 1, for which its size q is below the limit.
 
     q is a + 2 b x + c x^2 for a share x.
@@ -655,7 +667,7 @@ def _largest_share(m, start, freedom, limit, spacing, first, block):  # type: ig
         total, total_change = 0.0, 0.0
         for p in range(start[m], start[m + 1]):
             weight = spacing * first[p, d]
-            change = block[p - start[m], d] if freedom[p] > 0.0 else 0.0
+            change = block[p - start[m], d]
             total, total_change = total + weight, total_change + change
             a, b, c = a + weight**2, b + weight * change, c + change**2
         a, b, c = a + total**2, b + total * total_change, c + total_change**2

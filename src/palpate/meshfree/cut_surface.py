@@ -14,11 +14,12 @@ of a cut would connect the faces of an open one next to it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -26,7 +27,6 @@ from palpate.arrays import Floats, Ints
 from palpate.code_cache import cached_njit
 from palpate.describe import Described, Fact
 from palpate.faults import CloudError
-from palpate.meshfree.nesting import inside_points
 
 __all__ = [
     "CutSurface",
@@ -123,15 +123,17 @@ def triangle_areas(triangles: Floats) -> Floats:
     return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
 
 
-def cut_surface(before: CutSurface, triangles: Floats, corners: Floats, spacing: float) -> CutSurface:
+def cut_surface(
+    before: CutSurface, triangles: Floats, is_inside: Callable[[Floats], NDArray[np.bool_]], spacing: float
+) -> CutSurface:
     """Return the union of a cut surface and further triangles.
 
     Parameters
     ----------
     before : CutSurface
     triangles : (t, 3, 3) array [m]
-    corners : (s, 3, 3) array [m]
-        Triangles of the closed surface of the body.
+    is_inside : function
+        Returns which points (p, 3) are inside the body.
     spacing : float [m]
 
     Raises
@@ -151,7 +153,7 @@ def cut_surface(before: CutSurface, triangles: Floats, corners: Floats, spacing:
     pieces, owner = _pieces(vertices[edges], spacing)
     known = dict(before.inside)
     middles = pieces.mean(axis=1)
-    inside = _inside(middles, corners, spacing, known)
+    inside = _inside(middles, is_inside, spacing, known)
     inside[inside] = ~_is_covered(middles[inside], normals[owner[inside]], union, spacing)
     on_front = np.bincount(owner[inside], minlength=len(edges)) > 0
     lead = _leads(edges[on_front], normals[on_front], len(vertices)) * FRONT_LEAD * spacing
@@ -222,12 +224,14 @@ def _pieces(ends: Floats, spacing: float, divided_as: Floats | None = None) -> t
     return start[:, None] + shares[:, :, None] * way[:, None], owner
 
 
-def _inside(points: Floats, corners: Floats, spacing: float, known: dict[bytes, bool]) -> Any:
+def _inside(
+    points: Floats, is_inside: Callable[[Floats], NDArray[np.bool_]], spacing: float, known: dict[bytes, bool]
+) -> Any:
     """Return whether points (p, 3) are inside the body; add the answers to those that are known."""
     keys = [key.tobytes() for key in np.rint(points / (MERGE_DISTANCE * spacing)).astype(np.int64)]
     new = [k for k, key in enumerate(keys) if key not in known]
     if new:
-        answers = inside_points(points[new], corners)
+        answers = is_inside(points[new])
         known.update((keys[k], bool(answer)) for k, answer in zip(new, answers, strict=True))
     return np.array([known[key] for key in keys], dtype=np.bool_)
 
@@ -394,41 +398,71 @@ def _value(plane, x, y, z):  # type: ignore[no-untyped-def]
     return plane[0] * x + plane[1] * y + plane[2] * z + plane[3]
 
 
-@cached_njit(nogil=True)
+@cached_njit(nogil=True, error_model="numpy")
 def _find_crossed(plane, slack, tiny, ax, ay, az, x, y, z, crossed):  # type: ignore[no-untyped-def]
-    """Set the entries of bonds from A that cross a triangle; a node on its plane is on the side of the normal."""
+    """Set the entries of bonds from A that cross a triangle to 1; a node on its plane is on the side of the normal."""
     above = _value(plane[0], ax, ay, az)
     if abs(above) < tiny:
         above = tiny
     n0, n1, n2, n3 = plane[0, 0], plane[0, 1], plane[0, 2], plane[0, 3]
-    for k in range(x.shape[0]):
-        below = n0 * x[k] + n1 * y[k] + n2 * z[k] + n3
-        if above * below < tiny * abs(above) and not crossed[k]:
-            if abs(below) < tiny:
-                below = tiny
-            if (above > 0.0) == (below > 0.0):
-                continue
-            share = above / (above - below)
-            px, py, pz = ax + share * (x[k] - ax), ay + share * (y[k] - ay), az + share * (z[k] - az)
-            s, t = _value(plane[1], px, py, pz), _value(plane[2], px, py, pz)
-            crossed[k] = s > -slack and t > -slack and s + t < 1.0 + slack
+    s0, s1, s2, s3 = plane[1, 0], plane[1, 1], plane[1, 2], plane[1, 3]
+    t0, t1, t2, t3 = plane[2, 0], plane[2, 1], plane[2, 2], plane[2, 3]
+    for k in range(x.shape[0]):  # without branches, for vector registers
+        value = n0 * x[k] + n1 * y[k] + n2 * z[k] + n3
+        below = tiny if abs(value) < tiny else value
+        share = above / (above - below)
+        px, py, pz = ax + share * (x[k] - ax), ay + share * (y[k] - ay), az + share * (z[k] - az)
+        s = s0 * px + s1 * py + s2 * pz + s3
+        t = t0 * px + t1 * py + t2 * pz + t3
+        passes = (above * value < tiny * abs(above)) & ((above > 0.0) != (below > 0.0))
+        inside = (s > -slack) & (t > -slack) & (s + t < 1.0 + slack)
+        crossed[k] = 1.0 if passes & inside else crossed[k]
 
 
-@cached_njit(nogil=True)
-def _way_round(ax, ay, az, dx, dy, dz, front):  # type: ignore[no-untyped-def]
-    """Return the length of the shortest way from A to A + d that touches a front (2, 3), and the place there."""
-    ex, ey, ez = front[1, 0] - front[0, 0], front[1, 1] - front[0, 1], front[1, 2] - front[0, 2]
-    length = np.sqrt(ex * ex + ey * ey + ez * ez)
-    ex, ey, ez = ex / length, ey / length, ez / length
-    px, py, pz = ax - front[0, 0], ay - front[0, 1], az - front[0, 2]
-    qx, qy, qz = px + dx, py + dy, pz + dz
-    along_a, along_b = px * ex + py * ey + pz * ez, qx * ex + qy * ey + qz * ez
-    off_a = np.sqrt(max(px * px + py * py + pz * pz - along_a * along_a, 0.0))
-    off_b = np.sqrt(max(qx * qx + qy * qy + qz * qz - along_b * along_b, 0.0))
-    foot = (along_a * off_b + along_b * off_a) / max(off_a + off_b, 1e-12 * length)
-    foot = min(max(foot, 0.0), length)
-    total = np.sqrt(off_a**2 + (along_a - foot) ** 2) + np.sqrt(off_b**2 + (along_b - foot) ** 2)
-    return total, front[0, 0] + foot * ex, front[0, 1] + foot * ey, front[0, 2] + foot * ez
+@cached_njit(nogil=True, error_model="numpy")
+def _near_fronts(fronts, ax, ay, az, most, close, table):  # type: ignore[no-untyped-def]
+    """Write the numbers of fronts (e, 2, 3) near A, and what their ways depend on, (12, e); return how many they are.
+
+    The rows are the beginning, the unit vector, the length, and of A the place along the front, the distance off its
+    line, and the offset from its beginning.
+    """
+    count = 0
+    for q in range(fronts.shape[0]):
+        px, py, pz = ax - fronts[q, 0, 0], ay - fronts[q, 0, 1], az - fronts[q, 0, 2]
+        if px * px + py * py + pz * pz >= most * most:
+            continue
+        ex, ey, ez = (
+            fronts[q, 1, 0] - fronts[q, 0, 0],
+            fronts[q, 1, 1] - fronts[q, 0, 1],
+            fronts[q, 1, 2] - fronts[q, 0, 2],
+        )
+        length = np.sqrt(ex * ex + ey * ey + ez * ez)
+        ex, ey, ez = ex / length, ey / length, ez / length
+        along = px * ex + py * ey + pz * ez
+        off = np.sqrt(max(px * px + py * py + pz * pz - along * along, 0.0))
+        close[count] = q
+        table[0, count], table[1, count], table[2, count] = fronts[q, 0, 0], fronts[q, 0, 1], fronts[q, 0, 2]
+        table[3, count], table[4, count], table[5, count] = ex, ey, ez
+        table[6, count], table[7, count], table[8, count] = length, along, off
+        table[9, count], table[10, count], table[11, count] = px, py, pz
+        count += 1
+    return count
+
+
+@cached_njit(nogil=True, error_model="numpy")
+def _ways_round(dx, dy, dz, count, table, ways, feet):  # type: ignore[no-untyped-def]
+    """Write the lengths of the shortest ways from A to A + d that touch each near front, and the places along them."""
+    for q in range(count):  # without branches, for vector registers
+        ex, ey, ez, length = table[3, q], table[4, q], table[5, q], table[6, q]
+        along_a, off_a = table[7, q], table[8, q]
+        qx, qy, qz = table[9, q] + dx, table[10, q] + dy, table[11, q] + dz
+        along_b = qx * ex + qy * ey + qz * ez
+        off_b = np.sqrt(max(qx * qx + qy * qy + qz * qz - along_b * along_b, 0.0))
+        foot = (along_a * off_b + along_b * off_a) / max(off_a + off_b, 1e-12 * length)
+        foot = min(max(foot, 0.0), length)
+        feet[q] = foot
+        da, db = along_a - foot, along_b - foot
+        ways[q] = np.sqrt(off_a * off_a + da * da) + np.sqrt(off_b * off_b + db * db)
 
 
 @cached_njit(nogil=True)
@@ -451,21 +485,27 @@ def _is_blocked(ax, ay, az, px, py, pz, planes, spheres, components, close, comp
 
 
 @cached_njit(nogil=True)
-def _shortest_free(ax, ay, az, bx, by, bz, ways, edges, front_components, most, surface, tiny, spacing):  # type: ignore[no-untyped-def]
-    """Return the length of the shortest way (length and place) from A to B that crosses nothing, or infinity."""
+def _shortest_free(ax, ay, az, bx, by, bz, near, front_components, most, surface, tiny, spacing):  # type: ignore[no-untyped-def]
+    """Return the length of the shortest way from A to B round a near front that crosses nothing, or infinity."""
     planes, spheres, components, close = surface
-    while ways.shape[0] > 0:
-        q = np.argmin(ways[:, 0])
-        length, px, py, pz = ways[q]
+    edges, table, ways, feet, count = near
+    while count > 0:
+        q = np.argmin(ways[:count])
+        length = ways[q]
         if not length <= most:
             break
-        component = front_components[edges[q]]
+        component, foot = front_components[edges[q]], feet[q]
+        px, py, pz = (
+            table[0, q] + foot * table[3, q],
+            table[1, q] + foot * table[4, q],
+            table[2, q] + foot * table[5, q],
+        )
         if not (
             _is_blocked(ax, ay, az, px, py, pz, planes, spheres, components, close, component, tiny, spacing)
             or _is_blocked(bx, by, bz, px, py, pz, planes, spheres, components, close, component, tiny, spacing)
         ):
             return length
-        ways[q, 0] = np.inf
+        ways[q] = np.inf
     return np.inf
 
 
@@ -496,35 +536,33 @@ def bond_paths(points, nodes, start, near, triangles, components, fronts, front_
         spheres[q, 0], spheres[q, 1], spheres[q, 2], spheres[q, 3] = _sphere(triangles[q])
     for m in range(nodes.shape[0]):
         longest = max(longest, start[m + 1] - start[m])
-    x, y, z, crossed = np.empty(longest), np.empty(longest), np.empty(longest), np.empty(longest, np.bool_)
+    x, y, z, crossed = np.empty(longest), np.empty(longest), np.empty(longest), np.empty(longest)
     edges, close = np.empty(fronts.shape[0], np.int64), np.empty(triangles.shape[0], np.int64)
-    ways = np.empty((fronts.shape[0], 4))
+    table, ways, feet = np.empty((12, fronts.shape[0])), np.empty(fronts.shape[0]), np.empty(fronts.shape[0])
     for m in range(nodes.shape[0]):
         ax, ay, az = points[nodes[m], 0], points[nodes[m], 1], points[nodes[m], 2]
-        begin, count, fronts_near, triangles_near = start[m], start[m + 1] - start[m], 0, 0
+        begin, count, triangles_near = start[m], start[m + 1] - start[m], 0
         for k in range(count):
             j = near[begin + k]
-            x[k], y[k], z[k], crossed[k] = points[j, 0], points[j, 1], points[j, 2], False
+            x[k], y[k], z[k], crossed[k] = points[j, 0], points[j, 1], points[j, 2], 0.0
         for q in range(triangles.shape[0]):
             square = (spheres[q, 0] - ax) ** 2 + (spheres[q, 1] - ay) ** 2 + (spheres[q, 2] - az) ** 2
             if square < (reach + spheres[q, 3]) ** 2:
-                slack = tiny / spheres[q, 3]
                 close[triangles_near], triangles_near = q, triangles_near + 1
-                _find_crossed(planes[q], slack, tiny, ax, ay, az, x[:count], y[:count], z[:count], crossed[:count])
-        for e in range(fronts.shape[0]):
-            square = (fronts[e, 0, 0] - ax) ** 2 + (fronts[e, 0, 1] - ay) ** 2 + (fronts[e, 0, 2] - az) ** 2
-            if square < (most + spacing) ** 2:
-                edges[fronts_near] = e
-                fronts_near += 1
+                if abs(_value(planes[q, 0], ax, ay, az)) <= reach + tiny:
+                    slack = tiny / spheres[q, 3]
+                    _find_crossed(planes[q], slack, tiny, ax, ay, az, x[:count], y[:count], z[:count], crossed[:count])
+        fronts_near = -1
         for k in range(count):
             dx, dy, dz = x[k] - ax, y[k] - ay, z[k] - az
             length = _length(dx, dy, dz)
             paths[begin + k] = length
-            if crossed[k]:
-                for q in range(fronts_near):
-                    ways[q] = _way_round(ax, ay, az, dx, dy, dz, fronts[edges[q]])
+            if crossed[k] > 0.0:
+                if fronts_near < 0:
+                    fronts_near = _near_fronts(fronts, ax, ay, az, most + spacing, edges, table)
+                _ways_round(dx, dy, dz, fronts_near, table, ways, feet)
                 best = _shortest_free(
-                    ax, ay, az, x[k], y[k], z[k], ways[:fronts_near], edges, front_components, most,
+                    ax, ay, az, x[k], y[k], z[k], (edges, table, ways, feet, fronts_near), front_components, most,
                     (planes, spheres, components, close[:triangles_near]), tiny, spacing,
                 )  # fmt: skip
                 paths[begin + k] = max(best, length) if best <= most else np.inf

@@ -99,7 +99,7 @@ def energy_release(body: Any, state: State, front: Floats, ahead: Floats) -> flo
         Unit vectors in which they advance.
     """
     cloud, u = body.cloud, state.coordinates
-    length = length_inside(front, cloud.points[cloud.triangles])
+    length = length_inside(body.cut_state, front, cloud.points[cloud.triangles])
     if not length > 0:
         return 0.0
     reach = RELEASE_REACH * cloud.spacing
@@ -147,7 +147,7 @@ def run_front(
     for _ in range(round(LARGEST_ADVANCE / FRONT_ADVANCE)):
         edge = after.edge + FRONT_ADVANCE * spacing * ahead
         pieces = _near_pieces(trial, after.edge, edge)
-        new_area = area_inside(np.stack([after.edge, edge]), pieces, corners)
+        new_area = area_inside(body.cut_state, np.stack([after.edge, edge]), pieces, corners)
         if not new_area > 0:
             break
         strip, triangles, replaced = next_strip(after.strip, after.edge, edge, pieces, spacing)

@@ -8,6 +8,7 @@ places in the stress-free body, and no tool reaches them.
 from __future__ import annotations
 
 from copy import copy
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from palpate.dynamics.material.fibres import always_taut
 from palpate.dynamics.solid.base import Solid
 from palpate.dynamics.solid.cut_layout import Entries, fitted_entries, row_entries, smoothing_entries, with_stencils
 from palpate.faults import CloudError, InputError, brief
+from palpate.meshfree.cut_points import inside_body
 from palpate.meshfree.cut_stencils import (
     RELEASED_FIT,
     CutState,
@@ -94,7 +96,8 @@ def cut_from(body: Any, kept: int, corners: Floats) -> Solid:
     """Return a body whose cut has the first `kept` of its triangles, and others (t, 3, 3) in place of the rest."""
     solid, cloud, before = body, body.cloud, body.cut_state
     first = first_triangles(before.surface, kept)
-    surface = cut_surface(first, corners, cloud.points[cloud.triangles], cloud.spacing)
+    is_inside = partial(inside_body, before.uncut, cloud.points[cloud.triangles])
+    surface = cut_surface(first, corners, is_inside, cloud.spacing)
     nodes = _nodes_to_fit(surface, kept, before, cloud.points, cloud.spacing)
     rows, released = _fit(before, surface, nodes)
     state, constants = _exchange(body.body, before, surface, rows, released)

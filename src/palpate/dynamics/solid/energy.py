@@ -23,6 +23,7 @@ from palpate.dynamics.solid.base import STENCIL_SIZES, Choices, Solid
 from palpate.dynamics.solid.blade_cut import cut_with_blade, steps_of_blade, with_pairs
 from palpate.dynamics.solid.cut import uncut_state
 from palpate.dynamics.solid.cut_layout import smoothing_of, stencils_of
+from palpate.dynamics.solid.energy_form import NODE_NUMBERS
 from palpate.dynamics.solid.layout import Smoothing, energy_passes
 from palpate.faults import InputError, number_in_range
 from palpate.meshfree.consistent import consistent_stencils
@@ -107,6 +108,14 @@ class EnergySolid(Solid):
         """`elastic_volumes` times the ratio of nodal volumetric coefficients to the tissue's `lame`, shape (n,)."""
         regions, lame = self.tissue.regions, self.tissue.lame
         return self.elastic_volumes if regions is None else self.elastic_volumes * regions.values("lame") / lame
+
+    def deformation_gradient(self, displacements: Floats) -> Floats:
+        blocks, lanes = self.body.lanes.nodes.shape
+        table, field = np.empty((blocks, 1, NODE_NUMBERS, lanes)), self.mirror.vectors(displacements)
+        passes = self._allocate()
+        self.formulation.differentiate(np.ascontiguousarray(field[None]), self.body, passes, table)
+        derivatives = table[:, 0, :9].transpose(0, 2, 1).reshape(-1, 3, 3)[self.slot]
+        return np.asarray(derivatives + np.eye(3))
 
     def evaluate(self, displacements: Floats, history: History = (), work: NodalWork | None = None) -> Evaluation:
         work = self.workspace() if work is None else work

@@ -11,10 +11,9 @@ import numpy as np
 
 from palpate.arrays import Floats
 from palpate.dynamics.contact.blade_sites import NO_TOOL, PAIR_SITE, BladeSites, no_sites
-from palpate.meshfree.cut_points import SIGHT_DISTANCE, PointWeights, point_weights
+from palpate.meshfree.cut_points import SIGHT_DISTANCE, PointWeights, inside_body, point_weights
 from palpate.meshfree.cut_stencils import CutState
 from palpate.meshfree.cut_surface import triangle_areas
-from palpate.meshfree.nesting import inside_points
 
 __all__ = ["face_pairs", "joined_sites", "turn_pairs"]
 
@@ -40,13 +39,15 @@ def face_pairs(state: CutState, u: Floats, corners: Floats) -> BladeSites:
     order = np.argsort(-triangle_areas(triangles), kind="stable")
     _, first = np.unique(cells[order], axis=0, return_index=True)
     chosen = order[first]
-    chosen = chosen[inside_points(middles[chosen], corners)]
+    chosen = chosen[inside_body(state.uncut, corners, middles[chosen])]
     points = middles[chosen]
     a, b, c = (triangles[chosen, k] for k in range(3))
     normals = np.cross(b - a, c - a)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     sight = SIGHT_DISTANCE * spacing * normals
-    above, below = (point_weights(state.uncut, state.surface, points, points + side * sight) for side in (1.0, -1.0))
+    seen_from = np.concatenate([points + sight, points - sight])
+    both = point_weights(state.uncut, state.surface, np.tile(points, (2, 1)), seen_from)
+    above, below = (PointWeights(*parts) for parts in zip(*(np.split(array, 2) for array in both), strict=True))
     nodes = np.concatenate([above.nodes, below.nodes], axis=1)
     weights = np.concatenate([above.values, -below.values], axis=1)
     used = weights != 0.0

@@ -20,14 +20,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats
+from palpate.arrays import Floats, Ints
 from palpate.describe import Described, Fact
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.blade_sites import EDGE_SITE, FACE_SITE, BladeSites
-from palpate.meshfree.cut_points import LEAST_VOLUME, SIGHT_DISTANCE, PointWeights, point_weights, reference_points
+from palpate.meshfree.cut_points import (
+    LEAST_VOLUME,
+    SIGHT_DISTANCE,
+    PointWeights,
+    point_weights,
+    reference_points,
+    shares_inside,
+)
 from palpate.meshfree.cut_stencils import CutState
 from palpate.meshfree.cut_surface import is_narrow, nearest_on_cut, swept, triangle_areas
-from palpate.meshfree.nesting import inside_shares
 
 __all__ = [
     "Incision",
@@ -237,7 +243,7 @@ def advance_edge(
     for k in range(count):
         edges = incision.edge + np.array([k / count, (k + 1) / count])[:, None, None] * way
         pieces = _cutting_pieces(state, edges, near, normals)
-        cuts.append((edges[1], pieces, area_inside(edges, pieces, corners)))
+        cuts.append((edges[1], pieces, area_inside(state, edges, pieces, corners)))
     return cuts
 
 
@@ -315,20 +321,17 @@ def project_on_cut(state: CutState, points: Floats) -> tuple[Floats, Floats, NDA
     return projections, distance, over
 
 
-def area_inside(edges: Floats, pieces: NDArray[np.bool_], corners: Floats) -> float:
+def area_inside(state: CutState, edges: Floats, pieces: NDArray[np.bool_], corners: Floats) -> float:
     """Return the area [m^2] inside the body between two places (2, p, 3) of the pieces of an edge."""
-    shares = np.zeros((2, len(pieces)))
-    for k in range(2):
-        segments = np.ascontiguousarray(np.stack([edges[k, :-1], edges[k, 1:]], axis=1))
-        inside_shares(segments, corners, shares[k])
-    areas = triangle_areas(swept(edges)).reshape(-1, 2).sum(axis=1)
-    return float(np.sum((areas * shares.mean(axis=0))[pieces]))
+    segments = np.stack([edges[:, :-1], edges[:, 1:]], axis=2)[:, pieces]
+    shares = shares_inside(state.uncut, corners, segments.reshape(-1, 2, 3)).reshape(2, -1)
+    areas = triangle_areas(swept(edges)).reshape(-1, 2).sum(axis=1)[pieces]
+    return float(np.sum(areas * shares.mean(axis=0)))
 
 
-def length_inside(front: Floats, corners: Floats) -> float:
+def length_inside(state: CutState, front: Floats, corners: Floats) -> float:
     """Return the length [m] of a front (p, 3) inside a body with a surface (s, 3, 3)."""
-    segments, shares = np.ascontiguousarray(np.stack([front[:-1], front[1:]], axis=1)), np.zeros(len(front) - 1)
-    inside_shares(segments, corners, shares)
+    shares = shares_inside(state.uncut, corners, np.stack([front[:-1], front[1:]], axis=1))
     return float(shares @ np.linalg.norm(np.diff(front, axis=0), axis=1))
 
 
@@ -372,20 +375,21 @@ def blade_sites(
     spacing = state.uncut.spacing
     points = edge_points(blade, spacing)
     middles, directions = 0.5 * (points[:-1] + points[1:]), cutting_directions(points)
-    segments = np.ascontiguousarray(np.stack([incision.edge[:-1], incision.edge[1:]], axis=1))
-    shares = np.zeros(len(segments))
-    inside_shares(segments, corners, shares)
+    segments = np.stack([incision.edge[:-1], incision.edge[1:]], axis=1)
+    shares = shares_inside(state.uncut, corners, segments)
     lengths = shares * np.linalg.norm(np.diff(points, axis=0), axis=1)
     seen = _forward(incision.edge, frame, blade, spacing)
     in_cut = _in_cut(state, segments.mean(axis=1) + AHEAD_OF_EDGE * spacing * seen)
     shares[_in_removed(state, segments.mean(axis=1), seen)] = 0.0
     held = np.flatnonzero((shares > LEAST_SHARE) & ~in_cut & blade.sharp)
-    parts = [(EDGE_SITE, segments.mean(axis=1)[held], seen[held], middles[held], directions[held], np.zeros(len(held)))]
-    parts += _faces(state, blade, frame, u, points, incision.edge, corners)
-    kinds = np.concatenate([np.full(len(part[1]), part[0]) for part in parts])
-    at, sights, places, normals, limits = (np.concatenate([part[k] for part in parts]) for k in range(1, 6))
-    weights = point_weights(state.uncut, state.surface, at, at + SIGHT_DISTANCE * spacing * sights)
-    hold = _held_pieces(state, incision, blade, frame, u, held, at, weights)
+    edge_at, sights = segments.mean(axis=1)[held], seen[held]
+    edge_weights = point_weights(state.uncut, state.surface, edge_at, edge_at + SIGHT_DISTANCE * spacing * sights)
+    hold = _held_pieces(state, incision, blade, frame, u, held, edge_at, edge_weights)
+    faces, face_weights = _faces(state, blade, frame, u, points, incision.edge, corners)
+    kinds = np.repeat([EDGE_SITE, FACE_SITE], [len(held), len(faces[0])])
+    parts = zip([edge_at, sights, middles[held], directions[held], np.zeros(len(held))], faces, strict=True)
+    at, _, places, normals, limits = (np.concatenate(each) for each in parts)
+    weights = PointWeights(*(np.concatenate(each) for each in zip(edge_weights, face_weights, strict=True)))
     strength = max(blade.toughness - max(incision.release_rate, 0.0), 0.0)
     ways = segments[held, 1] - segments[held, 0]
     limits[: len(held)] = strength * shares[held] * _area_rates(hold, ways, directions[held] @ frame[:, :3].T, u)
@@ -425,12 +429,9 @@ def _held_pieces(
     points: Floats,
     weights: PointWeights,
 ) -> HeldPieces:
-    """Return the pieces (m,) that hold tissue, whose sites are the first; an edge behind the front stays behind it."""
+    """Return the pieces (m,) that hold tissue, at points (m, 3); an edge behind the front stays behind it."""
     edge, count = edge_points(blade, state.uncut.spacing), len(pieces)
-    first = PointWeights(weights.nodes[:count], weights.values[:count], weights.slopes[:count])
-    hold = HeldPieces(
-        pieces, points[:count], first, np.zeros((count, 3)), cutting_directions(edge)[pieces], np.zeros(count)
-    )
+    hold = HeldPieces(pieces, points, weights, np.zeros((count, 3)), cutting_directions(edge)[pieces], np.zeros(count))
     offsets, normals = _slips(hold, edge, frame, u)
     before = incision.hold
     if before is not None:
@@ -441,30 +442,14 @@ def _held_pieces(
     return hold._replace(offsets=offsets)
 
 
-def _displacements(state: CutState, points: Floats, sides: Floats, u: Floats) -> Floats:
-    """Return the displacements (p, 3) [m] of points that are seen from their sides."""
-    weights = point_weights(state.uncut, state.surface, points, points + SIGHT_DISTANCE * state.uncut.spacing * sides)
-    return np.einsum("pk,pkc->pc", weights.values, u[weights.nodes])
-
-
-def _shares_inside(state: CutState, points: Floats, ways: Floats, corners: Floats) -> Floats:
-    """Return the shares of pieces (p, 3) about points in the body; 1 for those whose nearest node is inside."""
-    shares = np.ones(len(points))
-    near = np.flatnonzero(state.uncut.on_surface[state.uncut.tree.query(points)[1]])
-    segments = points[near, None] + np.array([-0.5, 0.5])[:, None] * ways[near, None]
-    result = np.zeros(len(near))
-    inside_shares(np.ascontiguousarray(segments), corners, result)
-    shares[near] = result
-    return shares
-
-
 def _faces(
     state: CutState, blade: Blade, frame: Floats, u: Floats, points: Floats, edge: Floats, corners: Floats
-) -> list[tuple[int, Floats, Floats, Floats, Floats, Floats]]:
-    """Return the sites on the faces of the cut at both sides of the blade."""
+) -> tuple[list[Floats], PointWeights]:
+    """Return the sites on the faces of the cut at both sides of the blade, and the weights of nodes there.
+
+    The sites are points, unit vectors to where they are seen from, places and directions on the blade, and limits.
+    """
     spacing, surface = state.uncut.spacing, state.surface
-    if not len(surface.triangles):
-        return []
     rows = max(1, int(np.ceil(blade.height / spacing)))
     heights = blade.height * (np.arange(rows) + 0.5) / rows
     middles = 0.5 * (points[:-1] + points[1:])
@@ -473,27 +458,34 @@ def _faces(
     along = np.repeat(np.diff(edge, axis=0), rows, axis=0)
     slope = 0.0 if blade.sharp else 0.5 * blade.wedge / blade.height  # of the sides
     half = 0.5 * blade.wedge - slope * (blade.height - np.tile(heights, len(middles)))
-    tree, result = cKDTree(state.uncut.points + u), []
-    for side in (1.0, -1.0):
-        across = side * np.array([0.0, 1.0, 0.0])
-        normal = (across - np.array([0.0, 0.0, slope])) / np.hypot(1.0, slope)
-        targets = flat + half[:, None] * across
-        places = points_in_space(frame, targets)
-        distance, nearest = tree.query(places)
-        close = np.asarray(distance) < NEAR_FACE * spacing
-        places, nearest = places[close], np.asarray(nearest)[close]
-        if not len(places):
-            continue
-        sight = np.broadcast_to(frame[:, :3] @ normal, places.shape)
-        at, seen = reference_points(state.uncut, surface, u, places, places - u[nearest], sight)
-        projections, distance, over = project_on_cut(state, at)
-        shares = _shares_inside(state, projections, along[close], corners)
-        used = over & (distance < spacing) & (shares > 0) & ~_in_removed(state, projections, seen)
-        depth = np.minimum(0.0, (projections + _displacements(state, projections, seen, u) - places) @ sight[0])
-        side_places = targets[close] + np.minimum(0.0, NEW_DEPTH * spacing + depth)[:, None] * normal
-        count = int(used.sum())
-        result.append(
-            (FACE_SITE, projections[used], seen[used], side_places[used],
-             np.tile(normal, (count, 1)), blade.friction * (shares * areas[close])[used])
-        )  # fmt: skip
-    return result
+    sides = np.repeat([1.0, -1.0], len(flat))
+    across = sides[:, None] * np.array([0.0, 1.0, 0.0])
+    normals = (across - np.array([0.0, 0.0, slope])) / np.hypot(1.0, slope)
+    targets = np.tile(flat, (2, 1)) + np.tile(half, 2)[:, None] * across
+    areas, along, places = np.tile(areas, 2), np.tile(along, (2, 1)), points_in_space(frame, targets)
+    nearest, close = _nearest_nodes(state.uncut.points + u, places, NEAR_FACE * spacing)
+    close &= len(surface.triangles) > 0
+    places, targets, normals, areas, along = (each[close] for each in (places, targets, normals, areas, along))
+    sight = normals @ frame[:, :3].T
+    at, seen = reference_points(state.uncut, surface, u, places, places - u[nearest[close]], sight)
+    projections, distance, over = project_on_cut(state, at)
+    used, shares = over & (distance < spacing), np.zeros(len(at))
+    segments = projections[used, None] + np.array([-0.5, 0.5])[:, None] * along[used, None]
+    shares[used] = shares_inside(state.uncut, corners, segments)
+    used &= (shares > 0) & ~_in_removed(state, projections, seen)
+    at, seen, places, targets, normals = (each[used] for each in (projections, seen, places, targets, normals))
+    weights = point_weights(state.uncut, surface, at, at + SIGHT_DISTANCE * spacing * seen)
+    moved = at + np.einsum("pk,pkc->pc", weights.values, u[weights.nodes])
+    depth = np.minimum(0.0, np.sum((moved - places) * sight[used], axis=1))
+    targets = targets + np.minimum(0.0, NEW_DEPTH * spacing + depth)[:, None] * normals
+    return [at, seen, targets, normals, blade.friction * (shares * areas)[used]], weights
+
+
+def _nearest_nodes(nodes: Floats, places: Floats, reach: float) -> tuple[Ints, NDArray[np.bool_]]:
+    """Return the nodes (p,) of (n, 3) nearest to places (p, 3), and whether one is within reach."""
+    low, high = places.min(axis=0) - reach, places.max(axis=0) + reach
+    near = np.flatnonzero(np.all((nodes > low) & (nodes < high), axis=1))
+    if not len(near):
+        return np.zeros(len(places), dtype=np.int64), np.zeros(len(places), dtype=np.bool_)
+    distance, nearest = cKDTree(nodes[near]).query(places)
+    return near[nearest], np.asarray(distance < reach)
