@@ -27,12 +27,11 @@ from palpate.meshfree.cut_stencils import (
     RELEASED_FIT,
     CutState,
     FittedRows,
-    conserve_integrals,
     fit_rows,
-    keep_uniform_stress,
     uncut_stencils,
 )
 from palpate.meshfree.cut_surface import MAX_WAY, NO_CUT, CutSurface, cut_surface, first_triangles, nodes_near
+from palpate.meshfree.kept_sums import conserve_integrals, keep_uniform_stress
 
 __all__ = ["cut", "cut_from", "uncut_state", "without_detached"]
 
