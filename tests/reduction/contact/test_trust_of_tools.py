@@ -85,6 +85,34 @@ def test_the_engine_has_the_same_trust_number_as_a_run(model, measure):
     np.testing.assert_allclose(trust, expected, atol=0.03 * max(expected))
 
 
+@pytest.mark.parametrize("step", [None, 2.5e-4])
+def test_a_period_without_residual_fields_writes_nothing_for_them(body, step):
+    """The loops over basis vectors run at least once: without a check they would write beyond the arrays."""
+    held = rollout_along(body)
+    trained = pt.hyper_reduce(body, held, modes=2, prescribed="z+")
+    data, w = trained.data, trained.data.residual_fields
+    bare = pt.ReducedModel(replace(
+        data, residual_fields=0, basis_vectors=data.basis_vectors[:-w], gradients=data.gradients[:, :-w],
+        constant=data.constant[:-w, :-w],
+    ), step=step)  # fmt: skip
+    ready = pt.realtime_model(bare)
+    partial = np.full((1, ready.data.indicator.residual_fields.partial.shape[1]), 7.0)
+    fields = ready.data.indicator.residual_fields._replace(partial=partial[:0])
+    watched = ready.data._replace(indicator=ready.data.indicator._replace(residual_fields=fields))
+    q, v, report = np.zeros(bare.count), np.zeros(bare.count), np.zeros(8 + data.lifting_count)
+    for period in range(1, 6):
+        ready.advance(watched, q, v, ready.tool @ np.r_[1e-4 * period, np.zeros(11)], 1e-3, report)
+        assert report[0] == 0.0
+    np.testing.assert_array_equal(partial, 7.0)
+    assert report[1] > 0
+
+
+def rollout_along(body) -> pt.Trajectory:
+    """A run in which the top moves sideways."""
+    aside = pt.PrescribedMotion("z+", lambda _, t: np.array([0.02 * t, 0.0, 0.0]))
+    return pt.rollout(body, [aside], duration=0.05, every=0.005, progress=False)
+
+
 def test_a_reading_has_the_bound_of_its_force(model):
     home = press(0.024, 0.024, 0.0)[0].motion(0.0)
     engine = pt.Engine(pt.realtime_model(model, contact=pt.tools.Contact(pt.tools.Sphere(BALL), home)))

@@ -199,6 +199,12 @@ class PeriodData(NamedTuple):
     start: PeriodStart
 
 
+@kernel_njit(inner=True)
+def has_residual_fields(data):  # type: ignore[no-untyped-def]
+    """Return whether there are residual fields; the loops over their derivatives run at least once."""
+    return data.indicator.residual_fields.forces.shape[0] > 0
+
+
 @kernel_njit()
 def save_start(data):  # type: ignore[no-untyped-def]
     """Save history variables and contact at the start of a period."""
@@ -336,7 +342,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             clock[0] = clock[1]
             force(at, points, scratch, result)
             add_spring_forces(springs, q, v, result)
-            if s == steps - 1:
+            if s == steps - 1 and has_residual_fields(data):
                 residual_forces(data, at, q, v)
             clock[0], clock[1] = 0.0, step
             kick_coordinates(v, result, no_load, even, 0, step, step, True, mass, constrained_inverse, alpha, mean)
@@ -519,7 +525,9 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             return
         data.tracking[ENERGY] = report[KINETIC] + report[STRAIN]
         update_tangent(data)
-        report[TRUST] = max(distance(data, q), residual_norm(data, q, v))
+        report[TRUST] = distance(data, q)
+        if has_residual_fields(data):
+            report[TRUST] = max(report[TRUST], residual_norm(data, q, v))
         speed = np.sqrt(2.0 * report[KINETIC] / data.indicator.body_mass)
         if data.tools.kind.shape[0] > 0:
             speed = approach_speed(data.tools, data.contact_work.force, period)
