@@ -127,6 +127,16 @@ def test_a_uniform_deformation_has_the_materials_energy_and_stress(model):
     np.testing.assert_allclose(virial, -P * volume, atol=1e-8 * np.abs(P).max() * volume)
 
 
+@pytest.mark.parametrize("supports", [(), [pt.SymmetryPlane("y-")]])
+def test_compiled_deformation_gradients_are_those_of_the_stencils(supports):
+    """Recordings hold displacements in single precision."""
+    body = energy_form(CLOUDS["lattice"], LAWS["neo-hookean"], supports)
+    u = np.random.default_rng(0).standard_normal((len(body.cloud), 3)).astype(np.float32) * np.float32(1e-3)
+    expected = body.stencils.gradient(body.mirror.vectors(u.astype(float))) + np.eye(3)
+    for given in (u, u.astype(float)):
+        np.testing.assert_allclose(body.deformation_gradient(given), expected, atol=1e-12)
+
+
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("name", ["small lattice", "jitter", "more jitter"])
 def test_uniform_stress_moves_no_inner_node_where_stencils_are_not_shared(name, law):

@@ -113,7 +113,7 @@ class EnergySolid(Solid):
         blocks, lanes = self.body.lanes.nodes.shape
         table, field = np.empty((blocks, 1, NODE_NUMBERS, lanes)), self.mirror.vectors(displacements)
         passes = self._allocate()
-        self.formulation.differentiate(np.ascontiguousarray(field[None]), self.body, passes, table)
+        self.formulation.differentiate(np.ascontiguousarray(field[None], dtype=float), self.body, passes, table)
         derivatives = table[:, 0, :9].transpose(0, 2, 1).reshape(-1, 3, 3)[self.slot]
         return np.asarray(derivatives + np.eye(3))
 
