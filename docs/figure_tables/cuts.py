@@ -10,7 +10,11 @@ from figure_tables.cells import Row, block, distinct, markdown, signed
 CRACKS = "python validation/cuts.py --parts patch halves penny strip blade"
 STRIPS = "python validation/cuts.py --parts strip blade"
 TROUSERS = "python validation/cuts.py --parts trousers"
-STABILITY = "python validation/cuts.py --parts stability --bodies box 'generated liver' 'HRA liver'"
+RANDOM_CUTS = "python validation/cuts.py --parts stability --bodies"
+STABILITY = (
+    f"{RANDOM_CUTS} box 'generated liver' 'HRA liver'` and `{RANDOM_CUTS} 'SOFA liver' --count 50` and "
+    f"`{RANDOM_CUTS} 'generated liver, fine' --count 14"
+)
 
 
 def _cloud(row: Row) -> str:
