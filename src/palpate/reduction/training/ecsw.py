@@ -30,7 +30,7 @@ __all__ = [
     "deformation",
     "differentiate",
     "pressure_moments",
-    "shear_work",
+    "shear_stress",
 ]
 
 
@@ -40,7 +40,7 @@ REACTION_WEIGHT = 0.1  # of the forces on tools and supports, relative to those 
 MAX_ROWS, MAX_ENTRIES = 12_000, 150_000_000  # of the least-squares problem for the weights; more rows are sketched
 SLOPE_STATES = 60  # training states for the fit of the moments' slopes
 BLOCK_NODES = 4096  # nodes per block
-NO_VECTORS, ALL_VECTORS = slice(0, 0), slice(None)
+NO_VECTORS = slice(0, 0)
 MIN_SIZE = 1e-3  # of the largest pressure, below which a state has reduced weight
 RIGID_BODY_SHIFT = 1e-12  # least squared frequency, relative to the highest, for bodies without supports
 
@@ -179,7 +179,7 @@ def _rows(
     weighted_forces: list[Floats] = []
     reactions: list[Floats] = []
     for state in states:
-        work = shear_work(body, fields, state)
+        work = _shear_work(body, fields, state)
         weighted = sketch(most, count, generator) @ root @ work[:count]
         for rows, into in ((weighted, weighted_forces), (work[modes:], reactions)):
             size = float(np.linalg.norm(rows.sum(axis=1)))
@@ -201,17 +201,22 @@ def deformation(gradients: Floats, state: Floats) -> tuple[Floats, Floats, Float
     return F, cofactor, np.sum(F[:, 0] * cofactor[:, 0], axis=1)
 
 
-def shear_work(body: EnergySolid | Membrane, fields: Fields, state: Floats, which: slice = ALL_VECTORS) -> Floats:
-    """Return the work (m, p) of every point's shear stress, times its volume, on basis vectors."""
-    gradients = fields.gradients
-    F, _, _ = deformation(gradients[:, : len(state)], state)
+def shear_stress(body: EnergySolid | Membrane, fields: Fields, state: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the shear stress (p, 3, 3) at every point, times its volume [N m], cof(F) and J."""
+    F, cofactor, J = deformation(fields.gradients[:, : len(state)], state)
     if isinstance(body, Membrane):
         stress = np.zeros_like(F)
         stress[:, :, :2] = body.stress_at(F[:, :, :2] + (body.prestretch - 1) * np.eye(3, 2))
     else:
         stress = body.tissue.shear_stress(F, fields.nodes)
-    weighted = (stress * fields.volumes[:, None, None]).reshape(-1, 9).astype(gradients.dtype)
-    return np.asarray(np.matmul(gradients[:, which], weighted[:, :, None])[:, :, 0].T, dtype=float)
+    return stress * fields.volumes[:, None, None], cofactor, J
+
+
+def _shear_work(body: EnergySolid | Membrane, fields: Fields, state: Floats) -> Floats:
+    """Return the work (m, p) of every point's shear stress, times its volume, on all basis vectors."""
+    gradients = fields.gradients
+    weighted = shear_stress(body, fields, state)[0].reshape(-1, 9).astype(gradients.dtype)
+    return np.asarray(np.matmul(gradients, weighted[:, :, None])[:, :, 0].T, dtype=float)
 
 
 def pressure_moments(body: EnergySolid | Membrane, snapshots: Snapshots, pressures: int) -> Floats:

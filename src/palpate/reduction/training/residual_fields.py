@@ -29,7 +29,7 @@ from palpate.faults import InputError
 from palpate.reduction.hyper.cubature import Cubature
 from palpate.reduction.hyper.material_point import volume_measure
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.training.ecsw import Fields, compliance_root, deformation, shear_work
+from palpate.reduction.training.ecsw import Fields, compliance_root, shear_stress
 
 __all__ = ["RESIDUAL_FIELDS", "orthogonal_complement", "scale_residual_fields", "typical_residual"]
 
@@ -128,14 +128,11 @@ def _work(
 
     `pressure` are the coefficients (k, p) of the points in the moments of the dilatation.
     """
-    which = slice(len(fields.columns) - residual_fields, len(fields.columns))
-    work = shear_work(body, fields, state, which).T
+    stress, cofactor, J = shear_stress(body, fields, state)
     if len(pressure):
-        _, cofactor, J = deformation(fields.gradients[:, : len(state)], state)
         measure, slope = volume_measure(body.material, J - 1)
-        stress = (slope * (pressure.T @ (pressure @ measure)))[:, None, None] * cofactor
-        work = work + np.matmul(fields.gradients[:, which], stress.reshape(-1, 9, 1))[:, :, 0]
-    return work
+        stress += (slope * (pressure.T @ (pressure @ measure)))[:, None, None] * cofactor
+    return np.asarray(np.matmul(fields.gradients[:, -residual_fields:], stress.reshape(-1, 9, 1))[:, :, 0])
 
 
 def _factors(
