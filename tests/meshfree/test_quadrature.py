@@ -64,15 +64,15 @@ def test_quadratics_on_a_lattice_are_integrated_exactly_where_no_weight_is_clipp
 
 
 @pytest.mark.parametrize("name", BOXES)
-def test_weights_are_clipped_at_corners_only_with_a_small_error(name, monkeypatch):
+def test_corners_receive_weight_with_the_same_integrals_of_quadratics(name, monkeypatch):
     cloud = pt.box(*BOXES[name])
     fields, integrals = quadratics(cloud)
-    clipped = weights_of(cloud)
+    weights = weights_of(cloud)
+    np.testing.assert_allclose(weights @ fields / weights.sum(), integrals, rtol=1e-9)
     monkeypatch.setattr(quadrature, "MIN_WEIGHT_RATIO", -1.0)
-    changed = np.flatnonzero(weights_of(cloud) < MIN_WEIGHT_RATIO * cloud.volumes)
-    assert set(changed) <= set(np.flatnonzero(np.bincount(cloud.face_nodes, minlength=len(cloud)) == 3))
-    missed, trapezium = (np.abs(w @ fields / w.sum() - integrals).max() for w in (clipped, cloud.volumes))
-    assert missed < trapezium / 6
+    small = np.flatnonzero(weights_of(cloud) < MIN_WEIGHT_RATIO * cloud.volumes)
+    assert set(small) <= set(np.flatnonzero(np.bincount(cloud.face_nodes, minlength=len(cloud)) == 3))
+    np.testing.assert_allclose(weights[small], MIN_WEIGHT_RATIO * cloud.volumes[small], rtol=1e-6)
 
 
 @pytest.mark.parametrize("jitter", [0.1, 0.2, 0.3])
@@ -92,14 +92,14 @@ def test_a_smooth_function_is_integrated_with_order_3_and_by_nodal_volumes_with_
     slope = np.array([1.3, -0.7, 0.9])
     exact = np.prod((np.exp(slope) - 1) / slope)
     errors = []
-    for cells in (6, 12, 24):
+    for cells in (6, 24):
         cloud = pt.box((1.0,) * 3, spacing=1 / cells)
         field = np.exp(cloud.points @ slope)
         errors.append([abs(weights_of(cloud) @ field - exact), abs(cloud.volumes @ field - exact)])
-    rates = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert rates[:, 0].min() > 2.8
-    assert rates[:, 1].max() < 2.1
-    assert errors[-1][0] < errors[-1][1] / 40
+    rates = np.log2(np.array(errors[0]) / errors[1]) / 2
+    assert rates[0] > 3.0
+    assert rates[1] < 2.1
+    assert errors[-1][0] < errors[-1][1] / 2000
 
 
 def test_weights_on_a_lattice_are_end_corrections_by_the_depth_under_a_face(unclipped):

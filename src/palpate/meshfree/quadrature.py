@@ -67,16 +67,17 @@ def integration_weights(cloud: Cloud, stencils: Stencils) -> Floats:
 
 
 def _least_weights(cloud: Cloud, stencils: Stencils) -> Floats:
-    """Return the weights (n,) [m^3] up to which nodes receive transfers; -inf at edges and corners of a box.
+    """Return the weights (n,) [m^3] up to which nodes receive transfers.
 
-    The end corrections of several faces multiply to small weights there, which are right.
+    At edges and corners of a box the end corrections of several faces multiply to small weights,
+    which are right as far as the stable step permits.
     """
     volumes, faces = cloud.volumes, np.bincount(cloud.face_nodes, minlength=len(cloud))
     distance = np.linalg.norm(cloud.points[stencils.neighbours] - cloud.points[:, None], axis=2)
     width = distance.sum(axis=1) / np.count_nonzero(distance, axis=1)  # padding has distance 0
     closer = np.minimum(width / np.median(width), 1.0)  # in refined parts
     least = np.maximum(MIN_SMOOTH_RATIO * volumes, MIN_MEDIAN_RATIO * np.median(volumes) * closer**3)
-    return np.where(faces > 1, -np.inf, least)
+    return np.where(faces > 1, MIN_WEIGHT_RATIO * volumes, least)
 
 
 def _transfer(weights: Floats, least: Floats, cloud: Cloud, stencils: Stencils) -> Floats:
