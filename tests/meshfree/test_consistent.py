@@ -52,6 +52,44 @@ def test_linear_fields_are_still_differentiated_exactly(cloud, made):
     np.testing.assert_allclose(found, np.broadcast_to(slope.T, found.shape), atol=1e-9)
 
 
+@pytest.mark.parametrize("size", [(0.06, 0.02, 0.025), (0.05, 0.05, 0.05), (0.03, 0.03, 0.03)])
+def test_a_uniform_stress_moves_no_inner_node_of_a_lattice(size):
+    cloud = pt.box(size, 0.005)
+    _, stencils, volumes = consistent.consistent_stencils(cloud, (42,))
+    edges = cloud.boundary_vectors() * cloud.volumes[:, None]
+    fit = moving_least_squares(cloud.points, order=2, neighbours=42)
+    left, before = (
+        np.abs(summed(s, s.first[s.row], volumes) - edges).max() / (np.median(volumes) / cloud.spacing)
+        for s in (stencils, fit)
+    )
+    assert left < 1e-9
+    assert before > 0.4  # on the nodes one layer below the edges
+    slope = np.random.default_rng(0).normal(size=(3, 2))
+    expected = np.broadcast_to(slope.T, (len(cloud), 2, 3))
+    np.testing.assert_allclose(stencils.gradient(cloud.points @ slope), expected, atol=1e-9)
+
+
+def test_nodes_of_a_lattice_share_rows_whose_number_does_not_grow_with_it():
+    numbers = []
+    for length in (0.06, 0.08, 0.12):
+        cloud = pt.box((length, 0.02, 0.02), 0.005)
+        _, stencils, volumes = consistent.consistent_stencils(cloud, (42,))
+        numbers.append(len(stencils.first))
+        assert all(len(np.unique(volumes[stencils.row == r])) == 1 for r in range(numbers[-1]))
+        assert {len(a) for a in (stencils.value, stencils.own, stencils.own_first, stencils.condition)} == {numbers[-1]}
+    assert numbers[0] == numbers[1] == numbers[2] < 200
+
+
+def test_nodes_of_a_lattice_have_rows_of_their_own_where_no_shared_ones_balance(monkeypatch):
+    cloud = pt.box((0.06, 0.02, 0.02), 0.005)
+    monkeypatch.setattr(consistent, "MAX_CONDITIONS", 10)
+    _, stencils, volumes = consistent.consistent_stencils(cloud, (42,))
+    assert len(stencils.first) == len(cloud)
+    edges = cloud.boundary_vectors() * cloud.volumes[:, None]
+    left = summed(stencils, stencils.first[stencils.row], volumes) - edges
+    assert np.abs(left).max() < 1e-10 * np.median(volumes) / cloud.spacing
+
+
 @pytest.mark.slow
 def test_iterations_do_not_increase_with_the_size_of_the_cloud(monkeypatch):
     """Without the patches 500 to 1,000 are taken."""

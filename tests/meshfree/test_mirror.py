@@ -185,7 +185,8 @@ def test_reduced_models_of_a_part_have_its_motion_and_its_reactions(tmp_path):
     exact = pt.hyper_reduce(model, full, modes=10, cubature=0.0, pressures=1000)
     sampled = pt.hyper_reduce(model, full, modes=10, pressures=8)
     size, largest = np.abs(full.displacements).max(), np.abs(full.reactions["x-"]).max()
-    for reduced, displacement, force in ((exact, 0.02, 0.05), (sampled, 0.04, 0.05)):
+    # the cubature fits the energy to some per cent, and a reaction is its slope
+    for reduced, displacement, force in ((exact, 0.02, 0.05), (sampled, 0.04, 0.08)):
         run = pt.rollout(reduced, [load], **options)
         assert np.abs(run.displacements - full.displacements).max() < displacement * size
         for name in full.reactions:

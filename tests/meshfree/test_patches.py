@@ -9,7 +9,7 @@ import pytest
 from meshfree_surfaces import ball
 
 import palpate as pt
-from palpate.meshfree.patches import surface_patches
+from palpate.meshfree.patches import KERNEL_RADIUS, surface_patches
 
 
 @pytest.fixture(scope="module", params=["lattice", "irregular", "ball"])
@@ -19,9 +19,9 @@ def cloud(request):
     return pt.box((0.02, 0.02, 0.015), 0.0025, jitter=0.25 if request.param == "irregular" else 0.0)
 
 
-@pytest.fixture(params=[True, False])
-def patches(request, cloud):
-    return surface_patches(cloud, lattice=request.param)
+@pytest.fixture(scope="module")
+def patches(cloud):
+    return surface_patches(cloud)
 
 
 def test_linear_fields_are_kept(cloud, patches):
@@ -49,10 +49,13 @@ def test_interior_nodes_are_their_own_patch_and_surface_nodes_share_patches(clou
 
 def test_waves_of_two_spacings_are_filtered_and_long_ones_are_not():
     cloud = pt.box((0.03, 0.03, 0.006), 0.002)
-    patches, top = surface_patches(cloud, lattice=True), cloud.group("z+")
+    patches, top = surface_patches(cloud), cloud.group("z+")
     x, y = cloud.points[:, 0] / 0.002, cloud.points[:, 1] / 0.002
     inner = top[np.all(np.abs(cloud.points[top, :2] - 0.015) < 0.009, axis=1)]
-    for wave, most in ((x, 0.2), (x + y, 0.1)):
+    near, diagonal = (0.5 + 0.5 * np.cos(np.pi * d / KERNEL_RADIUS) for d in (1.0, np.sqrt(2.0)))
+    kept = (1 - 4 * diagonal) / (1 + 4 * near + 4 * diagonal)  # of a wave along a row, by the kernel mean
+    assert kept < 0.45
+    for wave, most in ((x, 1.1 * kept), (x + y, 0.1)):
         field = np.cos(np.pi * wave)
         assert np.abs((patches @ field)[inner]).max() < most
     field = np.cos(2 * np.pi * x / 12)
@@ -63,4 +66,4 @@ def test_patches_contain_no_nodes_of_the_other_side_of_a_thin_body():
     cloud = pt.box((0.02, 0.02, 0.006), 0.002)
     thin = replace(cloud, points=cloud.points * [1.0, 1.0, 0.3])
     middle = thin.group("z+")[np.all(np.abs(thin.points[thin.group("z+"), :2] - 0.01) < 0.005, axis=1)]
-    assert np.abs(surface_patches(thin, lattice=True)[middle][:, thin.group("z-")].toarray()).max() < 1e-12
+    assert np.abs(surface_patches(thin)[middle][:, thin.group("z-")].toarray()).max() < 1e-12

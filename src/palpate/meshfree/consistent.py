@@ -3,21 +3,26 @@
 The energy of a uniformly stressed body is summed over nodes. Its derivative with respect to the
 displacement of node J is P times the sum over I of V_I g_IJ, with the weight g_IJ of J in the
 gradient at I. By integration by parts, that sum must be zero inside, and at the boundary the node's
-share B_J of the area vector. Weights of moving least squares satisfy this on regular clouds only;
-elsewhere uniform stress would displace the nodes. Here the weights are changed as little as
+share B_J of the area vector. Weights of moving least squares satisfy this far inside of a lattice
+only; elsewhere uniform stress would displace the nodes. Here the weights are changed as little as
 possible to satisfy the condition and still differentiate linear fields exactly. This is
 variationally consistent integration (Chen, Hillman and Rueter, Int. J. Numer. Methods Eng. 95,
 2013), with one linear system for the cloud.
+
+Nodes of a lattice share weights: those with equal stencils, volumes and boundary vectors, as far as
+the end corrections of the volumes reach. The condition then is the same at many nodes, and a small
+system remains, whatever the size of the lattice.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sparse
+from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import LinearOperator, cg
@@ -32,16 +37,20 @@ from palpate.meshfree.stencils import Stencils, moving_least_squares
 __all__ = ["consistent_gradient", "consistent_stencils"]
 
 RESIDUAL_TOLERANCE = 1e-11  # largest residual of the condition, relative to V / h
+SHARED_TOLERANCE = 1e-9  # the same with shared rows: the volumes integrate linear fields as exactly
 MAX_ITERATIONS = 1000  # of conjugate gradients
 MIN_PATCH_WIDTH, MAX_PATCHES = 4.0, 800  # smallest width in spacings; approximate largest number of patches
 DIAGONAL_SHIFT = 1e-6  # shift of the patches' singular system, relative to its mean diagonal
-LATTICE_SHARE = 0.5  # share of the nodes with stencils of their own above which a cloud counts as irregular
+EQUAL_NUMBERS = 1e-9  # difference of volumes and boundary vectors, in units of the spacing, that counts as none
+MAX_CONDITIONS = 4000  # of a system that is solved directly; a lattice has some 2,400 at most
+DIRECT_SHIFT, NULL_DIAGONAL = 1e-10, 1e-12  # shift of its diagonal, and smallest one, relative to the largest
+REFINEMENTS = 4  # of its solution: each decreases the error some 1e6 times
 MAX_WEIGHT_CHANGE = 0.8  # of one weight, over 1 / h: the energy form does not support more (0.77 ran stably)
 
 _VOLUME_ERROR = "volumes of the cloud must be about those of the cells between its points"
 
 
-def consistent_stencils(cloud: Cloud, choices: Sequence[int]) -> tuple[int, Stencils, Floats, bool]:
+def consistent_stencils(cloud: Cloud, choices: Sequence[int]) -> tuple[int, Stencils, Floats]:
     """Return stencils with consistent derivatives, for the first suitable number of neighbours.
 
     Parameters
@@ -59,8 +68,6 @@ def consistent_stencils(cloud: Cloud, choices: Sequence[int]) -> tuple[int, Sten
         Stencils of first derivatives; `value` holds the weights of `quadratic_residuals`.
     volumes : (n,) array [m^3]
         Weights that integrate quadratic fields.
-    lattice : bool
-        True if many nodes share one arrangement of neighbours, whose fit is consistent already.
 
     Raises
     ------
@@ -76,21 +83,104 @@ def consistent_stencils(cloud: Cloud, choices: Sequence[int]) -> tuple[int, Sten
     raise fault or ValueError("no numbers of neighbours to choose from")
 
 
-def _consistent_stencils(cloud: Cloud, neighbours: int) -> tuple[Stencils, Floats, bool]:
+def _consistent_stencils(cloud: Cloud, neighbours: int) -> tuple[Stencils, Floats]:
     stencils = moving_least_squares(cloud.points, order=2, neighbours=neighbours)
     volumes, misses = integration_weights(cloud, stencils), quadratic_residuals(stencils, cloud.points)
-    row, first = stencils.row, stencils.first
-    lattice = len(first) <= LATTICE_SHARE * len(cloud)
-    if not lattice:  # few nodes share a stencil: the fit alone would not balance
-        edges = cloud.boundary_vectors() * cloud.volumes[:, None]
-        row, first = np.arange(len(cloud), dtype=np.int32), consistent_gradient(stencils, cloud.points, volumes, edges)
-    nothing = np.zeros((0, 0, 0))
-    own_first = -first.sum(axis=1)
-    return replace(stencils, row=row, first=first, own_first=own_first, second=nothing, value=misses), volumes, lattice
+    edges = cloud.boundary_vectors() * cloud.volumes[:, None]
+    every = np.arange(len(cloud), dtype=np.int32)
+    row = _alike(stencils, volumes, edges)
+    if row.max() < every[-1]:
+        same = (np.bincount(row, volumes) / np.bincount(row))[row]  # to the last bit
+        try:
+            first = consistent_gradient(stencils, cloud.points, same, edges, row)
+            return _with_gradient(stencils, row, first, misses), same
+        except CloudError:
+            pass  # the nodes are alike, but no common change balances what is around them
+    first = consistent_gradient(stencils, cloud.points, volumes, edges)
+    return _with_gradient(stencils, every, first, misses), volumes
 
 
-def consistent_gradient(stencils: Stencils, points: Floats, volumes: Floats, boundary: Floats) -> Floats:
-    """Return first-derivative weights for every node, shape (n, k, d) [1/m], in the order of `stencils.neighbours`.
+def _with_gradient(stencils: Stencils, row: NDArray[np.int32], first: Floats, misses: Floats) -> Stencils:
+    fit = stencils.row[np.unique(row, return_index=True)[1]]
+    return replace(
+        stencils, row=row, first=first, own_first=-first.sum(axis=1), second=np.zeros((0, 0, 0)), value=misses[fit],
+        own=stencils.own[fit], own_second=stencils.own_second[fit], condition=stencils.condition[fit],
+    )  # fmt: skip
+
+
+def _alike(stencils: Stencils, volumes: Floats, boundary: Floats) -> NDArray[np.int32]:
+    """Return a number (n,) for every node. Nodes of a body with equal stencils, volumes and boundary share it."""
+    n, volume = len(volumes), float(np.median(volumes))
+    if len(stencils.first) == n:
+        return np.arange(n, dtype=np.int32)
+    numbers = np.column_stack([volumes / volume, boundary / volume ** (2 / 3)])
+    kept = np.rint(numbers / EQUAL_NUMBERS).astype(np.int64)
+    keys = np.column_stack([stencils.row, _bodies(stencils.neighbours), kept])
+    return np.unique(keys, axis=0, return_inverse=True)[1].ravel().astype(np.int32)
+
+
+def _bodies(near: NDArray[np.int32]) -> Ints:
+    """Return the number (n,) of every node's body: bodies that no stencil connects balance by themselves."""
+    n = len(near)
+    links = sparse.csr_matrix((np.ones(near.size), near.ravel(), np.arange(n + 1) * near.shape[1]), (n, n))
+    return np.asarray(connected_components(links, directed=False)[1])
+
+
+class _Pairs(NamedTuple):
+    """Weights that the gradient has: one for every row and each of its neighbours.
+
+    Parameters
+    ----------
+    sample : (s,) int array
+        One node of every row.
+    present : (s, k) bool array
+        The neighbours of a row, without padding.
+    row, offset, freedom : (p,), (p, d), (p,) arrays
+        Row of every weight, the offset of its neighbour in spacings, and how easily the weight changes.
+    node, other, pair : (e,) int arrays
+        Every node, its neighbours, and the weight of each.
+    """
+
+    sample: Ints
+    present: NDArray[np.bool_]
+    row: Ints
+    offset: Floats
+    freedom: Floats
+    node: Ints
+    other: Ints
+    pair: Ints
+
+    @classmethod
+    def of(cls, near: NDArray[np.int32], row: Ints, points: Floats, spacing: float) -> _Pairs:
+        sample = np.unique(row, return_index=True)[1]
+        present = near[sample] != sample[:, None]
+        number = (np.cumsum(present) - 1).reshape(present.shape)
+        node, place = np.nonzero(near != np.arange(len(near))[:, None])
+        each, of_row = np.nonzero(present)
+        offset = (points[near[sample[each], of_row]] - points[sample[each]]) / spacing
+        freedom = np.exp(-np.sum(offset**2, axis=1) / 4)  # near neighbours' weights change more than far ones'
+        return cls(sample, present, each, offset, freedom, node, near[node, place], number[row[node], place])
+
+    def divergence(self, sizes: Floats) -> Any:
+        """Return the matrix (n, p) of the weights in the nodes' sums, for nodal volumes (n,)."""
+        size = sizes[self.node]
+        entries = np.concatenate([size, -size]), (np.concatenate([self.other, self.node]), np.tile(self.pair, 2))
+        return sparse.csr_matrix(entries, (len(sizes), len(self.row)))
+
+    def conditions(self, row: Ints) -> Ints:
+        """Return a number (n,) for every node, which nodes share whose sums have the same weights."""
+        if len(self.sample) == len(row):
+            return row
+        code = np.random.default_rng(0).integers(1, 1 << 62, len(self.row))
+        received = np.zeros(len(row), dtype=np.int64)
+        np.add.at(received, self.other, code[self.pair])  # wraps around, as hashes do
+        return np.unique(np.column_stack([row, received]), axis=0, return_inverse=True)[1].ravel()
+
+
+def consistent_gradient(
+    stencils: Stencils, points: Floats, volumes: Floats, boundary: Floats, row: Ints | None = None
+) -> Floats:
+    """Return first-derivative weights for every row, shape (s, k, d) [1/m], in the order of `stencils.neighbours`.
 
     Parameters
     ----------
@@ -102,6 +192,9 @@ def consistent_gradient(stencils: Stencils, points: Floats, volumes: Floats, bou
     boundary : (n, d) array
         Nodal area vectors (normals times lengths, for d = 2), zero inside. They are changed as
         little as possible to satisfy the divergence theorem for linear fields exactly.
+    row : (n,) int array, optional
+        Row of every node. Nodes that share a row have equal stencils, volumes and boundary vectors.
+        By default every node has its own.
 
     Raises
     ------
@@ -109,53 +202,85 @@ def consistent_gradient(stencils: Stencils, points: Floats, volumes: Floats, bou
         The condition cannot be satisfied, or only with weights far from those of the fit.
     """
     n, d = points.shape
-    near = stencils.neighbours
-    present = near != np.arange(n)[:, None]
-    node = np.repeat(np.arange(n), present.sum(axis=1))
-    other = near[present]
-    spacing = float(np.median(volumes) ** (1 / d))
-    offset = (points[other] - points[node]) / spacing
-    freedom = np.exp(-np.sum(offset**2, axis=1) / 4)  # near neighbours' weights change more than far ones'
-    weights = spacing * stencils.first[stencils.row][present]
-    size = volumes / np.median(volumes)
-    pair = np.arange(len(node))
-    divergence = sparse.csr_matrix(
-        (np.concatenate([size[node], -size[node]]), (np.concatenate([other, node]), np.tile(pair, 2))), (n, len(pair))
-    )
-    exactness = sparse.csr_matrix(
-        (offset.T.ravel(), ((d * node + np.arange(d)[:, None]).ravel(), np.tile(pair, d))), (n * d, len(pair))
-    )
-    scaled = divergence @ sparse.diags(freedom)
-    moments = np.zeros((n, d, d))
-    np.add.at(moments, node, freedom[:, None, None] * offset[:, :, None] * offset[:, None, :])
-    try:
-        inverse = sparse.bsr_matrix((np.linalg.inv(moments), np.arange(n), np.arange(n + 1))).tocsr()
-    except np.linalg.LinAlgError:
-        raise CloudError(_VOLUME_ERROR) from None
-    coupling = scaled @ exactness.T
-    system = (scaled @ divergence.T - coupling @ inverse @ coupling.T).tocsr()
-    links = sparse.csr_matrix((np.ones(len(node)), (node, other)), (n, n))
-    body = connected_components(links, directed=False)[1]  # bodies that no stencil connects balance by themselves
+    row, near = np.arange(n) if row is None else row, stencils.neighbours
+    volume = float(np.median(volumes))
+    spacing = float(volume ** (1 / d))
+    pairs, body = _Pairs.of(near, row, points, spacing), _bodies(near)
     target = boundary.copy()
     for k in range(int(body.max()) + 1):
         on_body = body == k
         target[on_body] = _balance_boundary(boundary[on_body], points[on_body], volumes[on_body])
-    target *= spacing / np.median(volumes)
-    missing = target - divergence @ weights
-    multipliers = _solve(system, missing, points, spacing, body)
-    change = freedom[:, None] * (divergence.T @ multipliers - exactness.T @ (inverse @ (coupling.T @ multipliers)))
+    target *= spacing / volume
+    divergence = pairs.divergence(volumes / volume)
+    weights = spacing * stencils.first[stencils.row[pairs.sample]][pairs.present]
+    change = _least_change(pairs, divergence, target - divergence @ weights, row, points, spacing, body)
     weights += change
     left, changed = np.abs(target - divergence @ weights).max(axis=1), np.abs(change).max(axis=1)
-    if left.max() > RESIDUAL_TOLERANCE or changed.max() > MAX_WEIGHT_CHANGE:
-        worst = int(np.argmax(left)) if left.max() > RESIDUAL_TOLERANCE else int(node[np.argmax(changed)])
+    unbalanced = left.max() > (RESIDUAL_TOLERANCE if len(pairs.sample) == n else SHARED_TOLERANCE)
+    if unbalanced or changed.max() > MAX_WEIGHT_CHANGE:
+        worst = int(np.argmax(left) if unbalanced else pairs.sample[pairs.row[np.argmax(changed)]])
         raise CloudError(
             f"the cloud is too irregular for consistent derivatives near node {worst} at {points[worst]} m "
             f"(weights change by {changed.max():.2g} / h, {left.max():.1g} is left): spread the points there",
             [worst],
         )
-    result = np.zeros((*near.shape, d))
-    result[present] = weights / spacing
+    result = np.zeros((*pairs.present.shape, d))
+    result[pairs.present] = weights / spacing
     return result
+
+
+def _least_change(
+    pairs: _Pairs, divergence: Any, missing: Floats, row: Ints, points: Floats, spacing: float, body: Ints
+) -> Floats:
+    """Return the least change (p, d) of the weights by which the sums of the nodes change by `missing` (n, d).
+
+    The square of a change counts once for every node of its row. One condition stands for all
+    nodes whose sums have the same weights.
+    """
+    (count, d), rows, condition = pairs.offset.shape, len(pairs.sample), pairs.conditions(row)
+    times = 1 / np.sqrt(np.bincount(row))[pairs.row]
+    offset = pairs.offset * times[:, None]
+    moments = np.zeros((rows, d, d))
+    np.add.at(moments, pairs.row, pairs.freedom[:, None, None] * offset[:, :, None] * offset[:, None, :])
+    try:
+        inverse = sparse.bsr_matrix((np.linalg.inv(moments), np.arange(rows), np.arange(rows + 1))).tocsr()
+    except np.linalg.LinAlgError:
+        raise CloudError(_VOLUME_ERROR) from None
+    exactness = sparse.csr_matrix(
+        (offset.T.ravel(), ((d * pairs.row + np.arange(d)[:, None]).ravel(), np.tile(np.arange(count), d))),
+        (d * rows, count),
+    )
+    sums, shared = divergence @ sparse.diags(times), rows < len(row)
+    if shared:
+        entries = 1 / np.sqrt(np.bincount(condition))[condition], (condition, np.arange(len(row)))
+        unit = sparse.csr_matrix(entries)
+        sums, missing = unit @ sums, unit @ missing
+    scaled = sums @ sparse.diags(pairs.freedom)
+    coupling = scaled @ exactness.T
+    system = (scaled @ sums.T - coupling @ inverse @ coupling.T).tocsr()
+    multipliers = _solve_directly(system, missing) if shared else _solve(system, missing, points, spacing, body)
+    change = sums.T @ multipliers - exactness.T @ (inverse @ (coupling.T @ multipliers))
+    return np.asarray((pairs.freedom * times)[:, None] * change)
+
+
+def _solve_directly(system: Any, sides: Floats) -> Floats:
+    """Solve a small system, whose right-hand sides (q, d) have no part in its null space.
+
+    Linear fields are in it, and other ones where many nodes share a row: its size is not known.
+    """
+    if len(sides) > MAX_CONDITIONS:
+        raise CloudError(f"nodes must have at most {MAX_CONDITIONS} different surroundings, got {len(sides)}")
+    diagonal = system.diagonal()
+    scale = 1 / np.sqrt(np.maximum(diagonal, NULL_DIAGONAL * diagonal.max()))
+    full = scale[:, None] * system.toarray() * scale
+    full[np.diag_indices_from(full)] += DIRECT_SHIFT
+    try:
+        factor, solution = cho_factor(full, lower=True, overwrite_a=True), np.zeros_like(sides)
+    except (np.linalg.LinAlgError, ValueError):
+        raise CloudError(_VOLUME_ERROR) from None
+    for _ in range(REFINEMENTS):
+        solution += scale[:, None] * cho_solve(factor, scale[:, None] * (sides - system @ solution))
+    return solution
 
 
 def _solve(system: Any, sides: Floats, points: Floats, spacing: float, body: Ints) -> Floats:

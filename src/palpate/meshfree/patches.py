@@ -9,9 +9,7 @@ displacement of a patch is computed from the nodes around,
 The weights are a kernel mean over the surface nodes that face the same way. They are changed as
 little as possible (in the kernel's own norm, with the nodes below the surface) so that linear
 fields are exact. Then patches rotate with a body, and forces on them have the same moment as their
-shares w_j on the nodes. On lattices, whose derivatives are not made consistent
-(`palpate.meshfree.consistent`), longer waves are too soft as well; a wider kernel compensates for
-this.
+shares w_j on the nodes.
 """
 
 from __future__ import annotations
@@ -26,20 +24,18 @@ from palpate.meshfree.cut_surface import NO_CUT, CutSurface, bond_paths
 
 __all__ = ["surface_patches"]
 
-KERNEL_RADIUS, LATTICE_KERNEL_RADIUS = 1.55, 1.8  # kernel radius in surface spacings, closest to Hertz's contact
+KERNEL_RADIUS = 1.55  # kernel radius in surface spacings, closest to Hertz's contact
 MAX_PATCH_DEPTH = 2.0  # largest distance of interior nodes in a patch, in spacings
 MAX_PATCH_NODES = 96  # candidates within that distance
 
 
-def surface_patches(cloud: Cloud, *, lattice: bool, cut: CutSurface = NO_CUT) -> sparse.csr_array:
+def surface_patches(cloud: Cloud, *, cut: CutSurface = NO_CUT) -> sparse.csr_array:
     """Return the weights (n, n) of nodes in patch displacements; the rows of interior nodes are identity.
 
     Parameters
     ----------
     cloud : Cloud
         In space.
-    lattice : bool
-        Whether the cloud is a lattice.
     cut : CutSurface
         Across which a patch does not reach.
 
@@ -53,7 +49,7 @@ def surface_patches(cloud: Cloud, *, lattice: bool, cut: CutSurface = NO_CUT) ->
     np.add.at(area, cloud.face_nodes, cloud.face_areas[:, None] * cloud.face_normals)
     surface = np.unique(cloud.face_nodes)
     normal = area / np.maximum(np.linalg.norm(area, axis=1), np.finfo(float).tiny)[:, None]
-    reach = (LATTICE_KERNEL_RADIUS if lattice else KERNEL_RADIUS) * np.sqrt(cloud.face_areas.sum() / len(surface))
+    reach = KERNEL_RADIUS * np.sqrt(cloud.face_areas.sum() / len(surface))
     farthest = max(reach, MAX_PATCH_DEPTH * cloud.spacing)
     distance, near = cKDTree(points).query(
         points[surface], k=min(MAX_PATCH_NODES, count), distance_upper_bound=farthest

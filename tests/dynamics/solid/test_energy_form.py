@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numba
 import numpy as np
 import pytest
 from scipy.linalg import eigvalsh
 from scipy.optimize import brentq
+from scipy.sparse.linalg import splu
 
 import palpate as pt
 from palpate.dynamics.nodal.stability import stiffness
+from palpate.reduction.basis.linear_modes import rest_stiffness, vibration_modes
 
 pytestmark = pytest.mark.quick(model=["mooney-rivlin"], law=["mooney-rivlin"])
 
@@ -35,6 +39,10 @@ FINITE_ELEMENTS = {
 }
 
 
+# of a block of 100 x 20 x 20 mm at 0.45: bending, torsion and axial (validation/reference/finite_elements.json)
+LONG_BLOCK = (25.234, 107.028, 200.331)
+
+
 def silicone(poisson):
     return pt.materials.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=poisson)
 
@@ -51,6 +59,17 @@ def cloud(request):
 @pytest.fixture(params=LAWS)
 def model(request, cloud):
     return energy_form(cloud, LAWS[request.param])
+
+
+@cache
+def beam_errors(cells):
+    """Relative errors of the first bending, torsion and axial frequency of a beam with some cells across."""
+    model = energy_form(pt.box((0.1, 0.02, 0.02), 0.02 / cells), silicone(0.45), "x-")
+    shapes, frequencies = vibration_modes(model, 8)
+    y, z = (model.cloud.points[:, 1:] - 0.01).T
+    turn = np.abs(np.sum(y * shapes[:, :, 2] - z * shapes[:, :, 1], axis=1))
+    along = np.abs(shapes[:, :, 0].mean(axis=1))
+    return frequencies[[0, np.argmax(turn), np.argmax(along)]] / LONG_BLOCK - 1
 
 
 def some_state(cloud, seed=0):
@@ -138,8 +157,8 @@ def test_compiled_deformation_gradients_are_those_of_the_stencils(supports):
 
 
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("name", ["small lattice", "jitter", "more jitter"])
-def test_uniform_stress_moves_no_inner_node_where_stencils_are_not_shared(name, law):
+@pytest.mark.parametrize("name", CLOUDS)
+def test_uniform_stress_moves_no_inner_node(name, law):
     cloud = CLOUDS[name]
     model = energy_form(cloud, LAWS[law])
     P = model.material.stress(STRETCHED)
@@ -151,12 +170,19 @@ def test_uniform_stress_moves_no_inner_node_where_stencils_are_not_shared(name, 
     np.testing.assert_allclose(force * model.volumes[:, None], expected, atol=0.1 * np.abs(expected).max())
 
 
-def test_nodes_of_a_lattice_share_the_gradients_of_the_fit():
-    model = energy_form(CLOUDS["lattice"], LAWS["neo-hookean"])
-    assert len(model.stencils.first) < len(model.cloud) / 2
-    field = np.sin(model.cloud.points / SIDE)
-    fit = pt.moving_least_squares(model.cloud.points, order=2, neighbours=42)
-    np.testing.assert_allclose(model.stencils.gradient(field), fit.gradient(field), rtol=1e-12, atol=1e-9)
+@pytest.mark.parametrize(("cells", "limits"), [(3, (0.025, 0.07, 0.005)), (5, (0.006, 0.022, 0.003))])
+def test_the_lowest_frequencies_of_a_beam_near_those_of_finite_elements(cells, limits):
+    errors = beam_errors(cells)
+    assert (errors > 0).all()
+    assert (errors < limits).all()
+
+
+def test_the_frequencies_of_a_beam_converge_with_order_2_and_first_order_at_the_clamp():
+    """The corner of the clamp is singular. Its error is all that the axial frequency has."""
+    coarse, fine = beam_errors(3), beam_errors(5)
+    bending, torsion, axial = np.log(coarse / fine) / np.log(5 / 3)
+    assert min(bending, torsion) > 2.0
+    assert axial > 0.8
 
 
 @pytest.fixture(scope="module")
@@ -214,15 +240,17 @@ def test_the_lowest_vibrations_are_those_of_finite_elements(poisson, jitter):
 
 
 @pytest.mark.parametrize("poisson", [0.3, 0.49])
-def test_a_beam_four_nodes_across_bends_as_far_as_in_closed_form(poisson):
+def test_a_beam_five_nodes_across_bends_as_far_as_in_closed_form(poisson):
+    """The clamp holds the sections' width, too: finite elements bend by 2.7 % less at 0.49."""
     length, side = 0.2, 0.02
     material, force = silicone(poisson), 1e-6
-    cloud = pt.box((length, side, side), side / 3)
+    cloud = pt.box((length, side, side), side / 4)
     model = energy_form(cloud, material, "x-")
     prepared = model.prepare([pt.SurfaceForce("x+", force=(0, 0, force))])
-    u = np.zeros_like(cloud.points)
-    push = model.acceleration(model.state(prepared), prepared)[~model.fixed_mask]
-    u[~model.fixed_mask] = np.linalg.solve(stiffness(model), push.ravel()).reshape(-1, 3)
+    u, free = np.zeros_like(cloud.points), ~model.fixed_mask
+    push = (model.masses[:, None] * model.acceleration(model.state(prepared), prepared))[free]
+    loose = np.repeat(free, 3)
+    u[free] = splu(rest_stiffness(model)[loose][:, loose]).solve(push.ravel()).reshape(-1, 3)
     shares = np.linalg.norm(cloud.area_vectors("x+"), axis=1)
     tip = shares / shares.sum() @ u[cloud.group("x+"), 2]
     young, shear = 2 * material.shear_modulus * (1 + poisson), 5 / 6 * material.shear_modulus

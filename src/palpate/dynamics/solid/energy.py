@@ -63,7 +63,7 @@ class EnergySolid(Solid):
         self.half_cell = 1.0
         tried = STENCIL_SIZES if choices.neighbours is None else (choices.neighbours,)
         images = choices.images
-        self.neighbours, stencils, volumes, self._lattice = consistent_stencils(images.cloud, tried)
+        self.neighbours, stencils, volumes = consistent_stencils(images.cloud, tried)
         weights = conservative_smoothing(choices.smoother, volumes)
         self.smoothing = Smoothing(*images.folded(choices.smoother.neighbours, *weights))
         self.volumes = volumes[: images.nodes] / images.copies
@@ -224,4 +224,4 @@ class EnergySolid(Solid):
     @cached_property
     def patches(self) -> sparse.csr_array:
         """Weights (n, n) of the nodal displacements in those of the contact patches."""
-        return surface_patches(self.cloud, lattice=self._lattice, cut=self.cut_surface)
+        return surface_patches(self.cloud, cut=self.cut_surface)
