@@ -49,7 +49,7 @@ def _frequency_errors(row: Row) -> str:
 @block("frequencies", command="python validation/frequencies.py --forms energy")
 def frequencies_energy(rows: list[Row]) -> str:
     """Return the errors of the first bending, torsion and axial frequency of the energy form."""
-    spacings = (0.02 / 3, 0.005, 0.004)
+    spacings = (0.02 / 3, 0.005, 0.004, 0.01 / 3)
     lines = []
     for poisson in (0.3, 0.45, 0.49):
         found = [find(rows, form="energy", poisson=poisson, spacing=h) for h in spacings]

@@ -57,7 +57,7 @@ def test_nodal_forces_sum_to_the_tool_forces_and_the_momentum_of_a_free_body(sma
 
 def test_at_rest_the_force_on_every_bonded_node_is_its_internal_force(small_cloud, tissue, forceps):
     model = pt.Solid(small_cloud, tissue, "z-", form="energy", stiffness_damping=1e-4)
-    trajectory = run(model, forceps, duration=0.1)
+    trajectory = run(model, forceps, duration=0.2)  # ten periods, after which it rests
     held = forceps.with_group(small_cloud).group("forceps")
     last = trajectory.contact_forces[trajectory.contact_forces[:, 0] == len(trajectory.times) - 1]
     np.testing.assert_array_equal(last[:, 1], held)
