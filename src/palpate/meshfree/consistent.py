@@ -44,7 +44,7 @@ DIAGONAL_SHIFT = 1e-6  # shift of the patches' singular system, relative to its 
 EQUAL_NUMBERS = 1e-9  # difference of volumes and boundary vectors, in units of the spacing, that counts as none
 MAX_CONDITIONS = 4000  # of a system that is solved directly; a lattice has some 2,400 at most
 DIRECT_SHIFT, NULL_DIAGONAL = 1e-10, 1e-12  # shift of its diagonal, and smallest one, relative to the largest
-REFINEMENTS = 4  # of its solution: each decreases the error some 1e6 times
+REFINEMENT_STEPS = 4  # of its solution: each decreases the error some 1e6 times
 MAX_WEIGHT_CHANGE = 0.8  # of one weight, over 1 / h: the energy form does not support more (0.77 ran stably)
 
 _VOLUME_ERROR = "volumes of the cloud must be about those of the cells between its points"
@@ -159,7 +159,8 @@ class _Pairs(NamedTuple):
         each, of_row = np.nonzero(present)
         offset = (points[near[sample[each], of_row]] - points[sample[each]]) / spacing
         freedom = np.exp(-np.sum(offset**2, axis=1) / 4)  # near neighbours' weights change more than far ones'
-        return cls(sample, present, each, offset, freedom, node, near[node, place], number[row[node], place])
+        other = near[node, place].astype(np.int64)
+        return cls(sample, present, each, offset, freedom, node, other, number[row[node], place])
 
     def divergence(self, sizes: Floats) -> Any:
         """Return the matrix (n, p) of the weights in the nodes' sums, for nodal volumes (n,)."""
@@ -178,7 +179,7 @@ class _Pairs(NamedTuple):
 
 
 def consistent_gradient(
-    stencils: Stencils, points: Floats, volumes: Floats, boundary: Floats, row: Ints | None = None
+    stencils: Stencils, points: Floats, volumes: Floats, boundary: Floats, row: NDArray[np.integer[Any]] | None = None
 ) -> Floats:
     """Return first-derivative weights for every row, shape (s, k, d) [1/m], in the order of `stencils.neighbours`.
 
@@ -201,11 +202,11 @@ def consistent_gradient(
     CloudError
         The condition cannot be satisfied, or only with weights far from those of the fit.
     """
-    n, d = points.shape
-    row, near = np.arange(n) if row is None else row, stencils.neighbours
+    (n, d), near = points.shape, stencils.neighbours
+    number: Ints = (np.arange(n) if row is None else row).astype(np.int64)
     volume = float(np.median(volumes))
     spacing = float(volume ** (1 / d))
-    pairs, body = _Pairs.of(near, row, points, spacing), _bodies(near)
+    pairs, body = _Pairs.of(near, number, points, spacing), _bodies(near)
     target = boundary.copy()
     for k in range(int(body.max()) + 1):
         on_body = body == k
@@ -213,7 +214,7 @@ def consistent_gradient(
     target *= spacing / volume
     divergence = pairs.divergence(volumes / volume)
     weights = spacing * stencils.first[stencils.row[pairs.sample]][pairs.present]
-    change = _least_change(pairs, divergence, target - divergence @ weights, row, points, spacing, body)
+    change = _least_change(pairs, divergence, target - divergence @ weights, number, points, spacing, body)
     weights += change
     left, changed = np.abs(target - divergence @ weights).max(axis=1), np.abs(change).max(axis=1)
     unbalanced = left.max() > (RESIDUAL_TOLERANCE if len(pairs.sample) == n else SHARED_TOLERANCE)
@@ -278,7 +279,7 @@ def _solve_directly(system: Any, sides: Floats) -> Floats:
         factor, solution = cho_factor(full, lower=True, overwrite_a=True), np.zeros_like(sides)
     except (np.linalg.LinAlgError, ValueError):
         raise CloudError(_VOLUME_ERROR) from None
-    for _ in range(REFINEMENTS):
+    for _ in range(REFINEMENT_STEPS):
         solution += scale[:, None] * cho_solve(factor, scale[:, None] * (sides - system @ solution))
     return solution
 
