@@ -8,6 +8,7 @@ from figure_tables import (
     bases,
     contact,
     cuts,
+    elements,
     examples,
     exported,
     frequencies,
@@ -25,6 +26,6 @@ from figure_tables import (
 from figure_tables.cells import BLOCKS, Block
 
 __all__ = [
-    "BLOCKS", "Block", "bases", "contact", "cuts", "examples", "exported", "frequencies", "incompressible", "laws",
-    "linear", "membranes", "organs", "peers", "readme", "reduced_cuts", "sampled", "steps",
+    "BLOCKS", "Block", "bases", "contact", "cuts", "elements", "examples", "exported", "frequencies", "incompressible",
+    "laws", "linear", "membranes", "organs", "peers", "readme", "reduced_cuts", "sampled", "steps",
 ]  # fmt: skip

@@ -99,19 +99,26 @@ def bench_models(bench: Row) -> str:
 
 
 @block(
-    "organ_models", "bench", "reproduce_beam", "held_out",
-    command=f"python validation/organ_models.py`, `palpate bench`, `{BEAM_RUNS}` and "
+    "elements", "organ_models", "bench", "reproduce_beam", "held_out",
+    command=f"python validation/elements.py`, `python validation/organ_models.py`, `palpate bench`, `{BEAM_RUNS}` and "
     "`python validation/held_out.py",
 )  # fmt: skip
-def readme_figures(organs: list[Row], bench: Row, beam: Row, studies: Row) -> str:
+def readme_figures(elements: list[Row], organs: list[Row], bench: Row, beam: Row, studies: Row) -> str:
     """Return the six figures of the README, each with the command that makes it."""
     first, errors = ([select(organ) for organ in organs] for select in (_first_force, _small_model_force))
-    full, fast = max(bench["full_body"]["threads"], key=lambda run: run["nodes_in_real_time"]), bench["beam"][0]
+    full = max(bench["full_body"]["threads"], key=lambda run: run["nodes_in_real_time"])
+    fine = [row for row in elements if row["scale"] == 1.0 and "frequencies" in row]
+    worst = [percent(max(abs(each) for row in fine for each in row[name])) for name in ("frequencies", "sag", "patch")]
     full_nodes = bench["full_body"]["nodes"]
     runs = [row[rule] for row in studies["stability"] for rule in ("explicit", "implicit")]
     six, eight = projected(beam)[6], find(beam["reduced"], series="hyper-reduced", modes=8)
     organ_command, bench_command = "`python validation/organ_models.py`", "`palpate bench`"
     rows = [
+        [
+            f"full bodies of 3,000 nodes against finite elements, {len({row['case'] for row in fine})} organs: largest "
+            "error of frequencies; of sag; of the force on a disc of three spacings",
+            "; ".join(worst), "`python validation/elements.py`",
+        ],
         [
             f"from a surface to the first force on the tool, median of {len(organs)} organs; the one that compiled",
             f"{sorted(first)[len(first) // 2]:.0f} s; {max(first):.0f} s", organ_command,
@@ -123,10 +130,6 @@ def readme_figures(organs: list[Row], bench: Row, beam: Row, studies: Row) -> st
         [
             "force on the tool of organs trained with default choices, median error on unseen paths",
             f"{percent(min(errors))} to {percent(max(errors))}", organ_command,
-        ],
-        [
-            f"a step of the reduced beam, {fast['hyper_reduced']['modes']} modes",
-            microseconds(fast["hyper_reduced"]["compiled_seconds_per_step"]), bench_command,
         ],
         [
             "the paper's beam: error (34) projected, 6 modes (paper: < 3 %); sampled, 8 modes, and its time",
