@@ -14,12 +14,14 @@ from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats, Ints
 from palpate.faults import InputError, number_in_range
-from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.cloud import BORDER_MARGIN, Cloud
 
 __all__ = ["in_box", "near_plane", "painted"]
 
 
-def in_box(cloud: Cloud, low: Sequence[float], high: Sequence[float], *, surface: bool = True) -> Ints:
+def in_box(
+    cloud: Cloud, low: Sequence[float], high: Sequence[float], *, surface: bool = True, margin: float = BORDER_MARGIN
+) -> Ints:
     """Return the nodes in a closed axis-aligned box.
 
     Parameters
@@ -29,6 +31,9 @@ def in_box(cloud: Cloud, low: Sequence[float], high: Sequence[float], *, surface
         Opposite corners.
     surface : bool
         Whether to select surface nodes only.
+    margin : float
+        Width beyond the border, in spacings, in which nodes are selected, too. What holds or moves the nodes
+        then acts on the region, and not on the last nodes inside it. Choose 0 for a region of tissue.
 
     Raises
     ------
@@ -47,13 +52,19 @@ def in_box(cloud: Cloud, low: Sequence[float], high: Sequence[float], *, surface
     corners = [_check_point(cloud, name, value) for name, value in (("low", low), ("high", high))]
     if np.any(corners[0] > corners[1]):
         raise InputError(f"low must be below high, got {corners[0]} m and {corners[1]} m")
-    slack = 1e-9 * cloud.spacing
+    slack = _width(cloud, margin)
     inside = np.all((cloud.points >= corners[0] - slack) & (cloud.points <= corners[1] + slack), axis=1)
     return _select_nodes(cloud, inside, surface, f"the box from {corners[0]} to {corners[1]} m")
 
 
 def near_plane(
-    cloud: Cloud, point: Sequence[float], normal: Sequence[float], distance: float = 0.0, *, surface: bool = True
+    cloud: Cloud,
+    point: Sequence[float],
+    normal: Sequence[float],
+    distance: float = 0.0,
+    *,
+    surface: bool = True,
+    margin: float = BORDER_MARGIN,
 ) -> Ints:
     """Return the nodes behind a plane, or at most a distance in front of it.
 
@@ -68,6 +79,9 @@ def near_plane(
         Largest distance of a node in front of the plane.
     surface : bool
         Whether to select surface nodes only.
+    margin : float
+        Width beyond the border, in spacings, in which nodes are selected, too. What holds or moves the nodes
+        then acts on the region, and not on the last nodes inside it. Choose 0 for a region of tissue.
 
     Raises
     ------
@@ -89,7 +103,7 @@ def near_plane(
     distance = number_in_range("distance", distance, unit="m")
     height = (cloud.points - place) @ (direction / length)
     return _select_nodes(
-        cloud, height <= distance + 1e-9 * cloud.spacing, surface, f"the plane through {place} m towards {direction}"
+        cloud, height <= distance + _width(cloud, margin), surface, f"the plane through {place} m towards {direction}"
     )
 
 
@@ -101,6 +115,7 @@ def painted(
     least: float = 0.5,
     farthest: float | None = None,
     surface: bool = True,
+    margin: float = BORDER_MARGIN,
 ) -> Ints:
     """Return the nodes whose nearest painted point has a value of at least `least`.
 
@@ -117,6 +132,9 @@ def painted(
         Largest distance of the nearest painted point; by default two spacings.
     surface : bool
         Whether to select surface nodes only.
+    margin : float
+        Width beyond the border, in spacings, in which nodes are selected, too. What holds or moves the nodes
+        then acts on the region, and not on the last nodes inside it. Choose 0 for a region of tissue.
 
     Raises
     ------
@@ -143,9 +161,16 @@ def painted(
     number_in_range("least", least)
     reach = 2 * cloud.spacing if farthest is None else number_in_range("farthest", farthest, 0.0, unit="m")
     distance, nearest = cKDTree(places).query(cloud.points)
-    return _select_nodes(
-        cloud, (distance <= reach) & (paint[nearest] >= least), surface, f"paint of at least {least:g}"
-    )
+    chosen = (distance <= reach) & (paint[nearest] >= least)
+    width = _width(cloud, margin)
+    if margin > 0.0 and (paint >= least).any():
+        chosen |= cKDTree(places[paint >= least]).query(cloud.points, distance_upper_bound=width)[0] < width
+    return _select_nodes(cloud, chosen, surface, f"paint of at least {least:g}")
+
+
+def _width(cloud: Cloud, margin: float) -> float:
+    """Return the width [m] of a margin in spacings, with the rounding of nodes that lie on a border."""
+    return (number_in_range("margin", margin, 0.0) + 1e-9) * cloud.spacing
 
 
 def _check_point(cloud: Cloud, name: str, value: Sequence[float]) -> Floats:

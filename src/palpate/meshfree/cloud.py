@@ -19,13 +19,16 @@ from palpate.describe import Described, Fact
 from palpate.faults import CloudError, InputError, brief, first_few, integer_in_range, number_in_range, warn_of_unit
 from palpate.plotting import body_svg, plot_body
 
-__all__ = ["Cloud", "box", "warn_of_size"]
+__all__ = ["BORDER_MARGIN", "MOVED_MARGIN", "Cloud", "box", "warn_of_size"]
 
 
 MAX_NODES = 5e7  # of a box
 MAX_COORDINATE = 1e9  # [m] of a coordinate
 MIN_SPACING = 1e-9  # [m]; beyond these limits volumes and stiffnesses exceed the range of double precision
 MIN_VOLUME_RATIO = 1e-12  # of the smallest cell: volume of a node
+# widths beyond the border of a region, in spacings, in which nodes belong to its group: of supports, and of small
+# regions that a tool moves (docs/claims/elements.md)
+BORDER_MARGIN, MOVED_MARGIN = 0.2, 0.35
 EXPECTED_SIZES = 1e-4, 10.0  # [m] of a body; other sizes are probably not in metres
 
 
@@ -173,8 +176,17 @@ class Cloud(Described):
             raise InputError(f"group must be one of {names}, got {brief(name)}")
         return self.groups[name]
 
-    def within(self, name: str, centre: Sequence[float], radius: float) -> Cloud:
-        """Return a copy with an additional group: all nodes within `radius` [m] of the point `centre`, shape (d,) [m].
+    def within(self, name: str, centre: Sequence[float], radius: float, *, margin: float = BORDER_MARGIN) -> Cloud:
+        """Return a copy with an additional group: the nodes in a ball about `centre`, shape (d,) [m].
+
+        Parameters
+        ----------
+        name : str
+        centre : (d,) sequence [m]
+        radius : float [m]
+        margin : float
+            Width beyond the ball, in spacings, in which nodes belong to the group, too. What holds or moves
+            the nodes then acts on the ball, and not on the last nodes inside it.
 
         Raises
         ------
@@ -189,7 +201,8 @@ class Cloud(Described):
             raise InputError(f"centre must have {self.points.shape[1]} entries, got {len(point)}")
         radius = number_in_range("radius", radius, 0.0, open_low=True, unit="m")
         distance = np.linalg.norm(self.points - point, axis=1)
-        nodes = np.flatnonzero(distance <= radius * (1 + 1e-9))
+        margin = number_in_range("margin", margin, 0.0)
+        nodes = np.flatnonzero(distance <= radius * (1 + 1e-9) + margin * self.spacing)
         if nodes.size == 0:
             raise InputError(
                 f"radius must reach a node from {point} m, got {radius:g} m; the nearest is {distance.min():.3g} m away"

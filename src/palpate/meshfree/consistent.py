@@ -31,6 +31,7 @@ from scipy.spatial import cKDTree
 from palpate.arrays import Floats, Ints
 from palpate.faults import CloudError
 from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.inner_gradient import with_inner_gradient
 from palpate.meshfree.quadrature import integration_weights, quadratic_residuals
 from palpate.meshfree.stencils import Stencils, moving_least_squares
 
@@ -87,7 +88,8 @@ def _consistent_stencils(cloud: Cloud, neighbours: int) -> tuple[Stencils, Float
     stencils = moving_least_squares(cloud.points, order=2, neighbours=neighbours)
     volumes, misses = integration_weights(cloud, stencils), quadratic_residuals(stencils, cloud.points)
     edges = cloud.boundary_vectors() * cloud.volumes[:, None]
-    every = np.arange(len(cloud), dtype=np.int32)
+    stencils = with_inner_gradient(stencils, cloud)
+    every = np.arange(len(cloud))
     row = _alike(stencils, volumes, edges)
     if row.max() < every[-1]:
         same = (np.bincount(row, volumes) / np.bincount(row))[row]  # to the last bit
@@ -100,23 +102,24 @@ def _consistent_stencils(cloud: Cloud, neighbours: int) -> tuple[Stencils, Float
     return _with_gradient(stencils, every, first, misses), volumes
 
 
-def _with_gradient(stencils: Stencils, row: NDArray[np.int32], first: Floats, misses: Floats) -> Stencils:
+def _with_gradient(stencils: Stencils, row: Ints, first: Floats, misses: Floats) -> Stencils:
     fit = stencils.row[np.unique(row, return_index=True)[1]]
     return replace(
-        stencils, row=row, first=first, own_first=-first.sum(axis=1), second=np.zeros((0, 0, 0)), value=misses[fit],
-        own=stencils.own[fit], own_second=stencils.own_second[fit], condition=stencils.condition[fit],
+        stencils, row=row.astype(np.int32), first=first, own_first=-first.sum(axis=1), second=np.zeros((0, 0, 0)),
+        value=misses[fit], own=stencils.own[fit], own_second=stencils.own_second[fit],
+        condition=stencils.condition[fit],
     )  # fmt: skip
 
 
-def _alike(stencils: Stencils, volumes: Floats, boundary: Floats) -> NDArray[np.int32]:
+def _alike(stencils: Stencils, volumes: Floats, boundary: Floats) -> Ints:
     """Return a number (n,) for every node. Nodes of a body with equal stencils, volumes and boundary share it."""
     n, volume = len(volumes), float(np.median(volumes))
     if len(stencils.first) == n:
-        return np.arange(n, dtype=np.int32)
+        return np.arange(n)
     numbers = np.column_stack([volumes / volume, boundary / volume ** (2 / 3)])
     kept = np.rint(numbers / EQUAL_NUMBERS).astype(np.int64)
     keys = np.column_stack([stencils.row, _bodies(stencils.neighbours), kept])
-    return np.unique(keys, axis=0, return_inverse=True)[1].ravel().astype(np.int32)
+    return np.unique(keys, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
 
 
 def _bodies(near: NDArray[np.int32]) -> Ints:

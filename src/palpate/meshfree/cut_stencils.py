@@ -6,8 +6,10 @@ continuous in the position of the front. A quadratic fit is used if its size
 
     q = h^2 (sum of |g_J|^2 + |sum of g_J|^2)
 
-is not much above that of uncut nodes, else a linear one. A node for which neither is small enough is *released*: it
-leaves all stencils. `palpate.meshfree.kept_sums` then changes the weights for some sums to remain.
+is not much above that of uncut nodes, else a linear one. Inner nodes keep their cubic terms
+(`palpate.meshfree.inner_gradient`), whose damping increases with the weight that the cut takes from their
+neighbours. A node for which neither is small enough is *released*: it leaves all stencils.
+`palpate.meshfree.kept_sums` then changes the weights for some sums to remain.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from scipy.spatial import cKDTree
 from palpate.arrays import Floats, Ints
 from palpate.code_cache import cached_njit
 from palpate.meshfree.cut_surface import CutSurface, bond_paths
+from palpate.meshfree.inner_gradient import CUBIC_DAMPING
 
 __all__ = [
     "CutState",
@@ -35,6 +38,7 @@ REACH_MARGIN = 1.05  # radius of a stencil over the distance of its last node
 SIZE_FACTOR, LARGEST_SIZE = 1.2, 6.0  # largest q over that of uncut nodes, and in itself
 REACH_BISECTIONS = 30
 RAMP_WIDTH = 0.045  # range of distances in which a node enters the hourglass residual, over the reach
+LOST_WEIGHT_DAMPING = 100.0  # exponent of the damping of cubic terms, times the share of the weight that is lost
 LEAST_PIVOT = 1e-10  # of a moment matrix, relative to its diagonal
 QUADRATIC_FIT, LINEAR_FIT, RELEASED_FIT = 0, 1, 2  # kinds of a fit
 
@@ -56,6 +60,8 @@ class UncutStencils(NamedTuple):
     tree : cKDTree
         Of the points.
     on_surface : (n,) bool array
+    cubic : (n,) bool array
+        Nodes whose first derivatives are those of cubic fits.
     widest : (n,) array [m]
         Largest distance of neighbours of cut nodes.
     bond_start, bond_near : (n + 1,), (t,) int arrays
@@ -71,6 +77,7 @@ class UncutStencils(NamedTuple):
     sums: Floats
     tree: cKDTree
     on_surface: NDArray[np.bool_]
+    cubic: NDArray[np.bool_]
     widest: Floats
     bond_start: Ints
     bond_near: NDArray[np.int32]
@@ -138,8 +145,9 @@ class FittedRows(NamedTuple):
 
 
 def uncut_stencils(
-    points: Floats, volumes: Floats, spacing: float, near: Any, first: Floats, smoothing_near: Any, surface: Any
-) -> UncutStencils:
+    points: Floats, volumes: Floats, spacing: float, near: Any, first: Floats, smoothing_near: Any, surface: Any,
+    cubic: NDArray[np.bool_],
+) -> UncutStencils:  # fmt: skip
     """Return what the stencils of cut nodes depend on.
 
     Parameters
@@ -152,6 +160,8 @@ def uncut_stencils(
     smoothing_near : (n, l) array
     surface : (k,) int array
         Nodes of the surface.
+    cubic : (n,) bool array
+        Nodes whose first derivatives are those of cubic fits.
     """
     size = spacing**2 * (np.sum(first**2, axis=(1, 2)) + np.sum(first.sum(axis=1) ** 2, axis=1))
     common = min(SIZE_FACTOR * float(size.max()), LARGEST_SIZE)
@@ -167,7 +177,7 @@ def uncut_stencils(
     tree = cKDTree(points)
     widest = REACH_MARGIN * np.maximum(WIDEST_REACH * spacing, np.maximum(reach, smoothing_reach))
     return UncutStencils(
-        points, volumes, spacing, reach, smoothing_reach, limit, sums, tree, on_surface, widest,
+        points, volumes, spacing, reach, smoothing_reach, limit, sums, tree, on_surface, cubic, widest,
         *_bonds_within(points, tree, widest),
     )  # fmt: skip
 
@@ -210,7 +220,7 @@ def fit_rows(state: CutState, surface: CutSurface, nodes: Ints, released: NDArra
     kind = np.zeros(len(nodes), dtype=np.int64)
     _fit_all(
         uncut.points, nodes, start, near, paths, uncut.spacing, uncut.reach, uncut.smoothing_reach, uncut.limit,
-        tables, kind,
+        uncut.cubic, tables, kind,
     )  # fmt: skip
     return FittedRows(nodes, start, near, *tables, kind, checks[changed])
 
@@ -271,10 +281,23 @@ def _summed_reach(distance, path, reach, most):  # type: ignore[no-untyped-def]
 
 
 @cached_njit(nogil=True)
-def _monomials(x, y, z, out):  # type: ignore[no-untyped-def]
-    """Write 1, the coordinates and their products."""
+def _cubic_damping(distance, path, radius):  # type: ignore[no-untyped-def]
+    """Return the damping of cubic terms: that of the uncut node, increased with the weight that a cut takes away."""
+    before, now = 0.0, 0.0
+    for k in range(path.shape[0]):
+        before += _spline(distance[k] / radius)
+        now += _spline(path[k] / radius)
+    return CUBIC_DAMPING * np.exp(LOST_WEIGHT_DAMPING * (1.0 - now / before))
+
+
+@cached_njit(nogil=True)
+def _monomials(x, y, z, out, last):  # type: ignore[no-untyped-def]
+    """Write 1, the coordinates, their products of two and, if monomial `last` is asked for, those of three."""
     out[0], out[1], out[2], out[3] = 1.0, x, y, z
     out[4], out[5], out[6], out[7], out[8], out[9] = x * x, y * y, z * z, x * y, x * z, y * z
+    if last > 9:
+        out[10], out[11], out[12], out[13], out[14] = x * x * x, y * y * y, z * z * z, x * x * y, x * x * z
+        out[15], out[16], out[17], out[18], out[19] = y * y * x, y * y * z, z * z * x, z * z * y, x * y * z
 
 
 @cached_njit(nogil=True)
@@ -317,7 +340,7 @@ def _moments(offset, weight, first, size, itself, matrix, monomial):  # type: ig
             matrix[i, j] = 0.0
     for k in range(offset.shape[0]):
         if weight[k] > 0.0:
-            _monomials(offset[k, 0], offset[k, 1], offset[k, 2], monomial)
+            _monomials(offset[k, 0], offset[k, 1], offset[k, 2], monomial, first + size - 1)
             for i in range(size):
                 for j in range(i + 1):
                     matrix[i, j] += weight[k] * monomial[first + i] * monomial[first + j]
@@ -326,10 +349,14 @@ def _moments(offset, weight, first, size, itself, matrix, monomial):  # type: ig
 
 
 @cached_njit(nogil=True)
-def _fit_first(offset, weight, order, scale, spacing, matrix, monomial, right, out):  # type: ignore[no-untyped-def]
-    """Write the weights of the first derivatives of an interpolating fit; return its size q, or infinity."""
-    size = 9 if order == 2 else 3
+def _fit_first(offset, weight, size, damping, scale, spacing, matrix, monomial, right, out):  # type: ignore[no-untyped-def]
+    """Write the weights of the first derivatives of an interpolating fit; return its size q, or infinity.
+
+    The fit has `size` monomials, 3, 9 or 19; the coefficients of the cubic ones are damped.
+    """
     _moments(offset, weight, 1, size, 0.0, matrix, monomial)
+    for i in range(9, size):
+        matrix[i, i] += damping
     if not _factor(matrix, size):
         return np.inf
     square = 0.0
@@ -341,7 +368,7 @@ def _fit_first(offset, weight, order, scale, spacing, matrix, monomial, right, o
         for k in range(offset.shape[0]):
             value = 0.0
             if weight[k] > 0.0:
-                _monomials(offset[k, 0], offset[k, 1], offset[k, 2], monomial)
+                _monomials(offset[k, 0], offset[k, 1], offset[k, 2], monomial, size)
                 for i in range(size):
                     value += right[i] * monomial[1 + i]
             out[k, a] = value * weight[k] / scale
@@ -376,17 +403,19 @@ def _fit_value(offset, weight, size, matrix, monomial, right, sign, out):  # typ
     for k in range(offset.shape[0]):
         value = 0.0
         if weight[k] > 0.0:
-            _monomials(offset[k, 0], offset[k, 1], offset[k, 2], monomial)
+            _monomials(offset[k, 0], offset[k, 1], offset[k, 2], monomial, size - 1)
             for i in range(size):
                 value += right[i] * monomial[i]
         out[k] = sign * value * weight[k]
 
 
 @cached_njit(nogil=True)
-def _fit_all(points, nodes, start, near, paths, spacing, reach, smoothing_reach, limit, tables, kind):  # type: ignore[no-untyped-def]
+def _fit_all(  # type: ignore[no-untyped-def]
+    points, nodes, start, near, paths, spacing, reach, smoothing_reach, limit, cubic, tables, kind
+):
     """Fit the rows of all nodes; see `fit_rows`."""
     first, residual, smoothing, freedom = tables
-    matrix, monomial, right = np.zeros((10, 10)), np.zeros(10), np.zeros(10)
+    matrix, monomial, right = np.zeros((20, 20)), np.zeros(20), np.zeros(20)
     for m in range(nodes.shape[0]):
         i, begin, end = nodes[m], start[m], start[m + 1]
         count = end - begin
@@ -409,9 +438,15 @@ def _fit_all(points, nodes, start, near, paths, spacing, reach, smoothing_reach,
                 weight[k], freedom[begin + k] = 0.0, 0.0
         out = first[begin:end]
         kind[m] = QUADRATIC_FIT
-        if not _fit_first(offset, weight, 2, scale, spacing, matrix, monomial, right, out) < limit[i]:
+        size, damping = 9, 0.0
+        if cubic[i]:
+            size, damping = 19, _cubic_damping(distance, path, REACH_MARGIN * reach[i])
+        q = _fit_first(offset, weight, size, damping, scale, spacing, matrix, monomial, right, out)
+        if not q < limit[i] and size == 19:
+            q = _fit_first(offset, weight, 9, 0.0, scale, spacing, matrix, monomial, right, out)
+        if not q < limit[i]:
             kind[m] = LINEAR_FIT
-            if not _fit_first(offset, weight, 1, scale, spacing, matrix, monomial, right, out) < limit[i]:
+            if not _fit_first(offset, weight, 3, 0.0, scale, spacing, matrix, monomial, right, out) < limit[i]:
                 kind[m] = RELEASED_FIT
                 out[:] = 0.0
                 freedom[begin:end] = 0.0

@@ -22,10 +22,11 @@ from palpate.arrays import Floats, Ints
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.cut_surface import NO_CUT, CutSurface, bond_paths
 
-__all__ = ["surface_patches"]
+__all__ = ["spread_load", "surface_patches"]
 
 KERNEL_RADIUS = 1.55  # kernel radius in surface spacings, closest to Hertz's contact
 MAX_PATCH_DEPTH = 2.0  # largest distance of interior nodes in a patch, in spacings
+SAME_FACE_COSINE = 0.85  # of normals of nodes on one face; 0.82 at the corner of a box
 MAX_PATCH_NODES = 96  # candidates within that distance
 
 
@@ -76,6 +77,48 @@ def surface_patches(cloud: Cloud, *, cut: CutSurface = NO_CUT) -> sparse.csr_arr
     result.data[np.abs(result.data) < 1e-12] = 0.0
     result.eliminate_zeros()
     return result
+
+
+def spread_load(cloud: Cloud, nodes: Ints, values: Floats) -> tuple[Ints, Floats]:
+    """Return nodes and shares of a load on a part of a smooth surface, distributed over the patches of its nodes.
+
+    A load that ends at a border inside of a face acts on the surface, not on single nodes. Loads on
+    complete faces stay as they are: they balance uniform stress exactly.
+
+    Parameters
+    ----------
+    cloud : Cloud
+    nodes : (g,) int array
+        Surface nodes.
+    values : (g, ...) array
+        Their shares.
+
+    Returns
+    -------
+    nodes : (k,) int array
+    values : (k, ...) array
+        With the same sum and the same moments about any point.
+    """
+    if cloud.points.shape[1] != 3 or not _ends_inside(cloud, nodes):
+        return nodes, values
+    flat = values.reshape(len(nodes), -1)
+    spread = surface_patches(cloud)[nodes].T @ flat
+    taken = np.flatnonzero(np.any(spread != 0.0, axis=1))
+    return taken, np.asarray(spread[taken]).reshape(len(taken), *values.shape[1:])
+
+
+def _ends_inside(cloud: Cloud, nodes: Ints) -> bool:
+    """Return True if nodes of the surface are next to others that face the same way."""
+    corners = cloud.triangles
+    pairs = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    inside = np.zeros(len(cloud), dtype=bool)
+    inside[nodes] = True
+    pairs = pairs[inside[pairs[:, 0]] != inside[pairs[:, 1]]]
+    area = np.zeros((len(cloud), 3))
+    np.add.at(area, cloud.face_nodes, cloud.face_areas[:, None] * cloud.face_normals)
+    first, second = area[pairs[:, 0]], area[pairs[:, 1]]
+    along = np.sum(first * second, axis=1)
+    return bool(np.any(along > SAME_FACE_COSINE * np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)))
 
 
 def _distances_round(

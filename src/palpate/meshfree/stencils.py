@@ -27,7 +27,7 @@ from palpate.describe import Described, Fact
 from palpate.faults import CloudError, InputError, first_few, integer_in_range, number_in_range
 from palpate.meshfree.cloud import MAX_COORDINATE
 
-__all__ = ["Stencils", "moving_least_squares"]
+__all__ = ["BATCH_NODES", "Stencils", "monomial_exponents", "moving_least_squares", "quartic_spline"]
 
 MAX_CONDITION = 1e10  # of scaled moment matrices; above it, second derivatives lose half their digits
 BATCH_NODES = 1024  # nodes fitted at once
@@ -197,7 +197,7 @@ def moving_least_squares(
             f"points must lie within {MAX_COORDINATE:g} m of the origin, got others at nodes {first_few(far)}", far
         )
     order = integer_in_range("order", order, 1, 3)
-    exponents = _exponents(d, order)
+    exponents = monomial_exponents(d, order)
     if (neighbours is None) == (radius is None):
         raise InputError("neighbours or radius must be given, got both or neither; give either neighbours or radius")
     tree = cKDTree(points)
@@ -236,7 +236,7 @@ def moving_least_squares(
     )  # fmt: skip
 
 
-def _exponents(d: int, order: int) -> Ints:
+def monomial_exponents(d: int, order: int) -> Ints:
     """Return monomial exponents (m, d): constant, linear, quadratic as 00, 11, 22, 01, 02, 12, then cubic."""
     rows = [[0] * d, *np.eye(d, dtype=int).tolist()]
     if order >= 2:
@@ -246,6 +246,11 @@ def _exponents(d: int, order: int) -> Ints:
         cubes = np.stack(np.meshgrid(*[np.arange(4)] * d, indexing="ij"), axis=-1).reshape(-1, d)
         rows += cubes[cubes.sum(axis=1) == 3].tolist()
     return np.array(rows)
+
+
+def quartic_spline(distance: Floats) -> Floats:
+    """Return the quartic spline (13) at distances relative to the support radius, up to 1."""
+    return np.asarray(1.0 + distance**2 * (-6.0 + distance * (8.0 - 3.0 * distance)))
 
 
 def _check_duplicates(points: Floats, tree: cKDTree) -> None:
@@ -328,7 +333,7 @@ def _fit_some(
     scaled = offsets / reach[:, None, None]
     distance = np.sqrt(np.sum(scaled**2, axis=2))
     inside = present & (distance < 1.0)
-    spline = np.where(inside, 1.0 + distance**2 * (-6.0 + distance * (8.0 - 3.0 * distance)), 0.0)
+    spline = np.where(inside, quartic_spline(distance), 0.0)
     powers = scaled[:, :, :, None] ** np.arange(exponents.max() + 1)
     monomials = powers[:, :, 0, exponents[:, 0]]
     for a in range(1, d):
