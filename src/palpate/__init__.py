@@ -28,6 +28,7 @@ guard_numba()
 _HOME = {
     "Cloud": "meshfree.cloud",
     "box": "meshfree.cloud",
+    "cell_fractions": "meshfree.cell_fractions",
     "in_box": "meshfree.attachment",
     "near_plane": "meshfree.attachment",
     "painted": "meshfree.attachment",

@@ -26,6 +26,7 @@ from palpate.faults import TrustWarning as TrustWarning
 from palpate.meshfree.attachment import in_box as in_box
 from palpate.meshfree.attachment import near_plane as near_plane
 from palpate.meshfree.attachment import painted as painted
+from palpate.meshfree.cell_fractions import cell_fractions as cell_fractions
 from palpate.meshfree.cloud import Cloud as Cloud
 from palpate.meshfree.cloud import box as box
 from palpate.meshfree.filling import fill as fill

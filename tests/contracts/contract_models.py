@@ -273,9 +273,9 @@ KINDS = {
     "solid, mass damping": Kind(lambda: solid("energy", alpha=ALPHA), lambda: [lift()], 0.03),
     "Galerkin, mass damping": Kind(lambda: galerkin_with_tool(ALPHA), lambda: [lift()], 0.1),
     # the supports' forces of a cubature of some 30 nodes and 4 modes err by 0.3 to 3.3 % on variants of the block
-    "hyper-reduced, mass damping": Kind(lambda: hyper_with_tool(ALPHA), lambda: [lift()], 0.1, momentum=0.04),
+    "hyper-reduced, mass damping": Kind(lambda: hyper_with_tool(ALPHA), lambda: [lift()], 0.1, momentum=0.08),
     "hyper-reduced, implicit, mass damping": Kind(
-        lambda: hyper_with_tool(ALPHA).with_step(EVERY / 8), lambda: [lift()], 0.01, momentum=0.04
+        lambda: hyper_with_tool(ALPHA).with_step(EVERY / 8), lambda: [lift()], 0.01, momentum=0.08
     ),
     "hyper-reduced, touched, mass damping": Kind(lambda: hyper_touched(ALPHA), lambda: [press()], 0.05),
     "linear, mass damping": Kind(linear_mass_damped, lambda: [lift(1e-5)], 0.01),  # trapezoids of the power

@@ -16,6 +16,7 @@ from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.loads.supports import FIXED, SymmetryPlane, supported_nodes
 from palpate.dynamics.solid.model import Solid
 from palpate.faults import InputError
+from palpate.meshfree.cloud import MOVED_MARGIN
 from palpate.reduction.hyper.model import ReducedModel
 
 __all__ = ["FreeSurface"]
@@ -108,7 +109,9 @@ class FreeSurface:
         mask = np.zeros(len(self.nodes), dtype=np.bool_)
         for load in loads:
             for node in self._touched(load, duration):
-                radius = load.radius if isinstance(load, Grasp) else load.tool.sizes[0]  # type: ignore[union-attr]
+                radius = load.tool.sizes[0] if isinstance(load, Contact) else 0.0
+                if isinstance(load, Grasp):
+                    radius = load.radius + MOVED_MARGIN * self.cloud.spacing
                 near = np.array(self.tree.query_ball_point(self.points[node], radius), dtype=np.int64)
                 mask[near[self.normals[near] @ self.normals[node] > 0]] = True
         return mask & ~self.held

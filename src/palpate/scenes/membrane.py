@@ -72,7 +72,7 @@ def membrane(
     if after not in AFTER:
         raise InputError(f"after must be one of {', '.join(map(repr, AFTER))}, got {brief(after)}")
     cloud = disc(RADIUS, spacing, layout, jitter, seed)
-    cloud = cloud.within("tool", (0.0, 0.0), max(tool_radius, 1e-6 * spacing))
+    cloud = cloud.within("tool", (0.0, 0.0), max(tool_radius, 1e-6 * spacing), margin=0.0)
     if tool_radius > 0 and len(cloud.group("tool")) == 1:
         raise InputError(
             f"tool_radius must hold more nodes than the centre, got {tool_radius:g} m; use at least about the spacing, "

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Ints
+from palpate.arrays import Floats, Ints
 from palpate.describe import Described, Fact
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.foundation import Foundation
@@ -30,7 +30,7 @@ from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.solid.model import Solid
 from palpate.faults import FileFormatError, InputError
 from palpate.files import digest_of, read_bytes
-from palpate.meshfree.cloud import Cloud, box
+from palpate.meshfree.cloud import BORDER_MARGIN, MOVED_MARGIN, Cloud, box
 from palpate.meshfree.filling import BODY_PREFIX, fill
 from palpate.meshfree.sheets import disc
 from palpate.meshfree.surface_checks import SurfaceReport, check_surface, shape_problems
@@ -177,7 +177,7 @@ class OrganScene(Described):
                 cloud = _with_group(cloud, self._group("region", number), finder.mask(region.place))
         for number, support in enumerate(self.description.support):
             with _naming(self._support_key(number)):
-                mask = finder.mask(support.place)
+                mask = finder.mask(support.place, margin=0.0 if support.kind == "springs" else BORDER_MARGIN)
                 if support.surface_only or support.kind == "springs":
                     mask = _on_surface(cloud, mask)
                 cloud = _with_group(cloud, self._group("support", number), mask)
@@ -186,7 +186,7 @@ class OrganScene(Described):
         for number, load in enumerate(self.description.load):
             if load.place is not None:
                 with _naming(f"load[{number + 1}]"):
-                    mask = finder.mask(load.place)
+                    mask = finder.mask(load.place, margin=MOVED_MARGIN if load.kind == "motion" else 0.0)
                     mask = mask if load.kind == "motion" else _on_surface(cloud, mask)
                     cloud = _with_group(cloud, self._group("load", number), mask)
         self._check_supports(cloud)
@@ -214,17 +214,13 @@ class OrganScene(Described):
                 fibres=None if about.tissue.fibres is None else fibres_of(about.tissue.fibres),
             )  # fmt: skip
         materials: dict[str, Material] = {"": self.material}
-        factors: dict[str, float] = {}
         for number, region in enumerate(about.region):
-            group = self._group("region", number)
             if region.parameters:
                 with _naming(f"region[{number + 1}]"):
-                    materials[group] = material_of(about.tissue, region.parameters)
-            if region.stiffness != 1.0:
-                factors[group] = region.stiffness
+                    materials[self._group("region", number)] = material_of(about.tissue, region.parameters)
         body = Solid(
             self.cloud, materials if len(materials) > 1 else self.material, fixed, form=about.body.form,
-            mass_damping=about.tissue.mass_damping, stiffness=factors or None,
+            mass_damping=about.tissue.mass_damping, stiffness=self._stiffness_factors(materials),
             fibres=None if about.tissue.fibres is None else fibres_of(about.tissue.fibres),
         )  # fmt: skip
         motions = free_rigid_motions(self.cloud.points, body.constrain(np.zeros(len(self.cloud), dtype=bool)))
@@ -233,6 +229,23 @@ class OrganScene(Described):
                 f"supports must hold the body, got {motions} rigid motions left free; fix a part, or use springs"
             )
         return body
+
+    def _stiffness_factors(self, materials: dict[str, Material]) -> Floats | None:
+        """Return factors (n,) that give every node the mean compliance of its cell; None where all are 1.
+
+        A node has the parameters of the region it lies in; its factor makes up for the part of its cell in others.
+        """
+        if not self.description.region:
+            return None
+        own = np.full(len(self.cloud), self.material.shear_modulus)
+        modulus, finder = own.copy(), self._finder(self.cloud)
+        for number, region in enumerate(self.description.region):
+            group = self._group("region", number)
+            inside = materials.get(group, self.material).shear_modulus
+            own[self.cloud.group(group)] = inside
+            share = finder.fractions(region.place)
+            modulus = 1.0 / ((1.0 - share) / modulus + share / (region.stiffness * inside))
+        return None if np.allclose(modulus, own, rtol=1e-12) else modulus / own
 
     @cached_property
     def foundations(self) -> tuple[Foundation, ...]:
@@ -345,7 +358,7 @@ class OrganScene(Described):
         if about.surface.generated == "disc":
             cloud = disc(about.surface.scale * about.surface.disc_radius, about.body.spacing)
             radius = about.tool.hold_radius
-            return cloud.within(TOOL_GROUP, (0.0, 0.0), radius) if radius else cloud
+            return cloud.within(TOOL_GROUP, (0.0, 0.0), radius, margin=0.0) if radius else cloud
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             surface = self.repaired_surface
@@ -368,7 +381,7 @@ class OrganScene(Described):
             )
         mask = np.zeros(len(cloud), dtype=bool)
         for nodes, _ in _bodies(cloud):
-            mask[nodes] = side_mask(cloud.points[nodes], DEFAULT_SIDE)
+            mask[nodes] = side_mask(cloud.points[nodes], DEFAULT_SIDE, BORDER_MARGIN * cloud.spacing)
         return mask
 
     def _support(self, number: int) -> BodySupport | None:

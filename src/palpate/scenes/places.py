@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from scipy.spatial import cKDTree
 from palpate.arrays import Floats
 from palpate.faults import InputError, brief, number_in_range
 from palpate.meshfree.attachment import painted
+from palpate.meshfree.cell_fractions import cell_fractions
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.nesting import inside_points
 from palpate.meshfree.refining import refine_surface
@@ -31,6 +33,7 @@ NUMBER_PATTERN = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)"
 LOWEST_PATTERN = re.compile(rf"lowest {NUMBER_PATTERN} ?%", re.ASCII)
 NEAR_PATTERN = re.compile(rf"near {NUMBER_PATTERN}, ?{NUMBER_PATTERN}, ?{NUMBER_PATTERN}, ?{NUMBER_PATTERN}", re.ASCII)
 MAX_EDGE_RATIO = 0.5  # longest edge of a near surface over the distance from it
+MIN_WIDTH = 1e-6  # of a margin, in spacings
 
 
 @dataclass(frozen=True)
@@ -53,15 +56,24 @@ class PlaceFinder:
     unit: float = 1.0
     folder: Path = Path()
 
-    def mask(self, place: Place) -> NDArray[np.bool_]:
-        """Return the nodes (n,) in a place.
+    def mask(self, place: Place, *, margin: float = 0.0) -> NDArray[np.bool_]:
+        """Return the nodes (n,) in a place, and those up to a margin [spacings] beyond its border.
+
+        A group is taken as it is.
 
         Raises
         ------
         InputError
             The place holds no node, its file cannot be used, or there is no such group or part.
         """
-        mask = self._mask(place)
+        points = np.pad(self.cloud.points, ((0, 0), (0, 3 - self.cloud.points.shape[1])))  # a sheet is at z = 0
+        if place.group:
+            mask = np.zeros(len(points), dtype=bool)
+            mask[self.cloud.group(place.group)] = True
+        elif place.painted:
+            mask = self._painted(place.painted, margin)
+        else:
+            mask = self._contains(place, (margin + 1e-9) * self.cloud.spacing)(points)
         if not mask.any():
             low, high = self.cloud.points.min(axis=0), self.cloud.points.max(axis=0)
             raise InputError(
@@ -70,44 +82,49 @@ class PlaceFinder:
             )
         return mask
 
-    def _mask(self, place: Place) -> NDArray[np.bool_]:
-        points = np.pad(self.cloud.points, ((0, 0), (0, 3 - self.cloud.points.shape[1])))  # a sheet is at z = 0
-        slack = 1e-9 * self.cloud.spacing
+    def fractions(self, place: Place) -> Floats:
+        """Return the share of every node's cell that lies in a place, shape (n,); 0 or 1 in groups and in paint.
+
+        Raises
+        ------
+        InputError
+            As `mask`.
+        """
+        mask = self.mask(place)
+        if place.group or place.painted:
+            return mask.astype(float)
+        return cell_fractions(self.cloud, self._contains(place, 1e-9 * self.cloud.spacing))
+
+    def _contains(self, place: Place, width: float) -> Callable[[Floats], NDArray[np.bool_]]:
+        """Return the function of points (k, 3) that is True up to a width [m] beyond the border of a place."""
         if place.side:
-            return side_mask(points, place.side)
-        if place.group:
-            mask = np.zeros(len(points), dtype=bool)
-            mask[self.cloud.group(place.group)] = True
-            return mask
+            body = np.pad(self.cloud.points, ((0, 0), (0, 3 - self.cloud.points.shape[1])))
+            return lambda points: side_mask(points, place.side, width, body)
         if place.plane:
-            normal = np.array(place.plane.normal)
+            normal, origin = np.array(place.plane.normal), np.array(place.plane.point)
             if not normal.any():
                 raise InputError("normal of a plane must not be zero, got zero; give a direction such as [0, 0, 1]")
-            return np.asarray((points - place.plane.point) @ normal <= slack * np.linalg.norm(normal))
+            return lambda points: (points - origin) @ normal <= width * np.linalg.norm(normal)
         if place.box:
-            low, high = np.array(place.box.low), np.array(place.box.high)
-            return np.asarray(np.all((points >= low - slack) & (points <= high + slack), axis=1))
+            ends = np.array(place.box.low) - width, np.array(place.box.high) + width
+            return lambda points: np.all((points >= ends[0]) & (points <= ends[1]), axis=1)
         if place.ball:
-            away = np.linalg.norm(points - place.ball.centre, axis=1)
-            return np.asarray(away <= place.ball.radius + slack)
-        if place.painted:
-            return self._painted(place.painted)
-        if place.near:
-            return self._near(points, place.near)
-        return self._inside(points, place.part)
+            centre, radius = np.array(place.ball.centre), place.ball.radius + width
+            return lambda points: np.linalg.norm(points - centre, axis=1) <= radius
+        return self._near(place.near, width) if place.near else self._inside(place.part, width)
 
-    def _painted(self, paint: Painted) -> NDArray[np.bool_]:
+    def _painted(self, paint: Painted, margin: float) -> NDArray[np.bool_]:
         path = self.folder / paint.file
         places, values = read_painted(path, paint.field or None)
         mask = np.zeros(len(self.cloud), dtype=bool)
         try:
-            mask[painted(self.cloud, self.unit * places, values, least=paint.least)] = True
+            mask[painted(self.cloud, self.unit * places, values, least=paint.least, margin=margin)] = True
         except InputError as error:
             raise InputError(f"{path} must have painted nodes of the body, got none: {error}") from error
         return mask
 
-    def _near(self, points: Floats, near: Near) -> NDArray[np.bool_]:
-        """Return the nodes within a distance of another surface."""
+    def _near(self, near: Near, width: float) -> Callable[[Floats], NDArray[np.bool_]]:
+        """Return the function that is True within a distance of another surface."""
         distance = near.distance
         surface = read_surface(
             self.folder / near.file,
@@ -116,14 +133,11 @@ class PlaceFinder:
             scale=self.shape.scale,
             repair=False,
         )
-        vertices, _ = refine_surface(
-            surface.vertices, surface.triangles, lambda places: np.full(len(places), MAX_EDGE_RATIO * distance)
-        )
-        away, _ = cKDTree(vertices).query(points, distance_upper_bound=distance)
-        return np.asarray(np.isfinite(away))
+        tree = _vertices(surface, MAX_EDGE_RATIO * distance)
+        return lambda points: np.isfinite(tree.query(points, distance_upper_bound=distance + width)[0])
 
-    def _inside(self, points: Floats, part: str) -> NDArray[np.bool_]:
-        """Return the nodes inside a closed part of the surface file."""
+    def _inside(self, part: str, width: float) -> Callable[[Floats], NDArray[np.bool_]]:
+        """Return the function that is True inside a closed part of the surface file, and within a width of it."""
         if not self.shape.file:
             raise InputError(
                 f"part must be of a surface file, got {brief(part)} of a generated shape; use a box or ball"
@@ -131,7 +145,12 @@ class PlaceFinder:
         surface = read_surface(
             self.folder / self.shape.file, part=part, units=self._units, scale=self.shape.scale, repair=True
         )
-        return inside_surface(surface, points)
+        if width < MIN_WIDTH * self.cloud.spacing:
+            return lambda points: inside_surface(surface, points)
+        tree = _vertices(surface, MAX_EDGE_RATIO * width)
+        return lambda points: (
+            inside_surface(surface, points) | np.isfinite(tree.query(points, distance_upper_bound=width)[0])
+        )
 
     @property
     def _units(self) -> str:
@@ -139,6 +158,11 @@ class PlaceFinder:
         if self.shape.units:
             return self.shape.units
         return min(METRES_BY_UNIT, key=lambda name: abs(np.log(METRES_BY_UNIT[name] * self.shape.scale / self.unit)))
+
+
+def _vertices(surface: Surface, edge: float) -> cKDTree:
+    """Return the vertices of a surface whose edges are split to a largest length [m], for searches."""
+    return cKDTree(refine_surface(surface.vertices, surface.triangles, lambda places: np.full(len(places), edge))[0])
 
 
 def inside_surface(surface: Surface, points: Floats) -> NDArray[np.bool_]:
@@ -152,21 +176,26 @@ def inside_surface(surface: Surface, points: Floats) -> NDArray[np.bool_]:
     return mask
 
 
-def side_mask(points: Floats, text: str) -> NDArray[np.bool_]:
-    """Return the points (n,) on a side that a text names; see `palpate.scenes.description.Place`."""
+def side_mask(points: Floats, text: str, width: float = 0.0, body: Floats | None = None) -> NDArray[np.bool_]:
+    """Return the points (n,) up to a width [m] beyond a side of a body that a text names.
+
+    See `palpate.scenes.description.Place`. Points (k, 3) `body` give the extent, by default the same points.
+    """
+    body = points if body is None else body
     if text in SIDE_AXES:
         axis, sign = SIDE_AXES[text]
-        return _far_share(sign * points[:, axis], SUPPORT_SHARE)
+        return _far_share(sign * points[:, axis], sign * body[:, axis], SUPPORT_SHARE, width)
     if text == "back":
-        return _far_share(points @ np.array(CAMERA_SIDE), SUPPORT_SHARE)
+        towards = np.array(CAMERA_SIDE) / np.linalg.norm(CAMERA_SIDE)
+        return _far_share(points @ towards, body @ towards, SUPPORT_SHARE, width)
     lowest = LOWEST_PATTERN.fullmatch(text)
     if lowest:
         share = number_in_range("fixed", float(lowest[1]), 0.0, 100.0, open_low=True, unit="%")
-        return _far_share(points[:, 2], share / 100)
+        return _far_share(points[:, 2], body[:, 2], share / 100, width)
     near = NEAR_PATTERN.fullmatch(text)
     if near:
         x, y, z, radius = (1e-3 * float(each) for each in near.groups())
-        return np.asarray(np.linalg.norm(points - [x, y, z], axis=1) <= radius)
+        return np.asarray(np.linalg.norm(points - [x, y, z], axis=1) <= radius + width)
     raise InputError(
         f"fixed must be {', '.join(SIDE_AXES)}, back, 'lowest 15%', 'near X,Y,Z,R' in mm or 'painted FILE', got "
         f"{text!r:.60}; use one of them"
@@ -185,9 +214,9 @@ def place_of_text(text: str) -> Place:
     return Place(painted=Painted(file=file, field=field))
 
 
-def _far_share(heights: Floats, share: float) -> NDArray[np.bool_]:
-    """Return True for the nodes in the lowest share of the extent."""
-    return np.asarray(heights <= heights.min() + share * np.ptp(heights))
+def _far_share(heights: Floats, body: Floats, share: float, width: float) -> NDArray[np.bool_]:
+    """Return True for heights in the lowest share of a body's, and up to a width beyond it."""
+    return np.asarray(heights <= body.min() + share * np.ptp(body) + width)
 
 
 def _millimetres(point: Floats) -> str:

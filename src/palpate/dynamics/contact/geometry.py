@@ -1,8 +1,11 @@
 """Compiled geometry of rigid tools and contact patches: distances, velocities and Coulomb's law.
 
 A patch i is at X_i + sum of w_ij u_j: a node itself, or in the energy form the surface around it
-(`palpate.meshfree.patches`). Functions of a point take coordinates and are independent of the
-discretisation. The impulses of a step are in `palpate.dynamics.contact.impulses`.
+(`palpate.meshfree.patches`). After the patches of the nodes come those of the middles of the edges of
+surface triangles, with the means of the weights of their ends: between nodes that a tool spreads
+apart, no small tool can pass. A middle may be as deep in a tool as the chord of its edge at rest, so
+that it carries no force before its edge stretches. Functions of a point take coordinates and are
+independent of the discretisation. The impulses of a step are in `palpate.dynamics.contact.impulses`.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats, Ints
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.blade_sites import BladeSites, no_sites
-from palpate.dynamics.contact.kinds import BLADE, BONDED, CAPSULE, PLANE
+from palpate.dynamics.contact.kinds import BLADE, BONDED, CAPSULE, PLANE, PUNCH
 from palpate.dynamics.contact.tools import Contact
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
@@ -25,10 +28,12 @@ from palpate.meshfree.cloud import Cloud
 __all__ = [
     "Contacts",
     "HeldNodes",
+    "chord_depth",
     "compute_gaps",
     "compute_patch_positions",
     "contacts",
     "coulomb",
+    "curvatures",
     "gap",
     "held_nodes",
     "material_velocity",
@@ -76,7 +81,8 @@ class HeldNodes(NamedTuple):
 class Contacts(NamedTuple):
     """Rigid tools and contact patches, for the compiled step.
 
-    A candidate is a pair of a tool and a node whose patch the tool can reach.
+    A candidate is a pair of a tool and a patch that the tool can reach. The p patches are those of the n
+    nodes, and those of the middles of edges of the surface.
 
     Parameters
     ----------
@@ -87,15 +93,21 @@ class Contacts(NamedTuple):
     start : (t + 1,) array
         First candidate of every tool, and their number k.
     nodes, tool : (k,) arrays
-        Node and tool of every candidate.
-    points : (n, 3) array [m]
+        Patch and tool of every candidate.
+    points : (p, 3) array [m]
         Reference positions.
-    patch_start : (n + 1,) array
+    ends : (p, 2) array
+        Nodes at the ends of every patch's edge; for the patch of a node twice the node.
+    lengths : (p,) array [m]
+        Lengths of these edges at rest.
+    curvature : (t,) array [1/m]
+        Largest curvature of every tool.
+    patch_start : (p + 1,) array
         First entry of every patch in the next two arrays.
     patch_nodes, patch_weights : (c,) arrays
         Nodes of the patches and their weights.
-    prescribed_until : (n,) array [s]
-        Time until which a node is constrained.
+    prescribed_until : (p,) array [s]
+        Time until which a patch is constrained.
     slide_of : (n,) array
         Index in `slide` of a node that slides on a support; -1 for others.
     slide : (r, 3, 3) array
@@ -137,6 +149,9 @@ class Contacts(NamedTuple):
     start: NDArray[np.int64]
     nodes: NDArray[np.int64]
     points: Floats
+    ends: NDArray[np.int64]
+    lengths: Floats
+    curvature: Floats
     patch_start: NDArray[np.int64]
     patch_nodes: NDArray[np.int64]
     patch_weights: Floats
@@ -322,12 +337,25 @@ def patch(points, patch_start, patch_nodes, patch_weights, i, ahead, u, velocity
 
 @kernel_njit()
 def compute_patch_positions(contacts, u, positions):  # type: ignore[no-untyped-def]
-    """Write the positions (n, 3) [m] of all patches for displacements u (n, 3) [m]."""
-    for i in range(u.shape[0]):
+    """Write the positions (k, 3) [m] of the first k patches for displacements u (n, 3) [m]."""
+    for i in range(positions.shape[0]):
         x, y, z, _, _, _ = patch(
             contacts.points, contacts.patch_start, contacts.patch_nodes, contacts.patch_weights, i, 0.0, u, u
         )
         positions[i, 0], positions[i, 1], positions[i, 2] = x, y, z
+
+
+@kernel_njit(forceinline=True)
+def chord_depth(length, curvature):  # type: ignore[no-untyped-def]
+    """Return the depth [m] of the middle of an edge between two points on a tool; at most a quarter of the edge."""
+    return min(0.125 * length * length * curvature, 0.25 * length)
+
+
+def curvatures(kinds: Ints, sizes: Floats) -> Floats:
+    """Return the largest curvature [1/m] of tools (t,): of the rounding of a punch, zero for a plane."""
+    radius = np.where(kinds == PUNCH, sizes[:, 2], sizes[:, 0])
+    with np.errstate(divide="ignore"):
+        return np.where(kinds == PLANE, 0.0, 1.0 / radius)
 
 
 @kernel_njit(allocates=True)
@@ -346,6 +374,7 @@ def contacts(
     sliding: tuple[NDArray[np.int64], Floats],
     patches: sparse.csr_array | None = None,
     removed: Ints | None = None,
+    edges: Ints | None = None,
 ) -> Contacts:
     """Prepare rigid tools for a cloud.
 
@@ -362,6 +391,8 @@ def contacts(
         patches are the nodes.
     removed : int array, optional
         Nodes that no tool reaches.
+    edges : (e, 2) int array, optional
+        Pairs of surface nodes in whose middles tools meet patches, too.
 
     Raises
     ------
@@ -371,25 +402,32 @@ def contacts(
     _check_tools(loads, cloud)
     if patches is None and any(load.tool.kind == BLADE for load in loads):
         raise InputError("model of a Blade must be a Solid in the energy form, got another; use form='energy'")
+    count, pairs = len(cloud) if loads else 0, np.zeros((0, 2), dtype=np.int64)
+    if loads and edges is not None:
+        pairs = np.asarray(edges, dtype=np.int64)
+    table = sparse.csr_array(sparse.eye_array(count)) if patches is None else patches
+    table = sparse.csr_array(sparse.vstack([table, 0.5 * (table[pairs[:, 0]] + table[pairs[:, 1]])]))
+    points = np.pad(cloud.points, ((0, 0), (0, 3 - cloud.points.shape[1]))).astype(float)
+    ends = np.concatenate([np.repeat(np.arange(len(points))[:, None], 2, axis=1), pairs])
     # with the interior nodes: a tool that presses deep acts on them below a stretched surface
-    nodes = [_candidates(load, cloud) for load in loads]
-    if removed is not None and len(removed):
-        nodes = [each[~np.isin(each, removed)] for each in nodes]
+    nodes = [_candidates(load, cloud, pairs, removed) for load in loads]
     sizes = np.array([load.tool.sizes for load in loads]).reshape(-1, 3)
     kind = np.array([load.tool.kind for load in loads], dtype=np.int64)
-    tools, count, candidates = len(loads), len(cloud) if loads else 0, [len(n) for n in nodes]
-    table = sparse.csr_array(sparse.eye_array(count)) if patches is None else patches
+    tools, candidates = len(loads), [len(n) for n in nodes]
     return Contacts(
         kind=kind,
         sizes=sizes,
         friction=np.array([float(load.friction) for load in loads]),
         start=np.cumsum([0, *candidates]),
         nodes=np.concatenate([np.zeros(0, dtype=np.int64), *nodes]),
-        points=np.ascontiguousarray(np.pad(cloud.points, ((0, 0), (0, 3 - cloud.points.shape[1]))), dtype=float),
+        points=points[ends].mean(axis=1),
+        ends=ends,
+        lengths=np.linalg.norm(points[ends[:, 1]] - points[ends[:, 0]], axis=1),
+        curvature=curvatures(kind, sizes),
         patch_start=table.indptr.astype(np.int64),
         patch_nodes=table.indices.astype(np.int64),
         patch_weights=np.asarray(table.data, dtype=float),
-        prescribed_until=prescribed_until,
+        prescribed_until=prescribed_until[ends].max(axis=1),
         slide_of=sliding[0],
         slide=sliding[1],
         overlap=PATCH_OVERLAP * cloud.spacing,
@@ -411,11 +449,15 @@ def contacts(
     )
 
 
-def _candidates(load: Contact, cloud: Cloud) -> NDArray[np.int64]:
-    """Return the nodes whose patches a tool can reach; none for a blade, which touches its sites."""
+def _candidates(load: Contact, cloud: Cloud, pairs: Ints, removed: Ints | None) -> NDArray[np.int64]:
+    """Return the patches that a tool can reach; none for a blade, which touches its sites."""
     if load.tool.kind == BLADE:
         return np.zeros(0, dtype=np.int64)
-    return np.arange(len(cloud)) if load.group is None else cloud.group(load.group)
+    reached = np.zeros(len(cloud), dtype=bool)
+    reached[slice(None) if load.group is None else cloud.group(load.group)] = True
+    if removed is not None:
+        reached[removed] = False
+    return np.concatenate([np.flatnonzero(reached), len(cloud) + np.flatnonzero(reached[pairs].all(axis=1))])
 
 
 def _check_tools(loads: Sequence[Contact], cloud: Cloud) -> None:

@@ -15,7 +15,7 @@ from palpate.arrays import Floats, Ints
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.tools import Forceps, surface_nodes
 from palpate.faults import InputError
-from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.cloud import MOVED_MARGIN, Cloud
 
 __all__ = ["Grip", "begin_grip", "empty_grip", "grasped_nodes", "hold_nodes", "set_grip", "store_velocities"]
 
@@ -67,7 +67,7 @@ def grasped_nodes(cloud: Cloud, forceps: Forceps, free: Ints) -> Ints:
     """
     point = np.zeros(cloud.points.shape[1])
     point[:] = np.asarray(forceps.point, dtype=float)[: len(point)]
-    near = np.linalg.norm(cloud.points - point, axis=1) <= forceps.radius * (1 + 1e-9)
+    near = np.linalg.norm(cloud.points - point, axis=1) <= forceps.radius * (1 + 1e-9) + MOVED_MARGIN * cloud.spacing
     nodes = np.intersect1d(np.flatnonzero(near), surface_nodes(cloud))
     if not nodes.size:
         raise InputError(

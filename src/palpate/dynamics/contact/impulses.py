@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.blade_impulses import clear_sites, push_sites, site_works
-from palpate.dynamics.contact.geometry import coulomb, gap, material_velocity, patch, project, rotation
+from palpate.dynamics.contact.geometry import chord_depth, coulomb, gap, material_velocity, patch, project, rotation
 from palpate.dynamics.contact.held import press_held_nodes
 
 __all__ = ["apply_contact_impulses", "push_patches"]
@@ -65,9 +65,10 @@ def _find_active_patches(contacts, ahead, ratio, time, u, velocity, mass):  # ty
         radius = contacts.tool_radius[t] + around
         for k in range(contacts.start[t], contacts.start[t + 1]):
             i = nodes[k]
-            x = points[i, 0] + u[i, 0] + ahead * velocity[i, 0]
-            y = points[i, 1] + u[i, 1] + ahead * velocity[i, 1]
-            z = points[i, 2] + u[i, 2] + ahead * velocity[i, 2]
+            j = contacts.ends[i, 0]
+            x = points[i, 0] + u[j, 0] + ahead * velocity[j, 0]
+            y = points[i, 1] + u[j, 1] + ahead * velocity[j, 1]
+            z = points[i, 2] + u[j, 2] + ahead * velocity[j, 2]
             square = (x - frame[0, 3]) ** 2 + (y - frame[1, 3]) ** 2 + (z - frame[2, 3]) ** 2
             in_reach = (
                 square < radius * radius and time > prescribed_until[i] and gap(kind, sizes, frame, x, y, z)[0] < around
@@ -75,9 +76,9 @@ def _find_active_patches(contacts, ahead, ratio, time, u, velocity, mass):  # ty
             if in_reach:  # after the cheaper test of its node
                 x, y, z, _, _, _ = patch(points, start, near, weights, i, ahead, u, velocity)
                 distance, nx, ny, nz = gap(kind, sizes, frame, x, y, z)
-                in_reach = distance < search
-                if in_reach and contacts.slide_of[i] >= 0:
-                    nx, ny, nz = project(contacts.slide, contacts.slide_of[i], nx, ny, nz)
+                in_reach = distance + chord_depth(contacts.lengths[i], contacts.curvature[t]) < search
+                if in_reach and contacts.slide_of[j] >= 0:
+                    nx, ny, nz = project(contacts.slide, contacts.slide_of[j], nx, ny, nz)
                     in_reach = nx * nx + ny * ny + nz * nz > MIN_FREEDOM
             if not in_reach:
                 if impulses[k, 3] != 0.0:
@@ -122,6 +123,7 @@ def _overlap(contacts, k, step, u, velocity):  # type: ignore[no-untyped-def]
         contacts.points, contacts.patch_start, contacts.patch_nodes, contacts.patch_weights, i, 0.0, u, velocity
     )
     before = gap(contacts.kind[t], contacts.sizes[t], contacts.frames[t, 0], x, y, z)[0] + contacts.overlap
+    before += chord_depth(contacts.lengths[i], contacts.curvature[t])
     return min(0.0, before) * max(0.0, 1.0 - step / RECOVERY_TIME)
 
 
@@ -140,7 +142,8 @@ def _sweep(contacts, ends, step, u, velocity):  # type: ignore[no-untyped-def]
         ox, oy, oz = impulses[k, 0], impulses[k, 1], impulses[k, 2]
         x, y, z, vx, vy, vz = patch(points, start, near, weights, i, ahead, u, velocity)
         g, nx, ny, nz = gap(kind[t], sizes[t], frames[t, 1], x, y, z)
-        if not ends:  # the nearest point of the surface
+        g += chord_depth(contacts.lengths[i], contacts.curvature[t])
+        if not ends:  # the nearest place that the patch may take
             x, y, z = x - g * nx, y - g * ny, z - g * nz
         tx, ty, tz = material_velocity(frames[t, 0], frames[t, 1], step, x, y, z)
         own_x, own_y, own_z = _velocity_change(contacts, i, response, ox, oy, oz)

@@ -21,7 +21,7 @@ from palpate.describe import Described, Fact
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.kinds import BONDED, CAPSULE, PLANE, PUNCH
 from palpate.faults import InputError, brief, number_in_range
-from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.cloud import MOVED_MARGIN, Cloud
 
 __all__ = [
     "Capsule",
@@ -342,7 +342,7 @@ class Grasp(Described):
         """Return the cloud with the bonded nodes as a group, unless the group exists."""
         if self.name in cloud.groups:
             return cloud
-        near = cloud.within(self.name, self.point, self.radius)
+        near = cloud.within(self.name, self.point, self.radius, margin=MOVED_MARGIN)
         nodes = np.intersect1d(near.group(self.name), surface_nodes(cloud))
         if nodes.size == 0:
             raise InputError(

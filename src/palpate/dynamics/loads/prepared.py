@@ -36,6 +36,7 @@ from palpate.dynamics.loads.surface_force import SurfaceForce
 from palpate.dynamics.loads.values import arrays_at, vectors_at
 from palpate.faults import InputError, brief, first_few
 from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.patches import spread_load
 
 __all__ = [
     "Load",
@@ -375,6 +376,7 @@ def prepare_loads(
     areas_of: Callable[[DeadLoad | Pressure], Floats] | None = None,
     patches: sparse.csr_array | None = None,
     removed: Ints | None = None,
+    edges: Ints | None = None,
 ) -> PreparedLoads:
     """Prepare loads for a cloud with supports.
 
@@ -390,6 +392,8 @@ def prepare_loads(
         patches are the nodes.
     removed : int array, optional
         Nodes that left the body: they are fixed, and no tool reaches them.
+    edges : (e, 2) int array, optional
+        Pairs of surface nodes in whose middles tools meet patches, too.
 
     Raises
     ------
@@ -420,7 +424,7 @@ def prepare_loads(
         sites=sites,
         supports=constraints.supports,
         points=cloud.points,
-        contacts=contacts(tools, cloud, constraints.until, (sites.slide_of, sites.slide), patches, gone),
+        contacts=contacts(tools, cloud, constraints.until, (sites.slide_of, sites.slide), patches, gone, edges),
         motions=constraints.motions,
         grasps=grasps,
         directions=constrained_directions(cloud, supports),
@@ -494,9 +498,10 @@ def _load_sites(
         if isinstance(load, DeadLoad | Pressure):
             areas = cloud.area_vectors(load.group) if areas_of is None else areas_of(load)
             if isinstance(load, Pressure):
-                pressures.append((cloud.group(load.group), areas))
+                pressures.append(spread_load(cloud, cloud.group(load.group), areas))
             else:
-                dead.append(load.pattern(cloud, areas))
+                pattern = load.pattern(cloud, areas)
+                dead.append(ForcePattern(*spread_load(cloud, pattern.nodes, pattern.forces)))
         elif isinstance(load, Foundation):
             nodes, shares = cloud.group(load.group), foundation_areas(cloud, load)
             foundations.append((nodes, load.stiffness * shares, load.damping * shares))

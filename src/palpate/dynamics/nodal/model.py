@@ -38,7 +38,7 @@ from palpate.dynamics.run.contact_state import (
     initial_contact_state,
     next_contact_state,
 )
-from palpate.dynamics.run.model import Evaluation, Model, Nodes, Outputs, State, StepReport, initial_field
+from palpate.dynamics.run.model import MANY_STEPS, Evaluation, Model, Nodes, Outputs, State, StepReport, initial_field
 from palpate.dynamics.run.reactions import NodalFields, nodal_outputs, tool_power
 from palpate.faults import number_in_range
 from palpate.meshfree.mirror import NO_MIRROR, Mirror, MirrorPlane
@@ -50,6 +50,7 @@ __all__ = ["NodalModel", "NodalWork", "nodal_data"]
 History = tuple[Floats, ...]
 
 MIN_STEP_SHARE = 0.1  # of the undamped stable step, below which stiffness damping causes a warning
+MAX_WAY_UNCHECKED = 0.5  # of a tool between two checks that it has not passed the surface, in spacings
 
 
 class NodalWork(NamedTuple):
@@ -369,7 +370,8 @@ class NodalModel(Model):
             work.step,
         )
         if prepared.tools:
-            check_penetration(prepared, contacts, schedule, u, self._touched_nodes(), self.cloud.spacing, step)
+            surface = self._touched_nodes(), self.cloud.triangles
+            check_penetration(prepared, contacts, schedule, u, surface, self.cloud.spacing, step)
         history: History = ()
         if self.material.prony is not None:
             lost += self._relaxed_energy(work)
@@ -391,6 +393,16 @@ class NodalModel(Model):
             tools = 0.5 * step * steps * power
         report = StepReport(done + tools, lost, float(least.min(initial=0.0)), contacts.tool_impulses)
         return replace(new, external_work=new.external_work + tools), report
+
+    def most_steps(self, state: State, prepared: PreparedLoads, step: float) -> int:
+        """Return the most steps [s] of one call, in which no tool moves far enough to pass the surface unnoticed."""
+        if not prepared.tools:
+            return super().most_steps(state, prepared, step)
+        times = state.time + step * np.array([0.0, 1.0, 10.0, 50.0])
+        poses = np.stack([tool.poses(times)[:, :3] for tool in prepared.tools])
+        ways = np.linalg.norm(np.diff(poses, axis=1), axis=2).max(axis=0)
+        way = float((ways / np.diff(times)).max()) * step
+        return max(1, int(MAX_WAY_UNCHECKED * self.cloud.spacing / way)) if way > 0 else MANY_STEPS
 
     def _touched_nodes(self) -> NDArray[np.int64]:
         """Return the nodes of the surface that tools can touch."""

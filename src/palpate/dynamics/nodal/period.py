@@ -11,7 +11,8 @@ stable step follows from a power iteration on the present tangent, one iteration
 most that at rest. A period in which a node moves too far, or after which the body has more kinetic energy than the
 tool has done work, is repeated: with shorter steps, then with the tool at rest, at last with a body that has lost its
 velocities. A tool moves by at most a share of the spacing in a step. It is held where it would crush tissue that is
-stiff already. Then it follows its target later. The functions allocate nothing and do not call Python.
+stiff already, and where it would pass between the nodes of the surface. Then it follows its target later. The
+functions allocate nothing and do not call Python.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from palpate.dynamics.compiled.reference import reference
 from palpate.dynamics.contact.geometry import Contacts, project
 from palpate.dynamics.contact.grip import COUNT, FRESH, Grip, begin_grip, hold_nodes, store_velocities
 from palpate.dynamics.contact.impulses import push_patches
+from palpate.dynamics.contact.penetration import deepest_triangle
 from palpate.dynamics.loads.prepared import LoadSites
 from palpate.dynamics.loads.supports import FIXED
 from palpate.dynamics.material.relaxation import HistoryCopy, copy_history, copy_values, reset_history
@@ -79,9 +81,9 @@ class ContactReport(NamedTuple):
 
     Parameters
     ----------
-    node : (n,) array
-        Nodes of the patches.
-    push : (n, 3) array [N]
+    node : (k,) array
+        Nodes of the patches; one can be there several times.
+    push : (k, 3) array [N]
     numbers : (3,) array
         The first is the number of patches in contact.
     """
@@ -130,6 +132,10 @@ class NodalPeriodData(NamedTuple):
         Displacement of its difference quotient.
     reach, tool_reach, cut_reach : float [m]
         Largest ways of a node and of the tool in a step, and of the tool from its last cut.
+    triangles : (t, 3) array
+        Of the surface.
+    surface_depth : float [m]
+        Depth of the surface in the tool beyond which the tool is held.
     saved : (3, n, 3) array
         Displacements, velocities and the last internal forces at the start of the period.
     saved_work : (2,) array [J]
@@ -159,6 +165,8 @@ class NodalPeriodData(NamedTuple):
     reach: float
     tool_reach: float
     cut_reach: float
+    triangles: Ints
+    surface_depth: float
     saved: Floats
     saved_work: Floats
     saved_history: HistoryCopy
@@ -174,6 +182,18 @@ def _crushes(data):  # type: ignore[no-untyped-def]
     for i in range(3):
         work += data.tool_force[i] * (data.path[END, i, 3] - data.path[START, i, 3])
     return work > 0.0
+
+
+@kernel_njit(inner=True)
+def _passes(data, u):  # type: ignore[no-untyped-def]
+    """Return True if the surface is so deep in the tool that it would pass between nodes, and it moves deeper."""
+    contacts = data.contacts
+    if contacts.active_count[0] == 0:
+        return False
+    depth, _ = deepest_triangle(contacts, 0, data.path[START], data.triangles, u, data.surface_depth)
+    if depth <= data.surface_depth:
+        return False
+    return deepest_triangle(contacts, 0, data.path[END], data.triangles, u, depth)[0] > depth
 
 
 @kernel_njit(inner=True)
@@ -196,14 +216,17 @@ def _report_contact(data, duration, report):  # type: ignore[no-untyped-def]
             report[FORCES + 3 + 3 * m + j] += half * turn_k
             report[FORCES + 3 + 3 * k + j] -= half * turn_m
     count = 0
-    for e in range(contacts.active_count[0]):
-        k = contacts.active[e]
+    for a in range(contacts.active_count[0]):
+        k = contacts.active[a]
         push = contacts.patch_impulses[k]
         if push[0] != 0.0 or push[1] != 0.0 or push[2] != 0.0:
-            contact.node[count] = contacts.nodes[k]
-            for c in range(3):
-                contact.push[count, c] = push[c] / data.clock[STEP]
-            count += 1
+            ends = contacts.ends[contacts.nodes[k]]
+            for e in range(1 if ends[0] == ends[1] else 2):  # half of the push on a middle at each end
+                share = 1.0 if ends[0] == ends[1] else 0.5
+                contact.node[count] = ends[e]
+                for c in range(3):
+                    contact.push[count, c] = share * push[c] / data.clock[STEP]
+                count += 1
     for k in range(data.grip.numbers[COUNT]):
         contact.node[count] = data.grip.node[k]
         for c in range(3):
@@ -449,7 +472,7 @@ def nodal_period(formulation: Formulation) -> Any:
         choose_step(data, u)
         late = limit_path(data.path, data.tool_reach * max(1.0, period / clock[STEP]))
         late = limit_to_cut(data.path, data.cut_reach) or late
-        if _crushes(data):
+        if _crushes(data) or _passes(data, u):
             copy_values(data.path[START], data.path[END])
             late = True
         _save(data, u, velocity)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.dynamics.contact.geometry import Contacts, compute_gaps, compute_patch_positions
+from palpate.arrays import Floats, Ints
+from palpate.dynamics.contact.geometry import Contacts, compute_gaps, compute_patch_positions, rotation
 from palpate.dynamics.contact.kinds import BLADE, BONDED, PLANE
+from palpate.dynamics.contact.penetration import MAX_SURFACE_DEPTH, deepest_triangle
 from palpate.dynamics.loads.prepared import LoadHistory, LoadSites, PreparedLoads
 from palpate.dynamics.run.model import ContactState
 from palpate.faults import DivergenceError, InputError, first_few
@@ -23,7 +24,6 @@ __all__ = [
 
 MAX_INITIAL_DEPTH = 1e-2  # penetration of a node at the start of a run, in spacings
 MAX_INTERIOR_SHARE = 0.5  # share of a tool's force on interior nodes
-MAX_NODE_DEPTH = 0.5  # penetration of a surface node whose patch is outside the tool, in spacings
 MAX_TOOL_STEP = 0.5  # motion of a tool in a step, in its radii
 
 
@@ -45,7 +45,7 @@ def check_initial_penetration(
         if tool.tool.kind in (BONDED, BLADE):
             continue
         compute_gaps(contacts.kind[t], contacts.sizes[t], schedule.poses[0, t], positions, depth)
-        free = schedule.times[0] > contacts.prescribed_until
+        free = schedule.times[0] > contacts.prescribed_until[: len(depth)]
         free[contacts.held.nodes] = True
         if tool.group is not None:  # other nodes may be inside on purpose
             free &= np.isin(np.arange(len(free)), contacts.nodes[contacts.start[t] : contacts.start[t + 1]])
@@ -84,38 +84,47 @@ def check_penetration(
     contacts: Contacts,
     schedule: LoadHistory,
     displacements: Floats,
-    surface: NDArray[np.int64],
+    surface: tuple[NDArray[np.int64], Ints],
     spacing: float,
     step: float,
 ) -> None:
     """Check that no tool has passed between the nodes of the surface at the last time of a load history.
 
-    A tool that presses deep also acts on interior nodes below a stretched surface. After passing
-    through, it acts mostly on them, or surface nodes are far inside it while their patches are not.
+    No triangle of the surface may be deeper in a tool than `MAX_SURFACE_DEPTH`. A tool that presses deep
+    also acts on interior nodes below a stretched surface; after passing through, it acts mostly on them.
+
+    Parameters
+    ----------
+    prepared : PreparedLoads
+    contacts : Contacts
+    schedule : LoadHistory
+    displacements : (n, 3) array [m]
+    surface : pair of int arrays
+        Nodes (s,) that tools can touch, and triangles (t, 3).
+    spacing, step : float [m], [s]
 
     Raises
     ------
     DivergenceError
         A tool has passed through; the message names the tool, the time and a node.
     """
-    depth = np.zeros(len(displacements))
+    frame = np.zeros((3, 4))
     for t, tool in enumerate(prepared.tools):
-        if tool.group is not None or tool.tool.kind == BLADE:
+        if tool.group is not None or tool.tool.kind in (BLADE, PLANE):
             continue
         of_tool = slice(contacts.start[t], contacts.start[t + 1])
         nodes, impulses = contacts.nodes[of_tool], np.linalg.norm(contacts.patch_impulses[of_tool, :3], axis=1)
-        below = ~np.isin(nodes, surface)
-        positions = contacts.points + displacements
-        compute_gaps(contacts.kind[t], contacts.sizes[t], schedule.poses[-1, t], positions, depth)
-        depth[schedule.times[-1] <= contacts.prescribed_until] = 0.0
-        deepest = int(np.argmin(depth))
+        below = ~np.isin(nodes, surface[0]) & (nodes < len(displacements))
         borne = float(np.linalg.norm(contacts.held.forces, axis=1).sum()) * step
         through = impulses[below].sum() > MAX_INTERIOR_SHARE * (impulses.sum() + borne)
-        if through or depth[deepest] < -MAX_NODE_DEPTH * spacing:
-            node = nodes[below][np.argmax(impulses[below])] if through else deepest
+        rotation(schedule.poses[-1, t], frame)
+        depth, triangle = deepest_triangle(contacts, t, frame, surface[1], displacements, MAX_SURFACE_DEPTH * spacing)
+        if through or triangle >= 0:
+            node = nodes[below][np.argmax(impulses[below])] if through else surface[1][triangle, 0]
+            deep = "" if through else f", where the surface is {1e3 * depth:.3g} mm inside it"
             raise DivergenceError(
-                f"Contact {tool.name!r} passed between the nodes of the surface by t = {schedule.times[-1]:.4g} s: "
-                f"node {node} is next to or inside it. Use a larger tool, a finer spacing, or press less"
+                f"Contact {tool.name!r} passed between the nodes of the surface by t = {schedule.times[-1]:.4g} s at "
+                f"node {node}{deep}; use a larger tool, a finer spacing, or press less"
             )
 
 

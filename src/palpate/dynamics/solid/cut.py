@@ -31,6 +31,7 @@ from palpate.meshfree.cut_stencils import (
     uncut_stencils,
 )
 from palpate.meshfree.cut_surface import MAX_WAY, NO_CUT, CutSurface, cut_surface, first_triangles, nodes_near
+from palpate.meshfree.inner_gradient import inner_nodes
 from palpate.meshfree.kept_sums import conserve_integrals, keep_uniform_stress
 
 __all__ = ["cut", "cut_from", "uncut_state", "without_detached"]
@@ -128,7 +129,7 @@ def uncut_state(body: Any) -> CutState:
     stencils, n = body.stencils, len(body.cloud)
     uncut = uncut_stencils(
         body.cloud.points, body.volumes, body.cloud.spacing, stencils.neighbours, stencils.first[stencils.row],
-        body.smoothing.neighbours, body.cloud.triangles.ravel(),
+        body.smoothing.neighbours, body.cloud.triangles.ravel(), inner_nodes(body.cloud, stencils),
     )  # fmt: skip
     none = np.zeros(n, np.bool_)
     return CutState(NO_CUT, uncut, uncut.sums, np.zeros(n), none, none, none, (0.0, 0.0))
@@ -229,7 +230,7 @@ def _pieces(body: Any, n: int) -> NDArray[np.int64]:
 def _with_cut(body: Any, state: CutState, constants: Any) -> Solid:
     """Return a copy of a body with other constants, without what was computed from the former ones."""
     result: Solid = copy(body)
-    for name in ("stencils", "smoothing", "patches", "stability", "_recovery", "free_directions"):
+    for name in ("stencils", "smoothing", "patches", "contact_edges", "stability", "_recovery", "free_directions"):
         vars(result).pop(name, None)
     taut = constants if body.fibres is None else constants._replace(families=always_taut(constants.families))
     vars(result).update(body=constants, taut_body=taut, _cut=state)

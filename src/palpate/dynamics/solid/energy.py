@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, sum_of_products
+from palpate.arrays import Floats, Ints, sum_of_products
 from palpate.dynamics.compiled.passes import smooth_field
 from palpate.dynamics.contact.kinds import BLADE
 from palpate.dynamics.contact.tools import Contact
@@ -198,7 +198,7 @@ class EnergySolid(Solid):
         return replace(result, blade=state.incision.books, cut_triangles=self.cut_surface.triangles)
 
     def most_steps(self, state: State, prepared: PreparedLoads, step: float) -> int:
-        return steps_of_blade(prepared, state, step, self.cloud.spacing)
+        return min(super().most_steps(state, prepared, step), steps_of_blade(prepared, state, step, self.cloud.spacing))
 
     def after_steps(self, state: State, prepared: PreparedLoads) -> tuple[Model, State, PreparedLoads]:
         return cut_with_blade(self, state, prepared)
@@ -210,7 +210,14 @@ class EnergySolid(Solid):
         if self.planes and any(isinstance(load, Contact) and load.tool.kind == BLADE for load in loads):
             raise InputError("model of a Blade must have no planes of symmetry, got some; cut the complete body")
         prepared = self._press_supports(
-            prepare_loads(self.cloud, self.supports, loads, patches=patches, removed=self.removed_nodes)
+            prepare_loads(
+                self.cloud,
+                self.supports,
+                loads,
+                patches=patches,
+                removed=self.removed_nodes,
+                edges=self.contact_edges if in_contact else None,
+            )
         )
         return prepared if self._cut is None else with_pairs(self, prepared)
 
@@ -220,6 +227,18 @@ class EnergySolid(Solid):
             return nodes
         near = self.cut_state.uncut.tree.query_ball_point(self.cloud.points[removed], NEW_SURFACE * self.cloud.spacing)
         return np.setdiff1d(np.concatenate([nodes, *near]), removed).astype(np.int64)
+
+    @cached_property
+    def contact_edges(self) -> Ints:
+        """Nodes (e, 2) of the edges of surface triangles in whose middles tools meet patches; a cut ends them."""
+        corners = self.cloud.triangles
+        pairs = np.unique(np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])), axis=0)
+        if self._cut is None:
+            return pairs.astype(np.int64)
+        stencils, node = self.stencils, pairs[:, 0]
+        weighted = stencils.first[stencils.row[node]].any(axis=2)
+        bonded = (weighted & (stencils.neighbours[node] == pairs[:, 1:])).any(axis=1)
+        return pairs[bonded].astype(np.int64)
 
     @cached_property
     def patches(self) -> sparse.csr_array:

@@ -12,6 +12,7 @@ from palpate.arrays import Floats, Ints
 from palpate.dynamics.contact.geometry import HeldNodes, held_nodes, with_scratch
 from palpate.dynamics.contact.tools import Forceps
 from palpate.dynamics.loads.prepared import PreparedLoads
+from palpate.meshfree.cloud import MOVED_MARGIN
 from palpate.reduction.contact.compliance import (
     ActiveCompliance,
     ComplianceTable,
@@ -46,6 +47,7 @@ class ContactSurface(NamedTuple):
     start: Ints  # (c + 1,) first node of each cluster
     leader: Ints  # (c,) a node in the middle of each cluster
     extent: Floats  # (c,) largest distance from it at rest [m]
+    grip_margin: float  # distance beyond the radius of forceps up to which they hold nodes [m]
     compliance: ComplianceTable
 
 
@@ -87,7 +89,7 @@ class ContactScratch(NamedTuple):
     numbers: Ints  # (3,) see PAIRS, SWEEPS and UNCONVERGED
 
 
-def contact_surface(compliance: SurfaceCompliance, points: Floats, columns: Floats) -> ContactSurface:
+def contact_surface(compliance: SurfaceCompliance, points: Floats, columns: Floats, spacing: float) -> ContactSurface:
     """Return the contact surface, in clusters, of a body with nodes at (n, 3) and basis vectors (m, n, 3)."""
     order, start = _clusters(points[compliance.nodes], CLUSTER_SIZE)
     nodes = compliance.nodes[order]
@@ -105,6 +107,7 @@ def contact_surface(compliance: SurfaceCompliance, points: Floats, columns: Floa
         start=start,
         leader=np.array(leader, dtype=np.int64),
         extent=np.array(extent, dtype=float),
+        grip_margin=MOVED_MARGIN * spacing,
         compliance=table,
     )
 

@@ -132,7 +132,10 @@ class ReducedData(Described):
     def surface(self) -> ContactSurface:
         """Contact surface; empty for a model without contact."""
         return contact_surface(
-            self.compliance or NO_COMPLIANCE, self.cloud.points, self.basis_vectors[: self.modes + self.lifting_count]
+            self.compliance or NO_COMPLIANCE,
+            self.cloud.points,
+            self.basis_vectors[: self.modes + self.lifting_count],
+            self.cloud.spacing,
         )
 
     def integration_points(

@@ -8,9 +8,10 @@ import numpy as np
 
 from palpate.arrays import Floats
 from palpate.dynamics.contact.blade import Blade
-from palpate.dynamics.contact.geometry import rotation
+from palpate.dynamics.contact.geometry import curvatures, rotation
 from palpate.dynamics.contact.grip import empty_grip, grasped_nodes, set_grip
 from palpate.dynamics.contact.kinds import CAPSULE, PLANE
+from palpate.dynamics.contact.penetration import MAX_SURFACE_DEPTH
 from palpate.dynamics.contact.tools import Contact, Forceps, Grasp, Sphere, Tool
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.supports import FREE
@@ -65,6 +66,7 @@ def full_period(
     path = np.zeros((5, 3, 4))
     rotation(prepared.schedule(np.zeros(1)).poses[0, 0], path[HOME])
     path[START], path[END], contacts.frames[0, 1] = path[HOME], path[HOME], path[HOME]
+    entries = 2 * len(contacts.points)  # two for each middle of an edge, and one for each node that forceps hold
     noise = model.supported.project(np.random.default_rng(0).standard_normal((n, 3)))
     data = NodalPeriodData(
         passes=(model.body, work.passes),
@@ -87,10 +89,14 @@ def full_period(
         reach=MAX_WAY * model.cloud.spacing,
         tool_reach=MAX_TOOL_WAY * model.cloud.spacing,
         cut_reach=np.inf,
+        triangles=np.ascontiguousarray(model.cloud.triangles, dtype=np.int64),
+        surface_depth=MAX_SURFACE_DEPTH * model.cloud.spacing,
         saved=np.zeros((3, n, 3)),
         saved_work=np.zeros(2),
         saved_history=history_copy(work.passes.history),
-        contact_work=ContactReport(np.zeros(2 * n, dtype=np.int64), np.zeros((2 * n, 3)), np.zeros(3, dtype=np.int64)),
+        contact_work=ContactReport(
+            np.zeros(entries, dtype=np.int64), np.zeros((entries, 3)), np.zeros(3, dtype=np.int64)
+        ),
     )  # fmt: skip
     if isinstance(contact, Grasp):
         forceps = Forceps(contact.radius, contact.point, contact.until)
@@ -153,6 +159,7 @@ def change_full_tool(
     set_grip(data.grip, nodes)
     contacts.kind[0] = CAPSULE if tool is None else tool.kind
     contacts.sizes[0] = (-np.inf, 0.0, 0.0) if tool is None else tool.sizes  # every point is outside
+    contacts.curvature[0] = curvatures(contacts.kind, contacts.sizes)[0]
     contacts.tool_radius[0] = 0.0 if tool is None else np.inf
     if tool is not None and tool.kind == CAPSULE:
         contacts.tool_radius[0] = tool.sizes[0] + tool.sizes[1]

@@ -1,0 +1,69 @@
+"""Depth of the surface's triangles in rigid tools, compiled.
+
+Contact impulses keep the patches of nodes and of the middles of edges out of a tool. This is a check
+of what lies between them. Tools are convex, so the depth of a point in one is a concave function, and
+a few points of a triangle give its largest depth within some per cent of the spacing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.dynamics.contact.geometry import gap, patch
+from palpate.dynamics.contact.kinds import BLADE, BONDED, PLANE
+
+__all__ = ["MAX_SURFACE_DEPTH", "deepest_triangle"]
+
+MAX_SURFACE_DEPTH = 0.3  # of the surface in a tool, in spacings; deeper, a tool passes between the nodes
+PARTS = 4  # of the edges of a triangle, between the points whose depths are compared
+
+
+@kernel_njit()
+def deepest_triangle(contacts, t, frame, triangles, u, least):  # type: ignore[no-untyped-def]
+    """Return the largest depth [m] of surface triangles in tool t, and the triangle.
+
+    They are `least` and -1 where none is deeper.
+
+    Parameters
+    ----------
+    contacts : Contacts
+    t : int
+    frame : (3, 4) array
+    triangles : (k, 3) int array
+    u : (n, 3) array [m]
+    least : float [m]
+        Depths up to which triangles do not count.
+    """
+    kind, sizes, worst, where = contacts.kind[t], contacts.sizes[t], least, -1
+    if kind in (PLANE, BONDED, BLADE):  # the corners of a triangle are its deepest points in a plane
+        return worst, where
+    points, start, near, weights = contacts.points, contacts.patch_start, contacts.patch_nodes, contacts.patch_weights
+    until, around = contacts.prescribed_until, contacts.tool_radius[t] + contacts.patch_radius
+    for k in range(triangles.shape[0]):
+        i = triangles[k, 0]
+        if max(until[i], until[triangles[k, 1]], until[triangles[k, 2]]) == np.inf:  # a tool presses over a support
+            continue
+        square = 0.0
+        for c in range(3):
+            square += (points[i, c] + u[i, c] - frame[c, 3]) ** 2
+        if not square < around * around:
+            continue
+        ax, ay, az, _, _, _ = patch(points, start, near, weights, i, 0.0, u, u)
+        bx, by, bz, _, _, _ = patch(points, start, near, weights, triangles[k, 1], 0.0, u, u)
+        cx, cy, cz, _, _, _ = patch(points, start, near, weights, triangles[k, 2], 0.0, u, u)
+        x, y, z = (ax + bx + cx) / 3, (ay + by + cy) / 3, (az + bz + cz) / 3
+        reach = max((ax - x) ** 2 + (ay - y) ** 2 + (az - z) ** 2, (bx - x) ** 2 + (by - y) ** 2 + (bz - z) ** 2)
+        reach = np.sqrt(max(reach, (cx - x) ** 2 + (cy - y) ** 2 + (cz - z) ** 2))
+        if gap(kind, sizes, frame, x, y, z)[0] > reach - worst:  # a distance changes by at most the way
+            continue
+        for m in range(PARTS + 1):
+            for n in range(PARTS + 1 - m):
+                p, q = m / PARTS, n / PARTS
+                r = 1.0 - p - q
+                depth = -gap(
+                    kind, sizes, frame, p * ax + q * bx + r * cx, p * ay + q * by + r * cy, p * az + q * bz + r * cz
+                )[0]
+                if depth > worst:
+                    worst, where = depth, k
+    return worst, where
