@@ -121,7 +121,7 @@ class Factor:
 
     def __init__(self, matrix: sp.csr_matrix, definite: bool = True) -> None:
         self.solver = PyPardisoSolver(mtype=2 if definite else -2)
-        os.environ.setdefault("PYPARDISO_MKL_RT", self.solver.libmkl._name)  # or every solver looks for it anew
+        os.environ.setdefault("PYPARDISO_MKL_RT", self.solver.libmkl._name)  # or every solver looks for it again
         self.matrix = sp.triu(matrix, format="csr")
         self.matrix.sort_indices()
         self.solver.factorize(self.matrix)

@@ -20,9 +20,9 @@ from palpate.meshfree.cloud import Cloud
 
 __all__ = ["cell_fractions"]
 
-SAMPLES = 6  # along an edge of a node's cell
+SAMPLES_PER_EDGE = 6  # along an edge of a node's cell
 BATCH_NODES = 256  # whose samples are kept at once
-REACH = 1.0  # from a region to cells that it can enter, in spacings
+CELL_REACH = 1.0  # from a region to cells that it can enter, in spacings
 
 
 def cell_fractions(cloud: Cloud, inside: Callable[[Floats], NDArray[np.bool_]]) -> Floats:
@@ -54,9 +54,11 @@ def cell_fractions(cloud: Cloud, inside: Callable[[Floats], NDArray[np.bool_]]) 
     """
     if cloud.points.shape[1] != 3:
         raise InputError("cloud must be in space (d = 3) for cells, got a plane cloud")
-    step, tree = cloud.spacing / SAMPLES, cKDTree(cloud.points)
-    offsets = step * np.stack(np.meshgrid(*[np.arange(-SAMPLES, SAMPLES + 1)] * 3), axis=-1).reshape(-1, 3)
-    offsets = offsets[np.linalg.norm(offsets, axis=1) <= REACH * cloud.spacing]
+    step, tree = cloud.spacing / SAMPLES_PER_EDGE, cKDTree(cloud.points)
+    offsets = step * np.stack(np.meshgrid(*[np.arange(-SAMPLES_PER_EDGE, SAMPLES_PER_EDGE + 1)] * 3), axis=-1).reshape(
+        -1, 3
+    )
+    offsets = offsets[np.linalg.norm(offsets, axis=1) <= CELL_REACH * cloud.spacing]
     fraction, outward = _inside(inside, cloud.points).astype(float), _normals(cloud)
     for part in np.array_split(np.arange(len(cloud)), len(cloud) // BATCH_NODES + 1):
         samples = cloud.points[part, None] + offsets
@@ -64,9 +66,9 @@ def cell_fractions(cloud: Cloud, inside: Callable[[Floats], NDArray[np.bool_]]) 
         for i, places, mask in zip(part, samples, within, strict=True):
             if mask.all() or not mask.any():
                 continue
-            own = tree.query(places)[1] == i
-            own &= ~((places - cloud.points[i]) @ outward[i].T > 1e-9 * step).any(axis=1)
-            fraction[i] = mask[own].mean()
+            nearest = tree.query(places)[1] == i
+            nearest &= ~((places - cloud.points[i]) @ outward[i].T > 1e-9 * step).any(axis=1)
+            fraction[i] = mask[nearest].mean()
     return fraction
 
 

@@ -237,15 +237,15 @@ class OrganScene(Described):
         """
         if not self.description.region:
             return None
-        own = np.full(len(self.cloud), self.material.shear_modulus)
-        modulus, finder = own.copy(), self._finder(self.cloud)
+        nodal = np.full(len(self.cloud), self.material.shear_modulus)
+        modulus, finder = nodal.copy(), self._finder(self.cloud)
         for number, region in enumerate(self.description.region):
             group = self._group("region", number)
             inside = materials.get(group, self.material).shear_modulus
-            own[self.cloud.group(group)] = inside
+            nodal[self.cloud.group(group)] = inside
             share = finder.fractions(region.place)
             modulus = 1.0 / ((1.0 - share) / modulus + share / (region.stiffness * inside))
-        return None if np.allclose(modulus, own, rtol=1e-12) else modulus / own
+        return None if np.allclose(modulus, nodal, rtol=1e-12) else modulus / nodal
 
     @cached_property
     def foundations(self) -> tuple[Foundation, ...]:

@@ -16,7 +16,7 @@ from palpate.dynamics.contact.kinds import BLADE, BONDED, PLANE
 __all__ = ["MAX_SURFACE_DEPTH", "deepest_triangle"]
 
 MAX_SURFACE_DEPTH = 0.3  # of the surface in a tool, in spacings; deeper, a tool passes between the nodes
-PARTS = 4  # of the edges of a triangle, between the points whose depths are compared
+EDGE_PARTS = 4  # of the edges of a triangle, between the points whose depths are compared
 
 
 @kernel_njit()
@@ -57,9 +57,9 @@ def deepest_triangle(contacts, t, frame, triangles, u, least):  # type: ignore[n
         reach = np.sqrt(max(reach, (cx - x) ** 2 + (cy - y) ** 2 + (cz - z) ** 2))
         if gap(kind, sizes, frame, x, y, z)[0] > reach - worst:  # a distance changes by at most the way
             continue
-        for m in range(PARTS + 1):
-            for n in range(PARTS + 1 - m):
-                p, q = m / PARTS, n / PARTS
+        for m in range(EDGE_PARTS + 1):
+            for n in range(EDGE_PARTS + 1 - m):
+                p, q = m / EDGE_PARTS, n / EDGE_PARTS
                 r = 1.0 - p - q
                 depth = -gap(
                     kind, sizes, frame, p * ax + q * bx + r * cx, p * ay + q * by + r * cy, p * az + q * bz + r * cz
