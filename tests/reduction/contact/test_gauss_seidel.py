@@ -28,7 +28,7 @@ def flat_skin():
     x, y = np.meshgrid(SPACING * np.arange(-6, 7), SPACING * np.arange(-6, 7), indexing="ij")
     points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
     columns = np.random.default_rng(0).standard_normal((3, len(points), 3))
-    return contact_surface(falling(points, np.arange(len(points)), [0.004], [0.01], 0.005), points, columns)
+    return contact_surface(falling(points, np.arange(len(points)), [0.004], [0.01], 0.005), points, columns, SPACING)
 
 
 def falling(points, nodes, lengths, compliances, own):
