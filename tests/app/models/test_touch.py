@@ -20,6 +20,7 @@ from palpate.app.models.touch import (
 )
 from palpate.app.view.session.messages import validate_message
 from palpate.app.view.session.session import Session
+from palpate.meshfree.cloud import BORDER_MARGIN
 from palpate.scenes.description import Shape
 from palpate.scenes.organ import liver_surface
 from palpate.scenes.places import PlaceFinder, place_of_text, side_mask
@@ -85,7 +86,8 @@ def test_supports_hold_the_nodes_of_their_text(text, expected):
 def test_several_supports_hold_the_nodes_of_all(organ):
     body = opened(organ, spacing=0.006, fixed=("x-", "x+"))
     points = body.cloud.points
-    expected = np.flatnonzero(side_mask(points, "x-") | side_mask(points, "x+"))
+    width = BORDER_MARGIN * body.cloud.spacing
+    expected = np.flatnonzero(side_mask(points, "x-", width) | side_mask(points, "x+", width))
     np.testing.assert_array_equal(held(body), expected)
 
 
