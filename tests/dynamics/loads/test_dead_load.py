@@ -60,7 +60,7 @@ def test_a_user_dead_load_does_the_work_of_its_forces_on_the_full_model(body, ru
 @pytest.mark.quick(reduce=[pt.galerkin])
 @pytest.mark.parametrize("reduce", [pt.galerkin, pt.hyper_reduce])
 def test_a_user_dead_load_acts_on_reduced_models(body, run, reduce):
-    own = pt.rollout(reduce(body, run, modes=4), [Pinch("x+", 0.05)], duration=4e-3, every=4e-4, progress=False)
+    own = pt.rollout(reduce(body, run, modes=8), [Pinch("x+", 0.05)], duration=4e-3, every=4e-4, progress=False)
     assert spread_of(own, body.cloud) == pytest.approx(spread_of(run, body.cloud), rel=0.05)
 
 
