@@ -52,7 +52,7 @@ from palpate.dynamics.nodal.tool_path import (
     set_path,
     write_place,
 )
-from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN
+from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN, TRUST
 
 __all__ = ["ContactReport", "NodalPeriodData", "nodal_period"]
 
@@ -65,6 +65,8 @@ MAX_STEPS = 400  # in a period; beyond it the body's time runs slower
 MAX_ATTEMPTS, STIFFENING_FACTOR = 6, 1.6  # of a period, and factor of the frequency in the next attempt
 TRIALS_OF_ENERGY = 2  # repetitions after which a gain of energy is accepted that is not of this period
 HELD_ATTEMPT, STOPPED_ATTEMPT = 3, 5  # from which on the tool is held, and the body loses its velocities
+# depth of the surface in a tool from which on the tool is slowed, and its way in a period then, over that where it is held
+SLOW_DEPTH, SLOW_WAY = 0.8, 0.15
 CRUSHED_RATIO = 6.0  # frequency over that at rest from which on the tool does not move on
 STIFF_RATIO, STIFF_ESTIMATE = 1.5, 4  # frequency over that at rest from which on it is estimated after fewer periods
 MOST_STIFF = 100.0  # largest estimate over that at rest
@@ -174,10 +176,8 @@ class NodalPeriodData(NamedTuple):
 
 
 @kernel_njit(inner=True)
-def _crushes(data):  # type: ignore[no-untyped-def]
-    """Return True if the tool would move on into tissue that is stiff already."""
-    if data.clock[ESTIMATE] < CRUSHED_RATIO * data.resting_frequency:
-        return False
+def _pushes(data):  # type: ignore[no-untyped-def]
+    """Return True if the tool moves along its last force on the body."""
     work = 0.0
     for i in range(3):
         work += data.tool_force[i] * (data.path[END, i, 3] - data.path[START, i, 3])
@@ -185,15 +185,33 @@ def _crushes(data):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _passes(data, u):  # type: ignore[no-untyped-def]
-    """Return True if the surface is so deep in the tool that it would pass between nodes, and it moves deeper."""
-    contacts = data.contacts
+def _crushes(data):  # type: ignore[no-untyped-def]
+    """Return True if the tool would move on into tissue that is stiff already."""
+    if data.clock[ESTIMATE] < CRUSHED_RATIO * data.resting_frequency:
+        return False
+    return _pushes(data)
+
+
+@kernel_njit(inner=True)
+def _hold_above_surface(data, u):  # type: ignore[no-untyped-def]
+    """Hold a tool that pushes on where the surface is so deep in it that it would pass between nodes; slow it before.
+
+    Returns
+    -------
+    late : bool
+        True if the tool's way is shorter.
+    depth : float
+        Depth of the surface over that where the tool is held; 0 where it is far less.
+    """
+    contacts, limit = data.contacts, data.surface_depth
     if contacts.active_count[0] == 0:
-        return False
-    depth, _ = deepest_triangle(contacts, 0, data.path[START], data.triangles, u, data.surface_depth)
-    if depth <= data.surface_depth:
-        return False
-    return deepest_triangle(contacts, 0, data.path[END], data.triangles, u, depth)[0] > depth
+        return False, 0.0
+    least = SLOW_DEPTH * limit
+    depth = deepest_triangle(contacts, 0, data.path[START], data.triangles, u, least)[0]
+    if depth <= least:
+        return False, 0.0
+    left = max(0.0, limit - depth) / (limit - least)
+    return _pushes(data) and limit_path(data.path, left * SLOW_WAY * limit), depth / limit
 
 
 @kernel_njit(inner=True)
@@ -472,9 +490,11 @@ def nodal_period(formulation: Formulation) -> Any:
         choose_step(data, u)
         late = limit_path(data.path, data.tool_reach * max(1.0, period / clock[STEP]))
         late = limit_to_cut(data.path, data.cut_reach) or late
-        if _crushes(data) or _passes(data, u):
+        if _crushes(data):
             copy_values(data.path[START], data.path[END])
             late = True
+        held, depth = _hold_above_surface(data, u)
+        late = held or late
         _save(data, u, velocity)
         count, frequency_before = -1, clock[FREQUENCY]
         for attempt in range(MAX_ATTEMPTS):
@@ -525,7 +545,7 @@ def nodal_period(formulation: Formulation) -> Any:
         if attempt >= TRIALS_OF_ENERGY:  # shorter steps did not help
             clock[FREQUENCY] = min(STIFFENING_FACTOR * frequency_before, MOST_STIFF * data.resting_frequency)
         clock[RESTED] = 0.0 if q.any() or v.any() else 1.0
-        report[STEPS] = count
+        report[STEPS], report[TRUST] = count, depth
         report[KINETIC] = clock[KINETIC_ENERGY]
         report[STRAIN] = max(0.0, clock[GIVEN] + clock[WORK] - clock[LOST] - report[KINETIC])
 
