@@ -83,10 +83,12 @@ def test_the_engine_damps_as_a_run_does(shape):
     made = pt.realtime_model(body, contact=pt.tools.Contact(pt.tools.Sphere(0.01), away))
     q, v, report = shape.reshape(-1).copy(), np.zeros(shape.size), np.zeros(20)
     start = made.data.clock[GIVEN] = body.strain_energy(shape)
-    for _ in range(1000):
+    times, energies = 1e-3 * np.arange(1, 1001), []
+    for _ in times:
         made.advance(made.data, q, v, np.zeros(12), 1e-3, report)
-    energy = body.strain_energy(q.reshape(-1, 3)) + report[3]
-    assert energy == pytest.approx(start * np.exp(-ALPHA * 1.0), rel=0.15)
+        energies.append(body.strain_energy(q.reshape(-1, 3)) + report[3])
+    # velocities are those of half a step before, so the sum oscillates: compare means over the last tenth
+    assert np.mean(energies[900:]) == pytest.approx(start * np.exp(-ALPHA * times[900:]).mean(), rel=0.1)
 
 
 def test_a_negative_damping_is_refused():

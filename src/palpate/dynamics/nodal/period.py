@@ -65,7 +65,7 @@ MAX_STEPS = 400  # in a period; beyond it the body's time runs slower
 MAX_ATTEMPTS, STIFFENING_FACTOR = 6, 1.6  # of a period, and factor of the frequency in the next attempt
 TRIALS_OF_ENERGY = 2  # repetitions after which a gain of energy is accepted that is not of this period
 HELD_ATTEMPT, STOPPED_ATTEMPT = 3, 5  # from which on the tool is held, and the body loses its velocities
-# depth of the surface in a tool from which on the tool is slowed, and its way in a period then, over that where it is held
+# depth of the surface in a tool from which on it is slowed, and its way in a period then, over the depth that holds it
 SLOW_DEPTH, SLOW_WAY = 0.8, 0.15
 CRUSHED_RATIO = 6.0  # frequency over that at rest from which on the tool does not move on
 STIFF_RATIO, STIFF_ESTIMATE = 1.5, 4  # frequency over that at rest from which on it is estimated after fewer periods
