@@ -210,7 +210,7 @@ def test_a_drift_of_the_sums_of_work_stops_no_body(block):
     assert same.model.data.clock[nodal.GAINED] == 0.0
     assert drifted[20:, 2].max() <= 2 * still[:, 2].max()
     # that of the repeated period, too, whose steps are shorter
-    np.testing.assert_allclose(drifted[[0, 1, -1], 10], still[[0, 1, -1], 10], rtol=0.02)
+    np.testing.assert_allclose(drifted[[0, 1, -1], 10], still[[0, 1, -1], 10], rtol=0.03)
 
 
 @pytest.mark.slow
