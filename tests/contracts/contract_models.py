@@ -246,7 +246,7 @@ KINDS = {
     "solid, tool": Kind(lambda: solid("energy"), lambda: [lift()], 0.03),
     "solid, rollers": Kind(lambda: sliding("energy"), lambda: [pull()], 0.01),
     "solid, strong, rollers": Kind(lambda: sliding("strong"), lambda: [pull()], 0.15),
-    "solid, touched, rollers": Kind(lambda: sliding("energy"), lambda: [press(friction=0.3)], 0.01, lost=0.2),
+    "solid, touched, rollers": Kind(lambda: sliding("energy"), lambda: [press(friction=0.3)], 0.01),
     "membrane, rollers": Kind(sliding_sheet, lambda: [lean()], 0.01, still=1e-6),
     "Galerkin, rollers": Kind(sliding_galerkin, lambda: [pull()], 0.08),
     "hyper-reduced, rollers": Kind(sliding_hyper, lambda: [pull()], 0.01),
@@ -277,7 +277,7 @@ KINDS = {
     "hyper-reduced, implicit, mass damping": Kind(
         lambda: hyper_with_tool(ALPHA).with_step(EVERY / 8), lambda: [lift()], 0.01, momentum=0.08
     ),
-    "hyper-reduced, touched, mass damping": Kind(lambda: hyper_touched(ALPHA), lambda: [press()], 0.05),
+    "hyper-reduced, touched, mass damping": Kind(lambda: hyper_touched(ALPHA), lambda: [press()], 0.06),
     "linear, mass damping": Kind(linear_mass_damped, lambda: [lift(1e-5)], 0.01),  # trapezoids of the power
 }
 QUICK = [  # kinds of the quick set; the others compile kernels of their own

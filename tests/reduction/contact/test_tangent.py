@@ -129,7 +129,7 @@ def test_the_stiffness_integrates_to_the_force_while_patches_come_into_contact(p
         pushed.append(len(hand.pushed()))
     assert pushed[-1] > pushed[0]
     rise = np.trapezoid(told, -depths)
-    assert rise == pytest.approx(forces[-1] - forces[0], rel=0.02)
+    assert rise == pytest.approx(forces[-1] - forces[0], rel=0.05 if friction else 0.02)  # some patches slide
 
 
 def test_the_stiffness_of_forceps_is_the_derivative_of_their_force(pressed):

@@ -63,13 +63,13 @@ def test_springs_return_stored_energy_and_dashpots_dissipate(rom, step):
     speed[:, 2] = 2.0 * rom.cloud.points[:, 0]
     springs = pt.Foundation("z-", 2e7)
     run = rollout(model, [springs], velocity=speed)
-    assert np.abs(run.balance).max() < 2e-3 * run.kinetic[0]
+    assert np.abs(run.balance).max() < 3e-3 * run.kinetic[0]
     down = run.displacements[:, rom.cloud.group("z-")]
     stored = 0.5 * 2e7 * np.einsum("n,fnc->f", np.linalg.norm(rom.cloud.area_vectors("z-"), axis=1), down**2)
     np.testing.assert_allclose(-run.external, stored, atol=2e-3 * run.kinetic[0])
     assert stored.max() > 0.1 * run.kinetic[0]
     slowed = rollout(model, [SPRINGS], velocity=speed)
-    assert np.abs(slowed.balance).max() < 2e-3 * slowed.kinetic[0]
+    assert np.abs(slowed.balance).max() < 3e-3 * slowed.kinetic[0]
     assert (slowed.kinetic + slowed.strain)[-1] < (run.kinetic + run.strain)[-1]
 
 

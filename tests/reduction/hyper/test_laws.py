@@ -84,7 +84,7 @@ def test_all_nodes_are_the_galerkin_model(law):
     check_galerkin(block(law.kind(**law.example, **REST)))
 
 
-def check_galerkin(body, share=1e-7):
+def check_galerkin(body, share=1e-6):
     run = shaped(body)
     trained = pt.hyper_reduce(body, run, modes=6, cubature=0.0, pressures=1000)
     model = pt.ReducedModel(trained.data, single=False)
@@ -127,7 +127,7 @@ def test_a_reduced_model_in_another_form_reproduces_the_full_run_and_is_stored(t
     body = block(pt.materials.NeoHookean(C1=5e3, **REST, volumetric="mixed"))
     run = rollout(body, step=2.5e-5)
     model = pt.hyper_reduce(body, run, modes=12)
-    assert pt.relative_errors(run, rollout(model, step=2.5e-5)).displacement < 0.03
+    assert pt.relative_errors(run, rollout(model, step=2.5e-5)).displacement < 0.035
     pt.save(model, tmp_path / "mixed.rom")
     loaded = pt.load(tmp_path / "mixed.rom")
     assert loaded.material == body.material
