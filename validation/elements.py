@@ -27,8 +27,9 @@ from palpate.meshfree.cloud import BORDER_MARGIN, MOVED_MARGIN
 from palpate.reduction.basis.linear_modes import stiffness_blocks
 
 NAME = "elements"
-HOLD_TIME, MOVING_SHARE = 0.5, 0.3  # [s] of each depth of a ball, and the share in which it moves
-DAMPING = 60.0  # [1/s] of the runs with balls
+# time of each depth of a ball, times the lowest frequency, and the share in which it moves; the rest lasts 8 times
+# as long as the body, critically damped, needs to approach its equilibrium to a factor of e
+HOLD_TIME, MOVING_SHARE = 12.0, 0.3
 SKIPPED = ("block", "cylinder_uniform")  # a lattice has studies of its own (frequencies.py, tips.py)
 
 
@@ -47,8 +48,8 @@ def support_nodes(it: Case, cloud: pt.Cloud) -> np.ndarray:
     return surface_mask(cloud) & (away <= BORDER_MARGIN * cloud.spacing)
 
 
-def body_of(it: Case, spacing: float, seed: int) -> pt.Solid:
-    """Return a case's full body."""
+def body_of(it: Case, spacing: float, seed: int, damping: float) -> pt.Solid:
+    """Return a case's full body, its mass damping [1/s]."""
     cloud = pt.fill((it.vertices, it.faces), spacing, seed=seed)
     cloud = cloud.with_group("held", support_nodes(it, cloud))
     stiffness = None
@@ -60,7 +61,7 @@ def body_of(it: Case, spacing: float, seed: int) -> pt.Solid:
         share = pt.cell_fractions(cloud, lambda x: it.factor(x) > 1)
         stiffness = 1 / (1 - share + share / it.factor(np.array([[0.02, 0.0, 0.0]]))[0])
     law = pt.materials.NeoHookean(C1=it.c1, density=it.density, poisson=it.poisson)
-    return pt.Solid(cloud, law, "held", stiffness=stiffness, mass_damping=DAMPING)
+    return pt.Solid(cloud, law, "held", stiffness=stiffness, mass_damping=damping)
 
 
 class Linear:
@@ -123,18 +124,18 @@ class Linear:
         return float(np.sum(self.response(load) * load) / np.linalg.norm(load.sum(axis=0)) ** 2)
 
 
-def press(body: pt.Solid, it: Case, radius: float, depths: list[float]) -> list[float | None]:
-    """Return the force [N] of a ball at rest at some depths; None beyond where the run refuses."""
+def press(body: pt.Solid, it: Case, radius: float, depths: list[float], hold: float) -> list[float | None]:
+    """Return the force [N] of a ball held for a time [s] at some depths; None beyond where the run refuses."""
     starts = [-0.02 * radius, *depths[:-1]]
 
     def depth(t: float) -> float:
-        k = min(int(t / HOLD_TIME), len(depths) - 1)
-        share = min((t - k * HOLD_TIME) / (MOVING_SHARE * HOLD_TIME), 1.0)
+        k = min(int(t / hold), len(depths) - 1)
+        share = min((t - k * hold) / (MOVING_SHARE * hold), 1.0)
         return float(starts[k] + (depths[k] - starts[k]) * np.sin(0.5 * np.pi * share) ** 2)
 
     tool = pt.tools.Contact(pt.tools.Sphere(radius), lambda t: it.point - it.normal * (radius - depth(t)))
     try:
-        run = pt.rollout(body, [tool], duration=HOLD_TIME * len(depths), every=HOLD_TIME / 2, progress=False)
+        run = pt.rollout(body, [tool], duration=hold * len(depths), every=hold / 2, progress=False)
     except pt.DivergenceError as error:
         run = error.trajectory
     forces = [] if run is None else (run.reactions["tool"] @ it.normal)[2::2].tolist()
@@ -144,7 +145,8 @@ def press(body: pt.Solid, it: Case, radius: float, depths: list[float]) -> list[
 def compare(name: str, truth: dict[str, Any], scale: float, seed: int) -> dict[str, Any]:
     """Return the relative errors of a case at a spacing."""
     it, begin = case(name), time.perf_counter()
-    body = body_of(it, scale * it.spacing, seed)
+    lowest = truth["frequencies"]["value"][0]  # [rad/s]
+    body = body_of(it, scale * it.spacing, seed, 2 * lowest)
     row: dict[str, Any] = {
         "case": name,
         "scale": scale,
@@ -165,7 +167,7 @@ def compare(name: str, truth: dict[str, Any], scale: float, seed: int) -> dict[s
         if radius < body.cloud.spacing:
             continue  # refused
         exact = [(b["depth"], b["force"]) for b in truth["balls"] if b["radius"] == radius]
-        forces = press(body, it, radius, [d for d, _ in exact])
+        forces = press(body, it, radius, [d for d, _ in exact], HOLD_TIME / lowest)
         errors = [None if f is None else f / e - 1 for f, (_, e) in zip(forces, exact, strict=True)]
         row["balls"].append({"radius": radius / body.cloud.spacing, "depths": [d for d, _ in exact], "errors": errors})
     row["seconds"] = round(time.perf_counter() - begin, 1)

@@ -234,7 +234,7 @@ def balls(name: str, wanted: list[int] | None = None, levels: tuple[float, ...] 
             continue
         for level in levels:
             rows, mesh = press(it, level, radius, depths)
-            add_balls(name, rows, mesh, "force" if level == BALL_LEVELS[0] else "coarse")
+            add_balls(name, rows, mesh, "force" if level == levels[0] else "coarse")
 
 
 def add_balls(name: str, rows: list[dict[str, Any]], mesh: dict[str, Any], key: str) -> None:
@@ -268,6 +268,7 @@ def main() -> None:
     parser.add_argument("--linear", action="store_true", help="linear responses only")
     parser.add_argument("--balls", type=int, nargs="*", help="balls only, of these numbers")
     parser.add_argument("--fine", action="store_true", help="no coarser meshes for balls")
+    parser.add_argument("--coarse", action="store_true", help="the coarser meshes alone for balls")
     parser.add_argument("--list", action="store_true", help="list the cases")
     options = parser.parse_args()
     if options.list:
@@ -277,7 +278,7 @@ def main() -> None:
         if options.balls is None:
             add(name, linear(name))
         if not options.linear:
-            balls(name, options.balls, BALL_LEVELS[: 1 if options.fine else 2])
+            balls(name, options.balls, BALL_LEVELS[options.coarse : 1 if options.fine else 2])
 
 
 if __name__ == "__main__":

@@ -28,7 +28,12 @@ def flat_skin():
     x, y = np.meshgrid(SPACING * np.arange(-6, 7), SPACING * np.arange(-6, 7), indexing="ij")
     points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
     columns = np.random.default_rng(0).standard_normal((3, len(points), 3))
-    return contact_surface(falling(points, np.arange(len(points)), [0.004], [0.01], 0.005), points, columns, SPACING)
+    compliance = falling(points, np.arange(len(points)), [0.004], [0.01], 0.005)
+    none, count = np.zeros((0, 3)), len(points)
+    cloud = pt.Cloud(
+        points, np.full(count, SPACING**3), none[:, 0].astype(int), none, none[:, 0], {}, none.astype(int), SPACING
+    )
+    return contact_surface(compliance, cloud, columns)
 
 
 def falling(points, nodes, lengths, compliances, own):

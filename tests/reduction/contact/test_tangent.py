@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.dynamics.run.period_report import TRUST
 from palpate.reduction.contact.compliance import pair
 
 pytestmark = pytest.mark.slow
@@ -130,6 +131,32 @@ def test_the_stiffness_integrates_to_the_force_while_patches_come_into_contact(p
     assert pushed[-1] > pushed[0]
     rise = np.trapezoid(told, -depths)
     assert rise == pytest.approx(forces[-1] - forces[0], rel=0.05 if friction else 0.02)  # some patches slide
+
+
+@pytest.mark.parametrize("at", [(0.024, 0.036), (0.026, 0.039), (0.027, 0.039)])  # a node, and between nodes
+def test_a_small_ball_is_held_where_it_would_pass_between_the_nodes(pressed, at):
+    radius = 0.0061
+    hand = Hand(slow(pressed[1]), pt.tools.Contact(pt.tools.Sphere(radius), (*at, SIZE[2] + radius + 0.001)))
+    hand.presses((0.0, 0.0, -0.001 - 0.3 * radius))
+    deep = 0.03
+    for share in np.linspace(0.3 * radius / deep, 1.0, 100):
+        target = np.concatenate([(0.0, 0.0, -share * deep), np.zeros(9)])
+        for _ in range(5):
+            hand.ready.advance(hand.ready.data, hand.q, hand.v, target, 1e-3, hand.report)
+    assert hand.report[TRUST] > 1.0
+    assert hand.report[8:11][2] < -0.02  # the body still pushes the ball out
+    assert -target[2] < 2.2 * radius  # and the ball stays there
+    hand.goes((0.0, 0.0, 0.01))
+    assert hand.report[8:11].tolist() == [0.0, 0.0, 0.0]
+
+
+def test_a_run_ends_where_a_small_ball_passes_between_the_nodes(pressed):
+    radius = 0.0061
+    ball = pt.tools.Contact(
+        pt.tools.Sphere(radius), lambda t: (0.026, 0.039, SIZE[2] + radius + 0.0001 - 0.02 * t), name="small ball"
+    )
+    with pytest.raises(pt.DivergenceError, match="'small ball' passed between the nodes"):
+        pt.rollout(slow(pressed[1]), [ball], duration=1.0, every=0.02, progress=False)
 
 
 def test_the_stiffness_of_forceps_is_the_derivative_of_their_force(pressed):

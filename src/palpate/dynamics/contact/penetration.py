@@ -13,10 +13,42 @@ from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.geometry import gap, patch
 from palpate.dynamics.contact.kinds import BLADE, BONDED, PLANE
 
-__all__ = ["MAX_SURFACE_DEPTH", "deepest_triangle"]
+__all__ = ["MAX_SURFACE_DEPTH", "SLOW_DEPTH", "deepest_triangle", "triangle_depth", "way_above_surface"]
 
 MAX_SURFACE_DEPTH = 0.3  # of the surface in a tool, in spacings; deeper, a tool passes between the nodes
+# depth of the surface in a tool from which on it is slowed, and its way in a period then, over the largest depth
+SLOW_DEPTH, SLOW_WAY = 0.8, 0.15
 EDGE_PARTS = 4  # of the edges of a triangle, between the points whose depths are compared
+
+
+@kernel_njit(inner=True)
+def way_above_surface(depth, limit):  # type: ignore[no-untyped-def]
+    """Return the way [m] of a pushing tool in a period: slower from `SLOW_DEPTH` on, zero at the largest depth."""
+    least = SLOW_DEPTH * limit
+    return np.inf if depth <= least else max(0.0, limit - depth) / (limit - least) * SLOW_WAY * limit
+
+
+@kernel_njit(inner=True)
+def triangle_depth(kind, sizes, frame, a, b, c, least):  # type: ignore[no-untyped-def]
+    """Return the largest depth [m] in a tool of a triangle with corners a, b, c (x, y, z); at least `least`."""
+    ax, ay, az = a
+    bx, by, bz = b
+    cx, cy, cz = c
+    x, y, z = (ax + bx + cx) / 3, (ay + by + cy) / 3, (az + bz + cz) / 3
+    reach = max((ax - x) ** 2 + (ay - y) ** 2 + (az - z) ** 2, (bx - x) ** 2 + (by - y) ** 2 + (bz - z) ** 2)
+    reach = np.sqrt(max(reach, (cx - x) ** 2 + (cy - y) ** 2 + (cz - z) ** 2))
+    if gap(kind, sizes, frame, x, y, z)[0] > reach - least:  # a distance changes by at most the way
+        return least
+    worst = least
+    for m in range(EDGE_PARTS + 1):
+        for n in range(EDGE_PARTS + 1 - m):
+            p, q = m / EDGE_PARTS, n / EDGE_PARTS
+            r = 1.0 - p - q
+            depth = -gap(
+                kind, sizes, frame, p * ax + q * bx + r * cx, p * ay + q * by + r * cy, p * az + q * bz + r * cz
+            )[0]
+            worst = max(worst, depth)
+    return worst
 
 
 @kernel_njit()
@@ -52,18 +84,7 @@ def deepest_triangle(contacts, t, frame, triangles, u, least):  # type: ignore[n
         ax, ay, az, _, _, _ = patch(points, start, near, weights, i, 0.0, u, u)
         bx, by, bz, _, _, _ = patch(points, start, near, weights, triangles[k, 1], 0.0, u, u)
         cx, cy, cz, _, _, _ = patch(points, start, near, weights, triangles[k, 2], 0.0, u, u)
-        x, y, z = (ax + bx + cx) / 3, (ay + by + cy) / 3, (az + bz + cz) / 3
-        reach = max((ax - x) ** 2 + (ay - y) ** 2 + (az - z) ** 2, (bx - x) ** 2 + (by - y) ** 2 + (bz - z) ** 2)
-        reach = np.sqrt(max(reach, (cx - x) ** 2 + (cy - y) ** 2 + (cz - z) ** 2))
-        if gap(kind, sizes, frame, x, y, z)[0] > reach - worst:  # a distance changes by at most the way
-            continue
-        for m in range(EDGE_PARTS + 1):
-            for n in range(EDGE_PARTS + 1 - m):
-                p, q = m / EDGE_PARTS, n / EDGE_PARTS
-                r = 1.0 - p - q
-                depth = -gap(
-                    kind, sizes, frame, p * ax + q * bx + r * cx, p * ay + q * by + r * cy, p * az + q * bz + r * cz
-                )[0]
-                if depth > worst:
-                    worst, where = depth, k
+        depth = triangle_depth(kind, sizes, frame, (ax, ay, az), (bx, by, bz), (cx, cy, cz), worst)
+        if depth > worst:
+            worst, where = depth, k
     return worst, where

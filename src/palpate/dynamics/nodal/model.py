@@ -37,8 +37,9 @@ from palpate.dynamics.run.contact_state import (
     check_tool_step,
     initial_contact_state,
     next_contact_state,
+    steps_between_checks,
 )
-from palpate.dynamics.run.model import MANY_STEPS, Evaluation, Model, Nodes, Outputs, State, StepReport, initial_field
+from palpate.dynamics.run.model import Evaluation, Model, Nodes, Outputs, State, StepReport, initial_field
 from palpate.dynamics.run.reactions import NodalFields, nodal_outputs, tool_power
 from palpate.faults import number_in_range
 from palpate.meshfree.mirror import NO_MIRROR, Mirror, MirrorPlane
@@ -50,7 +51,6 @@ __all__ = ["NodalModel", "NodalWork", "nodal_data"]
 History = tuple[Floats, ...]
 
 MIN_STEP_SHARE = 0.1  # of the undamped stable step, below which stiffness damping causes a warning
-MAX_WAY_UNCHECKED = 0.5  # of a tool between two checks that it has not passed the surface, in spacings
 
 
 class NodalWork(NamedTuple):
@@ -395,14 +395,8 @@ class NodalModel(Model):
         return replace(new, external_work=new.external_work + tools), report
 
     def most_steps(self, state: State, prepared: PreparedLoads, step: float) -> int:
-        """Return the most steps [s] of one call, in which no tool moves far enough to pass the surface unnoticed."""
-        if not prepared.tools:
-            return super().most_steps(state, prepared, step)
-        times = state.time + step * np.array([0.0, 1.0, 10.0, 50.0])
-        poses = np.stack([tool.poses(times)[:, :3] for tool in prepared.tools])
-        ways = np.linalg.norm(np.diff(poses, axis=1), axis=2).max(axis=0)
-        way = float((ways / np.diff(times)).max()) * step
-        return max(1, int(MAX_WAY_UNCHECKED * self.cloud.spacing / way)) if way > 0 else MANY_STEPS
+        """As `steps_between_checks`."""
+        return steps_between_checks(prepared, state.time, step, self.cloud.spacing)
 
     def _touched_nodes(self) -> NDArray[np.int64]:
         """Return the nodes of the surface that tools can touch."""

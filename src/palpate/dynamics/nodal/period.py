@@ -30,7 +30,7 @@ from palpate.dynamics.compiled.reference import reference
 from palpate.dynamics.contact.geometry import Contacts, project
 from palpate.dynamics.contact.grip import COUNT, FRESH, Grip, begin_grip, hold_nodes, store_velocities
 from palpate.dynamics.contact.impulses import push_patches
-from palpate.dynamics.contact.penetration import deepest_triangle
+from palpate.dynamics.contact.penetration import SLOW_DEPTH, deepest_triangle, way_above_surface
 from palpate.dynamics.loads.prepared import LoadSites
 from palpate.dynamics.loads.supports import FIXED
 from palpate.dynamics.material.relaxation import HistoryCopy, copy_history, copy_values, reset_history
@@ -65,8 +65,6 @@ MAX_STEPS = 400  # in a period; beyond it the body's time runs slower
 MAX_ATTEMPTS, STIFFENING_FACTOR = 6, 1.6  # of a period, and factor of the frequency in the next attempt
 TRIALS_OF_ENERGY = 2  # repetitions after which a gain of energy is accepted that is not of this period
 HELD_ATTEMPT, STOPPED_ATTEMPT = 3, 5  # from which on the tool is held, and the body loses its velocities
-# depth of the surface in a tool from which on it is slowed, and its way in a period then, over the depth that holds it
-SLOW_DEPTH, SLOW_WAY = 0.8, 0.15
 CRUSHED_RATIO = 6.0  # frequency over that at rest from which on the tool does not move on
 STIFF_RATIO, STIFF_ESTIMATE = 1.5, 4  # frequency over that at rest from which on it is estimated after fewer periods
 MOST_STIFF = 100.0  # largest estimate over that at rest
@@ -210,8 +208,7 @@ def _hold_above_surface(data, u):  # type: ignore[no-untyped-def]
     depth = deepest_triangle(contacts, 0, data.path[START], data.triangles, u, least)[0]
     if depth <= least:
         return False, 0.0
-    left = max(0.0, limit - depth) / (limit - least)
-    return _pushes(data) and limit_path(data.path, left * SLOW_WAY * limit), depth / limit
+    return _pushes(data) and limit_path(data.path, way_above_surface(depth, limit)), depth / limit
 
 
 @kernel_njit(inner=True)

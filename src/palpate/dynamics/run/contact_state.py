@@ -10,7 +10,7 @@ from palpate.dynamics.contact.geometry import Contacts, compute_gaps, compute_pa
 from palpate.dynamics.contact.kinds import BLADE, BONDED, PLANE
 from palpate.dynamics.contact.penetration import MAX_SURFACE_DEPTH, deepest_triangle
 from palpate.dynamics.loads.prepared import LoadHistory, LoadSites, PreparedLoads
-from palpate.dynamics.run.model import ContactState
+from palpate.dynamics.run.model import MANY_STEPS, ContactState
 from palpate.faults import DivergenceError, InputError, first_few
 
 __all__ = [
@@ -19,12 +19,14 @@ __all__ = [
     "check_tool_step",
     "initial_contact_state",
     "next_contact_state",
+    "steps_between_checks",
 ]
 
 
 MAX_INITIAL_DEPTH = 1e-2  # penetration of a node at the start of a run, in spacings
 MAX_INTERIOR_SHARE = 0.5  # share of a tool's force on interior nodes
 MAX_TOOL_STEP = 0.5  # motion of a tool in a step, in its radii
+MAX_WAY_UNCHECKED = 0.5  # of a tool between two checks that it has not passed the surface, in spacings
 
 
 def check_initial_penetration(
@@ -126,6 +128,17 @@ def check_penetration(
                 f"Contact {tool.name!r} passed between the nodes of the surface by t = {schedule.times[-1]:.4g} s at "
                 f"node {node}{deep}; use a larger tool, a finer spacing, or press less"
             )
+
+
+def steps_between_checks(prepared: PreparedLoads, time: float, step: float, spacing: float) -> int:
+    """Return the most steps [s] of one call, in which no tool moves far enough to pass the surface unnoticed."""
+    if not prepared.tools:
+        return MANY_STEPS
+    times = time + step * np.array([0.0, 1.0, 10.0, 50.0])
+    poses = np.stack([tool.poses(times)[:, :3] for tool in prepared.tools])
+    ways = np.linalg.norm(np.diff(poses, axis=1), axis=2).max(axis=0)
+    way = float((ways / np.diff(times)).max()) * step
+    return max(1, int(MAX_WAY_UNCHECKED * spacing / way)) if way > 0 else MANY_STEPS
 
 
 def initial_contact_state(tools: int, nodes: int, time: float, surface: int = 0, prescribed: int = 0) -> ContactState:

@@ -23,6 +23,7 @@ from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.geometry import gap, material_velocity
 from palpate.dynamics.contact.held import press_held_nodes
 from palpate.dynamics.contact.kinds import BONDED
+from palpate.meshfree.cloud import MOVED_MARGIN
 from palpate.reduction.contact.compliance import energy_factor, pair, refresh, secant_factor, stiffened_force
 from palpate.reduction.contact.surface import PAIRS, SWEEPS, UNCONVERGED
 
@@ -87,7 +88,7 @@ def _bonded_position(surface, tools, t, i):  # type: ignore[no-untyped-def]
 @kernel_njit(inner=True)
 def _list_bonded(surface, contact, tools, t, a, v, step, count):  # type: ignore[no-untyped-def]
     """List the nodes that forceps hold; return the number of pairs and the largest displacement to the tool [m]."""
-    origin, radius = tools.origins[t], tools.sizes[t, 0] * (1.0 + 1e-9) + surface.grip_margin
+    origin, radius = tools.origins[t], tools.sizes[t, 0] * (1.0 + 1e-9) + MOVED_MARGIN * surface.spacing
     farthest, out = 0.0, contact.displacement
     released = not tools.frames[t, 1, 0, 3] < np.inf  # a pose of NaN releases the nodes
     for c in range(surface.leader.shape[0]):

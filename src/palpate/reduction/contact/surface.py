@@ -12,7 +12,7 @@ from palpate.arrays import Floats, Ints
 from palpate.dynamics.contact.geometry import HeldNodes, held_nodes, with_scratch
 from palpate.dynamics.contact.tools import Forceps
 from palpate.dynamics.loads.prepared import PreparedLoads
-from palpate.meshfree.cloud import MOVED_MARGIN
+from palpate.meshfree.cloud import Cloud
 from palpate.reduction.contact.compliance import (
     ActiveCompliance,
     ComplianceTable,
@@ -47,7 +47,8 @@ class ContactSurface(NamedTuple):
     start: Ints  # (c + 1,) first node of each cluster
     leader: Ints  # (c,) a node in the middle of each cluster
     extent: Floats  # (c,) largest distance from it at rest [m]
-    grip_margin: float  # distance beyond the radius of forceps up to which they hold nodes [m]
+    triangles: Ints  # (q, 3) of the surface, as numbers in `nodes`
+    spacing: float  # of the nodes [m]
     compliance: ComplianceTable
 
 
@@ -87,12 +88,18 @@ class ContactScratch(NamedTuple):
     factor: Floats  # (t,) secant factor of the compliance under each tool
     active: ActiveCompliance
     numbers: Ints  # (3,) see PAIRS, SWEEPS and UNCONVERGED
+    pair_of: Ints  # (k,) scratch
+    depth: Floats  # (t,) [m] of the surface's triangles in each tool, see `palpate.reduction.contact.penetration`
 
 
-def contact_surface(compliance: SurfaceCompliance, points: Floats, columns: Floats, spacing: float) -> ContactSurface:
-    """Return the contact surface, in clusters, of a body with nodes at (n, 3) and basis vectors (m, n, 3)."""
+def contact_surface(compliance: SurfaceCompliance, cloud: Cloud, columns: Floats) -> ContactSurface:
+    """Return the contact surface, in clusters, of a body's cloud and basis vectors (m, n, 3)."""
+    points = cloud.points
     order, start = _clusters(points[compliance.nodes], CLUSTER_SIZE)
     nodes = compliance.nodes[order]
+    number = np.full(len(points), -1)
+    number[nodes] = np.arange(len(nodes))
+    triangles = number[cloud.triangles].reshape(-1, 3)
     points, columns, table = points[nodes], columns[:, nodes], compliance_table(compliance, order)
     leader, extent = [], []
     for begin, end in pairwise(start):
@@ -107,7 +114,8 @@ def contact_surface(compliance: SurfaceCompliance, points: Floats, columns: Floa
         start=start,
         leader=np.array(leader, dtype=np.int64),
         extent=np.array(extent, dtype=float),
-        grip_margin=MOVED_MARGIN * spacing,
+        triangles=np.ascontiguousarray(triangles[(triangles >= 0).all(axis=1)], dtype=np.int64),
+        spacing=cloud.spacing,
         compliance=table,
     )
 
@@ -170,4 +178,6 @@ def contact_scratch(contact_surface: ContactSurface, tools: int) -> ContactScrat
         factor=np.ones(tools),
         active=active_compliance(contact_surface.compliance, tools),
         numbers=np.zeros(3, dtype=np.int64),
+        pair_of=np.zeros(len(contact_surface.nodes), dtype=np.int64),
+        depth=np.zeros(tools),
     )

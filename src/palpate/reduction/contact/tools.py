@@ -12,7 +12,9 @@ from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.run.contact_state import check_initial_penetration, check_tool_step, initial_contact_state
 from palpate.dynamics.run.model import ContactState
 from palpate.dynamics.run.trajectory import Trajectory
+from palpate.faults import DivergenceError
 from palpate.reduction.contact.compliance import SurfaceCompliance, contact_displacements
+from palpate.reduction.contact.penetration import MAX_DEPTH_BETWEEN_NODES, store_depths
 from palpate.reduction.contact.surface import ContactScratch, ContactSurface, RigidTools, contact_scratch, rigid_tools
 
 __all__ = ["ContactTools", "bonded_nodes", "contact_at_frame", "tool_displacements"]
@@ -54,6 +56,22 @@ class ContactTools:
             if isinstance(tool.tool, Forceps):
                 schedule.poses[times > tool.tool.until * (1 + 1e-9), t] = np.nan
         return schedule.poses
+
+    def check_penetration(self, time: float) -> None:
+        """Check that no tool has passed between the nodes in the last step, which ended at a time [s].
+
+        Raises
+        ------
+        DivergenceError
+            The surface is deeper in a tool than `MAX_DEPTH_BETWEEN_NODES`; the message names tool, time and depth.
+        """
+        store_depths(self.contact_surface, self.scratch, self.tools)
+        for tool, depth in zip(self.prepared.tools, self.scratch.depth, strict=True):
+            if depth > MAX_DEPTH_BETWEEN_NODES * self.contact_surface.spacing:
+                raise DivergenceError(
+                    f"Contact {tool.name!r} passed between the nodes of the surface by t = {time:.4g} s, where the "
+                    f"surface is {1e3 * depth:.3g} mm inside it; use a larger tool, a finer spacing, or press less"
+                )
 
     def final_state(self, before: ContactState | None) -> ContactState | None:
         """Return the contact state after some steps."""

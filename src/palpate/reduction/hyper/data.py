@@ -132,10 +132,7 @@ class ReducedData(Described):
     def surface(self) -> ContactSurface:
         """Contact surface; empty for a model without contact."""
         return contact_surface(
-            self.compliance or NO_COMPLIANCE,
-            self.cloud.points,
-            self.basis_vectors[: self.modes + self.lifting_count],
-            self.cloud.spacing,
+            self.compliance or NO_COMPLIANCE, self.cloud, self.basis_vectors[: self.modes + self.lifting_count]
         )
 
     def integration_points(

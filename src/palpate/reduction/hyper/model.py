@@ -19,6 +19,7 @@ from palpate.describe import Fact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.material.relaxation import restore_history, saved_history
 from palpate.dynamics.nodal.stability import stable_step
+from palpate.dynamics.run.contact_state import steps_between_checks
 from palpate.dynamics.run.model import Nodes, Outputs, State, StepReport, initial_field
 from palpate.dynamics.run.reactions import contact_outputs
 from palpate.dynamics.run.trajectory import Trajectory
@@ -199,6 +200,10 @@ class ReducedModel(CoordinateModel):
             return np.inf, state
         return stable_step(highest, self.stiffness_damping + springs.decay_rate / highest / highest), state
 
+    def most_steps(self, state: State, prepared: PreparedLoads, step: float) -> int:
+        """As `steps_between_checks`."""
+        return steps_between_checks(prepared, state.time, step, self.cloud.spacing)
+
     def advance(
         self,
         state: State,
@@ -221,6 +226,8 @@ class ReducedModel(CoordinateModel):
             done, lost, tool_work, estimate = self._implicit_steps(a, v, (state, prepared), (step, times), work)
         if history.branches.size:
             lost += float(np.sum(shear_weights(self.body.points) * history.lost) + history.volume_lost.sum())
+        if prepared.tools:
+            contact.check_penetration(float(times[-2]))
         new = State(
             coordinates=a,
             velocities=v,

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.lanes import column_work
+from palpate.dynamics.contact.penetration import MAX_SURFACE_DEPTH
 from palpate.dynamics.material.relaxation import HistoryCopy, copy_history, copy_values, reset_history
 from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN, TRUST
 from palpate.reduction.contact.gauss_seidel import (
@@ -25,6 +26,7 @@ from palpate.reduction.contact.gauss_seidel import (
     press,
     set_tool_path,
 )
+from palpate.reduction.contact.penetration import hold_above_surface, store_depths
 from palpate.reduction.contact.surface import PAIRS, ContactScratch, ContactSurface, RigidTools
 from palpate.reduction.contact.tangent import ContactSystem
 from palpate.reduction.galerkin.central_difference import drift, kick_coordinates, trial_coordinates
@@ -498,6 +500,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             data.tracking[ENERGY] = 0.0
         change_rates(data, q, v, target, period)
         set_tool_path(data.tools, data.home, target, at_rest)
+        hold_above_surface(data.contact_surface, data.contact_work, data.tools, data.home, target)
         save_start(data)
         attempts = 1 if data.step > 0.0 else MAX_ATTEMPTS
         refinement, taken, good, flexible = 1, 0, False, 0.0
@@ -529,14 +532,19 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         if has_residual_fields(data):
             report[TRUST] = max(report[TRUST], residual_norm(data, q, v))
         speed = np.sqrt(2.0 * report[KINETIC] / data.indicator.body_mass)
+        depth = 0.0
         if data.tools.kind.shape[0] > 0:
             speed = approach_speed(data.tools, data.contact_work.force, period)
+            store_depths(data.contact_surface, data.contact_work, data.tools)
+            if data.contact_work.depth[0] > MAX_SURFACE_DEPTH * data.contact_surface.spacing:
+                depth = data.contact_work.depth[0]
         nearness = contact_nearness(data.indicator.nearness, data.contact_work.force)
         report[TRUST] = max(
             report[TRUST],
             np.sqrt(flexible / data.indicator.flexibility_scale),
             touch_speed(speed, flexible, data.indicator.flexibility_scale) / data.indicator.speed_scale,
             nearness / data.indicator.nearness_scale,
+            depth / (MAX_SURFACE_DEPTH * data.contact_surface.spacing),
         )
         report[STEPS] = taken
 

@@ -1,0 +1,75 @@
+"""Depth of the surface of a reduced body in rigid tools, and a tool in real time that stays above it, compiled.
+
+The nodes in contact stay outside a tool. What lies between them need not: a small tool that stretches the surface
+passes between the nodes, and the forces on them then point to the wrong side.
+"""
+
+from __future__ import annotations
+
+from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.dynamics.contact.kinds import BONDED, PLANE
+from palpate.dynamics.contact.penetration import triangle_depth, way_above_surface
+from palpate.dynamics.nodal.tool_path import END, START, limit_path
+from palpate.reduction.contact.surface import PAIRS
+
+__all__ = ["MAX_DEPTH_BETWEEN_NODES", "hold_above_surface", "store_depths"]
+
+# of triangles between nodes in contact, in spacings; nodes alone keep a tool out here, and so a triangle is deeper than
+# in a full body, where middles of edges do, too: beyond `MAX_SURFACE_DEPTH` the force is not trusted
+MAX_DEPTH_BETWEEN_NODES = 0.5
+FREE_WAY, PRESSING_WAY = 1.0, 0.25  # of a tool in a period, in spacings; the latter along its force
+
+
+@kernel_njit()
+def store_depths(surface, contact, tools):  # type: ignore[no-untyped-def]
+    """Write the largest depths of triangles whose three nodes were in contact in the last step.
+
+    Parameters
+    ----------
+    surface, contact, tools : ContactSurface, ContactScratch, RigidTools
+        `contact.depth` is written.
+    """
+    pair_of, now = contact.pair_of, contact.now
+    for t in range(tools.kind.shape[0]):
+        contact.depth[t], kind, sizes, frame = 0.0, tools.kind[t], tools.sizes[t], tools.frames[t, 1]
+        if kind in (PLANE, BONDED) or contact.numbers[PAIRS] < 3:
+            continue
+        for e in range(contact.numbers[PAIRS]):
+            if contact.tool[e] == t:
+                pair_of[contact.node[e]] = e + 1
+        for k in range(surface.triangles.shape[0]):
+            i, j, m = (
+                pair_of[surface.triangles[k, 0]],
+                pair_of[surface.triangles[k, 1]],
+                pair_of[surface.triangles[k, 2]],
+            )
+            if min(i, j, m) > 0:
+                a, b, c = now[i - 1], now[j - 1], now[m - 1]
+                contact.depth[t] = triangle_depth(
+                    kind, sizes, frame, (a[0], a[1], a[2]), (b[0], b[1], b[2]), (c[0], c[1], c[2]), contact.depth[t]
+                )
+        for e in range(contact.numbers[PAIRS]):
+            pair_of[contact.node[e]] = 0
+
+
+@kernel_njit(inner=True)
+def hold_above_surface(surface, contact, tools, home, target):  # type: ignore[no-untyped-def]
+    """Shorten the way of the tool in a period where it could pass between the nodes.
+
+    It is held where it pushes on and the surface is `MAX_DEPTH_BETWEEN_NODES` deep in it. The pose that it
+    reaches is then written into the target (12,).
+    """
+    if tools.kind.shape[0] == 0 or tools.kind[0] == BONDED:
+        return
+    along, limit, path = 0.0, MAX_DEPTH_BETWEEN_NODES * surface.spacing, tools.path
+    for i in range(contact.force.shape[1]):
+        for d in range(3):
+            along += contact.force[0, i, d] * (path[END, d, 3] - path[START, d, 3])
+    most = (PRESSING_WAY if along > 0.0 else FREE_WAY) * surface.spacing
+    if along > 0.0:
+        most = min(most, way_above_surface(contact.depth[0], limit))
+    if limit_path(path, most):
+        for i in range(3):
+            target[i] = path[END, i, 3] - home[i, 3]
+            for j in range(3):
+                target[3 + 3 * i + j] = path[END, i, j] - (1.0 if i == j else 0.0)
