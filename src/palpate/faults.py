@@ -5,6 +5,7 @@ A message about an argument reads ``<argument> must be <condition>, got <value>;
 
 from __future__ import annotations
 
+import inspect
 import math
 import sys
 import warnings
@@ -22,6 +23,7 @@ __all__ = [
     "TrustWarning",
     "UnitWarning",
     "brief",
+    "check_arguments",
     "check_names",
     "integer_in_range",
     "number_in_range",
@@ -236,6 +238,27 @@ def warn_of_unit(name: str, value: float, low: float, high: float, unit: str, re
         level, frame = level + 1, frame.f_back
     message = f"{name} should be from {low:g} to {high:g} {unit}, got {value:.4g} {unit}; {remedy}"
     warnings.warn(message, UnitWarning, stacklevel=level)
+
+
+def check_arguments(function: Any, arguments: Iterable[str], name: str) -> None:
+    """Check that a user's function takes some positional arguments.
+
+    Raises
+    ------
+    InputError
+        It takes others; the message contains `name`, the arguments and those of the function.
+    """
+    arguments = list(arguments)
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):  # of compiled functions
+        return
+    try:
+        signature.bind(*arguments)
+    except TypeError:
+        raise InputError(
+            f"{name} must be a function of {' and '.join(arguments)}, got one with the arguments {signature}"
+        ) from None
 
 
 def brief(value: object) -> str:

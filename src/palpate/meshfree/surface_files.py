@@ -12,7 +12,7 @@ from palpate.faults import FileFormatError, InputError, brief, number_in_range
 from palpate.files import read_bytes, regular_file, shortened, unpack_gzip
 from palpate.meshfree.formats.common import Parts, triangle_count_error
 from palpate.meshfree.formats.gltf import read_glb, read_gltf
-from palpate.meshfree.formats.names import FORMATS_WITH_PARTS, SURFACE_FORMATS, format_of
+from palpate.meshfree.formats.names import FORMATS_WITH_PARTS, SURFACE_FORMATS, VOLUME_FORMATS, format_of
 from palpate.meshfree.formats.plain import read_obj, read_off, read_stl, read_trian
 from palpate.meshfree.formats.ply import read_ply
 from palpate.meshfree.formats.vtk import read_vtk
@@ -99,6 +99,11 @@ def read_surface(
         raise FileFormatError(
             f"{path} is a Gmsh file{_gmsh_version(path)} of a volume mesh; export its surface as STL, PLY or "
             f"OBJ (in Gmsh: File, Export)"
+        )
+    if kind in VOLUME_FORMATS:
+        raise FileFormatError(
+            f"{path} is {VOLUME_FORMATS[kind]}, a volume mesh; export its surface as STL, PLY or VTP (in ParaView: "
+            f"Filters, Extract Surface, then File, Save Data)"
         )
     if kind not in SURFACE_FORMATS:
         raise FileFormatError(f"{path}: the format must be one of {', '.join(SURFACE_FORMATS).upper()}, got {kind!r}")

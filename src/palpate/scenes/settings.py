@@ -49,6 +49,7 @@ FACTORS_BY_UNIT: dict[str, dict[str, float]] = {
     "J/m^2": {"J/m^2": 1.0, "mJ/cm^2": 10.0, "kJ/m^2": 1e3},
     "rad": {"rad": 1.0, "deg": math.pi / 180},
 }
+DECIMAL_COMMA = re.compile(r"\s*[-+]?\d*,\d", re.ASCII)
 QUANTITY_PATTERN = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*", re.ASCII)
 MAX_TEXT_CHARACTERS, MAX_ENTRIES = 4000, 10_000  # of a text; of a list
 MAX_PARAMETER_ENTRIES = 100  # of a list that is one parameter of a law
@@ -178,6 +179,8 @@ def quantity(value: Any, unit: str) -> float:
     factors = FACTORS_BY_UNIT[unit]
     example = f'"12 {next(iter(factors))}"' if unit else "0.3 or 30 %"
     match = QUANTITY_PATTERN.fullmatch(value) if isinstance(value, str) and len(value) <= MAX_TEXT_CHARACTERS else None
+    if isinstance(value, str) and DECIMAL_COMMA.match(value):
+        raise InputError(f"must have a decimal point, got {brief(value)}; write {value.replace(',', '.', 1)!r:.40}")
     if match is None:
         raise InputError(
             f"must be a number{f' [{unit}]' if unit else ''} or a text such as {example}, got {brief(value)}"

@@ -25,7 +25,7 @@ import numpy as np
 
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
-from palpate.faults import InputError, brief, check_names, first_few, number_in_range
+from palpate.faults import InputError, brief, check_arguments, check_names, first_few, number_in_range
 from palpate.tissue.materials import ShearLaw, parameter
 
 __all__ = ["MIN_VOLUME_RATIO", "FibreLaw", "Fibres", "Guccione", "VolumeOnly"]
@@ -81,7 +81,9 @@ class FibreLaw(Described, ABC):
         for each in fields(self):
             if each.metadata:
                 number_in_range(each.name, getattr(self, each.name), **each.metadata)
-        if not callable(self.directions):
+        if callable(self.directions):
+            check_arguments(self.directions, ("points",), "directions of fibres")
+        else:
             object.__setattr__(self, "directions", self._check_directions(self.directions))
 
     def _check_directions(self, given: Any) -> Floats:

@@ -26,9 +26,10 @@ STEP_PER_WAVE = 0.37  # stable step over the time of a pressure wave over a spac
 STEP_OVER_FORCE = 1.6  # time of a step over that of its force evaluation
 BUSY_SHARE = 0.6  # of the time, which the steps of a body in real time may take
 LEAST_NODES, MOST_NODES = 600, 40_000
-# of the force against nodes half as far apart: median and largest of eight presses of livers of 3,000 nodes
-# (validation/spacing_force.py); the nodes of half the spacing over those of the whole
-FORCE_ERRORS, FINER_NODES = (0.072, 0.13), 6.7
+# of a ball's force against finite elements: median and largest on bodies of 3,000 nodes, pressed by half of its radius
+# of 1.5 spacings or deeper (validation/elements.py)
+FORCE_ERRORS = 0.072, 0.13
+FINER_NODES = 6.7  # the nodes of half the spacing over those of the whole (validation/spacing_force.py)
 SAMPLE_SECONDS = 0.6  # of the measurement of this machine
 
 
@@ -141,13 +142,14 @@ def _prepared(scene: OrganScene, console: Console) -> OrganScene:
 
 
 def _force_line(nodes: int, realtime: bool) -> str:
-    """Return the error of the force at the spacing, and the nodes and the time at half of it."""
+    """Return the error of the force against finite elements, and the nodes and the time at half the spacing."""
     median, largest = FORCE_ERRORS
     times = 2 * FINER_NODES  # twice the steps
     cost = f"some {1 / (BUSY_SHARE * times):.1g} of real time" if realtime else f"{times:.0f} times the time"
     return (
-        f"force: that of half the spacing to {median:.0%} in the median and {largest:.0%} at most, measured on livers "
-        f"of 3,000 nodes; half the spacing here: about {FINER_NODES * nodes:,.0f} nodes, {cost}"
+        f"force: that of finite elements to {median:.0%} in the median and {largest:.0%} at most, measured with balls "
+        "of 1.5 spacings in radius on bodies of 3,000 nodes; half the spacing here: about "
+        f"{FINER_NODES * nodes:,.0f} nodes, {cost}"
     )
 
 

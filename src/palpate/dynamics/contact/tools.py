@@ -20,7 +20,7 @@ from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.kinds import BONDED, CAPSULE, PLANE, PUNCH
-from palpate.faults import InputError, brief, number_in_range
+from palpate.faults import InputError, brief, check_arguments, number_in_range
 from palpate.meshfree.cloud import MOVED_MARGIN, Cloud
 
 __all__ = [
@@ -406,8 +406,11 @@ def motion_function(motion: Motion, what: str) -> Motion:
     Raises
     ------
     InputError
-        Sampled arrays have inconsistent shapes, are not finite, or their times do not ascend.
+        Sampled arrays have inconsistent shapes, are not finite, or their times do not ascend; or a function takes
+        other arguments than the time.
     """
+    if callable(motion):
+        check_arguments(motion, ("time",), what)
     if callable(motion) or np.ndim(motion[0]) == 0 or (len(motion) == 2 and np.ndim(motion[1]) == 1):
         return motion
     if len(motion) not in (2, 3):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
-from palpate.faults import InputError
+from palpate.faults import InputError, check_arguments
 
 __all__ = ["PrescribedMotion"]
 
@@ -33,7 +33,7 @@ class PrescribedMotion(Described):
     Raises
     ------
     InputError
-        `until` is negative or not a number.
+        `until` is negative or not a number, or `displacement` is a function of other arguments.
 
     Examples
     --------
@@ -62,6 +62,10 @@ class PrescribedMotion(Described):
             raise InputError(
                 f"until of PrescribedMotion of {self.group!r} must be a time of at least 0 s, got {self.until!r}"
             )
+
+        if callable(self.displacement):
+            name = f"displacement of PrescribedMotion of {self.group!r}"
+            check_arguments(self.displacement, ("points", "time"), name)
 
     def _facts(self) -> list[Fact]:
         until = float(self.until) if self.until < np.inf else None

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from palpate.arrays import Floats
-from palpate.faults import InputError, brief
+from palpate.faults import InputError, brief, check_arguments
 
 __all__ = ["Vector", "arrays_at", "scalars_at", "vectors_at"]
 
@@ -28,16 +28,22 @@ def vectors_at(value: Vector | None, times: Floats, name: str) -> Floats:
     Raises
     ------
     InputError
-        A value has another shape or is not finite.
+        A value has another shape or is not finite, or the function takes other arguments.
     """
     if value is None:
         return np.zeros((len(times), 3))
-    return arrays_at([value(float(t)) if callable(value) else value for t in times], (3,), times, name)
+    return _values_at(value, (3,), times, name)
 
 
 def scalars_at(value: float | Callable[[float], float], times: Floats, name: str) -> Floats:
     """Return the values (t,) of a number or of a function of time [s]; errors as in `vectors_at`."""
-    return arrays_at([value(float(t)) if callable(value) else value for t in times], (), times, name)
+    return _values_at(value, (), times, name)
+
+
+def _values_at(value: Any, shape: tuple[int, ...], times: Floats, name: str) -> Floats:
+    if callable(value):
+        check_arguments(value, ("time",), name)
+    return arrays_at([value(float(t)) if callable(value) else value for t in times], shape, times, name)
 
 
 def arrays_at(values: list[Any], shape: tuple[int, ...], times: Floats, name: str) -> Floats:

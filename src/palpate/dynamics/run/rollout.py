@@ -324,6 +324,12 @@ def _divergence(
     if node is not None:
         where = f"{which} node {node} at {np.array2string(model.cloud.points[node], precision=4)} m"
     more_damping = 2 * max(model.stiffness_damping, 1e-5)
+    stable = model.stable_step(model.state(prepared), prepared)[0]
+    if step > stable * (1 + 1e-6):  # of a user
+        return DivergenceError(
+            f"{what} at t = {state.time:.5g} s; {where}: the step of {step:.3g} s is longer than the stable one of "
+            f"{stable:.3g} s at rest. Omit step=, or use a shorter one"
+        )
     return DivergenceError(
         f"{what} at t = {state.time:.5g} s; {where}, step {step:.3g} s, stiffness damping "
         f"{model.stiffness_damping:.3g} s. Try more damping (stiffness_damping={more_damping:.2g}), smaller loads, or "

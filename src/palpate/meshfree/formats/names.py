@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from pathlib import PurePath
 
-__all__ = ["FORMATS_WITH_PARTS", "GZIP_SUFFIX", "SURFACE_FORMATS", "format_of", "listed_formats"]
+__all__ = ["FORMATS_WITH_PARTS", "GZIP_SUFFIX", "SURFACE_FORMATS", "VOLUME_FORMATS", "format_of", "listed_formats"]
 
 SURFACE_FORMATS = {
     "stl": "STL", "obj": "OBJ", "ply": "PLY", "off": "OFF", "glb": "GLB", "gltf": "glTF", "vtk": "VTK", "vtp": "VTP",
     "trian": "trian",
+}  # fmt: skip
+VOLUME_FORMATS = {  # which are refused
+    "vtu": "a VTK unstructured grid", "pvtu": "a parallel VTK unstructured grid", "inp": "an Abaqus input file",
+    "mesh": "a Medit mesh", "e": "an Exodus mesh", "exo": "an Exodus mesh", "feb": "a FEBio model",
 }  # fmt: skip
 FORMATS_WITH_PARTS = ("glb", "gltf", "obj", "stl")
 GZIP_SUFFIX = "gz"  # suffix after that of the format
