@@ -21,10 +21,12 @@ from palpate.meshfree.surfaces import (
     pinched_vertices,
 )
 
-__all__ = ["TYPICAL_VOLUME", "SurfaceReport", "check_surface", "shape_problems"]
+__all__ = ["METRES_BY_UNIT", "SurfaceReport", "check_surface", "guessed_units", "shape_problems"]
 
 PLAUSIBLE_VOLUMES = (2e-6, 2e-2)  # [m^3] of an organ
 TYPICAL_VOLUME = 5e-4  # [m^3] of an organ: geometric mean of an adrenal gland and a liver
+OPEN_SHARE = 0.05  # volume of an organ over the cube of its diagonal, for a surface that is open
+METRES_BY_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
 UNIT_FACTORS = (1e-1, 10.0, 1e-2, 100.0, 1e-3, 1000.0)  # between metres, centimetres and millimetres
 # smallest mean thickness 2 V / A over the cube root of V: 0.33 for a cube, 0.12 for a plate 20 times as wide as thick
 MIN_THICKNESS_RATIO = 0.05
@@ -218,6 +220,17 @@ def _volume_problems(surface: Surface, label: Ints) -> list[SurfaceProblem]:
             )
         )  # fmt: skip
     return problems
+
+
+def guessed_units(surface: Surface) -> str:
+    """Return the metric unit in which the volume of a surface is nearest to that of an organ."""
+    volume = max(abs(surface.volume) if surface.closed else (OPEN_SHARE * surface.size**3), 1e-300)
+    away = {
+        name: abs(np.log(volume * metres**3 / TYPICAL_VOLUME))
+        for name, metres in METRES_BY_UNIT.items()
+        if name != "in"
+    }
+    return min(away, key=away.__getitem__)
 
 
 def _litres(volumes: Floats) -> str:

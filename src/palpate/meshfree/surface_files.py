@@ -17,20 +17,18 @@ from palpate.meshfree.formats.plain import read_obj, read_off, read_stl, read_tr
 from palpate.meshfree.formats.ply import read_ply
 from palpate.meshfree.formats.vtk import read_vtk
 from palpate.meshfree.formats.vtp import read_vtp
-from palpate.meshfree.surface_checks import TYPICAL_VOLUME
+from palpate.meshfree.surface_checks import METRES_BY_UNIT, guessed_units
 from palpate.meshfree.surface_parts import MAX_PARTS, choose_body, join_parts, matching_parts, names_text
 from palpate.meshfree.surface_repair import repair_surface
 from palpate.meshfree.surfaces import MAX_TRIANGLES, Surface, scaled, weld
 
 __all__ = ["METRES_BY_UNIT", "read_surface"]
 
-METRES_BY_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
 READER_BY_FORMAT = {
     "stl": read_stl, "obj": read_obj, "ply": read_ply, "off": read_off, "glb": read_glb, "gltf": read_gltf,
     "vtk": read_vtk, "vtp": read_vtp, "trian": read_trian,
 }  # fmt: skip
 MAX_BYTES = 300_000_000  # of a file, packed or not
-OPEN_SHARE = 0.05  # volume of an organ over the cube of its diagonal, for a surface that is open
 
 
 def read_surface(
@@ -109,8 +107,8 @@ def read_surface(
         raise FileFormatError(f"{path}: the format must be one of {', '.join(SURFACE_FORMATS).upper()}, got {kind!r}")
     if part is not None and kind not in FORMATS_WITH_PARTS:
         raise InputError(f"part must be omitted for {kind.upper()} files, which have no named parts, got {brief(part)}")
-    surface = _read(path, kind, packed, part, repair)
-    return scaled(_in_metres(surface, "m" if units is None and kind in ("glb", "gltf") else units), scale)
+    units = "m" if units is None and kind in ("glb", "gltf") else units
+    return scaled(_in_metres(_read(path, kind, packed, part, repair, units), units), scale)
 
 
 def _gmsh_version(path: Path) -> str:
@@ -122,7 +120,9 @@ def _gmsh_version(path: Path) -> str:
     return f" of version {shortened(version[0].decode(errors='replace'), 10)}" if version else ""
 
 
-def _read(path: Path, kind: str, packed: bool, part: str | Sequence[str] | None, repair: bool) -> Surface:
+def _read(
+    path: Path, kind: str, packed: bool, part: str | Sequence[str] | None, repair: bool, units: str | None
+) -> Surface:
     """Return the welded or repaired surface of a file, or of parts of it."""
     finish = repair_surface if repair else weld
     data = read_bytes(path, "surface file", MAX_BYTES)
@@ -146,7 +146,7 @@ def _read(path: Path, kind: str, packed: bool, part: str | Sequence[str] | None,
     if not surfaces:
         raise FileFormatError(f"{path} must hold triangles, got none")
     if part is None and len(surfaces) > 1:
-        return choose_body(surfaces, path.name, finish)
+        return choose_body(surfaces, path.name, finish, units)
     return finish(join_parts(surfaces, path.name if part is None else f"{path.name}, part {names_text(names, 3)}"))
 
 
@@ -176,17 +176,11 @@ def _surfaces(parts: Parts, names: Sequence[str], file: str) -> dict[str, Surfac
 def _in_metres(surface: Surface, units: str | None) -> Surface:
     warnings = surface.warnings
     if units is None:
-        volume = max(abs(surface.volume) if surface.closed else (OPEN_SHARE * surface.size**3), 1e-300)
-        away = {
-            name: abs(np.log(volume * scale**3 / TYPICAL_VOLUME))
-            for name, scale in METRES_BY_UNIT.items()
-            if name != "in"
-        }
-        units = min(away, key=away.__getitem__)
+        units = guessed_units(surface)
         guess = (
             f"{surface.name} does not state its units: {units} assumed, for "
             + (
-                f"a volume of {1e3 * volume * METRES_BY_UNIT[units] ** 3:.3g} litres"
+                f"a volume of {1e3 * abs(surface.volume) * METRES_BY_UNIT[units] ** 3:.3g} litres"
                 if surface.closed
                 else f"an open surface {1e3 * surface.size * METRES_BY_UNIT[units]:.3g} mm long"
             )

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from palpate.arrays import Floats, Ints
 from palpate.faults import InputError
 from palpate.files import shortened
-from palpate.meshfree.surface_checks import shape_problems
+from palpate.meshfree.surface_checks import METRES_BY_UNIT, guessed_units, shape_problems
 from palpate.meshfree.surfaces import Surface, SurfaceProblem, coincident_vertices, directed_edges, weld
 
 __all__ = ["MAX_PARTS", "choose_body", "join_parts", "matching_parts", "names_text"]
@@ -35,13 +35,14 @@ BOX_SLACK = 0.02  # of the size, by which an enclosed body may exceed the boundi
 
 @dataclass(frozen=True)
 class Body:
-    """Closed body of a file: the names of its parts and its repaired surface."""
+    """Closed body of a file: the names of its parts and its repaired surface, in a unit of so many metres."""
 
     names: tuple[str, ...]
     surface: Surface
+    metres: float = 1.0
 
     def __str__(self) -> str:
-        return f"{names_text(self.names, 3)} ({1e3 * abs(self.surface.volume):.3g} litres)"
+        return f"{names_text(self.names, 3)} ({1e3 * abs(self.surface.volume) * self.metres**3:.3g} litres)"
 
 
 def names_text(names: Sequence[str], most: int = MAX_LISTED_NAMES) -> str:
@@ -197,7 +198,9 @@ def _without_inner_walls(triangles: Ints, owner: Ints) -> Ints:
 # ---- choice
 
 
-def choose_body(parts: Mapping[str, Surface], name: str, finish: Callable[[Surface], Surface]) -> Surface:
+def choose_body(
+    parts: Mapping[str, Surface], name: str, finish: Callable[[Surface], Surface], units: str | None = None
+) -> Surface:
     """Return the body of a file of several parts that plainly is the organ, with a warning that names it.
 
     Parameters
@@ -208,6 +211,8 @@ def choose_body(parts: Mapping[str, Surface], name: str, finish: Callable[[Surfa
         Of the file.
     finish : function
         Welds or repairs a surface.
+    units : str, optional
+        Of the file; by default those of the largest body, if it is an organ.
 
     Raises
     ------
@@ -226,6 +231,8 @@ def choose_body(parts: Mapping[str, Surface], name: str, finish: Callable[[Surfa
             f"part must be given for a file of {len(parts)} parts, none of which is closed by itself{why}; choose one "
             f"of {names_text(sorted(parts))}, or several that are closed together"
         )
+    metres = METRES_BY_UNIT[units or guessed_units(bodies[0].surface)]
+    bodies = [replace(body, metres=metres) for body in bodies]
     chosen = _enclosing(bodies, np.concatenate([each.vertices for each in parts.values()]))
     if chosen is None:
         listed = "; ".join(map(str, bodies[:12])) + "; ..." * (len(bodies) > 12)

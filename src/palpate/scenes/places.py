@@ -18,7 +18,8 @@ from palpate.meshfree.cell_fractions import cell_fractions
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.nesting import inside_points
 from palpate.meshfree.refining import refine_surface
-from palpate.meshfree.surface_files import METRES_BY_UNIT, read_surface
+from palpate.meshfree.surface_checks import METRES_BY_UNIT
+from palpate.meshfree.surface_files import read_surface
 from palpate.meshfree.surfaces import Surface
 from palpate.scenes.description import Near, Painted, Place, Shape
 from palpate.scenes.painted import read_painted

@@ -16,7 +16,7 @@ from palpate.app.models.touch import TRAINED_NODES, fitting_scene, spacing_for
 from palpate.app.new.text import scene_text
 from palpate.faults import InputError
 from palpate.files import check_folder, whole_file, write_json
-from palpate.meshfree.surface_files import METRES_BY_UNIT
+from palpate.meshfree.surface_checks import METRES_BY_UNIT
 from palpate.scenes.names import is_scene_file
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.organ_scene import OrganScene
