@@ -92,6 +92,15 @@ def test_the_whole_of_one_part_is_preferred_to_the_same_of_several():
     assert "whole (0.519 litres) chosen" in chosen.warnings[0]
 
 
+@pytest.mark.parametrize("units", ["mm", None])
+def test_volumes_are_those_in_the_units_of_the_file(units):
+    parts = {
+        name: pt.Surface(1e3 * each.vertices, each.triangles)
+        for name, each in (("organ", ball()), ("strip", sheet(0.03)))
+    }
+    assert "organ (0.519 litres) chosen" in choose_body(parts, "file", weld, units).warnings[0]
+
+
 def test_bodies_side_by_side_are_named_with_their_volumes():
     parts = {"left": ball(), "right": ball(0.04, centre=(0.2, 0, 0)), "open": sheet()}
     with pytest.raises(pt.InputError, match=r"closed are: left \(0.519 litres\); right \(0.263 litres\)"):

@@ -187,6 +187,7 @@ def test_units_are_guessed_from_an_organs_size_with_a_warning(scale, units, tmp_
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
+        ("liver.vtu", b"<VTKFile/>", "a VTK unstructured grid, a volume mesh; export its surface"),
         ("liver.msh", b"$NOD\n181\n", "Gmsh file of version 1"),
         ("liver.msh", b"$MeshFormat\n4.1 0 8\n", "Gmsh file of version 4.1"),
         ("liver.doc", b"x", "got 'doc'"),

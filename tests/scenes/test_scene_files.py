@@ -273,6 +273,7 @@ WRONG = [  # replaced, by what, line, what is said
     ('parameters = { C1 = "1.5 kPa" }', "parameters = 3", 10, "tissue.parameters must be a table such as"),
     ('"1.5 kPa" }', "[[1]] }", 10, "tissue.parameters.C1 must be a number, or a text with a unit, got [[1]]"),
     ('"1.5 kPa" }', "1979-05-27 }", 10, "tissue.parameters.C1 must be a number, or a text with a unit, got"),
+    ('spacing = "10 mm"', 'spacing = "10,5 mm"', 7, "body.spacing must have a decimal point, got '10,5 mm'; write"),
     ("mass_damping = 0", "mass_damping = -1", 11, "tissue.mass_damping must be in [0, 1000] 1/s, got -1"),
     ("mass_damping = 0", "relaxation = { shares = [0.1] }", 11, "tissue.relaxation.times must be given in [tissue"),
     ('group = "x-" }', 'group = "x-", side = "x-" }', 14, "support[1].place must be one of side, group,"),

@@ -273,7 +273,7 @@ def test_what_cannot_be_reached_is_refused_by_name():
     long = pt.box((0.16, 0.06, 0.06), 0.01)
     everywhere = cloud.with_group("all", np.arange(len(cloud)))
     for arguments, message in (
-        ((Body(cloud), 0.019, 0.01, 0.2, 0.0), "radius must be in .*0.02.*got 0.019"),
+        ((Body(cloud), 0.019, 0.01, 0.2, 0.0), "radius of .tool. must be at least 2 spacings = 0.02 m, got 0.019"),
         ((Body(cloud), 0.04, 0.01, 0.2, 0.0), "radius must be less than half the body's size of 0.08 m, got 0.04 m"),
         ((Body(everywhere, ("all",)), 0.02, 0.01, 0.2, 0.0), "got supports at all surface nodes; support fewer"),
         ((Body(long, ("z-", "y-", "y+")), 0.035, 0.01, 0.2, 0.0), "radius must be at most 0.03 m, .* got 0.035 m; use"),

@@ -43,7 +43,7 @@ from palpate.scenes.organ import liver_surface
 from palpate.scenes.places import PlaceFinder, side_mask
 from palpate.scenes.scene_paths import MIN_DEPTH_RATIO, HeldMotion, held_motion, touching_paths
 from palpate.scenes.tissue import fibres_of, material_of
-from palpate.scenes.tool_paths import ToolPaths
+from palpate.scenes.tool_paths import ToolPaths, check_radius
 from palpate.tissue.materials import Material
 
 __all__ = ["OrganScene"]
@@ -294,7 +294,10 @@ class OrganScene(Described):
         deepest : float [m]
         shallowest : float
         """
-        about, touched = self.description, self.body if body is None else body
+        about = self.description
+        if body is None and about.tool.radius is not None and about.body.spacing is not None:  # before it is filled
+            check_radius(about.tool.radius, about.body.spacing)
+        touched = self.body if body is None else body
         return touching_paths(about.tool, about.training, touched, self.foundations, deepest, shallowest)
 
     def held_motion(self, seed: int, lasting: float) -> HeldMotion:

@@ -31,7 +31,7 @@ from palpate.reduction.hyper.model import ReducedModel
 from palpate.scenes.free_surface import FreeSurface
 from palpate.scenes.scene import CAMPAIGN_SEEDS, TRAINING_SEEDS
 
-__all__ = ["ToolPaths"]
+__all__ = ["ToolPaths", "check_radius"]
 
 MIN_RADIUS = 2.0  # [spacings] of the ball, so that nodes resolve the surface under it
 CLEARANCE_RADII = 0.2  # [radii] between ball and body near a press; twice that before and after
@@ -59,6 +59,15 @@ class _Place(NamedTuple):
     touch: Floats
     normal: Floats
     depth: float
+
+
+def check_radius(radius: float, spacing: float) -> None:
+    """Raise `InputError` for a ball whose radius [m] is too small for a spacing [m]."""
+    if not radius >= MIN_RADIUS * spacing * (1 - 1e-9):
+        raise InputError(
+            f"radius of [tool] must be at least {MIN_RADIUS:g} spacings = {MIN_RADIUS * spacing:g} m, got "
+            f"{radius:g} m; use a larger tool or a finer spacing"
+        )
 
 
 class ToolPaths:
@@ -125,7 +134,8 @@ class ToolPaths:
         self.others = tuple(others)
         self.surface = surface = FreeSurface(body)
         spacing = surface.cloud.spacing
-        self.radius = number_in_range("radius", radius, MIN_RADIUS * spacing * (1 - 1e-9), unit="m")
+        self.radius = number_in_range("radius", radius, unit="m")
+        check_radius(self.radius, spacing)
         self.depth = number_in_range("depth", depth, 0.0, open_low=True, unit="m")
         self.friction = number_in_range("friction", friction, 0.0)
         self.slide = number_in_range("slide", slide, 0.0, unit="m")

@@ -184,3 +184,20 @@ def test_a_square_bar_twists_by_saint_venants_formula(tissue):
     limit = (16 * fine - 9 * coarse) / (16 - 9)  # the error falls as the square of the spacing
     assert abs(fine - expected) < abs(coarse - expected)
     assert limit == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("load", "said"),
+    [
+        (lambda: pt.PrescribedMotion("x+", lambda t: (t, 0, 0)), r"a function of points and time, got .* \(t\)"),
+        (lambda: pt.SurfaceForce("x+", force=lambda: (1, 0, 0)), r"force .* must be a function of time, got .* \(\)"),
+        (
+            lambda: pt.tools.Contact(pt.tools.Sphere(0.01), lambda p, t: (t, 0, 1)),
+            "motion .* must be a function of time",
+        ),
+    ],
+)
+def test_functions_of_other_arguments_are_refused(load, said):
+    bar = pt.Solid(pt.box((0.03, 0.015, 0.015), 0.005), pt.materials.NeoHookean(C1=1e3, density=1e3, poisson=0.4), "x-")
+    with pytest.raises(pt.InputError, match=said):
+        pt.rollout(bar, [load()], duration=0.01, every=0.01, progress=False)
