@@ -52,4 +52,4 @@ def test_all_nodes_and_all_pressures_with_fibres_and_relaxation_are_the_galerkin
         np.testing.assert_allclose(whole.body.force(a), expected, atol=1e-9 * np.abs(expected).max())
         assert whole.body.energy(a) == pytest.approx(body.strain_energy(u), rel=1e-9)
         errors.append(np.abs(some.body.force(a) - expected).max() / np.abs(expected).max())
-    assert 1e-4 < errors[0] < 0.01 < errors[1] < 0.06  # so it is the pressures alone
+    assert 1e-4 < errors[0] < 0.008 < errors[1] < 0.06  # so it is the pressures alone
