@@ -61,6 +61,16 @@ def test_vertical_lines_cross_a_ball_at_its_height():
     assert np.sum(np.diff(height.reshape(-1, 2), axis=1)) * 0.00513**2 == pytest.approx(body.volume, rel=0.02)
 
 
+def test_corners_that_differ_by_rounding_are_one():
+    body = pt.liver_surface()
+    soup = body.vertices[body.triangles].reshape(-1, 3)
+    noisy = soup + 5e-8 * body.size * np.random.default_rng(0).uniform(-1, 1, soup.shape)
+    own = weld(pt.Surface(noisy, np.arange(len(noisy)).reshape(-1, 3)))
+    assert (len(own.vertices), len(own.triangles)) == (len(body.vertices), len(body.triangles))
+    assert own.closed
+    assert own.volume == pytest.approx(body.volume, rel=1e-6)
+
+
 def test_welding_joins_coincident_vertices_and_drops_triangles_without_area():
     body = cube()
     loose = pt.Surface(body.vertices[body.triangles].reshape(-1, 3), np.arange(3 * len(body.triangles)).reshape(-1, 3))

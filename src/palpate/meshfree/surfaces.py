@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats, Ints
 from palpate.describe import Described, Fact
@@ -227,10 +228,18 @@ def weld(surface: Surface) -> Surface:
 
 def coincident_vertices(vertices: Floats, size: float) -> tuple[Ints, Ints]:
     """Return the first vertex at each place, within a millionth of the size, and the place of each vertex."""
-    cells = np.rint(vertices / (WELD_TOLERANCE * size)).astype(np.int64)
+    tolerance = WELD_TOLERANCE * size
+    cells = np.rint(vertices / tolerance).astype(np.int64)
     x, y, z = (cells - cells.min(axis=0)).T  # below 2^20 each
     _, first, label = np.unique((x << 42) | (y << 21) | z, return_index=True, return_inverse=True)
-    return first, label.ravel()
+    pairs = cKDTree(vertices[first]).query_pairs(tolerance, output_type="ndarray")
+    if len(pairs):  # of a place on the border of two cells
+        graph = sparse.coo_matrix((np.ones(len(pairs)), pairs.T), (len(first), len(first)))
+        count, place = connected_components(graph, directed=False)
+        joined = np.full(count, len(vertices))
+        np.minimum.at(joined, place, first)
+        first, label = joined, place[label.ravel()]
+    return first, np.asarray(label.ravel(), dtype=np.int64)
 
 
 def directed_edges(triangles: Ints) -> tuple[Ints, Ints]:
