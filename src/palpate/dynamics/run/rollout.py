@@ -324,7 +324,7 @@ def _divergence(
     if node is not None:
         where = f"{which} node {node} at {np.array2string(model.cloud.points[node], precision=4)} m"
     more_damping = 2 * max(model.stiffness_damping, 1e-5)
-    stable = model.stable_step(model.state(prepared), prepared)[0]
+    stable = model.stable_step(model.state(prepared), prepared, None)[0]
     if step > stable * (1 + 1e-6):  # of a user
         return DivergenceError(
             f"{what} at t = {state.time:.5g} s; {where}: the step of {step:.3g} s is longer than the stable one of "
