@@ -48,10 +48,14 @@ def support_nodes(it: Case, cloud: pt.Cloud) -> np.ndarray:
     return surface_mask(cloud) & (away <= BORDER_MARGIN * cloud.spacing)
 
 
-def body_of(it: Case, spacing: float, seed: int, damping: float) -> pt.Solid:
-    """Return a case's full body, its mass damping [1/s]."""
+def cloud_of(it: Case, spacing: float, seed: int) -> pt.Cloud:
+    """Return a case's cloud, with the group of its support."""
     cloud = pt.fill((it.vertices, it.faces), spacing, seed=seed)
-    cloud = cloud.with_group("held", support_nodes(it, cloud))
+    return cloud.with_group("held", support_nodes(it, cloud))
+
+
+def body_of(it: Case, cloud: pt.Cloud, damping: float = 0.0) -> pt.Solid:
+    """Return a case's full body with some mass damping [1/s]."""
     stiffness = None
     if it.inclusion is not None:
         centre, radius, factor = it.inclusion
@@ -145,8 +149,7 @@ def press(body: pt.Solid, it: Case, radius: float, depths: list[float], hold: fl
 def compare(name: str, truth: dict[str, Any], scale: float, seed: int) -> dict[str, Any]:
     """Return the relative errors of a case at a spacing."""
     it, begin = case(name), time.perf_counter()
-    lowest = truth["frequencies"]["value"][0]  # [rad/s]
-    body = body_of(it, scale * it.spacing, seed, 2 * lowest)
+    body = body_of(it, cloud_of(it, scale * it.spacing, seed))
     row: dict[str, Any] = {
         "case": name,
         "scale": scale,
@@ -167,7 +170,9 @@ def compare(name: str, truth: dict[str, Any], scale: float, seed: int) -> dict[s
         if radius < body.cloud.spacing:
             continue  # refused
         exact = [(b["depth"], b["force"]) for b in truth["balls"] if b["radius"] == radius]
-        forces = press(body, it, radius, [d for d, _ in exact], HOLD_TIME / lowest)
+        lowest = linear.frequencies(1)[0]  # [rad/s]
+        damped = body_of(it, body.cloud, 2 * lowest)
+        forces = press(damped, it, radius, [d for d, _ in exact], HOLD_TIME / lowest)
         errors = [None if f is None else f / e - 1 for f, (_, e) in zip(forces, exact, strict=True)]
         row["balls"].append({"radius": radius / body.cloud.spacing, "depths": [d for d, _ in exact], "errors": errors})
     row["seconds"] = round(time.perf_counter() - begin, 1)

@@ -115,7 +115,7 @@ def readme_figures(elements: list[Row], organs: list[Row], bench: Row, beam: Row
     organ_command, bench_command = "`python validation/organ_models.py`", "`palpate bench`"
     rows = [
         [
-            f"full bodies of 3,000 nodes against finite elements, {len({row['case'] for row in fine})} organs: largest "
+            f"full bodies of 3,000 nodes against finite elements, {len({row['case'] for row in fine})} bodies: largest "
             "error of frequencies; of sag; of the force on a disc of three spacings",
             "; ".join(worst), "`python validation/elements.py`",
         ],

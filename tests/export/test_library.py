@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exported import BALL, FORCE, SIZE, Engine, Library, pose_at, set_tool, step_through
+from exported import BALL, FORCE, SIZE, SPACING, Engine, Library, pose_at, set_tool, step_through
 
 import palpate as pt
 from palpate.dynamics.contact import kinds
@@ -85,6 +85,15 @@ def test_other_tools_press_as_in_the_engine(library, model_file, kind, sizes, he
     forces = np.array(records)[:, :, FORCE : FORCE + 3]
     assert forces[0, -1, 2] > 0.1
     np.testing.assert_allclose(forces[0], forces[1], rtol=0, atol=1e-12 * np.abs(forces).max())
+
+
+def test_a_small_ball_is_held_and_not_trusted_where_it_would_pass_between_the_nodes(library):
+    radius = 1.02 * SPACING
+    set_tool(library, 0, (radius, 0.0, 0.0), (0.025, 0.035, SIZE[2] + radius + 0.001), 0.0)
+    deep = 0.025
+    records = [step(library, (0.0, 0.0, -deep * min(1.0, k / 800), 1, 0, 0, 0)) for k in range(1000)]
+    assert records[-1][field_offset("trust")] > 1.0
+    assert records[-1][FORCE + 2] > 0.5  # on the ball, which has not passed
 
 
 def test_vertices_are_those_that_the_page_draws(library, model_file):

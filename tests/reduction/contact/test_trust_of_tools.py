@@ -137,6 +137,7 @@ def test_a_tool_next_to_a_support_is_not_trusted(model):
     near = only(model, "nearness_scale")
     low, high = (run(near, press(0.024, height, 0.003, axis=0)).trust.max() for height in (0.008, 0.03))
     assert low > 4 * high
+    assert high < 1.5
     assert run(near, press(0.024, 0.024, 0.003)).trust.max() <= 1.1
 
 

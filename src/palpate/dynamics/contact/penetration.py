@@ -16,14 +16,14 @@ from palpate.dynamics.contact.kinds import BLADE, BONDED, PLANE
 __all__ = ["MAX_SURFACE_DEPTH", "SLOW_DEPTH", "deepest_triangle", "triangle_depth", "way_above_surface"]
 
 MAX_SURFACE_DEPTH = 0.3  # of the surface in a tool, in spacings; deeper, a tool passes between the nodes
-# depth of the surface in a tool from which on it is slowed, and its way in a period then, over the largest depth
+# depth of the surface in a tool from which on it is slowed, and how far it may then move in a period, over the largest
 SLOW_DEPTH, SLOW_WAY = 0.8, 0.15
 EDGE_PARTS = 4  # of the edges of a triangle, between the points whose depths are compared
 
 
 @kernel_njit(inner=True)
 def way_above_surface(depth, limit):  # type: ignore[no-untyped-def]
-    """Return the way [m] of a pushing tool in a period: slower from `SLOW_DEPTH` on, zero at the largest depth."""
+    """Return how far [m] a pushing tool may move in a period: less from `SLOW_DEPTH` on, zero at the largest depth."""
     least = SLOW_DEPTH * limit
     return np.inf if depth <= least else max(0.0, limit - depth) / (limit - least) * SLOW_WAY * limit
 

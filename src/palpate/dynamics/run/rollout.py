@@ -136,6 +136,12 @@ def rollout(
                 report_progress(reached.time - start, perf_counter() - began)
     except DivergenceError as error:
         error.trajectory = recorder.close(perf_counter() - began, complete=False, bounds=bounds)
+        stable = np.inf if step is None else model.stable_step(state, prepared, work)[0]
+        if step is not None and step > stable:
+            error.args = (
+                f"step must be at most {stable:.3g} s, the stable one at the start, got {step:.3g} s; omit it, or use "
+                f"a shorter one: {str(error).partition(';')[0]}",
+            )
         raise
     except BaseException:
         recorder.close(perf_counter() - began, complete=False, bounds=bounds)
@@ -324,12 +330,6 @@ def _divergence(
     if node is not None:
         where = f"{which} node {node} at {np.array2string(model.cloud.points[node], precision=4)} m"
     more_damping = 2 * max(model.stiffness_damping, 1e-5)
-    stable = model.stable_step(model.state(prepared), prepared, None)[0]
-    if step > stable * (1 + 1e-6):  # of a user
-        return DivergenceError(
-            f"{what} at t = {state.time:.5g} s; {where}: the step of {step:.3g} s is longer than the stable one of "
-            f"{stable:.3g} s at rest. Omit step=, or use a shorter one"
-        )
     return DivergenceError(
         f"{what} at t = {state.time:.5g} s; {where}, step {step:.3g} s, stiffness damping "
         f"{model.stiffness_damping:.3g} s. Try more damping (stiffness_damping={more_damping:.2g}), smaller loads, or "

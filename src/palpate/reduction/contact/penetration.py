@@ -17,7 +17,7 @@ __all__ = ["MAX_DEPTH_BETWEEN_NODES", "hold_above_surface", "store_depths"]
 # of triangles between nodes in contact, in spacings; nodes alone keep a tool out here, and so a triangle is deeper than
 # in a full body, where middles of edges do, too: beyond `MAX_SURFACE_DEPTH` the force is not trusted
 MAX_DEPTH_BETWEEN_NODES = 0.5
-FREE_WAY, PRESSING_WAY = 1.0, 0.25  # of a tool in a period, in spacings; the latter along its force
+FREE_WAY, PRESSING_WAY = 1.0, 0.25  # how far a tool may move in a period, in spacings; the latter along its force
 
 
 @kernel_njit()
@@ -38,11 +38,8 @@ def store_depths(surface, contact, tools):  # type: ignore[no-untyped-def]
             if contact.tool[e] == t:
                 pair_of[contact.node[e]] = e + 1
         for k in range(surface.triangles.shape[0]):
-            i, j, m = (
-                pair_of[surface.triangles[k, 0]],
-                pair_of[surface.triangles[k, 1]],
-                pair_of[surface.triangles[k, 2]],
-            )
+            corners = surface.triangles[k]
+            i, j, m = pair_of[corners[0]], pair_of[corners[1]], pair_of[corners[2]]
             if min(i, j, m) > 0:
                 a, b, c = now[i - 1], now[j - 1], now[m - 1]
                 contact.depth[t] = triangle_depth(
@@ -54,7 +51,7 @@ def store_depths(surface, contact, tools):  # type: ignore[no-untyped-def]
 
 @kernel_njit(inner=True)
 def hold_above_surface(surface, contact, tools, home, target):  # type: ignore[no-untyped-def]
-    """Shorten the way of the tool in a period where it could pass between the nodes.
+    """Shorten the path of the tool in a period where it could pass between the nodes.
 
     It is held where it pushes on and the surface is `MAX_DEPTH_BETWEEN_NODES` deep in it. The pose that it
     reaches is then written into the target (12,).

@@ -532,19 +532,18 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         if has_residual_fields(data):
             report[TRUST] = max(report[TRUST], residual_norm(data, q, v))
         speed = np.sqrt(2.0 * report[KINETIC] / data.indicator.body_mass)
-        depth = 0.0
+        between = 0.0  # depth of the surface between nodes, where the tool is not trusted
         if data.tools.kind.shape[0] > 0:
             speed = approach_speed(data.tools, data.contact_work.force, period)
             store_depths(data.contact_surface, data.contact_work, data.tools)
-            if data.contact_work.depth[0] > MAX_SURFACE_DEPTH * data.contact_surface.spacing:
-                depth = data.contact_work.depth[0]
+            between = data.contact_work.depth[0] / (MAX_SURFACE_DEPTH * data.contact_surface.spacing)
         nearness = contact_nearness(data.indicator.nearness, data.contact_work.force)
         report[TRUST] = max(
             report[TRUST],
             np.sqrt(flexible / data.indicator.flexibility_scale),
             touch_speed(speed, flexible, data.indicator.flexibility_scale) / data.indicator.speed_scale,
             nearness / data.indicator.nearness_scale,
-            depth / (MAX_SURFACE_DEPTH * data.contact_surface.spacing),
+            between if between > 1.0 else 0.0,
         )
         report[STEPS] = taken
 
