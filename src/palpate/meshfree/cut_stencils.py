@@ -355,8 +355,8 @@ def _fit_first(offset, weight, size, damping, scale, spacing, matrix, monomial, 
     The fit has `size` monomials, 3, 9 or 19; the coefficients of the cubic ones are damped.
     """
     _moments(offset, weight, 1, size, 0.0, matrix, monomial)
-    for i in range(9, size):
-        matrix[i, i] += damping
+    for i in range(9, size):  # cubes, x^2 y and the like, x y z: see `CUBIC_DAMPING`
+        matrix[i, i] += damping / (1.0 if i < 12 else 3.0 if i < 18 else 6.0)
     if not _factor(matrix, size):
         return np.inf
     square = 0.0

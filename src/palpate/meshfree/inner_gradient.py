@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.special import factorial
 
 from palpate.arrays import Floats
 from palpate.meshfree.cloud import Cloud
@@ -22,7 +23,9 @@ from palpate.meshfree.stencils import BATCH_NODES, Stencils, monomial_exponents,
 __all__ = ["CUBIC_DAMPING", "inner_nodes", "with_inner_gradient"]
 
 INNER_DEPTH = 0.55  # smallest distance of inner nodes from those of the surface, in radii of their stencils
-CUBIC_DAMPING = 1e-3  # of the cubic coefficients, in coordinates relative to the support radius
+# of cubic coefficients, in coordinates relative to the support radius; times i! j! k! / 3! for x^i y^j z^k, as in
+# the norm of Bombieri, which no rotation changes
+CUBIC_DAMPING = 2e-3
 REACH_MARGIN = 1.05  # support radius over the distance of the last neighbour, as in `moving_least_squares`
 
 
@@ -59,5 +62,5 @@ def _cubic_fit(points: Floats, nodes: NDArray[np.int64], near: NDArray[np.int32]
     weighted = np.swapaxes(monomials * weight[:, :, None], 1, 2)
     moments = weighted @ monomials
     cubic = np.flatnonzero(exponents.sum(axis=1) == 3)
-    moments[:, cubic, cubic] += CUBIC_DAMPING
+    moments[:, cubic, cubic] += CUBIC_DAMPING * np.prod(factorial(exponents[cubic]), axis=1) / 6
     return np.swapaxes(np.linalg.solve(moments, weighted)[:, :3], 1, 2) / radius[:, None, None]

@@ -51,11 +51,15 @@ def integration_weights(cloud: Cloud, stencils: Stencils) -> Floats:
         An interpolating fit of order 2 at its points.
     """
     volumes = cloud.volumes
-    centre = np.zeros_like(cloud.points)  # of the cell relative to the node: half its thickness under each face
     thickness = volumes[cloud.face_nodes] / cloud.face_areas
-    np.add.at(centre, cloud.face_nodes, -0.5 * thickness[:, None] * cloud.face_normals)
-    second = np.stack([centre[:, a] * centre[:, b] for a, b in DERIVATIVE_PAIRS], axis=1)
-    second[:, :3] = 0.5 * cloud.spacing**2 / 12
+    shift = -0.5 * thickness[:, None] * cloud.face_normals  # of a cell's centre by each face
+    centre = np.zeros_like(cloud.points)  # of the cell relative to the node
+    np.add.at(centre, cloud.face_nodes, shift)
+    # across one face the second moment about the node stays h^2/12: pairs of faces alone add to it
+    own = np.zeros((len(cloud), 3, 3))
+    np.add.at(own, cloud.face_nodes, shift[:, :, None] * shift[:, None, :])
+    moment = cloud.spacing**2 / 12 * np.eye(3) + centre[:, :, None] * centre[:, None, :] - own
+    second = np.stack([moment[:, a, b] * (0.5 if a == b else 1.0) for a, b in DERIVATIVE_PAIRS], axis=1)
     weights = volumes.copy()
     for moments, table in ((centre, stencils.first), (second, stencils.second)):
         shares = volumes[:, None] * np.einsum("nkw,nw->nk", table[stencils.row], moments)
