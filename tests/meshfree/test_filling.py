@@ -117,7 +117,7 @@ def test_a_cube_keeps_its_faces():
     [
         (lambda: inverted(ball()), "inside out"),
         (lambda: pt.Surface(ball().vertices, ball().triangles[1:]), "open"),
-        (lambda: joined(ball(), ball(centre=(0.11, 0, 0))), "2 separate bodies"),
+        (lambda: joined(ball(), ball(centre=(0.1001, 0, 0))), "2 separate bodies"),
         (lambda: joined(ball(), ball(0.03)), "a cavity outwards"),
         (lambda: joined(ball(), inverted(ball(0.0495))), "hollow"),
         (lambda: joined(ball(), inverted(ball(0.047))), "walls 3 mm thick on average.*; use at most 0.0012 m"),
@@ -127,6 +127,15 @@ def test_a_cube_keeps_its_faces():
 def test_surfaces_that_cannot_be_filled_are_refused_with_the_reason(surface, said):
     with pytest.raises(pt.InputError, match=said):
         pt.fill(surface(), 0.01)
+
+
+def test_bodies_one_spacing_apart_do_not_share_stencils():
+    cloud = pt.fill(joined(ball(), ball(centre=(0.11, 0, 0))), 0.01)
+    number = np.zeros(len(cloud))
+    number[cloud.group("body 1")] = 1
+    body = pt.Solid(cloud, pt.materials.NeoHookean(C1=1e3, density=1000.0, poisson=0.45))
+    near = body.stencils.neighbours
+    assert np.array_equal(number[near], np.broadcast_to(number[:, None], near.shape))
 
 
 @pytest.mark.parametrize(

@@ -8,15 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from palpate.arrays import Floats, Ints
 from palpate.describe import Described, Fact
 from palpate.faults import CloudError, InputError, brief, first_few, integer_in_range, number_in_range, warn_of_unit
+from palpate.meshfree.visibility import hidden_pairs
 from palpate.plotting import body_svg, plot_body
 
 __all__ = ["BORDER_MARGIN", "MOVED_MARGIN", "Cloud", "box", "warn_of_size"]
@@ -238,6 +241,13 @@ class Cloud(Described):
         vectors = np.zeros_like(self.points)
         np.add.at(vectors, self.face_nodes, self.face_areas[:, None] * self.face_normals)
         return vectors / self.volumes[:, None]
+
+    @cached_property
+    def hidden(self) -> csr_array:
+        """Pairs of near nodes (n, n) with the outside between them, as across a cleft; stencils omit them."""
+        if self.points.shape[1] == 2 or not len(self.triangles):
+            return csr_array((len(self), len(self)), dtype=bool)
+        return hidden_pairs(self.points, self.boundary_vectors() * self.volumes[:, None], self.triangles, self.spacing)
 
     def area_vectors(self, name: str) -> Floats:
         """Return each node's share [m^2] of the face that group `name` lies on, times its normal, shape (g, d).

@@ -85,7 +85,7 @@ def consistent_stencils(cloud: Cloud, choices: Sequence[int]) -> tuple[int, Sten
 
 
 def _consistent_stencils(cloud: Cloud, neighbours: int) -> tuple[Stencils, Floats]:
-    stencils = moving_least_squares(cloud.points, order=2, neighbours=neighbours)
+    stencils = moving_least_squares(cloud.points, order=2, neighbours=neighbours, hidden=cloud.hidden)
     volumes, misses = integration_weights(cloud, stencils), quadratic_residuals(stencils, cloud.points)
     edges = cloud.boundary_vectors() * cloud.volumes[:, None]
     stencils = with_inner_gradient(stencils, cloud)

@@ -18,12 +18,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats, Ints
 from palpate.code_cache import cached_njit
 from palpate.meshfree.cut_surface import CutSurface, bond_paths
 from palpate.meshfree.inner_gradient import CUBIC_DAMPING
+from palpate.meshfree.visibility import is_pair
 
 __all__ = [
     "CutState",
@@ -146,7 +148,7 @@ class FittedRows(NamedTuple):
 
 def uncut_stencils(
     points: Floats, volumes: Floats, spacing: float, near: Any, first: Floats, smoothing_near: Any, surface: Any,
-    cubic: NDArray[np.bool_],
+    cubic: NDArray[np.bool_], hidden: csr_array,
 ) -> UncutStencils:  # fmt: skip
     """Return what the stencils of cut nodes depend on.
 
@@ -162,6 +164,8 @@ def uncut_stencils(
         Nodes of the surface.
     cubic : (n,) bool array
         Nodes whose first derivatives are those of cubic fits.
+    hidden : (n, n) sparse array
+        Pairs without bonds: `Cloud.hidden`.
     """
     size = spacing**2 * (np.sum(first**2, axis=(1, 2)) + np.sum(first.sum(axis=1) ** 2, axis=1))
     common = min(SIZE_FACTOR * float(size.max()), LARGEST_SIZE)
@@ -178,13 +182,14 @@ def uncut_stencils(
     widest = REACH_MARGIN * np.maximum(WIDEST_REACH * spacing, np.maximum(reach, smoothing_reach))
     return UncutStencils(
         points, volumes, spacing, reach, smoothing_reach, limit, sums, tree, on_surface, cubic, widest,
-        *_bonds_within(points, tree, widest),
+        *_bonds_within(points, tree, widest, hidden),
     )  # fmt: skip
 
 
-def _bonds_within(points: Floats, tree: cKDTree, widest: Floats) -> tuple[Ints, NDArray[np.int32]]:
+def _bonds_within(points: Floats, tree: cKDTree, widest: Floats, hidden: csr_array) -> tuple[Ints, NDArray[np.int32]]:
     """Return the first bond of every node, and the other nodes of all bonds, in ascending order for each node."""
     pairs = tree.query_pairs(float(widest.max()), output_type="ndarray")
+    pairs = pairs[~is_pair(hidden, *pairs.T)]
     square = np.sum((points[pairs[:, 0]] - points[pairs[:, 1]]) ** 2, axis=1)
     both = [pairs[square <= widest[pairs[:, k]] ** 2][:, [k, 1 - k]] for k in range(2)]
     node, near = np.concatenate(both).T

@@ -39,6 +39,7 @@ from palpate.meshfree.surfaces import (
     vertex_components,
     weld,
 )
+from palpate.meshfree.visibility import is_pair
 
 __all__ = ["BODY_PREFIX", "Region", "fill"]
 
@@ -238,8 +239,10 @@ def _label_bodies(body: Surface, inside: DepthQuery, cloud: Cloud) -> Cloud:
     component = np.zeros(int(wall.max()) + 1, dtype=np.int64)
     component[wall[body.triangles[:, 0]]] = label  # the first refined vertices are those of the body
     owner = bodies[component[wall[inside.tree.query(cloud.points, workers=-1)[1]]]]
-    near = cKDTree(cloud.points).query(cloud.points, k=STENCIL_NODES, workers=-1)[1]
-    mixed = np.flatnonzero((owner[near] != owner[:, None]).any(axis=1))
+    # stencils reach farther where they omit nodes
+    near = cKDTree(cloud.points).query(cloud.points, k=min(2 * STENCIL_NODES, len(cloud)), workers=-1)[1]
+    seen = ~is_pair(cloud.hidden, np.repeat(np.arange(len(cloud)), near.shape[1]), near.ravel()).reshape(near.shape)
+    mixed = np.flatnonzero((seen & (owner[near] != owner[:, None])).any(axis=1))
     if mixed.size:
         raise CloudError(
             f"spacing must be finer for the {int(bodies.max()) + 1} separate bodies of {body.name}, got "

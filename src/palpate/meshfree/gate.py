@@ -30,7 +30,7 @@ def faulty_nodes(cloud: Cloud, neighbours: int = STENCIL_NODES) -> tuple[Ints, s
         Number of neighbours, as for `palpate.Solid`.
     """
     try:
-        moving_least_squares(cloud.points, order=2, neighbours=neighbours)
+        moving_least_squares(cloud.points, order=2, neighbours=neighbours, hidden=cloud.hidden)
     except CloudError as error:
         return error.nodes, "the stencils fail"
     return np.zeros(0, dtype=np.int64), ""

@@ -175,7 +175,7 @@ def mirror_images(cloud: Cloud, planes: Sequence[MirrorPlane]) -> Images:
     n, spacing = len(cloud), cloud.spacing
     points, volumes = cloud.points, cloud.volumes
     source, reflection = np.arange(n), np.tile(np.eye(3), (n if planes else 0, 1, 1))
-    faces = cloud.face_nodes, cloud.face_normals, cloud.face_areas
+    faces, triangles = (cloud.face_nodes, cloud.face_normals, cloud.face_areas), cloud.triangles
     for k, (name, nodes, normal) in enumerate(planes):
         for other in planes[:k]:
             if abs(normal @ other.normal) > MAX_NORMAL_COSINE:
@@ -192,9 +192,11 @@ def mirror_images(cloud: Cloud, planes: Sequence[MirrorPlane]) -> Images:
         source = np.concatenate([source, source[away]])
         reflection = np.concatenate([reflection, _reflection(normal) @ reflection[away]])
         faces = _reflected_faces(faces, on, number, normal)
+        triangles = triangles[~on[triangles].all(axis=1)]
+        triangles = np.concatenate([triangles, number[triangles][:, ::-1]])
     if not planes:
         return Images(cloud, source, reflection, np.ones(n))
-    mirrored = Cloud(points, volumes, *faces, {}, np.zeros((0, 3), dtype=np.int64), spacing)
+    mirrored = Cloud(points, volumes, *faces, {}, triangles, spacing)
     return Images(mirrored, source, reflection, volumes[:n] / cloud.volumes)
 
 

@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 from palpate.arrays import Floats, Ints
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.cut_surface import NO_CUT, CutSurface, bond_paths
+from palpate.meshfree.visibility import is_pair
 
 __all__ = ["spread_load", "surface_patches"]
 
@@ -56,6 +57,10 @@ def surface_patches(cloud: Cloud, *, cut: CutSurface = NO_CUT) -> sparse.csr_arr
         points[surface], k=min(MAX_PATCH_NODES, count), distance_upper_bound=farthest
     )
     near = np.where(np.isfinite(distance), near, surface[:, None])
+    if cloud.hidden.nnz:
+        row = np.repeat(surface, near.shape[1])
+        distance[is_pair(cloud.hidden, row, near.ravel()).reshape(near.shape)] = np.inf
+        near = np.where(np.isfinite(distance), near, surface[:, None])
     if len(cut.triangles):
         distance = _distances_round(cut, points, surface, near, distance, cloud.spacing)
         near = np.where(np.isfinite(distance), near, surface[:, None])

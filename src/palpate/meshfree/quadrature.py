@@ -56,9 +56,9 @@ def integration_weights(cloud: Cloud, stencils: Stencils) -> Floats:
     centre = np.zeros_like(cloud.points)  # of the cell relative to the node
     np.add.at(centre, cloud.face_nodes, shift)
     # across one face the second moment about the node stays h^2/12: pairs of faces alone add to it
-    own = np.zeros((len(cloud), 3, 3))
-    np.add.at(own, cloud.face_nodes, shift[:, :, None] * shift[:, None, :])
-    moment = cloud.spacing**2 / 12 * np.eye(3) + centre[:, :, None] * centre[:, None, :] - own
+    single = np.zeros((len(cloud), 3, 3))
+    np.add.at(single, cloud.face_nodes, shift[:, :, None] * shift[:, None, :])
+    moment = cloud.spacing**2 / 12 * np.eye(3) + centre[:, :, None] * centre[:, None, :] - single
     second = np.stack([moment[:, a, b] * (0.5 if a == b else 1.0) for a, b in DERIVATIVE_PAIRS], axis=1)
     weights = volumes.copy()
     for moments, table in ((centre, stencils.first), (second, stencils.second)):

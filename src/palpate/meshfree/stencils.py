@@ -26,6 +26,7 @@ from palpate.code_cache import cached_njit
 from palpate.describe import Described, Fact
 from palpate.faults import CloudError, InputError, first_few, integer_in_range, number_in_range
 from palpate.meshfree.cloud import MAX_COORDINATE
+from palpate.meshfree.visibility import is_pair
 
 __all__ = ["BATCH_NODES", "Stencils", "monomial_exponents", "moving_least_squares", "quartic_spline"]
 
@@ -149,6 +150,7 @@ def moving_least_squares(
     neighbours: int | None = None,
     radius: float | None = None,
     interpolating: bool = True,
+    hidden: csr_array | None = None,
 ) -> Stencils:
     """Fit polynomials around every point.
 
@@ -165,6 +167,8 @@ def moving_least_squares(
         Support radius instead of a number.
     interpolating : bool
         Whether the fit passes through the node itself.
+    hidden : (n, n) sparse array, optional
+        True for pairs that stencils omit: `Cloud.hidden`.
 
     Returns
     -------
@@ -204,9 +208,10 @@ def moving_least_squares(
     _check_duplicates(points, tree)
     if neighbours is not None:
         neighbours = integer_in_range("neighbours", neighbours, len(exponents))
-        near, reach = _nearest(points, tree, neighbours)
+        near, reach = _nearest(points, tree, neighbours, hidden)
     else:
-        near, reach = _within(points, tree, number_in_range("radius", radius or 0.0, 0.0, open_low=True, unit="m"))
+        radius = number_in_range("radius", radius or 0.0, 0.0, open_low=True, unit="m")
+        near, reach = _within(points, tree, radius, hidden)
     count = np.sum(near != np.arange(n)[:, None], axis=1)
     needed = len(exponents) - 1  # the node itself is a point of either fit
     few = np.flatnonzero(count < needed)
@@ -269,7 +274,7 @@ def _check_duplicates(points: Floats, tree: cKDTree) -> None:
         )
 
 
-def _nearest(points: Floats, tree: cKDTree, count: int) -> tuple[Ints, Floats]:
+def _nearest(points: Floats, tree: cKDTree, count: int, hidden: csr_array | None) -> tuple[Ints, Floats]:
     """Return neighbours up to the largest gap in distance between 0.8 and 1.3 times the count."""
     n = len(points)
     low, high = max(int(0.8 * count), 1), int(np.ceil(1.3 * count))
@@ -278,7 +283,7 @@ def _nearest(points: Floats, tree: cKDTree, count: int) -> tuple[Ints, Floats]:
         low = min(low, high - 1)
     if low < 1:
         raise CloudError(f"cloud must have more points for stencils of {count}, got {n}")
-    distance, near = tree.query(points, k=high + 1, workers=-1)
+    distance, near = _nearest_visible(points, tree, high + 1, hidden)
     # equal distances in the last shell may change the order; the node itself is always at distance 0
     gaps = np.round(np.diff(distance[:, low - 1 :], axis=1) / distance[:, 1:2], 6)
     last = low + np.argmax(gaps, axis=1)  # points kept, the node itself included
@@ -287,10 +292,32 @@ def _nearest(points: Floats, tree: cKDTree, count: int) -> tuple[Ints, Floats]:
     return near[:, 1 : last.max()], reach
 
 
-def _within(points: Floats, tree: cKDTree, radius: float) -> tuple[Ints, Floats]:
+def _nearest_visible(
+    points: Floats, tree: cKDTree, count: int, hidden: csr_array | None
+) -> tuple[Floats, NDArray[np.int64]]:
+    """Return distances and numbers (n, count) of the nearest nodes that are not hidden, in ascending order."""
+    most = 0 if hidden is None else int(np.diff(hidden.indptr).max(initial=0))
+    distance, near = tree.query(points, k=min(count + most, len(points)), workers=-1)
+    if hidden is None or not most:
+        return distance, near
+    row = np.repeat(np.arange(len(points)), near.shape[1])
+    distance = np.where(is_pair(hidden, row, near.ravel()).reshape(near.shape), np.inf, distance)
+    order = np.argsort(distance, axis=1, kind="stable")[:, :count]
+    distance, near = np.take_along_axis(distance, order, axis=1), np.take_along_axis(near, order, axis=1)
+    few = np.flatnonzero(~np.isfinite(distance).all(axis=1))
+    if few.size:
+        raise CloudError(f"nodes {first_few(few)} must see at least {count - 1} others; use more points", few)
+    return distance, near
+
+
+def _within(points: Floats, tree: cKDTree, radius: float, hidden: csr_array | None) -> tuple[Ints, Floats]:
     count = tree.query_ball_point(points, radius, return_length=True, workers=-1)
     distance, near = tree.query(points, k=max(2, int(count.max())), workers=-1)
-    near = np.where(distance < radius, near, np.arange(len(points))[:, None])
+    itself = np.arange(len(points))[:, None]
+    near = np.where(distance < radius, near, itself)
+    if hidden is not None and hidden.nnz:
+        row = np.repeat(itself, near.shape[1])
+        near = np.where(is_pair(hidden, row, near.ravel()).reshape(near.shape), itself, near)
     return near[:, 1:], np.full(len(points), radius)
 
 

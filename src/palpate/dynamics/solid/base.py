@@ -156,7 +156,7 @@ class Solid(NodalModel):
         integer_in_range("smoothing", smoothing, 5)
         self.planes = symmetry_planes(cloud, self.supports)
         images = mirror_images(cloud, self.planes)
-        smoother = moving_least_squares(images.cloud.points, order=1, neighbours=smoothing, interpolating=False)
+        smoother = _linear_fit(images.cloud, smoothing)
         self._build(Choices(stiffness_damping, pressure, half_cell, neighbours, images, smoother))
 
     def _build(self, choices: Choices) -> None:
@@ -205,10 +205,13 @@ class Solid(NodalModel):
     @cached_property
     def _recovery(self) -> Stencils:
         """Stencils of the recovered pressure, of the body and its images."""
-        points = self._images.cloud.points
-        return moving_least_squares(points, order=1, neighbours=RECOVERY_NEIGHBOURS, interpolating=False)
+        return _linear_fit(self._images.cloud, RECOVERY_NEIGHBOURS)
 
     def cauchy_stress(self, displacements: Floats, history: History = ()) -> Floats:
         """Return the Cauchy stress [Pa] at every node, shape (n, 3, 3)."""
         F = self.deformation_gradient(displacements)
         return self.stress(displacements, history) @ np.swapaxes(F, 1, 2) / np.linalg.det(F)[:, None, None]
+
+
+def _linear_fit(cloud: Cloud, neighbours: int) -> Stencils:
+    return moving_least_squares(cloud.points, order=1, neighbours=neighbours, interpolating=False, hidden=cloud.hidden)

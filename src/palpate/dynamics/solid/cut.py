@@ -129,7 +129,7 @@ def uncut_state(body: Any) -> CutState:
     stencils, n = body.stencils, len(body.cloud)
     uncut = uncut_stencils(
         body.cloud.points, body.volumes, body.cloud.spacing, stencils.neighbours, stencils.first[stencils.row],
-        body.smoothing.neighbours, body.cloud.triangles.ravel(), inner_nodes(body.cloud, stencils),
+        body.smoothing.neighbours, body.cloud.triangles.ravel(), inner_nodes(body.cloud, stencils), body.cloud.hidden,
     )  # fmt: skip
     none = np.zeros(n, np.bool_)
     return CutState(NO_CUT, uncut, uncut.sums, np.zeros(n), none, none, none, (0.0, 0.0))

@@ -44,7 +44,8 @@ class StrongSolid(Solid):
         if self.pressure not in ("split", "direct"):
             raise InputError(f"pressure must be 'split' or 'direct', got {self.pressure!r}")
         self.neighbours = STENCIL_SIZES[0] if choices.neighbours is None else choices.neighbours
-        stencils = moving_least_squares(choices.images.cloud.points, order=2, neighbours=self.neighbours)
+        body = choices.images.cloud
+        stencils = moving_least_squares(body.points, order=2, neighbours=self.neighbours, hidden=body.hidden)
         direct = self.pressure == "direct"
         compiled, of_part = strong_passes(
             choices.images, self.material, stencils, choices.smoother, self.half_cell, direct

@@ -150,7 +150,8 @@ class ReducedBody:
         cloud, stretch = self.data.cloud, self.data.kinematics.prestretch
         images = mirror_images(cloud, symmetry_planes(cloud, self.data.supports))
         count = STENCIL_NEIGHBOURS[cloud.points.shape[1]]
-        return images.own(moving_least_squares(images.cloud.points / stretch, order=2, neighbours=count))
+        full = images.cloud
+        return images.own(moving_least_squares(full.points / stretch, order=2, neighbours=count, hidden=full.hidden))
 
     @cached_property
     def trained(self) -> tuple[Floats, Floats]:
