@@ -20,6 +20,7 @@ import numpy as np
 from websockets.asyncio.client import connect
 
 RATE, RADIUS, DEPTH, GAP = 1000, 0.02, 0.006, 0.003  # [Hz], [m], [m], [m]
+MAX_AGE = 0.02  # [s] of a force; an older one counts as zero: the session has paused, or the connection is gone
 MASS, USER_STIFFNESS, DAMPING = 0.1, 300.0, 8.0  # [kg], [N/m], [N s/m]
 
 
@@ -37,8 +38,8 @@ async def main(address: str, seconds: float) -> None:
         ball = {"kind": "sphere", "radius": RADIUS, "friction": 0.2, "stiffness": None, "position": home.tolist()}
         await socket.send(json.dumps({"type": "tool", **ball}))
         await socket.send(json.dumps({"type": "force", "rate": RATE}))
-        sent, forces, latencies = deque(), deque([np.zeros(23)]), []
-        device = asyncio.create_task(move(socket, home, sent, forces, seconds))
+        sent, forces, latencies, arrivals = deque(), deque([np.zeros(23)]), [], deque([0.0], maxlen=1)
+        device = asyncio.create_task(move(socket, home, sent, forces, arrivals, seconds))
         while not device.done():
             message = await socket.recv()
             if isinstance(message, str):
@@ -46,6 +47,7 @@ async def main(address: str, seconds: float) -> None:
                     raise SystemExit(answer["reason"])
             elif struct.unpack_from("<I", message)[0] == 4:  # state frames are not acknowledged, so only two arrive
                 forces.append(np.frombuffer(message, "<f8", 23, 16))
+                arrivals.append(perf_counter())
                 while sent and sent[0][0] <= forces[-1][22]:  # the force includes this pose
                     latencies.append(perf_counter() - sent.popleft()[1])
     force, stiffness = np.array([f[2:5] for f in forces]), max(forces, key=lambda f: f[2:5] @ f[2:5])[8:17]
@@ -62,13 +64,14 @@ async def main(address: str, seconds: float) -> None:
     )
 
 
-async def move(socket, home: np.ndarray, sent: deque, forces: deque, seconds: float) -> None:
+async def move(socket, home: np.ndarray, sent: deque, forces: deque, arrivals: deque, seconds: float) -> None:
     """Simulate the device: one step of its motion and one pose every millisecond."""
     place, speed, began, number = home.copy(), np.zeros(3), perf_counter(), 0
     while (now := perf_counter() - began) < seconds:
         number += 1
         goal = home + np.array([0.0, (DEPTH + GAP) * np.sin(np.pi * now) ** 2, 0.0])
-        speed += (USER_STIFFNESS * (goal - place) - DAMPING * speed + forces[-1][2:5]) / MASS / RATE
+        force = forces[-1][2:5] if perf_counter() - arrivals[-1] < MAX_AGE else np.zeros(3)
+        speed += (USER_STIFFNESS * (goal - place) - DAMPING * speed + force) / MASS / RATE
         place = place + speed / RATE
         sent.append((number, perf_counter()))
         await socket.send(json.dumps({"type": "pose", "position": place.tolist(), "sequence": number}))

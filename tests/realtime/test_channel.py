@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -34,7 +35,68 @@ def test_the_header_has_the_records_fields():
     assert int(numbers.pop("SIZE")) == HEADER_SIZE
     for name, place in numbers.items():
         assert int(place) == field_offset({"PERIODS": "steps"}.get(name, name.lower()))
-    assert len(channel_header().read_text(encoding="utf-8").splitlines()) < 100
+    assert len(channel_header().read_text(encoding="utf-8").splitlines()) < 120
+
+
+ENGINE = """
+import sys, time, palpate as pt
+tissue = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1060, poisson=0.45)
+block = pt.Solid(pt.box((0.03, 0.03, 0.015), spacing=0.005), tissue, fixed="z-", mass_damping=8)
+ball = pt.tools.Contact(pt.tools.Sphere(radius=0.01), (0.015, 0.015, 0.026))
+with pt.Engine(pt.realtime_model(block, contact=ball), shared_memory=sys.argv[1]) as engine:
+    print("ready", flush=True)
+    while sys.stdin.readline():
+        engine.pause()
+        print("paused", flush=True)
+"""
+READER = r"""
+#include <stdio.h>
+#include "palpate_channel.h"
+int main(int argc, char **argv) {
+    palpate_channel c;
+    double pose[7] = {0, 0, -0.004, 1, 0, 0, 0}, r[PALPATE_CHANNEL_SIZE];
+    if (argc < 2 || palpate_channel_open(&c, argv[1])) return 1;
+    palpate_channel_write(&c, pose, 1);
+    while (getchar() != EOF) {
+        while (palpate_channel_read(&c, r)) {}
+        printf("%.6f\n", r[PALPATE_CHANNEL_FORCE + 2]);
+        fflush(stdout);
+    }
+    return 0;
+}
+"""
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
+@pytest.mark.parametrize("end", ["pause", signal.SIGSTOP, signal.SIGKILL])
+def test_the_force_of_an_engine_that_no_longer_steps_is_zero(tmp_path, end):
+    program, source, name = tmp_path / "reader", tmp_path / "reader.c", f"{NAME}-{int(end) if end != 'pause' else 0}"
+    source.write_text(READER, encoding="utf-8")
+    subprocess.run(["cc", f"-I{channel_header().parent}", source, "-lrt", "-o", program], check=True)
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "bufsize": 1}
+    with subprocess.Popen([sys.executable, "-c", ENGINE, name], **pipes) as engine:
+        assert engine.stdout.readline() == "ready\n"
+        with subprocess.Popen([program, name], **pipes) as reader:
+
+            def force():
+                reader.stdin.write("\n")
+                return float(reader.stdout.readline())
+
+            force()
+            time.sleep(0.5)
+            assert force() > 0.01
+            if end == "pause":
+                engine.stdin.write("\n")
+                assert engine.stdout.readline() == "paused\n"
+            else:
+                engine.send_signal(end)
+            time.sleep(0.2)
+            assert force() == 0.0
+            assert force() == 0.0
+            reader.stdin.close()
+        engine.kill()
+    assert subprocess.run([program, name], check=False, stdin=subprocess.DEVNULL).returncode == 1
+    (SHARED_FOLDER / name).unlink(missing_ok=True)
 
 
 @pytest.mark.slow

@@ -41,6 +41,7 @@ TAKEN_STATUS, POSE_STATUS, DIVERGED_STATUS, INVALID_STATUS = range(4)
 OPTION_NAMES = ("period", "force_limit", "max_speed", "max_angular_speed", "stiffness_every", "on_distrust")
 OPTION_PERIOD, FORCE_LIMIT, MAX_SPEED, MAX_ANGULAR_SPEED, STIFFNESS_EVERY, ON_DISTRUST = range(len(OPTION_NAMES))
 WORST_TRUST, RECORD_FORCE = field_offset("worst_trust"), field_offset("force")
+FORCE_NUMBERS = 15  # of force, moment and stiffness, which follow each other
 MIN_PERIOD, MAX_PERIOD = 5e-5, 0.02  # [s]
 
 
@@ -90,6 +91,7 @@ def compile_step(advance: Any, stiffness: Any) -> Any:
             square += work.record[RECORD_FORCE + i] ** 2
         bound[0] = curve_bound(curve, work.record[WORST_TRUST], np.sqrt(square))
         if not valid:
+            work.record[RECORD_FORCE : RECORD_FORCE + FORCE_NUMBERS] = 0.0  # a device would hold the last one
             return DIVERGED_STATUS
         return TAKEN_STATUS if is_taken else POSE_STATUS
 

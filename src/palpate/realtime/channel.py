@@ -25,7 +25,7 @@ __all__ = ["SharedSlots", "channel_header"]
 
 SHARED_FOLDER = Path("/dev/shm")
 CHANNEL_HEADER = struct.Struct("<8sqq40x")  # magic with the version, process, numbers of a record
-CHANNEL_MAGIC = b"PALPATE\1"
+CHANNEL_MAGIC = b"PALPATE\2"
 POSE_NUMBERS, NUMBER_BYTES = 8, 8
 NAME_PATTERN = re.compile(r"[A-Za-z0-9_-]{1,60}")
 

@@ -19,6 +19,7 @@ from palpate.dynamics.compiled.cache import kernel_njit
 
 __all__ = [
     "Slot", "acquire_fence", "fetch", "get_flag", "make_flags", "publish", "release_fence", "set_flag", "snapshot",
+    "stamp",
 ]  # fmt: skip
 
 ALIGNMENT_BYTES = 8  # bytes
@@ -79,7 +80,7 @@ class Slot(NamedTuple):
     Parameters
     ----------
     version : (FLAGS_LENGTH,) int64
-        Element 0 counts the starts and ends of writes.
+        Element 0 counts the starts and ends of writes; 1 and 2 are those of `stamp`.
     values : (n,) float64
     """
 
@@ -106,6 +107,13 @@ def publish(slot, values):  # type: ignore[no-untyped-def]
     for i in range(values.shape[0]):
         _store_relaxed(slot.values, i, values[i])
     _store_release(slot.version, 0, version + 2)
+
+
+@kernel_njit()
+def stamp(slot, time, max_age):  # type: ignore[no-untyped-def]
+    """Write the time of a slot's values and the age at which they are stale, both [ns], for other programs."""
+    _store_relaxed(slot.version, 2, max_age)
+    _store_relaxed(slot.version, 1, time)
 
 
 @kernel_njit()

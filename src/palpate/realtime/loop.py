@@ -12,7 +12,7 @@ from palpate.dynamics.compiled.cache import kernel_njit, law_njit
 from palpate.realtime.black_box import RingBuffer, append_record
 from palpate.realtime.channel import SharedSlots
 from palpate.realtime.clock import now, sleep_until, thread_time
-from palpate.realtime.exchange import Slot, fetch, get_flag, make_flags, publish
+from palpate.realtime.exchange import Slot, fetch, get_flag, make_flags, publish, stamp
 from palpate.realtime.period import STOP, TRUSTED, compile_period, functions_digest
 from palpate.realtime.pose import IDENTITY_POSE, request_pose
 from palpate.realtime.record import HEADER_SIZE, field_offset
@@ -22,6 +22,7 @@ __all__ = ["DIVERGED", "PAUSED", "RUNNING", "STOPPED", "Channels", "compile_loop
 
 
 RUNNING, STOPPED, PAUSED, DIVERGED = range(4)  # commands to the loop, and reasons for its end
+MAX_RECORD_AGE, MAX_RECORD_PERIODS = 20_000_000, 4  # [ns], or in periods: then readers take its force as zero
 MAX_SLEEP = 10_000_000  # [ns], which bounds the delay of a command
 COMPUTING, LATENESS, SEQUENCE = (field_offset(name) for name in ("computing", "lateness", "sequence"))
 
@@ -105,6 +106,7 @@ def compile_loop(advance: Any, stiffness: Any) -> Any:
             ended = now()
             if valid:
                 publish(channels.record, record)
+                stamp(channels.record, ended, max(MAX_RECORD_AGE, MAX_RECORD_PERIODS * period))
             append_record(channels.ring_buffer, record)
             deadline = count_step(
                 channels.histograms, record[COMPUTING], record[LATENESS], ended, deadline, period, settings.catch_up

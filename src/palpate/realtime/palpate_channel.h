@@ -1,5 +1,6 @@
 /* Pose in, force out: the channel between an engine of palpate with shared_memory="NAME" and a program on this machine.
-   Include it in one C or C++ file; on older Linux link with -lrt. One program may write poses, any number may read. */
+   Include it in one C or C++ file; on older Linux link with -lrt. One program may write poses, any number may read.
+   The force of an old record is zero: the engine has paused, stopped, failed or died. */
 #ifndef PALPATE_CHANNEL_H
 #define PALPATE_CHANNEL_H
 
@@ -8,8 +9,11 @@
 #ifdef _WIN32
 #include <windows.h>
 #else
+#include <errno.h>
 #include <fcntl.h>
+#include <signal.h>
 #include <sys/mman.h>
+#include <time.h>
 #include <unistd.h>
 #endif
 
@@ -24,8 +28,9 @@ typedef struct {
     double *pose, *record;
 } palpate_channel;
 
-/* Open the channel NAME; returns 0, or -1 if no engine has it. */
+/* Open the channel NAME; returns 0, or -1 if no engine that runs has it. */
 static int palpate_channel_open(palpate_channel *channel, const char *name) {
+    int64_t process;
     char path[128] = "";
     const size_t size = 64 + 128 + 64 + 128 + 8 * PALPATE_CHANNEL_SIZE;
     char *memory;
@@ -44,7 +49,11 @@ static int palpate_channel_open(palpate_channel *channel, const char *name) {
     close(file);
     if (memory == (char *)MAP_FAILED) return -1;
 #endif
-    if (memcmp(memory, "PALPATE\1", 8) != 0) return -1;
+    if (memcmp(memory, "PALPATE\2", 8) != 0) return -1;
+    memcpy(&process, memory + 8, 8);
+#ifndef _WIN32
+    if (kill((pid_t)process, 0) != 0 && errno == ESRCH) return -1; /* the engine left its memory behind */
+#endif
     channel->pose_version = (int64_t *)(memory + 64);
     channel->pose = (double *)(memory + 64 + 128);
     channel->record_version = (int64_t *)(memory + 64 + 128 + 64);
@@ -67,16 +76,37 @@ static void palpate_channel_write(palpate_channel *channel, const double pose[7]
     __atomic_store_n(channel->pose_version, version + 2, __ATOMIC_RELEASE);
 }
 
-/* Copy the newest record; returns 0, or -1 if the engine was writing at that moment: then call it again. */
+/* Return the age of the newest record [s]. */
+static double palpate_channel_age(const palpate_channel *channel) {
+    const int64_t written = __atomic_load_n(channel->record_version + 1, __ATOMIC_RELAXED);
+#ifdef _WIN32
+    LARGE_INTEGER count, rate;
+    QueryPerformanceCounter(&count);
+    QueryPerformanceFrequency(&rate);
+    return (double)count.QuadPart / (double)rate.QuadPart - 1e-9 * (double)written;
+#else
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return 1e-9 * (double)((int64_t)now.tv_sec * 1000000000 + now.tv_nsec - written);
+#endif
+}
+
+/* Copy the newest record; returns 0, or -1 if the engine was writing at that moment: then call it again. Force, moment
+   and stiffness are zero if the record is older than 20 ms or, if that is longer, four periods. */
 static int palpate_channel_read(const palpate_channel *channel, double record[PALPATE_CHANNEL_SIZE]) {
     int64_t version = __atomic_load_n(channel->record_version, __ATOMIC_ACQUIRE), bits;
     int i;
-    if (version & 1) return -1;
+    const double max_age = 1e-9 * (double)__atomic_load_n(channel->record_version + 2, __ATOMIC_RELAXED);
+    if ((version & 1) && palpate_channel_age(channel) < max_age) return -1;
     for (i = 0; i < PALPATE_CHANNEL_SIZE; i++) {
         bits = __atomic_load_n((int64_t *)channel->record + i, __ATOMIC_RELAXED);
         memcpy(&record[i], &bits, 8);
     }
     __atomic_thread_fence(__ATOMIC_ACQUIRE);
+    if (!(palpate_channel_age(channel) < max_age)) {
+        for (i = PALPATE_CHANNEL_FORCE; i < PALPATE_CHANNEL_STIFFNESS + 9; i++) record[i] = 0;
+        return 0;
+    }
     return __atomic_load_n(channel->record_version, __ATOMIC_RELAXED) == version ? 0 : -1;
 }
 

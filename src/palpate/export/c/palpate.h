@@ -38,7 +38,7 @@ extern "C" {
 enum { /* status of a function */
     PALPATE_OK = 0,
     PALPATE_BAD_POSE = 1,  /* not finite, or more than 1 m from the last: the period was taken with the last one */
-    PALPATE_DIVERGED = 2,  /* nothing moves until NAME_reset() */
+    PALPATE_DIVERGED = 2,  /* nothing moves until NAME_reset(), and the force is zero */
     PALPATE_BAD_VALUE = 3, /* an option or a tool is out of range: nothing was done */
     PALPATE_NO_FILE = 4,   /* the file cannot be read */
     PALPATE_BAD_FILE = 5,  /* the file is damaged, or belongs to another library */
