@@ -14,9 +14,15 @@ from typing import Any
 from numba import njit
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, InTreeCacheLocator
 
+from palpate.threads import loops_share_threads
 from palpate.working_folder import foreign_writer, make_private
 
-__all__ = ["SafeCache", "cached_njit", "enable_cache"]
+__all__ = ["SERIAL_KEY", "SafeCache", "cached_njit", "enable_cache", "loop_options"]
+
+
+def loop_options(options: dict[str, Any]) -> dict[str, Any]:
+    """Return options of `numba.njit`, without ``parallel`` where several threads cannot run parallel loops at once."""
+    return options if loops_share_threads() else {**options, "parallel": False}
 
 
 class _Reasons:
@@ -34,6 +40,7 @@ class _Reasons:
 
 
 REASONS = _Reasons()
+SERIAL_KEY = () if loops_share_threads() else ("serial",)  # of code that was compiled without parallel loops
 
 
 def _checked(locator: Any) -> Any:
@@ -77,6 +84,9 @@ class SafeCache(FunctionCache):  # type: ignore[misc]
 
     _impl_class = _SafeImpl
 
+    def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
+        return (*super()._index_key(sig, codegen), *SERIAL_KEY)
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return compiled code; None where there is none, or a power cut has damaged it."""
         try:
@@ -113,7 +123,7 @@ def cached_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        compiled = njit(**options)(function)
+        compiled = njit(**loop_options(options))(function)
         enable_cache(compiled, lambda: SafeCache(function))
         return compiled
 

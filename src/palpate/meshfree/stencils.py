@@ -27,6 +27,7 @@ from palpate.describe import Described, Fact
 from palpate.faults import CloudError, InputError, first_few, integer_in_range, number_in_range
 from palpate.meshfree.cloud import MAX_COORDINATE
 from palpate.meshfree.visibility import is_pair
+from palpate.threads import check_process
 
 __all__ = ["BATCH_NODES", "Stencils", "monomial_exponents", "moving_least_squares", "quartic_spline"]
 
@@ -190,6 +191,7 @@ def moving_least_squares(
     >>> bool(np.allclose(slope[:, 0], 2 * points[:, 0]))
     True
     """
+    check_process()
     points = np.ascontiguousarray(points, dtype=float)
     n, d = points.shape
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))

@@ -30,6 +30,7 @@ from palpate.realtime.pose import IDENTITY_POSE, normalise_pose
 from palpate.realtime.record import HEADER_SIZE, Reading, field_offset
 from palpate.realtime.runner import Runner
 from palpate.realtime.statistics import Statistics
+from palpate.threads import check_process
 
 __all__ = ["Engine"]
 
@@ -214,6 +215,7 @@ class Engine(Described):
         InputError
             The state diverged and was not reset.
         """
+        check_process()
         with self._lock:
             if self._runner.state == STOPPED:
                 self._channels.histograms.clear()

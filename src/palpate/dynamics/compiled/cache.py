@@ -23,7 +23,7 @@ from numba import njit
 from numba.core.caching import IndexDataCacheFile
 from numba.extending import register_jitable
 
-from palpate.code_cache import SafeCache, enable_cache
+from palpate.code_cache import SERIAL_KEY, SafeCache, enable_cache, loop_options
 
 __all__ = ["inline", "kernel_njit", "kernel_sources", "law_digest", "law_njit", "rename_for"]
 
@@ -68,7 +68,7 @@ class _DigestCache(SafeCache):
         return super().load_overload(sig, target_context)
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
-        return (sig, codegen.magic_tuple(), numba.__version__, self._digest)
+        return (sig, codegen.magic_tuple(), numba.__version__, self._digest, *SERIAL_KEY)
 
 
 IMPORT_PATTERN = re.compile(r"^from (palpate\.[\w.]+) import (\([^)]*\)|[^\n(]+)", re.MULTILINE)
@@ -231,7 +231,9 @@ def law_njit(
 
     def decorate(function: Callable[..., Any]) -> Any:
         renamed = rename_for(digest, function)
-        compiled = njit(no_cfunc_wrapper=True, no_cpython_wrapper=inner, _nrt=allocates, **options)(renamed)
+        compiled = njit(no_cfunc_wrapper=True, no_cpython_wrapper=inner, _nrt=allocates, **loop_options(options))(
+            renamed
+        )
         if cached:
             full_digest = law_digest(function.__module__, digest)
             enable_cache(compiled, lambda: _DigestCache(renamed, full_digest))

@@ -24,6 +24,7 @@ from palpate.dynamics.run.model import State, initial_field
 from palpate.dynamics.run.partition import active_partitions
 from palpate.dynamics.run.reactions import group_forces
 from palpate.faults import InputError, brief, integer_in_range, number_in_range
+from palpate.threads import check_process
 
 __all__ = ["Equilibrium", "equilibrium"]
 
@@ -132,6 +133,7 @@ def equilibrium(
     time = number_in_range("time", time, unit="s")
     number_in_range("tolerance", tolerance, MIN_TOLERANCE, MAX_TOLERANCE)
     integer_in_range("max_iterations", max_iterations, 1)
+    check_process()
     loads = listed(loads)
     check_kinds(loads, PERMITTED_LOADS, "loads of equilibrium")
     start = initial_field("displacement", displacement, len(model.cloud))

@@ -22,6 +22,7 @@ from palpate.dynamics.run.recorder import Recorder
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError, TrustWarning, number_in_range
 from palpate.files import shortened
+from palpate.threads import check_process
 
 __all__ = ["frame_states", "machine_memory", "rollout"]
 
@@ -111,6 +112,7 @@ def rollout(
     >>> run.displacements.shape, sorted(run.reactions)
     ((4, 112, 3), ['x-'])
     """
+    check_process()
     frames = _frame_count(model, duration, every, start)
     if step is not None:
         number_in_range("step", step, every / MAX_STEPS_PER_FRAME, every, unit="s")
