@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.threads import LAYER
+from palpate.threads import THREADING_LAYER
 
 BLOCK = """
 import os, time
@@ -48,7 +48,7 @@ def press(_=0):
     return float(np.abs(pt.Solid(cloud, tissue, fixed="x-").weights.sum()))
 
 
-@pytest.mark.skipif(LAYER != "omp" or sys.platform != "linux", reason="only OpenMP on Linux breaks in forks")
+@pytest.mark.skipif(THREADING_LAYER != "omp" or sys.platform != "linux", reason="only OpenMP on Linux breaks in forks")
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 def test_a_forked_child_says_why_it_cannot_run():
     press()

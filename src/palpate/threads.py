@@ -36,19 +36,19 @@ def _find_layer() -> str:
     return str(order[0]) if order else "workqueue"
 
 
-LAYER = _find_layer()
+THREADING_LAYER = _find_layer()
 
 
 def loops_share_threads() -> bool:
     """Return whether several threads may run parallel loops at once; else loops are compiled without threads."""
-    return LAYER != "workqueue"
+    return THREADING_LAYER != "workqueue"
 
 
 _broken_forks: list[int] = []  # the process, if it was forked while OpenMP's threads ran
 
 
 def _note_fork() -> None:
-    if LAYER == "omp" and numba_threads._is_initialized:
+    if THREADING_LAYER == "omp" and numba_threads._is_initialized:
         _broken_forks[:] = [os.getpid()]
 
 

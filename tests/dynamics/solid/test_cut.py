@@ -88,7 +88,8 @@ def test_the_smoothing_keeps_integrals(block):
 
 
 def test_a_cut_outside_the_body_changes_no_bit(block):
-    body = pt.cut(block, rectangle((0.5 * SIZE[0], 0.5 * SIZE[1], 4 * SIZE[2]), (0, 0, 1), 0.05))
+    with pytest.warns(UserWarning, match="the cut parts nothing: its triangles reach from"):
+        body = pt.cut(block, rectangle((0.5 * SIZE[0], 0.5 * SIZE[1], 4 * SIZE[2]), (0, 0, 1), 0.05))
     u = 0.01 * SPACING * np.random.default_rng(0).normal(size=(len(block.cloud), 3))
     np.testing.assert_array_equal(body.force(u), block.force(u))
     assert not len(body.released_nodes)
@@ -191,3 +192,41 @@ def test_faces_of_a_cut_do_not_pass_through_each_other(block, inward):
         assert np.abs(run.balance).max() <= 0.1 * run.kinetic[0]
     else:
         assert opening >= 0.05 * 8e-3
+
+
+def test_a_cut_in_millimetres_warns_and_changes_nothing(block):
+    with pytest.warns(UserWarning, match="give corners in metres"):
+        body = pt.cut(block, 1e3 * rectangle(0.5 * SIZE, (0, 0, 1), 0.05) + 5.0)
+    assert len(body.cut_surface.triangles) == 0
+
+
+@pytest.mark.parametrize("side", ["z+", "z-", "x+"])
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_cut_along_a_face_releases_nothing(block, side, turned):
+    axis = "xyz".index(side[0])
+    middle = 0.5 * SIZE
+    middle[axis] = SIZE[axis] if side[1] == "+" else 0.0
+    across = np.eye(3)[[(axis + 1) % 3, (axis + 2) % 3]]
+    a, b, c, d = (middle + x * across[0] + y * across[1] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1)))
+    triangles = np.array([(a, b, c), (a, c, d)])
+    with pytest.warns(UserWarning, match="parts nothing"):
+        body = pt.cut(block, triangles[:, ::-1] if turned else triangles)
+    assert not len(body.released_nodes)
+
+
+def test_a_huge_triangle_cuts_as_one_of_the_size_of_the_body(block):
+    def plane(width):
+        x, y, z = 0.5 * SIZE + (0.3 * SPACING, 0.0, 0.0)
+        return np.array([[(x, y - width, z - width), (x, y + width, z - width), (x, y, z + 2 * width)]])
+
+    u = 0.01 * SPACING * np.random.default_rng(0).normal(size=(len(block.cloud), 3))
+    near, far = (pt.cut(block, plane(width)) for width in (0.1, 1e6))
+    np.testing.assert_allclose(far.force(u), near.force(u), rtol=1e-9, atol=1e-12)
+
+
+def test_statics_names_a_piece_that_nothing_holds(block):
+    held = pt.Solid(block.cloud, TISSUE, fixed="z-")
+    body = pt.cut(held, rectangle(0.5 * SIZE + (0.0, 0.0, 0.3 * SPACING), (0, 0, 1), 1.0))
+    assert len(body.loose_nodes) > 10
+    with pytest.raises(pt.DivergenceError, match="nothing holds them; cut with detached='remove'"):
+        pt.equilibrium(body, [pt.Gravity((0, 0, -9.81))])

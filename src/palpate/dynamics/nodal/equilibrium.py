@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from palpate.dynamics.nodal.static_balance import StaticBalance
 from palpate.dynamics.run.model import State, initial_field
 from palpate.dynamics.run.partition import active_partitions
 from palpate.dynamics.run.reactions import group_forces
-from palpate.faults import InputError, brief, integer_in_range, number_in_range
+from palpate.faults import DivergenceError, InputError, brief, integer_in_range, number_in_range
 from palpate.threads import check_process
 
 __all__ = ["Equilibrium", "equilibrium"]
@@ -140,7 +140,17 @@ def equilibrium(
     with np.errstate(all="ignore"):  # trial states may have no energy
         balance = StaticBalance(model, model.prepare(loads), time, start)
         newton = MixedNewton(balance, tolerance, max_iterations)
-        u = newton.run()
+        try:
+            u = newton.run()
+        except DivergenceError as error:
+            loose: Any = getattr(model, "loose_nodes", ())
+            if not len(loose):
+                raise
+            raise DivergenceError(
+                f"no equilibrium was found: a cut has parted {len(loose)} nodes from all supports, the first at "
+                f"{model.cloud.points[int(loose[0])]} m, and nothing holds them; "
+                "cut with detached='remove', or support them"
+            ) from error
         energy = model.strain_energy(u, balance.history(u))
         return Equilibrium(u, newton.residual, newton.iterations, energy, _reactions(balance, u))
 

@@ -7,6 +7,7 @@ places in the stress-free body, and no tool reaches them.
 
 from __future__ import annotations
 
+import warnings
 from copy import copy
 from functools import partial
 from typing import Any
@@ -22,6 +23,8 @@ from palpate.dynamics.material.fibres import always_taut
 from palpate.dynamics.solid.base import Solid
 from palpate.dynamics.solid.cut_layout import Entries, fitted_entries, row_entries, smoothing_entries, with_stencils
 from palpate.faults import CloudError, InputError, brief
+from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.cut_clipping import clipped, off_surface
 from palpate.meshfree.cut_points import inside_body
 from palpate.meshfree.cut_stencils import (
     RELEASED_FIT,
@@ -34,7 +37,7 @@ from palpate.meshfree.cut_surface import MAX_WAY, NO_CUT, CutSurface, cut_surfac
 from palpate.meshfree.inner_gradient import inner_nodes
 from palpate.meshfree.kept_sums import conserve_integrals, keep_uniform_stress
 
-__all__ = ["cut", "cut_from", "uncut_state", "without_detached"]
+__all__ = ["cut", "cut_from", "detached_nodes", "uncut_state", "without_detached"]
 
 KEEP_PIECES, REMOVE_PIECES = "keep", "remove"
 MAX_ROUNDS = 20  # of releases of nodes
@@ -73,6 +76,11 @@ def cut(body: Solid, triangles: Any, *, detached: str = KEEP_PIECES) -> Solid:
     CloudError
         A triangle has no width, the surface of the body is not known, or stencils along the cut do not exist.
 
+    Warns
+    -----
+    UserWarning
+        The triangles part nothing: they are far from the body, or along its surface.
+
     Examples
     --------
     >>> import palpate as pt
@@ -87,9 +95,27 @@ def cut(body: Solid, triangles: Any, *, detached: str = KEEP_PIECES) -> Solid:
     """
     if detached not in (KEEP_PIECES, REMOVE_PIECES):
         raise InputError(f"detached must be 'keep' or 'remove', got {brief(detached)}")
+    solid: Any
     solid, corners = _checked(body, triangles)
-    result = cut_from(solid, len(solid.cut_surface.triangles), corners)
+    cloud = solid.cloud
+    near = clipped(corners, cloud.points, cloud.spacing)
+    areas = cloud.boundary_vectors() * cloud.volumes[:, None]
+    near = off_surface(near, cloud.points, areas, cloud.spacing)
+    before: CutState = solid.cut_state
+    result: Any = cut_from(solid, len(before.surface.triangles), near)
+    if np.array_equal(result.cut_state.checks, before.checks):
+        _warn_of_miss(cloud, corners)
     return without_detached(result) if detached == REMOVE_PIECES else result
+
+
+def _warn_of_miss(cloud: Cloud, corners: Floats) -> None:
+    extents = cloud.points.min(axis=0), cloud.points.max(axis=0), corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    low, high, cut_low, cut_high = (np.round(each, 4).tolist() for each in extents)
+    warnings.warn(
+        f"the cut parts nothing: its triangles reach from {cut_low} to {cut_high} m, and the body from {low} to {high} "
+        "m; give corners in metres, inside the body",
+        stacklevel=3,
+    )
 
 
 def cut_from(body: Any, kept: int, corners: Floats) -> Solid:
@@ -193,15 +219,19 @@ def _exchange(
     return state, with_stencils(body, nodes, new, smoothing, volumes)
 
 
-def without_detached(body: Any) -> Solid:
-    """Return a body without the pieces that no support holds; of one without supports the largest piece stays."""
-    before, n = body.cut_state, len(body.cloud)
-    pieces = _pieces(body.body, n)
+def detached_nodes(body: Any) -> NDArray[np.bool_]:
+    """Return True for nodes (n,) of pieces that no support holds; of a body without supports the largest one stays."""
+    pieces = _pieces(body.body, len(body.cloud))
     anchors = [body.cloud.group(support.group) for support in body.supports]
     if not anchors:
-        volumes = np.bincount(pieces, np.where(before.removed, 0.0, body.volumes))
+        volumes = np.bincount(pieces, np.where(body.cut_state.removed, 0.0, body.volumes))
         anchors = [np.flatnonzero(pieces == volumes.argmax())]
-    removed = ~np.isin(pieces, pieces[np.concatenate(anchors)])
+    return ~np.isin(pieces, pieces[np.concatenate(anchors)])
+
+
+def without_detached(body: Any) -> Solid:
+    """Return a body without the pieces that no support holds; of one without supports the largest piece stays."""
+    before, removed = body.cut_state, detached_nodes(body)
     new = np.flatnonzero(removed & ~before.removed)
     if not len(new):
         return body

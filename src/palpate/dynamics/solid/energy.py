@@ -21,7 +21,7 @@ from palpate.dynamics.nodal.stability import StabilityReport, resting_frequency,
 from palpate.dynamics.run.model import Evaluation, Model, Outputs, State, StepReport
 from palpate.dynamics.solid.base import STENCIL_SIZES, Choices, Solid
 from palpate.dynamics.solid.blade_cut import cut_with_blade, steps_of_blade, with_pairs
-from palpate.dynamics.solid.cut import uncut_state
+from palpate.dynamics.solid.cut import detached_nodes, uncut_state
 from palpate.dynamics.solid.cut_layout import smoothing_of, stencils_of
 from palpate.dynamics.solid.energy_form import NODE_NUMBERS
 from palpate.dynamics.solid.layout import Smoothing, energy_passes
@@ -91,6 +91,14 @@ class EnergySolid(Solid):
     def stability(self) -> StabilityReport:  # type: ignore[override]
         highest, damping = resting_frequency(self), self.stiffness_damping
         return StabilityReport("energy form", None, 0.0, damping, highest, stable_step(highest, damping))
+
+    @property
+    def loose_nodes(self) -> Ints:
+        """Nodes (l,) of pieces that a cut has parted from all supports, without those that are removed."""
+        if self._cut is None or not self.supports:
+            return np.zeros(0, dtype=np.int64)
+        left_out = self._cut.released | self._cut.removed
+        return np.flatnonzero(detached_nodes(self) & ~left_out)
 
     @property
     def elastic_volumes(self) -> Floats:
