@@ -118,7 +118,7 @@ def test_a_cube_keeps_its_faces():
         (lambda: inverted(ball()), "inside out"),
         (lambda: pt.Surface(ball().vertices, ball().triangles[1:]), "open"),
         (lambda: joined(ball(), ball(centre=(0.1001, 0, 0))), "2 separate bodies"),
-        (lambda: joined(ball(), ball(0.03)), "a cavity outwards"),
+        (lambda: joined(ball(), ball(0.03)), "parts inside another face outwards.*place = { part"),
         (lambda: joined(ball(), inverted(ball(0.0495))), "hollow"),
         (lambda: joined(ball(), inverted(ball(0.047))), "walls 3 mm thick on average.*; use at most 0.0012 m"),
         (lambda: joined(ball(), ball(centre=(0.02, 0.003, 0.001))), "pass through each other"),
@@ -154,6 +154,13 @@ def test_bodies_one_spacing_apart_do_not_share_stencils():
 def test_invalid_arguments_are_refused_by_name(body, spacing, more, said):
     with pytest.raises(pt.InputError, match=said):
         pt.fill(body, spacing, **more)
+
+
+def test_a_body_in_another_becomes_a_cavity_with_a_warning():
+    nested = joined(ball(), ball(0.03))
+    with pytest.warns(UserWarning, match=r"bodies inside another became empty cavities: 1, of .* % of the volume.*region"):
+        cloud = pt.fill(nested, 0.01, repair=True)
+    assert cloud.volumes.sum() == pytest.approx(ball().volume - ball(0.03).volume, rel=1e-6)
 
 
 OUTER, INNER = 0.05, 0.03  # radii of a hollow ball [m]

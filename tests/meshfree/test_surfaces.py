@@ -85,7 +85,7 @@ def test_welding_joins_coincident_vertices_and_drops_triangles_without_area():
     [
         (lambda: pt.Surface(ball().vertices, ball().triangles[3:]), "open"),
         (lambda: inverted(ball()), "inside out"),
-        (lambda: joined(ball(), ball(0.03)), "inside out"),
+        (lambda: joined(ball(), ball(0.03)), "body in a body"),
         (lambda: joined(*(ball(0.002, 0.004, (0.01 * k, 0, 0)) for k in range(101))), "several parts"),
         (lambda: joined(ball(), ball(centre=(0.03, 0.002, 0.001))), "self-intersecting"),
     ],

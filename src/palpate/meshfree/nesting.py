@@ -23,6 +23,11 @@ __all__ = [
 ]
 
 MAX_COMPONENTS = 100  # of a surface, whose pairs are compared
+# what to do with a body in another
+REGION_REMEDY = (
+    "a tumour or a vessel of other tissue is a region: leave it out of the body (parts of [surface]), and name it, "
+    "place = { part = 'tumour' } of [[region]], in a file with named parts such as OBJ"
+)
 
 
 def enclosures(surface: Surface, label: Ints) -> NDArray[np.bool_]:

@@ -9,7 +9,7 @@ import numpy as np
 from palpate.arrays import Floats, Ints
 from palpate.faults import InputError
 from palpate.meshfree.intersections import MAX_PAIRS, self_intersections
-from palpate.meshfree.nesting import MAX_COMPONENTS, cavities, enclosures
+from palpate.meshfree.nesting import MAX_COMPONENTS, REGION_REMEDY, cavities, enclosures
 from palpate.meshfree.surfaces import (
     Surface,
     SurfaceProblem,
@@ -188,14 +188,23 @@ def _volume_problems(surface: Surface, label: Ints) -> list[SurfaceProblem]:
         ]  # fmt: skip
     cavity = cavities(enclosures(surface, label))
     wrong = (volumes > 0) == cavity
-    if wrong.any():
-        inner = ", or a cavity outwards" if cavity[wrong].any() else ""
+    inverted, nested = wrong & ~cavity, wrong & cavity
+    if inverted.any():
         problems.append(
             SurfaceProblem(
                 "error", "inside out",
-                f"the surface is inside out: triangles of {int(wrong.sum())} of {len(volumes)} parts face "
-                f"inwards{inner}; repair turns them",
-                places[wrong],
+                f"the surface is inside out: triangles of {int(inverted.sum())} of {len(volumes)} parts face inwards; "
+                "repair turns them",
+                places[inverted],
+            )
+        )  # fmt: skip
+    if nested.any():
+        problems.append(
+            SurfaceProblem(
+                "error", "body in a body",
+                f"parts inside another face outwards, as bodies do: {int(nested.sum())}, of "
+                f"{_litres(volumes[nested])} litres; repair makes them empty cavities; {REGION_REMEDY}",
+                places[nested],
             )
         )  # fmt: skip
     if cavity.any():

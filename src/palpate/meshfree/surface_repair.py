@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from palpate.arrays import Floats, Ints
 from palpate.faults import InputError
 from palpate.meshfree.intersections import MAX_PAIRS, self_intersections
-from palpate.meshfree.nesting import orient_components
+from palpate.meshfree.nesting import REGION_REMEDY, orient_components
 from palpate.meshfree.surfaces import (
     Surface,
     SurfaceProblem,
@@ -25,11 +25,14 @@ from palpate.meshfree.surfaces import (
     weld,
 )
 
-__all__ = ["repair_surface"]
+__all__ = ["HOLLOWED", "repair_surface"]
 
 MAX_HOLE_RATIO = 0.6  # rim length of a closed hole, over pi times the diagonal of the body
 SPECK_SHARE = 1e-3  # of the volume; smaller components are removed
 MAX_SMOOTHINGS = 30  # of folds
+
+
+HOLLOWED = "hollowed"  # name of the repair that makes a body in another one a cavity
 
 
 def repair_surface(surface: Surface) -> Surface:
@@ -44,17 +47,34 @@ def repair_surface(surface: Surface) -> Surface:
     surface = _remove_specks(weld(surface))
     surface, before = _separate_sheets(surface, _orient_triangles(surface.triangles))
     surface = _close_holes(surface)
+    hollowed = np.zeros(0, dtype=np.int64)
     if surface.closed:
-        surface = orient_components(surface)
+        surface, hollowed = _orient(surface)
     elif surface.volume < 0:
         surface = replace(surface, triangles=surface.triangles[:, ::-1])
     turned = np.flatnonzero(np.any(surface.triangles[: len(before)] != before, axis=1))
+    turned = np.setdiff1d(turned, hollowed)
     if len(turned):
         places = surface.vertices[before[turned]].mean(axis=1)
         surface = _listed(
             surface, "turned", f"triangles that faced inwards were turned: {len(turned)} of {len(before)}", places
         )
     return _smooth_folds(surface)
+
+
+def _orient(surface: Surface) -> tuple[Surface, Ints]:
+    """Return a closed surface with all components oriented, and triangles of bodies that became cavities of others."""
+    result, label = orient_components(surface), components(surface)
+    volumes = part_volumes(surface, label)
+    became = (volumes > 0) & (part_volumes(result, label) < 0)
+    if not became.any() or surface.volume < 0:
+        return result, np.zeros(0, dtype=np.int64)
+    share = 100 * volumes[became].sum() / surface.volume
+    what = (
+        f"bodies inside another became empty cavities: {int(became.sum())}, of {share:.3g} % of the volume; "
+        f"{REGION_REMEDY}"
+    )
+    return _listed(result, HOLLOWED, what, part_centroids(surface, label)[became]), np.flatnonzero(became[label])
 
 
 def _listed(surface: Surface, name: str, what: str, points: Floats) -> Surface:
