@@ -774,3 +774,12 @@ def test_a_scene_of_a_campaign_is_opened_again_with_its_settings(write):
         training_scene(str(path), made.parameters)
     with pytest.raises(pt.InputError, match="low must be a number or a text to train with, got"):
         training_scene(str(path), {"low": [0, 0, 0]})
+
+
+def test_a_scene_without_supports_says_what_is_held(tmp_path):
+    text = '[surface]\ngenerated = "box"\nsize = ["60 mm", "60 mm", "40 mm"]\n[body]\nspacing = "10 mm"\n[tissue]\nlaw = "NeoHookean"\n'
+    path = tmp_path / "free.toml"
+    path.write_text(text + 'parameters = { C1 = "1100 Pa" }\n', encoding="utf-8")
+    scene = pt.open_scene(path)
+    assert scene.cloud is not None
+    assert [note for note in scene.notes if "the scene has none, so the side 'back' of the body is held" in note]

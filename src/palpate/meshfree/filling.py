@@ -29,7 +29,7 @@ from palpate.meshfree.relaxing import (
 from palpate.meshfree.remeshing import SurfaceNodes, remesh
 from palpate.meshfree.surface_checks import check_surface
 from palpate.meshfree.surface_files import read_surface
-from palpate.meshfree.surface_repair import HOLLOWED, repair_surface
+from palpate.meshfree.surface_repair import HOLLOWED_BODY, repair_surface
 from palpate.meshfree.surfaces import (
     Surface,
     components,
@@ -130,7 +130,7 @@ def fill(
     if lattice not in ("bcc", "cubic", "scattered"):
         raise InputError(f"lattice must be 'bcc', 'cubic' or 'scattered', got {brief(lattice)}")
     body = _body(surface, part, units, repair)
-    for warning in (*body.warnings, *(each.what for each in body.repairs if each.name == HOLLOWED)):
+    for warning in (*body.warnings, *(each.what for each in body.repairs if each.name == HOLLOWED_BODY)):
         warnings.warn(warning, stacklevel=2)
     sizing = Sizing.of(spacing, refine)
     report = check_surface(body)

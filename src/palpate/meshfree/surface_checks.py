@@ -131,7 +131,8 @@ def _open_problems(surface: Surface, edges: Ints, count: Ints, turns: Ints, midd
             SurfaceProblem(
                 "error", "open",
                 f"the surface is open: {int(single.sum())} edges bound a hole (holes of {sizes} edges; the first near "
-                f"{_place_text(middles[single][0])}); repair closes small holes",
+                f"{_place_text(middles[single][0])}); repair closes holes with a rim below 60 % of pi times the "
+                "body's diagonal, edit larger ones in a mesh program",
                 middles[single],
             )
         )  # fmt: skip

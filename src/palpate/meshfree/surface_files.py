@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -28,6 +29,8 @@ READER_BY_FORMAT = {
     "stl": read_stl, "obj": read_obj, "ply": read_ply, "off": read_off, "glb": read_glb, "gltf": read_gltf,
     "vtk": read_vtk, "vtp": read_vtp, "trian": read_trian,
 }  # fmt: skip
+HEADER_BYTES = 4096  # of a file, in which it states its frame
+SPACE_PATTERN = re.compile(rb"SPACE=(LPS|RAS)\b")
 MAX_BYTES = 300_000_000  # of a file, packed or not
 
 
@@ -146,8 +149,17 @@ def _read(
     if not surfaces:
         raise FileFormatError(f"{path} must hold triangles, got none")
     if part is None and len(surfaces) > 1:
-        return choose_body(surfaces, path.name, finish, units)
-    return finish(join_parts(surfaces, path.name if part is None else f"{path.name}, part {names_text(names, 3)}"))
+        body = choose_body(surfaces, path.name, finish, units)
+    else:
+        whole_name = path.name if part is None else f"{path.name}, part {names_text(names, 3)}"
+        body = finish(join_parts(surfaces, whole_name))
+    return replace(body, space=_stated_space(data))
+
+
+def _stated_space(data: bytes) -> str:
+    """Return the frame that 3D Slicer writes into headers and comments; empty for other files."""
+    stated = SPACE_PATTERN.search(data[:HEADER_BYTES])
+    return stated.group(1).decode() if stated else ""
 
 
 def _surfaces(parts: Parts, names: Sequence[str], file: str) -> dict[str, Surface]:

@@ -25,14 +25,14 @@ from palpate.meshfree.surfaces import (
     weld,
 )
 
-__all__ = ["HOLLOWED", "repair_surface"]
+__all__ = ["HOLLOWED_BODY", "repair_surface"]
 
 MAX_HOLE_RATIO = 0.6  # rim length of a closed hole, over pi times the diagonal of the body
 SPECK_SHARE = 1e-3  # of the volume; smaller components are removed
 MAX_SMOOTHINGS = 30  # of folds
 
 
-HOLLOWED = "hollowed"  # name of the repair that makes a body in another one a cavity
+HOLLOWED_BODY = "hollowed"  # name of the repair that makes a body in another one a cavity
 
 
 def repair_surface(surface: Surface) -> Surface:
@@ -74,7 +74,7 @@ def _orient(surface: Surface) -> tuple[Surface, Ints]:
         f"bodies inside another became empty cavities: {int(became.sum())}, of {share:.3g} % of the volume; "
         f"{REGION_REMEDY}"
     )
-    return _listed(result, HOLLOWED, what, part_centroids(surface, label)[became]), np.flatnonzero(became[label])
+    return _listed(result, HOLLOWED_BODY, what, part_centroids(surface, label)[became]), np.flatnonzero(became[label])
 
 
 def _listed(surface: Surface, name: str, what: str, points: Floats) -> Surface:

@@ -94,6 +94,8 @@ class Surface(Described):
         What was repaired, with the places.
     unit : float [m]
         Length of a unit of the file that it was read from.
+    space : str
+        Frame that the header of the file states, as 3D Slicer writes it: ``"LPS"``, ``"RAS"`` or none.
 
     Raises
     ------
@@ -118,6 +120,7 @@ class Surface(Described):
     warnings: tuple[str, ...] = ()
     repairs: tuple[SurfaceProblem, ...] = ()
     unit: float = 1.0
+    space: str = ""
 
     def __post_init__(self) -> None:
         vertices = np.ascontiguousarray(self.vertices, dtype=float)

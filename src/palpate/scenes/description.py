@@ -129,7 +129,11 @@ class Painted:
 
 @dataclass(frozen=True)
 class Near:
-    """Nearness to another surface, such as a bone."""
+    """Nearness to another surface, such as a bone.
+
+    Headers may state the frame as 3D Slicer does, ``SPACE=LPS`` or ``SPACE=RAS``. A surface in the other frame is
+    turned into that of the body, with a warning.
+    """
 
     file: str = setting(text="surface file, relative to the scene file; parts, units and scale as those of the body")
     distance: float = setting(text="largest distance", unit="m", above=0.0, high=1.0)

@@ -183,6 +183,10 @@ class OrganScene(Described):
                 cloud = _with_group(cloud, self._group("support", number), mask)
         if not self.description.support:
             cloud = cloud.with_group(self._group("support", 0), self._default_support(cloud))
+            if is_scene_file(self.name):
+                self.notes.append(
+                    f"support: the scene has none, so the side {DEFAULT_SIDE!r} of the body is held; give [[support]]"
+                )
         for number, load in enumerate(self.description.load):
             if load.place is not None:
                 with _naming(f"load[{number + 1}]"):
@@ -373,8 +377,8 @@ class OrganScene(Described):
         return cloud
 
     def _finder(self, cloud: Cloud) -> PlaceFinder:
-        unit = 1.0 if self.surface is None else self.surface.unit
-        return PlaceFinder(cloud, self.description.surface, unit, self.folder)
+        unit, space = (1.0, "") if self.surface is None else (self.surface.unit, self.surface.space)
+        return PlaceFinder(cloud, self.description.surface, unit, self.folder, space)
 
     def _default_support(self, cloud: Cloud) -> NDArray[np.bool_]:
         """Return the side of each body away from the first view."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -50,12 +51,15 @@ class PlaceFinder:
         Length of a unit of painted files.
     folder : path
         Folder of relative file names.
+    space : str
+        Frame that the file of the body states: ``"LPS"``, ``"RAS"`` or none.
     """
 
     cloud: Cloud
     shape: Shape
     unit: float = 1.0
     folder: Path = Path()
+    space: str = ""
 
     def mask(self, place: Place, *, margin: float = 0.0) -> NDArray[np.bool_]:
         """Return the nodes (n,) in a place, and those up to a margin [spacings] beyond its border.
@@ -134,6 +138,7 @@ class PlaceFinder:
             scale=self.shape.scale,
             repair=False,
         )
+        surface = in_frame(surface, self.space)
         tree = _vertices(surface, MAX_EDGE_RATIO * distance)
         return lambda points: np.isfinite(tree.query(points, distance_upper_bound=distance + width)[0])
 
@@ -159,6 +164,22 @@ class PlaceFinder:
         if self.shape.units:
             return self.shape.units
         return min(METRES_BY_UNIT, key=lambda name: abs(np.log(METRES_BY_UNIT[name] * self.shape.scale / self.unit)))
+
+
+def in_frame(surface: Surface, space: str) -> Surface:
+    """Return a surface in the frame of a body, LPS or RAS, with a warning if it is turned.
+
+    Where only one of the two files states its frame, the other one's is LPS, as in 3D Slicer.
+    """
+    stated = surface.space or ("LPS" if space else "")
+    if stated == (space or ("LPS" if surface.space else "")):
+        return surface
+    warnings.warn(
+        f"{surface.name} is in {stated} and the body in {space or 'LPS'}: it is turned by 180 degrees about z, into "
+        "the frame of the body",
+        stacklevel=2,
+    )
+    return replace(surface, vertices=surface.vertices * np.array([-1.0, -1.0, 1.0]))
 
 
 def _vertices(surface: Surface, edge: float) -> cKDTree:

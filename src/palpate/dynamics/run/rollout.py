@@ -83,6 +83,8 @@ def rollout(
     Returns
     -------
     Trajectory
+        Forces of tools are means over the frame before, so they are zero in frame 0, also of a run that starts from a
+        state in contact.
 
     Raises
     ------
