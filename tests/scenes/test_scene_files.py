@@ -777,7 +777,10 @@ def test_a_scene_of_a_campaign_is_opened_again_with_its_settings(write):
 
 
 def test_a_scene_without_supports_says_what_is_held(tmp_path):
-    text = '[surface]\ngenerated = "box"\nsize = ["60 mm", "60 mm", "40 mm"]\n[body]\nspacing = "10 mm"\n[tissue]\nlaw = "NeoHookean"\n'
+    text = (
+        '[surface]\ngenerated = "box"\nsize = ["60 mm", "60 mm", "40 mm"]\n'
+        '[body]\nspacing = "10 mm"\n[tissue]\nlaw = "NeoHookean"\n'
+    )
     path = tmp_path / "free.toml"
     path.write_text(text + 'parameters = { C1 = "1100 Pa" }\n', encoding="utf-8")
     scene = pt.open_scene(path)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from palpate.app.recordings.recording import Recording
-from palpate.dynamics.solid.cut import cut
+from palpate.dynamics.solid.cut import cut_from
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.reduction.realtime.cut_display import CutFullSurface
 from palpate.reduction.realtime.display_surface import DisplaySurface
@@ -41,5 +41,5 @@ class CutSurfaces:
                 triangles = np.concatenate([triangles[: change.kept], change.triangles])
             self._present, model = self.whole, self._recording.model
             if len(triangles) and isinstance(self.whole, FullSurface) and isinstance(model, EnergySolid):
-                self._present = CutFullSurface(cut(model, triangles), self.whole)
+                self._present = CutFullSurface(cut_from(model, 0, triangles), self.whole)
         return self._present
