@@ -115,8 +115,9 @@ def readme_figures(elements: list[Row], organs: list[Row], bench: Row, beam: Row
     organ_command, bench_command = "`python validation/organ_models.py`", "`palpate bench`"
     rows = [
         [
-            f"full bodies of 3,000 nodes against finite elements, {len({row['case'] for row in fine})} bodies: largest "
-            "error of frequencies; of sag; of the force on a disc of three spacings",
+            "full bodies of 3,000 nodes against finite elements, "
+            f"{len({row['case'].split()[0] for row in fine})} bodies, two of them at Poisson's ratios of 0.3, 0.45 and "
+            "0.49: largest error of frequencies; of sag; of the force on a disc of three spacings",
             "; ".join(worst), "`python validation/elements.py`",
         ],
         [

@@ -65,13 +65,17 @@ def off_surface(triangles: Floats, points: Floats, area_vectors: Floats, spacing
     nodes = np.flatnonzero(np.any(area_vectors != 0.0, axis=1))
     place, normals = np.ascontiguousarray(points[nodes]), area_vectors[nodes]
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    foot, distance, over = np.empty_like(place), np.empty(len(nodes)), np.empty(len(nodes), dtype=np.bool_)
     for k in np.flatnonzero(~is_narrow(triangles, spacing)):
-        nearest_on_cut(place, triangles[k : k + 1], foot, distance, over)
         a, b, c = triangles[k]
         across = np.cross(b - a, c - a)
         across /= np.linalg.norm(across)
-        outward = normals[distance < ON_SURFACE * spacing] @ across
+        in_plane = np.flatnonzero(np.abs((place - a) @ across) < ON_SURFACE * spacing)
+        if not len(in_plane):
+            continue
+        near, count = place[in_plane], len(in_plane)
+        foot, distance, over = np.empty((count, 3)), np.empty(count), np.empty(count, dtype=np.bool_)
+        nearest_on_cut(near, triangles[k : k + 1], foot, distance, over)
+        outward = normals[in_plane[distance < ON_SURFACE * spacing]] @ across
         if len(outward) and np.median(np.abs(outward)) > ALONG_COSINE:
             result[k] += np.sign(np.median(outward)) * OUTWARD_SHIFT * spacing * across
     return result

@@ -194,6 +194,10 @@ def test_faces_of_a_cut_do_not_pass_through_each_other(block, inward):
         assert opening >= 0.05 * 8e-3
 
 
+def test_no_triangles_cut_nothing(block):
+    assert len(pt.cut(block, np.zeros((0, 3, 3))).cut_surface.triangles) == 0
+
+
 def test_a_cut_in_millimetres_warns_and_changes_nothing(block):
     with pytest.warns(UserWarning, match="give corners in metres"):
         body = pt.cut(block, 1e3 * rectangle(0.5 * SIZE, (0, 0, 1), 0.05) + 5.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -143,12 +143,12 @@ def equilibrium(
         try:
             u = newton.run()
         except DivergenceError as error:
-            loose: Any = getattr(model, "loose_nodes", ())
+            loose = model.loose_nodes
             if not len(loose):
                 raise
             raise DivergenceError(
                 f"no equilibrium was found: a cut has parted {len(loose)} nodes from all supports, the first at "
-                f"{model.cloud.points[int(loose[0])]} m, and nothing holds them; "
+                f"{model.cloud.points[loose[0]]} m, and nothing holds them; "
                 "cut with detached='remove', or support them"
             ) from error
         energy = model.strain_energy(u, balance.history(u))

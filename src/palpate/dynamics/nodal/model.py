@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, sum_of_products
+from palpate.arrays import Floats, Ints, sum_of_products
 from palpate.dynamics.compiled.lanes import Lanes
 from palpate.dynamics.compiled.passes import Formulation, internal_force
 from palpate.dynamics.compiled.rows import Rows
@@ -456,6 +456,11 @@ class NodalModel(Model):
             return NodalFields(displacement, velocity, unbalanced, lambda: self.stress(damped, history, work))
         unbalanced -= self.without_images(self.volumes[:, None] * self.nodal_force(damped, history, work))
         return NodalFields(displacement, velocity, unbalanced, None)
+
+    @property
+    def loose_nodes(self) -> Ints:
+        """Nodes (l,) of pieces that a cut has parted from all supports."""
+        return np.zeros(0, dtype=np.int64)
 
     def without_images(self, forces: Floats) -> Floats:
         """Return internal forces (n, 3) [N] without those that the images exert through planes of symmetry.

@@ -103,7 +103,7 @@ def cut(body: Solid, triangles: Any, *, detached: str = KEEP_PIECES) -> Solid:
     near = off_surface(near, cloud.points, areas, cloud.spacing)
     before: CutState = solid.cut_state
     result: Any = cut_from(solid, len(before.surface.triangles), near)
-    if np.array_equal(result.cut_state.checks, before.checks):
+    if len(corners) and np.array_equal(result.cut_state.checks, before.checks):
         _warn_of_miss(cloud, corners)
     return without_detached(result) if detached == REMOVE_PIECES else result
 
