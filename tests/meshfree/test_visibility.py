@@ -120,3 +120,9 @@ def test_a_right_angle_keeps_most_of_its_stencils():
     near = np.linalg.norm(cloud.points[:, None, ::2] - 0.03, axis=2)[:, 0] < 1.5 * SPACING
     hidden = cloud.hidden[near][:, near]
     assert hidden.nnz < 0.05 * near.sum() ** 2
+
+
+def test_pairs_of_other_points_are_refused():
+    cloud = pt.box((0.03, 0.02, 0.02), spacing=0.005)
+    with pytest.raises(pt.InputError, match=r"hidden must have shape \(4, 4\)"):
+        pt.moving_least_squares(cloud.points[:4], order=1, neighbours=4, hidden=cloud.hidden)

@@ -194,6 +194,8 @@ def moving_least_squares(
     check_process()
     points = np.ascontiguousarray(points, dtype=float)
     n, d = points.shape
+    if hidden is not None and hidden.shape != (n, n):
+        raise InputError(f"hidden must have shape ({n}, {n}), got {hidden.shape}; use Cloud.hidden of these points")
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:
         raise CloudError(f"points must be finite, got other values at nodes {first_few(bad)}", bad)

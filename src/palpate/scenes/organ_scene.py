@@ -371,9 +371,8 @@ class OrganScene(Described):
             surface = self.repaired_surface
             assert surface is not None
             cloud = fill(surface, about.body.spacing, seed=about.body.seed)
-        self.notes += [
-            f"surface: {line}" for line in sorted({str(each.message) for each in caught} - {*surface.warnings})
-        ]
+        noted = {*surface.warnings, *(repair.what for repair in surface.repairs)}
+        self.notes += [f"surface: {line}" for line in sorted({str(each.message) for each in caught} - noted)]
         return cloud
 
     def _finder(self, cloud: Cloud) -> PlaceFinder:
