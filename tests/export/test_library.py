@@ -171,6 +171,14 @@ def test_the_force_limit_and_the_moduli_are_those_of_the_options(library):
     assert stiff[FORCE + 2] == pytest.approx(2.0 * free[FORCE + 2], rel=0.1)
 
 
+def test_the_force_of_a_model_that_has_diverged_is_zero(library):
+    assert np.any(press(library)[-1][FORCE : FORCE + 3])
+    library.arrays["modulus_ratio"][:] = np.nan
+    assert 2 in [library("step") for _ in range(20)]  # PALPATE_DIVERGED
+    assert not library.arrays["record"][FORCE : FORCE + 15].any()  # with moment and stiffness
+    assert library("step") == 2
+
+
 # bad input
 
 
