@@ -170,9 +170,11 @@ def push_sites(contacts, ends, step, kick, u, velocity):  # type: ignore[no-unty
             along = _dot(relative, normal)
             old = sites.impulses[s, 0], sites.impulses[s, 1], sites.impulses[s, 2]
             if sites.kind[s] == EDGE_SITE:
-                clear = (sites.slips[s] - _slip(sites, s, place, start, first, normal)) / step
                 if ends:  # moves no node
-                    clear = 0.0 if clear * step < contacts.contact_gap else np.inf
+                    behind = sites.slips[s] - _slip(sites, s, place, end, last, normal)
+                    clear = 0.0 if behind < contacts.contact_gap else np.inf
+                else:
+                    clear = (sites.slips[s] - _slip(sites, s, place, start, first, normal)) / step
                 new = _edge_impulse(last, sites.directions[s], relative, response, sites.limits[s] * kick, old, clear)
             else:
                 at, origin = (end, last[:, 3]) if ends else (start, first[:, 3])
