@@ -44,6 +44,7 @@ _HOME = {
     "cut": "dynamics.solid.cut",
     "cut_reduced": "reduction.training.cut_reduced",
     "equilibrium": "dynamics.nodal.equilibrium",
+    "unloaded": "dynamics.solid.unloading",
     "Foundation": "dynamics.loads.foundation",
     "Gravity": "dynamics.loads.body_force",
     "PrescribedMotion": "dynamics.loads.prescribed_motion",

@@ -18,6 +18,7 @@ from palpate.dynamics.run.rollout import rollout as rollout
 from palpate.dynamics.run.trajectory import Trajectory as Trajectory
 from palpate.dynamics.solid.cut import cut as cut
 from palpate.dynamics.solid.model import Solid as Solid
+from palpate.dynamics.solid.unloading import unloaded as unloaded
 from palpate.faults import CloudError as CloudError
 from palpate.faults import DivergenceError as DivergenceError
 from palpate.faults import FileFormatError as FileFormatError

@@ -14,6 +14,7 @@ from palpate.dynamics.nodal.model import NodalModel, NodalWork
 from palpate.dynamics.nodal.stability import StabilityReport
 from palpate.dynamics.run.model import ContactState, Evaluation, Model, Outputs, StepReport
 from palpate.dynamics.run.reactions import NodalFields
+from palpate.dynamics.solid.unloading import UnloadedBody
 from palpate.meshfree.cut_surface import CutSurface
 from palpate.meshfree.mirror import Mirror, MirrorPlane
 from palpate.realtime.device import DeviceLog
@@ -65,4 +66,5 @@ __all__ = [
     "SupportedNodes",
     "Tissue",
     "Tool",
+    "UnloadedBody",
 ]

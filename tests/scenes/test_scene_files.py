@@ -584,6 +584,29 @@ def test_wrong_parameters_of_laws_are_refused_by_name(opened):
             _ = opened(box_scene(replace={'C1 = "1.5 kPa"': value})).material
 
 
+GRAVITY = '[[load]]\nkind = "gravity"\nacceleration = [0, 0, -9.81]\n'
+
+
+def test_a_shape_under_loads_is_that_at_the_start_of_a_run(opened):
+    text = box_scene(replace={"[body]\n": "[body]\nunder_loads = true\n", 'C1 = "1.5 kPa"': 'C1 = "6 kPa"'}) + GRAVITY
+    scene = opened(text)
+    sag = np.linalg.norm(scene.start, axis=1).max()
+    assert sag > 1e-4
+    np.testing.assert_allclose(scene.body.cloud.points + scene.start, scene.cloud.points, atol=1e-3 * sag)
+    assert any("stress-free shape is up to" in note for note in scene.notes)
+    assert opened(text.replace("under_loads = true", "under_loads = false")).start is None
+
+
+def test_a_shape_under_loads_requires_loads(opened):
+    text = box_scene(replace={"[body]\n": "[body]\nunder_loads = true\n"})
+    with pytest.raises(pt.InputError, match="under_loads must be false without loads at time 0"):
+        _ = opened(text).body
+    with pytest.raises(pt.InputError, match="under_loads must be false without loads at time 0"):
+        _ = opened(text + GRAVITY + "times = [0, 1]\nfactors = [0, 1]\n").body
+    with pytest.raises(pt.InputError, match="must be false for a disc"):
+        _ = opened(DISC.replace("[body]", "[body]\nunder_loads = true") + GRAVITY).body
+
+
 DISC = """
 [surface]
 generated = "disc"

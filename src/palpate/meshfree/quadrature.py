@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sparse
+from numpy.typing import NDArray
 from scipy.sparse.linalg import lsmr
 
 from palpate.arrays import Floats
@@ -98,7 +99,7 @@ def _transfer(weights: Floats, least: Floats, cloud: Cloud, stencils: Stencils) 
     return weights
 
 
-def conservative_smoothing(stencils: Stencils, volumes: Floats) -> tuple[Floats, Floats]:
+def conservative_smoothing(neighbours: NDArray[np.int32], values: Floats, volumes: Floats) -> tuple[Floats, Floats]:
     """Return the weights of a fit, changed as little as possible so that it preserves integrals.
 
     With the fitted values S f of a nodal field and the nodal weights V, V . S f = V . f for every
@@ -112,14 +113,16 @@ def conservative_smoothing(stencils: Stencils, volumes: Floats) -> tuple[Floats,
 
     Parameters
     ----------
-    stencils : Stencils
-        Stencils of a fit, interpolating or not.
+    neighbours : (n, k) int array
+        Of every node; padded with the node itself.
+    values : (n, k) array
+        Their weights in a fit.
     volumes : (n,) array [m^3]
 
     Returns
     -------
     value, own : (n, k), (n,) arrays
-        Weights of every node's neighbours, in the order of `stencils.neighbours`, and its own.
+        Weights of every node's neighbours, in their order, and its own.
 
     Raises
     ------
@@ -127,9 +130,9 @@ def conservative_smoothing(stencils: Stencils, volumes: Floats) -> tuple[Floats,
         The solver did not find such weights.
     """
     n = len(volumes)
-    node, place = np.nonzero(stencils.neighbours != np.arange(n)[:, None])
-    other, pair = stencils.neighbours[node, place], np.arange(len(node))
-    value, size = stencils.value[stencils.row], volumes / np.median(volumes)
+    node, place = np.nonzero(neighbours != np.arange(n)[:, None])
+    other, pair = neighbours[node, place], np.arange(len(node))
+    value, size = values.copy(), volumes / np.median(volumes)
     # a weight on another node adds to that node's share of the integral, and subtracts from its own node's
     entries = np.concatenate([size[node], -size[node]])
     gain = sparse.csr_matrix((entries, (np.concatenate([other, node]), np.tile(pair, 2))), (n, len(pair)))

@@ -12,7 +12,7 @@ weights.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -120,6 +120,22 @@ class Stencils(Described):
     def hessian(self, field: Floats) -> Floats:
         """Return the second derivatives of a nodal field, shape (n, d (d + 1) / 2) or (n, c, d (d + 1) / 2)."""
         return self._apply(self.second, self.own_second, field)
+
+    def transformed(self, slopes: Floats) -> Stencils:
+        """Return stencils with a row a node, of the first derivatives along new coordinates X, by the chain rule.
+
+        Parameters
+        ----------
+        slopes : (n, d, d) array
+            Derivatives of the present coordinates x along the new ones, dx_a / dX_i at [a, i].
+        """
+        row, none = self.row, np.zeros((0, 0, 0))
+        first = np.einsum("nka,nai->nki", self.first[row], slopes)
+        return replace(
+            self, row=np.arange(len(row), dtype=np.int32), value=self.value[row], first=first, second=none,
+            own=self.own[row], own_first=-first.sum(axis=1), own_second=self.own_second[row],
+            condition=self.condition[row],
+        )  # fmt: skip
 
     def _apply(self, weights: Floats, diagonal: Floats, field: Floats) -> Floats:
         columns = np.ascontiguousarray(field, dtype=float).reshape(len(field), -1)

@@ -56,6 +56,9 @@ class Body:
     seed: int = setting(0, "seed of the nodes' positions", low=0, high=2**31)
     thickness: float | None = setting(None, "thickness of a membrane", unit="m", above=0.0, high=1.0)
     prestretch: float = setting(1.0, "stretch of a membrane at rest", low=0.5, high=3.0)
+    under_loads: bool = setting(
+        False, "whether the surface has its shape under the loads at time 0, as a scan has under gravity"
+    )
 
 
 @dataclass(frozen=True)

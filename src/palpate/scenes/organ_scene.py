@@ -28,6 +28,7 @@ from palpate.dynamics.loads.supports import Support as BodySupport
 from palpate.dynamics.loads.surface_force import SurfaceForce
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.solid.model import Solid
+from palpate.dynamics.solid.unloading import UnloadedBody, unloaded
 from palpate.faults import FileFormatError, InputError
 from palpate.files import digest_of, read_bytes
 from palpate.meshfree.cloud import BORDER_MARGIN, MOVED_MARGIN, Cloud, box
@@ -87,6 +88,7 @@ class OrganScene(Described):
         self.description, self.folder, self.name = description, folder, name
         self.settings = dict(settings or {})
         self.notes: list[str] = []
+        self._unloaded: UnloadedBody | None = None
 
     def _facts(self) -> list[Fact]:
         about = self.description
@@ -208,6 +210,8 @@ class OrganScene(Described):
         about = self.description
         fixed = [each for each in map(self._support, range(len(about.support) or 1)) if each is not None]
         if about.surface.generated == "disc":
+            if about.body.under_loads:
+                raise InputError("under_loads of [body] must be false for a disc, got true; use prestretch")
             if about.body.thickness is None:
                 raise InputError("thickness of [body] must be given for a disc, got none; give thickness = '0.1 mm'")
             if about.region:
@@ -232,7 +236,34 @@ class OrganScene(Described):
             raise InputError(
                 f"supports must hold the body, got {motions} rigid motions left free; fix a part, or use springs"
             )
-        return body
+        if not about.body.under_loads:
+            return body
+        with _naming("body"):
+            self._unloaded = unloaded(body, self._loads_of_shape())
+        sag = float(np.linalg.norm(self._unloaded.displacements, axis=1).max())
+        self.notes.append(
+            f"body: its stress-free shape is up to {1e3 * sag:.3g} mm from the surface, which loads have deformed; "
+            "runs begin in that shape, a view and training in the stress-free one"
+        )
+        return self._unloaded.body
+
+    def _loads_of_shape(self) -> tuple[Load, ...]:
+        """Return the loads at time 0 that have deformed the surface."""
+        loads = self.description.load
+        if not any(np.interp(0.0, load.times, load.factors) for load in loads):
+            raise InputError(
+                "under_loads must be false without loads at time 0, got true; give a [[load]] of kind = 'gravity' "
+                "whose factor at 0 s is not 0"
+            )
+        if any(load.kind == "motion" for load in loads):
+            raise InputError("under_loads must be false with a load of kind 'motion', got true; give a force")
+        return self.loads
+
+    @property
+    def start(self) -> Floats | None:
+        """Displacements (n, 3) [m] of the body at the start of a run: those of a shape under loads, or None."""
+        _ = self.body
+        return None if self._unloaded is None else self._unloaded.displacements
 
     def _stiffness_factors(self, materials: dict[str, Material]) -> Floats | None:
         """Return factors (n,) that give every node the mean compliance of its cell; None where all are 1.
@@ -284,7 +315,7 @@ class OrganScene(Described):
         self.held_motion(0, lasting)  # raises an error at once
 
         def path(seed: int) -> tuple[tuple[Load, ...], float]:
-            return (*self.foundations, self.held_motion(seed, lasting).load(self.cloud, self.held_group)), lasting
+            return (*self.foundations, self.held_motion(seed, lasting).load(self.body.cloud, self.held_group)), lasting
 
         return path
 

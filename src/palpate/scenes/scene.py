@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.nodal.model import NodalModel
@@ -30,6 +31,8 @@ class Scene:
     title : str
     parameters : mapping of str to float
         Parameters of the scene, in SI units.
+    displacement : (n, 3) array, optional [m]
+        Displacements at the start; zero by default.
     """
 
     model: NodalModel
@@ -38,6 +41,7 @@ class Scene:
     every: float
     title: str
     parameters: Mapping[str, float]
+    displacement: Floats | None = None
 
 
 @dataclass(frozen=True)

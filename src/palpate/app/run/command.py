@@ -153,7 +153,8 @@ def _scene(name: str, settings: dict[str, Any], energy: bool) -> Scene:
     loads, duration, every = opened.loads, opened.duration, opened.every
     if not opened.description.load:
         (loads, duration), every = opened.paths(PRESS_SEED), opened.description.training.every
-    return Scene(opened.body, loads, duration, every, opened.title, {"spacing": opened.body.cloud.spacing})
+    parameters = {"spacing": opened.body.cloud.spacing}
+    return Scene(opened.body, loads, duration, every, opened.title, parameters, opened.start)
 
 
 def _paper_value(key: str, value: Any) -> float:
@@ -190,8 +191,9 @@ def _run(scene: Scene, model: Model, console: Console, file: Path | None = None)
     try:
         step = min(scene.every, model.stable_step(model.state(prepared), prepared)[0])
         with warnings.catch_warnings(action="ignore", category=TrustWarning):  # a line below has the number
-            rollout(model, scene.loads, duration=step, every=step, progress=False)  # compiles the rest
-            run = rollout(model, scene.loads, duration=scene.duration, every=scene.every, file=file)
+            begin: Any = {"displacement": scene.displacement}
+            rollout(model, scene.loads, duration=step, every=step, progress=False, **begin)  # compiles the rest
+            run = rollout(model, scene.loads, duration=scene.duration, every=scene.every, file=file, **begin)
     except DivergenceError as error:
         raise RunError(f"the {model.name} model diverged: {error}{kept}") from error
     except KeyboardInterrupt:

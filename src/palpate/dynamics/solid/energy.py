@@ -25,17 +25,19 @@ from palpate.dynamics.solid.cut import detached_nodes, uncut_state
 from palpate.dynamics.solid.cut_layout import smoothing_of, stencils_of
 from palpate.dynamics.solid.energy_form import NODE_NUMBERS
 from palpate.dynamics.solid.layout import Smoothing, energy_passes
-from palpate.faults import InputError, number_in_range
-from palpate.meshfree.consistent import consistent_stencils
+from palpate.faults import CloudError, InputError, number_in_range
+from palpate.meshfree.consistent import consistent_gradient, consistent_stencils
 from palpate.meshfree.cut_stencils import CutState
+from palpate.meshfree.mirror import Images, mirror_images
 from palpate.meshfree.patches import surface_patches
-from palpate.meshfree.quadrature import conservative_smoothing
+from palpate.meshfree.quadrature import conservative_smoothing, quadratic_residuals
 from palpate.meshfree.stencils import Stencils
 
 __all__ = ["EnergySolid"]
 
 
 NEW_SURFACE = 1.5  # distance from removed nodes below which others are at the surface, in spacings
+LEAST_VOLUME_RATIO = 0.1  # of a node's cell in `moved`
 DEFAULT_DAMPING = 0.1  # default stiffness damping, times the highest frequency
 CRUSHED_DILATATION = -0.6  # dilatation below which the energy balance of steps is checked
 MAX_ENERGY_ERROR = 1e-3  # largest energy error of such steps, relative to the energy
@@ -64,18 +66,73 @@ class EnergySolid(Solid):
         tried = STENCIL_SIZES if choices.neighbours is None else (choices.neighbours,)
         images = choices.images
         self.neighbours, stencils, volumes = consistent_stencils(images.cloud, tried)
-        weights = conservative_smoothing(choices.smoother, volumes)
-        self.smoothing = Smoothing(*images.folded(choices.smoother.neighbours, *weights))
-        self.volumes = volumes[: images.nodes] / images.copies
-        compiled, self.stencils = energy_passes(images, self.tissue, stencils, self.smoothing, self.volumes)
+        smoother = choices.smoother
+        weights = conservative_smoothing(smoother.neighbours, smoother.value[smoother.row], volumes)
+        smoothing = Smoothing(*images.folded(smoother.neighbours, *weights))
+        self._lay_out(images, stencils, smoothing, volumes[: images.nodes] / images.copies, choices.stiffness_damping)
+
+    def _lay_out(
+        self, images: Images, stencils: Stencils, smoothing: Smoothing, volumes: Floats, damping: float | None
+    ) -> None:
+        """Set the weights of the energy, lay out the compiled passes, and find the stable step."""
+        self.smoothing, self.volumes = smoothing, volumes
+        compiled, self.stencils = energy_passes(images, self.tissue, stencils, smoothing, volumes)
         self.mirror = compiled.body.mirror
         self._compile(*compiled)
         self.stiffness_damping = 0.0
-        highest, damping = resting_frequency(self), choices.stiffness_damping
+        highest = resting_frequency(self)
         used = number_in_range(
             "stiffness_damping", DEFAULT_DAMPING / highest if damping is None else damping, 0.0, unit="s"
         )
         self._set_stability(StabilityReport("energy form", None, 0.0, used, highest, stable_step(highest, used)))
+
+    def moved(self, displacements: Floats) -> EnergySolid:
+        """Return the body with stress-free nodes at other places, and the same neighbours, tissue and fibres.
+
+        Derivatives and volumes are those of this body by the chain rule, F = grad x (grad X)^-1: they change
+        steadily with the places, so the shape that a load has deformed can be found by iteration.
+
+        Parameters
+        ----------
+        displacements : (n, 3) array [m]
+            From the present stress-free places to the new ones; they turn no cell inside out.
+
+        Raises
+        ------
+        InputError
+            The body is cut, or has planes of symmetry.
+        CloudError
+            A cell is inverted or flat, or derivatives cannot be made consistent.
+        """
+        if self._cut is not None or self.planes:
+            raise InputError("model must have no cut and no planes of symmetry to be moved; cut it afterwards")
+        cloud, gradient = self.cloud, self.deformation_gradient(displacements)
+        slopes = np.asarray(np.linalg.inv(gradient), dtype=float)
+        ratio = np.linalg.det(gradient)
+        if not ratio.min() >= LEAST_VOLUME_RATIO:
+            flat = int(ratio.argmin())
+            raise CloudError(f"the cell of node {flat} would have {ratio[flat]:.2g} times its volume", [flat])
+        areas = ratio[cloud.face_nodes, None] * np.einsum(
+            "mai,ma,m->mi", slopes[cloud.face_nodes], cloud.face_normals, cloud.face_areas
+        )
+        sizes = np.linalg.norm(areas, axis=1)
+        result: EnergySolid = object.__new__(type(self))
+        for name in ("tissue", "material", "fibres", "supports", "mass_damping", "planes", "half_cell", "neighbours"):
+            setattr(result, name, getattr(self, name))
+        result.cloud = cloud = replace(
+            cloud, points=cloud.points + displacements, volumes=cloud.volumes * ratio,
+            face_normals=areas / sizes[:, None], face_areas=sizes,
+        )  # fmt: skip
+        volumes, stencils = self.volumes * ratio, self.stencils.transformed(slopes)
+        edges = cloud.boundary_vectors() * cloud.volumes[:, None]
+        first = consistent_gradient(stencils, cloud.points, volumes, edges)
+        misses = quadratic_residuals(stencils, cloud.points)
+        stencils = replace(stencils, first=first, own_first=-first.sum(axis=1), value=misses)
+        before = self.smoothing
+        weights = conservative_smoothing(before.neighbours, before.weights, volumes)
+        smoothing = Smoothing(before.neighbours, *weights)
+        result._lay_out(mirror_images(cloud, ()), stencils, smoothing, volumes, self.stiffness_damping)
+        return result
 
     # a body that is cut computes these on first use
 
