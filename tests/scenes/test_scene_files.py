@@ -63,6 +63,7 @@ form = "strong"
 seed = 3
 thickness = "0.2 mm"
 prestretch = 1.1
+under_loads = true
 
 [tissue]
 law = "MooneyRivlin"
@@ -582,6 +583,19 @@ def test_wrong_parameters_of_laws_are_refused_by_name(opened):
     ):
         with pytest.raises(pt.InputError, match=said):
             _ = opened(box_scene(replace={'C1 = "1.5 kPa"': value})).material
+
+
+def test_faults_that_show_later_name_file_line_and_key(opened):
+    small = opened(box_scene(add=["[tool]", 'radius = "1 mm"']))
+    with pytest.raises(pt.InputError, match=r"\.toml, line 16: tool\.radius: .* at least 2 spacings"):
+        _ = small.paths
+    assert "body" not in vars(small)  # before the body is made
+    given = opened(box_scene(), {"tool.radius": "1 mm"})
+    with pytest.raises(pt.InputError, match=r"^tool\.radius: "):
+        _ = given.paths
+    nowhere = "[[load]]\nkind = 'pressure'\npressure = 1\nplace = { ball = { centre = [9, 9, 9], radius = 0.01 } }"
+    with pytest.raises(pt.InputError, match=r"\.toml, line 16: load\[1\]: "):
+        _ = opened(box_scene(add=["", nowhere])).body
 
 
 GRAVITY = '[[load]]\nkind = "gravity"\nacceleration = [0, 0, -9.81]\n'

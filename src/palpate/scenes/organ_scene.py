@@ -43,6 +43,7 @@ from palpate.scenes.names import PACKAGE_SCENES, is_scene_file
 from palpate.scenes.organ import liver_surface
 from palpate.scenes.places import PlaceFinder, side_mask
 from palpate.scenes.scene_paths import MIN_DEPTH_RATIO, HeldMotion, held_motion, touching_paths
+from palpate.scenes.scene_text import line_of_file, words_of
 from palpate.scenes.tissue import fibres_of, material_of
 from palpate.scenes.tool_paths import ToolPaths, check_radius
 from palpate.tissue.materials import Material
@@ -175,10 +176,10 @@ class OrganScene(Described):
         cloud = self._filled()
         finder = self._finder(cloud)
         for number, region in enumerate(self.description.region):
-            with _naming(f"region[{number + 1}]"):
+            with self._naming("region", number):
                 cloud = _with_group(cloud, self._group("region", number), finder.mask(region.place))
         for number, support in enumerate(self.description.support):
-            with _naming(self._support_key(number)):
+            with self._naming("support", number):
                 mask = finder.mask(support.place, margin=0.0 if support.kind == "springs" else BORDER_MARGIN)
                 if support.surface_only or support.kind == "springs":
                     mask = _on_surface(cloud, mask)
@@ -191,7 +192,7 @@ class OrganScene(Described):
                 )
         for number, load in enumerate(self.description.load):
             if load.place is not None:
-                with _naming(f"load[{number + 1}]"):
+                with self._naming("load", number):
                     mask = finder.mask(load.place, margin=MOVED_MARGIN if load.kind == "motion" else 0.0)
                     mask = mask if load.kind == "motion" else _on_surface(cloud, mask)
                     cloud = _with_group(cloud, self._group("load", number), mask)
@@ -224,7 +225,7 @@ class OrganScene(Described):
         materials: dict[str, Material] = {"": self.material}
         for number, region in enumerate(about.region):
             if region.parameters:
-                with _naming(f"region[{number + 1}]"):
+                with self._naming("region", number):
                     materials[self._group("region", number)] = material_of(about.tissue, region.parameters)
         body = Solid(
             self.cloud, materials if len(materials) > 1 else self.material, fixed, form=about.body.form,
@@ -238,7 +239,7 @@ class OrganScene(Described):
             )
         if not about.body.under_loads:
             return body
-        with _naming("body"):
+        with self._naming("body", "under_loads"):
             self._unloaded = unloaded(body, self._loads_of_shape())
         sag = float(np.linalg.norm(self._unloaded.displacements, axis=1).max())
         self.notes.append(
@@ -331,7 +332,8 @@ class OrganScene(Described):
         """
         about = self.description
         if body is None and about.tool.radius is not None and about.body.spacing is not None:  # before it is filled
-            check_radius(about.tool.radius, about.body.spacing)
+            with self._naming("tool", "radius"):
+                check_radius(about.tool.radius, about.body.spacing)
         touched = self.body if body is None else body
         return touching_paths(about.tool, about.training, touched, self.foundations, deepest, shallowest)
 
@@ -381,10 +383,24 @@ class OrganScene(Described):
         place, generated = entries[number].place, self.description.surface.generated
         return entries[number].name or (place.group if place and generated else "") or f"{kind} {number + 1}"
 
-    def _support_key(self, number: int) -> str:
-        """Return the name of a support for messages: its entry in a scene file, or the argument for a surface."""
-        of_file = self.name in PACKAGE_SCENES or is_scene_file(self.name)
-        return f"support[{number + 1}]" if of_file else "fixed"
+    @contextlib.contextmanager
+    def _naming(self, *keys: str | int) -> Iterator[None]:
+        """Name the file, the line and the keys of an entry in errors."""
+        try:
+            yield
+        except FileFormatError:
+            raise
+        except InputError as error:
+            raise type(error)(f"{self._place_of(keys)}: {error}") from error
+
+    def _place_of(self, keys: tuple[str | int, ...]) -> str:
+        """Return the file, the line and the keys of an entry; for a surface the argument that gives supports."""
+        if keys[0] == "support" and not (self.name in PACKAGE_SCENES or is_scene_file(self.name)):
+            return "fixed"
+        words = ".".join(words_of(keys))
+        if not is_scene_file(self.name) or any(words == key or words.endswith(f".{key}") for key in self.settings):
+            return words
+        return f"{self.name}, line {line_of_file(Path(self.name), keys)}: {words}"
 
     def _filled(self) -> Cloud:
         about = self.description
@@ -427,7 +443,7 @@ class OrganScene(Described):
         if not self.description.support:
             return Clamp(group)
         support = self.description.support[number]
-        with _naming(self._support_key(number)):
+        with self._naming("support", number):
             if support.kind == "roller":
                 return self._roller(group, support.direction)
             if support.kind == "rail":
@@ -529,14 +545,3 @@ def _on_surface(cloud: Cloud, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     if not np.any(mask & on):
         raise InputError("place must hold nodes of the surface, got inner nodes only; make it larger")
     return np.asarray(mask & on)
-
-
-@contextlib.contextmanager
-def _naming(key: str) -> Iterator[None]:
-    """Name the entry of the scene file in errors."""
-    try:
-        yield
-    except FileFormatError:
-        raise
-    except InputError as error:
-        raise type(error)(f"{key}: {error}") from error

@@ -11,7 +11,7 @@ from palpate.files import check_nesting, read_text, shortened
 from palpate.scenes.description import Description
 from palpate.scenes.settings import Fault, read_section
 
-__all__ = ["line_of", "parse_scene", "read_scene"]
+__all__ = ["line_of", "line_of_file", "parse_scene", "read_scene", "words_of"]
 
 MAX_BYTES = 1 << 20  # of a scene file
 # keys of more parts than a scene has; tomllib takes hours for one of 100,000
@@ -53,12 +53,12 @@ def parse_scene(text: str, name: str) -> Description:
         description: Description = read_section(Description, table)
     except Fault as fault:
         line = line_of(text, fault.path)
-        keys = ".".join(_words(fault.path)) or "the file"
+        keys = ".".join(words_of(fault.path)) or "the file"
         raise InputError(f"{name}, line {line}: {keys} {fault.message}") from fault
     return description
 
 
-def _words(path: tuple[str | int, ...]) -> list[str]:
+def words_of(path: tuple[str | int, ...]) -> list[str]:
     """Return the keys of a path, with the number of an entry, from 1, behind its list."""
     words: list[str] = []
     for part in path:
@@ -72,6 +72,14 @@ def _words(path: tuple[str | int, ...]) -> list[str]:
 def _split(key: str) -> tuple[str, ...]:
     """Return the parts of a dotted key."""
     return tuple(part.strip(" \t\"'") for part in key.split("."))
+
+
+def line_of_file(path: Path, keys: tuple[str | int, ...]) -> int:
+    """Return the line of keys in a scene file, as `line_of` does; 1 if the file can no longer be read."""
+    try:
+        return line_of(read_text(path, "scene file", MAX_BYTES), keys)
+    except (OSError, InputError):
+        return 1
 
 
 def line_of(text: str, path: tuple[str | int, ...]) -> int:
