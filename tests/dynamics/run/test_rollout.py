@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
+import palpate.dynamics.run.rollout as rollout_module
 from palpate.dynamics.run.model import Model
 
 PULL = pt.SurfaceForce("x+", force=(1.0, 0.0, 0.0))
@@ -111,6 +112,18 @@ def test_a_body_turned_inside_out_is_stopped(held):
         pt.rollout(held, displacement=u, duration=1e-6, every=1e-6)
 
 
+@pytest.mark.parametrize("spacing", [6e-3, 4e-3])
+def test_a_plane_that_crushes_a_block_ends_the_run_while_its_force_still_rises(spacing):
+    tissue = pt.materials.NeoHookean(C1=1.1e3, density=1060, poisson=0.45)
+    block = pt.Solid(pt.box((0.03, 0.03, 0.024), spacing), tissue, fixed="z-", mass_damping=8)
+    down = pt.tools.Contact(pt.tools.Plane(), lambda t: ((0.015, 0.015, 0.025 - 0.1 * min(t, 0.2)), (np.pi, 0, 0)))
+    with pytest.raises(pt.DivergenceError, match="of the cells between nodes are turned inside out") as error:
+        pt.rollout(block, [down], duration=0.4, every=0.01, progress=False)
+    force = -error.value.trajectory.reactions["tool"][1:, 2]
+    assert np.all(np.diff(force) > 0)
+    assert force[-1] == pytest.approx(6.4, rel=0.05)  # at both spacings, at 54 % of the height
+
+
 @pytest.fixture(scope="module")
 def crushed():
     """A block pushed in by four fifths of its height and let go: J falls below 0.1, and snaps back."""
@@ -123,6 +136,7 @@ def crushed():
 @pytest.mark.slow
 def test_steps_are_shortened_as_crushed_tissue_is_released(crushed, monkeypatch):
     model, poke = crushed
+    monkeypatch.setattr(rollout_module, "MAX_INVERTED", 1.0)  # cells under the poke are turned
     run = pt.rollout(model, poke, duration=0.2, every=0.01, progress=False)
     assert run.complete
     energy = run.kinetic + run.strain

@@ -467,6 +467,10 @@ class Model(Described, metaclass=_Constant):
         """
         return bool(np.isfinite(after.coordinates).all())
 
+    def inverted_share(self, state: State) -> float:
+        """Return the share of the cells between nodes that are turned inside out; zero for models without cells."""
+        return 0.0
+
     def after_steps(self, state: State, prepared: PreparedLoads) -> tuple[Model, State, PreparedLoads]:
         """Return the model, the state and the loads after some steps; other ones where a blade has cut the body."""
         return self, state, prepared

@@ -31,6 +31,7 @@ MAX_OVERSTEP = 1.2  # longest step that is accepted, over the stable step after 
 STEPS_PER_ESTIMATE = 50  # steps between two estimates of the stable step
 MIN_RETRY_STEP = 1 / 256  # smallest retry step, as a fraction of the stable step
 MAX_DISPLACEMENT = 100.0  # largest displacement, in body sizes
+MAX_INVERTED = 0.03  # of the cells between nodes: beyond it forces of crushed bodies fall while tools go deeper
 MAX_STEP_RATIO = 100  # most steps to a snapshot, relative to their number at the run's first stable step
 MAX_FRAMES = 10**6
 MAX_STEPS_PER_FRAME = 1e7
@@ -310,6 +311,10 @@ def _check_outputs(model: Model, state: State, prepared: PreparedLoads, outputs:
         raise _divergence(model, state, prepared, f"the body moved more than {MAX_DISPLACEMENT:g} times its size", step)
     if np.isnan(outputs.strain):
         raise _divergence(model, state, prepared, "the body turned inside out (J <= 0)", step)
+    share = model.inverted_share(state)
+    if share > MAX_INVERTED:
+        what = f"{share:.1%} of the cells between nodes are turned inside out: the loads crush the tissue"
+        raise _divergence(model, state, prepared, what, step)
     forces = {f"force of {name!r}": force for name, force in outputs.reactions.items()}
     moments = {f"moment of {name!r}": moment for name, moment in outputs.moments.items()}
     energies = {f"{name} energy": getattr(outputs, name) for name in ("kinetic", "strain", "external", "dissipated")}

@@ -15,9 +15,11 @@ from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed, prepare
 from palpate.dynamics.loads.supports import Support, supports_of, symmetry_planes
 from palpate.dynamics.material.tissue import Tissue, tissue_of
 from palpate.dynamics.nodal.model import History, NodalModel
+from palpate.dynamics.run.model import State
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.cut_surface import NO_CUT, CutSurface
+from palpate.meshfree.inversion import cells_between, inverted_share
 from palpate.meshfree.mirror import Images, mirror_images
 from palpate.meshfree.stencils import Stencils, moving_least_squares
 from palpate.tissue.fibres import FibreLaw
@@ -177,6 +179,13 @@ class Solid(NodalModel):
     def removed_nodes(self) -> Ints:
         """Nodes (r,) of pieces that were cut off and removed; see ``detached`` of `palpate.cut`."""
         return np.zeros(0, dtype=np.int64) if self._cut is None else np.flatnonzero(self._cut.removed)
+
+    def inverted_share(self, state: State) -> float:
+        return 0.0 if self._cut is not None else inverted_share(self.cloud, self._cells, state.coordinates)
+
+    @cached_property
+    def _cells(self) -> Ints:
+        return cells_between(self.cloud)
 
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
         return self._press_supports(prepare_loads(self.cloud, self.supports, listed(loads)))
