@@ -56,6 +56,33 @@ def recorded(body, tmp_path_factory, until):
     return path, seen, session.surface
 
 
+def moved(body, way):
+    """The body at another place."""
+    cloud = dataclasses.replace(body.cloud, points=body.cloud.points + way)
+    return pt.Solid(
+        cloud, pt.materials.NeoHookean(C1=1e3, density=1000.0, poisson=0.45), body.supports, mass_damping=8.0
+    )
+
+
+def test_a_body_far_from_the_origin_is_pressed_as_one_there(body, until):
+    forces = []
+    for way in (np.zeros(3), np.array([100.0, -200.0, 50.0])):
+        session, above = Session(moved(body, way), "Block"), ABOVE + way
+        session.start()
+        ball = {"type": "tool", "kind": "sphere", "radius": BALL, "position": above.tolist()}
+        session.handle(validate_message(ball))
+        session.handle(validate_message({"type": "pose", "position": (above - [0, 0, 0.005]).tolist()}))
+        until(lambda session=session: session.snapshot().force[2] > 0.02)
+        for _ in range(20):  # until it rests
+            count = session.snapshot().time + 0.02
+            until(lambda session=session, count=count: session.snapshot().time > count)
+        forces.append(session.snapshot().force[2])
+        session.stop()
+    assert forces[1] == pytest.approx(forces[0], rel=0.01)
+    with pytest.raises(pt.InputError, match=r"body must lie within 999\.7 m of the origin"):
+        Session(moved(body, np.array([2000.0, 0, 0])), "Block")
+
+
 def test_a_recording_of_a_full_body_has_its_states_and_makes_it_again(recorded, body):
     path, seen, surface = recorded
     recording = load_recording(path)

@@ -9,11 +9,11 @@ from typing import Any
 from palpate.faults import InputError
 from palpate.files import json_of, shortened
 
-__all__ = ["MAX_MESSAGE_BYTES", "PROTOCOL_VERSION", "Message", "parse_message", "validate_message"]
+__all__ = ["MAX_COORDINATE", "MAX_MESSAGE_BYTES", "PROTOCOL_VERSION", "Message", "parse_message", "validate_message"]
 
 PROTOCOL_VERSION = 2
 MAX_MESSAGE_BYTES = 64 * 1024
-MAX_COORDINATE = 10.0  # [m] of a position
+MAX_COORDINATE = 1000.0  # [m] of a position; single precision, in which bodies are drawn, has 0.06 mm there
 MAX_TEXT_LENGTH = 200  # characters
 SEE_DOCS = "see docs/protocol.md"
 LIVER_TOUGHNESS = 164.0  # [J/m^2], bovine (Gokgol, Basdogan and Canadinc 2012)

@@ -20,10 +20,11 @@ from palpate.app.recordings.recording import RECORDING_INTERVAL, Recording, Surf
 from palpate.app.recordings.recording_journal import RecordingJournal
 from palpate.app.recordings.snapshot import OverlayState, Snapshot, scalar_descriptions, training_errors
 from palpate.app.recordings.snapshot_arrays import coordinates_type
-from palpate.app.view.session.messages import Message
+from palpate.app.view.session.messages import MAX_COORDINATE, Message
 from palpate.app.view.session.recorder import Recorder
 from palpate.app.view.session.tool_control import (
     NO_ROTATION,
+    WORKSPACE_MARGIN,
     SelectedTool,
     ToolWorkspace,
     compose_rotations,
@@ -93,6 +94,12 @@ class Session:
         rate: float = PERIODS_PER_SECOND,
         foundations: Sequence[Foundation] = (),
     ) -> None:
+        farthest = float(np.abs(model.cloud.points).max()) + WORKSPACE_MARGIN
+        if farthest > MAX_COORDINATE:
+            raise InputError(
+                f"body must lie within {MAX_COORDINATE - WORKSPACE_MARGIN:g} m of the origin for tools to reach it, "
+                f"got {farthest - WORKSPACE_MARGIN:.4g} m; move the surface"
+            )
         self.model, self.title, self.rate = model, title, rate
         self.surface: DisplaySurface = display_surface(model)
         self._workspace = ToolWorkspace(self.surface)

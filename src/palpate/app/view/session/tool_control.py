@@ -15,7 +15,15 @@ from palpate.dynamics.contact.tools import Capsule, Forceps, Sphere, Tool
 from palpate.faults import InputError
 from palpate.reduction.realtime.display_surface import DisplaySurface, fixed_nodes
 
-__all__ = ["NO_ROTATION", "SelectedTool", "ToolWorkspace", "compose_rotations", "make_forceps", "tool_shape"]
+__all__ = [
+    "NO_ROTATION",
+    "WORKSPACE_MARGIN",
+    "SelectedTool",
+    "ToolWorkspace",
+    "compose_rotations",
+    "make_forceps",
+    "tool_shape",
+]
 
 
 WORKSPACE_MARGIN = 0.3  # [m] around the body
