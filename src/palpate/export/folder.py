@@ -6,7 +6,8 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,7 +18,7 @@ from palpate import __version__
 from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_sources
 from palpate.dynamics.contact import kinds
-from palpate.export.library import lower_model
+from palpate.export.library import Library, lower_model
 from palpate.export.link import host_target
 from palpate.export.targets import HOST_TARGET, TARGET_MACHINES, TARGET_NAMES
 from palpate.faults import InputError
@@ -26,7 +27,7 @@ from palpate.realtime.record import HEADER_DTYPE, field_offset
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.realtime.display_surface import Surface
 
-__all__ = ["check_new", "export_c", "identifier"]
+__all__ = ["check_new", "complete_folder", "export_c", "identifier"]
 
 TEMPLATE_NAMES = ("palpate.h", "model.h", "main.c", "CMakeLists.txt", "Organ.cs", "README.md")
 PRESS_SHARE, RADIUS_SPACINGS = 0.5, 3.0  # depth of the example's press over the ball's radius, and that radius
@@ -54,6 +55,25 @@ def check_new(folder: Path) -> None:
     check_folder(folder.parent)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"folder must be new or empty, got {str(folder)!r}; choose another, or remove it")
+
+
+@contextmanager
+def complete_folder(folder: Path) -> Iterator[Path]:
+    """Give a folder to write to, whose files are in `folder` at the end; a run that is stopped leaves nothing there.
+
+    A process that is killed leaves the hidden folder, which the next one replaces.
+    """
+    folder = folder.absolute()
+    part = folder.with_name(f".{folder.name}.part")
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir(parents=True)
+    try:
+        yield part
+        folder.mkdir(exist_ok=True)
+        for entry in list(part.iterdir()):
+            entry.rename(folder / entry.name)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
 
 
 def export_c(
@@ -106,7 +126,21 @@ def export_c(
     check_new(folder)
     words = _words(model, name)
     library = lower_model(model, name)
-    folder.mkdir(parents=True, exist_ok=True)
+    with complete_folder(folder) as part:
+        return _write(part, library, words, name, title, targets, strict, say)
+
+
+def _write(
+    folder: Path,
+    library: Library,
+    words: dict[str, str],
+    name: str,
+    title: str,
+    targets: Sequence[str],
+    strict: bool,
+    say: Callable[[str], None],
+) -> dict[str, str]:
+    """Write the files of a library; arguments and result as of `export_c`."""
     written = {f"{name}.palpate": "the constants of the model"}
     write_bytes(folder / f"{name}.palpate", library.image)
     for target in targets:

@@ -13,6 +13,7 @@ import numpy as np
 from palpate.app.recordings.snapshot import scalar_descriptions, training_errors
 from palpate.app.view.server.page import PAGE_FOLDER
 from palpate.app.view.session.session import material_sliders
+from palpate.export.folder import complete_folder
 from palpate.export.library import lower_model
 from palpate.export.targets import WEB_TARGETS
 from palpate.export.wasm import module_of_object
@@ -43,16 +44,17 @@ def export_web(model: ReducedModel, folder: Path, title: str) -> dict[str, str]:
     library = lower_model(model, MODEL_NAME)
     modules = {name: module_of_object(library.emit(target), library.symbols) for name, target in WEB_TARGETS.items()}
     about["memory_size"], about["data_end"] = library.memory.size, max(each.data_end for each in modules.values())
-    shutil.copytree(PAGE_FOLDER, folder, dirs_exist_ok=True)
-    page = (folder / "index.html").read_text(encoding="utf-8")
-    page = page.replace(PAGE_MARK, f'{PAGE_MARK}\n    <meta name="palpate-model" content="{MODEL_FOLDER}" />')
-    write_bytes(folder / "index.html", page.replace(HIDDEN_DISCLAIMER, '<p id="disclaimer">').encode())
-    data = folder / MODEL_FOLDER
-    data.mkdir(exist_ok=True)
-    write_bytes(data / "model.json", json.dumps(about).encode())
-    write_bytes(data / "model.gz", gzip.compress(library.image, mtime=0))
-    for name, module in modules.items():
-        write_bytes(data / f"{name}.wasm", module.content)
+    with complete_folder(folder) as part:
+        shutil.copytree(PAGE_FOLDER, part, dirs_exist_ok=True)
+        page = (part / "index.html").read_text(encoding="utf-8")
+        page = page.replace(PAGE_MARK, f'{PAGE_MARK}\n    <meta name="palpate-model" content="{MODEL_FOLDER}" />')
+        write_bytes(part / "index.html", page.replace(HIDDEN_DISCLAIMER, '<p id="disclaimer">').encode())
+        data = part / MODEL_FOLDER
+        data.mkdir(exist_ok=True)
+        write_bytes(data / "model.json", json.dumps(about).encode())
+        write_bytes(data / "model.gz", gzip.compress(library.image, mtime=0))
+        for name, module in modules.items():
+            write_bytes(data / f"{name}.wasm", module.content)
     return {
         "index.html": "the page; any web server can serve the folder",
         f"{MODEL_FOLDER}/simd.wasm": "the functions; scalar.wasm for browsers without vectors",
