@@ -18,6 +18,14 @@ def folder_of(nodeid):
     return nodeid.split("::", 1)[0].removeprefix("tests/").split("/", 1)[0]
 
 
+@pytest.fixture(autouse=True, scope="session")
+def _own_cache_folder(tmp_path_factory):
+    """Tests learn no spacings from other runs, and leave none to them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
     """Mark as slow what a ``quick`` mark of a test, a class or a module leaves out, and sort the folders."""

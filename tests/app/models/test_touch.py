@@ -15,6 +15,7 @@ from palpate.app.models.touch import (
     FINER_NODES,
     FORCE_ERRORS,
     MOST_NODES,
+    better_spacing,
     open_touched,
     realtime_spacing,
 )
@@ -22,6 +23,7 @@ from palpate.app.view.session.messages import validate_message
 from palpate.app.view.session.session import Session
 from palpate.meshfree.cloud import BORDER_MARGIN
 from palpate.scenes.description import Shape
+from palpate.scenes.open_scene import open_scene
 from palpate.scenes.organ import liver_surface
 from palpate.scenes.places import PlaceFinder, place_of_text, side_mask
 from palpate.scenes.surface_scene import is_surface_file, surface_scene
@@ -112,6 +114,18 @@ def test_a_slower_machine_steps_a_coarser_body(monkeypatch):
     assert spacings[0] < spacings[1] < spacings[2]
     # nodes times steps a second: the fourth power of the spacing
     assert spacings[1] / spacings[0] == pytest.approx(2**0.25, rel=0.03)
+
+
+def test_the_spacing_follows_the_measured_load():
+    scene = open_scene("liver", {"spacing": 0.016})
+    spacing, count = scene.body.cloud.spacing, len(scene.body.cloud)
+    assert better_spacing(scene, 0.6) is None
+    assert better_spacing(scene, 0.6 / 0.92) is None
+    assert better_spacing(scene, 0.6 / 1.25) is None
+    assert better_spacing(scene, 0.3) == pytest.approx(spacing * 0.5**0.25, rel=0.05)  # the fourth power of the spacing
+    least = spacing * np.cbrt(count / 600)  # nodes
+    assert better_spacing(scene, 0.8) == pytest.approx(min(least, spacing * (0.8 / 0.6) ** 0.25), rel=0.05)
+    assert better_spacing(scene, 60.0) == pytest.approx(least, rel=0.05)
 
 
 def tool_message(position):

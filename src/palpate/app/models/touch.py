@@ -16,7 +16,10 @@ from palpate.scenes.names import is_scene_file
 from palpate.scenes.organ_scene import OrganScene
 from palpate.tissue.materials import Material
 
-__all__ = ["TRAINED_NODES", "fitting_scene", "open_touched", "realtime_spacing", "spacing_for"]
+__all__ = [
+    "TRAINED_NODES", "better_spacing", "fitting_scene", "is_guessed", "open_touched",
+    "realtime_spacing", "spacing_for",
+]  # fmt: skip
 
 TRAINED_NODES = 5000  # of the body of a trained model without a given spacing
 
@@ -25,6 +28,7 @@ NODES_PER_CELL = 1.45  # nodes over volume / spacing^3 in a filled organ
 STEP_PER_WAVE = 0.37  # stable step over the time of a pressure wave over a spacing
 STEP_OVER_FORCE = 1.6  # time of a step over that of its force evaluation
 BUSY_SHARE = 0.6  # of the time, which the steps of a body in real time may take
+LEAST_GAIN, MOST_GAIN = 0.9, 1.3  # speed of a body over that which it needs, within which its spacing stays
 LEAST_NODES, MOST_NODES = 600, 40_000
 # of a ball's force against finite elements: median and largest on bodies of 3,000 nodes, pressed by half of its radius
 # of 1.5 spacings or deeper (validation/elements.py)
@@ -33,11 +37,11 @@ FINER_NODES = 6.7  # the nodes of half the spacing over those of the whole (vali
 SAMPLE_SECONDS = 0.6  # of the measurement of this machine
 
 
-def open_touched(scene: OrganScene, console: Console) -> OrganScene:
+def open_touched(scene: OrganScene, console: Console, spacing: float | None = None) -> OrganScene:
     """Return a scene with its full body; print guesses, repairs and notes.
 
-    Its spacing is the finest in real time on this machine. A larger spacing of the scene stays, and so does any
-    spacing that a user gives for a surface without a scene file.
+    Its spacing is the finest in real time on this machine, or `spacing` [m] in its place. A larger spacing of the
+    scene stays, and so does any spacing that a user gives for a surface without a scene file.
 
     Raises
     ------
@@ -49,7 +53,7 @@ def open_touched(scene: OrganScene, console: Console) -> OrganScene:
     if scene.description.surface.file:
         with console.status("checking the surface"):
             surface = scene.repaired_surface
-    touched = _touched(scene, console)
+    touched = _touched(scene, console, spacing)
     body, cloud = touched.body, touched.cloud
     for line in dict.fromkeys([*scene.notes, *touched.notes]):
         console.say(option_names(line))
@@ -82,7 +86,7 @@ def _remedy(scene: OrganScene, options: str) -> str:
     return f"; another: {scene.name}" if is_scene_file(scene.name) else f"; another: {options}"
 
 
-def _touched(scene: OrganScene, console: Console) -> OrganScene:
+def _touched(scene: OrganScene, console: Console, spacing: float | None) -> OrganScene:
     """Return the scene with a body in real time."""
     given = scene.description.body.spacing
     surface = scene.surface
@@ -90,8 +94,10 @@ def _touched(scene: OrganScene, console: Console) -> OrganScene:
         return _prepared(scene, console)
     if given is not None and not is_scene_file(scene.name):
         return fitting_scene(scene, given, True, console)
-    with console.status("measuring this machine"):
-        finest = realtime_spacing(abs(surface.volume), scene.material)
+    finest = spacing
+    if finest is None:
+        with console.status("measuring this machine"):
+            finest = realtime_spacing(abs(surface.volume), scene.material)
     if given is not None and given >= finest:
         return fitting_scene(scene, given, True, console)
     return fitting_scene(scene, finest, False, console)
@@ -153,6 +159,30 @@ def _force_line(nodes: int, realtime: bool) -> str:
     )
 
 
+def is_guessed(scene: OrganScene, touched: OrganScene) -> bool:
+    """Return True if the spacing of a touched body is that of this machine, not one that a user gave."""
+    return scene.surface is not None and touched.body.cloud.spacing != scene.description.body.spacing
+
+
+def better_spacing(touched: OrganScene, load: float) -> float | None:
+    """Return the spacing [m] of two digits with which a body keeps real time, or None if its own does.
+
+    Parameters
+    ----------
+    touched : OrganScene
+    load : float
+        Computing time of the body at rest over the time that passes.
+    """
+    if LEAST_GAIN <= BUSY_SHARE / load <= MOST_GAIN:
+        return None
+    cloud = touched.body.cloud
+    spacing = cloud.spacing
+    finest, coarsest = spacing * np.cbrt(len(cloud) / np.array([MOST_NODES, LEAST_NODES]))
+    better = float(np.clip(spacing * (load / BUSY_SHARE) ** 0.25, finest, coarsest))
+    rounded = float(f"{1.005 * better:.2g}")
+    return rounded if rounded != spacing else None
+
+
 def spacing_for(nodes: int, volume: float) -> float:
     """Return the spacing [m], of two digits, of a body of a volume [m^3] with about so many nodes."""
     return float(f"{np.cbrt(NODES_PER_CELL * volume / nodes):.2g}")
@@ -178,7 +208,7 @@ def realtime_spacing(volume: float, material: Material) -> float:
 
 
 def _seconds_per_node(material: Material) -> float:
-    """Return the time [s] of a step per node, from the median of force evaluations in some tenths of a second."""
+    """Return the time [s] of a step per node, from the faster force evaluations in some tenths of a second."""
     body = EnergySolid(box((0.1, 0.1, 0.1), 0.0083, jitter=0.2), material, "z-")
     u, work, durations = np.zeros((len(body.cloud), 3)), body.workspace(), list[float]()
     body.force(u, work=work)  # compiles
@@ -187,7 +217,7 @@ def _seconds_per_node(material: Material) -> float:
         began = perf_counter()
         body.force(u, work=work)
         durations.append(perf_counter() - began)
-    return STEP_OVER_FORCE * float(np.median(durations)) / len(body.cloud)
+    return STEP_OVER_FORCE * float(np.quantile(durations, 0.2)) / len(body.cloud)
 
 
 def _count(volume: float, spacing: float) -> float:

@@ -36,6 +36,7 @@ if TYPE_CHECKING:  # each takes a second to import, before the page opens
 __all__ = ["view"]
 
 MAX_HEADLESS_SECONDS = 3600.0  # [s] of a headless session
+MAX_REFILLS, LOAD_SECONDS = 3, 0.5  # of a body whose steps take another time than expected; of a measurement
 STOP_SECONDS, TRAINING_STOP_SECONDS = 1.0, 10.0  # [s] after an interrupt; workers of a training are stopped in order
 
 
@@ -256,25 +257,29 @@ def _session(
     The engine is prepared after `wait`, if there is one.
     """
     console.begin_phase("importing")
+    from palpate.app.models.learned_spacings import learned_spacing
     from palpate.app.models.loader import open_model
-    from palpate.app.models.touch import open_touched
+    from palpate.app.models.touch import is_guessed, open_touched
 
     model: Any
     foundations: tuple[Foundation, ...] = ()
+    guessed = False
     if subject.model is not None:
         model = subject.model
     elif subject.touched is not None:
-        touched = open_touched(subject.touched, console)
-        model, foundations = touched.body, touched.foundations
+        touched = open_touched(subject.touched, console, learned_spacing(subject.touched.digest))
+        model, foundations, guessed = touched.body, touched.foundations, is_guessed(subject.touched, touched)
     else:
         model, _ = open_model(subject.what, console)
     with console.status("preparing the engine (the first run on a machine compiles it, in about a minute)"):
         if wait is not None:
             wait()
         session = _open_session(model, subject, foundations)
+    session.start()
+    if guessed:
+        session = _in_real_time(session, touched, subject, console)
     if is_scene_file(subject.what):
         session.folder = recordings_folder(Path(subject.what))
-    session.start()
     if record is not None:
         session.start_recording(record)
     try:
@@ -283,6 +288,26 @@ def _session(
         session.close()
         with contextlib.suppress(OSError):  # the terminal was closed
             _print_notifications(session, console)
+
+
+def _in_real_time(session: Session, touched: OrganScene, subject: _Subject, console: Console) -> Session:
+    """Return the running session, or one of the same surface filled again, whose body keeps real time."""
+    from palpate.app.models.learned_spacings import keep_spacing
+    from palpate.app.models.touch import better_spacing, open_touched
+
+    scene = subject.touched
+    assert scene is not None
+    for _ in range(MAX_REFILLS):
+        spacing = better_spacing(touched, session.load(LOAD_SECONDS))
+        if spacing is None:
+            break
+        session.close()
+        console.say("the body is filled again, since its steps take another time than expected")
+        touched = open_touched(scene, console, spacing)
+        session = _open_session(touched.body, subject, touched.foundations)
+        session.start()
+    keep_spacing(scene.digest, touched.body.cloud.spacing)
+    return session
 
 
 def _open_session(model: Any, subject: _Subject, foundations: tuple[Foundation, ...]) -> Session:

@@ -199,7 +199,7 @@ def test_a_failure_of_the_preparation_reaches_the_viewer_and_the_exit_status(
     heard, seen = watched
     monkeypatch.setattr("palpate.app.view.server.preparation.user_cache_path", lambda name: tmp_path)
 
-    def refuse(scene, console):
+    def refuse(scene, console, spacing=None):
         assert seen.wait(SECONDS)
         raise pt.InputError("spacing must be larger")
 

@@ -10,6 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
@@ -215,6 +216,18 @@ class Session:
             "force_bound": bound if math.isfinite(bound) else None,
             **(step_statistics(self._realtime_model.data) if self.is_full else {}),
         }  # fmt: skip
+
+    def load(self, seconds: float) -> float:
+        """Return the computing time of periods over their length, from the median of those in some seconds.
+
+        The first half is left out: memory is then read for the first time.
+        """
+        time.sleep(0.5 * seconds)
+        first = self.engine.statistics().computing.counts
+        time.sleep(0.5 * seconds)
+        computing = self.engine.statistics().computing
+        recent = replace(computing, counts=computing.counts - first)
+        return recent.percentile(50) * self.rate
 
     def _recent_pace(self, statistics: Statistics) -> float:
         """Return the pace of the last seconds, from the counts of periods in the statistics of that time."""

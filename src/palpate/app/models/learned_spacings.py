@@ -1,0 +1,43 @@
+"""Spacings with which bodies kept real time on this machine, in a file of the user's cache folder."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import Any
+
+from platformdirs import user_cache_path
+
+from palpate.faults import InputError
+from palpate.files import json_of, read_text, write_json
+
+__all__ = ["keep_spacing", "learned_spacing"]
+
+MOST_SPACINGS, MOST_BYTES = 1000, 1_000_000  # in the file: the oldest are dropped
+LEAST_LEARNED, MOST_LEARNED = 1e-5, 1.0  # [m]; other values in the file are not used
+
+
+def learned_spacing(digest: str) -> float | None:
+    """Return the spacing [m] that was kept for a scene of a digest, or None."""
+    value = _read().get(digest)
+    return value if isinstance(value, float) and LEAST_LEARNED <= value <= MOST_LEARNED else None
+
+
+def keep_spacing(digest: str, spacing: float) -> None:
+    """Keep a spacing [m] for a scene of a digest; a folder that cannot be written keeps nothing."""
+    spacings = {key: value for key, value in _read().items() if key != digest} | {digest: spacing}
+    with contextlib.suppress(OSError, InputError):
+        _file().parent.mkdir(parents=True, exist_ok=True)
+        write_json(_file(), dict(list(spacings.items())[-MOST_SPACINGS:]))
+
+
+def _read() -> dict[str, Any]:
+    try:
+        content = json_of(read_text(_file(), "file of spacings", MOST_BYTES))
+    except (OSError, ValueError):  # an `InputError` is a `ValueError`
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def _file() -> Path:
+    return user_cache_path("palpate") / "spacings.json"
