@@ -68,3 +68,10 @@ export function comparisonText(reduced, full) {
 export function paceText(pace) {
   return pace < 0.95 ? `${pace < 0.1 ? pace.toPrecision(1) : pace.toFixed(1)} of real time` : "";
 }
+
+/** The area [m^2] that a scalpel has cut, and the force [N] of a straight push with which it cuts. */
+export function cutText(area, needed) {
+  if (area === 0 && needed === 0) return "";
+  const cut = `Cut: ${(1e6 * area).toFixed(area < 1e-5 ? 1 : 0)} mm²`;
+  return needed > 0 ? `${cut}. The blade cuts at ${plainForce(needed)} N; below that the tissue moves with it.` : `${cut}.`;
+}

@@ -1,6 +1,6 @@
 // The panel: readings of the session, and settings.
 import { choice, slider, formatNumber } from "./widgets.js";
-import { comparisonText, forceReading, isBeyond } from "./forceText.js";
+import { comparisonText, cutText, forceReading, isBeyond } from "./forceText.js";
 
 const NAMES = { sphere: "Sphere", capsule: "Capsule", grasp: "Forceps", scalpel: "Scalpel" };
 const MIN_STIFFNESS_EXPONENT = 1.5; // power of ten of the coupling [N/m]
@@ -88,7 +88,8 @@ export class Panel {
       this.sliders.radius.label.hidden = cuts;
       this.sliders.toughness.label.hidden = !cuts;
       this.sliders.length.label.hidden = tool.kind !== "capsule" && !cuts;
-      this.byId("sizes").classList.toggle("two", tool.kind === "capsule" || cuts);
+      this.byId("sizes").classList.toggle("two", tool.kind === "capsule");
+      if (!cuts) this.write("cut", "");
       if (cuts) this.sliders.toughness.set(tool.toughness);
       this.sliders.radius.set(1e3 * tool.radius);
       if (tool.length) this.sliders.length.set(1e3 * tool.length);
@@ -151,8 +152,9 @@ export class Panel {
     return error ? `Mean force error on held-out runs: ${formatNumber(100 * error, 2)} %` : "";
   }
 
-  statistics({ median_ms: median, p99_ms: late, misses, periods, force_bound: bound, step_share: step, repeated, held }) {
+  statistics({ median_ms: median, p99_ms: late, misses, periods, force_bound: bound, step_share: step, repeated, held, cut_area: area, cutting_force: needed }) {
     this.bound = bound;
+    this.write("cut", area === undefined ? "" : cutText(area, needed));
     const parts = [`Median ${median.toFixed(2)} ms`, `99 % ${late.toFixed(2)} ms`];
     // a full body may be late by some periods: its pace counts
     if (!this.full) parts.push(misses ? `${formatNumber((100 * misses) / periods, 2)} % of the periods missed` : "none missed");

@@ -18,6 +18,7 @@ function material(colour, opacity = 1, more = {}) {
 }
 
 const STEEL = [0.914, 0.925, 0.933]; // sRGB
+const EDGE = "#c8452d"; // of a scalpel
 const BELLY_SHARE = 0.97; // sine of the angle at the ends of a scalpel's edge, as in the session
 const WARNING = [0.86, 0.2, 0.16]; // where a model was not trained
 
@@ -28,6 +29,7 @@ export class ToolGlyph {
     this.group = new three.Group();
     this.group.visible = false;
     this.material = material("#e9ecee", opacity, { depthWrite: opacity === 1 });
+    this.accent = material(EDGE, opacity, { depthWrite: opacity === 1 }); // of an edge that cuts, and its direction
     this.key = "";
   }
 
@@ -54,7 +56,7 @@ export class ToolGlyph {
     return new three.Mesh(shape, this.material);
   }
 
-  /** A flat blade with a round belly around the origin, and a handle above it. */
+  /** A flat blade with a round belly around the origin, its edge and the direction in which it cuts, and a handle above. */
   scalpel(length, unit) {
     const flat = new three.Shape();
     const angle = Math.asin(BELLY_SHARE);
@@ -65,7 +67,13 @@ export class ToolGlyph {
     const thick = 0.1 * unit;
     const blade = new three.ExtrudeGeometry(flat, { depth: thick, bevelEnabled: false, curveSegments: 24 }).translate(0, 0, -thick / 2);
     const handle = new three.BoxGeometry(0.35 * length, 0.5 * unit, 4.5 * unit).translate(0, 0, top + 2.2 * unit);
-    return [this.part(blade.rotateX(Math.PI / 2)), this.part(handle)];
+    const points = Array.from({ length: 25 }, (_, k) => {
+      const at = -angle + (2 * angle * k) / 24;
+      return new three.Vector3(radius * Math.sin(at), 0, radius * (1 - Math.cos(at)));
+    });
+    const edge = new three.TubeGeometry(new three.CatmullRomCurve3(points), 24, 0.14 * unit, 8);
+    const way = new three.ConeGeometry(0.3 * unit, 0.9 * unit, 16).rotateX(-Math.PI / 2).translate(0, 0, -0.9 * unit);
+    return [this.part(blade.rotateX(Math.PI / 2)), this.part(handle), new three.Mesh(edge, this.accent), new three.Mesh(way, this.accent)];
   }
 
   jaw(side, unit) {

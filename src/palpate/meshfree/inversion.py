@@ -16,7 +16,7 @@ from palpate.meshfree.visibility import is_pair
 __all__ = ["cells_between", "inverted_share"]
 
 LONGEST_EDGE, LEAST_VOLUME = 2.2, 0.02  # of a tetrahedron, in spacings; flat ones may turn in any deformation
-SHIFT, SHIFT_SEED = 1e-6, 0  # of the nodes in spacings, since those of a lattice have no unique tetrahedra
+NODE_SHIFT, SHIFT_SEED = 1e-6, 0  # of the nodes in spacings, since those of a lattice have no unique tetrahedra
 SAFE_WAY = 0.05  # spacings by which nodes may move without turning a cell
 CORNER_PAIRS = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 
@@ -24,7 +24,7 @@ CORNER_PAIRS = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 def cells_between(cloud: Cloud) -> Ints:
     """Return Delaunay tetrahedra (t, 4) of positive volume between near nodes in space that see each other."""
     points, spacing = cloud.points, cloud.spacing
-    shift = SHIFT * spacing * np.random.default_rng(SHIFT_SEED).standard_normal(points.shape)
+    shift = NODE_SHIFT * spacing * np.random.default_rng(SHIFT_SEED).standard_normal(points.shape)
     cells = Delaunay(points + shift).simplices.astype(np.int64)
     lengths = [np.linalg.norm(points[cells[:, a]] - points[cells[:, b]], axis=1) for a, b in CORNER_PAIRS]
     near = np.max(lengths, axis=0) < LONGEST_EDGE * spacing

@@ -69,12 +69,13 @@ class EnergySolid(Solid):
         smoother = choices.smoother
         weights = conservative_smoothing(smoother.neighbours, smoother.value[smoother.row], volumes)
         smoothing = Smoothing(*images.folded(smoother.neighbours, *weights))
-        self._lay_out(images, stencils, smoothing, volumes[: images.nodes] / images.copies, choices.stiffness_damping)
+        volumes = volumes[: images.nodes] / images.copies
+        self._set_stability(self._lay_out(images, stencils, smoothing, volumes, choices.stiffness_damping))
 
     def _lay_out(
         self, images: Images, stencils: Stencils, smoothing: Smoothing, volumes: Floats, damping: float | None
-    ) -> None:
-        """Set the weights of the energy, lay out the compiled passes, and find the stable step."""
+    ) -> StabilityReport:
+        """Set the weights of the energy, lay out the compiled passes, and return the report of the stable step."""
         self.smoothing, self.volumes = smoothing, volumes
         compiled, self.stencils = energy_passes(images, self.tissue, stencils, smoothing, volumes)
         self.mirror = compiled.body.mirror
@@ -84,7 +85,7 @@ class EnergySolid(Solid):
         used = number_in_range(
             "stiffness_damping", DEFAULT_DAMPING / highest if damping is None else damping, 0.0, unit="s"
         )
-        self._set_stability(StabilityReport("energy form", None, 0.0, used, highest, stable_step(highest, used)))
+        return StabilityReport("energy form", None, 0.0, used, highest, stable_step(highest, used))
 
     def moved(self, displacements: Floats) -> EnergySolid:
         """Return the body with stress-free nodes at other places, and the same neighbours, tissue and fibres.
@@ -131,7 +132,8 @@ class EnergySolid(Solid):
         before = self.smoothing
         weights = conservative_smoothing(before.neighbours, before.weights, volumes)
         smoothing = Smoothing(before.neighbours, *weights)
-        result._lay_out(mirror_images(cloud, ()), stencils, smoothing, volumes, self.stiffness_damping)
+        images = mirror_images(cloud, ())
+        result._set_stability(result._lay_out(images, stencils, smoothing, volumes, self.stiffness_damping))
         return result
 
     # a body that is cut computes these on first use

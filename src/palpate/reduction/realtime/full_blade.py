@@ -19,7 +19,7 @@ import numpy as np
 
 from palpate.arrays import Floats
 from palpate.dynamics.contact.blade import Blade
-from palpate.dynamics.contact.blade_sites import AWAY_TOOL, NO_TOOL
+from palpate.dynamics.contact.blade_sites import AWAY_TOOL, EDGE_SITE, NO_TOOL
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.supports import FREE
 from palpate.dynamics.nodal.period import LOST, NodalPeriodData
@@ -78,6 +78,13 @@ class BladeCutter:
     def books(self) -> Floats:
         """Cut area [m^2], released energy, and energies dissipated at the edge and by friction [J] of this blade."""
         return np.zeros(4) if self.incision is None else self.incision.books
+
+    @property
+    def cutting_force(self) -> float:
+        """Force [N] with which a push of the blade along its axis cuts: of the pieces of its edge that hold tissue."""
+        sites = self.data.contacts.sites
+        edge = (sites.kind == EDGE_SITE) & (sites.tool >= 0)
+        return float(sites.limits[edge] @ np.abs(sites.directions[edge, 2]))
 
     def take(self, blade: Blade | None, pose: Floats) -> None:
         """Take another tool in a pose (7,): a blade, or None for one that does not cut. The engine must be paused."""

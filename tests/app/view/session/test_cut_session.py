@@ -66,6 +66,14 @@ def test_the_scalpel_cuts_the_body_and_costs_work(cut_session):
     assert cutter.model.cut_state.touched.any()
 
 
+def test_the_statistics_state_what_is_cut_and_the_force_that_cuts(cut_session):
+    session, cutter, _, _, _ = cut_session
+    statistics = session.statistics()
+    assert statistics["cut_area"] == pytest.approx(cutter.books[0], rel=0.05)
+    length = 0.03
+    assert 0.2 * TOUGHNESS * length < statistics["cutting_force"] < 1.3 * TOUGHNESS * length
+
+
 def test_the_cut_body_is_drawn_open_with_both_faces(cut_session):
     session, cutter, shown, _, _ = cut_session
     assert len(shown.rest) > len(session.surface.rest)

@@ -214,8 +214,15 @@ class Session:
             "median_ms": 1e3 * computing.percentile(50), "p99_ms": 1e3 * computing.percentile(99),
             "misses": statistics.missed, "periods": statistics.count, "pace": self._recent_pace(statistics),
             "force_bound": bound if math.isfinite(bound) else None,
-            **(step_statistics(self._realtime_model.data) if self.is_full else {}),
+            **(step_statistics(self._realtime_model.data) if self.is_full else {}), **self._cut_statistics(),
         }  # fmt: skip
+
+    def _cut_statistics(self) -> dict[str, Any]:
+        """Return the area [m^2] that a scalpel has cut, and the force [N] with which it cuts; empty without one."""
+        cutter = getattr(self._realtime_model, "cutter", None)
+        if cutter is None or self.selected_tool.kind != "scalpel":
+            return {}
+        return {"cut_area": float(cutter.books[0]), "cutting_force": cutter.cutting_force}
 
     def load(self, seconds: float) -> float:
         """Return the computing time of periods over their length, from the median of those in some seconds.
