@@ -267,7 +267,10 @@ def _session(
     if subject.model is not None:
         model = subject.model
     elif subject.touched is not None:
-        touched = open_touched(subject.touched, console, learned_spacing(subject.touched.digest))
+        learned = None
+        with contextlib.suppress(OSError, InputError):  # of a missing file, which the body then names
+            learned = learned_spacing(subject.touched.digest)
+        touched = open_touched(subject.touched, console, learned)
         model, foundations, guessed = touched.body, touched.foundations, is_guessed(subject.touched, touched)
     else:
         model, _ = open_model(subject.what, console)
