@@ -125,7 +125,9 @@ def test_the_spacing_follows_the_measured_load():
     assert better_spacing(scene, 0.3) == pytest.approx(spacing * 0.5**0.25, rel=0.05)  # the fourth power of the spacing
     least = spacing * np.cbrt(count / 600)  # nodes
     assert better_spacing(scene, 0.8) == pytest.approx(min(least, spacing * (0.8 / 0.6) ** 0.25), rel=0.05)
-    assert better_spacing(scene, 60.0) == pytest.approx(least, rel=0.05)
+    assert better_spacing(scene, 60.0) == better_spacing(scene, np.inf) == pytest.approx(least, rel=0.05)
+    coarsest = open_scene("liver", {"spacing": better_spacing(scene, np.inf)})
+    assert better_spacing(coarsest, 2.0) is None  # a coarser body keeps no more time
 
 
 def tool_message(position):

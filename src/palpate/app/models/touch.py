@@ -30,6 +30,7 @@ STEP_OVER_FORCE = 1.6  # time of a step over that of its force evaluation
 BUSY_SHARE = 0.6  # of the time, which the steps of a body in real time may take
 LEAST_GAIN, MOST_GAIN = 0.9, 1.3  # speed of a body over that which it needs, within which its spacing stays
 LEAST_NODES, MOST_NODES = 600, 40_000
+COARSEST_SHARE = 1.1  # of the least nodes, at which a body is not made coarser
 # of a ball's force against finite elements: median and largest on bodies of 3,000 nodes, pressed by half of its radius
 # of 1.5 spacings or deeper (validation/elements.py)
 FORCE_ERRORS = 0.077, 0.199
@@ -173,10 +174,10 @@ def better_spacing(touched: OrganScene, load: float) -> float | None:
     load : float
         Computing time of the body at rest over the time that passes.
     """
-    if LEAST_GAIN <= BUSY_SHARE / load <= MOST_GAIN:
-        return None
     cloud = touched.body.cloud
-    spacing = cloud.spacing
+    spacing, is_coarsest = cloud.spacing, len(cloud) <= COARSEST_SHARE * LEAST_NODES
+    if LEAST_GAIN <= BUSY_SHARE / load <= MOST_GAIN or (load > BUSY_SHARE and is_coarsest):
+        return None
     finest, coarsest = spacing * np.cbrt(len(cloud) / np.array([MOST_NODES, LEAST_NODES]))
     better = float(np.clip(spacing * (load / BUSY_SHARE) ** 0.25, finest, coarsest))
     rounded = float(f"{1.005 * better:.2g}")

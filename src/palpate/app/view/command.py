@@ -279,13 +279,13 @@ def _session(
             wait()
         session = _open_session(model, subject, foundations)
     session.start()
-    if guessed:
-        session = _in_real_time(session, touched, subject, console)
-    if is_scene_file(subject.what):
-        session.folder = recordings_folder(Path(subject.what))
-    if record is not None:
-        session.start_recording(record)
     try:
+        if guessed:
+            session = _in_real_time(session, touched, subject, console)
+        if is_scene_file(subject.what):
+            session.folder = recordings_folder(Path(subject.what))
+        if record is not None:
+            session.start_recording(record)
         yield session
     finally:
         session.close()
@@ -306,9 +306,11 @@ def _in_real_time(session: Session, touched: OrganScene, subject: _Subject, cons
             break
         session.close()
         console.say("the body is filled again, since its steps take another time than expected")
-        touched = open_touched(scene, console, spacing)
+        before, touched = touched.body.cloud.spacing, open_touched(scene, console, spacing)
         session = _open_session(touched.body, subject, touched.foundations)
         session.start()
+        if touched.body.cloud.spacing == before:  # thin tissue has no coarser one
+            break
     keep_spacing(scene.digest, touched.body.cloud.spacing)
     return session
 

@@ -227,14 +227,14 @@ class Session:
     def load(self, seconds: float) -> float:
         """Return the computing time of periods over their length, from the median of those in some seconds.
 
-        The first half is left out: memory is then read for the first time.
+        The first half is left out: memory is then read for the first time. It is infinite if no period ends.
         """
         time.sleep(0.5 * seconds)
         first = self.engine.statistics().computing.counts
         time.sleep(0.5 * seconds)
         computing = self.engine.statistics().computing
         recent = replace(computing, counts=computing.counts - first)
-        return recent.percentile(50) * self.rate
+        return recent.percentile(50) * self.rate if recent.counts.any() else math.inf
 
     def _recent_pace(self, statistics: Statistics) -> float:
         """Return the pace of the last seconds, from the counts of periods in the statistics of that time."""
