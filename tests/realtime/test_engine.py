@@ -394,6 +394,11 @@ def test_arguments_out_of_range_are_refused(name, value):
         Engine(mass_spring(), **{name: value})
 
 
+def test_moduli_of_a_model_of_ones_own_are_not_adjustable():
+    with pytest.raises(pt.InputError, match="realtime_model"):
+        Engine(mass_spring(), adjustable=True)
+
+
 @pytest.mark.parametrize(
     ("changed", "said"),
     [

@@ -435,6 +435,36 @@ def test_an_engine_steps_a_full_body(block):
     assert not engine.read().coordinates.any()
 
 
+def test_the_force_at_rest_grows_with_the_moduli():
+    """Statics: at one displacement of the tool, forces are proportional to the moduli."""
+    block = pt.Solid(pt.box(SIZE, SPACING), law(), "z-", mass_damping=60.0)
+    model = pt.realtime_model(block, contact=pt.tools.Contact(pt.tools.Sphere(BALL), tuple(HOME)))
+    engine = pt.Engine(model, on_distrust="ignore", max_speed=0.2, adjustable=True)
+
+    def step_to(time):
+        end = monotonic() + 60.0
+        while engine.read().time < time and monotonic() < end:
+            sleep(0.01)
+        return engine.read().force[2]
+
+    engine.set_pose((0.0, 0.0, -0.003))
+    with engine:
+        soft = step_to(0.5)
+        engine.set_modulus_ratio(2.0)
+        assert engine.state == "running"
+        assert step_to(1.1) == pytest.approx(2.0 * soft, rel=0.04)  # contact at rest varies by 2 %
+        with pytest.raises(pt.InputError, match="ratio"):
+            engine.set_modulus_ratio(0.0)
+
+
+def test_moduli_of_tissue_that_relaxes_and_of_other_engines_are_not_changed(block):
+    relaxing = pt.Solid(pt.box(SIZE, SPACING), law(prony=pt.materials.Prony(shares=[0.3], times=[0.05])), "z-")
+    with pytest.raises(pt.InputError, match="relax"):
+        pt.Engine(pt.realtime_model(relaxing, contact=ball(tuple(HOME))), adjustable=True)
+    with pytest.raises(pt.InputError, match="adjustable=True"):
+        pt.Engine(pt.realtime_model(block, contact=ball(tuple(HOME)))).set_modulus_ratio(2.0)
+
+
 @pytest.mark.slow
 def test_the_example_prints_a_growing_force(capsys):
     runpy.run_path(str(Path(__file__).parents[2] / "examples" / "engine.py"))

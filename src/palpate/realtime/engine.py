@@ -7,8 +7,8 @@ import threading
 import time
 import warnings
 import weakref
-from collections.abc import Sequence
-from contextlib import nullcontext
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -25,11 +25,13 @@ from palpate.realtime.clock import HAS_CLOCKS
 from palpate.realtime.contract import check_contract
 from palpate.realtime.exchange import publish, snapshot
 from palpate.realtime.loop import DIVERGED, PAUSED, RUNNING, STOPPED, Channels, compile_loop
+from palpate.realtime.observable import ObservableModel, make_observable
 from palpate.realtime.period import CLAMP, IGNORE, STOP, TIME_SCALE, WARN, WORST_SINCE_RESET, Settings, Work
 from palpate.realtime.pose import IDENTITY_POSE, normalise_pose
 from palpate.realtime.record import HEADER_SIZE, Reading, field_offset
 from palpate.realtime.runner import Runner
 from palpate.realtime.statistics import Statistics
+from palpate.reduction.realtime.model import RealtimeModel
 from palpate.threads import check_process
 
 __all__ = ["Engine"]
@@ -111,11 +113,15 @@ class Engine(Described):
     shared_memory : str, optional
         Name of shared memory through which a program on this machine sends poses and reads records
         (``palpate_channel.h``, see `palpate.realtime.channel`). The poses are then those of that program only.
+    adjustable : bool
+        `set_modulus_ratio` is supported. The model must be one of `palpate.realtime_model`, of a full body or a
+        reduced model whose tissue has no relaxation times.
 
     Raises
     ------
     InputError
-        An argument is out of range, the model lacks an attribute of `Realtime`, or `shared_memory` is in use.
+        An argument is out of range, the model lacks an attribute of `Realtime`, or `shared_memory` is in use. The
+        moduli of an adjustable model cannot be changed.
     RuntimeError
         The system lacks the required clocks.
 
@@ -152,6 +158,7 @@ class Engine(Described):
         spin: float = 50e-6,
         black_box: str | Path | None = None,
         shared_memory: str | None = None,
+        adjustable: bool = False,
     ) -> None:
         if not HAS_CLOCKS:
             raise RuntimeError(
@@ -159,6 +166,9 @@ class Engine(Described):
             )
         self._force_bound, catch_up = getattr(model, "force_bound", None), getattr(model, "catch_up", 0)
         self._cutter = getattr(model, "cutter", None)
+        if adjustable:
+            model = _adjustable(model)
+        self._model = model
         model = check_contract(model)
         if black_box is not None and not Path(black_box).absolute().parent.is_dir():
             raise InputError(
@@ -282,6 +292,18 @@ class Engine(Described):
                 self._runner.start()
             self._exchanges = False
 
+    @contextmanager
+    def _between_periods(self) -> Iterator[None]:
+        """Pause a running engine within a context."""
+        with self._lock:
+            running = self._runner.state == RUNNING
+            self.pause()
+            try:
+                yield
+            finally:
+                if running and self._runner.state == PAUSED:
+                    self._runner.start()
+
     def _cutter_lock(self) -> Any:
         """Return a context in which nothing is cut."""
         return nullcontext() if self._cutter is None else self._cutter.lock
@@ -382,12 +404,42 @@ class Engine(Described):
             The factor is out of range.
         """
         factor = number_in_range("factor", factor, MIN_TIME_SCALE, 1.0)
-        with self._lock:
-            running = self._runner.state == RUNNING
-            self.pause()
+        with self._between_periods():
             self._work.clock[TIME_SCALE] = factor
-            if running and self._runner.state == PAUSED:
-                self._runner.start()
+
+    def set_modulus_ratio(self, ratio: float) -> None:
+        """Multiply all moduli of an adjustable model at constant density; a running engine continues.
+
+        The moduli change gradually, by at most a factor of e in 0.2 s of model time, and vibrations with them: they
+        decay in the same number of their own periods. The springs of foundations scale like the moduli. The factor is
+        exact for every law without relaxation times: M x'' = s f(x) in t is M x'' = f(x) in sqrt(s) t.
+
+        Parameters
+        ----------
+        ratio : float
+            Of the moduli to those of the model, from 0.1 to 10.
+
+        Raises
+        ------
+        InputError
+            The ratio is out of range, or the model is not adjustable.
+
+        Examples
+        --------
+        >>> import palpate as pt
+        >>> cloud = pt.box((0.03, 0.03, 0.015), spacing=0.005)
+        >>> tissue = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1060, poisson=0.45)
+        >>> ball = pt.tools.Contact(pt.tools.Sphere(radius=0.01), (0.015, 0.015, 0.026))
+        >>> block = pt.realtime_model(pt.Solid(cloud, tissue, fixed="z-"), contact=ball)
+        >>> with pt.Engine(block, adjustable=True) as engine:
+        ...     engine.set_modulus_ratio(1.5)  # 3 kPa in place of 2 kPa
+        """
+        if not hasattr(self._model, "set_modulus_ratio"):
+            raise InputError(
+                "the engine must be adjustable for set_modulus_ratio, got one that is not; make it with adjustable=True"
+            )
+        with self._between_periods():
+            self._model.set_modulus_ratio(ratio)
 
     def read(self) -> Reading:
         """Return the newest forces and state.
@@ -435,6 +487,22 @@ class Engine(Described):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.stop()
+
+
+def _adjustable(model: Any) -> ObservableModel:
+    """Return a model whose moduli can be changed; raises InputError where they cannot."""
+    if isinstance(model, ObservableModel):
+        return model
+    if not isinstance(model, RealtimeModel):
+        raise InputError(
+            f"model must be a nonlinear one of realtime_model to be adjustable, got {type(model).__name__}; "
+            "leave out adjustable"
+        )
+    if model.relaxes:
+        raise InputError(
+            "the tissue must have no relaxation times to be adjustable, got one that relaxes; leave out adjustable"
+        )
+    return make_observable(model)
 
 
 def _cut(reference: weakref.ref[Engine]) -> None:

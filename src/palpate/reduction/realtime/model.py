@@ -76,6 +76,8 @@ class RealtimeModel(NamedTuple):
         A full body also takes a Blade.
     cutter : BladeCutter, optional
         Of a solid, which the engine cuts with a blade.
+    relaxes : bool
+        The tissue has relaxation times; `palpate.Engine` cannot change its moduli.
 
     Examples
     --------
@@ -98,6 +100,7 @@ class RealtimeModel(NamedTuple):
     catch_up: int = 0
     change_tool: Callable[[Tool | None, Floats, float], None] | None = None
     cutter: BladeCutter | None = None
+    relaxes: bool = False
 
 
 @overload
@@ -244,13 +247,14 @@ def realtime_model(
         ),
     )
     advance, stiffness = period_functions(model.body.law, model.single)
-    bound = force_bound(reduced.report)
+    bound, relaxes = force_bound(reduced.report), model.material.prony is not None
     if contact is None:
         tool = tool_map(model.body, reduced.prescribed[0])
-        return RealtimeModel(advance, stiffness, data, np.zeros(count), tool, bound)
+        return RealtimeModel(advance, stiffness, data, np.zeros(count), tool, bound, relaxes=relaxes)
     return RealtimeModel(
-        advance, contact_stiffness, data, np.zeros(count), np.eye(12), bound, change_tool=partial(change_tool, data)
-    )
+        advance, contact_stiffness, data, np.zeros(count), np.eye(12), bound,
+        change_tool=partial(change_tool, data), relaxes=relaxes,
+    )  # fmt: skip
 
 
 def idle_model(model: ReducedModel | NodalModel, foundations: Sequence[Foundation] = ()) -> RealtimeModel:
@@ -282,7 +286,7 @@ def _full_body(model: NodalModel, contact: Contact | Grasp | None, foundations: 
         change(contact.tool, contact.poses(np.zeros(1))[0], 0.0)
     return RealtimeModel(
         advance, nodal_stiffness, data, np.zeros(3 * len(model.cloud)), np.eye(12),
-        catch_up=CATCH_UP, change_tool=change, cutter=cutter,
+        catch_up=CATCH_UP, change_tool=change, cutter=cutter, relaxes=model.material.prony is not None,
     )  # fmt: skip
 
 

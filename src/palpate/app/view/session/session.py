@@ -331,7 +331,7 @@ class Session:
         self.engine.slow_down(former.speed)
         self.speed = former.speed
         if former.modulus_ratio != 1.0 and self._materials():
-            self._observable.set_modulus_ratio(former.modulus_ratio)
+            self.engine.set_modulus_ratio(former.modulus_ratio)
             self.modulus_ratio = former.modulus_ratio
         self.start()
         if state != "running":
@@ -479,8 +479,8 @@ class Session:
             raise InputError(
                 f"{name} must be from {low:g} to {high:g} kPa, got {1e-3 * modulus:g} kPa; choose a value in this range"
             )
-        with self._lock, self._pause_engine():
-            self._observable.set_modulus_ratio(modulus / material_modulus)
+        with self._lock:
+            self.engine.set_modulus_ratio(modulus / material_modulus)
             self.modulus_ratio = modulus / material_modulus
 
     # the tool
