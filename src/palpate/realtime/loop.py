@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import kernel_njit, law_njit
+from palpate.dynamics.compiled.reference import reference
 from palpate.realtime.black_box import RingBuffer, append_record
 from palpate.realtime.channel import SharedSlots
 from palpate.realtime.clock import now, sleep_until, thread_time
@@ -96,12 +97,12 @@ def compile_loop(advance: Any, stiffness: Any) -> Any:
 
     @law_njit(digest, cached=cached, nogil=True)
     def loop(data, work, channels, settings):  # type: ignore[no-untyped-def]
-        period, record = settings.period, work.record
+        period, record, by_address = settings.period, work.record, reference(data)
         deadline = now() + period
         while _wait(deadline, settings.spin, channels.command):
             began, thread_began, trusted = now(), thread_time(), record[TRUSTED] <= 1.0
             _fetch_pose(work, channels.pose)
-            valid = take_period(data, work, settings)
+            valid = take_period(by_address, work, settings)
             record[COMPUTING], record[LATENESS] = 1e-9 * (thread_time() - thread_began), 1e-9 * (began - deadline)
             ended = now()
             if valid:

@@ -39,13 +39,19 @@ class _ReferenceAttributes(AttributeTemplate):  # type: ignore[misc]
 
     def generic_resolve(self, kind: Reference, name: str) -> Any:
         fields = kind.record.fields
-        return kind.record[fields.index(name)] if name in fields else None
+        if name not in fields:
+            return None
+        field = kind.record[fields.index(name)]
+        return Reference(field) if isinstance(field, types.BaseNamedTuple) else field
 
 
 @lower_getattr_generic(Reference)
 def _read_field(context: Any, builder: Any, kind: Reference, address: Any, name: str) -> Any:
     index = kind.record.fields.index(name)
-    value = builder.load(gep_inbounds(builder, address, 0, index))
+    place = gep_inbounds(builder, address, 0, index)
+    if isinstance(kind.record[index], types.BaseNamedTuple):
+        return place
+    value = builder.load(place)
     return impl_ret_borrowed(context, builder, kind.record[index], value)  # the record keeps its arrays
 
 
@@ -54,7 +60,10 @@ def reference(typing_context, record):  # type: ignore[no-untyped-def]
     """Return a reference of a named tuple, for calls from the present compiled function.
 
     The record is copied to the stack of that function, so that a reference must not outlive it. Arrays are not copied.
+    A reference is returned as it is.
     """
+    if isinstance(record, Reference):
+        return record(record), lambda context, builder, signature, arguments: arguments[0]
 
     def copy_to_stack(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         return alloca_once_value(builder, arguments[0])
