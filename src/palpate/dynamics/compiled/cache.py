@@ -185,7 +185,7 @@ def inline(digest: str, function: Callable[..., Any]) -> Any:
     )
     copied = FunctionType(function.__code__, function.__globals__, function.__name__, function.__defaults__, cells)
     copied.__qualname__, copied.__module__ = function.__qualname__, function.__module__
-    return register_jitable(rename_for(digest, copied))
+    return register_jitable(error_model="numpy")(rename_for(digest, copied))
 
 
 def kernel_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:

@@ -59,6 +59,9 @@ class Formulation(NamedTuple):
     after : function
         ``after(work, interval)`` sets the interval [s] after which the next evaluation updates the
         history variables; 0 for no update.
+    single : Formulation or None
+        Passes of the steps in single precision, for other constants and scratch arrays; see
+        `palpate.dynamics.solid.energy_form.body_in_single`.
 
     Examples
     --------
@@ -78,6 +81,12 @@ class Formulation(NamedTuple):
     finish: Any
     project: Any = None
     after: Any = without_history
+    single: Any = None
+
+    @property
+    def of_steps(self) -> Formulation:
+        """The passes of explicit steps: in single precision where there are such."""
+        return self if self.single is None else self.single
 
 
 @kernel_njit(inner=True, forceinline=True)

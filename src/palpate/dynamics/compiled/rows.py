@@ -19,10 +19,12 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import law_digest, law_njit
 from palpate.dynamics.compiled.lanes import LANES, ranges
+from palpate.dynamics.compiled.transposes import LINE_NUMBERS, shuffled
 
-__all__ = ["Rows", "aligned_zeros", "difference_sums", "gather_fluxes", "row_table", "with_rows"]
+__all__ = ["Rows", "aligned_zeros", "difference_sums", "gather_fluxes", "row_table", "rows_in_single", "with_rows"]
 
-SUM_CHAINS = 2  # independent sums of a node, as an addition takes some cycles
+SUM_CHAINS = 2  # independent sums of a node in double precision, as an addition takes some cycles
+ROW_MULTIPLE = 4  # entries of a row are a multiple: neighbours at a time in single precision
 ALIGNMENT_BYTES = 64  # bytes of a cache line
 PREFETCH_BYTES = 4096  # bytes by which weights are loaded in advance: some three nodes
 ROW_WIDTHS = (4, 8)  # numbers of a row of weights, and of the fluxes of a component
@@ -33,7 +35,7 @@ _APPEND_LOCK = Lock()  # two threads can cut one body
 class Rows(NamedTuple):
     """Stencils in compressed rows: a node's neighbours are next to each other, and so are their weights.
 
-    A row has an even number of entries, at least two. The last can be the node itself with zero weights.
+    The number of entries of a row is a multiple of `ROW_MULTIPLE`. The last can be the node itself with zero weights.
 
     Parameters
     ----------
@@ -44,7 +46,7 @@ class Rows(NamedTuple):
     neighbours : (t,) int32
     weight_start : (n,) int64
         First entry of every node in `weights`. Nodes with equal weights share them.
-    weights : (s, w) float64
+    weights : (s, w) float64 or float32
         Of one of the `ROW_WIDTHS`, padded with zeros.
     used : (2,) int64
         Entries of `neighbours` and of `weights` that some layout reads. Layouts share arrays (`with_rows`).
@@ -55,7 +57,7 @@ class Rows(NamedTuple):
     stop: NDArray[np.int64]
     neighbours: NDArray[np.int32]
     weight_start: NDArray[np.int64]
-    weights: NDArray[np.float64]
+    weights: NDArray[Any]
     used: NDArray[np.int64]
 
     @classmethod
@@ -73,12 +75,11 @@ class Rows(NamedTuple):
         )
 
 
-def aligned_zeros(*shape: int) -> NDArray[np.float64]:
-    """Return zeros that start at a cache line."""
-    size = int(np.prod(shape))
-    spare = ALIGNMENT_BYTES // 8
-    data = np.zeros(size + spare)
-    first = -data.ctypes.data % ALIGNMENT_BYTES // 8
+def aligned_zeros(*shape: int, dtype: type[np.floating[Any]] = np.float64) -> NDArray[Any]:
+    """Return zeros that start at a cache line, with another one behind them."""
+    size, number = int(np.prod(shape)), np.dtype(dtype).itemsize
+    data = np.zeros(size + 2 * ALIGNMENT_BYTES // number, dtype)
+    first = -data.ctypes.data % ALIGNMENT_BYTES // number
     return data[first : first + size].reshape(shape)
 
 
@@ -103,7 +104,7 @@ def row_table(
     every = np.arange(n, dtype=np.int32)
     count = np.sum(near != every[:, None], axis=1)
     entries = count + (diagonal is not None)
-    entries += -entries % SUM_CHAINS
+    entries += -entries % ROW_MULTIPLE
     start = np.concatenate([[0], np.cumsum(entries)])
     neighbours = np.repeat(every, entries)
     node, place = ranges(np.zeros_like(count), count)
@@ -120,6 +121,14 @@ def row_table(
     nodes = np.concatenate([every, np.repeat(every[-1:], -n % LANES)]).reshape(-1, LANES)
     used = np.array([len(neighbours), len(weights)])
     return Rows(nodes, start[:-1].copy(), start[1:].copy(), neighbours, row_start[which], weights, used)
+
+
+def rows_in_single(rows: Rows) -> Rows:
+    """Return the same stencils with weights in single precision."""
+    used = rows.weights[: rows.used[1]]
+    weights = aligned_zeros(*used.shape, dtype=np.float32)
+    weights[...] = used
+    return rows._replace(weights=weights)
 
 
 def with_rows(
@@ -139,7 +148,7 @@ def with_rows(
     near, weights : (t,) and (t, w) arrays
         Neighbours and weights, node by node.
     """
-    padded = np.maximum(count + count % SUM_CHAINS, SUM_CHAINS)  # the loop of the sums runs at least once
+    padded = np.maximum(count + -count % ROW_MULTIPLE, ROW_MULTIPLE)  # the loop of the sums runs at least once
     begin = np.concatenate([[0], np.cumsum(padded)])
     with _APPEND_LOCK:
         if (rows.used + begin[-1] > (len(rows.neighbours), len(rows.weights))).any():
@@ -148,7 +157,7 @@ def with_rows(
         rows.used[:] += begin[-1]
     row, place = ranges(np.zeros_like(count), count)
     entry = begin[row] + place
-    rows.neighbours[first : first + begin[-1]] = np.repeat(nodes, padded)  # the node itself fills an odd row
+    rows.neighbours[first : first + begin[-1]] = np.repeat(nodes, padded)  # the node itself fills a row
     rows.neighbours[first + entry] = near
     rows.weights[first_weight : first_weight + begin[-1]] = 0.0
     rows.weights[first_weight + entry, : weights.shape[1]] = weights
@@ -181,21 +190,27 @@ def _row_sums(width: int, name: str, of_differences: bool) -> Any:
     With `of_differences` it is ``sums(u, rows, i, out, lane)``, which stores the sums of weight[j, :]
     (u[j, c] - u[i, c]) in out[lane, c, :]. Otherwise it is ``sums(flux, rows, i, out, i)``, which stores minus
     the sum of weight[j, :] . flux[j, c, :] in out[i, c].
+
+    Weights in single precision have width 4. The values u (n, 4), the lines of differences in `out` and those of the
+    fluxes (`LINE_NUMBERS`) are then in single precision, too.
     """
 
     def sums(typingctx, values, rows, node, out, place):  # type: ignore[no-untyped-def]
         signature = types.void(values, rows, types.intp, out, types.intp)
+        single = rows[rows.fields.index("weights")].dtype == types.float32
+        if single != (values.dtype == types.float32):
+            return None
 
         def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-            emit = _Emitter(context, builder, width)
+            emit = (_SingleEmitter if single else _Emitter)(context, builder, width)
             values_at, out_at = emit.data(signature.args[0], args[0]), emit.data(signature.args[3], args[3])
             row = emit.row(signature.args[1], args[1], args[2])
             if of_differences:
-                total_vectors = emit.loop(row, emit.differences(values_at, args[2]))
-                emit.store_vectors(total_vectors, emit.at(out_at, args[4], 3 * width))
+                totals = emit.loop(row, emit.differences(values_at, args[2]))
+                emit.store_vectors(totals, emit.at(out_at, args[4], emit.line, emit.size))
             else:
-                total_vectors = emit.loop(row, emit.fluxes(values_at))
-                emit.store_negative_totals(total_vectors, emit.at(out_at, args[4], 3))
+                totals = emit.loop(row, emit.fluxes(values_at))
+                emit.store_negative_totals(totals, emit.at(out_at, args[4], 3))
             return context.get_dummy_value()
 
         return signature, codegen
@@ -212,11 +227,17 @@ class _Row(NamedTuple):
     count: Any
 
 
+Products = list[list[tuple[Any, Any]]]  # factors of every chain of sums
+
+
 class _Emitter:
-    """Emits instructions for sums in vectors of `width` numbers."""
+    """Emits instructions for sums in vectors of `width` numbers in double precision."""
+
+    size = 8  # bytes of a weight, and of a number of sums and fluxes
+    together = SUM_CHAINS  # neighbours in an iteration of the loop
 
     def __init__(self, context: Any, builder: Any, width: int) -> None:
-        self.context, self.builder, self.width = context, builder, width
+        self.context, self.builder, self.width, self.line = context, builder, width, 3 * width
         self.vector, self.scalar, self.i64 = ir.VectorType(ir.DoubleType(), width), ir.DoubleType(), ir.IntType(64)
 
     def data(self, kind: Any, array: Any) -> Any:
@@ -232,7 +253,8 @@ class _Emitter:
             self.load(self.i64, self.at(field[name], node, 1)) for name in ("start", "stop", "weight_start")
         )
         neighbours = self.at(field["neighbours"], begin, 1, size=4)
-        return _Row(neighbours, self.at(field["weights"], first, self.width), self.builder.sub(end, begin))
+        weights = self.at(field["weights"], first, self.width, self.size)
+        return _Row(neighbours, weights, self.builder.sub(end, begin))
 
     def at(self, base: Any, index: Any, count: int, size: int = 8) -> Any:
         """Return the address of entry `index` of `count` numbers of `size` bytes."""
@@ -258,71 +280,91 @@ class _Emitter:
         read, keep, data = i32(0), i32(3), i32(1)  # for reading, into the nearest cache, of numbers
         self.builder.call(function, [place, read, keep, data])
 
+    def shuffle(self, first: Any, second: Any, places: list[int]) -> Any:
+        """Return the numbers at some places of two vectors, one after the other."""
+        return shuffled(self.builder, first, second, places)
+
     def broadcast(self, value: Any) -> Any:
         """Return a vector of equal numbers."""
         undefined = ir.Constant(self.vector, ir.Undefined)
         first = self.builder.insert_element(undefined, value, ir.Constant(ir.IntType(32), 0))
-        zeros = ir.Constant(ir.VectorType(ir.IntType(32), self.width), [0] * self.width)
-        return self.builder.shuffle_vector(first, undefined, zeros)
+        return self.shuffle(first, undefined, [0] * self.width)
 
-    def fluxes(self, values: Any) -> Callable[[Any], list[Any]]:
-        """Return the function for the fluxes of a node, one vector per component."""
+    def weights(self, address: Any) -> list[Any]:
+        """Return the weights of the neighbours of an iteration."""
+        return [self.load(self.vector, address, self.size * self.width * chain) for chain in range(self.together)]
 
-        def term(j: Any) -> list[Any]:
-            address = self.at(values, j, 3 * self.width)
-            return [self.load(self.vector, address, 8 * self.width * c) for c in range(3)]
+    def fluxes(self, values: Any) -> Callable[[Any, Any], Products]:
+        """Return the function for the products of weights and fluxes, one vector per component."""
 
-        return term
+        def terms(near: Any, weights: Any) -> Products:
+            places = [self.at(values, j, 3 * self.width) for j in near]
+            return [
+                [(factor, self.load(self.vector, place, 8 * self.width * c)) for c in range(3)]
+                for factor, place in zip(self.weights(weights), places, strict=True)
+            ]
 
-    def differences(self, values: Any, node: Any) -> Callable[[Any], list[Any]]:
-        """Return the function for the differences of a neighbour's values from the node's."""
+        return terms
+
+    def differences(self, values: Any, node: Any) -> Callable[[Any, Any], Products]:
+        """Return the function for the products of weights and differences from the node."""
         address = self.at(values, node, 3)
         center = [self.broadcast(self.load(self.scalar, address, 8 * c)) for c in range(3)]
 
-        def term(j: Any) -> list[Any]:
-            address = self.at(values, j, 3)
-            near = [self.broadcast(self.load(self.scalar, address, 8 * c)) for c in range(3)]
-            return [self.builder.fsub(near[c], center[c]) for c in range(3)]
+        def terms(near: Any, weights: Any) -> Products:
+            products = []
+            for factor, j in zip(self.weights(weights), near, strict=True):
+                address = self.at(values, j, 3)
+                value = [self.broadcast(self.load(self.scalar, address, 8 * c)) for c in range(3)]
+                products.append([(factor, self.builder.fsub(value[c], center[c])) for c in range(3)])
+            return products
 
-        return term
+        return terms
 
-    def loop(self, row: _Row, term: Callable[[Any], list[Any]]) -> list[Any]:
-        """Emit the loop over pairs of neighbours; return the sums of the components."""
+    def loop(self, row: _Row, terms: Callable[[Any, Any], Products]) -> list[Any]:
+        """Emit the loop over some neighbours at a time; return the sums of the products over all chains."""
         builder = self.builder
-        entry, loop = builder.block, builder.append_basic_block("pair")
-        end = builder.append_basic_block("pairs.end")
+        entry, loop = builder.block, builder.append_basic_block("neighbours")
+        end = builder.append_basic_block("neighbours.end")
         builder.branch(loop)
         builder.position_at_end(loop)
         k = builder.phi(self.i64)
         k.add_incoming(ir.Constant(self.i64, 0), entry)
-        totals = [[builder.phi(self.vector) for _ in range(3)] for _ in range(SUM_CHAINS)]
-        index, weight = self.at(row.neighbours, k, 1, size=4), self.at(row.weights, k, self.width)
+        sums: list[list[Any]] = []
+        index = self.at(row.neighbours, k, 1, size=4)
+        weight = self.at(row.weights, k, self.width, self.size)
         self.prefetch(weight, PREFETCH_BYTES)
-        for chain in range(SUM_CHAINS):
-            j = builder.sext(self.load(ir.IntType(32), index, 4 * chain, align=4), self.i64)
-            factor = self.load(self.vector, weight, 8 * self.width * chain)
-            for c, value in enumerate(term(j)):
-                product = builder.fmul(factor, value, flags=("contract",))
-                total = totals[chain][c]
-                total.add_incoming(ir.Constant(self.vector, [0.0] * self.width), entry)
-                total.add_incoming(builder.fadd(product, total, flags=("contract",)), loop)
-        following = builder.add(k, ir.Constant(self.i64, SUM_CHAINS))
+        near = [builder.sext(self.load(ir.IntType(32), index, 4 * e, align=4), self.i64) for e in range(self.together)]
+        for products in terms(near, weight):
+            sums.append([])
+            for factor, value in products:
+                product, total = builder.fmul(factor, value, flags=("contract",)), self.first_phi(loop, value.type)
+                total.add_incoming(ir.Constant(value.type, [0.0] * value.type.count), entry)
+                sums[-1].append(builder.fadd(product, total, flags=("contract",)))
+                total.add_incoming(sums[-1][-1], loop)
+        following = builder.add(k, ir.Constant(self.i64, self.together))
         k.add_incoming(following, loop)
         builder.cbranch(builder.icmp_signed("<", following, row.count), loop, end)
         builder.position_at_end(end)
-        last = [[total.incomings[1][0] for total in chain] for chain in totals]
-        return [builder.fadd(a, b) for a, b in zip(*last, strict=True)]
+        while len(sums) > 1:
+            half = len(sums) // 2
+            pairs = zip(sums[:half], sums[half:], strict=True)
+            sums = [[builder.fadd(a, b) for a, b in zip(*pair, strict=True)] for pair in pairs]
+        return sums[0]
+
+    def first_phi(self, block: Any, kind: Any) -> Any:
+        """Return a new phi at the start of a block; instructions are emitted at its end as before."""
+        self.builder.position_at_start(block)
+        phi = self.builder.phi(kind)
+        self.builder.position_at_end(block)
+        return phi
 
     def total(self, vector: Any) -> Any:
         """Return the sum of a vector's numbers, halves first."""
         width = self.width
         while width > 1:
             width //= 2
-            indices = ir.VectorType(ir.IntType(32), width)
-            halves = [
-                self.builder.shuffle_vector(vector, vector, ir.Constant(indices, list(range(first, first + width))))
-                for first in (0, width)
-            ]
+            halves = [self.shuffle(vector, vector, list(range(first, first + width))) for first in (0, width)]
             vector = self.builder.fadd(*halves)
         return self.builder.extract_element(vector, ir.Constant(ir.IntType(32), 0))
 
@@ -335,6 +377,63 @@ class _Emitter:
         """Store minus the sum of every component's vector."""
         for c, vector in enumerate(sums):
             self.store(self.builder.fneg(self.total(vector)), out, 8 * c)
+
+
+class _SingleEmitter(_Emitter):
+    """Emits instructions for sums with weights of width 4 in single precision, two neighbours in a vector."""
+
+    size = 4
+    together = ROW_MULTIPLE
+
+    def __init__(self, context: Any, builder: Any, width: int) -> None:
+        super().__init__(context, builder, width)
+        self.line, self.four = LINE_NUMBERS["float32"], ir.VectorType(ir.FloatType(), width)
+        self.eight = ir.VectorType(ir.FloatType(), 2 * width)
+
+    def differences(self, values: Any, node: Any) -> Callable[[Any, Any], Products]:
+        center = self.load(self.four, self.at(values, node, 4, 4))
+        center = self.shuffle(center, center, 2 * [0, 1, 2, 3])
+
+        def terms(near: Any, weights: Any) -> Products:
+            products = []
+            for first in range(0, self.together, 2):
+                pair = [self.load(self.four, self.at(values, j, 4, 4)) for j in near[first : first + 2]]
+                difference = self.builder.fsub(self.shuffle(*pair, list(range(8))), center)
+                factor = self.load(self.eight, weights, 16 * first)
+                products.append(
+                    [(factor, self.shuffle(difference, difference, [c] * 4 + [4 + c] * 4)) for c in range(3)]
+                )
+            return products
+
+        return terms
+
+    def fluxes(self, values: Any) -> Callable[[Any, Any], Products]:
+        line = ir.VectorType(ir.FloatType(), self.line)
+
+        def terms(near: Any, weights: Any) -> Products:
+            products = []
+            for e, j in enumerate(near):
+                factor = self.load(self.four, weights, 16 * e)
+                value = self.load(line, self.at(values, j, self.line, 4), align=64)
+                products.append([(self.shuffle(factor, factor, 4 * [0, 1, 2, 3]), value)])
+            return products
+
+        return terms
+
+    def store_vectors(self, sums: list[Any], out: Any) -> None:
+        for c, pair in enumerate(sums):
+            halves = [self.shuffle(pair, pair, list(range(first, first + 4))) for first in (0, 4)]
+            self.store(self.builder.fadd(*halves), out, 16 * c)
+
+    def store_negative_totals(self, sums: list[Any], out: Any) -> None:
+        """Store minus the sums of the four numbers of every component, pairs in single precision."""
+        (line,) = sums
+        pairs = self.builder.fadd(*(self.shuffle(line, line, list(range(first, 16, 2))) for first in (0, 1)))
+        wide = self.builder.fpext(pairs, ir.VectorType(ir.DoubleType(), 8))
+        totals = self.builder.fadd(*(self.shuffle(wide, wide, list(range(first, 8, 2))) for first in (0, 1)))
+        for c in range(3):
+            total = self.builder.extract_element(totals, ir.Constant(ir.IntType(32), c))
+            self.store(self.builder.fneg(total), out, 8 * c)
 
 
 difference_sums = _row_sums(4, "difference_sums", of_differences=True)

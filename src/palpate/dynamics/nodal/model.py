@@ -61,6 +61,8 @@ class NodalWork(NamedTuple):
     passes : NamedTuple
         Scratch arrays of the compiled passes, with the history variables of relaxing tissue.
     step : StepScratch
+    step_passes : NamedTuple
+        As `passes`, for `NodalModel.step_body`; the history variables are the same.
 
     Examples
     --------
@@ -75,6 +77,7 @@ class NodalWork(NamedTuple):
 
     passes: Any
     step: StepScratch
+    step_passes: Any
 
 
 class NodalModel(Model):
@@ -93,6 +96,8 @@ class NodalModel(Model):
     formulation : Formulation
     taut_body : NamedTuple
         As `body`, with fibres that carry compression, too.
+    step_body : NamedTuple
+        As `body`, in the precision of the steps: single in the energy form of a solid.
     half_cell : float
         Half the c of the half-cell balance at the boundary.
     fixed_mask : (n,) bool array
@@ -134,7 +139,7 @@ class NodalModel(Model):
         """Set the compiled passes and their constants; requires the cloud, the volumes and the supports."""
         self.formulation, self.body, self._allocate = formulation, body, allocate
         self.taut_body = body if self.fibres is None else body._replace(families=always_taut(body.families))
-        self._internal_force, self._advance = internal_force(formulation), full_step(formulation)
+        self._internal_force, self._advance = internal_force(formulation), full_step(formulation.of_steps)
         self.slot = np.zeros(len(self.cloud), dtype=np.int64)
         self.slot[lanes.nodes.ravel()] = np.arange(lanes.nodes.size)
         self.wave_speed = np.inf
@@ -165,7 +170,16 @@ class NodalModel(Model):
     # evaluation
 
     def workspace(self) -> NodalWork:
-        return NodalWork(self._allocate(), step_scratch(len(self.cloud)))
+        passes = self._allocate()
+        return NodalWork(passes, step_scratch(len(self.cloud)), self._step_work(passes))
+
+    @property
+    def step_body(self) -> Any:
+        return self.body
+
+    def _step_work(self, passes: Any) -> Any:
+        """Return the scratch arrays of the passes in the precision of the steps."""
+        return passes
 
     def evaluate(self, displacements: Floats, history: History = (), work: NodalWork | None = None) -> Evaluation:
         """Return force, stress, pressure and energy density of displacements (n, 3) [m].
@@ -364,7 +378,7 @@ class NodalModel(Model):
             v,
             step,
             Damping(self.mass_damping, self.stiffness_damping, self.wave_speed),
-            (self.body, work.passes),
+            (self.step_body, work.step_passes),
             (sites, contacts, schedule),
             nodal_data(self),
             work.step,

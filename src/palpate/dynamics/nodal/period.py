@@ -99,7 +99,7 @@ class NodalPeriodData(NamedTuple):
     Parameters
     ----------
     passes, taut_passes : tuples
-        Body and work arrays of the formulation; with fibres that carry compression for the frequency.
+        Body and work arrays of the steps; in double precision, with fibres that carry compression, for the frequency.
     nodes : NodalData
     damping : Damping
     sites : LoadSites
@@ -354,7 +354,7 @@ def nodal_period(formulation: Formulation) -> Any:
         `palpate.dynamics.run.period_report`. The state is unchanged if the period fails.
     """
     digest = law_digest(__name__, formulation.digest)
-    force_of, after = internal_force(formulation), formulation.after
+    force_of, after, step_force = internal_force(formulation), formulation.after, internal_force(formulation.of_steps)
 
     @law_njit(digest, inner=True)
     def estimate(data, u):  # type: ignore[no-untyped-def]
@@ -433,7 +433,7 @@ def nodal_period(formulation: Formulation) -> Any:
             share = min(1.0, ((s + 1) * step - behind) / period)
             place_tool(path, share, contacts.frames[0])
             after(work, step)
-            force_of(scratch.damped, body, work, scratch.force)
+            step_force(scratch.damped, body, work, scratch.force)
             foundation_force(sites, u, velocity, nodes.volumes, scratch.surface)
             store_velocities(grip, velocity)
             _kick_blocks(sites, nodes, scratch, scratch.previous, step, damping.alpha, u, velocity, data.sums)

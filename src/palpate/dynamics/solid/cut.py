@@ -260,7 +260,7 @@ def _pieces(body: Any, n: int) -> NDArray[np.int64]:
 def _with_cut(body: Any, state: CutState, constants: Any) -> Solid:
     """Return a copy of a body with other constants, without what was computed from the former ones."""
     result: Solid = copy(body)
-    for name in ("stencils", "smoothing", "patches", "contact_edges", "stability", "_recovery", "free_directions"):
+    for name in ("stencils", "smoothing", "patches", "contact_edges", "stability", "_recovery", "free_directions", "step_body"):
         vars(result).pop(name, None)
     taut = constants if body.fibres is None else constants._replace(families=always_taut(constants.families))
     vars(result).update(body=constants, taut_body=taut, _cut=state)

@@ -23,7 +23,7 @@ from palpate.dynamics.solid.base import STENCIL_SIZES, Choices, Solid
 from palpate.dynamics.solid.blade_cut import cut_with_blade, steps_of_blade, with_pairs
 from palpate.dynamics.solid.cut import detached_nodes, uncut_state
 from palpate.dynamics.solid.cut_layout import smoothing_of, stencils_of
-from palpate.dynamics.solid.energy_form import NODE_NUMBERS
+from palpate.dynamics.solid.energy_form import NODE_NUMBERS, EnergyBody, body_in_single, work_in_single
 from palpate.dynamics.solid.layout import Smoothing, energy_passes
 from palpate.faults import CloudError, InputError, number_in_range
 from palpate.meshfree.consistent import consistent_gradient, consistent_stencils
@@ -135,6 +135,13 @@ class EnergySolid(Solid):
         images = mirror_images(cloud, ())
         result._set_stability(result._lay_out(images, stencils, smoothing, volumes, self.stiffness_damping))
         return result
+
+    @cached_property
+    def step_body(self) -> EnergyBody:  # type: ignore[override]
+        return body_in_single(self.body)
+
+    def _step_work(self, passes: Any) -> Any:
+        return work_in_single(self.body, passes)
 
     # a body that is cut computes these on first use
 

@@ -20,7 +20,12 @@ the transposed smoothing, which yields the pressure; the transposed derivatives 
 node's result is independent of the others, so the bits are equal for any number of threads.
 
 The first and the last pass sum node by node (`palpate.dynamics.compiled.rows`). The flux of a node is
-what its weights multiply: the nine stresses and the three forces s e of the residual.
+what its weights multiply: the nine stresses and the three forces s e of the residual. Between them the
+numbers of a block are in lanes.
+
+In single precision (`body_in_single`) weights, differences, their sums and fluxes are rounded to 24 bits. The law, the
+smoothing and the forces stay in double precision. Displacements are relative to an affine motion that four nodes
+define, so that the force of a body that is moved and turned has no larger error.
 """
 
 from __future__ import annotations
@@ -36,7 +41,8 @@ from palpate.dynamics.compiled.cache import inline, kernel_njit, law_digest, law
 from palpate.dynamics.compiled.lanes import LANES, Lanes, Weights, lane_gather
 from palpate.dynamics.compiled.mirror import fill_fluxes, fill_vectors
 from palpate.dynamics.compiled.passes import Formulation, add_blocks, combine, smooth_field, weights_address
-from palpate.dynamics.compiled.rows import Rows, aligned_zeros, difference_sums, gather_fluxes
+from palpate.dynamics.compiled.rows import Rows, aligned_zeros, difference_sums, gather_fluxes, rows_in_single
+from palpate.dynamics.compiled.transposes import lanes_to_nodes, nodes_to_lanes
 from palpate.dynamics.material.fibres import NO_FIBRES, Families, FibrePoints
 from palpate.dynamics.material.material_fields import NO_FIELDS, parameters_at
 from palpate.dynamics.material.principal_stretches import make_principal_stress
@@ -46,7 +52,7 @@ from palpate.meshfree.mirror import Mirror
 from palpate.tissue.materials import Material
 from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 
-__all__ = ["EnergyBody", "EnergyWork", "energy_work", "make_stress", "solid_energy"]
+__all__ = ["EnergyBody", "EnergyWork", "body_in_single", "energy_work", "make_stress", "solid_energy", "work_in_single"]
 
 NODE_NUMBERS = 12  # per node: du_c/dX_d as 3 c + d, then the residuals e_c
 WEIGHT_WIDTH = 4  # weights per neighbour
@@ -72,16 +78,20 @@ class EnergyBody(NamedTuple):
     families: Families  # of fibres
     mirror: Mirror  # images at planes of symmetry
     flux_mirror: Mirror  # reflected fluxes, which stencils with images cause
+    places: NDArray[np.float64]  # (n + g, 3) reference positions of nodes and images, from the first anchor [m]
+    anchors: NDArray[np.int64]  # (4,) nodes whose displacements define an affine motion
+    inverse: NDArray[np.float64]  # (3, 3) inverse of the columns `places` of the last three of them [1/m]
 
 
 class EnergyWork(NamedTuple):
     """Scratch arrays of the passes."""
 
-    sums: NDArray[np.float64]  # (threads, LANES, 3, 4) derivatives du_c/dX_d and residual e_c of a block's nodes
+    sums: NDArray[Any]  # (threads, LANES, 3, 4) derivatives du_c/dX_d and residual e_c of a block's nodes, in lines
     derivatives: NDArray[np.float64]  # (threads, 12, LANES)
     response: NDArray[np.float64]  # (threads, ROWS * LANES) derivatives, fluxes, cof F and J - 1 of a block
     cofactor: NDArray[np.float64]  # (b, 9, LANES)
-    flux: NDArray[np.float64]  # (n + h, 3, 4): P_cd [Pa] and s e_c, then h reflected ones
+    stress: NDArray[np.float64]  # (b, 12, LANES) shear stress [Pa] and s e_c
+    flux: NDArray[Any]  # (n + h, 3, 4): P_cd [Pa] and s e_c, then h reflected ones; in lines
     dilatation: NDArray[np.float64]  # (n,) J - 1, or g(J)
     slope: NDArray[np.float64]  # (n,) g'(J); empty if it is 1
     smooth: NDArray[np.float64]  # (n,) theta
@@ -90,6 +100,8 @@ class EnergyWork(NamedTuple):
     scaled: NDArray[np.float64]  # (n,) theta times its stiffness factor
     least: NDArray[np.float64]  # (1,) least dilatation of all evaluations in a call of the step
     reflected: NDArray[np.float64]  # (n + g, 3) displacements of nodes and images; empty without images
+    frame: NDArray[np.float64]  # (9,) gradient of the affine motion, row by row; 0 in double precision
+    anchored: NDArray[np.float32]  # (n + g, 4) displacements from the affine motion; empty in double precision
 
 
 def energy_work(
@@ -101,7 +113,8 @@ def energy_work(
         aligned_zeros(threads, NODE_NUMBERS, LANES),
         aligned_zeros(threads, ROWS * LANES),
         aligned_zeros(blocks, 9, LANES),
-        aligned_zeros(nodes + images[1], 3, 4),
+        aligned_zeros(blocks, NODE_NUMBERS, LANES),
+        _flux_lines(nodes + images[1], blocks, 3, np.float64),
         np.zeros(nodes),
         np.zeros(0 if volumetric == QUADRATIC else nodes),
         np.zeros(nodes),
@@ -110,6 +123,28 @@ def energy_work(
         np.zeros(nodes),
         np.zeros(1),
         np.zeros((nodes + images[0] if images[0] else 0, 3)),
+        np.zeros(9),
+        aligned_zeros(0, 4, dtype=np.float32),
+    )
+
+
+def _flux_lines(count: int, blocks: int, rows: int, dtype: type[np.floating[Any]]) -> NDArray[Any]:
+    """Return zeros (count, rows, 4), with room behind them for the repeated nodes of the last of some blocks."""
+    return aligned_zeros(max(count, blocks * LANES), rows, 4, dtype=dtype)[:count]
+
+
+def body_in_single(body: EnergyBody) -> EnergyBody:
+    """Return the constants of passes in single precision."""
+    return body._replace(lanes=rows_in_single(body.lanes), transposed=rows_in_single(body.transposed))
+
+
+def work_in_single(body: EnergyBody, work: EnergyWork) -> EnergyWork:
+    """Return the scratch arrays of passes in single precision; all but those that are rounded are shared."""
+    return work._replace(
+        sums=aligned_zeros(len(work.sums), LANES, 4, 4, dtype=np.float32),
+        flux=_flux_lines(len(work.flux), len(work.cofactor), 4, np.float32),
+        frame=np.zeros(9),
+        anchored=aligned_zeros(len(body.places), 4, dtype=np.float32),
     )
 
 
@@ -121,11 +156,7 @@ def _lift(b, u, rows, sums, response):  # type: ignore[no-untyped-def]
     """Write the derivatives and residuals at the nodes of one block into the first rows of `response`."""
     for lane in range(LANES):
         difference_sums(u, rows, rows.nodes[b, lane], sums, lane)
-    for lane in range(LANES):
-        for c in range(3):
-            for d in range(3):
-                response[LANES * (3 * c + d) + lane] = sums[lane, c, d]
-            response[LANES * (9 + c) + lane] = sums[lane, c, 3]
+    nodes_to_lanes(sums, response)
 
 
 @kernel_njit(inner=True, parallel=True)
@@ -145,53 +176,86 @@ def _differentiate(modes, body, work, table):  # type: ignore[no-untyped-def]
     _lift_columns(modes, body.lanes, work.sums, work.response, table)
 
 
-@kernel_njit(inner=True, parallel=True, fastmath={"contract"})
-def _add_pressure(lanes, value, diagonal, lame, theta, slope, cofactor, sums, pressure, flux):  # type: ignore[no-untyped-def]
-    """Compute p, g' times the transposed smoothing of theta; add lame p cof(F) to the stresses.
+@kernel_njit(inner=True, fastmath={"contract"})
+def _anchor(u, body, frame, anchored):  # type: ignore[no-untyped-def]
+    """Write the displacements of nodes and images from the affine motion of the anchors, and its gradient."""
+    places, anchors, inverse, first = body.places, body.anchors, body.inverse, body.anchors[0]
+    x, y, z = u[first, 0], u[first, 1], u[first, 2]
+    for c in range(3):
+        for d in range(3):
+            total = 0.0
+            for k in range(3):
+                total += (u[anchors[k + 1], c] - u[first, c]) * inverse[k, d]
+            frame[3 * c + d] = total
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = frame
+    for i in range(anchored.shape[0]):
+        a, b, c = places[i, 0], places[i, 1], places[i, 2]
+        anchored[i, 0] = u[i, 0] - x - (xx * a + xy * b + xz * c)
+        anchored[i, 1] = u[i, 1] - y - (yx * a + yy * b + yz * c)
+        anchored[i, 2] = u[i, 2] - z - (zx * a + zy * b + zz * c)
 
-    Blocks of the smoothing have all nodes in order, as those of the cofactors.
+
+@kernel_njit(inner=True, parallel=True, fastmath={"contract"})
+def _add_pressure(lanes, value, diagonal, lame, theta, slope, stiffness, stress, overstress, cofactor,
+                  sums, response, pressure, flux):  # type: ignore[no-untyped-def]  # fmt: skip
+    """Compute p, g' times the transposed smoothing of theta, and the fluxes: shear, overstress and lame p cof(F).
+
+    The overstresses (b, 9, LANES) scale like the shear modulus. Blocks of the smoothing have all nodes in order, as
+    those of the cofactors.
     """
     for block in prange(lanes.nodes.shape[0]):
         b = np.int64(block)
-        total = sums[get_thread_id()]
+        total, r = sums[get_thread_id()], response[get_thread_id()]
         begin, end = lanes.start[b], lanes.stop[b]
         lane_gather(weights_address(value, lanes, b), lanes.neighbours, begin, theta, total.ctypes.data, end - begin,
                     lanes.shared[b])  # fmt: skip
+        for q in range(NODE_NUMBERS):
+            for lane in range(LANES):
+                r[LANES * q + lane] = stress[b, q, lane]
+        for q in range(9):
+            for lane in range(LANES):
+                r[LANES * (COFACTOR + q) + lane] = cofactor[b, q, lane]
         for lane in range(LANES):
             i = lanes.nodes[b, lane]
-            if lane > 0 and i == lanes.nodes[b, lane - 1]:
-                break  # the last node of an unfilled block is repeated
             p = total[0, lane] + diagonal[i] * theta[i]
             if slope.shape[0] > 0:
                 p *= slope[i]
             pressure[i] = p
-            for c in range(3):
-                for d in range(3):
-                    flux[i, c, d] += lame * p * cofactor[b, 3 * c + d, lane]
-
-
-@kernel_njit(inner=True, parallel=True)
-def _add_overstress(lanes, stress, stiffness, flux):  # type: ignore[no-untyped-def]
-    """Add the overstresses (b, 9, LANES), scaled like the shear modulus, to the stresses."""
-    for b in prange(lanes.nodes.shape[0]):
+            r[LANES * DILATATION + lane] = lame * p
+        if stiffness.shape[0] > 0:
+            _scale_rows(lanes.nodes[b], stiffness, r)
+        if overstress.shape[0] > 0:
+            for lane in range(LANES):
+                factor = stiffness[lanes.nodes[b, lane], 1] if stiffness.shape[0] > 0 else 1.0
+                for q in range(9):
+                    r[LANES * q + lane] += factor * overstress[b, q, lane]
         for lane in range(LANES):
-            i = lanes.nodes[b, lane]
-            if lane > 0 and i == lanes.nodes[b, lane - 1]:
-                break  # the last node of an unfilled block is repeated
-            factor = stiffness[i, 1] if stiffness.shape[0] > 0 else 1.0
-            for c in range(3):
-                for d in range(3):
-                    flux[i, c, d] += factor * stress[b, 3 * c + d, lane]
+            p = r[LANES * DILATATION + lane]
+            r[lane] += p * r[LANES * COFACTOR + lane]
+            r[LANES + lane] += p * r[LANES * (COFACTOR + 1) + lane]
+            r[2 * LANES + lane] += p * r[LANES * (COFACTOR + 2) + lane]
+            r[3 * LANES + lane] += p * r[LANES * (COFACTOR + 3) + lane]
+            r[4 * LANES + lane] += p * r[LANES * (COFACTOR + 4) + lane]
+            r[5 * LANES + lane] += p * r[LANES * (COFACTOR + 5) + lane]
+            r[6 * LANES + lane] += p * r[LANES * (COFACTOR + 6) + lane]
+            r[7 * LANES + lane] += p * r[LANES * (COFACTOR + 7) + lane]
+            r[8 * LANES + lane] += p * r[LANES * (COFACTOR + 8) + lane]
+        lanes_to_nodes(r, flux, LANES * b)
 
 
 @kernel_njit(inner=True)
-def _scale_by_stiffness(stiffness, flux, theta, scaled):  # type: ignore[no-untyped-def]
-    """Multiply the fluxes and theta of every node by its stiffness factors."""
+def _scale_rows(nodes, stiffness, r):  # type: ignore[no-untyped-def]
+    """Multiply the rows of a block's stresses and residual forces by the stiffness factors of its nodes."""
+    for lane in range(LANES):
+        law, shear = stiffness[nodes[lane], 0], stiffness[nodes[lane], 1]
+        for q in range(NODE_NUMBERS):
+            r[LANES * q + lane] *= law if q < 9 else shear
+
+
+@kernel_njit(inner=True)
+def _scale_by_stiffness(stiffness, theta, scaled):  # type: ignore[no-untyped-def]
+    """Multiply theta of every node by its stiffness factor."""
     for i in range(stiffness.shape[0]):
-        for c in range(3):
-            for d in range(3):
-                flux[i, c, d] *= stiffness[i, 0]
-            flux[i, c, 3] *= stiffness[i, 1]
         scaled[i] = stiffness[i, 2] * theta[i]
 
 
@@ -214,12 +278,11 @@ def _complete(body, work):  # type: ignore[no-untyped-def]
         relax_volume(body.relaxation, work.history, work.smooth)
         effective = work.history.effective
     if body.stiffness.shape[0] > 0:
-        _scale_by_stiffness(body.stiffness, work.flux, effective, work.scaled)
+        _scale_by_stiffness(body.stiffness, effective, work.scaled)
         effective = work.scaled
-    if body.relaxation.times.shape[0] > 0:
-        _add_overstress(body.lanes, work.history.stress, body.stiffness, work.flux)
     _add_pressure(body.transposed_smoothing, body.transposed_value, body.smoothing_own, body.lame, effective,
-                  work.slope, work.cofactor, work.derivatives, work.pressure, work.flux)  # fmt: skip
+                  work.slope, body.stiffness, work.stress, work.history.stress, work.cofactor, work.derivatives,
+                  work.response, work.pressure, work.flux)  # fmt: skip
 
 
 @kernel_njit(inner=True, parallel=True, fastmath={"contract"})
@@ -341,7 +404,7 @@ def solid_energy(
     measure = inline(digest, measure_of)
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
-    def node_response(b, nodes, r, coefficients, hourglass, families, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
+    def node_response(b, nodes, r, coefficients, hourglass, families, cofactor, stresses, dilatation, slope):  # type: ignore[no-untyped-def]
         for v in range(LANES):
             d0, d1, d2 = r[v], r[LANES + v], r[2 * LANES + v]
             d3, d4, d5 = r[3 * LANES + v], r[4 * LANES + v], r[5 * LANES + v]
@@ -356,24 +419,28 @@ def solid_energy(
         for q in range(9):
             for v in range(LANES):
                 cofactor[b, q, v] = r[LANES * (COFACTOR + q) + v]
+        for q in range(NODE_NUMBERS):
+            for v in range(LANES):
+                stresses[b, q, v] = r[LANES * (STRESS + q) + v]
         for v in range(LANES):
             i = nodes[b, v]
-            for w in range(3):
-                for q in range(3):
-                    flux[i, w, q] = r[LANES * (STRESS + 3 * w + q) + v]
-                flux[i, w, 3] = r[LANES * (STRESS + 9 + w) + v]
             if curved:
                 dilatation[i], slope[i] = measure(r[LANES * DILATATION + v])
             else:
                 dilatation[i] = r[LANES * DILATATION + v]
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
-    def each(u, rows, law, hourglass, families, sums, response, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
+    def each(  # type: ignore[no-untyped-def]
+        u, rows, frame, law, hourglass, families, sums, response, cofactor, stresses, dilatation, slope
+    ):
         for block in prange(rows.nodes.shape[0]):
             b = np.int64(block)
             out = response[get_thread_id()]
             _lift(b, u, rows, sums[get_thread_id()], out)
-            node_response(b, rows.nodes, out, law, hourglass, families, cofactor, flux, dilatation, slope)
+            for q in range(9):
+                for v in range(LANES):
+                    out[LANES * q + v] += frame[q]
+            node_response(b, rows.nodes, out, law, hourglass, families, cofactor, stresses, dilatation, slope)
 
     @law_njit(digest, inner=True)
     def respond(u, body, work):  # type: ignore[no-untyped-def]
@@ -381,12 +448,22 @@ def solid_energy(
         if body.mirror.source.shape[0] > 0:
             fill_vectors(u, body.mirror, work.reflected)
             field = work.reflected
-        each(field, body.lanes, body.coefficients, body.hourglass, body.families,
-             work.sums, work.response, work.cofactor, work.flux, work.dilatation, work.slope)  # fmt: skip
+        each(field, body.lanes, work.frame, body.coefficients, body.hourglass, body.families,
+             work.sums, work.response, work.cofactor, work.stress, work.dilatation, work.slope)  # fmt: skip
+
+    @law_njit(digest, inner=True)
+    def respond_in_single(u, body, work):  # type: ignore[no-untyped-def]
+        field = u
+        if body.mirror.source.shape[0] > 0:
+            fill_vectors(u, body.mirror, work.reflected)
+            field = work.reflected
+        _anchor(field, body, work.frame, work.anchored)
+        each(work.anchored, body.lanes, work.frame, body.coefficients, body.hourglass, body.families,
+             work.sums, work.response, work.cofactor, work.stress, work.dilatation, work.slope)  # fmt: skip
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
     def each_column(  # type: ignore[no-untyped-def]
-        columns, table, nodes, law, hourglass, families, derivatives, response, cofactor, flux, dilatation, slope
+        columns, table, nodes, law, hourglass, families, derivatives, response, cofactor, stresses, dilatation, slope
     ):
         for block in prange(table.shape[0]):
             b = np.int64(block)
@@ -395,12 +472,12 @@ def solid_energy(
             for q in range(NODE_NUMBERS):
                 for v in range(LANES):
                     out[LANES * q + v] = gradient[q, v]
-            node_response(b, nodes, out, law, hourglass, families, cofactor, flux, dilatation, slope)
+            node_response(b, nodes, out, law, hourglass, families, cofactor, stresses, dilatation, slope)
 
     @law_njit(digest, inner=True)
     def respond_to_columns(columns, table, body, work):  # type: ignore[no-untyped-def]
         each_column(columns, table, body.lanes.nodes, body.coefficients, body.hourglass, body.families,
-                    work.derivatives, work.response, work.cofactor, work.flux, work.dilatation, work.slope)  # fmt: skip
+                    work.derivatives, work.response, work.cofactor, work.stress, work.dilatation, work.slope)  # fmt: skip
 
     @law_njit(digest, inner=True)
     def finish(body, work, force):  # type: ignore[no-untyped-def]
@@ -408,4 +485,8 @@ def solid_energy(
         fill_fluxes(body.flux_mirror, work.flux)
         _gather_fluxes(body.transposed, work.flux, force)
 
-    return Formulation(digest, NODE_NUMBERS, respond, respond_to_columns, _differentiate, finish, _project, after)
+    of_steps = law_digest(__name__, digest, "in single precision")
+    single = Formulation(of_steps, NODE_NUMBERS, respond_in_single, None, None, finish, None, after)
+    return Formulation(
+        digest, NODE_NUMBERS, respond, respond_to_columns, _differentiate, finish, _project, after, single
+    )

@@ -109,6 +109,9 @@ def energy_passes(
     smooth_lanes, (value,) = lane_table(smoothing.neighbours, rows, smoothing.weights)
     back, weights = transpose(smoothing.neighbours, smoothing.weights[:, :, None], volumes)
     back_lanes, (back_value,) = lane_table(back, rows, weights)
+    used = np.unique(stencils.neighbours[:n][stencils.neighbours[:n] >= n])
+    places = images.cloud.points[np.concatenate([np.arange(n), used])]
+    anchors = _anchors(places[:n])
     body = EnergyBody(
         lanes=lanes,
         transposed=transposed,
@@ -125,6 +128,9 @@ def energy_passes(
         families=lay_out_fibres(tissue.fibres, lanes.nodes),
         mirror=mirror,
         flux_mirror=flux_mirror,
+        places=places - places[anchors[0]],
+        anchors=anchors,
+        inverse=np.linalg.pinv(places[anchors[1:]] - places[anchors[0]]).T.copy(),
     )
     branches = len(body.relaxation.times)
     threads, form = numba.config.NUMBA_NUM_THREADS, material.volumetric
@@ -134,6 +140,17 @@ def energy_passes(
     varied = NO_FIELDS if regions is None else len(material.coefficients)
     formulation = solid_energy(material.law, form, fibre_points(tissue.fibres), varied)
     return CompiledForm(formulation, body, allocate, lanes), own_stencils
+
+
+def _anchors(points: Floats) -> NDArray[np.int64]:
+    """Return four nodes that span a body: the middle one, and three that are far from the others."""
+    anchors = [int(np.argmin(np.linalg.norm(points - points.mean(axis=0), axis=1)))]
+    left = points - points[anchors[0]]
+    for _ in range(3):  # the node farthest from the affine space of the others (QR with pivoting)
+        anchors.append(int(np.argmax(np.linalg.norm(left, axis=1))))
+        axis = left[anchors[-1]] / max(float(np.linalg.norm(left[anchors[-1]])), np.finfo(float).tiny)
+        left = left - np.outer(left @ axis, axis)
+    return np.array(anchors)
 
 
 def _transposed(near: NDArray[np.int32], mirror: Mirror, weights: Floats, volumes: Floats) -> tuple[Mirror, Rows]:

@@ -147,7 +147,7 @@ class BladeCutter:
             self.seconds += (perf_counter() - began - self.seconds) / MEAN_CUTS
             self.data.clock[LOST] += released
             self.data = self.data._replace(
-                passes=(self.model.body, self.data.passes[1]),
+                passes=(self.model.step_body, self.data.passes[1]),
                 taut_passes=(self.model.taut_body, self.data.taut_passes[1]),
                 contacts=self.data.contacts._replace(sites=sites),
                 tool_reach=self._reach(),

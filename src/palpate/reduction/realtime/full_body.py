@@ -69,7 +69,7 @@ def full_period(
     entries = 2 * len(contacts.points)  # two for each middle of an edge, and one for each node that forceps hold
     noise = model.supported.project(np.random.default_rng(0).standard_normal((n, 3)))
     data = NodalPeriodData(
-        passes=(model.body, work.passes),
+        passes=(model.step_body, work.step_passes),
         taut_passes=(model.taut_body, work.passes),
         nodes=nodal_data(model),
         damping=Damping(model.mass_damping, model.stiffness_damping, model.wave_speed),
