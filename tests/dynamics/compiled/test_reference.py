@@ -30,15 +30,15 @@ def add(record):
     inner = record.inner
     for k in range(inner.values.shape[0]):
         record.total[0] += inner.factor * inner.values[k] * record.count
-    return inner
+    return inner.values
 
 
 @njit
 def add_many(record, times):
-    by_address, last = reference(record), record.inner
+    by_address, last = reference(record), record.inner.values
     for _ in range(times):
-        last = add(by_address)
-    return last.values
+        last = add(reference(by_address))
+    return last
 
 
 def record():

@@ -2,7 +2,7 @@
 
 Numba passes a named tuple by value: every number in it, and every field of every array in it, is an argument. A
 function that only hands on a record of a thousand of them takes seconds to compile. A reference is one argument, and
-its attributes are those of the record.
+its attributes are those of the record; a field that is a named tuple is a reference, too.
 """
 
 from __future__ import annotations

@@ -124,6 +124,10 @@ class Contacts(NamedTuple):
         Rotations and positions of the tools before and after a step.
     tool_radius : (t,) array [m]
         Radius about its origin that contains a tool.
+    near_count : (t,) array
+        Number of candidates of every tool that are near it, so that a step looks at them; by default all.
+    near : (k,) array
+        The near candidates of every tool in order, from its first candidate on.
     active_count : (1,) array
         Number of active candidates, within `search_gap`.
     active : (k,) array
@@ -165,6 +169,8 @@ class Contacts(NamedTuple):
     frames: Floats
     tool_radius: Floats
     tool: NDArray[np.int64]
+    near_count: NDArray[np.int64]
+    near: NDArray[np.int64]
     active_count: NDArray[np.int64]
     active: NDArray[np.int64]
     patch_impulses: Floats
@@ -188,7 +194,7 @@ def with_scratch(contacts: Contacts) -> Contacts:
     held = contacts.held._replace(**{name: np.zeros_like(getattr(contacts.held, name)) for name in HELD_SCRATCH})
     sites = contacts.sites._replace(impulses=np.zeros_like(contacts.sites.impulses), works=np.zeros(2))
     return contacts._replace(
-        held=held, sites=sites, **{name: np.zeros_like(getattr(contacts, name)) for name in SCRATCH_FIELDS}
+        near_count=np.diff(contacts.start), near=np.arange(len(contacts.nodes)), held=held, sites=sites, **{name: np.zeros_like(getattr(contacts, name)) for name in SCRATCH_FIELDS}
     )
 
 
@@ -437,6 +443,8 @@ def contacts(
         frames=np.zeros((tools, 2, 3, 4)),
         tool_radius=np.where(kind == CAPSULE, sizes[:, 0] + sizes[:, 1], np.inf),
         tool=np.repeat(np.arange(tools), candidates),
+        near_count=np.array(candidates, dtype=np.int64),
+        near=np.arange(sum(candidates)),
         active_count=np.zeros(1, dtype=np.int64),
         active=np.zeros(sum(candidates), dtype=np.int64),
         patch_impulses=np.zeros((sum(candidates), 4)),

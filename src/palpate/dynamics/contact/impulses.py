@@ -22,16 +22,20 @@ not move into the tool with their half kick; the same law holds for velocities.
 
 from __future__ import annotations
 
+import numpy as np
+from numba import prange
+
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.blade_impulses import clear_sites, push_sites, site_works
 from palpate.dynamics.contact.geometry import chord_depth, coulomb, gap, material_velocity, patch, project, rotation
 from palpate.dynamics.contact.held import press_held_nodes
 
-__all__ = ["apply_contact_impulses", "push_patches"]
+__all__ = ["apply_contact_impulses", "list_near", "push_patches"]
 
 MAX_SWEEPS = 30
 MIN_FREEDOM = 0.01  # of a sliding node: least squared part of a tool's normal along its free directions
 RECOVERY_TIME = 0.01  # [s] in which a patch leaves a tool that was put down in it
+BLOCK_CANDIDATES = 512  # of a part of the search
 SWEEP_TOLERANCE = 3e-2  # largest change of an impulse in the last sweep, relative to the largest impulse
 
 
@@ -50,6 +54,44 @@ def _apply_to_patch(contacts, i, x, y, z, velocity):  # type: ignore[no-untyped-
         velocity[j, 2] += w * inverse_mass[j] * free_z
 
 
+@kernel_njit(inner=True, parallel=True)
+def _mark_near(contacts, t, margin, u, marks):  # type: ignore[no-untyped-def]
+    """Write the candidates of a tool that are less than a margin [m] farther than active ones, and -1 for others."""
+    first, last = contacts.start[t], contacts.start[t + 1]
+    for block in prange((last - first + BLOCK_CANDIDATES - 1) // BLOCK_CANDIDATES):
+        kind, sizes, frame = contacts.kind[t], contacts.sizes[t], contacts.frames[t, 1]
+        around = contacts.search_gap + contacts.patch_radius + margin
+        radius = contacts.tool_radius[t] + around
+        begin = first + np.int64(block) * BLOCK_CANDIDATES
+        for k in range(begin, min(begin + BLOCK_CANDIDATES, last)):
+            i = contacts.nodes[k]
+            j = contacts.ends[i, 0]
+            x, y, z = contacts.points[i, 0] + u[j, 0], contacts.points[i, 1] + u[j, 1], contacts.points[i, 2] + u[j, 2]
+            square = (x - frame[0, 3]) ** 2 + (y - frame[1, 3]) ** 2 + (z - frame[2, 3]) ** 2
+            marks[k] = k if square < radius * radius and gap(kind, sizes, frame, x, y, z)[0] < around else -1
+
+
+@kernel_njit(inner=True)
+def list_near(contacts, margin, u):  # type: ignore[no-untyped-def]
+    """List the candidates that are less than a margin [m] farther from their tool than those that a step needs.
+
+    The list holds as long as no node and no point of a tool that may touch it has moved by more than the margin, both
+    ways together.
+    """
+    impulses, near = contacts.patch_impulses, contacts.near
+    for t in range(contacts.kind.shape[0]):
+        first = contacts.start[t]
+        _mark_near(contacts, t, margin, u, near)
+        count = first
+        for k in range(first, contacts.start[t + 1]):
+            if near[k] == k:
+                near[count] = k
+                count += 1
+            elif impulses[k, 3] != 0.0:
+                impulses[k] = 0.0
+        contacts.near_count[t] = count - first
+
+
 @kernel_njit(inner=True)
 def _find_active_patches(contacts, ahead, ratio, time, u, velocity, mass):  # type: ignore[no-untyped-def]
     """Find the patches near a tool, and apply `ratio` times their impulses of the previous step."""
@@ -63,7 +105,7 @@ def _find_active_patches(contacts, ahead, ratio, time, u, velocity, mass):  # ty
     for t in range(contacts.kind.shape[0]):
         kind, sizes, frame = contacts.kind[t], contacts.sizes[t], contacts.frames[t, 1]
         radius = contacts.tool_radius[t] + around
-        for k in range(contacts.start[t], contacts.start[t + 1]):
+        for k in contacts.near[contacts.start[t] : contacts.start[t] + contacts.near_count[t]]:
             i = nodes[k]
             j = contacts.ends[i, 0]
             x = points[i, 0] + u[j, 0] + ahead * velocity[j, 0]

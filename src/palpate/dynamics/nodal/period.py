@@ -29,7 +29,7 @@ from palpate.dynamics.compiled.passes import Formulation, internal_force
 from palpate.dynamics.compiled.reference import reference
 from palpate.dynamics.contact.geometry import Contacts, project
 from palpate.dynamics.contact.grip import COUNT, FRESH, Grip, begin_grip, hold_nodes, store_velocities
-from palpate.dynamics.contact.impulses import push_patches
+from palpate.dynamics.contact.impulses import list_near, push_patches
 from palpate.dynamics.contact.penetration import SLOW_DEPTH, deepest_triangle, way_above_surface
 from palpate.dynamics.loads.prepared import LoadSites
 from palpate.dynamics.loads.supports import FIXED
@@ -46,6 +46,7 @@ from palpate.dynamics.nodal.tool_path import (
     HOME,
     SAVED,
     START,
+    frame_way,
     limit_path,
     limit_to_cut,
     place_tool,
@@ -115,7 +116,7 @@ class NodalPeriodData(NamedTuple):
         time by which the body will be behind, number of periods that were repeated with shorter steps, gains
         of energy that shorter steps did not cure [J], number of periods in which the tool was held, the last
         estimate of the frequency [rad/s], and 1 if the last period left the body at rest.
-    sums : (b, 4) array
+    sums : (b, 5) array
         Sums of every block of nodes.
     secant : (5, 3) array
         Contact stiffness [N/m], and position and force of the tool at its last update.
@@ -254,6 +255,8 @@ def _report_contact(data, duration, report):  # type: ignore[no-untyped-def]
 def _kick_blocks(sites, nodes, scratch, previous, step, alpha, u, velocity, sums):  # type: ignore[no-untyped-def]
     """Accelerate the nodes by a step; write work of surface loads and dissipation of every block [J] into `sums`.
 
+    The last sum is the largest squared velocity.
+
     The energy that the damping beta K dissipates is the sum of V (beta v) . (previous - force); see
     `palpate.dynamics.nodal.central_difference.damping_work`. Arrays that are written are arguments of their own:
     Numba drops writes to those of a tuple from a parallel loop.
@@ -261,7 +264,7 @@ def _kick_blocks(sites, nodes, scratch, previous, step, alpha, u, velocity, sums
     half = 0.5 * alpha * step
     shares = (1.0 - half) / (1.0 + half), step / (1.0 + half)
     for b in prange(sums.shape[0]):
-        work, square, lost = 0.0, 0.0, 0.0
+        work, square, lost, largest = 0.0, 0.0, 0.0, 0.0
         first = np.int64(b) * BLOCK_NODES
         for i in range(first, min(first + BLOCK_NODES, velocity.shape[0])):
             for c in range(3):
@@ -273,6 +276,8 @@ def _kick_blocks(sites, nodes, scratch, previous, step, alpha, u, velocity, sums
                     i, sites.slide_of[i], sites.slide, nodes, scratch, (0.0, 0.0, 0.0), shares, velocity
                 )  # fmt: skip
                 work, square = work + node_sums[0], square + node_sums[1]
+                largest = max(largest, velocity[i, 0] ** 2 + velocity[i, 1] ** 2 + velocity[i, 2] ** 2)
+        sums[b, 4] = largest
         sums[b, 0], sums[b, 1] = work * step, lost + alpha * nodes.density * square * step
 
 
@@ -329,6 +334,16 @@ def _total(sums, k):  # type: ignore[no-untyped-def]
     for b in range(sums.shape[0]):
         total += sums[b, k]
     return total
+
+
+@kernel_njit(inner=True)
+def _largest(sums, k):  # type: ignore[no-untyped-def]
+    """Return the largest number of all blocks."""
+    largest = 0.0
+    for b in range(sums.shape[0]):
+        if not sums[b, k] <= largest:
+            largest = sums[b, k]
+    return largest
 
 
 @kernel_njit(inner=True)
@@ -429,9 +444,11 @@ def nodal_period(formulation: Formulation) -> Any:
             count = MAX_STEPS
             behind = count * step - period
         _drift_blocks(sites.kind, nodes, scratch.damped, scratch.surface, 0.0, damping.beta, u, velocity, data.sums)
+        margin, way, tool_reach = -1.0, 0.0, contacts.tool_radius[0] + contacts.search_gap + contacts.patch_radius
         for s in range(count):
             share = min(1.0, ((s + 1) * step - behind) / period)
             place_tool(path, share, contacts.frames[0])
+            way += frame_way(contacts.frames[0], tool_reach + max(margin, 0.0))
             after(work, step)
             step_force(scratch.damped, body, work, scratch.force)
             foundation_force(sites, u, velocity, nodes.volumes, scratch.surface)
@@ -440,6 +457,10 @@ def nodal_period(formulation: Formulation) -> Any:
             works = hold_nodes(grip, contacts, nodes, scratch.surface, damping.alpha, step, u, velocity)
             clock[WORK] += _total(data.sums, 0) + works[0]
             clock[LOST] += _total(data.sums, 1) + works[1]
+            ahead = step * np.sqrt(_largest(data.sums, 4))
+            if not way + ahead <= margin:
+                margin, way = data.reach + ahead, 0.0
+                list_near(contacts, margin, u)
             works = push_patches(
                 contacts, False, (step, step, step, 0.0), 1.0, u, velocity, (nodes, scratch, (0.0, 0.0, 0.0))
             )
@@ -448,9 +469,10 @@ def nodal_period(formulation: Formulation) -> Any:
             _drift_blocks(
                 sites.kind, nodes, scratch.damped, scratch.surface, step, damping.beta, u, velocity, data.sums
             )
-            for b in range(data.sums.shape[0]):
-                if not data.sums[b, 3] * step * step < data.reach * data.reach:
-                    return -1
+            moved = step * np.sqrt(_largest(data.sums, 3))
+            if not moved < data.reach:
+                return -1
+            way += moved
         clock[KINETIC_ENERGY] = _total(data.sums, 2)
         clock[NEXT_BEHIND] = behind + period - count * step
         return count

@@ -18,6 +18,7 @@ __all__ = [
     "SAVED",
     "START",
     "contact_stiffness",
+    "frame_way",
     "limit_path",
     "limit_to_cut",
     "place_tool",
@@ -91,6 +92,20 @@ def place_tool(path, share, frames):  # type: ignore[no-untyped-def]
         for j in range(4):
             frames[0, i, j] = frames[1, i, j]
             frames[1, i, j] = path[START, i, j] + share * (path[END, i, j] - path[START, i, j])
+
+
+@kernel_njit(inner=True)
+def frame_way(frames, reach):  # type: ignore[no-untyped-def]
+    """Return a bound of the way [m] of a tool's points up to a distance `reach` [m] from its origin, in a step.
+
+    It is infinite for a tool of infinite reach that turns.
+    """
+    moved, turned = 0.0, 0.0
+    for i in range(3):
+        moved += (frames[1, i, 3] - frames[0, i, 3]) ** 2
+        for j in range(3):
+            turned += (frames[1, i, j] - frames[0, i, j]) ** 2
+    return np.sqrt(moved) + (np.sqrt(turned) * reach if turned > 0.0 else 0.0)
 
 
 @kernel_njit(inner=True)

@@ -78,7 +78,7 @@ def full_period(
         grip=empty_grip(n),
         scratch=work.step,
         clock=np.array([0.0, model.stability.step, frequency, *np.zeros(11)]),
-        sums=np.zeros((-(-n // BLOCK_NODES), 4)),
+        sums=np.zeros((-(-n // BLOCK_NODES), 5)),
         secant=np.zeros((5, 3)),
         tool_force=np.zeros(12),
         path=path,
