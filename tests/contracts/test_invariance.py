@@ -61,7 +61,7 @@ CHANGES = {
     "order": Change(shuffled=True), "length": Change(length=100.0), "mass": Change(mass=1e3),
     "time": Change(time=0.1), "all": Change(MIRROR, (3.0, -2.0, 1.0), True, 10.0, 0.1, 3.0),
 }  # fmt: skip
-ROUNDING = 1e-8  # digits of positions tens of metres from the origin are lost in their differences
+ROUNDING = 1e-6  # steps are in single precision; digits of positions far from the origin are lost in differences
 # sweeps of contact end when impulses change by 3 %; how many they are and in what order can differ
 CONTACT, CONTACT_FORCE = 1e-3, 0.03
 SAMPLING = 0.02  # modes are converged to 1e-5, and samples chosen to some per cent

@@ -13,6 +13,7 @@ from numba.core import types
 from numba.core.cgutils import alloca_once_value, gep_inbounds
 from numba.core.datamodel import models, register_default
 from numba.core.imputils import impl_ret_borrowed, lower_getattr_generic
+from numba.core.types.containers import BaseNamedTuple
 from numba.core.typing.templates import AttributeTemplate, infer_getattr
 from numba.extending import intrinsic
 
@@ -42,14 +43,14 @@ class _ReferenceAttributes(AttributeTemplate):  # type: ignore[misc]
         if name not in fields:
             return None
         field = kind.record[fields.index(name)]
-        return Reference(field) if isinstance(field, types.BaseNamedTuple) else field
+        return Reference(field) if isinstance(field, BaseNamedTuple) else field
 
 
 @lower_getattr_generic(Reference)
 def _read_field(context: Any, builder: Any, kind: Reference, address: Any, name: str) -> Any:
     index = kind.record.fields.index(name)
     place = gep_inbounds(builder, address, 0, index)
-    if isinstance(kind.record[index], types.BaseNamedTuple):
+    if isinstance(kind.record[index], BaseNamedTuple):
         return place
     value = builder.load(place)
     return impl_ret_borrowed(context, builder, kind.record[index], value)  # the record keeps its arrays

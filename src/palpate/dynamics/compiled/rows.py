@@ -398,7 +398,7 @@ class _SingleEmitter(_Emitter):
             products = []
             for first in range(0, self.together, 2):
                 pair = [self.load(self.four, self.at(values, j, 4, 4)) for j in near[first : first + 2]]
-                difference = self.builder.fsub(self.shuffle(*pair, list(range(8))), center)
+                difference = self.builder.fsub(self.shuffle(pair[0], pair[1], list(range(8))), center)
                 factor = self.load(self.eight, weights, 16 * first)
                 products.append(
                     [(factor, self.shuffle(difference, difference, [c] * 4 + [4 + c] * 4)) for c in range(3)]

@@ -77,9 +77,7 @@ def nodes_to_lanes(typing_context, nodes, rows):  # type: ignore[no-untyped-def]
         zero = ir.Constant(block.i64, 0)
         for component in range(COMPONENTS):
             loaded = [builder.load(block.node(zero, lane, component), align=8) for lane in range(LANES)]
-            joined = [
-                shuffled(builder, loaded[lane], loaded[lane + HALF], list(range(LANES))) for lane in range(HALF)
-            ]
+            joined = [shuffled(builder, loaded[lane], loaded[lane + HALF], list(range(LANES))) for lane in range(HALF)]
             for vector, row in zip(_transposed(builder, joined), _lane_rows(component), strict=True):
                 value = builder.fpext(vector, block.wide) if block.single else vector
                 builder.store(value, block.row(row), align=8)

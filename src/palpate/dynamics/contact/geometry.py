@@ -194,7 +194,11 @@ def with_scratch(contacts: Contacts) -> Contacts:
     held = contacts.held._replace(**{name: np.zeros_like(getattr(contacts.held, name)) for name in HELD_SCRATCH})
     sites = contacts.sites._replace(impulses=np.zeros_like(contacts.sites.impulses), works=np.zeros(2))
     return contacts._replace(
-        near_count=np.diff(contacts.start), near=np.arange(len(contacts.nodes)), held=held, sites=sites, **{name: np.zeros_like(getattr(contacts, name)) for name in SCRATCH_FIELDS}
+        near_count=np.diff(contacts.start),
+        near=np.arange(len(contacts.nodes)),
+        held=held,
+        sites=sites,
+        **{name: np.zeros_like(getattr(contacts, name)) for name in SCRATCH_FIELDS},
     )
 
 

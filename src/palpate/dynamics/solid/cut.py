@@ -40,6 +40,9 @@ from palpate.meshfree.kept_sums import conserve_integrals, keep_uniform_stress
 __all__ = ["cut", "cut_from", "detached_nodes", "uncut_state", "without_detached"]
 
 KEEP_PIECES, REMOVE_PIECES = "keep", "remove"
+COMPUTED_NAMES = (  # attributes of a body that follow from its constants
+    "stencils", "smoothing", "patches", "contact_edges", "stability", "_recovery", "free_directions", "step_body",
+)  # fmt: skip
 MAX_ROUNDS = 20  # of releases of nodes
 MAX_RESIDUAL = 1e-6  # of the uniform stress along a cut and of the integrals that are kept, relative to a node's
 
@@ -260,7 +263,7 @@ def _pieces(body: Any, n: int) -> NDArray[np.int64]:
 def _with_cut(body: Any, state: CutState, constants: Any) -> Solid:
     """Return a copy of a body with other constants, without what was computed from the former ones."""
     result: Solid = copy(body)
-    for name in ("stencils", "smoothing", "patches", "contact_edges", "stability", "_recovery", "free_directions", "step_body"):
+    for name in COMPUTED_NAMES:
         vars(result).pop(name, None)
     taut = constants if body.fibres is None else constants._replace(families=always_taut(constants.families))
     vars(result).update(body=constants, taut_body=taut, _cut=state)

@@ -137,7 +137,7 @@ class EnergySolid(Solid):
         return result
 
     @cached_property
-    def step_body(self) -> EnergyBody:  # type: ignore[override]
+    def step_body(self) -> EnergyBody:
         return body_in_single(self.body)
 
     def _step_work(self, passes: Any) -> Any:

@@ -56,8 +56,10 @@ __all__ = ["EnergyBody", "EnergyWork", "body_in_single", "energy_work", "make_st
 
 NODE_NUMBERS = 12  # per node: du_c/dX_d as 3 c + d, then the residuals e_c
 WEIGHT_WIDTH = 4  # weights per neighbour
-# first rows in the scratch array of a block's response, (ROWS * LANES,)
-STRESS, COFACTOR, DILATATION, ROWS = NODE_NUMBERS, 2 * NODE_NUMBERS, 2 * NODE_NUMBERS + 9, 2 * NODE_NUMBERS + 10
+# first rows in the array of a block's response, (ROWS * LANES,): after derivatives, in their place total stresses
+STRESS, COFACTOR = NODE_NUMBERS, 2 * NODE_NUMBERS
+DILATATION = COFACTOR + 9
+PRESSURE, FACTORS, ROWS = DILATATION, DILATATION + 1, DILATATION + 3  # the pressure in place of the dilatation
 
 
 class EnergyBody(NamedTuple):
@@ -88,9 +90,8 @@ class EnergyWork(NamedTuple):
 
     sums: NDArray[Any]  # (threads, LANES, 3, 4) derivatives du_c/dX_d and residual e_c of a block's nodes, in lines
     derivatives: NDArray[np.float64]  # (threads, 12, LANES)
-    response: NDArray[np.float64]  # (threads, ROWS * LANES) derivatives, fluxes, cof F and J - 1 of a block
+    response: NDArray[np.float64]  # (b, ROWS * LANES) derivatives, shear stress [Pa], s e_c, cof F and J - 1
     cofactor: NDArray[np.float64]  # (b, 9, LANES)
-    stress: NDArray[np.float64]  # (b, 12, LANES) shear stress [Pa] and s e_c
     flux: NDArray[Any]  # (n + h, 3, 4): P_cd [Pa] and s e_c, then h reflected ones; in lines
     dilatation: NDArray[np.float64]  # (n,) J - 1, or g(J)
     slope: NDArray[np.float64]  # (n,) g'(J); empty if it is 1
@@ -111,9 +112,8 @@ def energy_work(
     return EnergyWork(
         aligned_zeros(threads, LANES, 3, 4),
         aligned_zeros(threads, NODE_NUMBERS, LANES),
-        aligned_zeros(threads, ROWS * LANES),
+        aligned_zeros(blocks, ROWS * LANES),
         aligned_zeros(blocks, 9, LANES),
-        aligned_zeros(blocks, NODE_NUMBERS, LANES),
         _flux_lines(nodes + images[1], blocks, 3, np.float64),
         np.zeros(nodes),
         np.zeros(0 if volumetric == QUADRATIC else nodes),
@@ -163,7 +163,7 @@ def _lift(b, u, rows, sums, response):  # type: ignore[no-untyped-def]
 def _lift_columns(modes, rows, sums, response, table):  # type: ignore[no-untyped-def]
     for block in prange(rows.nodes.shape[0]):
         b = np.int64(block)
-        derivatives = response[get_thread_id()]
+        derivatives = response[b]
         for m in range(modes.shape[0]):
             _lift(b, modes[m], rows, sums[get_thread_id()], derivatives)
             for q in range(NODE_NUMBERS):
@@ -196,60 +196,52 @@ def _anchor(u, body, frame, anchored):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True, parallel=True, fastmath={"contract"})
-def _add_pressure(lanes, value, diagonal, lame, theta, slope, stiffness, stress, overstress, cofactor,
-                  sums, response, pressure, flux):  # type: ignore[no-untyped-def]  # fmt: skip
+def _add_pressure(lanes, value, diagonal, lame, theta, slope, stiffness, overstress, sums, response, pressure, flux):  # type: ignore[no-untyped-def]
     """Compute p, g' times the transposed smoothing of theta, and the fluxes: shear, overstress and lame p cof(F).
 
     The overstresses (b, 9, LANES) scale like the shear modulus. Blocks of the smoothing have all nodes in order, as
-    those of the cofactors.
+    those of the response.
     """
     for block in prange(lanes.nodes.shape[0]):
         b = np.int64(block)
-        total, r = sums[get_thread_id()], response[get_thread_id()]
+        total, r = sums[get_thread_id()], response[b]
         begin, end = lanes.start[b], lanes.stop[b]
         lane_gather(weights_address(value, lanes, b), lanes.neighbours, begin, theta, total.ctypes.data, end - begin,
                     lanes.shared[b])  # fmt: skip
-        for q in range(NODE_NUMBERS):
-            for lane in range(LANES):
-                r[LANES * q + lane] = stress[b, q, lane]
-        for q in range(9):
-            for lane in range(LANES):
-                r[LANES * (COFACTOR + q) + lane] = cofactor[b, q, lane]
-        for lane in range(LANES):
-            i = lanes.nodes[b, lane]
-            p = total[0, lane] + diagonal[i] * theta[i]
+        for v in range(LANES):
+            i = lanes.nodes[b, v]
+            p = total[0, v] + diagonal[i] * theta[i]
             if slope.shape[0] > 0:
                 p *= slope[i]
             pressure[i] = p
-            r[LANES * DILATATION + lane] = lame * p
-        if stiffness.shape[0] > 0:
-            _scale_rows(lanes.nodes[b], stiffness, r)
+            r[LANES * PRESSURE + v] = lame * p
+            r[LANES * FACTORS + v] = stiffness[i, 0] if stiffness.shape[0] > 0 else 1.0
+            r[LANES * (FACTORS + 1) + v] = stiffness[i, 1] if stiffness.shape[0] > 0 else 1.0
+        _sum_stresses(r)
         if overstress.shape[0] > 0:
-            for lane in range(LANES):
-                factor = stiffness[lanes.nodes[b, lane], 1] if stiffness.shape[0] > 0 else 1.0
-                for q in range(9):
-                    r[LANES * q + lane] += factor * overstress[b, q, lane]
-        for lane in range(LANES):
-            p = r[LANES * DILATATION + lane]
-            r[lane] += p * r[LANES * COFACTOR + lane]
-            r[LANES + lane] += p * r[LANES * (COFACTOR + 1) + lane]
-            r[2 * LANES + lane] += p * r[LANES * (COFACTOR + 2) + lane]
-            r[3 * LANES + lane] += p * r[LANES * (COFACTOR + 3) + lane]
-            r[4 * LANES + lane] += p * r[LANES * (COFACTOR + 4) + lane]
-            r[5 * LANES + lane] += p * r[LANES * (COFACTOR + 5) + lane]
-            r[6 * LANES + lane] += p * r[LANES * (COFACTOR + 6) + lane]
-            r[7 * LANES + lane] += p * r[LANES * (COFACTOR + 7) + lane]
-            r[8 * LANES + lane] += p * r[LANES * (COFACTOR + 8) + lane]
+            for q in range(9):
+                for v in range(LANES):
+                    r[LANES * q + v] += r[LANES * (FACTORS + 1) + v] * overstress[b, q, v]
         lanes_to_nodes(r, flux, LANES * b)
 
 
-@kernel_njit(inner=True)
-def _scale_rows(nodes, stiffness, r):  # type: ignore[no-untyped-def]
-    """Multiply the rows of a block's stresses and residual forces by the stiffness factors of its nodes."""
-    for lane in range(LANES):
-        law, shear = stiffness[nodes[lane], 0], stiffness[nodes[lane], 1]
-        for q in range(NODE_NUMBERS):
-            r[LANES * q + lane] *= law if q < 9 else shear
+@kernel_njit(inner=True, cached=False, fastmath={"contract"}, forceinline=True)
+def _sum_stresses(r):  # type: ignore[no-untyped-def]
+    """Write the stresses and residual forces of a block, times their stiffness factors, into its first rows."""
+    for v in range(LANES):
+        p, law, shear = r[LANES * PRESSURE + v], r[LANES * FACTORS + v], r[LANES * (FACTORS + 1) + v]
+        r[v] = law * r[LANES * STRESS + v] + p * r[LANES * COFACTOR + v]
+        r[LANES + v] = law * r[LANES * (STRESS + 1) + v] + p * r[LANES * (COFACTOR + 1) + v]
+        r[2 * LANES + v] = law * r[LANES * (STRESS + 2) + v] + p * r[LANES * (COFACTOR + 2) + v]
+        r[3 * LANES + v] = law * r[LANES * (STRESS + 3) + v] + p * r[LANES * (COFACTOR + 3) + v]
+        r[4 * LANES + v] = law * r[LANES * (STRESS + 4) + v] + p * r[LANES * (COFACTOR + 4) + v]
+        r[5 * LANES + v] = law * r[LANES * (STRESS + 5) + v] + p * r[LANES * (COFACTOR + 5) + v]
+        r[6 * LANES + v] = law * r[LANES * (STRESS + 6) + v] + p * r[LANES * (COFACTOR + 6) + v]
+        r[7 * LANES + v] = law * r[LANES * (STRESS + 7) + v] + p * r[LANES * (COFACTOR + 7) + v]
+        r[8 * LANES + v] = law * r[LANES * (STRESS + 8) + v] + p * r[LANES * (COFACTOR + 8) + v]
+        r[9 * LANES + v] = shear * r[LANES * (STRESS + 9) + v]
+        r[10 * LANES + v] = shear * r[LANES * (STRESS + 10) + v]
+        r[11 * LANES + v] = shear * r[LANES * (STRESS + 11) + v]
 
 
 @kernel_njit(inner=True)
@@ -281,8 +273,8 @@ def _complete(body, work):  # type: ignore[no-untyped-def]
         _scale_by_stiffness(body.stiffness, effective, work.scaled)
         effective = work.scaled
     _add_pressure(body.transposed_smoothing, body.transposed_value, body.smoothing_own, body.lame, effective,
-                  work.slope, body.stiffness, work.stress, work.history.stress, work.cofactor, work.derivatives,
-                  work.response, work.pressure, work.flux)  # fmt: skip
+                  work.slope, body.stiffness, work.history.stress, work.derivatives, work.response, work.pressure,
+                  work.flux)  # fmt: skip
 
 
 @kernel_njit(inner=True, parallel=True, fastmath={"contract"})
@@ -404,7 +396,7 @@ def solid_energy(
     measure = inline(digest, measure_of)
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
-    def node_response(b, nodes, r, coefficients, hourglass, families, cofactor, stresses, dilatation, slope):  # type: ignore[no-untyped-def]
+    def node_response(b, nodes, r, coefficients, hourglass, families, cofactor, dilatation, slope):  # type: ignore[no-untyped-def]
         for v in range(LANES):
             d0, d1, d2 = r[v], r[LANES + v], r[2 * LANES + v]
             d3, d4, d5 = r[3 * LANES + v], r[4 * LANES + v], r[5 * LANES + v]
@@ -419,9 +411,6 @@ def solid_energy(
         for q in range(9):
             for v in range(LANES):
                 cofactor[b, q, v] = r[LANES * (COFACTOR + q) + v]
-        for q in range(NODE_NUMBERS):
-            for v in range(LANES):
-                stresses[b, q, v] = r[LANES * (STRESS + q) + v]
         for v in range(LANES):
             i = nodes[b, v]
             if curved:
@@ -431,16 +420,16 @@ def solid_energy(
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
     def each(  # type: ignore[no-untyped-def]
-        u, rows, frame, law, hourglass, families, sums, response, cofactor, stresses, dilatation, slope
+        u, rows, frame, law, hourglass, families, sums, response, cofactor, dilatation, slope
     ):
         for block in prange(rows.nodes.shape[0]):
             b = np.int64(block)
-            out = response[get_thread_id()]
+            out = response[b]
             _lift(b, u, rows, sums[get_thread_id()], out)
             for q in range(9):
                 for v in range(LANES):
                     out[LANES * q + v] += frame[q]
-            node_response(b, rows.nodes, out, law, hourglass, families, cofactor, stresses, dilatation, slope)
+            node_response(b, rows.nodes, out, law, hourglass, families, cofactor, dilatation, slope)
 
     @law_njit(digest, inner=True)
     def respond(u, body, work):  # type: ignore[no-untyped-def]
@@ -449,7 +438,7 @@ def solid_energy(
             fill_vectors(u, body.mirror, work.reflected)
             field = work.reflected
         each(field, body.lanes, work.frame, body.coefficients, body.hourglass, body.families,
-             work.sums, work.response, work.cofactor, work.stress, work.dilatation, work.slope)  # fmt: skip
+             work.sums, work.response, work.cofactor, work.dilatation, work.slope)  # fmt: skip
 
     @law_njit(digest, inner=True)
     def respond_in_single(u, body, work):  # type: ignore[no-untyped-def]
@@ -459,25 +448,25 @@ def solid_energy(
             field = work.reflected
         _anchor(field, body, work.frame, work.anchored)
         each(work.anchored, body.lanes, work.frame, body.coefficients, body.hourglass, body.families,
-             work.sums, work.response, work.cofactor, work.stress, work.dilatation, work.slope)  # fmt: skip
+             work.sums, work.response, work.cofactor, work.dilatation, work.slope)  # fmt: skip
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
     def each_column(  # type: ignore[no-untyped-def]
-        columns, table, nodes, law, hourglass, families, derivatives, response, cofactor, stresses, dilatation, slope
+        columns, table, nodes, law, hourglass, families, derivatives, response, cofactor, dilatation, slope
     ):
         for block in prange(table.shape[0]):
             b = np.int64(block)
-            gradient, out = derivatives[get_thread_id()], response[get_thread_id()]
+            gradient, out = derivatives[get_thread_id()], response[b]
             combine(b, columns, table, gradient)
             for q in range(NODE_NUMBERS):
                 for v in range(LANES):
                     out[LANES * q + v] = gradient[q, v]
-            node_response(b, nodes, out, law, hourglass, families, cofactor, stresses, dilatation, slope)
+            node_response(b, nodes, out, law, hourglass, families, cofactor, dilatation, slope)
 
     @law_njit(digest, inner=True)
     def respond_to_columns(columns, table, body, work):  # type: ignore[no-untyped-def]
         each_column(columns, table, body.lanes.nodes, body.coefficients, body.hourglass, body.families,
-                    work.derivatives, work.response, work.cofactor, work.stress, work.dilatation, work.slope)  # fmt: skip
+                    work.derivatives, work.response, work.cofactor, work.dilatation, work.slope)  # fmt: skip
 
     @law_njit(digest, inner=True)
     def finish(body, work, force):  # type: ignore[no-untyped-def]
