@@ -50,13 +50,6 @@ def test_halves_turn_apart_without_energy():
 
 
 @pytest.mark.slow
-def test_an_oblique_penny_of_ten_spacings_in_an_irregular_cloud():
-    (row,) = cut_cracks.penny(10, [0.45], cut_cracks.OBLIQUE, cut_cracks.JITTER, 1.4)
-    assert max(abs(row["center"]), abs(row["half"])) <= 0.02
-    assert abs(row["release"]) <= 0.03
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("law", ["Ogden"])  # others in docs/claims/cuts.md
 def test_strips_of_other_laws_release_their_energy_at_large_strain(law):
     assert abs(cut_strip.strip(law, 0.5, cut_cracks.JITTER, moving=False, way=2.0)["release"]) <= 0.05
