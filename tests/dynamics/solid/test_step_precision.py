@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.dynamics.compiled.passes import internal_force
 
 SIZE, SPACING = np.array([0.03, 0.025, 0.02]), 0.005
 LAW = pt.materials.MooneyRivlin(C1=2e3, C2=500.0, density=1000.0, poisson=0.45)
@@ -57,10 +56,8 @@ def body(kind):
 
 def forces(body, displacements):
     """Return the force densities in double precision, and in the precision of the steps."""
-    work, results = body.workspace(), np.zeros((2, len(displacements), 3))
-    internal_force(body.formulation)(displacements, body.body, work.passes, results[0])
-    internal_force(body.formulation.of_steps)(displacements, body.step_body, work.step_passes, results[1])
-    return results
+    work = body.workspace()
+    return body.force(displacements, work=work), body.step_force(displacements, work)
 
 
 def bend(points, strain):

@@ -212,11 +212,11 @@ def _seconds_per_node(material: Material) -> float:
     """Return the time [s] of a step per node, from the faster force evaluations in some tenths of a second."""
     body = EnergySolid(box((0.1, 0.1, 0.1), 0.0083, jitter=0.2), material, "z-")
     u, work, durations = np.zeros((len(body.cloud), 3)), body.workspace(), list[float]()
-    body.force(u, work=work)  # compiles
+    body.step_force(u, work)  # compiles
     end = perf_counter() + SAMPLE_SECONDS
     while perf_counter() < end or not durations:
         began = perf_counter()
-        body.force(u, work=work)
+        body.step_force(u, work)
         durations.append(perf_counter() - began)
     return STEP_OVER_FORCE * float(np.quantile(durations, 0.2)) / len(body.cloud)
 

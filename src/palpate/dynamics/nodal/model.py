@@ -210,6 +210,14 @@ class NodalModel(Model):
         self._internal_force(np.ascontiguousarray(displacements, dtype=float), body, work.passes, result)
         return result
 
+    def step_force(self, displacements: Floats, work: NodalWork | None = None) -> Floats:
+        """Return the internal force density (n, 3) [N/m^3] in the precision of the steps, for tissue at rest."""
+        work, result = self.workspace() if work is None else work, np.zeros((len(self.cloud), 3))
+        self._restore((), work)
+        force_of = internal_force(self.formulation.of_steps)
+        force_of(np.ascontiguousarray(displacements, dtype=float), self.step_body, work.step_passes, result)
+        return result
+
     def _restore(self, history: History, work: NodalWork) -> None:
         """Write history variables, or those at rest for none, to a workspace."""
         if self.material.prony is not None:
