@@ -58,16 +58,17 @@ def test_a_quarter_of_a_bar_moves_as_the_whole_bar(form):
     small = run(mirrored(part, form), pull(0.25))
     large = run(pt.Solid(body, SOFT, "x-", form=form, stiffness_damping=DAMPING), pull(1.0))
     assert np.abs(large.displacements).max() > 0.5 * H
+    error = 1e-6 if form == "energy" else 1e-12  # steps of the energy form are in single precision
     for name in ("displacements", "velocities"):
         expected = getattr(large, name)[:, nodes]
-        np.testing.assert_allclose(getattr(small, name), expected, atol=1e-12 * np.abs(expected).max(), err_msg=name)
+        np.testing.assert_allclose(getattr(small, name), expected, atol=error * np.abs(expected).max(), err_msg=name)
     for name in ("kinetic", "strain", "external", "dissipated"):
         expected = getattr(large, name)
         np.testing.assert_allclose(
-            4 * getattr(small, name), expected, atol=1e-10 * np.abs(large.external).max(), err_msg=name
+            4 * getattr(small, name), expected, atol=100 * error * np.abs(large.external).max(), err_msg=name
         )
     clamped = large.reactions["x-"]
-    np.testing.assert_allclose(4 * small.reactions["x-"][:, 0], clamped[:, 0], atol=1e-10 * np.abs(clamped).max())
+    np.testing.assert_allclose(4 * small.reactions["x-"][:, 0], clamped[:, 0], atol=100 * error * np.abs(clamped).max())
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -82,6 +82,11 @@ def _fetch_pose(work, slot):  # type: ignore[no-untyped-def]
         work.record[SEQUENCE] = work.fetched[7]
 
 
+@kernel_njit(inner=True, forceinline=True)
+def _itself(data):  # type: ignore[no-untyped-def]
+    return data
+
+
 @cache
 def compile_loop(advance: Any, stiffness: Any) -> Any:
     """Compile the loop around a model's functions.
@@ -94,10 +99,11 @@ def compile_loop(advance: Any, stiffness: Any) -> Any:
     """
     digest, cached = functions_digest(__name__, advance, stiffness)
     take_period = compile_period(advance, stiffness)
+    hand_on = reference if advance.py_func.__module__.startswith("palpate.") else _itself  # others may index a tuple
 
     @law_njit(digest, cached=cached, nogil=True)
     def loop(data, work, channels, settings):  # type: ignore[no-untyped-def]
-        period, record, by_address = settings.period, work.record, reference(data)
+        period, record, by_address = settings.period, work.record, hand_on(data)
         deadline = now() + period
         while _wait(deadline, settings.spin, channels.command):
             began, thread_began, trusted = now(), thread_time(), record[TRUSTED] <= 1.0

@@ -17,9 +17,12 @@ from palpate.dynamics.compiled.lanes import LANES
 __all__ = ["LINE_NUMBERS", "lanes_to_nodes", "nodes_to_lanes", "shuffled"]
 
 LINE_NUMBERS = {"float64": 12, "float32": 16}  # from a node to the next; those in single precision fill a cache line
-COMPONENTS, NUMBERS, HALF = 3, 4, LANES // 2
-LOW, HIGH = [0, 8, 1, 9, 4, 12, 5, 13], [2, 10, 3, 11, 6, 14, 7, 15]  # interleave the numbers of two vectors ...
-FIRST, SECOND = [0, 1, 8, 9, 4, 5, 12, 13], [2, 3, 10, 11, 6, 7, 14, 15]  # ... then pairs, in each half
+COMPONENT_COUNT, COMPONENT_NUMBERS, HALF_LANES = 3, 4, LANES // 2
+LOW_NUMBERS, HIGH_NUMBERS = (
+    [0, 8, 1, 9, 4, 12, 5, 13],
+    [2, 10, 3, 11, 6, 14, 7, 15],
+)  # interleave the numbers of two vectors ...
+FIRST_PAIRS, SECOND_PAIRS = [0, 1, 8, 9, 4, 5, 12, 13], [2, 3, 10, 11, 6, 7, 14, 15]  # ... then pairs, in each half
 
 
 def shuffled(builder: Any, first: Any, second: Any, places: list[int]) -> Any:
@@ -29,9 +32,9 @@ def shuffled(builder: Any, first: Any, second: Any, places: list[int]) -> Any:
 
 def _transposed(builder: Any, vectors: list[Any]) -> list[Any]:
     """Return four vectors of eight numbers with both of their 4 x 4 halves transposed."""
-    a, b = (shuffled(builder, vectors[0], vectors[1], places) for places in (LOW, HIGH))
-    c, d = (shuffled(builder, vectors[2], vectors[3], places) for places in (LOW, HIGH))
-    return [shuffled(builder, x, y, places) for x, y in ((a, c), (b, d)) for places in (FIRST, SECOND)]
+    a, b = (shuffled(builder, vectors[0], vectors[1], places) for places in (LOW_NUMBERS, HIGH_NUMBERS))
+    c, d = (shuffled(builder, vectors[2], vectors[3], places) for places in (LOW_NUMBERS, HIGH_NUMBERS))
+    return [shuffled(builder, x, y, places) for x, y in ((a, c), (b, d)) for places in (FIRST_PAIRS, SECOND_PAIRS)]
 
 
 def _lane_rows(component: int) -> list[int]:
@@ -46,7 +49,7 @@ class _Block:
         self.builder, self.single, self.i64 = builder, nodes_kind.dtype == types.float32, ir.IntType(64)
         number = ir.FloatType() if self.single else ir.DoubleType()
         self.line = LINE_NUMBERS[str(nodes_kind.dtype)]
-        self.four, self.eight = ir.VectorType(number, NUMBERS), ir.VectorType(number, LANES)
+        self.four, self.eight = ir.VectorType(number, COMPONENT_NUMBERS), ir.VectorType(number, LANES)
         self.wide = ir.VectorType(ir.DoubleType(), LANES)
         self.nodes, self.rows = (
             builder.ptrtoint(context.make_array(kind)(context, builder, array).data, self.i64)
@@ -57,7 +60,7 @@ class _Block:
     def node(self, first: Any, lane: int, component: int) -> Any:
         """Return the pointer to a component of the node of a lane, after a first node."""
         number = self.builder.mul(first, ir.Constant(self.i64, self.line * self.bytes))
-        offset = ir.Constant(self.i64, (self.line * lane + NUMBERS * component) * self.bytes)
+        offset = ir.Constant(self.i64, (self.line * lane + COMPONENT_NUMBERS * component) * self.bytes)
         return self.builder.inttoptr(
             self.builder.add(self.builder.add(self.nodes, number), offset), self.four.as_pointer()
         )
@@ -75,9 +78,12 @@ def nodes_to_lanes(typing_context, nodes, rows):  # type: ignore[no-untyped-def]
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
         block = _Block(context, builder, signature.args[0], args[0], signature.args[1], args[1])
         zero = ir.Constant(block.i64, 0)
-        for component in range(COMPONENTS):
+        for component in range(COMPONENT_COUNT):
             loaded = [builder.load(block.node(zero, lane, component), align=8) for lane in range(LANES)]
-            joined = [shuffled(builder, loaded[lane], loaded[lane + HALF], list(range(LANES))) for lane in range(HALF)]
+            joined = [
+                shuffled(builder, loaded[lane], loaded[lane + HALF_LANES], list(range(LANES)))
+                for lane in range(HALF_LANES)
+            ]
             for vector, row in zip(_transposed(builder, joined), _lane_rows(component), strict=True):
                 value = builder.fpext(vector, block.wide) if block.single else vector
                 builder.store(value, block.row(row), align=8)
@@ -92,14 +98,14 @@ def lanes_to_nodes(typing_context, rows, nodes, first):  # type: ignore[no-untyp
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
         block = _Block(context, builder, signature.args[1], args[1], signature.args[0], args[0])
-        for component in range(COMPONENTS):
+        for component in range(COMPONENT_COUNT):
             loaded = [builder.load(block.row(row), align=8) for row in _lane_rows(component)]
             if block.single:
                 loaded = [builder.fptrunc(vector, block.eight) for vector in loaded]
             for lane, vector in enumerate(_transposed(builder, loaded)):
                 for half in range(2):
-                    part = shuffled(builder, vector, vector, list(range(HALF * half, HALF * (half + 1))))
-                    builder.store(part, block.node(args[2], lane + HALF * half, component), align=8)
+                    part = shuffled(builder, vector, vector, list(range(HALF_LANES * half, HALF_LANES * (half + 1))))
+                    builder.store(part, block.node(args[2], lane + HALF_LANES * half, component), align=8)
         return context.get_dummy_value()
 
     return types.void(rows, nodes, types.intp), codegen

@@ -59,7 +59,7 @@ WEIGHT_WIDTH = 4  # weights per neighbour
 # first rows in the array of a block's response, (ROWS * LANES,): after derivatives, in their place total stresses
 STRESS, COFACTOR = NODE_NUMBERS, 2 * NODE_NUMBERS
 DILATATION = COFACTOR + 9
-PRESSURE, FACTORS, ROWS = DILATATION, DILATATION + 1, DILATATION + 3  # the pressure in place of the dilatation
+PRESSURE_ROW, FACTOR_ROWS, ROWS = DILATATION, DILATATION + 1, DILATATION + 3  # the pressure in place of the dilatation
 
 
 class EnergyBody(NamedTuple):
@@ -214,14 +214,14 @@ def _add_pressure(lanes, value, diagonal, lame, theta, slope, stiffness, overstr
             if slope.shape[0] > 0:
                 p *= slope[i]
             pressure[i] = p
-            r[LANES * PRESSURE + v] = lame * p
-            r[LANES * FACTORS + v] = stiffness[i, 0] if stiffness.shape[0] > 0 else 1.0
-            r[LANES * (FACTORS + 1) + v] = stiffness[i, 1] if stiffness.shape[0] > 0 else 1.0
+            r[LANES * PRESSURE_ROW + v] = lame * p
+            r[LANES * FACTOR_ROWS + v] = stiffness[i, 0] if stiffness.shape[0] > 0 else 1.0
+            r[LANES * (FACTOR_ROWS + 1) + v] = stiffness[i, 1] if stiffness.shape[0] > 0 else 1.0
         _sum_stresses(r)
         if overstress.shape[0] > 0:
             for q in range(9):
                 for v in range(LANES):
-                    r[LANES * q + v] += r[LANES * (FACTORS + 1) + v] * overstress[b, q, v]
+                    r[LANES * q + v] += r[LANES * (FACTOR_ROWS + 1) + v] * overstress[b, q, v]
         lanes_to_nodes(r, flux, LANES * b)
 
 
@@ -229,7 +229,7 @@ def _add_pressure(lanes, value, diagonal, lame, theta, slope, stiffness, overstr
 def _sum_stresses(r):  # type: ignore[no-untyped-def]
     """Write the stresses and residual forces of a block, times their stiffness factors, into its first rows."""
     for v in range(LANES):
-        p, law, shear = r[LANES * PRESSURE + v], r[LANES * FACTORS + v], r[LANES * (FACTORS + 1) + v]
+        p, law, shear = r[LANES * PRESSURE_ROW + v], r[LANES * FACTOR_ROWS + v], r[LANES * (FACTOR_ROWS + 1) + v]
         r[v] = law * r[LANES * STRESS + v] + p * r[LANES * COFACTOR + v]
         r[LANES + v] = law * r[LANES * (STRESS + 1) + v] + p * r[LANES * (COFACTOR + 1) + v]
         r[2 * LANES + v] = law * r[LANES * (STRESS + 2) + v] + p * r[LANES * (COFACTOR + 2) + v]
