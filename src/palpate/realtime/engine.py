@@ -24,7 +24,7 @@ from palpate.realtime.channel import SharedSlots
 from palpate.realtime.clock import HAS_CLOCKS
 from palpate.realtime.contract import check_contract
 from palpate.realtime.exchange import publish, snapshot
-from palpate.realtime.loop import DIVERGED, PAUSED, RUNNING, STOPPED, Channels, compile_loop
+from palpate.realtime.loop import DIVERGED, PAUSED, RUNNING, STOPPED, Channels, compile_loop, passed
 from palpate.realtime.observable import ObservableModel, make_observable
 from palpate.realtime.period import CLAMP, IGNORE, STOP, TIME_SCALE, WARN, WORST_SINCE_RESET, Settings, Work
 from palpate.realtime.pose import IDENTITY_POSE, normalise_pose
@@ -188,7 +188,7 @@ class Engine(Described):
         self._loop = compile_loop(model.advance, model.stiffness)
         self._exchanges = False  # while the loop stops for an exchange
         self._runner = Runner(
-            partial(self._loop, model.data, self._work, self._channels, self._settings),
+            partial(self._loop, passed(model.advance, model.data), self._work, self._channels, self._settings),
             self._channels.command,
             partial(self._write, black_box) if black_box is not None else None,
         )
@@ -287,7 +287,8 @@ class Engine(Described):
             self._exchanges = self._runner.state == RUNNING
             if self._exchanges:
                 self._runner.stop(PAUSED)
-            self._runner.exchange(partial(self._loop, data, self._work, self._channels, self._settings))
+            stored = passed(self._model.advance, data)
+            self._runner.exchange(partial(self._loop, stored, self._work, self._channels, self._settings))
             if self._exchanges and self._runner.state == PAUSED:
                 self._runner.start()
             self._exchanges = False

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import kernel_njit, law_njit
-from palpate.dynamics.compiled.reference import reference
+from palpate.dynamics.compiled.reference import StoredRecord
 from palpate.realtime.black_box import RingBuffer, append_record
 from palpate.realtime.channel import SharedSlots
 from palpate.realtime.clock import now, sleep_until, thread_time
@@ -19,7 +19,7 @@ from palpate.realtime.pose import IDENTITY_POSE, request_pose
 from palpate.realtime.record import HEADER_SIZE, field_offset
 from palpate.realtime.statistics import Histograms, count_step
 
-__all__ = ["DIVERGED", "PAUSED", "RUNNING", "STOPPED", "Channels", "compile_loop"]
+__all__ = ["DIVERGED", "PAUSED", "RUNNING", "STOPPED", "Channels", "compile_loop", "passed"]
 
 
 RUNNING, STOPPED, PAUSED, DIVERGED = range(4)  # commands to the loop, and reasons for its end
@@ -82,11 +82,6 @@ def _fetch_pose(work, slot):  # type: ignore[no-untyped-def]
         work.record[SEQUENCE] = work.fetched[7]
 
 
-@kernel_njit(inner=True, forceinline=True)
-def _itself(data):  # type: ignore[no-untyped-def]
-    return data
-
-
 @cache
 def compile_loop(advance: Any, stiffness: Any) -> Any:
     """Compile the loop around a model's functions.
@@ -99,16 +94,15 @@ def compile_loop(advance: Any, stiffness: Any) -> Any:
     """
     digest, cached = functions_digest(__name__, advance, stiffness)
     take_period = compile_period(advance, stiffness)
-    hand_on = reference if advance.py_func.__module__.startswith("palpate.") else _itself  # others may index a tuple
 
     @law_njit(digest, cached=cached, nogil=True)
     def loop(data, work, channels, settings):  # type: ignore[no-untyped-def]
-        period, record, by_address = settings.period, work.record, hand_on(data)
+        period, record = settings.period, work.record
         deadline = now() + period
         while _wait(deadline, settings.spin, channels.command):
             began, thread_began, trusted = now(), thread_time(), record[TRUSTED] <= 1.0
             _fetch_pose(work, channels.pose)
-            valid = take_period(by_address, work, settings)
+            valid = take_period(data, work, settings)
             record[COMPUTING], record[LATENESS] = 1e-9 * (thread_time() - thread_began), 1e-9 * (began - deadline)
             ended = now()
             if valid:
@@ -125,3 +119,11 @@ def compile_loop(advance: Any, stiffness: Any) -> Any:
         return get_flag(channels.command, 0)
 
     return loop
+
+
+def passed(advance: Any, data: Any) -> Any:
+    """Return the data of a model as the loop takes them: by their address, unless the model is a user's.
+
+    The functions of another model may index their data, or take a tuple apart.
+    """
+    return StoredRecord(data) if advance.py_func.__module__.startswith("palpate.") else data

@@ -11,7 +11,7 @@ import pytest
 from numba import njit
 from numba.core.errors import TypingError
 
-from palpate.dynamics.compiled.reference import reference
+from palpate.dynamics.compiled.reference import StoredRecord, reference
 
 
 class Inner(NamedTuple):
@@ -68,3 +68,37 @@ def test_a_field_that_a_record_lacks_is_refused():
 
     with pytest.raises(TypingError, match="missing"):
         read(record())
+
+
+class Mixed(NamedTuple):
+    flag: bool
+    inner: Inner
+    pair: tuple[bool, int]
+    table: np.ndarray
+    empty: np.ndarray
+    factor: float
+
+
+@njit
+def read_all(record):
+    inner, table, (second, third) = record.inner, record.table, record.pair
+    table[1, 2] = 7.0
+    total = 100.0 * third + record.factor + inner.factor + record.empty.shape[0] + table.shape[0]
+    for k in range(inner.values.shape[0]):
+        total += inner.values[k]
+    return record.flag, second, total
+
+
+@pytest.mark.parametrize("flag", [False, True])
+def test_compiled_code_reads_a_record_that_python_stored(flag):
+    record = Mixed(flag, Inner(np.arange(4.0), 0.5), (not flag, 3), np.zeros((2, 3)), np.zeros((0, 2)), 0.25)
+    assert read_all(StoredRecord(record)) == (flag, not flag, 300.0 + 0.25 + 0.5 + 0.0 + 2.0 + 6.0)
+    assert record.table[1, 2] == 7.0
+    assert read_all.signatures  # of a reference, not of all numbers of the record
+    assert "Reference" in str(read_all.signatures[0][0])
+
+
+@pytest.mark.parametrize("record", [Inner("text", 0.5), Inner(np.zeros(2), 1j), np.zeros(3)])
+def test_records_of_other_fields_cannot_be_stored(record):
+    with pytest.raises(TypeError, match=r"record must be|fields of a record must be"):
+        StoredRecord(record)

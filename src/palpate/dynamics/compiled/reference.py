@@ -3,21 +3,28 @@
 Numba passes a named tuple by value: every number in it, and every field of every array in it, is an argument. A
 function that only hands on a record of a thousand of them takes seconds to compile. A reference is one argument, and
 its attributes are those of the record; a field that is a named tuple is a reference, too.
+
+Python passes a `StoredRecord`: a copy of the numbers and of the addresses of the arrays, in the layout of compiled
+code.
 """
 
 from __future__ import annotations
 
+import struct
 from typing import Any
 
+import numba
+import numpy as np
 from numba.core import types
 from numba.core.cgutils import alloca_once_value, gep_inbounds
 from numba.core.datamodel import models, register_default
 from numba.core.imputils import impl_ret_borrowed, lower_getattr_generic
-from numba.core.types.containers import BaseNamedTuple
+from numba.core.registry import cpu_target
+from numba.core.types.containers import BaseNamedTuple, BaseTuple
 from numba.core.typing.templates import AttributeTemplate, infer_getattr
-from numba.extending import intrinsic
+from numba.extending import NativeValue, intrinsic, typeof_impl, unbox
 
-__all__ = ["reference"]
+__all__ = ["StoredRecord", "reference"]
 
 
 class Reference(types.Type):
@@ -70,3 +77,63 @@ def reference(typing_context, record):  # type: ignore[no-untyped-def]
         return alloca_once_value(builder, arguments[0])
 
     return Reference(record)(record), copy_to_stack
+
+
+class StoredRecord:
+    """A named tuple that Python passes to compiled code by its address.
+
+    Arrays are shared with the record; numbers are copied.
+
+    Parameters
+    ----------
+    record : NamedTuple
+        Of arrays, numbers and tuples of these.
+
+    Raises
+    ------
+    TypeError
+        A field is of another kind.
+    """
+
+    def __init__(self, record: Any) -> None:
+        self.record, self.kind = record, numba.typeof(record)
+        memory = bytearray()
+        _append(memory, self.kind, record)
+        memory += bytes(-len(memory) % 8)
+        context = cpu_target.target_context
+        expected = context.get_abi_sizeof(context.get_value_type(self.kind))
+        if not isinstance(self.kind, BaseNamedTuple) or len(memory) != expected:
+            raise TypeError(f"record must be a named tuple of {expected} bytes, got {self.kind} of {len(memory)} bytes")
+        self._memory = np.frombuffer(memory, dtype=np.uint8)
+        self.address = self._memory.ctypes.data
+
+
+def _append(memory: bytearray, kind: Any, value: Any) -> None:
+    """Append a value in the layout of its type: fields one after the other, each aligned to its size."""
+    if isinstance(kind, BaseTuple):
+        for each, part in zip(kind, value, strict=True):
+            _append(memory, each, part)
+        return
+    if isinstance(kind, types.Array):  # no reference count and no parent; the record keeps the array
+        numbers = 0, 0, value.size, value.itemsize, value.ctypes.data, *value.shape, *value.strides
+        packed, size = struct.pack(f"={len(numbers)}q", *numbers), 8
+    elif kind in (types.float64, types.int64):
+        packed, size = struct.pack("=d" if kind == types.float64 else "=q", value), 8
+    elif kind == types.boolean:
+        packed, size = struct.pack("=?", value), 1
+    else:
+        raise TypeError(f"fields of a record must be arrays, float64, int64, bool or tuples, got {kind}")
+    memory += bytes(-len(memory) % size) + packed
+
+
+@typeof_impl.register(StoredRecord)
+def _type_of_record(value: StoredRecord, context: Any) -> Reference:
+    return Reference(value.kind)
+
+
+@unbox(Reference)
+def _address_of_record(kind: Reference, value: Any, c: Any) -> NativeValue:
+    number = c.pyapi.object_getattr_string(value, "address")
+    address = c.builder.inttoptr(c.pyapi.long_as_ulonglong(number), c.context.get_value_type(kind))
+    c.pyapi.decref(number)
+    return NativeValue(address)
