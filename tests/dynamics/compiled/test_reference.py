@@ -73,7 +73,8 @@ def test_a_field_that_a_record_lacks_is_refused():
 class Mixed(NamedTuple):
     flag: bool
     inner: Inner
-    pair: tuple[bool, int]
+    pair: tuple[int, bool]
+    last: bool
     table: np.ndarray
     empty: np.ndarray
     factor: float
@@ -81,17 +82,17 @@ class Mixed(NamedTuple):
 
 @njit
 def read_all(record):
-    inner, table, (second, third) = record.inner, record.table, record.pair
+    inner, table, (third, second) = record.inner, record.table, record.pair
     table[1, 2] = 7.0
     total = 100.0 * third + record.factor + inner.factor + record.empty.shape[0] + table.shape[0]
     for k in range(inner.values.shape[0]):
         total += inner.values[k]
-    return record.flag, second, total
+    return record.flag and record.last, second, total
 
 
 @pytest.mark.parametrize("flag", [False, True])
 def test_compiled_code_reads_a_record_that_python_stored(flag):
-    record = Mixed(flag, Inner(np.arange(4.0), 0.5), (not flag, 3), np.zeros((2, 3)), np.zeros((0, 2)), 0.25)
+    record = Mixed(flag, Inner(np.arange(4.0), 0.5), (3, not flag), flag, np.zeros((2, 3)), np.zeros((0, 2)), 0.25)
     assert read_all(StoredRecord(record)) == (flag, not flag, 300.0 + 0.25 + 0.5 + 0.0 + 2.0 + 6.0)
     assert record.table[1, 2] == 7.0
     assert read_all.signatures  # of a reference, not of all numbers of the record

@@ -98,9 +98,8 @@ class StoredRecord:
     def __init__(self, record: Any) -> None:
         self.record, self.kind = record, numba.typeof(record)
         memory = bytearray()
-        _append(memory, self.kind, record)
-        memory += bytes(-len(memory) % 8)
         context = cpu_target.target_context
+        _append(memory, context, self.kind, record)
         expected = context.get_abi_sizeof(context.get_value_type(self.kind))
         if not isinstance(self.kind, BaseNamedTuple) or len(memory) != expected:
             raise TypeError(f"record must be a named tuple of {expected} bytes, got {self.kind} of {len(memory)} bytes")
@@ -108,11 +107,14 @@ class StoredRecord:
         self.address = self._memory.ctypes.data
 
 
-def _append(memory: bytearray, kind: Any, value: Any) -> None:
-    """Append a value in the layout of its type: fields one after the other, each aligned to its size."""
+def _append(memory: bytearray, context: Any, kind: Any, value: Any) -> None:
+    """Append a value in the layout of its type: fields one after the other, each aligned as its type requires."""
     if isinstance(kind, BaseTuple):
+        alignment = context.get_abi_alignment(context.get_value_type(kind)) if len(kind) else 1
+        memory += bytes(-len(memory) % alignment)
         for each, part in zip(kind, value, strict=True):
-            _append(memory, each, part)
+            _append(memory, context, each, part)
+        memory += bytes(-len(memory) % alignment)
         return
     if isinstance(kind, types.Array):  # no reference count and no parent; the record keeps the array
         numbers = 0, 0, value.size, value.itemsize, value.ctypes.data, *value.shape, *value.strides

@@ -341,7 +341,7 @@ def _largest(sums, k):  # type: ignore[no-untyped-def]
     """Return the largest number of all blocks."""
     largest = 0.0
     for b in range(sums.shape[0]):
-        if not sums[b, k] <= largest:
+        if sums[b, k] > largest:
             largest = sums[b, k]
     return largest
 
