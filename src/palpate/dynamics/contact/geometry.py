@@ -120,6 +120,8 @@ class Contacts(NamedTuple):
         Gap below which a patch is included in the sweeps.
     patch_radius : float [m]
         Largest distance of a patch from its node.
+    patch_gain : float
+        Largest displacement of a patch over that of its nodes: the largest sum of absolute weights.
     frames : (t, 2, 3, 4) array
         Rotations and positions of the tools before and after a step.
     tool_radius : (t,) array [m]
@@ -134,6 +136,8 @@ class Contacts(NamedTuple):
         The active candidates.
     patch_impulses : (k, 4) array
         Impulses of the candidates [N s] and 1 / m [1/kg]; zero unless active.
+    places : (k, 4) array [m]
+        Positions of the active candidates at the start of a step, and the gaps that they may keep in it.
     inverse_mass : (n,) array [1/kg]
         1 / mass of the nodes near the active patches; zero for constrained nodes.
     step_impulses : (n, 3) array [N s]
@@ -166,6 +170,7 @@ class Contacts(NamedTuple):
     contact_gap: float
     search_gap: float
     patch_radius: float
+    patch_gain: float
     frames: Floats
     tool_radius: Floats
     tool: NDArray[np.int64]
@@ -174,6 +179,7 @@ class Contacts(NamedTuple):
     active_count: NDArray[np.int64]
     active: NDArray[np.int64]
     patch_impulses: Floats
+    places: Floats
     inverse_mass: Floats
     step_impulses: Floats
     nodal_impulses: Floats
@@ -183,8 +189,8 @@ class Contacts(NamedTuple):
 
 
 SCRATCH_FIELDS = (
-    "frames", "active_count", "active", "patch_impulses", "inverse_mass", "step_impulses", "nodal_impulses",
-    "tool_impulses",
+    "frames", "active_count", "active", "patch_impulses", "places", "inverse_mass", "step_impulses",
+    "nodal_impulses", "tool_impulses",
 )  # fmt: skip
 HELD_SCRATCH = ("forces", "impulses", "energy")
 
@@ -444,6 +450,7 @@ def contacts(
         contact_gap=CONTACT_GAP["nodes" if patches is None else "patches"] * cloud.spacing,
         search_gap=SEARCH_GAP * cloud.spacing,
         patch_radius=0.0 if patches is None else PATCH_RADIUS * cloud.spacing,
+        patch_gain=float(abs(table).sum(axis=1).max(initial=1.0)),
         frames=np.zeros((tools, 2, 3, 4)),
         tool_radius=np.where(kind == CAPSULE, sizes[:, 0] + sizes[:, 1], np.inf),
         tool=np.repeat(np.arange(tools), candidates),
@@ -452,6 +459,7 @@ def contacts(
         active_count=np.zeros(1, dtype=np.int64),
         active=np.zeros(sum(candidates), dtype=np.int64),
         patch_impulses=np.zeros((sum(candidates), 4)),
+        places=np.zeros((sum(candidates), 4)),
         inverse_mass=np.zeros(count),
         step_impulses=np.zeros((count, 3)),
         nodal_impulses=np.zeros((count, 3)),

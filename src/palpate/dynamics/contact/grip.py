@@ -111,7 +111,8 @@ def store_velocities(grip, velocity):  # type: ignore[no-untyped-def]
 def hold_nodes(grip, contacts, nodes, surface, alpha, step, u, velocity):  # type: ignore[no-untyped-def]
     """Give the nodes the velocities that bring them to their places after their kick.
 
-    Adds the impulse and its moment about the tool's origin to `contacts.tool_impulses`.
+    Adds the impulse and its moment about the tool's origin to `contacts.tool_impulses`, and sets the nodes' impulses in
+    this step.
 
     Returns
     -------
@@ -132,6 +133,7 @@ def hold_nodes(grip, contacts, nodes, surface, alpha, step, u, velocity):  # typ
             lost += alpha * step * nodes.mass[i] * kicked * (mean - kicked)
             velocity[i, c] = wanted
             grip.impulse[k, c] = push
+            contacts.step_impulses[i, c] = push
             sums[0, c] += push
         for c in range(3):
             a, b = (c + 1) % 3, (c + 2) % 3

@@ -41,13 +41,10 @@ SWEEP_TOLERANCE = 3e-2  # largest change of an impulse in the last sweep, relati
 
 @kernel_njit(inner=True)
 def _apply_to_patch(contacts, i, x, y, z, velocity):  # type: ignore[no-untyped-def]
-    """Distribute an impulse (3) [N s] on patch i to its nodes, and change their velocities."""
-    inverse_mass, impulse = contacts.inverse_mass, contacts.step_impulses
+    """Change the velocities of a patch's nodes by an impulse (3) [N s] on patch i."""
+    inverse_mass = contacts.inverse_mass
     for c in range(contacts.patch_start[i], contacts.patch_start[i + 1]):
         j, w = contacts.patch_nodes[c], contacts.patch_weights[c]
-        impulse[j, 0] += w * x
-        impulse[j, 1] += w * y
-        impulse[j, 2] += w * z
         free_x, free_y, free_z = project(contacts.slide, contacts.slide_of[j], x, y, z)
         velocity[j, 0] += w * inverse_mass[j] * free_x
         velocity[j, 1] += w * inverse_mass[j] * free_y
@@ -60,7 +57,8 @@ def _mark_near(contacts, t, margin, u, marks):  # type: ignore[no-untyped-def]
     first, last = contacts.start[t], contacts.start[t + 1]
     for block in prange((last - first + BLOCK_CANDIDATES - 1) // BLOCK_CANDIDATES):
         kind, sizes, frame = contacts.kind[t], contacts.sizes[t], contacts.frames[t, 1]
-        around = contacts.search_gap + contacts.patch_radius + margin
+        near = contacts.search_gap + contacts.patch_gain * margin
+        around = near + contacts.patch_radius
         radius = contacts.tool_radius[t] + around
         begin = first + np.int64(block) * BLOCK_CANDIDATES
         for k in range(begin, min(begin + BLOCK_CANDIDATES, last)):
@@ -68,7 +66,14 @@ def _mark_near(contacts, t, margin, u, marks):  # type: ignore[no-untyped-def]
             j = contacts.ends[i, 0]
             x, y, z = contacts.points[i, 0] + u[j, 0], contacts.points[i, 1] + u[j, 1], contacts.points[i, 2] + u[j, 2]
             square = (x - frame[0, 3]) ** 2 + (y - frame[1, 3]) ** 2 + (z - frame[2, 3]) ** 2
-            marks[k] = k if square < radius * radius and gap(kind, sizes, frame, x, y, z)[0] < around else -1
+            marks[k] = -1
+            if square < radius * radius and gap(kind, sizes, frame, x, y, z)[0] < around:  # then that of the patch
+                x, y, z, _, _, _ = patch(
+                    contacts.points, contacts.patch_start, contacts.patch_nodes, contacts.patch_weights, i, 0.0, u, u
+                )
+                depth = chord_depth(contacts.lengths[i], contacts.curvature[t])
+                if gap(kind, sizes, frame, x, y, z)[0] + depth < near:
+                    marks[k] = k
 
 
 @kernel_njit(inner=True)
@@ -93,10 +98,14 @@ def list_near(contacts, margin, u):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _find_active_patches(contacts, ahead, ratio, time, u, velocity, mass):  # type: ignore[no-untyped-def]
-    """Find the patches near a tool, and apply `ratio` times their impulses of the previous step."""
+def _find_active_patches(contacts, ahead, step, ratio, time, u, velocity, mass):  # type: ignore[no-untyped-def]
+    """Find the patches near a tool, and apply `ratio` times their impulses of the previous step.
+
+    A patch that was deep in the tool before the step keeps a part of that depth. Pushed out in a single step, it would
+    gain energy that no work of the tool explains.
+    """
     points, start, near, weights = contacts.points, contacts.patch_start, contacts.patch_nodes, contacts.patch_weights
-    nodes, active, impulses = contacts.nodes, contacts.active, contacts.patch_impulses
+    nodes, active, impulses, places = contacts.nodes, contacts.active, contacts.patch_impulses, contacts.places
     prescribed_until, inverse_mass = contacts.prescribed_until, contacts.inverse_mass
     for k in active[: contacts.active_count[0]]:
         for c in range(start[nodes[k]], start[nodes[k] + 1]):
@@ -115,10 +124,12 @@ def _find_active_patches(contacts, ahead, ratio, time, u, velocity, mass):  # ty
             in_reach = (
                 square < radius * radius and time > prescribed_until[i] and gap(kind, sizes, frame, x, y, z)[0] < around
             )
+            depth = chord_depth(contacts.lengths[i], contacts.curvature[t])
             if in_reach:  # after the cheaper test of its node
-                x, y, z, _, _, _ = patch(points, start, near, weights, i, ahead, u, velocity)
-                distance, nx, ny, nz = gap(kind, sizes, frame, x, y, z)
-                in_reach = distance + chord_depth(contacts.lengths[i], contacts.curvature[t]) < search
+                x, y, z, vx, vy, vz = patch(points, start, near, weights, i, 0.0, u, velocity)
+                places[k, 0], places[k, 1], places[k, 2] = x, y, z
+                distance, nx, ny, nz = gap(kind, sizes, frame, x + ahead * vx, y + ahead * vy, z + ahead * vz)
+                in_reach = distance + depth < search
                 if in_reach and contacts.slide_of[j] >= 0:
                     nx, ny, nz = project(contacts.slide, contacts.slide_of[j], nx, ny, nz)
                     in_reach = nx * nx + ny * ny + nz * nz > MIN_FREEDOM
@@ -126,6 +137,8 @@ def _find_active_patches(contacts, ahead, ratio, time, u, velocity, mass):  # ty
                 if impulses[k, 3] != 0.0:
                     impulses[k] = 0.0
                 continue
+            kept = gap(kind, sizes, contacts.frames[t, 0], x, y, z)[0] + depth + contacts.overlap
+            places[k, 3] = min(0.0, kept) * max(0.0, 1.0 - step / RECOVERY_TIME)
             response = 0.0
             for c in range(start[i], start[i + 1]):
                 j = near[c]
@@ -155,34 +168,23 @@ def _velocity_change(contacts, i, response, x, y, z):  # type: ignore[no-untyped
 
 
 @kernel_njit(inner=True)
-def _overlap(contacts, k, step, u, velocity):  # type: ignore[no-untyped-def]
-    """Return the gap that a patch may keep after the step: negative if it was deep in the tool before it.
-
-    Pushed out in a single step, it would gain energy that no work of the tool explains.
-    """
-    i, t = contacts.nodes[k], contacts.tool[k]
-    x, y, z, _, _, _ = patch(
-        contacts.points, contacts.patch_start, contacts.patch_nodes, contacts.patch_weights, i, 0.0, u, velocity
-    )
-    before = gap(contacts.kind[t], contacts.sizes[t], contacts.frames[t, 0], x, y, z)[0] + contacts.overlap
-    before += chord_depth(contacts.lengths[i], contacts.curvature[t])
-    return min(0.0, before) * max(0.0, 1.0 - step / RECOVERY_TIME)
-
-
-@kernel_njit(inner=True)
-def _sweep(contacts, ends, step, u, velocity):  # type: ignore[no-untyped-def]
+def _sweep(contacts, ends, step, velocity):  # type: ignore[no-untyped-def]
     """Update the impulse of every active patch; return the largest change and the largest impulse [m/s].
 
     With `ends` only patches in contact are pushed that move into the tool.
     """
-    points, start, near, weights = contacts.points, contacts.patch_start, contacts.patch_nodes, contacts.patch_weights
+    start, near, weights, places = contacts.patch_start, contacts.patch_nodes, contacts.patch_weights, contacts.places
     kind, sizes, friction, frames = contacts.kind, contacts.sizes, contacts.friction, contacts.frames
     nodes, tool, impulses = contacts.nodes, contacts.tool, contacts.patch_impulses
     changed, largest, ahead, tolerance = 0.0, 0.0, 0.0 if ends else step, contacts.contact_gap
     for k in contacts.active[: contacts.active_count[0]]:
         i, t, response = nodes[k], tool[k], impulses[k, 3]
         ox, oy, oz = impulses[k, 0], impulses[k, 1], impulses[k, 2]
-        x, y, z, vx, vy, vz = patch(points, start, near, weights, i, ahead, u, velocity)
+        vx, vy, vz = 0.0, 0.0, 0.0
+        for c in range(start[i], start[i + 1]):
+            j, w = near[c], weights[c]
+            vx, vy, vz = vx + w * velocity[j, 0], vy + w * velocity[j, 1], vz + w * velocity[j, 2]
+        x, y, z = places[k, 0] + ahead * vx, places[k, 1] + ahead * vy, places[k, 2] + ahead * vz
         g, nx, ny, nz = gap(kind[t], sizes[t], frames[t, 1], x, y, z)
         g += chord_depth(contacts.lengths[i], contacts.curvature[t])
         if not ends:  # the nearest place that the patch may take
@@ -198,7 +200,7 @@ def _sweep(contacts, ends, step, u, velocity):  # type: ignore[no-untyped-def]
             normal = -(wx * nx + wy * ny + wz * nz) if g < tolerance else 0.0
         else:
             normal = own_x * nx + own_y * ny + own_z * nz
-            normal -= (g - _overlap(contacts, k, step, u, velocity) if g < 0.0 else g) / step
+            normal -= (g - places[k, 3] if g < 0.0 else g) / step
         px, py, pz = 0.0, 0.0, 0.0
         if normal > 0.0:
             px, py, pz = coulomb(normal, friction[t], wx, wy, wz, nx, ny, nz)
@@ -210,6 +212,17 @@ def _sweep(contacts, ends, step, u, velocity):  # type: ignore[no-untyped-def]
             changed = max(changed, response * max(abs(px), abs(py), abs(pz)))
             _apply_to_patch(contacts, i, px, py, pz, velocity)
     return changed, largest
+
+
+@kernel_njit(inner=True)
+def _add_step_impulses(contacts):  # type: ignore[no-untyped-def]
+    """Add the impulses of the active patches to those of their nodes in the present step."""
+    impulse = contacts.step_impulses
+    for k in contacts.active[: contacts.active_count[0]]:
+        i, push = contacts.nodes[k], contacts.patch_impulses[k]
+        for c in range(contacts.patch_start[i], contacts.patch_start[i + 1]):
+            for d in range(3):
+                impulse[contacts.patch_nodes[c], d] += contacts.patch_weights[c] * push[d]
 
 
 @kernel_njit(inner=True)
@@ -305,11 +318,12 @@ def push_patches(contacts, ends, times, ratio, u, velocity, data):  # type: igno
     ahead, step, kick, time = times
     nodes, scratch, gravity = data
     clear_sites(contacts, time, nodes.mass)
-    _find_active_patches(contacts, ahead, ratio, time, u, velocity, nodes.mass)
+    _find_active_patches(contacts, ahead, step, ratio, time, u, velocity, nodes.mass)
     for _ in range(MAX_SWEEPS):
-        changed, largest = _sweep(contacts, ends, step, u, velocity)
+        changed, largest = _sweep(contacts, ends, step, velocity)
         if changed <= SWEEP_TOLERANCE * largest:
             break
+    _add_step_impulses(contacts)
     push_sites(contacts, ends, step, kick, u, velocity)
     tools, lost, loads = site_works(contacts, ends, step, kick, u, velocity, (nodes, scratch, gravity))
     impulses = contacts.patch_impulses

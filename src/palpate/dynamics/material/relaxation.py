@@ -367,8 +367,9 @@ def relax_volume(relaxation, history, values):  # type: ignore[no-untyped-def]
 @kernel_njit(inner=True)
 def copy_values(source, target):  # type: ignore[no-untyped-def]
     """Copy the numbers of an array; an assignment of slices would take seconds to compile."""
+    values, copies = source.reshape(source.size), target.reshape(target.size)
     for i in range(source.size):
-        target.flat[i] = source.flat[i]
+        copies[i] = values[i]
 
 
 @kernel_njit(inner=True)

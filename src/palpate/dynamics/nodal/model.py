@@ -177,6 +177,12 @@ class NodalModel(Model):
     def step_body(self) -> Any:
         return self.body
 
+    @property
+    def taut_step_body(self) -> Any:
+        """As `step_body`, with fibres that carry compression, too."""
+        body = self.step_body
+        return body if self.fibres is None else body._replace(families=always_taut(body.families))
+
     def _step_work(self, passes: Any) -> Any:
         """Return the scratch arrays of the passes in the precision of the steps."""
         return passes

@@ -41,9 +41,11 @@ from palpate.dynamics.nodal.central_difference import (
     foundation_force,
     kick_node,
 )
+from palpate.dynamics.nodal.mass_tailoring import MassTailoring, subtract_inertia
 from palpate.dynamics.nodal.tool_path import (
     END,
     HOME,
+    LISTED,
     SAVED,
     START,
     frame_way,
@@ -74,7 +76,7 @@ BLOCK_NODES = 256  # nodes of a sum
 
 # entries of `NodalPeriodData.clock`
 BEHIND, STEP, FREQUENCY, UNTIL_ESTIMATE, WORK, LOST, KINETIC_ENERGY, GIVEN, NEXT_BEHIND = range(9)
-REPEATED, GAINED, HELD, ESTIMATE, RESTED = range(9, 14)
+REPEATED, GAINED, HELD, ESTIMATE, RESTED, NEAR_MARGIN, CLEAR_WAY, RESTING = range(9, 17)
 
 
 class ContactReport(NamedTuple):
@@ -100,7 +102,7 @@ class NodalPeriodData(NamedTuple):
     Parameters
     ----------
     passes, taut_passes : tuples
-        Body and work arrays of the steps; in double precision, with fibres that carry compression, for the frequency.
+        Body and work arrays of the steps; with fibres that carry compression, for the frequency.
     nodes : NodalData
     damping : Damping
     sites : LoadSites
@@ -110,23 +112,27 @@ class NodalPeriodData(NamedTuple):
     scratch : StepScratch
     grip : Grip
         Nodes that forceps hold.
-    clock : (14,) array
+    clock : (17,) array
         Time [s] by which the body is behind, step [s], highest frequency [rad/s], periods until its next
         estimate, work and dissipation since rest, kinetic energy, energy of a state that was given [J], the
         time by which the body will be behind, number of periods that were repeated with shorter steps, gains
         of energy that shorter steps did not cure [J], number of periods in which the tool was held, the last
-        estimate of the frequency [rad/s], and 1 if the last period left the body at rest.
+        estimate of the frequency [rad/s], 1 if the last period left the body at rest, the margin [m] of the
+        list of candidates near the tool, negative without a list, the way [m] of nodes and tool after which the
+        surface can be so deep in the tool that the tool is slowed, and the highest frequency at rest that the
+        present one is based on [rad/s].
     sums : (b, 5) array
         Sums of every block of nodes.
     secant : (5, 3) array
         Contact stiffness [N/m], and position and force of the tool at its last update.
     tool_force : (12,) array
         Forces on the tool's coordinates in the last period with a step.
-    path : (5, 3, 4) array
+    path : (6, 3, 4) array
         Frames of the tool at the start and the end of a period, at zero displacement, before the first
-        step, and where it cut the body last.
+        step, where it cut the body last, and where the candidates near it were listed last.
+    tailoring : MassTailoring
     resting_frequency : float [rad/s]
-        Highest frequency at rest, with foundations.
+        Highest frequency at rest, with the tailored mass and foundations.
     vector, noise : (n, 3) arrays
         Of the power iteration.
     amplitude : float [m]
@@ -137,6 +143,8 @@ class NodalPeriodData(NamedTuple):
         Of the surface.
     surface_depth : float [m]
         Depth of the surface in the tool beyond which the tool is held.
+    listed : (n, 3) array [m]
+        Displacements for which the candidates near the tool were listed last.
     saved : (3, n, 3) array
         Displacements, velocities and the last internal forces at the start of the period.
     saved_work : (2,) array [J]
@@ -159,6 +167,7 @@ class NodalPeriodData(NamedTuple):
     secant: Floats
     tool_force: Floats
     path: Floats
+    tailoring: MassTailoring
     resting_frequency: float
     vector: Floats
     noise: Floats
@@ -168,6 +177,7 @@ class NodalPeriodData(NamedTuple):
     cut_reach: float
     triangles: Ints
     surface_depth: float
+    listed: Floats
     saved: Floats
     saved_work: Floats
     saved_history: HistoryCopy
@@ -203,10 +213,11 @@ def _hold_above_surface(data, u):  # type: ignore[no-untyped-def]
         Depth of the surface over that where the tool is held; 0 where it is far less.
     """
     contacts, limit = data.contacts, data.surface_depth
-    if contacts.active_count[0] == 0:
+    if contacts.active_count[0] == 0 or data.clock[CLEAR_WAY] > 0.0:
         return False, 0.0
     least = SLOW_DEPTH * limit
-    depth = deepest_triangle(contacts, 0, data.path[START], data.triangles, u, least)[0]
+    depth = deepest_triangle(contacts, 0, data.path[START], data.triangles, u, 0.0)[0]
+    data.clock[CLEAR_WAY] = (least - depth) / contacts.patch_gain
     if depth <= least:
         return False, 0.0
     return _pushes(data) and limit_path(data.path, way_above_surface(depth, limit)), depth / limit
@@ -323,8 +334,18 @@ def _restore(data, u, velocity):  # type: ignore[no-untyped-def]
     copy_values(data.saved[2], data.scratch.previous)
     copy_history(data.saved_history, data.passes[1].history)
     copy_values(data.path[SAVED], data.contacts.frames[0, 1])
-    data.contacts.patch_impulses[:] = 0.0
+    data.contacts.patch_impulses[:], data.contacts.step_impulses[:] = 0.0, 0.0
     data.clock[WORK], data.clock[LOST] = data.saved_work[0], data.saved_work[1]
+
+
+@kernel_njit(inner=True)
+def _way_since_list(data, u, reach):  # type: ignore[no-untyped-def]
+    """Return a bound of the way [m] of a node and a point of the tool since the candidates near it were listed."""
+    before, largest = data.listed, 0.0
+    for i in range(u.shape[0]):
+        square = (u[i, 0] - before[i, 0]) ** 2 + (u[i, 1] - before[i, 1]) ** 2 + (u[i, 2] - before[i, 2]) ** 2
+        largest = max(largest, square)
+    return np.sqrt(largest) + frame_way(data.path[LISTED], data.contacts.frames[0, 1], reach)
 
 
 @kernel_njit(inner=True)
@@ -369,7 +390,7 @@ def nodal_period(formulation: Formulation) -> Any:
         `palpate.dynamics.run.period_report`. The state is unchanged if the period fails.
     """
     digest = law_digest(__name__, formulation.digest)
-    force_of, after, step_force = internal_force(formulation), formulation.after, internal_force(formulation.of_steps)
+    after, step_force = formulation.after, internal_force(formulation.of_steps)
 
     @law_njit(digest, inner=True)
     def estimate(data, u):  # type: ignore[no-untyped-def]
@@ -395,8 +416,11 @@ def nodal_period(formulation: Formulation) -> Any:
                 scratch.damped[i, c] = u[i, c] + moved[i, c]
         body, work = data.taut_passes
         after(work, 0.0)
-        force_of(scratch.damped, body, work, moved)
-        force_of(u, body, work, scratch.force)
+        step_force(scratch.damped, body, work, moved)
+        step_force(u, body, work, scratch.force)
+        subtract_inertia(
+            data.tailoring, data.nodes.volumes, data.nodes.density, -1.0, moved, scratch.force, 0.0, moved, scratch.force
+        )
         grown = 0.0
         for i in range(u.shape[0]):
             for c in range(3):
@@ -420,6 +444,8 @@ def nodal_period(formulation: Formulation) -> Any:
     def choose_step(data, u):  # type: ignore[no-untyped-def]
         """Update the stable step."""
         clock = data.clock
+        clock[FREQUENCY] *= max(1.0, data.resting_frequency / clock[RESTING])  # of modes that a cut has changed
+        clock[RESTING] = data.resting_frequency
         clock[UNTIL_ESTIMATE] -= 1.0
         if clock[UNTIL_ESTIMATE] <= 0.0:
             frequency = estimate(data, u)
@@ -444,23 +470,32 @@ def nodal_period(formulation: Formulation) -> Any:
             count = MAX_STEPS
             behind = count * step - period
         _drift_blocks(sites.kind, nodes, scratch.damped, scratch.surface, 0.0, damping.beta, u, velocity, data.sums)
-        margin, way, tool_reach = -1.0, 0.0, contacts.tool_radius[0] + contacts.search_gap + contacts.patch_radius
+        reach = contacts.tool_radius[0] + contacts.search_gap + contacts.patch_radius
+        way = _way_since_list(data, u, reach + max(clock[NEAR_MARGIN], 0.0))
         for s in range(count):
             share = min(1.0, ((s + 1) * step - behind) / period)
             place_tool(path, share, contacts.frames[0])
-            way += frame_way(contacts.frames[0], tool_reach + max(margin, 0.0))
+            moved = frame_way(contacts.frames[0, 0], contacts.frames[0, 1], reach + max(clock[NEAR_MARGIN], 0.0))
+            clock[CLEAR_WAY] -= moved
+            way += moved
             after(work, step)
             step_force(scratch.damped, body, work, scratch.force)
             foundation_force(sites, u, velocity, nodes.volumes, scratch.surface)
+            subtract_inertia(
+                data.tailoring, nodes.volumes, nodes.density, 1.0, scratch.surface, scratch.force, 1.0 / step,
+                contacts.step_impulses, scratch.surface,
+            )  # fmt: skip
             store_velocities(grip, velocity)
             _kick_blocks(sites, nodes, scratch, scratch.previous, step, damping.alpha, u, velocity, data.sums)
             works = hold_nodes(grip, contacts, nodes, scratch.surface, damping.alpha, step, u, velocity)
             clock[WORK] += _total(data.sums, 0) + works[0]
             clock[LOST] += _total(data.sums, 1) + works[1]
             ahead = step * np.sqrt(_largest(data.sums, 4))
-            if not way + ahead <= margin:
-                margin, way = data.reach + ahead, 0.0
-                list_near(contacts, margin, u)
+            if not way + ahead <= clock[NEAR_MARGIN]:
+                clock[NEAR_MARGIN], clock[CLEAR_WAY], way = data.reach + ahead, 0.0, 0.0
+                list_near(contacts, clock[NEAR_MARGIN], u)
+                copy_values(u, data.listed)
+                copy_values(contacts.frames[0, 1], path[LISTED])
             works = push_patches(
                 contacts, False, (step, step, step, 0.0), 1.0, u, velocity, (nodes, scratch, (0.0, 0.0, 0.0))
             )
@@ -472,6 +507,7 @@ def nodal_period(formulation: Formulation) -> Any:
             moved = step * np.sqrt(_largest(data.sums, 3))
             if not moved < data.reach:
                 return -1
+            clock[CLEAR_WAY] -= moved
             way += moved
         clock[KINETIC_ENERGY] = _total(data.sums, 2)
         clock[NEXT_BEHIND] = behind + period - count * step
@@ -494,8 +530,8 @@ def nodal_period(formulation: Formulation) -> Any:
                 for c in range(3):
                     data.scratch.previous[i, c] = 0.0
             clock[FREQUENCY], clock[UNTIL_ESTIMATE] = data.resting_frequency, ESTIMATE_PERIODS
-            clock[ESTIMATE] = data.resting_frequency
-            contacts.patch_impulses[:] = 0.0
+            clock[ESTIMATE], clock[NEAR_MARGIN] = data.resting_frequency, -1.0
+            contacts.patch_impulses[:], contacts.step_impulses[:] = 0.0, 0.0
         holds = data.grip.numbers[COUNT] > 0
         set_path(data.path, target, at_rest and not holds)
         if at_rest:

@@ -1,7 +1,7 @@
 """Path of the tool of a full body in a period of the engine, and its contact stiffness, compiled.
 
 A path has the frames (3, 4) of the tool at the start and the end of a period, at zero displacement, before the
-period's first step, and where it cut the body last.
+period's first step, where it cut the body last, and where the candidates near it were listed last.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ __all__ = [
     "END",
     "HOME",
     "LAST_CUT",
+    "LISTED",
     "SAVED",
     "START",
     "contact_stiffness",
@@ -26,7 +27,7 @@ __all__ = [
     "write_place",
 ]
 
-START, END, HOME, SAVED, LAST_CUT = range(5)  # frames of a path
+START, END, HOME, SAVED, LAST_CUT, LISTED = range(6)  # frames of a path
 POSITION, FORCE = 3, 4  # rows of `NodalPeriodData.secant` after those of the matrix
 LEAST_WAY = 1e-4  # [m] of the tool between two updates of the contact stiffness
 
@@ -95,16 +96,16 @@ def place_tool(path, share, frames):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def frame_way(frames, reach):  # type: ignore[no-untyped-def]
-    """Return a bound of the way [m] of a tool's points up to a distance `reach` [m] from its origin, in a step.
+def frame_way(before, after, reach):  # type: ignore[no-untyped-def]
+    """Return a bound of the way [m] of a tool's points up to a distance `reach` [m] from its origin.
 
     It is infinite for a tool of infinite reach that turns.
     """
     moved, turned = 0.0, 0.0
     for i in range(3):
-        moved += (frames[1, i, 3] - frames[0, i, 3]) ** 2
+        moved += (after[i, 3] - before[i, 3]) ** 2
         for j in range(3):
-            turned += (frames[1, i, j] - frames[0, i, j]) ** 2
+            turned += (after[i, j] - before[i, j]) ** 2
     return np.sqrt(moved) + (np.sqrt(turned) * reach if turned > 0.0 else 0.0)
 
 

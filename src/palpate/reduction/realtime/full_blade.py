@@ -22,6 +22,7 @@ from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.blade_sites import AWAY_TOOL, EDGE_SITE, NO_TOOL
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.supports import FREE
+from palpate.dynamics.nodal.mass_tailoring import without_nodes
 from palpate.dynamics.nodal.period import LOST, NodalPeriodData
 from palpate.dynamics.nodal.tool_path import END, HOME, LAST_CUT
 from palpate.dynamics.run.model import State
@@ -70,6 +71,7 @@ class BladeCutter:
         self.lock = threading.RLock()
         self._contact: Contact | None = None
         self.seconds, self._tool_reach = FIRST_SECONDS, data.tool_reach
+        self._whole = data.tailoring, data.resting_frequency  # of the body without cuts
         self._is_due, self._is_compiled, self._turned = False, False, 0.0
 
     wrap: Callable[[Any], Any]
@@ -146,9 +148,12 @@ class BladeCutter:
                 self.incision = self.incision.with_works(*map(float, self.data.contacts.sites.works))
             self.seconds += (perf_counter() - began - self.seconds) / MEAN_CUTS
             self.data.clock[LOST] += released
+            tailoring, lost = without_nodes(self._whole[0], self.model.cut_state.touched)
             self.data = self.data._replace(
+                tailoring=tailoring,
+                resting_frequency=max(lost, self._whole[1]),
                 passes=(self.model.step_body, self.data.passes[1]),
-                taut_passes=(self.model.taut_body, self.data.taut_passes[1]),
+                taut_passes=(self.model.taut_step_body, self.data.taut_passes[1]),
                 contacts=self.data.contacts._replace(sites=sites),
                 tool_reach=self._reach(),
                 cut_reach=WAY_OF_A_CUT * self.model.cloud.spacing if is_blade else np.inf,

@@ -17,6 +17,7 @@ from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.supports import FREE
 from palpate.dynamics.material.relaxation import history_copy
 from palpate.dynamics.nodal.central_difference import Damping
+from palpate.dynamics.nodal.mass_tailoring import DEFAULT_MODES, MIN_NODES, PROBE, tailored_mass
 from palpate.dynamics.nodal.model import NodalModel, nodal_data
 from palpate.dynamics.nodal.period import (
     BLOCK_NODES,
@@ -24,12 +25,14 @@ from palpate.dynamics.nodal.period import (
     GAINED,
     HELD,
     LOST,
+    NEAR_MARGIN,
     REPEATED,
     ContactReport,
     NodalPeriodData,
     nodal_period,
 )
 from palpate.dynamics.nodal.tool_path import END, HOME, LAST_CUT, START
+from palpate.dynamics.solid.base import Solid
 from palpate.faults import InputError
 from palpate.reduction.realtime.full_blade import BladeCutter
 
@@ -40,9 +43,11 @@ AWAY_DISTANCE = 1e3  # [m] beyond the body, where a tool stays while forceps hol
 
 
 def full_period(
-    model: NodalModel, contact: Contact | Grasp, foundations: Sequence[Foundation]
+    model: NodalModel, contact: Contact | Grasp, foundations: Sequence[Foundation], tailored_modes: int | None
 ) -> tuple[object, NodalPeriodData]:
     """Return the compiled period of a full body and its data.
+
+    See `palpate.reduction.realtime.model.realtime_model` for the number of modes.
 
     Raises
     ------
@@ -58,39 +63,43 @@ def full_period(
     model.state(prepared)  # refuses a tool inside the body
     sites, contacts = prepared.with_scratch()
     n = len(model.cloud)
-    frequency, vector = model.highest_frequency(np.zeros((n, 3)), prepared.constraint_mask(0.0))
+    if tailored_modes is None:
+        tailored_modes = DEFAULT_MODES if isinstance(model, Solid) and n >= MIN_NODES else 0
+    tailoring, frequency = tailored_mass(model, prepared.constraint_mask(0.0), tailored_modes)
     if len(sites.foundation_node):
         response = 1.0 / (model.volumes[sites.foundation_node] * model.material.density)
         springs = np.bincount(sites.foundation_node, sites.foundation_spring * response, minlength=n).max()
         frequency = float(np.hypot(frequency, np.sqrt(springs)))
-    path = np.zeros((5, 3, 4))
+    path = np.zeros((6, 3, 4))
     rotation(prepared.schedule(np.zeros(1)).poses[0, 0], path[HOME])
     path[START], path[END], contacts.frames[0, 1] = path[HOME], path[HOME], path[HOME]
     entries = 2 * len(contacts.points)  # two for each middle of an edge, and one for each node that forceps hold
     noise = model.supported.project(np.random.default_rng(0).standard_normal((n, 3)))
     data = NodalPeriodData(
         passes=(model.step_body, work.step_passes),
-        taut_passes=(model.taut_body, work.passes),
+        taut_passes=(model.taut_step_body, work.step_passes),
         nodes=nodal_data(model),
         damping=Damping(model.mass_damping, model.stiffness_damping, model.wave_speed),
         sites=sites,
         contacts=contacts,
         grip=empty_grip(n),
         scratch=work.step,
-        clock=np.array([0.0, model.stability.step, frequency, *np.zeros(11)]),
+        clock=np.array([0.0, model.stability.step, frequency, *np.zeros(11), -1.0, 0.0, frequency]),
         sums=np.zeros((-(-n // BLOCK_NODES), 5)),
         secant=np.zeros((5, 3)),
         tool_force=np.zeros(12),
         path=path,
+        tailoring=tailoring,
         resting_frequency=frequency,
-        vector=noise.copy() if vector is None else vector,
+        vector=noise.copy(),
         noise=noise,
-        amplitude=1e-6 * model.cloud.spacing,
+        amplitude=PROBE * model.cloud.spacing,
         reach=MAX_WAY * model.cloud.spacing,
         tool_reach=MAX_TOOL_WAY * model.cloud.spacing,
         cut_reach=np.inf,
         triangles=np.ascontiguousarray(model.cloud.triangles, dtype=np.int64),
         surface_depth=MAX_SURFACE_DEPTH * model.cloud.spacing,
+        listed=np.zeros((n, 3)),
         saved=np.zeros((3, n, 3)),
         saved_work=np.zeros(2),
         saved_history=history_copy(work.passes.history),
@@ -110,13 +119,14 @@ def step_statistics(data: NodalPeriodData) -> dict[str, float]:
     Returns
     -------
     dict
-        ``"step_share"``: present step over that at rest; ``"repeated"``: number of periods that were repeated with
+        ``"step_share"``: present step over that at rest; ``"tailored_modes"``: number of modes with more mass; ``"repeated"``: number of periods that were repeated with
         shorter steps; ``"held"``: number of periods in which the tool was held or late; ``"energy_gained"``: gain
         of energy that shorter steps did not cure [J].
     """
     clock = data.clock
     return {
         "step_share": float(data.resting_frequency / clock[FREQUENCY]),
+        "tailored_modes": int(np.count_nonzero(data.tailoring.shares)),
         "repeated": int(clock[REPEATED]),
         "held": int(clock[HELD]),
         "energy_gained": float(clock[GAINED]),
@@ -164,10 +174,11 @@ def change_full_tool(
     if tool is not None and tool.kind == CAPSULE:
         contacts.tool_radius[0] = tool.sizes[0] + tool.sizes[1]
     contacts.friction[0] = friction
-    contacts.patch_impulses[:], data.secant[:], data.tool_force[:] = 0.0, 0.0, 0.0
+    contacts.patch_impulses[:], contacts.step_impulses[:] = 0.0, 0.0
+    data.secant[:], data.tool_force[:] = 0.0, 0.0
     data.clock[LOST] += contacts.held.energy[0]  # of the tissue over supports, which springs back
     contacts.held.energy[0], contacts.held.forces[:] = 0.0, 0.0
-    data.contact_work.numbers[:] = 0
+    data.contact_work.numbers[:], data.clock[NEAR_MARGIN] = 0, -1.0
     rotation(pose, data.path[HOME])
     if cutter is not None:
         cutter.take(blade, pose)
