@@ -22,12 +22,12 @@ RECOVERY_TIME = 0.01  # [s] in which a face leaves a blade that it is in
 
 
 @kernel_njit(inner=True)
-def clear_sites(contacts, time, mass):  # type: ignore[no-untyped-def]
+def clear_sites(contacts, time, mass, drag):  # type: ignore[no-untyped-def]
     """Prepare the nodes of the sites for the impulses of a step that ends at a time [s]."""
     sites = contacts.sites
     for e in range(sites.nodes.shape[0]):
         j = sites.nodes[e]
-        contacts.inverse_mass[j] = 1.0 / mass[j] if time > contacts.prescribed_until[j] else 0.0
+        contacts.inverse_mass[j] = 1.0 / (drag * mass[j]) if time > contacts.prescribed_until[j] else 0.0
         for c in range(3):
             contacts.step_impulses[j, c] = 0.0
 
@@ -195,7 +195,7 @@ def push_sites(contacts, ends, step, kick, u, velocity):  # type: ignore[no-unty
 @kernel_njit(inner=True)
 def site_works(contacts, ends, step, kick, u, velocity, data):  # type: ignore[no-untyped-def]
     """Add the impulses of the sites to the sums of the call; return energies as `apply_contact_impulses`."""
-    nodes, scratch, gravity = data
+    nodes, scratch, gravity, drag = data
     sites, density = contacts.sites, nodes.density
     for s in range(sites.tool.shape[0]):
         if sites.kind[s] == EDGE_SITE and sites.tool[s] >= 0:
@@ -239,7 +239,7 @@ def site_works(contacts, ends, step, kick, u, velocity, data):  # type: ignore[n
                     loads += (
                         0.5 * kick * nodes.volumes[j] * (surface + density * gravity[d]) * w * free[d] * inverse_mass
                     )
-                    on_nodes += w * free[d] * mean
+                    on_nodes += w * free[d] * mean / drag
                 else:  # the constraint takes the impulse
                     loads -= w * push[d] * mean
                     on_nodes += w * push[d] * mean

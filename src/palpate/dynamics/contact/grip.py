@@ -126,11 +126,11 @@ def hold_nodes(grip, contacts, nodes, surface, alpha, step, u, velocity):  # typ
         for c in range(3):
             arm = frame[c, 0] * grip.place[k, 0] + frame[c, 1] * grip.place[k, 1] + frame[c, 2] * grip.place[k, 2]
             wanted = (arm + frame[c, 3] - points[i, c] - u[i, c]) / step
-            push = nodes.mass[i] * (wanted - velocity[i, c])
+            push = nodes.mass[i] * (1.0 + 0.5 * alpha * step) * (wanted - velocity[i, c])
             # means of the velocities before the kick, and after it or after all impulses
             kicked, mean = 0.5 * (grip.before[k, c] + velocity[i, c]), 0.5 * (grip.before[k, c] + wanted)
             work += push * mean + step * nodes.volumes[i] * surface[i, c] * (mean - kicked)
-            lost += alpha * step * nodes.mass[i] * kicked * (mean - kicked)
+            lost += alpha * step * nodes.mass[i] * (mean + kicked) * (mean - kicked)
             velocity[i, c] = wanted
             grip.impulse[k, c] = push
             contacts.step_impulses[i, c] = push

@@ -36,7 +36,7 @@ MAX_SWEEPS = 30
 MIN_FREEDOM = 0.01  # of a sliding node: least squared part of a tool's normal along its free directions
 RECOVERY_TIME = 0.01  # [s] in which a patch leaves a tool that was put down in it
 BLOCK_CANDIDATES = 512  # of a part of the search
-SWEEP_TOLERANCE = 3e-2  # largest change of an impulse in the last sweep, relative to the largest impulse
+SWEEP_TOLERANCE = 1e-2  # largest change of an impulse in the last sweep, relative to the largest impulse
 
 
 @kernel_njit(inner=True)
@@ -98,7 +98,7 @@ def list_near(contacts, margin, u):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _find_active_patches(contacts, ahead, step, ratio, time, u, velocity, mass):  # type: ignore[no-untyped-def]
+def _find_active_patches(contacts, ahead, step, ratio, time, u, velocity, mass, drag):  # type: ignore[no-untyped-def]
     """Find the patches near a tool, and apply `ratio` times their impulses of the previous step.
 
     A patch that was deep in the tool before the step keeps a part of that depth. Pushed out in a single step, it would
@@ -142,7 +142,7 @@ def _find_active_patches(contacts, ahead, step, ratio, time, u, velocity, mass):
             response = 0.0
             for c in range(start[i], start[i + 1]):
                 j = near[c]
-                inverse_mass[j] = 1.0 / mass[j] if time > prescribed_until[j] else 0.0
+                inverse_mass[j] = 1.0 / (drag * mass[j]) if time > prescribed_until[j] else 0.0
                 response += weights[c] ** 2 * inverse_mass[j]
             for c in range(3):
                 impulses[k, c] *= ratio
@@ -230,10 +230,10 @@ def _add_patch_impulse(contacts, k, ahead, step, kick, u, velocity, data):  # ty
     """Add a patch's impulse to the sums of the call; return energies as `apply_contact_impulses`.
 
     The work on a node is the impulse times the mean of its velocities before the kick and after all
-    impulses.
+    impulses, without the part that mass damping dissipates.
     """
     i, t, push, inverse_mass = contacts.nodes[k], contacts.tool[k], contacts.patch_impulses[k], contacts.inverse_mass
-    nodes, scratch, gravity = data
+    nodes, scratch, gravity, drag = data
     origin, density = contacts.frames[t, 1, :, 3], nodes.density
     position = patch(
         contacts.points, contacts.patch_start, contacts.patch_nodes, contacts.patch_weights, i, ahead, u, velocity
@@ -261,7 +261,7 @@ def _add_patch_impulse(contacts, k, ahead, step, kick, u, velocity, data):  # ty
                 kicked = kick * ((scratch.force[j, d] + nodes.half_cell * surface) / density + gravity[d])
                 mean -= 0.5 * (kicked + contacts.step_impulses[j, d] * inverse_mass[j])
                 loads += 0.5 * kick * nodes.volumes[j] * (surface + density * gravity[d]) * moved * inverse_mass[j]
-                on_nodes += moved * mean
+                on_nodes += moved * mean / drag
             else:  # the constraint takes the impulse
                 loads -= share * mean
                 on_nodes += share * mean
@@ -272,8 +272,8 @@ def _add_patch_impulse(contacts, k, ahead, step, kick, u, velocity, data):  # ty
 def apply_contact_impulses(contacts, schedule, s, step, kick, u, velocity, data):  # type: ignore[no-untyped-def]
     """Apply the impulses of the tools after the kick of step s.
 
-    The last time of the load history has no step after it. `data` are the nodal data and the scratch
-    arrays of the step (`palpate.dynamics.nodal.central_difference`).
+    The last time of the load history has no step after it. `data` are the nodal data, the scratch
+    arrays of the step (`palpate.dynamics.nodal.central_difference`), and alpha [1/s] of the damping.
 
     Returns
     -------
@@ -309,27 +309,28 @@ def push_patches(contacts, ends, times, ratio, u, velocity, data):  # type: igno
         Of the first impulses to those of the step before.
     u, velocity : (n, 3) arrays
     data : tuple
-        Nodal data, scratch arrays of the step, and gravity.
+        Nodal data, scratch arrays of the step, alpha [1/s] of the damping alpha M, and gravity.
 
     Returns
     -------
     As `apply_contact_impulses`.
     """
     ahead, step, kick, time = times
-    nodes, scratch, gravity = data
-    clear_sites(contacts, time, nodes.mass)
-    _find_active_patches(contacts, ahead, step, ratio, time, u, velocity, nodes.mass)
+    nodes, scratch, alpha, gravity = data
+    drag = 1.0 + 0.5 * alpha * kick  # by which damping resists an impulse, as it resists the other forces of a kick
+    clear_sites(contacts, time, nodes.mass, drag)
+    _find_active_patches(contacts, ahead, step, ratio, time, u, velocity, nodes.mass, drag)
     for _ in range(MAX_SWEEPS):
         changed, largest = _sweep(contacts, ends, step, velocity)
         if changed <= SWEEP_TOLERANCE * largest:
             break
     _add_step_impulses(contacts)
     push_sites(contacts, ends, step, kick, u, velocity)
-    tools, lost, loads = site_works(contacts, ends, step, kick, u, velocity, (nodes, scratch, gravity))
+    tools, lost, loads = site_works(contacts, ends, step, kick, u, velocity, (nodes, scratch, gravity, drag))
     impulses = contacts.patch_impulses
     for k in contacts.active[: contacts.active_count[0]]:
         if impulses[k, 0] != 0.0 or impulses[k, 1] != 0.0 or impulses[k, 2] != 0.0:
-            works = _add_patch_impulse(contacts, k, ahead, step, kick, u, velocity, (nodes, scratch, gravity))
+            works = _add_patch_impulse(contacts, k, ahead, step, kick, u, velocity, (nodes, scratch, gravity, drag))
             tools, lost, loads = tools + works[0], lost + works[1], loads + works[2]
     held = press_held_nodes(
         contacts.held, contacts.kind, contacts.sizes, contacts.friction, contacts.frames, step, kick,

@@ -330,7 +330,8 @@ def full_step(formulation: Formulation) -> Any:
                 tools, lost = tools + works[0], lost + works[1]
             _add_constraint_impulses(sites, constrained, nodes, scratch, gravity, kick)
             if in_contact:
-                works = apply_contact_impulses(contacts, schedule, s, step, kick, u, velocity, (nodes, scratch))
+                data = nodes, scratch, damping.alpha
+                works = apply_contact_impulses(contacts, schedule, s, step, kick, u, velocity, data)
                 total, lost = total + works[0] + works[2], lost + works[1]
             if s == steps:
                 break

@@ -81,7 +81,7 @@ def tailored_mass(model: NodalModel, fixed: NDArray[np.bool_], modes: int) -> tu
         Number of modes; 0 for none.
     """
     frequency, _ = model.highest_frequency(np.zeros((len(model.cloud), 3)), fixed)
-    vectors, n = VECTORS_PER_MODE * modes, len(model.cloud)
+    vectors, n = VECTORS_PER_MODE * (modes + 1), len(model.cloud)
     if not modes or vectors >= 3 * n:
         return _no_modes(), frequency
     force_of, work, amplitude = internal_force(model.formulation.of_steps), model.workspace(), PROBE * model.cloud.spacing
@@ -99,21 +99,22 @@ def tailored_mass(model: NodalModel, fixed: NDArray[np.bool_], modes: int) -> tu
     operator = LinearOperator((3 * n, 3 * n), matvec=stiffness, dtype=float)
     start = np.random.default_rng(0).standard_normal(3 * n)
     try:
-        squares, shapes = eigsh(operator, k=modes, which="LA", ncv=vectors, tol=TOLERANCE, v0=start)
+        squares, shapes = eigsh(operator, k=modes + 1, which="LA", ncv=vectors, tol=TOLERANCE, v0=start)
     except ArpackNoConvergence as error:  # with those that are found
         squares, shapes = error.eigenvalues, error.eigenvectors
-    if not len(squares) or not squares.min() > 0.0:
+    if len(squares) < 2 or not squares.min() > 0.0:
         return _no_modes(), frequency
-    frequencies = np.sqrt(squares)
+    target, order = np.sqrt(squares.min()), np.argsort(-squares)[:-1]  # that of the slowest one
+    frequencies, shapes = np.sqrt(squares[order]), shapes[:, order]
     energy = np.sum(shapes.reshape(n, 3, -1) ** 2, axis=1)
     mode, node = np.nonzero((energy >= LEAST_ENERGY * energy.max(axis=0)).T)
     tailoring = MassTailoring(
-        np.searchsorted(mode, np.arange(len(squares) + 1)),
+        np.searchsorted(mode, np.arange(len(order) + 1)),
         node,
         np.ascontiguousarray((shapes.reshape(n, 3, -1) / np.sqrt(masses)[:, :, None])[node, :, mode]),
-        1.0 - squares.min() / squares,
+        1.0 - (target / frequencies) ** 2,
         frequencies,
-        np.zeros(len(squares)),
+        np.zeros(len(order)),
     )
     none = np.zeros((n, 3))
 
@@ -126,7 +127,7 @@ def tailored_mass(model: NodalModel, fixed: NDArray[np.bool_], modes: int) -> tu
     slowed, _ = highest_frequency(
         tailored, none, constrain, noise, None, amplitude=amplitude, density=model.material.density
     )
-    slowed = max(slowed, float(frequencies.min()))
+    slowed = max(slowed, float(target))
     return (tailoring, slowed) if frequency > LEAST_GAIN * slowed else (_no_modes(), frequency)
 
 

@@ -497,8 +497,9 @@ def nodal_period(formulation: Formulation) -> Any:
                 copy_values(u, data.listed)
                 copy_values(contacts.frames[0, 1], path[LISTED])
             works = push_patches(
-                contacts, False, (step, step, step, 0.0), 1.0, u, velocity, (nodes, scratch, (0.0, 0.0, 0.0))
-            )
+                contacts, False, (step, step, step, 0.0), 1.0, u, velocity,
+                (nodes, scratch, damping.alpha, (0.0, 0.0, 0.0)),
+            )  # fmt: skip
             clock[WORK] += works[0]
             clock[LOST] += works[1]
             _drift_blocks(

@@ -435,7 +435,8 @@ def press(data, q, v, at, step, period, share, tool_forces):  # type: ignore[no-
         at[m] = q[m] + step * v[m]
     tools.impulses[:] = 0.0
     settle(data.contact_surface, data.contact_work, tools, at, v, step, response, q.shape[0])
-    kick_by_load(v, step, response, tools.load)
+    drag = 1.0 + 0.5 * data.body.mass_damping * step  # as that of the other forces in a kick
+    kick_by_load(v, step / drag, response, tools.load)
     for i in range(3):
         k, m = (i + 1) % 3, (i + 2) % 3
         tool_forces[i] += tools.impulses[0, i] / period

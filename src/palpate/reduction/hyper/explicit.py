@@ -134,12 +134,14 @@ def explicit_step(law: MaterialPoint, single: bool) -> Any:
                     at[m] = a[m] + step * v[m] if m < moving else lifting[s + 2, m - first]
                 works = settle(contact.surface, contact.scratch, tools, at, v, step, response, moving)
                 total, lost = total + works[0], lost + works[1]
+                drag = 1.0 + 0.5 * alpha * step  # as that of the other forces in `kick_coordinates`
                 for m in range(moving):
                     value = 0.0
                     for k in range(moving):
-                        value += step * response[m, k] * tools.load[k]
+                        value += step / drag * response[m, k] * tools.load[k]
                     v[m] += value
                     total += 0.5 * kick * load[m] * value  # loads work at the mean velocity
+                    lost += alpha * kick * step / drag * tools.load[m] * (mean[m] + 0.25 * value)
                 for j in range(moving, count):
                     rate[j] += tools.load[j]
             if prescribed:
