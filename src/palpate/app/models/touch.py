@@ -25,7 +25,7 @@ TRAINED_NODES = 5000  # of the body of a trained model without a given spacing
 
 FINER_FACTOR, MAX_FINER_TRIALS = 0.8, 4  # factor of a guessed spacing that is too coarse for the tissue; how often
 NODES_PER_CELL = 1.45  # nodes over volume / spacing^3 in a filled organ
-STEP_PER_WAVE = 0.37  # stable step over the time of a pressure wave over a spacing
+STEP_PER_WAVE = 0.42  # stable step over the time of a pressure wave over a spacing: 0.35 to 0.47 on organs
 STEP_OVER_FORCE = 1.6  # time of a step over that of its force evaluation
 BUSY_SHARE = 0.6  # of the time, which the steps of a body in real time may take
 LEAST_GAIN, MOST_GAIN = 0.9, 1.3  # speed of a body over that which it needs, within which its spacing stays

@@ -29,7 +29,7 @@ from palpate.dynamics.nodal.stability import highest_frequency
 
 __all__ = ["DEFAULT_MODES", "MIN_NODES", "MassTailoring", "subtract_inertia", "tailored_mass", "without_nodes"]
 
-DEFAULT_MODES, MIN_NODES = 20, 1000  # number of modes, and least number of nodes of a body that gets them
+DEFAULT_MODES, MIN_NODES = 20, 500  # number of modes, and least number of nodes of a body that gets them
 VECTORS_PER_MODE, TOLERANCE = 3, 3e-2  # of the Lanczos iteration
 LEAST_ENERGY = 1e-4  # of a node in a mode, over the largest; smaller parts are left out
 LEAST_GAIN = 1.05  # of the step; else modes are left out
@@ -84,7 +84,11 @@ def tailored_mass(model: NodalModel, fixed: NDArray[np.bool_], modes: int) -> tu
     vectors, n = VECTORS_PER_MODE * (modes + 1), len(model.cloud)
     if not modes or vectors >= 3 * n:
         return _no_modes(), frequency
-    force_of, work, amplitude = internal_force(model.formulation.of_steps), model.workspace(), PROBE * model.cloud.spacing
+    force_of, work, amplitude = (
+        internal_force(model.formulation.of_steps),
+        model.workspace(),
+        PROBE * model.cloud.spacing,
+    )
     constrain, masses, result = model.constrain(fixed), model.masses[:, None], np.zeros((n, 3))
 
     def acceleration(u: Floats) -> Floats:

@@ -419,7 +419,15 @@ def nodal_period(formulation: Formulation) -> Any:
         step_force(scratch.damped, body, work, moved)
         step_force(u, body, work, scratch.force)
         subtract_inertia(
-            data.tailoring, data.nodes.volumes, data.nodes.density, -1.0, moved, scratch.force, 0.0, moved, scratch.force
+            data.tailoring,
+            data.nodes.volumes,
+            data.nodes.density,
+            -1.0,
+            moved,
+            scratch.force,
+            0.0,
+            moved,
+            scratch.force,
         )
         grown = 0.0
         for i in range(u.shape[0]):
