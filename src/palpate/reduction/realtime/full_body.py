@@ -119,9 +119,9 @@ def step_statistics(data: NodalPeriodData) -> dict[str, float]:
     Returns
     -------
     dict
-        ``"step_share"``: present step over that at rest; ``"tailored_modes"``: number of modes with more mass; ``"repeated"``: number of periods that were repeated with
-        shorter steps; ``"held"``: number of periods in which the tool was held or late; ``"energy_gained"``: gain
-        of energy that shorter steps did not cure [J].
+        ``"step_share"``: present step over that at rest; ``"tailored_modes"``: number of modes with more mass;
+        ``"repeated"``: number of periods that were repeated with shorter steps; ``"held"``: number of periods in which
+        the tool was held or late; ``"energy_gained"``: gain of energy that shorter steps did not cure [J].
     """
     clock = data.clock
     return {
