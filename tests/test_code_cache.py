@@ -1,79 +1,147 @@
-"""Programs run without a folder for compiled code, with a full disk, and with damaged code."""
+"""Compiled functions are kept once for a user; without a folder, with a full disk or damaged code programs still run."""
 
 from __future__ import annotations
 
 import errno
+import json
 import os
 import re
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
 import palpate
 from palpate import code_cache
-from palpate.code_cache import cached_njit
+from palpate.app.cli import main
+from palpate.code_cache import cached_njit, code_files, code_folder
 
 
 @pytest.fixture
 def reasons(monkeypatch):
     monkeypatch.setattr(code_cache, "REASONS", code_cache._Reasons())
+    code_cache._checked.cache_clear()
+    yield
+    code_cache._checked.cache_clear()
 
 
 @pytest.fixture
-def own_folder(tmp_path, monkeypatch):
+def own_folder(tmp_path, monkeypatch, reasons):
     """Compiled code of functions made in the test goes to a folder of its own."""
     monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path))
-    return tmp_path
+    return tmp_path / "palpate-code"
 
 
 def double(x):
     return 2 * x
 
 
-def test_a_function_runs_without_a_folder_for_its_code_and_one_warning_says_so(reasons, monkeypatch):
-    monkeypatch.setattr(code_cache._SafeImpl, "_locator_classes", [])
+def hits(function) -> int:
+    return sum(function.stats.cache_hits.values())
+
+
+def test_a_function_is_compiled_once(own_folder):
+    first, second = cached_njit()(double), cached_njit()(double)
+    assert [first(2.0), second(2.0)] == [4.0, 4.0]
+    assert [hits(first), hits(second)] == [0, 1]
+    assert code_folder() == own_folder
+    (file,) = code_files()
+    assert file.path.parent == own_folder
+    assert second(2) == 4  # another signature
+    assert len(code_files()) == 2
+    other = cached_njit(fastmath=True)(double)
+    assert other(2.0) == 4.0
+    assert hits(other) == 0
+
+
+def test_a_function_runs_without_a_folder_for_its_code_and_one_warning_says_so(reasons, tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path / "file"))
     with pytest.warns(RuntimeWarning, match="compiled code is not kept") as found:
         functions = [cached_njit()(double), cached_njit()(double)]
-    assert [each(2.0) for each in functions] == [4.0, 4.0]
+        assert [each(2.0) for each in functions] == [4.0, 4.0]
     assert len(found) == 1
     assert "\n" not in str(found[0].message)
 
 
-def test_code_is_not_read_from_a_folder_of_others(reasons, own_folder, monkeypatch):
+def test_a_user_without_a_home_gets_no_folder_in_the_working_folder(reasons, tmp_path, monkeypatch):
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", "")
+    monkeypatch.setattr(code_cache, "user_cache_path", lambda name: Path("~/.cache") / name)
+    monkeypatch.chdir(tmp_path)
+    with pytest.warns(RuntimeWarning, match="no home"):
+        assert cached_njit()(double)(2.0) == 4.0
+    assert not list(tmp_path.iterdir())
+
+
+def test_code_is_not_read_from_a_folder_of_others(own_folder):
     if os.name != "posix":
         pytest.skip("permissions are POSIX's")
+    own_folder.mkdir()
     own_folder.chmod(0o777)
-    monkeypatch.setattr(code_cache._SafeImpl, "_locator_classes", code_cache.CACHE_LOCATORS[:1])
     with pytest.warns(RuntimeWarning, match="others can write"):
         assert cached_njit()(double)(2.0) == 4.0
     assert not [each for each in own_folder.rglob("*") if each.is_file()]
 
 
-def test_a_full_disk_stops_no_function(reasons, own_folder, monkeypatch):
+def test_a_full_disk_stops_no_function(own_folder, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("numba.core.caching.IndexDataCacheFile._save_data", full)
+    monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.warns(RuntimeWarning, match="No space left on device"):
         assert cached_njit()(double)(2.0) == 4.0
+    assert not list(own_folder.iterdir())
 
 
-@pytest.mark.parametrize("content", [b"", b"\x80\x05garbage", bytes(5000)])
-def test_damaged_code_is_compiled_again(own_folder, content):
+@pytest.mark.parametrize("damage", [lambda b: b"", lambda b: b[:-1], lambda b: bytes(5000), lambda b: b[:-9] + b[-8:]])
+def test_damaged_code_is_compiled_again(own_folder, damage):
     assert cached_njit()(double)(2.0) == 4.0
-    files = [each for each in own_folder.rglob("*") if each.is_file()]
-    assert len(files) == 2
-    for file in files:
-        file.write_bytes(content)
-    again = cached_njit()(double)
-    assert again(2.0) == 4.0
-    assert sum(again.stats.cache_hits.values()) == 0
-    third = cached_njit()(double)
-    assert third(2.0) == 4.0
-    assert sum(third.stats.cache_hits.values()) == 1
+    (file,) = code_files()
+    file.path.write_bytes(damage(file.path.read_bytes()))
+    again, third = cached_njit()(double), cached_njit()(double)
+    assert [again(2.0), third(2.0)] == [4.0, 4.0]
+    assert [hits(again), hits(third)] == [0, 1]
+
+
+def test_what_was_not_used_for_longest_goes_first(own_folder, monkeypatch):
+    assert cached_njit()(double)(2.0) == 4.0
+    (kept,) = code_files()
+    for k in range(10):
+        path = own_folder / f"old{k}.code"
+        path.write_bytes(bytes(1000))
+        os.utime(path, (k, k))
+    partial = own_folder / "killed.1.partial"
+    partial.write_bytes(bytes(10))
+    os.utime(partial, (0, 0))
+    monkeypatch.setattr(code_cache, "MAX_BYTES", kept.size + 5000)
+    monkeypatch.setattr(code_cache, "KEPT_SHARE", (kept.size + 3000) / (kept.size + 5000))
+    code_cache._limit(own_folder)
+    left = {each.path.name for each in code_files()}
+    assert left == {kept.path.name, "old7.code", "old8.code", "old9.code"}
+
+
+def test_the_use_of_a_file_is_noted_once_a_day(own_folder):
+    assert cached_njit()(double)(2.0) == 4.0
+    (file,) = code_files()
+    os.utime(file.path, (1.0, 1.0))
+    assert cached_njit()(double)(2.0) == 4.0
+    assert time.time() - code_files()[0].used < 3600
+
+
+def test_the_command_shows_and_empties_the_folder(own_folder, capsys):
+    assert cached_njit()(double)(2.0) == 4.0
+    assert main(["cache"]) == 0
+    text = capsys.readouterr().out
+    assert "1 compiled functions" in text
+    assert str(own_folder) in text
+    assert main(["cache", "--empty", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["functions"] == 1
+    assert report["bytes"] > 1000
+    assert not list(own_folder.iterdir())
 
 
 def test_no_module_uses_the_cache_of_numba_itself():
@@ -81,20 +149,56 @@ def test_no_module_uses_the_cache_of_numba_itself():
     assert not [path for path in folder.rglob("*.py") if re.search(r"njit\(.*cache=True", path.read_text())]
 
 
-@pytest.mark.slow
-def test_a_body_is_made_in_an_installation_that_cannot_be_written(tmp_path):
-    copy = tmp_path / "palpate"
-    shutil.copytree(Path(palpate.__file__).parent, copy, ignore=shutil.ignore_patterns("__pycache__", "page"))
-    for folder in [copy, *(each for each in copy.rglob("*") if each.is_dir())]:
-        (folder / "__pycache__").touch()  # a file, so that nobody can write into it
-    program = (
-        "import palpate as pt; print(pt.Solid(pt.box((0.02, 0.02, 0.02), 0.005), "
-        "pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1e3, poisson=0.45), stiffness_damping=1e-4))"
+FORCE = """
+import numpy as np, palpate as pt
+from palpate.code_cache import code_files
+body = pt.Solid(pt.box((0.02, 0.02, 0.02), 0.005), pt.materials.NeoHookean(C1=1e3, density=1e3, poisson=0.45), "z-")
+force = body.force(1e-3 * np.sin(300 * body.cloud.points))
+print(repr(float(np.abs(force).sum())), len(code_files()), sum(body._internal_force.stats.cache_hits.values()))
+"""
+
+
+def start(**variables: str) -> subprocess.Popen[str]:
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    command = [sys.executable, "-P", "-c", FORCE]
+    return subprocess.Popen(
+        command, env=environment | variables, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "HOME": os.devnull, "XDG_CACHE_HOME": os.devnull}
-    environment.pop("NUMBA_CACHE_DIR", None)
-    command = [sys.executable, "-P", "-c", program]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("Solid(")
-    assert done.stderr.count("compiled code is not kept") == 1
+
+
+@pytest.mark.slow
+def test_another_clone_and_another_processor_find_their_code_and_equal_forces(tmp_path):
+    """A clone at another path compiles nothing; code of another processor is kept beside it."""
+    clone = tmp_path / "clone" / "palpate"
+    shutil.copytree(Path(palpate.__file__).parent, clone, ignore=shutil.ignore_patterns("__pycache__", "page"))
+    home = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "HOME": str(tmp_path)}
+    first = [start(**home).communicate()[0].split() for _ in range(1)][0]
+    other = start(**home, PYTHONPATH=str(clone.parent)).communicate()[0].split()
+    assert other == [first[0], first[1], "1"]
+    assert first[2] == "0"
+    generic = start(**home, NUMBA_CPU_NAME="generic", NUMBA_CPU_FEATURES="").communicate()[0].split()
+    assert float(generic[0]) == pytest.approx(float(first[0]), rel=1e-12)
+    assert generic[1:] == [str(2 * int(first[1])), "0"]
+    assert not list(clone.rglob("*.nb?"))
+
+
+@pytest.mark.slow
+def test_starts_at_once_and_killed_ones_leave_sound_code(tmp_path):
+    home = {"XDG_CACHE_HOME": str(tmp_path), "HOME": str(tmp_path)}
+    for delay in (3.0, 8.0):
+        killed = start(**home)
+        time.sleep(delay)
+        killed.kill()
+        killed.communicate()
+    results = [each.communicate() for each in [start(**home) for _ in range(4)]]
+    assert len({out.split()[0] for out, _ in results}) == 1, results
+    assert start(**home).communicate()[0].split()[2] == "1"
+
+
+@pytest.mark.slow
+def test_a_body_is_made_where_nothing_can_be_written():
+    done = start(HOME=os.devnull, XDG_CACHE_HOME=os.devnull)
+    out, err = done.communicate()
+    assert done.returncode == 0, err
+    assert out.split()[1:] == ["0", "0"]
+    assert err.count("compiled code is not kept") == 1

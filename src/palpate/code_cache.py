@@ -1,23 +1,48 @@
-"""The cache of compiled functions, which may be missing, read-only, full or damaged.
+"""Compiled functions on disk, by their content, in one folder of a user.
 
-Numba raises an error where it finds no folder to write. Here such a function is compiled at every
-start, and one warning gives the reason. Folders that others can write are not used, because their
-content is run.
+A file belongs to one function, signature, processor and version of Python, Numba and NumPy, and to a digest of all code
+that the function uses (`palpate.code_digest`). So every clone and environment of a user finds what another has
+compiled, and nothing has to be discarded. The files hold machine code, so a folder that others can write is not used.
+Files are written under another name and renamed, and start with a digest of their content: what a power cut or another
+program has damaged counts as missing. The folder keeps at most `MAX_BYTES`; what was not used for longest goes first.
 """
 
 from __future__ import annotations
 
+import hashlib
+import os
+import pickle
+import re
+import time
 import warnings
-from collections.abc import Callable
-from typing import Any
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
 
+import numba
+import numpy as np
 from numba import njit
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, InTreeCacheLocator
+from numba.core import serialize, types
+from numba.core.compiler import CompileResult
+from platformdirs import user_cache_path
 
+from palpate.code_digest import law_digest
+from palpate.shipped_code import find_shipped
 from palpate.threads import loops_share_threads
 from palpate.working_folder import foreign_writer, make_private
 
-__all__ = ["SERIAL_KEY", "SafeCache", "cached_njit", "enable_cache", "loop_options"]
+__all__ = ["CodeCache", "CodeFile", "cached_njit", "code_files", "code_folder", "enable_cache", "loop_options"]
+
+MAX_BYTES, KEPT_SHARE = 500_000_000, 0.8  # of all files, and the share of it that is left when it is exceeded
+SAVES_BETWEEN_CHECKS = 50
+SUFFIX = ".code"  # of files
+DAY = 86_400.0  # [s] from which on the time of the last use is written again, and a partial file removed
+ENTRY_FORMAT = "1"  # of the content of a file
+ANNOTATION = 6  # place of a text in a reduced compile result, which holds paths
+SERIAL_KEY = () if loops_share_threads() else ("serial",)  # of code that was compiled without parallel loops
 
 
 def loop_options(options: dict[str, Any]) -> dict[str, Any]:
@@ -26,10 +51,9 @@ def loop_options(options: dict[str, Any]) -> dict[str, Any]:
 
 
 class _Reasons:
-    """Reasons why functions are not cached, each warned of once."""
+    """Warns once that functions are not kept, with the reason."""
 
     def __init__(self) -> None:
-        self.found: list[str] = []
         self._warned = False
 
     def warn(self, reason: str) -> None:
@@ -40,81 +64,190 @@ class _Reasons:
 
 
 REASONS = _Reasons()
-SERIAL_KEY = () if loops_share_threads() else ("serial",)  # of code that was compiled without parallel loops
 
 
-def _checked(locator: Any) -> Any:
-    """Return a class of Numba's that locates a cache, limited to folders that only their owner can write."""
+class CodeFile(NamedTuple):
+    """A file of a compiled function: path, bytes and the time [s] of its last use."""
 
-    class Checked(locator):  # type: ignore[misc]
-        def ensure_cache_path(self) -> None:
-            """Create the folder and check who can write it; an OSError lets Numba try the next one."""
-            folder = self.get_cache_path()
-            make_private(folder)
-            if why := foreign_writer(folder):
-                REASONS.found.append(why)
-                raise OSError(why)
-            super().ensure_cache_path()
-
-        @classmethod
-        def from_function(cls, function: Callable[..., Any], file: str) -> Any:
-            locator_of_file = super().from_function(function, file)
-            try:
-                if locator_of_file is not None:  # not every class of Numba checks it
-                    locator_of_file.ensure_cache_path()
-            except OSError:
-                return None
-            return locator_of_file
-
-    return Checked
+    path: Path
+    size: int
+    used: float
 
 
-# who can write next to the sources can change these, too
-CACHE_LOCATORS = [
-    each if each is InTreeCacheLocator else _checked(each) for each in CompileResultCacheImpl._locator_classes
-]
+def code_folder() -> Path | None:
+    """Return the folder of compiled functions, or None if there is none that only its owner can write.
+
+    It is ``palpate/code`` in the cache of the user, or in the folder that ``NUMBA_CACHE_DIR`` names.
+    """
+    given = numba.config.CACHE_DIR
+    folder = Path(given) / "palpate-code" if given else user_cache_path("palpate") / "code"
+    return _checked(folder)
 
 
-class _SafeImpl(CompileResultCacheImpl):  # type: ignore[misc]
-    _locator_classes = CACHE_LOCATORS
+@cache
+def _checked(folder: Path) -> Path | None:
+    """Create a folder, and return it if only its owner can write it; otherwise warn of the reason."""
+    if not folder.is_absolute():  # of a user without a home
+        REASONS.warn("there is no home folder")
+        return None
+    try:
+        make_private(folder)
+        why = "" if os.access(folder, os.W_OK | os.X_OK) else f"{folder} cannot be written"
+    except OSError as error:
+        why = f"{folder}: {error.strerror or error}"
+    why = why or foreign_writer(folder)
+    if why:
+        REASONS.warn(why)
+        return None
+    return folder
 
 
-class SafeCache(FunctionCache):  # type: ignore[misc]
-    """Compiled code on disk. Damaged code counts as missing, and a full disk stops no program."""
+def code_files() -> list[CodeFile]:
+    """Return the files of compiled functions, with partial ones; the oldest first."""
+    folder = code_folder()
+    return [] if folder is None else sorted(_files(folder), key=lambda each: each.used)
 
-    _impl_class = _SafeImpl
 
-    def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
-        return (*super()._index_key(sig, codegen), *SERIAL_KEY)
+def _files(folder: Path) -> Iterator[CodeFile]:
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            with suppress(OSError):  # removed by another process
+                status = entry.stat()
+                yield CodeFile(Path(entry.path), status.st_size, status.st_mtime)
 
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return compiled code; None where there is none, or a power cut has damaged it."""
+
+_saves = 0
+
+
+def _limit(folder: Path) -> None:
+    """Remove the files that were not used for longest where there are too many, and old partial ones."""
+    files = sorted(_files(folder), key=lambda each: each.used)
+    total, now = sum(each.size for each in files), time.time()
+    is_full = total > MAX_BYTES
+    for each in files:
+        is_partial = each.path.suffix != SUFFIX and now - each.used > DAY
+        if is_partial or (is_full and total > KEPT_SHARE * MAX_BYTES):
+            with suppress(OSError):
+                each.path.unlink()
+                total -= each.size
+
+
+def _save(folder: Path, name: str, content: bytes) -> None:
+    """Write a file under another name, and rename it.
+
+    Raises
+    ------
+    OSError
+        The disk is full, or the folder cannot be written.
+    """
+    global _saves
+    partial = folder / f"{name}.{os.getpid()}.{os.urandom(4).hex()}.partial"
+    try:
+        partial.write_bytes(content)
+        partial.replace(folder / name)
+    except OSError:
+        with suppress(OSError):
+            partial.unlink()
+        if not (folder / name).is_file():  # another process has written it, and reads it
+            raise
+    if _saves % SAVES_BETWEEN_CHECKS == 0:
+        _limit(folder)
+    _saves += 1
+
+
+def _load(folder: Path, name: str) -> bytes | None:
+    """Return the content of a file; None if there is none, or it is damaged."""
+    path = folder / name
+    try:
+        content = path.read_bytes()
+        if time.time() - path.stat().st_mtime > DAY:
+            os.utime(path)
+    except OSError:
+        return None
+    return content[32:] if hashlib.sha256(content[32:]).digest() == content[:32] else None
+
+
+def _signature_text(kind: Any) -> str:
+    """Return a text of a type or signature, with the names of the fields of tuples."""
+    if isinstance(kind, tuple):
+        return "(" + ", ".join(map(_signature_text, kind)) + ")"
+    if isinstance(kind, types.BaseNamedTuple):
+        return f"{kind.instance_class.__name__}{kind.fields}{_signature_text(tuple(kind.types))}"
+    return repr(kind)
+
+
+class CodeCache:
+    """The compiled versions of one function, in the interface that a dispatcher of Numba requires.
+
+    Parameters
+    ----------
+    function : function
+    digest : str
+        Of all code that it uses.
+    """
+
+    def __init__(self, function: Callable[..., Any], digest: str) -> None:
+        words = re.sub(r"[^\w.]", "", f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}")
+        self._name, self._digest = words.replace(".locals", "")[:80], digest
+
+    @property
+    def cache_path(self) -> str:
+        return str(code_folder() or "")
+
+    def enable(self) -> None:
+        """Do nothing: functions are always kept."""
+
+    disable = flush = enable
+
+    def entry_name(self, signature: Any, processor: tuple[str, ...]) -> str:
+        """Return the name of the entry of a signature for a triple, processor and features of LLVM."""
+        numpy_version = ".".join(np.__version__.split(".")[:2])
+        versions = numba.__version__, numpy_version, *SERIAL_KEY, ENTRY_FORMAT
+        key = repr((_signature_text(signature), processor, versions, self._digest))
+        return f"{self._name}.{hashlib.sha256(key.encode()).hexdigest()[:32]}"
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        """Return compiled code, from the folder of the user or the installed package; None where there is none.
+
+        Numba starts its threads when it loads a function that was compiled together with a parallel loop. It does not
+        do so for one that was compiled when its loops came from the cache, and calling that one crashes. So they are
+        started here.
+        """
+        numba.get_num_threads()
+        target_context.refresh()
+        processor, folder = target_context.codegen().magic_tuple(), code_folder()
+        content = None if folder is None else _load(folder, self.entry_name(signature, processor) + SUFFIX)
+        if content is None:
+            content = find_shipped(lambda family: self.entry_name(signature, family), processor)
+        if content is None:
+            return None
         try:
-            return super().load_overload(sig, target_context)
-        except Exception:  # a damaged pickle raises errors of any type; the code is compiled and saved again
+            return CompileResult._rebuild(target_context, *pickle.loads(zlib.decompress(content)))
+        except Exception:  # a class that has changed raises errors of any type; the code is compiled and saved again
             return None
 
-    def save_overload(self, sig: Any, data: Any) -> None:
-        """Save compiled code if the folder takes it."""
+    def save_overload(self, signature: Any, data: Any) -> None:
+        """Keep compiled code if a folder takes it."""
+        folder = code_folder()
+        if folder is None or data.lifted or data.library.has_dynamic_globals:
+            return
+        reduced = list(data._reduce())
+        reduced[ANNOTATION] = ""
+        content = zlib.compress(serialize.dumps(tuple(reduced)), 1)
+        name = self.entry_name(signature, data.codegen.magic_tuple()) + SUFFIX
         try:
-            super().save_overload(sig, data)
+            _save(folder, name, hashlib.sha256(content).digest() + content)
         except OSError as error:
-            REASONS.warn(f"{self.cache_path}: {error.strerror or error}")
-        except Exception:
-            self.flush()  # a damaged index
-            super().save_overload(sig, data)
+            REASONS.warn(f"{folder}: {error.strerror or error}")
 
 
-def enable_cache(compiled: Any, make: Callable[[], SafeCache]) -> None:
-    """Let a compiled function use a cache, if there is a folder for it."""
-    try:
-        compiled._cache = make()
-    except RuntimeError:  # Numba found no folder
-        REASONS.warn(REASONS.found[-1] if REASONS.found else "neither the installation nor the cache can be written")
+def enable_cache(compiled: Any, function: Callable[..., Any], digest: str) -> None:
+    """Let a compiled function keep its code."""
+    compiled._cache = CodeCache(function, digest)
 
 
 def cached_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile a function that calls no other module's compiled functions, and cache it.
+    """Compile a function with `numba.njit`, and keep its code.
 
     Parameters
     ----------
@@ -124,7 +257,7 @@ def cached_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def decorate(function: Callable[..., Any]) -> Any:
         compiled = njit(**loop_options(options))(function)
-        enable_cache(compiled, lambda: SafeCache(function))
+        enable_cache(compiled, function, law_digest(function.__module__, sorted(options.items())))
         return compiled
 
     return decorate

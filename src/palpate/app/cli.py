@@ -62,6 +62,7 @@ def build_parser() -> Any:
     from argparse import RawDescriptionHelpFormatter
 
     from palpate.app.bench.parser import add_bench
+    from palpate.app.cache.parser import add_cache
     from palpate.app.check.parser import add_check
     from palpate.app.common.arguments import Parser
     from palpate.app.compare.parser import add_compare
@@ -84,7 +85,7 @@ def build_parser() -> Any:
     commands = parser.add_subparsers(metavar="COMMAND")
     for add in (
         add_reproduce, add_view, add_new, add_train, add_run, add_replay, add_check, add_fit, add_laws, add_compare,
-        add_export, add_bench,
+        add_export, add_bench, add_cache,
     ):  # fmt: skip
         add(commands)
     return parser

@@ -16,7 +16,7 @@ import numpy as np
 
 from palpate import __version__
 from palpate.arrays import Floats
-from palpate.dynamics.compiled.cache import kernel_sources
+from palpate.code_digest import kernel_sources
 from palpate.dynamics.contact import kinds
 from palpate.export.library import Library, lower_model
 from palpate.export.link import host_target

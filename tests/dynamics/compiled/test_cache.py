@@ -17,7 +17,8 @@ from numba.core.errors import NumbaError
 
 import palpate
 import palpate as pt
-from palpate.dynamics.compiled.cache import KeyedFile, kernel_sources, law_digest, law_njit
+from palpate.code_digest import kernel_sources, law_digest
+from palpate.dynamics.compiled.cache import law_njit
 from palpate.dynamics.loads.supports import FIXED
 
 pytestmark = pytest.mark.slow
@@ -104,24 +105,6 @@ def test_a_third_process_does_not_mix_up_code_of_two_others(tmp_path):
     assert forces("direct", "split") == direct + split
 
 
-def test_two_processes_that_save_at_once_lose_nothing_and_do_not_exchange_their_code(tmp_path):
-    caches = [KeyedFile(str(tmp_path), "kernel", None) for _ in range(2)]
-    keys = [("one signature", "digest"), ("another signature", "digest")]
-    for cache, key in zip(caches, keys, strict=True):
-        assert cache.load(key) is None
-    for cache, key in zip(caches, keys, strict=True):
-        cache.save(key, f"code of {key}")
-    for cache in (*caches, KeyedFile(str(tmp_path), "kernel", None)):
-        assert [cache.load(key) for key in keys] == [f"code of {key}" for key in keys]
-
-
-def test_code_of_another_key_in_the_same_file_is_not_loaded(tmp_path, monkeypatch):
-    monkeypatch.setattr(KeyedFile, "_name", lambda self, key: "one.nbc")
-    cache = KeyedFile(str(tmp_path), "kernel", None)
-    cache.save(("one signature", "digest"), "code of one")
-    assert cache.load(("another signature", "digest")) is None
-
-
 LOOPS = """
 import numpy as np
 from numba import prange
@@ -154,7 +137,7 @@ def test_a_parallel_loop_is_called_by_code_that_was_compiled_when_the_loop_came_
         return subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout
 
     assert run() == "10.0 0 0\n"
-    for file in tmp_path.rglob("*caller*.nbc"):
+    for file in tmp_path.rglob("*caller*.code"):
         file.unlink()
     assert run() == "10.0 0 1\n"
     assert run() == "10.0 1 0\n"
@@ -170,7 +153,7 @@ def module_of(path):
 
 DIGESTS = """
 import importlib, json, sys
-from palpate.dynamics.compiled.cache import law_digest
+from palpate.code_digest import law_digest
 for name in sys.argv[1:]:
     importlib.import_module(name)
 print(json.dumps({name: law_digest(name) for name in sys.argv[1:]}))
@@ -208,6 +191,22 @@ def test_editing_a_kernel_source_recompiles_what_uses_it_and_nothing_else(copied
         importlib.import_module(name)
     assert changed == {name for name in names if module_of(path) in kernel_sources(name)}
     assert module_of(path) in changed
+
+
+def test_comments_docstrings_and_the_modules_that_keep_code_recompile_nothing(copied):
+    folder, names, before = copied
+    changed = {path: path.read_text() for path in (folder / "palpate").rglob("*.py")}
+    try:
+        for path, text in changed.items():
+            edited = re.sub(r'^( *)"""(?=\w)', r'\1"""Really. ', "# a comment\n" + text, flags=re.MULTILINE)
+            path.write_text(edited.replace("\n\n\n", "\n\n# another\n\n\n\n"))
+        for module in ("code_cache.py", "code_digest.py", "dynamics/compiled/cache.py"):
+            with (folder / "palpate" / module).open("a") as file:
+                file.write("\nEDITED = True\n")
+        assert digests_of(folder, names) == before
+    finally:
+        for path, text in changed.items():
+            path.write_text(text)
 
 
 def test_a_change_of_one_form_does_not_recompile_other_forms():

@@ -1,0 +1,1 @@
+"""``palpate cache``: the compiled functions that a user keeps."""
