@@ -1,4 +1,4 @@
-"""Compiled functions are kept once for a user; without a folder, with a full disk or damaged code programs still run."""
+"""Compiled functions are kept once for a user; without a folder, on a full disk or with damaged code programs run."""
 
 from __future__ import annotations
 
@@ -61,8 +61,7 @@ def test_a_function_runs_without_a_folder_for_its_code_and_one_warning_says_so(r
     (tmp_path / "file").touch()
     monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path / "file"))
     with pytest.warns(RuntimeWarning, match="compiled code is not kept") as found:
-        functions = [cached_njit()(double), cached_njit()(double)]
-        assert [each(2.0) for each in functions] == [4.0, 4.0]
+        assert [cached_njit()(double)(2.0) for _ in range(2)] == [4.0, 4.0]
     assert len(found) == 1
     assert "\n" not in str(found[0].message)
 
@@ -172,7 +171,7 @@ def test_another_clone_and_another_processor_find_their_code_and_equal_forces(tm
     clone = tmp_path / "clone" / "palpate"
     shutil.copytree(Path(palpate.__file__).parent, clone, ignore=shutil.ignore_patterns("__pycache__", "page"))
     home = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "HOME": str(tmp_path)}
-    first = [start(**home).communicate()[0].split() for _ in range(1)][0]
+    first = start(**home).communicate()[0].split()
     other = start(**home, PYTHONPATH=str(clone.parent)).communicate()[0].split()
     assert other == [first[0], first[1], "1"]
     assert first[2] == "0"

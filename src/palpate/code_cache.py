@@ -171,7 +171,7 @@ def _signature_text(kind: Any) -> str:
     """Return a text of a type or signature, with the names of the fields of tuples."""
     if isinstance(kind, tuple):
         return "(" + ", ".join(map(_signature_text, kind)) + ")"
-    if isinstance(kind, types.BaseNamedTuple):
+    if isinstance(kind, types.BaseNamedTuple):  # type: ignore[attr-defined]
         return f"{kind.instance_class.__name__}{kind.fields}{_signature_text(tuple(kind.types))}"
     return repr(kind)
 
@@ -222,7 +222,8 @@ class CodeCache:
         if content is None:
             return None
         try:
-            return CompileResult._rebuild(target_context, *pickle.loads(zlib.decompress(content)))
+            # of folders that only their owner can write
+            return CompileResult._rebuild(target_context, *pickle.loads(zlib.decompress(content)))  # noqa: S301
         except Exception:  # a class that has changed raises errors of any type; the code is compiled and saved again
             return None
 

@@ -82,9 +82,8 @@ def _module_code(module: str) -> str:
     """Return a digest of what a loaded module executes; empty for one without a file."""
     if not _source(module):
         return ""
-    loader = getattr(sys.modules[module].__spec__, "loader", None)
-    name = getattr(loader, "name", module)  # that of a script differs from __main__
-    code = loader.get_code(name) if hasattr(loader, "get_code") else None
+    loader: Any = getattr(sys.modules[module].__spec__, "loader", None)
+    code = loader.get_code(loader.name) if hasattr(loader, "get_code") and hasattr(loader, "name") else None
     return _digest(repr(_described(code if code is not None else compile(_source(module), module, "exec"))))
 
 

@@ -332,7 +332,8 @@ def test_sampled_and_computed_motions_are_the_same(cube):
     times = np.array([0.0, 0.02, 0.03])
     samples = times, np.array([press(0.002)(t) for t in times])
     runs = [run(cube, pt.tools.Contact(BALL, motion), duration=0.025) for motion in (press(0.002), samples)]
-    assert np.allclose(runs[0].displacements, runs[1].displacements, atol=1e-12)
+    # a rounding of the motion can change the number of sweeps
+    assert np.allclose(runs[0].displacements, runs[1].displacements, rtol=0.0, atol=1e-8)
 
 
 def test_sampled_turns_are_interpolated_on_the_great_arc():

@@ -367,9 +367,8 @@ def relax_volume(relaxation, history, values):  # type: ignore[no-untyped-def]
 @kernel_njit(inner=True)
 def copy_values(source, target):  # type: ignore[no-untyped-def]
     """Copy the numbers of an array; an assignment of slices would take seconds to compile."""
-    values, copies = source.reshape(source.size), target.reshape(target.size)
     for i in range(source.size):
-        copies[i] = values[i]
+        target.flat[i] = source.flat[i]
 
 
 @kernel_njit(inner=True)

@@ -30,7 +30,7 @@ from palpate.dynamics.nodal.stability import highest_frequency
 __all__ = ["DEFAULT_MODES", "MIN_NODES", "MassTailoring", "subtract_inertia", "tailored_mass", "without_nodes"]
 
 DEFAULT_MODES, MIN_NODES = 20, 500  # number of modes, and least number of nodes of a body that gets them
-VECTORS_PER_MODE, TOLERANCE = 3, 3e-2  # of the Lanczos iteration
+VECTORS_PER_MODE, RITZ_TOLERANCE = 3, 3e-2  # of the Lanczos iteration
 LEAST_ENERGY = 1e-4  # of a node in a mode, over the largest; smaller parts are left out
 LEAST_GAIN = 1.05  # of the step; else modes are left out
 PROBE = 1e-3  # displacement of difference quotients, in spacings: far above the rounding of single precision
@@ -103,7 +103,7 @@ def tailored_mass(model: NodalModel, fixed: NDArray[np.bool_], modes: int) -> tu
     operator = LinearOperator((3 * n, 3 * n), matvec=stiffness, dtype=float)
     start = np.random.default_rng(0).standard_normal(3 * n)
     try:
-        squares, shapes = eigsh(operator, k=modes + 1, which="LA", ncv=vectors, tol=TOLERANCE, v0=start)
+        squares, shapes = eigsh(operator, k=modes + 1, which="LA", ncv=vectors, tol=RITZ_TOLERANCE, v0=start)
     except ArpackNoConvergence as error:  # with those that are found
         squares, shapes = error.eigenvalues, error.eigenvectors
     if len(squares) < 2 or not squares.min() > 0.0:

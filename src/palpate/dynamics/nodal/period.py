@@ -45,7 +45,7 @@ from palpate.dynamics.nodal.mass_tailoring import MassTailoring, subtract_inerti
 from palpate.dynamics.nodal.tool_path import (
     END,
     HOME,
-    LISTED,
+    LISTED_AT,
     SAVED,
     START,
     frame_way,
@@ -76,7 +76,7 @@ BLOCK_NODES = 256  # nodes of a sum
 
 # entries of `NodalPeriodData.clock`
 BEHIND, STEP, FREQUENCY, UNTIL_ESTIMATE, WORK, LOST, KINETIC_ENERGY, GIVEN, NEXT_BEHIND = range(9)
-REPEATED, GAINED, HELD, ESTIMATE, RESTED, NEAR_MARGIN, CLEAR_WAY, RESTING = range(9, 17)
+REPEATED, GAINED, HELD, ESTIMATE, RESTED, NEAR_MARGIN, CLEAR_WAY, BASE_FREQUENCY = range(9, 17)
 
 
 class ContactReport(NamedTuple):
@@ -316,11 +316,19 @@ def _drift_blocks(kind, nodes, damped, surface, step, beta, u, velocity, sums): 
 
 
 @kernel_njit(inner=True)
+def _copy_field(source, target):  # type: ignore[no-untyped-def]
+    """Copy a field (n, 3), in a fifth of the time of `copy_values`."""
+    for i in range(source.shape[0]):
+        for c in range(3):
+            target[i, c] = source[i, c]
+
+
+@kernel_njit(inner=True)
 def _save(data, u, velocity):  # type: ignore[no-untyped-def]
     """Copy the state at the start of a period."""
-    copy_values(u, data.saved[0])
-    copy_values(velocity, data.saved[1])
-    copy_values(data.scratch.previous, data.saved[2])
+    _copy_field(u, data.saved[0])
+    _copy_field(velocity, data.saved[1])
+    _copy_field(data.scratch.previous, data.saved[2])
     copy_history(data.passes[1].history, data.saved_history)
     copy_values(data.contacts.frames[0, 1], data.path[SAVED])
     data.saved_work[0], data.saved_work[1] = data.clock[WORK], data.clock[LOST]
@@ -329,9 +337,9 @@ def _save(data, u, velocity):  # type: ignore[no-untyped-def]
 @kernel_njit(inner=True)
 def _restore(data, u, velocity):  # type: ignore[no-untyped-def]
     """Set the state to that at the start of the period; the contact starts from zero impulses."""
-    copy_values(data.saved[0], u)
-    copy_values(data.saved[1], velocity)
-    copy_values(data.saved[2], data.scratch.previous)
+    _copy_field(data.saved[0], u)
+    _copy_field(data.saved[1], velocity)
+    _copy_field(data.saved[2], data.scratch.previous)
     copy_history(data.saved_history, data.passes[1].history)
     copy_values(data.path[SAVED], data.contacts.frames[0, 1])
     data.contacts.patch_impulses[:], data.contacts.step_impulses[:] = 0.0, 0.0
@@ -345,7 +353,7 @@ def _way_since_list(data, u, reach):  # type: ignore[no-untyped-def]
     for i in range(u.shape[0]):
         square = (u[i, 0] - before[i, 0]) ** 2 + (u[i, 1] - before[i, 1]) ** 2 + (u[i, 2] - before[i, 2]) ** 2
         largest = max(largest, square)
-    return np.sqrt(largest) + frame_way(data.path[LISTED], data.contacts.frames[0, 1], reach)
+    return np.sqrt(largest) + frame_way(data.path[LISTED_AT], data.contacts.frames[0, 1], reach)
 
 
 @kernel_njit(inner=True)
@@ -401,7 +409,7 @@ def nodal_period(formulation: Formulation) -> Any:
             for c in range(3):
                 largest = max(largest, abs(vector[i, c]))
         if not 0.0 < largest < np.inf:
-            copy_values(noise, vector)
+            _copy_field(noise, vector)
             largest = 1.0
         moved, largest_moved = scratch.surface, 0.0
         for i in range(u.shape[0]):
@@ -452,8 +460,8 @@ def nodal_period(formulation: Formulation) -> Any:
     def choose_step(data, u):  # type: ignore[no-untyped-def]
         """Update the stable step."""
         clock = data.clock
-        clock[FREQUENCY] *= max(1.0, data.resting_frequency / clock[RESTING])  # of modes that a cut has changed
-        clock[RESTING] = data.resting_frequency
+        clock[FREQUENCY] *= max(1.0, data.resting_frequency / clock[BASE_FREQUENCY])  # of modes that a cut has changed
+        clock[BASE_FREQUENCY] = data.resting_frequency
         clock[UNTIL_ESTIMATE] -= 1.0
         if clock[UNTIL_ESTIMATE] <= 0.0:
             frequency = estimate(data, u)
@@ -502,8 +510,8 @@ def nodal_period(formulation: Formulation) -> Any:
             if not way + ahead <= clock[NEAR_MARGIN]:
                 clock[NEAR_MARGIN], clock[CLEAR_WAY], way = data.reach + ahead, 0.0, 0.0
                 list_near(contacts, clock[NEAR_MARGIN], u)
-                copy_values(u, data.listed)
-                copy_values(contacts.frames[0, 1], path[LISTED])
+                _copy_field(u, data.listed)
+                copy_values(contacts.frames[0, 1], path[LISTED_AT])
             works = push_patches(
                 contacts, False, (step, step, step, 0.0), 1.0, u, velocity,
                 (nodes, scratch, damping.alpha, (0.0, 0.0, 0.0)),

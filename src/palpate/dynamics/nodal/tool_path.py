@@ -15,7 +15,7 @@ __all__ = [
     "END",
     "HOME",
     "LAST_CUT",
-    "LISTED",
+    "LISTED_AT",
     "SAVED",
     "START",
     "contact_stiffness",
@@ -27,7 +27,7 @@ __all__ = [
     "write_place",
 ]
 
-START, END, HOME, SAVED, LAST_CUT, LISTED = range(6)  # frames of a path
+START, END, HOME, SAVED, LAST_CUT, LISTED_AT = range(6)  # frames of a path
 POSITION, FORCE = 3, 4  # rows of `NodalPeriodData.secant` after those of the matrix
 LEAST_WAY = 1e-4  # [m] of the tool between two updates of the contact stiffness
 
