@@ -4,6 +4,7 @@
 PYTHON ?= python3
 OUT ?= out/beam
 SITE ?= out/site
+KERNELS ?=
 PYTEST_ARGS ?= -n auto --dist loadfile --no-loadscope-reorder
 
 VENV := .venv
@@ -23,10 +24,10 @@ export VTK_DEFAULT_OPENGL_WINDOW ?= vtkEGLRenderWindow
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help demo docs films links test test-all test-slow lint style types layers clean
+.PHONY: help demo docs films links test test-all test-slow wheels check-wheels lint style types layers clean
 
 help: ## show this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-9s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
 
 demo: $(VENV)/.installed-demo ## reproduce the paper's beam into out/beam
 	$(BIN)/palpate reproduce beam --out $(OUT)
@@ -58,6 +59,15 @@ docs: $(VENV)/.installed-docs ## build the site into out/site, with its tutorial
 
 links: $(VENV)/.installed-docs ## check the external links of the site, over the network
 	$(SPHINX) -b linkcheck docs out/links
+
+wheels: $(VENV)/.installed-demo ## build the wheels of palpate and its compiled functions into dist, in some ten minutes
+	$(BIN)/python kernels/fill.py $(KERNELS)
+	@rm -rf dist
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist . ./kernels
+	@ls dist
+
+check-wheels: ## start from the wheels in dist, in a new environment, without compiling
+	$(BIN)/python kernels/check.py dist
 
 lint: style types layers ## check style, formatting, types and import layers
 
