@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import mmap
 import sys
+import warnings
 import zlib
 from collections.abc import Callable, Mapping
 from functools import cache
@@ -92,7 +93,7 @@ def machine_processor() -> tuple[str, str, str]:
 
 @cache
 def installed_packs(triple: str, features: str) -> tuple[tuple[str, Pack], ...]:
-    """Return the families of processors that this machine belongs to, and their packs."""
+    """Return the families of processors that this machine belongs to, and their packs; warn once if none fits."""
     spec = find_spec(PACKAGE)
     if spec is None or spec.origin is None:
         return ()
@@ -104,6 +105,13 @@ def installed_packs(triple: str, features: str) -> tuple[tuple[str, Pack], ...]:
                 found.append((family, Pack(path)))
             except (OSError, ValueError):  # damaged: its functions are compiled
                 continue
+    if not found and list(folder.glob("*.pack")):
+        warnings.warn(
+            f"functions are compiled: palpate-kernels has none for Python {sys.version_info[0]}.{sys.version_info[1]}, "
+            f"Numba {numba.__version__} and this processor that others cannot write",
+            RuntimeWarning,
+            stacklevel=2,
+        )
     return tuple(found)
 
 
