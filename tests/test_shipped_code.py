@@ -61,6 +61,7 @@ def test_a_function_of_a_pack_is_not_compiled(packed):
 @pytest.mark.parametrize(
     "damage", [lambda b: b[:-1] + bytes([b[-1] ^ 1]), lambda b: b[:100], lambda b: b"", lambda b: b[9:]]
 )
+@pytest.mark.filterwarnings("ignore:functions are compiled")
 def test_a_damaged_pack_is_not_used(packed, damage):
     packed.write_bytes(damage(packed.read_bytes()))
     function = cached_njit()(double)
@@ -70,7 +71,7 @@ def test_a_damaged_pack_is_not_used(packed, damage):
 
 @pytest.mark.skipif(os.name != "posix", reason="permissions are POSIX's")
 @pytest.mark.parametrize("where", ["file", "folder"])
-@pytest.mark.filterwarnings("ignore:palpate-kernels")
+@pytest.mark.filterwarnings("ignore:functions are compiled")
 def test_a_pack_that_others_can_write_is_not_used(packed, where):
     (packed if where == "file" else packed.parent).chmod(0o777)
     function = cached_njit()(double)

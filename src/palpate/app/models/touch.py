@@ -35,7 +35,7 @@ COARSEST_SHARE = 1.1  # of the least nodes, at which a body is not made coarser
 # of 1.5 spacings or deeper (validation/elements.py)
 FORCE_ERRORS = 0.077, 0.199
 FINER_NODES = 6.7  # the nodes of half the spacing over those of the whole (validation/spacing_force.py)
-SAMPLE_SECONDS = 0.6  # of the measurement of this machine
+SAMPLE_SECONDS = 0.3  # of the measurement of this machine
 
 
 def open_touched(scene: OrganScene, console: Console, spacing: float | None = None) -> OrganScene:

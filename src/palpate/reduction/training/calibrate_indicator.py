@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import beta
+from scipy.special import betaincinv
 
 from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
@@ -218,7 +218,7 @@ def error_curves(runs: Sequence[Frames], scales: Scales) -> dict[str, Any]:
     k = min(int(np.ceil(BOUND_PROBABILITY * (n + 1))), n)
     result: dict[str, Any] = {
         "level": min(BOUND_PROBABILITY, k / (n + 1)),
-        "least_level": float(beta.ppf(1 - CONFIDENCE_LEVEL, k, n + 1 - k)),
+        "least_level": float(betaincinv(k, n + 1 - k, 1 - CONFIDENCE_LEVEL)),
     }
     for quantity, least in LEAST_TRUST.items():
         if quantity not in runs[0].errors:
