@@ -187,6 +187,8 @@ def test_editing_a_kernel_source_recompiles_it(copied):
     finally:
         path.write_text(text)
     changed = {name for name in names if after[name] != before[name]}
+    for name in names:
+        importlib.import_module(name)
     assert changed == {name for name in names if "palpate.dynamics.contact.geometry" in kernel_sources(name)}
 
 
