@@ -138,6 +138,9 @@ def test_singular_values_descend_and_claims_of_the_paper_are_listed(study):
     assert np.all(np.diff(values) <= 0)
     assert [claim["figure"] for claim in report["paper"]] == ["Figure 3"] * 2 + ["Figure 4"] + ["Figure 5"] * 2
     assert report["paper"][0]["holds"] is None  # not run with 6 modes
+    sampled = report["paper_hyper_reduced"]
+    assert [claim["claim"] for claim in sampled] == [claim["claim"] for claim in report["paper"]]
+    assert [claim["here"] for claim in sampled] != [claim["here"] for claim in report["paper"]]
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import numpy as np
 
 from palpate.app.common.console import Table, percent
 from palpate.app.common.report import deliver, machine
-from palpate.app.studies.study import PROJECTED, Study
+from palpate.app.studies.study import HYPER_REDUCED, PROJECTED, Study
 
 __all__ = [
     "Claim", "claim_entries", "deliver_study", "finished_runs", "preamble", "reduced_table", "time_per_mode",
@@ -70,7 +70,8 @@ def deliver_study(
     int
         The exit code: 1 if every reduced run failed.
     """
-    deliver(report, [*tables, _claims_table(report["paper"])], out, files, as_json)
+    claims = {PROJECTED: report["paper"], HYPER_REDUCED: report.get("paper_hyper_reduced")}
+    deliver(report, [*tables, _claims_table(claims)], out, files, as_json)
     return 1 if all(entry["failed"] for entry in report["reduced"]) else 0
 
 
@@ -89,7 +90,16 @@ def reduced_table(title: str, entries: Sequence[dict[str, Any]]) -> Table:
     return Table(title, COLUMNS, rows, ["right"] * len(COLUMNS), wraps=False)
 
 
-def _claims_table(claims: Sequence[dict[str, Any]]) -> Table:
+def _claims_table(series: dict[str, Sequence[dict[str, Any]] | None]) -> Table:
+    """Return a table of the claims of the paper, judged for the models of each series that has claims."""
     answers = {True: "yes", False: "no", None: "-"}
-    rows = [[claim["figure"], claim["claim"], claim["here"], answers[claim["holds"]]] for claim in claims]
-    return Table("Claims of the paper", ("figure", "paper", "here", "holds"), rows, ["left"] * 4)
+    judged = {name: claims for name, claims in series.items() if claims}
+    rows = [
+        [
+            *(claims[0][key] for key in ("figure", "claim")),
+            *(w for c in claims for w in (c["here"], answers[c["holds"]])),
+        ]
+        for claims in zip(*judged.values(), strict=True)
+    ]
+    columns = [word for name in judged for word in (name, "holds")]
+    return Table("Claims of the paper", ("figure", "paper", *columns), rows, ["left"] * (2 + len(columns)))

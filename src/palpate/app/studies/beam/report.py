@@ -40,7 +40,7 @@ def build_report(strong: Study, energy: Study | None, singular_values: Floats, p
         Time of their decomposition.
     """
     reduced = [_one_phase(study, entry) for study in (strong, energy) if study for entry in study.reduced]
-    projected = {entry["modes"]: entry for entry in finished_runs(strong, strong.phases[0].name)}
+    projected = _by_modes(strong, PROJECTED)
     report = preamble(strong) | {
         "full": _full_run(strong),
         "energy_form": energy and _full_run(energy),
@@ -50,8 +50,14 @@ def build_report(strong: Study, energy: Study | None, singular_values: Floats, p
         "snapshots": len(strong.full.times),
         "reduced": reduced,
         "paper": claim_entries(_claims(projected)),
+        "paper_hyper_reduced": energy and claim_entries(_claims(_by_modes(energy, HYPER_REDUCED))),
     }
     return {name: plain(value) for name, value in report.items()}
+
+
+def _by_modes(study: Study, series: str) -> dict[int, dict[str, Any]]:
+    """Return the entries of the finished runs of a series by their number of modes."""
+    return {entry["modes"]: entry for entry in finished_runs(study, study.phases[0].name, series)}
 
 
 def tip_displacement(study: Study, run: Trajectory) -> Floats:
