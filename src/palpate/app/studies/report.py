@@ -94,12 +94,9 @@ def _claims_table(series: dict[str, Sequence[dict[str, Any]] | None]) -> Table:
     """Return a table of the claims of the paper, judged for the models of each series that has claims."""
     answers = {True: "yes", False: "no", None: "-"}
     judged = {name: claims for name, claims in series.items() if claims}
-    rows = [
-        [
-            *(claims[0][key] for key in ("figure", "claim")),
-            *(w for c in claims for w in (c["here"], answers[c["holds"]])),
-        ]
-        for claims in zip(*judged.values(), strict=True)
-    ]
+    rows = []
+    for claims in zip(*judged.values(), strict=True):
+        results = [word for claim in claims for word in (claim["here"], answers[claim["holds"]])]
+        rows.append([claims[0]["figure"], claims[0]["claim"], *results])
     columns = [word for name in judged for word in (name, "holds")]
     return Table("Claims of the paper", ("figure", "paper", *columns), rows, ["left"] * (2 + len(columns)))
