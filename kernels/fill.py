@@ -21,7 +21,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from palpate.code_cache import SUFFIX
+from palpate.code_cache import FILE_SUFFIX
 from palpate.meshfree.surfaces import Surface
 from palpate.scenes.organ import liver_surface
 from palpate.shipped_code import pack_name, write_pack
@@ -58,8 +58,8 @@ def main() -> None:
             os.utime(file, (then, then))
         for job in jobs:
             start(job, folder, environment)
-        read = [file for file in sorted(code.glob(f"*{SUFFIX}")) if file.stat().st_mtime > then + 1.0]
-        entries = {file.name.removesuffix(SUFFIX): file.read_bytes()[DIGEST_BYTES:] for file in read}
+        read = [file for file in sorted(code.glob(f"*{FILE_SUFFIX}")) if file.stat().st_mtime > then + 1.0]
+        entries = {file.name.removesuffix(FILE_SUFFIX): file.read_bytes()[DIGEST_BYTES:] for file in read}
         triple = subprocess.run(
             [sys.executable, "-c", "from palpate.shipped_code import machine_processor as m; print(m()[0])"],
             env=environment, capture_output=True, text=True, check=True,

@@ -167,7 +167,7 @@ def start(**variables: str) -> subprocess.Popen[str]:
 
 @pytest.mark.slow
 def test_another_clone_and_another_processor_find_their_code_and_equal_forces(tmp_path):
-    """A clone at another path compiles nothing; code of another processor is kept beside it."""
+    """A clone at another path compiles nothing; code of another processor is kept next to it."""
     clone = tmp_path / "clone" / "palpate"
     shutil.copytree(Path(palpate.__file__).parent, clone, ignore=shutil.ignore_patterns("__pycache__", "page"))
     home = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "HOME": str(tmp_path)}

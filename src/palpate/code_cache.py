@@ -38,10 +38,10 @@ __all__ = ["CodeCache", "CodeFile", "cached_njit", "code_files", "code_folder", 
 
 MAX_BYTES, KEPT_SHARE = 500_000_000, 0.8  # of all files, and the share of it that is left when it is exceeded
 SAVES_BETWEEN_CHECKS = 50
-SUFFIX = ".code"  # of files
-DAY = 86_400.0  # [s] from which on the time of the last use is written again, and a partial file removed
+FILE_SUFFIX = ".code"  # of files
+DAY_SECONDS = 86_400.0  # [s] from which on the time of the last use is written again, and a partial file removed
 ENTRY_FORMAT = "1"  # of the content of a file
-ANNOTATION = 6  # place of a text in a reduced compile result, which holds paths
+ANNOTATION_PLACE = 6  # place of a text in a reduced compile result, which holds paths
 SERIAL_KEY = () if loops_share_threads() else ("serial",)  # of code that was compiled without parallel loops
 
 
@@ -125,7 +125,7 @@ def _limit(folder: Path) -> None:
     total, now = sum(each.size for each in files), time.time()
     is_full = total > MAX_BYTES
     for each in files:
-        is_partial = each.path.suffix != SUFFIX and now - each.used > DAY
+        is_partial = each.path.suffix != FILE_SUFFIX and now - each.used > DAY_SECONDS
         if is_partial or (is_full and total > KEPT_SHARE * MAX_BYTES):
             with suppress(OSError):
                 each.path.unlink()
@@ -160,7 +160,7 @@ def _load(folder: Path, name: str) -> bytes | None:
     path = folder / name
     try:
         content = path.read_bytes()
-        if time.time() - path.stat().st_mtime > DAY:
+        if time.time() - path.stat().st_mtime > DAY_SECONDS:
             os.utime(path)
     except OSError:
         return None
@@ -216,7 +216,7 @@ class CodeCache:
         numba.get_num_threads()
         target_context.refresh()
         processor, folder = target_context.codegen().magic_tuple(), code_folder()
-        content = None if folder is None else _load(folder, self.entry_name(signature, processor) + SUFFIX)
+        content = None if folder is None else _load(folder, self.entry_name(signature, processor) + FILE_SUFFIX)
         if content is None:
             content = find_shipped(lambda family: self.entry_name(signature, family), processor)
         if content is None:
@@ -233,9 +233,9 @@ class CodeCache:
         if folder is None or data.lifted or data.library.has_dynamic_globals:
             return
         reduced = list(data._reduce())
-        reduced[ANNOTATION] = ""
+        reduced[ANNOTATION_PLACE] = ""
         content = zlib.compress(serialize.dumps(tuple(reduced)), 1)
-        name = self.entry_name(signature, data.codegen.magic_tuple()) + SUFFIX
+        name = self.entry_name(signature, data.codegen.magic_tuple()) + FILE_SUFFIX
         try:
             _save(folder, name, hashlib.sha256(content).digest() + content)
         except OSError as error:

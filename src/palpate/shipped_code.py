@@ -28,7 +28,7 @@ __all__ = [
     "PROCESSOR_FAMILIES", "Pack", "find_shipped", "installed_packs", "machine_processor", "pack_name", "write_pack",
 ]  # fmt: skip
 
-PACKAGE = "palpate_kernels"
+PACKAGE_NAME = "palpate_kernels"
 INDEX_BYTES = 8  # of the length of the index
 # name of a processor in LLVM: the features that a machine needs to run its code
 PROCESSOR_FAMILIES = {
@@ -94,25 +94,25 @@ def machine_processor() -> tuple[str, str, str]:
 @cache
 def installed_packs(triple: str, features: str) -> tuple[tuple[str, Pack], ...]:
     """Return the families of processors that this machine belongs to, and their packs; warn once if none fits."""
-    spec = find_spec(PACKAGE)
+    spec = find_spec(PACKAGE_NAME)
     if spec is None or spec.origin is None:
         return ()
-    folder, found = Path(spec.origin).parent, []
+    folder, packs = Path(spec.origin).parent, []
     for family, needed in PROCESSOR_FAMILIES.items():
         path = folder / pack_name(triple, family)
         if set(needed.split(",")) <= set(features.split(",")) and path.is_file() and not foreign_writer(path):
             try:
-                found.append((family, Pack(path)))
+                packs.append((family, Pack(path)))
             except (OSError, ValueError):  # damaged: its functions are compiled
                 continue
-    if not found and list(folder.glob("*.pack")):
+    if not packs and list(folder.glob("*.pack")):
         warnings.warn(
             f"functions are compiled: palpate-kernels has none for Python {sys.version_info[0]}.{sys.version_info[1]}, "
             f"Numba {numba.__version__} and this processor that others cannot write",
             RuntimeWarning,
             stacklevel=2,
         )
-    return tuple(found)
+    return tuple(packs)
 
 
 def find_shipped(name_for: Callable[[tuple[str, ...]], str], processor: tuple[str, ...]) -> bytes | None:

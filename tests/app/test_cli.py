@@ -29,7 +29,7 @@ def leaves(parser, before=()):
 
 
 COMMANDS = dict(leaves(build_parser()))
-STUDIES = [words for words in COMMANDS if words[0] not in ("view", "replay", "laws", "new", "export")]
+STUDIES = [words for words in COMMANDS if words[0] not in ("view", "replay", "laws", "new", "export", "cache")]
 
 
 def test_the_command_without_arguments_prints_help_with_first_steps(capsys, tmp_path, monkeypatch):
