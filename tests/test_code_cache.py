@@ -10,14 +10,17 @@ import shutil
 import subprocess
 import sys
 import time
+from collections import namedtuple
 from pathlib import Path
 
+import numba
 import pytest
 
 import palpate
 from palpate import code_cache
 from palpate.app.cli import main
 from palpate.code_cache import cached_njit, code_files, code_folder
+from palpate.dynamics.compiled.reference import Reference
 
 
 @pytest.fixture
@@ -201,3 +204,12 @@ def test_a_body_is_made_where_nothing_can_be_written():
     assert done.returncode == 0, err
     assert out.split()[1:] == ["0", "0"]
     assert err.count("compiled code is not kept") == 1
+
+
+def test_the_fields_of_a_tuple_behind_a_reference_are_a_part_of_the_key():
+    texts = set()
+    for fields in ("a b", "b a"):
+        record = namedtuple("Record", fields)
+        kind = numba.typeof(record(1.0, 2.0))
+        texts |= {code_cache._signature_text(each) for each in (kind, Reference(kind), numba.types.Tuple((kind,)))}
+    assert len(texts) == 6

@@ -13,6 +13,8 @@ import hashlib
 import os
 import pickle
 import re
+import sys
+import sysconfig
 import time
 import warnings
 import zlib
@@ -23,14 +25,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numba
-import numpy as np
 from numba import njit
 from numba.core import serialize, types
 from numba.core.compiler import CompileResult
 from platformdirs import user_cache_path
 
 from palpate.code_digest import law_digest
-from palpate.shipped_code import find_shipped
+from palpate.shipped_code import NUMPY_VERSION, find_shipped
 from palpate.threads import loops_share_threads
 from palpate.working_folder import foreign_writer, make_private
 
@@ -171,9 +172,24 @@ def _signature_text(kind: Any) -> str:
     """Return a text of a type or signature, with the names of the fields of tuples."""
     if isinstance(kind, tuple):
         return "(" + ", ".join(map(_signature_text, kind)) + ")"
+    if hasattr(kind, "record"):  # of a reference
+        return f"{type(kind).__name__}({_signature_text(kind.record)})"
     if isinstance(kind, types.BaseNamedTuple):  # type: ignore[attr-defined]
         return f"{kind.instance_class.__name__}{kind.fields}{_signature_text(tuple(kind.types))}"
+    if isinstance(kind, types.BaseTuple):  # type: ignore[attr-defined]
+        return f"tuple{_signature_text(tuple(kind.types))}"
     return repr(kind)
+
+
+def _versions() -> tuple[object, ...]:
+    """Return the versions and settings that decide what a function compiles to."""
+    config = numba.config
+    settings = int(config.OPT), config.BOUNDSCHECK, config.LOOP_VECTORIZE, config.SLP_VECTORIZE
+    python = sys.implementation.cache_tag, sysconfig.get_config_var("SOABI")
+    return (
+        *python, numba.__version__, NUMPY_VERSION, *settings, config.DEBUGINFO_DEFAULT, config.USING_SVML, *SERIAL_KEY,
+        ENTRY_FORMAT,
+    )  # fmt: skip
 
 
 class CodeCache:
@@ -201,9 +217,7 @@ class CodeCache:
 
     def entry_name(self, signature: Any, processor: tuple[str, ...]) -> str:
         """Return the name of the entry of a signature for a triple, processor and features of LLVM."""
-        numpy_version = ".".join(np.__version__.split(".")[:2])
-        versions = numba.__version__, numpy_version, *SERIAL_KEY, ENTRY_FORMAT
-        key = repr((_signature_text(signature), processor, versions, self._digest))
+        key = repr((_signature_text(signature), processor, _versions(), self._digest))
         return f"{self._name}.{hashlib.sha256(key.encode()).hexdigest()[:32]}"
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:

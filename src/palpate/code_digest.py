@@ -17,6 +17,8 @@ from pathlib import Path
 from types import CodeType
 from typing import Any
 
+import numpy as np
+
 __all__ = ["kernel_sources", "law_digest"]
 
 IMPORT_PATTERN = re.compile(r"^from (palpate\.[\w.]+) import (\([^)]*\)|[^\n(]+)", re.MULTILINE)
@@ -95,7 +97,9 @@ def _described(code: CodeType) -> tuple[object, ...]:
     """Return what a code object executes, without names of files, places of lines and docstrings."""
     is_function, texts = code.co_flags & FUNCTION_FLAGS == FUNCTION_FLAGS, list[object]()
     for k, value in enumerate(code.co_consts):
-        is_docstring = isinstance(value, str) and (k == 0 if is_function else k <= 1 and "__doc__" in code.co_names)
+        has_docstring = sys.version_info < (3, 13) or code.co_flags & DOCSTRING_FLAG
+        first = k == 0 and has_docstring if is_function else k <= 1 and "__doc__" in code.co_names
+        is_docstring = isinstance(value, str) and first
         is_line = "__firstlineno__" in code.co_names and value == code.co_firstlineno
         if isinstance(value, CodeType):
             texts.append(_described(value))
@@ -131,17 +135,32 @@ def law_digest(module: str, *what: object) -> str:
 def _text(item: object) -> str:
     """Return the code of a function and of all functions that it uses, or the repr of another value."""
     if not inspect.isfunction(item):
-        return repr(item)
+        return _value_text(item)
     sources: dict[object, str] = {}
     remaining: list[Any] = [item]
     while remaining:
         value = remaining.pop()
         if not inspect.isfunction(value):
-            sources[repr(value)] = ""
+            sources[_value_text(value)] = ""
         elif value not in sources:
-            sources[value] = repr((_described(value.__code__), value.__defaults__))
-            remaining += [cell.cell_contents for cell in value.__closure__ or ()]
-            used = [value.__globals__.get(name) for name in value.__code__.co_names]
+            sources[value] = repr((_described(value.__code__), value.__defaults__, value.__kwdefaults__))
+            cells = [cell.cell_contents for cell in value.__closure__ or ()]
+            remaining += [getattr(other, "py_func", other) for other in cells]
+            used = [value.__globals__.get(name) for name in _names(value.__code__)]
             used = [getattr(other, "py_func", other) for other in used]
-            remaining += [other for other in used if isinstance(other, PLAIN_TYPES) or inspect.isfunction(other)]
+            kinds = *PLAIN_TYPES, np.ndarray
+            remaining += [other for other in used if isinstance(other, kinds) or inspect.isfunction(other)]
     return "".join(text or str(value) for value, text in sources.items())
+
+
+def _names(code: CodeType) -> list[str]:
+    """Return the global names that a code object and those in it use."""
+    inner = [name for each in code.co_consts if isinstance(each, CodeType) for name in _names(each)]
+    return [*code.co_names, *inner]
+
+
+def _value_text(value: object) -> str:
+    """Return a text of a value; of an array the digest of its content, since its repr leaves numbers out."""
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype}{value.shape}{hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()}"
+    return repr(value)

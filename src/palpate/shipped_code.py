@@ -1,8 +1,8 @@
 """Compiled functions of the installed package ``palpate-kernels``, for a family of processors.
 
-A pack is one file for a version of Python, of Numba, a system and a family of processors. It holds what the functions
-of `palpate.code_cache` keep in the folder of a user, under the same names. Only the package that is installed is read,
-and only if nobody but its owner can write it, because its code is run.
+A pack is one file for a version of Python, Numba and NumPy, a system and a family of processors. It holds what the
+functions of `palpate.code_cache` keep in the folder of a user, under the same names. Packs are read where Python would
+import the package from, and only if nobody but their owner can write them, because their code is run.
 
 Layout: length of the index (8 bytes), index (JSON: name -> [offset, length, CRC-32]), entries.
 """
@@ -20,6 +20,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numba
+import numpy as np
 from numba.core.registry import cpu_target
 
 from palpate.working_folder import foreign_writer
@@ -30,6 +31,7 @@ __all__ = [
 
 PACKAGE_NAME = "palpate_kernels"
 INDEX_BYTES = 8  # of the length of the index
+NUMPY_VERSION = ".".join(np.__version__.split(".")[:2])
 # name of a processor in LLVM: the features that a machine needs to run its code
 PROCESSOR_FAMILIES = {
     "x86-64-v3": "+avx,+avx2,+bmi,+bmi2,+cx16,+f16c,+fma,+lzcnt,+movbe,+popcnt,+sahf,+sse3,+sse4.1,+sse4.2,+ssse3",
@@ -39,9 +41,9 @@ PROCESSOR_FAMILIES = {
 
 
 def pack_name(triple: str, family: str) -> str:
-    """Return the name of the pack of this Python and Numba for a system and a family of processors."""
+    """Return the name of the pack of this Python, Numba and NumPy for a system and a family of processors."""
     python = f"{sys.version_info[0]}{sys.version_info[1]}"
-    return f"py{python}-numba{numba.__version__}-{triple}-{family}.pack"
+    return f"py{python}-numba{numba.__version__}-numpy{NUMPY_VERSION}-{triple}-{family}.pack"
 
 
 def write_pack(path: Path, entries: Mapping[str, bytes]) -> None:
@@ -97,10 +99,13 @@ def installed_packs(triple: str, features: str) -> tuple[tuple[str, Pack], ...]:
     spec = find_spec(PACKAGE_NAME)
     if spec is None or spec.origin is None:
         return ()
-    folder, packs = Path(spec.origin).parent, []
+    folder, packs, why = Path(spec.origin).parent, list[tuple[str, Pack]](), list[str]()
     for family, needed in PROCESSOR_FAMILIES.items():
         path = folder / pack_name(triple, family)
-        if set(needed.split(",")) <= set(features.split(",")) and path.is_file() and not foreign_writer(path):
+        if set(needed.split(",")) <= set(features.split(",")) and path.is_file():
+            if reason := foreign_writer(path):
+                why.append(reason)
+                continue
             try:
                 packs.append((family, Pack(path)))
             except (OSError, ValueError):  # damaged: its functions are compiled
@@ -108,7 +113,7 @@ def installed_packs(triple: str, features: str) -> tuple[tuple[str, Pack], ...]:
     if not packs and list(folder.glob("*.pack")):
         warnings.warn(
             f"functions are compiled: palpate-kernels has none for Python {sys.version_info[0]}.{sys.version_info[1]}, "
-            f"Numba {numba.__version__} and this processor that others cannot write",
+            f"Numba {numba.__version__}, NumPy {NUMPY_VERSION} and this processor" + (f"; {why[-1]}" if why else ""),
             RuntimeWarning,
             stacklevel=2,
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 
@@ -111,3 +112,8 @@ def test_modes_at_changed_nodes_are_left_out(block):
 def test_small_bodies_keep_their_mass_by_default(block):
     assert step_statistics(pt.realtime_model(block, contact=ball()).data)["tailored_modes"] == 0
     assert not len(tailored_mass(block, block.fixed_mask, 0)[0].shares)
+
+
+def test_bodies_with_and_without_modes_share_compiled_code(block):
+    kinds = {numba.typeof(tailored_mass(block, block.fixed_mask, modes)[0]) for modes in (0, MODES)}
+    assert len(kinds) == 1

@@ -114,7 +114,7 @@ def tailored_mass(model: NodalModel, fixed: NDArray[np.bool_], modes: int) -> tu
     mode, node = np.nonzero((energy >= LEAST_ENERGY * energy.max(axis=0)).T)
     tailoring = MassTailoring(
         np.searchsorted(mode, np.arange(len(order) + 1)),
-        node,
+        np.ascontiguousarray(node),  # as without modes, so that both compile to the same code
         np.ascontiguousarray((shapes.reshape(n, 3, -1) / np.sqrt(masses)[:, :, None])[node, :, mode]),
         1.0 - (target / frequencies) ** 2,
         frequencies,

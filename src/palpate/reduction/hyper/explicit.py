@@ -134,7 +134,7 @@ def explicit_step(law: MaterialPoint, single: bool) -> Any:
                     at[m] = a[m] + step * v[m] if m < moving else lifting[s + 2, m - first]
                 works = settle(contact.surface, contact.scratch, tools, at, v, step, response, moving)
                 total, lost = total + works[0], lost + works[1]
-                drag = 1.0 + 0.5 * alpha * step  # as that of the other forces in `kick_coordinates`
+                drag = 1.0 + 0.5 * alpha * kick  # as that of the other forces in `kick_coordinates`
                 for m in range(moving):
                     value = 0.0
                     for k in range(moving):

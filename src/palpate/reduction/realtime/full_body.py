@@ -174,7 +174,7 @@ def change_full_tool(
     if tool is not None and tool.kind == CAPSULE:
         contacts.tool_radius[0] = tool.sizes[0] + tool.sizes[1]
     contacts.friction[0] = friction
-    contacts.patch_impulses[:], contacts.step_impulses[:] = 0.0, 0.0
+    contacts.patch_impulses[:], contacts.step_impulses[:], contacts.active_count[0] = 0.0, 0.0, 0
     data.secant[:], data.tool_force[:] = 0.0, 0.0
     data.clock[LOST] += contacts.held.energy[0]  # of the tissue over supports, which springs back
     contacts.held.energy[0], contacts.held.forces[:] = 0.0, 0.0
