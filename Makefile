@@ -43,7 +43,7 @@ demo: $(VENV)/.installed-demo ## reproduce the paper's beam into out/beam
 films: $(VENV)/.installed-demo ## make the films of the docs, in some minutes
 	$(BIN)/python docs/films.py
 
-test: $(VENV)/.installed-test ## run the quick tests, in some six minutes the first time
+test: $(VENV)/.installed-test ## run the quick tests; the first time compiles for some minutes
 	$(BIN)/python -m pytest -m "not slow" $(PYTEST_ARGS)
 
 test-all: $(VENV)/.installed-test ## run all tests
