@@ -18,8 +18,9 @@ from pathlib import Path
 from fill import REDUCED, touches
 
 from palpate.code_cache import code_folder
+from palpate.shipped_code import PROCESSOR_FAMILIES
 
-AVX2 = "+avx,+avx2,+bmi,+bmi2,+cx16,+f16c,+fma,+lzcnt,+movbe,+popcnt,+sahf,+sse3,+sse4.1,+sse4.2,+ssse3"
+AVX2 = PROCESSOR_FAMILIES["x86-64-v3"]
 COUNT = """
 import sys
 from numba.core import event

@@ -21,7 +21,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from palpate.code_cache import FILE_SUFFIX
+from palpate.code_cache import DIGEST_BYTES, FILE_SUFFIX
 from palpate.meshfree.surfaces import Surface
 from palpate.scenes.organ import liver_surface
 from palpate.shipped_code import pack_name, write_pack
@@ -29,7 +29,6 @@ from palpate.tissue.catalogue import LAWS
 
 FOLDER = Path(__file__).parent / "src" / "palpate_kernels"
 FAMILIES = {"x86_64": "x86-64-v3", "AMD64": "x86-64-v3", "aarch64": "generic", "arm64": "apple-m1"}
-DIGEST_BYTES = 32  # before the content of a file
 OLD = 2 * 86_400.0  # [s] of age, so that a use of a file is noted
 SPACING, BALL = 0.012, 0.02  # [m]
 

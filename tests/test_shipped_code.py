@@ -93,3 +93,11 @@ def test_entries_are_read_by_name(tmp_path):
     pack = Pack(tmp_path / "a.pack")
     assert len(pack) == 3
     assert [pack.read(name) for name in ("one", "two", "three", "four")] == [b"1", b"", bytes(1000), None]
+
+
+def test_a_pack_without_a_folder_of_the_user_warns_of_nothing(packed, tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path / "file"))
+    function = cached_njit()(double)
+    assert function(2.0) == 4.0  # warnings are errors in tests
+    assert hits(function) == 1

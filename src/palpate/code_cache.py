@@ -35,11 +35,14 @@ from palpate.shipped_code import NUMPY_VERSION, find_shipped
 from palpate.threads import loops_share_threads
 from palpate.working_folder import foreign_writer, make_private
 
-__all__ = ["CodeCache", "CodeFile", "cached_njit", "code_files", "code_folder", "enable_cache", "loop_options"]
+__all__ = [
+    "DIGEST_BYTES", "FILE_SUFFIX", "CodeCache", "CodeFile", "cached_njit", "code_files", "code_folder", "enable_cache",
+    "loop_options",
+]  # fmt: skip
 
 MAX_BYTES, KEPT_SHARE = 500_000_000, 0.8  # of all files, and the share of it that is left when it is exceeded
 SAVES_BETWEEN_CHECKS = 50
-FILE_SUFFIX = ".code"  # of files
+FILE_SUFFIX, DIGEST_BYTES = ".code", 32  # of files, and of the digest of their content, which comes first
 DAY_SECONDS = 86_400.0  # [s] from which on the time of the last use is written again, and a partial file removed
 ENTRY_FORMAT = "1"  # of the content of a file
 ANNOTATION_PLACE = 6  # place of a text in a reduced compile result, which holds paths
@@ -80,27 +83,26 @@ def code_folder() -> Path | None:
 
     It is ``palpate/code`` in the cache of the user, or in the folder that ``NUMBA_CACHE_DIR`` names.
     """
+    folder, why = _found_folder()
+    return None if why else folder
+
+
+def _found_folder() -> tuple[Path, str]:
+    """Return the folder of compiled functions, and why it cannot be used; empty if it can."""
     given = numba.config.CACHE_DIR
-    folder = Path(given) / "palpate-code" if given else user_cache_path("palpate") / "code"
-    return _checked(folder)
+    return _checked(Path(given) / "palpate-code" if given else user_cache_path("palpate") / "code")
 
 
 @cache
-def _checked(folder: Path) -> Path | None:
-    """Create a folder, and return it if only its owner can write it; otherwise warn of the reason."""
+def _checked(folder: Path) -> tuple[Path, str]:
+    """Create a folder, and return it and why it cannot be used."""
     if not folder.is_absolute():  # of a user without a home
-        REASONS.warn("there is no home folder")
-        return None
+        return folder, "the user has no home folder"
     try:
         make_private(folder)
-        why = "" if os.access(folder, os.W_OK | os.X_OK) else f"{folder} cannot be written"
     except OSError as error:
-        why = f"{folder}: {error.strerror or error}"
-    why = why or foreign_writer(folder)
-    if why:
-        REASONS.warn(why)
-        return None
-    return folder
+        return folder, f"{folder}: {error.strerror or error}"
+    return folder, foreign_writer(folder) if os.access(folder, os.W_OK | os.X_OK) else f"{folder} cannot be written"
 
 
 def code_files() -> list[CodeFile]:
@@ -165,7 +167,8 @@ def _load(folder: Path, name: str) -> bytes | None:
             os.utime(path)
     except OSError:
         return None
-    return content[32:] if hashlib.sha256(content[32:]).digest() == content[:32] else None
+    code = content[DIGEST_BYTES:]
+    return code if hashlib.sha256(code).digest() == content[:DIGEST_BYTES] else None
 
 
 def _signature_text(kind: Any) -> str:
@@ -242,9 +245,11 @@ class CodeCache:
             return None
 
     def save_overload(self, signature: Any, data: Any) -> None:
-        """Keep compiled code if a folder takes it."""
-        folder = code_folder()
-        if folder is None or data.lifted or data.library.has_dynamic_globals:
+        """Keep compiled code if a folder takes it; warn once if none does."""
+        folder, why = _found_folder()
+        if why:
+            REASONS.warn(why)
+        if why or data.lifted or data.library.has_dynamic_globals:
             return
         reduced = list(data._reduce())
         reduced[ANNOTATION_PLACE] = ""

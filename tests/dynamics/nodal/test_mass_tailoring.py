@@ -117,3 +117,9 @@ def test_small_bodies_keep_their_mass_by_default(block):
 def test_bodies_with_and_without_modes_share_compiled_code(block):
     kinds = {numba.typeof(tailored_mass(block, block.fixed_mask, modes)[0]) for modes in (0, MODES)}
     assert len(kinds) == 1
+
+
+@pytest.mark.parametrize("modes", [-1, 2.5, 201])
+def test_a_wrong_number_of_modes_is_refused(block, modes):
+    with pytest.raises(pt.InputError, match="tailored_modes"):
+        pt.realtime_model(block, contact=ball(), tailored_modes=modes)

@@ -27,9 +27,18 @@ from palpate.dynamics.compiled.passes import internal_force
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.nodal.stability import highest_frequency
 
-__all__ = ["DEFAULT_MODES", "MIN_NODES", "MassTailoring", "subtract_inertia", "tailored_mass", "without_nodes"]
+__all__ = [
+    "DEFAULT_MODES",
+    "MAX_MODES",
+    "MIN_NODES",
+    "MassTailoring",
+    "subtract_inertia",
+    "tailored_mass",
+    "without_nodes",
+]
 
 DEFAULT_MODES, MIN_NODES = 20, 500  # number of modes, and least number of nodes of a body that gets them
+MAX_MODES = 200
 VECTORS_PER_MODE, RITZ_TOLERANCE = 3, 3e-2  # of the Lanczos iteration
 LEAST_ENERGY = 1e-4  # of a node in a mode, over the largest; smaller parts are left out
 LEAST_GAIN = 1.05  # of the step; else modes are left out

@@ -17,7 +17,7 @@ from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.supports import FREE
 from palpate.dynamics.material.relaxation import history_copy
 from palpate.dynamics.nodal.central_difference import Damping
-from palpate.dynamics.nodal.mass_tailoring import DEFAULT_MODES, MIN_NODES, PROBE, tailored_mass
+from palpate.dynamics.nodal.mass_tailoring import DEFAULT_MODES, MAX_MODES, MIN_NODES, PROBE, tailored_mass
 from palpate.dynamics.nodal.model import NodalModel, nodal_data
 from palpate.dynamics.nodal.period import (
     BLOCK_NODES,
@@ -33,7 +33,7 @@ from palpate.dynamics.nodal.period import (
 )
 from palpate.dynamics.nodal.tool_path import END, HOME, LAST_CUT, START
 from palpate.dynamics.solid.base import Solid
-from palpate.faults import InputError
+from palpate.faults import InputError, integer_in_range
 from palpate.reduction.realtime.full_blade import BladeCutter
 
 __all__ = ["change_full_tool", "full_period", "step_statistics"]
@@ -65,6 +65,7 @@ def full_period(
     n = len(model.cloud)
     if tailored_modes is None:
         tailored_modes = DEFAULT_MODES if isinstance(model, Solid) and n >= MIN_NODES else 0
+    tailored_modes = integer_in_range("tailored_modes", tailored_modes, 0, MAX_MODES)
     tailoring, frequency = tailored_mass(model, prepared.constraint_mask(0.0), tailored_modes)
     if len(sites.foundation_node):
         response = 1.0 / (model.volumes[sites.foundation_node] * model.material.density)

@@ -186,6 +186,8 @@ def realtime_model(
         return linear_realtime(model, period)
     if isinstance(model, NodalModel):
         return _full_body(model, contact, foundations, tailored_modes)
+    if tailored_modes is not None:
+        raise InputError(f"tailored_modes must be left out for a reduced model, got {tailored_modes!r}")
     reduced, count = model.data, model.count
     check_kinds([] if contact is None else [contact], (Contact, Grasp), "contact")
     if contact is None and len(reduced.prescribed) != 1:
