@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.code_cache import code_folder
 from palpate.sealed import open_sealed, write_sealed
 
 ORDER = ("app", "dynamics", "meshfree", "tissue", "scenes", "realtime", "validation", "reduction", "contracts")
@@ -20,9 +21,13 @@ def folder_of(nodeid):
 
 @pytest.fixture(autouse=True, scope="session")
 def _own_cache_folder(tmp_path_factory):
-    """Tests learn no spacings from other runs, and leave none to them."""
+    """Tests learn no spacings from other runs, and leave none to them, but share the user's compiled code."""
+    code, cache = code_folder(), tmp_path_factory.mktemp("cache")
+    if code is not None:
+        (cache / "palpate").mkdir(mode=0o700)
+        (cache / "palpate" / "code").symlink_to(code, target_is_directory=True)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("XDG_CACHE_HOME", str(cache))
         yield
 
 
