@@ -101,8 +101,9 @@ def test_the_tools_impulse_is_the_momentum_that_a_free_body_gains(small_cloud, t
     trajectory = run(model, pt.tools.Contact(BALL, press(0.003), friction=0.4))
     weights = model.weights * tissue.density
     given = np.cumsum(trajectory.reactions["tool"] * 1e-3, axis=0)
-    if form == "energy":
-        assert np.allclose(np.einsum("n,fnc->fc", weights, trajectory.velocities), given, atol=1e-9 * abs(given).max())
+    if form == "energy":  # whose steps are in single precision
+        gained = np.einsum("n,fnc->fc", weights, trajectory.velocities)
+        assert np.allclose(gained, given, rtol=0.0, atol=1e-7 * abs(given).max())
     assert given[-1, 2] < 0
 
 
