@@ -31,14 +31,12 @@ help: ## show this list
 
 demo: $(VENV)/.installed-demo ## reproduce the paper's beam into out/beam
 	$(BIN)/palpate reproduce beam --out $(OUT)
-	@rm -rf $(OUT)/page
-	$(BIN)/palpate export beam --web $(OUT)/page
 	@echo "The error of the reduced models over their number of modes, Figure 3 of the paper:"
 	@echo "  $(abspath $(OUT))/figure3_error.png"
 	@echo "Next, press and pull that beam on a page in the browser:"
 	@echo "  $(BIN)/palpate view beam"
 	@echo "The same page without palpate, for any web server:"
-	@echo "  $(PYTHON) -m http.server --bind 127.0.0.1 --directory $(abspath $(OUT))/page 8000   and http://localhost:8000"
+	@echo "  $(BIN)/palpate export beam --web $(OUT)/page"
 
 films: $(VENV)/.installed-demo ## make the films of the docs, in some minutes
 	$(BIN)/python docs/films.py
