@@ -36,8 +36,8 @@ from palpate.app.view.film import (
     scalpel_solid,
 )
 from palpate.dynamics.contact.blade import scalpel
-from palpate.reduction.realtime.cut_display import CutFullSurface
-from palpate.reduction.realtime.full_surface import FullSurface
+from palpate.realtime.bodies.cut_display import CutFullSurface
+from palpate.realtime.bodies.full_surface import FullSurface
 from palpate.scenes.beam import beam
 from palpate.scenes.membrane import membrane
 

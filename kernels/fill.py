@@ -22,9 +22,9 @@ from pathlib import Path
 from typing import Any
 
 from palpate.code_cache import DIGEST_BYTES, FILE_SUFFIX
-from palpate.meshfree.surfaces import Surface
 from palpate.scenes.organ import liver_surface
 from palpate.shipped_code import pack_name, write_pack
+from palpate.surface.surface import Surface
 from palpate.tissue.catalogue import LAWS
 
 FOLDER = Path(__file__).parent / "src" / "palpate_kernels"

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import palpate as pt
 from palpate.arrays import Floats
-from palpate.meshfree.cut_surface import swept
+from palpate.meshfree.cut.surface import swept
 
 SPACING = 1e-3
 YOUNG, TENSION = 3e3, 0.03  # [Pa]; strains of 1e-5

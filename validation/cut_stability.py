@@ -15,8 +15,8 @@ import organs
 
 import palpate as pt
 from palpate.arrays import Floats
-from palpate.dynamics.solid.cut import cut_from
-from palpate.meshfree.cut_surface import swept
+from palpate.dynamics.solid.cutting.cut import cut_from
+from palpate.meshfree.cut.surface import swept
 
 KINDS = ("straight", "curved", "crossing", "through", "sliver", "again", "adjacent")
 BODIES = {  # name of the surface in `organs`, nodes, and duration of a run [s]

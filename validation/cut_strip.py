@@ -13,7 +13,7 @@ import numpy as np
 
 import palpate as pt
 from palpate.arrays import Floats
-from palpate.meshfree.cut_surface import swept
+from palpate.meshfree.cut.surface import swept
 
 SPACING = 2.5e-3
 SIZE = np.array([90e-3, 22.5e-3, 10e-3])

@@ -19,7 +19,7 @@ import numpy as np
 
 import palpate as pt
 from palpate.arrays import Floats
-from palpate.meshfree.cut_surface import swept
+from palpate.meshfree.cut.surface import swept
 
 SPACING = 2.5e-3
 SIZE = SPACING * np.array([48, 15, 3])

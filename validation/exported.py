@@ -37,8 +37,8 @@ if STRICT:  # before palpate's functions are declared
 import result_files  # noqa: E402
 
 import palpate as pt  # noqa: E402
+from palpate.realtime.bodies.display_surface import Surface  # noqa: E402
 from palpate.realtime.record import HEADER_SIZE, field_offset  # noqa: E402
-from palpate.reduction.realtime.display_surface import Surface  # noqa: E402
 from palpate.tissue.catalogue import LAWS  # noqa: E402
 
 SIZE, SPACING, BALL, DEPTH = (0.06, 0.06, 0.03), 0.0075, 0.015, 0.004

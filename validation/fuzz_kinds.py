@@ -305,7 +305,7 @@ def use_model(found: pt.ReducedModel) -> None:
     """Show the model's surface as the page would, and run the model for a millisecond, also under a ball."""
     from palpate.app.recordings.snapshot import scalar_descriptions, training_errors
     from palpate.app.view.session.tool_control import ToolWorkspace
-    from palpate.reduction.realtime.display_surface import Surface
+    from palpate.realtime.bodies.display_surface import Surface
 
     scalar_descriptions(Surface(found))
     ToolWorkspace(Surface(found))

@@ -43,7 +43,7 @@ from scipy.spatial import cKDTree
 import palpate as pt
 from palpate.arrays import Floats, Ints
 from palpate.dynamics.nodal.stability import stable_step
-from palpate.meshfree.cut_surface import swept
+from palpate.meshfree.cut.surface import swept
 from palpate.reduction.basis.linear_modes import rest_stiffness
 from palpate.reduction.hyper.cubature import Cubature, fit_moments
 from palpate.reduction.hyper.data import ReducedData

@@ -18,7 +18,7 @@ import trimesh
 from elements import Linear, body_of, cloud_of
 from elements_cases import Case, case
 
-from palpate.meshfree.nesting import inside_points
+from palpate.surface.nesting import inside_points
 
 ORGANS = ("liver", "lobes", "generated", "kidney")
 PLACES, MOST_SPACINGS, SAMPLES = 8, 12.0, 4000

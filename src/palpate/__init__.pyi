@@ -16,7 +16,7 @@ from palpate.dynamics.nodal.equilibrium import equilibrium as equilibrium
 from palpate.dynamics.run.model import State as State
 from palpate.dynamics.run.rollout import rollout as rollout
 from palpate.dynamics.run.trajectory import Trajectory as Trajectory
-from palpate.dynamics.solid.cut import cut as cut
+from palpate.dynamics.solid.cutting.cut import cut as cut
 from palpate.dynamics.solid.model import Solid as Solid
 from palpate.dynamics.solid.unloading import unloaded as unloaded
 from palpate.faults import CloudError as CloudError
@@ -35,7 +35,7 @@ from palpate.meshfree.sheets import disc as disc
 from palpate.meshfree.sheets import sheet as sheet
 from palpate.meshfree.stencils import Stencils as Stencils
 from palpate.meshfree.stencils import moving_least_squares as moving_least_squares
-from palpate.meshfree.surfaces import Surface as Surface
+from palpate.realtime.bodies.model import realtime_model as realtime_model
 from palpate.realtime.device import DummyDevice as DummyDevice
 from palpate.realtime.engine import Engine as Engine
 from palpate.realtime.statistics import Statistics as Statistics
@@ -46,7 +46,6 @@ from palpate.reduction.basis.pod import pod as pod
 from palpate.reduction.galerkin.model import GalerkinModel as GalerkinModel
 from palpate.reduction.galerkin.model import galerkin as galerkin
 from palpate.reduction.hyper.model import ReducedModel as ReducedModel
-from palpate.reduction.realtime.model import realtime_model as realtime_model
 from palpate.reduction.storage.models import load as load
 from palpate.reduction.storage.models import save as save
 from palpate.reduction.training.cut_reduced import cut_reduced as cut_reduced
@@ -57,6 +56,7 @@ from palpate.reduction.training.select_step import select_time_step as select_ti
 from palpate.scenes.open_scene import open_scene as open_scene
 from palpate.scenes.organ import liver_surface as liver_surface
 from palpate.scenes.scene import TrainingScene as TrainingScene
+from palpate.surface.surface import Surface as Surface
 
 __all__: list[str]
 __version__: str

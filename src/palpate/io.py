@@ -3,11 +3,11 @@
 Models and trajectories are read by `palpate.load` and `palpate.Trajectory.load`.
 """
 
-from palpate.meshfree.surface_checks import SurfaceReport, check_surface
-from palpate.meshfree.surface_files import read_surface
-from palpate.meshfree.surfaces import SurfaceProblem
 from palpate.scenes.painted import read_painted
 from palpate.scenes.published import fetch_liver
+from palpate.surface.checks import SurfaceReport, check_surface
+from palpate.surface.files import read_surface
+from palpate.surface.surface import SurfaceProblem
 from palpate.tissue.measurement_files import read_measurements
 
 __all__ = [

@@ -15,8 +15,9 @@ from palpate.dynamics.nodal.stability import StabilityReport
 from palpate.dynamics.run.model import ContactState, Evaluation, Model, Outputs, StepReport
 from palpate.dynamics.run.reactions import NodalFields
 from palpate.dynamics.solid.unloading import UnloadedBody
-from palpate.meshfree.cut_surface import CutSurface
+from palpate.meshfree.cut.surface import CutSurface
 from palpate.meshfree.mirror import Mirror, MirrorPlane
+from palpate.realtime.bodies.model import RealtimeModel
 from palpate.realtime.device import DeviceLog
 from palpate.realtime.record import Reading
 from palpate.realtime.statistics import Distribution, Histograms
@@ -25,7 +26,6 @@ from palpate.reduction.hyper.body import ReducedBody, ReducedWork
 from palpate.reduction.hyper.data import ReducedData
 from palpate.reduction.hyper.error_indicator import ExpectedError
 from palpate.reduction.lti.realtime import LinearRealtime
-from palpate.reduction.realtime.model import RealtimeModel
 from palpate.scenes.organ_scene import OrganScene
 
 __all__ = [

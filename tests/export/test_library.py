@@ -97,8 +97,8 @@ def test_a_small_ball_is_held_and_not_trusted_where_it_would_pass_between_the_no
 
 
 def test_vertices_are_those_that_the_page_draws(library, model_file):
+    from palpate.realtime.bodies.display_surface import Surface
     from palpate.reduction.contact.surface import PAIRS
-    from palpate.reduction.realtime.display_surface import Surface
 
     model = pt.load(model_file)
     engine, surface = Engine(model), Surface(model)

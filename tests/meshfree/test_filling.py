@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from meshfree_surfaces import ball, cube, inverted, joined
+from closed_surfaces import ball, cube, inverted, joined
 
 import palpate as pt
 from palpate.meshfree.gate import nearest_spacing

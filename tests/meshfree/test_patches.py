@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from meshfree_surfaces import ball
+from closed_surfaces import ball
 
 import palpate as pt
 from palpate.meshfree.patches import KERNEL_RADIUS, surface_patches

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from palpate.parameters import fields_of
 from palpate.scenes import description as sections
 from palpate.scenes.names import PACKAGE_SCENES
 from palpate.scenes.schema import scene_schema
-from palpate.scenes.settings import fields_of
 
 DOCS = (Path(__file__).parents[2] / "docs" / "scenes.md").read_text()
 DATA = Path(sections.__file__).parent / "data"

@@ -12,6 +12,7 @@ import pytest
 import palpate as pt
 from palpate.dynamics.loads.supports import Clamp, Rail, Roller
 from palpate.meshfree.cloud import BORDER_MARGIN, MOVED_MARGIN
+from palpate.parameters import FACTORS_BY_UNIT, fields_of, read_section, setting, written_section
 from palpate.scenes.description import (
     Body,
     Description,
@@ -29,7 +30,6 @@ from palpate.scenes.description import (
 from palpate.scenes.names import PACKAGE_SCENES, listed_scenes
 from palpate.scenes.open_scene import open_scene, training_scene_of
 from palpate.scenes.scene_text import parse_scene
-from palpate.scenes.settings import FACTORS_BY_UNIT, fields_of, read_section, setting, written_section
 from palpate.scenes.training import training_scene
 
 BOX = """

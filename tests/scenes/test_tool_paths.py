@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 from tool_bodies import Body, bean, filled, hollow, lobes, together
 
 import palpate as pt
-from palpate.meshfree.nesting import winding_number
 from palpate.scenes.tool_paths import ToolPaths
+from palpate.surface.nesting import winding_number
 
 ORGANS = Path(__file__).parents[3] / "shared" / "data"
 HELD_OUT = 500_000  # first seed of held-out runs

@@ -9,8 +9,8 @@ import numpy as np
 import palpate as pt
 from palpate.dynamics.loads.supports import supports_of
 from palpate.meshfree.cloud import Cloud
-from palpate.meshfree.isosurface import zero_surface
-from palpate.meshfree.surfaces import Surface, weld
+from palpate.surface.isosurface import zero_surface
+from palpate.surface.surface import Surface, weld
 
 
 @dataclass(frozen=True)

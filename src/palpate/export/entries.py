@@ -12,6 +12,7 @@ import numpy as np
 
 from palpate.dynamics.compiled.cache import kernel_njit, law_njit
 from palpate.dynamics.contact.kinds import BONDED, PLANE
+from palpate.realtime.bodies.change_tool import replace_tool
 from palpate.realtime.observable import DEVICE_FORCE, TOOL_POSITION
 from palpate.realtime.period import (
     CLAMP,
@@ -27,7 +28,6 @@ from palpate.realtime.pose import request_pose
 from palpate.realtime.record import field_offset
 from palpate.reduction.contact.surface import PAIRS
 from palpate.reduction.hyper.error_indicator import curve_bound
-from palpate.reduction.realtime.change_tool import replace_tool
 
 __all__ = [
     "OPTION_NAMES",

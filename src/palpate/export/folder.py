@@ -23,9 +23,9 @@ from palpate.export.link import host_target
 from palpate.export.targets import HOST_TARGET, TARGET_MACHINES, TARGET_NAMES
 from palpate.faults import InputError
 from palpate.files import check_folder, write_bytes
+from palpate.realtime.bodies.display_surface import Surface
 from palpate.realtime.record import HEADER_DTYPE, field_offset
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.realtime.display_surface import Surface
 
 __all__ = ["check_new", "complete_folder", "export_c", "identifier"]
 
@@ -230,7 +230,7 @@ def _write_kernels(folder: Path) -> None:
     """Write the sources of the compiled functions, to read."""
     folder.mkdir()
     modules: Mapping[str, str] = kernel_sources("palpate.export.entries") | kernel_sources(
-        "palpate.reduction.realtime.period"
+        "palpate.realtime.bodies.period"
     )
     for module, text in modules.items():
         if ":" not in module and text:

@@ -14,13 +14,13 @@ from palpate.export.lowering import LoweredFunction, recording
 from palpate.export.memory import DIGEST_PLACE, Memory, constant_function
 from palpate.export.targets import Target
 from palpate.faults import InputError
+from palpate.realtime.bodies.display_surface import Surface
+from palpate.realtime.bodies.model import idle_model
 from palpate.realtime.observable import TOOL_POSITION, make_observable
 from palpate.realtime.period import IGNORE, Work
 from palpate.realtime.pose import IDENTITY_POSE
 from palpate.reduction.hyper.error_indicator import bound_curve
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.realtime.display_surface import Surface
-from palpate.reduction.realtime.model import idle_model
 
 __all__ = ["FUNCTION_NAMES", "Library", "lower_model", "model_functions"]
 

@@ -15,8 +15,6 @@ from palpate.arrays import Floats
 from palpate.faults import CloudError, InputError, brief, first_few, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud, warn_of_size
 from palpate.meshfree.gate import STENCIL_NODES, faulty_nodes
-from palpate.meshfree.nesting import body_numbers, enclosures
-from palpate.meshfree.refining import refine_surface
 from palpate.meshfree.relaxing import (
     MIN_DEPTH,
     DepthQuery,
@@ -26,11 +24,14 @@ from palpate.meshfree.relaxing import (
     scattered_inside,
     voronoi_volumes,
 )
-from palpate.meshfree.remeshing import SurfaceNodes, remesh
-from palpate.meshfree.surface_checks import check_surface
-from palpate.meshfree.surface_files import read_surface
-from palpate.meshfree.surface_repair import HOLLOWED_BODY, repair_surface
-from palpate.meshfree.surfaces import (
+from palpate.meshfree.visibility import is_pair
+from palpate.surface.checks import check_surface
+from palpate.surface.files import read_surface
+from palpate.surface.nesting import body_numbers, enclosures
+from palpate.surface.refining import refine_surface
+from palpate.surface.remeshing import SurfaceNodes, remesh
+from palpate.surface.repair import HOLLOWED_BODY, repair_surface
+from palpate.surface.surface import (
     Surface,
     components,
     part_centroids,
@@ -39,7 +40,6 @@ from palpate.meshfree.surfaces import (
     vertex_components,
     weld,
 )
-from palpate.meshfree.visibility import is_pair
 
 __all__ = ["BODY_PREFIX", "Region", "fill"]
 
@@ -84,7 +84,7 @@ def fill(
         For a file, as for `palpate.io.read_surface`.
     repair : bool
         Whether to close small holes and orient triangles: see
-        `palpate.meshfree.surface_repair.repair_surface`.
+        `palpate.surface.repair.repair_surface`.
     lattice : str
         ``"bcc"`` (body-centred cubic), ``"cubic"`` or ``"scattered"`` (Poisson discs).
     refine : sequence of (centre, radius, spacing)

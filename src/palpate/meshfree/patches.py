@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats, Ints
 from palpate.meshfree.cloud import Cloud
-from palpate.meshfree.cut_surface import NO_CUT, CutSurface, bond_paths
+from palpate.meshfree.cut.surface import NO_CUT, CutSurface, bond_paths
 from palpate.meshfree.visibility import is_pair
 
 __all__ = ["spread_load", "surface_patches"]

@@ -14,8 +14,8 @@ from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats, Ints
 from palpate.code_cache import cached_njit
-from palpate.meshfree.crossings import column_crossings
-from palpate.meshfree.refining import poisson_discs
+from palpate.surface.crossings import column_crossings
+from palpate.surface.refining import poisson_discs
 
 __all__ = ["DepthQuery", "lattice_inside", "relax", "scattered_inside", "voronoi_volumes"]
 

@@ -20,6 +20,7 @@ from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.faults import InputError, TrustWarning, integer_in_range, number_in_range
 from palpate.realtime.black_box import write_black_box
+from palpate.realtime.bodies.model import RealtimeModel
 from palpate.realtime.channel import SharedSlots
 from palpate.realtime.clock import HAS_CLOCKS
 from palpate.realtime.contract import check_contract
@@ -31,7 +32,6 @@ from palpate.realtime.pose import IDENTITY_POSE, normalise_pose
 from palpate.realtime.record import HEADER_SIZE, Reading, field_offset
 from palpate.realtime.runner import Runner
 from palpate.realtime.statistics import Statistics
-from palpate.reduction.realtime.model import RealtimeModel
 from palpate.threads import check_process
 
 __all__ = ["Engine"]

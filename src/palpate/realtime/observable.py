@@ -35,11 +35,11 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import law_digest, law_njit
 from palpate.faults import number_in_range
+from palpate.realtime.bodies.model import RealtimeModel
 from palpate.realtime.contract import FORCES, KINETIC, STATUS, STRAIN
 from palpate.realtime.exchange import Slot, publish, snapshot
 from palpate.realtime.period import function_key
 from palpate.reduction.contact.surface import PAIRS
-from palpate.reduction.realtime.model import RealtimeModel
 
 __all__ = ["ObservableModel", "Observation", "VirtualCoupling", "make_observable"]
 
@@ -110,7 +110,7 @@ class Observation(NamedTuple):
     Parameters
     ----------
     coordinates, contact_nodes, contact_forces : arrays
-        Arguments of `Surface.displacements` (`palpate.reduction.realtime.display_surface`); the forces are those of the
+        Arguments of `Surface.displacements` (`palpate.realtime.bodies.display_surface`); the forces are those of the
         model's own moduli.
     tool_position : (3,) array [m]
         Displacement of the tool, which differs from the device's with a virtual coupling.

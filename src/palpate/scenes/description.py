@@ -11,7 +11,7 @@ from difflib import get_close_matches
 from typing import Any
 
 from palpate.faults import InputError
-from palpate.scenes.settings import Fault, read_values, setting
+from palpate.parameters import Fault, read_values, setting
 from palpate.tissue.catalogue import LAWS
 from palpate.tissue.liver import LIVER_DENSITY, LIVER_POISSON, MASS_DAMPING
 

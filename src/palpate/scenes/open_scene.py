@@ -12,12 +12,12 @@ from typing import Any
 
 from palpate.faults import InputError, brief
 from palpate.files import json_of
+from palpate.parameters import Fault, read_section, written_section
 from palpate.scenes.description import Description, chooses_runs, with_settings
 from palpate.scenes.names import PACKAGE_SCENES, is_scene_file
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.scene import TrainingScene
 from palpate.scenes.scene_text import parse_scene, read_scene
-from palpate.scenes.settings import Fault, read_section, written_section
 
 __all__ = ["DESCRIPTION_KEY", "DIGEST_KEY", "described_scene", "open_scene", "text_of_scene", "training_scene_of"]
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from palpate.arrays import Floats
 from palpate.faults import number_in_range
-from palpate.meshfree.isosurface import zero_surface
-from palpate.meshfree.surfaces import Surface, weld
+from palpate.surface.isosurface import zero_surface
+from palpate.surface.surface import Surface, weld
 
 __all__ = ["liver_surface"]
 

@@ -34,10 +34,6 @@ from palpate.files import digest_of, read_bytes
 from palpate.meshfree.cloud import BORDER_MARGIN, MOVED_MARGIN, Cloud, box
 from palpate.meshfree.filling import BODY_PREFIX, fill
 from palpate.meshfree.sheets import disc
-from palpate.meshfree.surface_checks import SurfaceReport, check_surface, shape_problems
-from palpate.meshfree.surface_files import read_surface
-from palpate.meshfree.surface_repair import repair_surface
-from palpate.meshfree.surfaces import Surface, scaled
 from palpate.scenes.description import CHOICES_OF_RUNS, Description
 from palpate.scenes.names import PACKAGE_SCENES, is_scene_file
 from palpate.scenes.organ import liver_surface
@@ -46,6 +42,10 @@ from palpate.scenes.scene_paths import MIN_DEPTH_RATIO, HeldMotion, held_motion,
 from palpate.scenes.scene_text import line_of_file, words_of
 from palpate.scenes.tissue import fibres_of, material_of
 from palpate.scenes.tool_paths import ToolPaths, check_radius
+from palpate.surface.checks import SurfaceReport, check_surface, shape_problems
+from palpate.surface.files import read_surface
+from palpate.surface.repair import repair_surface
+from palpate.surface.surface import Surface, scaled
 from palpate.tissue.materials import Material
 
 __all__ = ["OrganScene"]
@@ -105,7 +105,7 @@ class OrganScene(Described):
     @property
     def title(self) -> str:
         """Title of the scene."""
-        from palpate.meshfree.formats.names import format_of
+        from palpate.surface.formats.names import format_of
 
         file = Path(self.description.surface.file)
         if self.description.title or not self.description.surface.file:

@@ -17,13 +17,13 @@ from palpate.faults import InputError, brief, number_in_range
 from palpate.meshfree.attachment import painted
 from palpate.meshfree.cell_fractions import cell_fractions
 from palpate.meshfree.cloud import Cloud
-from palpate.meshfree.nesting import inside_points
-from palpate.meshfree.refining import refine_surface
-from palpate.meshfree.surface_checks import METRES_BY_UNIT
-from palpate.meshfree.surface_files import read_surface
-from palpate.meshfree.surfaces import Surface
 from palpate.scenes.description import Near, Painted, Place, Shape
 from palpate.scenes.painted import read_painted
+from palpate.surface.checks import METRES_BY_UNIT
+from palpate.surface.files import read_surface
+from palpate.surface.nesting import inside_points
+from palpate.surface.refining import refine_surface
+from palpate.surface.surface import Surface
 
 __all__ = ["PlaceFinder", "inside_surface", "place_of_text", "side_mask"]
 

@@ -10,8 +10,8 @@ from platformdirs import user_cache_path
 
 from palpate.faults import FileFormatError, InputError
 from palpate.files import whole_file
-from palpate.meshfree.surface_files import read_surface
-from palpate.meshfree.surfaces import Surface
+from palpate.surface.files import read_surface
+from palpate.surface.surface import Surface
 
 __all__ = ["LIVER_ADDRESS", "LIVER_CITATION", "LIVER_PART", "fetch_liver"]
 

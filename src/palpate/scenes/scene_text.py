@@ -8,8 +8,8 @@ from pathlib import Path
 
 from palpate.faults import FileFormatError, InputError
 from palpate.files import check_nesting, read_text, shortened
+from palpate.parameters import Fault, read_section
 from palpate.scenes.description import Description
-from palpate.scenes.settings import Fault, read_section
 
 __all__ = ["line_of", "line_of_file", "parse_scene", "read_scene", "words_of"]
 

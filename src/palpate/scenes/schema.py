@@ -8,8 +8,8 @@ import typing
 from dataclasses import MISSING, is_dataclass
 from typing import Any
 
+from palpate.parameters import FACTORS_BY_UNIT, fields_of
 from palpate.scenes.description import Description
-from palpate.scenes.settings import FACTORS_BY_UNIT, fields_of
 
 __all__ = ["scene_schema"]
 

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from palpate.faults import InputError
-from palpate.meshfree.formats.names import SURFACE_FORMATS, format_of
+from palpate.parameters import check_number, fields_of
 from palpate.scenes.description import Body, Description, Shape, Support, Tissue, with_settings
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.places import place_of_text
-from palpate.scenes.settings import check_number, fields_of
+from palpate.surface.formats.names import SURFACE_FORMATS, format_of
 
 __all__ = ["is_surface_file", "surface_scene"]
 

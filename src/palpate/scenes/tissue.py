@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from palpate.faults import InputError
+from palpate.parameters import quantity
 from palpate.scenes.description import Fibre, Tissue
-from palpate.scenes.settings import quantity
 from palpate.tissue.catalogue import FIBRE_LAWS, LAWS, CatalogueEntry
 from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.liver import SHEAR_MODULUS

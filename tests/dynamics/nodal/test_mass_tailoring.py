@@ -12,7 +12,7 @@ import palpate as pt
 from palpate.dynamics.contact.tools import Forceps
 from palpate.dynamics.nodal.mass_tailoring import tailored_mass, without_nodes
 from palpate.dynamics.nodal.stability import stiffness
-from palpate.reduction.realtime.full_body import step_statistics
+from palpate.realtime.bodies.full_body import step_statistics
 
 SIZE, SPACING, BALL, PERIOD = (0.03, 0.03, 0.02), 0.005, 0.012, 1e-3  # [m], [s]
 HOME = np.array([0.015, 0.015, SIZE[2] + BALL + 0.0005])

@@ -18,12 +18,12 @@ import pytest
 import palpate as pt
 from palpate.dynamics.loads.supports import supports_of
 from palpate.dynamics.material.tissue import Tissue
+from palpate.realtime.bodies.display_surface import Surface
 from palpate.reduction.contact.compliance import SurfaceCompliance
 from palpate.reduction.contact.interior import Interior
 from palpate.reduction.hyper.cubature import Cubature
 from palpate.reduction.hyper.data import UNLIMITED_SCALE, ReducedData
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.realtime.display_surface import Surface
 from palpate.reduction.storage import model_file as storage
 from palpate.reduction.storage.compliance import pack_flexibilities, unpack_flexibilities
 from palpate.reduction.storage.model_file import CURVE_KEYS

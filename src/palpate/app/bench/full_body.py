@@ -15,9 +15,9 @@ from palpate.dynamics.contact.tools import Contact, Motion, Sphere
 from palpate.dynamics.run.period_report import FORCES, STEPS
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.meshfree.filling import fill
+from palpate.realtime.bodies.model import RealtimeModel, realtime_model
 from palpate.realtime.clock import now
 from palpate.realtime.period import function_key
-from palpate.reduction.realtime.model import RealtimeModel, realtime_model
 from palpate.scenes.organ import liver_surface
 from palpate.tissue.materials import NeoHookean
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, identity, vstack
 
 from palpate.arrays import Floats, Singles
-from palpate.reduction.realtime.display_surface import Surface
+from palpate.realtime.bodies.display_surface import Surface
 
 __all__ = ["SubdividedSession", "subdivide", "subdivide_at_centroids"]
 
@@ -72,11 +72,11 @@ class SubdividedSurface:
         self.fixed: NDArray[np.bool_] = self._weights @ surface.fixed.astype(np.float32) > 0.5
 
     def displacements(self, *arguments: Any) -> Singles:
-        """Return displacements as `palpate.reduction.realtime.display_surface.Surface.displacements` does."""
+        """Return displacements as `palpate.realtime.bodies.display_surface.Surface.displacements` does."""
         return np.asarray(self._weights @ self._coarse.displacements(*arguments))
 
     def scalar(self, name: str, coordinates: Floats, displacements: Singles) -> Singles:
-        """Return a scalar as `palpate.reduction.realtime.display_surface.Surface.scalar` does."""
+        """Return a scalar as `palpate.realtime.bodies.display_surface.Surface.scalar` does."""
         if name == "displacement":
             return self._coarse.scalar(name, coordinates, displacements)
         coarse = displacements[: len(self._coarse.rest)]  # of the old vertices

@@ -21,13 +21,13 @@ from palpate.files import check_folder, plain
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.filling import fill
 from palpate.meshfree.gate import nearest_spacing
-from palpate.meshfree.surface_checks import SurfaceReport, check_surface
-from palpate.meshfree.surface_files import read_surface
-from palpate.meshfree.surface_repair import repair_surface
-from palpate.meshfree.surfaces import Surface
 from palpate.scenes.names import is_scene_file
 from palpate.scenes.open_scene import open_scene, training_scene_of
 from palpate.scenes.organ_scene import OrganScene
+from palpate.surface.checks import SurfaceReport, check_surface
+from palpate.surface.files import read_surface
+from palpate.surface.repair import repair_surface
+from palpate.surface.surface import Surface
 
 __all__ = ["FILES", "check"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from palpate.app.common.arguments import Command, add_command, add_output, add_parts, existing_file, number, whole
-from palpate.meshfree.formats.names import listed_formats
+from palpate.surface.formats.names import listed_formats
 
 __all__ = ["add_check"]
 

@@ -15,8 +15,8 @@ from palpate.arrays import Floats, Ints
 from palpate.files import shortened
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.gate import nearest_spacing
-from palpate.meshfree.surface_checks import SurfaceReport
-from palpate.meshfree.surfaces import Surface
+from palpate.surface.checks import SurfaceReport
+from palpate.surface.surface import Surface
 
 __all__ = ["draw_cloud", "draw_surface"]
 

@@ -19,9 +19,9 @@ from palpate.export.targets import WEB_TARGETS
 from palpate.export.wasm import module_of_object
 from palpate.faults import InputError
 from palpate.files import write_bytes
+from palpate.realtime.bodies.display_surface import Surface
 from palpate.realtime.record import HEADER_DTYPE, field_offset
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.realtime.display_surface import Surface
 
 __all__ = ["export_web"]
 

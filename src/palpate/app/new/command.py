@@ -16,12 +16,12 @@ from palpate.app.models.touch import TRAINED_NODES, fitting_scene, spacing_for
 from palpate.app.new.text import scene_text
 from palpate.faults import InputError
 from palpate.files import check_folder, whole_file, write_json
-from palpate.meshfree.surface_checks import METRES_BY_UNIT
 from palpate.scenes.names import is_scene_file
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.schema import scene_schema
 from palpate.scenes.surface_scene import is_surface_file, surface_scene
+from palpate.surface.checks import METRES_BY_UNIT
 
 __all__ = ["new"]
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from palpate.app.common.arguments import Command, add_command, add_parts, existing_file, number, path
-from palpate.meshfree.formats.names import listed_formats
+from palpate.surface.formats.names import listed_formats
 
 __all__ = ["add_new"]
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from palpate.app.recordings.recording import Recording
-from palpate.dynamics.solid.cut import cut_from
+from palpate.dynamics.solid.cutting.cut import cut_from
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.reduction.realtime.cut_display import CutFullSurface
-from palpate.reduction.realtime.display_surface import DisplaySurface
-from palpate.reduction.realtime.full_surface import FullSurface, display_surface
+from palpate.realtime.bodies.cut_display import CutFullSurface
+from palpate.realtime.bodies.display_surface import DisplaySurface
+from palpate.realtime.bodies.full_surface import FullSurface, display_surface
 
 __all__ = ["CutSurfaces"]
 

@@ -33,9 +33,9 @@ from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import plain, regular_file, shortened
 from palpate.meshfree.cloud import Cloud
-from palpate.meshfree.cut_surface import is_narrow
+from palpate.meshfree.cut.surface import is_narrow
+from palpate.realtime.bodies.full_surface import display_surface
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.realtime.full_surface import display_surface
 from palpate.reduction.storage.solid import body_contents, body_in
 from palpate.sealed import ArrayFile, loading, open_sealed, write_sealed
 

@@ -13,8 +13,8 @@ from palpate.realtime.record import PeriodRecord
 
 if TYPE_CHECKING:
     from palpate.dynamics.solid.model import EnergySolid
+    from palpate.realtime.bodies.display_surface import DisplaySurface
     from palpate.reduction.hyper.model import ReducedModel
-    from palpate.reduction.realtime.display_surface import DisplaySurface
 
 __all__ = [
     "ENGINE_STATES",

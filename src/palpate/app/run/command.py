@@ -23,13 +23,13 @@ from palpate.dynamics.run.trajectory import Trajectory
 from palpate.dynamics.solid.model import Solid
 from palpate.faults import DivergenceError, InputError, TrustWarning, integer_in_range
 from palpate.files import plain
+from palpate.parameters import quantity
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.errors import relative_errors
 from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.beam import DURATION, EVERY, beam
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.scene import Scene
-from palpate.scenes.settings import quantity
 
 __all__ = ["FILES", "run"]
 

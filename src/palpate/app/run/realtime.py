@@ -17,12 +17,12 @@ from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.run.progress import progress_bar
 from palpate.faults import number_in_range
 from palpate.files import check_folder, check_space, plain
+from palpate.realtime.bodies.full_blade import BladeCutter
+from palpate.realtime.bodies.model import realtime_model
 from palpate.realtime.device import DummyDevice
 from palpate.realtime.engine import Engine
 from palpate.realtime.statistics import Distribution, Statistics
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.realtime.full_blade import BladeCutter
-from palpate.reduction.realtime.model import realtime_model
 
 __all__ = ["FILES", "Poses", "run_realtime"]
 

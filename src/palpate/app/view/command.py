@@ -21,11 +21,11 @@ from palpate.dynamics.loads.foundation import Foundation
 from palpate.extras import require
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import check_folder
-from palpate.meshfree.surfaces import Surface
 from palpate.scenes.names import PACKAGE_SCENES, is_scene_file
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.places import side_mask
 from palpate.scenes.surface_scene import is_surface_file, surface_scene
+from palpate.surface.surface import Surface
 
 if TYPE_CHECKING:  # each takes a second to import, before the page opens
     from palpate.app.view.session.messages import Message

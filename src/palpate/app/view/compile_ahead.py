@@ -14,8 +14,8 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 
+from palpate.parameters import read_section, written_section
 from palpate.scenes.description import Tissue
-from palpate.scenes.settings import read_section, written_section
 
 __all__ = ["compile_ahead", "compile_for_tissue"]
 

@@ -30,7 +30,7 @@ from palpate.dynamics.contact.blade import scalpel
 from palpate.extras import require
 from palpate.faults import InputError
 from palpate.files import whole_file
-from palpate.reduction.realtime.display_surface import DisplaySurface
+from palpate.realtime.bodies.display_surface import DisplaySurface
 
 __all__ = [
     "FRAME_RATE",

@@ -15,8 +15,8 @@ from palpate.app.common.arguments import (
     path,
     whole,
 )
-from palpate.meshfree.formats.names import listed_formats
 from palpate.scenes.names import listed_scenes
+from palpate.surface.formats.names import listed_formats
 
 __all__ = ["add_replay", "add_view"]
 

@@ -18,7 +18,7 @@ from palpate.dynamics.nodal.model import History, NodalModel
 from palpate.dynamics.run.model import State
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud
-from palpate.meshfree.cut_surface import NO_CUT, CutSurface
+from palpate.meshfree.cut.surface import NO_CUT, CutSurface
 from palpate.meshfree.inversion import cells_between, inverted_share
 from palpate.meshfree.mirror import Images, mirror_images
 from palpate.meshfree.stencils import Stencils, moving_least_squares

@@ -20,14 +20,14 @@ from palpate.dynamics.nodal.model import History, NodalWork
 from palpate.dynamics.nodal.stability import StabilityReport, resting_frequency, stable_step
 from palpate.dynamics.run.model import Evaluation, Model, Outputs, State, StepReport
 from palpate.dynamics.solid.base import STENCIL_SIZES, Choices, Solid
-from palpate.dynamics.solid.blade_cut import cut_with_blade, steps_of_blade, with_pairs
-from palpate.dynamics.solid.cut import detached_nodes, uncut_state
-from palpate.dynamics.solid.cut_layout import smoothing_of, stencils_of
+from palpate.dynamics.solid.cutting.blade_cut import cut_with_blade, steps_of_blade, with_pairs
+from palpate.dynamics.solid.cutting.cut import detached_nodes, uncut_state
+from palpate.dynamics.solid.cutting.layout import smoothing_of, stencils_of
 from palpate.dynamics.solid.energy_form import NODE_NUMBERS, EnergyBody, body_in_single, work_in_single
 from palpate.dynamics.solid.layout import Smoothing, energy_passes
 from palpate.faults import CloudError, InputError, number_in_range
 from palpate.meshfree.consistent import consistent_gradient, consistent_stencils
-from palpate.meshfree.cut_stencils import CutState
+from palpate.meshfree.cut.stencils import CutState
 from palpate.meshfree.mirror import Images, mirror_images
 from palpate.meshfree.patches import surface_patches
 from palpate.meshfree.quadrature import conservative_smoothing, quadratic_residuals

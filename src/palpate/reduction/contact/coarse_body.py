@@ -19,8 +19,8 @@ from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import CloudError, InputError, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.filling import fill
-from palpate.meshfree.surfaces import Surface
 from palpate.reduction.contact.residual_flexibility import MAX_NODES
+from palpate.surface.surface import Surface
 
 __all__ = ["coarse_body", "explicit_supports", "statics_body"]
 

@@ -21,7 +21,7 @@ import numpy as np
 import scipy.sparse as sparse
 
 from palpate.arrays import Floats, Ints
-from palpate.dynamics.solid.cut import cut
+from palpate.dynamics.solid.cutting.cut import cut
 from palpate.dynamics.solid.model import EnergySolid, Solid
 from palpate.faults import CloudError, InputError, brief, integer_in_range
 from palpate.reduction.basis.cut_columns import StaticChanges, static_changes

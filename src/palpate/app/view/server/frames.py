@@ -12,8 +12,8 @@ from palpate.app.recordings.snapshot import ENGINE_STATES, TOOL_KINDS, OverlaySt
 from palpate.arrays import Singles
 
 if TYPE_CHECKING:
-    from palpate.meshfree.surfaces import Surface
-    from palpate.reduction.realtime.display_surface import DisplaySurface
+    from palpate.realtime.bodies.display_surface import DisplaySurface
+    from palpate.surface.surface import Surface
 
 __all__ = [
     "CUT_GEOMETRY",

@@ -18,7 +18,7 @@ from platformdirs import user_cache_path
 import palpate
 from palpate.faults import FileFormatError, InputError
 from palpate.files import read_json, write_json
-from palpate.meshfree.surfaces import Surface
+from palpate.surface.surface import Surface
 
 __all__ = ["MAX_PREVIEW_TRIANGLES", "Preparation", "coarsen"]
 

@@ -8,7 +8,7 @@ from palpate.app.recordings.snapshot import OverlayState, Snapshot
 from palpate.app.view.session.messages import Message
 
 if TYPE_CHECKING:
-    from palpate.reduction.realtime.display_surface import DisplaySurface
+    from palpate.realtime.bodies.display_surface import DisplaySurface
 
 __all__ = ["Refining", "ViewSource"]
 

@@ -18,8 +18,8 @@ from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import InputError
 from palpate.files import shortened
+from palpate.realtime.bodies.display_surface import Surface
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.realtime.display_surface import Surface
 from palpate.scenes.names import PACKAGE_SCENES
 from palpate.scenes.training import search_current_folder, training_scene
 

@@ -14,7 +14,7 @@ from palpate.app.recordings.snapshot import OverlayState, Snapshot, scalar_descr
 from palpate.app.view.session.messages import Message
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
-from palpate.reduction.realtime.display_surface import DisplaySurface
+from palpate.realtime.bodies.display_surface import DisplaySurface
 
 __all__ = ["Replay"]
 

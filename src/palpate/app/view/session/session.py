@@ -37,17 +37,17 @@ from palpate.dynamics.contact.tools import Forceps, Tool
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
-from palpate.meshfree.cut_surface import NO_CUT
+from palpate.meshfree.cut.surface import NO_CUT
+from palpate.realtime.bodies.cut_display import CutFullSurface
+from palpate.realtime.bodies.display_surface import DisplaySurface
+from palpate.realtime.bodies.full_body import step_statistics
+from palpate.realtime.bodies.full_surface import FullSurface, display_surface
+from palpate.realtime.bodies.model import idle_model
 from palpate.realtime.engine import Engine
 from palpate.realtime.observable import Observation, make_observable
 from palpate.realtime.record import Reading
 from palpate.realtime.statistics import Statistics
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.realtime.cut_display import CutFullSurface
-from palpate.reduction.realtime.display_surface import DisplaySurface
-from palpate.reduction.realtime.full_body import step_statistics
-from palpate.reduction.realtime.full_surface import FullSurface, display_surface
-from palpate.reduction.realtime.model import idle_model
 
 __all__ = ["Session"]
 

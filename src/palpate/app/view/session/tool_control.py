@@ -13,7 +13,7 @@ from palpate.dynamics.contact.blade import Blade, scalpel
 from palpate.dynamics.contact.geometry import compute_gaps
 from palpate.dynamics.contact.tools import Capsule, Forceps, Sphere, Tool
 from palpate.faults import InputError
-from palpate.reduction.realtime.display_surface import DisplaySurface, fixed_nodes
+from palpate.realtime.bodies.display_surface import DisplaySurface, fixed_nodes
 
 __all__ = [
     "NO_ROTATION",

@@ -1,0 +1,202 @@
+"""Cuts of a body by a blade between the steps of a run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from palpate.arrays import Floats
+from palpate.dynamics.contact.blade import Blade
+from palpate.dynamics.contact.blade_sites import BladeSites
+from palpate.dynamics.contact.geometry import rotation
+from palpate.dynamics.contact.tools import Contact
+from palpate.dynamics.loads.prepared import PreparedLoads
+from palpate.dynamics.loads.supports import FREE
+from palpate.dynamics.run.model import MANY_STEPS, State
+from palpate.dynamics.solid.cutting.blunt import run_front, start_front
+from palpate.dynamics.solid.cutting.cut import cut_from
+from palpate.dynamics.solid.cutting.face_pairs import face_pairs, joined_sites, turn_pairs
+from palpate.dynamics.solid.cutting.incision import (
+    Incision,
+    advance_edge,
+    after_cut,
+    blade_sites,
+    edge_points,
+    next_strip,
+    start_incision,
+)
+from palpate.faults import DivergenceError, InputError, first_few
+
+__all__ = ["advance_blade", "blade_of", "cut_with_blade", "steps_of_blade", "with_pairs"]
+
+STEP_WAY = 0.1  # of the edge between two cuts, in spacings
+STEPS_OF_FRONT = 4  # until the front ahead of a blunt blade can advance again
+SUPPORT_DISTANCE = 0.5  # from a cut to the nodes that supports and tools hold, in spacings
+
+
+def blade_of(prepared: PreparedLoads) -> tuple[int, Contact] | None:
+    """Return the number of the tool that is a blade, and the tool; None without a blade.
+
+    Raises
+    ------
+    InputError
+        There are two blades.
+    """
+    blades = [(t, tool) for t, tool in enumerate(prepared.tools) if isinstance(tool.tool, Blade)]
+    if len(blades) > 1:
+        raise InputError(f"loads must have one Blade at most, got {len(blades)}; make the cuts one after the other")
+    return blades[0] if blades else None
+
+
+def steps_of_blade(prepared: PreparedLoads, state: State, step: float, spacing: float) -> int:
+    """Return the steps [s] in which no point of the edge moves by more than a tenth of the spacing."""
+    tool = blade_of(prepared)
+    if tool is None:
+        return MANY_STEPS
+    points = edge_points(tool[1].tool, spacing)  # type: ignore[arg-type]
+    frames = [_frame(tool[1], time) for time in (state.time, state.time + step)]
+    way = np.linalg.norm(points @ (frames[1] - frames[0])[:, :3].T + (frames[1] - frames[0])[:, 3], axis=1).max()
+    most = MANY_STEPS if tool[1].tool.sharp else STEPS_OF_FRONT  # type: ignore[union-attr]
+    return max(1, min(most, int(STEP_WAY * spacing / max(way, 1e-30 * spacing)))) if way > 0 else most
+
+
+def _frame(tool: Contact, time: float) -> Floats:
+    """Return the frame (3, 4) of a tool at a time [s]."""
+    frame = np.zeros((3, 4))
+    rotation(tool.poses(np.array([time]))[0], frame)
+    return frame
+
+
+def cut_with_blade(body: Any, state: State, prepared: PreparedLoads) -> tuple[Any, State, PreparedLoads]:
+    """Return the body that a blade has cut after some steps, the state, and the loads with the blade's new sites.
+
+    Raises
+    ------
+    DivergenceError
+        The blade reaches nodes that a support or a tool holds.
+    InputError
+        The blade begins inside the body.
+    """
+    blade = blade_of(prepared)
+    if blade is None:
+        return body, state, with_turned_pairs(body, state.coordinates, prepared)
+    number, tool = blade
+    frame = _frame(tool, state.time)
+    held = np.flatnonzero(prepared.sites.kind != FREE)
+    advance = advance_blade if tool.tool.sharp else _advance_front  # type: ignore[union-attr]
+    body, incision, sites, released = advance(body, state, tool, frame, held, number)
+    state = replace(state, incision=incision, dissipated=state.dissipated + released)
+    if sites is not None:
+        prepared = replace(prepared, contacts=prepared.contacts._replace(sites=sites))
+    return body, state, prepared
+
+
+def with_turned_pairs(body: Any, u: Floats, prepared: PreparedLoads) -> PreparedLoads:
+    """Return loads in which the faces of a cut touch each other along the normals of displacements (n, 3)."""
+    sites = prepared.contacts.sites
+    if not len(sites.kind):
+        return prepared
+    turned = turn_pairs(sites, body.cut_state, u, body.cloud.points[body.cloud.triangles])
+    return replace(prepared, contacts=prepared.contacts._replace(sites=turned))
+
+
+def with_pairs(body: Any, prepared: PreparedLoads) -> PreparedLoads:
+    """Return the loads of a cut body, whose faces touch each other."""
+    cloud, count = body.cloud, len(body.cloud)
+    u = np.zeros((count, 3))
+    contacts = prepared.contacts._replace(
+        sites=face_pairs(body.cut_state, u, cloud.points[cloud.triangles]), inverse_mass=np.zeros(count),
+        step_impulses=np.zeros((count, 3)), nodal_impulses=np.zeros((count, 3)),
+    )  # fmt: skip
+    return replace(prepared, contacts=contacts)
+
+
+def advance_blade(
+    body: Any, state: State, tool: Contact, frame: Floats, held: Any, number: int = 0
+) -> tuple[Any, Incision, Any, float]:
+    """Return the body that a blade in a frame (3, 4) has cut, the incision, the new sites or None, and the release [J].
+
+    `held` are nodes (h,) that supports or other tools hold.
+    """
+    blade: Any = tool.tool
+    if not blade.sharp:
+        raise InputError(f"Blade of Contact {tool.name!r} must be sharp outside runs, got sharp=False")
+    cloud, u, history = body.cloud, state.coordinates, state.history
+    cut_state, incision, released = body.cut_state, state.incision, 0.0
+    corners = cloud.points[cloud.triangles]
+    is_new = incision is None
+    if is_new:
+        incision, sites = _start(body, u, tool, frame, number)
+        return body, *_with_faces(incision, sites, face_pairs(cut_state, u, corners)), 0.0
+    cuts = advance_edge(cut_state, incision, blade, frame, u, corners)
+    energy = body.strain_energy(u, history) if cuts else 0.0
+    for edge, pieces, area in cuts:
+        strip, triangles, replaced = next_strip(incision.strip, incision.edge, edge, pieces, cloud.spacing)
+        lost = 0.0
+        if len(triangles):
+            _check_distance(tool, triangles, cloud.points, held, cloud.spacing)
+            body = cut_from(body, len(body.cut_surface.triangles) - replaced, triangles)
+            before, energy = energy, body.strain_energy(u, history)
+            lost = before - energy
+        incision = after_cut(incision, edge, strip, area, lost, cloud.spacing)
+        released += lost
+    if not cuts:
+        return body, incision, None, 0.0
+    sites, incision, _ = blade_sites(body.cut_state, incision, blade, frame, u, corners, number)
+    return body, *_with_faces(incision, sites, face_pairs(body.cut_state, u, corners)), released
+
+
+def _start(body: Any, u: Floats, tool: Contact, frame: Floats, number: int) -> tuple[Incision, BladeSites]:
+    """Return the incision of a blade in a frame (3, 4) and its sites; raise `InputError` for one in the body."""
+    blade: Any = tool.tool
+    state, corners = body.cut_state, body.cloud.points[body.cloud.triangles]
+    sites, incision, length = blade_sites(
+        state, start_incision(state, blade, frame, u), blade, frame, u, corners, number
+    )
+    if length > 0:
+        raise InputError(
+            f"motion of Contact {tool.name!r} must start outside the body, got {length:.3g} m of the edge inside; "
+            "start it outside and move it in"
+        )
+    return incision, sites
+
+
+def _advance_front(
+    body: Any, state: State, tool: Contact, frame: Floats, held: Any, number: int
+) -> tuple[Any, Incision, Any, float]:
+    """Return the results of `advance_blade` for a blunt blade."""
+    blade: Any = tool.tool
+    cloud, u, released = body.cloud, state.coordinates, 0.0
+    if state.incision is None:
+        incision = start_front(body, _start(body, u, tool, frame, number)[0], blade, frame, tool.name)
+    else:
+        check = partial(_check_distance, tool, points=cloud.points, held=held, spacing=cloud.spacing)
+        body, incision, released = run_front(body, state, blade, frame, check, tool.name)
+    corners = cloud.points[cloud.triangles]
+    sites, incision, _ = blade_sites(body.cut_state, incision, blade, frame, u, corners, number)
+    return body, *_with_faces(incision, sites, face_pairs(body.cut_state, u, corners)), released
+
+
+def _with_faces(incision: Incision, sites: BladeSites, pairs: BladeSites) -> tuple[Incision, BladeSites]:
+    """Return the incision, and the sites of its blade followed by pairs of faces."""
+    joined = joined_sites(sites, pairs)
+    if incision.hold is not None:  # the step writes the slips of the joined sites
+        incision = replace(incision, hold=incision.hold._replace(slips=joined.slips[: len(incision.hold.pieces)]))
+    return incision, joined
+
+
+def _check_distance(tool: Contact, triangles: Floats, points: Floats, held: Any, spacing: float) -> None:
+    """Raise `DivergenceError` for a cut that reaches held nodes."""
+    if not len(held):
+        return
+    samples = np.concatenate([triangles.mean(axis=1), triangles.reshape(-1, 3)])
+    distance = np.linalg.norm(points[held, None] - samples[None], axis=2).min(axis=1)
+    reached = held[distance < SUPPORT_DISTANCE * spacing]
+    if reached.size:
+        raise DivergenceError(
+            f"Contact {tool.name!r} cuts at nodes {first_few(reached)}, which a support or a tool holds; end its "
+            "motion before, or support the body elsewhere"
+        )

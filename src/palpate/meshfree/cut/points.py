@@ -1,0 +1,165 @@
+"""Weights of nodes in the displacement at points of a cut body, and the points that a deformed body has somewhere.
+
+The displacement at a point is a linear fit over the nodes that it sees: bonds that cross the cut go round its fronts or
+do not count (`palpate.meshfree.cut.surface`). A point on a face is seen from a little beyond it, on one side.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.arrays import Floats, Ints
+from palpate.meshfree.cut.stencils import REACH_MARGIN, UncutStencils
+from palpate.meshfree.cut.surface import CutSurface, bond_paths
+from palpate.surface.nesting import inside_points, inside_shares
+
+__all__ = [
+    "LEAST_VOLUME",
+    "SIGHT_DISTANCE",
+    "PointWeights",
+    "inside_body",
+    "point_weights",
+    "reference_points",
+    "shares_inside",
+]
+
+CANDIDATE_NODES, FIT_NODES = 64, 20  # nearest nodes, and nodes inside the radius of the fit
+MAX_ITERATIONS, LAST_CHANGE = 4, 1e-3  # of the reference point, and its last change in spacings
+SIGHT_DISTANCE = 0.3  # from a point to where it is seen from, in spacings
+SEARCH_DISTANCE = 4.0  # of the cut from points, in spacings
+LEAST_VOLUME = 0.1  # ratio of volumes below which a fit is not used
+MAX_DEPTH = 2.0  # of a point in the body whose nearest node is on the surface, in spacings
+FAR_DISTANCE = 1.5  # distance from the nearest node beyond which a point moves with it, in spacings
+
+
+class PointWeights(NamedTuple):
+    """Weights of nodes at points.
+
+    Parameters
+    ----------
+    nodes : (p, k) array
+    values : (p, k) array
+        Weights of the displacement.
+    slopes : (p, k, 3) array [1/m]
+        Weights of its derivatives.
+    """
+
+    nodes: Ints
+    values: Floats
+    slopes: Floats
+
+
+def point_weights(uncut: UncutStencils, surface: CutSurface, points: Floats, seen_from: Floats) -> PointWeights:
+    """Return the weights of nodes at points.
+
+    Parameters
+    ----------
+    uncut : UncutStencils
+    surface : CutSurface
+    points : (p, 3) array [m]
+    seen_from : (p, 3) array [m]
+        Where the bonds of the points begin.
+    """
+    n, count = len(uncut.points), min(CANDIDATE_NODES, len(uncut.points))
+    _, near = uncut.tree.query(points, k=count)
+    near = np.asarray(near, dtype=np.int64)
+    near_cut = _near_points(surface, points, uncut.spacing)
+    start, paths = np.arange(0, len(points) * count + 1, count), np.empty(near.size)
+    every = np.concatenate([uncut.points, seen_from])
+    bond_paths(
+        every, n + np.arange(len(points)), start, near.ravel(), *near_cut, uncut.spacing,
+        SEARCH_DISTANCE * uncut.spacing, paths,
+    )  # fmt: skip
+    ways: Floats = paths.reshape(near.shape)
+    seen = np.where(np.isfinite(ways), ways, 0.0)
+    ordered = np.sort(np.where(seen > 0.0, ways, np.inf), axis=1)[:, min(FIT_NODES, count - 1)]
+    radius = REACH_MARGIN * np.where(np.isfinite(ordered), ordered, np.maximum(seen.max(axis=1), uncut.spacing))
+    ratio = ways / radius[:, None]
+    inside = np.minimum(ratio, 1.0)
+    weights = np.where(ratio < 1.0, 1.0 + inside**2 * (-6.0 + inside * (8.0 - 3.0 * inside)), 0.0)
+    offsets = (uncut.points[near] - points[:, None]) / radius[:, None, None]
+    monomials = np.concatenate([np.ones((*near.shape, 1)), offsets], axis=2)
+    moments = np.einsum("pk,pki,pkj->pij", weights, monomials, monomials)
+    inverse = np.linalg.pinv(moments, rcond=1e-9, hermitian=True)
+    table = np.einsum("pk,pki,pij->pkj", weights, monomials, inverse)
+    return PointWeights(near, table[..., 0], table[..., 1:] / radius[:, None, None])
+
+
+def inside_body(uncut: UncutStencils, corners: Floats, points: Floats) -> NDArray[np.bool_]:
+    """Return which points (p, 3) are inside a body with a surface of triangles (t, 3, 3).
+
+    Points whose nearest node is not on the surface are inside, and those far from all nodes are outside.
+    """
+    distance, nearest = uncut.tree.query(points)
+    on_surface = uncut.on_surface[nearest]
+    inside, near = ~on_surface, on_surface & (distance < MAX_DEPTH * uncut.spacing)
+    inside[near] = inside_points(points[near], corners)
+    return np.asarray(inside)
+
+
+def shares_inside(uncut: UncutStencils, corners: Floats, segments: Floats) -> Floats:
+    """Return the shares of the lengths of short segments (p, 2, 3) inside a body, as `inside_body` does for points."""
+    distance, nearest = uncut.tree.query(segments.mean(axis=1))
+    on_surface = uncut.on_surface[nearest]
+    shares, near = np.where(on_surface, 0.0, 1.0), on_surface & (distance < MAX_DEPTH * uncut.spacing)
+    result = np.zeros(int(near.sum()))
+    inside_shares(np.ascontiguousarray(segments[near]), corners, result)
+    shares[near] = result
+    return shares
+
+
+def _near_points(surface: CutSurface, points: Floats, spacing: float) -> tuple[Floats, Ints, Floats, Ints]:
+    """Return the triangles and the fronts of a cut that can be near points (p, 3), each with their components."""
+    if not len(points) or not len(surface.extended):
+        return surface.extended, surface.components, surface.fronts, surface.front_components
+    low, high = points.min(axis=0) - SEARCH_DISTANCE * spacing, points.max(axis=0) + SEARCH_DISTANCE * spacing
+    parts = surface.extended, surface.fronts
+    close, ahead = (np.all((p.max(axis=1) > low) & (p.min(axis=1) < high), axis=1) for p in parts)
+    return parts[0][close], surface.components[close], parts[1][ahead], surface.front_components[ahead]
+
+
+def reference_points(
+    uncut: UncutStencils, surface: CutSurface, u: Floats, places: Floats, guesses: Floats, normals: Floats
+) -> tuple[Floats, Floats]:
+    """Return the points of the stress-free body that displacements move to some places.
+
+    Parameters
+    ----------
+    uncut : UncutStencils
+    surface : CutSurface
+    u : (n, 3) array [m]
+    places : (p, 3) array [m]
+        Outside the body, a place moves with the nearest node.
+    guesses : (p, 3) array [m]
+    normals : (p, 3) array
+        Unit vectors from the places to where they are seen from.
+
+    Returns
+    -------
+    points, normals : (p, 3) arrays
+        The normals are those of the same surface in the stress-free body.
+    """
+    points, turned = guesses.copy(), normals.copy()
+    active = np.arange(len(points))
+    for _ in range(MAX_ITERATIONS):
+        at = points[active]
+        weights = point_weights(uncut, surface, at, at + SIGHT_DISTANCE * uncut.spacing * turned[active])
+        near_u = u[weights.nodes]
+        missing = places[active] - at - np.einsum("pk,pkc->pc", weights.values, near_u)
+        gradient = np.eye(3) + np.einsum("pkd,pkc->pcd", weights.slopes, near_u)
+        far = np.linalg.norm(uncut.points[weights.nodes[:, 0]] - at, axis=1) > FAR_DISTANCE * uncut.spacing
+        gradient[far | ~(np.linalg.det(gradient) > LEAST_VOLUME)] = np.eye(3)
+        missing[far] = (places[active] - near_u[:, 0] - at)[far]
+        sight = np.einsum("pcd,pc->pd", gradient, normals[active])  # area vectors turn as F^-T (Nanson)
+        turned[active] = sight / np.linalg.norm(sight, axis=1, keepdims=True)
+        change = np.linalg.solve(gradient, missing[:, :, None])[:, :, 0]
+        length = np.linalg.norm(change, axis=1)
+        shorter = np.minimum(1.0, uncut.spacing / np.maximum(length, np.finfo(float).tiny))
+        points[active] += np.where(far, 1.0, shorter)[:, None] * change
+        active = active[length > LAST_CHANGE * uncut.spacing]
+        if not active.size:
+            break
+    return points, turned

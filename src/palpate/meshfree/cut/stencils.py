@@ -1,0 +1,467 @@
+"""Stencils of the nodes near a cut.
+
+Weights of moving least squares follow from the ways of the bonds round the fronts
+(`palpate.meshfree.cut.surface`) in place of their distances. The reach of a node keeps the sum of its weights: it is
+continuous in the position of the front. A quadratic fit is used if its size
+
+    q = h^2 (sum of |g_J|^2 + |sum of g_J|^2)
+
+is not much above that of uncut nodes, else a linear one. Inner nodes keep their cubic terms
+(`palpate.meshfree.inner_gradient`), whose damping increases with the weight that the cut takes from their
+neighbours. A node for which neither is small enough is *released*: it leaves all stencils.
+`palpate.meshfree.cut.kept_sums` then changes the weights for some sums to remain.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
+
+from palpate.arrays import Floats, Ints
+from palpate.code_cache import cached_njit
+from palpate.meshfree.cut.surface import CutSurface, bond_paths
+from palpate.meshfree.inner_gradient import CUBIC_DAMPING
+from palpate.meshfree.visibility import is_pair
+
+__all__ = [
+    "CutState",
+    "FittedRows",
+    "UncutStencils",
+    "fit_rows",
+    "uncut_stencils",
+]
+
+WIDEST_REACH = 3.2  # largest reach of a cut node, in spacings
+REACH_MARGIN = 1.05  # radius of a stencil over the distance of its last node
+SIZE_FACTOR, LARGEST_SIZE = 1.2, 6.0  # largest q over that of uncut nodes, and in itself
+REACH_BISECTIONS = 30
+RAMP_WIDTH = 0.045  # range of distances in which a node enters the hourglass residual, over the reach
+LOST_WEIGHT_DAMPING = 100.0  # exponent of the damping of cubic terms, times the share of the weight that is lost
+LEAST_PIVOT = 1e-10  # of a moment matrix, relative to its diagonal
+QUADRATIC_FIT, LINEAR_FIT, RELEASED_FIT = 0, 1, 2  # kinds of a fit
+
+
+class UncutStencils(NamedTuple):
+    """What the stencils of cut nodes depend on, of the uncut body.
+
+    Parameters
+    ----------
+    points : (n, 3) array [m]
+    volumes : (n,) array [m^3]
+    spacing : float [m]
+    reach, smoothing_reach : (n,) arrays [m]
+        Distance of the last node of a stencil.
+    limit : (n,) array
+        Largest size q of a fit.
+    sums : (n, 3) array [m^2]
+        Sum over I of V_I g_IJ.
+    tree : cKDTree
+        Of the points.
+    on_surface : (n,) bool array
+    cubic : (n,) bool array
+        Nodes whose first derivatives are those of cubic fits.
+    widest : (n,) array [m]
+        Largest distance of neighbours of cut nodes.
+    bond_start, bond_near : (n + 1,), (t,) int arrays
+        First bond of every node, and the other nodes of all bonds: all nodes within that distance.
+    """
+
+    points: Floats
+    volumes: Floats
+    spacing: float
+    reach: Floats
+    smoothing_reach: Floats
+    limit: Floats
+    sums: Floats
+    tree: cKDTree
+    on_surface: NDArray[np.bool_]
+    cubic: NDArray[np.bool_]
+    widest: Floats
+    bond_start: Ints
+    bond_near: NDArray[np.int32]
+
+
+class CutState(NamedTuple):
+    """The cut of a body.
+
+    Parameters
+    ----------
+    surface : CutSurface
+    uncut : UncutStencils
+    sums : (n, 3) array [m^2]
+        Sum over I of V_I g_IJ.
+    checks : (n,) array
+        Sums of the lengths of every node's bonds, which change with any of them; 0 where no bond is longer.
+    touched, released, removed : (n,) bool arrays
+        Nodes whose stencils the cut has changed, those that left all stencils, and those of the latter that left the
+        body, too.
+    residuals : tuple of float
+        Largest errors of the uniform stress along the cut and of the kept integrals.
+    """
+
+    surface: CutSurface
+    uncut: UncutStencils
+    sums: Floats
+    checks: Floats
+    touched: NDArray[np.bool_]
+    released: NDArray[np.bool_]
+    removed: NDArray[np.bool_]
+    residuals: tuple[float, float]
+
+
+class FittedRows(NamedTuple):
+    """Stencils of some nodes in compressed rows.
+
+    Parameters
+    ----------
+    nodes : (m,) int array
+    start : (m + 1,) int array
+        First entry of every node.
+    near : (t,) int array
+        Neighbours.
+    first : (t, 3) array [1/m]
+        Weights of the first derivatives.
+    residual, smoothing : (t,) arrays
+        Weights of the hourglass residual and of the smoothing.
+    freedom : (t,) array
+        f of every bond; 0 for one that is severed.
+    kind : (m,) int array
+        QUADRATIC_FIT, LINEAR_FIT or RELEASED_FIT.
+    checks : (m,) array
+        As in `CutState`.
+    """
+
+    nodes: Ints
+    start: Ints
+    near: Ints
+    first: Floats
+    residual: Floats
+    smoothing: Floats
+    freedom: Floats
+    kind: Ints
+    checks: Floats
+
+
+def uncut_stencils(
+    points: Floats, volumes: Floats, spacing: float, near: Any, first: Floats, smoothing_near: Any, surface: Any,
+    cubic: NDArray[np.bool_], hidden: csr_array,
+) -> UncutStencils:  # fmt: skip
+    """Return what the stencils of cut nodes depend on.
+
+    Parameters
+    ----------
+    points : (n, 3) array [m]
+    volumes : (n,) array [m^3]
+    spacing : float [m]
+    near, first : (n, k) and (n, k, 3) arrays
+        Neighbours and weights of the first derivatives; the node itself fills rows.
+    smoothing_near : (n, l) array
+    surface : (k,) int array
+        Nodes of the surface.
+    cubic : (n,) bool array
+        Nodes whose first derivatives are those of cubic fits.
+    hidden : (n, n) sparse array
+        Pairs without bonds: `Cloud.hidden`.
+    """
+    size = spacing**2 * (np.sum(first**2, axis=(1, 2)) + np.sum(first.sum(axis=1) ** 2, axis=1))
+    common = min(SIZE_FACTOR * float(size.max()), LARGEST_SIZE)
+    shares = volumes[:, None, None] * first
+    sums = -shares.sum(axis=1)
+    np.add.at(sums, near, shares)
+    reach, smoothing_reach = (
+        np.linalg.norm(points[each] - points[:, None], axis=2).max(axis=1) for each in (near, smoothing_near)
+    )
+    limit = np.maximum(common, SIZE_FACTOR * size)
+    on_surface = np.zeros(len(points), dtype=np.bool_)
+    on_surface[surface] = True
+    tree = cKDTree(points)
+    widest = REACH_MARGIN * np.maximum(WIDEST_REACH * spacing, np.maximum(reach, smoothing_reach))
+    return UncutStencils(
+        points, volumes, spacing, reach, smoothing_reach, limit, sums, tree, on_surface, cubic, widest,
+        *_bonds_within(points, tree, widest, hidden),
+    )  # fmt: skip
+
+
+def _bonds_within(points: Floats, tree: cKDTree, widest: Floats, hidden: csr_array) -> tuple[Ints, NDArray[np.int32]]:
+    """Return the first bond of every node, and the other nodes of all bonds, in ascending order for each node."""
+    pairs = tree.query_pairs(float(widest.max()), output_type="ndarray")
+    pairs = pairs[~is_pair(hidden, *pairs.T)]
+    square = np.sum((points[pairs[:, 0]] - points[pairs[:, 1]]) ** 2, axis=1)
+    both = [pairs[square <= widest[pairs[:, k]] ** 2][:, [k, 1 - k]] for k in range(2)]
+    node, near = np.concatenate(both).T
+    order = np.lexsort((near, node))
+    count = np.bincount(node, minlength=len(points))
+    return np.concatenate([[0], np.cumsum(count)]).astype(np.int64), near[order].astype(np.int32)
+
+
+def fit_rows(state: CutState, surface: CutSurface, nodes: Ints, released: NDArray[np.bool_]) -> FittedRows:
+    """Fit the stencils of those of some nodes that a cut touches, and whose bonds differ from those of its last state.
+
+    Parameters
+    ----------
+    state : CutState
+    surface : CutSurface
+        Of the new cut.
+    nodes : (m,) int array
+    released : (n,) bool array
+        Nodes that leave all stencils.
+    """
+    uncut = state.uncut
+    start, near, paths = _bonds(uncut, surface, nodes)
+    paths[released[near]] = np.inf
+    paths[np.repeat(released[nodes], np.diff(start))] = np.inf
+    checks, touched = np.zeros(len(nodes)), np.zeros(len(nodes), dtype=np.bool_)
+    radius = REACH_MARGIN * np.maximum(uncut.reach, uncut.smoothing_reach)
+    _examine(uncut.points, nodes, start, near, paths, radius, uncut.widest, checks, touched)
+    changed = (touched | state.touched[nodes]) & (checks != state.checks[nodes])
+    entry = np.repeat(changed, np.diff(start))
+    start = np.concatenate([[0], np.cumsum(np.diff(start)[changed])])
+    nodes, near, paths = nodes[changed], near[entry], paths[entry]
+    tables = np.zeros((len(near), 3)), np.zeros(len(near)), np.zeros(len(near)), np.zeros(len(near))
+    kind = np.zeros(len(nodes), dtype=np.int64)
+    _fit_all(
+        uncut.points, nodes, start, near, paths, uncut.spacing, uncut.reach, uncut.smoothing_reach, uncut.limit,
+        uncut.cubic, tables, kind,
+    )  # fmt: skip
+    return FittedRows(nodes, start, near, *tables, kind, checks[changed])
+
+
+def _bonds(uncut: UncutStencils, surface: CutSurface, nodes: Ints) -> tuple[Ints, Ints, Floats]:
+    """Return the first bond of some nodes, the other nodes of their bonds, and the bonds' lengths round the fronts."""
+    first = uncut.bond_start[nodes]
+    count = uncut.bond_start[nodes + 1] - first
+    start = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+    near = uncut.bond_near[np.repeat(first - start[:-1], count) + np.arange(start[-1])].astype(np.int64)
+    paths = np.empty(len(near))
+    bond_paths(
+        uncut.points, nodes, start, near, surface.extended, surface.components, surface.fronts,
+        surface.front_components, uncut.spacing, float(uncut.widest[nodes].max(initial=0.0)), paths,
+    )  # fmt: skip
+    return start, near, paths
+
+
+@cached_njit(nogil=True)
+def _examine(points, nodes, start, near, paths, radius, widest, checks, touched):  # type: ignore[no-untyped-def]
+    """Write the checks of nodes, and whether a bond within the radius of a node is longer than its distance."""
+    for m in range(nodes.shape[0]):
+        i, is_longer, total = nodes[m], False, 0.0
+        for p in range(start[m], start[m + 1]):
+            square = 0.0
+            for a in range(3):
+                square += (points[near[p], a] - points[i, a]) ** 2
+            distance = np.sqrt(square)
+            if paths[p] > distance * (1.0 + 1e-12):
+                is_longer = True
+                touched[m] = touched[m] or distance < radius[i]
+            total += (1.0 + 0.1 * (p - start[m])) * min(paths[p], widest[i])
+        checks[m] = total if is_longer else 0.0
+
+
+@cached_njit(nogil=True)
+def _spline(q):  # type: ignore[no-untyped-def]
+    """Return the quartic spline (13)."""
+    return 1.0 + q * q * (-6.0 + q * (8.0 - 3.0 * q)) if q < 1.0 else 0.0
+
+
+@cached_njit(nogil=True)
+def _summed_reach(distance, path, reach, most):  # type: ignore[no-untyped-def]
+    """Return the reach for which the sum of the weights is that of the uncut node, at most `most`."""
+    goal = 0.0
+    for k in range(distance.shape[0]):
+        goal += _spline(distance[k] / (REACH_MARGIN * reach))
+    low, high = reach, max(most, reach)
+    for _ in range(REACH_BISECTIONS):
+        middle, total = 0.5 * (low + high), 0.0
+        for k in range(path.shape[0]):
+            total += _spline(path[k] / (REACH_MARGIN * middle))
+        if total < goal:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+@cached_njit(nogil=True)
+def _cubic_damping(distance, path, radius):  # type: ignore[no-untyped-def]
+    """Return the damping of cubic terms: that of the uncut node, increased with the weight that a cut takes away."""
+    before, now = 0.0, 0.0
+    for k in range(path.shape[0]):
+        before += _spline(distance[k] / radius)
+        now += _spline(path[k] / radius)
+    return CUBIC_DAMPING * np.exp(LOST_WEIGHT_DAMPING * (1.0 - now / before))
+
+
+@cached_njit(nogil=True)
+def _monomials(x, y, z, out, last):  # type: ignore[no-untyped-def]
+    """Write 1, the coordinates, their products of two and, if monomial `last` is asked for, those of three."""
+    out[0], out[1], out[2], out[3] = 1.0, x, y, z
+    out[4], out[5], out[6], out[7], out[8], out[9] = x * x, y * y, z * z, x * y, x * z, y * z
+    if last > 9:
+        out[10], out[11], out[12], out[13], out[14] = x * x * x, y * y * y, z * z * z, x * x * y, x * x * z
+        out[15], out[16], out[17], out[18], out[19] = y * y * x, y * y * z, z * z * x, z * z * y, x * y * z
+
+
+@cached_njit(nogil=True)
+def _factor(matrix, size):  # type: ignore[no-untyped-def]
+    """Replace a symmetric matrix by its Cholesky factor; return False if a pivot is too small."""
+    for j in range(size):
+        diagonal = matrix[j, j]
+        pivot = diagonal
+        for k in range(j):
+            pivot -= matrix[j, k] ** 2
+        if not pivot > LEAST_PIVOT * diagonal:
+            return False
+        matrix[j, j] = np.sqrt(pivot)
+        for i in range(j + 1, size):
+            value = matrix[i, j]
+            for k in range(j):
+                value -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = value / matrix[j, j]
+    return True
+
+
+@cached_njit(nogil=True)
+def _solve(factor, size, right):  # type: ignore[no-untyped-def]
+    """Solve a factored system in place."""
+    for i in range(size):
+        for k in range(i):
+            right[i] -= factor[i, k] * right[k]
+        right[i] /= factor[i, i]
+    for i in range(size - 1, -1, -1):
+        for k in range(i + 1, size):
+            right[i] -= factor[k, i] * right[k]
+        right[i] /= factor[i, i]
+
+
+@cached_njit(nogil=True)
+def _moments(offset, weight, first, size, itself, matrix, monomial):  # type: ignore[no-untyped-def]
+    """Write the moment matrix of `size` monomials from number `first` on; `itself` is the weight of the node itself."""
+    for i in range(size):
+        for j in range(size):
+            matrix[i, j] = 0.0
+    for k in range(offset.shape[0]):
+        if weight[k] > 0.0:
+            _monomials(offset[k, 0], offset[k, 1], offset[k, 2], monomial, first + size - 1)
+            for i in range(size):
+                for j in range(i + 1):
+                    matrix[i, j] += weight[k] * monomial[first + i] * monomial[first + j]
+    if first == 0:
+        matrix[0, 0] += itself
+
+
+@cached_njit(nogil=True)
+def _fit_first(offset, weight, size, damping, scale, spacing, matrix, monomial, right, out):  # type: ignore[no-untyped-def]
+    """Write the weights of the first derivatives of an interpolating fit; return its size q, or infinity.
+
+    The fit has `size` monomials, 3, 9 or 19; the coefficients of the cubic ones are damped.
+    """
+    _moments(offset, weight, 1, size, 0.0, matrix, monomial)
+    for i in range(9, size):  # cubes, x^2 y and the like, x y z: see `CUBIC_DAMPING`
+        matrix[i, i] += damping / (1.0 if i < 12 else 3.0 if i < 18 else 6.0)
+    if not _factor(matrix, size):
+        return np.inf
+    square = 0.0
+    for a in range(3):
+        for i in range(size):
+            right[i] = 1.0 if i == a else 0.0
+        _solve(matrix, size, right)
+        total = 0.0
+        for k in range(offset.shape[0]):
+            value = 0.0
+            if weight[k] > 0.0:
+                _monomials(offset[k, 0], offset[k, 1], offset[k, 2], monomial, size)
+                for i in range(size):
+                    value += right[i] * monomial[1 + i]
+            out[k, a] = value * weight[k] / scale
+            total += out[k, a]
+            square += out[k, a] ** 2
+        square += total**2
+    return square * spacing**2
+
+
+@cached_njit(nogil=True)
+def _fit_value(offset, weight, size, matrix, monomial, right, sign, out):  # type: ignore[no-untyped-def]
+    """Write the weights of the fitted value at the node, times a sign; the node itself has weight 1 in the fit."""
+    _moments(offset, weight, 0, size, 1.0, matrix, monomial)
+    if _factor(matrix, size):
+        for i in range(size):
+            right[i] = 1.0 if i == 0 else 0.0
+        _solve(matrix, size, right)
+    else:  # nodes in few planes: the least solution
+        full = np.zeros((size, size))
+        _moments(offset, weight, 0, size, 1.0, matrix, monomial)
+        for i in range(size):
+            for j in range(i + 1):
+                full[i, j] = matrix[i, j]
+                full[j, i] = matrix[i, j]
+        values, vectors = np.linalg.eigh(full)
+        for i in range(size):
+            right[i] = 0.0
+        for e in range(size):
+            if values[e] > LEAST_PIVOT * values[size - 1]:
+                for i in range(size):
+                    right[i] += vectors[i, e] * vectors[0, e] / values[e]
+    for k in range(offset.shape[0]):
+        value = 0.0
+        if weight[k] > 0.0:
+            _monomials(offset[k, 0], offset[k, 1], offset[k, 2], monomial, size - 1)
+            for i in range(size):
+                value += right[i] * monomial[i]
+        out[k] = sign * value * weight[k]
+
+
+@cached_njit(nogil=True)
+def _fit_all(  # type: ignore[no-untyped-def]
+    points, nodes, start, near, paths, spacing, reach, smoothing_reach, limit, cubic, tables, kind
+):
+    """Fit the rows of all nodes; see `fit_rows`."""
+    first, residual, smoothing, freedom = tables
+    matrix, monomial, right = np.zeros((20, 20)), np.zeros(20), np.zeros(20)
+    for m in range(nodes.shape[0]):
+        i, begin, end = nodes[m], start[m], start[m + 1]
+        count = end - begin
+        offset, distance, weight = np.empty((count, 3)), np.empty(count), np.empty(count)
+        path = paths[begin:end]
+        for k in range(count):
+            j = near[begin + k]
+            for a in range(3):
+                offset[k, a] = points[j, a] - points[i, a]
+            distance[k] = np.sqrt(offset[k, 0] ** 2 + offset[k, 1] ** 2 + offset[k, 2] ** 2)
+            if path[k] < np.inf:
+                freedom[begin + k] = np.exp(-((distance[k] / spacing) ** 2) / 4.0)
+        chosen = _summed_reach(distance, path, reach[i], WIDEST_REACH * spacing)
+        scale = REACH_MARGIN * chosen
+        for k in range(count):
+            weight[k] = _spline(path[k] / scale)
+            for a in range(3):
+                offset[k, a] /= scale
+            if weight[k] < 1e-9:
+                weight[k], freedom[begin + k] = 0.0, 0.0
+        out = first[begin:end]
+        kind[m] = QUADRATIC_FIT
+        size, damping = 9, 0.0
+        if cubic[i]:
+            size, damping = 19, _cubic_damping(distance, path, REACH_MARGIN * reach[i])
+        q = _fit_first(offset, weight, size, damping, scale, spacing, matrix, monomial, right, out)
+        if not q < limit[i] and size == 19:
+            q = _fit_first(offset, weight, 9, 0.0, scale, spacing, matrix, monomial, right, out)
+        if not q < limit[i]:
+            kind[m] = LINEAR_FIT
+            if not _fit_first(offset, weight, 3, 0.0, scale, spacing, matrix, monomial, right, out) < limit[i]:
+                kind[m] = RELEASED_FIT
+                out[:] = 0.0
+                freedom[begin:end] = 0.0
+                continue
+        for k in range(count):
+            weight[k] = min(max((REACH_MARGIN - path[k] / chosen) / RAMP_WIDTH, 0.0), 1.0)
+        _fit_value(
+            offset, weight, 10 if kind[m] == QUADRATIC_FIT else 4, matrix, monomial, right, -1.0, residual[begin:end]
+        )
+        chosen = _summed_reach(distance, path, smoothing_reach[i], WIDEST_REACH * spacing)
+        for k in range(count):
+            weight[k] = _spline(path[k] / (REACH_MARGIN * chosen))
+        _fit_value(offset, weight, 4, matrix, monomial, right, 1.0, smoothing[begin:end])

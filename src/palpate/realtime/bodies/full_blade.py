@@ -1,0 +1,204 @@
+"""Cuts of a full body in the engine: the body is cut next to the running loop, and exchanged between two periods.
+
+A cutter takes the state of a period and cuts the body along the way of the blade
+(`palpate.dynamics.solid.cutting.blade_cut`), while the loop goes on with the body before. The new constants then take
+their places in the data of the period. A blade in tissue moves at most so fast that it advances by half a spacing in
+the mean time of a cut, and no blade moves further than that from where the body was cut last.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from palpate.arrays import Floats
+from palpate.dynamics.contact.blade import Blade
+from palpate.dynamics.contact.blade_sites import AWAY_TOOL, EDGE_SITE, NO_TOOL
+from palpate.dynamics.contact.tools import Contact
+from palpate.dynamics.loads.supports import FREE
+from palpate.dynamics.nodal.mass_tailoring import without_nodes
+from palpate.dynamics.nodal.period import LOST, NodalPeriodData
+from palpate.dynamics.nodal.tool_path import END, HOME, LAST_CUT
+from palpate.dynamics.run.model import State
+from palpate.dynamics.solid.cutting.blade_cut import advance_blade
+from palpate.dynamics.solid.cutting.face_pairs import face_pairs, turn_pairs
+from palpate.dynamics.solid.cutting.incision import Incision
+from palpate.dynamics.solid.model import EnergySolid
+from palpate.faults import CloudError, DivergenceError, InputError
+
+__all__ = ["BladeCutter"]
+
+WAY_OF_A_CUT = 0.5  # largest way of a blade from where it cut the body last, in spacings
+TURN_INTERVAL = 0.05  # [s] between turns of the normals of faces
+MEAN_CUTS, FIRST_SECONDS = 5.0, 0.03  # cuts over which their time is averaged, and the first guess [s]
+
+
+class BladeCutter:
+    """Cuts a full body with the blade that the engine moves.
+
+    Parameters
+    ----------
+    model : EnergySolid
+    data : NodalPeriodData
+        Of the running period.
+
+    Attributes
+    ----------
+    model : EnergySolid
+        The body as it is cut now.
+    incision : Incision or None
+        Of the present blade.
+    cuts : int
+        Number of exchanges of the body since it was whole.
+    seconds : float [s]
+        Mean time of a cut.
+    failure : str
+        Why the last cut was not made; empty if it was.
+    wrap : function
+        Makes the data of the engine's model from those of the period.
+    """
+
+    def __init__(self, model: EnergySolid, data: NodalPeriodData) -> None:
+        self.whole_model, self.model, self.data = model, model, data
+        self.incision: Incision | None = None
+        self.cuts, self.failure, self.wrap = 0, "", lambda data: data
+        self.lock = threading.RLock()
+        self._contact: Contact | None = None
+        self.seconds, self._tool_reach = FIRST_SECONDS, data.tool_reach
+        self._whole = data.tailoring, data.resting_frequency  # of the body without cuts
+        self._is_due, self._is_compiled, self._turned = False, False, 0.0
+
+    wrap: Callable[[Any], Any]
+
+    @property
+    def books(self) -> Floats:
+        """Cut area [m^2], released energy, and energies dissipated at the edge and by friction [J] of this blade."""
+        return np.zeros(4) if self.incision is None else self.incision.books
+
+    @property
+    def cutting_force(self) -> float:
+        """Force [N] with which a push of the blade along its axis cuts: of the pieces of its edge that hold tissue."""
+        sites = self.data.contacts.sites
+        edge = (sites.kind == EDGE_SITE) & (sites.tool >= 0)
+        return float(sites.limits[edge] @ np.abs(sites.directions[edge, 2]))
+
+    def take(self, blade: Blade | None, pose: Floats) -> None:
+        """Take another tool in a pose (7,): a blade, or None for one that does not cut. The engine must be paused."""
+        with self.lock:
+            if blade is not None and not self._is_compiled:
+                self._compile(blade)
+            tools = self.data.contacts.sites.tool
+            tools[tools != NO_TOOL] = AWAY_TOOL  # the sites of the blade before
+            self._contact = None if blade is None else Contact(blade, (pose[:3], pose[3:]), name="blade")
+            self.incision, self.failure, self._is_due = None, "", True
+
+    def _compile(self, blade: Blade) -> None:
+        """Cut a copy of the body from above, so that no cut next to the loop compiles code while the blade waits."""
+        model, frame = self.whole_model, np.eye(3, 4)
+        points, spacing = model.cloud.points, model.cloud.spacing
+        away = np.linalg.norm((points - points.mean(axis=0))[:, :2], axis=1)
+        column = points[away < away.min() + spacing]
+        frame[:, 3] = column[column[:, 2].argmax()] - (0.0, 0.0, np.asarray(blade.edge)[:, 2].min() - spacing)
+        contact, no_nodes = Contact(blade, (frame[:, 3], (0.0, 0.0, 0.0)), name="blade"), np.zeros(0, dtype=np.int64)
+        state = State(np.zeros_like(points), np.zeros_like(points))
+        with suppress(CloudError, InputError):  # of a surface that cannot be cut there
+            for depth in (0.0, 1.5, 0.5, 0.5):
+                frame[2, 3] -= depth * spacing
+                model, incision, sites, _ = advance_blade(model, state, contact, frame.copy(), no_nodes)
+                state = replace(state, incision=incision)
+            turn_pairs(sites, model.cut_state, state.coordinates, points[model.cloud.triangles])
+        self._is_compiled = True
+
+    def restore(self) -> None:
+        """Return to the whole body; the engine must be paused."""
+        with self.lock:
+            self.take(None, np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
+            self.model, self.cuts = self.whole_model, 0
+
+    def update(self, coordinates: Floats) -> Any:
+        """Return new data for the engine's loop, or None: the body cut up to where the blade is.
+
+        Parameters
+        ----------
+        coordinates : (3 n,) array [m]
+        """
+        with self.lock:
+            if self._contact is None and not self._is_due:
+                self._turn_pairs(coordinates)
+                return None
+            began, released = perf_counter(), 0.0
+            sites = None
+            if self._contact is not None:
+                sites, released = self._advance(self._contact, coordinates)
+                if sites is None and not self._is_due:
+                    return None
+            if sites is None:
+                cloud = self.model.cloud
+                corners = cloud.points[cloud.triangles]
+                sites = face_pairs(self.model.cut_state, coordinates.reshape(-1, 3), corners)
+            self._is_due = False
+            is_blade = self._contact is not None
+            if self.incision is not None:
+                self.incision = self.incision.with_works(*map(float, self.data.contacts.sites.works))
+            self.seconds += (perf_counter() - began - self.seconds) / MEAN_CUTS
+            self.data.clock[LOST] += released
+            tailoring, lost = without_nodes(self._whole[0], self.model.cut_state.touched)
+            self.data = self.data._replace(
+                tailoring=tailoring,
+                resting_frequency=max(lost, self._whole[1]),
+                passes=(self.model.step_body, self.data.passes[1]),
+                taut_passes=(self.model.taut_step_body, self.data.taut_passes[1]),
+                contacts=self.data.contacts._replace(sites=sites),
+                tool_reach=self._reach(),
+                cut_reach=WAY_OF_A_CUT * self.model.cloud.spacing if is_blade else np.inf,
+            )
+            return self.wrap(self.data)
+
+    def _turn_pairs(self, coordinates: Floats) -> None:
+        """Turn the normals along which the faces of the cut touch each other, now and then."""
+        sites, now = self.data.contacts.sites, perf_counter()
+        if len(sites.kind) and now - self._turned > TURN_INTERVAL:
+            self._turned, cloud = now, self.model.cloud
+            corners = cloud.points[cloud.triangles]
+            sites.directions[:] = turn_pairs(
+                sites, self.model.cut_state, coordinates.reshape(-1, 3), corners
+            ).directions
+
+    def _reach(self) -> float:
+        """Return the largest way [m] of the tool in a step."""
+        if self.incision is None or self.incision.hold is None or not len(self.incision.hold.pieces):
+            return self._tool_reach
+        step = self.whole_model.stability.step
+        return min(self._tool_reach, WAY_OF_A_CUT * self.model.cloud.spacing * step / self.seconds)
+
+    def _advance(self, contact: Contact, coordinates: Floats) -> tuple[Any, float]:
+        """Cut up to the blade; return its new sites or None, and the released energy [J]."""
+        u = coordinates.reshape(-1, 3)
+        state = State(u, np.zeros_like(u), incision=_constant(self.incision))
+        held = np.flatnonzero(self.data.sites.kind != FREE)
+        before, path = self.model, self.data.path
+        frame = path[HOME if self.incision is None else END].copy()
+        try:
+            model, incision, sites, released = advance_blade(before, state, contact, frame, held)
+        except (CloudError, DivergenceError, InputError) as error:
+            self.failure = str(error)
+            if self.incision is None:  # cuts nothing, and moves freely
+                path[LAST_CUT] = path[END]
+            return None, 0.0
+        path[LAST_CUT] = frame
+        self.cuts += model is not before
+        self.model, self.incision, self.failure = model, incision, ""
+        return sites, released
+
+
+def _constant(incision: Incision | None) -> Incision | None:
+    """Return an incision with the present slips of its sites, which the loop goes on to write."""
+    if incision is None or incision.hold is None:
+        return incision
+    return replace(incision, hold=incision.hold._replace(slips=incision.hold.slips.copy()))

@@ -1,0 +1,90 @@
+"""Display surface of a full body: positions of its vertices, and scalars of the strained tissue.
+
+Vertices are drawn at the patches that tools meet (`palpate.meshfree.patches`), because a single node moves
+farther than the tool. Stresses are those of the nodes; tissue that relaxes has its instantaneous stiffness.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from palpate.arrays import Floats, Ints, Singles
+from palpate.dynamics.solid.model import EnergySolid
+from palpate.faults import InputError
+from palpate.realtime.bodies.display_surface import SCALAR_NAMES, DisplaySurface, Surface, fixed_nodes
+from palpate.reduction.hyper.model import ReducedModel
+
+__all__ = ["FullSurface", "display_surface"]
+
+
+def display_surface(model: ReducedModel | EnergySolid) -> DisplaySurface:
+    """Return the display surface of a reduced model or of a full body.
+
+    Raises
+    ------
+    InputError
+        The cloud has no triangles.
+    """
+    return Surface(model) if isinstance(model, ReducedModel) else FullSurface(model)
+
+
+class FullSurface:
+    """The display surface of a full body; see `palpate.realtime.bodies.display_surface.Surface`.
+
+    Parameters
+    ----------
+    model : EnergySolid
+
+    Attributes
+    ----------
+    nodes, triangles, rest, fixed
+        As of `Surface`.
+    """
+
+    local_indentation = True  # stresses include the indentation under a tool
+    scalars = SCALAR_NAMES
+
+    def __init__(self, model: EnergySolid) -> None:
+        self.model = model
+        surface = model.cloud.triangles
+        surface = surface[~np.isin(surface, model.removed_nodes).any(axis=1)]
+        self.nodes, triangles = np.unique(surface, return_inverse=True)
+        if not len(self.nodes):
+            raise InputError("cloud must have triangles to be drawn, got none; use fill, or a box")
+        self.triangles = np.ascontiguousarray(triangles.reshape(-1, 3), dtype=np.uint32)
+        self.rest = model.cloud.points[self.nodes].astype(np.float32)
+        self.fixed = fixed_nodes(model)[self.nodes]
+        self._patches = model.patches[self.nodes].astype(np.float32)
+
+    def displacements(self, coordinates: Floats, nodes: Ints, forces: Floats, bonded: bool = False) -> Singles:
+        """Return the displacements (n, 3) [m] of the vertices for nodal displacements (3 n,).
+
+        Forceps hold nodes, so under them the vertices are drawn at the nodes (`bonded`).
+        """
+        moved = coordinates.reshape(-1, 3).astype(np.float32)
+        return np.ascontiguousarray(moved[self.nodes] if bonded else self._patches @ moved)
+
+    @cached_property
+    def _workspace(self) -> Any:
+        return self.model.workspace()
+
+    def scalar(self, name: str, coordinates: Floats, displacements: Singles) -> Singles:
+        """Return a number for every vertex, as `Surface.scalar`."""
+        if name not in self.scalars:
+            raise InputError(
+                f"scalar must be one of {', '.join(map(repr, self.scalars))}, got {name!r}; use one of them"
+            )
+        if name == "displacement":
+            return np.asarray(np.linalg.norm(displacements, axis=1), dtype=np.float32)
+        u = coordinates.reshape(-1, 3)
+        F = self.model.deformation_gradient(u)[self.nodes]
+        stress = self.model.evaluate(u, work=self._workspace).stress[self.nodes]
+        cauchy = stress @ np.swapaxes(F, 1, 2) / np.linalg.det(F)[:, None, None]
+        mean = np.trace(cauchy, axis1=1, axis2=2) / 3
+        if name == "pressure":
+            return np.asarray(-mean, dtype=np.float32)
+        shear = cauchy - mean[:, None, None] * np.eye(3)
+        return np.asarray(np.sqrt(1.5 * np.einsum("nij,nij->n", shear, shear)), dtype=np.float32)

@@ -1,0 +1,1 @@
+"""Closed triangulated surfaces: readers of files, faults and repair, remeshing and isosurfaces."""
