@@ -13,7 +13,7 @@ import sys
 import threading
 from time import sleep
 
-from palpate.app.bench.chromium import Chromium
+from chromium import Chromium
 
 STATE = "[palpate.session.state.steps, window.statesSeen ?? 0, performance.now()]"
 COUNT_STATES = """

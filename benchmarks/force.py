@@ -23,8 +23,9 @@ import numpy as np
 
 def case(nodes: int, jitter: float, energy: bool) -> dict[str, float]:
     """Measure one cloud."""
+    from timing import median_seconds, read_seconds
+
     import palpate as pt
-    from palpate.app.bench.timing import median_seconds, read_seconds
 
     side = round(nodes ** (1 / 3))
     cloud = pt.box(((side - 1) * 0.005,) * 3, 0.005, jitter)

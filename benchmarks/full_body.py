@@ -11,9 +11,9 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
+from pressed_liver import PRESS_SECONDS, TIMED_PERIOD, PressedLiver, step_periods
 
 import palpate as pt
-from palpate.app.bench.full_body import PRESS_SECONDS, TIMED_PERIOD, PressedLiver, step_periods
 
 
 def main() -> None:

@@ -81,7 +81,7 @@ def model(form: str, material: Any, nodes: int, jitter: float, within: Any = Non
 
 def measure(form: str, nodes: int, jitter: float, laws: list[str] | None, repeats: int) -> dict[str, float]:
     """Return the median time [ns] of a force evaluation, per node, for every law."""
-    from palpate.app.bench.timing import median_seconds
+    from timing import median_seconds
 
     chosen = materials(0.5 if form == "membrane" else 0.45)
     if laws:

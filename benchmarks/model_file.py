@@ -13,9 +13,9 @@ import math
 from pathlib import Path
 
 import numpy as np
+from timing import median_seconds
 
 import palpate as pt
-from palpate.app.bench.timing import median_seconds
 from palpate.reduction.storage.model_file import FORMAT, OLDER_VERSIONS, VERSION
 from palpate.sealed import open_sealed
 

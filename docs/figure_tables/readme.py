@@ -51,7 +51,7 @@ def membrane_claims(report: Row) -> str:
 
 
 def bench_rows(bench: Row) -> list[list[str]]:
-    """Return what `palpate bench` measured of reduced models."""
+    """Return what `python benchmarks/speed.py` measured of reduced models."""
     beam, large = bench["beam"][0], bench["large"]
     fast, bodies = beam["hyper_reduced"], large["bodies"]
     pull = "; ".join(percent(fast["ratio"][form]) for form in ("strong", "energy"))
@@ -76,7 +76,7 @@ def bench_rows(bench: Row) -> list[list[str]]:
     ]  # fmt: skip
 
 
-@block("bench", command="palpate bench")
+@block("bench", command="python benchmarks/speed.py")
 def bench_models(bench: Row) -> str:
     """Return the speed of full and reduced models."""
     beam, full = bench["beam"][0], bench["full_body"]
@@ -100,8 +100,8 @@ def bench_models(bench: Row) -> str:
 
 @block(
     "elements", "organ_models", "bench", "reproduce_beam", "held_out",
-    command=f"python validation/elements.py`, `python validation/organ_models.py`, `palpate bench`, `{BEAM_RUNS}` and "
-    "`python validation/held_out.py",
+    command="python validation/elements.py`, `python validation/organ_models.py`, `python benchmarks/speed.py`, "
+    f"`{BEAM_RUNS}` and `python validation/held_out.py",
 )  # fmt: skip
 def readme_figures(elements: list[Row], organs: list[Row], bench: Row, beam: Row, studies: Row) -> str:
     """Return the six figures of the README, each with the command that makes it."""
@@ -112,7 +112,7 @@ def readme_figures(elements: list[Row], organs: list[Row], bench: Row, beam: Row
     full_nodes = bench["full_body"]["nodes"]
     runs = [row[rule] for row in studies["stability"] for rule in ("explicit", "implicit")]
     six, eight = projected(beam)[6], find(beam["reduced"], series="hyper-reduced", modes=8)
-    organ_command, bench_command = "`python validation/organ_models.py`", "`palpate bench`"
+    organ_command, bench_command = "`python validation/organ_models.py`", "`python benchmarks/speed.py`"
     rows = [
         [
             "full bodies of 3,000 nodes against finite elements, "

@@ -390,7 +390,7 @@ function showPointer(position, tool) {
   ghost.at(at.toArray(), controls.press.quaternion);
 }
 
-/** State for tests and `palpate bench page`. */
+/** State for tests. */
 function publish() {
   window.palpate = {
     meter,

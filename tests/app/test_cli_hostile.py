@@ -37,7 +37,7 @@ def idle(monkeypatch, tmp_path):
     for place in (
         "palpate.scenes.beam.Solid", "palpate.scenes.organ_scene.Solid", "palpate.scenes.organ_scene.Membrane",
         "palpate.scenes.membrane.Membrane", "palpate.scenes.organ_scene.fill",
-        "palpate.app.bench.command.large_case", "palpate.app.bench.page.find_chromium", "palpate.app.fit.command.fit",
+        "palpate.app.fit.command.fit",
         "palpate.app.run.realtime_scene.trained_model", "palpate.app.train.command.open_campaign",
         "palpate.app.compare.command.BODIES",
         "palpate.app.view.command._session", "palpate.app.view.command._show",

@@ -61,7 +61,6 @@ def build_parser() -> Any:
     """Return the parser of all commands, an `argparse.ArgumentParser`."""
     from argparse import RawDescriptionHelpFormatter
 
-    from palpate.app.bench.parser import add_bench
     from palpate.app.cache.parser import add_cache
     from palpate.app.check.parser import add_check
     from palpate.app.common.arguments import Parser
@@ -85,7 +84,7 @@ def build_parser() -> Any:
     commands = parser.add_subparsers(metavar="COMMAND")
     for add in (
         add_reproduce, add_view, add_new, add_train, add_run, add_replay, add_check, add_fit, add_laws, add_compare,
-        add_export, add_bench, add_cache,
+        add_export, add_cache,
     ):  # fmt: skip
         add(commands)
     return parser

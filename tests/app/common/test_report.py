@@ -6,8 +6,6 @@ import json
 
 import pytest
 
-from palpate.app.bench import command as bench
-from palpate.app.bench import page
 from palpate.app.check import command as check
 from palpate.app.common.console import Table, quantities_table
 from palpate.app.common.report import REPORTS, deliver, machine
@@ -18,7 +16,7 @@ from palpate.app.studies.beam import reproduce as beam
 from palpate.app.studies.membrane import reproduce as membrane
 from palpate.app.train import report as train
 
-FILES = [module.FILES for module in (bench, page, check, fit, run, realtime, beam, membrane, train)]
+FILES = [module.FILES for module in (check, fit, run, realtime, beam, membrane, train)]
 
 
 @pytest.fixture

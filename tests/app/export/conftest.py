@@ -6,4 +6,4 @@ import sys
 from pathlib import Path
 
 TESTS = Path(__file__).parents[2]
-sys.path += [str(TESTS.parent / "validation"), str(TESTS / "app" / "view")]
+sys.path += [str(TESTS.parent / "validation"), str(TESTS.parent / "benchmarks"), str(TESTS / "app" / "view")]

@@ -14,10 +14,10 @@ from time import sleep
 import numpy as np
 import pytest
 from browser_input import NARROW, hold, needs_chromium, opening, picture
+from chromium import Chromium
 from exported import BALL, FORCE, SIZE, Engine, export, pose_at, set_tool, train
 
 import palpate as pt
-from palpate.app.bench.chromium import Chromium
 
 pytestmark = [pytest.mark.slow, needs_chromium]
 SOURCES = Path(__file__).parents[3] / "page" / "src"

@@ -7,8 +7,7 @@ import io
 from time import sleep
 
 import pytest
-
-from palpate.app.bench.chromium import find_chromium
+from chromium import find_chromium
 
 __all__ = ["NARROW", "WIDE", "around", "hold", "middle", "needs_chromium", "opening", "picture", "press"]
 

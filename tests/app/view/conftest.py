@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-sys.path.append(str(Path(__file__).parent))
+sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[3] / "benchmarks")]
 
+from chromium import Chromium
 from view_scenes import BALL, EVERY, MIDDLE, PRESS_SECONDS, block, press
 from websockets.asyncio.client import connect
 
 import palpate as pt
-from palpate.app.bench.chromium import Chromium
 from palpate.app.view.server.address import LOOPBACK, allowed_hosts, open_listener
 from palpate.app.view.server.page import Page
 from palpate.app.view.server.server import Server

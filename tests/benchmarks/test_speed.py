@@ -1,4 +1,4 @@
-"""The command ``bench``: what it measures, on bodies small enough for a test, and what it leaves."""
+"""`benchmarks/speed.py`: what it measures, on bodies small enough for a test, and what it leaves."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import speed
+from speed_cases import _with_samples
+from timing import force_seconds, median_seconds, read_seconds, step_seconds
 
 import palpate as pt
-from palpate.app.bench.cases import _with_samples
-from palpate.app.bench.command import FILES
-from palpate.app.bench.timing import force_seconds, median_seconds, read_seconds, step_seconds
-from palpate.app.cli import main
+from palpate.app.common.console import Console
+from palpate.app.common.report import REPORTS
 from palpate.scenes.beam import beam
 
 pytestmark = pytest.mark.slow
@@ -27,7 +28,7 @@ def sampled(bar, tissue, pull):
 
 def test_calls_take_turns_and_the_median_ignores_a_slow_round(monkeypatch):
     clock, order, takes = [0.0], [], [9.0, 0.2, 5.0, 0.1]  # [s], the first to warm up
-    monkeypatch.setattr("palpate.app.bench.timing.perf_counter", lambda: clock[0])
+    monkeypatch.setattr("timing.perf_counter", lambda: clock[0])
 
     def first():
         clock[0] += takes[len(order) // 2]
@@ -69,24 +70,21 @@ def test_timing_compiled_loops_does_not_change_the_model(sampled, pull):
 @pytest.fixture
 def small(monkeypatch):
     """Let the command measure small bodies in short runs."""
-    monkeypatch.setattr(
-        "palpate.app.bench.cases.beam", lambda spacing: replace(beam(spacing=0.02 / 3, load=2.0), duration=0.05)
-    )
+    monkeypatch.setattr("speed_cases.beam", lambda spacing: replace(beam(spacing=0.02 / 3, load=2.0), duration=0.05))
     sizes = {"BLOCK_EDGE_NODES": (4, 5), "LARGE_MODEL_MODES": 6, "LARGE_MODEL_NODES": 24, "BEAM_MODES": 3}
     for name, value in sizes.items():
-        monkeypatch.setattr(f"palpate.app.bench.cases.{name}", value)
-    monkeypatch.setattr("palpate.app.bench.full_body.NODE_SPACING", 0.016)
-    monkeypatch.setattr("palpate.app.bench.full_body.PRESS_SECONDS", 0.1)
+        monkeypatch.setattr(f"speed_cases.{name}", value)
+    monkeypatch.setattr("pressed_liver.NODE_SPACING", 0.016)
+    monkeypatch.setattr("pressed_liver.PRESS_SECONDS", 0.1)
 
 
-def test_the_report_and_the_table_hold_every_ratio_of_one_run(small, tmp_path, capsys):
+def test_the_report_and_the_table_hold_every_ratio_of_one_run(small, tmp_path, capsys, monkeypatch):
     out = tmp_path / "results" / "bench"
-    assert main(["bench", "--repeats", "2", "--json", "--out", str(out)]) == 0
-    printed = capsys.readouterr()
-    report = json.loads(printed.out)
-    assert report == json.loads((out / "report.json").read_text())
-    assert {path.name for path in out.iterdir()} == set(FILES)
-    assert "round 2 of 2: energy" in printed.err
+    monkeypatch.setattr("sys.argv", ["speed.py", "--repeats", "2", "--out", str(out)])
+    speed.main()
+    report = json.loads((out / "report.json").read_text())
+    assert {path.name for path in out.iterdir()} == set(REPORTS)
+    assert "round 2 of 2: energy" in capsys.readouterr().err
     (case,), large = report["beam"], report["large"]
     fast = case["hyper_reduced"]
     assert case["nodes"] == 496
@@ -114,18 +112,12 @@ def test_the_report_and_the_table_hold_every_ratio_of_one_run(small, tmp_path, c
     assert f"{100 * fast['ratio']['strong']:.2g} % (strong form)" in "".join(table)
 
 
-def test_measurements_before_a_diverged_run_are_kept(small, tmp_path, capsys, monkeypatch):
+def test_measurements_before_a_diverged_run_are_kept(small, capsys, monkeypatch):
     def diverged(*_):
         raise pt.DivergenceError("no step is stable at t = 0.1 s")
 
-    monkeypatch.setattr("palpate.app.bench.command.beam_case", diverged)
-    assert main(["bench", "--repeats", "1", "--out", str(tmp_path)]) == 0
-    report = json.loads((tmp_path / "report.json").read_text())
+    monkeypatch.setattr("speed.beam_case", diverged)
+    report = speed.measure(False, 1, Console())
     assert report["beam"] == []
     assert report["large"]["force_seconds"] > 0
     assert "5 mm: failed: no step is stable" in capsys.readouterr().err
-
-
-def test_zero_repeats_are_refused_before_any_measurement(tmp_path, assert_refused):
-    assert_refused(["bench", "--repeats", "0", "--out", str(tmp_path / "bench")], "--repeats", "an integer in [1, ")
-    assert not (tmp_path / "bench").exists()

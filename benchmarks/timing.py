@@ -14,8 +14,6 @@ from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.run.model import State
 from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["force_seconds", "median_seconds", "read_seconds", "step_seconds"]
-
 Call = Callable[[], Any]
 
 LOOP_SECONDS = 0.02  # [s] least time of a compiled loop, so that the time of its call is negligible

@@ -15,8 +15,6 @@ from typing import Any
 
 from palpate.faults import InputError
 
-__all__ = ["Chromium", "Tab", "find_chromium"]
-
 BROWSER_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 BROWSER_OPTIONS = [
     "--headless=new", "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader",

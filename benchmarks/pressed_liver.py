@@ -21,8 +21,6 @@ from palpate.realtime.period import function_key
 from palpate.scenes.organ import liver_surface
 from palpate.tissue.materials import NeoHookean
 
-__all__ = ["PRESS_SECONDS", "TIMED_PERIOD", "Periods", "PressedLiver", "full_case", "step_periods"]
-
 BALL_RADIUS, PRESS_DEPTH = 0.02, 0.015  # [m]
 START_GAP = 0.002  # [m] between ball and body before the press
 PRESS_SECONDS, TIMED_PERIOD = 0.4, 1e-3  # [s] duration of a press, and of a period

@@ -1,4 +1,4 @@
-"""Cases of `palpate bench`: the paper's beam, and a large reduced model trained on two bodies."""
+"""Cases of `speed.py`: the paper's beam, and a large reduced model trained on two bodies."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
+from timing import force_seconds, median_seconds, read_seconds, step_seconds
 
-from palpate.app.bench.timing import force_seconds, median_seconds, read_seconds, step_seconds
 from palpate.app.common.console import Console
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.loads.surface_force import SurfaceForce
@@ -24,9 +24,6 @@ from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.beam import beam
 from palpate.tissue.materials import MooneyRivlin
-
-__all__ = ["beam_case", "large_case"]
-
 
 BEAM_MODES = 8  # modes for the beam
 LARGE_MODEL_MODES, LARGE_MODEL_NODES = 64, 256  # modes and nodes of the large model

@@ -1,54 +1,46 @@
-"""``palpate bench``: one table of speeds, all ratios from one run."""
+"""Speed of full and reduced models: one table, all ratios from one run.
+
+    python benchmarks/speed.py [--fine] [--repeats 3] [--out out/speed]
+
+Full and reduced models take turns; all figures are medians. The report is in the folder. ``--fine`` measures the beam
+at 2.5 mm, too, one round against the energy form, which takes about ten minutes. Run nothing else meanwhile.
+"""
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 from typing import Any
 
-from palpate.app.bench.cases import beam_case, large_case
-from palpate.app.bench.full_body import full_case
+from pressed_liver import full_case
+from speed_cases import beam_case, large_case
+
 from palpate.app.common.console import Console, quantities_table
 from palpate.app.common.report import REPORTS, deliver, machine
-from palpate.faults import DivergenceError, integer_in_range
+from palpate.faults import DivergenceError
 from palpate.files import check_folder, plain
 
-__all__ = ["FILES", "bench"]
-
-FILES = REPORTS
-MAX_REPEATS = 1000
 # spacings [m], rounds (0: as many as asked for) and forms of the full model
 COARSE_BEAM, FINE_BEAM = (0.005, 0, ("strong", "energy")), (0.0025, 1, ("energy",))
 
 
-def bench(*, fine: bool = False, repeats: int = 3, out: Path, as_json: bool = False) -> int:
-    """Measure speeds and leave a report in a folder.
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--fine", action="store_true", help="measure the beam at 2.5 mm, too")
+    parser.add_argument("--repeats", type=int, choices=range(1, 1001), default=3, metavar="K", help="rounds")
+    parser.add_argument("--out", type=Path, default=Path("out/speed"), metavar="DIR", help="folder of the report")
+    args = parser.parse_args()
+    check_folder(args.out)
+    report = measure(args.fine, args.repeats, Console())
+    threads = report["machine"]["threads"]
+    title = f"Speed: medians of {args.repeats} rounds; full models on {threads} threads, reduced ones on one"
+    table = quantities_table(title, ["here"], {name: [value] for name, value in _rows(report).items()})
+    args.out.mkdir(parents=True, exist_ok=True)
+    deliver(report, [table], args.out, REPORTS, as_json=False)
 
-    Parameters
-    ----------
-    fine : bool
-        Whether to measure the beam at 2.5 mm, too: one round, against the energy form.
-    repeats : int
-        Rounds of the long runs, from 1 to 1000; all figures are medians.
-    out : path
-        Folder; made if it does not exist.
-    as_json : bool
-        Print the report as JSON instead of a table.
 
-    Returns
-    -------
-    int
-        0.
-
-    Raises
-    ------
-    InputError
-        A parameter out of range, or a folder that cannot be written.
-    OSError
-        A file could not be written.
-    """
-    repeats = integer_in_range("repeats", repeats, 1, MAX_REPEATS)
-    check_folder(out)
-    console = Console()
+def measure(fine: bool, repeats: int, console: Console) -> dict[str, Any]:
+    """Return the report, without the beam at a spacing whose run diverged."""
     report: dict[str, Any] = {
         "title": "Speed",
         "machine": machine(),
@@ -62,13 +54,7 @@ def bench(*, fine: bool = False, repeats: int = 3, out: Path, as_json: bool = Fa
             report["beam"].append(beam_case(spacing, rounds or repeats, forms, console))
         except DivergenceError as error:  # earlier results are kept
             console.say(f"beam, {1e3 * spacing:g} mm: failed: {' '.join(str(error).split())}")
-    report = plain(report)
-    threads = report["machine"]["threads"]
-    title = f"Speed: medians of {repeats} rounds; full models on {threads} threads, reduced ones on one"
-    table = quantities_table(title, ["here"], {name: [value] for name, value in _rows(report).items()})
-    out.mkdir(parents=True, exist_ok=True)
-    deliver(report, [table], out, FILES, as_json)
-    return 0
+    return plain(report)
 
 
 def _rows(report: dict[str, Any]) -> dict[str, str]:
@@ -127,3 +113,7 @@ def _large_rows(large: dict[str, Any]) -> dict[str, str]:
         ),
         f"{name}: the same in `rollout`": f"{large['step_ratio']:.3g} ({rolled[1]:.3g} / {rolled[0]:.3g} us)",
     }
+
+
+if __name__ == "__main__":
+    main()
