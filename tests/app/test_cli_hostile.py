@@ -45,6 +45,7 @@ def idle(monkeypatch, tmp_path):
     ):  # fmt: skip
         monkeypatch.setattr(place, {"beam": stop, "liver": stop} if place.endswith("BODIES") else stop)
     monkeypatch.setattr("palpate.app.train.command.check_dask", stop)
+    monkeypatch.setattr("palpate.app.cache.command.code_files", list)  # none to remove
     monkeypatch.chdir(tmp_path)
 
 
