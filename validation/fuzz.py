@@ -33,22 +33,23 @@ import numpy as np
 
 from palpate.faults import DivergenceError, InputError
 
-MEMORY = 200 << 20  # bytes a trial may take beyond the program's own
-COMPILING = {"physics": 1 << 30}  # the same for kinds whose trials compile kernels of many bodies
-SECONDS = 30.0  # of computing time after which a trial hangs: a forged model may need kernels that are not yet compiled
+# bytes that a trial may take beyond the program's own, and computing time [s] after which it hangs: a forged model may
+# need kernels that are not yet compiled
+LIMITS = (200 << 20, 30.0)
+COMPILING = {"physics": (1 << 30, 120.0)}  # of kinds whose trials compile kernels of many bodies
 SLOW = 1.0  # [s] of computing time that a trial should not exceed
 GOOD = ("refused", "equal", "accepted")
 
 Trial = Callable[[np.random.Generator, Path], str]
 
 
-def run_trial(trial: Trial, seed: int, number: int, folder: Path, memory: int = MEMORY) -> dict[str, Any]:
+def run_trial(trial: Trial, seed: int, number: int, folder: Path, limits: tuple[int, float] = LIMITS) -> dict[str, Any]:
     """Return the outcome of a trial in a process of its own: what, and the computing time [s]."""
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
         os.close(reading)
-        _perform(trial, seed, number, folder, writing, memory)
+        _perform(trial, seed, number, folder, writing, limits)
     os.close(writing)
     with os.fdopen(reading, "rb") as pipe:
         text = pipe.read()
@@ -61,17 +62,17 @@ def run_trial(trial: Trial, seed: int, number: int, folder: Path, memory: int = 
     return {**json.loads(text), "seconds": seconds} if text else {"what": "no answer", "seconds": seconds}
 
 
-def _perform(trial: Trial, seed: int, number: int, folder: Path, pipe: int, memory: int) -> None:
+def _perform(trial: Trial, seed: int, number: int, folder: Path, pipe: int, limits: tuple[int, float]) -> None:
     """Run a trial in the child, answer, and end the child."""
     quiet = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 1, 2):
         os.dup2(quiet, stream)
     own = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (own + memory, own + memory))
+    resource.setrlimit(resource.RLIMIT_AS, (own + limits[0],) * 2)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 28, 1 << 28))
-    signal.setitimer(signal.ITIMER_VIRTUAL, SECONDS)  # of computing time
-    signal.alarm(int(6 * SECONDS))  # for what waits without computing
+    signal.setitimer(signal.ITIMER_VIRTUAL, limits[1])  # of computing time
+    signal.alarm(int(6 * limits[1]))  # for what waits without computing
     answer: dict[str, Any] = {}
     try:
         answer["what"] = trial(np.random.default_rng([seed, number]), folder)
@@ -103,7 +104,7 @@ def study(kind: str, seconds: float, most: int, seed: int, only: int | None = No
         faults: list[dict[str, Any]] = []
         began, slowest, slow, number = time.monotonic(), 0.0, 0, 0
         while number < most and time.monotonic() - began < seconds:
-            found = run_trial(trial, seed, number, folder, COMPILING.get(kind, MEMORY))
+            found = run_trial(trial, seed, number, folder, COMPILING.get(kind, LIMITS))
             counts[found["what"]] += 1
             slowest, slow = max(slowest, found["seconds"]), slow + (found["seconds"] > SLOW)
             if found["what"] not in GOOD:
