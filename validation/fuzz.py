@@ -35,7 +35,7 @@ from palpate.faults import DivergenceError, InputError
 
 # bytes that a trial may take beyond the program's own, and computing time [s] after which it hangs: a forged model may
 # need kernels that are not yet compiled
-LIMITS = (200 << 20, 30.0)
+TRIAL_LIMITS = (200 << 20, 30.0)
 COMPILING = {"physics": (1 << 30, 120.0)}  # of kinds whose trials compile kernels of many bodies
 SLOW = 1.0  # [s] of computing time that a trial should not exceed
 GOOD = ("refused", "equal", "accepted")
@@ -43,7 +43,9 @@ GOOD = ("refused", "equal", "accepted")
 Trial = Callable[[np.random.Generator, Path], str]
 
 
-def run_trial(trial: Trial, seed: int, number: int, folder: Path, limits: tuple[int, float] = LIMITS) -> dict[str, Any]:
+def run_trial(
+    trial: Trial, seed: int, number: int, folder: Path, limits: tuple[int, float] = TRIAL_LIMITS
+) -> dict[str, Any]:
     """Return the outcome of a trial in a process of its own: what, and the computing time [s]."""
     reading, writing = os.pipe()
     child = os.fork()
@@ -104,7 +106,7 @@ def study(kind: str, seconds: float, most: int, seed: int, only: int | None = No
         faults: list[dict[str, Any]] = []
         began, slowest, slow, number = time.monotonic(), 0.0, 0, 0
         while number < most and time.monotonic() - began < seconds:
-            found = run_trial(trial, seed, number, folder, COMPILING.get(kind, LIMITS))
+            found = run_trial(trial, seed, number, folder, COMPILING.get(kind, TRIAL_LIMITS))
             counts[found["what"]] += 1
             slowest, slow = max(slowest, found["seconds"]), slow + (found["seconds"] > SLOW)
             if found["what"] not in GOOD:
