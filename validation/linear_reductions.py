@@ -251,7 +251,7 @@ def _row(entry: dict[str, Any]) -> list[str]:
         cells |= {
             "states": str(entry["states"]), "shared s": f"{entry['shared_seconds']:.1f}",
             "us/step": f"{1e6 * entry['step_seconds']:.2f}", "step kB": f"{entry['step_bytes'] / 1e3:.0f}",
-            "stable": "yes" if entry["stable"] else "no", "response %": f"{100 * entry['response_error']:.2g}",
+            "stable": "yes" if entry["stable"] else "no", "response %": f"{100 * entry['response_error']:.3g}",
         }  # fmt: skip
     for load, errors in entry["errors"].items():
         for each in QUANTITIES:
