@@ -25,11 +25,11 @@ import numpy as np
 import result_files
 import scipy.linalg
 from held_out import DURATION, EVERY, Floats, summary, tried
+from motions import random_motion, training_motions
 
 import palpate as pt
 from palpate.dynamics.nodal.stability import stiffness
 from palpate.reduction.training.reduce import hyper_reduce
-from palpate.scenes.motions import random_motion, training_motions
 
 SIZES = (16, 32)
 TRAINED, TESTED = 10, 8

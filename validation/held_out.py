@@ -3,7 +3,7 @@
     python validation/held_out.py [--runs FOLDER] [accuracy|trust|stability|stepping|sampling|enrichment ...]
 
 The paper's beam at 5 mm, nu = 0.49, in its energy form, is pulled, bent and twisted at its end for 1 s at a time:
-14 training motions, and 20 others inside their range, 5 outside it, 5 pushed into buckling (`palpate.scenes.motions`).
+14 training motions, and 20 others inside their range, 5 outside it, 5 pushed into buckling (`validation/motions.py`).
 The runs of the full model are kept in FOLDER (an hour on one core); results go to docs/validation/held_out.json.
 
 accuracy    errors of displacement, velocity, energy and reaction over the number of modes, for the three sets
@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 import result_files
 import scipy.linalg
+from motions import random_motion, training_motions
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
@@ -33,7 +34,6 @@ from palpate.reduction.hyper.cubature import sparse_nnls
 from palpate.reduction.hyper.error_indicator import mean_size
 from palpate.reduction.training.calibrate_indicator import Frames, Scales, held_out_frames, trust_numbers
 from palpate.reduction.training.reduce import hyper_reduce
-from palpate.scenes.motions import random_motion, training_motions
 
 Floats = NDArray[np.float64]
 

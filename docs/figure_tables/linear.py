@@ -10,7 +10,11 @@ from figure_tables.cells import ERRORS, Row, block, distinct, markdown, signific
 MAX_ERROR = 10.0  # larger errors are printed as larger than this
 
 
-@block("compare_beam", command="palpate compare beam --modes 4 8 16 24")
+@block(
+    "compare_beam",
+    command="palpate compare beam --modes 4 8 16 24`, now `"
+    "python validation/linear_reductions.py beam --modes 4 8 16 24",
+)
 def linear_beam(report: Row) -> str:
     """Return the errors of linear models [%] under a small and a large load, and of their frequency response."""
     about = report["parameters"]

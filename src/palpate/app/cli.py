@@ -64,7 +64,6 @@ def build_parser() -> Any:
     from palpate.app.cache.parser import add_cache
     from palpate.app.check.parser import add_check
     from palpate.app.common.arguments import Parser
-    from palpate.app.compare.parser import add_compare
     from palpate.app.export.parser import add_export
     from palpate.app.fit.parser import add_fit
     from palpate.app.laws.parser import add_laws
@@ -83,8 +82,8 @@ def build_parser() -> Any:
     parser.add_argument("--version", action="version", version=f"palpate {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND")
     for add in (
-        add_reproduce, add_view, add_new, add_train, add_run, add_replay, add_check, add_fit, add_laws, add_compare,
-        add_export, add_cache,
+        add_reproduce, add_view, add_new, add_train, add_run, add_replay, add_check, add_fit, add_laws, add_export,
+        add_cache,
     ):  # fmt: skip
         add(commands)
     return parser

@@ -1,4 +1,4 @@
-"""Estimated cost of dense and sparse computations on this machine."""
+"""Estimated cost of dense computations on this machine."""
 
 from __future__ import annotations
 
@@ -11,14 +11,11 @@ import scipy.linalg
 
 from palpate.dynamics.run.rollout import machine_memory
 from palpate.faults import InputError
-from palpate.reduction.lti.projection_methods import factorise
-from palpate.reduction.lti.system import LinearSystem
 
-__all__ = ["Budget", "Estimate", "dense_lyapunov", "sparse_lyapunov"]
+__all__ = ["Budget", "Estimate", "dense_lyapunov"]
 
 TIMED_ORDER = 240  # order of the dense equation that is timed
 SOLVER_ARRAYS = 8  # square arrays that a dense solver stores at a time: the Schur form, vectors and work
-MIN_SHIFTS = 100  # smallest number of shifts of an alternating-direction iteration for a lightly damped body
 
 
 @dataclass(frozen=True)
@@ -78,18 +75,3 @@ def _dense_seconds() -> float:
         scipy.linalg.solve_continuous_lyapunov(a, -np.eye(TIMED_ORDER))
         times.append(perf_counter() - start)
     return min(times)
-
-
-def sparse_lyapunov(system: LinearSystem) -> Estimate:
-    """Estimate two low-rank alternating-direction iterations, from the measured time of one sparse factorisation."""
-    start = perf_counter()
-    factors = factorise(system, 1j * float(np.sqrt(_middle(system))))
-    seconds = perf_counter() - start
-    numbers = factors.L.nnz + factors.U.nnz
-    columns = 2 * MIN_SHIFTS * max(system.input.shape[1], system.output.shape[0])
-    return Estimate(16.0 * numbers + 16.0 * columns * system.order, 2 * MIN_SHIFTS * seconds)
-
-
-def _middle(system: LinearSystem) -> float:
-    """Return a squared frequency [1/s^2] between the lowest and the highest."""
-    return float(np.median(system.stiffness.diagonal() / system.mass.diagonal()))

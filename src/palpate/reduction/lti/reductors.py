@@ -18,7 +18,6 @@ from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import Load
 from palpate.faults import InputError, integer_in_range
 from palpate.reduction.lti.budget import Budget, dense_lyapunov
-from palpate.reduction.lti.gramians import balance_in_low_rank, dense_solver
 from palpate.reduction.lti.hankel import Realisation, balance, hankel_norm, nearest_fields
 from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.projection_methods import condense, modal, moments, project, proper
@@ -39,7 +38,6 @@ TITLE_BY_METHOD = {
     "moments": "Krylov, moments matched",
     "irka": "Krylov, second-order IRKA",
     "balanced": "balanced truncation, first order",
-    "balanced-low-rank": "balanced truncation of the whole body in low rank, first order",
     "hankel": "Hankel-norm approximation, first order",
     "pod": "POD of the linearised run",
     "sobt": "second-order balanced truncation",
@@ -49,7 +47,7 @@ TITLE_BY_METHOD = {
     "sobt-vp": "the same, velocity-position",
     "sobt-fv": "the same, free velocity",
 }
-PYMOR_METHODS = {"irka", "balanced", "balanced-low-rank", *SECOND_ORDER_BALANCING}
+PYMOR_METHODS = {"irka", "balanced", *SECOND_ORDER_BALANCING}
 CONDENSED_MODES = 240  # modes of the condensed body that replaces a large one in balancing
 IRKA_OPTIONS: dict[str, Any] = {"tol": 1e-3, "maxit": 20, "irka_options": {"tol": 1e-3, "maxit": 20}}
 Run = tuple[Sequence[Load], float, float]
@@ -146,18 +144,11 @@ class Reduction:
             return self._hankel(modes)
         if method == "balanced":
             return self._balanced(modes)
-        if method == "balanced-low-rank":
-            return balance_in_low_rank(system, modes, self.scales, self.budget, self._timed)
         return self._second_order(method, modes)
 
     def _shared(self, method: str) -> float:
         """Return the time [s] of the parts that a method shares with others."""
-        parts = {
-            "modal": (),
-            "moments": (),
-            "pod": ("run",),
-            "balanced-low-rank": ("low-rank",),
-        }
+        parts = {"modal": (), "moments": (), "pod": ("run",)}
         shared_parts = parts.get(method, ("condensed", "hankel" if method == "hankel" else "gramians"))
         return float(sum(self.seconds.get(part, 0.0) for part in shared_parts))
 
@@ -221,6 +212,7 @@ class Reduction:
     def pymor(self) -> Any:
         """The scaled system as pyMOR's second-order model, which stores its Gramians."""
         need_pymor("balancing")
+        from pymor.bindings.scipy import ScipyLyapunovSolverLR
         from pymor.models.iosys import SecondOrderModel
         from pymor.solvers.matrix_equations.default import MatrixEquationSolvers
 
@@ -228,7 +220,7 @@ class Reduction:
         return SecondOrderModel.from_matrices(
             scaled.mass, scaled.damping, scaled.stiffness, scaled.input, scaled.output, scaled.rate_output,
             scaled.feedthrough, name="palpate",
-            matrix_equation_solvers=MatrixEquationSolvers(lyapunov_lr=dense_solver()),
+            matrix_equation_solvers=MatrixEquationSolvers(lyapunov_lr=ScipyLyapunovSolverLR()),
         )  # fmt: skip
 
     def _gramians(self) -> None:
@@ -339,8 +331,8 @@ def reduce_linear(system: LinearSystem, method: str, modes: int, **options: Any)
     system : LinearSystem
     method : str
         ``"modal"``, ``"moments"``, ``"pod"``, ``"hankel"``, and by pyMOR ``"irka"``,
-        ``"balanced"``, ``"balanced-low-rank"``, ``"sobt"``, ``"sobt-p"``, ``"sobt-v"``,
-        ``"sobt-pv"``, ``"sobt-vp"``, ``"sobt-fv"``: see docs/linear.md.
+        ``"balanced"``, ``"sobt"``, ``"sobt-p"``, ``"sobt-v"``, ``"sobt-pv"``, ``"sobt-vp"``,
+        ``"sobt-fv"``: see docs/linear.md.
     modes : int
         Number of displacement coordinates; methods of first order have twice as many states.
     options

@@ -1,1 +1,0 @@
-"""Linear reductions of a body side by side: ``palpate compare``."""
