@@ -39,15 +39,14 @@ def _displacements(errors: list[Row]) -> str:
 def membrane_frequencies(studies: Row) -> str:
     """Return the largest error of the first four frequencies of a taut sheet."""
     lines = []
-    for form in ("energy", "strong"):
-        for spacing in (0.01, 0.005):
-            cells = []
-            for layout, jitter in LAYOUTS:
-                key = {"form": form, "spacing": spacing, "layout": layout, "jitter": jitter}
-                rows = [row for row in studies["frequencies"] if all(row[k] == v for k, v in key.items())]
-                cells.append(percent(max(abs(error) for row in rows for error in row["errors"])))
-            lines.append([form, millimetres(spacing), *cells])
-    return markdown(["form", "spacing", "rings", "triangular", "rings, jitter 0.1"], lines)
+    for spacing in (0.01, 0.005):
+        cells = []
+        for layout, jitter in LAYOUTS:
+            key = {"spacing": spacing, "layout": layout, "jitter": jitter}
+            rows = [row for row in studies["frequencies"] if all(row[k] == v for k, v in key.items())]
+            cells.append(percent(max(abs(error) for row in rows for error in row["errors"])))
+        lines.append([millimetres(spacing), *cells])
+    return markdown(["spacing", "rings", "triangular", "rings, jitter 0.1"], lines)
 
 
 @block("membranes", command="python validation/membranes.py statics")
@@ -55,14 +54,14 @@ def membrane_pushed(studies: Row) -> str:
     """Return the errors of the tool's force and of the mean deflection of a pushed sheet."""
     rows = [row for row in studies["statics"] if row["case"] == "poke"]
     lines = []
-    for prestretch, radius, form in dict.fromkeys((r["prestretch"], r["tool_radius"], r["form"]) for r in rows):
+    for prestretch, radius in dict.fromkeys((r["prestretch"], r["tool_radius"]) for r in rows):
         taut = f"{prestretch:g}" if prestretch > 1 else "none"
         for spacing in distinct(row["spacing"] for row in rows):
-            key = {"prestretch": prestretch, "tool_radius": radius, "form": form, "spacing": spacing}
+            key = {"prestretch": prestretch, "tool_radius": radius, "spacing": spacing}
             found = [find(rows, **key, layout=layout, jitter=jitter) for layout, jitter in LAYOUTS]
             cells = [f"{signed(row['force_error'], unit='')} / {signed(row['mean_error'])}" for row in found]
-            lines.append([f"{millimetres(radius)}, {taut}, {form}", millimetres(spacing), *cells])
-    heads = ["tool radius, prestretch, form", "spacing", "rings", "triangular", "rings, jitter 0.1"]
+            lines.append([f"{millimetres(radius)}, {taut}", millimetres(spacing), *cells])
+    heads = ["tool radius, prestretch", "spacing", "rings", "triangular", "rings, jitter 0.1"]
     return markdown(heads, lines)
 
 

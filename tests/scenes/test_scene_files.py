@@ -652,6 +652,8 @@ def test_what_a_disc_cannot_have_is_refused(opened):
     region = "[[region]]\nplace = { ball = { centre = [0, 0, 0], radius = 0.02 } }\nstiffness = 2"
     with pytest.raises(pt.InputError, match="region must be left out for a disc, got 1"):
         _ = opened(DISC + region).body
+    with pytest.raises(pt.InputError, match=r"form of \[body\] must be energy for a disc, got strong"):
+        _ = opened(DISC.replace("thickness =", 'form = "strong"\nthickness =')).body
     with pytest.raises(pt.InputError, match=r"thickness of \[body\] must be given for a disc"):
         _ = opened(DISC.replace('thickness = "0.1 mm"', "")).body
     with pytest.raises(pt.InputError, match="support must be given for a disc"):

@@ -37,7 +37,6 @@ def membrane(
     jitter: float = 0.0,
     seed: int = 0,
     relaxed: bool = True,
-    form: str = "energy",
 ) -> Scene:
     """Return the paper's membrane: a disc, 0.2 m across and 0.01 mm thick, its rim fixed, its centre pushed by a tool.
 
@@ -59,7 +58,7 @@ def membrane(
         As for `palpate.Membrane`.
     layout, jitter, seed
         As for `palpate.disc`.
-    relaxed, form
+    relaxed
         As for `palpate.Membrane`.
 
     Raises
@@ -79,7 +78,7 @@ def membrane(
             f"{cloud.spacing:g} m, or 0 for the paper's point"
         )
     material = NeoHookean(C1=0.17e6, density=1200.0, poisson=0.5)
-    model = Membrane(cloud, material, MEMBRANE_THICKNESS, "rim", prestretch=prestretch, relaxed=relaxed, form=form)
+    model = Membrane(cloud, material, MEMBRANE_THICKNESS, "rim", prestretch=prestretch, relaxed=relaxed)
     until = PUSH_TIME if after == "release" else float("inf")
     tool = PrescribedMotion("tool", lambda points, time: (0.0, 0.0, tool_tip(time, after)), until)
     parameters = {

@@ -215,11 +215,13 @@ class OrganScene(Described):
                 raise InputError("under_loads of [body] must be false for a disc, got true; use prestretch")
             if about.body.thickness is None:
                 raise InputError("thickness of [body] must be given for a disc, got none; give thickness = '0.1 mm'")
+            if about.body.form != "energy":
+                raise InputError(f"form of [body] must be energy for a disc, got {about.body.form}; leave form out")
             if about.region:
                 raise InputError(f"region must be left out for a disc, got {len(about.region)}; give one tissue")
             return Membrane(
                 self.cloud, self.material, about.body.thickness, fixed, prestretch=about.body.prestretch,
-                form=about.body.form, mass_damping=about.tissue.mass_damping,
+                mass_damping=about.tissue.mass_damping,
                 fibres=None if about.tissue.fibres is None else fibres_of(about.tissue.fibres),
             )  # fmt: skip
         materials: dict[str, Material] = {"": self.material}

@@ -11,9 +11,8 @@ from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.solid.model import Solid
 
-__all__ = ["CAMPAIGN_SEEDS", "MAX_FRAMES", "TRAINING_SEEDS", "Scene", "TrainingScene"]
+__all__ = ["CAMPAIGN_SEEDS", "TRAINING_SEEDS", "Scene", "TrainingScene"]
 
-MAX_FRAMES = 10_000  # of a training path
 CAMPAIGN_SEEDS = 1_000_000  # seeds of a campaign of `palpate train`
 TRAINING_SEEDS = 500_000  # the first of these, for training; the others are for held-out runs
 

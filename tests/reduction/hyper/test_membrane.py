@@ -59,10 +59,6 @@ def test_the_projected_force_is_the_projection_of_the_nodal_force(sheet):
     u = np.tensordot(coordinates, rom.columns, 1)
     expected = np.einsum("n,mnc,nc->m", sheet.volumes, rom.columns, sheet.force(u)) / 1200.0
     np.testing.assert_allclose(rom.force(coordinates), expected, atol=1e-11 * np.abs(expected).max())
-    strong = pt.Membrane(sheet.cloud, sheet.material, 1e-5, "rim", form="strong")
-    rom = GalerkinModel(strong, basis, column)
-    expected = np.einsum("n,mnc,nc->m", sheet.volumes, rom.columns, strong.force(u)) / 1200.0
-    np.testing.assert_allclose(rom.force(coordinates), expected, atol=1e-11 * np.abs(expected).max())
 
 
 @pytest.mark.slow
@@ -280,15 +276,6 @@ def test_the_step_of_a_slack_sheet_is_that_of_its_taut_states(sampled):
     prepared = sampled.prepare([PUSH])
     assert sampled.data.taut_frequency > 1.2 * sampled.body.frequencies()[-1]
     assert sampled.stable_step(sampled.state(prepared), prepared)[0] < 2 / sampled.data.taut_frequency
-
-
-@pytest.mark.slow
-def test_a_strong_form_sheet_is_reduced_by_its_energy_form(sheet, push):
-    strong = pt.Membrane(
-        sheet.cloud, sheet.material, 1e-5, "rim", form="strong", stiffness_damping=sheet.stiffness_damping
-    )
-    one, other = (pt.hyper_reduce(model, push, modes=4, prescribed="tool") for model in (sheet, strong))
-    np.testing.assert_array_equal(one.data.gradients, other.data.gradients)
 
 
 def test_a_sampled_sheet_is_saved_and_loaded(sampled, tmp_path):

@@ -60,20 +60,6 @@ class Rows(NamedTuple):
     weights: NDArray[Any]
     used: NDArray[np.int64]
 
-    @classmethod
-    def none(cls) -> Rows:
-        """Return an empty layout."""
-        nodes, empty = np.zeros((0, LANES), dtype=np.int32), np.zeros(0, dtype=np.int64)
-        return cls(
-            nodes,
-            empty,
-            empty.copy(),
-            np.zeros(0, dtype=np.int32),
-            empty.copy(),
-            np.zeros((0, 1)),
-            np.zeros(2, dtype=np.int64),
-        )
-
 
 def aligned_zeros(*shape: int, dtype: type[np.floating[Any]] = np.float64) -> NDArray[Any]:
     """Return zeros that start at a cache line, with another one behind them."""

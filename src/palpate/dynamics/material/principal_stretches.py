@@ -122,7 +122,7 @@ def make_principal_stress(digest: str, law_first: Any) -> Any:
     return stress
 
 
-def make_principal_response(digest: str, law_first: Any, law_second: Any, volume: Any, direct: bool) -> Any:
+def make_principal_response(digest: str, law_first: Any, law_second: Any, volume: Any) -> Any:
     """Compile the response of one block for a law of the stretches, as in `strong_form`.
 
     In the principal axes N of C, where S is diagonal, column a of P and its divergence are
@@ -133,7 +133,7 @@ def make_principal_response(digest: str, law_first: Any, law_second: Any, volume
     with G_ij,b = dC_ij/dX_b and the quotients g = (s_a - s_b)/(x_a - x_b). The law is called in a
     separate loop because of its powers and logarithms; the other loops are vectorised.
     """
-    slopes = _make_slopes(digest, law_first, law_second, volume, direct)
+    slopes = _make_slopes(digest, law_first, law_second)
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
     def respond(b, nodes, d, boundary, coefficients, lame, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
@@ -141,7 +141,7 @@ def make_principal_response(digest: str, law_first: Any, law_second: Any, volume
         for v in range(LANES):
             _principal_axes(v, d, axes, squares)
         for v in range(LANES):
-            slopes(v, squares, d, coefficients, lame)
+            slopes(v, squares, d, coefficients)
         for v in range(LANES):
             _divergence(b, v, d, boundary, axes, squares)
         for v in range(LANES):
@@ -172,23 +172,16 @@ def _principal_axes(v, d, axes, squares):  # type: ignore[no-untyped-def]
     axes[6, v], axes[7, v], axes[8, v] = n[6], n[7], n[8]
 
 
-def _make_slopes(digest: str, law_first: Any, law_second: Any, volume: Any, direct: bool) -> Any:
+def _make_slopes(digest: str, law_first: Any, law_second: Any) -> Any:
     """Compile the function that writes s_a, ds_a/dx_b and the quotients of a lane into rows 27 to 38."""
     first_of, second_of = (inline(digest, f) for f in (law_first, law_second))
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def slopes(v, squares, d, coefficients, lame):  # type: ignore[no-untyped-def]
+    def slopes(v, squares, d, coefficients):  # type: ignore[no-untyped-def]
         x0, x1, x2 = squares[0, v], squares[1, v], squares[2, v]
         l0, l1, l2 = np.sqrt(x0), np.sqrt(x1), np.sqrt(x2)
         w0, w1, w2 = first_of(l0, l1, l2, coefficients)
         w00, w11, w22, w01, w02, w12 = second_of(l0, l1, l2, coefficients)
-        if direct:  # with the volumetric part
-            J = l0 * l1 * l2
-            slope, bend = volume(J - 1.0)
-            p, k = lame * slope * J, lame * bend * J * J
-            w0, w1, w2 = w0 + p / l0, w1 + p / l1, w2 + p / l2
-            w00, w11, w22 = w00 + k / x0, w11 + k / x1, w22 + k / x2
-            w01, w02, w12 = w01 + (k + p) / (l0 * l1), w02 + (k + p) / (l0 * l2), w12 + (k + p) / (l1 * l2)
         s0, s1, s2 = w0 / l0, w1 / l1, w2 / l2
         s00, s11, s22 = 0.5 * (w00 - s0) / x0, 0.5 * (w11 - s1) / x1, 0.5 * (w22 - s2) / x2
         s01, s02, s12 = 0.5 * w01 / (l0 * l1), 0.5 * w02 / (l0 * l2), 0.5 * w12 / (l1 * l2)

@@ -27,12 +27,12 @@ def make_linear_stress(digest: str) -> Any:
     return stress
 
 
-def make_linear_response(digest: str, law_first: Any, law_second: Any, volume: Any, direct: bool) -> Any:
+def make_linear_response(digest: str, law_first: Any, law_second: Any, volume: Any) -> Any:
     """Compile the response of one block, mu (lap u + grad div u) - P b, as in `strong_form`."""
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
     def respond(b, nodes, d, boundary, coefficients, lame, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
-        mu, bulk = coefficients[0], lame if direct else 0.0
+        mu = coefficients[0]
         for v in range(LANES):
             b0, b1, b2 = boundary[b, 0, v], boundary[b, 1, v], boundary[b, 2, v]
             trace = d[0, v] + d[4, v] + d[8, v]
@@ -45,9 +45,6 @@ def make_linear_response(digest: str, law_first: Any, law_second: Any, volume: A
             shear[b, 0, v] = mu * (d[9, v] + d[10, v] + d[11, v] + k0) - P00 * b0 - s01 * b1 - s02 * b2
             shear[b, 1, v] = mu * (d[15, v] + d[16, v] + d[17, v] + k1) - s01 * b0 - P11 * b1 - s12 * b2
             shear[b, 2, v] = mu * (d[21, v] + d[22, v] + d[23, v] + k2) - s02 * b0 - s12 * b1 - P22 * b2
-            shear[b, 0, v] += bulk * (k0 - trace * b0)
-            shear[b, 1, v] += bulk * (k1 - trace * b1)
-            shear[b, 2, v] += bulk * (k2 - trace * b2)
             for w in range(9):
                 cofactor[b, w, v] = 0.0
             cofactor[b, 0, v], cofactor[b, 4, v], cofactor[b, 8, v] = 1.0, 1.0, 1.0

@@ -38,13 +38,13 @@ __all__ = ["Membrane", "load_areas"]
 
 MAX_FIBRE_TILT = 1e-6  # largest component of a fibre direction out of the plane
 TAUT_STRAIN = 1e-3  # extension of the taut sheet for its highest frequency
-DAMPING_BY_FORM = {"energy": 0.1, "strong": 0.5}  # default stiffness damping times the highest frequency
-# defaults: fewer destabilise the strong form, more soften the energy form
-NEIGHBOURS_BY_FORM = {"energy": 14, "strong": 18}
+DEFAULT_DAMPING = 0.1  # stiffness damping times the highest frequency
 
 
 class Membrane(NodalModel):
     """An incompressible membrane in plane stress.
+
+    Nodal forces are the derivative of an energy summed over nodes, stable in every state of tension.
 
     Parameters
     ----------
@@ -60,21 +60,16 @@ class Membrane(NodalModel):
         Stretch of the mounted sheet in both directions, at least 1.
     relaxed : bool
         True replaces compression by wrinkles (tension-field theory).
-    form : str
-        ``"energy"``: nodal forces are the derivative of an energy summed over nodes, stable in every
-        state of tension. ``"strong"``: the equations of motion are collocated, unstable for a slack or
-        wrinkled sheet.
     stiffness_damping : float, optional [s]
         Rayleigh stiffness damping beta of C = beta K in (29). By default 0.1 over the highest
         frequency: waves as short as the spacing lose a tenth of their amplitude in a third of a period.
-        In the strong form it is 0.5 over the highest frequency.
     mass_damping : float [1/s]
         As for `palpate.Solid`.
-    neighbours : int, optional
-        Target number of points in a stencil; by default 14, in the strong form 18.
+    neighbours : int
+        Target number of points in a stencil; more soften the sheet.
     fibres : FibreLaw, optional
-        Fibre reinforcement in the plane of the sheet, in the energy form with ``relaxed=False``. The
-        relaxed energy of a sheet with fibres is not implemented.
+        Fibre reinforcement in the plane of the sheet, with ``relaxed=False``. The relaxed energy of a
+        sheet with fibres is not implemented.
 
     Raises
     ------
@@ -94,6 +89,8 @@ class Membrane(NodalModel):
     """
 
     name = "full"
+    form = "energy"  # as of a `palpate.Solid`
+    conservative = True
 
     def __init__(
         self,
@@ -104,13 +101,12 @@ class Membrane(NodalModel):
         *,
         prestretch: float = 1.0,
         relaxed: bool = True,
-        form: str = "energy",
         stiffness_damping: float | None = None,
         mass_damping: float = 0.0,
-        neighbours: int | None = None,
+        neighbours: int = 14,
         fibres: FibreLaw | None = None,
     ) -> None:
-        checked_fibres = _validated_fibres(cloud, material, form, relaxed, fibres)
+        checked_fibres = _validated_fibres(cloud, material, relaxed, fibres)
         self.cloud, self.tissue = cloud, Tissue(material, None, np.zeros(0), checked_fibres, len(cloud))
         self.material, self.fibres = material, checked_fibres
         self.thickness = number_in_range("thickness", thickness, 0.0, open_low=True, unit="m")
@@ -118,18 +114,17 @@ class Membrane(NodalModel):
         self.supports = supports_of(fixed)
         if planes := symmetry_planes(cloud, self.supports):
             raise InputError(f"fixed of Membrane must hold no SymmetryPlane, got {planes[0].name!r}; use Roller")
-        self.relaxed, self.form, self.conservative = bool(relaxed), form, form == "energy"
-        # the mounted boundary vectors have c = 2, which the energy form includes by itself
+        self.relaxed = bool(relaxed)
+        # the energy includes the mounted boundary vectors, which have c = 2
         self.half_cell = 1.0
         self.mass_damping = number_in_range("mass_damping", mass_damping, 0.0, unit="1/s")
         self.stiffness_damping = 0.0
-        target = NEIGHBOURS_BY_FORM[form] if neighbours is None else neighbours
-        self.stencils = moving_least_squares(cloud.points / self.prestretch, order=2, neighbours=target)
+        self.stencils = moving_least_squares(cloud.points / self.prestretch, order=2, neighbours=neighbours)
         self._areas = cloud.volumes / self.prestretch**2
         self.volumes = self._areas * self.thickness
         body, longest = self._body()
         self._compile(
-            sheet(type(material), self.relaxed, form == "strong", self._additional_stress()),
+            sheet(type(material), self.relaxed, self._additional_stress()),
             body,
             partial(
                 sheet_work,
@@ -143,15 +138,13 @@ class Membrane(NodalModel):
         )
         self._history_at_rest = self.equilibrium_history(np.zeros((len(cloud), 3)))
         self._taut = resting_frequency(self, TAUT_STRAIN * self._in_space(cloud.points))
-        chosen = DAMPING_BY_FORM[form] / self._taut if stiffness_damping is None else stiffness_damping
+        chosen = DEFAULT_DAMPING / self._taut if stiffness_damping is None else stiffness_damping
         used = number_in_range("stiffness_damping", chosen, 0.0, unit="s")
-        needed = 0.0 if self.conservative else np.nan
         step = stable_step(self._taut, used)
-        self._set_stability(StabilityReport("taut sheet", None, needed, used, self._taut, step))
+        self._set_stability(StabilityReport("taut sheet", None, 0.0, used, self._taut, step))
 
     def _own_facts(self) -> list[Fact]:
         return [
-            ("form", self.form, ""),
             ("thickness", self.thickness, "m"),
             ("prestretch", self.prestretch, ""),
             ("wrinkles", self.relaxed, ""),
@@ -165,15 +158,13 @@ class Membrane(NodalModel):
     def _body(self) -> tuple[SheetBody, int]:
         """Lay out the stencils; return them with the largest number of neighbours in a pass."""
         cloud, stencils = self.cloud, self.stencils
-        weights_of = {"energy": _energy_weights, "strong": _strong_weights}[self.form]
-        row, first, second, transposed = weights_of(cloud, stencils, self._areas, self.prestretch)
+        row, first, second, transposed = _weights(cloud, stencils, self._areas, self.prestretch)
         lanes, (first_weights, second_weights) = lane_table(stencils.neighbours, row, first, second)
         body = SheetBody(
             lanes=lanes,
             first=first_weights,
             second=second_weights,
             transposed=transposed,
-            boundary=np.ascontiguousarray(self.prestretch * cloud.boundary_vectors()[lanes.nodes].transpose(0, 2, 1)),
             radius=POINT_RADIUS * np.sqrt(self._areas),
             coefficients=self.material.coefficients,
             prestretch=self.prestretch,
@@ -190,8 +181,7 @@ class Membrane(NodalModel):
     def deformation_gradient(self, displacements: Floats) -> Floats:
         """Return F = dx/dX of the stress-free sheet at every node, (n, 3, 2), for displacements (n, 3) [m].
 
-        It is that of the fit at the node. Forces and energy of the energy form use six points around
-        the node.
+        It is that of the fit at the node. Forces and energy use six points around the node.
         """
         return self.stencils.gradient(displacements) + self.prestretch * np.eye(3, 2)
 
@@ -264,17 +254,13 @@ class Membrane(NodalModel):
         return super()._step(max(frequency, self._taut), prepared)
 
 
-def _strong_weights(
+def _weights(
     cloud: Cloud, stencils: Stencils, areas: Floats, prestretch: float
 ) -> tuple[NDArray[np.integer[Any]], Floats, Floats, Rows]:
-    """Return the rows of the nodes, the weights of first and second derivatives by row, and no transposed stencils."""
-    return stencils.row, stencils.first, stencils.second, Rows.none()
+    """Return the rows of the nodes, the weights of first and second derivatives by row, and the transposed stencils.
 
-
-def _energy_weights(
-    cloud: Cloud, stencils: Stencils, areas: Floats, prestretch: float
-) -> tuple[NDArray[np.integer[Any]], Floats, Floats, Rows]:
-    """As `_strong_weights`, with consistent first derivatives and the transposed stencils."""
+    First derivatives are consistent.
+    """
     edges = cloud.boundary_vectors() * cloud.volumes[:, None] / prestretch
     first = consistent_gradient(stencils, cloud.points / prestretch, areas, edges)
     row, second = np.arange(len(cloud), dtype=np.int32), stencils.second[stencils.row]
@@ -283,9 +269,7 @@ def _energy_weights(
     return row, first, second, row_table(near, row, weights, -both.sum(axis=1))
 
 
-def _validated_fibres(
-    cloud: Cloud, material: Material, form: str, relaxed: bool, fibres: FibreLaw | None
-) -> FibreLaw | None:
+def _validated_fibres(cloud: Cloud, material: Material, relaxed: bool, fibres: FibreLaw | None) -> FibreLaw | None:
     """Check the arguments of a membrane; return its fibres with a direction at every node."""
     if cloud.points.shape[1] != 2:
         raise InputError("cloud of Membrane must be a plane cloud, got one in space; use disc or sheet")
@@ -295,13 +279,9 @@ def _validated_fibres(
         raise InputError(f"material of Membrane must be incompressible, got {material.poisson:g}; use poisson=0.5")
     if material.variables == "small strain":
         raise InputError("material of Membrane must be a law of large strains, got LinearElastic; use NeoHookean")
-    if form not in DAMPING_BY_FORM:
-        raise InputError(f"form must be 'energy' or 'strong', got {form!r}")
     if material.prony is not None and material.prony.bulk_shares:
         raise InputError("bulk_shares of a membrane's Prony series must be empty; its volume is constant")
-    if material.prony is not None and form != "energy":
-        raise InputError("prony of the material must be None in the strong form; use form='energy'")
-    nodal_fibres = prepare_fibres(fibres, material, form, cloud.points)
+    nodal_fibres = prepare_fibres(fibres, material, Membrane.form, cloud.points)
     if nodal_fibres is not None and relaxed:
         raise InputError("relaxed must be False for a sheet with fibres; use relaxed=False")
     if nodal_fibres is not None and np.abs(nodal_fibres.directions[..., 2]).max() > MAX_FIBRE_TILT:

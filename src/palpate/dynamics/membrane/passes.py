@@ -10,10 +10,9 @@ Math. 36, 1986) follows from the principal stretches l1 >= l2: where l2 < l1^(-1
 leaves, the sheet is wrinkled, l2 drops out of the energy and P is uniaxial. Where l1 <= 1 it is slack,
 and P = 0.
 
-Two forms of the equations of motion are compiled from the first and second derivatives H of the displacement at nodes:
+The force is the derivative of an energy. With the first and second derivatives H of the displacement at nodes,
 
-*energy*    rho a V = -d/du sum of V mean of W(F + H xi) over six points xi about the node: the derivative of an energy.
-*strong*    rho a = Div P - P b, differentiated directly with H, b the boundary vector of the half-cell balance.
+    rho a V = -d/du sum of V mean of W(F + H xi) over six points xi about the node.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from palpate.dynamics.compiled.rows import Rows, aligned_zeros, gather_fluxes
 from palpate.dynamics.material.fibres import Families
 from palpate.dynamics.material.relaxation import HistoryVariables, Relaxation, after, history, prepare
 from palpate.dynamics.membrane.additional_stress import NO_ADDITIONAL_STRESS, AdditionalStress, flatten_additional
-from palpate.dynamics.membrane.principal_moduli import make_principal_moduli, make_principal_strong
+from palpate.dynamics.membrane.principal_moduli import make_principal_moduli
 from palpate.tissue.materials import Material
 
 __all__ = [
@@ -56,7 +55,6 @@ class SheetBody(NamedTuple):
     first: Weights
     second: Weights
     transposed: Rows  # of every node, the nodes whose stencils contain it, and itself; times the ratio of volumes
-    boundary: NDArray[np.float64]  # (b, 2, LANES) boundary vectors [1/m]
     radius: NDArray[np.float64]  # (n,) distance of the points from their node [m]
     coefficients: tuple[float, ...]
     prestretch: float
@@ -70,7 +68,7 @@ class SheetWork(NamedTuple):
     fields: NDArray[np.float64]  # (threads, k, 3, LANES) neighbours' differences
     derivatives: NDArray[np.float64]  # (threads, 15, LANES)
     cofactor: NDArray[np.float64]  # (b, 9, LANES): the last of every three is the deformed normal's component
-    flux: NDArray[np.float64]  # (n, 3, 8) stress and its first moments; in the strong form the force (n, 3, 0)
+    flux: NDArray[np.float64]  # (n, 3, 8) stress and its first moments
     energy: NDArray[np.float64]  # (n,) [J/m^3]
     history: HistoryVariables  # of viscoelastic tissue; point q of block b at POINTS b + q
 
@@ -116,13 +114,6 @@ def _project(table, body, work, volumes, partial, result):  # type: ignore[no-un
     add_blocks(partial, result)
 
 
-@kernel_njit(inner=True)
-def _copy_force(flux, force):  # type: ignore[no-untyped-def]
-    for i in range(force.shape[0]):
-        for c in range(3):
-            force[i, c] = flux[i, c, 0]
-
-
 @kernel_njit(forceinline=True)
 def _principal(C00, C11, C01):  # type: ignore[no-untyped-def]
     """Return the eigenvalues of C, and the squared lateral stretch in simple tension."""
@@ -132,17 +123,15 @@ def _principal(C00, C11, C01):  # type: ignore[no-untyped-def]
 
 def make_moduli(
     digest: str, energy_of: Any, law_first: Any, law_second: Any, relaxed: bool, variables: str = "invariants"
-) -> tuple[Any, Any]:
-    """Compile the functions of C for energy, a and g in P = a F + g F adj(C), and for their derivatives.
-
-    For a law of the stretches the second is None (`make_principal_strong`).
+) -> Any:
+    """Compile the function of C for energy, a and g in P = a F + g F adj(C).
 
     In a wrinkled state P = h F N N^T, N the direction of tension, is of the same form: by the theorem of Cayley and
     Hamilton F N N^T (c1 - c2) = c1 F - F adj(C), c1 > c2 the eigenvalues of C.
     """
     if variables == "stretches":
-        return make_principal_moduli(digest, energy_of, law_first, law_second, relaxed), None
-    energy, first_of, second_of = (inline(digest, f) for f in (energy_of, law_first, law_second))
+        return make_principal_moduli(digest, energy_of, law_first, law_second, relaxed)
+    energy, first_of = (inline(digest, f) for f in (energy_of, law_first))
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def moduli(C00, C11, C01, coefficients):  # type: ignore[no-untyped-def]
@@ -160,47 +149,15 @@ def make_moduli(
         a, g = 2.0 * (W1 + W2 / D), 2.0 * (W2 * (1.0 - t / (D * D)) - W1 / (D * D))
         return energy(I1, I2, 1.0, coefficients), a, g
 
-    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def slopes(C00, C11, C01, coefficients):  # type: ignore[no-untyped-def]
-        """Return the derivatives of a and g by t = tr C and D = det C."""
-        t, D = C00 + C11, C00 * C11 - C01 * C01
-        if relaxed:
-            c1, c2, width = _principal(C00, C11, C01)
-            if c2 < width:
-                I1, I2 = 1.0 / (width * width) + 2.0 * width, 2.0 / width + width * width
-                W1, W2, _ = first_of(I1, I2, 1.0, coefficients)
-                W11, W12, W22, _, _, _ = second_of(I1, I2, 1.0, coefficients)
-                gap = max(c1 - c2, MIN_SQUARE_GAP)
-                s1, s2 = 1.0 - width**3, width - width**4  # derivatives of I1 and I2 by c1
-                h = 2.0 * (W1 * s1 + W2 * s2) / gap
-                dh = 2.0 * (W11 * s1 * s1 + 2.0 * W12 * s1 * s2 + W22 * s2 * s2)
-                dh += 2.0 * (W1 * 1.5 * width**5 + W2 * (2.0 * width**6 - 0.5 * width**3))
-                if c1 <= 1.0:
-                    dh = 0.0
-                # c1 - c2 = sqrt(t^2 - 4 D); c1 by t is c1 / gap, by D -1 / gap
-                h_t = (dh * c1 / gap - h * t / gap) / gap
-                h_D = (-dh / gap + 2.0 * h / gap) / gap
-                return h_t * c1 + h * c1 / gap, h_D * c1 - h / gap, -h_t, -h_D
-        I1, I2 = t + 1.0 / D, D + t / D
-        W1, W2, _ = first_of(I1, I2, 1.0, coefficients)
-        W11, W12, W22, _, _, _ = second_of(I1, I2, 1.0, coefficients)
-        I1_D, I2_t, I2_D = -1.0 / (D * D), 1.0 / D, 1.0 - t / (D * D)
-        W1_t, W1_D = W11 + W12 * I2_t, W11 * I1_D + W12 * I2_D
-        W2_t, W2_D = W12 + W22 * I2_t, W12 * I1_D + W22 * I2_D
-        a_t, a_D = 2.0 * (W1_t + W2_t / D), 2.0 * (W1_D + W2_D / D - W2 / (D * D))
-        g_t = 2.0 * (W2_t * I2_D - W2 / (D * D) - W1_t / (D * D))
-        g_D = 2.0 * (W2_D * I2_D + 2.0 * (W2 * t + W1) / D**3 - W1_D / (D * D))
-        return a_t, a_D, g_t, g_D
-
-    return moduli, slopes
+    return moduli
 
 
-def _make_energy_response(digest: str, moduli: Any, added: Any) -> Any:
-    """Compile the energy form's response of one block: mean stress at a node, its moments with xi, the energy."""
+def _make_response(digest: str, moduli: Any, added: Any) -> Any:
+    """Compile the response of one block: mean stress at a node, its moments with xi, the energy."""
     has_additional = added is not None
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
-    def node_response(b, nodes, d, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy):  # type: ignore[no-untyped-def]
+    def node_response(b, nodes, d, radius, coefficients, prestretch, extras, cofactor, flux, energy):  # type: ignore[no-untyped-def]
         for v in range(LANES):
             i = nodes[b, v]
             total = 0.0
@@ -248,42 +205,6 @@ def _make_energy_response(digest: str, moduli: Any, added: Any) -> Any:
     return node_response
 
 
-def _make_strong_response(digest: str, moduli: Any, slopes: Any) -> Any:
-    """Compile the strong form's response of one block: Div P - P b from F and H."""
-
-    @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
-    def node_response(b, nodes, d, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy):  # type: ignore[no-untyped-def]
-        for v in range(LANES):
-            i = nodes[b, v]
-            C00, C11, C01, K00, K11, L00, L11, L01, M01 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for c in range(3):
-                F0 = d[2 * c, v] + (prestretch if c == 0 else 0.0)
-                F1 = d[2 * c + 1, v] + (prestretch if c == 1 else 0.0)
-                H00, H11, H01 = d[6 + 3 * c, v], d[7 + 3 * c, v], d[8 + 3 * c, v]
-                C00, C11, C01 = C00 + F0 * F0, C11 + F1 * F1, C01 + F0 * F1
-                # derivatives of C00, C11, C01 by X0, then by X1
-                K00, K11, L01 = K00 + 2 * F0 * H00, K11 + 2 * F1 * H01, L01 + F0 * H01 + F1 * H00
-                L00, L11, M01 = L00 + 2 * F0 * H01, L11 + 2 * F1 * H11, M01 + F0 * H11 + F1 * H01
-            energy[i], a, g = moduli(C00, C11, C01, coefficients)
-            a_t, a_D, g_t, g_D = slopes(C00, C11, C01, coefficients)
-            D0, D1 = K00 * C11 + C00 * K11 - 2 * C01 * L01, L00 * C11 + C00 * L11 - 2 * C01 * M01
-            t0, t1 = K00 + K11, L00 + L11
-            b0, b1 = boundary[b, 0, v], boundary[b, 1, v]
-            a0, a1 = a_t * t0 + a_D * D0 - a * b0, a_t * t1 + a_D * D1 - a * b1
-            g0, g1 = g_t * t0 + g_D * D0 - g * b0, g_t * t1 + g_D * D1 - g * b1
-            for c in range(3):
-                F0 = d[2 * c, v] + (prestretch if c == 0 else 0.0)
-                F1 = d[2 * c + 1, v] + (prestretch if c == 1 else 0.0)
-                H00, H11, H01 = d[6 + 3 * c, v], d[7 + 3 * c, v], d[8 + 3 * c, v]
-                # columns of F adj(C), and its divergence
-                G0, G1 = F0 * C11 - F1 * C01, F1 * C00 - F0 * C01
-                spread = H00 * C11 + H11 * C00 - 2 * H01 * C01 + F0 * (K11 - M01) + F1 * (L00 - L01)
-                flux[i, c, 0] = a * (H00 + H11) + F0 * a0 + F1 * a1 + g * spread + G0 * g0 + G1 * g1
-            _normal(b, v, d, prestretch, cofactor)
-
-    return node_response
-
-
 @kernel_njit(forceinline=True)
 def _normal(b, v, d, prestretch, cofactor):  # type: ignore[no-untyped-def]
     """Write the deformed normal times the ratio of areas into `cofactor`, for `surface_force`."""
@@ -294,20 +215,8 @@ def _normal(b, v, d, prestretch, cofactor):  # type: ignore[no-untyped-def]
     cofactor[b, 8, v] = F00 * F11 - F10 * F01
 
 
-def _make_response(digest: str, law: type[Material], relaxed: bool, strong: bool, added: Any) -> Any:
-    """Compile the response of one block in the energy or the strong form."""
-    moduli, slopes = make_moduli(digest, law.energy, law.first, law.second, relaxed, law.variables)
-    if not strong:
-        return _make_energy_response(digest, moduli, added)
-    if law.variables == "stretches":
-        return make_principal_strong(digest, law.first, law.second, moduli, relaxed, _normal)
-    return _make_strong_response(digest, moduli, slopes)
-
-
 @cache
-def sheet(
-    law: type[Material], relaxed: bool, strong: bool, added: AdditionalStress = NO_ADDITIONAL_STRESS
-) -> Formulation:
+def sheet(law: type[Material], relaxed: bool, added: AdditionalStress = NO_ADDITIONAL_STRESS) -> Formulation:
     """Compile the passes of a membrane.
 
     Parameters
@@ -316,64 +225,53 @@ def sheet(
         Material whose functions are compiled, without its parameters.
     relaxed : bool
         True for the relaxed energy of wrinkled and slack states.
-    strong : bool
-        True for the strong form, False for the energy form.
     added : AdditionalStress
-        Fibres and viscoelastic branches of the energy form.
+        Fibres and viscoelastic branches.
     """
-    digest = law_digest(
-        __name__, "sheet", law.variables, law.energy, law.first, law.second, relaxed, strong, added.digest
-    )
+    digest = law_digest(__name__, "sheet", law.variables, law.energy, law.first, law.second, relaxed, added.digest)
     has_additional = added.response is not None
-    node_response = _make_response(digest, law, relaxed, strong, added.response)
+    moduli = make_moduli(digest, law.energy, law.first, law.second, relaxed, law.variables)
+    node_response = _make_response(digest, moduli, added.response)
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
     def each(  # type: ignore[no-untyped-def]
-        u, lanes, first, second, boundary, radius, coefficients, prestretch, extras, fields, derivatives,
+        u, lanes, first, second, radius, coefficients, prestretch, extras, fields, derivatives,
         cofactor, flux, energy,
     ):  # fmt: skip
         for block in prange(lanes.nodes.shape[0]):
             b = np.int64(block)
             out = derivatives[get_thread_id()]
             _lift(b, u, lanes, first, second, fields[get_thread_id()], out)
-            node_response(
-                b, lanes.nodes, out, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy
-            )
+            node_response(b, lanes.nodes, out, radius, coefficients, prestretch, extras, cofactor, flux, energy)
 
     @law_njit(digest, inner=True)
     def respond(u, body, work):  # type: ignore[no-untyped-def]
         if has_additional:
             prepare(body.relaxation, work.history)
-        each(u, body.lanes, body.first, body.second, body.boundary, body.radius, body.coefficients, body.prestretch,
+        each(u, body.lanes, body.first, body.second, body.radius, body.coefficients, body.prestretch,
              flatten_additional(body.families, body.relaxation, work.history),
              work.fields, work.derivatives, work.cofactor, work.flux, work.energy)  # fmt: skip
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
     def each_column(  # type: ignore[no-untyped-def]
-        columns, table, lanes, boundary, radius, coefficients, prestretch, extras, derivatives, cofactor, flux, energy,
+        columns, table, lanes, radius, coefficients, prestretch, extras, derivatives, cofactor, flux, energy,
     ):  # fmt: skip
         for block in prange(table.shape[0]):
             b = np.int64(block)
             out = derivatives[get_thread_id()]
             combine(b, columns, table, out)
-            node_response(
-                b, lanes.nodes, out, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy
-            )
+            node_response(b, lanes.nodes, out, radius, coefficients, prestretch, extras, cofactor, flux, energy)
 
     @law_njit(digest, inner=True)
     def respond_to_columns(columns, table, body, work):  # type: ignore[no-untyped-def]
         if has_additional:
             prepare(body.relaxation, work.history)
-        each_column(columns, table, body.lanes, body.boundary, body.radius, body.coefficients, body.prestretch,
+        each_column(columns, table, body.lanes, body.radius, body.coefficients, body.prestretch,
                     flatten_additional(body.families, body.relaxation, work.history),
                     work.derivatives, work.cofactor, work.flux, work.energy)  # fmt: skip
 
     @law_njit(digest, inner=True)
     def finish(body, work, force):  # type: ignore[no-untyped-def]
-        if strong:
-            _copy_force(work.flux, force)
-        else:
-            _gather_fluxes(body.transposed, work.flux, force)
+        _gather_fluxes(body.transposed, work.flux, force)
 
-    project = None if strong else _project
-    return Formulation(digest, NODE_DERIVATIVES, respond, respond_to_columns, _differentiate, finish, project, after)
+    return Formulation(digest, NODE_DERIVATIVES, respond, respond_to_columns, _differentiate, finish, _project, after)

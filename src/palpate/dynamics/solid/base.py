@@ -37,7 +37,6 @@ class Choices:
     """Arguments of a solid for one of its forms; see `Solid`."""
 
     stiffness_damping: float | None
-    pressure: str | None
     half_cell: float | None
     neighbours: int | None
     images: Images
@@ -68,13 +67,11 @@ class Solid(NodalModel):
         ``"energy"``: the nodal forces are the derivative of an energy summed over nodes
         (`palpate.dynamics.solid.energy_form`). It conserves energy, requires no damping, and is more
         accurate in bending. Hyper-reduction samples the same sum.
-        ``"strong"``: the equations of motion are collocated at the nodes, as in the paper.
+        ``"strong"``: the equations of motion are collocated at the nodes, as in the paper. The pressure
+        is smoothed and differentiated separately, which neither locks nor loses stability up to a
+        Poisson's ratio of 0.499.
     stiffness : mapping of str to float, or (n,) array, optional
         Stiffness factors of groups or of all nodes, in the energy form, such as a tumour in a liver.
-    pressure : str, optional
-        Pressure of the strong form. ``"split"``, its default: the pressure is smoothed and differentiated
-        separately, which neither locks nor loses stability up to a Poisson's ratio of 0.499.
-        ``"direct"``: all terms are differentiated directly, for comparison.
     half_cell : float, optional
         The c of the strong form in the balance of a boundary node, rho a = Div P + c/h (f_s - P N). The
         half cell itself has c = 2. The default c = 3 cancels the leading error of one-sided quadratic fits (for u = z^3
@@ -141,7 +138,6 @@ class Solid(NodalModel):
         stiffness_damping: float | None = None,
         mass_damping: float = 0.0,
         stiffness: Mapping[str, float] | Floats | None = None,
-        pressure: str | None = None,
         half_cell: float | None = None,
         neighbours: int | None = None,
         smoothing: int = 27,
@@ -159,7 +155,7 @@ class Solid(NodalModel):
         self.planes = symmetry_planes(cloud, self.supports)
         images = mirror_images(cloud, self.planes)
         smoother = _linear_fit(images.cloud, smoothing)
-        self._build(Choices(stiffness_damping, pressure, half_cell, neighbours, images, smoother))
+        self._build(Choices(stiffness_damping, half_cell, neighbours, images, smoother))
 
     def _build(self, choices: Choices) -> None:
         """Compute the stencils, compile the passes, and examine the stability."""

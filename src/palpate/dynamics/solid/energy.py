@@ -58,9 +58,10 @@ class EnergySolid(Solid):
     conservative = True
 
     def _build(self, choices: Choices) -> None:
-        for name, given in (("pressure", choices.pressure), ("half_cell", choices.half_cell)):
-            if given is not None:
-                raise InputError(f"{name} must be left out in the energy form, got {given!r}; use form='strong'")
+        if choices.half_cell is not None:
+            raise InputError(
+                f"half_cell must be left out in the energy form, got {choices.half_cell!r}; use form='strong'"
+            )
         # the boundary vectors, which have c = 2, are a part of the energy
         self.half_cell = 1.0
         tried = STENCIL_SIZES if choices.neighbours is None else (choices.neighbours,)

@@ -49,7 +49,7 @@ class CompiledForm(NamedTuple):
 
 
 def strong_passes(
-    images: Images, material: Material, stencils: Stencils, smoother: Stencils, half_cell: float, direct: bool
+    images: Images, material: Material, stencils: Stencils, smoother: Stencils, half_cell: float
 ) -> tuple[CompiledForm, Stencils]:
     """Lay out the passes of the strong form, for stencils of a cloud with its images; return the part's own, too."""
     n, (mirror, of_part) = images.nodes, images.own(stencils)
@@ -78,7 +78,7 @@ def strong_passes(
     longest = int(max(np.max(lanes.stop - lanes.start), np.max(smooth_lanes.stop - smooth_lanes.start)))
     threads = numba.config.NUMBA_NUM_THREADS
     allocate = partial(workspace, n, len(lanes.nodes), longest, threads, len(mirror.source))
-    return CompiledForm(solid(material.law, direct, material.volumetric), body, allocate, lanes), of_part
+    return CompiledForm(solid(material.law, material.volumetric), body, allocate, lanes), of_part
 
 
 class Smoothing(NamedTuple):

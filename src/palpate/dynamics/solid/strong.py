@@ -40,16 +40,11 @@ class StrongSolid(Solid):
         half_cell = HALF_CELL if choices.half_cell is None else choices.half_cell
         # the cloud's boundary vectors have c = 2
         self.half_cell = number_in_range("half_cell", half_cell, 1.0, 4.0) / 2
-        self.volumes, self.pressure = cloud.volumes, "split" if choices.pressure is None else choices.pressure
-        if self.pressure not in ("split", "direct"):
-            raise InputError(f"pressure must be 'split' or 'direct', got {self.pressure!r}")
+        self.volumes = cloud.volumes
         self.neighbours = STENCIL_SIZES[0] if choices.neighbours is None else choices.neighbours
         body = choices.images.cloud
         stencils = moving_least_squares(body.points, order=2, neighbours=self.neighbours, hidden=body.hidden)
-        direct = self.pressure == "direct"
-        compiled, of_part = strong_passes(
-            choices.images, self.material, stencils, choices.smoother, self.half_cell, direct
-        )
+        compiled, of_part = strong_passes(choices.images, self.material, stencils, choices.smoother, self.half_cell)
         self.mirror = compiled.body.mirror
         self._compile(*compiled)
         # the second derivatives are in the lanes; gradients of nodal fields require the others only
@@ -71,9 +66,6 @@ class StrongSolid(Solid):
     def evaluate(self, displacements: Floats, history: History = (), work: NodalWork | None = None) -> Evaluation:
         work = self.workspace() if work is None else work
         force, F = self.force(displacements, history, work), self.deformation_gradient(displacements)
-        stress, pressure = self.material.stress(F), work.passes.pressure
         smooth = work.passes.smooth[: len(force)]
-        if self.pressure == "split":
-            stress = stress + (smooth - pressure)[:, None, None] * self.material.cofactor(F)
-            pressure = smooth
-        return Evaluation(force, stress, pressure.copy(), self.material.strain_energy(F))
+        change = (smooth - work.passes.pressure)[:, None, None] * self.material.cofactor(F)
+        return Evaluation(force, self.material.stress(F) + change, smooth.copy(), self.material.strain_energy(F))

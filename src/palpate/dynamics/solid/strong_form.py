@@ -7,7 +7,7 @@ At every node, with F = I + du/dX and H = d2u/dX2,
 with P_s the shear part's first Piola-Kirchhoff stress, differentiated directly with the second
 derivatives, and p the pressure, smoothed and then differentiated (cof(F) has no divergence: Piola's
 identity). b is the boundary vector of the half-cell balance, (area / volume) times normal summed over
-the node's faces, zero at interior nodes. In the direct form p is differentiated with H too.
+the node's faces, zero at interior nodes.
 
 The force requires three passes over blocks of nodes: deformation and shear force; smoothing of the
 pressure; its gradient. Each node's result is independent of the others, so the bits are equal for any
@@ -102,29 +102,18 @@ def _add_pressure(lanes, first, boundary, fields, derivatives, cofactor, shear, 
 
 
 @kernel_njit(inner=True)
-def _write_direct(lanes, shear, force):  # type: ignore[no-untyped-def]
-    for b in range(lanes.nodes.shape[0]):
-        for lane in range(LANES):
-            for c in range(3):
-                force[lanes.nodes[b, lane], c] = shear[b, c, lane]
-
-
-@kernel_njit(inner=True)
-def _finish(body, work, direct, force):  # type: ignore[no-untyped-def]
+def _finish(body, work, force):  # type: ignore[no-untyped-def]
     """Smooth the pressure of the deformation pass, and write the force by node."""
-    if direct:
-        _write_direct(body.lanes, work.shear, force)
-    else:
-        smooth_field(body.smoothing, body.value, body.own, work.derivatives, work.pressure, work.smooth)
-        fill_scalars(body.mirror, work.smooth)
-        _add_pressure(body.lanes, body.first, body.boundary, work.fields, work.derivatives, work.cofactor,
-                      work.shear, work.smooth, force)  # fmt: skip
+    smooth_field(body.smoothing, body.value, body.own, work.derivatives, work.pressure, work.smooth)
+    fill_scalars(body.mirror, work.smooth)
+    _add_pressure(body.lanes, body.first, body.boundary, work.fields, work.derivatives, work.cofactor,
+                  work.shear, work.smooth, force)  # fmt: skip
 
 
-def _make_response(digest: str, law_first: Any, law_second: Any, volume: Any, direct: bool) -> Any:
+def _make_response(digest: str, law_first: Any, law_second: Any, volume: Any) -> Any:
     """Compile the response of one block: stress divergence, cofactor and pressure from F and H.
 
-    `volume` is the compiled function of J - 1 that returns U'(J) and U''(J) over lame.
+    `volume` is the compiled function of J - 1 that returns U'(J) over lame first.
     """
     first_of, second_of = (inline(digest, f) for f in (law_first, law_second))
 
@@ -180,10 +169,6 @@ def _make_response(digest: str, law_first: Any, law_second: Any, volume: Any, di
 
             W1, W2, WJ = first_of(I1, I2, J, coefficients)
             W11, W12, W22, W1J, W2J, WJJ = second_of(I1, I2, J, coefficients)
-            if direct:
-                slope, bend = volume(J - 1.0)
-                WJ += lame * slope
-                WJJ += lame * bend
             # gradients of the energy's derivatives, doubled if they multiply a doubled tensor
             s0 = 2.0 * (W11 * 2.0 * h0 + W12 * 2.0 * e0 + W1J * j0)
             s1 = 2.0 * (W11 * 2.0 * h1 + W12 * 2.0 * e1 + W1J * j1)
@@ -227,25 +212,23 @@ def _make_response(digest: str, law_first: Any, law_second: Any, volume: Any, di
 
 
 @cache
-def solid(law: type[Material], direct: bool, volumetric: str = QUADRATIC) -> Formulation:
+def solid(law: type[Material], volumetric: str = QUADRATIC) -> Formulation:
     """Compile the passes of a solid.
 
     Parameters
     ----------
     law : type
         Material whose functions are compiled, without its parameters.
-    direct : bool
-        True differentiates the pressure directly instead of smoothing it.
     volumetric : str
         Form of U(J).
     """
     pressure_of = volumetric_form(volumetric).pressure
-    digest = law_digest(__name__, "solid", law.variables, law.first, law.second, pressure_of, direct)
+    digest = law_digest(__name__, "solid", law.variables, law.first, law.second, pressure_of)
     make = {
         "invariants": _make_response, "stretches": make_principal_response, "small strain": make_linear_response,
     }[law.variables]  # fmt: skip
     volume = inline(digest, pressure_of)
-    node_response = make(digest, law.first, law.second, volume, direct)
+    node_response = make(digest, law.first, law.second, volume)
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
     def each(u, lanes, first, second, boundary, coefficients, lame, fields, derivatives, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
@@ -279,6 +262,6 @@ def solid(law: type[Material], direct: bool, volumetric: str = QUADRATIC) -> For
 
     @law_njit(digest, inner=True)
     def finish(body, work, force):  # type: ignore[no-untyped-def]
-        _finish(body, work, direct, force)
+        _finish(body, work, force)
 
     return Formulation(digest, 27, respond, respond_to_columns, _differentiate, finish)

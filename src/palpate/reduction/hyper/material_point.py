@@ -193,7 +193,7 @@ def _stretched_point(energy_of: Any, first_of: Any, second_of: Any) -> MaterialP
 def _sheet_point(law: type[Material], relaxed: bool) -> MaterialPoint:
     """Compile the points of a membrane; the first coefficient is the prestretch."""
     digest = law_digest(__name__, "sheet point", law.variables, law.energy, law.first, law.second, relaxed)
-    moduli, _ = make_moduli(digest, law.energy, law.first, law.second, relaxed, law.variables)
+    moduli = make_moduli(digest, law.energy, law.first, law.second, relaxed, law.variables)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]

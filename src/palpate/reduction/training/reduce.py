@@ -84,7 +84,7 @@ def hyper_reduce(
     Parameters
     ----------
     full : Solid or Membrane
-        In its energy form, the reduced energy is a subset of its terms. A strong form is replaced by the
+        In its energy form, the reduced energy is a subset of its terms. A solid in the strong form is replaced by the
         energy form of the same body. The difference of the two remains, and decreases with the spacing.
     trajectories : Trajectory or path, or several
         The training runs. Files are read a block at a time, so together they may be larger than the
@@ -267,17 +267,9 @@ def _check(full: Solid | Membrane, points: Sequence[Floats]) -> None:
 
 
 def energy_form(full: Solid | Membrane) -> EnergySolid | Membrane:
-    """Return the model itself, or for a strong form the same body in the energy form."""
-    if isinstance(full, EnergySolid):
+    """Return the model itself, or for the strong form of a solid the same body in the energy form."""
+    if isinstance(full, EnergySolid | Membrane):
         return full
-    if isinstance(full, Membrane):
-        if full.conservative:
-            return full
-        return Membrane(
-            full.cloud, full.material, full.thickness, full.supports,
-            prestretch=full.prestretch, relaxed=full.relaxed, stiffness_damping=full.stiffness_damping,
-            mass_damping=full.mass_damping,
-        )  # fmt: skip
     return EnergySolid(
         full.cloud,
         full.material,
