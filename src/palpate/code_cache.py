@@ -136,13 +136,7 @@ def _limit(folder: Path) -> None:
 
 
 def _save(folder: Path, name: str, content: bytes) -> None:
-    """Write a file under another name, and rename it.
-
-    Raises
-    ------
-    OSError
-        The disk is full, or the folder cannot be written.
-    """
+    """Write a file under another name, and rename it."""
     global _saves
     partial = folder / f"{name}.{os.getpid()}.{os.urandom(4).hex()}.partial"
     try:
@@ -200,7 +194,6 @@ class CodeCache:
 
     Parameters
     ----------
-    function : function
     digest : str
         Of all code that it uses.
     """

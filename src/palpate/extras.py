@@ -28,11 +28,6 @@ def require(package: str, what: str) -> None:
         Name by which it is imported, one of `EXTRA_BY_PACKAGE`.
     what : str
         What requires it, as the message begins: ``"a page in the browser"``.
-
-    Raises
-    ------
-    InputError
-        It is not installed; the message names the extra and the command.
     """
     try:
         installed = find_spec(package) is not None

@@ -157,18 +157,12 @@ def number_in_range(
     ----------
     name : str
         Name of the argument in the message.
-    value : float
     low, high : float
         Ends of the interval.
     open_low, open_high : bool
         Exclude an end.
     unit : str
         Unit in the message.
-
-    Raises
-    ------
-    InputError
-        `value` is not a finite number in the interval.
     """
     try:
         if isinstance(cast(object, value), str | bytes):
@@ -188,13 +182,7 @@ def number_in_range(
 
 
 def integer_in_range(name: str, value: int, low: int, high: float = math.inf) -> int:
-    """Return `value` as an int in [low, high].
-
-    Raises
-    ------
-    InputError
-        `value` is not an integer in the interval.
-    """
+    """Return `value` as an int in [low, high]."""
     try:
         valid = not isinstance(value, bool) and int(value) == value and low <= value <= high
     except (TypeError, ValueError, OverflowError):
@@ -212,14 +200,8 @@ def check_names(owner: str, given: Iterable[str], allowed: Mapping[str, str]) ->
     ----------
     owner : str
         The class.
-    given : iterable of str
     allowed : mapping of str to str
         Units by name; empty for a pure number.
-
-    Raises
-    ------
-    InputError
-        Names the argument, those that are allowed, and the nearest one.
     """
     for name in given:
         if name not in allowed:
@@ -241,13 +223,7 @@ def warn_of_unit(name: str, value: float, low: float, high: float, unit: str, re
 
 
 def check_arguments(function: Any, arguments: Iterable[str], name: str) -> None:
-    """Check that a user's function takes some positional arguments.
-
-    Raises
-    ------
-    InputError
-        It takes others; the message contains `name`, the arguments and those of the function.
-    """
+    """Check that a user's function takes some positional arguments."""
     arguments = list(arguments)
     try:
         signature = inspect.signature(function)

@@ -47,15 +47,6 @@ def whole_file(path: Path) -> Iterator[Path]:
 
     The content is on the disk before the rename, so that `path` is either the old file or the whole new one, whatever
     stops the process or the machine. Two writers of one path do not share a temporary name.
-
-    Parameters
-    ----------
-    path : path
-
-    Raises
-    ------
-    OSError
-        The file cannot be written, or `path` exists and is not a regular file; names it.
     """
     if not path.name or "\0" in path.name:
         raise OSError(f"cannot write {str(path)!r}: this is not a file name; choose another name")
@@ -115,18 +106,10 @@ def regular_file(path: Path, what: str, most: int | None = None) -> int:
 
     Parameters
     ----------
-    path : path
     what : str
         Kind of the file, for messages: ``"recording"``.
     most : int, optional
         Largest allowed size [bytes].
-
-    Raises
-    ------
-    FileNotFoundError
-        There is no such file.
-    FileFormatError
-        It is not a regular file, too large, or cannot be read.
     """
     try:
         status = os.stat(path)
@@ -161,11 +144,6 @@ def unpack_gzip(data: bytes, path: Path, most: int) -> bytes:
         For messages.
     most : int
         Largest size of the content [bytes]; it is also at most 64 times that of the file.
-
-    Raises
-    ------
-    FileFormatError
-        The content is larger, damaged, or cut off.
     """
     most = min(most, MAX_EXPANSION * len(data))
     stream = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
@@ -194,19 +172,9 @@ def read_text(path: Path, what: str, most: int = MAX_TEXT_BYTES) -> str:
 def json_of(text: str | bytes) -> Any:
     """Return the value of a JSON text.
 
-    Parameters
-    ----------
-    text : str or bytes
-
     Returns
     -------
     dict, list, str, float, int, bool or None
-
-    Raises
-    ------
-    InputError
-        The text is not JSON, holds a number that is not finite or a whole number beyond 2^53, the same key twice in an
-        object, half a surrogate pair, or more than 32 nested levels.
     """
     try:
         text = text if isinstance(text, str) else text.decode()
@@ -230,11 +198,6 @@ def check_nesting(text: str, form: str) -> None:
     """Check that a text in JSON or TOML has at most 32 nested levels, before it is parsed.
 
     The parsers recurse by level. At the recursion limit, finalizers of other objects fail too.
-
-    Raises
-    ------
-    InputError
-        The text has more levels; the message names the form.
     """
     if text.count("[") + text.count("{") <= MAX_DEPTH:
         return
@@ -269,13 +232,7 @@ def write_sealed_json(path: Path, content: dict[str, Any]) -> None:
 
 
 def read_sealed_json(path: Path, what: str, most: int = MAX_TEXT_BYTES) -> dict[str, Any]:
-    """Return the content of a file of `write_sealed_json`.
-
-    Raises
-    ------
-    FileNotFoundError, FileFormatError
-        As of `read_json`; or the digest does not match.
-    """
+    """Return the content of a file of `write_sealed_json`."""
     content = read_json(path, what, most)
     if content.pop("sha256", None) != digest_of(content):
         raise FileFormatError(f"{path} does not match its checksum: the {what} is damaged or was edited")
@@ -344,14 +301,8 @@ def check_folder(folder: Path, name: str = "out") -> None:
 
     Parameters
     ----------
-    folder : path
     name : str
         Name of the option.
-
-    Raises
-    ------
-    InputError
-        The path is not a writable folder.
     """
     existing = _existing(folder)
     if not existing.is_dir():
@@ -371,15 +322,8 @@ def check_space(folder: Path, needed: int, name: str = "out") -> None:
 
     Parameters
     ----------
-    folder : path
-    needed : int
     name : str
         Name of the option.
-
-    Raises
-    ------
-    InputError
-        The space is not sufficient.
     """
     free = shutil.disk_usage(_existing(folder)).free
     if free < needed:

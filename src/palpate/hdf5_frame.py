@@ -85,7 +85,6 @@ def lay_out(
     ----------
     types : mapping of name to str
         In NumPy's notation. Slashes in a name make groups.
-    shapes : mapping of name to tuple of int
     attributes : mapping
         Of the file; those that HDF5 cannot hold are left out: long ones, and text with null characters.
     deflated : mapping of name to bytes

@@ -63,7 +63,6 @@ class Fault(Exception):
     ----------
     path : tuple of str and int
         Keys that lead to the value, and indices in lists.
-    message : str
     """
 
     path: tuple[str | int, ...]
@@ -113,13 +112,7 @@ def fields_of(section: type) -> dict[str, tuple[dataclasses.Field[Any], Any]]:
 
 
 def read_section(section: type, table: Any, path: tuple[str | int, ...] = ()) -> Any:
-    """Return a section from a table of a TOML file.
-
-    Raises
-    ------
-    Fault
-        A key is unknown or missing, or a value is of another kind or out of range.
-    """
+    """Return a section from a table of a TOML file."""
     values = read_values(section, table, path)
     for name, (field, _) in fields_of(section).items():
         if name not in values and field.default is MISSING and field.default_factory is MISSING:
@@ -164,13 +157,7 @@ def _written(value: Any) -> Any:
 
 
 def quantity(value: Any, unit: str) -> float:
-    """Return a number in the SI unit of a setting, from a number or a text such as ``"4.5 mm"``.
-
-    Raises
-    ------
-    InputError
-        The value is not a number, or its unit is not one for this quantity.
-    """
+    """Return a number in the SI unit of a setting, from a number or a text such as ``"4.5 mm"``."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         try:
             return float(value)

@@ -42,11 +42,6 @@ def plot_curves(times: Floats, series: Mapping[str, Floats], label: str, axes: A
     Returns
     -------
     matplotlib.axes.Axes
-
-    Raises
-    ------
-    InputError
-        matplotlib is not installed.
     """
     axes = _axes(axes)
     for name, values in series.items():
@@ -72,11 +67,6 @@ def plot_fit(
         Of the points.
     axes : matplotlib.axes.Axes, optional
         New ones by default.
-
-    Raises
-    ------
-    InputError
-        matplotlib is not installed.
     """
     axes = _axes(axes)
     axes.plot(*measured, "o", color=GREY, mfc="none", label=name)
@@ -87,13 +77,7 @@ def plot_fit(
 
 
 def plot_singular_values(values: Floats, kept: int, axes: Any = None) -> Any:
-    """Plot singular values over the first one; those of the modes that are kept are filled. Returns the axes.
-
-    Raises
-    ------
-    InputError
-        matplotlib is not installed.
-    """
+    """Plot singular values over the first one; those of the modes that are kept are filled. Returns the axes."""
     axes = _axes(axes)
     numbers, relative = np.arange(1, len(values) + 1), values / values[0]
     axes.semilogy(numbers[:kept], relative[:kept], "o", color=BLUE, label=f"{kept} modes kept")
@@ -117,11 +101,6 @@ def plot_body(points: Floats, triangles: Ints, axes: Any = None) -> Any:
     Returns
     -------
     matplotlib.axes.Axes
-
-    Raises
-    ------
-    InputError
-        matplotlib is not installed.
     """
     axes = _axes(axes, projection="3d")
     x, y, z = points.T
@@ -135,13 +114,7 @@ def plot_body(points: Floats, triangles: Ints, axes: Any = None) -> Any:
 
 
 def _axes(axes: Any, **options: Any) -> Any:
-    """Return the axes that are given, or new ones.
-
-    Raises
-    ------
-    InputError
-        matplotlib is not installed; names the extra that installs it.
-    """
+    """Return the axes that are given, or new ones."""
     if axes is not None:
         return axes
     require("matplotlib", "plot")

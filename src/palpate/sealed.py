@@ -66,12 +66,10 @@ class ArrayEntry:
     ----------
     type : str
         One of `ARRAY_TYPES`, in NumPy's notation.
-    shape : tuple of int
     offset : int
         First byte in the file.
     digests : tuple of str
         SHA-256 of the whole array; or of every row, of one that is read by row.
-    by_row : bool
     deflated : int, optional
         Number of bytes in the file, of an array that is compressed.
     """
@@ -113,7 +111,6 @@ class SealedFile:
 
     Parameters
     ----------
-    path : path
     header : dict
         Plain values.
     arrays : dict of ArrayEntry
@@ -125,13 +122,7 @@ class SealedFile:
     arrays: dict[str, ArrayEntry]
 
     def read(self, name: str) -> Array:
-        """Return an array.
-
-        Raises
-        ------
-        InputError
-            There is no such array, or its bytes do not match their digest.
-        """
+        """Return an array."""
         entry = self._entry(name)
         if entry.by_row:
             return np.array([self.row(name, k) for k in range(entry.shape[0])], entry.type).reshape(entry.shape)
@@ -165,26 +156,14 @@ class SealedFile:
 
 
 def array_of(what: str, kind: str, shape: tuple[int, ...], content: memoryview) -> Array:
-    """Return a copy of bytes as an array.
-
-    Raises
-    ------
-    InputError
-        The bytes are not as many as the array needs, or a truth value is neither 0 nor 1.
-    """
+    """Return a copy of bytes as an array."""
     if len(content) != math.prod(shape) * np.dtype(kind).itemsize:
         raise InputError(f"array {what} of shape {shape} does not have {len(content)} bytes")
     return _check_flags(what, np.frombuffer(content, kind).reshape(shape).copy())
 
 
 def checked_shape(what: str, kind: Any, shape: Any, room: int) -> tuple[str, tuple[int, ...]]:
-    """Return the type and shape of an array that a file names, which must fit into so many bytes.
-
-    Raises
-    ------
-    InputError
-        Another type, or a shape that does not fit.
-    """
+    """Return the type and shape of an array that a file names, which must fit into so many bytes."""
     if kind not in ARRAY_TYPES:
         raise InputError(f"array {what} has type {shortened(repr(kind))}; allowed are {', '.join(ARRAY_TYPES)}")
     valid = isinstance(shape, list) and len(shape) <= MAX_DIMENSIONS
@@ -204,16 +183,8 @@ def loading(path: Path, remedy: str) -> Iterator[None]:
 
     Parameters
     ----------
-    path : path
     remedy : str
         ``"train the model again"``.
-
-    Raises
-    ------
-    FileNotFoundError
-        There is no such file.
-    FileFormatError
-        Anything else went wrong inside.
     """
     try:
         yield
@@ -232,19 +203,10 @@ def open_sealed(path: Path, kind: str, version: int, older: tuple[int, ...] = ()
 
     Parameters
     ----------
-    path : path
     kind : str
         ``"palpate reduced model"``.
-    version : int
     older : tuple of int
         Versions before it that are also read.
-
-    Raises
-    ------
-    FileNotFoundError
-        There is no such file.
-    InputError
-        It is of another kind or version, truncated, or its table is damaged or names bytes outside the file.
     """
     size = regular_file(path, kind.removeprefix("palpate "))
     with path.open("rb") as file:
@@ -295,13 +257,7 @@ def _place_of_table(head: bytes, kind: str, version: int, older: tuple[int, ...]
 
 
 def _digest_of_rest(path: Path, arrays: Mapping[str, ArrayEntry], end: int) -> str:
-    """Return the SHA-256 of what lies between the head and the table and belongs to no array.
-
-    Raises
-    ------
-    InputError
-        Arrays overlap.
-    """
+    """Return the SHA-256 of what lies between the head and the table and belongs to no array."""
     digest = sha256()
     with path.open("rb") as file:
         at = HEAD_BYTES
@@ -392,9 +348,6 @@ def write_sealed(
 
     Parameters
     ----------
-    path : path
-    kind : str
-    version : int
     header : mapping
         Values that JSON has, all finite.
     arrays : mapping of name to array
@@ -403,13 +356,6 @@ def write_sealed(
         Arrays that are stored by row, each row under its own digest; given row by row, at least one.
     deflate : bool
         Whether to compress the arrays that are not stored by row, where it makes them smaller.
-
-    Raises
-    ------
-    InputError
-        A value in the header or a name is not one of JSON's, or would be refused when it is read.
-    OSError
-        The file cannot be written or the disk is full; a file that was there is unchanged.
     """
     _json([dict(header), *arrays, *(rows or {})])  # names, too, must be text that can be read again
     blocks: dict[str, tuple[Array, ...]] = {name: (_plain(values),) for name, values in arrays.items()}

@@ -57,17 +57,7 @@ def write_pack(path: Path, entries: Mapping[str, bytes]) -> None:
 
 
 class Pack:
-    """A pack, whose entries are read one by one.
-
-    Parameters
-    ----------
-    path : Path
-
-    Raises
-    ------
-    OSError, ValueError
-        The file cannot be read, or is damaged.
-    """
+    """A pack, whose entries are read one by one."""
 
     def __init__(self, path: Path) -> None:
         with path.open("rb") as file:

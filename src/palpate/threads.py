@@ -57,13 +57,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def check_process() -> None:
-    """Check that this process can run parallel loops.
-
-    Raises
-    ------
-    InputError
-        It was forked from one that had run some: OpenMP would end it, without a message.
-    """
+    """Check that this process can run parallel loops."""
     if _broken_forks:
         raise InputError(
             f"process {os.getpid()} must not be forked from one that has run palpate, since OpenMP ends its threads "

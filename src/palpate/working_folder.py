@@ -71,13 +71,7 @@ def foreign_writer(folder: str | Path) -> str:
 
 
 def make_private(folder: str | Path) -> None:
-    """Create a folder and its missing parents, for their owner only.
-
-    Raises
-    ------
-    OSError
-        A folder cannot be created.
-    """
+    """Create a folder and its missing parents, for their owner only."""
     path = Path(folder)
     for part in (*reversed(path.parents), path):
         with contextlib.suppress(FileExistsError):
@@ -86,13 +80,7 @@ def make_private(folder: str | Path) -> None:
 
 
 def check_cache_folder() -> None:
-    """Refuse a folder for compiled code that others can write, because this code is run.
-
-    Raises
-    ------
-    ImportError
-        ``NUMBA_CACHE_DIR`` names such a folder, or is relative.
-    """
+    """Refuse a folder for compiled code that others can write, because this code is run."""
     folder = os.environ.get("NUMBA_CACHE_DIR")
     if not folder:
         return

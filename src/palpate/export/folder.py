@@ -112,13 +112,6 @@ def export_c(
     -------
     dict of str to str
         Files, and what they are.
-
-    Raises
-    ------
-    InputError
-        A target is not known, the folder is not empty, or the model takes no tool.
-    OSError
-        A file cannot be written.
     """
     for target in targets:
         if target not in TARGET_NAMES:

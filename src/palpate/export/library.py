@@ -41,7 +41,6 @@ class Library(NamedTuple):
         With which the names of all functions begin.
     texts : list of str
         Modules of LLVM's intermediate representation.
-    memory : Memory
     image : bytes
         Content of the model's file.
     """
@@ -70,11 +69,6 @@ def lower_model(model: ReducedModel, name: str) -> Library:
         With tool contact, or with one prescribed group.
     name : str
         An identifier of C.
-
-    Raises
-    ------
-    InputError
-        The name is not an identifier, or the model takes no tool.
     """
     if not (name.isascii() and name.isidentifier()):
         raise InputError(f"name must be an identifier of C, got {name!r}; use letters, digits and underscores")
@@ -96,13 +90,7 @@ def lower_model(model: ReducedModel, name: str) -> Library:
 
 
 def model_functions(model: ReducedModel) -> tuple[dict[str, tuple[Any, tuple[Any, ...]]], dict[str, NDArray[Any]]]:
-    """Return the functions of a library with their arguments, and the arrays that a program uses by name.
-
-    Raises
-    ------
-    InputError
-        The model takes no tool.
-    """
+    """Return the functions of a library with their arguments, and the arrays that a program uses by name."""
     ready = idle_model(model)
     observable = make_observable(ready)
     surface, data = Surface(model), observable.data

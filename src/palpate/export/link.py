@@ -54,13 +54,7 @@ def emit_object(texts: Sequence[str], kept: Collection[str], target: Target, str
 
 
 def link_modules(texts: Sequence[str], kept: Collection[str], triple: str, layout: str, strict: bool) -> Any:
-    """Return one module; all its functions but those that are kept are internal.
-
-    Raises
-    ------
-    RuntimeError
-        A function is used that neither a module nor the C library has, such as one that allocates an array.
-    """
+    """Return one module; all its functions but those that are kept are internal."""
     linked = None
     for text in reversed(texts):  # the last use the others
         text = re.sub(r"^target triple = .*$", f'target triple = "{triple}"', text, flags=re.M)

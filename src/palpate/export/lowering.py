@@ -85,7 +85,6 @@ class LoweredFunction:
     ----------
     name : str
         Of the exported symbol.
-    function : function compiled by Numba
     arguments : sequence
         Arrays, numbers, and tuples of them. Numbers become constants of the library.
 
@@ -97,11 +96,6 @@ class LoweredFunction:
     function_type : llvmlite.ir.FunctionType
     leaves : list
         The flat arguments: an array in place of its address, numbers, or None for null pointers.
-
-    Raises
-    ------
-    RuntimeError
-        This version of Numba flattens arguments in another way.
     """
 
     def __init__(self, name: str, function: Any, arguments: Sequence[Any]) -> None:

@@ -40,7 +40,6 @@ class Memory:
 
     Parameters
     ----------
-    functions : sequence of LoweredFunction
     named : mapping of str to array
         What a program reads and writes by name; at most two dimensions.
 

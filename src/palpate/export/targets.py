@@ -14,7 +14,6 @@ class Target(NamedTuple):
     ----------
     triple, processor, features : str
         As LLVM names them.
-    relocation : str
     """
 
     triple: str

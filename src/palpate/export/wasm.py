@@ -62,13 +62,7 @@ class _Reader:
 
 
 def module_of_object(content: bytes, names: Collection[str]) -> Module:
-    """Return the module in which some functions of an object are exports.
-
-    Raises
-    ------
-    RuntimeError
-        The object lacks one of the functions.
-    """
+    """Return the module in which some functions of an object are exports."""
     sections = list(_sections(content))
     places: dict[str, int] = {}
     data_end = 0

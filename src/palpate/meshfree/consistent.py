@@ -69,11 +69,6 @@ def consistent_stencils(cloud: Cloud, choices: Sequence[int]) -> tuple[int, Sten
         Stencils of first derivatives; `value` holds the weights of `quadratic_residuals`.
     volumes : (n,) array [m^3]
         Weights that integrate quadratic fields.
-
-    Raises
-    ------
-    CloudError
-        No choice is suitable; the message is that of the first one.
     """
     fault = None
     for neighbours in choices:
@@ -199,11 +194,6 @@ def consistent_gradient(
     row : (n,) int array, optional
         Row of every node. Nodes that share a row have equal stencils, volumes and boundary vectors.
         By default every node has its own.
-
-    Raises
-    ------
-    CloudError
-        The condition cannot be satisfied, or only with weights far from those of the fit.
     """
     (n, d), near = points.shape, stencils.neighbours
     number: Ints = (np.arange(n) if row is None else row).astype(np.int64)

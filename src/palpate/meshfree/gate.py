@@ -25,7 +25,6 @@ def faulty_nodes(cloud: Cloud, neighbours: int = STENCIL_NODES) -> tuple[Ints, s
 
     Parameters
     ----------
-    cloud : Cloud
     neighbours : int
         Number of neighbours, as for `palpate.Solid`.
     """

@@ -164,14 +164,7 @@ class Images(NamedTuple):
 
 
 def mirror_images(cloud: Cloud, planes: Sequence[MirrorPlane]) -> Images:
-    """Return a cloud in space with its images at some planes.
-
-    Raises
-    ------
-    InputError
-        The nodes of a plane are not in it, other nodes are in it or on both sides, or two planes are
-        not at right angles.
-    """
+    """Return a cloud in space with its images at some planes."""
     n, spacing = len(cloud), cloud.spacing
     points, volumes = cloud.points, cloud.volumes
     source, reflection = np.arange(n), np.tile(np.eye(3), (n if planes else 0, 1, 1))

@@ -92,7 +92,6 @@ def spread_load(cloud: Cloud, nodes: Ints, values: Floats) -> tuple[Ints, Floats
 
     Parameters
     ----------
-    cloud : Cloud
     nodes : (g,) int array
         Surface nodes.
     values : (g, ...) array

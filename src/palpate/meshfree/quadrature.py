@@ -123,11 +123,6 @@ def conservative_smoothing(neighbours: NDArray[np.int32], values: Floats, volume
     -------
     value, own : (n, k), (n,) arrays
         Weights of every node's neighbours, in their order, and its own.
-
-    Raises
-    ------
-    CloudError
-        The solver did not find such weights.
     """
     n = len(volumes)
     node, place = np.nonzero(neighbours != np.arange(n)[:, None])

@@ -120,8 +120,6 @@ def relax(
         Nodes inside and on the surface.
     inner_spacing, outer_spacing : (n,), (s,) arrays [m]
         Target spacing of each node.
-    inside : DepthQuery
-    sweeps : int
     """
     points = np.concatenate([inner, outer])
     spacing = np.concatenate([inner_spacing, outer_spacing])

@@ -69,15 +69,8 @@ def write_black_box(path: str | Path, buffer: RingBuffer, attributes: dict[str, 
 
     Parameters
     ----------
-    path : str or Path
-    buffer : RingBuffer
     attributes : dict
         Attributes of the file.
-
-    Raises
-    ------
-    OSError
-        The file cannot be written; the message names it.
     """
     import h5py
 

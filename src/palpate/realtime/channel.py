@@ -51,11 +51,6 @@ class SharedSlots:
         Letters, digits, hyphens and underscores.
     coordinates : int
         Of the model.
-
-    Raises
-    ------
-    InputError
-        The name is not valid, or another engine that runs has it; or the system is not Linux or Windows.
     """
 
     def __init__(self, name: str, coordinates: int) -> None:

@@ -50,13 +50,7 @@ class Realtime(NamedTuple):
 
 
 def check_contract(model: Any) -> Realtime:
-    """Return a model's functions and contiguous copies of its arrays.
-
-    Raises
-    ------
-    InputError
-        An attribute is missing, a function is not compiled, or an array is not finite or has a wrong shape.
-    """
+    """Return a model's functions and contiguous copies of its arrays."""
     missing = [name for name in Realtime._fields if not hasattr(model, name)]
     if missing:
         raise InputError(

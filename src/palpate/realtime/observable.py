@@ -86,7 +86,6 @@ class ObservableData(NamedTuple):
         Published values.
     values : array
         Values to be published next.
-    coupling : VirtualCoupling
     target : (l,) array
         Tool coordinates that the model inside receives.
     tangent : (l, l) array
@@ -168,11 +167,6 @@ class ObservableModel(NamedTuple):
         """Multiply all moduli by a ratio from 0.1 to 10, at constant density; the engine must not run.
 
         The moduli change gradually, by at most a factor of e in 0.2 s of model time.
-
-        Raises
-        ------
-        InputError
-            The ratio is out of range.
         """
         self.data.modulus_ratio[TARGET] = number_in_range("ratio", ratio, 0.1, 10.0)
 
@@ -185,11 +179,6 @@ class ObservableModel(NamedTuple):
         force_limit : float [N]
             Largest force of the spring, beyond which the tool lags behind the device. The force limit of
             `palpate.Engine` scales only the reported force.
-
-        Raises
-        ------
-        InputError
-            The stiffness is not from 1 to 10,000 N/m, or the force limit is not positive.
         """
         parameters = self.data.coupling.parameters
         if stiffness is None:

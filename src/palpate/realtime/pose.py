@@ -23,14 +23,7 @@ UNIT_TOLERANCE = 1e-12  # of the size of a quaternion that is kept as it is
 def normalise_pose(
     position: Floats | Sequence[float], quaternion: Floats | Sequence[float], last: Floats | None
 ) -> Floats:
-    """Return a pose (7,) with a unit quaternion.
-
-    Raises
-    ------
-    InputError
-        An entry is not a finite real number, the quaternion is zero, or the position is more than `MAX_JUMP` from the
-        last one, if given.
-    """
+    """Return a pose (7,) with a unit quaternion."""
     position, quaternion = _finite_numbers("position", position, 3), _finite_numbers("quaternion", quaternion, 4)
     largest = float(np.abs(quaternion).max())
     if largest == 0:

@@ -72,7 +72,6 @@ def count_step(histograms, computing, lateness, ended, deadline, period, catch_u
     ----------
     computing, lateness : float [s]
     ended, deadline, period : int [ns]
-    catch_up : int
     """
     for k, seconds in ((COMPUTING, computing), (LATENESS, lateness)):
         bin_index = int(BINS_PER_DECADE * np.log10(max(seconds, FIRST_EDGE) / FIRST_EDGE))

@@ -38,11 +38,6 @@ def beam(spacing: float = 0.005, load: float = 100.0, poisson: float = 0.49) -> 
         Largest force, in (0, 1000]; the paper's is 100 N.
     poisson : float
         Poisson's ratio at rest, in [0, 0.499]; the paper does not state it.
-
-    Raises
-    ------
-    InputError
-        A parameter out of range; the message names it.
     """
     spacing = number_in_range("spacing", spacing, MIN_SPACING, MAX_SPACING, unit="m")
     load = number_in_range("load", load, 0.0, MAX_LOAD, open_low=True, unit="N")

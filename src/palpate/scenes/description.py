@@ -322,15 +322,9 @@ def with_settings(description: Description, given: Mapping[str, Any]) -> Descrip
 
     Parameters
     ----------
-    description : Description
     given : mapping of str to value
         By dotted key, such as ``"tissue.poisson"``, or by its last word if one section alone has it. A parameter of
         the law is set by its name.
-
-    Raises
-    ------
-    InputError
-        No such setting, several of this name, or a value that is wrong.
     """
     changes: dict[str, dict[str, Any]] = {}
     names: dict[tuple[str | int, ...], str] = {}  # under which settings were given, for messages

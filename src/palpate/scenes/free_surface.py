@@ -49,11 +49,6 @@ class FreeSurface:
     held : (s,) bool array
     fixed_points : (f, 3) array [m]
         All held nodes, also those inside the body.
-
-    Raises
-    ------
-    InputError
-        The body is a membrane or has no surface.
     """
 
     def __init__(self, body: Solid | ReducedModel) -> None:
@@ -103,7 +98,6 @@ class FreeSurface:
 
         Parameters
         ----------
-        loads : sequence of loads
         duration : float [s]
         """
         mask = np.zeros(len(self.nodes), dtype=np.bool_)

@@ -60,11 +60,6 @@ def membrane(
         As for `palpate.disc`.
     relaxed
         As for `palpate.Membrane`.
-
-    Raises
-    ------
-    InputError
-        A parameter out of range; the message names it.
     """
     spacing = number_in_range("spacing", spacing, MIN_SPACING, unit="m")
     tool_radius = number_in_range("tool_radius", tool_radius, 0.0, 0.8 * RADIUS, unit="m")

@@ -88,12 +88,6 @@ def described_scene(name: str, text: str) -> OrganScene:
     ----------
     name : str
         A scene of the package, or a scene file or a surface file, next to which the description's files are.
-    text : str
-
-    Raises
-    ------
-    InputError
-        The text does not describe a scene.
     """
     try:
         description: Description = read_section(Description, json_of(text))
@@ -107,14 +101,8 @@ def training_scene_of(scene: OrganScene, parameters: Mapping[str, Any]) -> Train
 
     Parameters
     ----------
-    scene : OrganScene
     parameters : mapping
         Settings with which the scene was opened. A digest among them must be that of the scene.
-
-    Raises
-    ------
-    InputError
-        The scene file, or a file that it names, is not what it was; or as `OrganScene.body` and `OrganScene.paths`.
     """
     given = dict(parameters)
     digest, text = given.pop(DIGEST_KEY, None), given.get(DESCRIPTION_KEY)

@@ -44,7 +44,6 @@ class PlaceFinder:
 
     Parameters
     ----------
-    cloud : Cloud
     shape : Shape
         Surface of the body: its file, unit and scale.
     unit : float [m]
@@ -65,11 +64,6 @@ class PlaceFinder:
         """Return the nodes (n,) in a place, and those up to a margin [spacings] beyond its border.
 
         A group is taken as it is.
-
-        Raises
-        ------
-        InputError
-            The place holds no node, its file cannot be used, or there is no such group or part.
         """
         points = np.pad(self.cloud.points, ((0, 0), (0, 3 - self.cloud.points.shape[1])))  # a sheet is at z = 0
         if place.group:
@@ -88,13 +82,7 @@ class PlaceFinder:
         return mask
 
     def fractions(self, place: Place) -> Floats:
-        """Return the share of every node's cell that lies in a place, shape (n,); 0 or 1 in groups and in paint.
-
-        Raises
-        ------
-        InputError
-            As `mask`.
-        """
+        """Return the share of every node's cell that lies in a place, shape (n,); 0 or 1 in groups and in paint."""
         mask = self.mask(place)
         if place.group or place.painted:
             return mask.astype(float)

@@ -23,11 +23,8 @@ class Scene:
 
     Parameters
     ----------
-    model : NodalModel
-    loads : tuple of loads
     duration, every : float [s]
         Length of the run, and time between snapshots.
-    title : str
     parameters : mapping of str to float
         Parameters of the scene, in SI units.
     displacement : (n, 3) array, optional [m]

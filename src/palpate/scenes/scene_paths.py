@@ -47,9 +47,6 @@ def touching_paths(
 
     Parameters
     ----------
-    tool : Tool
-    training : Training
-    body : Solid or ReducedModel
     others : sequence of loads
         Further loads of every path.
     deepest : float [m]
@@ -80,7 +77,6 @@ class HeldMotion:
 
     Parameters
     ----------
-    seed : int
     lasting : float [s]
         Period of the motion, at the ends of which the tool is at rest.
     bounds : (2, 6) array

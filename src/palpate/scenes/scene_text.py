@@ -21,17 +21,7 @@ SECTION_PATTERN = re.compile(r"\[(\[?)([^\[\],=]+)\]\]?\s*(?:#.*)?")
 
 
 def read_scene(path: Path) -> Description:
-    """Return the description in a scene file.
-
-    Raises
-    ------
-    FileNotFoundError
-        There is no such file.
-    FileFormatError
-        The file is not TOML, is too large, or has a key of very many parts.
-    InputError
-        A key or a value of it is wrong; the message names the file, the line and the key.
-    """
+    """Return the description in a scene file."""
     return parse_scene(read_text(path, "scene file", MAX_BYTES), str(path))
 
 

@@ -36,7 +36,6 @@ def surface_scene(
 
     Parameters
     ----------
-    file : path
     units : str, optional
         Unit of the file.
     scale : float
@@ -51,11 +50,6 @@ def surface_scene(
     fixed : sequence of str
         ``x-``, ``back``, ``lowest 15%``, ``near X,Y,Z,R`` [mm], or ``painted FILE`` in the unit of the
         surface, with ``:FIELD`` where the file has several; by default ``back``, of each body.
-
-    Raises
-    ------
-    InputError
-        A value is out of range, or there is no such law or parameter.
     """
     for name, value, section in (("scale", scale, Shape), ("spacing", spacing, Body)):
         if value is not None:

@@ -26,11 +26,6 @@ def material_of(tissue: Tissue, changes: Mapping[str, Any] | None = None) -> Mat
 
     Parameters that are left out are those of the law's example in the catalogue; the example of the neo-Hookean
     law is liver.
-
-    Raises
-    ------
-    InputError
-        No such law or parameter, or a value out of range.
     """
     relaxation = tissue.relaxation
     prony = relaxation and Prony(shares=relaxation.shares, times=relaxation.times, bulk_shares=relaxation.bulk_shares)

@@ -112,12 +112,6 @@ class ToolPaths:
         where it cannot come.
     depths : (s,) array [m]
         Depth of the deepest press at each reachable node; 0 elsewhere.
-
-    Raises
-    ------
-    InputError
-        A parameter is out of range, the body is not a solid, the ball is larger than the body, or nothing is
-        reachable.
     """
 
     def __init__(
@@ -167,11 +161,6 @@ class ToolPaths:
         seed : int
             The last six digits are the number of the path in its campaign. Places of the numbers below 500,000 are
             spread over the surface together. Those of others, for held-out runs, are independent.
-
-        Raises
-        ------
-        InputError
-            The seed is negative.
         """
         loads, duration = self.grasp(seed) if _is_grasp(seed, self.grasps) else self.press(seed)
         return (*self.others, *loads), duration

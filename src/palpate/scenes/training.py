@@ -33,12 +33,6 @@ def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
         a `TrainingScene`.
     parameters : mapping
         Settings of the scene (`palpate.open_scene`), or arguments of the function; others have their defaults.
-
-    Raises
-    ------
-    InputError
-        An unknown scene or parameter, a value out of range, or a user's module or function that
-        fails.
     """
     if DESCRIPTION_KEY in parameters:
         return training_scene_of(described_scene(name, str(parameters[DESCRIPTION_KEY])), parameters)

@@ -36,11 +36,6 @@ def self_intersections(vertices: Floats, triangles: Ints) -> Ints:
     -------
     (k, 2) int array
         In ascending order; if k is `MAX_PAIRS`, there may be more.
-
-    Raises
-    ------
-    InputError
-        The boxes of too many triangles overlap.
     """
     triangles, owner = _remove_flat(np.asarray(vertices, dtype=float), np.asarray(triangles, dtype=np.int64))
     if len(triangles) < 2:

@@ -54,13 +54,7 @@ def names_text(names: Sequence[str], most: int = MAX_LISTED_NAMES) -> str:
 
 
 def matching_parts(names: Sequence[str], part: str | Sequence[str]) -> list[str]:
-    """Return the names that equal or match one of several shell-style patterns, in the order of the file.
-
-    Raises
-    ------
-    InputError
-        A pattern matches no name.
-    """
+    """Return the names that equal or match one of several shell-style patterns, in the order of the file."""
     patterns = [part] if isinstance(part, str) else list(part)
     chosen = set[str]()
     for pattern in patterns:
@@ -83,7 +77,6 @@ def join_parts(parts: Mapping[str, Surface], name: str) -> Surface:
 
     Parameters
     ----------
-    parts : mapping of name to Surface
     name : str
         Name in messages.
     """
@@ -213,11 +206,6 @@ def choose_body(
         Welds or repairs a surface.
     units : str, optional
         Of the file; by default those of the largest body, if it is an organ.
-
-    Raises
-    ------
-    InputError
-        No body is closed, or several are and none encloses the others.
     """
     bodies, hollow = list[Body](), list[str]()
     for names in _groups(parts):

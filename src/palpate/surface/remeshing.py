@@ -66,13 +66,6 @@ def remesh(vertices: Floats, triangles: Ints, spacing: Floats, seed: int) -> Sur
         Refined to about a third of the spacing.
     spacing : (v,) array [m]
         Target distance between nodes at each vertex.
-    seed : int
-
-    Raises
-    ------
-    CloudError
-        The triangles are not closed, because parts of the surface are much thinner than the
-        spacing.
     """
     vectors, areas = vertex_vectors(vertices, triangles)
     weights = areas / spacing**4  # cell sizes of a centroidal diagram scale as density to the power -1/4

@@ -203,13 +203,7 @@ def scaled(surface: Surface, factor: float) -> Surface:
 
 
 def weld(surface: Surface) -> Surface:
-    """Return a surface with merged vertices, without degenerate, duplicate or unused elements.
-
-    Raises
-    ------
-    InputError
-        No triangle is left, or the surface is too small or too far from the origin.
-    """
+    """Return a surface with merged vertices, without degenerate, duplicate or unused elements."""
     size = surface.size
     if size < MIN_SIZE:
         raise InputError(f"{surface.name} must be at least {MIN_SIZE:g} long, got {size:g}; correct its units")

@@ -174,7 +174,6 @@ def min_wave_modulus(material: Material, F: Floats) -> Floats:
 
     Parameters
     ----------
-    material : Material
     F : (n, 3, 3) array
         Deformation gradients; of volume 1 if the material is incompressible.
 

@@ -33,8 +33,6 @@ class FitProblem:
 
     Parameters
     ----------
-    law : type of Material
-    measurements : sequence of Measurement
     start, bounds, fixed, density, poisson
         As for `palpate.tissue.fitting.fit`.
 

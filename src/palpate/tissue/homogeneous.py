@@ -64,11 +64,6 @@ def nominal_stress(material: Material, kind: str, deformation: ArrayLike) -> Flo
     -------
     (n,) array [Pa]
         NaN where no free stretch within a factor of 400 of the isochoric one gives P33 = 0.
-
-    Raises
-    ------
-    InputError
-        The kind is unknown, or a stretch is not positive.
     """
     return _machine_stress(compressible(material), kind, deformation_gradient(material, kind, deformation))
 

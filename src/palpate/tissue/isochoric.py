@@ -28,13 +28,7 @@ COUPLED, ISOCHORIC = "coupled", "isochoric"
 
 
 def check_split(name: str) -> str:
-    """Return the name of a split.
-
-    Raises
-    ------
-    InputError
-        The name is unknown.
-    """
+    """Return the name of a split."""
     if name not in (COUPLED, ISOCHORIC):
         raise InputError(f"split must be {COUPLED!r} or {ISOCHORIC!r}, got {brief(name)}")
     return name

@@ -60,7 +60,6 @@ class Layout:
 
     Parameters
     ----------
-    law : type of Material
     given : dict
         Values of fields. A sequence must be given, because it defines the length. A missing number
         is 1, or its default.
@@ -70,11 +69,6 @@ class Layout:
     names : tuple of str
     first : (k,) array
         Given values.
-
-    Raises
-    ------
-    InputError
-        A field is unknown, a value is not a number, or a sequence is missing.
     """
 
     def __init__(self, law: type[Material], given: Mapping[str, Any]) -> None:
@@ -105,13 +99,7 @@ class Layout:
         return {name: _fill(value, left) for name, value in self._tree.items()}
 
     def places(self, name: str) -> list[int]:
-        """Return the indices of a parameter in the vector; all indices of a sequence for the name of a field.
-
-        Raises
-        ------
-        InputError
-            The name is unknown.
-        """
+        """Return the indices of a parameter in the vector; all indices of a sequence for the name of a field."""
         indices = [i for i, entry in enumerate(self.names) if entry == name or entry.startswith(f"{name}[")]
         if not indices:
             raise InputError(f"a parameter of {self.law.__name__} must be one of {', '.join(self.names)}, got {name}")

@@ -28,11 +28,6 @@ class Regions(Described):
         `modulus_ratio` refers to the first.
     which : (n,) int array
         Index of the material of each node.
-
-    Raises
-    ------
-    InputError
-        The materials differ in their law, density, volumetric form, split or Prony series.
     """
 
     materials: tuple[Material, ...]

@@ -49,13 +49,7 @@ class Tape:
         self._slopes: dict[str, dict[int, int]] = {name: {} for name in variables}
 
     def number(self, value: float) -> int:
-        """Return the row of a number.
-
-        Raises
-        ------
-        InputError
-            The number is not finite.
-        """
+        """Return the row of a number."""
         if isinstance(value, complex) or not math.isfinite(value):
             raise InputError(f"constant parts of the energy must be finite and real, got {value}")
         return self._row("number", float(value))
@@ -69,13 +63,7 @@ class Tape:
         return self._row("coefficient", place)
 
     def apply(self, operation: str, first: int, second: int = NO_OPERAND) -> int:
-        """Return the row of a binary operator, a function or ``"negative"`` applied to rows.
-
-        Raises
-        ------
-        InputError
-            An operation on constants has no finite real result.
-        """
+        """Return the row of a binary operator, a function or ``"negative"`` applied to rows."""
         one, two = self.value(first), self.value(second)
         if one is not None and (two is not None or second == NO_OPERAND):
             return self.number(_fold(operation, one, two))
@@ -231,13 +219,6 @@ def compile_functions(sources: dict[str, str], variables: Sequence[str]) -> dict
     ----------
     sources : dict
         Result of `Tape.source` by function name.
-    variables : sequence of str
-
-    Raises
-    ------
-    InputError
-        A source holds other nodes than functions of those names, arithmetic on the variables, c and
-        numbers, and calls of `FUNCTION_BY_NAME`. It is not executed.
     """
     source = "\n\n".join(sources.values())
     filename = f"<palpate law {sha256(source.encode()).hexdigest()[:16]}>"

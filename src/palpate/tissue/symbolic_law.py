@@ -132,13 +132,7 @@ def Hyperelastic(
 
 
 def _parse(text: str) -> ast.expr:
-    """Return the syntax tree of the text of an energy.
-
-    Raises
-    ------
-    InputError
-        The text exceeds the limits or is not a valid expression.
-    """
+    """Return the syntax tree of the text of an energy."""
     _check_limits(text)
     try:
         return ast.parse(text, mode="eval").body
@@ -220,13 +214,7 @@ def _check_exponent(value: float | None) -> None:
 
 
 def law_of(energy: str) -> type[Material]:
-    """Return the class of materials of the text of an energy (`Hyperelastic`).
-
-    Raises
-    ------
-    InputError
-        The text is not a valid energy, or exceeds the limits.
-    """
+    """Return the class of materials of the text of an energy (`Hyperelastic`)."""
     if not isinstance(energy, str):
         raise InputError(f"energy must be text, got {brief(energy)}; an example is 'C1 * (I1 - 3) - 2 * C1 * log(J)'")
     if len(energy) > MAX_CHARACTERS:

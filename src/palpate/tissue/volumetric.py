@@ -34,7 +34,6 @@ class Volumetric:
 
     Parameters
     ----------
-    name : str
     formula : str
         U / lame.
     measure : function
@@ -93,13 +92,7 @@ FORM_BY_NAME = {
 
 
 def volumetric_form(name: str) -> Volumetric:
-    """Return a form by its name.
-
-    Raises
-    ------
-    InputError
-        The name is unknown.
-    """
+    """Return a form by its name."""
     if not isinstance(name, str) or name not in FORM_BY_NAME:
         raise InputError(f"volumetric must be one of {', '.join(map(repr, FORM_BY_NAME))}, got {brief(name)}")
     return FORM_BY_NAME[name]

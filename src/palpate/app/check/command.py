@@ -69,13 +69,6 @@ def check(
     -------
     int
         0 if the surface was filled, 1 if it cannot be.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or a parameter is out of range.
-    FileNotFoundError
-        There is no such file.
     """
     check_folder(out)
     console = Console()

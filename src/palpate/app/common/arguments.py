@@ -125,7 +125,6 @@ def add_command(commands: Any, name: str, load: Callable[[], Command], *, summar
     ----------
     commands : subparsers
         As `argparse.ArgumentParser.add_subparsers` returns them.
-    name : str
     load : function
         Imports and returns the function that runs the command.
     summary : str

@@ -24,7 +24,6 @@ class Table:
 
     Parameters
     ----------
-    title : str
     columns : sequence of str
         Headings.
     rows : sequence of sequences of str

@@ -35,17 +35,11 @@ def execute(build_parser: Callable[[], Parser], words: Sequence[str]) -> int:
     ----------
     build_parser : function
         Returns the parser, whose commands were added by `palpate.app.common.arguments.add_command`.
-    words : sequence of str
 
     Returns
     -------
     int
         The exit code; there is one line on standard error if it is not 0.
-
-    Raises
-    ------
-    SystemExit
-        The words are not a command line of the parser; or a signal ends the program.
     """
     guard_matplotlib()
     try:

@@ -25,12 +25,6 @@ def prepare(build: Callable[[], Scene], out: Path, doubles: int, console: Consol
         Folder.
     doubles : int
         Numbers that the snapshots and the export hold for every node and time.
-    console : Console
-
-    Raises
-    ------
-    InputError
-        A parameter of the scene is out of range, or the folder cannot take the files.
     """
     check_folder(out)
     with console.status("making the model ready (the first run on a machine compiles it: a minute or two)"):

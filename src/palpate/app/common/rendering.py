@@ -44,13 +44,7 @@ class DrawingError(RuntimeError):
 
 
 def check_drawing() -> None:
-    """Check that PyVista is installed and VTK can draw without a display, by default through EGL.
-
-    Raises
-    ------
-    DrawingError
-        It cannot.
-    """
+    """Check that PyVista is installed and VTK can draw without a display, by default through EGL."""
     try:
         for package in ("pyvista", "matplotlib"):
             require(package, "drawing surfaces")
@@ -130,7 +124,6 @@ def add_shaded(
 
     Parameters
     ----------
-    plotter : pyvista.Plotter
     points : (n, 3) array [m]
     triangles : (t, 3) int array
     towards : (3,) array
@@ -150,12 +143,10 @@ def show(axes: Any, points: Floats, towards: Floats, title: str, draw: Callable[
 
     Parameters
     ----------
-    axes : matplotlib.axes.Axes
     points : (n, 3) array [m]
         Of the body.
     towards : (3,) array
         Direction from the body to the camera, not along z.
-    title : str
     draw : function
         Adds meshes to a PyVista plotter; it also gets the width of the view [m].
     """

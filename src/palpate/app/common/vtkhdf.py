@@ -29,17 +29,9 @@ def write_vtkhdf(path: str | Path, cloud: Cloud, times: Floats, point_fields: Ma
     ----------
     path : path
         Its name should end in ``.vtkhdf``.
-    cloud : Cloud
     times : (f,) array [s]
     point_fields : mapping of str to (f, n) or (f, n, 3) arrays
         Scalars or vectors at every node for every time.
-
-    Raises
-    ------
-    InputError
-        A field of another shape, or with values that are not finite.
-    OSError
-        The file cannot be written.
 
     Notes
     -----

@@ -39,13 +39,6 @@ def export(
     -------
     int
         0.
-
-    Raises
-    ------
-    InputError, FileFormatError, FileNotFoundError
-        No such model, or an option out of range.
-    OSError
-        A file cannot be written.
     """
     console = Console()
     if web is not None:

@@ -31,13 +31,7 @@ RATE = 1000.0  # [Hz] of the periods
 
 
 def export_web(model: ReducedModel, folder: Path, title: str) -> dict[str, str]:
-    """Write a page for any web server, on which a browser steps a model; as `palpate.export.folder.export_c`.
-
-    Raises
-    ------
-    InputError
-        The page was not built.
-    """
+    """Write a page for any web server, on which a browser steps a model; as `palpate.export.folder.export_c`."""
     if not (PAGE_FOLDER / "index.html").is_file():
         raise InputError(f"the page must be built, got no {PAGE_FOLDER / 'index.html'}; see docs/view.md")
     about = _describe(model, title)

@@ -62,15 +62,6 @@ def fit_law(
     -------
     int
         0.
-
-    Raises
-    ------
-    InputError
-        An unknown law, an assignment that is not one, a file that cannot be read as curves, or as for `fit`.
-    FileNotFoundError
-        There is no such file.
-    OSError
-        A file could not be written.
     """
     kind, starts = _law(law), integer_in_range("starts", starts, 1, MAX_STARTS)
     curves = [_with_file_name(curve, path, len(data)) for path in data for curve in read_measurements(path)]

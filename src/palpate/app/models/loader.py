@@ -27,12 +27,6 @@ def open_model(what: str, console: Console) -> tuple[ReducedModel, str]:
     what : str
         A scene of `palpate.scenes.names.PACKAGE_SCENES` or a scene file: its trained model
         (`palpate.app.models.trained`). Or a file of `palpate train`.
-    console : Console
-
-    Raises
-    ------
-    InputError, FileFormatError, FileNotFoundError
-        No such scene or file, or a model that takes no tool.
     """
     if is_opened(what):
         scene = open_scene(what)

@@ -43,11 +43,6 @@ def open_touched(scene: OrganScene, console: Console, spacing: float | None = No
 
     Its spacing is the finest in real time on this machine, or `spacing` [m] in its place. A larger spacing of the
     scene stays, and so does any spacing that a user gives for a surface without a scene file.
-
-    Raises
-    ------
-    InputError
-        The surface cannot be filled, or a setting is out of range.
     """
     given = scene.description.body.spacing
     surface = None
@@ -114,12 +109,6 @@ def fitting_scene(scene: OrganScene, spacing: float, required: bool, console: Co
     spacing : float [m]
     required : bool
         Whether a finer spacing is not allowed.
-    console : Console
-
-    Raises
-    ------
-    InputError, CloudError
-        The surface cannot be filled.
     """
     surface = scene.surface
     assert surface is not None
@@ -170,7 +159,6 @@ def better_spacing(touched: OrganScene, load: float) -> float | None:
 
     Parameters
     ----------
-    touched : OrganScene
     load : float
         Computing time of the body at rest over the time that passes.
     """

@@ -40,17 +40,8 @@ def trained_model(scene: OrganScene, console: Console, workers: int | None = Non
 
     Parameters
     ----------
-    scene : OrganScene
-    console : Console
     workers : int, optional
         Processes that make the runs; by default one for each processor, and at most 4.
-
-    Raises
-    ------
-    InputError
-        The folder cannot be written, or the scene cannot be trained.
-    RunError
-        No training run was finished.
     """
     folder, training = training_folder(scene), scene.description.training
     if (folder / MODEL_FILE).is_file():

@@ -54,13 +54,6 @@ def new(
     -------
     int
         0.
-
-    Raises
-    ------
-    InputError, FileFormatError
-        The surface cannot be filled, an option is out of range, or the scene file exists.
-    OSError
-        The scene file cannot be written.
     """
     if not is_scene_file(out.name):
         raise InputError(f"out must end in .toml, got {str(out)!r}; name the scene file organ.toml")

@@ -17,10 +17,6 @@ __all__ = ["CutSurfaces"]
 class CutSurfaces:
     """Surfaces of a recording.
 
-    Parameters
-    ----------
-    recording : Recording
-
     Attributes
     ----------
     whole : DisplaySurface

@@ -88,7 +88,6 @@ class Recording:
 
     Parameters
     ----------
-    title : str
     model : ReducedModel or EnergySolid
         The reduced model or the full body of the session.
     times : (f,) array [s]
@@ -113,17 +112,7 @@ class Recording:
 
 
 def save_recording(path: Path, recording: Recording) -> None:
-    """Write a recording atomically, and next to it the file with its surface for ParaView.
-
-    Raises
-    ------
-    InputError
-        The recording is empty, a number is not finite, or the name is that of a file for ParaView.
-    SurfaceFileError
-        The recording was written, and the file for ParaView cannot be.
-    OSError
-        The recording cannot be written; the message names the file.
-    """
+    """Write a recording atomically, and next to it the file with its surface for ParaView."""
     if not recording.snapshots:
         raise InputError("recording must have at least one snapshot, got none; record for longer")
     if path.suffix == ".vtkhdf":
@@ -175,15 +164,7 @@ def _write_surface(path: Path, recording: Recording) -> None:
 
 
 def load_recording(path: Path) -> Recording:
-    """Load a recording, or the complete snapshots of an interrupted one.
-
-    Raises
-    ------
-    FileNotFoundError
-        The file does not exist.
-    FileFormatError
-        The file is not a recording, is damaged, or has values that no session writes.
-    """
+    """Load a recording, or the complete snapshots of an interrupted one."""
     with loading(path, RECORDING_REMEDY):
         regular_file(path, "recording")
         if is_journal(path):
@@ -192,13 +173,7 @@ def load_recording(path: Path) -> Recording:
 
 
 def read_recording(file: ArrayFile) -> Recording:
-    """Return the recording in an open file.
-
-    Raises
-    ------
-    InputError
-        A value is missing, or is not one that a session writes.
-    """
+    """Return the recording in an open file."""
     header = file.header
     if header.keys() != {"title", "tools", "model", "errors", "written"} or not isinstance(header["model"], dict):
         raise InputError(f"header must be that of a recording, got {', '.join(header)!r:.80}")
@@ -318,13 +293,7 @@ def _require(condition: Any, name: str, requirement: str, got: str) -> None:
 
 
 def validate_tools(tools: Any, count: int) -> list[dict[str, Any]]:
-    """Return the tools of a file.
-
-    Raises
-    ------
-    InputError
-        An entry is not a tool, or the starts do not increase from 0.
-    """
+    """Return the tools of a file."""
     if not isinstance(tools, list) or not tools or not all(isinstance(tool, dict) for tool in tools):
         raise InputError(f"tools must be a list of tools, got {tools!r:.80}")
     for tool in tools:

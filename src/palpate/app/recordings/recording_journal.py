@@ -29,14 +29,7 @@ __all__ = ["JournalFile", "RecordingJournal", "is_recording", "read_journal"]
 
 
 class RecordingJournal:
-    """A writer of the journal of a recording; the file has its name from the first snapshot on.
-
-    Parameters
-    ----------
-    path : path
-    title : str
-    model : ReducedModel or EnergySolid
-    """
+    """A writer of the journal of a recording; the file has its name from the first snapshot on."""
 
     def __init__(self, path: Path, title: str, model: ReducedModel | EnergySolid) -> None:
         self.path, self.count = path, 0  # of snapshots in the file
@@ -47,13 +40,6 @@ class RecordingJournal:
         """Append snapshots and the tools that were selected in them, and flush them to the disk.
 
         After an error the file has all previous snapshots, and the same ones may be added again.
-
-        Raises
-        ------
-        InputError
-            A number is not finite.
-        OSError
-            The disk is full, or the file cannot be created.
         """
         if self._journal is None:
             self._journal = self._begin()
@@ -95,13 +81,7 @@ class JournalFile:
 
 
 def read_journal(path: Path) -> JournalFile:
-    """Return the whole records of a journal as the content of a recording.
-
-    Raises
-    ------
-    InputError
-        It is not the journal of a recording, is damaged, or has no snapshots.
-    """
+    """Return the whole records of a journal as the content of a recording."""
     records_read = [record for _, _, record in records(path)]
     if not records_read or not _is_header(records_read[0][0]):
         raise InputError(f"this is not the journal of a {FORMAT} of version {VERSION}")

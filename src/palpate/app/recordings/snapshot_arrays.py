@@ -38,13 +38,7 @@ def coordinates_type(model: ReducedModel | EnergySolid) -> str:
 
 
 def snapshot_arrays(snapshots: Sequence[Snapshot], model: ReducedModel | EnergySolid) -> dict[str, NDArray[Any]]:
-    """Return the arrays of at least one snapshot of a body.
-
-    Raises
-    ------
-    InputError
-        A number is not finite.
-    """
+    """Return the arrays of at least one snapshot of a body."""
     arrays: dict[str, NDArray[Any]] = {
         name: np.array(
             [getattr(each, name) for each in snapshots],

@@ -30,7 +30,6 @@ class ToolPath(NamedTuple):
 
     Parameters
     ----------
-    load : Load
     duration : float [s]
     trust : float
         Largest trust number of the snapshots.
@@ -83,10 +82,8 @@ def make_load(
 
     Parameters
     ----------
-    recording : Recording
     tool : dict
         Description of the tool.
-    snapshots : sequence of Snapshot
     times : (f,) array [s]
         Of the snapshots, from 0.
     approach : float [s]

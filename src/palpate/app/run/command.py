@@ -48,14 +48,8 @@ def run(*, scene: str, realtime: bool = False, **options: Any) -> int:
     ----------
     scene : str
         As for `palpate.open_scene`.
-    realtime : bool
     options : mapping
         Of either; None or False where the command line gives none.
-
-    Raises
-    ------
-    InputError
-        An option that the kind of run does not have, or a parameter out of range.
     """
     given = {name: value for name, value in options.items() if value is not None and value is not False and value != []}
     given.setdefault("as_json", False)
@@ -95,13 +89,11 @@ def run_once(
     spacing : float, optional [m]
     load : float, optional [N]
         Of the paper's beam.
-    poisson : float, optional
     given : sequence of str
         Settings of the scene as ``"name=value"``.
     modes : int, optional
         Train a hyper-reduced model of so many modes on the full run, and run it, too. The full model then is in its
         energy form, which the reduced one samples.
-    out : path
     as_json : bool
         As for `palpate.app.studies.beam.reproduce.reproduce_beam`.
 
@@ -109,15 +101,6 @@ def run_once(
     -------
     int
         0.
-
-    Raises
-    ------
-    InputError
-        A parameter out of range, or a folder that cannot be written.
-    RunError
-        A run diverged; the frames until then are kept.
-    OSError
-        A file could not be written.
     """
     if modes is not None:
         integer_in_range("modes", modes, 1, RUN_SNAPSHOTS)

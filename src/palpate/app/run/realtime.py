@@ -58,14 +58,12 @@ def run_realtime(
     make : function
         Called after all checks; returns the reduced model or the full body, the poses of the tool, and the tool that
         touches the body, or None for one that moves the model's prescribed group.
-    title : str
     about : mapping
         More of the report's parameters.
     seconds : float [s]
         Up to 600.
     rate : float [Hz]
         From 50 to 20000.
-    out : path
     as_json : bool
         As for `palpate.app.studies.beam.reproduce.reproduce_beam`.
 
@@ -73,15 +71,6 @@ def run_realtime(
     -------
     int
         0, whether the rate was held or not.
-
-    Raises
-    ------
-    InputError
-        A parameter out of range, or a model that takes no such tool.
-    RunError
-        The state diverged; the black box is kept.
-    OSError
-        A file could not be read or written.
     """
     seconds = number_in_range("seconds", seconds, 0.0, MAX_RUN_SECONDS, open_low=True, unit="s")
     rate = number_in_range("rate", rate, MIN_RATE, MAX_RATE, unit="Hz")

@@ -64,15 +64,6 @@ def run_scene_realtime(
     -------
     int
         0, whether the rate was held or not.
-
-    Raises
-    ------
-    InputError, FileFormatError
-        A parameter out of range, a file that holds no model for the scene's tool, or a folder that cannot be written.
-    RunError
-        The state ran away, and the black box is kept; or not a single run to train on could be finished.
-    OSError
-        A file could not be read or written.
     """
     full = full or cut
     if full and model is not None:
@@ -106,14 +97,8 @@ def cutting_scalpel(body: Any, cut: Cut) -> tuple[Poses, Contact]:
 
     Parameters
     ----------
-    body : EnergySolid
     cut : Cut
         Section of a scene. Sizes that it leaves out fit the body.
-
-    Raises
-    ------
-    InputError
-        The body is a sheet.
     """
     points, spacing = body.cloud.points, body.cloud.spacing
     if points.shape[1] != 3 or not isinstance(body, EnergySolid):

@@ -50,7 +50,6 @@ class Phase:
 
     Parameters
     ----------
-    name : str
     start, duration : float [s]
     step : float, optional [s]
         Time step of the projected runs; by default the one that `palpate.rollout` chooses.
@@ -68,7 +67,6 @@ class Shown:
 
     Parameters
     ----------
-    modes : int
     runs : list of Trajectory
         One for every phase.
     """
@@ -83,7 +81,6 @@ class Study:
 
     Parameters
     ----------
-    scene : Scene
     phases : sequence of Phase
         One after the other; together they are the scene's whole run.
     series : mapping of str to functions
@@ -120,17 +117,10 @@ def run_full(study: Study, out: Path, files: Sequence[str], console: Console) ->
 
     Parameters
     ----------
-    study : Study
     out : path
         Folder.
     files : sequence of str
         Names of files of an earlier study; removed once the run is complete.
-    console : Console
-
-    Raises
-    ------
-    RunError
-        The run diverged; its frames are kept.
     """
     scene, step = study.scene, study.scene.model.stability.step
     begun: list[Path] = []

@@ -21,7 +21,6 @@ class Bar:
     Parameters
     ----------
     durations : mapping of Job to float [s]
-    console : Console
     """
 
     def __init__(self, durations: Mapping[Job, float], console: Console) -> None:

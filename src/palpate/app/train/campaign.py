@@ -64,9 +64,6 @@ class Campaign:
 
     Parameters
     ----------
-    folder : Folder
-    scene : TrainingScene
-    console : Console
     modes : int
         Of the models.
     cubature : float, optional
@@ -93,20 +90,7 @@ class Campaign:
         return [*jobs(self.folder.manifest["seed"], paths, held_out), *recorded_jobs(self.folder)]
 
     def train(self, jobs: Sequence[Job]) -> ReducedModel:
-        """Make the missing runs among some, and train a model on all of them.
-
-        Raises
-        ------
-        RunError
-            No training run was finished.
-        InputError
-            There are too few paths or modes for tools that touch the body anywhere, or too many modes. The disk
-            has no room for the runs, or no cluster answers. Or a reason of `palpate.hyper_reduce`.
-        FileFormatError
-            The file of a run is damaged, or that of another run.
-        OSError
-            A file could not be written.
-        """
+        """Make the missing runs among some, and train a model on all of them."""
         began = perf_counter()
         self._make_runs(jobs)
         between = perf_counter()

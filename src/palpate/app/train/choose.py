@@ -55,8 +55,6 @@ def choose(
 
     Parameters
     ----------
-    candidates : sequence of Job
-    count : int
     trained : sequence of Job
         Runs whose tools cover the surface already.
     """

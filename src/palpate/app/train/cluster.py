@@ -26,13 +26,6 @@ def run_on_cluster(folder: Folder, jobs: Sequence[Job], address: str, console: C
     """Make runs on the workers of a cluster; yield the outcome of each when it is done.
 
     The scheduler gives the runs of a worker that dies to others.
-
-    Raises
-    ------
-    InputError
-        No scheduler answers at the address, or dask.distributed is missing.
-    OSError
-        A worker could not write, or does not see the folder.
     """
     check_dask()
     from distributed import as_completed

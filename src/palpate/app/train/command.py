@@ -81,15 +81,6 @@ def train(
     -------
     int
         0, also if some runs failed; 3 if the errors on the held-out runs are too large to use the model.
-
-    Raises
-    ------
-    InputError
-        A parameter out of range, or the folder of another campaign.
-    RunError
-        No training run was finished.
-    OSError
-        A file could not be written.
     """
     if is_opened(scene):
         settings = parse_settings(given)

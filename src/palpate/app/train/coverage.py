@@ -102,11 +102,6 @@ def draw_coverage(covered: Coverage, path: Path) -> None:
     """Draw the surface from four sides into a PNG file: covered, reachable and supported parts.
 
     Without runs it shows what the tool reaches.
-
-    Raises
-    ------
-    DrawingError
-        VTK cannot draw on this machine.
     """
     check_drawing()
     from matplotlib.patches import Patch

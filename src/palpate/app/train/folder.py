@@ -75,7 +75,6 @@ class Folder:
 
     Parameters
     ----------
-    path : path
     manifest : mapping
         As `manifest_of` makes it.
     """
@@ -115,13 +114,7 @@ class Folder:
         return None if record is None or record["retry"] else record
 
     def record(self, job: Job) -> dict[str, Any] | None:
-        """Return the record of a run that failed.
-
-        Raises
-        ------
-        FileFormatError
-            It is damaged.
-        """
+        """Return the record of a run that failed."""
         path = self.reason(job)
         if not path.exists():
             return None
@@ -162,13 +155,7 @@ class Folder:
         return sorted(self.recordings_folder.glob("[0-9]*.h5"))
 
     def rounds(self) -> list[list[int]]:
-        """Return the numbers of the training paths that were chosen, round by round.
-
-        Raises
-        ------
-        FileFormatError
-            Their file is damaged.
-        """
+        """Return the numbers of the training paths that were chosen, round by round."""
         path = self.path / "rounds.json"
         if not path.exists():
             return []
@@ -193,13 +180,7 @@ def _are_numbers(paths: Any) -> bool:
 
 @contextmanager
 def open_campaign(path: Path, manifest: Mapping[str, Any]) -> Iterator[Folder]:
-    """Make the folder of a campaign, or continue the campaign in it; lock it against other processes.
-
-    Raises
-    ------
-    InputError
-        The folder is another campaign's, or of another version, or in use. Nothing in it was changed.
-    """
+    """Make the folder of a campaign, or continue the campaign in it; lock it against other processes."""
     folder, manifest_path = Folder(path, manifest), path / "campaign.json"
     if manifest_path.exists():
         folder.check()

@@ -65,11 +65,6 @@ def run_local(folder: Folder, jobs: Sequence[Job], workers: int, watch: Watch) -
     """Make runs in processes of this machine; yield the outcome of each when it is done.
 
     A process that dies is replaced, and its run tried once more.
-
-    Raises
-    ------
-    OSError
-        A file could not be written.
     """
     waiting, deaths, busy = deque(jobs), Counter[Job](), list[_Worker]()
     try:

@@ -40,15 +40,7 @@ def recorded_jobs(folder: Folder) -> list[Job]:
 
 
 def add_recording(folder: Folder, scene: TrainingScene, path: Path) -> None:
-    """Copy a recording into a campaign's folder, unless it is there already.
-
-    Raises
-    ------
-    FileNotFoundError, FileFormatError
-        It does not exist, or is not a recording.
-    InputError
-        It has another body than the campaign, tools that the campaign's model does not know, or no path beyond trust.
-    """
+    """Copy a recording into a campaign's folder, unless it is there already."""
     content = read_bytes(path, "recording")
     if any(content == read_bytes(file, "recording") for file in folder.recordings):
         return

@@ -41,20 +41,12 @@ def perform(folder: str, manifest: Mapping[str, Any], job: tuple[str, int, int],
 
     Parameters
     ----------
-    folder : str
     manifest : mapping
         Of the campaign; the folder must hold the same.
-    job : Job
-    watch : function, optional
 
     Returns
     -------
     Outcome
-
-    Raises
-    ------
-    OSError
-        A file could not be written, or the folder is not the campaign's as seen from here.
     """
     campaign_job, campaign_folder = Job(*job), Folder(Path(folder), manifest)
     try:

@@ -99,15 +99,6 @@ def view(
     -------
     int
         0; 1 if a recording, or its file for ParaView, was not written.
-
-    Raises
-    ------
-    InputError, FileFormatError, FileNotFoundError
-        An option is out of range, or there is nothing to show.
-    OSError
-        The recording cannot be written.
-    SystemExit
-        SIGTERM or SIGHUP ended the program; its status is 128 plus the number of the signal.
     """
     run = _headless_script(headless, seconds, script)
     port = integer_in_range("port", port, 1, 65535)

@@ -73,13 +73,7 @@ def check_picture() -> None:
 
 
 def check_movie(path: Path) -> None:
-    """Check that a movie with this name can be written.
-
-    Raises
-    ------
-    InputError
-        The suffix is not supported, or its encoder is not installed.
-    """
+    """Check that a movie with this name can be written."""
     if path.suffix.lower() not in MOVIE_SUFFIXES:
         suffixes = f"{', '.join(MOVIE_SUFFIXES[:-1])} or {MOVIE_SUFFIXES[-1]}"
         raise InputError(f"movie must end in {suffixes}, got {str(path)!r}; choose another name")
@@ -112,13 +106,7 @@ def write_movie(
 
 @contextmanager
 def movie_writer(path: Path) -> Iterator[Callable[[Any], None]]:
-    """Yield a function that adds a picture (h, w, 3) to a movie of `FRAME_RATE`; GIF and WebP repeat.
-
-    Raises
-    ------
-    InputError
-        As `check_movie`.
-    """
+    """Yield a function that adds a picture (h, w, 3) to a movie of `FRAME_RATE`; GIF and WebP repeat."""
     check_movie(path)
     suffix = path.suffix.lower()
     if suffix == ".webp":
@@ -163,18 +151,10 @@ class RecordingPlotter:
 
     Parameters
     ----------
-    recording : Recording
     scalar : str
         Scalar that colours the body.
     pixels : int
         Width of the pictures.
-
-    Raises
-    ------
-    InputError
-        The body has no such scalar.
-    DrawingError
-        This machine cannot render.
     """
 
     def __init__(self, recording: Recording, scalar: str, pixels: int = PICTURE_PIXELS) -> None:
@@ -299,7 +279,6 @@ class DrawnBody:
 
     Parameters
     ----------
-    plotter : pyvista.Plotter
     size : float [m]
         Of the body.
     """

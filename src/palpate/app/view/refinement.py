@@ -38,10 +38,8 @@ class Refinement:
 
     Parameters
     ----------
-    scene : OrganScene
     session : Session
         Of the full body.
-    console : Console
     train : function, optional
         Starts a training of a scene.
     """
@@ -82,13 +80,7 @@ class Refinement:
         return errors.get("force", 1.0) <= MAX_FORCE_ERROR and surface <= MAX_SURFACE_ERROR
 
     def handle(self, action: str) -> None:
-        """Execute an action: ``start`` or ``stop`` the training, or ``use`` a model that is ready.
-
-        Raises
-        ------
-        InputError
-            The action is not one of the present state.
-        """
+        """Execute an action: ``start`` or ``stop`` the training, or ``use`` a model that is ready."""
         allowed = {"start": (OFFERED, FAILED), "stop": (TRAINING,), "use": (READY,)}[action]
         with self._lock:
             if self._state not in allowed:

@@ -64,15 +64,6 @@ def replay(
     -------
     int
         0.
-
-    Raises
-    ------
-    InputError, FileFormatError, FileNotFoundError
-        An option is out of range, or the file is not a recording.
-    OSError
-        A file cannot be written.
-    DivergenceError
-        The full model diverged.
     """
     console = Console()
     if is_scene_file(file.name):

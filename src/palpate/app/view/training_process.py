@@ -116,7 +116,6 @@ class Progress:
 
     Parameters
     ----------
-    stream : text file
     clock : function
         Returns the time [s].
     """

@@ -171,7 +171,6 @@ def with_blocks(
 
     Parameters
     ----------
-    lanes, weights : Lanes, Weights
     blocks : (m,) int array
     near : (m, k, LANES) int array
         Neighbours, padded with the node itself.

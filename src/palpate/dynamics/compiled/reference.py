@@ -88,11 +88,6 @@ class StoredRecord:
     ----------
     record : NamedTuple
         Of arrays, numbers and tuples of these.
-
-    Raises
-    ------
-    TypeError
-        A field is of another kind.
     """
 
     def __init__(self, record: Any) -> None:

@@ -127,7 +127,6 @@ def with_rows(
 
     Parameters
     ----------
-    rows : Rows
     nodes : (m,) int array
     count : (m,) int array
         Number of entries of every node.

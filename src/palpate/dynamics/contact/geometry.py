@@ -147,8 +147,6 @@ class Contacts(NamedTuple):
     tool_impulses : (t, 6) array [N s], [N m s]
         Impulse of every tool on the body and its moment about the tool's origin, since the start of
         a call.
-    held : HeldNodes
-    sites : BladeSites
     """
 
     kind: NDArray[np.int64]
@@ -324,7 +322,6 @@ def coulomb(normal, friction, wx, wy, wz, nx, ny, nz):  # type: ignore[no-untype
     ----------
     normal : float
         Normal impulse over the mass [m/s].
-    friction : float
     wx, wy, wz : float [m/s]
         Velocity relative to the tool; its normal component is ignored.
     nx, ny, nz : float
@@ -396,8 +393,6 @@ def contacts(
 
     Parameters
     ----------
-    loads : sequence of Contact
-    cloud : Cloud
     prescribed_until : (n,) array [s]
         Time until which a node is constrained.
     sliding : pair of arrays
@@ -409,11 +404,6 @@ def contacts(
         Nodes that no tool reaches.
     edges : (e, 2) int array, optional
         Pairs of surface nodes in whose middles tools meet patches, too.
-
-    Raises
-    ------
-    InputError
-        A group is unknown, two tools have one name, or a tool is smaller than the spacing.
     """
     _check_tools(loads, cloud)
     if patches is None and any(load.tool.kind == BLADE for load in loads):

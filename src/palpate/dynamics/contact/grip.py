@@ -55,15 +55,8 @@ def grasped_nodes(cloud: Cloud, forceps: Forceps, free: Ints) -> Ints:
 
     Parameters
     ----------
-    cloud : Cloud
-    forceps : Forceps
     free : (n,) bool array
         True for nodes that no support holds in any direction.
-
-    Raises
-    ------
-    InputError
-        No surface node is within the radius, or a support holds one of them.
     """
     point = np.zeros(cloud.points.shape[1])
     point[:] = np.asarray(forceps.point, dtype=float)[: len(point)]

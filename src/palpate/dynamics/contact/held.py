@@ -31,7 +31,6 @@ def press_held_nodes(held, kinds, sizes, friction, frames, step, kick, tool_impu
 
     Parameters
     ----------
-    held : HeldNodes
     kinds, sizes, friction : (t,), (t, 3), (t,) arrays
     frames : (t, 2, 3, 4) array
         Of the tools before and after the step.

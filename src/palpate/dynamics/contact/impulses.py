@@ -299,7 +299,6 @@ def push_patches(contacts, ends, times, ratio, u, velocity, data):  # type: igno
 
     Parameters
     ----------
-    contacts : Contacts
     ends : bool
         True for the half kick at the end of a call, which moves no node.
     times : tuple of float [s]

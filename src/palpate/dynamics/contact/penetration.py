@@ -59,8 +59,6 @@ def deepest_triangle(contacts, t, frame, triangles, u, least):  # type: ignore[n
 
     Parameters
     ----------
-    contacts : Contacts
-    t : int
     frame : (3, 4) array
     triangles : (k, 3) int array
     u : (n, 3) array [m]

@@ -401,14 +401,7 @@ def surface_nodes(cloud: Cloud) -> NDArray[np.int64]:
 
 
 def motion_function(motion: Motion, what: str) -> Motion:
-    """Return a function of time or a constant pose for a motion.
-
-    Raises
-    ------
-    InputError
-        Sampled arrays have inconsistent shapes, are not finite, or their times do not ascend; or a function takes
-        other arguments than the time.
-    """
+    """Return a function of time or a constant pose for a motion."""
     if callable(motion):
         check_arguments(motion, ("time",), what)
     if callable(motion) or np.ndim(motion[0]) == 0 or (len(motion) == 2 and np.ndim(motion[1]) == 1):
@@ -465,14 +458,7 @@ def quaternion(rotation: Any, what: str) -> Floats:
 
 
 def poses(motion: Motion, times: Floats, what: str) -> Floats:
-    """Return the poses (t, 7) of a function of time or constant pose at some times [s].
-
-    Raises
-    ------
-    InputError
-        A value is not a position or a position and a rotation, or is not finite; the message
-        contains `what` and the time.
-    """
+    """Return the poses (t, 7) of a function of time or constant pose at some times [s]."""
     result = np.zeros((len(times), 7))
     result[:, 3] = 1.0
     for k, time in enumerate(times):

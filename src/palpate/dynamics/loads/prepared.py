@@ -319,13 +319,7 @@ class _Constraints(NamedTuple):
 
 
 def listed(loads: Any) -> tuple[Load, ...]:
-    """Return loads as a tuple.
-
-    Raises
-    ------
-    InputError
-        A load that is not in a list, or an entry that is not a load.
-    """
+    """Return loads as a tuple."""
     if isinstance(loads, Load):
         raise InputError(f"loads must be a list, got one {type(loads).__name__}; put it in brackets, such as [pull]")
     if isinstance(loads, str | bytes | Mapping) or not isinstance(loads, Iterable):
@@ -352,17 +346,10 @@ def check_kinds(
 
     Parameters
     ----------
-    loads : sequence of loads
-    allowed : tuple of types
     what : str
         The argument, and of which model, for the message.
     remedy : str
         What to do with a load of another kind, for the message.
-
-    Raises
-    ------
-    InputError
-        Names the first load of another kind.
     """
     for load in loads:
         if not isinstance(load, allowed):
@@ -382,9 +369,6 @@ def prepare_loads(
 
     Parameters
     ----------
-    cloud : Cloud
-    supports : sequence of Support
-    loads : sequence of loads
     areas_of : function, optional
         Returns the area vectors (g, 3) [m^2] of a load's group; by default those of the cloud's faces.
     patches : csr_array, optional
@@ -394,12 +378,6 @@ def prepare_loads(
         Nodes that left the body: they are fixed, and no tool reaches them.
     edges : (e, 2) int array, optional
         Pairs of surface nodes in whose middles tools meet patches, too.
-
-    Raises
-    ------
-    InputError
-        A group is unknown, a load acts on constrained nodes only, a moment acts on nodes in one
-        line, a node has two motions, or no node is free.
     """
     loads = listed(loads)
     grasps = tuple(load.name for load in loads if isinstance(load, Grasp))
@@ -437,7 +415,6 @@ def with_held_nodes(prepared: PreparedLoads, masses: Floats, rate: float) -> Pre
 
     Parameters
     ----------
-    prepared : PreparedLoads
     masses : (n,) array [kg]
     rate : float [1/s]
         Speed of the fastest waves over the spacing.

@@ -238,13 +238,7 @@ def _keep_direction(support: Support, name: str) -> None:
 
 
 def supports_of(fixed: str | Support | Iterable[str | Support]) -> tuple[Support, ...]:
-    """Return the supports of the argument `fixed` of a model, whose group names are clamps.
-
-    Raises
-    ------
-    InputError
-        An entry is neither a name nor a support, or a group has two supports.
-    """
+    """Return the supports of the argument `fixed` of a model, whose group names are clamps."""
     given = (fixed,) if isinstance(fixed, str | Support) else tuple(fixed)
     supports = []
     for entry in given:
@@ -259,13 +253,7 @@ def supports_of(fixed: str | Support | Iterable[str | Support]) -> tuple[Support
 
 
 def support_from(values: Mapping[str, Any]) -> Support:
-    """Return the support of `Support.values`, as a file has them.
-
-    Raises
-    ------
-    InputError
-        The kind is unknown, the values are not its parameters, or the group is not a name.
-    """
+    """Return the support of `Support.values`, as a file has them."""
     given = dict(values)
     name = given.pop("kind", None)
     kind = Support.kinds.get(name) if isinstance(name, str) else None
@@ -361,7 +349,6 @@ def free_directions(nodes: SupportedNodes, held: Ints | None = None) -> tuple[An
 
     Parameters
     ----------
-    nodes : SupportedNodes
     held : int array, optional
         Nodes that do not move in addition.
 

@@ -24,11 +24,6 @@ def vectors_at(value: Vector | None, times: Floats, name: str) -> Floats:
     times : (t,) array [s]
     name : str
         Name of the value for errors.
-
-    Raises
-    ------
-    InputError
-        A value has another shape or is not finite, or the function takes other arguments.
     """
     if value is None:
         return np.zeros((len(times), 3))

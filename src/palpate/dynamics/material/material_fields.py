@@ -29,13 +29,7 @@ NO_FIELDS = 0  # number of parameters that differ in a uniform body
 def regions_of(
     material: Material | Mapping[str, Material] | Sequence[Material], cloud: Cloud
 ) -> tuple[Material, Regions | None]:
-    """Return the reference material of a body, and its regions if it has several materials.
-
-    Raises
-    ------
-    InputError
-        A group is unknown, nodes have no material, or the materials are incompatible.
-    """
+    """Return the reference material of a body, and its regions if it has several materials."""
     if isinstance(material, Material):
         return material, None
     count = len(cloud)

@@ -31,7 +31,6 @@ def make_principal_point(
 
     Parameters
     ----------
-    digest : str
     energy_of, law_first, law_second : functions
         Of a `palpate.tissue.stretch_laws.StretchLaw`.
     crushed : float

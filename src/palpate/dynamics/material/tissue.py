@@ -101,14 +101,7 @@ def tissue_of(
     fibres: FibreLaw | None,
     form: str,
 ) -> Tissue:
-    """Return the tissue of a cloud in space.
-
-    Raises
-    ------
-    InputError
-        A material is incompressible, the materials differ in their law, a group is unknown, a
-        stiffness factor is not positive, or the form does not support fibres.
-    """
+    """Return the tissue of a cloud in space."""
     first, regions = regions_of(material, cloud)
     if first.incompressible or (regions and any(each.incompressible for each in regions.materials)):
         raise InputError("material of Solid must be compressible, got poisson = 0.5; use at most 0.499")

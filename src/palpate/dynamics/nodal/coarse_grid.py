@@ -59,7 +59,6 @@ def two_level_preconditioner(
 
     Parameters
     ----------
-    model : NodalModel
     F : (n, 3, d) array
         Deformation gradients of the state.
     moduli : (n, 3 d, 3 d) array [Pa]
@@ -114,7 +113,6 @@ def static_estimate(
         Nodal volumes.
     tissue : Tissue
         Fibres are left out.
-    supported : SupportedNodes
     constrained : (n,) bool array
         Nodes that do not move.
     springs : (n,) array [N/m]
@@ -166,10 +164,8 @@ def _grid_solver(
     ----------
     grid : tuple
         Points (n, d), spacing and weights (n,).
-    moduli : _Moduli
     constraints : tuple
         Nodes that do not move (n,), the stiffness [N/m] by which the grid is held there, and springs [N/m].
-    supported : SupportedNodes
     """
     (points, spacing, weights), (constrained, stiff, springs) = grid, constraints
     corners, cell, value, slope = _multilinear(points, spacing)

@@ -83,7 +83,6 @@ def tailored_mass(model: NodalModel, fixed: NDArray[np.bool_], modes: int) -> tu
 
     Parameters
     ----------
-    model : NodalModel
     fixed : (n,) bool array
         Nodes that do not move.
     modes : int

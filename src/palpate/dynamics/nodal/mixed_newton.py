@@ -53,10 +53,8 @@ class MixedNewton:
 
     Parameters
     ----------
-    balance : StaticBalance
     tolerance : float
         Largest residual, over `StaticBalance.scale`.
-    max_iterations : int
 
     Attributes
     ----------

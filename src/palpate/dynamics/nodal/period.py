@@ -103,13 +103,10 @@ class NodalPeriodData(NamedTuple):
     ----------
     passes, taut_passes : tuples
         Body and work arrays of the steps; with fibres that carry compression, for the frequency.
-    nodes : NodalData
-    damping : Damping
     sites : LoadSites
         Of supports and foundations.
     contacts : Contacts
         With one tool.
-    scratch : StepScratch
     grip : Grip
         Nodes that forceps hold.
     clock : (17,) array
@@ -130,7 +127,6 @@ class NodalPeriodData(NamedTuple):
     path : (6, 3, 4) array
         Frames of the tool at the start and the end of a period, at zero displacement, before the first
         step, where it cut the body last, and where the candidates near it were listed last.
-    tailoring : MassTailoring
     resting_frequency : float [rad/s]
         Highest frequency at rest, with the tailored mass and foundations.
     vector, noise : (n, 3) arrays
@@ -151,7 +147,6 @@ class NodalPeriodData(NamedTuple):
         Work and dissipation at the start of the period.
     saved_history : HistoryCopy
         History variables at the start of the period.
-    contact_work : ContactReport
     """
 
     passes: Any

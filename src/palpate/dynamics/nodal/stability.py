@@ -166,14 +166,8 @@ def resting_frequency(model: ElasticBody, displacements: Floats | None = None) -
 
     Parameters
     ----------
-    model : ElasticBody
     displacements : (n, 3) array, optional [m]
         State of linearisation, such as a taut sheet.
-
-    Raises
-    ------
-    InputError
-        The frequency is zero, not finite, or out of the range of double precision.
     """
     at = np.zeros((len(model.cloud), 3)) if displacements is None else displacements
     with np.errstate(all="ignore"):
@@ -267,16 +261,7 @@ def highest_frequency(
 
 
 def choose_stiffness_damping(model: ElasticBody, stiffness_damping: float | None, neighbours: int) -> StabilityReport:
-    """Analyse a model at rest, and choose its stiffness damping unless it is given.
-
-    Raises
-    ------
-    CloudError
-        A mode cannot be damped; the message names the node of its largest amplitude.
-    InputError
-        The given damping is negative or not finite, or the highest frequency is out of the range of
-        double precision.
-    """
+    """Analyse a model at rest, and choose its stiffness damping unless it is given."""
     frequency = resting_frequency(model)
     if stiffness_damping is not None:
         given = number_in_range("stiffness_damping", stiffness_damping, 0.0, unit="s")

@@ -23,8 +23,6 @@ class StaticBalance:
 
     Parameters
     ----------
-    model : NodalModel
-    prepared : PreparedLoads
     time : float [s]
     start : (n, 3) array [m]
         Displacements before the load.
@@ -42,11 +40,6 @@ class StaticBalance:
         Springs of foundations.
     symmetric : bool
         True if the forces are the derivative of an energy.
-
-    Raises
-    ------
-    InputError
-        Nothing supports the body.
     """
 
     def __init__(self, model: NodalModel, prepared: PreparedLoads, time: float, start: Floats) -> None:

@@ -32,13 +32,7 @@ MAX_WAY_UNCHECKED = 0.5  # of a tool between two checks that it has not passed t
 def check_initial_penetration(
     prepared: PreparedLoads, schedule: LoadHistory, displacements: Floats, spacing: float
 ) -> None:
-    """Check that no node is inside a tool at the first time of a load history.
-
-    Raises
-    ------
-    InputError
-        A node is inside; the message names the tool, the nodes and the depth.
-    """
+    """Check that no node is inside a tool at the first time of a load history."""
     if not prepared.tools:
         return
     contacts, depth, positions = prepared.contacts, np.zeros(len(displacements)), np.zeros((len(displacements), 3))
@@ -60,13 +54,7 @@ def check_initial_penetration(
 
 
 def check_tool_step(prepared: PreparedLoads, schedule: LoadHistory, spacing: float) -> None:
-    """Check that no tool moves so far in one step that it could pass a node.
-
-    Raises
-    ------
-    InputError
-        A tool moves too far; the message names the tool, the time and the distance.
-    """
+    """Check that no tool moves so far in one step that it could pass a node."""
     for t, tool in enumerate(prepared.tools):
         radius, half, _ = tool.tool.sizes
         allowed = spacing if tool.tool.kind in (PLANE, BLADE) else MAX_TOOL_STEP * radius
@@ -97,18 +85,10 @@ def check_penetration(
 
     Parameters
     ----------
-    prepared : PreparedLoads
-    contacts : Contacts
-    schedule : LoadHistory
     displacements : (n, 3) array [m]
     surface : pair of int arrays
         Nodes (s,) that tools can touch, and triangles (t, 3).
     spacing, step : float [m], [s]
-
-    Raises
-    ------
-    DivergenceError
-        A tool has passed through; the message names the tool, the time and a node.
     """
     frame = np.zeros((3, 4))
     for t, tool in enumerate(prepared.tools):
@@ -146,7 +126,6 @@ def initial_contact_state(tools: int, nodes: int, time: float, surface: int = 0,
 
     Parameters
     ----------
-    tools, nodes : int
     time : float [s]
     surface : int
         Surface nodes of a reduced model.
@@ -175,10 +154,8 @@ def next_contact_state(
 
     Parameters
     ----------
-    prepared : PreparedLoads
     after_steps : LoadSites and Contacts
         With the scratch arrays that the steps have written.
-    before : ContactState
     kick : float [s]
         Length of the last kick.
     constrained : (p,) bool array

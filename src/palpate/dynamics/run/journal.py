@@ -43,11 +43,6 @@ class Journal:
     ----------
     path : path
         Final path; the temporary file is in the same folder.
-
-    Raises
-    ------
-    OSError
-        The file cannot be created.
     """
 
     def __init__(self, path: Path) -> None:
@@ -64,13 +59,6 @@ class Journal:
         """Append a record and pass it to the operating system.
 
         An error leaves the previous records complete.
-
-        Raises
-        ------
-        InputError
-            The header cannot be read back.
-        OSError
-            The disk is full.
         """
         content = _pack(header, arrays)
         chain = sha256(self._chain + content).digest()
@@ -85,13 +73,7 @@ class Journal:
         self._chain, self._end = chain, self._end + LENGTH_STRUCT.size + len(content) + DIGEST_BYTES
 
     def rename(self, path: Path) -> None:
-        """Rename the journal, replace an older file, and continue writing there.
-
-        Raises
-        ------
-        OSError
-            The file cannot be renamed.
-        """
+        """Rename the journal, replace an older file, and continue writing there."""
         self._file.close()
         try:
             os.replace(self.path, path)
@@ -132,12 +114,6 @@ def records(path: Path) -> Iterator[tuple[int, bytes, Record]]:
     chain : bytes
         Digest of the previous records.
     record : Record
-
-    Raises
-    ------
-    InputError
-        The file is not a journal, or a record is damaged; the message gives the number of complete
-        records before it.
     """
     size, count = regular_file(path, "journal"), 0
     with path.open("rb") as file:
@@ -158,13 +134,7 @@ def records(path: Path) -> Iterator[tuple[int, bytes, Record]]:
 
 
 def read_record(path: Path, position: int, chain: bytes) -> Record:
-    """Return the record at a position [bytes] of a journal.
-
-    Raises
-    ------
-    InputError
-        The record is damaged or missing.
-    """
+    """Return the record at a position [bytes] of a journal."""
     with path.open("rb") as file:
         file.seek(position)
         read = _read_next(file, regular_file(path, "journal"), chain)

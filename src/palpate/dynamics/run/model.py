@@ -269,13 +269,7 @@ class Outputs(Described):
 
 
 def initial_field(name: str, given: Any, count: int) -> Floats:
-    """Return a copy of an initial field (n, 3), or zeros for None.
-
-    Raises
-    ------
-    InputError
-        The field has another shape, or is not finite; the message names the first such node.
-    """
+    """Return a copy of an initial field (n, 3), or zeros for None."""
     if given is None:
         return np.zeros((count, 3))
     try:

@@ -59,7 +59,6 @@ def partitions(points: Floats, groups: Groups, directions: Mapping[str, Floats])
     Parameters
     ----------
     points : (n, d) array [m]
-    groups : mapping of group name to nodes
     directions : mapping of group name to (k, 3) array
         Constrained directions of groups that are free in others.
     """

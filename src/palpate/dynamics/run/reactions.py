@@ -97,8 +97,6 @@ def group_forces(body: NodalBody, parts: Sequence[Partition], nodal: Floats, str
 
     Parameters
     ----------
-    body : NodalBody
-    parts : sequence of Partition
     nodal : (n, 3) array [N]
         Forces that a group must exert on its nodes.
     stress : (n, 3, d) array, optional [Pa]

@@ -28,17 +28,10 @@ class Recorder:
 
     Parameters
     ----------
-    path : path or None
-    model : str
     points : (n, d) array [m]
     stiffness_damping : float [s]
     label : str
         See `Trajectory`.
-
-    Raises
-    ------
-    OSError
-        The file cannot be created or the disk is full; the message names the file.
     """
 
     def __init__(

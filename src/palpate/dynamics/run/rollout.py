@@ -162,11 +162,6 @@ def frame_states(
     """Yield the model, state and loads at every frame after the present one, the number of steps, the last step [s].
 
     Model and loads are those of the start, unless a blade cuts the body.
-
-    Raises
-    ------
-    DivergenceError, InputError
-        As `rollout`.
     """
     control, start, steps = _StepControl(step, model.longest_step(every)), state.time, 0
     for frame in range(1, frames + 1):

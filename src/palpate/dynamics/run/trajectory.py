@@ -324,13 +324,7 @@ def stack(values: list[Any], shape: tuple[int, ...]) -> Floats:
 
 
 def _from_arrays(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
-    """Return the trajectory of a file's header and arrays.
-
-    Raises
-    ------
-    InputError
-        A value is missing, not finite, or of another type, shape or range.
-    """
+    """Return the trajectory of a file's header and arrays."""
     if header.keys() != {*HEADER_KEYS, *GROUP_ARRAYS}:
         raise InputError(f"header must have {sorted({*HEADER_KEYS, *GROUP_ARRAYS})}, got {sorted(header)}")
     for name in ("model", "label"):
@@ -406,10 +400,6 @@ def _check_contact_forces(contact_forces: Floats, frames: int, nodes: int) -> No
 class StoredTrajectory(Described):
     """A trajectory in a file, whose displacements are read frame by frame on demand.
 
-    Parameters
-    ----------
-    path : path
-
     Attributes
     ----------
     path : path
@@ -421,11 +411,6 @@ class StoredTrajectory(Described):
         Supports indices and slices like the (f, n, 3) array [m]. Every frame is verified on reading.
     contact_forces, bonded : (c, 5) and (c,) arrays
         See `Trajectory`.
-
-    Raises
-    ------
-    FileNotFoundError, FileFormatError
-        See `Trajectory.load`; an unreadable frame raises the error on access.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -486,7 +471,6 @@ class Frames:
 
     Parameters
     ----------
-    path : path
     shape : tuple
         (f, n, 3).
     read : function

@@ -98,13 +98,6 @@ class EnergySolid(Solid):
         ----------
         displacements : (n, 3) array [m]
             From the present stress-free places to the new ones; they turn no cell inside out.
-
-        Raises
-        ------
-        InputError
-            The body is cut, or has planes of symmetry.
-        CloudError
-            A cell is inverted or flat, or derivatives cannot be made consistent.
         """
         if self._cut is not None or self.planes:
             raise InputError("model must have no cut and no planes of symmetry to be moved; cut it afterwards")

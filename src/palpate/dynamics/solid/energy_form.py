@@ -322,7 +322,6 @@ def make_stress(digest: str, law_first: Any, variables: str = "invariants") -> A
 
     Parameters
     ----------
-    digest : str
     law_first : function
         First derivatives of the law's energy, or a compiled function in their place.
     variables : str
@@ -386,7 +385,6 @@ def solid_energy(
         Material whose functions are compiled, without its parameters.
     volumetric : str
         Form of U(J).
-    fibres : FibrePoints
     varied : int
         Number of parameters that differ from node to node.
     """

@@ -34,12 +34,10 @@ class CompiledForm(NamedTuple):
 
     Parameters
     ----------
-    formulation : Formulation
     body : NamedTuple
         Constants of the passes.
     allocate : function
         Returns new scratch arrays of the passes.
-    lanes : Lanes or Rows
     """
 
     formulation: Formulation
@@ -162,7 +160,6 @@ def _transposed(near: NDArray[np.int32], mirror: Mirror, weights: Floats, volume
     ----------
     near : (n, k) int array
         Neighbours; numbers from n on are images of the mirror.
-    mirror : Mirror
     weights : (n, k, w) array
     volumes : (n,) array
     """

@@ -42,9 +42,6 @@ def keep_uniform_stress(uncut: UncutStencils, surface: CutSurface, rows: FittedR
 
     Parameters
     ----------
-    uncut : UncutStencils
-    surface : CutSurface
-    rows : FittedRows
     missing : (n, 3) array [m^2]
         By how much the sums of V_I g_IJ must change, at the nodes that the rows contain.
 
@@ -266,8 +263,6 @@ def conserve_integrals(uncut: UncutStencils, rows: FittedRows, missing: Floats) 
 
     Parameters
     ----------
-    uncut : UncutStencils
-    rows : FittedRows
     missing : (n,) array [m^3]
         By how much the sums of V_I s_IJ must change, at the nodes that the rows contain.
 

@@ -57,8 +57,6 @@ def point_weights(uncut: UncutStencils, surface: CutSurface, points: Floats, see
 
     Parameters
     ----------
-    uncut : UncutStencils
-    surface : CutSurface
     points : (p, 3) array [m]
     seen_from : (p, 3) array [m]
         Where the bonds of the points begin.
@@ -128,8 +126,6 @@ def reference_points(
 
     Parameters
     ----------
-    uncut : UncutStencils
-    surface : CutSurface
     u : (n, 3) array [m]
     places : (p, 3) array [m]
         Outside the body, a place moves with the nearest node.

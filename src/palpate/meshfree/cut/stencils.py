@@ -90,8 +90,6 @@ class CutState(NamedTuple):
 
     Parameters
     ----------
-    surface : CutSurface
-    uncut : UncutStencils
     sums : (n, 3) array [m^2]
         Sum over I of V_I g_IJ.
     checks : (n,) array
@@ -203,7 +201,6 @@ def fit_rows(state: CutState, surface: CutSurface, nodes: Ints, released: NDArra
 
     Parameters
     ----------
-    state : CutState
     surface : CutSurface
         Of the new cut.
     nodes : (m,) int array

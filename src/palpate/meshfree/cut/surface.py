@@ -130,16 +130,10 @@ def cut_surface(
 
     Parameters
     ----------
-    before : CutSurface
     triangles : (t, 3, 3) array [m]
     is_inside : function
         Returns which points (p, 3) are inside the body.
     spacing : float [m]
-
-    Raises
-    ------
-    CloudError
-        A triangle is narrower than a thousandth of the spacing.
     """
     narrow = np.flatnonzero(is_narrow(triangles, spacing))
     if narrow.size:

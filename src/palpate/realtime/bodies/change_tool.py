@@ -22,13 +22,7 @@ __all__ = ["change_tool", "replace_tool"]
 
 
 def change_tool(data: PeriodData, tool: Tool | None, pose: Floats, friction: float) -> None:
-    """Replace the tool of a reduced body; see `palpate.realtime.bodies.model.RealtimeModel`.
-
-    Raises
-    ------
-    InputError
-        The tool is a blade.
-    """
+    """Replace the tool of a reduced body; see `palpate.realtime.bodies.model.RealtimeModel`."""
     if isinstance(tool, Blade):
         raise InputError(
             "tool of a reduced model must be another than a Blade, which cuts full bodies; use a full body"

@@ -74,15 +74,6 @@ def fixed_nodes(model: ReducedModel | EnergySolid) -> NDArray[np.bool_]:
 class Surface:
     """The display surface of a reduced model.
 
-    Parameters
-    ----------
-    model : ReducedModel
-
-    Raises
-    ------
-    InputError
-        The cloud has no triangles.
-
     Attributes
     ----------
     nodes : (n,) int array
@@ -217,11 +208,6 @@ class Surface:
             ``"pressure"``: minus a third of that stress's trace [Pa].
         coordinates : (m,) array
         displacements : (n, 3) array [m]
-
-        Raises
-        ------
-        InputError
-            The name is not one of `scalars`.
         """
         if name not in self.scalars:
             raise InputError(

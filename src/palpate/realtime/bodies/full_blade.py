@@ -44,7 +44,6 @@ class BladeCutter:
 
     Parameters
     ----------
-    model : EnergySolid
     data : NodalPeriodData
         Of the running period.
 

@@ -48,11 +48,6 @@ def full_period(
     """Return the compiled period of a full body and its data.
 
     See `palpate.realtime.bodies.model.realtime_model` for the number of modes.
-
-    Raises
-    ------
-    InputError
-        The body has the strong form, the tool is in the body at the start, or forceps hold no free surface node.
     """
     if not model.conservative:
         raise InputError("model must have the energy form for the engine, got the strong form; leave form= out")
@@ -142,14 +137,7 @@ def change_full_tool(
     pose: Floats,
     friction: float,
 ) -> None:
-    """Replace the tool of a full body, as `palpate.realtime.bodies.change_tool.change_tool`.
-
-    Raises
-    ------
-    InputError
-        The tool is smaller than the spacing; forceps hold no surface node, a supported one, or have a time of
-        release.
-    """
+    """Replace the tool of a full body, as `palpate.realtime.bodies.change_tool.change_tool`."""
     contacts, spacing, nodes = data.contacts, model.cloud.spacing, np.zeros(0, dtype=np.int64)
     blade = None
     if isinstance(tool, Blade):

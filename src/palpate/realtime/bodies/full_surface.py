@@ -21,22 +21,12 @@ __all__ = ["FullSurface", "display_surface"]
 
 
 def display_surface(model: ReducedModel | EnergySolid) -> DisplaySurface:
-    """Return the display surface of a reduced model or of a full body.
-
-    Raises
-    ------
-    InputError
-        The cloud has no triangles.
-    """
+    """Return the display surface of a reduced model or of a full body."""
     return Surface(model) if isinstance(model, ReducedModel) else FullSurface(model)
 
 
 class FullSurface:
     """The display surface of a full body; see `palpate.realtime.bodies.display_surface.Surface`.
-
-    Parameters
-    ----------
-    model : EnergySolid
 
     Attributes
     ----------

@@ -105,7 +105,6 @@ class IndicatorData(NamedTuple):
     nearness : (k,) array
         Of the surface nodes to supports.
     body_mass : float [kg]
-    residual_fields : ResidualFields
     """
 
     training_states: Floats
@@ -149,17 +148,14 @@ class PeriodData(NamedTuple):
 
     Parameters
     ----------
-    modes : int
     step : float [s]
         Of the implicit rule, 0 for explicit steps.
     body : ImplicitData
         Mass, damping, integration points and springs of the coordinates.
     constrained_inverse_mass : (modes, modes) array
         Inverse of the modes' block of the mass matrix.
-    indicator : IndicatorData
     vectors : (8, m) array
         Work arrays; the first is the state of the power iteration.
-    probes : Probes
     tangent : (m, m) array
         Each period updates one column.
     condensed : (m, m) array

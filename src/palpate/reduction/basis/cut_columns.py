@@ -69,12 +69,6 @@ def static_changes(
         Displacement fields of the coordinates.
     states : (t, m) array
         Coordinates of states.
-    count : int
-
-    Raises
-    ------
-    CloudError
-        The cut body has no static response, as where a piece is cut off.
     """
     body, cut_body = bodies
     free, shape = statics.free, fields.shape[1:]

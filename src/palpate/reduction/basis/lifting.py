@@ -74,9 +74,7 @@ class RemoveToolMotion:
 
     Parameters
     ----------
-    body : EnergySolid or Membrane
     lifting : (l, n, 3) array
-    tools : sequence of str
     """
 
     def __init__(self, body: EnergySolid | Membrane, lifting: Floats, tools: Sequence[str]) -> None:

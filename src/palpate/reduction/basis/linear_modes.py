@@ -42,13 +42,7 @@ DENSE_SHARE = 0.1  # of non-zero entries, above which a dense factorisation is f
 
 
 def rest_stiffness(body: Solid) -> Any:
-    """Return the sparse stiffness [N/m] at rest of a body in its energy form, (3 n, 3 n), rows 3 i + c of node i.
-
-    Raises
-    ------
-    InputError
-        The body has the strong form, whose stiffness is not symmetric.
-    """
+    """Return the sparse stiffness [N/m] at rest of a body in its energy form, (3 n, 3 n), rows 3 i + c of node i."""
     n = len(body.cloud)
     by_node = np.arange(3 * n).reshape(3, n).T.reshape(-1)
     return _assembled(stiffness_blocks(body))[by_node][:, by_node].tocsc()
@@ -65,14 +59,8 @@ def stiffness_blocks(body: Solid, kind: type[np.floating[Any]] = np.float64) -> 
 
     Parameters
     ----------
-    body : Solid
     kind : type
         Of the numbers; single precision halves the memory.
-
-    Raises
-    ------
-    InputError
-        As `rest_stiffness`.
     """
     if not isinstance(body, EnergySolid):
         raise InputError(
@@ -212,11 +200,6 @@ def interpolated_modes(coarse: Solid, body: Solid, count: int) -> Floats:
     About half are derivatives of the slowest vibrations, without which a body is too stiff in large
     motions. Thin-plate splines over the nearest nodes interpolate them. They are zero at the body's
     supports, and their largest displacement is about 1 m. The coarser model may be the body itself.
-
-    Raises
-    ------
-    InputError
-        As `vibration_modes`.
     """
     bent = int((np.sqrt(8 * DERIVATIVE_SHARE * count + 1) - 1) / 2)
     slowest = count - bent * (bent + 1) // 2
@@ -243,7 +226,6 @@ def tool_responses(body: Solid, fields: Floats, held: Sequence[str]) -> Floats:
         In the energy form.
     fields : (l, n, 3) array
         Only the values at the groups' nodes are used.
-    held : sequence of str
     """
     full, free, _, _, solve = rest_statics(body, held)
     given = np.zeros((len(fields), 3 * len(body.cloud)))

@@ -46,13 +46,6 @@ class Snapshots:
         With `times`, `displacements`, `contact_forces` and `bonded` each.
     has_contact : bool
         Whether tools touch the body in any run.
-
-    Raises
-    ------
-    InputError
-        No runs, an array of another shape, or runs of different bodies.
-    FileNotFoundError, FileFormatError
-        A file is missing, or does not hold a trajectory.
     """
 
     def __init__(self, runs: Run | Sequence[Run] | Floats) -> None:

@@ -40,11 +40,6 @@ def main_modes(
     function `prepared`, if given, maps every block before the decomposition. The truncation error is the
     root of the sum of squares dropped between blocks over that of the weighted snapshots. The projection
     error exceeds the optimum by at most this.
-
-    Raises
-    ------
-    InputError
-        More modes than independent snapshots, or snapshots that are all zero or not finite.
     """
     frames = snapshots if isinstance(snapshots, Snapshots) else Snapshots(snapshots)
     prepare = prepared or (lambda block: block)

@@ -44,12 +44,6 @@ def coarse_body(body: EnergySolid, spacing: float | None = None, most: int = MAX
         By default that of about 3,000 nodes; smaller where the body has thin parts.
     most : int
         Largest number of nodes.
-
-    Raises
-    ------
-    InputError
-        The body has no closed surface or planes of symmetry, a support is lost, or no spacing gives a body of at most
-        so many nodes.
     """
     cloud = body.cloud
     try:
@@ -72,11 +66,6 @@ def statics_body(body: EnergySolid) -> EnergySolid | None:
 
     A body of up to 5,000 nodes serves itself: the force of one of 4,936 nodes errs by 4.9 % with its own statics, and
     by 6.3 % with those of 3,000 nodes.
-
-    Raises
-    ------
-    InputError
-        The surface of a larger body cannot be filled again.
     """
     return coarse_body(body, most=MAX_NODES) if len(body.cloud) > MAX_NODES else None
 

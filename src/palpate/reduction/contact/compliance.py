@@ -293,9 +293,6 @@ def stiffened_force(stiffening, product, inertia):  # type: ignore[no-untyped-de
         Force at the secant factor 1.
     inertia : float
         Displacement of the modes by a force within the step, over that of the compliance at h = 1.
-
-    An explicit step is stable while `inertia` is below four times the derivative of h f. The share is 1
-    up to once the derivative. For a stiffer surface it is as much less as the inertia is more.
     """
     gamma, wanted = stiffening[0], product / stiffening[1]
     force = wanted  # at most the root, and h f is concave in f: so Newton's method rises to the root
@@ -328,7 +325,6 @@ def contact_displacements(
 
     Parameters
     ----------
-    compliance : SurfaceCompliance
     points : (n, 3) array [m]
         Reference positions of all nodes.
     pushes : (tools, k, 3) array [N]

@@ -411,7 +411,6 @@ def press(data, q, v, at, step, period, share, tool_forces):  # type: ignore[no-
 
     Parameters
     ----------
-    data : PeriodData
     q, v : (m,) arrays
         The velocities v change.
     at : (m,) array

@@ -94,7 +94,6 @@ def interior_displacements(interior: Interior, forces: Floats, surface: Floats) 
 
     Parameters
     ----------
-    interior : Interior
     forces : (c, 3) array [N]
         Of the tool, on the carriers of the surface.
     surface : (c, 3) array [m]

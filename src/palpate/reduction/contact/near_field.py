@@ -51,11 +51,6 @@ def near_field_compliance(
         In `nodes`, those near each; padded with the node itself.
     near_field : (k, q, 3, 3) float32 array [m/N]
         Compliance from a nearby node to the node, minus that of their carriers; zero in the padding.
-
-    Raises
-    ------
-    InputError
-        A model has the strong form.
     """
     points = fine.cloud.points[nodes]
     core, near_radius, margin = (coarse.cloud.spacing * share for share in (CORE_RADIUS, NEAR_RADIUS, MARGIN_SPACINGS))

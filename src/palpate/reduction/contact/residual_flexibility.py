@@ -56,11 +56,6 @@ def residual_flexibility(
     -------
     (3 k + 3 i, 3 k) array [m/N]
         Rows of `nodes`, then those of `interior_nodes`.
-
-    Raises
-    ------
-    InputError
-        The body has the strong form, no supports, or too many nodes.
     """
     count = len(body.cloud)
     if count > MAX_NODES:

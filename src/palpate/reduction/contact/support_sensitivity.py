@@ -87,7 +87,6 @@ def support_sensitivity(
         Its surface has triangles. The stiffness of its 3 n degrees of freedom is factorised three to five times.
     points : (N, 3) array [m]
         Nodes of the presses, of the body or of a finer model of it.
-    presses : sequence of Press
     foundations : sequence of Foundation
         Springs on groups of the body.
 

@@ -21,13 +21,7 @@ __all__ = ["ContactTools", "bonded_nodes", "contact_at_frame", "tool_displacemen
 
 
 class ContactTools:
-    """Tools on the contact surface of a reduced model.
-
-    Parameters
-    ----------
-    of : ContactSurface
-    prepared : PreparedLoads
-    """
+    """Tools on the contact surface of a reduced model."""
 
     def __init__(self, contact_surface: ContactSurface, prepared: PreparedLoads) -> None:
         self.contact_surface, self.prepared = contact_surface, prepared
@@ -58,13 +52,7 @@ class ContactTools:
         return schedule.poses
 
     def check_penetration(self, time: float) -> None:
-        """Check that no tool has passed between the nodes in the last step, which ended at a time [s].
-
-        Raises
-        ------
-        DivergenceError
-            The surface is deeper in a tool than `MAX_DEPTH_BETWEEN_NODES`; the message names tool, time and depth.
-        """
+        """Check that no tool has passed between the nodes in the last step, which ended at a time [s]."""
         store_depths(self.contact_surface, self.scratch, self.tools)
         for tool, depth in zip(self.prepared.tools, self.scratch.depth, strict=True):
             if depth > MAX_DEPTH_BETWEEN_NODES * self.contact_surface.spacing:

@@ -174,7 +174,6 @@ def residual_norm(data: ReducedData, forces: Floats) -> float:
 
     Parameters
     ----------
-    data : ReducedData
     forces : (m + l + 3 g + w,) array
         Of `palpate.reduction.hyper.reactions.constraint_forces`.
     """

@@ -40,7 +40,6 @@ def project_springs(sites: LoadSites, basis_vectors: Floats, mass: Floats) -> Sp
 
     Parameters
     ----------
-    sites : LoadSites
     basis_vectors : (c, n, 3) array
         The first m belong to the coordinates.
     mass : (m, m) array

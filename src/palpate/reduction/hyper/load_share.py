@@ -60,7 +60,6 @@ def static_response(data: ReducedData, springs: Floats) -> Response:
 
     Parameters
     ----------
-    data : ReducedData
     springs : (n,) array [N/m]
         Springs of foundations at the nodes.
     """
@@ -80,8 +79,6 @@ def load_share(body: ReducedBody, state: State, responses: ResponseSquares, ampl
 
     Parameters
     ----------
-    body : ReducedBody
-    state : State
     responses : ResponseSquares
         Of the loads.
     amplitudes : (k,) array
@@ -103,8 +100,6 @@ def response_squares(body: ReducedBody, sites: LoadSites, response: Callable[[],
 
     Parameters
     ----------
-    body : ReducedBody
-    sites : LoadSites
     response : function
         Returns the static response of the body without foundations.
     """

@@ -44,7 +44,6 @@ class ReducedLoads(PreparedLoads):
 
     Parameters
     ----------
-    body : ReducedBody
     work : (g a + 3, c) array
         Work of unit amplitudes of dead loads and gravity on the basis vectors, see `load_work`.
     springs, coordinate_springs : Springs
@@ -85,13 +84,7 @@ class ReducedLoads(PreparedLoads):
 
 
 def reduced_loads(body: ReducedBody, prepared: PreparedLoads) -> ReducedLoads:
-    """Return loads that were prepared for a body.
-
-    Raises
-    ------
-    InputError
-        They were prepared for another body.
-    """
+    """Return loads that were prepared for a body."""
     if not isinstance(prepared, ReducedLoads) or prepared.body.data.basis_vectors is not body.data.basis_vectors:
         raise InputError("prepared must come from prepare() of the same reduced model, got those of another one")
     return prepared
@@ -100,13 +93,7 @@ def reduced_loads(body: ReducedBody, prepared: PreparedLoads) -> ReducedLoads:
 def prepare_reduced_loads(
     body: ReducedBody, loads: Sequence[Load], static_response: Callable[[], Response], *, implicit: bool
 ) -> ReducedLoads:
-    """Check loads and prepare them for a reduced model with explicit or implicit steps.
-
-    Raises
-    ------
-    InputError
-        A load is not supported, or was not part of the training.
-    """
+    """Check loads and prepare them for a reduced model with explicit or implicit steps."""
     check_kinds(
         loads, PERMITTED_LOADS, "loads of a sampled reduced model", "run the full model or palpate.galerkin with it"
     )
@@ -169,13 +156,7 @@ def _forceps(data: ReducedData, grasp: Grasp) -> Contact:
 
 
 def lifting_coordinates(data: ReducedData, ready: PreparedLoads, times: Floats) -> Floats:
-    """Return the coordinates (t, l) of the lifting vectors at some times.
-
-    Raises
-    ------
-    InputError
-        A prescribed motion is not rigid.
-    """
+    """Return the coordinates (t, l) of the lifting vectors at some times."""
     if not data.lifting_count:
         return np.zeros((len(times), 0))
     order = np.argsort(ready.sites.prescribed)

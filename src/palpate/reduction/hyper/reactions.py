@@ -53,9 +53,6 @@ def reactions(body: ReducedBody, state: State, prepared: PreparedLoads, forces: 
 
     Parameters
     ----------
-    body : ReducedBody
-    state : State
-    prepared : PreparedLoads
     forces : (m + l + 3 g + w,) array
         Of `constraint_forces`.
     """

@@ -116,7 +116,6 @@ def integration_points(
         Coefficients, or materials at the points.
     dtype : type
         Of the table.
-    relaxation : Relaxation
     fibres : FibreLaw, optional
         With directions at the points.
     """
@@ -219,7 +218,6 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
 
     Parameters
     ----------
-    law : MaterialPoint
     single : bool
         Whether the table has single precision. Sums have double precision in either case.
     """

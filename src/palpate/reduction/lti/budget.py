@@ -46,13 +46,7 @@ class Budget:
     memory: float | None = None
 
     def check(self, estimate: Estimate, what: str, instead: str) -> None:
-        """Raise `InputError` if an estimate exceeds the budget.
-
-        Raises
-        ------
-        InputError
-            The message contains the estimate and an alternative.
-        """
+        """Raise `InputError` if an estimate exceeds the budget."""
         memory = self.memory if self.memory is not None else 0.5 * machine_memory()
         if estimate.memory > memory or estimate.seconds > self.seconds:
             raise InputError(

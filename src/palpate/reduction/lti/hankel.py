@@ -34,13 +34,7 @@ class Realisation(NamedTuple):
 
 
 def lyapunov_factor(a: Floats, b: Floats) -> Floats:
-    """Return Z (n, r) with A Z Z^T + Z Z^T A^T + B B^T = 0, by a dense solver.
-
-    Raises
-    ------
-    InputError
-        A is not stable.
-    """
+    """Return Z (n, r) with A Z Z^T + Z Z^T A^T + B B^T = 0, by a dense solver."""
     if np.linalg.eigvals(a).real.max() >= 0:
         raise InputError("system must be stable for balancing, got a pole with a real part of at least 0")
     gramian = scipy.linalg.solve_continuous_lyapunov(a, -b @ b.T)

@@ -29,7 +29,6 @@ class LinearLoads(PreparedLoads):
         Number p of inputs other than tools.
     force_inputs : tuple of slices
         Inputs of every dead load.
-    gravity_inputs : slice or None
     """
 
     input_count: int
@@ -52,13 +51,7 @@ def _input(load: DeadLoad) -> tuple[str, str, tuple[str, ...]]:
 
 
 def prepare_linear_loads(system: LinearSystem, loads: Sequence[Load]) -> LinearLoads:
-    """Check loads and prepare them for a linear system.
-
-    Raises
-    ------
-    InputError
-        The system does not include one of the loads, or its tools differ.
-    """
+    """Check loads and prepare them for a linear system."""
     check_kinds(loads, INPUT_LOADS, "loads of a linear model")
     full = system.model
     ready = full.prepare(loads)
@@ -83,13 +76,7 @@ def prepare_linear_loads(system: LinearSystem, loads: Sequence[Load]) -> LinearL
 
 
 def linear_loads(prepared: PreparedLoads) -> LinearLoads:
-    """Return loads that were prepared for a linear system.
-
-    Raises
-    ------
-    InputError
-        They were prepared for another kind of model.
-    """
+    """Return loads that were prepared for a linear system."""
     if not isinstance(prepared, LinearLoads):
         raise InputError("prepared must come from prepare() of a linear model, got those of another kind of model")
     return prepared
@@ -113,13 +100,7 @@ def _with_inputs(system: LinearSystem, ready: PreparedLoads) -> LinearLoads:
 
 
 def tool_coordinates(system: LinearSystem, prepared: PreparedLoads, times: Floats) -> Floats:
-    """Return the coordinates (t, l) of the tools at some times [s]: translations [m], small rotations [rad].
-
-    Raises
-    ------
-    InputError
-        The motion is not rigid, or its rotation is too large.
-    """
+    """Return the coordinates (t, l) of the tools at some times [s]: translations [m], small rotations [rad]."""
     if not len(system.lifting):
         return np.zeros((len(times), 0))
     prescribed = prepared.sites.prescribed

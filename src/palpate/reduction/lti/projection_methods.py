@@ -42,13 +42,7 @@ def project(system: LinearSystem, columns: Floats, test: Floats | None = None) -
 
 
 def factorise(system: LinearSystem, s: complex = 0.0) -> Any:
-    """Return the sparse factors of s^2 M + s D + K, which are real for real s.
-
-    Raises
-    ------
-    InputError
-        The matrix is singular: the body is not fixed, or the sheet is slack.
-    """
+    """Return the sparse factors of s^2 M + s D + K, which are real for real s."""
     try:
         return splu(system.stiffness if s == 0 else system.pencil(s.real if s.imag == 0 else s))
     except RuntimeError as error:
@@ -148,11 +142,6 @@ def moments(system: LinearSystem, modes: int, points: Sequence[complex] = (0.0,)
     second-order Arnoldi method. The points take turns, with a block of one column per input, until
     there are `modes` columns. Complex columns are replaced by their real and imaginary parts. The
     projection is one-sided (W = V): a symmetric body stays stable.
-
-    Raises
-    ------
-    InputError
-        No points, a point with a negative real part, or more modes than independent columns.
     """
     integer_in_range("modes", modes, 1, system.order)
     points = [complex(s) for s in points]

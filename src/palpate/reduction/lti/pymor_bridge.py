@@ -12,13 +12,7 @@ __all__ = ["need_pymor", "to_pymor"]
 
 
 def need_pymor(what: str) -> None:
-    """Import pyMOR and reduce its log level.
-
-    Raises
-    ------
-    InputError
-        pyMOR is missing; the message contains the command that installs it.
-    """
+    """Import pyMOR and reduce its log level."""
     require("pymor", what)
     import_pymor()
     from pymor.core.logger import set_log_levels

@@ -117,14 +117,8 @@ def linear_realtime(model: LinearModel, period: float) -> LinearRealtime:
 
     Parameters
     ----------
-    model : LinearModel
     period : float [s]
         Period of the engine. The first step with another period computes a matrix exponential.
-
-    Raises
-    ------
-    InputError
-        The system does not have exactly one tool, or has other loads.
     """
     number_in_range("period", period, 0.0, open_low=True, unit="s")
     system, count, lifting_count = model.system, model.count, model.lifting_count

@@ -70,11 +70,6 @@ class Reduction:
         A run of the linearised body, for POD.
     emphasis : (p,) array, optional
         Weight of each input in balancing; by default equal.
-
-    Raises
-    ------
-    InputError
-        The system is not linearised at rest.
     """
 
     def __init__(
@@ -109,11 +104,6 @@ class Reduction:
             Number of displacement coordinates; methods of first order have twice as many states.
         options
             Of `moments`: points, complex frequencies [1/s].
-
-        Raises
-        ------
-        InputError
-            An unknown method, too many modes, a cost beyond the budget, or a missing pyMOR.
         """
         if method not in TITLE_BY_METHOD:
             raise InputError(f"method must be one of {', '.join(map(repr, TITLE_BY_METHOD))}, got {method!r}")

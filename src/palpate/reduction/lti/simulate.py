@@ -46,11 +46,6 @@ def linear_run(
     times : (t,) array [s]
     free, whole : (t, n, 3) arrays [m]
         Displacements without the static fields of the tools (`LinearSystem.lifting`), and in total.
-
-    Raises
-    ------
-    InputError
-        Other loads, or times out of range.
     """
     number_in_range("duration", duration, 0.0, open_low=True, unit="s")
     number_in_range("every", every, 0.0, duration * (1 + 1e-9), open_low=True, unit="s")

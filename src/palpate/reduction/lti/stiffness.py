@@ -39,7 +39,6 @@ def nodal_stiffness(model: NodalModel, displacements: Floats | None = None) -> A
 
     Parameters
     ----------
-    model : NodalModel
     displacements : (n, 3) array, optional [m]
         The state; rest by default. At rest the stiffness of the energy form is assembled from its
         stencils. Otherwise it is computed by differences, with errors of about 1e-9 of the largest

@@ -27,15 +27,7 @@ CLASS_BY_ORDER: dict[str, type[SecondOrder] | type[FirstOrder]] = {"second": Sec
 
 
 def save_linear(model: LinearModel, path: str | Path) -> None:
-    """Write a model, whole or not at all.
-
-    Raises
-    ------
-    InputError
-        Numbers that are not finite.
-    OSError
-        The place cannot be written.
-    """
+    """Write a model, whole or not at all."""
     arrays = {each.name: getattr(model.reduced, each.name) for each in fields(model.reduced)}
     for name, array in arrays.items():
         if not np.isfinite(array).all():
@@ -54,18 +46,8 @@ def read_linear(path: str | Path, system: LinearSystem) -> LinearModel:
 
     Parameters
     ----------
-    path : path
     system : LinearSystem
         The same linearised body as for the saved model.
-
-    Raises
-    ------
-    FileNotFoundError
-        The file does not exist.
-    FileFormatError
-        The file is not a linear model, damaged, or inconsistent.
-    InputError
-        The model belongs to another body, or has other inputs or outputs.
     """
     path = Path(path)
     with loading(path, LINEAR_MODEL_REMEDY):

@@ -80,13 +80,7 @@ OPTIONAL_ATTRIBUTES: dict[str, type] = {"mass_damping": float}
 def body_header(
     cloud: Cloud, tissue: Tissue, supports: tuple[Support, ...], stiffness_damping: float, mass_damping: float
 ) -> Header:
-    """Return the header attributes of a body.
-
-    Raises
-    ------
-    InputError
-        The material is neither one of the library's nor a symbolic law.
-    """
+    """Return the header attributes of a body."""
     return {
         **describe_material(tissue.material),
         "fibres": describe_fibres(tissue.fibres),
@@ -115,13 +109,7 @@ def body_arrays(cloud: Cloud, tissue: Tissue) -> Arrays:
 
 
 def body_of(header: Header, arrays: Arrays) -> tuple[Cloud, Tissue, tuple[Support, ...]]:
-    """Return the body of a header and of arrays of integers and floats that were checked.
-
-    Raises
-    ------
-    InputError
-        A value is out of range, or a support names no group.
-    """
+    """Return the body of a header and of arrays of integers and floats that were checked."""
     values, count = arrays, len(arrays["cloud/points"])
     ends = np.cumsum(values["cloud/group_sizes"])
     groups = np.split(values["cloud/group_nodes"], ends[:-1]) if len(ends) else []

@@ -83,13 +83,7 @@ def _common_step(values: np.ndarray[Any, Any]) -> float:
 
 
 def unpack_flexibilities(arrays: Arrays) -> dict[str, np.ndarray[Any, Any]]:
-    """Return the arrays of a file with flexibilities in single precision, and both triangles of that of the surface.
-
-    Raises
-    ------
-    InputError
-        Steps are not powers of two, or belong to arrays of other types.
-    """
+    """Return the arrays of a file with flexibilities in single precision, and both triangles of that of the surface."""
     result = dict(arrays)
     steps = result.pop("compliance/steps", np.zeros(len(FLEXIBILITY_ARRAYS)))
     if steps.shape != (len(FLEXIBILITY_ARRAYS),) or steps.dtype != "<f8":
@@ -109,13 +103,7 @@ def unpack_flexibilities(arrays: Arrays) -> dict[str, np.ndarray[Any, Any]]:
 
 
 def read_compliance(arrays: Arrays, bonded_scale: float) -> SurfaceCompliance | None:
-    """Return the surface compliance; None for an empty contact surface.
-
-    Raises
-    ------
-    InputError
-        The arrays do not describe a compliance.
-    """
+    """Return the surface compliance; None for an empty contact surface."""
     values: dict[str, Any] = {name: arrays[f"compliance/{name}"] for name in COMPLIANCE_ARRAYS}
     compliance = SurfaceCompliance(**values, bonded_scale=bonded_scale)
     if not len(compliance.nodes):

@@ -27,13 +27,7 @@ SYMBOLIC_LAW = "Hyperelastic"
 
 
 def describe_material(material: Material) -> dict[str, str]:
-    """Return the attributes of a material: ``material``, ``parameters``, ``expression`` and ``prony``.
-
-    Raises
-    ------
-    InputError
-        The material is neither one of the library's nor a symbolic law.
-    """
+    """Return the attributes of a material: ``material``, ``parameters``, ``expression`` and ``prony``."""
     name, expression = type(material).__name__, getattr(material, "expression", "")
     law = symbolic_law.law_of(expression) if name == SYMBOLIC_LAW and expression else LAW_BY_NAME.get(name)
     if type(material) is not law:
@@ -54,13 +48,7 @@ def describe_material(material: Material) -> dict[str, str]:
 
 
 def material_of(name: Any, parameters: Any, expression: Any, prony: Any) -> Material:
-    """Return the material of attributes from `describe_material`, after full validation.
-
-    Raises
-    ------
-    InputError
-        The law is unknown, its parameters have other names, or a value is not a number in range.
-    """
+    """Return the material of attributes from `describe_material`, after full validation."""
     if not isinstance(name, str) or (name != SYMBOLIC_LAW and name not in LAW_BY_NAME):
         raise InputError(f"unknown material {brief(name)}: the laws are {', '.join(sorted(LAW_BY_NAME))}")
     law: Any = symbolic_law.law_of(expression) if name == SYMBOLIC_LAW else LAW_BY_NAME[name]
@@ -111,13 +99,7 @@ def describe_regions(regions: Regions | None) -> str:
 
 
 def regions_of(value: Any, which: NDArray[np.int64], material: Material) -> Regions | None:
-    """Return the regions of nodes (n,) from the attribute of `describe_regions` and the first material.
-
-    Raises
-    ------
-    InputError
-        The law does not have these parameters, a value is out of range, or a material does not exist.
-    """
+    """Return the regions of nodes (n,) from the attribute of `describe_regions` and the first material."""
     if not isinstance(value, list) or not all(isinstance(each, dict) for each in value):
         raise InputError("attribute regions is not a list of materials")
     if not value:
@@ -135,13 +117,7 @@ def regions_of(value: Any, which: NDArray[np.int64], material: Material) -> Regi
 
 
 def describe_fibres(fibres: FibreLaw | None) -> str:
-    """Return the attribute of fibres without their directions; an empty mapping for none.
-
-    Raises
-    ------
-    InputError
-        The law is not one of the library's.
-    """
+    """Return the attribute of fibres without their directions; an empty mapping for none."""
     if fibres is None:
         return "{}"
     if type(fibres) is not FIBRE_LAW_BY_NAME.get(type(fibres).__name__):
@@ -151,14 +127,7 @@ def describe_fibres(fibres: FibreLaw | None) -> str:
 
 
 def fibres_of(value: Any, directions: NDArray[np.float64]) -> FibreLaw | None:
-    """Return fibres with directions (families, n, 3) from the attribute of `describe_fibres`.
-
-    Raises
-    ------
-    InputError
-        The law is unknown, its parameters have other names, a number is out of range, or the directions
-        have another shape.
-    """
+    """Return fibres with directions (families, n, 3) from the attribute of `describe_fibres`."""
     given = _mapping("fibres", value)
     if directions.ndim != 3 or directions.dtype.kind not in "iuf":
         raise InputError(f"directions of fibres have shape {directions.shape}: allowed is (families, nodes, 3)")

@@ -95,29 +95,12 @@ def save_hyper_reduced(model: ReducedModel, path: str | Path) -> None:
     ----------
     model : ReducedModel
         Derivatives at its integration points are written in double precision.
-    path : path
-
-    Raises
-    ------
-    InputError
-        The file could not be read back: a custom material, or numbers that are not finite.
-    OSError
-        The path is not writable or the disk is full. An existing file is unchanged.
     """
     write_sealed(Path(path), FORMAT, VERSION, *contents(model), deflate=True)
 
 
 def load_hyper_reduced(path: str | Path) -> ReducedModel:
-    """Read a reduced model with its step rule and precision.
-
-    Raises
-    ------
-    FileNotFoundError
-        The file does not exist.
-    FileFormatError
-        The file is truncated, changed, of another kind or version, or inconsistent. The message names the
-        file and the fault.
-    """
+    """Read a reduced model with its step rule and precision."""
     path = Path(path)
     with loading(path, MODEL_REMEDY):
         file = open_sealed(path, FORMAT, VERSION, OLDER_VERSIONS)
@@ -128,13 +111,7 @@ def load_hyper_reduced(path: str | Path) -> ReducedModel:
 
 
 def contents(model: ReducedModel) -> tuple[Header, Arrays]:
-    """Return the header and the arrays of a model's file.
-
-    Raises
-    ------
-    InputError
-        `model_of` would refuse the model.
-    """
+    """Return the header and the arrays of a model's file."""
     data, rule = model.data, {"step": float(model.step or 0.0), "single": bool(model.single)}
     header, arrays = _header(data) | rule, _arrays(data)
     check_header(header, ATTRIBUTE_TYPES)
@@ -188,13 +165,7 @@ def _arrays(data: ReducedData) -> Arrays:
 
 
 def model_of(header: Header, file: ArrayFile, prefix: str = "") -> ReducedModel:
-    """Return the model of a header and of the arrays of a file whose names begin with a prefix.
-
-    Raises
-    ------
-    InputError
-        The content is not that of a reduced model.
-    """
+    """Return the model of a header and of the arrays of a file whose names begin with a prefix."""
     header = header if NEW_ATTRIBUTES & header.keys() else _converted(header)
     check_header(header, ATTRIBUTE_TYPES)
     layout = _layout(header, f"{prefix}interior/nodes" in file.arrays)

@@ -29,13 +29,7 @@ SOLID_ATTRIBUTES: dict[str, type] = BODY_ATTRIBUTES | {"neighbours": int}
 
 
 def body_contents(model: ReducedModel | EnergySolid) -> tuple[Header, Arrays]:
-    """Return the header and the arrays of a reduced model or a full body.
-
-    Raises
-    ------
-    InputError
-        The file could not be read back: a custom material, or numbers that are not finite.
-    """
+    """Return the header and the arrays of a reduced model or a full body."""
     if isinstance(model, ReducedModel):
         return contents(model)
     supports, damping = tuple(model.supports), (model.stiffness_damping, model.mass_damping)
@@ -48,13 +42,7 @@ def body_contents(model: ReducedModel | EnergySolid) -> tuple[Header, Arrays]:
 
 
 def body_in(header: Header, file: ArrayFile, prefix: str) -> ReducedModel | EnergySolid:
-    """Return the reduced model or the full body of a header and of the arrays whose names begin with a prefix.
-
-    Raises
-    ------
-    InputError
-        The content is that of neither.
-    """
+    """Return the reduced model or the full body of a header and of the arrays whose names begin with a prefix."""
     if "neighbours" not in header:
         return model_of(header, file, prefix)
     check_header(header, SOLID_ATTRIBUTES)

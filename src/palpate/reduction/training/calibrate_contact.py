@@ -52,11 +52,6 @@ def calibrate_contact(model: ReducedModel, repeated: Sequence[Trial]) -> tuple[R
     report : dict
         ``"force_factor"`` on the compliance under presses, and ``"force_ratios"``: median ratio of the
         impulses of the tools to those of the full model, before each correction and after the last.
-
-    Raises
-    ------
-    InputError
-        A run has no contact, in the full or in the reduced model.
     """
     compliance, total_factor, ratios = model.data.compliance, 1.0, []
     assert compliance is not None

@@ -84,7 +84,6 @@ class Frames(NamedTuple):
 
     Parameters
     ----------
-    measures : Measures
     errors : mapping of quantity to (f,) array
         Of ``"displacement"``, the root mean square over the body [m], and with tools of ``"force"``, the largest
         over the tools [N].

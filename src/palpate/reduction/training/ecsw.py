@@ -132,7 +132,6 @@ def choose_integration_points(
 
     Parameters
     ----------
-    body : EnergySolid or Membrane
     fields : Fields
         Of modes, lifting vectors and the supports' test fields.
     modes : int
@@ -143,7 +142,6 @@ def choose_integration_points(
     share : float
         Largest relative error of the sampled forces; 0 selects every point.
     moments : (k, n) array
-    seed : int
     """
     count = len(mass)
     root = compliance_root(body, fields, count, moments, mass)

@@ -137,7 +137,6 @@ def contact_errors(
 
     Parameters
     ----------
-    full, other : Trajectory
     tools : sequence of str
         Names of their reactions.
     nodes : (k,) int array

@@ -69,12 +69,6 @@ def fit_compliance(
         Share of the squared displacement error of the modes near the tools that it explains.
     largest_energy : float [J]
         Largest energy of the compliance in the frames of the runs.
-
-    Raises
-    ------
-    InputError
-        No run includes contact, or the modes leave no residual displacement; `statics` is too large, has
-        no supports, or belongs to another body.
     """
     cloud = model.cloud
     ends, corners = (np.array([c.points.min(axis=0), c.points.max(axis=0)]) for c in (statics.cloud, cloud))
@@ -97,15 +91,9 @@ def rest_compliance(body: EnergySolid, statics: EnergySolid, columns: Floats) ->
 
     Parameters
     ----------
-    body : EnergySolid
     statics : EnergySolid
         The body, or a coarser model of it.
     columns : (m, n, 3) array
-
-    Raises
-    ------
-    InputError
-        `statics` is too large, or has no supports.
     """
     cloud = body.cloud
     nodes = _free_surface(cloud, body.fixed)
@@ -270,13 +258,7 @@ def _without_affine(points: Floats, fields: Floats) -> Floats:
 
 
 def _follow_run(model: ReducedModel, run: Any) -> Floats:
-    """Return the coordinates (f, m) of the model under the contact forces of a run.
-
-    Raises
-    ------
-    InputError
-        The times of the run do not increase, or the model would need too many steps.
-    """
+    """Return the coordinates (f, m) of the model under the contact forces of a run."""
     prepared, columns, work = model.prepare(()), model.data.basis_vectors[: model.count], model.workspace()
     rest_step, _ = model.stable_step(model.state(prepared), prepared, work)
     state = model.state(prepared, run.displacements[0], time=float(run.times[0]))

@@ -65,14 +65,12 @@ def scale_residual_fields(
 
     Parameters
     ----------
-    body : EnergySolid or Membrane
     fields : Fields
         All basis vectors, the residual fields last.
     sizes : tuple
         Numbers of modes and of residual fields w.
     states : (t, m + l) array
         Training states.
-    rule : Cubature
     places : (s,) int array
         Of the integration points in the fields.
     moments : (k, n) array

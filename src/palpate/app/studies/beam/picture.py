@@ -57,16 +57,10 @@ def draw_beam(cloud: Cloud, run: Trajectory, stress: Floats, path: Path) -> None
     ----------
     cloud : Cloud
         Held where x is least.
-    run : Trajectory
     stress : (f, n) array [Pa]
         At every node, for the times of the run.
     path : path
         PNG file.
-
-    Raises
-    ------
-    DrawingError
-        VTK cannot draw on this machine.
     """
     check_drawing()
     peak = int(np.argmax(np.abs(run.displacements[:, :, 0]).max(axis=1)))

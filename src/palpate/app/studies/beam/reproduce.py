@@ -76,15 +76,6 @@ def reproduce_beam(
     -------
     int
         0, or 1 if every reduced run failed.
-
-    Raises
-    ------
-    InputError
-        A parameter out of range, or a folder that cannot be written: before anything is computed or written.
-    RunError
-        The full run diverged; its frames are kept.
-    OSError
-        A file could not be written.
     """
     sizes = sorted({integer_in_range("modes", m, 1, SNAPSHOTS) for m in modes})
     require("matplotlib", "palpate reproduce beam")

@@ -55,7 +55,6 @@ def draw_figures(study: Study, states: States, report: dict[str, Any], out: Path
 
     Parameters
     ----------
-    study : Study
     states : (f, n) array
         Of `palpate.Membrane.tension` at the times of the full run.
     report : dict

@@ -35,14 +35,8 @@ def draw_deflection(study: Study, path: Path) -> None:
 
     Parameters
     ----------
-    study : Study
     path : path
         PNG file.
-
-    Raises
-    ------
-    DrawingError
-        VTK cannot draw on this machine.
     """
     check_drawing()
     cloud, run = study.scene.model.cloud, study.parts[0]

@@ -37,7 +37,6 @@ def build_report(
 
     Parameters
     ----------
-    study : Study
     states : (f, n) array
         Of `palpate.Membrane.tension` at the times of the full run.
     singular_values : mapping of str to (r,) arrays

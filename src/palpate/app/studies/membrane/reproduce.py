@@ -68,7 +68,6 @@ def reproduce_membrane(
     Parameters
     ----------
     spacing : float [m]
-    after : str
     tool_radius : float [m]
     prestretch, layout, jitter, seed
         As for `palpate.scenes.membrane.membrane`.
@@ -83,15 +82,6 @@ def reproduce_membrane(
     -------
     int
         0, or 1 if every reduced run failed.
-
-    Raises
-    ------
-    InputError
-        A parameter out of range, or a folder that cannot be written: before anything is computed or written.
-    RunError
-        The full run diverged; its frames are kept.
-    OSError
-        A file could not be written.
     """
     sizes = sorted({integer_in_range("modes", m, 1, SNAPSHOTS) for m in modes})
     require("matplotlib", "palpate reproduce membrane")

@@ -19,13 +19,7 @@ PORT_ATTEMPTS = 20
 
 
 def open_listener(host: str, port: int) -> socket.socket:
-    """Return a socket that listens on a port, or on the next free one.
-
-    Raises
-    ------
-    InputError
-        The address does not belong to this machine, or none of the ports is free.
-    """
+    """Return a socket that listens on a port, or on the next free one."""
     try:
         address = ipaddress.ip_address(host)
     except ValueError:

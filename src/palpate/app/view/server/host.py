@@ -33,7 +33,6 @@ class Host:
 
     Parameters
     ----------
-    source : Session, Replay or Preparation
     host : str
         Address of this machine.
     port : int
@@ -46,11 +45,6 @@ class Host:
     address : str
         URL of the page, with a new token.
     page : Page
-
-    Raises
-    ------
-    InputError
-        The address does not belong to this machine, or no port is free.
     """
 
     def __init__(self, source: ViewSource | Preparation, host: str = LOOPBACK, port: int = DEFAULT_PORT) -> None:
@@ -99,13 +93,7 @@ class Host:
             asyncio.run_coroutine_threadsafe(self._server.fail(reason), self._loop).result(CLOSE_TIMEOUT)
 
     def wait(self) -> None:
-        """Wait until the server ends.
-
-        Raises
-        ------
-        Exception
-            As of the server.
-        """
+        """Wait until the server ends."""
         while self._thread.is_alive():  # with a timeout, because a wait without one cannot be interrupted everywhere
             self._thread.join(JOIN_INTERVAL)
         if not self._task.cancelled():

@@ -38,7 +38,6 @@ class Preparation:
 
     Parameters
     ----------
-    title : str
     body : str
         Names the body among those whose durations are kept.
     surface : Surface, optional

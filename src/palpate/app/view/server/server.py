@@ -61,7 +61,6 @@ class Server:
     ----------
     source : Session, Replay or Preparation
         After a preparation, `show` gives the session.
-    page : Page
     token : str
         Secret that admits a viewer.
     """
@@ -94,7 +93,6 @@ class Server:
 
         Parameters
         ----------
-        source : Session or Replay
         refinement : Refining, optional
             Training whose session replaces the source later.
         """

@@ -31,12 +31,7 @@ class _CachedState(NamedTuple):
 
 
 class Streams:
-    """Sends frames of a view source to viewers.
-
-    Parameters
-    ----------
-    source : Session or Replay
-    """
+    """Sends frames of a view source to viewers."""
 
     def __init__(self, source: ViewSource) -> None:
         self.source = source

@@ -32,7 +32,6 @@ class Viewer:
 
     Parameters
     ----------
-    socket : ServerConnection
     follows_preparation : bool
         Whether it receives the progress before the session exists.
     """
@@ -88,13 +87,7 @@ class Viewer:
         await self.send(json.dumps(message, allow_nan=False))
 
     async def send(self, data: str | bytes) -> None:
-        """Send a message or a frame; close the connection if it is not read in time.
-
-        Raises
-        ------
-        ConnectionClosed
-            The viewer has left, or its connection was closed.
-        """
+        """Send a message or a frame; close the connection if it is not read in time."""
         limit = SEND_TIMEOUT + (unsent_bytes(self.socket) + len(data)) / MIN_READ_RATE
         try:
             async with asyncio.timeout(limit):

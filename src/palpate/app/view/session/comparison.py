@@ -36,13 +36,7 @@ class Comparison(Session):
         A model with tool contact.
     full_model : Model
         Its full model, with the same nodes; see `palpate.app.view.session.full_model_replay.full_model`.
-    title : str
     rate : float [Hz]
-
-    Raises
-    ------
-    InputError
-        A model takes no tool, the full model is not a solid of the energy form, or the surfaces differ.
     """
 
     def __init__(self, model: ReducedModel, full_model: Model, title: str, rate: float = PERIODS_PER_SECOND) -> None:
@@ -75,13 +69,7 @@ class Comparison(Session):
         return [kind for kind in self.full.tool_kinds if kind not in ("grasp", "scalpel")]
 
     def handle(self, message: Message) -> None:
-        """Execute a message of the driver for both bodies.
-
-        Raises
-        ------
-        InputError
-            The message cannot be executed by one of them; the tool is then put away.
-        """
+        """Execute a message of the driver for both bodies."""
         if message["type"] == "tool":
             if message["kind"] not in self.tool_kinds:
                 allowed = ", ".join(map(repr, self.tool_kinds))

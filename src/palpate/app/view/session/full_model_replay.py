@@ -37,15 +37,8 @@ def full_model(reduced: ReducedModel, trusted_scene: str | None = None) -> Model
 
     Parameters
     ----------
-    reduced : ReducedModel
     trusted_scene : str, optional
         Scene that the user trusts, ``"module:function"``; it must equal the one in the file.
-
-    Raises
-    ------
-    InputError
-        The model names no scene, a scene other than `trusted_scene`, or a scene that is not palpate's; or the
-        scene's body is not that of the model.
     """
     scene_record = reduced.report.get("scene")
     if not scene_record:
@@ -83,14 +76,7 @@ def reduced_model(recording: Recording) -> ReducedModel:
 
 
 def tool_path(recording: Recording) -> tuple[slice, dict[str, Any]]:
-    """Return the range of snapshots with an active tool, and the description of the tool.
-
-    Raises
-    ------
-    InputError
-        The recording has no active tool or several ones, the body was not at rest at first, the session was reset, or
-        the moduli were changed.
-    """
+    """Return the range of snapshots with an active tool, and the description of the tool."""
     reduced_model(recording)
     active = np.array([snapshot.tool != "none" for snapshot in recording.snapshots])
     if not active.any():
@@ -140,7 +126,6 @@ def replay_on_full_model(recording: Recording, model: Model | None = None) -> di
 
     Parameters
     ----------
-    recording : Recording
     model : Model, optional
         By default the model of the scene.
 
@@ -149,13 +134,6 @@ def replay_on_full_model(recording: Recording, model: Model | None = None) -> di
     dict
         ``"times"`` (f,) [s] of the recording, ``"positions"`` (f, n, 3) [m] of the surface, ``"force"`` (f, 3) [N] on
         the tool, and ``"errors"``, the result of `replay_errors`.
-
-    Raises
-    ------
-    InputError
-        The recording is not suitable.
-    DivergenceError
-        The full model diverged.
     """
     part, tool = tool_path(recording)
     model = model or full_model(reduced_model(recording))

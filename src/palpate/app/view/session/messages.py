@@ -144,14 +144,7 @@ FIELDS_BY_MESSAGE: dict[str, dict[str, tuple[Check, Any]]] = {
 
 
 def parse_message(text: str | bytes) -> Message:
-    """Return a message with all its fields; adds defaults and drops unknown fields.
-
-    Raises
-    ------
-    InputError
-        The text is not a JSON object of finite numbers with at most 32 levels, the type is unknown, or a field is
-        missing or out of range.
-    """
+    """Return a message with all its fields; adds defaults and drops unknown fields."""
     if isinstance(text, bytes):
         raise InputError("message must be text, got binary data; send JSON as text")
     return validate_message(json_of(text))

@@ -20,12 +20,7 @@ __all__ = ["Replay"]
 
 
 class Replay:
-    """Plays a recording in a loop, in place of a session.
-
-    Parameters
-    ----------
-    recording : Recording
-    """
+    """Plays a recording in a loop, in place of a session."""
 
     mode = "replay"
 
@@ -108,13 +103,7 @@ class Replay:
         }  # fmt: skip
 
     def handle(self, message: Message) -> None:
-        """Execute a message of the driver.
-
-        Raises
-        ------
-        InputError
-            The message is for live sessions.
-        """
+        """Execute a message of the driver."""
         kind, action = message["type"], message.get("action")
         if kind == "speed":
             self._seek(self.time)

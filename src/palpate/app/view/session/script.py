@@ -29,13 +29,6 @@ def read_script(path: Path) -> list[tuple[float, Message]]:
     ----------
     path : path
         Lines of JSON objects: messages of a client (docs/protocol.md) with a ``"time"`` [s] since the start.
-
-    Raises
-    ------
-    FileNotFoundError
-        The file does not exist.
-    FileFormatError
-        The file is not text, or a line is not such a message; the error names the line.
     """
     script = []
     for k, line in enumerate(read_text(path, "script").split("\n")):
@@ -65,7 +58,6 @@ def run_script(session: Session, script: list[tuple[float, Message]], seconds: f
 
     Parameters
     ----------
-    session : Session
     script : list
         Result of `read_script`; messages after the end are ignored.
     seconds : float [s]

@@ -75,15 +75,9 @@ class Session:
     ----------
     model : ReducedModel or EnergySolid
         A reduced model with tool contact, or with one prescribed group; or a full body.
-    title : str
     rate : float [Hz]
     foundations : sequence of Foundation
         Springs between the body and the ground.
-
-    Raises
-    ------
-    InputError
-        The model takes no tool.
     """
 
     mode = "live"
@@ -271,13 +265,7 @@ class Session:
     # commands
 
     def handle(self, message: Message) -> None:
-        """Execute a validated message of the driver.
-
-        Raises
-        ------
-        InputError
-            The message cannot be executed; the error gives the reason.
-        """
+        """Execute a validated message of the driver."""
         kind = message["type"]
         if kind == "pose":
             self._move_tool(message)
@@ -386,13 +374,6 @@ class Session:
         ----------
         path : path, optional
             File of the recording; by default a new file in the session's folder.
-
-        Raises
-        ------
-        InputError
-            A recording is in progress.
-        OSError
-            No file can be created in the session's folder.
         """
         if self._recorder is not None:
             raise InputError("record must be 'stop' during a recording, got 'start'; stop the present one first")
@@ -419,11 +400,6 @@ class Session:
             By default the file that `start_recording` began.
         wait : bool
             Whether to wait until the file is written.
-
-        Raises
-        ------
-        InputError
-            No recording is in progress.
         """
         if self._recorder is None:
             raise InputError("record must be 'start' without a recording, got 'stop'; start one first")

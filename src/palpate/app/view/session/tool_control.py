@@ -96,18 +96,12 @@ def make_forceps(
 
     Parameters
     ----------
-    surface : DisplaySurface
     displacements : (n, 3) array [m]
         Displacements of the surface.
     position : (3,) array [m]
         The forceps grasp the vertex nearest to this position.
     radius : float [m]
         Radius around the vertex within which nodes are grasped, at rest.
-
-    Raises
-    ------
-    InputError
-        The position is not near the surface, or the nodes around it are fixed.
     """
     model = surface.model
     vertices = surface.rest + displacements
@@ -127,12 +121,7 @@ def make_forceps(
 
 
 class ToolWorkspace:
-    """The region around a body in which a tool may be.
-
-    Parameters
-    ----------
-    surface : DisplaySurface
-    """
+    """The region around a body in which a tool may be."""
 
     def __init__(self, surface: DisplaySurface) -> None:
         self.surface = surface

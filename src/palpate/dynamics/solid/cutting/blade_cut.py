@@ -38,13 +38,7 @@ SUPPORT_DISTANCE = 0.5  # from a cut to the nodes that supports and tools hold, 
 
 
 def blade_of(prepared: PreparedLoads) -> tuple[int, Contact] | None:
-    """Return the number of the tool that is a blade, and the tool; None without a blade.
-
-    Raises
-    ------
-    InputError
-        There are two blades.
-    """
+    """Return the number of the tool that is a blade, and the tool; None without a blade."""
     blades = [(t, tool) for t, tool in enumerate(prepared.tools) if isinstance(tool.tool, Blade)]
     if len(blades) > 1:
         raise InputError(f"loads must have one Blade at most, got {len(blades)}; make the cuts one after the other")
@@ -71,15 +65,7 @@ def _frame(tool: Contact, time: float) -> Floats:
 
 
 def cut_with_blade(body: Any, state: State, prepared: PreparedLoads) -> tuple[Any, State, PreparedLoads]:
-    """Return the body that a blade has cut after some steps, the state, and the loads with the blade's new sites.
-
-    Raises
-    ------
-    DivergenceError
-        The blade reaches nodes that a support or a tool holds.
-    InputError
-        The blade begins inside the body.
-    """
+    """Return the body that a blade has cut after some steps, the state, and the loads with the blade's new sites."""
     blade = blade_of(prepared)
     if blade is None:
         return body, state, with_turned_pairs(body, state.coordinates, prepared)

@@ -57,13 +57,7 @@ def _point_directions(blade: Blade, frame: Floats, spacing: float) -> Floats:
 
 
 def start_front(body: Any, incision: Incision, blade: Blade, frame: Floats, name: str) -> Incision:
-    """Return an incision whose edge is the front of the present cut ahead of a blade outside the body.
-
-    Raises
-    ------
-    InputError
-        The body has no cut there.
-    """
+    """Return an incision whose edge is the front of the present cut ahead of a blade outside the body."""
     state, cloud = body.cut_state, body.cloud
     ahead = _point_directions(blade, frame, cloud.spacing)
     longest = np.linalg.norm(incision.edge[:, None] - cloud.points[None], axis=2).max() + MOUTH_DISTANCE * cloud.spacing
@@ -91,8 +85,6 @@ def energy_release(body: Any, state: State, front: Floats, ahead: Floats) -> flo
 
     Parameters
     ----------
-    body : EnergySolid
-    state : State
     front : (p, 3) array [m]
         Points of the front in the stress-free body.
     ahead : (p, 3) array
@@ -126,11 +118,6 @@ def run_front(
     """Return the body in which the front ahead of a blunt blade has advanced, the incision, and the release [J].
 
     `check` is called with the triangles (t, 3, 3) [m] of every cut.
-
-    Raises
-    ------
-    DivergenceError
-        The edge reaches the front.
     """
     assert state.incision is not None
     incision: Incision = state.incision

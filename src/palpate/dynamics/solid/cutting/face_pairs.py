@@ -25,7 +25,6 @@ def face_pairs(state: CutState, u: Floats, corners: Floats) -> BladeSites:
 
     Parameters
     ----------
-    state : CutState
     u : (n, 3) array [m]
     corners : (s, 3, 3) array [m]
         Of the surface of the body.

@@ -119,7 +119,6 @@ class Incision(Described):
         Points of the edge in the stress-free body, or of the front ahead of a blunt one.
     strip : Strip
         Last strip of triangles of the cut, which goes on with the edge.
-    hold : HeldPieces, optional
     area : float [m^2]
         That the blade has cut.
     released : float [J]
@@ -217,9 +216,6 @@ def advance_edge(
 
     Parameters
     ----------
-    state : CutState
-    incision : Incision
-    blade : Blade
     frame : (3, 4) array
         Of the blade.
     u : (n, 3) array [m]
