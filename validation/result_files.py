@@ -2,7 +2,7 @@
 
     python validation/result_files.py NAME report.json "palpate reproduce beam" ["next to other work"]
 
-keeps a report of `palpate reproduce`, `palpate bench` or `linear_reductions.py` as the result file NAME, with a note on
+keeps a report of `palpate reproduce`, `speed.py` or `linear_reductions.py` as the result file NAME, with a note on
 the machine. A file holds ``results``, what the study found in SI units, and ``made``, one entry for every command that
 wrote it: command, commit, date and machine. `docs/figures.py` makes the tables of the docs from these files. Entries
 without a machine are older than this module; their commit is the one that last changed the figures.
