@@ -767,7 +767,7 @@ def command_kind(folder: Path) -> Trial:
                 argv += [action.option_strings[0], *([] if action.nargs == 0 else [value])]
         if len(argv) == len(words) and words[:1] != ["laws"]:
             return "refused"
-        if words[:1] in (["reproduce"], ["bench"], ["run"]):
+        if words[:1] in (["reproduce"], ["run"]):
             argv += ["--out", files[0]]  # a file: refused before anything long
         told = io.StringIO()
         with contextlib.redirect_stderr(told):
