@@ -368,7 +368,13 @@ def test_a_training_and_its_workers_end_with_a_killed_parent(scene, until):
 @pytest.mark.slow
 def test_the_command_changes_over_and_ends_its_training_at_an_interrupt(scene, tmp_path):
     words = [sys.executable, "-m", "palpate", "view", scene.name, "--refine", "--no-browser", "--port", "18800"]
-    command = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+    command = subprocess.Popen(
+        words,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # which the background ignores
+    )
     said = []
     for line in command.stderr:
         said.append(line)
