@@ -82,15 +82,6 @@ class Clamp(Support):
     Parameters
     ----------
     group : str
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
-    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
-    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
-    >>> bar.supports
-    (Clamp(group='x-'),)
     """
 
     def directions(self, cloud: Cloud) -> Floats:
@@ -273,15 +264,6 @@ class SupportedNodes(NamedTuple):
         Nodes that slide.
     slide : (r, 3, 3) array
         Their projections on the directions in which they are free.
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
-    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
-    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
-    >>> bar.supported.kind.shape, len(bar.supported.sliding)
-    ((112,), 0)
     """
 
     kind: NDArray[np.uint8]

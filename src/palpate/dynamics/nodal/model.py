@@ -63,16 +63,6 @@ class NodalWork(NamedTuple):
     step : StepScratch
     step_passes : NamedTuple
         As `passes`, for `NodalModel.step_body`; the history variables are the same.
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
-    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
-    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
-    >>> work = bar.workspace()
-    >>> bar.force(0 * cloud.points, work=work).shape
-    (112, 3)
     """
 
     passes: Any

@@ -87,18 +87,6 @@ class ReducedData(Described):
         Compliance of the contact surface, fitted to runs with contact.
     mass_damping : float [1/s]
         Rayleigh's alpha.
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
-    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
-    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
-    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
-    >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
-    >>> model = pt.hyper_reduce(bar, full, modes=4)
-    >>> model.data.modes, model.data.distance_scale > 0
-    (4, True)
     """
 
     cloud: Cloud
