@@ -26,9 +26,8 @@ from palpate.dynamics.nodal.equilibrium import equilibrium
 from palpate.dynamics.nodal.mixed_newton import Tangent
 from palpate.dynamics.nodal.mixed_stress import extrapolated_stress, split_stress
 from palpate.dynamics.nodal.static_balance import StaticBalance
-from palpate.dynamics.solid.base import Solid
-from palpate.dynamics.solid.energy import EnergySolid
-from palpate.faults import CloudError, DivergenceError, InputError, brief, integer_in_range, number_in_range
+from palpate.dynamics.solid.model import EnergySolid, Solid, energy_solid
+from palpate.faults import CloudError, DivergenceError, integer_in_range, number_in_range
 
 __all__ = ["UnloadedBody", "unloaded"]
 
@@ -120,8 +119,7 @@ def unloaded(
     >>> bool(abs(rest.body.cloud.points + weight.displacements - cloud.points).max() < 1e-5)
     True
     """
-    if not isinstance(body, EnergySolid):
-        raise InputError(f"body must be a Solid in the energy form, got {brief(body)}")
+    body = energy_solid(body)
     time = number_in_range("time", time, unit="s")
     number_in_range("tolerance", tolerance, 1e-8, 1e-1)
     integer_in_range("max_iterations", max_iterations, 1)
