@@ -38,6 +38,7 @@ RETIRED = {  # word: its place is taken by
     r"to_pymor(?=\(\))": "lti.to_pymor(system)",
     r"[Dd]riven": "prescribed, moved",
     r"aria-[a-z]*[A-Z]\w*": "an attribute of WAI-ARIA, which is in lower case",
+    r"[Bb]ooks": "energy balance, totals",
     r"is_pressure|SurfaceForce\([^()]*pressure=.*": "Pressure",
 }
 ALLOWED = {"docs/glossary.md", "tests/test_words.py"}  # name retired words themselves

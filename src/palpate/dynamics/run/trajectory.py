@@ -75,7 +75,7 @@ class Trajectory(Described):
         Error bounds of the displacement, root mean square over the body, and of the tools' forces
         (`palpate.ReducedModel.error_bounds`); infinite where the error is unknown. Empty without them.
     cut_area, released_energy, edge_work, friction_work : (f,) arrays [m^2], [J]
-        Books of a blade since the start: the area that it has cut, the strain energy that the front has released
+        Totals of a blade since the start: the area that it has cut, the strain energy that the front has released
         at fixed displacements, and the energies dissipated at its edge and by friction on its sides. Empty
         without a blade.
     cuts : (c, 10) array
@@ -310,11 +310,11 @@ def _from_journal(path: Path) -> Trajectory:
     return _from_arrays(about | names | {"wall_seconds": 0.0, "complete": False}, data)
 
 
-def blade_series(books: Sequence[Floats]) -> dict[str, Any]:
-    """Return the books of a blade at all frames by name; zeros before it cuts, and none without a blade."""
-    if not any(len(each) for each in books):
+def blade_series(totals: Sequence[Floats]) -> dict[str, Any]:
+    """Return the totals of a blade at all frames by name; zeros before it cuts, and none without a blade."""
+    if not any(len(each) for each in totals):
         return {}
-    rows = np.array([each if len(each) else np.zeros(len(BLADE_NAMES)) for each in books])
+    rows = np.array([each if len(each) else np.zeros(len(BLADE_NAMES)) for each in totals])
     return {name: rows[:, k] for k, name in enumerate(BLADE_NAMES)}
 
 

@@ -76,9 +76,9 @@ class BladeCutter:
     wrap: Callable[[Any], Any]
 
     @property
-    def books(self) -> Floats:
+    def totals(self) -> Floats:
         """Cut area [m^2], released energy, and energies dissipated at the edge and by friction [J] of this blade."""
-        return np.zeros(4) if self.incision is None else self.incision.books
+        return np.zeros(4) if self.incision is None else self.incision.totals
 
     @property
     def cutting_force(self) -> float:
@@ -87,8 +87,8 @@ class BladeCutter:
         edge = (sites.kind == EDGE_SITE) & (sites.tool >= 0)
         return float(sites.limits[edge] @ np.abs(sites.directions[edge, 2]))
 
-    def take(self, blade: Blade | None, pose: Floats) -> None:
-        """Take another tool in a pose (7,): a blade, or None for one that does not cut. The engine must be paused."""
+    def set_blade(self, blade: Blade | None, pose: Floats) -> None:
+        """Set the tool in a pose (7,): a blade, or None for one that does not cut. The engine must be paused."""
         with self.lock:
             if blade is not None and not self._is_compiled:
                 self._compile(blade)
@@ -117,7 +117,7 @@ class BladeCutter:
     def restore(self) -> None:
         """Return to the whole body; the engine must be paused."""
         with self.lock:
-            self.take(None, np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
+            self.set_blade(None, np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
             self.model, self.cuts = self.whole_model, 0
 
     def update(self, coordinates: Floats) -> Any:

@@ -216,7 +216,7 @@ class Session:
         cutter = getattr(self._realtime_model, "cutter", None)
         if cutter is None or self.selected_tool.kind != "scalpel":
             return {}
-        return {"cut_area": float(cutter.books[0]), "cutting_force": cutter.cutting_force}
+        return {"cut_area": float(cutter.totals[0]), "cutting_force": cutter.cutting_force}
 
     def load(self, seconds: float) -> float:
         """Return the computing time of periods over their length, from the median of those in some seconds.
@@ -302,7 +302,7 @@ class Session:
         for writer in self._writers:
             writer.join()
 
-    def succeed(self, former: Session) -> None:
+    def continue_from(self, former: Session) -> None:
         """Start in place of another session of the same body: with its selected tool, speed, moduli and pause.
 
         The other session stops, and its recording is written. Its notifications are those of this session from now
