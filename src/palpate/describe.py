@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-__all__ = ["MAX_LINE_CHARACTERS", "Described", "Fact", "quantity"]
+__all__ = ["MAX_LINE_CHARACTERS", "Described", "Fact", "format_quantity"]
 
 Fact = tuple[str, Any, str]  # name, value, SI unit; a value of None is left out
 
@@ -66,7 +66,7 @@ class Described:
     def _repr_html_(self) -> str:
         rows = "".join(
             f'<tr><th style="text-align:left;padding-right:1em">{escape(_plain(what))}</th>'
-            f'<td style="text-align:left">{escape(quantity(value, unit))}</td></tr>'
+            f'<td style="text-align:left">{escape(format_quantity(value, unit))}</td></tr>'
             for what, value, unit in self._facts()
             if value is not None
         )
@@ -77,7 +77,7 @@ class Described:
 
 def _said(name: str, value: Any, unit: str) -> str:
     """Return a fact as part of a line: `13 nodes`, `spacing=5 mm`, `shear modulus 10 kPa`, or a verdict alone."""
-    said = quantity(value, unit)
+    said = format_quantity(value, unit)
     if name == "verdict":
         return said
     if isinstance(value, int | np.integer) and not isinstance(value, bool) and not unit and value != 1:
@@ -85,7 +85,7 @@ def _said(name: str, value: Any, unit: str) -> str:
     return f"{name}{'=' if name.isidentifier() else ' '}{said}"
 
 
-def quantity(value: Any, unit: str = "") -> str:
+def format_quantity(value: Any, unit: str = "") -> str:
     """Return a value with its unit in one short line: numbers with three digits, arrays by their shape."""
     tail = f" {unit}" if unit else ""
     if isinstance(value, bool | np.bool_):

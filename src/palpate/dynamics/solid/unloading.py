@@ -33,7 +33,7 @@ __all__ = ["UnloadedBody", "unloaded"]
 
 UNLOADING_LOADS = (DeadLoad, Pressure, Gravity, Foundation)
 LEAST_INCREMENT = 1 / 64  # of the loads
-STAGE_TOLERANCE = 3e-2  # of corrections before the loads have increased fully, over the largest way
+STAGE_TOLERANCE = 3e-2  # of corrections before the loads have increased fully, over the largest shift
 STEPS_WITHOUT_DECREASE = 6  # steps after which corrections must decrease
 
 
@@ -131,13 +131,13 @@ def unloaded(
 
 def _iterate(body: EnergySolid, loads: Sequence[Load], time: float, tolerance: float, most: int) -> UnloadedBody:
     """Increase the share of the loads until all of them balance, as `palpate.dynamics.nodal.mixed_newton` does."""
-    way, share, increment, iterations = np.zeros_like(body.cloud.points), 0.0, 1.0, 0
-    slope = np.zeros_like(way)  # of the way over the share
-    offset = _unbalanced(body, loads, time, way)[1]
+    shift, share, increment, iterations = np.zeros_like(body.cloud.points), 0.0, 1.0, 0
+    slope = np.zeros_like(shift)  # of the shift over the share
+    offset = _unbalanced(body, loads, time, shift)[1]
     while True:
         target = min(share + increment, 1.0)
         goal = tolerance if target == 1.0 else STAGE_TOLERANCE
-        guess = way + (target - share) * slope
+        guess = shift + (target - share) * slope
         moved, steps = _corrected(body, loads, time, guess, (1 - target) * offset, goal, most - iterations)
         iterations += steps
         if moved is None:
@@ -149,12 +149,12 @@ def _iterate(body: EnergySolid, loads: Sequence[Load], time: float, tolerance: f
                     "supports"
                 )
             continue
-        slope = (moved - way) / (target - share)
-        way, share, increment = moved, target, 2 * increment
+        slope = (moved - shift) / (target - share)
+        shift, share, increment = moved, target, 2 * increment
         if share == 1.0:
-            present = body.moved(way)
-            rest = equilibrium(present, loads, time=time, displacement=-way)
-            distance = float(np.linalg.norm(rest.displacements + way, axis=1).max())
+            present = body.moved(shift)
+            rest = equilibrium(present, loads, time=time, displacement=-shift)
+            distance = float(np.linalg.norm(rest.displacements + shift, axis=1).max())
             if distance > tolerance * float(np.linalg.norm(rest.displacements, axis=1).max(initial=0.0)):
                 raise DivergenceError(
                     f"no stress-free shape was found: the body has another equilibrium, {distance:.3g} m from the "
@@ -164,16 +164,16 @@ def _iterate(body: EnergySolid, loads: Sequence[Load], time: float, tolerance: f
 
 
 def _corrected(
-    body: EnergySolid, loads: Sequence[Load], time: float, way: Floats, offset: Floats, tolerance: float, most: int
+    body: EnergySolid, loads: Sequence[Load], time: float, shift: Floats, offset: Floats, tolerance: float, most: int
 ) -> tuple[Floats | None, int]:
-    """Return a way (n, 3) [m] to places at which only the forces `offset` (n, 3) [N] are unbalanced, and the steps.
+    """Return a shift (n, 3) [m] to places at which only the forces `offset` (n, 3) [N] are unbalanced, and the steps.
 
-    The way is None where corrections do not decrease.
+    The shift is None where corrections do not decrease.
     """
     given, least = None, np.inf
     for k in range(1, most + 1):
         try:
-            balance, unbalanced = _unbalanced(body.moved(way), loads, time, way)
+            balance, unbalanced = _unbalanced(body.moved(shift), loads, time, shift)
         except CloudError:
             return None, k
         u = balance.start
@@ -182,13 +182,13 @@ def _corrected(
         if step is None or (k > STEPS_WITHOUT_DECREASE and euclidean_norm(step) > least):
             return None, k
         given = extrapolated_stress(balance, u, present, step)
-        least, way = min(least, euclidean_norm(step)), way - step
-        if np.abs(step).max() <= tolerance * np.abs(way).max():
-            return way, k
+        least, shift = min(least, euclidean_norm(step)), shift - step
+        if np.abs(step).max() <= tolerance * np.abs(shift).max():
+            return shift, k
     return None, most
 
 
-def _unbalanced(body: EnergySolid, loads: Sequence[Load], time: float, way: Floats) -> tuple[StaticBalance, Floats]:
-    """Return the balance of a body, and its unbalanced forces (n, 3) [N] at displacements -way."""
-    balance = StaticBalance(body, body.prepare(loads), time, -way)
+def _unbalanced(body: EnergySolid, loads: Sequence[Load], time: float, shift: Floats) -> tuple[StaticBalance, Floats]:
+    """Return the balance of a body, and its unbalanced forces (n, 3) [N] at displacements -shift."""
+    balance = StaticBalance(body, body.prepare(loads), time, -shift)
     return balance, balance.residual(balance.start)
