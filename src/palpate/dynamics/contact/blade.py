@@ -44,12 +44,9 @@ class Blade(Described):
     friction : float [Pa]
         Shear stress on each side of the blade that slides in the tissue.
     wedge : float [m]
-        Thickness of the blade, which wedges the cut apart. A blunt blade has it at its height, and none at its edge.
+        Thickness of the blade, which wedges the cut apart.
     height : float [m]
         Height of the flat of the blade above the edge.
-    sharp : bool
-        True: the edge cuts where it goes. False: it cuts nothing, and wedges the present cut of the body open. The
-        front of that cut advances where its energy release reaches the toughness. In runs only.
 
     Raises
     ------
@@ -68,7 +65,6 @@ class Blade(Described):
     friction: float = 0.0
     wedge: float = 0.0
     height: float = 0.02
-    sharp: bool = True
     kind: ClassVar[int] = BLADE
 
     def __post_init__(self) -> None:
@@ -85,8 +81,6 @@ class Blade(Described):
             raise InputError(f"edge of a Blade must be in the plane y = 0 of its frame, got {brief(self.edge)}")
         if not np.all(np.diff(points[:, 0]) > 0):
             raise InputError(f"edge of a Blade must have ascending x, got {brief(points[:, 0].tolist())}")
-        if not isinstance(self.sharp, bool):
-            raise InputError(f"sharp of a Blade must be True or False, got {brief(self.sharp)}")
         number_in_range("toughness of a Blade", self.toughness, 0.0, unit="J/m^2")
         number_in_range("friction of a Blade", self.friction, 0.0, unit="Pa")
         number_in_range("wedge of a Blade", self.wedge, 0.0, unit="m")
@@ -101,7 +95,6 @@ class Blade(Described):
             ("friction", float(self.friction) or None, "Pa"),
             ("wedge", float(self.wedge) or None, "m"),
             ("height", float(self.height), "m"),
-            ("sharp", None if self.sharp else "no", ""),
         ]
 
     @property
