@@ -33,7 +33,7 @@ def test_the_documentation_has_every_key_with_its_unit_and_meaning(section, head
     ]
     documented = {row[0].strip("`"): (row[1], row[3].partition(": `")[0]) for row in rows}
     assert documented == {
-        name: (field.metadata["unit"], field.metadata["text"]) for name, (field, _) in fields_of(section).items()
+        name: (field.metadata["unit"], field.metadata["help"]) for name, (field, _) in fields_of(section).items()
     }
 
 

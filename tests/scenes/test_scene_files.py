@@ -12,7 +12,7 @@ import pytest
 import palpate as pt
 from palpate.dynamics.loads.supports import Clamp, Rail, Roller
 from palpate.meshfree.cloud import BORDER_MARGIN, MOVED_MARGIN
-from palpate.parameters import FACTORS_BY_UNIT, fields_of, read_section, setting, written_section
+from palpate.parameters import FACTORS_BY_UNIT, fields_of, parameter, read_section, written_section
 from palpate.scenes.description import (
     Body,
     Description,
@@ -228,7 +228,7 @@ def test_texts_with_units_are_read_in_si_units():
 def test_every_unit_is_a_factor_of_the_si_unit(unit):
     @dataclasses.dataclass(frozen=True)
     class One:
-        size: float = setting(0.0, "a size", unit=unit)
+        size: float = parameter(unit, 0.0, "a size")
 
     for name, factor in FACTORS_BY_UNIT[unit].items():
         assert read_section(One, {"size": f"2.5 {name}"}).size == pytest.approx(2.5 * factor)
@@ -259,7 +259,7 @@ WRONG = [  # replaced, by what, line, what is said
     ('"10 mm"', "true", 7, "body.spacing must be a number [m] or a text such as \"12 m\", got True"),
     ('"10 mm"', '"10 kg"', 7, "body.spacing must have one of the units m, cm, mm, um, in, got 'kg'"),
     ('"10 mm"', '"ten mm"', 7, "body.spacing must be a number [m]"),
-    ('"10 mm"', "2", 7, "body.spacing must be in (0, 1] m, got 2; change it"),
+    ('"10 mm"', "2", 7, "body.spacing must be in (0, 1] m, got 2; give distance between nodes in m"),
     ('"10 mm"', "nan", 7, "body.spacing must be in (0, 1] m, got nan"),
     ('"10 mm"', "1" + "0" * 400, 7, "body.spacing must be in (0, 1] m, got 1000"),
     ('"10 mm"', '"1e999 mm"', 7, "body.spacing must be in (0, 1] m, got '1e999 mm'"),
