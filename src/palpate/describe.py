@@ -59,7 +59,7 @@ class Described:
         facts = []
         for each in listed:
             value, unit = getattr(self, each.name), each.metadata.get("unit")
-            if each.repr and not (isinstance(value, float) and value == np.inf):
+            if each.repr and not (unit is not None and isinstance(value, float) and value == np.inf):
                 facts.append((each.name.replace("_", " ") if unit is None else each.name, value, unit or ""))
         return facts
 

@@ -13,11 +13,10 @@ import math
 import re
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from decimal import Decimal
 from difflib import get_close_matches
-from functools import cache
 from typing import Any
 
 from palpate.faults import InputError, brief, interval, number_in_range
@@ -114,26 +113,27 @@ def parameter(
 
 def limits(about: Mapping[str, Any]) -> dict[str, Any]:
     """Return range, unit and remedy of a parameter, as arguments of `number_in_range`."""
-    what, unit = re.split("[;:]", about["help"])[0], about["unit"]
+    what, unit = re.split("[;:,]", about["help"])[0], about["unit"]
     remedy = f"give {what}{f' in {unit}' if unit else ''}" if what else "change it"
     return {name: about[name] for name in ("low", "high", "open_low", "unit")} | {"remedy": remedy}
 
 
-@cache
 def declared(kind: type) -> tuple[dataclasses.Field[Any], ...]:
     """Return the fields of a dataclass that are made by `parameter`."""
     return tuple(field for field in fields(kind) if "low" in field.metadata)
 
 
-def check_parameters(record: Any, owner: str = "") -> None:
+def check_parameters(record: Any, owner: str = "", left_out: Collection[str] = ()) -> None:
     """Check the numbers and texts of a dataclass by its declarations, and keep numbers as floats.
 
     Parameters
     ----------
     owner : str
         Follows the name of a parameter in messages, such as ``" of a Sphere"``.
+    left_out : collection of str
+        Names of parameters that are not checked.
     """
-    for field in declared(type(record)):
+    for field in (each for each in declared(type(record)) if each.name not in left_out):
         value, about, kind = getattr(record, field.name), field.metadata, str(field.type)
         name = f"{field.name}{owner}"
         if (value is None and field.default is None) or ("Callable" in kind and callable(value)):
