@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from typing import Any
 
+from palpate.dynamics.contact.tool_parameters import friction, side_stress, thickness, toughness
 from palpate.faults import InputError
 from palpate.parameters import Fault, parameter, read_values
 from palpate.tissue.liver import LIVER_DENSITY, LIVER_POISSON, MASS_DAMPING
@@ -219,7 +220,7 @@ class Tool:
     radius: float | None = parameter(
         "m", None, "radius of the ball; one that fits the body if it is left out", above=0.0, high=0.5
     )
-    friction: float = parameter("", 0.2, "Coulomb's coefficient", low=0.0, high=2.0)
+    friction: float = friction(0.2, high=2.0)
     holds: str = parameter("", "", "group that the tool holds and moves, in place of touching the surface")
     hold_radius: float | None = parameter(
         "m", None, "of a disc: the tool holds what is so near its centre", above=0.0, high=10.0
@@ -230,9 +231,9 @@ class Tool:
 class Cut:
     """Scalpel of `palpate run --cut`, which goes down into the body, along it, and out again."""
 
-    toughness: float = parameter("J/m^2", 20.0, "energy of a cut per area: 164 of bovine liver", low=0.0, high=1e4)
-    wedge: float = parameter("m", 0.0, "thickness of the blade", low=0.0, high=0.01)
-    shear_stress: float = parameter("Pa", 0.0, "friction on each side of the blade", low=0.0, high=1e6)
+    toughness: float = toughness()
+    wedge: float = thickness()
+    shear_stress: float = side_stress()
     edge_length: float | None = parameter(
         "m", None, "of the blade; one that fits the spacing if it is left out", above=0.0, high=1.0
     )

@@ -7,10 +7,10 @@ the kind and the sizes of a shape. Distances are in `palpate.dynamics.contact.ge
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +18,15 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
-from palpate.dynamics.contact.blade import Blade
+from palpate.dynamics.contact.blade import Blade, Scalpel
 from palpate.dynamics.contact.kinds import BONDED, CAPSULE, PLANE, PUNCH
+from palpate.dynamics.contact.tool_parameters import LIGHT_TOUGHNESS, friction
 from palpate.faults import InputError, brief, check_arguments, number_in_range
 from palpate.meshfree.cloud import MOVED_MARGIN, Cloud
+from palpate.parameters import parameter
 
 __all__ = [
+    "TOOLS",
     "Capsule",
     "Contact",
     "Forceps",
@@ -33,13 +36,17 @@ __all__ = [
     "Punch",
     "Sphere",
     "Tool",
+    "ToolKind",
+    "make_tool",
     "poses",
     "surface_nodes",
+    "tool_parameters",
 ]
 
 Motion = Callable[[float], Any] | Sequence[Any] | Floats
 
 MAX_ROTATION = 1e6  # [rad], component of a rotation vector
+OUTLINE_POINTS = 96  # even, so that none is on the cylinder
 ROUNDING_RADII = 0.05  # default rounding of a punch's edge, in its radii
 
 
@@ -63,19 +70,18 @@ class Sphere(Described):
     Sphere(radius=10 mm)
     """
 
-    radius: float
+    radius: float = parameter("m", help="radius of the ball", above=0.0)
     kind: ClassVar[int] = CAPSULE
-
-    def __post_init__(self) -> None:
-        number_in_range("radius of a Sphere", self.radius, 0.0, open_low=True, unit="m")
-
-    def _facts(self) -> list[Fact]:
-        return [("radius", float(self.radius), "m")]
 
     @property
     def sizes(self) -> tuple[float, float, float]:
         """Radius, half length and rounding [m]."""
-        return float(self.radius), 0.0, 0.0
+        return self.radius, 0.0, 0.0
+
+    @property
+    def outline(self) -> Floats:
+        """Radius and height [m] of points of the surface of revolution around z, (k, 2), by which it is drawn."""
+        return _rounded_outline(self.radius, 0.0)
 
 
 @dataclass(frozen=True)
@@ -99,21 +105,19 @@ class Capsule(Described):
     Capsule(radius=4 mm, length=30 mm)
     """
 
-    radius: float
-    length: float
+    radius: float = parameter("m", help="radius of the cylinder", above=0.0)
+    length: float = parameter("m", help="length of the cylinder", above=0.0)
     kind: ClassVar[int] = CAPSULE
-
-    def __post_init__(self) -> None:
-        number_in_range("radius of a Capsule", self.radius, 0.0, open_low=True, unit="m")
-        number_in_range("length of a Capsule", self.length, 0.0, open_low=True, unit="m")
-
-    def _facts(self) -> list[Fact]:
-        return [("radius", float(self.radius), "m"), ("length", float(self.length), "m")]
 
     @property
     def sizes(self) -> tuple[float, float, float]:
         """Radius, half length and rounding [m]."""
-        return float(self.radius), 0.5 * float(self.length), 0.0
+        return self.radius, 0.5 * self.length, 0.0
+
+    @property
+    def outline(self) -> Floats:
+        """As for `Sphere`."""
+        return _rounded_outline(self.radius, 0.5 * self.length)
 
 
 @dataclass(frozen=True)
@@ -158,22 +162,20 @@ class Punch(Described):
     Punch(radius=10 mm, rounding=1 mm)
     """
 
-    radius: float
-    rounding: float | None = None
+    radius: float = parameter("m", help="radius of the cylinder", above=0.0)
+    rounding: float | None = parameter("m", None, "radius of the edge's rounding", low=0.0)
     kind: ClassVar[int] = PUNCH
 
     def __post_init__(self) -> None:
-        number_in_range("radius of a Punch", self.radius, 0.0, open_low=True, unit="m")
-        if self.rounding is not None:
-            number_in_range("rounding of a Punch", self.rounding, 0.0, self.radius, unit="m")
-
-    def _facts(self) -> list[Fact]:
-        return [("radius", float(self.radius), "m"), ("rounding", self.sizes[2], "m")]
+        super().__post_init__()
+        rounding = ROUNDING_RADII * self.radius if self.rounding is None else self.rounding
+        number_in_range("rounding of a Punch", rounding, 0.0, self.radius, unit="m", remedy="give at most the radius")
+        object.__setattr__(self, "rounding", rounding)
 
     @property
     def sizes(self) -> tuple[float, float, float]:
         """Radius, half length and rounding [m]."""
-        return float(self.radius), 0.0, ROUNDING_RADII * self.radius if self.rounding is None else float(self.rounding)
+        return self.radius, 0.0, float(self.rounding or 0.0)
 
 
 @dataclass(frozen=True)
@@ -192,28 +194,56 @@ class Forceps(Described):
     --------
     >>> import palpate as pt
     >>> pt.tools.Forceps(radius=0.006, point=(0.015, 0.015, 0.015))
-    Forceps(radius=6 mm, point=(15, 15, 15) mm, until=inf s)
+    Forceps(radius=6 mm, point=(15, 15, 15) mm)
     """
 
-    radius: float
-    point: Sequence[float]
-    until: float = np.inf
+    radius: float = parameter("m", help="radius around the point", above=0.0)
+    point: Sequence[float] = parameter("m", help="centre at rest")
+    until: float = parameter("s", np.inf, "time of release", low=0.0)
     kind: ClassVar[int] = BONDED
-
-    def _facts(self) -> list[Fact]:
-        return [
-            ("radius", float(self.radius), "m"),
-            ("point", np.asarray(self.point, dtype=float), "m"),
-            ("until", float(self.until), "s"),
-        ]
 
     @property
     def sizes(self) -> tuple[float, float, float]:
         """Radius [m] and zeros."""
-        return float(self.radius), 0.0, 0.0
+        return self.radius, 0.0, 0.0
+
+
+def _rounded_outline(radius: float, half: float) -> Floats:
+    angles = np.linspace(-0.5 * np.pi, 0.5 * np.pi, OUTLINE_POINTS)
+    return np.column_stack([radius * np.cos(angles), radius * np.sin(angles) + np.where(angles > 0, half, -half)])
 
 
 Tool = Sphere | Capsule | Plane | Punch | Forceps | Blade
+
+
+class ToolKind(NamedTuple):
+    """A tool that a user of a session selects: its class, and usual values of the parameters that the user sets."""
+
+    shape: type[Tool]
+    usual: Mapping[str, float]
+
+
+# by the name in messages and recordings; their order is kept in recordings, so that a new kind is the last one
+TOOLS: dict[str, ToolKind] = {
+    "sphere": ToolKind(Sphere, {"radius": 0.015}),
+    "capsule": ToolKind(Capsule, {"radius": 0.015, "length": 0.04}),
+    "grasp": ToolKind(Forceps, {"radius": 0.015}),
+    "scalpel": ToolKind(Scalpel, {"length": 0.04, "toughness": LIGHT_TOUGHNESS}),
+}
+
+
+def tool_parameters() -> dict[str, tuple[Mapping[str, Any], float]]:
+    """Return the declaration and the usual value of each parameter of `TOOLS`, by its name."""
+    return {
+        name: (kind.shape.__dataclass_fields__[name].metadata, usual)
+        for kind in reversed(TOOLS.values())
+        for name, usual in kind.usual.items()
+    }
+
+
+def make_tool(kind: str, values: Mapping[str, Any]) -> Any:
+    """Return the tool of a kind of `TOOLS` from values by name; others are left out."""
+    return TOOLS[kind].shape(**{name: values[name] for name in TOOLS[kind].usual})
 
 
 @dataclass(frozen=True)
@@ -260,7 +290,7 @@ class Contact(Described):
 
     tool: Tool
     motion: Motion
-    friction: float = 0.0
+    friction: float = friction(0.0)
     name: str = "tool"
     group: str | None = None
 
@@ -270,16 +300,10 @@ class Contact(Described):
                 f"tool of Contact {self.name!r} must be a Sphere, Capsule, Plane, Punch or Blade, got "
                 f"{self.tool!r:.200}"
             )
-        number_in_range(f"friction of Contact {self.name!r}", self.friction, 0.0)
+        super().__post_init__()
 
     def _facts(self) -> list[Fact]:
-        return [
-            ("name", self.name, ""),
-            ("tool", self.tool, ""),
-            ("friction", float(self.friction), ""),
-            ("motion", _motion_fact(self.motion), ""),
-            ("group", self.group, ""),
-        ]
+        return _with_motion(super()._facts())
 
     def poses(self, times: Floats) -> Floats:
         """Return the tool's poses (t, 7) at some times [s]; errors as in `poses`."""
@@ -323,20 +347,14 @@ class Grasp(Described):
     True
     """
 
-    point: Sequence[float]
-    radius: float
-    motion: Motion
-    until: float = np.inf
+    point: Sequence[float] = parameter("m", help="grasped point")
+    radius: float = parameter("m", help="radius around the point", above=0.0)
+    motion: Motion = parameter(help="pose of the tool")
+    until: float = parameter("s", np.inf, "time of release", low=0.0)
     name: str = "grasp"
 
     def _facts(self) -> list[Fact]:
-        return [
-            ("name", self.name, ""),
-            ("point", np.asarray(self.point, dtype=float), "m"),
-            ("radius", float(self.radius), "m"),
-            ("motion", _motion_fact(self.motion), ""),
-            ("until", float(self.until) if self.until < np.inf else None, "s"),
-        ]
+        return _with_motion(super()._facts())
 
     def with_group(self, cloud: Cloud) -> Cloud:
         """Return the cloud with the bonded nodes as a group, unless the group exists."""
@@ -366,6 +384,11 @@ class Grasp(Described):
     @cached_property
     def _motion(self) -> Motion:
         return motion_function(self.motion, f"motion of Grasp {self.name!r}")
+
+
+def _with_motion(facts: Sequence[Fact]) -> list[Fact]:
+    """Return facts with the motion in a few words."""
+    return [(name, _motion_fact(value) if name == "motion" else value, unit) for name, value, unit in facts]
 
 
 def _motion_fact(motion: Motion) -> str:
