@@ -34,6 +34,7 @@ __all__ = [
     "read_section",
     "read_values",
     "written_section",
+    "written_value",
 ]
 
 # units that a text may carry, by the SI unit of the setting; a number without unit is in the SI unit
@@ -193,17 +194,18 @@ def read_values(section: type, table: Any, path: tuple[str | int, ...]) -> dict[
 def written_section(section: Any) -> dict[str, Any]:
     """Return the values of a section that differ from their defaults, as `read_section` reads them."""
     return {
-        name: _written(getattr(section, name))
+        name: written_value(getattr(section, name))
         for name, (field, _) in fields_of(type(section)).items()
         if field.default is MISSING or getattr(section, name) != field.default
     }
 
 
-def _written(value: Any) -> Any:
+def written_value(value: Any) -> Any:
+    """Return a value as a file has it."""
     if is_dataclass(value):
         return written_section(value)
     if isinstance(value, tuple):
-        return [_written(each) for each in value]
+        return [written_value(each) for each in value]
     return value
 
 
