@@ -28,7 +28,7 @@ from palpate.app.recordings.snapshot_arrays import (
     snapshot_arrays,
 )
 from palpate.arrays import Floats
-from palpate.dynamics.contact.tools import tool_parameters
+from palpate.dynamics.contact.shapes import tool_parameters
 from palpate.dynamics.run.journal import is_journal
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError, integer_in_range, number_in_range

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats
-from palpate.dynamics.contact.tools import TOOLS
+from palpate.dynamics.contact.shapes import TOOLS
 from palpate.realtime.record import PeriodRecord
 
 if TYPE_CHECKING:

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from palpate.app.recordings.recording import Recording
 from palpate.app.recordings.snapshot import Snapshot
 from palpate.arrays import Floats
-from palpate.dynamics.contact.tools import TOOLS, Contact, Grasp, make_tool
+from palpate.dynamics.contact.shapes import TOOLS, make_tool
+from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.reduction.hyper.model import ReducedModel

@@ -27,7 +27,7 @@ from palpate.app.recordings.snapshot import FIELD_UNITS
 from palpate.app.view.server.frames import colour_range
 from palpate.arrays import Floats, Singles
 from palpate.dynamics.contact.blade import Scalpel
-from palpate.dynamics.contact.tools import TOOLS, Sphere, make_tool
+from palpate.dynamics.contact.shapes import TOOLS, Sphere, make_tool
 from palpate.extras import require
 from palpate.faults import InputError
 from palpate.files import whole_file

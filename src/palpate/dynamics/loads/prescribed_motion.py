@@ -59,6 +59,9 @@ class PrescribedMotion(Described):
         if callable(self.displacement):
             check_arguments(self.displacement, ("points", "time"), f"displacement{self._owner()}")
 
+    def _owner(self) -> str:
+        return f" of PrescribedMotion of {self.group!r}"
+
     def is_active(self, times: Floats) -> NDArray[np.bool_]:
         """Return True for the times [s] before the release."""
         return np.asarray(times <= self.until * (1 + 1e-9))

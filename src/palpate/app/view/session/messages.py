@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from palpate.app.recordings.snapshot import TOOL_KINDS
+from palpate.dynamics.contact.shapes import TOOLS, tool_parameters
 from palpate.dynamics.contact.tool_parameters import friction
-from palpate.dynamics.contact.tools import TOOLS, tool_parameters
 from palpate.faults import InputError
 from palpate.files import json_of, shortened
 

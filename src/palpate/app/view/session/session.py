@@ -32,7 +32,7 @@ from palpate.app.view.session.tool_control import (
     make_forceps,
 )
 from palpate.arrays import Floats
-from palpate.dynamics.contact.tools import TOOLS, Forceps, Tool, make_tool, tool_parameters
+from palpate.dynamics.contact.shapes import TOOLS, Forceps, Tool, make_tool, tool_parameters
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError

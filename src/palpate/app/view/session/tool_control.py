@@ -11,7 +11,7 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import compute_gaps
-from palpate.dynamics.contact.tools import TOOLS, Forceps, Sphere, Tool, make_tool, tool_parameters
+from palpate.dynamics.contact.shapes import TOOLS, Forceps, Sphere, Tool, make_tool, tool_parameters
 from palpate.faults import InputError
 from palpate.realtime.bodies.display_surface import DisplaySurface, fixed_nodes
 
