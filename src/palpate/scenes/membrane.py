@@ -76,11 +76,13 @@ def membrane(
     model = Membrane(cloud, material, MEMBRANE_THICKNESS, "rim", prestretch=prestretch, relaxed=relaxed)
     until = PUSH_TIME if after == "release" else float("inf")
     tool = PrescribedMotion("tool", lambda points, time: (0.0, 0.0, tool_tip(time, after)), until)
-    parameters = {
+    parameters: dict[str, float | str] = {
         "spacing": spacing,
         "tool_radius": tool_radius,
         "prestretch": model.prestretch,
         "jitter": float(jitter),
         "seed": seed,
+        "after": after,
+        "layout": layout,
     }
     return Scene(model, (tool,), DURATION, EVERY, f"Membrane under a tool tip, then {after}", parameters)

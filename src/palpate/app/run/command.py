@@ -95,7 +95,7 @@ def run_once(
         Train a hyper-reduced model of so many modes on the full run, and run it, too. The full model then is in its
         energy form, which the reduced one samples.
     as_json : bool
-        As for `palpate.app.studies.beam.reproduce.reproduce_beam`.
+        As for `palpate.app.studies.reproduce.reproduce`.
 
     Returns
     -------

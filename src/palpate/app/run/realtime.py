@@ -65,7 +65,7 @@ def run_realtime(
     rate : float [Hz]
         From 50 to 20000.
     as_json : bool
-        As for `palpate.app.studies.beam.reproduce.reproduce_beam`.
+        As for `palpate.app.studies.reproduce.reproduce`.
 
     Returns
     -------
