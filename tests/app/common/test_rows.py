@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from palpate.app.common.rows import fill_template, quantities, rows_of
+from palpate.app.common.rows import fill_template, named_rows, quantities, rows_of
 
-REPORT = {"cloud": {"spacing": 0.00512, "nodes": 1200}, "share": 0.1234, "seconds": 3.2e-5, "none": None, "name": "x"}
+REPORT = {
+    "cloud": {"spacing": 0.00512, "nodes": 1200}, "share": 0.1234, "seconds": 3.2e-5, "none": None, "name": "x",
+    "size": [0.01, 0.02],
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -22,12 +25,24 @@ REPORT = {"cloud": {"spacing": 0.00512, "nodes": 1200}, "share": 0.1234, "second
         ("{name}", "x"),
         ("{none:.2f mm}", "-"),
         ("{share:.1%} at {none:.0f ms}", "-"),
-        ("{cloud/volume:.2f}", None),
-        ("{share/volume}", None),
+        ("{size:.1f mm}", "10.0 x 20.0 mm"),
+        ("{size/1: mm}", "20 mm"),
     ],
 )
 def test_a_template_prints_values_in_its_digits_and_units(template, text):
     assert fill_template(template, REPORT) == text
+
+
+@pytest.mark.parametrize("template", ["{cloud/volume:.2f}", "{share/volume}"])
+def test_a_template_without_its_values_raises(template):
+    with pytest.raises(KeyError):
+        fill_template(template, REPORT)
+
+
+def test_names_of_a_person_are_no_templates():
+    forces = {"left: {back}/1": 2.0}
+    rows = named_rows("force of {!r}", "forces", "{value:.1f N}", forces)
+    assert rows_of(rows, {"forces": forces}) == {"force of 'left: {back}/1'": ["2.0 N"]}
 
 
 def test_a_row_is_left_out_where_no_entry_has_its_values():

@@ -16,6 +16,7 @@ from typing import Any, cast
 import numpy as np
 
 from palpate.app.common.figures import BLUE, GREEN, GREY, ORANGE, figure
+from palpate.app.common.rows import Rows
 from palpate.app.studies.beam_picture import draw_beam
 from palpate.app.studies.example import Example
 from palpate.app.studies.figures import (
@@ -93,7 +94,7 @@ def _quantities(study: Study, _number: int) -> dict[str, Any]:
     }
 
 
-ROWS = {
+ROWS: Rows = {
     "computing time": "{wall_seconds:.2f s}",
     "simulated time over computing time": "{real_time_factor:.3g}",
     "time steps": "{steps}",

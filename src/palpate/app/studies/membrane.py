@@ -24,6 +24,7 @@ from palpate.app.common.figures import (
     figure,
     heading,
 )
+from palpate.app.common.rows import Rows
 from palpate.app.studies.example import Example
 from palpate.app.studies.figures import (
     ErrorMark,
@@ -123,7 +124,7 @@ def _quantities(study: Study, number: int) -> dict[str, Any]:
     }
 
 
-ROWS = {
+ROWS: Rows = {
     "computing time": "{wall_seconds:.2f s}",
     "simulated time over computing time": "{real_time_factor:.3g}",
     "time steps": "{steps}",
