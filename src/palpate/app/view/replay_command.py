@@ -7,7 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from palpate.app.common.console import Console, count_nodes, percent, print_plain, quantities_table
+from palpate.app.common.console import Console, count_nodes, print_plain
+from palpate.app.common.rows import Rows, quantities
 from palpate.app.recordings.recording import Recording, load_recording, save_recording
 from palpate.app.train.scene_folder import last_recording
 from palpate.app.view.film import (
@@ -28,6 +29,16 @@ from palpate.files import check_folder
 from palpate.scenes.names import is_scene_file
 
 __all__ = ["replay"]
+
+ERROR_ROWS: Rows = {
+    "displacement of the surface, root mean square": "{displacement:.2%}",
+    "displacement, largest error over the largest": "{largest:.2%}",
+    "force on the tool, mean error over the largest": "{force:.2%}",
+    "largest force over the full model's": lambda errors: f"{1 + errors['peak']:.3f}",
+    "computing time of the full model over the recorded time": (
+        lambda errors: f"{errors['wall_seconds'] / errors['seconds']:.3g}"
+    ),
+}
 
 
 def replay(
@@ -119,15 +130,6 @@ def _replay_full(recording: Recording, scene: str | None, console: Console) -> d
         model = full_model(reduced_model(recording), scene)
     console.say(f"replaying the recorded path on {count_nodes(len(model.cloud))} of the full model ...")
     full = replay_on_full_model(recording, model)
-    errors = full["errors"]
-    rows = {
-        "displacement of the surface, root mean square": percent(errors["displacement"]),
-        "displacement, largest error over the largest": percent(errors["largest"]),
-        "force on the tool, mean error over the largest": percent(errors["force"]),
-        "largest force over the full model's": f"{1 + errors['peak']:.3f}",
-        "computing time of the full model over the recorded time": f"{errors['wall_seconds'] / errors['seconds']:.3g}",
-    }
-    table = quantities_table(f"{recording.title}: recorded against the full model", ["error"],
-                             {name: [value] for name, value in rows.items()})  # fmt: skip
-    print_plain([table], Path("."), ())
+    title = f"{recording.title}: recorded against the full model"
+    print_plain([quantities(title, ERROR_ROWS, {"error": full["errors"]})], Path("."), ())
     return full
