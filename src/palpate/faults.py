@@ -14,6 +14,7 @@ from difflib import get_close_matches
 from typing import Any, cast
 
 __all__ = [
+    "ChoiceError",
     "CloudError",
     "DivergenceError",
     "FileFormatError",
@@ -42,6 +43,22 @@ class InputError(ValueError):
     ...     print(error)
     spacing must be in [1e-09, 1e+09] m, got -0.005
     """
+
+
+class ChoiceError(InputError):
+    """Argument without which a file of several things cannot be used.
+
+    Attributes
+    ----------
+    table : str
+        What there is to choose from, a line each.
+    choice : dict of str to str
+        Arguments that choose the likeliest.
+    """
+
+    def __init__(self, message: str, table: str, choice: Mapping[str, str]) -> None:
+        super().__init__(message)
+        self.table, self.choice = table, dict(choice)
 
 
 class CloudError(InputError):

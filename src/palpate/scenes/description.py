@@ -31,8 +31,11 @@ Vector = tuple[float, ...]
 class Shape:
     """Surface of the body: a file, or a generated shape."""
 
-    file: str = parameter("", "", "surface file, relative to the scene file")
-    parts: tuple[str, ...] = parameter("", (), "names or patterns of parts of the file, such as '*lobe*'")
+    file: str = parameter("", "", "surface file or label map, relative to the scene file")
+    parts: tuple[str, ...] = parameter(
+        "", (), "names or patterns of parts of the file, such as '*lobe*'; those of a label map are one body"
+    )
+    labels: str = parameter("", "", "names that a label map lacks: JSON, .ctbl, or lines of a number and a name")
     units: str = parameter(
         "", "", "unit of length in the file; guessed if it is left out", choices=("m", "cm", "mm", "in")
     )
@@ -142,7 +145,7 @@ class Near:
     turned into that of the body, with a warning.
     """
 
-    file: str = parameter(help="surface file, relative to the scene file; parts, units and scale as those of the body")
+    file: str = parameter(help="surface file or label map, relative to the scene file; units and scale as the body's")
     distance: float = parameter("m", help="largest distance", above=0.0, high=1.0)
     parts: tuple[str, ...] = parameter("", (), "names or patterns of its parts")
 
@@ -151,14 +154,17 @@ class Near:
 class Place:
     """Part of the body: exactly one of these."""
 
-    side: str = parameter("", "", "'x-', 'z+', 'back' (away from the first view), 'lowest 15%', 'near X,Y,Z,R' [mm]")
+    side: str = parameter(
+        "", "", "'x-', 'z+', 'back' (away from the first view), 'lowest 15%', 'near X,Y,Z,R' [mm]; of a body whose "
+        "file states its frame also left, right, front, rear, head, feet",
+    )  # fmt: skip
     group: str = parameter("", "", "group of a generated shape, such as 'x-' or 'rim'")
     plane: Plane | None = parameter("", None, "what is behind a plane")
     box: Box | None = parameter("", None, "what is inside a box")
     ball: Ball | None = parameter("", None, "what is inside a ball")
     painted: Painted | None = parameter("", None, "what is painted")
     near: Near | None = parameter("", None, "what is near another surface")
-    part: str = parameter("", "", "what is inside a closed part of the surface file, by its name or a pattern")
+    part: str = parameter("", "", "what is inside a closed part of the surface file or label map, by name or pattern")
 
     def __post_init__(self) -> None:
         given = [field.name for field in fields(self) if getattr(self, field.name)]
