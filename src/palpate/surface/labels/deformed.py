@@ -21,7 +21,7 @@ from palpate.surface.nesting import inside_points
 __all__ = ["body_segments", "deform", "resampling_field"]
 
 FITTED_NODES = 24  # near a place, whose displacements a linear function fits
-REACH = 2.0  # of the nodes' displacements beyond the body, in spacings
+REACH_SPACINGS = 2.0  # of the nodes' displacements beyond the body, in spacings
 STEPS_PER_SPACING = 4  # of the lattice on which displacements are fitted, then interpolated to the voxels
 FITTED_AT_ONCE = 20_000  # places
 INSIDE_SHARE, INSIDE_SAMPLES = 0.5, 2000  # of a segment's voxels in the body, which has it; voxels that are tried
@@ -38,20 +38,20 @@ def body_segments(labels: LabelMap, rest: Floats, triangles: NDArray[np.integer]
     triangles : (t, 3) int array
         Of the body's surface.
     """
-    corners, found = rest[triangles], []
+    corners, chosen = rest[triangles], []
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     for segment, box in zip(labels.segments, labels.boxes, strict=True):
         indices = np.argwhere(labels.layers[segment.layer][box] == segment.value) + [side.start for side in box]
         places = _positions(labels.affine, indices[:: len(indices) // INSIDE_SAMPLES + 1])
         near = places[np.all((places >= low) & (places <= high), axis=1)]
         if len(near) and inside_points(near, corners).sum() >= INSIDE_SHARE * len(places):
-            found.append(segment)
-    if not found:
+            chosen.append(segment)
+    if not chosen:
         names = ", ".join(each.name for each in labels.segments[:20])
         raise InputError(
             f"labels must be the map of the recorded body, got {labels.name}, none of whose labels lies in it: {names}"
         )
-    return tuple(found)
+    return tuple(chosen)
 
 
 def resampling_field(labels: LabelMap, rest: Floats, displacements: Floats, spacing: float) -> tuple[Floats, Floats]:
@@ -73,7 +73,7 @@ def resampling_field(labels: LabelMap, rest: Floats, displacements: Floats, spac
     field = np.zeros((*shape, 3), dtype=np.float32)
     distance = np.full(shape, np.inf, dtype=np.float32)
     back = np.linalg.inv(labels.affine)
-    margin = REACH * spacing * np.linalg.norm(back[:3, :3], axis=1)  # voxels along each axis
+    margin = REACH_SPACINGS * spacing * np.linalg.norm(back[:3, :3], axis=1)  # voxels along each axis
     indices = _positions(back, nodes)
     low = np.maximum(np.floor(indices.min(axis=0) - margin), 0).astype(int)
     high = np.minimum(np.ceil(indices.max(axis=0) + margin) + 1, shape).astype(int)
@@ -90,7 +90,7 @@ def resampling_field(labels: LabelMap, rest: Floats, displacements: Floats, spac
     fine = [ndimage.map_coordinates(each.reshape(counts), places, order=1, mode="nearest") for each in values.T]
     distance[box] = fine[3]
     for axis in range(3):
-        field[(*box, axis)] = np.where(fine[3] <= REACH * spacing, -fine[axis], 0.0)
+        field[(*box, axis)] = np.where(fine[3] <= REACH_SPACINGS * spacing, -fine[axis], 0.0)
     return field, distance
 
 
@@ -108,7 +108,7 @@ def deform(
     field, distance
         As from `resampling_field`.
     """
-    near = np.argwhere(distance <= REACH * spacing)
+    near = np.argwhere(distance <= REACH_SPACINGS * spacing)
     sources = _positions(labels.affine, near) + field[tuple(near.T)]
     indices = np.rint(_positions(np.linalg.inv(labels.affine), sources)).astype(int)
     inside = np.all((indices >= 0) & (indices < labels.shape), axis=1)

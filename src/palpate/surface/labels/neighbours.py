@@ -11,14 +11,14 @@ from scipy.spatial import cKDTree
 from palpate.arrays import Floats
 from palpate.surface.labels.label_map import LabelMap, Mask, Segment, mask_of
 
-__all__ = ["Contact", "contact_distance", "enclosed_segments", "touching_segments"]
+__all__ = ["TouchingSegment", "contact_distance", "enclosed_segments", "touching_segments"]
 
 MIN_ENCLOSED_SHARE = 0.6  # of the voxels round a segment, which belong to the organ in which it lies
 CONTACT_EDGES = 1.5  # largest voxel edges between the boundary voxels of segments that touch
 CONTACT_SPACINGS = 0.5  # or as many spacings, if that is more
 
 
-class Contact(NamedTuple):
+class TouchingSegment(NamedTuple):
     """A segment that touches an organ, and the share of the organ's surface that it touches."""
 
     segment: Segment
@@ -31,25 +31,25 @@ def contact_distance(voxel_edges: Floats, spacing: float) -> float:
 
 
 def enclosed_segments(labels: LabelMap, organ: Mask) -> list[Segment]:
-    """Return the segments that lie in an organ: most of the voxels around them are its own."""
-    found = []
+    """Return the segments that lie in an organ: most of the voxels around them are its voxels."""
+    enclosed = []
     for segment, box in zip(labels.segments, labels.boxes, strict=True):
         grown = tuple(slice(max(0, each.start - 1), each.stop + 1) for each in box)
         if not _meet(organ, grown):
             continue
-        own = labels.layers[segment.layer][grown] == segment.value
-        around = ndimage.binary_dilation(own) & ~own
+        voxels = labels.layers[segment.layer][grown] == segment.value
+        around = ndimage.binary_dilation(voxels) & ~voxels
         if not around.any():
             continue
         inside = _window(organ, grown)
-        if (own & inside).sum() < own.sum() and (around & inside).sum() >= MIN_ENCLOSED_SHARE * around.sum():
-            found.append(segment)
-    return found
+        if (voxels & inside).sum() < voxels.sum() and (around & inside).sum() >= MIN_ENCLOSED_SHARE * around.sum():
+            enclosed.append(segment)
+    return enclosed
 
 
 def touching_segments(
     labels: LabelMap, organ: Mask, distance: float, without: tuple[Segment, ...] = ()
-) -> list[Contact]:
+) -> list[TouchingSegment]:
     """Return the segments within a distance [m] of an organ's surface, those that touch most of it first.
 
     Parameters
@@ -59,7 +59,7 @@ def touching_segments(
     """
     surface = organ.boundary()
     low, high = surface.min(axis=0) - distance, surface.max(axis=0) + distance
-    found = []
+    contacts = []
     for segment in labels.segments:
         if segment in without:
             continue
@@ -68,8 +68,8 @@ def touching_segments(
         if len(other):
             near = np.isfinite(cKDTree(other).query(surface, distance_upper_bound=distance * (1 + 1e-9))[0])
             if near.any():
-                found.append(Contact(segment, float(near.mean())))
-    return sorted(found, key=lambda each: -each.share)
+                contacts.append(TouchingSegment(segment, float(near.mean())))
+    return sorted(contacts, key=lambda each: -each.share)
 
 
 def _meet(organ: Mask, box: tuple[slice, ...]) -> bool:

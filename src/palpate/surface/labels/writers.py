@@ -20,8 +20,8 @@ __all__ = ["check_volume_name", "write_field", "write_labels"]
 
 VOLUME_SUFFIXES = (".nii", ".nii.gz", ".nrrd")
 LPS_TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
-MILLIMETRES = np.diag([1e3, 1e3, 1e3, 1.0])  # of a metre
-INT16, INT32, FLOAT32 = 4, 8, 16  # NIfTI's codes of types
+METRES_TO_MILLIMETRES = np.diag([1e3, 1e3, 1e3, 1.0])  # of a metre
+NIFTI_INT16, NIFTI_INT32, NIFTI_FLOAT32 = 4, 8, 16  # NIfTI's codes of types
 DISPLACEMENT_VECTORS, LABELS_INTENT = 1006, 1002  # NIfTI's intents
 HEADER_BYTES, MAX_AXIS = 348, 32767
 CHUNK_BYTES = 1 << 24
@@ -56,7 +56,7 @@ def write_labels(path: Path, numbers: NDArray[Any], affine: Floats, names: Mappi
     rows = "".join(f"<Label Key={quoteattr(str(k))}><![CDATA[{_line(v)}]]></Label>" for k, v in names.items())
     table = f"<?xml version='1.0' encoding='UTF-8'?><CaretExtension><VolumeInformation><LabelTable>{rows}"
     table += "</LabelTable></VolumeInformation></CaretExtension>"
-    _write_nifti(path, values, affine, INT32 if wide else INT16, LABELS_INTENT, table.encode())
+    _write_nifti(path, values, affine, NIFTI_INT32 if wide else NIFTI_INT16, LABELS_INTENT, table.encode())
 
 
 def write_field(path: Path, field: Floats, affine: Floats) -> None:
@@ -70,7 +70,7 @@ def write_field(path: Path, field: Floats, affine: Floats) -> None:
         _write_nrrd(path, np.moveaxis(values, 3, 0), affine, {"type": "float", **kinds})
         return
     values[..., :2] *= -1
-    _write_nifti(path, values[:, :, :, None, :], affine, FLOAT32, DISPLACEMENT_VECTORS)
+    _write_nifti(path, values[:, :, :, None, :], affine, NIFTI_FLOAT32, DISPLACEMENT_VECTORS)
 
 
 def _line(text: str) -> str:
@@ -85,7 +85,7 @@ def _write_nifti(
         raise InputError(
             f"an image of NIfTI must have at most {MAX_AXIS} voxels an axis, got {max(values.shape)}; use .nrrd"
         )
-    rows = (LPS_TO_RAS @ MILLIMETRES @ affine)[:3]
+    rows = (LPS_TO_RAS @ METRES_TO_MILLIMETRES @ affine)[:3]
     edges = np.linalg.norm(rows[:, :3], axis=0)
     extended = bytes(4)
     if extension:
@@ -103,7 +103,7 @@ def _write_nifti(
 
 
 def _write_nrrd(path: Path, values: NDArray[Any], affine: Floats, fields: Mapping[str, str]) -> None:
-    rows = MILLIMETRES @ affine
+    rows = METRES_TO_MILLIMETRES @ affine
     axes = [f"({','.join(f'{x:.9g}' for x in rows[:3, k])})" for k in range(3)]
     vectors = " ".join(["none"] * (values.ndim - 3) + axes)
     lines = {
