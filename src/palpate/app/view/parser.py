@@ -108,7 +108,23 @@ def add_replay(commands: Any) -> None:
     add("--movie", type=path, metavar="FILE", help=text)
     text = "field that the colours of pictures show: displacement, stress or pressure"
     add("--scalar", default="displacement", metavar="NAME", help=text)
+    _add_deformed_labels(replay)
     _add_address(replay)
+
+
+def _add_deformed_labels(parser: Parser) -> None:
+    """Add the options of the deformed label map of a recorded body."""
+    group = parser.add_argument_group("of the deformed label map")
+    add = group.add_argument
+    add("--labels", type=existing_file, metavar="MAP", help="label map of the body at rest, from which it was made")
+    text = "write the deformed label map, in the image of --labels: .nii, .nii.gz or .nrrd"
+    add("-o", "--out", type=path, metavar="FILE", help=text)
+    text = "write the displacement field that resamples an image of the body at rest to the deformed one"
+    add("--field", type=path, metavar="FILE", help=text)
+    text = "moment of the recording [s] (default: that of the largest force)"
+    add("--frame", type=number, metavar="T", help=text)
+    text = "label of the body, by its name or number; may be repeated (default: those that lie in it)"
+    add("--part", action="append", metavar="NAME", help=text)
 
 
 def _add_address(parser: Parser) -> None:
