@@ -7,13 +7,14 @@ least squares. The place at rest is x minus it. Homogeneous deformations are exa
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import scipy.ndimage as ndimage
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats
+from palpate.arrays import Floats, Singles
 from palpate.faults import InputError
 from palpate.surface.labels.label_map import LabelMap, Segment
 from palpate.surface.nesting import inside_points
@@ -54,7 +55,7 @@ def body_segments(labels: LabelMap, rest: Floats, triangles: NDArray[np.integer]
     return tuple(chosen)
 
 
-def resampling_field(labels: LabelMap, rest: Floats, displacements: Floats, spacing: float) -> tuple[Floats, Floats]:
+def resampling_field(labels: LabelMap, rest: Floats, displacements: Floats, spacing: float) -> tuple[Singles, Singles]:
     """Return the way from each voxel to its place at rest, and the distance of the nearest node of the deformed body.
 
     Parameters
@@ -89,13 +90,13 @@ def resampling_field(labels: LabelMap, rest: Floats, displacements: Floats, spac
     places = np.meshgrid(*(np.arange(b - a) / s for a, b, s in zip(low, high, step, strict=True)), indexing="ij")
     fine = [ndimage.map_coordinates(each.reshape(counts), places, order=1, mode="nearest") for each in values.T]
     distance[box] = fine[3]
-    for axis in range(3):
-        field[(*box, axis)] = np.where(fine[3] <= REACH_SPACINGS * spacing, -fine[axis], 0.0)
+    near = fine[3] <= REACH_SPACINGS * spacing
+    field[box] = np.stack([np.where(near, -each, 0.0) for each in fine[:3]], axis=-1)
     return field, distance
 
 
 def deform(
-    labels: LabelMap, parts: Sequence[Segment], field: Floats, distance: Floats, spacing: float
+    labels: LabelMap, parts: Sequence[Segment], field: Singles, distance: Singles, spacing: float
 ) -> NDArray[np.uint32]:
     """Return the numbers (nx, ny, nz) of the segments in the voxels of the deformed body, 0 outside all.
 
@@ -125,7 +126,7 @@ def deform(
     return numbers
 
 
-def _positions(affine: Floats, indices: Floats) -> Floats:
+def _positions(affine: NDArray[Any], indices: NDArray[Any]) -> Floats:
     return np.asarray(indices @ affine[:3, :3].T + affine[:3, 3])
 
 

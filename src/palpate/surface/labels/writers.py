@@ -12,7 +12,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
+from palpate.arrays import Floats, Singles
 from palpate.faults import InputError
 from palpate.files import whole_file
 
@@ -59,7 +59,7 @@ def write_labels(path: Path, numbers: NDArray[Any], affine: Floats, names: Mappi
     _write_nifti(path, values, affine, NIFTI_INT32 if wide else NIFTI_INT16, LABELS_INTENT, table.encode())
 
 
-def write_field(path: Path, field: Floats, affine: Floats) -> None:
+def write_field(path: Path, field: Floats | Singles, affine: Floats) -> None:
     """Write displacement vectors (nx, ny, nz, 3) [m], LPS, in millimetres: in RAS in NIfTI, in LPS in NRRD.
 
     So 3D Slicer and ITK read them as a transform that resamples an image.
