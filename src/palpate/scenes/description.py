@@ -146,7 +146,10 @@ class Near:
     """
 
     file: str = parameter(help="surface file or label map, relative to the scene file; units and scale as the body's")
-    distance: float = parameter("m", help="largest distance", above=0.0, high=1.0)
+    distance: float | None = parameter(
+        "m", None, "largest distance; of a label map by default half a spacing, or 1.5 edges of a voxel if more",
+        above=0.0, high=1.0,
+    )  # fmt: skip
     parts: tuple[str, ...] = parameter("", (), "names or patterns of its parts")
 
 
