@@ -149,8 +149,11 @@ class Near:
 class Place:
     """Part of the body: exactly one of these."""
 
-    side: str = setting("", "'x-', 'z+', 'back' (away from the first view), 'lowest 15%', 'near X,Y,Z,R' [mm]; of a "
-                        "body whose file states its frame also left, right, front, rear, head, feet")  # fmt: skip
+    side: str = setting(
+        "",
+        "'x-', 'z+', 'back' (away from the first view), 'lowest 15%', 'near X,Y,Z,R' [mm]; where "
+        "the file states how the patient lies, 'left', 'right', 'front', 'rear', 'head', 'feet'",
+    )
     group: str = setting("", "group of a generated shape, such as 'x-' or 'rim'")
     plane: Plane | None = setting(None, "what is behind a plane")
     box: Box | None = setting(None, "what is inside a box")
