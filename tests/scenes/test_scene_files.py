@@ -56,6 +56,7 @@ title = "All sections"
 [surface]
 file = "organ.obj"
 parts = ["*lobe*", "left"]
+labels = "names.json"
 units = "cm"
 scale = 1.5
 repair = false

@@ -158,8 +158,8 @@ class Place:
     """Part of the body: exactly one of these."""
 
     side: str = parameter(
-        "", "", "'x-', 'z+', 'back' (away from the first view), 'lowest 15%', 'near X,Y,Z,R' [mm]; of a body whose "
-        "file states its frame also left, right, front, rear, head, feet",
+        "", "", "'x-', 'z+', 'back' (away from the first view), 'lowest 15%', 'near X,Y,Z,R' [mm]; where the "
+        "file states how the patient lies, 'left', 'right', 'front', 'rear', 'head', 'feet'",
     )  # fmt: skip
     group: str = parameter("", "", "group of a generated shape, such as 'x-' or 'rim'")
     plane: Plane | None = parameter("", None, "what is behind a plane")

@@ -14,12 +14,12 @@ from palpate.app.train.cluster import check_dask
 from palpate.app.train.folder import MAX_PATHS, manifest_of, open_campaign
 from palpate.app.train.paths import add_recording
 from palpate.app.train.report import report_campaign
-from palpate.app.train.scene_folder import name_in_folder, training_folder
+from palpate.app.train.scene_folder import is_file, name_in_folder, training_folder
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import check_folder
 from palpate.scenes.description import Training
-from palpate.scenes.names import is_scene_file
-from palpate.scenes.open_scene import open_scene
+from palpate.scenes.open_scene import DESCRIPTION_KEY, text_of_scene
+from palpate.scenes.surface_scene import is_surface_file, named_scene
 from palpate.scenes.training import is_opened, search_current_folder, training_scene
 
 __all__ = ["train"]
@@ -34,6 +34,8 @@ MAX_MODES = 1000
 def train(
     *,
     scene: str,
+    part: Sequence[str] | None = None,
+    labels: Path | None = None,
     given: Sequence[str] = (),
     paths: int | None = None,
     held_out: int | None = None,
@@ -52,7 +54,10 @@ def train(
     Parameters
     ----------
     scene : str
-        As for `palpate.scenes.training.training_scene`; a module is looked for in the current folder, too.
+        As for `palpate.scenes.training.training_scene`; a module is looked for in the current folder, too. Or a
+        surface file.
+    part, labels
+        Of a surface file, as for `palpate.io.read_surface`.
     given : sequence of str
         Its parameters as ``"name=value"``.
     paths, held_out : int, optional
@@ -82,12 +87,14 @@ def train(
     int
         0, also if some runs failed; 3 if the errors on the held-out runs are too large to use the model.
     """
-    if is_opened(scene):
+    if is_opened(scene) or is_surface_file(scene):
         settings = parse_settings(given)
-        opened = open_scene(scene, settings)
+        opened = named_scene(scene, settings, part, labels)
         defaults = opened.description.training
         if out is None:
-            out = training_folder(opened) if is_scene_file(scene) else DEFAULT_OUT
+            out = training_folder(opened) if is_file(scene) else DEFAULT_OUT
+        if is_surface_file(scene):  # workers open it by its description
+            scene, settings = opened.name, {DESCRIPTION_KEY: text_of_scene(opened)}
     else:
         settings = split_settings(given)  # converted to the types of the function's defaults
         defaults, out = USER_DEFAULTS, DEFAULT_OUT if out is None else out

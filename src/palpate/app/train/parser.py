@@ -9,6 +9,7 @@ from palpate.app.common.arguments import (
     add_command,
     add_json,
     add_parameter,
+    add_parts,
     existing_file,
     number,
     path,
@@ -39,8 +40,12 @@ def add_train(commands: Any) -> None:
     )
     train.renamed["--folder"] = "--out"
     train.assignments["given"] = "--set"
+    add_parts(train)
     add = train.add_argument
-    text = f"{listed_scenes()}, a scene file (organ.toml), or module:function of your own, also from the current folder"
+    text = (
+        f"{listed_scenes()}, a scene file (organ.toml), a surface file, or module:function of your own, also from the "
+    )
+    text += "current folder"
     add("scene", metavar="SCENE", help=text)
     text = "settings of the scene, such as spacing=5mm, or parameters of the function"
     add("--set", nargs="+", action="extend", default=[], dest="given", metavar="NAME=X", help=text)
