@@ -304,7 +304,7 @@ class Training:
     held_out: int = parameter("", 4, "further runs, on which errors are measured", low=0, high=100_000)
     modes: int = parameter("", 60, "modes of the reduced model", low=1, high=1000)
     tolerance: float | None = parameter("", None, "choose paths until the errors are at most this", above=0.0, high=1.0)
-    cubature: float | None = parameter("", None, "largest relative error of the sampled forces", above=0.0, high=1.0)
+    cubature: float | None = parameter("", None, "largest relative error of the sampled forces", low=0.0, high=1.0)
     seed: int = parameter("", 0, "seed of the paths", low=0, high=1_000_000)
     depth: float | None = parameter(
         "m",
