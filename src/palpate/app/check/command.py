@@ -15,7 +15,7 @@ from palpate.app.common.arguments import option_names
 from palpate.app.common.console import Console
 from palpate.app.common.rendering import DrawingError, check_drawing
 from palpate.app.common.report import REPORTS, deliver, machine
-from palpate.app.common.rows import Rows, named_rows, quantities
+from palpate.app.common.rows import Rows, fill_template, named_rows, quantities
 from palpate.app.train.coverage import Coverage, draw_coverage
 from palpate.faults import InputError
 from palpate.files import check_folder, plain
@@ -39,12 +39,16 @@ CHECK_ROWS: Rows = {
     "parts, Euler number": "{surface/parts}, {surface/euler_number}",
     "size": "{surface/extents:.1f mm}",
     "area": "{surface/area:.4g cm^2}",
-    "volume; - if the surface is open": "{surface/volume:.4g litres}",
+    "volume": lambda report: (
+        "none, the surface is open"
+        if report["surface"]["volume"] is None
+        else fill_template("{surface/volume:.4g litres}", report)
+    ),
     "spacing": "{cloud/spacing:.3g mm}",
     "nodes": "{cloud/nodes}, {cloud/surface_nodes} of them on the surface",
     **{
-        f"nearest neighbour, {where}, in spacings; median": (
-            f"{{{NEAREST}/{where}/0:.2f}} to {{{NEAREST}/{where}/4:.2f}}; {{{NEAREST}/{where}/2:.2f}}"
+        f"nearest neighbour, {where}": (
+            f"{{{NEAREST}/{where}/0:.2f}} to {{{NEAREST}/{where}/4:.2f}} spacings, median {{{NEAREST}/{where}/2:.2f}}"
         )
         for where in ("surface", "inside")
     },
