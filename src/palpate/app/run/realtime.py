@@ -158,13 +158,13 @@ def _observations(black_box: Path, body: Any) -> dict[str, Any]:
 
 
 def _cut_report(black_box: Path, cutter: BladeCutter) -> dict[str, Any]:
-    """Return the books of a blade, and computing times of periods before the first cut and from then on."""
+    """Return the energy balance of a blade, and computing times of periods before the first cut and from then on."""
     import h5py
 
     with h5py.File(black_box) as file:
         computing, force = file["computing"][:], np.linalg.norm(file["force"][:], axis=1)
     first = int(np.argmax(force > 0)) if force.any() else len(force)
-    area, released, edge, friction = cutter.books.tolist()
+    area, released, edge, friction = cutter.totals.tolist()
     return {
         "area": area, "released_energy": released, "edge_work": edge, "friction_work": friction,
         "cuts": cutter.cuts, "seconds_per_cut": cutter.seconds, "released_nodes": len(cutter.model.released_nodes),

@@ -20,7 +20,7 @@ from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError, TrustWarning
-from palpate.files import settle
+from palpate.files import flush_and_rename
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.errors import relative_errors
 from palpate.scenes.scene import Scene
@@ -197,7 +197,7 @@ def _join(parts: Sequence[Trajectory]) -> Trajectory:
 def _keep(study: Study, partials: list[Path], path: Path) -> None:
     """Give the complete run its name."""
     if len(partials) == 1:
-        settle(partials[0], path)
+        flush_and_rename(partials[0], path)
         return
     study.full.save(path)
     for partial in partials:
