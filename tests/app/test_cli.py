@@ -90,7 +90,7 @@ def test_a_missing_part_of_a_surface_is_named_with_its_option(assert_refused, tm
 @pytest.fixture
 def parser():
     commands = Parser("palpate").add_subparsers()
-    own = add_command(commands, "carve", lambda: print, summary="", description="")
+    own = add_command(commands, "carve", "builtins:print", summary="", description="")
     own.add_argument("file", metavar="FILE")
     own.add_argument("--tool-radius")
     own.add_argument("--part")

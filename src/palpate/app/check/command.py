@@ -33,7 +33,7 @@ from palpate.surface.surface import Surface
 __all__ = ["FILES", "check"]
 
 FILES = (*REPORTS, "surface.png", "cloud.png", "tool.png")
-NEAREST = "cloud/nearest_neighbour_over_spacing"
+NEAREST_ROW = "{KEYS/0:.2f} to {KEYS/4:.2f} spacings, median {KEYS/2:.2f}"
 CHECK_ROWS: Rows = {
     "vertices, triangles": "{surface/vertices}, {surface/triangles}",
     "parts, Euler number": "{surface/parts}, {surface/euler_number}",
@@ -47,9 +47,7 @@ CHECK_ROWS: Rows = {
     "spacing": "{cloud/spacing:.3g mm}",
     "nodes": "{cloud/nodes}, {cloud/surface_nodes} of them on the surface",
     **{
-        f"nearest neighbour, {where}": (
-            f"{{{NEAREST}/{where}/0:.2f}} to {{{NEAREST}/{where}/4:.2f}} spacings, median {{{NEAREST}/{where}/2:.2f}}"
-        )
+        f"nearest neighbour, {where}": NEAREST_ROW.replace("KEYS", f"cloud/nearest_neighbour_over_spacing/{where}")
         for where in ("surface", "inside")
     },
     "filled in": "{cloud/seconds:.2f s}",
