@@ -43,7 +43,7 @@ RUN_ROWS: Rows = {
     "computing time": "{wall_seconds:.3g s}",
     "simulated time over computing time": "{real_time_factor:.3g}",
     "time steps": "{steps}",
-    "a step": "{seconds_per_step:.3g us}",
+    "a step": "{seconds_per_step: us}",
     "largest displacement": "{largest_displacement:.4g mm}",
     "energy balance, largest miss over largest work": "{energy_balance:.2%}",
 }

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from palpate.app.common.arguments import (
-    Command,
     add_command,
     add_json,
     add_parameter,
@@ -20,18 +19,12 @@ from palpate.scenes.names import listed_scenes
 __all__ = ["add_train"]
 
 
-def _load() -> Command:
-    from palpate.app.train.command import train
-
-    return train
-
-
 def add_train(commands: Any) -> None:
     """Add the command to those of a parser."""
     train = add_command(
         commands,
         "train",
-        _load,
+        "palpate.app.train.command:train",
         summary="train a reduced model on many runs along random paths of a tool",
         description="Run a scene's full model along random paths of its tools, each run into a file of its own, and "
         "train a reduced model on all of them. The same command, given again, continues a campaign that was stopped. "
