@@ -16,6 +16,7 @@ from typing import Any, cast
 import numpy as np
 
 __all__ = [
+    "ChoiceError",
     "CloudError",
     "DivergenceError",
     "FileFormatError",
@@ -43,6 +44,22 @@ class InputError(ValueError):
     ...     print(error)
     spacing must be in [1e-09, 1e+09] m, got -0.005
     """
+
+
+class ChoiceError(InputError):
+    """Argument without which a file of several things cannot be used.
+
+    Attributes
+    ----------
+    table : str
+        What there is to choose from, a line each.
+    choice : dict of str to str
+        Arguments that choose the likeliest.
+    """
+
+    def __init__(self, message: str, table: str, choice: Mapping[str, str]) -> None:
+        super().__init__(message)
+        self.table, self.choice = table, dict(choice)
 
 
 class CloudError(InputError):

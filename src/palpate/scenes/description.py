@@ -31,8 +31,10 @@ Vector = tuple[float, ...]
 class Shape:
     """Surface of the body: a file, or a generated shape."""
 
-    file: str = setting("", "surface file, relative to the scene file")
-    parts: tuple[str, ...] = setting((), "names or patterns of parts of the file, such as '*lobe*'")
+    file: str = setting("", "surface file or label map, relative to the scene file")
+    parts: tuple[str, ...] = setting((), "names or patterns of parts of the file, such as '*lobe*'; those of a label "
+                                     "map are one body")  # fmt: skip
+    labels: str = setting("", "file of names that a label map lacks: JSON, .ctbl, or lines of a number and a name")
     units: str = setting("", "unit of length in the file; guessed if it is left out", choices=("m", "cm", "mm", "in"))
     scale: float = setting(1.0, "factor of all lengths", low=1e-6, high=1e6)
     repair: bool = setting(True, "close small holes, turn triangles, smooth folds and remove specks")
@@ -138,7 +140,7 @@ class Near:
     turned into that of the body, with a warning.
     """
 
-    file: str = setting(text="surface file, relative to the scene file; parts, units and scale as those of the body")
+    file: str = setting(text="surface file or label map, relative to the scene file; units and scale as the body's")
     distance: float = setting(text="largest distance", unit="m", above=0.0, high=1.0)
     parts: tuple[str, ...] = setting((), "names or patterns of its parts")
 
@@ -147,14 +149,15 @@ class Near:
 class Place:
     """Part of the body: exactly one of these."""
 
-    side: str = setting("", "'x-', 'z+', 'back' (away from the first view), 'lowest 15%', 'near X,Y,Z,R' [mm]")
+    side: str = setting("", "'x-', 'z+', 'back' (away from the first view), 'lowest 15%', 'near X,Y,Z,R' [mm]; of a "
+                        "body whose file states its frame also left, right, front, rear, head, feet")  # fmt: skip
     group: str = setting("", "group of a generated shape, such as 'x-' or 'rim'")
     plane: Plane | None = setting(None, "what is behind a plane")
     box: Box | None = setting(None, "what is inside a box")
     ball: Ball | None = setting(None, "what is inside a ball")
     painted: Painted | None = setting(None, "what is painted")
     near: Near | None = setting(None, "what is near another surface")
-    part: str = setting("", "what is inside a closed part of the surface file, by its name or a pattern")
+    part: str = setting("", "what is inside a closed part of the surface file or label map, by its name or a pattern")
 
     def __post_init__(self) -> None:
         given = [field.name for field in fields(self) if getattr(self, field.name)]

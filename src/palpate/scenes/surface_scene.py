@@ -11,14 +11,14 @@ from palpate.parameters import check_number, fields_of
 from palpate.scenes.description import Body, Description, Shape, Support, Tissue, with_settings
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.places import place_of_text
-from palpate.surface.formats.names import SURFACE_FORMATS, format_of
+from palpate.surface.formats.names import LABEL_FORMATS, SURFACE_FORMATS, format_of
 
 __all__ = ["is_surface_file", "surface_scene"]
 
 
 def is_surface_file(what: str) -> bool:
-    """Return True for the name of a surface file by its suffix."""
-    return format_of(Path(what))[0] in SURFACE_FORMATS
+    """Return True for the name of a surface file or a label map by its suffix."""
+    return format_of(Path(what))[0] in (*SURFACE_FORMATS, *LABEL_FORMATS)
 
 
 def surface_scene(
@@ -31,8 +31,9 @@ def surface_scene(
     law: str | None = None,
     settings: Mapping[str, Any] | None = None,
     fixed: Sequence[str] = (),
+    labels: str | Path | None = None,
 ) -> OrganScene:
-    """Return the scene of a surface file.
+    """Return the scene of a surface file or a label map.
 
     Parameters
     ----------
@@ -48,8 +49,10 @@ def surface_scene(
     settings : mapping
         Parameters of the law and other settings (`palpate.open_scene`).
     fixed : sequence of str
-        ``x-``, ``back``, ``lowest 15%``, ``near X,Y,Z,R`` [mm], or ``painted FILE`` in the unit of the
+        ``x-``, ``back``, ``left``, ``lowest 15%``, ``near X,Y,Z,R`` [mm], or ``painted FILE`` in the unit of the
         surface, with ``:FIELD`` where the file has several; by default ``back``, of each body.
+    labels : path, optional
+        File of names that a label map lacks.
     """
     for name, value, section in (("scale", scale, Shape), ("spacing", spacing, Body)):
         if value is not None:
@@ -59,7 +62,13 @@ def surface_scene(
                 raise InputError(f"{name} {error}") from None
     description = Description(
         title="",
-        surface=Shape(file=str(file), parts=tuple(part), units=units or "", scale=scale),
+        surface=Shape(
+            file=str(file),
+            parts=tuple(part),
+            units=units or "",
+            scale=scale,
+            labels="" if labels is None else str(labels),
+        ),
         body=Body(spacing=spacing),
         tissue=Tissue(law=law or "NeoHookean"),
         support=tuple(Support(place=place_of_text(text)) for text in fixed),

@@ -40,6 +40,7 @@ def check(
     file: Path,
     spacing: float | None = None,
     part: Sequence[str] | None = None,
+    labels: Path | None = None,
     units: str | None = None,
     scale: float = 1.0,
     repair: bool = False,
@@ -56,7 +57,7 @@ def check(
         reported.
     spacing : float, optional [m]
         Between nodes; by default one that gives some 4,000.
-    part, units, scale, repair
+    part, labels, units, scale, repair
         As for `palpate.io.read_surface`.
     seed : int
         As for `palpate.fill`.
@@ -76,6 +77,7 @@ def check(
     if is_scene_file(file.name):
         given = {
             "part": part,
+            "labels": labels,
             "units": units,
             "spacing": spacing,
             "scale": scale != 1.0,
@@ -89,7 +91,7 @@ def check(
         surface, seed, repair = _scene_surface(scene), scene.description.body.seed, scene.description.surface.repair
         spacing = scene.description.body.spacing
     else:
-        surface = read_surface(file, part=part, units=units, scale=scale, repair=repair)
+        surface = read_surface(file, part=part, units=units, scale=scale, repair=repair, labels=labels)
     with console.status("examining the surface"):
         surface_report = check_surface(surface)
     if spacing is None:

@@ -53,6 +53,7 @@ def view(
     units: str | None = None,
     scale: float = 1.0,
     part: Sequence[str] | None = None,
+    labels: Path | None = None,
     spacing: float | None = None,
     law: str | None = None,
     given: Sequence[str] = (),
@@ -82,7 +83,7 @@ def view(
         Duration of a headless session, 10 by default.
     script : path, optional
         Script of a headless session; see `palpate.app.view.session.script.read_script`.
-    units, scale, part, spacing, law, given, fixed
+    units, scale, part, labels, spacing, law, given, fixed
         Of a body from a surface file, see `palpate.scenes.surface_scene.surface_scene`; `spacing` and `given` also of
         a scene file.
     refine : bool
@@ -109,7 +110,7 @@ def view(
         _check_record(record, what)
     options: dict[str, Any] = {
         "units": units, "scale": scale, "part": tuple(part or ()), "spacing": spacing, "law": law,
-        "settings": parse_settings(given), "fixed": tuple(fixed),
+        "settings": parse_settings(given), "fixed": tuple(fixed), "labels": labels,
     }  # fmt: skip
     if compare and (is_surface_file(what) or is_scene_file(what)):
         raise InputError(f"compare must be left out for a full body, got {what!r:.60}; give a reduced model")
@@ -165,13 +166,13 @@ class _Subject:
 
 def _read_subject(what: str, options: dict[str, Any], compare: bool, scene: str | None) -> _Subject:
     """Read a scene, a surface or a model, and check the options of a surface."""
-    others = {"units": None, "scale": 1.0, "part": (), "law": None, "fixed": ()}
+    others = {"units": None, "scale": 1.0, "part": (), "labels": None, "law": None, "fixed": ()}
     if is_surface_file(what):
         touched = surface_scene(what, **options)
         assert touched.surface is not None
         for support in touched.description.support:
             if support.place.side:
-                side_mask(touched.surface.vertices, support.place.side)
+                side_mask(touched.surface.vertices, support.place.side, space=touched.surface.space)
         return _Subject(what, touched.title, touched)
     strange = [name for name, value in others.items() if options[name] != value]
     if is_scene_file(what):
@@ -183,8 +184,8 @@ def _read_subject(what: str, options: dict[str, Any], compare: bool, scene: str 
         return _Subject(what, touched.title, touched)
     if strange or options["spacing"] is not None or options["settings"]:
         raise InputError(
-            "units, scale, part, spacing, law, set and fixed must be left out unless a surface file is viewed, got "
-            f"{what!r:.60}"
+            "units, scale, part, labels, spacing, law, set and fixed must be left out unless a surface file is viewed, "
+            f"got {what!r:.60}"
         )
     if what in PACKAGE_SCENES:
         return _Subject(what, what.capitalize(), compare=compare, scene=scene)

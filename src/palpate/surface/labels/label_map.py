@@ -23,7 +23,10 @@ from palpate.faults import FileFormatError, InputError
 from palpate.files import shortened
 from palpate.surface.parts import names_text
 
-__all__ = ["RAS_TO_LPS", "LabelMap", "Mask", "Segment", "as_grid", "choose_segments", "in_metres", "mask_of"]
+__all__ = [
+    "RAS_TO_LPS", "LabelMap", "Mask", "Segment", "as_grid", "choose_segments", "in_metres", "mask_of", "part_names",
+    "segments_mask",
+]  # fmt: skip
 
 RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])  # a turn by 180 degrees about z
 Box = tuple[slice, slice, slice]
@@ -216,13 +219,13 @@ def choose_segments(labels: LabelMap, part: str | Sequence[str] | None) -> tuple
             return labels.segments
         raise InputError(
             f"part must be given for a label map of {len(labels.segments)} labels, got none; choose one of "
-            f"{names_text(_names(labels))}"
+            f"{names_text(part_names(labels))}"
         )
     chosen = set[int]()
     for text in [part] if isinstance(part, str) else part:
         chosen.update(_matches(labels, text))
     if not chosen:
-        raise InputError(f"part must name at least one of {names_text(_names(labels))}, got none")
+        raise InputError(f"part must name at least one of {names_text(part_names(labels))}, got none")
     return tuple(labels.segments[k] for k in sorted(chosen))
 
 
@@ -242,10 +245,10 @@ def _matches(labels: LabelMap, text: str) -> list[int]:
         return places
     if text in labels.absent:
         raise InputError(f"part must have voxels, got {shortened(repr(text))}, which has none in this file")
-    raise InputError(f"part must be one of {names_text(_names(labels))}, got {shortened(repr(text))}")
+    raise InputError(f"part must be one of {names_text(part_names(labels))}, got {shortened(repr(text))}")
 
 
-def _names(labels: LabelMap) -> list[str]:
+def part_names(labels: LabelMap) -> list[str]:
     """Return what chooses each segment: its name, or its number where several have the name."""
     count = Counter(each.name for each in labels.segments)
     return [each.name if count[each.name] == 1 else str(each.number) for each in labels.segments]
@@ -264,7 +267,11 @@ def mask_of(labels: LabelMap, part: str | Sequence[str] | None = None) -> Mask:
     Mask
         With all pieces, as they are in the file.
     """
-    chosen = choose_segments(labels, part)
+    return segments_mask(labels, choose_segments(labels, part))
+
+
+def segments_mask(labels: LabelMap, chosen: Sequence[Segment]) -> Mask:
+    """Return the union of the voxels of given segments of a map."""
     boxes = [labels.boxes[labels.segments.index(each)] for each in chosen]
     start = np.array([[side.start for side in box] for box in boxes]).min(axis=0)
     stop = np.array([[side.stop for side in box] for box in boxes]).max(axis=0)

@@ -21,6 +21,7 @@ from palpate.faults import InputError
 from palpate.files import shortened
 from palpate.surface.isosurface import zero_surface
 from palpate.surface.labels.label_map import LabelMap, Mask, mask_of
+from palpate.surface.labels.voxels import counts_of_values
 from palpate.surface.surface import Surface, part_volumes, select_triangles, vertex_components
 
 __all__ = ["label_surface", "largest_piece", "mask_surface", "piece_sizes"]
@@ -28,6 +29,7 @@ __all__ = ["label_surface", "largest_piece", "mask_surface", "piece_sizes"]
 STEPS_ACROSS = 32  # steps of the grid along the cube root of the volume, at least
 GAUSSIAN_WIDTH = 0.7  # standard deviation of the Gaussian over the largest edge of a voxel
 GAUSSIAN_REACH = 3.5  # of the Gaussian, in standard deviations
+BLOCK_SLACK = 0.25  # of a voxel, by which a block may exceed a step
 COARSE_EDGE = 1.5  # steps of the grid, from which an edge is divided
 VOLUME_ERROR, MAX_SECANTS = 2e-4, 8
 LEAST_VALUE = 1e-4  # distance of the field from the level: triangles have an area
@@ -85,7 +87,13 @@ def _split_piece(labels: LabelMap, part: str | Sequence[str] | None) -> tuple[st
 
 def piece_sizes(mask: Mask) -> Ints:
     """Return the numbers of voxels of the pieces of a mask, the largest first; pieces touch across faces."""
-    return np.asarray(-np.sort(-np.bincount(ndimage.label(mask.voxels)[0].ravel())[1:]))
+    return np.asarray(-np.sort(-_pieces(mask.voxels)[1]))
+
+
+def _pieces(voxels: NDArray[np.bool_]) -> tuple[NDArray[np.int32], Ints]:
+    """Return the number of the piece of each voxel, from 1, and the sizes of the pieces."""
+    number = ndimage.label(voxels.T)[0].T  # the first axis is the fastest
+    return number, counts_of_values(number)[1:]
 
 
 def largest_piece(mask: Mask, number: int = 0) -> Mask:
@@ -101,8 +109,7 @@ def largest_piece(mask: Mask, number: int = 0) -> Mask:
     InputError
         There are too many pieces, the largest has less than 90 % of the voxels, or the piece has too few.
     """
-    label = ndimage.label(mask.voxels)[0]
-    sizes = np.bincount(label.ravel())[1:]
+    label, sizes = _pieces(mask.voxels)
     order = np.argsort(-sizes, kind="stable")
     if number > len(sizes):
         raise InputError(f"part must be one of {len(sizes)} pieces of {mask.name}, got {number}; give a smaller one")
@@ -112,14 +119,14 @@ def largest_piece(mask: Mask, number: int = 0) -> Mask:
     size = int(sizes[chosen])
     if size < MIN_VOXELS:
         raise InputError(f"{mask.name} must have at least {MIN_VOXELS} voxels in one piece, got {size}; choose another")
-    box = ndimage.find_objects(label)[chosen]
-    voxels = np.asfortranarray(label[box] == chosen + 1)
+    box = ndimage.find_objects(label.T)[chosen][::-1]
+    voxels = label[box] == chosen + 1
     warnings = list(mask.warnings)
     if len(sizes) > 1:
         left = 1.0 - size / sizes.sum()
+        which = f"piece {number}" if number else "the largest"
         warnings.append(
-            f"{mask.name} has {len(sizes)} pieces: one with {size / sizes.sum():.1%} of its voxels chosen, the others "
-            f"({left:.2g} of the volume) left out"
+            f"{mask.name} has {len(sizes)} pieces: {which} chosen, {100 * left:.2g} % of its volume left out"
         )
     voxels, filled = _without_pores(voxels)
     if filled:
@@ -150,12 +157,14 @@ def _check_pieces(mask: Mask, sizes: Ints) -> None:
 
 def _without_pores(voxels: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], int]:
     """Return a piece without cavities that are one or two voxels thick everywhere, and how many voxels these have."""
-    label, count = ndimage.label(np.pad(~voxels, 1, constant_values=True))
-    if count == 1:
-        return voxels, 0
-    wide = np.unique(label[ndimage.binary_erosion(label > 1)])
-    pores = ~np.isin(label, [0, 1, *wide])[1:-1, 1:-1, 1:-1]
-    return voxels | pores, int(np.count_nonzero(pores))
+    number, count = ndimage.label(np.pad(~voxels, 1, constant_values=True).T)
+    number, filled = number.T, voxels.copy(order="K")
+    for k, box in enumerate(ndimage.find_objects(number.T)[1:] if count > 1 else [], 2):  # the first is around it
+        cavity = number[box[::-1]] == k
+        if not ndimage.binary_erosion(cavity).any():
+            inner = tuple(slice(side.start - 1, side.stop - 1) for side in box[::-1])
+            filled[inner] |= cavity
+    return filled, int(np.count_nonzero(filled) - np.count_nonzero(voxels))
 
 
 def mask_surface(mask: Mask) -> Surface:
@@ -190,7 +199,7 @@ def _smooth_field(mask: Mask) -> tuple[Floats, Floats, Floats]:
     field: Any = mask.voxels
     origin, scale = mask.start.astype(float), np.ones(3)
     for axis, edge in enumerate(edges):
-        block = max(1, int(step / edge + 1e-6))
+        block = max(1, int(step / edge + BLOCK_SLACK))
         pad = int(np.ceil(GAUSSIAN_REACH * sigma / edge / block) + 1) * block
         size = field.shape[axis]
         ends = [(0, 0)] * 3

@@ -14,7 +14,7 @@ from palpate.faults import FileFormatError
 from palpate.surface.formats.common import printable_word
 from palpate.surface.labels.label_map import Segment
 
-__all__ = ["Unpacker", "checked_shape", "label_values", "numbers_of", "segments_of"]
+__all__ = ["Unpacker", "checked_shape", "counts_of_values", "label_values", "numbers_of", "segments_of"]
 
 MAX_VOXELS = 2**29  # of a file, stated in its header
 MAX_AXIS = 2**20  # voxels along an axis
@@ -174,8 +174,8 @@ def segments_of(
         marks = values
         if len(values) and values[-1] > 0xFFFF:
             marks = np.arange(len(values)) + (values[0] > 0)
-            layer = np.searchsorted(values, layer).astype(np.uint16) + np.uint16(values[0] > 0)
-        smaller.append(layer)
+            layer = np.searchsorted(values, layer) + (values[0] > 0)
+        smaller.append(layer.astype(np.uint8 if marks[-1] <= 0xFF else np.uint16))
         for value, mark, count in zip(values.tolist(), marks.tolist(), counts.tolist(), strict=True):
             if value:
                 label, name = names.get((number, value), (value, ""))
@@ -189,12 +189,18 @@ def segments_of(
     return tuple(smaller), tuple(sorted(segments, key=lambda each: each.number)), absent
 
 
+def counts_of_values(layer: NDArray[Any]) -> NDArray[np.int64]:
+    """Return how many voxels have each value from 0 to the largest."""
+    counts = np.zeros(int(layer.max()) + 1, dtype=np.int64)
+    for part in _chunks(layer):
+        counts += np.bincount(part, minlength=len(counts))
+    return counts
+
+
 def _counted(layer: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the values of a layer in ascending order, and how many voxels have each."""
     if layer.dtype.itemsize <= 2 or layer.max() < 1 << 20:
-        counts = np.zeros(int(layer.max()) + 1, dtype=np.int64)
-        for part in _chunks(layer):
-            counts += np.bincount(part, minlength=len(counts))
+        counts = counts_of_values(layer)
         values = np.flatnonzero(counts)
         counts = counts[values]
     else:
