@@ -1,6 +1,8 @@
 // The labels of a map, one or several of which are chosen as the body.
 import { formatNumber } from "./widgets.js";
 
+const SHORT_LIST = 12; // labels that need no search
+
 /** Volume in millilitres as text, of one in cubic metres. */
 export const millilitres = (volume) => {
   const value = 1e6 * volume;
@@ -13,12 +15,16 @@ export const matches = ({ name, number }, text) => {
   return text.toLowerCase().split(/\s+/).every((word) => whole.includes(word));
 };
 
+/** What chooses the largest piece of a label. */
+const largestPiece = (part) => `${part}#1`;
+
 export class LabelChoice {
   /** `send(message)` sends the choice. */
   constructor(byId, send) {
     Object.assign(this, { byId, send, ticked: new Set(), rows: [] });
     byId("choice-find").oninput = () => this.filter();
     byId("choice-start").onclick = () => this.choose([...this.ticked]);
+    byId("choice-piece").onclick = () => this.choose([largestPiece(this.asked[0])]);
   }
 
   /** Show the labels of a message. */
@@ -31,7 +37,7 @@ export class LabelChoice {
     this.rows = labels.map((label) => [label, this.makeRow(label)]);
     byId("choice-rows").replaceChildren(...this.rows.map(([, row]) => row));
     byId("choice-find").value = "";
-    byId("choice-find").parentElement.hidden = labels.length < 12;
+    byId("choice").classList.toggle("long", labels.length > SHORT_LIST);
     this.filter();
     this.wait(false);
     byId("choice-rows").querySelector("button")?.focus();
@@ -77,6 +83,7 @@ export class LabelChoice {
 
   choose(parts) {
     if (this.waiting || parts.length === 0) return;
+    this.asked = parts;
     this.send({ type: "choose", parts });
     this.wait(true);
   }
@@ -86,6 +93,7 @@ export class LabelChoice {
     this.waiting = waiting;
     this.byId("choice").classList.toggle("waiting", waiting);
     if (waiting) this.byId("choice-error").textContent = "";
+    if (waiting) this.byId("choice-piece").hidden = true;
     this.update();
   }
 
@@ -94,6 +102,9 @@ export class LabelChoice {
     if (this.byId("choice").hidden) return false;
     this.wait(false);
     this.byId("choice-error").textContent = reason;
+    const [part, other] = this.asked ?? [];
+    const label = this.rows.map(([each]) => each).find((each) => each.part === part);
+    this.byId("choice-piece").hidden = other !== undefined || !(label?.pieces > 1);
     return true;
   }
 

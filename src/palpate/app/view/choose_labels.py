@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from shlex import quote
 from typing import TypeVar
 
 from palpate.app.common.arguments import option_names
@@ -13,39 +14,37 @@ from palpate.app.view.server.host import Host, serve
 from palpate.app.view.server.label_choice import LabelChoice
 from palpate.faults import InputError
 from palpate.surface.labels.listing import label_rows
-from palpate.surface.labels.reading import is_label_map, read_label_map
+from palpate.surface.labels.reading import read_label_map
 
-__all__ = ["choose_on_page", "label_choice"]
+__all__ = ["choose_on_page"]
 
 T = TypeVar("T")
 
 
-def label_choice(file: str, names: Path | None = None) -> LabelChoice | None:
-    """Return the choice of a label map of several labels; None for another file.
+@contextlib.contextmanager
+def choose_on_page(
+    file: str, names: Path | None, read: Callable[[Sequence[str]], T], address: tuple[int, str, bool]
+) -> Iterator[tuple[Host | tuple[int, str, bool], T]]:
+    """Yield what `read` returns for the labels of a map that are chosen on the page, and the host of the page.
+
+    A choice that `read` refuses is reported on the page, where another can be made. A map of one label needs no choice,
+    and has the address in place of a host.
 
     Parameters
     ----------
     names : path, optional
         File of names that the map lacks.
     """
-    if not is_label_map(file):
-        return None
     labels = read_label_map(file, names)
-    return LabelChoice(labels.name, label_rows(labels)) if len(labels.segments) > 1 else None
-
-
-@contextlib.contextmanager
-def choose_on_page(
-    choice: LabelChoice, read: Callable[[Sequence[str]], T], address: tuple[int, str, bool]
-) -> Iterator[tuple[Host, T]]:
-    """Serve a choice, and yield the host and what `read` returns for the labels that are chosen.
-
-    A choice that `read` refuses is reported on the page, where another can be made.
-    """
-    console = Console()
+    if len(labels.segments) == 1:
+        yield address, read(())
+        return
+    choice, console = LabelChoice(labels.name, label_rows(labels)), Console()
     with serve(choice, console, *address) as host:
-        likeliest = choice.rows[0].part
-        console.say(f"{len(choice.rows)} labels: choose one on the page, or by --part, such as --part {likeliest!r}")
+        likeliest = quote(choice.rows[0].part)
+        console.say(
+            f"{len(choice.rows)} labels: choose on the page, or stop and add --part, such as --part {likeliest}"
+        )
         while True:
             parts = choice.wait()
             try:

@@ -21,7 +21,8 @@ def surroundings_of(scene: OrganScene) -> tuple[Surface, ...]:
     shape = scene.description.surface
     if not shape.file or not is_label_map(shape.file):
         return ()
-    labels = read_label_map(scene.folder / shape.file).scaled(shape.scale)
+    names = scene.folder / shape.labels if shape.labels else None
+    labels = read_label_map(scene.folder / shape.file, names).scaled(shape.scale)
     return surrounding_surfaces(labels, list(shape.parts) or None)
 
 

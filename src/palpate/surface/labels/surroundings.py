@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats, Ints
 from palpate.surface.isosurface import zero_surface
 from palpate.surface.labels.label_map import LabelMap, Segment, choose_segments
+from palpate.surface.labels.mask_surface import PIECE_PATTERN
 from palpate.surface.surface import Surface
 
 __all__ = ["MAX_SURROUNDING_TRIANGLES", "surrounding_surfaces"]
@@ -40,7 +41,7 @@ def surrounding_surfaces(
     Parameters
     ----------
     part : str or sequence of str
-        Labels of the body, which are left out.
+        Labels of the body, or a piece of one, which are left out.
     most : int
         Number of triangles in all.
 
@@ -49,7 +50,10 @@ def surrounding_surfaces(
     tuple of Surface
         With the names of their labels.
     """
-    chosen = choose_segments(labels, part)
+    parts = [part] if isinstance(part, str) else list(part or ())
+    names = {each.name for each in labels.segments}
+    wholes = [text if text in names else PIECE_PATTERN.sub(r"\1", text) for text in parts]
+    chosen = choose_segments(labels, wholes or None)
     low, high = _bounds(labels, chosen)
     diagonal = float(np.linalg.norm(high - low))
     near = list[tuple[float, int, Segment]]()

@@ -45,7 +45,7 @@ def preview_frame(surface: Surface) -> bytes:
 
 
 def surroundings_frame(surfaces: Sequence[Surface]) -> bytes:
-    """Return the frame of the shapes around a body: positions, triangles, triangles of each shape, and names as JSON."""
+    """Return the frame of shapes around a body: positions, triangles, numbers of triangles by shape, and names."""
     counts = [len(each.vertices) for each in surfaces]
     starts = np.cumsum([0, *counts])
     points = np.concatenate([each.vertices for each in surfaces]).astype("<f4")

@@ -55,8 +55,8 @@ class LabelChoice:
         return {"type": "labels", "title": self.title, "labels": labels}
 
     def choose(self, parts: Sequence[str]) -> None:
-        """Take a choice; raise `InputError` for other parts than those of the labels."""
-        known = {row.part for row in self.rows}
+        """Take a choice; raise `InputError` for other parts than those of the labels, or the largest piece of one."""
+        known = {row.part for row in self.rows} | {f"{row.part}#1" for row in self.rows}
         for part in parts:
             if part not in known:
                 raise InputError(f"choose: parts must be of the list, got {shortened(repr(part))}; choose others")
