@@ -16,7 +16,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats, Ints
-from palpate.describe import Described, Fact
+from palpate.describe import Described
 from palpate.faults import InputError, brief
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.mirror import MirrorPlane
@@ -70,9 +70,6 @@ class Support(Described, ABC):
         """Return the kind and the parameters, as names, numbers and lists."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {"kind": type(self).__name__} | {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
-
-    def _facts(self) -> list[Fact]:
-        return [("group", self.group, "")]
 
 
 @dataclass(frozen=True)
@@ -133,9 +130,6 @@ class Roller(Support):
         if mean.shape != (3,) or not np.linalg.norm(mean):
             raise InputError(f"normal of Roller on {self.group!r} must be given, as the group does not form a face")
         return np.asarray(mean / np.linalg.norm(mean))[None]
-
-    def _facts(self) -> list[Fact]:
-        return [("group", self.group, ""), ("normal", self.normal, "")]
 
 
 @dataclass(frozen=True)
@@ -208,9 +202,6 @@ class Rail(Support):
 
     def directions(self, cloud: Cloud) -> Floats:
         return np.asarray(np.linalg.svd(np.array(self.axis)[None])[2][1:])
-
-    def _facts(self) -> list[Fact]:
-        return [("group", self.group, ""), ("axis", self.axis, "")]
 
 
 def _keep_direction(support: Support, name: str) -> None:

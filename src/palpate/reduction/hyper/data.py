@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats
 from palpate.describe import Described
 from palpate.dynamics.loads.supports import Support
+from palpate.dynamics.material.kinematics import Kinematics
 from palpate.dynamics.material.relaxation import relaxation
 from palpate.dynamics.material.tissue import Tissue
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.contact.compliance import NO_COMPLIANCE, SurfaceCompliance
 from palpate.reduction.contact.surface import ContactSurface, contact_surface
 from palpate.reduction.hyper.cubature import Cubature
-from palpate.reduction.hyper.material_point import Kinematics
 from palpate.reduction.hyper.sampled_energy import IntegrationPoints, integration_points
 
 __all__ = ["UNLIMITED_SCALE", "ReducedData"]
