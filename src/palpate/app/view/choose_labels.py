@@ -18,13 +18,13 @@ from palpate.surface.labels.reading import read_label_map
 
 __all__ = ["choose_on_page"]
 
-T = TypeVar("T")
+Subject = TypeVar("Subject")
 
 
 @contextlib.contextmanager
 def choose_on_page(
-    file: str, names: Path | None, read: Callable[[Sequence[str]], T], address: tuple[int, str, bool]
-) -> Iterator[tuple[Host | tuple[int, str, bool], T]]:
+    file: str, names: Path | None, read: Callable[[Sequence[str]], Subject], address: tuple[int, str, bool]
+) -> Iterator[tuple[Host | tuple[int, str, bool], Subject]]:
     """Yield what `read` returns for the labels of a map that are chosen on the page, and the host of the page.
 
     A choice that `read` refuses is reported on the page, where another can be made. A map of one label needs no choice,

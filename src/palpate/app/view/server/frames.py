@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CUT_GEOMETRY",
-    "FORCE", "GEOMETRY", "OVERLAY", "PREVIEW", "STATE", "SURROUNDINGS", "colour_range", "force_frame", "geometry_frame",
-    "overlay_body", "pack_frame", "preview_frame", "state_body", "surroundings_frame",
+    "FORCE", "GEOMETRY", "OVERLAY", "PREVIEW", "STATE", "SURROUNDING_SHAPES", "colour_range", "force_frame",
+    "geometry_frame", "overlay_body", "pack_frame", "preview_frame", "state_body", "surroundings_frame",
 ]  # fmt: skip
 
 
-GEOMETRY, STATE, OVERLAY, FORCE, PREVIEW, CUT_GEOMETRY, SURROUNDINGS = 1, 2, 3, 4, 5, 6, 7
+GEOMETRY, STATE, OVERLAY, FORCE, PREVIEW, CUT_GEOMETRY, SURROUNDING_SHAPES = 1, 2, 3, 4, 5, 6, 7
 FRAME_HEADER = struct.Struct("<4I")
 RANGE_PERCENTILE = 99.0  # of a scalar, at which its colour range ends; excludes peaks of single vertices at edges
 
@@ -53,7 +53,7 @@ def surroundings_frame(surfaces: Sequence[Surface]) -> bytes:
     sizes = np.array([len(each.triangles) for each in surfaces], dtype="<u4")
     names = json.dumps([each.name for each in surfaces]).encode()
     body = points.tobytes() + triangles.astype("<u4").tobytes() + sizes.tobytes() + names
-    return pack_frame(SURROUNDINGS, len(surfaces), len(points), body, len(triangles))
+    return pack_frame(SURROUNDING_SHAPES, len(surfaces), len(points), body, len(triangles))
 
 
 def _mesh_frame(kind: int, points: NDArray[Any], triangles: NDArray[Any], fixed: NDArray[Any]) -> bytes:
