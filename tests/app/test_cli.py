@@ -67,7 +67,7 @@ def test_the_command_without_arguments_prints_help_with_first_steps(capsys, tmp_
         ("fit NeoHooken pyproject.toml", ["LAW must be one of", "did you mean NeoHookean?"]),
         ("reproduce beam --poisson 0.6", ["palpate: --poisson "]),
         ("reproduce membrane --tool-radius -1", ["palpate: --tool-radius "]),
-        ("train beam --held-out -1", ["palpate: --held-out "]),
+        ("train beam --held-out -1", ["palpate train: --held-out "]),
         ("train beam --set spacing=1", ["palpate: --set spacing "]),
         ("check nowhere.stl", ["FILE must be an existing file, got 'nowhere.stl'; there is no such file"]),
         ("view nowhere.rom", ["nowhere.rom"]),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from palpate.app.common.arguments import add_command, path
+from palpate.app.common.arguments import add_command, add_parts, path
 from palpate.export.targets import TARGET_NAMES
 
 __all__ = ["add_export"]
@@ -22,8 +22,9 @@ def add_export(commands: Any) -> None:
         "Unity (--c). Or to a page on which a browser steps it (--web). See docs/howto/export.md.",
     )
     add = export.add_argument
-    text = "file of palpate train, a scene of palpate view, or a scene file"
+    text = "file of palpate train, a scene of palpate view, a scene file, or a surface file, whose model is trained"
     add("model", metavar="MODEL", help=text)
+    add_parts(export)
     text = "folder for a library and its sources in C; new or empty"
     target = export.add_mutually_exclusive_group(required=True)
     target.add_argument("--c", type=path, dest="folder", metavar="FOLDER", help=text)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from palpate.app.common.arguments import add_command, add_output, add_parameter, existing_file, number
+from palpate.app.common.arguments import add_command, add_output, add_parameter, add_parts, existing_file, number
 from palpate.scenes.description import Body, Tissue, Training
 from palpate.scenes.names import listed_scenes
 
@@ -24,8 +24,9 @@ def add_run(commands: Any) -> None:
         "again; the model is trained at the first start. Report how well the rate was kept, and the force on the tool.",
     )
     run.assignments["given"] = "--set"
+    add_parts(run)
     add = run.add_argument
-    text = f"{listed_scenes()}, or a scene file (organ.toml); a single run of the beam is the paper's"
+    text = f"{listed_scenes()}, a scene file (organ.toml), or a surface file; a single run of the beam is the paper's"
     add("scene", metavar="SCENE", help=text)
     text = "settings of the scene, such as spacing=5mm"
     add("--set", nargs="+", action="extend", default=[], dest="given", metavar="NAME=X", help=text)
