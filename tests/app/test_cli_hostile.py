@@ -44,7 +44,6 @@ def idle(monkeypatch, tmp_path):
     ):  # fmt: skip
         monkeypatch.setattr(place, stop)
     monkeypatch.setattr("palpate.app.train.command.check_dask", stop)
-    monkeypatch.setattr("palpate.app.cache.command.code_files", list)  # none to remove
     monkeypatch.chdir(tmp_path)
 
 

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from palpate.faults import InputError
 from palpate.parameters import check_number, fields_of
 from palpate.scenes.description import Body, Description, Shape, Support, Tissue, with_settings
+from palpate.scenes.open_scene import open_scene
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.places import place_of_text
-from palpate.surface.formats.names import SURFACE_FORMATS, format_of
+from palpate.surface.formats.names import LABEL_FORMATS, SURFACE_FORMATS, format_of
 
-__all__ = ["is_surface_file", "surface_scene"]
+__all__ = ["NODES_PER_CELL", "is_surface_file", "named_scene", "refined_scene", "surface_scene"]
+
+NODES_PER_CELL = 1.45  # nodes over volume / spacing^3 in a filled organ
+REFINED_NODES = 4500  # of a body without a spacing; statics of training take 5,000 at most
 
 
 def is_surface_file(what: str) -> bool:
-    """Return True for the name of a surface file by its suffix."""
-    return format_of(Path(what))[0] in SURFACE_FORMATS
+    """Return True for the name of a surface file or a label map by its suffix."""
+    return format_of(Path(what))[0] in (*SURFACE_FORMATS, *LABEL_FORMATS)
 
 
 def surface_scene(
@@ -31,8 +38,9 @@ def surface_scene(
     law: str | None = None,
     settings: Mapping[str, Any] | None = None,
     fixed: Sequence[str] = (),
+    labels: str | Path | None = None,
 ) -> OrganScene:
-    """Return the scene of a surface file.
+    """Return the scene of a surface file or a label map.
 
     Parameters
     ----------
@@ -48,8 +56,10 @@ def surface_scene(
     settings : mapping
         Parameters of the law and other settings (`palpate.open_scene`).
     fixed : sequence of str
-        ``x-``, ``back``, ``lowest 15%``, ``near X,Y,Z,R`` [mm], or ``painted FILE`` in the unit of the
+        ``x-``, ``back``, ``left``, ``lowest 15%``, ``near X,Y,Z,R`` [mm], or ``painted FILE`` in the unit of the
         surface, with ``:FIELD`` where the file has several; by default ``back``, of each body.
+    labels : path, optional
+        File of names that a label map lacks.
     """
     for name, value, section in (("scale", scale, Shape), ("spacing", spacing, Body)):
         if value is not None:
@@ -59,7 +69,13 @@ def surface_scene(
                 raise InputError(f"{name} {error}") from None
     description = Description(
         title="",
-        surface=Shape(file=str(file), parts=tuple(part), units=units or "", scale=scale),
+        surface=Shape(
+            file=str(file),
+            parts=tuple(part),
+            units=units or "",
+            scale=scale,
+            labels="" if labels is None else str(labels),
+        ),
         body=Body(spacing=spacing),
         tissue=Tissue(law=law or "NeoHookean"),
         support=tuple(Support(place=place_of_text(text)) for text in fixed),
@@ -67,3 +83,46 @@ def surface_scene(
     scene = OrganScene(with_settings(description, settings or {}), Path(), str(file), settings)
     _ = scene.material  # raises for a wrong law or parameter
     return scene
+
+
+def refined_scene(scene: OrganScene) -> OrganScene:
+    """Return the scene of the reduced model: with its own spacing, or with one that gives about `REFINED_NODES`.
+
+    That of a surface file depends on the file, and not on the folder from which it was opened.
+    """
+    about = scene.description
+    if is_surface_file(scene.name):
+        file = Path(scene.name).absolute()
+        support = tuple(
+            replace(each, place=replace(each.place, painted=replace(
+                each.place.painted, file=str(Path(each.place.painted.file).absolute())
+            ))) if each.place.painted else each
+            for each in about.support
+        )  # fmt: skip
+        names = str(Path(about.surface.labels).absolute()) if about.surface.labels else ""
+        about = replace(about, surface=replace(about.surface, file=file.name, labels=names), support=support)
+        scene = OrganScene(about, file.parent, str(file))
+    if about.body.spacing or scene.surface is None:
+        return scene
+    spacing = np.cbrt(NODES_PER_CELL * abs(scene.surface.volume) / REFINED_NODES)
+    return scene.with_body(spacing=float(f"{spacing:.3g}"))
+
+
+def named_scene(
+    what: str, settings: Mapping[str, Any] | None = None, part: Sequence[str] | None = None, labels: Path | None = None
+) -> OrganScene:
+    """Return a scene of the package, of a scene file, or of a surface file as `refined_scene`.
+
+    Parameters
+    ----------
+    settings : mapping, optional
+        As for `palpate.open_scene`.
+    part, labels
+        Of a surface file, as for `surface_scene`.
+    """
+    if is_surface_file(what):
+        return refined_scene(surface_scene(what, part=tuple(part or ()), labels=labels, settings=settings))
+    for name, value in (("part", part), ("labels", labels)):
+        if value:
+            raise InputError(f"{name} must be left out unless a surface file is given, got {what!r:.60}")
+    return open_scene(what, settings)

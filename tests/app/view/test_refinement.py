@@ -27,11 +27,11 @@ from palpate.app.view.refinement import Refinement
 from palpate.app.view.server.frames import STATE
 from palpate.app.view.session.messages import validate_message
 from palpate.app.view.session.session import Session
-from palpate.app.view.training_process import LEAST_SHARE, Progress, TrainingProcess, refined_scene
+from palpate.app.view.training_process import LEAST_SHARE, Progress, TrainingProcess
 from palpate.faults import InputError
 from palpate.reduction.storage.models import save
 from palpate.scenes.open_scene import described_scene, open_scene, text_of_scene
-from palpate.scenes.surface_scene import surface_scene
+from palpate.scenes.surface_scene import refined_scene, surface_scene
 from palpate.scenes.training import training_scene
 
 GOOD, BAD = {"force": 0.07, "surface": 0.02}, {"force": 0.14, "surface": 0.02}

@@ -1,6 +1,6 @@
 """Command line: parsers, types of options, and shared options.
 
-Only the standard library is imported here, so that ``palpate --help`` answers at once.
+Parsers import the standard library and declarations of parameters only, so that ``palpate --help`` answers at once.
 """
 
 from __future__ import annotations
@@ -17,14 +17,13 @@ from unicodedata import category
 from palpate.app.common.exit_status import BAD_INPUT, one_line
 
 __all__ = [
-    "LOAD_KEY", "PARSER_KEY", "Command", "Parser", "add_command", "add_json", "add_output", "add_parts",
+    "COMMAND_KEY", "PARSER_KEY", "Parser", "add_command", "add_json", "add_output", "add_parameter",
+    "add_parts",
     "existing_file", "in_option_words", "number", "option_names", "parse_settings", "path", "split_settings",
     "suggestion", "unprintable_word", "whole",
 ]  # fmt: skip
 
-Command = Callable[..., int]  # takes the options by name, and returns the exit code
-
-LOAD_KEY, PARSER_KEY = " load", " parser"  # names that no option has
+COMMAND_KEY, PARSER_KEY = " command", " parser"  # names that no option has
 MAX_ARGUMENT_CHARACTERS, MAX_NAME_BYTES = 4095, 255  # characters; bytes of a name in a folder
 UNPRINTABLE_CATEGORIES = ("Cc", "Cs")  # categories of characters: controls, halves of surrogate pairs
 MAX_EXACT_INTEGER = 2**53  # whole numbers beyond are not exact in the reports
@@ -118,23 +117,66 @@ def suggestion(word: str, choices: Sequence[str]) -> str:
     return f"; did you mean {near[0]}?" if near else ""
 
 
-def add_command(commands: Any, name: str, load: Callable[[], Command], *, summary: str, description: str) -> Parser:
+def add_command(commands: Any, name: str, function: str, *, summary: str, description: str) -> Parser:
     """Add a command to those of a parser.
 
     Parameters
     ----------
     commands : subparsers
         As `argparse.ArgumentParser.add_subparsers` returns them.
-    load : function
-        Imports and returns the function that runs the command.
+    function : str
+        ``"module:function"`` that runs the command: it takes the options by name, and returns the exit code.
     summary : str
         Of a line, for the help of all commands.
     description : str
         For the help of this one.
     """
     parser: Parser = commands.add_parser(name, help=summary, description=description)
-    parser.set_defaults(**{LOAD_KEY: load, PARSER_KEY: parser})
+    parser.set_defaults(**{COMMAND_KEY: function, PARSER_KEY: parser})
     return parser
+
+
+def add_parameter(parser: Any, section: type, name: str, note: str = "", **options: Any) -> None:
+    """Add the option of a parameter of a scene file, whose type, range, choices and help are those of its declaration.
+
+    Parameters
+    ----------
+    section : type
+        Section of `palpate.scenes.description`.
+    note : str
+        Follows the help. With a note the option has no default, otherwise that of the declaration.
+    options : mapping
+        Other arguments of ``add_argument``.
+    """
+    from palpate.parameters import fields_of
+
+    field, kind = fields_of(section)[name]
+    about, unit = field.metadata, field.metadata["unit"]
+    given: dict[str, Any] = {"help": f"{about['help'].partition(';')[0]}{f' [{unit}]' if unit else ''}{note}"}
+    if kind is bool:
+        given["action"] = "store_true"
+    elif about["choices"]:
+        given["choices"] = about["choices"]
+    else:
+        whole_number = kind is int
+        given |= {"type": _parameter_type(about, whole_number), "metavar": unit.upper() or "KX"[not whole_number]}
+        given |= {} if note else {"default": field.default}
+    parser.add_argument(f"--{name.replace('_', '-')}", **given | options)
+
+
+def _parameter_type(about: Mapping[str, Any], is_whole: bool) -> Callable[[str], float]:
+    """Return the type of an option: a number in the range of a declaration, or a text with a unit such as ``5mm``."""
+
+    def parse(text: str) -> float:
+        from palpate.faults import InputError
+        from palpate.parameters import check_number
+
+        try:
+            return int(check_number(whole(text), about)) if is_whole else check_number(text, about)
+        except InputError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return parse
 
 
 def add_output(parser: argparse.ArgumentParser, out: str) -> None:
@@ -148,8 +190,10 @@ def add_parts(parser: Any) -> None:
     text = (
         "part of a file of several, by its name or a pattern such as '*lobe*'; may be repeated (default: the largest "
     )
-    text += "closed one, if it is around all others)"
+    text += "closed one, if it is around all others); of a label map also a number, several are one body"
     parser.add_argument("--part", action="append", metavar="NAME", help=text)
+    text = "names that a label map lacks: JSON, a color table (.ctbl), or lines of a number and a name"
+    parser.add_argument("--labels", type=existing_file, metavar="FILE", help=text)
 
 
 def add_json(parser: argparse.ArgumentParser, what: str) -> None:
@@ -234,7 +278,7 @@ def in_option_words(message: str, parser: Parser, options: Mapping[str, Any]) ->
 
 def option_names(message: str) -> str:
     """Return a note about a surface with its arguments as options: ``give units= to be sure``, ``scale=0.1``."""
-    return re.sub(r"\b(part|scale|units)=(\S*)", lambda match: f"--{match[1]} {match[2]}".rstrip(), message)
+    return re.sub(r"\b(part|scale|units|labels)=(\S*)", lambda match: f"--{match[1]} {match[2]}".rstrip(), message)
 
 
 def _option_name(action: argparse.Action) -> str:

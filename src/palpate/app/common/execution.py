@@ -9,9 +9,10 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from typing import Any
 
-from palpate.app.common.arguments import LOAD_KEY, PARSER_KEY, Parser, in_option_words, unprintable_word
+from palpate.app.common.arguments import COMMAND_KEY, PARSER_KEY, Parser, in_option_words, unprintable_word
 from palpate.app.common.exit_status import (
     BAD_INPUT,
     DONE,
@@ -78,10 +79,10 @@ def _run(build_parser: Callable[[], Parser], words: Sequence[str]) -> int:
         if end.code:
             raise
         return DONE
-    if LOAD_KEY not in options:  # nothing but `palpate`
+    if COMMAND_KEY not in options:  # nothing but `palpate`
         parser.print_help()
         return DONE
-    return _call(options.pop(PARSER_KEY), options.pop(LOAD_KEY), options)
+    return _call(options.pop(PARSER_KEY), options.pop(COMMAND_KEY), options)
 
 
 def _complete(parser: Parser) -> int:
@@ -94,12 +95,13 @@ def _complete(parser: Parser) -> int:
     return DONE
 
 
-def _call(parser: Parser, load: Callable[[], Callable[..., int]], options: dict[str, Any]) -> int:
-    """Import and run a command."""
+def _call(parser: Parser, place: str, options: dict[str, Any]) -> int:
+    """Import and run a command, ``"module:function"``."""
     try:
         with _ending_at_interrupt():
-            command = load()
-        return command(**options)
+            module, function = place.split(":")
+            command = getattr(import_module(module), function)
+        return int(command(**options))
     except BrokenPipeError:
         raise
     except KeyboardInterrupt as interrupt:
@@ -112,8 +114,13 @@ def _call(parser: Parser, load: Callable[[], Callable[..., int]], options: dict[
 
 def _failed(error: Exception, parser: Parser, options: Mapping[str, Any]) -> int:
     """Print one line about an error; an unexpected one is a defect of palpate."""
-    from palpate.faults import DivergenceError, InputError
+    from palpate.faults import ChoiceError, DivergenceError, InputError
 
+    if isinstance(error, ChoiceError):
+        print(error.table, file=sys.stderr)
+        return complain(
+            f"{in_option_words(str(error), parser, options)}: {_with_choice(error, parser, options)}", BAD_INPUT
+        )
     if isinstance(error, InputError):
         return complain(in_option_words(str(error), parser, options), BAD_INPUT)
     if isinstance(error, OSError):
@@ -121,6 +128,15 @@ def _failed(error: Exception, parser: Parser, options: Mapping[str, Any]) -> int
     if isinstance(error, RunError | DivergenceError):
         return complain(str(error), FAILED)
     return report_defect(error)
+
+
+def _with_choice(error: Any, parser: Parser, options: Mapping[str, Any]) -> str:
+    """Return the command that makes the choice of an error."""
+    from shlex import quote
+
+    files = [str(options[name]) for name in ("what", "file", "scene", "model") if options.get(name)]
+    words = [word for name, value in error.choice.items() for word in (f"--{name}", quote(value))]
+    return " ".join([parser.prog, *map(quote, files[:1]), *words])
 
 
 @contextmanager

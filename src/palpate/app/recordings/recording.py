@@ -31,6 +31,7 @@ from palpate.app.recordings.snapshot_arrays import (
     snapshot_arrays,
 )
 from palpate.arrays import Floats
+from palpate.dynamics.contact.shapes import tool_parameters
 from palpate.dynamics.run.journal import is_journal
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError, integer_in_range, number_in_range
@@ -50,7 +51,7 @@ __all__ = [
 
 RECORDING_REMEDY = "record the session again"
 ERROR_NAMES = ("displacement", "largest", "force", "peak", "wall_seconds", "seconds")  # of the replay on the full model
-TOOL_FIELDS = {"kind", "radius", "length", "friction", "stiffness", "toughness", "start"}  # the last but one is new
+TOOL_FIELDS = {"kind", "radius", "length", "friction", "stiffness", "start"}  # of each tool, and some of `TOOLS`
 RECORDING_INTERVAL = 0.01  # [s] between snapshots
 VTKHDF_INTERVAL = 0.04  # [s] between snapshots in the file for ParaView
 
@@ -246,15 +247,18 @@ def validate_tools(tools: Any, count: int) -> list[dict[str, Any]]:
     """Return the tools of a file."""
     if not isinstance(tools, list) or not tools or not all(isinstance(tool, dict) for tool in tools):
         raise InputError(f"tools must be a list of tools, got {tools!r:.80}")
+    parameters = tool_parameters()
     for tool in tools:
-        if tool.keys() | {"toughness"} != TOOL_FIELDS or tool["kind"] not in TOOL_KINDS:
+        known = TOOL_FIELDS | parameters.keys()
+        if not TOOL_FIELDS <= tool.keys() <= known or tool["kind"] not in TOOL_KINDS:
             raise InputError(f"each entry of tools must be a tool, got {tool!r:.80}")
-        for name, most in (("radius", 1.0), ("length", 1.0), ("friction", 2.0)):
-            number_in_range(f"{name} of a tool", tool[name], 0.0, most)
+        number_in_range("friction of a tool", tool["friction"], 0.0, 2.0)
         if tool["stiffness"] is not None:
             number_in_range("stiffness of a tool", tool["stiffness"], 0.0, MAX_VALUE, open_low=True, unit="N/m")
-        if tool.setdefault("toughness", None) is not None:
-            number_in_range("toughness of a tool", tool["toughness"], 0.0, MAX_VALUE, unit="J/m^2")
+        for name, (about, _) in parameters.items():  # 0 of a tool without it, none in files of earlier versions
+            if name in TOOL_FIELDS or tool.setdefault(name, None) is not None:
+                most = 1.0 if about["unit"] == "m" else about["high"]
+                number_in_range(f"{name} of a tool", tool[name], 0.0, most, unit=about["unit"])
         integer_in_range("start of a tool", tool["start"], 0, count - 1)
     first = [tool["start"] for tool in tools]
     if first[0] != 0 or any(b <= a for a, b in pairwise(first)):

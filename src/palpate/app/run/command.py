@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any, cast
@@ -12,10 +13,11 @@ from typing import Any, cast
 import numpy as np
 
 from palpate.app.common.arguments import parse_settings
-from palpate.app.common.console import Console, Table, count_nodes, percent, quantities_table
+from palpate.app.common.console import Console, Table, count_nodes
 from palpate.app.common.exit_status import RunError
 from palpate.app.common.preparation import prepare
 from palpate.app.common.report import REPORTS, deliver, machine
+from palpate.app.common.rows import Rows, named_rows, quantities
 from palpate.app.run.realtime_scene import run_scene_realtime
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.rollout import rollout
@@ -28,14 +30,23 @@ from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.errors import relative_errors
 from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.beam import DURATION, EVERY, beam
-from palpate.scenes.open_scene import open_scene
+from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.scene import Scene
+from palpate.scenes.surface_scene import named_scene
 
 __all__ = ["FILES", "run"]
 
 FILES = (*REPORTS, "full.h5", "reduced.h5")
 PRESS_SEED = 500_000  # of the path of a scene without loads: the first held-out one
 RUN_SNAPSHOTS = round(DURATION / EVERY)
+RUN_ROWS: Rows = {
+    "computing time": "{wall_seconds:.3g s}",
+    "simulated time over computing time": "{real_time_factor:.3g}",
+    "time steps": "{steps}",
+    "a step": "{seconds_per_step: us}",
+    "largest displacement": "{largest_displacement:.4g mm}",
+    "energy balance, largest miss over largest work": "{energy_balance:.2%}",
+}
 REALTIME_OPTIONS = ("seconds", "rate", "model", "full")
 PAPER_SCENE = "beam"  # a single run is that of the paper, in its strong form
 PAPER_UNITS = {"spacing": "m", "load": "N", "poisson": ""}  # its settings
@@ -70,6 +81,8 @@ def run(*, scene: str, realtime: bool = False, **options: Any) -> int:
 def run_once(
     *,
     scene: str,
+    part: Sequence[str] | None = None,
+    labels: Path | None = None,
     spacing: float | None = None,
     load: float | None = None,
     poisson: float | None = None,
@@ -85,7 +98,9 @@ def run_once(
     Parameters
     ----------
     scene : str
-        As for `palpate.open_scene`. The run of the beam is the paper's (`palpate.scenes.beam.beam`).
+        As for `palpate.open_scene`, or a surface file. The run of the beam is the paper's (`palpate.scenes.beam.beam`).
+    part, labels
+        Of a surface file, as for `palpate.io.read_surface`.
     spacing : float, optional [m]
     load : float, optional [N]
         Of the paper's beam.
@@ -95,7 +110,7 @@ def run_once(
         Train a hyper-reduced model of so many modes on the full run, and run it, too. The full model then is in its
         energy form, which the reduced one samples.
     as_json : bool
-        As for `palpate.app.studies.beam.reproduce.reproduce_beam`.
+        As for `palpate.app.studies.reproduce.reproduce`.
 
     Returns
     -------
@@ -110,7 +125,8 @@ def run_once(
         raise InputError(f"load must be left out of {scene}, got {load:g}; change the loads in its file")
     console = Console()
     doubles = 6 if modes is None else 12
-    made = prepare(lambda: _scene(scene, settings, modes is not None), out, doubles, console)
+    named = partial(named_scene, part=part, labels=labels)
+    made = prepare(lambda: _scene(scene, settings, modes is not None, named), out, doubles, console)
     for name in FILES:  # of an earlier run: all files of a folder belong together
         (out / name).unlink(missing_ok=True)
     runs, reduced = {"full": _run(made, made.model, console, out / "full.h5")}, None
@@ -126,13 +142,13 @@ def run_once(
     return 0
 
 
-def _scene(name: str, settings: dict[str, Any], energy: bool) -> Scene:
+def _scene(name: str, settings: dict[str, Any], energy: bool, named: Callable[..., OrganScene]) -> Scene:
     """Return a scene for a single run, its model in the energy form if asked."""
     if name == PAPER_SCENE:
         scene = beam(**{key: _paper_value(key, value) for key, value in settings.items()})
         body = scene.model
         return replace(scene, model=Solid(body.cloud, body.material, body.supports, form="energy")) if energy else scene
-    opened = open_scene(name, settings)
+    opened = named(name, settings)
     loads, duration, every = opened.loads, opened.duration, opened.every
     if not opened.description.load:
         (loads, duration), every = opened.paths(PRESS_SEED), opened.description.training.every
@@ -205,19 +221,11 @@ def _run_entry(run: Trajectory, scene: Scene) -> dict[str, Any]:
 
 
 def _table(report: dict[str, Any]) -> Table:
-    runs = report["runs"].values()
-    rows = {
-        "computing time": [f"{run['wall_seconds']:.3g} s" for run in runs],
-        "simulated time over computing time": [f"{run['real_time_factor']:.3g}" for run in runs],
-        "time steps": [f"{run['steps']}" for run in runs],
-        "a step": [f"{1e6 * run['seconds_per_step']:.3g} us" for run in runs],
-        "largest displacement": [f"{1e3 * run['largest_displacement']:.4g} mm" for run in runs],
-        "energy balance, largest miss over largest work": [percent(run["energy_balance"]) for run in runs],
-    }
-    for group in next(iter(runs))["largest_reactions"]:
-        rows[f"largest force of {group!r}"] = [f"{run['largest_reactions'][group]:.4g} N" for run in runs]
+    names = [f"full model, {report['form']} form", "reduced model"]
+    runs = dict(zip(names, report["runs"].values(), strict=False))
     if "errors" in report:
-        rows |= {f"error of {name}": ["-", percent(value)] for name, value in report["errors"].items()}
-        rows["time over the full model's"] = ["-", percent(report["ratio"])]
-    columns = [f"full model, {report['form']} form", "reduced model"][: len(report["runs"])]
-    return quantities_table(report["title"], columns, rows)
+        runs["reduced model"] = runs["reduced model"] | {"errors": report["errors"], "ratio": report["ratio"]}
+    forces = report["runs"]["full"]["largest_reactions"]
+    rows = RUN_ROWS | named_rows("largest force of {!r}", "largest_reactions", "{value:.4g N}", forces)
+    rows |= named_rows("error of {}", "errors", "{value:.2%}", report.get("errors", ()))
+    return quantities(report["title"], rows | {"time over the full model's": "{ratio:.2%}"}, runs)

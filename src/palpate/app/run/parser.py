@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from palpate.app.common.arguments import Command, add_command, add_output, existing_file, number, whole
+from palpate.app.common.arguments import add_command, add_output, add_parameter, add_parts, existing_file, number
+from palpate.scenes.description import Body, Tissue, Training
 from palpate.scenes.names import listed_scenes
 
 __all__ = ["add_run"]
-
-
-def _load() -> Command:
-    from palpate.app.run.command import run
-
-    return run
 
 
 def add_run(commands: Any) -> None:
@@ -21,7 +16,7 @@ def add_run(commands: Any) -> None:
     run = add_command(
         commands,
         "run",
-        _load,
+        "palpate.app.run.command:run",
         summary="run a scene, once or in real time, and report its cost",
         description="Run the full body of a scene under its loads, or under a press of its tool if it has none, and "
         "with --modes also a hyper-reduced model of that run. Leave the trajectories and a report in a folder. With "
@@ -29,16 +24,17 @@ def add_run(commands: Any) -> None:
         "again; the model is trained at the first start. Report how well the rate was kept, and the force on the tool.",
     )
     run.assignments["given"] = "--set"
+    add_parts(run)
     add = run.add_argument
-    text = f"{listed_scenes()}, or a scene file (organ.toml); a single run of the beam is the paper's"
+    text = f"{listed_scenes()}, a scene file (organ.toml), or a surface file; a single run of the beam is the paper's"
     add("scene", metavar="SCENE", help=text)
     text = "settings of the scene, such as spacing=5mm"
     add("--set", nargs="+", action="extend", default=[], dest="given", metavar="NAME=X", help=text)
-    add("--spacing", type=number, metavar="M", help="distance between nodes [m]")
+    add_parameter(run, Body, "spacing", " (default: that of the scene)")
     add("--load", type=number, metavar="N", help="largest force [N] on the paper's beam (default: 100)")
-    add("--poisson", type=number, metavar="NU", help="Poisson's ratio, at most 0.499")
-    text = "number of modes of a reduced model (default: no reduced model; in real time that of the scene)"
-    add("--modes", type=whole, metavar="M", help=text)
+    add_parameter(run, Tissue, "poisson", " (default: that of the scene)")
+    text = " (default: no reduced model; in real time that of the scene)"
+    add_parameter(run, Training, "modes", text)
     add("--realtime", action="store_true", help="step at a fixed rate while a tool moves")
     text = "in real time: load this reduced model of palpate train, train none"
     add("--model", type=existing_file, metavar="FILE", help=text)

@@ -14,12 +14,13 @@ import numpy as np
 
 from palpate.app.common.console import Console, count_nodes
 from palpate.app.common.exit_status import RunError
+from palpate.arrays import Floats
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError, TrustWarning
-from palpate.files import settle
+from palpate.files import flush_and_rename
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.errors import relative_errors
 from palpate.scenes.scene import Scene
@@ -37,7 +38,7 @@ __all__ = [
     "run_reduced",
 ]
 
-Train = Callable[[NodalModel, Trajectory, int], Model]
+Train = Callable[[NodalModel, Trajectory, int], Model]  # of a full model, its run over a phase and a number of modes
 
 PROJECTED, HYPER_REDUCED = "projected", "hyper-reduced"  # names of series: `palpate.galerkin`, `palpate.hyper_reduce`
 
@@ -46,30 +47,18 @@ SHOWN_MODES = 8  # the reduced model that figures compare with the full one: the
 
 @dataclass(frozen=True)
 class Phase:
-    """A part of a run that has reduced models of its own.
-
-    Parameters
-    ----------
-    start, duration : float [s]
-    step : float, optional [s]
-        Time step of the projected runs; by default the one that `palpate.rollout` chooses.
-    """
+    """A part of a run that has reduced models of its own."""
 
     name: str
-    start: float
-    duration: float
-    step: float | None = None
+    start: float  # [s]
+    duration: float  # [s]
+    step: float | None = None  # [s] of the projected runs; None for the one that `palpate.rollout` chooses
+    title: str = ""  # what happens in it, for figures
 
 
 @dataclass(frozen=True)
 class Shown:
-    """The reduced runs of a series that figures compare with the full ones.
-
-    Parameters
-    ----------
-    runs : list of Trajectory
-        One for every phase.
-    """
+    """The reduced runs of a series, one for every phase, that figures compare with the full ones."""
 
     modes: int
     runs: list[Trajectory]
@@ -77,39 +66,43 @@ class Shown:
 
 @dataclass
 class Study:
-    """Models to run, and their results.
-
-    Parameters
-    ----------
-    phases : sequence of Phase
-        One after the other; together they are the scene's whole run.
-    series : mapping of str to functions
-        Kinds of reduced models by name: of a full model, its run over a phase and a number of modes, each returns the
-        reduced model.
-    title : str
-        Name of the full model in messages.
-    file : str
-        Name of the full run's file.
-    parts : list of Trajectory
-        Runs of the full model, one for every phase.
-    full : Trajectory
-        The same joined.
-    reduced : list of dict
-        One for every series and number of modes: ``"series"``, ``"modes"``, ``"failed"``, for every phase its entry in
-        ``"phases"``, and those of the whole run in ``"joined"``.
-    shown : dict of str to Shown
-        By series; without those of which no run was finished.
-    """
+    """Models to run, and their results."""
 
     scene: Scene
-    phases: Sequence[Phase]
-    series: Mapping[str, Train]
-    title: str = "full model"
-    file: str = "full.h5"
-    parts: list[Trajectory] = field(default_factory=list)
+    phases: Sequence[Phase]  # one after the other; together they are the scene's whole run
+    series: Mapping[str, Train]  # kinds of reduced models by name
+    form: str = ""  # of the equations, of an example that has several
+    file: str = "full.h5"  # of the full run
+    fields: dict[str, Floats] = field(default_factory=dict)  # stresses and states (f, n) of the full run, by name
+    singular_values: list[Floats] = field(default_factory=list)  # of the snapshots behind the modes of every phase
+    parts: list[Trajectory] = field(default_factory=list)  # runs of the full model, one for every phase
+    # one for every series and number of modes: "series", "modes", "failed", for every phase its entry in "phases", and
+    # those of the whole run in "joined"
     reduced: list[dict[str, Any]] = field(default_factory=list)
-    shown: dict[str, Shown] = field(default_factory=dict)
-    full: Trajectory = field(init=False)
+    shown: dict[str, Shown] = field(default_factory=dict)  # by series; without those of which no run was finished
+    full: Trajectory = field(init=False)  # the parts joined
+
+    @property
+    def title(self) -> str:
+        """Name of the full model in messages."""
+        return f"full model, {self.form}" if self.form else "full model"
+
+    def of_phases(self, values: Sequence[Any]) -> Any:
+        """Return values of the phases by name, or the one value of a study with one phase."""
+        named = {phase.name: value for phase, value in zip(self.phases, values, strict=True)}
+        return named if len(named) > 1 else values[0]
+
+    def finished(self, phase: Phase, series: str) -> list[dict[str, Any]]:
+        """Return the entries of the reduced runs of a series that finished a phase, each with its number of modes."""
+        return [entry for entry in self.entries(phase, series) if not entry["failed"]]
+
+    def entries(self, phase: Phase, series: str) -> list[dict[str, Any]]:
+        """Return the entries of all reduced runs of a series over a phase, each with its number of modes."""
+        return [
+            {"modes": entry["modes"]} | entry["phases"][phase.name]
+            for entry in self.reduced
+            if entry["series"] == series
+        ]
 
 
 def run_full(study: Study, out: Path, files: Sequence[str], console: Console) -> None:
@@ -165,7 +158,7 @@ def _join(parts: Sequence[Trajectory]) -> Trajectory:
 def _keep(study: Study, partials: list[Path], path: Path) -> None:
     """Give the complete run its name."""
     if len(partials) == 1:
-        settle(partials[0], path)
+        flush_and_rename(partials[0], path)
         return
     study.full.save(path)
     for partial in partials:

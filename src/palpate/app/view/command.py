@@ -25,9 +25,11 @@ from palpate.scenes.names import PACKAGE_SCENES, is_scene_file
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.places import side_mask
 from palpate.scenes.surface_scene import is_surface_file, surface_scene
+from palpate.surface.labels.reading import is_label_map
 from palpate.surface.surface import Surface
 
 if TYPE_CHECKING:  # each takes a second to import, before the page opens
+    from palpate.app.view.server.host import Host
     from palpate.app.view.session.messages import Message
     from palpate.app.view.session.session import Session
     from palpate.reduction.hyper.model import ReducedModel
@@ -53,6 +55,7 @@ def view(
     units: str | None = None,
     scale: float = 1.0,
     part: Sequence[str] | None = None,
+    labels: Path | None = None,
     spacing: float | None = None,
     law: str | None = None,
     given: Sequence[str] = (),
@@ -82,7 +85,7 @@ def view(
         Duration of a headless session, 10 by default.
     script : path, optional
         Script of a headless session; see `palpate.app.view.session.script.read_script`.
-    units, scale, part, spacing, law, given, fixed
+    units, scale, part, labels, spacing, law, given, fixed
         Of a body from a surface file, see `palpate.scenes.surface_scene.surface_scene`; `spacing` and `given` also of
         a scene file.
     refine : bool
@@ -108,8 +111,8 @@ def view(
     if record is not None:
         _check_record(record, what)
     options: dict[str, Any] = {
-        "units": units, "scale": scale, "part": tuple(part or ()), "spacing": spacing, "law": law,
-        "settings": parse_settings(given), "fixed": tuple(fixed),
+        "units": units, "scale": scale, "spacing": spacing, "law": law,
+        "settings": parse_settings(given), "fixed": tuple(fixed), "labels": labels,
     }  # fmt: skip
     if compare and (is_surface_file(what) or is_scene_file(what)):
         raise InputError(f"compare must be left out for a full body, got {what!r:.60}; give a reduced model")
@@ -118,8 +121,17 @@ def view(
         raise InputError(f"refine must be left out unless a page shows a surface file or a scene file, got {reason}")
     if scene is not None and not compare:
         raise InputError(f"scene must be left out without --compare, got {scene!r:.60}; add --compare")
-    subject = _read_subject(what, options, compare, scene)
+
+    def read(parts: Sequence[str]) -> _Subject:
+        return _read_subject(what, options | {"part": tuple(parts)}, compare, scene)
+
     with _exit_on_signals():
+        if run is None and is_label_map(what) and not part:
+            from palpate.app.view.choose_labels import choose_on_page
+
+            with choose_on_page(what, labels, read, (port, host, browser)) as (place, subject):
+                return FAILED if _show(subject, record, place, refine) else DONE
+        subject = read(part or ())
         if run is None:
             return FAILED if _show(subject, record, (port, host, browser), refine) else DONE
         from palpate.app.view.session.script import run_script
@@ -165,13 +177,13 @@ class _Subject:
 
 def _read_subject(what: str, options: dict[str, Any], compare: bool, scene: str | None) -> _Subject:
     """Read a scene, a surface or a model, and check the options of a surface."""
-    others = {"units": None, "scale": 1.0, "part": (), "law": None, "fixed": ()}
+    others = {"units": None, "scale": 1.0, "part": (), "labels": None, "law": None, "fixed": ()}
     if is_surface_file(what):
         touched = surface_scene(what, **options)
         assert touched.surface is not None
         for support in touched.description.support:
             if support.place.side:
-                side_mask(touched.surface.vertices, support.place.side)
+                side_mask(touched.surface.vertices, support.place.side, space=touched.surface.space)
         return _Subject(what, touched.title, touched)
     strange = [name for name, value in others.items() if options[name] != value]
     if is_scene_file(what):
@@ -183,8 +195,8 @@ def _read_subject(what: str, options: dict[str, Any], compare: bool, scene: str 
         return _Subject(what, touched.title, touched)
     if strange or options["spacing"] is not None or options["settings"]:
         raise InputError(
-            "units, scale, part, spacing, law, set and fixed must be left out unless a surface file is viewed, got "
-            f"{what!r:.60}"
+            "units, scale, part, labels, spacing, law, set and fixed must be left out unless a surface file is viewed, "
+            f"got {what!r:.60}"
         )
     if what in PACKAGE_SCENES:
         return _Subject(what, what.capitalize(), compare=compare, scene=scene)
@@ -194,8 +206,13 @@ def _read_subject(what: str, options: dict[str, Any], compare: bool, scene: str 
     return _Subject(what, title, None, model, compare, scene)
 
 
-def _show(subject: _Subject, record: Path | None, address: tuple[int, str, bool], refine: bool) -> list[str]:
+def _show(subject: _Subject, record: Path | None, place: Host | tuple[int, str, bool], refine: bool) -> list[str]:
     """Show a body on a page until interrupted: first its surface, then the session.
+
+    Parameters
+    ----------
+    place : Host or tuple
+        Host that serves a choice of the body already, or port, address and whether to open a browser.
 
     Returns
     -------
@@ -203,13 +220,19 @@ def _show(subject: _Subject, record: Path | None, address: tuple[int, str, bool]
         Failures of recordings.
     """
     from palpate.app.view.compile_ahead import compile_ahead
-    from palpate.app.view.server.host import serve
+    from palpate.app.view.server.host import Host, serve
     from palpate.app.view.server.preparation import Preparation
+    from palpate.app.view.surroundings import show_surroundings
 
     preparation = Preparation(subject.title, subject.durations_name, subject.surface)
     console = Console(preparation.begin)
     patience = TRAINING_STOP_SECONDS if subject.what in PACKAGE_SCENES else STOP_SECONDS
-    with serve(preparation, console, *address) as host, contextlib.ExitStack() as stack:
+    serving = contextlib.nullcontext(place) if isinstance(place, Host) else serve(preparation, console, *place)
+    with serving as host, contextlib.ExitStack() as stack:
+        if isinstance(place, Host):
+            host.prepare(preparation)
+        if subject.touched is not None:
+            show_surroundings(host, subject.touched)
         try:
             with _end_after_interrupt(patience):
                 touched = None if preparation.code_is_compiled else subject.touched

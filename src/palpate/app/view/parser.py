@@ -5,32 +5,21 @@ from __future__ import annotations
 from typing import Any
 
 from palpate.app.common.arguments import (
-    Command,
     Parser,
     add_command,
     add_json,
+    add_parameter,
     add_parts,
     existing_file,
     number,
     path,
     whole,
 )
+from palpate.scenes.description import Body, Shape
 from palpate.scenes.names import listed_scenes
 from palpate.surface.formats.names import listed_formats
 
 __all__ = ["add_replay", "add_view"]
-
-
-def _load_view() -> Command:
-    from palpate.app.view.command import view
-
-    return view
-
-
-def _load_replay() -> Command:
-    from palpate.app.view.replay_command import replay
-
-    return replay
 
 
 def add_view(commands: Any) -> None:
@@ -38,7 +27,7 @@ def add_view(commands: Any) -> None:
     view = add_command(
         commands,
         "view",
-        _load_view,
+        "palpate.app.view.command:view",
         summary="press and pull a body on a page in the browser",
         description="Show a body in real time on a page, where a tool presses, grasps and pulls it. See docs/view.md.",
     )
@@ -72,11 +61,10 @@ def _add_surface(parser: Parser) -> None:
     """Add the options of a body from a surface file."""
     group = parser.add_argument_group("of a surface file")
     add = group.add_argument
-    add("--units", choices=("m", "cm", "mm", "in"), help="unit of length of the file (default: guessed by size)")
-    add("--scale", type=number, default=1.0, metavar="S", help="factor of all lengths (default: 1)")
+    add_parameter(group, Shape, "units", " (default: guessed by size)")
+    add_parameter(group, Shape, "scale")
     add_parts(group)
-    text = "distance of the nodes [m] (default: the finest that this machine steps in real time)"
-    add("--spacing", type=number, metavar="M", help=text)
+    add_parameter(group, Body, "spacing", " (default: the finest that this machine steps in real time)")
     add("--law", metavar="LAW", help="law of the tissue, see palpate laws (default: liver, 2.2 kPa)")
     text = "parameters of the law, density and poisson, in SI units"
     add("--set", nargs="+", action="extend", default=[], dest="given", metavar="NAME=X", help=text)
@@ -92,7 +80,7 @@ def add_replay(commands: Any) -> None:
     replay = add_command(
         commands,
         "replay",
-        _load_replay,
+        "palpate.app.view.replay_command:replay",
         summary="show or export what palpate view has recorded",
         description="Show a recording on a page, draw it, or run its tool's path on the full model. See docs/view.md.",
     )
@@ -107,7 +95,23 @@ def add_replay(commands: Any) -> None:
     add("--movie", type=path, metavar="FILE", help=text)
     text = "field that the colours of pictures show: displacement, stress or pressure"
     add("--scalar", default="displacement", metavar="NAME", help=text)
+    _add_deformed_labels(replay)
     _add_address(replay)
+
+
+def _add_deformed_labels(parser: Parser) -> None:
+    """Add the options of the deformed label map of a recorded body."""
+    group = parser.add_argument_group("of the deformed label map")
+    add = group.add_argument
+    add("--labels", type=existing_file, metavar="MAP", help="label map of the body at rest, from which it was made")
+    text = "write the deformed label map, in the image of --labels: .nii, .nii.gz or .nrrd"
+    add("-o", "--out", type=path, metavar="FILE", help=text)
+    text = "write the displacement field that resamples an image of the body at rest to the deformed one"
+    add("--field", type=path, metavar="FILE", help=text)
+    text = "moment of the recording [s] (default: that of the largest force)"
+    add("--frame", type=number, metavar="T", help=text)
+    text = "label of the body, by its name or number; may be repeated (default: those that lie in it)"
+    add("--part", action="append", metavar="NAME", help=text)
 
 
 def _add_address(parser: Parser) -> None:

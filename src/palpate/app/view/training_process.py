@@ -8,52 +8,23 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import replace
-from pathlib import Path
 from time import monotonic
 from typing import Any
 
-import numpy as np
-
 from palpate.app.common.console import Console
 from palpate.app.common.exit_status import RunError
-from palpate.app.models.touch import NODES_PER_CELL
 from palpate.app.models.trained import MAX_WORKERS, held_out_means, model_file, trained_model
 from palpate.app.train.local import THREAD_VARIABLES
 from palpate.faults import DivergenceError, InputError
 from palpate.processes import Answer, Child, Receive
 from palpate.scenes.open_scene import described_scene, text_of_scene
 from palpate.scenes.organ_scene import OrganScene
-from palpate.scenes.surface_scene import is_surface_file
 
-__all__ = ["Progress", "TrainingProcess", "refined_scene", "train_in_process"]
+__all__ = ["Progress", "TrainingProcess", "train_in_process"]
 
-REFINED_NODES = 4500  # of a body without a spacing; statics of training take 5,000 at most
 TRAINING_SHARE = 1.3  # time of the training over that of all its runs: 1.3 on a liver of 4,500 nodes
 LEAST_SHARE = 0.02  # of the runs, from which their time is estimated
 MIN_SECONDS_LEFT = 1.0  # [s]
-
-
-def refined_scene(scene: OrganScene) -> OrganScene:
-    """Return the scene of the reduced model: with its own spacing, or with one that gives about `REFINED_NODES`.
-
-    That of a surface file depends on the file, and not on the folder from which it was opened.
-    """
-    about = scene.description
-    if is_surface_file(scene.name):
-        file = Path(scene.name).absolute()
-        support = tuple(
-            replace(each, place=replace(each.place, painted=replace(
-                each.place.painted, file=str(Path(each.place.painted.file).absolute())
-            ))) if each.place.painted else each
-            for each in about.support
-        )  # fmt: skip
-        about = replace(about, surface=replace(about.surface, file=file.name), support=support)
-        scene = OrganScene(about, file.parent, str(file))
-    if about.body.spacing or scene.surface is None:
-        return scene
-    spacing = np.cbrt(NODES_PER_CELL * abs(scene.surface.volume) / REFINED_NODES)
-    return scene.with_body(spacing=float(f"{spacing:.3g}"))
 
 
 class TrainingProcess:

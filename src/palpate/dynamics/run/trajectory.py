@@ -81,7 +81,7 @@ class Trajectory(Described):
         Error bounds of the displacement, root mean square over the body, and of the tools' forces
         (`palpate.ReducedModel.error_bounds`); infinite where the error is unknown. Empty without them.
     cut_area, released_energy, edge_work, friction_work : (f,) arrays [m^2], [J]
-        Books of a blade since the start: the area that it has cut, the strain energy that the front has released
+        Totals of a blade since the start: the area that it has cut, the strain energy that the front has released
         at fixed displacements, and the energies dissipated at its edge and by friction on its sides. Empty
         without a blade.
     cuts : (c, 10) array

@@ -12,12 +12,12 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+from palpate.dynamics.material.kinematics import Kinematics
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import plain
 from palpate.reduction.contact.compliance import NO_COMPLIANCE
 from palpate.reduction.hyper.cubature import Cubature
 from palpate.reduction.hyper.data import UNLIMITED_SCALE, ReducedData
-from palpate.reduction.hyper.material_point import Kinematics
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.body import (
     BODY_ATTRIBUTES,

@@ -21,7 +21,7 @@ from palpate.app.recordings.recording import RECORDING_INTERVAL, Recording, Surf
 from palpate.app.recordings.recording_journal import RecordingJournal
 from palpate.app.recordings.snapshot import OverlayState, Snapshot, scalar_descriptions, training_errors
 from palpate.app.recordings.snapshot_arrays import coordinates_type
-from palpate.app.view.session.messages import MAX_COORDINATE, Message
+from palpate.app.view.session.messages import MAX_COORDINATE, Message, describe_tools
 from palpate.app.view.session.recorder import Recorder
 from palpate.app.view.session.tool_control import (
     NO_ROTATION,
@@ -30,10 +30,9 @@ from palpate.app.view.session.tool_control import (
     ToolWorkspace,
     compose_rotations,
     make_forceps,
-    tool_shape,
 )
 from palpate.arrays import Floats
-from palpate.dynamics.contact.tools import Forceps, Tool
+from palpate.dynamics.contact.shapes import TOOLS, Forceps, Tool, make_tool, tool_parameters
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
@@ -165,7 +164,7 @@ class Session:
         return {
             "tools": self.tool_kinds, "tool": self._describe_tool(), "materials": self._materials(), "rate": self.rate,
             "scalars": scalar_descriptions(self.surface), "training_errors": training_errors(self.model),
-            "overlay": False, "full": self.is_full,
+            "overlay": False, "full": self.is_full, **describe_tools(self.tool_kinds),
         }  # fmt: skip
 
     def _materials(self) -> list[dict[str, Any]]:
@@ -216,7 +215,7 @@ class Session:
         cutter = getattr(self._realtime_model, "cutter", None)
         if cutter is None or self.selected_tool.kind != "scalpel":
             return {}
-        return {"cut_area": float(cutter.books[0]), "cutting_force": cutter.cutting_force}
+        return {"cut_area": float(cutter.totals[0]), "cutting_force": cutter.cutting_force}
 
     def load(self, seconds: float) -> float:
         """Return the computing time of periods over their length, from the median of those in some seconds.
@@ -246,7 +245,7 @@ class Session:
         if not self.accepts_tools:
             return []
         cutter = getattr(self._realtime_model, "cutter", None)
-        return ["sphere", "capsule", "grasp", *(["scalpel"] if cutter is not None else [])]
+        return [kind for kind in TOOLS if kind != "scalpel" or cutter is not None]
 
     @property
     def is_cut(self) -> bool:
@@ -302,7 +301,7 @@ class Session:
         for writer in self._writers:
             writer.join()
 
-    def succeed(self, former: Session) -> None:
+    def continue_from(self, former: Session) -> None:
         """Start in place of another session of the same body: with its selected tool, speed, moduli and pause.
 
         The other session stops, and its recording is written. Its notifications are those of this session from now
@@ -504,14 +503,11 @@ class Session:
         if message["kind"] == "grasp":
             shape, position = make_forceps(self.surface, self._displacements(), position, message["radius"])
         else:
-            shape = tool_shape(message)
+            shape = make_tool(message["kind"], message)
             if not self._workspace.is_outside(self._displacements(), shape, np.concatenate([position, quaternion])):
                 raise InputError("tool must be outside the body, got a position inside; put it down outside")
-        toughness = message["toughness"] if message["kind"] == "scalpel" else None
-        self.selected_tool = SelectedTool(
-            message["kind"], shape, message["radius"], message["length"], message["friction"], message["stiffness"],
-            toughness,
-        )  # fmt: skip
+        parameters = {name: message[name] for name in tool_parameters()}
+        self.selected_tool = SelectedTool(message["kind"], shape, message["friction"], message["stiffness"], parameters)
         self._change_tool(self.selected_tool, position, quaternion, message["sequence"])
 
     def _displacements(self) -> Floats:

@@ -1,4 +1,4 @@
-"""Advance of a cut with a blade: the way of its edge through the stress-free body, and the books of its energy.
+"""Advance of a cut with a blade: the path of its edge through the stress-free body, and its energy balance.
 
 After some steps the points of the edge have moved on through the tissue. The triangles between their places before and
 after, in the stress-free body, are cut at fixed displacements, a quarter of the spacing at a time. The body then loses
@@ -148,7 +148,7 @@ class Incision(Described):
     friction_work: float = 0.0
 
     @property
-    def books(self) -> Floats:
+    def totals(self) -> Floats:
         """Cut area [m^2], released energy, and energies dissipated at the edge and by friction [J], shape (4,)."""
         return np.array([self.area, self.released, self.edge_work, self.friction_work])
 
