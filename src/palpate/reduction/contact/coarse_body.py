@@ -51,6 +51,8 @@ def coarse_body(body: NodalModel, spacing: float | None = None, most: int = MAX_
     try:
         if body.planes:
             raise InputError("planes of symmetry cut the surface")
+        if len(body.cut_surface.triangles):
+            raise InputError("the body is cut")
         if not len(cloud.triangles):
             raise InputError("its cloud has no boundary triangles")
         coarse = _refill(Surface(cloud.points, cloud.triangles, "body"), spacing, most)
