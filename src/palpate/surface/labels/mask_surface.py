@@ -26,7 +26,7 @@ from palpate.surface.surface import Surface, part_volumes, select_triangles, ver
 
 __all__ = ["label_surface", "largest_piece", "mask_surface", "piece_sizes"]
 
-MAX_POINTS = 1 << 25  # of the grid
+MAX_POINTS = 1 << 20  # of the grid
 STEPS_ACROSS = 32  # steps of the grid along the cube root of the volume, at least
 GAUSSIAN_WIDTH = 0.7  # standard deviation of the Gaussian over the largest edge of a voxel
 GAUSSIAN_REACH = 3.5  # of the Gaussian, in standard deviations
