@@ -78,7 +78,7 @@ function start() {
     send(message);
   });
   refinement = new Refinement(byId, send);
-  surroundings = new SurroundingsPanel(byId, (shown) => scene.showSurroundings(shown), mark);
+  surroundings = new SurroundingsPanel(byId, scene.fine, (shown) => scene.showSurroundings(shown), mark);
   choice = new LabelChoice(byId, send);
   controls = new InputControls(scene, page);
   theme(byId("theme"), (accent, dark) => {

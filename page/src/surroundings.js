@@ -83,9 +83,9 @@ export class Surroundings {
 
 /** The section of the panel: a switch, and a list to find a shape by its name. */
 export class SurroundingsPanel {
-  /** `changed(shown)` follows the switch, `found(shape)` the list. */
-  constructor(byId, changed, found) {
-    Object.assign(this, { byId, found, asked: localStorage.getItem(KEY) !== "off" });
+  /** `first` is whether shapes are shown until the user chooses; `changed(shown)` follows the switch, `found(shape)` the list. */
+  constructor(byId, first, changed, found) {
+    Object.assign(this, { byId, asked: (localStorage.getItem(KEY) ?? (first ? "on" : "off")) === "on" });
     byId("surroundings-shown").onchange = ({ target }) => this.set(target.checked, changed);
     byId("surroundings-names").onchange = ({ target }) => found(Number(target.value));
     this.toggle = () => byId("surroundings").hidden || this.set(!this.asked, changed);
@@ -93,8 +93,7 @@ export class SurroundingsPanel {
 
   set(shown, changed) {
     this.asked = shown;
-    if (shown) localStorage.removeItem(KEY);
-    else localStorage.setItem(KEY, "off");
+    localStorage.setItem(KEY, shown ? "on" : "off");
     this.update();
     changed(shown);
   }

@@ -106,13 +106,16 @@ class OrganScene(Described):
     @property
     def title(self) -> str:
         """Title of the scene."""
-        from palpate.surface.formats.names import format_of
+        from palpate.surface.formats.names import LABEL_FORMATS, format_of
+        from palpate.surface.parts import names_text
 
         file = Path(self.description.surface.file)
         if self.description.title or not self.description.surface.file:
             return self.description.title or Path(self.name).stem.capitalize()
         stem = Path(file.stem).stem if format_of(file)[1] else file.stem
-        words = stem.replace("_", " ")
+        parts = self.description.surface.parts if format_of(file)[0] in LABEL_FORMATS else ()
+        words = f"{names_text(parts, 3)} ({stem})" if parts else stem
+        words = words.replace("_", " ")
         return words[:1].upper() + words[1:]
 
     def with_body(self, **changes: Any) -> OrganScene:

@@ -19,12 +19,15 @@ import pytest
 from palpate import load
 from palpate.app.models.trained import model_file
 from palpate.app.recordings.recording import ERROR_NAMES, load_recording, save_recording
+from palpate.app.view.server.label_choice import LabelChoice
 from palpate.app.view.session.comparison import Comparison
 from palpate.app.view.session.full_model_replay import full_model
 from palpate.app.view.session.messages import validate_message
 from palpate.app.view.session.replay import Replay
 from palpate.app.view.session.session import Session
 from palpate.scenes.open_scene import open_scene
+from palpate.surface.labels.listing import LabelRow
+from palpate.surface.surface import Surface
 
 sys.path.append(str(Path(__file__).parent))
 
@@ -133,6 +136,90 @@ def test_a_comparison_shows_both_bodies_and_both_forces(browser, model, site_of)
             tab.wait("palpate.force === 0 && palpate.session.fullNewtons === 0")
     finally:
         compared.close()
+
+
+def _shape(name, low, high):
+    """Return a box between two corners [m], counter-clockwise from outside."""
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    triangles = [triangle for a, b, c, d in faces for triangle in ((a, b, c), (a, c, d))]
+    return Surface(np.asarray(low) + corners * (np.asarray(high) - np.asarray(low)), triangles, name)
+
+
+def test_shapes_around_a_body_are_named_by_a_click_and_hidden_by_a_key(browser, site, session):
+    high = session.surface.rest.max(axis=0)
+    size = high - session.surface.rest.min(axis=0)
+    left = _shape("kidney_left", high + size * [0.1, -1.0, -1.0], high + size * [0.6, 0.0, 0.0])
+    behind = _shape("rib_7", left.vertices.min(axis=0) + 0.1 * size, left.vertices.max(axis=0) - 0.1 * size)
+    with opening(browser) as open_tab:
+        tab = open_tab(site.address)
+        assert tab.evaluate("document.getElementById('surroundings').hidden")
+        site.loop.call_soon_threadsafe(site.server.surround, (left, behind))
+        tab.wait("!document.getElementById('surroundings').hidden")
+        text = tab.evaluate("document.getElementById('surroundings-text').textContent")
+        assert text == "Surroundings (2 shapes)"
+        assert tab.evaluate("palpate.scene.surroundings.mesh") is None  # hidden at first in software
+        tab.key("s")
+        assert tab.evaluate("palpate.scene.graph.children.includes(palpate.scene.surroundings.mesh)")
+        middle = left.vertices.mean(axis=0).tolist()
+
+        def click():
+            place = "(() => { const b = document.getElementById('view').getBoundingClientRect();"
+            x, y = tab.evaluate(f"{place} const [x, y] = palpate.project({middle}); return [b.x + x, b.y + y]; }})()")
+            tab.mouse("Moved", x, y, "none")
+            tab.mouse("Pressed", x, y)
+            tab.mouse("Released", x, y)
+
+        for name in ("kidney left", "rib 7", "kidney left"):  # the nearest, the one behind it, and again
+            click()
+            tab.wait(f"document.getElementById('spoken').textContent === '{name}'")
+        assert tab.evaluate("document.getElementById('surroundings-names').selectedOptions[0].text") == "kidney left"
+        assert tab.evaluate("palpate.scene.surroundings.mesh.material.uniforms.marked.value") == 0
+        tab.key("Escape")
+        tab.wait("palpate.scene.surroundings.mesh.material.uniforms.marked.value === -1")
+        tab.key("s")
+        tab.wait("!palpate.scene.graph.children.includes(palpate.scene.surroundings.mesh)")
+        assert tab.evaluate("document.getElementById('surroundings-shown').checked") is False
+        click()
+        assert tab.evaluate("palpate.scene.surroundings.marked") == -1
+        tab.key("s")
+        tab.wait("palpate.scene.graph.children.includes(palpate.scene.surroundings.mesh)")
+        x, y = hold(tab)  # a body is pressed as before
+        tab.wait("palpate.force > 0.02")
+        tab.mouse("Released", x, y)
+        assert tab.evaluate("palpate.statusLine.errors") == []
+
+
+def test_a_body_is_chosen_in_the_list_of_labels(browser, site_of, session):
+    rows = [LabelRow(k, f"organ_{k}", f"organ_{k}", 1e-4 * k, 1 + k % 2, k == 3) for k in range(1, 14)]
+    choice = LabelChoice("trunk.nii.gz", rows)
+    site = site_of(choice)
+    tab = browser.open(site.address, 1024, 640)
+    tab.wait("document.querySelectorAll('#choice-rows tr').length === 13")
+    assert tab.evaluate("document.getElementById('panel').inert")
+    assert tab.evaluate("document.getElementById('choice-start').disabled")
+    texts = tab.evaluate(
+        "[...document.querySelectorAll('#choice-rows tr')[2].children].map((cell) => cell.textContent)"
+    )
+    assert texts == ["", "organ_3", "3", "300", "2", "yes"]
+    tab.evaluate("{ const find = document.getElementById('choice-find'); find.value = 'organ 12'; find.oninput(); }")
+    assert tab.evaluate("document.querySelectorAll('#choice-rows tr:not([hidden])').length") == 1
+    tab.evaluate("document.querySelector('#choice-rows tr:not([hidden]) button').click()")
+    assert choice.wait() == ("organ_12",)
+    site.loop.call_soon_threadsafe(site.server.refuse, "organ_12 must be closed")
+    tab.wait("document.getElementById('choice-error').textContent === 'organ_12 must be closed'")
+    tab.evaluate("{ const find = document.getElementById('choice-find'); find.value = ''; find.oninput(); }")
+    for k in (1, 4):
+        tab.evaluate(f"document.querySelectorAll('#choice-rows input')[{k}].click()")
+    tab.evaluate("document.getElementById('choice-start').click()")
+    assert choice.wait() == ("organ_2", "organ_5")
+    site.loop.call_soon_threadsafe(choice.made.set)
+    site.loop.call_soon_threadsafe(site.server.show, session)
+    tab.wait("window.palpate?.ready && document.getElementById('choice').hidden", 60)
+    assert tab.evaluate("document.getElementById('panel').inert") is False
+    errors = tab.errors
+    tab.close()
+    assert not errors
 
 
 @pytest.mark.skipif("PALPATE_SCREENSHOTS" not in os.environ, reason="PALPATE_SCREENSHOTS names no folder")

@@ -97,3 +97,8 @@ def test_nothing_is_sent_where_there_is_nothing_around_a_body(site):
             assert not own.surroundings
 
     asyncio.run(run())
+
+
+def test_the_title_names_the_organ_and_the_file(label_file):
+    assert surface_scene(label_file, part=["liver"]).title == "Liver (trunk)"
+    assert surface_scene(label_file, part=["liver", "rib"]).title == "Liver, rib (trunk)"

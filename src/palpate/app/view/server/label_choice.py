@@ -91,6 +91,7 @@ async def let_choose(viewer: Viewer, choice: LabelChoice) -> None:
                     return
             finally:
                 received.cancel()
+                await asyncio.wait([received])
     finally:
         made.cancel()
         viewer.ready = False
