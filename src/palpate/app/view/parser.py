@@ -33,8 +33,8 @@ def add_view(commands: Any) -> None:
     )
     add = view.add_argument
     text = (
-        f"a surface file ({listed_formats()}), whose full body is touched at once; a scene ({listed_scenes()}); or the "
-        "file of a reduced model, such as model.rom of palpate train"
+        f"a surface file or label map ({listed_formats()}), whose full body is touched at once; a scene "
+        f"({listed_scenes()}); or the file of a reduced model, such as model.rom of palpate train"
     )
     add("what", metavar="SCENE|FILE", help=text)
     _add_surface(view)
@@ -70,7 +70,8 @@ def _add_surface(parser: Parser) -> None:
     add("--set", nargs="+", action="extend", default=[], dest="given", metavar="NAME=X", help=text)
     text = (
         "part that is held: x-, x+, y-, y+, z-, z+, back, 'lowest 15%%', 'near X,Y,Z,R' in mm or 'painted FILE'; may "
-        "be repeated (default: back, the side away from the first view)"
+        "be repeated (default: back, the side away from the first view); of a label map also left, right, front, rear, "
+        "head, feet"
     )
     add("--fixed", action="append", default=[], metavar="WHERE", help=text)
 
