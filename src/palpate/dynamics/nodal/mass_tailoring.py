@@ -193,9 +193,9 @@ def subtract_inertia(  # type: ignore[no-untyped-def]
     They follow from the forces ``force + factor other`` [N/m^3] and ``rate impulses`` [N].
     """
     start, nodes, used, forces = tailoring.start, tailoring.nodes, tailoring.used, tailoring.forces
-    for i in range(forces.shape[0]):
+    for j in range(forces.shape[0]):
         for c in range(3):
-            forces[i, c] = volumes[i] * (force[i, c] + factor * other[i, c]) + rate * impulses[i, c]
+            forces[j, c] = volumes[j] * (force[j, c] + factor * other[j, c]) + rate * impulses[j, c]
     # flat arrays and unsigned places take two thirds of the time
     flat, on, taken = tailoring.shapes.reshape(-1), forces.reshape(-1), result.reshape(-1)
     one, two, three = np.uint64(1), np.uint64(2), np.uint64(3)
