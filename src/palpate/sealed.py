@@ -1,13 +1,12 @@
 """Sealed files: HDF5 files whose arrays are located and verified by a table with digests.
 
 A sealed file is an HDF5 file, which any program can open. Every array is contiguous, or one chunk with the filters
-shuffle and deflate of HDF5: the bytes of its values by significance, compressed. Its
-first 512 bytes, which HDF5 leaves to its users, name the kind of the file, the version, and the place and SHA-256 of a
-table at the end of the file. The table is JSON: a header of plain values, the type, shape, place and SHA-256 of every
-array, and a SHA-256 of all bytes between the arrays. palpate reads the table and the arrays themselves, never the
-structures of HDF5: so links, external data, other filters and damaged HDF5 tables have no effect, and every length is
-checked against the size of the file before anything is allocated. A compressed array has at most `MAX_RATIO` bytes
-for each in the file.
+shuffle and deflate of HDF5: the bytes of its values by significance, compressed. Its first 512 bytes, which HDF5 leaves
+to its users, name the kind of the file, the version, and the place and SHA-256 of a table at the end of the file. The
+table is JSON: a header of plain values, the type, shape, place and SHA-256 of every array, and a SHA-256 of all bytes
+between the arrays. palpate reads the table and the arrays themselves, never the structures of HDF5: so links, external
+data, other filters and damaged HDF5 tables have no effect, and every length is checked against the size of the file
+before anything is allocated. A compressed array has at most `MAX_RATIO` bytes for each in the file.
 
 A digest shows damage. It does not show forgery: who writes a file can also write its digests. What is read from a file
 is therefore data only, and every loader checks each value.
@@ -108,9 +107,8 @@ def check_arrays(arrays: Mapping[str, Values], declared: Mapping[str, Array], si
             length == size or isinstance(size, str) for length, size in zip(array.shape, expected, strict=True)
         )
         if not fits or array.dtype != each.type:
-            shape = f"({', '.join(map(str, expected))})"
-            got = f"{array.shape} of {array.dtype.str}"
-            raise InputError(f"array {name} must have shape {shape} of {each.type}, got {got}")
+            shape, got = ", ".join(map(str, expected)), f"{array.shape} of {array.dtype.str}"
+            raise InputError(f"array {name} must have shape ({shape}) of {each.type}, got {got}")
         known |= {size: length for size, length in zip(each.shape, array.shape, strict=True) if isinstance(size, str)}
     for name, each in declared.items():
         array, low = arrays[name], max(each.low, -each.most)
@@ -118,8 +116,8 @@ def check_arrays(arrays: Mapping[str, Values], declared: Mapping[str, Array], si
             raise InputError(f"array {name} must have indices from 0 to {known[each.index_of] - 1}, got others")
         if array.dtype != bool and not ((array >= low) & (array <= each.most)).all():
             least = "positive, up" if low == LEAST_POSITIVE else f"from {low:g}"
-            unit = f" {each.unit}" if each.unit else ""
-            raise InputError(f"array {name} must be finite, {least} to {each.most:g}{unit}, got other numbers")
+            most = f"{each.most:g} {each.unit}".rstrip()
+            raise InputError(f"array {name} must be finite, {least} to {most}, got other numbers")
         if each.rising and np.any(np.diff(array) < 0):
             raise InputError(f"array {name} must not decrease, got smaller numbers after larger ones")
 

@@ -52,7 +52,7 @@ def coarse_body(body: Solid, spacing: float | None = None, most: int = MAX_NODES
     try:
         if body.planes:
             raise InputError("planes of symmetry cut the surface")
-        if len(body.cut_surface.triangles):
+        if isinstance(body, EnergySolid) and len(body.cut_surface.triangles):
             raise InputError("the body is cut")
         if not len(cloud.triangles):
             raise InputError("its cloud has no boundary triangles")
