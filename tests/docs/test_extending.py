@@ -48,7 +48,7 @@ def edit(root: Path, step: re.Match[str]) -> None:
 @pytest.fixture
 def copy(tmp_path):
     """A copy of sources and tests, with compiled kernels."""
-    for name in ("src", "tests", "docs", "validation"):
+    for name in ("src", "tests", "docs", "validation", "benchmarks"):
         skip = shutil.ignore_patterns("images", "node_modules")
         shutil.copytree(ROOT / name, tmp_path / name, ignore=skip)
     for name in ("pyproject.toml", "README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md", "Makefile"):
