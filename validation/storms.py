@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 import palpate as pt
-from palpate.app.view.session.messages import validate_message
-from palpate.app.view.session.session import MODULUS_NAME, Session
+from palpate.app.session.messages import validate_message
+from palpate.app.session.session import MODULUS_NAME, Session
 
 SIZE, SPACING = (0.06, 0.06, 0.03), 0.006  # [m]
 REACH = 0.03  # [m] of jumps beyond the body

@@ -19,8 +19,8 @@ from palpate.app.models.touch import (
     open_touched,
     realtime_spacing,
 )
-from palpate.app.view.session.messages import validate_message
-from palpate.app.view.session.session import Session
+from palpate.app.session.messages import validate_message
+from palpate.app.session.session import Session
 from palpate.meshfree.cloud import BORDER_MARGIN
 from palpate.scenes.description import Shape
 from palpate.scenes.open_scene import open_scene

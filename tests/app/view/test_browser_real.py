@@ -19,11 +19,11 @@ import pytest
 from palpate import load
 from palpate.app.models.trained import model_file
 from palpate.app.recordings.recording import ERROR_NAMES, load_recording, save_recording
-from palpate.app.view.session.comparison import Comparison
-from palpate.app.view.session.full_model_replay import full_model
-from palpate.app.view.session.messages import validate_message
-from palpate.app.view.session.replay import Replay
-from palpate.app.view.session.session import Session
+from palpate.app.session.comparison import Comparison
+from palpate.app.session.full_model_replay import full_model
+from palpate.app.session.messages import validate_message
+from palpate.app.session.replay import Replay
+from palpate.app.session.session import Session
 from palpate.scenes.open_scene import open_scene
 
 sys.path.append(str(Path(__file__).parent))

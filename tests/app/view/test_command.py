@@ -13,7 +13,7 @@ import pytest
 import palpate as pt
 from palpate.app.cli import main
 from palpate.app.recordings.recording import load_recording, save_recording
-from palpate.app.view.session.session import Session
+from palpate.app.session.session import Session
 
 pytestmark = pytest.mark.slow
 
@@ -37,7 +37,7 @@ def ended(monkeypatch):
             os.kill(os.getpid(), number)
         save_recording(path, recording)
 
-    monkeypatch.setattr("palpate.app.view.session.session.save_recording", saving)
+    monkeypatch.setattr("palpate.app.session.session.save_recording", saving)
 
     def send(number, *, begin=False):
         def wait():
@@ -111,7 +111,7 @@ def test_a_recording_that_was_not_written_ends_with_status_1(file, tmp_path, mon
     def full(path, recording):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("palpate.app.view.session.session.save_recording", full)
+    monkeypatch.setattr("palpate.app.session.session.save_recording", full)
     path = tmp_path / "new.h5"
     assert main(["view", str(file), "--headless", "--seconds", "0.3", "--record", str(path)]) == 1
     said = capsys.readouterr().err

@@ -21,13 +21,13 @@ from view_scenes import BALL, MIDDLE, block
 from websockets.asyncio.client import connect
 
 from palpate.app.common.console import Console
+from palpate.app.session.messages import validate_message
+from palpate.app.session.session import Session
 from palpate.app.train.folder import manifest_of, open_campaign
 from palpate.app.train.scene_folder import name_in_folder, training_folder
 from palpate.app.view.command import view
 from palpate.app.view.refinement import Refinement
 from palpate.app.view.server.frames import STATE
-from palpate.app.view.session.messages import validate_message
-from palpate.app.view.session.session import Session
 from palpate.app.view.training_process import LEAST_SHARE, Progress, TrainingProcess, refined_scene
 from palpate.faults import InputError
 from palpate.reduction.storage.models import save

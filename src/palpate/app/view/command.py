@@ -28,8 +28,8 @@ from palpate.scenes.surface_scene import is_surface_file, surface_scene
 from palpate.surface.surface import Surface
 
 if TYPE_CHECKING:  # each takes a second to import, before the page opens
-    from palpate.app.view.session.messages import Message
-    from palpate.app.view.session.session import Session
+    from palpate.app.session.messages import Message
+    from palpate.app.session.session import Session
     from palpate.reduction.hyper.model import ReducedModel
     from palpate.scenes.organ_scene import OrganScene
 
@@ -81,7 +81,7 @@ def view(
     seconds : float, optional [s]
         Duration of a headless session, 10 by default.
     script : path, optional
-        Script of a headless session; see `palpate.app.view.session.script.read_script`.
+        Script of a headless session; see `palpate.app.session.script.read_script`.
     units, scale, part, spacing, law, given, fixed
         Of a body from a surface file, see `palpate.scenes.surface_scene.surface_scene`; `spacing` and `given` also of
         a scene file.
@@ -122,7 +122,7 @@ def view(
     with _exit_on_signals():
         if run is None:
             return FAILED if _show(subject, record, (port, host, browser), refine) else DONE
-        from palpate.app.view.session.script import run_script
+        from palpate.app.session.script import run_script
 
         with _session(subject, record, Console()) as session:
             summary = run_script(session, *run)
@@ -308,9 +308,9 @@ def _in_real_time(session: Session, touched: OrganScene, subject: _Subject, cons
 
 def _open_session(model: Any, subject: _Subject, foundations: tuple[Foundation, ...]) -> Session:
     """Return a session of a body, or of a reduced model and its full body."""
-    from palpate.app.view.session.comparison import Comparison
-    from palpate.app.view.session.full_model_replay import full_model
-    from palpate.app.view.session.session import Session
+    from palpate.app.session.comparison import Comparison
+    from palpate.app.session.full_model_replay import full_model
+    from palpate.app.session.session import Session
     from palpate.reduction.hyper.model import ReducedModel
 
     if subject.compare and isinstance(model, ReducedModel):
@@ -397,7 +397,7 @@ def _headless_script(
     seconds = number_in_range(
         "seconds", 10.0 if seconds is None else seconds, 0.0, MAX_HEADLESS_SECONDS, open_low=True, unit="s"
     )
-    from palpate.app.view.session.script import read_script
+    from palpate.app.session.script import read_script
 
     return read_script(script) if script is not None else [], seconds
 

@@ -60,7 +60,7 @@ def compile_for_tissue() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-    from palpate.app.view.session.session import Session
+    from palpate.app.session.session import Session
     from palpate.dynamics.solid.model import EnergySolid
     from palpate.meshfree.cloud import box
     from palpate.scenes.tissue import fibres_of, material_of

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from palpate.app.common.console import Console, percent
 from palpate.app.models.trained import training_folder
-from palpate.app.view.session.session import Session
+from palpate.app.session.session import Session
 from palpate.app.view.training_process import TrainingProcess, refined_scene
 from palpate.faults import InputError
 from palpate.reduction.storage.models import load

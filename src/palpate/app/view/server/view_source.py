@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Protocol
 
 from palpate.app.recordings.snapshot import OverlayState, Snapshot
-from palpate.app.view.session.messages import Message
+from palpate.app.session.messages import Message
 
 if TYPE_CHECKING:
     from palpate.realtime.bodies.display_surface import DisplaySurface

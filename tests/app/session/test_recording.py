@@ -17,11 +17,11 @@ from view_scenes import BALL, MIDDLE, block
 import palpate as pt
 from palpate.app.cli import main
 from palpate.app.recordings.recording import FORMAT, VERSION, load_recording, save_recording
+from palpate.app.session.full_model_replay import full_model, replay_on_full_model
+from palpate.app.session.messages import validate_message
+from palpate.app.session.replay import Replay
+from palpate.app.session.session import Session
 from palpate.app.view.server.frames import state_body
-from palpate.app.view.session.full_model_replay import full_model, replay_on_full_model
-from palpate.app.view.session.messages import validate_message
-from palpate.app.view.session.replay import Replay
-from palpate.app.view.session.session import Session
 
 ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.app.view.session.messages import Message
+from palpate.app.session.messages import Message
 from palpate.arrays import Floats
 from palpate.dynamics.contact.blade import Blade, scalpel
 from palpate.dynamics.contact.geometry import compute_gaps

@@ -11,7 +11,7 @@ import numpy as np
 from palpate.app.recordings.cut_surfaces import CutSurfaces
 from palpate.app.recordings.recording import Recording
 from palpate.app.recordings.snapshot import OverlayState, Snapshot, scalar_descriptions, training_errors
-from palpate.app.view.session.messages import Message
+from palpate.app.session.messages import Message
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.realtime.bodies.display_surface import DisplaySurface

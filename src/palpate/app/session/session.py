@@ -21,9 +21,9 @@ from palpate.app.recordings.recording import RECORDING_INTERVAL, Recording, Surf
 from palpate.app.recordings.recording_journal import RecordingJournal
 from palpate.app.recordings.snapshot import OverlayState, Snapshot, scalar_descriptions, training_errors
 from palpate.app.recordings.snapshot_arrays import coordinates_type
-from palpate.app.view.session.messages import MAX_COORDINATE, Message
-from palpate.app.view.session.recorder import Recorder
-from palpate.app.view.session.tool_control import (
+from palpate.app.session.messages import MAX_COORDINATE, Message
+from palpate.app.session.recorder import Recorder
+from palpate.app.session.tool_control import (
     NO_ROTATION,
     WORKSPACE_MARGIN,
     SelectedTool,

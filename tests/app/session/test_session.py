@@ -14,8 +14,8 @@ from view_scenes import BALL, MIDDLE, SIZE
 
 import palpate as pt
 from palpate.app.recordings.recording import load_recording, save_recording
-from palpate.app.view.session.messages import validate_message
-from palpate.app.view.session.session import HAND_FORCE, Session
+from palpate.app.session.messages import validate_message
+from palpate.app.session.session import HAND_FORCE, Session
 from palpate.dynamics.run.journal import Journal
 from palpate.sealed import kind_of_file
 
@@ -144,9 +144,7 @@ def test_a_pause_stops_the_steps_and_a_suspended_machine_pauses(session, monkeyp
     session.tick()
     assert session.status()["state"] == "running"
     now = time.time()
-    monkeypatch.setattr(
-        "palpate.app.view.session.session.time.time", lambda: now + 3600.0
-    )  # the lid was closed for an hour
+    monkeypatch.setattr("palpate.app.session.session.time.time", lambda: now + 3600.0)  # the lid was closed for an hour
     session.tick()
     assert session.status()["state"] == "paused"
     assert session.status()["pause_reason"] == "sleep"
@@ -202,7 +200,7 @@ def test_a_coupled_tool_rests_where_spring_and_body_balance(session, ball, until
 @pytest.mark.slow  # the periods are called from Python, which compiles them for one test
 def test_the_virtual_coupling_produces_no_energy(model):
     """The example's books, in periods of 1 ms without a clock."""
-    path = Path(__file__).parents[4] / "validation" / "virtual_coupling.py"
+    path = Path(__file__).parents[3] / "validation" / "virtual_coupling.py"
     example = runpy.run_path(str(path))
     books = example["balance"](model, 300.0, radius=BALL, depth=0.004)
     most = books["body"].max()
@@ -214,7 +212,7 @@ def test_the_virtual_coupling_produces_no_energy(model):
 
 @pytest.mark.slow  # as above
 def test_a_saturated_coupling_produces_no_energy_and_pulls_with_its_limit(model):
-    path = Path(__file__).parents[4] / "validation" / "virtual_coupling.py"
+    path = Path(__file__).parents[3] / "validation" / "virtual_coupling.py"
     balance = runpy.run_path(str(path))["balance"]
     free = balance(model, 300.0, radius=BALL, depth=0.004)
     limit = 0.3 * free["force"].max()
@@ -240,7 +238,7 @@ def test_a_model_without_tools_is_refused(model):
 
 
 def test_recordings_of_the_same_second_have_different_names(session, tmp_path, monkeypatch, until):
-    monkeypatch.setattr("palpate.app.view.session.session.time.strftime", lambda form: "recording-now")
+    monkeypatch.setattr("palpate.app.session.session.time.strftime", lambda form: "recording-now")
     session.folder = tmp_path / "recordings"
     for _ in range(3):
         session.start_recording()
@@ -262,7 +260,7 @@ def test_a_recording_that_cannot_be_written_keeps_its_journal(session, tmp_path,
     def full(path, recording):
         raise OSError("no space left")
 
-    monkeypatch.setattr("palpate.app.view.session.session.save_recording", full)
+    monkeypatch.setattr("palpate.app.session.session.save_recording", full)
     session.folder = tmp_path
     session.start_recording()
     until(lambda: len(session._recorder.times) > 1)
@@ -286,7 +284,7 @@ def test_a_recording_that_cannot_be_written_is_written_elsewhere(session, tmp_pa
     (tmp_path / "full").mkdir()
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
-    monkeypatch.setattr("palpate.app.view.session.session.save_recording", full)
+    monkeypatch.setattr("palpate.app.session.session.save_recording", full)
     session.start_recording(tmp_path / "full" / "all.h5")
     until(lambda: len(session._recorder.times) > 1)
     session.finish_recording(wait=True)

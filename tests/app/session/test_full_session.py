@@ -13,9 +13,9 @@ import palpate as pt
 from palpate.app.cli import main
 from palpate.app.recordings.recording import FORMAT, VERSION, load_recording
 from palpate.app.recordings.recording_journal import is_recording
-from palpate.app.view.session.messages import validate_message
-from palpate.app.view.session.replay import Replay
-from palpate.app.view.session.session import Session
+from palpate.app.session.messages import validate_message
+from palpate.app.session.replay import Replay
+from palpate.app.session.session import Session
 
 ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.app.view.session.messages import Message, validate_message
-from palpate.app.view.session.session import Session
+from palpate.app.session.messages import Message, validate_message
+from palpate.app.session.session import Session
 from palpate.dynamics.run.progress import progress_bar
 from palpate.faults import FileFormatError, InputError
 from palpate.files import json_of, read_text

@@ -9,9 +9,9 @@ import pytest
 
 import palpate as pt
 from palpate.app.recordings.recording import load_recording
-from palpate.app.view.session.messages import validate_message
-from palpate.app.view.session.replay import Replay
-from palpate.app.view.session.session import Session
+from palpate.app.session.messages import validate_message
+from palpate.app.session.replay import Replay
+from palpate.app.session.session import Session
 
 SIZE = (0.05, 0.04, 0.025)
 TOUGHNESS = 5.0
