@@ -9,16 +9,11 @@ from typing import Any
 from palpate.faults import InputError
 from palpate.parameters import check_number, fields_of
 from palpate.scenes.description import Body, Description, Shape, Support, Tissue, with_settings
+from palpate.scenes.names import SceneKind
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.places import place_of_text
-from palpate.surface.formats.names import SURFACE_FORMATS, format_of
 
-__all__ = ["is_surface_file", "surface_scene"]
-
-
-def is_surface_file(what: str) -> bool:
-    """Return True for the name of a surface file by its suffix."""
-    return format_of(Path(what))[0] in SURFACE_FORMATS
+__all__ = ["surface_scene"]
 
 
 def surface_scene(
@@ -64,6 +59,6 @@ def surface_scene(
         tissue=Tissue(law=law or "NeoHookean"),
         support=tuple(Support(place=place_of_text(text)) for text in fixed),
     )
-    scene = OrganScene(with_settings(description, settings or {}), Path(), str(file), settings)
+    scene = OrganScene(with_settings(description, settings or {}), Path(), str(file), SceneKind.SURFACE_FILE, settings)
     _ = scene.material  # raises for a wrong law or parameter
     return scene

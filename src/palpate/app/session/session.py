@@ -30,16 +30,18 @@ from palpate.app.session.tool_control import (
     ToolWorkspace,
     compose_rotations,
     make_forceps,
+    selected_tool,
     tool_shape,
 )
 from palpate.arrays import Floats
-from palpate.dynamics.contact.tools import Forceps, Tool
+from palpate.dynamics.contact.tools import Contact, Forceps, Tool
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.meshfree.cut.surface import NO_CUT
 from palpate.realtime.bodies.cut_display import CutFullSurface
 from palpate.realtime.bodies.display_surface import DisplaySurface
+from palpate.realtime.bodies.full_blade import BladeCutter
 from palpate.realtime.bodies.full_body import step_statistics
 from palpate.realtime.bodies.full_surface import FullSurface, display_surface
 from palpate.realtime.bodies.model import idle_model
@@ -54,6 +56,7 @@ __all__ = ["Session"]
 
 PERIODS_PER_SECOND = 1000.0  # [Hz]
 MAX_TOOL_SPEED = 0.5  # [m/s]
+HISTORY_SECONDS = 5.0
 FULL_INTERVAL = 0.04  # [s] between snapshots of a full body: a minute of 3,000 nodes takes 54 MB
 MAX_READS = 1000  # attempts to read the engine and the model in the same period
 PACE_SECONDS = 3.0  # [s] over which the pace is taken
@@ -78,6 +81,10 @@ class Session:
     rate : float [Hz]
     foundations : sequence of Foundation
         Springs between the body and the ground.
+    history : float [s]
+        Duration that the engine's black box stores.
+    black_box : path, optional
+        Its file, written if the state diverges.
     """
 
     mode = "live"
@@ -88,6 +95,8 @@ class Session:
         title: str,
         rate: float = PERIODS_PER_SECOND,
         foundations: Sequence[Foundation] = (),
+        history: float = HISTORY_SECONDS,
+        black_box: Path | None = None,
     ) -> None:
         farthest = float(np.abs(model.cloud.points).max()) + WORKSPACE_MARGIN
         if farthest > MAX_COORDINATE:
@@ -109,7 +118,7 @@ class Session:
             self.tool = self.selected_tool = SelectedTool("group", None)
         self._observable = make_observable(self._realtime_model)
         self.engine = Engine(  # every frame has the trust number
-            self._observable, rate, max_speed=MAX_TOOL_SPEED, on_distrust="ignore"
+            self._observable, rate, max_speed=MAX_TOOL_SPEED, on_distrust="ignore", history=history, black_box=black_box
         )
         self.pause_reason: str | None = None
         self.speed, self.modulus_ratio = 1.0, 1.0
@@ -124,6 +133,11 @@ class Session:
         self._lock, self._last_tick = threading.RLock(), (time.time(), time.monotonic())
 
     # queries
+
+    @property
+    def cutter(self) -> BladeCutter | None:
+        """What cuts the body; None for one that is never cut."""
+        return self._realtime_model.cutter
 
     @property
     def shown_surface(self) -> DisplaySurface:
@@ -513,6 +527,12 @@ class Session:
             toughness,
         )  # fmt: skip
         self._change_tool(self.selected_tool, position, quaternion, message["sequence"])
+
+    def put_down(self, contact: Contact) -> None:
+        """Put a tool down at its first pose, to which the poses of `palpate.Engine.set_pose` are then relative."""
+        pose = contact.poses(np.zeros(1))[0]
+        self.selected_tool = selected_tool(contact)
+        self._change_tool(self.selected_tool, pose[:3], pose[3:])
 
     def _displacements(self) -> Floats:
         return self.snapshot().displacements(self.surface).astype(float)

@@ -11,7 +11,7 @@ from palpate.app.session.messages import Message
 from palpate.arrays import Floats
 from palpate.dynamics.contact.blade import Blade, scalpel
 from palpate.dynamics.contact.geometry import compute_gaps
-from palpate.dynamics.contact.tools import Capsule, Forceps, Sphere, Tool
+from palpate.dynamics.contact.tools import Capsule, Contact, Forceps, Sphere, Tool
 from palpate.faults import InputError
 from palpate.realtime.bodies.display_surface import DisplaySurface, fixed_nodes
 
@@ -22,6 +22,7 @@ __all__ = [
     "ToolWorkspace",
     "compose_rotations",
     "make_forceps",
+    "selected_tool",
     "tool_shape",
 ]
 
@@ -87,6 +88,18 @@ def tool_shape(message: Message) -> Tool:
     if message["kind"] == "sphere":
         return Sphere(message["radius"])
     return Capsule(message["radius"], message["length"])
+
+
+def selected_tool(contact: Contact) -> SelectedTool:
+    """Return the sphere, capsule or scalpel of a contact."""
+    tool = contact.tool
+    if isinstance(tool, Blade):
+        length = float(np.ptp(np.asarray(tool.edge), axis=0).max())
+        return SelectedTool("scalpel", tool, length=length, friction=contact.friction, toughness=tool.toughness)
+    if isinstance(tool, Sphere):
+        return SelectedTool("sphere", tool, tool.radius, friction=contact.friction)
+    assert isinstance(tool, Capsule)
+    return SelectedTool("capsule", tool, tool.radius, tool.length, contact.friction)
 
 
 def make_forceps(

@@ -18,9 +18,9 @@ from palpate.app.train.scene_folder import name_in_folder, training_folder
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import check_folder
 from palpate.scenes.description import Training
-from palpate.scenes.names import is_scene_file
-from palpate.scenes.open_scene import open_scene
-from palpate.scenes.training import is_opened, search_current_folder, training_scene
+from palpate.scenes.names import SceneKind, kind_of
+from palpate.scenes.open_scene import open_scene, training_scene_of
+from palpate.scenes.training import search_current_folder, training_scene
 
 __all__ = ["train"]
 
@@ -82,12 +82,13 @@ def train(
     int
         0, also if some runs failed; 3 if the errors on the held-out runs are too large to use the model.
     """
-    if is_opened(scene):
+    opened = None
+    if kind_of(scene) in (SceneKind.PACKAGE, SceneKind.SCENE_FILE):
         settings = parse_settings(given)
         opened = open_scene(scene, settings)
         defaults = opened.description.training
         if out is None:
-            out = training_folder(opened) if is_scene_file(scene) else DEFAULT_OUT
+            out = training_folder(opened) if opened.kind is SceneKind.SCENE_FILE else DEFAULT_OUT
     else:
         settings = split_settings(given)  # converted to the types of the function's defaults
         defaults, out = USER_DEFAULTS, DEFAULT_OUT if out is None else out
@@ -117,7 +118,7 @@ def train(
     with console.status("making the model ready (the first run on a machine compiles it: a minute or two)"):
         if ":" in scene:
             search_current_folder()
-        made = training_scene(scene, settings)
+        made = training_scene(scene, settings) if opened is None else training_scene_of(opened, settings)
     with open_campaign(out, manifest_of(name_in_folder(scene, out), made, seed)) as campaign_folder:
         for recording in more:
             add_recording(campaign_folder, made, recording)

@@ -25,7 +25,7 @@ from palpate.dynamics.run.progress import progress_bar
 from palpate.extras import require
 from palpate.faults import InputError
 from palpate.files import check_folder
-from palpate.scenes.names import is_scene_file
+from palpate.scenes.names import SceneKind, kind_of
 
 __all__ = ["replay"]
 
@@ -66,7 +66,7 @@ def replay(
         0.
     """
     console = Console()
-    if is_scene_file(file.name):
+    if kind_of(file.name) is SceneKind.SCENE_FILE:
         file = last_recording(file)
         console.say(f"replaying {file}")
     if movie is not None:

@@ -27,9 +27,9 @@ from palpate.app.models.touch import NODES_PER_CELL
 from palpate.app.models.trained import MAX_WORKERS, held_out_means, model_file, trained_model
 from palpate.app.train.local import THREAD_VARIABLES
 from palpate.faults import DivergenceError, InputError
+from palpate.scenes.names import SceneKind
 from palpate.scenes.open_scene import described_scene, text_of_scene
 from palpate.scenes.organ_scene import OrganScene
-from palpate.scenes.surface_scene import is_surface_file
 
 __all__ = ["Progress", "TrainingProcess", "refined_scene", "train_in_process"]
 
@@ -47,7 +47,7 @@ def refined_scene(scene: OrganScene) -> OrganScene:
     That of a surface file depends on the file, and not on the folder from which it was opened.
     """
     about = scene.description
-    if is_surface_file(scene.name):
+    if scene.kind is SceneKind.SURFACE_FILE:
         file = Path(scene.name).absolute()
         support = tuple(
             replace(each, place=replace(each.place, painted=replace(
@@ -56,7 +56,7 @@ def refined_scene(scene: OrganScene) -> OrganScene:
             for each in about.support
         )  # fmt: skip
         about = replace(about, surface=replace(about.surface, file=file.name), support=support)
-        scene = OrganScene(about, file.parent, str(file))
+        scene = OrganScene(about, file.parent, str(file), scene.kind)
     if about.body.spacing or scene.surface is None:
         return scene
     spacing = np.cbrt(NODES_PER_CELL * abs(scene.surface.volume) / REFINED_NODES)

@@ -1,29 +1,24 @@
-"""``palpate run SCENE --realtime``: step the body of a scene under repeated presses or moves of its tool."""
+"""Motions of the tool of a scene in real time: repeated presses of a ball, moves of a group, or a cut."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from palpate.app.common.console import Console
-from palpate.app.models.trained import model_file, trained_model
-from palpate.app.run.realtime import Poses, run_realtime
+from palpate.app.models.subject import Subject
+from palpate.app.session.play import Poses
 from palpate.dynamics.contact.blade import scalpel
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.storage.models import load
 from palpate.scenes.description import Cut
-from palpate.scenes.open_scene import open_scene
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.scene_paths import MIN_RADIUS, touching_paths
 
-__all__ = ["pressing_ball", "run_scene_realtime"]
+__all__ = ["cutting_scalpel", "pressing_ball", "tool_motion"]
 
 UNTRAINED_SEED = 1_500_000  # of a path that was not trained on
 PRESS_SECONDS, SWING_SECONDS = 2.0, 3.0  # [s] duration of such a path
@@ -34,60 +29,31 @@ NO_ROTATION = np.array([1.0, 0.0, 0.0, 0.0])
 MAX_PRESS_DEPTH, MIN_DEPTH_SHARE = 0.015, 2 / 3  # [m] depth of the press at most; least depth over that
 
 
-def run_scene_realtime(
-    *,
-    scene: str,
-    settings: Mapping[str, Any],
-    model: Path | None = None,
-    full: bool = False,
-    cut: bool = False,
-    **options: Any,
-) -> int:
-    """Step a scene's body in real time for some seconds under its moving tool, and report missed deadlines.
+def tool_motion(subject: Subject, body: Any, cut: bool) -> tuple[Poses, Contact | None]:
+    """Return the poses of the tool of a scene, and the tool at its first pose; None for one that moves a group.
 
     Parameters
     ----------
-    scene : str
-        As for `palpate.open_scene`.
-    settings : mapping
-        Its settings.
-    model : path, optional
-        File of a reduced model of the scene. By default that of the scene, trained at the first use.
-    full : bool
-        Step the full body in place of a reduced model.
+    body : ReducedModel or NodalModel
+        Of the scene.
     cut : bool
-        Step the full body, and cut it with a scalpel.
-    options : mapping
-        ``seconds``, ``rate``, ``out`` and ``as_json``: see `palpate.app.run.realtime.run_realtime`.
-
-    Returns
-    -------
-    int
-        0, whether the rate was held or not.
+        Whether the tool is a scalpel that cuts a full body.
     """
-    full = full or cut
-    if full and model is not None:
-        given = "--cut" if cut else "--full"
-        raise InputError(f"model must be left out with {given}, got {str(model)!r}; leave out one of the two")
-    opened = open_scene(scene, settings)
-    about: dict[str, Any] = {"full": True} if full else {"file": str(model_file(opened) if model is None else model)}
-
-    def make(console: Console) -> tuple[Any, Poses, Contact | None]:
-        if full:
-            with console.status("filling the surface with nodes (the first time on a machine compiles it)"):
-                body = opened.body
-        else:
-            body = trained_model(opened, console) if model is None else load(model)  # type: ignore[assignment]
-        if cut:
-            return body, *cutting_scalpel(body, opened.description.cut)
-        if opened.held_group:
-            return body, opened.held_motion(UNTRAINED_SEED, SWING_SECONDS), None
-        return body, *pressing_ball(opened, body, model)
-
+    scene = subject.scene
+    if scene is None:
+        raise InputError(f"script must be given for the model of a file, got none for {subject.name}; or name a scene")
     if cut:
-        about |= {"toughness": opened.description.cut.toughness}
-    title = f"{'Full ' + opened.title.lower() if full else opened.title} in real time"
-    return run_realtime(make, title=title, about=about, **options)
+        return cutting_scalpel(body, scene.description.cut)
+    if not scene.held_group:
+        return pressing_ball(scene, body, subject.name)
+    if not isinstance(body, ReducedModel):
+        raise InputError(f"full must be left out for {scene.name}, whose tool holds a group, got it; leave it out")
+    if len(body.data.prescribed) != 1:
+        raise InputError(
+            f"model must have one prescribed group for the engine, got {len(body.data.prescribed)}; "
+            f"train one with palpate train {scene.name}"
+        )
+    return scene.held_motion(UNTRAINED_SEED, SWING_SECONDS), None
 
 
 def cutting_scalpel(body: Any, cut: Cut) -> tuple[Poses, Contact]:
@@ -127,11 +93,11 @@ def cutting_scalpel(body: Any, cut: Cut) -> tuple[Poses, Contact]:
     return poses, Contact(blade, (tuple(first), rotation), name="scalpel")
 
 
-def pressing_ball(scene: OrganScene, body: Any, file: Path | None = None) -> tuple[Poses, Contact]:
+def pressing_ball(scene: OrganScene, body: Any, name: str = "") -> tuple[Poses, Contact]:
     """Return the poses of a ball that presses a body repeatedly, and the ball at its first pose."""
     if isinstance(body, ReducedModel) and body.data.compliance is None:
         raise InputError(
-            f"model must be one that was trained on a body that a ball touches, got {str(file)!r}; train one with "
+            f"model must be one that was trained on a body that a ball touches, got {name!r}; train one with "
             f"palpate train {scene.name}"
         )
     tool = scene.description.tool

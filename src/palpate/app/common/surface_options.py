@@ -1,0 +1,25 @@
+"""Options of a body from a surface file, which several commands have."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from palpate.app.common.arguments import Parser, add_parts, number
+
+__all__ = ["add_surface_options"]
+
+
+def add_surface_options(parser: Parser) -> Any:
+    """Add the options of a surface file to a parser; return their group."""
+    group = parser.add_argument_group("of a surface file")
+    add = group.add_argument
+    add("--units", choices=("m", "cm", "mm", "in"), help="unit of length of the file (default: guessed by size)")
+    add("--scale", type=number, default=1.0, metavar="S", help="factor of all lengths (default: 1)")
+    add_parts(group)
+    add("--law", metavar="LAW", help="law of the tissue, see palpate laws (default: liver, 2.2 kPa)")
+    text = (
+        "part that is held: x-, x+, y-, y+, z-, z+, back, 'lowest 15%%', 'near X,Y,Z,R' in mm or 'painted FILE'; may "
+        "be repeated (default: back, the side away from the first view)"
+    )
+    add("--fixed", action="append", default=[], metavar="WHERE", help=text)
+    return group
