@@ -103,8 +103,8 @@ def main() -> None:
 
     session = Session(block() if options.reduced else body(), "Storm")
     with TemporaryDirectory() as folder:
-        session.start_recording(Path(folder) / "storm.h5")
-        session.finish_recording(wait=True)
+        session.recordings.start(Path(folder) / "storm.h5")
+        session.recordings.finish(wait=True)
         found = storm(session, 60 * options.minutes, options.seed)
     for name, value in found.items():
         print(f"{name:18} {value:12.5g}" if isinstance(value, int | float) else f"{name:18} {value!s:>12}")

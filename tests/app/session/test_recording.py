@@ -40,16 +40,16 @@ def recorded(model, tmp_path_factory, until):
     )
     steps = 30
     for k in range(steps + 1):
-        before = len(session._recorder.times)
+        before = len(session.recordings.recorder.times)
         deep = 0.005 * np.sin(np.pi * k / steps)
         session.handle(validate_message({"type": "pose", "position": (ABOVE - np.array([0, 0, deep])).tolist()}))
-        until(lambda before=before: len(session._recorder.times) > before)
+        until(lambda before=before: len(session.recordings.recorder.times) > before)
     with pytest.raises(pt.InputError, match="stop the present one"):
-        session.start_recording()
+        session.recordings.start()
     session.pause()
     seen = session.snapshot()
     time.sleep(0.1)
-    session.finish_recording(path, wait=True)
+    session.recordings.finish(path, wait=True)
     session.stop()
     (news,) = session.notifications
     assert news == {"type": "recorded", "file": str(path), "frames": news["frames"]}

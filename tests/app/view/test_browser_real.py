@@ -76,13 +76,13 @@ def test_a_real_body_answers_every_tool_without_a_complaint(pressed_body):
 def recording(session, ball, until, tmp_path):
     """A recorded press, with the same press moved by a millimetre as the full model's."""
     path = tmp_path / "press.h5"
-    session.start_recording()
+    session.recordings.start()
     session.handle(validate_message(ball))
     for depth in (0.0, 0.003, 0.005):
         session.handle(validate_message({"type": "pose", "position": [*MIDDLE[:2], MIDDLE[2] + BALL + 0.002 - depth]}))
-        before = len(session._recorder.times)
-        until(lambda before=before: len(session._recorder.times) > before + 20)
-    session.finish_recording(path, wait=True)
+        before = len(session.recordings.recorder.times)
+        until(lambda before=before: len(session.recordings.recorder.times) > before + 20)
+    session.recordings.finish(path, wait=True)
     own = load_recording(path)
     positions = np.array([session.surface.rest + m.displacements(session.surface) for m in own.snapshots]) + 1e-3
     full = {"times": own.times, "positions": positions, "force": np.zeros((len(own.times), 3))}

@@ -37,15 +37,15 @@ def ended(monkeypatch):
             os.kill(os.getpid(), number)
         save_recording(path, recording)
 
-    monkeypatch.setattr("palpate.app.session.session.save_recording", saving)
+    monkeypatch.setattr("palpate.app.session.recordings.save_recording", saving)
 
     def send(number, *, begin=False):
         def wait():
             while not made:
                 time.sleep(0.01)
             if begin:
-                made[0].start_recording()
-            while made[0]._recorder is None or len(made[0]._recorder.times) < 5:
+                made[0].recordings.start()
+            while made[0].recordings.recorder is None or len(made[0].recordings.recorder.times) < 5:
                 time.sleep(0.01)
             sent.extend([number] if number != signal.SIGINT else [])
             os.kill(os.getpid(), number)
@@ -117,7 +117,7 @@ def test_a_recording_that_was_not_written_ends_with_status_1(file, tmp_path, mon
     def full(path, recording):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("palpate.app.session.session.save_recording", full)
+    monkeypatch.setattr("palpate.app.session.recordings.save_recording", full)
     path = tmp_path / "new.h5"
     (tmp_path / "none.jsonl").write_text("")
     run = ["run", str(file), "--script", str(tmp_path / "none.jsonl"), "--out", str(tmp_path / "out")]

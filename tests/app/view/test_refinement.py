@@ -86,7 +86,7 @@ def model_path(model, tmp_path_factory):
 @pytest.fixture
 def full(tmp_path):
     session = Session(block().model, "Block")
-    session.folder = tmp_path
+    session.recordings.folder = tmp_path
     session.start()
     yield session
     session.close()
@@ -151,7 +151,7 @@ def test_a_good_model_takes_over_with_tool_speed_moduli_and_pause(refining, full
     assert refinement.next_source() is None
     tool, status = new.status()["tool"], new.status()
     assert (tool["kind"], tool["radius"], tool["friction"], tool["active"]) == ("sphere", BALL, 0.3, False)
-    assert (status["speed"], status["state"], new.is_full) == (0.5, "paused", False)
+    assert (status["speed"], status["state"], new.body.is_full) == (0.5, "paused", False)
     assert new.modulus_ratio == pytest.approx(1.5)
     assert full.engine.state == "stopped"
     assert state(refinement) == "used"

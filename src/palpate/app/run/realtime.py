@@ -119,11 +119,11 @@ def run_realtime(
     }
     if messages is not None:
         report["script"] = {"file": str(script), "messages": messages.done, "refused": messages.refused}
-    if session.cutter is not None and session.cutter.cuts:
-        report["cut"] = _cut_report(black_box, session.cutter)
+    if session.body.cutter is not None and session.body.cuts:
+        report["cut"] = _cut_report(black_box, session.body.cutter)
     report = plain(report)
     deliver(report, [*_tables(report, statistics), *_verdict(report)], out, FILES, as_json)
-    return FAILED if session.failures else DONE
+    return FAILED if session.recordings.failures else DONE
 
 
 def _origin(subject: Subject, full: bool, cut: bool) -> dict[str, Any]:

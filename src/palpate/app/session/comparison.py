@@ -8,7 +8,8 @@ import numpy as np
 
 from palpate.app.recordings.snapshot import OverlayState
 from palpate.app.session.messages import Message
-from palpate.app.session.session import NO_TOOL, PERIODS_PER_SECOND, Session
+from palpate.app.session.session import PERIODS_PER_SECOND, Session
+from palpate.app.session.tool_control import NO_TOOL
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError

@@ -77,9 +77,9 @@ def running_session(
         if scene is not None and touched is not None and is_guessed(scene, touched):
             session = _in_real_time(session, scene, touched, make, console)
         if scene is not None and scene.kind is SceneKind.SCENE_FILE:
-            session.folder = recordings_folder(Path(scene.name))
+            session.recordings.folder = recordings_folder(Path(scene.name))
         if record is not None:
-            session.start_recording(record)
+            session.recordings.start(record)
         yield session
     finally:
         session.close()

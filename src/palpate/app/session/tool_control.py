@@ -17,6 +17,7 @@ from palpate.realtime.bodies.display_surface import DisplaySurface, fixed_nodes
 
 __all__ = [
     "NO_ROTATION",
+    "NO_TOOL",
     "WORKSPACE_MARGIN",
     "SelectedTool",
     "ToolWorkspace",
@@ -68,6 +69,9 @@ class SelectedTool:
             "position": [float(x) for x in position],
             "quaternion": [float(x) for x in quaternion],
         }  # fmt: skip
+
+
+NO_TOOL = SelectedTool("none", None)
 
 
 def compose_rotations(first: Floats, second: Floats, invert_first: bool = False) -> Floats:

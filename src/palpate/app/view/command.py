@@ -179,7 +179,7 @@ def _show(
             pass
         finally:
             host.stop()  # before the session ends
-    return session.failures
+    return session.recordings.failures
 
 
 @contextlib.contextmanager

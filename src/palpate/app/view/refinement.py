@@ -154,12 +154,12 @@ class Refinement:
 
     def next_source(self) -> Session | None:
         """Return the running session of the model, once: if accepted, or if it is good and the body not in use."""
-        in_use = self._session.is_touched or self._session.is_cut
+        in_use = self._session.is_touched or self._session.body.cuts
         with self._lock:
             ready = self._state == READY and (self._accepted or (self._is_good and not in_use))
             if not ready or self._next is None:
                 return None
-            self._note = "The recording ended with the full body." if self._session.is_recording else ""
+            self._note = "The recording ended with the full body." if self._session.recordings.is_active else ""
             self._next.succeed(self._session)
             self._state = USED
             return self._next

@@ -25,7 +25,10 @@ class ViewSource(Protocol):
         """The surface that is drawn, which a cut changes."""
 
     pause_reason: str | None
-    notifications: list[dict[str, Any]]  # messages still to be sent to all viewers
+
+    @property
+    def notifications(self) -> list[dict[str, Any]]:
+        """Messages still to be sent to all viewers."""
 
     def snapshot(self) -> Snapshot:
         """Return the present snapshot."""
