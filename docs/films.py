@@ -35,7 +35,7 @@ from palpate.app.view.film import (
     movie_writer,
     scalpel_solid,
 )
-from palpate.dynamics.contact.blade import scalpel
+from palpate.dynamics.contact.blade import Scalpel
 from palpate.realtime.bodies.cut_display import CutFullSurface
 from palpate.realtime.bodies.full_surface import FullSurface
 from palpate.scenes.beam import beam
@@ -143,7 +143,7 @@ def liver_cut(path: Path) -> None:
         pt.tools.Grasp(places[0], 0.009, (times, places), name=f"forceps {k}")
         for k, places in enumerate(cutting_tools.forceps)
     ]
-    knife = pt.tools.Contact(scalpel(EDGE_LENGTH, CUT_TOUGHNESS), pose, name="scalpel")
+    knife = pt.tools.Contact(Scalpel(length=EDGE_LENGTH, toughness=CUT_TOUGHNESS), pose, name="scalpel")
     run = pt.rollout(liver, [*grasps, knife], duration=times[-1], every=1 / FRAME_RATE, progress=False)
     draw_cut(path, liver, run, cutting_tools)
 

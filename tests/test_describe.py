@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.describe import MAX_LINE_CHARACTERS, Described, quantity
+from palpate.describe import MAX_LINE_CHARACTERS, Described, format_quantity
 from palpate.dynamics.run.trajectory import StoredTrajectory
 from palpate.meshfree.stencils import moving_least_squares
 from palpate.realtime.statistics import Histograms, Statistics, count_step
@@ -199,7 +199,7 @@ def test_texts_from_files_are_escaped_and_truncated():
     ],
 )  # fmt: skip
 def test_values_have_three_digits_and_the_nearest_prefix(value, unit, text):
-    assert quantity(value, unit) == text
+    assert format_quantity(value, unit) == text
 
 
 def test_printing_imports_no_plotting_package():

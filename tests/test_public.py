@@ -22,6 +22,22 @@ import palpate as pt
 ROOT = Path(__file__).parents[1]
 SOURCES = ROOT / "src" / "palpate"
 MODULES = ("io", "lti", "materials", "tools", "typing")
+INNER_TYPES = {  # prepared data and scratch arrays, in attributes and methods that palpate itself uses
+    "ContactState",
+    "ForcePattern",
+    "Formulation",
+    "GalerkinWork",
+    "Histograms",
+    "LoadHistory",
+    "Mirror",
+    "MirrorPlane",
+    "NodalFields",
+    "NodalWork",
+    "ReducedData",
+    "ReducedWork",
+    "SupportedNodes",
+    "Tissue",
+}
 
 
 def stubbed() -> dict[str, str]:
@@ -102,7 +118,7 @@ def classes_in(hint: Any) -> set[type]:
     return classes_in(typing.get_args(hint))
 
 
-def test_every_type_that_a_public_function_takes_or_returns_is_public():
+def test_every_type_that_a_public_function_takes_or_returns_is_public_or_an_inner_type():
     known = defined()
     public = {name: getattr(pt, name) for name in pt.__all__ if name not in MODULES}
     reachable = [*public.values()]
@@ -116,10 +132,14 @@ def test_every_type_that_a_public_function_takes_or_returns_is_public():
     for name, each in public.items():
         for part in annotated(each):
             hints = typing.get_type_hints(part, localns=known | vars(sys.modules[part.__module__]))
-            for hint in hints.values():
-                for kind in classes_in(hint) - allowed:
+            for kind in set().union(*map(classes_in, hints.values())) - allowed:
+                if kind.__name__ not in INNER_TYPES:
                     missing.setdefault(f"{kind.__module__}.{kind.__name__}", set()).add(f"{name}: {part.__qualname__}")
     assert not missing
+
+
+def test_the_public_names_are_few():
+    assert sum(len(getattr(pt, module).__all__) for module in MODULES) + len(pt.__all__) - len(MODULES) <= 128
 
 
 def test_the_page_for_a_package_index_has_no_relative_links_and_the_example_of_the_readme():

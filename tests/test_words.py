@@ -38,6 +38,9 @@ RETIRED = {  # word: its place is taken by
     r"to_pymor(?=\(\))": "lti.to_pymor(system)",
     r"[Dd]riven": "prescribed, moved",
     r"aria-[a-z]*[A-Z]\w*": "an attribute of WAI-ARIA, which is in lower case",
+    r"[Bb]ooks": "energy balance, totals",
+    r"CRUSHED_RATIO|MOST_STIFF|TRIALS_OF_ENERGY": "MAX_MOVING_RATIO, MAX_FREQUENCY_RATIO, MAX_ENERGY_ATTEMPTS",
+    r"(?:settle|succeed)(?=\()": "flush_and_rename, solve_contact, continue_from",
     r"is_pressure|SurfaceForce\([^()]*pressure=.*": "Pressure",
 }
 ALLOWED = {"docs/glossary.md", "tests/test_words.py"}  # name retired words themselves

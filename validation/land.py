@@ -39,7 +39,7 @@ def beam(cells: int, bulk: float) -> Any:
     return pt.Solid(cloud, rest, "x-", form="energy", stiffness_damping=0.0, fibres=heart)
 
 
-def settle(model: Any, u: Any, tip: int) -> tuple[Any, int, float]:
+def run_to_rest(model: Any, u: Any, tip: int) -> tuple[Any, int, float]:
     """Return displacements at rest, the steps taken, and the norm of the forces left over that of the pressure's."""
     prepared, rest = model.prepare([pt.Pressure("z-", PRESSURE)]), np.zeros_like(u)
     v, step, before = np.zeros_like(u), 0.0, np.inf
@@ -76,7 +76,7 @@ def solved(cells: int, bulk: float, before: Any) -> tuple[dict[str, Any], Any]:
     points = model.cloud.points
     tip = int(np.argmin(np.linalg.norm(points - np.array([10, 0.5, 1]) * MM, axis=1)))
     u = np.zeros_like(points) if before is None else refined(points, *before)
-    u, steps, left = settle(model, u, tip)
+    u, steps, left = run_to_rest(model, u, tip)
     place = (points[tip] + u[tip]) / MM
     J = np.linalg.det(model.deformation_gradient(u))
     row = {

@@ -47,7 +47,7 @@ from palpate.meshfree.cut.surface import swept
 from palpate.reduction.basis.linear_modes import rest_stiffness
 from palpate.reduction.hyper.cubature import Cubature, fit_moments
 from palpate.reduction.hyper.data import ReducedData
-from palpate.reduction.training.ecsw import choose_integration_points, deformation, differentiate
+from palpate.reduction.training.ecsw import choose_integration_points, deformation
 
 LENGTH, DEPTH = 0.04, 0.015  # of the cut [m]
 LENGTHS = (0.02, 0.04, 0.08)
@@ -385,7 +385,7 @@ def sampled_model(
     states = np.hstack([trained.states[:, : data.modes], columns.states, trained.states[:, data.modes :]])
     count, modes = states.shape[1], data.modes + len(columns.fields)
     begin = thread_time()
-    fields = differentiate(body, basis, slice(count, None))
+    fields = body.at_points(basis, slice(count, None))
     flat = basis[:count].reshape(count, -1)
     mass = (flat * np.repeat(body.masses, 3)) @ flat.T
     touched, smooth = body.cut_state.touched.copy(), smoothing_matrix(body)

@@ -23,7 +23,6 @@ const legend = new Legend(byId);
 const preparation = new Preparation(byId);
 const FRICTION = 0.2;
 const COUPLING_STIFFNESS = 300; // [N/m], smooths the motion of a mouse
-const TOUGHNESS = 5; // [J/m^2], so that soft tissue is cut before it is dragged far; of bovine liver 164
 const READOUT_INTERVAL = 60; // [ms] between updates of the readings
 const SPEECH_INTERVAL = 1500; // [ms] between announcements
 const AIR_TIME = 0.5; // [s] without a force after which a tool is in the air
@@ -231,17 +230,19 @@ function showStatus() {
 // input of the user
 
 /** Initial sizes of each kind of tool, from the size of the body. */
-function initialTools({ bounds: [low, high], spacing, full, compare }) {
+function initialTools({ bounds: [low, high], spacing, full, compare, tools, tool_parameters: parameters }) {
   const size = Math.hypot(...high.map((part, k) => part - low[k]));
   const round = (metres) => Math.max(Math.round(1e3 * metres), 1) / 1e3;
   const least = full || compare ? Math.ceil(2e3 * spacing) / 2e3 : 0; // of a tool that touches a full body
   const held = { friction: FRICTION, stiffness: compare ? null : COUPLING_STIFFNESS };
-  return {
-    sphere: { kind: "sphere", radius: Math.max(round(0.075 * size), least), length: round(0.2 * size), ...held },
-    capsule: { kind: "capsule", radius: Math.max(round(0.04 * size), least), length: round(0.2 * size), ...held },
-    scalpel: { kind: "scalpel", radius: 0.001, length: Math.max(round(0.15 * size), 2 * least), toughness: TOUGHNESS, ...held },
-    grasp: { kind: "grasp", radius: round(Math.max(0.05 * size, 1.5 * (spacing ?? 0))), length: round(0.2 * size), ...held },
+  const fitted = {
+    sphere: { radius: Math.max(round(0.075 * size), least) },
+    capsule: { radius: Math.max(round(0.04 * size), least), length: round(0.2 * size) },
+    scalpel: { length: Math.max(round(0.15 * size), 2 * least) },
+    grasp: { radius: round(Math.max(0.05 * size, 1.5 * (spacing ?? 0))) },
   };
+  const usual = (kind) => Object.fromEntries((parameters[kind] ?? []).map(({ name, usual: value }) => [name, value]));
+  return Object.fromEntries(tools.map((kind) => [kind, { kind, ...held, ...usual(kind), ...fitted[kind] }]));
 }
 
 /** Adopt the tool of the session; viewers who watch show the driver's tool. */
@@ -249,6 +250,7 @@ function adoptTool(tool) {
   const first = session.tools[session.hello.tools[0]] ?? tool;
   if (tool && tool.kind !== "none" && (!driver() || tool.kind === "group")) session.tool = { ...tool };
   session.tool ??= { ...first };
+  if (tool?.kind === session.tool.kind) session.tool.outline = tool.outline;
 }
 
 function choose(kind) {
@@ -270,8 +272,8 @@ function change(part) {
 function sendTool() {
   const { tool } = session;
   const { sphere } = scene.body;
-  if (tool.kind === "sphere" || tool.kind === "capsule" || tool.kind === "scalpel") {
-    const far = sphere.radius + 2 * tool.radius + (tool.kind === "sphere" ? 0 : tool.length);
+  if (tool.kind !== "grasp" && tool.kind !== "group") {
+    const far = sphere.radius + 2 * (tool.radius ?? 0) + (tool.length ?? 0);
     const position = [sphere.center.x, sphere.center.y, sphere.center.z + far];
     send({ ...tool, type: "tool", position, quaternion: [1, 0, 0, 0] });
     send({ type: "release" });

@@ -18,6 +18,7 @@ export class Panel {
   /** Build the panel for a hello message. */
   offer(hello, size) {
     const { byId, actions } = this;
+    this.toolParameters = hello.tool_parameters ?? {};
     byId("tools").hidden = hello.tools.length === 0;
     this.markKind = choice(byId("kinds"), hello.tools.map((kind) => [kind, NAMES[kind] ?? capital(kind)]), actions.choose);
     const scalars = [["none", "Off"], ...hello.scalars.map(({ name }) => [name, capital(name)])];
@@ -43,22 +44,26 @@ export class Panel {
       step: 0.5,
       settled: (value) => this.actions.change({ [name]: value / 1e3 }),
     });
-    this.sliders = {
-      radius: slider({ name: "Radius", low: Math.max(millimetres(0.012, 1), Math.ceil(2 * leastRadius) / 2), high: Math.max(millimetres(0.12, 4), 2 * leastRadius), value: 0, ...metres("radius") }),
-      length: slider({ name: "Length", low: millimetres(0.03, 2), high: millimetres(0.4, 20), value: 0, ...metres("length") }),
-      toughness: slider({
-        name: "Toughness", low: 0, high: 400, step: 1, value: 0, text: (value) => `${formatNumber(value)} J/m²`,
-        settled: (value) => this.actions.change({ toughness: value }),
-      }),
-      stiffness: slider({
-        name: "Coupling stiffness", low: MIN_STIFFNESS_EXPONENT, high: RIGID_EXPONENT, step: 0.01, value: RIGID_EXPONENT,
-        text: (power) => (power >= RIGID_EXPONENT ? "rigid" : `${formatNumber(10 ** power, 2)} N/m`),
-        settled: (power) => this.actions.change({ stiffness: power >= RIGID_EXPONENT ? null : Number((10 ** power).toPrecision(2)) }),
-      }),
+    const limits = { radius: [Math.max(millimetres(0.012, 1), Math.ceil(2 * leastRadius) / 2), Math.max(millimetres(0.12, 4), 2 * leastRadius)] };
+    const own = ({ name, unit, low, high, usual }) => {
+      const title = capital(name.replaceAll("_", " "));
+      if (unit !== "m") {
+        const end = Math.min(high, 20 * usual || high);
+        const text = (value) => `${formatNumber(value)} ${unit.replace("^2", "²")}`;
+        return slider({ name: title, low, high: end, step: (end - low) / 400, value: 0, text, settled: (value) => this.actions.change({ [name]: value }) });
+      }
+      const [least, most] = limits[name] ?? [millimetres(0.03, 2), millimetres(0.4, 20)];
+      return slider({ name: title, low: least, high: most, value: 0, ...metres(name) });
     };
-    const { radius, length: long, toughness, stiffness } = this.sliders;
-    this.byId("sizes").replaceChildren(radius.label, long.label, toughness.label);
-    this.byId("coupling").replaceChildren(stiffness.label);
+    this.sliders = {};
+    for (const parameter of Object.values(this.toolParameters).flat()) this.sliders[parameter.name] ??= own(parameter);
+    this.byId("sizes").replaceChildren(...Object.values(this.sliders).map(({ label }) => label));
+    this.coupling = slider({
+      name: "Coupling stiffness", low: MIN_STIFFNESS_EXPONENT, high: RIGID_EXPONENT, step: 0.01, value: RIGID_EXPONENT,
+      text: (power) => (power >= RIGID_EXPONENT ? "rigid" : `${formatNumber(10 ** power, 2)} N/m`),
+      settled: (power) => this.actions.change({ stiffness: power >= RIGID_EXPONENT ? null : Number((10 ** power).toPrecision(2)) }),
+    });
+    this.byId("coupling").replaceChildren(this.coupling.label);
   }
 
   offerMaterials(materials) {
@@ -82,25 +87,27 @@ export class Panel {
 
   /** Show the tool, and enable the settings for the driver. */
   status({ tool, driver }, replay) {
-    if (tool && this.sliders.radius) {
+    if (tool && this.coupling) {
       this.markKind(tool.kind);
-      const cuts = tool.kind === "scalpel";
-      this.sliders.radius.label.hidden = cuts;
-      this.sliders.toughness.label.hidden = !cuts;
-      this.sliders.length.label.hidden = tool.kind !== "capsule" && !cuts;
-      this.byId("sizes").classList.toggle("two", tool.kind === "capsule");
-      if (!cuts) this.write("cut", "");
-      if (cuts) this.sliders.toughness.set(tool.toughness);
-      this.sliders.radius.set(1e3 * tool.radius);
-      if (tool.length) this.sliders.length.set(1e3 * tool.length);
-      this.sliders.stiffness.set(tool.stiffness ? Math.log10(tool.stiffness) : RIGID_EXPONENT);
+      const names = (this.toolParameters[tool.kind] ?? []).map(({ name }) => name);
+      for (const [name, { label, set }] of Object.entries(this.sliders)) {
+        label.hidden = !names.includes(name);
+        if (names.includes(name)) set(this.isLength(name) ? 1e3 * tool[name] : tool[name]);
+      }
+      this.byId("sizes").classList.toggle("two", names.length > 1 && names.every((name) => this.isLength(name)));
+      if (tool.kind !== "scalpel") this.write("cut", "");
+      this.coupling.set(tool.stiffness ? Math.log10(tool.stiffness) : RIGID_EXPONENT);
     }
     const mine = driver && !replay;
-    const own = [...Object.values(this.sliders), ...(this.materialSliders ?? [])].map(({ input }) => input);
+    const own = [...Object.values(this.sliders), ...(this.coupling ? [this.coupling] : []), ...(this.materialSliders ?? [])].map(({ input }) => input);
     for (const input of [...own, ...this.byId("kinds").children]) input.disabled = !mine;
     this.byId("tools").hidden ||= replay;
     this.byId("materials").hidden ||= replay;
     this.byId("coupling").hidden = this.byId("tools").hidden || this.compare;
+  }
+
+  isLength(name) {
+    return Object.values(this.toolParameters).flat().some((each) => each.name === name && each.unit === "m");
   }
 
   scalar(name) {

@@ -37,7 +37,7 @@ export class Press {
     if (tool.kind === "capsule") basis.makeBasis(normal, third.negate(), along);
     else basis.makeBasis(along, third, normal);
     const { w, x, y, z } = new three.Quaternion().setFromRotationMatrix(basis);
-    const round = tool.kind === "sphere" || tool.kind === "capsule" ? tool.radius : 0;
+    const round = tool.outline ? -Math.min(...tool.outline.map(([, height]) => height)) : tool.kind === "sphere" || tool.kind === "capsule" ? tool.radius : 0;
     return { position: hit.point.clone().addScaledVector(normal, round), quaternion: [w, x, y, z] };
   }
 

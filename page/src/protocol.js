@@ -1,7 +1,7 @@
 // The protocol: binary frames from the server, and JSON messages in both directions.
 
 export const STATES = ["stopped", "running", "paused", "diverged"];
-export const TOOLS = ["none", "sphere", "capsule", "grasp", "group", "scalpel"];
+export const TOOLS = ["none", "sphere", "capsule", "grasp", "group", "scalpel"]; // of hello, where it has more
 
 const HEADER_BYTES = 16; // kind, sequence, vertices, triangles
 const STATE_NUMBERS = 25; // float64 values of a state
@@ -73,6 +73,7 @@ export class Connection {
       if (socket !== this.socket) return;
       if (typeof data !== "string") return this.on.frame(decode(data));
       const message = JSON.parse(data);
+      if (message.tool_kinds) TOOLS.splice(0, TOOLS.length, ...message.tool_kinds);
       if (message.type === "hello" || message.type === "preparing") this.wait = FIRST_RETRY_DELAY;
       this.on.message(message);
     };

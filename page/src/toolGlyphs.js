@@ -22,7 +22,7 @@ const EDGE = "#c8452d"; // of a scalpel
 const BELLY_SHARE = 0.97; // sine of the angle at the ends of a scalpel's edge, as in the session
 const WARNING = [0.86, 0.2, 0.16]; // where a model was not trained
 
-/** A sphere, a capsule or forceps, in the tool's own frame. */
+/** A tool in its own frame. */
 export class ToolGlyph {
   constructor(opacity, fine) {
     this.parts = fine ? 2 : 1; // subdivision of arcs
@@ -33,9 +33,9 @@ export class ToolGlyph {
     this.key = "";
   }
 
-  /** Set the shape of a tool {kind, radius, length} for a body of a size [m]. */
-  shape({ kind, radius, length }, size) {
-    const key = [kind, radius, length, size].join();
+  /** Set the shape of a tool {kind, radius, length, outline} for a body of a size [m]. */
+  shape({ kind, radius, length, outline }, size) {
+    const key = [kind, radius, length, size, outline].join();
     if (key === this.key) return;
     this.key = key;
     this.group.traverse((part) => part.geometry?.dispose());
@@ -44,6 +44,7 @@ export class ToolGlyph {
     else if (kind === "capsule") {
       this.group.add(this.part(new three.CapsuleGeometry(radius, length, 8 * this.parts, 20 * this.parts).rotateX(Math.PI / 2)));
     } else if (kind === "scalpel") this.group.add(...this.scalpel(length, 0.02 * size));
+    else if (outline) this.group.add(this.revolved(outline));
     else for (const side of [1, -1]) this.group.add(this.jaw(side, 0.02 * size));
   }
 
@@ -54,6 +55,12 @@ export class ToolGlyph {
 
   part(shape) {
     return new three.Mesh(shape, this.material);
+  }
+
+  /** A surface of revolution around z, from radius and height of points of its outline. */
+  revolved(outline) {
+    const points = outline.map(([radius, height]) => new three.Vector2(radius, height));
+    return this.part(new three.LatheGeometry(points, 48 * this.parts).rotateX(Math.PI / 2));
   }
 
   /** A flat blade with a round belly around the origin, its edge and the direction in which it cuts, and a handle above. */

@@ -13,7 +13,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-__all__ = ["MAX_LINE_CHARACTERS", "Described", "Fact", "quantity"]
+from palpate.parameters import check_parameters
+
+__all__ = ["MAX_LINE_CHARACTERS", "Described", "Fact", "format_quantity"]
 
 Fact = tuple[str, Any, str]  # name, value, SI unit; a value of None is left out
 
@@ -30,7 +32,8 @@ class Described:
     """An object that prints as one line, and as a table in a notebook.
 
     A subclass returns its facts from `_facts`, and may return a picture from `_picture`. A dataclass without `_facts`
-    of its own lists its fields, arrays by their shape.
+    of its own lists its fields, arrays by their shape. The parameters of a dataclass are checked when it is made
+    (`palpate.parameters.parameter`), unless it has a `__post_init__` of its own.
     """
 
     _title: ClassVar[str] = ""  # name of a class that stands behind another one
@@ -40,10 +43,25 @@ class Described:
         if "__repr__" not in cls.__dict__:
             cls.__repr__ = Described.__repr__  # type: ignore[method-assign]  # a dataclass keeps one of its own class
 
+    def __post_init__(self) -> None:
+        check_parameters(self, self._owner())
+
+    def _owner(self) -> str:
+        """Return what follows the name of a parameter in messages."""
+        kind = type(self).__name__
+        if hasattr(self, "name"):
+            return f" of {kind} {self.name!r}"
+        return f" of {kind} on {self.group!r}" if hasattr(self, "group") else f" of a {kind}"
+
     def _facts(self) -> Sequence[Fact]:
-        """Return the facts, the most useful first."""
+        """Return the facts, the most useful first: by default the fields, without limits at infinity."""
         listed: Any = fields(self) if is_dataclass(self) else ()
-        return [(f.name.replace("_", " "), getattr(self, f.name), "") for f in listed if f.repr]
+        facts = []
+        for each in listed:
+            value, unit = getattr(self, each.name), each.metadata.get("unit")
+            if each.repr and not (unit is not None and isinstance(value, float) and value == np.inf):
+                facts.append((each.name.replace("_", " ") if unit is None else each.name, value, unit or ""))
+        return facts
 
     def _picture(self) -> str:
         """Return a picture as SVG text, or nothing."""
@@ -66,7 +84,7 @@ class Described:
     def _repr_html_(self) -> str:
         rows = "".join(
             f'<tr><th style="text-align:left;padding-right:1em">{escape(_plain(what))}</th>'
-            f'<td style="text-align:left">{escape(quantity(value, unit))}</td></tr>'
+            f'<td style="text-align:left">{escape(format_quantity(value, unit))}</td></tr>'
             for what, value, unit in self._facts()
             if value is not None
         )
@@ -77,7 +95,7 @@ class Described:
 
 def _said(name: str, value: Any, unit: str) -> str:
     """Return a fact as part of a line: `13 nodes`, `spacing=5 mm`, `shear modulus 10 kPa`, or a verdict alone."""
-    said = quantity(value, unit)
+    said = format_quantity(value, unit)
     if name == "verdict":
         return said
     if isinstance(value, int | np.integer) and not isinstance(value, bool) and not unit and value != 1:
@@ -85,7 +103,7 @@ def _said(name: str, value: Any, unit: str) -> str:
     return f"{name}{'=' if name.isidentifier() else ' '}{said}"
 
 
-def quantity(value: Any, unit: str = "") -> str:
+def format_quantity(value: Any, unit: str = "") -> str:
     """Return a value with its unit in one short line: numbers with three digits, arrays by their shape."""
     tail = f" {unit}" if unit else ""
     if isinstance(value, bool | np.bool_):

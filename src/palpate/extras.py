@@ -13,6 +13,7 @@ EXTRA_BY_PACKAGE = {
     "imageio": "film",
     "imageio_ffmpeg": "film",
     "matplotlib": "plot",
+    "pydicom": "dicom",
     "pymor": "linear",
     "pyvista": "film",
     "websockets": "view",

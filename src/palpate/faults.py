@@ -13,9 +13,8 @@ from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from typing import Any, cast
 
-import numpy as np
-
 __all__ = [
+    "ChoiceError",
     "CloudError",
     "DivergenceError",
     "FileFormatError",
@@ -26,6 +25,7 @@ __all__ = [
     "check_arguments",
     "check_names",
     "integer_in_range",
+    "interval",
     "number_in_range",
     "warn_of_unit",
 ]
@@ -43,6 +43,22 @@ class InputError(ValueError):
     ...     print(error)
     spacing must be in [1e-09, 1e+09] m, got -0.005
     """
+
+
+class ChoiceError(InputError):
+    """Argument without which a file of several things cannot be used.
+
+    Attributes
+    ----------
+    table : str
+        What there is to choose from, a line each.
+    choice : dict of str to str
+        Arguments that choose the likeliest.
+    """
+
+    def __init__(self, message: str, table: str, choice: Mapping[str, str]) -> None:
+        super().__init__(message)
+        self.table, self.choice = table, dict(choice)
 
 
 class CloudError(InputError):
@@ -66,6 +82,8 @@ class CloudError(InputError):
     """
 
     def __init__(self, message: str, nodes: Any = ()) -> None:
+        import numpy as np  # here, so that help texts answer without it
+
         super().__init__(message)
         self.nodes = np.array(nodes, dtype=np.int64)
 
@@ -150,6 +168,7 @@ def number_in_range(
     open_low: bool = False,
     open_high: bool = False,
     unit: str = "",
+    remedy: str = "",
 ) -> float:
     """Return `value` as a float in an interval.
 
@@ -161,24 +180,30 @@ def number_in_range(
         Ends of the interval.
     open_low, open_high : bool
         Exclude an end.
-    unit : str
-        Unit in the message.
+    unit, remedy : str
+        Unit and remedy in the message.
     """
+    tail = f"; {remedy}" if remedy else ""
     try:
         if isinstance(cast(object, value), str | bytes):
             raise TypeError
         number = float(value)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{name} must be a number, got {brief(value)}") from None
+        raise InputError(f"{name} must be a number, got {brief(value)}{tail}") from None
     below = number <= low if open_low else number < low
     above = number >= high if open_high else number > high
     if not math.isfinite(number) or below or above:
-        left = "(" if open_low or low == -math.inf else "["
-        right = ")" if open_high or high == math.inf else "]"
-        unit = f" {unit}" if unit else ""
-        condition = "finite" if low == -high == -math.inf else f"in {left}{low:g}, {high:g}{right}{unit}"
-        raise InputError(f"{name} must be {condition}, got {brief(value)}")
+        unbounded = low == -high == -math.inf
+        inside = interval(low, high, open_low=open_low, open_high=open_high, unit=unit)
+        raise InputError(f"{name} must be {'finite' if unbounded else f'in {inside}'}, got {brief(value)}{tail}")
     return number
+
+
+def interval(low: float, high: float, *, open_low: bool = False, open_high: bool = False, unit: str = "") -> str:
+    """Return an interval such as ``(0, inf) Pa``."""
+    left = "(" if open_low or low == -math.inf else "["
+    right = ")" if open_high or high == math.inf else "]"
+    return f"{left}{low:g}, {high:g}{right}{f' {unit}' if unit else ''}"
 
 
 def integer_in_range(name: str, value: int, low: int, high: float = math.inf) -> int:

@@ -25,8 +25,22 @@ from uuid import uuid4
 from palpate.faults import FileFormatError, InputError
 
 __all__ = [
-    "check_folder", "check_nesting", "check_space", "digest_of", "json_of", "plain", "read_bytes", "read_json",
-    "read_sealed_json", "read_text", "regular_file", "settle", "shortened", "unpack_gzip", "whole_file", "write_json",
+    "check_folder",
+    "check_nesting",
+    "check_space",
+    "digest_of",
+    "flush_and_rename",
+    "json_of",
+    "plain",
+    "read_bytes",
+    "read_json",
+    "read_sealed_json",
+    "read_text",
+    "regular_file",
+    "shortened",
+    "unpack_gzip",
+    "whole_file",
+    "write_json",
     "write_sealed_json",
 ]  # fmt: skip
 
@@ -56,7 +70,7 @@ def whole_file(path: Path) -> Iterator[Path]:
         if path.exists() and not path.is_file():
             raise OSError(f"cannot write {path}: it exists and is not a regular file; choose another name")
         yield partial
-        settle(partial, path)
+        flush_and_rename(partial, path)
     except OSError as error:
         if error.strerror is None and str(error).startswith("cannot write"):
             raise
@@ -76,7 +90,7 @@ def _remove_stale(path: Path) -> None:
                 os.unlink(entry)
 
 
-def settle(partial: Path, path: Path) -> None:
+def flush_and_rename(partial: Path, path: Path) -> None:
     """Rename a written file after flushing it to the disk."""
     with partial.open("rb+") as file:
         os.fsync(file.fileno())

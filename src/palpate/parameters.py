@@ -1,7 +1,9 @@
-"""Settings of a scene file: dataclass fields with unit, range and help, read from the values of a TOML table.
+"""Parameters: dataclass fields with unit, default, range and help, each declared once.
 
-A section of a scene file is a frozen dataclass whose fields are made by `setting`. Reading, messages, the JSON
-schema (`palpate.scenes.schema`) and the comments of a new file follow from these fields.
+Tools, loads, materials and the sections of scene files are frozen dataclasses whose fields are made by `parameter`.
+From these fields follow the check of a value and its message, the line that an object prints (`palpate.describe`),
+the reading of a scene file, its JSON schema (`palpate.scenes.schema`), its table in docs/scenes.md, the options of
+commands (`palpate.app.common.arguments.add_parameters`) and the sliders of the page.
 """
 
 from __future__ import annotations
@@ -11,24 +13,28 @@ import math
 import re
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from decimal import Decimal
 from difflib import get_close_matches
 from typing import Any
 
-from palpate.faults import InputError, brief
+from palpate.faults import InputError, brief, interval, number_in_range
 
 __all__ = [
     "FACTORS_BY_UNIT",
     "Fault",
     "check_number",
+    "check_parameters",
+    "declared",
     "fields_of",
+    "limits",
+    "parameter",
     "quantity",
     "read_section",
     "read_values",
-    "setting",
     "written_section",
+    "written_value",
 ]
 
 # units that a text may carry, by the SI unit of the setting; a number without unit is in the SI unit
@@ -69,40 +75,86 @@ class Fault(Exception):
     message: str
 
 
-def setting(
-    default: Any = MISSING,
-    text: str = "",
-    *,
+def parameter(
     unit: str = "",
+    default: Any = MISSING,
+    help: str = "",
+    *,
     low: float = -math.inf,
     high: float = math.inf,
     above: float | None = None,
     choices: tuple[str, ...] = (),
     length: int | None = None,
+    most: int | None = None,
 ) -> Any:
-    """Return the dataclass field of a setting.
+    """Return the dataclass field of a parameter.
 
     Parameters
     ----------
-    default : object
-        Value of a setting that the file leaves out; a setting without one must be given.
-    text : str
-        What the setting is, for the schema and for comments.
     unit : str
         SI unit of its numbers.
+    default : object
+        Value of a parameter that is left out; one without default must be given.
+    help : str
+        What the parameter is, for messages, options, tables and the schema.
     low, high, above : float
         Range [low, high], or (above, high], of its numbers.
     choices : tuple of str
         Values of a text.
-    length : int, optional
-        Number of entries of a list.
+    length, most : int, optional
+        Number of entries of a list, and the largest number.
     """
     low, open_low = (low, False) if above is None else (above, True)
-    about = {"text": text, "unit": unit, "low": low, "high": high, "open_low": open_low, "choices": choices}
-    about["length"] = length
+    about = {"unit": unit, "help": help, "low": low, "high": high, "open_low": open_low, "choices": choices}
+    about |= {"length": length, "most": most}
     if isinstance(default, dict):
-        return dataclasses.field(default_factory=lambda: dict(default), metadata=about, kw_only=True)
-    return dataclasses.field(default=default, metadata=about, kw_only=True)
+        return dataclasses.field(default_factory=lambda: dict(default), metadata=about)
+    return dataclasses.field(default=default, metadata=about)
+
+
+def limits(about: Mapping[str, Any]) -> dict[str, Any]:
+    """Return range, unit and remedy of a parameter, as arguments of `number_in_range`."""
+    what, unit = re.split("[;:,]", about["help"])[0], about["unit"]
+    remedy = f"give {what}{f' in {unit}' if unit else ''}" if what else "change it"
+    return {name: about[name] for name in ("low", "high", "open_low", "unit")} | {"remedy": remedy}
+
+
+def declared(kind: type) -> tuple[dataclasses.Field[Any], ...]:
+    """Return the fields of a dataclass that are made by `parameter`."""
+    return tuple(field for field in fields(kind) if "low" in field.metadata)
+
+
+def check_parameters(record: Any, owner: str = "", left_out: Collection[str] = ()) -> None:
+    """Check the numbers and texts of a dataclass by its declarations, and keep numbers as floats.
+
+    Parameters
+    ----------
+    owner : str
+        Follows the name of a parameter in messages, such as ``" of a Sphere"``.
+    left_out : collection of str
+        Names of parameters that are not checked.
+    """
+    for field in (each for each in declared(type(record)) if each.name not in left_out):
+        value, about, kind = getattr(record, field.name), field.metadata, str(field.type)
+        name = f"{field.name}{owner}"
+        if (value is None and field.default is None) or ("Callable" in kind and callable(value)):
+            continue
+        if kind.startswith("tuple[float"):
+            listed = list(value) if isinstance(value, list | tuple) or hasattr(value, "tolist") else [value]
+            if about["most"] is not None and len(listed) > about["most"]:
+                raise InputError(f"{name} must have at most {about['most']} entries, got {len(listed)}; leave some out")
+            value = tuple(
+                number_in_range(f"{field.name}[{i}]{owner}", x, **limits(about)) for i, x in enumerate(listed)
+            )
+        elif kind == "bool":
+            if not isinstance(value, bool):
+                raise InputError(f"{name} must be True or False, got {brief(value)}; give one of them")
+        elif kind.startswith("float") or kind == "<class 'float'>":
+            if not (isinstance(value, float) and value == field.default):  # which may be infinite
+                value = number_in_range(name, value, **limits(about))
+        else:
+            continue
+        object.__setattr__(record, field.name, value)
 
 
 def fields_of(section: type) -> dict[str, tuple[dataclasses.Field[Any], Any]]:
@@ -116,7 +168,7 @@ def read_section(section: type, table: Any, path: tuple[str | int, ...] = ()) ->
     values = read_values(section, table, path)
     for name, (field, _) in fields_of(section).items():
         if name not in values and field.default is MISSING and field.default_factory is MISSING:
-            raise Fault((*path, name), f"must be given in {_place(path)}; it is {field.metadata['text']}")
+            raise Fault((*path, name), f"must be given in {_place(path)}; it is {field.metadata['help']}")
     try:
         return section(**values)
     except InputError as error:
@@ -142,22 +194,23 @@ def read_values(section: type, table: Any, path: tuple[str | int, ...]) -> dict[
 def written_section(section: Any) -> dict[str, Any]:
     """Return the values of a section that differ from their defaults, as `read_section` reads them."""
     return {
-        name: _written(getattr(section, name))
+        name: written_value(getattr(section, name))
         for name, (field, _) in fields_of(type(section)).items()
         if field.default is MISSING or getattr(section, name) != field.default
     }
 
 
-def _written(value: Any) -> Any:
+def written_value(value: Any) -> Any:
+    """Return a value as a file has it."""
     if is_dataclass(value):
         return written_section(value)
     if isinstance(value, tuple):
-        return [_written(each) for each in value]
+        return [written_value(each) for each in value]
     return value
 
 
 def quantity(value: Any, unit: str) -> float:
-    """Return a number in the SI unit of a setting, from a number or a text such as ``"4.5 mm"``."""
+    """Return a number in the SI unit of a parameter, from a number or a text such as ``"4.5 mm"``."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         try:
             return float(value)
@@ -184,14 +237,12 @@ def quantity(value: Any, unit: str) -> float:
 
 def check_number(value: Any, about: Mapping[str, Any]) -> float:
     """Return a number of a setting in SI units; raise `InputError` out of its range."""
-    number = quantity(value, about["unit"])
-    low, high, unit = about["low"], about["high"], f" {about['unit']}" if about["unit"] else ""
-    above = low < number if about["open_low"] else low <= number
-    if not (math.isfinite(number) and above and number <= high):
-        left = "(" if about["open_low"] or low == -math.inf else "["
-        right = ")" if high == math.inf else "]"
-        raise InputError(f"must be in {left}{low:g}, {high:g}{right}{unit}, got {brief(value)}; change it")
-    return number
+    number, given = quantity(value, about["unit"]), limits(about)
+    try:
+        return number_in_range("", number, **given)
+    except InputError:
+        remedy = given.pop("remedy")
+        raise InputError(f"must be in {interval(**given)}, got {brief(value)}; {remedy}") from None
 
 
 def _read(kind: Any, about: Mapping[str, Any], value: Any, path: tuple[str | int, ...]) -> Any:

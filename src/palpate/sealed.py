@@ -20,7 +20,7 @@ import math
 import re
 import shutil
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from hashlib import sha256
@@ -36,18 +36,23 @@ from palpate.hdf5_frame import DEFLATE_LEVEL, HEAD_BYTES, lay_out
 
 __all__ = [
     "HEAD_BYTES",
+    "LEAST_POSITIVE",
+    "Array",
     "ArrayEntry",
     "ArrayFile",
     "SealedFile",
     "array_of",
+    "check_arrays",
+    "check_names",
     "checked_shape",
     "kind_of_file",
     "loading",
     "open_sealed",
+    "typed",
     "write_sealed",
 ]
 
-Array = NDArray[Any]
+Values = NDArray[Any]
 
 ARRAY_TYPES = ("<f8", "<f4", "<i8", "<u2", "|u1", "|b1")
 MAX_DIMENSIONS = 4
@@ -56,6 +61,73 @@ MIN_DEFLATED_BYTES, MIN_SAVING = 4096, 0.1  # of arrays that are compressed; sma
 MAX_RATIO = 64  # bytes of an array for each compressed one
 RESERVED_BYTES = 1 << 16  # of the disk that stay free
 DIGEST_PATTERN = re.compile(r"[0-9a-f]{64}")
+LARGEST_NUMBER = float(np.finfo(float).max)  # that is finite
+LEAST_POSITIVE = float(np.nextafter(0.0, 1.0))
+
+
+@dataclass(frozen=True)
+class Array:
+    """Declaration of an array of a file, which `typed` writes by and `check_arrays` reads by.
+
+    Parameters
+    ----------
+    shape : tuple of int or str
+        Arrays share the sizes that have names.
+    type : str
+        One of `ARRAY_TYPES`.
+    low, most : float
+        Least number, and largest size of a number; `LEAST_POSITIVE` and `LARGEST_NUMBER` are the limits of each.
+    index_of : str
+        Name of the size that the entries are indices of.
+    rising : bool
+        Whether no entry is less than the one before.
+    """
+
+    shape: tuple[int | str, ...]
+    type: str = "<f8"
+    low: float = -math.inf
+    most: float = LARGEST_NUMBER
+    unit: str = ""
+    index_of: str = ""
+    rising: bool = False
+
+
+def typed(values: Mapping[str, Any], declared: Mapping[str, Array]) -> dict[str, Values]:
+    """Return the declared arrays of some values, of their types."""
+    return {name: np.asarray(values[name], dtype=each.type) for name, each in declared.items()}
+
+
+def check_arrays(arrays: Mapping[str, Values], declared: Mapping[str, Array], sizes: Mapping[str, int]) -> None:
+    """Refuse other arrays than the declared ones, of other types, shapes or numbers; sizes that are not given agree."""
+    check_names(arrays, declared)
+    known = dict(sizes)
+    for name, each in declared.items():
+        array = arrays[name]
+        expected = tuple(known.get(size, size) if isinstance(size, str) else size for size in each.shape)
+        fits = len(expected) == array.ndim and all(
+            length == size or isinstance(size, str) for length, size in zip(array.shape, expected, strict=True)
+        )
+        if not fits or array.dtype != each.type:
+            shape = f"({', '.join(map(str, expected))})"
+            got = f"{array.shape} of {array.dtype.str}"
+            raise InputError(f"array {name} must have shape {shape} of {each.type}, got {got}")
+        known |= {size: length for size, length in zip(each.shape, array.shape, strict=True) if isinstance(size, str)}
+    for name, each in declared.items():
+        array, low = arrays[name], max(each.low, -each.most)
+        if each.index_of and not ((array >= 0) & (array < known[each.index_of])).all():
+            raise InputError(f"array {name} must have indices from 0 to {known[each.index_of] - 1}, got others")
+        if array.dtype != bool and not ((array >= low) & (array <= each.most)).all():
+            least = "positive, up" if low == LEAST_POSITIVE else f"from {low:g}"
+            unit = f" {each.unit}" if each.unit else ""
+            raise InputError(f"array {name} must be finite, {least} to {each.most:g}{unit}, got other numbers")
+        if each.rising and np.any(np.diff(array) < 0):
+            raise InputError(f"array {name} must not decrease, got smaller numbers after larger ones")
+
+
+def check_names(arrays: Iterable[str], declared: Mapping[str, Array]) -> None:
+    """Refuse other names than those of the declared arrays."""
+    for odd in sorted(declared.keys() ^ set(arrays)):
+        raise InputError(f"array {shortened(odd)} is {'missing' if odd in declared else 'not one of such a file'}")
 
 
 @dataclass(frozen=True)
@@ -100,7 +172,7 @@ class ArrayFile(Protocol):
         """Arrays or their entries, by name."""
         ...
 
-    def read(self, name: str) -> Array:
+    def read(self, name: str) -> Values:
         """Return an array."""
         ...
 
@@ -121,14 +193,14 @@ class SealedFile:
     header: dict[str, Any]
     arrays: dict[str, ArrayEntry]
 
-    def read(self, name: str) -> Array:
+    def read(self, name: str) -> Values:
         """Return an array."""
         entry = self._entry(name)
         if entry.by_row:
             return np.array([self.row(name, k) for k in range(entry.shape[0])], entry.type).reshape(entry.shape)
         return self._read_verified(name, entry, entry.offset, entry.shape, entry.digests[0])
 
-    def row(self, name: str, k: int) -> Array:
+    def row(self, name: str, k: int) -> Values:
         """Return row k of an array that is stored by row; raises what `read` raises."""
         entry = self._entry(name)
         if not entry.by_row or not 0 <= k < entry.shape[0]:
@@ -143,7 +215,7 @@ class SealedFile:
             raise InputError(f"array {name} is missing")
         return self.arrays[name]
 
-    def _read_verified(self, what: str, entry: ArrayEntry, offset: int, shape: tuple[int, ...], digest: str) -> Array:
+    def _read_verified(self, what: str, entry: ArrayEntry, offset: int, shape: tuple[int, ...], digest: str) -> Values:
         values = np.empty(shape, entry.type) if entry.deflated is None else np.empty(entry.deflated, "|u1")
         with self.path.open("rb") as file:
             file.seek(offset)
@@ -155,7 +227,7 @@ class SealedFile:
         return _check_flags(what, values)
 
 
-def array_of(what: str, kind: str, shape: tuple[int, ...], content: memoryview) -> Array:
+def array_of(what: str, kind: str, shape: tuple[int, ...], content: memoryview) -> Values:
     """Return a copy of bytes as an array."""
     if len(content) != math.prod(shape) * np.dtype(kind).itemsize:
         raise InputError(f"array {what} of shape {shape} does not have {len(content)} bytes")
@@ -298,7 +370,7 @@ def _entry(name: str, about: Any, end: int) -> ArrayEntry:
     return entry
 
 
-def _inflate(what: str, entry: ArrayEntry, content: memoryview) -> Array:
+def _inflate(what: str, entry: ArrayEntry, content: memoryview) -> Values:
     """Return an array from its bytes after shuffle and deflate; refuse others than it needs."""
     kind, size = np.dtype(entry.type), math.prod(entry.shape) * np.dtype(entry.type).itemsize
     inflater = zlib.decompressobj()
@@ -315,7 +387,7 @@ def _inflate(what: str, entry: ArrayEntry, content: memoryview) -> Array:
     return values
 
 
-def _deflate(values: Array) -> bytes | None:
+def _deflate(values: Values) -> bytes | None:
     """Return the bytes of an array after shuffle and deflate; None where they are hardly fewer, or too few."""
     if values.nbytes < MIN_DEFLATED_BYTES:
         return None
@@ -325,7 +397,7 @@ def _deflate(values: Array) -> bytes | None:
     return content if values.nbytes / MAX_RATIO <= len(content) <= (1 - MIN_SAVING) * values.nbytes else None
 
 
-def _check_flags(what: str, values: Array) -> Array:
+def _check_flags(what: str, values: Values) -> Values:
     if values.dtype == bool and values.size and values.view("u1").max() > 1:
         raise InputError(f"array {what} holds truth values that are neither 0 nor 1")
     return values
@@ -358,7 +430,7 @@ def write_sealed(
         Whether to compress the arrays that are not stored by row, where it makes them smaller.
     """
     _json([dict(header), *arrays, *(rows or {})])  # names, too, must be text that can be read again
-    blocks: dict[str, tuple[Array, ...]] = {name: (_plain(values),) for name, values in arrays.items()}
+    blocks: dict[str, tuple[Values, ...]] = {name: (_plain(values),) for name, values in arrays.items()}
     shapes = {name: block[0].shape for name, block in blocks.items()}
     for name, values in (rows or {}).items():
         blocks[name] = tuple(_plain(row) for row in values)
@@ -418,7 +490,7 @@ def _json(value: Any) -> bytes:
     return text
 
 
-def _plain(values: Any) -> Array:
+def _plain(values: Any) -> Values:
     array = np.ascontiguousarray(values)
     array = array.astype(array.dtype.newbyteorder("<"), copy=False).reshape(np.shape(values))
     if array.dtype.str not in ARRAY_TYPES:
@@ -426,5 +498,5 @@ def _plain(values: Any) -> Array:
     return array
 
 
-def _bytes_of(values: Array) -> memoryview:
+def _bytes_of(values: Values) -> memoryview:
     return values.reshape(-1).view("u1").data

@@ -56,9 +56,15 @@ def copy(tmp_path):
     return tmp_path
 
 
-def test_the_page_has_a_law_a_load_a_tool_and_a_scene():
-    assert [heading.split(":")[0] for heading in sections()] == ["A law", "A load", "A tool", "A scene"]
-    for text in sections().values():
+# files that an example creates or edits, at most
+MAX_FILES = {"A law": 5, "A load": 5, "A tool": 4, "A scene": 2, "A key of a scene file": 2}
+
+
+def test_the_page_has_examples_of_all_kinds_that_touch_few_files():
+    assert [heading.split(":")[0] for heading in sections()] == list(MAX_FILES)
+    for heading, text in sections().items():
+        files = {step["created"] or step["edited"] for step in STEP.finditer(text)} - {None}
+        assert len(files) <= MAX_FILES[heading.split(":")[0]], sorted(files)
         assert text.count("\nRun:\n") == 1
         assert len(STEP.findall(text)) == text.count("\n```") / 2
 

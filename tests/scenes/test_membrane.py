@@ -69,6 +69,7 @@ def test_a_tool_lets_go_after_a_tenth_of_a_second():
 def test_the_scene_has_its_parameters():
     scene = membrane(spacing=COARSE, tool_radius=0.02, prestretch=1.2, layout="hexagonal", jitter=0.1, seed=3)
     expected = {"spacing": COARSE, "tool_radius": 0.02, "prestretch": 1.2, "jitter": 0.1, "seed": 3}
+    expected |= {"after": "return", "layout": "hexagonal"}
     assert scene.parameters == expected
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import sys
 import tomllib
+from dataclasses import is_dataclass
 from pathlib import Path
 
 import pytest
@@ -13,28 +15,22 @@ from palpate.scenes import description as sections
 from palpate.scenes.names import PACKAGE_SCENES
 from palpate.scenes.schema import scene_schema
 
-DOCS = (Path(__file__).parents[2] / "docs" / "scenes.md").read_text()
+ROOT = Path(__file__).parents[2]
+sys.path.append(str(ROOT / "docs"))
+key_tables = __import__("key_tables")
 DATA = Path(sections.__file__).parent / "data"
-HEADS = {
-    sections.Shape: "[surface]", sections.Body: "[body]", sections.Tissue: "[tissue]",
-    sections.Relaxation: "[tissue] relaxation = { ... }", sections.Fibre: "[tissue] fibres = { ... }",
-    sections.Region: "[[region]]", sections.Support: "[[support]]", sections.Place: "place = { ... }",
-    sections.Plane: "plane = { ... }", sections.Box: "box = { ... }", sections.Ball: "ball = { ... }",
-    sections.Painted: "painted = { ... }", sections.Near: "near = { ... }", sections.Tool: "[tool]",
-    sections.Cut: "[cut]", sections.Load: "[[load]]", sections.Run: "[run]", sections.Training: "[training]",
-}  # fmt: skip
 
 
-@pytest.mark.parametrize(("section", "head"), HEADS.items(), ids=HEADS.values())
-def test_the_documentation_has_every_key_with_its_unit_and_meaning(section, head):
-    part = DOCS.partition(f"### `{head}`\n")[2].partition("\n### ")[0]
-    rows = [
-        [cell.strip() for cell in line.strip("|").split("|")] for line in part.splitlines() if line.startswith("| `")
-    ]
-    documented = {row[0].strip("`"): (row[1], row[3].partition(": `")[0]) for row in rows}
-    assert documented == {
-        name: (field.metadata["unit"], field.metadata["text"]) for name, (field, _) in fields_of(section).items()
-    }
+def test_the_documentation_has_a_table_of_every_section():
+    text = key_tables.PAGE.read_text(encoding="utf-8")
+    assert [match[1] for match in key_tables.TABLE.finditer(text)] == list(key_tables.HEADS)
+    kinds = {kind for kind in vars(sections).values() if is_dataclass(kind) and kind.__module__ == sections.__name__}
+    assert set(key_tables.HEADS.values()) == kinds - {sections.Description}
+
+
+def test_the_documentation_has_every_key_with_its_unit_default_and_meaning():
+    text = key_tables.PAGE.read_text(encoding="utf-8")
+    assert key_tables.rewritten(text) == text, "stale tables; run: python docs/key_tables.py"
 
 
 def test_the_schema_has_every_section_and_refuses_other_keys():

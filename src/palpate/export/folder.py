@@ -190,7 +190,7 @@ def _example_press(model: ReducedModel) -> tuple[Floats, Floats, float]:
     lengths = np.linalg.norm(normals, axis=1)
     fixed = rest[surface.fixed] if surface.fixed.any() else rest.mean(axis=0, keepdims=True)
     inward = -normals / np.maximum(lengths, 1e-30)[:, None]
-    # against the supports: the product with the way to their middle
+    # against the supports: the product with the vector to their middle
     towards = fixed.mean(axis=0) - rest
     score = np.sum(inward * towards, axis=1) * (lengths > 0)
     best = int(np.argmax(score))

@@ -53,12 +53,12 @@ class _Reader:
         bits = 7 * (self.at - start)
         return value - (1 << bits) if value >> (bits - 1) else value
 
-    def take(self, count: int) -> bytes:
+    def read_bytes(self, count: int) -> bytes:
         self.at += count
         return self.content[self.at - count : self.at]
 
     def name(self) -> str:
-        return self.take(self.number()).decode()
+        return self.read_bytes(self.number()).decode()
 
 
 def module_of_object(content: bytes, names: Collection[str]) -> Module:
@@ -89,7 +89,7 @@ def _sections(content: bytes) -> Iterator[tuple[int, bytes]]:
     reader = _Reader(content, PREAMBLE_BYTES)
     while reader.at < len(content):
         kind = reader.byte()
-        yield kind, reader.take(reader.number())
+        yield kind, reader.read_bytes(reader.number())
 
 
 def _function_symbols(reader: _Reader) -> dict[str, int]:
@@ -125,7 +125,7 @@ def _data_end(body: bytes) -> int:
         if reader.byte() != END_OF_EXPRESSION:
             raise RuntimeError("addresses of data must be constants, got another expression; use another LLVM")
         size = reader.number()
-        reader.take(size)
+        reader.read_bytes(size)
         end = max(end, start + size)
     return end
 

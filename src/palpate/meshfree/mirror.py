@@ -39,15 +39,6 @@ class MirrorPlane(NamedTuple):
         All nodes in the plane.
     normal : (3,) array
         Unit normal.
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
-    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
-    >>> bar = pt.Solid(cloud, tissue, fixed=["x-", pt.SymmetryPlane("y-")])
-    >>> bar.planes[0].name, bar.planes[0].normal.tolist()
-    ('y-', [0.0, -1.0, 0.0])
     """
 
     name: str
@@ -64,15 +55,6 @@ class Mirror(NamedTuple):
         The node that each image reflects.
     reflection : (g, 3, 3) array
         Matrices that turn the vectors of the source into those of the image.
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
-    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
-    >>> bar = pt.Solid(cloud, tissue, fixed=["x-", pt.SymmetryPlane("y-")])
-    >>> len(bar.mirror.source) > 0
-    True
     """
 
     source: NDArray[np.int64]

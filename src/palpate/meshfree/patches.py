@@ -128,7 +128,7 @@ def _ends_inside(cloud: Cloud, nodes: Ints) -> bool:
 def _distances_round(
     cut: CutSurface, points: Floats, nodes: Ints, near: Ints, distance: Floats, spacing: float
 ) -> Floats:
-    """Return distances (s, k) [m] of nodes from others with the ways round the fronts of a cut."""
+    """Return distances (s, k) [m] of nodes from others along the paths round the fronts of a cut."""
     count, paths = near.shape[1], np.empty(near.size)
     start = np.arange(0, near.size + 1, count)
     every = np.ascontiguousarray(near.ravel(), dtype=np.int64)

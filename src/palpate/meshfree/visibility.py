@@ -1,9 +1,9 @@
 """Pairs of near nodes that do not see each other: the outside of their body is between them.
 
 Stencils that reached across a narrow cleft would weld its walls. So a stencil omits a node if the
-straight way to it leaves the body (the visibility criterion: Belytschko, Lu and Gu, Int. J. Numer.
+straight line to it leaves the body (the visibility criterion: Belytschko, Lu and Gu, Int. J. Numer.
 Methods Eng. 37, 1994). In the valley of a smooth surface, and round the end
-of a cleft, there is a way through the tissue that is hardly longer than the straight one. Such
+of a cleft, there is a path through the tissue that is hardly longer than the straight one. Such
 pairs remain neighbours.
 """
 
@@ -22,9 +22,9 @@ from palpate.code_cache import cached_njit
 __all__ = ["hidden_pairs", "is_pair"]
 
 MAX_DISTANCE = 4.0  # largest distance of pairs, in spacings: more than the radius of one-sided stencils
-FACING_COSINE = 0.5  # least cosine between a normal and the way to a node that the surface faces
-SURFACE_MARGIN = 0.15  # of the outside next to the surface that ways may touch, in spacings
-MAX_DETOUR = 1.2  # longest way through the tissue over the straight one
+FACING_COSINE = 0.5  # least cosine between a normal and the vector to a node that the surface faces
+SURFACE_MARGIN = 0.15  # of the outside next to the surface that paths may touch, in spacings
+MAX_DETOUR = 1.2  # longest path through the tissue over the straight one
 
 
 def hidden_pairs(points: Floats, area_vectors: Floats, triangles: Ints, spacing: float) -> sparse.csr_array:
@@ -120,7 +120,7 @@ def _crosses(x, y, z, wx, wy, wz, corners):  # type: ignore[no-untyped-def]
 
 
 def _has_no_detour(points: Floats, hidden: Ints, seen: Ints) -> Any:
-    """Return True for the hidden pairs (h, 2) that no third node which both see connects by a short way."""
+    """Return True for the hidden pairs (h, 2) that no third node which both see connects by a short path."""
     length = np.linalg.norm(points[seen[:, 0]] - points[seen[:, 1]], axis=1)
     both = np.concatenate([seen, seen[:, ::-1]])
     table = sparse.csr_array(sparse.coo_array((np.tile(length, 2), both.T), (len(points),) * 2))
@@ -133,7 +133,7 @@ def _has_no_detour(points: Floats, hidden: Ints, seen: Ints) -> Any:
 
 @cached_njit(nogil=True)
 def _shortest_detour(pairs, start, near, length, shortest):  # type: ignore[no-untyped-def]
-    """Write the shortest way by a common neighbour; neighbours are in ascending order."""
+    """Write the shortest path by a common neighbour; neighbours are in ascending order."""
     for p in range(pairs.shape[0]):
         a, b = start[pairs[p, 0]], start[pairs[p, 1]]
         while a < start[pairs[p, 0] + 1] and b < start[pairs[p, 1] + 1]:

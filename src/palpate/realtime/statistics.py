@@ -38,12 +38,6 @@ class Histograms(NamedTuple):
         Largest computing time and lateness.
     counts : (3,) int64
         Missed deadlines, steps that computed for longer than a period, periods without a step.
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> int(pt.typing.Histograms.zeros().bins.sum())
-    0
     """
 
     bins: NDArray[np.int64]

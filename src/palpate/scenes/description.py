@@ -10,9 +10,9 @@ from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from typing import Any
 
+from palpate.dynamics.contact.tool_parameters import friction, side_stress, thickness, toughness
 from palpate.faults import InputError
-from palpate.parameters import Fault, read_values, setting
-from palpate.tissue.catalogue import LAWS
+from palpate.parameters import Fault, parameter, read_values
 from palpate.tissue.liver import LIVER_DENSITY, LIVER_POISSON, MASS_DAMPING
 
 __all__ = [
@@ -27,18 +27,23 @@ CHOICES_OF_RUNS = ("paths", "held_out", "modes", "tolerance", "cubature", "seed"
 Vector = tuple[float, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Shape:
     """Surface of the body: a file, or a generated shape."""
 
-    file: str = setting("", "surface file, relative to the scene file")
-    parts: tuple[str, ...] = setting((), "names or patterns of parts of the file, such as '*lobe*'")
-    units: str = setting("", "unit of length in the file; guessed if it is left out", choices=("m", "cm", "mm", "in"))
-    scale: float = setting(1.0, "factor of all lengths", low=1e-6, high=1e6)
-    repair: bool = setting(True, "close small holes, turn triangles, smooth folds and remove specks")
-    generated: str = setting("", "generated shape in place of a file", choices=SURFACE_SHAPES)
-    size: Vector = setting((), "edges of a box from the origin", unit="m", above=0.0, length=3)
-    disc_radius: float = setting(0.1, "radius of a disc", unit="m", above=0.0, high=10.0)
+    file: str = parameter("", "", "surface file or label map, relative to the scene file")
+    parts: tuple[str, ...] = parameter(
+        "", (), "names or patterns of parts of the file, such as '*lobe*'; those of a label map are one body"
+    )
+    labels: str = parameter("", "", "names that a label map lacks: JSON, .ctbl, or lines of a number and a name")
+    units: str = parameter(
+        "", "", "unit of length in the file; guessed if it is left out", choices=("m", "cm", "mm", "in")
+    )
+    scale: float = parameter("", 1.0, "factor of all lengths", low=1e-6, high=1e6)
+    repair: bool = parameter("", True, "close small holes, turn triangles, smooth folds and remove specks")
+    generated: str = parameter("", "", "generated shape in place of a file", choices=SURFACE_SHAPES)
+    size: Vector = parameter("m", (), "edges of a box from the origin", above=0.0, length=3)
+    disc_radius: float = parameter("m", 0.1, "radius of a disc", above=0.0, high=10.0)
 
     def __post_init__(self) -> None:
         if bool(self.file) == bool(self.generated):
@@ -47,90 +52,92 @@ class Shape:
             raise InputError("must have size for a box, and only for a box; give size = [length, width, height]")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Body:
     """Nodes and equations of the body."""
 
-    spacing: float | None = setting(None, "distance between nodes", unit="m", above=0.0, high=1.0)
-    form: str = setting("energy", "form of the equations of motion", choices=("energy", "strong"))
-    seed: int = setting(0, "seed of the nodes' positions", low=0, high=2**31)
-    thickness: float | None = setting(None, "thickness of a membrane", unit="m", above=0.0, high=1.0)
-    prestretch: float = setting(1.0, "stretch of a membrane at rest", low=0.5, high=3.0)
-    under_loads: bool = setting(
-        False, "whether the surface has its shape under the loads at time 0, as a scan has under gravity"
+    spacing: float | None = parameter("m", None, "distance between nodes", above=0.0, high=1.0)
+    form: str = parameter("", "energy", "form of the equations of motion", choices=("energy", "strong"))
+    seed: int = parameter("", 0, "seed of the nodes' positions", low=0, high=2**31)
+    thickness: float | None = parameter("m", None, "thickness of a membrane", above=0.0, high=1.0)
+    prestretch: float = parameter("", 1.0, "stretch of a membrane at rest", low=0.5, high=3.0)
+    under_loads: bool = parameter(
+        "", False, "whether the surface has its shape under the loads at time 0, as a scan has under gravity"
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Relaxation:
     """Viscoelastic relaxation, a Prony series (`palpate.materials.Prony`)."""
 
-    shares: Vector = setting(text="modulus of each branch over that of the law", above=0.0)
-    times: Vector = setting(text="relaxation times", unit="s", above=0.0)
-    bulk_shares: Vector = setting((), "the same for the bulk modulus", low=0.0)
+    shares: Vector = parameter(help="modulus of each branch over that of the law", above=0.0)
+    times: Vector = parameter("s", help="relaxation times", above=0.0)
+    bulk_shares: Vector = parameter("", (), "the same for the bulk modulus", low=0.0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Fibre:
     """Fibres of one direction everywhere (`palpate laws`)."""
 
-    law: str = setting("Fibres", "law of the fibres", choices=("Fibres", "Guccione"))
-    directions: tuple[tuple[float, float, float], ...] = setting(text="directions of the families, of any length")
-    parameters: dict[str, float | str] = setting(text="parameters of the fibre law")
+    law: str = parameter("", "Fibres", "law of the fibres", choices=("Fibres", "Guccione"))
+    directions: tuple[tuple[float, float, float], ...] = parameter(help="directions of the families, of any length")
+    parameters: dict[str, float | str] = parameter(help="parameters of the fibre law")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Tissue:
     """Tissue of the body."""
 
-    law: str = setting("NeoHookean", "law of the catalogue (palpate laws)")
-    energy: str = setting("", "energy of a law of your own as a text, such as 'C1*(I1 - 3 - 2*log(J))'")
-    parameters: dict[str, float | str] = setting({}, "parameters of the law")
-    density: float = setting(LIVER_DENSITY, "density", unit="kg/m^3", above=0.0)
-    poisson: float = setting(LIVER_POISSON, "Poisson's ratio at rest", low=0.0, high=0.5)
-    volumetric: str = setting("quadratic", "form of the volumetric energy",
-                              choices=("quadratic", "logarithmic", "mixed"))  # fmt: skip
-    split: str = setting("coupled", "strain of the shear energy", choices=("coupled", "isochoric"))
-    mass_damping: float = setting(MASS_DAMPING, "damping by mass: an amplitude decays at half this rate", unit="1/s",
-                                  low=0.0, high=1000.0)  # fmt: skip
-    relaxation: Relaxation | None = setting(None, "relaxation of the tissue")
-    fibres: Fibre | None = setting(None, "fibres")
+    law: str = parameter("", "NeoHookean", "law of the catalogue (palpate laws)")
+    energy: str = parameter("", "", "energy of a law of your own as a text, such as 'C1*(I1 - 3 - 2*log(J))'")
+    parameters: dict[str, float | str] = parameter("", {}, "parameters of the law")
+    density: float = parameter("kg/m^3", LIVER_DENSITY, "density", above=0.0)
+    poisson: float = parameter("", LIVER_POISSON, "Poisson's ratio at rest", low=0.0, high=0.5)
+    volumetric: str = parameter(
+        "", "quadratic", "form of the volumetric energy", choices=("quadratic", "logarithmic", "mixed")
+    )
+    split: str = parameter("", "coupled", "strain of the shear energy", choices=("coupled", "isochoric"))
+    mass_damping: float = parameter(
+        "1/s", MASS_DAMPING, "damping by mass: an amplitude decays at half this rate", low=0.0, high=1000.0
+    )
+    relaxation: Relaxation | None = parameter("", None, "relaxation of the tissue")
+    fibres: Fibre | None = parameter("", None, "fibres")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Plane:
     """Half space behind a plane."""
 
-    point: Vector = setting(text="a point of the plane", unit="m", length=3)
-    normal: Vector = setting(text="normal, away from the place", length=3)
+    point: Vector = parameter("m", help="a point of the plane", length=3)
+    normal: Vector = parameter(help="normal, away from the place", length=3)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Box:
     """Box along the axes."""
 
-    low: Vector = setting(text="lowest corner", unit="m", length=3)
-    high: Vector = setting(text="highest corner", unit="m", length=3)
+    low: Vector = parameter("m", help="lowest corner", length=3)
+    high: Vector = parameter("m", help="highest corner", length=3)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Ball:
     """Ball."""
 
-    centre: Vector = setting(text="centre", unit="m", length=3)
-    radius: float = setting(text="radius", unit="m", above=0.0, high=10.0)
+    centre: Vector = parameter("m", help="centre", length=3)
+    radius: float = parameter("m", help="radius", above=0.0, high=10.0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Painted:
     """Painted vertices of a mesh, in the unit of the surface."""
 
-    file: str = setting(text="painted mesh (.ply, .vtk, .vtp, .vtu), relative to the scene file")
-    field: str = setting("", "scalar field on its vertices; the only one if it is left out")
-    least: float = setting(0.5, "smallest painted value")
+    file: str = parameter(help="painted mesh (.ply, .vtk, .vtp, .vtu), relative to the scene file")
+    field: str = parameter("", "", "scalar field on its vertices; the only one if it is left out")
+    least: float = parameter("", 0.5, "smallest painted value")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Near:
     """Nearness to another surface, such as a bone.
 
@@ -138,23 +145,26 @@ class Near:
     turned into that of the body, with a warning.
     """
 
-    file: str = setting(text="surface file, relative to the scene file; parts, units and scale as those of the body")
-    distance: float = setting(text="largest distance", unit="m", above=0.0, high=1.0)
-    parts: tuple[str, ...] = setting((), "names or patterns of its parts")
+    file: str = parameter(help="surface file or label map, relative to the scene file; units and scale as the body's")
+    distance: float = parameter("m", help="largest distance", above=0.0, high=1.0)
+    parts: tuple[str, ...] = parameter("", (), "names or patterns of its parts")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Place:
     """Part of the body: exactly one of these."""
 
-    side: str = setting("", "'x-', 'z+', 'back' (away from the first view), 'lowest 15%', 'near X,Y,Z,R' [mm]")
-    group: str = setting("", "group of a generated shape, such as 'x-' or 'rim'")
-    plane: Plane | None = setting(None, "what is behind a plane")
-    box: Box | None = setting(None, "what is inside a box")
-    ball: Ball | None = setting(None, "what is inside a ball")
-    painted: Painted | None = setting(None, "what is painted")
-    near: Near | None = setting(None, "what is near another surface")
-    part: str = setting("", "what is inside a closed part of the surface file, by its name or a pattern")
+    side: str = parameter(
+        "", "", "'x-', 'z+', 'back' (away from the first view), 'lowest 15%', 'near X,Y,Z,R' [mm]; of a body whose "
+        "file states its frame also left, right, front, rear, head, feet",
+    )  # fmt: skip
+    group: str = parameter("", "", "group of a generated shape, such as 'x-' or 'rim'")
+    plane: Plane | None = parameter("", None, "what is behind a plane")
+    box: Box | None = parameter("", None, "what is inside a box")
+    ball: Ball | None = parameter("", None, "what is inside a ball")
+    painted: Painted | None = parameter("", None, "what is painted")
+    near: Near | None = parameter("", None, "what is near another surface")
+    part: str = parameter("", "", "what is inside a closed part of the surface file or label map, by name or pattern")
 
     def __post_init__(self) -> None:
         given = [field.name for field in fields(self) if getattr(self, field.name)]
@@ -173,28 +183,32 @@ class Place:
         raise AssertionError("a place has one kind")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Region:
     """Tissue with other parameters of the same law."""
 
-    name: str = setting("", "name in reports")
-    place: Place = setting(text="where it is")
-    parameters: dict[str, float | str] = setting({}, "parameters of the law that differ")
-    stiffness: float = setting(1.0, "factor of the moduli, in place of parameters", above=0.0, high=1e4)
+    name: str = parameter("", "", "name in reports")
+    place: Place = parameter(help="where it is")
+    parameters: dict[str, float | str] = parameter("", {}, "parameters of the law that differ")
+    stiffness: float = parameter("", 1.0, "factor of the moduli, in place of parameters", above=0.0, high=1e4)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Support:
     """Support of the body's surface."""
 
-    name: str = setting("", "name in reports")
-    kind: str = setting("fixed", "fixed, roller (slides in the plane of its normal), rail, or springs per area",
-                        choices=("fixed", "roller", "rail", "springs"))  # fmt: skip
-    place: Place = setting(text="where it is")
-    surface_only: bool = setting(False, "hold nodes of the surface only, not those below it")
-    direction: Vector = setting((), "normal of a roller, or direction of a rail", length=3)
-    stiffness: float = setting(0.0, "stiffness of springs per area", unit="N/m^3", low=0.0)
-    damping: float = setting(0.0, "damping of springs per area", unit="N s/m^3", low=0.0)
+    name: str = parameter("", "", "name in reports")
+    kind: str = parameter(
+        "",
+        "fixed",
+        "fixed, roller (slides in the plane of its normal), rail, or springs per area",
+        choices=("fixed", "roller", "rail", "springs"),
+    )
+    place: Place = parameter(help="where it is")
+    surface_only: bool = parameter("", False, "hold nodes of the surface only, not those below it")
+    direction: Vector = parameter("", (), "normal of a roller, or direction of a rail", length=3)
+    stiffness: float = parameter("N/m^3", 0.0, "stiffness of springs per area", low=0.0)
+    damping: float = parameter("N s/m^3", 0.0, "damping of springs per area", low=0.0)
 
     def __post_init__(self) -> None:
         if (self.kind == "springs") != (self.stiffness > 0):
@@ -205,47 +219,52 @@ class Support:
             raise InputError("must have no direction unless it is a roller or a rail; leave it out")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Tool:
     """Tool that touches the body, or that holds a group of it."""
 
-    radius: float | None = setting(None, "radius of the ball; one that fits the body if it is left out", unit="m",
-                                    above=0.0, high=0.5)  # fmt: skip
-    friction: float = setting(0.2, "Coulomb's coefficient", low=0.0, high=2.0)
-    holds: str = setting("", "group that the tool holds and moves, in place of touching the surface")
-    hold_radius: float | None = setting(None, "of a disc: the tool holds what is so near its centre", unit="m",
-                                         above=0.0, high=10.0)  # fmt: skip
+    radius: float | None = parameter(
+        "m", None, "radius of the ball; one that fits the body if it is left out", above=0.0, high=0.5
+    )
+    friction: float = friction(0.2, high=2.0)
+    holds: str = parameter("", "", "group that the tool holds and moves, in place of touching the surface")
+    hold_radius: float | None = parameter(
+        "m", None, "of a disc: the tool holds what is so near its centre", above=0.0, high=10.0
+    )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Cut:
     """Scalpel of `palpate run --cut`, which goes down into the body, along it, and out again."""
 
-    toughness: float = setting(20.0, "energy of a cut per area: 164 of bovine liver", unit="J/m^2", low=0.0, high=1e4)
-    wedge: float = setting(0.0, "thickness of the blade", unit="m", low=0.0, high=0.01)
-    shear_stress: float = setting(0.0, "friction on each side of the blade", unit="Pa", low=0.0, high=1e6)
-    edge_length: float | None = setting(None, "of the blade; one that fits the spacing if it is left out", unit="m",
-                                        above=0.0, high=1.0)  # fmt: skip
-    cut_length: float | None = setting(None, "way along the body; one that fits it if it is left out", unit="m",
-                                       above=0.0, high=1.0)  # fmt: skip
-    cut_depth: float | None = setting(None, "way into the body; one that fits it if it is left out", unit="m",
-                                      above=0.0, high=0.2)  # fmt: skip
-    cut_speed: float = setting(0.02, "speed of the blade", unit="m/s", above=0.0, high=1.0)
+    toughness: float = toughness()
+    wedge: float = thickness()
+    shear_stress: float = side_stress()
+    edge_length: float | None = parameter(
+        "m", None, "of the blade; one that fits the spacing if it is left out", above=0.0, high=1.0
+    )
+    cut_length: float | None = parameter(
+        "m", None, "way along the body; one that fits it if it is left out", above=0.0, high=1.0
+    )
+    cut_depth: float | None = parameter(
+        "m", None, "way into the body; one that fits it if it is left out", above=0.0, high=0.2
+    )
+    cut_speed: float = parameter("m/s", 0.02, "speed of the blade", above=0.0, high=1.0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Load:
     """Load of a single run: a force, a pressure or gravity over time."""
 
-    name: str = setting("", "name in reports")
-    kind: str = setting(text="kind of load", choices=("force", "pressure", "gravity", "motion"))
-    place: Place | None = setting(None, "where it acts; gravity acts everywhere")
-    times: Vector = setting((0.0,), "times; between them the factor is interpolated", unit="s", low=0.0)
-    factors: Vector = setting((1.0,), "factors at these times")
-    force: Vector = setting((), "total force", unit="N", length=3)
-    pressure: float = setting(0.0, "pressure, positive towards the body", unit="Pa")
-    acceleration: Vector = setting((), "acceleration of gravity", unit="m/s^2", length=3)
-    displacement: Vector = setting((), "displacement of a motion", unit="m", length=3)
+    name: str = parameter("", "", "name in reports")
+    kind: str = parameter(help="kind of load", choices=("force", "pressure", "gravity", "motion"))
+    place: Place | None = parameter("", None, "where it acts; gravity acts everywhere")
+    times: Vector = parameter("s", (0.0,), "times; between them the factor is interpolated", low=0.0)
+    factors: Vector = parameter("", (1.0,), "factors at these times")
+    force: Vector = parameter("N", (), "total force", length=3)
+    pressure: float = parameter("Pa", 0.0, "pressure, positive towards the body")
+    acceleration: Vector = parameter("m/s^2", (), "acceleration of gravity", length=3)
+    displacement: Vector = parameter("m", (), "displacement of a motion", length=3)
 
     def __post_init__(self) -> None:
         needed = {"force": "force", "pressure": "pressure", "gravity": "acceleration", "motion": "displacement"}
@@ -262,59 +281,64 @@ class Load:
             raise InputError("must have increasing times and as many factors; change one of them")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Run:
     """A single run of the full body under its loads, or under a press of the tool if there are none."""
 
-    duration: float = setting(1.0, "length", unit="s", above=0.0, high=600.0)
-    every: float = setting(0.01, "time between two frames", unit="s", above=0.0, high=1.0)
+    duration: float = parameter("s", 1.0, "length", above=0.0, high=600.0)
+    every: float = parameter("s", 0.01, "time between two frames", above=0.0, high=1.0)
 
     def __post_init__(self) -> None:
         if self.every > self.duration:
             raise InputError("must have every of at most the duration; make it smaller")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Training:
     """Random paths of the tool, and the reduced model that is trained on them."""
 
-    paths: int = setting(12, "runs to train on; with a tolerance, the most", low=1, high=100_000)
-    held_out: int = setting(4, "further runs, on which errors are measured", low=0, high=100_000)
-    modes: int = setting(60, "modes of the reduced model", low=1, high=1000)
-    tolerance: float | None = setting(None, "choose paths until the errors are at most this", above=0.0, high=1.0)
-    cubature: float | None = setting(None, "largest relative error of the sampled forces", above=0.0, high=1.0)
-    seed: int = setting(0, "seed of the paths", low=0, high=1_000_000)
-    depth: float | None = setting(
-        None, "depth of the deepest press, and length of the longest pull; what fits the body if it is left out",
-        unit="m", above=0.0, high=0.2,
-    )  # fmt: skip
-    slide: float | None = setting(
-        None, "longest slide of a press; what fits the body if it is left out", unit="m", low=0.0, high=0.5
+    paths: int = parameter("", 12, "runs to train on; with a tolerance, the most", low=1, high=100_000)
+    held_out: int = parameter("", 4, "further runs, on which errors are measured", low=0, high=100_000)
+    modes: int = parameter("", 60, "modes of the reduced model", low=1, high=1000)
+    tolerance: float | None = parameter("", None, "choose paths until the errors are at most this", above=0.0, high=1.0)
+    cubature: float | None = parameter("", None, "largest relative error of the sampled forces", above=0.0, high=1.0)
+    seed: int = parameter("", 0, "seed of the paths", low=0, high=1_000_000)
+    depth: float | None = parameter(
+        "m",
+        None,
+        "depth of the deepest press, and length of the longest pull; what fits the body if it is left out",
+        above=0.0,
+        high=0.2,
     )
-    grasps: float = setting(0.25, "share of the paths that are pulls of forceps", low=0.0, high=1.0)
-    every: float = setting(0.01, "time between two frames", unit="s", above=0.0, high=1.0)
-    duration: float = setting(0.4, "length of a path of a tool that holds a group", unit="s", above=0.0, high=10.0)
-    low: Vector = setting((0.0, 0.0, 0.0), "smallest displacement of a swing of a held group", unit="m", length=3)
-    high: Vector = setting((0.0, 0.0, 0.0), "largest displacement of a swing", unit="m", length=3)
-    low_turn: Vector = setting((0.0, 0.0, 0.0), "smallest rotation vector of a swing", unit="rad", length=3)
-    high_turn: Vector = setting((0.0, 0.0, 0.0), "largest rotation vector of a swing", unit="rad", length=3)
+    slide: float | None = parameter(
+        "m", None, "longest slide of a press; what fits the body if it is left out", low=0.0, high=0.5
+    )
+    grasps: float = parameter("", 0.25, "share of the paths that are pulls of forceps", low=0.0, high=1.0)
+    every: float = parameter("s", 0.01, "time between two frames", above=0.0, high=1.0)
+    duration: float = parameter("s", 0.4, "length of a path of a tool that holds a group", above=0.0, high=10.0)
+    low: Vector = parameter("m", (0.0, 0.0, 0.0), "smallest displacement of a swing of a held group", length=3)
+    high: Vector = parameter("m", (0.0, 0.0, 0.0), "largest displacement of a swing", length=3)
+    low_turn: Vector = parameter("rad", (0.0, 0.0, 0.0), "smallest rotation vector of a swing", length=3)
+    high_turn: Vector = parameter("rad", (0.0, 0.0, 0.0), "largest rotation vector of a swing", length=3)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Description:
     """A scene: a body with its tissue and supports, and what happens to it."""
 
-    title: str = setting("", "title of the scene")
-    surface: Shape = setting(text="surface of the body")
-    body: Body = setting(Body(), "nodes of the body")
-    tissue: Tissue = setting(Tissue(), "tissue of the body")
-    region: tuple[Region, ...] = setting((), "regions of other tissue")
-    support: tuple[Support, ...] = setting((), "supports; the side away from the first view is fixed if there are none")
-    tool: Tool = setting(Tool(), "tool")
-    cut: Cut = setting(Cut(), "scalpel of a cut in real time")
-    load: tuple[Load, ...] = setting((), "loads of a single run")
-    run: Run = setting(Run(), "single run of the full body")
-    training: Training = setting(Training(), "training of a reduced model")
+    title: str = parameter("", "", "title of the scene")
+    surface: Shape = parameter(help="surface of the body")
+    body: Body = parameter("", Body(), "nodes of the body")
+    tissue: Tissue = parameter("", Tissue(), "tissue of the body")
+    region: tuple[Region, ...] = parameter("", (), "regions of other tissue")
+    support: tuple[Support, ...] = parameter(
+        "", (), "supports; the side away from the first view is fixed if there are none"
+    )
+    tool: Tool = parameter("", Tool(), "tool")
+    cut: Cut = parameter("", Cut(), "scalpel of a cut in real time")
+    load: tuple[Load, ...] = parameter("", (), "loads of a single run")
+    run: Run = parameter("", Run(), "single run of the full body")
+    training: Training = parameter("", Training(), "training of a reduced model")
 
 
 def with_settings(description: Description, given: Mapping[str, Any]) -> Description:
@@ -367,6 +391,8 @@ def _find_setting(description: Description, key: str) -> tuple[str, str]:
         raise InputError(f"settings must name one key, got {key!r}; give {' or '.join(matches)}")
     if matches:
         return settings_by_name[matches[0]]
+    from palpate.tissue.catalogue import LAWS  # here, so that help texts answer without it
+
     law = next((law for law in LAWS if law.name == description.tissue.law), None)
     if key in {each.name for each in (law.parameters if law else ())} | set(description.tissue.parameters):
         return "parameters", key

@@ -8,7 +8,7 @@ from __future__ import annotations
 from enum import Enum
 from pathlib import Path
 
-from palpate.surface.formats.names import SURFACE_FORMATS, format_of
+from palpate.surface.formats.names import LABEL_FORMATS, SURFACE_FORMATS, format_of
 
 __all__ = ["PACKAGE_SCENES", "SCENE_SUFFIX", "SceneKind", "kind_of", "listed_scenes"]
 
@@ -30,7 +30,8 @@ def kind_of(name: str) -> SceneKind | None:
         return SceneKind.PACKAGE
     if name.lower().endswith(SCENE_SUFFIX):
         return SceneKind.SCENE_FILE
-    return SceneKind.SURFACE_FILE if format_of(Path(name))[0] in SURFACE_FORMATS else None
+    is_surface = format_of(Path(name))[0] in (*SURFACE_FORMATS, *LABEL_FORMATS)
+    return SceneKind.SURFACE_FILE if is_surface else None
 
 
 def listed_scenes() -> str:

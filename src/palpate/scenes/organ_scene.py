@@ -44,6 +44,7 @@ from palpate.scenes.tissue import fibres_of, material_of
 from palpate.scenes.tool_paths import ToolPaths, check_radius
 from palpate.surface.checks import SurfaceReport, check_surface, shape_problems
 from palpate.surface.files import read_surface
+from palpate.surface.labels.reading import is_label_map
 from palpate.surface.repair import repair_surface
 from palpate.surface.surface import Surface, scaled
 from palpate.tissue.materials import Material
@@ -145,6 +146,10 @@ class OrganScene(Described):
             return scaled(liver_surface(), shape.scale) if shape.generated == "liver" else None
         path = self.folder / shape.file
         chosen: Any = {"part": list(shape.parts) or None, "units": shape.units or None, "scale": shape.scale}
+        if shape.labels:
+            chosen["labels"] = self.folder / shape.labels
+        if is_label_map(path):
+            return read_surface(path, **chosen)
         with contextlib.suppress(InputError):  # parts that are closed after a repair alone
             surface = read_surface(path, **chosen)
             if not shape.repair or not any(problem.kind == "error" for problem in shape_problems(surface)):
@@ -158,7 +163,8 @@ class OrganScene(Described):
         """The surface as it is filled."""
         if self.surface is None or self.description.surface.generated:
             return self.surface
-        surface = repair_surface(self.surface) if self.description.surface.repair else self.surface
+        shape = self.description.surface
+        surface = repair_surface(self.surface) if shape.repair and not is_label_map(shape.file) else self.surface
         report = _check_closed(surface)
         self.notes += [f"surface: {line}" for line in surface.warnings]
         self.notes += [f"surface, {problem.kind}: {problem.what}" for problem in report.problems]
@@ -376,6 +382,8 @@ class OrganScene(Described):
         for name in CHOICES_OF_RUNS:
             about["training"].pop(name)
         about.pop("title"), about.pop("run"), about.pop("load"), about.pop("cut")
+        if not about["surface"]["labels"]:
+            about["surface"].pop("labels")  # scenes without it keep their digests
         digests = {file: sha256(read_bytes(self.folder / file, "file")).hexdigest() for file in sorted(_files(about))}
         return {"sections": about, "files": digests}
 
@@ -513,7 +521,7 @@ class OrganScene(Described):
 def _files(sections_: Any) -> set[str]:
     """Return the names of files in nested sections."""
     if isinstance(sections_, Mapping):
-        names = {sections_["file"]} if sections_.get("file") else set()
+        names = {sections_[key] for key in ("file", "labels") if sections_.get(key)}
         return names.union(*(_files(each) for each in sections_.values()))
     if isinstance(sections_, list | tuple):
         return set().union(*(_files(each) for each in sections_))

@@ -21,6 +21,8 @@ from palpate.scenes.description import Near, Painted, Place, Shape
 from palpate.scenes.painted import read_painted
 from palpate.surface.checks import METRES_BY_UNIT
 from palpate.surface.files import read_surface
+from palpate.surface.labels.label_map import LabelMap, Mask, mask_of
+from palpate.surface.labels.reading import is_label_map, read_label_map
 from palpate.surface.nesting import inside_points
 from palpate.surface.refining import refine_surface
 from palpate.surface.surface import Surface
@@ -31,6 +33,8 @@ PAINTED_PREFIX = "painted "  # begins the text of a painted place
 CAMERA_SIDE = (0.277, -0.833, 0.479)  # direction from the body to the camera of the page at its start
 SUPPORT_SHARE = 0.12  # of the extent along a direction, which a side holds
 SIDE_AXES = {"x-": (0, 1), "x+": (0, -1), "y-": (1, 1), "y+": (1, -1), "z-": (2, 1), "z+": (2, -1)}
+LPS_SIDES = {"right": "x-", "left": "x+", "front": "y-", "rear": "y+", "feet": "z-", "head": "z+"}  # of a patient
+RAS_SIDES = {"right": "x+", "left": "x-", "front": "y+", "rear": "y-", "feet": "z-", "head": "z+"}
 NUMBER_PATTERN = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)"
 LOWEST_PATTERN = re.compile(rf"lowest {NUMBER_PATTERN} ?%", re.ASCII)
 NEAR_PATTERN = re.compile(rf"near {NUMBER_PATTERN}, ?{NUMBER_PATTERN}, ?{NUMBER_PATTERN}, ?{NUMBER_PATTERN}", re.ASCII)
@@ -92,7 +96,7 @@ class PlaceFinder:
         """Return the function of points (k, 3) that is True up to a width [m] beyond the border of a place."""
         if place.side:
             body = np.pad(self.cloud.points, ((0, 0), (0, 3 - self.cloud.points.shape[1])))
-            return lambda points: side_mask(points, place.side, width, body)
+            return lambda points: side_mask(points, place.side, width, body, self.space)
         if place.plane:
             normal, origin = np.array(place.plane.normal), np.array(place.plane.point)
             if not normal.any():
@@ -118,16 +122,14 @@ class PlaceFinder:
 
     def _near(self, near: Near, width: float) -> Callable[[Floats], NDArray[np.bool_]]:
         """Return the function that is True within a distance of another surface."""
-        distance = near.distance
-        surface = read_surface(
-            self.folder / near.file,
-            part=list(near.parts) or None,
-            units=self._units,
-            scale=self.shape.scale,
-            repair=False,
-        )
-        surface = in_frame(surface, self.space)
-        tree = _vertices(surface, MAX_EDGE_RATIO * distance)
+        distance, path = near.distance, self.folder / near.file
+        if is_label_map(path):
+            mask = mask_of(self._label_map(path), list(near.parts) or None)
+            tree = cKDTree(in_frame(mask.boundary(), mask.space, self.space, mask.name))
+        else:
+            surface = read_surface(path, part=list(near.parts) or None, units=self._units, scale=self.shape.scale)
+            vertices = in_frame(surface.vertices, surface.space, self.space, surface.name)
+            tree = _vertices(replace(surface, vertices=vertices), MAX_EDGE_RATIO * distance)
         return lambda points: np.isfinite(tree.query(points, distance_upper_bound=distance + width)[0])
 
     def _inside(self, part: str, width: float) -> Callable[[Floats], NDArray[np.bool_]]:
@@ -136,15 +138,28 @@ class PlaceFinder:
             raise InputError(
                 f"part must be of a surface file, got {brief(part)} of a generated shape; use a box or ball"
             )
-        surface = read_surface(
-            self.folder / self.shape.file, part=part, units=self._units, scale=self.shape.scale, repair=True
-        )
+        path = self.folder / self.shape.file
+        if is_label_map(path):
+            return self._in_voxels(mask_of(self._label_map(path), part), width)
+        surface = read_surface(path, part=part, units=self._units, scale=self.shape.scale, repair=True)
         if width < MIN_WIDTH * self.cloud.spacing:
             return lambda points: inside_surface(surface, points)
         tree = _vertices(surface, MAX_EDGE_RATIO * width)
         return lambda points: (
             inside_surface(surface, points) | np.isfinite(tree.query(points, distance_upper_bound=width)[0])
         )
+
+    def _label_map(self, path: Path) -> LabelMap:
+        """Return a label map in the lengths of the body."""
+        names = self.folder / self.shape.labels if self.shape.labels else None
+        return read_label_map(path, names).scaled(self.shape.scale)
+
+    def _in_voxels(self, mask: Mask, width: float) -> Callable[[Floats], NDArray[np.bool_]]:
+        """Return the function that is True in the voxels of a mask, and within a width of their middles."""
+        if width < MIN_WIDTH * self.cloud.spacing:
+            return mask.contains
+        tree = cKDTree(mask.boundary())
+        return lambda points: mask.contains(points) | np.isfinite(tree.query(points, distance_upper_bound=width)[0])
 
     @property
     def _units(self) -> str:
@@ -154,20 +169,23 @@ class PlaceFinder:
         return min(METRES_BY_UNIT, key=lambda name: abs(np.log(METRES_BY_UNIT[name] * self.shape.scale / self.unit)))
 
 
-def in_frame(surface: Surface, space: str) -> Surface:
-    """Return a surface in the frame of a body, LPS or RAS, with a warning if it is turned.
+def in_frame(points: Floats, space: str, body_space: str, name: str) -> Floats:
+    """Return the points (k, 3) of a file in the frame of a body, LPS or RAS, with a warning about what is assumed.
 
     Where only one of the two files states its frame, the other one's is LPS, as in 3D Slicer.
     """
-    stated = surface.space or ("LPS" if space else "")
-    if stated == (space or ("LPS" if surface.space else "")):
-        return surface
+    stated = space or ("LPS" if body_space else "")
+    if stated == (body_space or ("LPS" if space else "")):
+        if space != body_space:
+            which = "the file of the body" if space else name
+            warnings.warn(f"{which} does not state its frame: taken as LPS, as 3D Slicer does", stacklevel=2)
+        return points
     warnings.warn(
-        f"{surface.name} is in {stated} and the body in {space or 'LPS'}: it is turned by 180 degrees about z, into "
-        "the frame of the body",
+        f"{name} is in {stated} and the body in {body_space or 'LPS'}: it is turned by 180 degrees about z, into the "
+        "frame of the body",
         stacklevel=2,
     )
-    return replace(surface, vertices=surface.vertices * np.array([-1.0, -1.0, 1.0]))
+    return points * np.array([-1.0, -1.0, 1.0])
 
 
 def _vertices(surface: Surface, edge: float) -> cKDTree:
@@ -186,12 +204,22 @@ def inside_surface(surface: Surface, points: Floats) -> NDArray[np.bool_]:
     return mask
 
 
-def side_mask(points: Floats, text: str, width: float = 0.0, body: Floats | None = None) -> NDArray[np.bool_]:
+def side_mask(
+    points: Floats, text: str, width: float = 0.0, body: Floats | None = None, space: str = ""
+) -> NDArray[np.bool_]:
     """Return the points (n,) up to a width [m] beyond a side of a body that a text names.
 
-    See `palpate.scenes.description.Place`. Points (k, 3) `body` give the extent, by default the same points.
+    See `palpate.scenes.description.Place`. Points (k, 3) `body` give the extent, by default the same points. Sides of
+    a patient require the frame of the body's file, `space`.
     """
     body = points if body is None else body
+    if text in LPS_SIDES:
+        if not space:
+            raise InputError(
+                f"fixed must be one of {', '.join(SIDE_AXES)} where the file does not state how the patient lies, got "
+                f"{text!r}; or add SPACE=LPS to its header, as 3D Slicer writes it"
+            )
+        text = (LPS_SIDES if space == "LPS" else RAS_SIDES)[text]
     if text in SIDE_AXES:
         axis, sign = SIDE_AXES[text]
         return _far_share(sign * points[:, axis], sign * body[:, axis], SUPPORT_SHARE, width)
@@ -207,8 +235,8 @@ def side_mask(points: Floats, text: str, width: float = 0.0, body: Floats | None
         x, y, z, radius = (1e-3 * float(each) for each in near.groups())
         return np.asarray(np.linalg.norm(points - [x, y, z], axis=1) <= radius + width)
     raise InputError(
-        f"fixed must be {', '.join(SIDE_AXES)}, back, 'lowest 15%', 'near X,Y,Z,R' in mm or 'painted FILE', got "
-        f"{text!r:.60}; use one of them"
+        f"fixed must be {', '.join([*SIDE_AXES, *LPS_SIDES])}, back, 'lowest 15%', 'near X,Y,Z,R' in mm or 'painted "
+        f"FILE', got {text!r:.60}; use one of them"
     )
 
 

@@ -25,7 +25,7 @@ class Scene:
     ----------
     duration, every : float [s]
         Length of the run, and time between snapshots.
-    parameters : mapping of str to float
+    parameters : mapping of str to number or text
         Parameters of the scene, in SI units.
     displacement : (n, 3) array, optional [m]
         Displacements at the start; zero by default.
@@ -36,7 +36,7 @@ class Scene:
     duration: float
     every: float
     title: str
-    parameters: Mapping[str, float]
+    parameters: Mapping[str, float | str]
     displacement: Floats | None = None
 
 

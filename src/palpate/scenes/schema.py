@@ -26,8 +26,8 @@ def _section(section: type) -> dict[str, Any]:
     properties, required = {}, []
     for name, (field, kind) in fields_of(section).items():
         about: dict[str, Any] = _value(kind, field.metadata)
-        if field.metadata["text"]:
-            about["description"] = _sentence(field.metadata["text"], field.metadata["unit"])
+        if field.metadata["help"]:
+            about["description"] = _sentence(field.metadata["help"], field.metadata["unit"])
         if isinstance(field.default, bool | int | float | str) and field.default != "":
             about["default"] = field.default
         properties[name] = about

@@ -26,8 +26,9 @@ def surface_scene(
     law: str | None = None,
     settings: Mapping[str, Any] | None = None,
     fixed: Sequence[str] = (),
+    labels: str | Path | None = None,
 ) -> OrganScene:
-    """Return the scene of a surface file.
+    """Return the scene of a surface file or a label map.
 
     Parameters
     ----------
@@ -43,8 +44,10 @@ def surface_scene(
     settings : mapping
         Parameters of the law and other settings (`palpate.open_scene`).
     fixed : sequence of str
-        ``x-``, ``back``, ``lowest 15%``, ``near X,Y,Z,R`` [mm], or ``painted FILE`` in the unit of the
+        ``x-``, ``back``, ``left``, ``lowest 15%``, ``near X,Y,Z,R`` [mm], or ``painted FILE`` in the unit of the
         surface, with ``:FIELD`` where the file has several; by default ``back``, of each body.
+    labels : path, optional
+        File of names that a label map lacks.
     """
     for name, value, section in (("scale", scale, Shape), ("spacing", spacing, Body)):
         if value is not None:
@@ -54,7 +57,13 @@ def surface_scene(
                 raise InputError(f"{name} {error}") from None
     description = Description(
         title="",
-        surface=Shape(file=str(file), parts=tuple(part), units=units or "", scale=scale),
+        surface=Shape(
+            file=str(file),
+            parts=tuple(part),
+            units=units or "",
+            scale=scale,
+            labels="" if labels is None else str(labels),
+        ),
         body=Body(spacing=spacing),
         tissue=Tissue(law=law or "NeoHookean"),
         support=tuple(Support(place=place_of_text(text)) for text in fixed),

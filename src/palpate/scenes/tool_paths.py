@@ -3,7 +3,7 @@
 A ball comes along the smoothed outward normal n of a surface node. It touches the body first at a height that sphere
 tracing finds (Hart, The Visual Computer 12, 1996): the distance to the body is a safe step. The ball reaches the node
 if it then is almost at it. In a notch, or between two lobes, it touches something else before. The places from which
-it comes must be connected to the outside of the body by a way that is wide enough for it: a grid of its centres
+it comes must be connected to the outside of the body by a path that is wide enough for it: a grid of its centres
 is filled from outside.
 
 The places of training paths are spread over the reachable surface: each is the farthest from those before it among a
@@ -74,7 +74,7 @@ class ToolPaths:
     """Random presses of a ball and pulls of forceps on the free surface of a body; equal seeds give equal paths.
 
     The ball, ``"tool"``, comes along the outward normal at a place, presses, slides and retracts. Where it begins and
-    ends, and on its way, it is outside the undeformed body apart from the indentation under it. Forceps,
+    ends, and on its path, it is outside the undeformed body apart from the indentation under it. Forceps,
     ``"grasp"``, hold the surface nodes around a place, pull, turn, return and release.
 
     Tools keep at least one radius from nodes that supports fix, forceps one spacing more. A roller, a rail or a
@@ -173,12 +173,12 @@ class ToolPaths:
         start = self._place(first, share)
         end = self._slide_end(first, start, share, random.uniform(-self.slide, self.slide, 3) / np.sqrt(3))
         near, far = CLEARANCE_RADII * self.radius, 2 * CLEARANCE_RADII * self.radius
-        way = PchipInterpolator(PHASE_TIMES, SLIDE_SHARES)
+        share_at = PchipInterpolator(PHASE_TIMES, SLIDE_SHARES)
         height = PchipInterpolator(PHASE_TIMES, (far, near, -start.depth, -end.depth, near, far))
 
         def motion(time: float) -> Floats:
             at = np.clip(time, PHASE_TIMES[0], PHASE_TIMES[-1])
-            centre, normal = _between(start, end, way(at)[None])
+            centre, normal = _between(start, end, share_at(at)[None])
             return np.asarray(centre[0] + height(at) * normal[0])
 
         return (Contact(Sphere(self.radius), motion, friction=self.friction),), PHASE_TIMES[-1]
@@ -277,7 +277,7 @@ class ToolPaths:
         return height
 
     def _connected(self, centres: Floats) -> NDArray[np.bool_]:
-        """Return which places of the ball's centre are connected to the outside by a way as wide as the ball."""
+        """Return which places of the ball's centre are connected to the outside by a path as wide as the ball."""
         step = CELL_RADII * self.radius
         low, high = (edge(self.surface.points, axis=0) for edge in (np.min, np.max))
         low = low - 2 * self.radius

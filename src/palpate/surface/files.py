@@ -14,11 +14,21 @@ from palpate.files import read_bytes, regular_file, shortened, unpack_gzip
 from palpate.surface.checks import METRES_BY_UNIT, guessed_units
 from palpate.surface.formats.common import Parts, triangle_count_error
 from palpate.surface.formats.gltf import read_glb, read_gltf
-from palpate.surface.formats.names import FORMATS_WITH_PARTS, SURFACE_FORMATS, VOLUME_FORMATS, format_of
+from palpate.surface.formats.names import (
+    FORMATS_WITH_PARTS,
+    LABEL_FORMATS,
+    SURFACE_FORMATS,
+    VOLUME_FORMATS,
+    format_of,
+)
 from palpate.surface.formats.plain import read_obj, read_off, read_stl, read_trian
 from palpate.surface.formats.ply import read_ply
 from palpate.surface.formats.vtk import read_vtk
 from palpate.surface.formats.vtp import read_vtp
+from palpate.surface.labels.label_map import LabelMap
+from palpate.surface.labels.listing import choice_of_labels
+from palpate.surface.labels.mask_surface import label_surface
+from palpate.surface.labels.reading import read_label_map
 from palpate.surface.parts import MAX_PARTS, choose_body, join_parts, matching_parts, names_text
 from palpate.surface.repair import repair_surface
 from palpate.surface.surface import MAX_TRIANGLES, Surface, scaled, weld
@@ -41,8 +51,9 @@ def read_surface(
     units: str | None = None,
     scale: float = 1.0,
     repair: bool = False,
+    labels: str | Path | None = None,
 ) -> Surface:
-    r"""Read a closed surface.
+    r"""Read a closed surface, or make that of an organ in a label map.
 
     Other files that the file names are not read. Polygons are split into fans of triangles.
 
@@ -50,19 +61,25 @@ def read_surface(
     ----------
     path : str or path
         An STL, OBJ, PLY, OFF, GLB, glTF, VTK, VTP or trian file, or one of them compressed by gzip:
-        ``"organ.stl.gz"``.
+        ``"organ.stl.gz"``. Or a label map: NIfTI, NRRD, MHA, MHD or DICOM SEG.
     part : str or sequence of str, optional
         Names of parts in a file of several, or shell-style patterns. Several parts become one
         surface, joined where their borders coincide; a closed part inside another is a cavity. By
-        default the largest closed body, if it is around all others, with a warning.
+        default the largest closed body, if it is around all others, with a warning. Of a label map
+        names or numbers of labels, whose voxels are united; ``"liver#2"`` is the second largest
+        piece. By default its only label.
     units : str, optional
         Unit of length in the file: ``"m"``, ``"cm"``, ``"mm"`` or ``"in"``. A glTF file is in
-        metres; other formats do not state a unit. By default it is the unit for which the volume is
-        nearest to that of an organ, with a warning.
+        metres, and a label map states its unit; other formats do not. By default it is the unit for
+        which the volume is nearest to that of an organ, with a warning.
     scale : float
         Factor of all lengths.
     repair : bool
-        Whether to repair the surface, see `palpate.surface.repair.repair_surface`.
+        Whether to repair the surface, see `palpate.surface.repair.repair_surface`; that of a label map
+        needs none.
+    labels : str or path, optional
+        File of names that a label map lacks: JSON, a color table of 3D Slicer, or lines of a number
+        and a name.
 
     Returns
     -------
@@ -76,6 +93,8 @@ def read_surface(
         The file is not regular, of another format, damaged, over 300 MB, or without triangles.
     InputError
         The file has several bodies and `part` is not given, or too many triangles, or unknown units.
+    ChoiceError
+        A label map has several labels and `part` is not given; with a table of them.
 
     Examples
     --------
@@ -96,6 +115,14 @@ def read_surface(
     scale = number_in_range("scale", scale, 1e-6, 1e6, open_low=True)
     regular_file(path, "surface file")
     kind, packed = format_of(path)
+    if kind in LABEL_FORMATS:
+        if units is not None:
+            raise InputError(
+                f"units must be omitted for label maps, which state theirs, got {brief(units)}; correct it by scale"
+            )
+        return surface_of_labels(read_label_map(path, labels).scaled(scale), part)
+    if labels is not None:
+        raise InputError(f"labels must be omitted for {kind.upper()} files, got {brief(str(labels))}")
     if kind == "msh":
         raise FileFormatError(
             f"{path} is a Gmsh file{_gmsh_version(path)} of a volume mesh; export its surface as STL, PLY or "
@@ -107,11 +134,21 @@ def read_surface(
             f"Filters, Extract Surface, then File, Save Data)"
         )
     if kind not in SURFACE_FORMATS:
-        raise FileFormatError(f"{path}: the format must be one of {', '.join(SURFACE_FORMATS).upper()}, got {kind!r}")
+        formats = ", ".join([*SURFACE_FORMATS, *LABEL_FORMATS]).upper()
+        raise FileFormatError(f"{path}: the format must be one of {formats}, got {kind!r}")
     if part is not None and kind not in FORMATS_WITH_PARTS:
         raise InputError(f"part must be omitted for {kind.upper()} files, which have no named parts, got {brief(part)}")
     units = "m" if units is None and kind in ("glb", "gltf") else units
     return scaled(_in_metres(_read(path, kind, packed, part, repair, units), units), scale)
+
+
+def surface_of_labels(labels: LabelMap, part: str | Sequence[str] | None = None) -> Surface:
+    """Return the surface of parts of a label map, with its notes as warnings; see `read_surface`."""
+    if part is None and len(labels.segments) > 1:
+        raise choice_of_labels(labels)
+    surface = label_surface(labels, part)
+    notes = tuple(f"{labels.name}: {note}" for note in labels.notes)
+    return replace(surface, warnings=(*notes, *surface.warnings))
 
 
 def _gmsh_version(path: Path) -> str:

@@ -5,10 +5,13 @@ Command line, files, tests and validation read the laws from this list only.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from palpate.faults import interval
+from palpate.parameters import declared
 from palpate.tissue.fibres import FibreLaw, Fibres, Guccione
 from palpate.tissue.invariant_laws import ArrudaBoyce, Fung, Gent, StVenantKirchhoff, Yeoh
 from palpate.tissue.materials import Material, MooneyRivlin, NeoHookean
@@ -68,8 +71,8 @@ class CatalogueEntry:
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """Parameters of the class that have a range, in order."""
-        ranged = (f for f in fields(self.kind) if f.metadata)
-        return tuple(Parameter(f.name, f.metadata["unit"], _range(f.metadata)) for f in ranged)
+        declarations = (f for f in declared(self.kind) if f.name not in Material.__dataclass_fields__)
+        return tuple(Parameter(f.name, f.metadata["unit"], _range(f.metadata)) for f in declarations)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,10 +102,8 @@ class Law(CatalogueEntry):
     shear_modulus: str
 
 
-def _range(metadata: Any) -> str:
-    low, high = metadata["low"], metadata["high"]
-    left = "(" if metadata["open_low"] or low == -float("inf") else "["
-    return f"{left}{low:g}, {high:g}{')' if high == float('inf') else ']'}"
+def _range(about: Mapping[str, Any]) -> str:
+    return interval(about["low"], about["high"], open_low=about["open_low"])
 
 
 LAWS: tuple[Law, ...] = (

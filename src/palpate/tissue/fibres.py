@@ -25,8 +25,9 @@ import numpy as np
 
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
-from palpate.faults import InputError, brief, check_arguments, check_names, first_few, number_in_range
-from palpate.tissue.materials import ShearLaw, parameter
+from palpate.faults import InputError, brief, check_arguments, check_names, first_few
+from palpate.parameters import check_parameters, parameter
+from palpate.tissue.materials import ShearLaw
 
 __all__ = ["MIN_VOLUME_RATIO", "FibreLaw", "Fibres", "Guccione", "VolumeOnly"]
 
@@ -71,16 +72,14 @@ class FibreLaw(Described, ABC):
     def _facts(self) -> list[Fact]:
         placed = None if callable(self.directions) else self.directions
         return [
-            *((f.name, getattr(self, f.name), f.metadata["unit"]) for f in fields(self) if f.metadata),
+            *super()._facts(),
             ("families", None if placed is None else len(placed), ""),
             ("directions", "a function of the points" if placed is None else "one everywhere"
              if placed.ndim == 2 else f"at {placed.shape[1]:,} nodes", ""),
         ]  # fmt: skip
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            if each.metadata:
-                number_in_range(each.name, getattr(self, each.name), **each.metadata)
+        check_parameters(self)
         if callable(self.directions):
             check_arguments(self.directions, ("points",), "directions of fibres")
         else:
@@ -221,7 +220,7 @@ class Fibres(FibreLaw):
 
     k1: float = parameter("Pa", above=0.0)
     k2: float = parameter(above=0.0)
-    dispersion: float = field(default=0.0, metadata=dict(parameter(low=0.0, high=1 / 3).metadata))
+    dispersion: float = parameter("", 0.0, low=0.0, high=1 / 3)
 
     @staticmethod
     def respond(C, a, c):  # type: ignore[no-untyped-def]

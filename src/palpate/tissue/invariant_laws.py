@@ -17,7 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.faults import number_in_range
-from palpate.tissue.materials import Material, ShearLaw, parameter
+from palpate.parameters import parameter
+from palpate.tissue.materials import Material, ShearLaw
 
 __all__ = ["ArrudaBoyce", "Fung", "Gent", "StVenantKirchhoff", "Yeoh"]
 

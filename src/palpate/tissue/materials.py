@@ -24,7 +24,7 @@ arithmetic and NumPy functions. A law of the principal stretches is a `StretchLa
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -32,25 +32,17 @@ from numpy.typing import NDArray
 
 from palpate.describe import Described, Fact
 from palpate.faults import InputError, brief, check_names, number_in_range, warn_of_unit
+from palpate.parameters import check_parameters, parameter
 from palpate.tissue.isochoric import COUPLED, check_split, isochoric
 from palpate.tissue.prony import Prony
 from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 
-__all__ = ["Material", "MooneyRivlin", "NeoHookean", "ShearLaw", "parameter"]
+__all__ = ["Material", "MooneyRivlin", "NeoHookean", "ShearLaw"]
 
 MAX_POISSON = 0.499  # largest ratio with verified stability of the split pressure
 EQUAL_MODULI_TOLERANCE = 1e-12  # relative difference of equal moduli
 EXPECTED_DENSITIES = 100.0, 20_000.0  # [kg/m^3]; other densities are probably in another unit
 EXPECTED_MODULI = 1.0, 1e8  # [Pa] shear moduli; others are probably in another unit
-
-
-UNIT_BY_FIELD = {"density": "kg/m^3", "bulk": "Pa"}  # of the fields of every material
-
-
-def parameter(unit: str = "", low: float = -np.inf, high: float = np.inf, *, above: float | None = None) -> Any:
-    """Return the dataclass field of a parameter with its unit and range, [low, high] or (above, high]."""
-    low, open_low = (low, False) if above is None else (above, True)
-    return field(metadata={"unit": unit, "low": low, "high": high, "open_low": open_low})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,15 +98,15 @@ class Material(Described, ABC):
 
     variables: ClassVar[str] = "invariants"
 
-    density: float
-    poisson: float | None = None
-    bulk: float | None = None
+    density: float = parameter("kg/m^3", help="density", above=0.0)
+    poisson: float | None = parameter("", None, "Poisson's ratio at rest", low=0.0, high=MAX_POISSON)
+    bulk: float | None = parameter("Pa", None, "bulk modulus at rest", low=0.0)
     prony: Prony | None = None
     volumetric: str = QUADRATIC
     split: str = COUPLED
 
     def __new__(cls, *unnamed: Any, **given: Any) -> Self:
-        units = {f.name: f.metadata.get("unit", UNIT_BY_FIELD.get(f.name, "")) for f in fields(cls)}
+        units = {f.name: f.metadata.get("unit", "") for f in fields(cls)}
         parameters = {name: unit for name, unit in units.items() if name not in Material.__dataclass_fields__}
         if unnamed:
             names = ", ".join(f"{name}=..." for name in (*parameters, "density", "poisson"))
@@ -146,8 +138,6 @@ class Material(Described, ABC):
             raise InputError(f"volumetric must be {QUADRATIC!r} for small strain, got {brief(self.volumetric)}")
         if check_split(self.split) != COUPLED and self.variables == "small strain":
             raise InputError(f"split must be {COUPLED!r} for small strain, got {brief(self.split)}")
-        density = number_in_range("density", self.density, 0.0, open_low=True, unit="kg/m^3")
-        object.__setattr__(self, "density", density)  # a whole number would compile every step a second time
         self._check_parameters()
         if self.poisson is None and self.bulk is None:
             raise InputError("poisson or bulk must be given, got neither; give either poisson or bulk")
@@ -182,7 +172,7 @@ class Material(Described, ABC):
         if self.incompressible:
             object.__setattr__(self, "bulk", np.inf)
         elif self.poisson is not None:
-            number_in_range("poisson", self.poisson, 0.0, MAX_POISSON)
+            check_parameters(self, left_out=("bulk",))
             object.__setattr__(self, "bulk", 2 * mu * (1 + self.poisson) / (3 * (1 - 2 * self.poisson)))
         else:
             low, high = (2 * mu * (1 + nu) / (3 * (1 - 2 * nu)) for nu in (0.0, MAX_POISSON))
@@ -190,10 +180,8 @@ class Material(Described, ABC):
             object.__setattr__(self, "poisson", (3 * bulk - 2 * mu) / (2 * (3 * bulk + mu)))
 
     def _check_parameters(self) -> None:
-        """Raise `InputError` for a parameter out of the range of its field."""
-        for each in fields(self):
-            if each.metadata:
-                number_in_range(each.name, getattr(self, each.name), **each.metadata)
+        """Check the density and the law's own parameters; Poisson's ratio follows with the moduli."""
+        check_parameters(self, left_out=("poisson", "bulk"))
 
     @property
     @abstractmethod

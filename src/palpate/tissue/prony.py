@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Any, Self
 
 import numpy as np
@@ -11,7 +10,8 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
-from palpate.faults import InputError, check_names, number_in_range
+from palpate.faults import InputError, check_names
+from palpate.parameters import check_parameters, parameter
 
 __all__ = ["Prony"]
 
@@ -61,11 +61,11 @@ class Prony(Described):
     (1.5, 1.1839)
     """
 
-    shares: tuple[float, ...] = field(metadata={"unit": "", "low": 0.0, "high": np.inf, "open_low": True})
-    times: tuple[float, ...] = field(metadata={"unit": "s", "low": 0.0, "high": np.inf, "open_low": True})
-    bulk_shares: tuple[float, ...] = field(
-        default=(), metadata={"unit": "", "low": 0.0, "high": np.inf, "open_low": False}
+    shares: tuple[float, ...] = parameter(
+        help="modulus of each branch over that of the law", above=0.0, most=MAX_BRANCHES
     )
+    times: tuple[float, ...] = parameter("s", help="relaxation times", above=0.0, most=MAX_BRANCHES)
+    bulk_shares: tuple[float, ...] = parameter("", (), "the same for the bulk modulus", low=0.0, most=MAX_BRANCHES)
 
     def __new__(cls, *unnamed: Any, **given: Any) -> Self:
         check_names(cls.__name__, given, {f.name: f.metadata["unit"] for f in fields(cls)})
@@ -81,13 +81,7 @@ class Prony(Described):
         ]
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            given = getattr(self, each.name)
-            listed: Sequence[float] = list(given) if isinstance(given, list | tuple | np.ndarray) else [given]
-            if len(listed) > MAX_BRANCHES:
-                raise InputError(f"{each.name} must have at most {MAX_BRANCHES} branches, got {len(listed)}")
-            numbers = [number_in_range(f"{each.name}[{i}]", x, **each.metadata) for i, x in enumerate(listed)]
-            object.__setattr__(self, each.name, tuple(numbers))
+        check_parameters(self)
         if not self.shares or len(self.shares) != len(self.times):
             raise InputError(
                 f"shares and times must have equal, non-zero length, got {len(self.shares)} and {len(self.times)}"

@@ -33,8 +33,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.faults import InputError, number_in_range
-from palpate.tissue.materials import Material, parameter
+from palpate.faults import InputError
+from palpate.parameters import parameter
+from palpate.tissue.materials import Material
 
 __all__ = ["Exponential", "Logarithmic", "Ogden", "StretchLaw"]
 
@@ -99,18 +100,11 @@ class Ogden(StretchLaw):
     (9775.0, 94491.667)
     """
 
-    C: tuple[float, ...] = parameter("Pa", above=0.0)
-    alpha: tuple[float, ...] = parameter(low=-MAX_EXPONENT, high=MAX_EXPONENT)
+    C: tuple[float, ...] = parameter("Pa", above=0.0, most=MAX_TERMS)
+    alpha: tuple[float, ...] = parameter(low=-MAX_EXPONENT, high=MAX_EXPONENT, most=MAX_TERMS)
 
     def _check_parameters(self) -> None:
-        for name in ("C", "alpha"):
-            given = getattr(self, name)
-            listed = list(given) if isinstance(given, list | tuple | np.ndarray) else [given]
-            if len(listed) > MAX_TERMS:
-                raise InputError(f"{name} must have at most {MAX_TERMS} terms, got {len(listed)}")
-            ranges = self.__dataclass_fields__[name].metadata
-            numbers = [number_in_range(f"{name}[{i}]", value, **ranges) for i, value in enumerate(listed)]
-            object.__setattr__(self, name, tuple(numbers))
+        super()._check_parameters()
         if len(self.C) != len(self.alpha) or not self.C:
             raise InputError(f"C and alpha must have equal, non-zero length, got {len(self.C)} and {len(self.alpha)}")
         for i, exponent in enumerate(self.alpha):

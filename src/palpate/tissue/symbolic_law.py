@@ -21,9 +21,10 @@ import numpy as np
 
 from palpate.faults import InputError, brief
 from palpate.files import shortened
+from palpate.parameters import parameter
 from palpate.tissue.ellipticity import material_stability
 from palpate.tissue.isochoric import COUPLED
-from palpate.tissue.materials import Material, parameter
+from palpate.tissue.materials import Material
 from palpate.tissue.parameters import own_fields
 from palpate.tissue.prony import Prony
 from palpate.tissue.straight_line import FUNCTION_BY_NAME, Tape, compile_functions

@@ -12,11 +12,11 @@ from palpate.app.common.report import REPORTS, deliver, machine
 from palpate.app.fit import command as fit
 from palpate.app.run import command as run
 from palpate.app.run import realtime
-from palpate.app.studies.beam import reproduce as beam
-from palpate.app.studies.membrane import reproduce as membrane
+from palpate.app.studies.reproduce import PAPER_EXAMPLES
 from palpate.app.train import report as train
 
-FILES = [module.FILES for module in (check, fit, run, realtime, beam, membrane, train)]
+FILES = [module.FILES for module in (check, fit, run, realtime, train)]
+FILES += [example.files for example in PAPER_EXAMPLES.values()]
 
 
 @pytest.fixture

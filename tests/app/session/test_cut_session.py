@@ -24,7 +24,7 @@ def send(session, **message):
 def lower(session, area, height=0.04, deadline=60.0, depth=0.012):
     """Lower the scalpel into the body until it has cut an area [m^2]; return the cutter and the scalpel's height."""
     cutter, end, sequence = session.body.cutter, time.monotonic() + deadline, int(1e4 * (0.04 - height))
-    while cutter.books[0] < area and time.monotonic() < end:
+    while cutter.totals[0] < area and time.monotonic() < end:
         height = max(height - 2e-4, SIZE[2] - depth)
         sequence += 1
         send(session, type="pose", position=[0.025, 0.02, height], sequence=sequence)
@@ -42,7 +42,7 @@ def cut_session(tmp_path_factory):
     send(session, type="tool", kind="scalpel", length=0.03, toughness=TOUGHNESS, position=[0.025, 0.02, 0.045])
     session.recordings.start(path)
     cutter, height = lower(session, 5e-5)
-    entered = cutter.books
+    entered = cutter.totals
     lower(session, 1.5e-4, height)
     time.sleep(0.3)
     shown = session.shown_surface
@@ -57,7 +57,7 @@ def test_a_full_body_offers_a_scalpel(cut_session):
 
 def test_the_scalpel_cuts_the_body_and_costs_work(cut_session):
     session, cutter, _, _, entered = cut_session
-    area, released, edge, friction = cutter.books - entered  # an edge that enters cuts without a force at first
+    area, released, edge, friction = cutter.totals - entered  # an edge that enters cuts without a force at first
     assert not cutter.failure
     assert area > 8e-5
     assert edge + released == pytest.approx(TOUGHNESS * area, rel=0.35)  # it moves on while the body is cut
@@ -69,7 +69,7 @@ def test_the_scalpel_cuts_the_body_and_costs_work(cut_session):
 def test_the_statistics_state_what_is_cut_and_the_force_that_cuts(cut_session):
     session, cutter, _, _, _ = cut_session
     statistics = session.statistics()
-    assert statistics["cut_area"] == pytest.approx(cutter.books[0], rel=0.05)
+    assert statistics["cut_area"] == pytest.approx(cutter.totals[0], rel=0.05)
     length = 0.03
     assert 0.2 * TOUGHNESS * length < statistics["cutting_force"] < 1.3 * TOUGHNESS * length
 

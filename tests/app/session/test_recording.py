@@ -235,11 +235,11 @@ LIES = {
     "a coupling that pulls": (tool(stiffness=-1.0), "stiffness of a tool"),
     "a tool that comes later": (tool(start=3), "must increase from 0"),
     "a tool after the end": (tool(start=10**6), "start of a tool"),
-    "errors of a full model that was not run": (header("errors", {}), "errors must have|arrays must be"),
-    "an array too many": (lambda header, arrays: arrays.update(colour=np.zeros(3)), "arrays must be"),
-    "no moments": (lambda header, arrays: arrays.update(wall=np.zeros(0)), "arrays must be"),
+    "errors of a full model that was not run": (header("errors", {}), "errors must have|array full/times is missing"),
+    "an array too many": (lambda header, arrays: arrays.update(colour=np.zeros(3)), "array colour is not one"),
+    "no moments": (lambda header, arrays: arrays.update(wall=np.zeros(0)), "must have shape"),
     "a force that is not finite": (entry("force", (2, 1), np.nan), "array force must be finite"),
-    "a force without end": (entry("force", (2, 1), 1e30), "array force must be finite and within"),
+    "a force without end": (entry("force", (2, 1), 1e30), "array force must be finite, from -1e"),
     "moments of another model": (
         lambda header, arrays: arrays.update(coordinates=arrays["coordinates"][:, 1:]),
         "array coordinates must have shape",
@@ -247,22 +247,22 @@ LIES = {
     "fewer moments of one kind": (
         lambda header, arrays: arrays.update(trust=arrays["trust"][1:]), "array trust must have shape"
     ),
-    "time before the start": (entry("time", 0, -1.0), "time must be non-negative"),
-    "a clock without end": (entry("wall", -1, 1e6), "wall must be at most 600 s"),
-    "a clock that goes back": (entry("wall", 0, 9.0), "wall must be increasing"),
+    "time before the start": (entry("time", 0, -1.0), "array time must be finite, from 0 to 1e"),
+    "a clock without end": (entry("wall", -1, 1e6), "array wall must be finite, from 0 to 600 s"),
+    "a clock that goes back": (entry("wall", 0, 9.0), "array wall must not decrease"),
     "half a step": (entry("steps", 0, 0.5), "steps must be whole numbers"),
-    "no moduli": (entry("modulus_ratio", 3, 0.0), "modulus_ratio must be positive"),
+    "no moduli": (entry("modulus_ratio", 3, 0.0), "array modulus_ratio must be finite, positive"),
     "a turn of no length": (entry("quaternion", 3, 0.0), "quaternion must be of length 1"),
-    "an unknown state": (entry("state", 1, 9), "state must be below 4"),
-    "spans that go back": (entry("contact/start", 1, 10**6), "must be a partition"),
+    "an unknown state": (entry("state", 1, 9), "array state must be finite, from 0 to 3"),
+    "spans that go back": (entry("contact/start", 1, 10**6), "contact/start must not decrease"),
     "places outside": (
-        lambda header, arrays: arrays["contact/nodes"].__setitem__(0, 10**6), "contact/nodes must be from 0 to"
+        lambda header, arrays: arrays["contact/nodes"].__setitem__(0, 10**6), "contact/nodes must have indices from 0"
     ),
     "a model of another law": (
         lambda header, arrays: header["model"].update(material="__import__"), "unknown material '__import__'"
     ),
     "a model with other modes": (
-        lambda header, arrays: header["model"].update(modes=3), "array basis_vectors has shape"
+        lambda header, arrays: header["model"].update(modes=3), "array basis_vectors must have shape"
     ),
     "a report that is text": (lambda header, arrays: header["model"].update(report="5"), "report is not a mapping"),
 }  # fmt: skip

@@ -199,15 +199,15 @@ def test_a_coupled_tool_rests_where_spring_and_body_balance(session, ball, until
 
 @pytest.mark.slow  # the periods are called from Python, which compiles them for one test
 def test_the_virtual_coupling_produces_no_energy(model):
-    """The example's books, in periods of 1 ms without a clock."""
+    """The example's energy balance, in periods of 1 ms without a clock."""
     path = Path(__file__).parents[3] / "validation" / "virtual_coupling.py"
     example = runpy.run_path(str(path))
-    books = example["balance"](model, 300.0, radius=BALL, depth=0.004)
-    most = books["body"].max()
+    terms = example["balance"](model, 300.0, radius=BALL, depth=0.004)
+    most = terms["body"].max()
     assert most > 1e-4  # [J]: it was pressed
-    assert books["work"].min() > -1e-3 * most  # the hand never gets more than it gave
-    assert (books["work"] - books["body"] - books["coupling"]).min() > -0.02 * most
-    assert books["work"][-1] > 0.0
+    assert terms["work"].min() > -1e-3 * most  # the hand never gets more than it gave
+    assert (terms["work"] - terms["body"] - terms["coupling"]).min() > -0.02 * most
+    assert terms["work"][-1] > 0.0
 
 
 @pytest.mark.slow  # as above
@@ -216,12 +216,12 @@ def test_a_saturated_coupling_produces_no_energy_and_pulls_with_its_limit(model)
     balance = runpy.run_path(str(path))["balance"]
     free = balance(model, 300.0, radius=BALL, depth=0.004)
     limit = 0.3 * free["force"].max()
-    books = balance(model, 300.0, radius=BALL, depth=0.004, limit=limit)
-    most = books["body"].max()
+    terms = balance(model, 300.0, radius=BALL, depth=0.004, limit=limit)
+    most = terms["body"].max()
     assert most < 0.9 * free["body"].max()  # the tool lags behind
-    assert np.isclose(books["force"], limit, rtol=1e-9).mean() > 0.1
-    assert books["work"].min() > -1e-3 * most
-    assert (books["work"] - books["body"] - books["coupling"]).min() > -0.02 * most
+    assert np.isclose(terms["force"], limit, rtol=1e-9).mean() > 0.1
+    assert terms["work"].min() > -1e-3 * most
+    assert (terms["work"] - terms["body"] - terms["coupling"]).min() > -0.02 * most
 
 
 def test_a_coupled_tool_lags_behind_a_pointer_deep_in_the_body(session, ball, until):

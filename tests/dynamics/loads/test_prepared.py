@@ -43,6 +43,8 @@ MOVE = pt.PrescribedMotion("tip", (0, 0, 1e-4))
         ),
         (lambda: pt.Pressure("x+", lambda t: np.inf), r"pressure of Pressure on 'x\+' must be finite"),
         (lambda: pt.Pressure("x+", np.nan), r"pressure of Pressure on 'x\+' must be finite"),
+        (lambda: pt.Pressure("x+", "high"), r"pressure of Pressure on 'x\+' must be a number, got 'high'"),
+        (lambda: pt.Pressure("x+", None), r"pressure of Pressure on 'x\+' must be a number, got None"),
         (lambda: pt.Gravity((0, 0)), "acceleration of Gravity must be "),
         (lambda: pt.Gravity((0, 0, np.inf)), "acceleration of Gravity must be finite"),
         (lambda: pt.PrescribedMotion("tip", (np.nan, 0, 0)), "PrescribedMotion of 'tip' must be finite"),
@@ -61,8 +63,6 @@ def test_invalid_loads_are_refused_by_name(held, load, message):
         pt.PrescribedMotion("tip", (0, 0)),
         pt.PrescribedMotion("tip", "down"),
         pt.PrescribedMotion("tip", lambda p, t: np.zeros((7, 3))),
-        pt.Pressure("x+", "high"),
-        pt.Pressure("x+", None),
         pt.Pressure("x+", lambda t: (1, 2, 3)),
     ],
 )

@@ -223,7 +223,7 @@ def test_a_taut_sheet_vibrates_at_the_zeros_of_bessel(cloud):
     np.testing.assert_allclose(found, speed / RADIUS * zeros, rtol=0.005)
 
 
-def settle(model, loads, u, seconds=0.4, damping=60.0):
+def run_to_rest(model, loads, u, seconds=0.4, damping=60.0):
     prepared, state = model.prepare(loads), pt.State(u, np.zeros_like(u))
     while state.time < seconds:
         step = model.stable_step(state, prepared)[0]
@@ -248,7 +248,7 @@ def test_a_pushed_sheet_takes_the_axisymmetric_shape(layout, axisymmetric):
     radius = np.linalg.norm(cloud.points, axis=1)
     u = np.zeros((len(cloud), 3))
     u[:, 2] = 0.01 * np.clip((RADIUS - radius) / 0.08, 0, 1)
-    state, prepared = settle(model, [pt.PrescribedMotion("tool", (0.0, 0.0, 0.01))], u)
+    state, prepared = run_to_rest(model, [pt.PrescribedMotion("tool", (0.0, 0.0, 0.01))], u)
     mean = np.sum(cloud.volumes * state.coordinates[:, 2]) / cloud.volumes.sum()
     force = model.outputs(pt.State(state.coordinates, 0 * u), prepared).reactions
     assert mean == pytest.approx(expected.mean_deflection, rel=0.02)
@@ -263,7 +263,7 @@ def test_an_inflated_sheet_rises_as_high_as_the_axisymmetric_one(cloud, axisymme
     model = sheet(cloud)
     u = np.zeros((len(model.cloud), 3))
     u[:, 2] = 0.03 * (1 - np.sum(model.cloud.points**2, axis=1) / RADIUS**2)
-    state, _ = settle(model, [pt.Pressure("face", -10.0)], u)
+    state, _ = run_to_rest(model, [pt.Pressure("face", -10.0)], u)
     assert state.coordinates[model.cloud.group("centre")[0], 2] == pytest.approx(expected, rel=0.01)
 
 

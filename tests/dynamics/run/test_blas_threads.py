@@ -25,7 +25,7 @@ def asleep():
     states = [open(f"/proc/self/task/{name}/stat").read().rsplit(")", 1)[1].split()[0] for name in threads]
     return all(state == "S" for state in states)
 
-def settle():
+def wait_until_asleep():
     while True:
         before = wakes()
         time.sleep(0.1)
@@ -33,9 +33,9 @@ def settle():
             return before
 
 def count(action):
-    before = settle()
+    before = wait_until_asleep()
     action()
-    return settle() - before
+    return wait_until_asleep() - before
 
 long = np.ones(100_000)
 if not threads or count(lambda: long @ long) == 0:

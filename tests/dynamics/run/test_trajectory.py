@@ -112,7 +112,7 @@ def test_a_file_without_one_of_its_parts_is_refused(run, path, forge, name, load
 def test_a_file_with_values_that_are_not_finite_is_refused(run, path, forge, name):
     run.save(path)
     forge(path, lambda header, arrays: arrays[name].__setitem__(3, np.nan), FORMAT, VERSION)
-    with pytest.raises(pt.FileFormatError, match=f"{name} must be finite|{name} is not finite"):
+    with pytest.raises(pt.FileFormatError, match=f"{name} must be finite"):
         pt.Trajectory.load(path)
 
 
@@ -136,7 +136,7 @@ def test_a_frame_that_is_not_finite_is_refused_when_it_is_read(run, path, forge)
         ("reactions", "x-", "reactions must be a list of names"),
         ("reactions", ["x-", "x-"], "reactions must be a list of names"),
         ("reactions", [["x-"]], "reactions must be a list of names"),
-        ("reactions", ["y-"], "arrays must be"),
+        ("reactions", ["y-"], "array reactions/x- is not one of"),
         ("another", 1, "header must have"),
     ],
 )
@@ -372,7 +372,7 @@ def test_names_that_are_not_file_names_are_refused(run, name):
 def test_forged_displacements_are_refused(run, path, forge):
     run.save(path)
     forge(path, lambda header, arrays: arrays["displacements"].__setitem__(3, 1e160), FORMAT, VERSION)
-    with pytest.raises(pt.FileFormatError, match="displacements must be at most"):
+    with pytest.raises(pt.FileFormatError, match="displacements must be finite, from"):
         pt.Trajectory.load(path)
     with pytest.raises(pt.FileFormatError, match="frame 3 of the displacements"):
         StoredTrajectory(path).displacements[3]

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.reduction.hyper.material_point import Kinematics, material_point
+from palpate.dynamics.material.kinematics import Kinematics
+from palpate.reduction.hyper.material_point import material_point
 
 pytestmark = pytest.mark.slow
 

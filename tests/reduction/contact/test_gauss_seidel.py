@@ -15,7 +15,7 @@ from palpate.reduction.basis.linear_modes import interpolated_modes
 from palpate.reduction.basis.strain_pod import join
 from palpate.reduction.contact.coarse_body import coarse_body
 from palpate.reduction.contact.compliance import NO_COMPLIANCE, contact_displacements
-from palpate.reduction.contact.gauss_seidel import settle
+from palpate.reduction.contact.gauss_seidel import solve_contact
 from palpate.reduction.contact.surface import RigidTools, contact_scratch, contact_surface, rigid_tools
 from palpate.reduction.training.round_compliance import MAX_STEP
 
@@ -72,7 +72,7 @@ def test_no_node_is_inside_the_tool_and_no_force_pulls():
     of = flat_skin()
     contact, tools = contact_scratch(of, 1), ball(of)
     moved(tools, (0, 0, RADIUS), (0.0005, 0, RADIUS - 0.002))
-    settle(of, contact, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
+    solve_contact(of, contact, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
     found, forces = gaps(contact, tools), contact.push[: contact.numbers[0]]
     assert contact.numbers[0] > 20
     assert found[:, 0].min() > -2e-3 * 0.002
@@ -89,7 +89,7 @@ def test_tool_forces_equal_those_on_nodes_and_coordinates():
     contact, tools = contact_scratch(of, 1), ball(of, friction=0.4)
     moved(tools, (0, 0, RADIUS), (0.001, 0.0004, RADIUS - 0.002))
     step = 1e-3
-    work, lost = settle(of, contact, tools, np.zeros(3), np.zeros(3), step, HELD, 3)
+    work, lost = solve_contact(of, contact, tools, np.zeros(3), np.zeros(3), step, HELD, 3)
     forces, places = contact.force[0], contact.place[0]
     np.testing.assert_allclose(tools.impulses[0, :3], step * forces.sum(axis=0), rtol=1e-12)
     on = forces.any(axis=1)
@@ -108,7 +108,7 @@ def test_a_dragged_ball_slides_at_coulombs_limit_and_sticks_below_it():
     place = np.array([0.0, 0.0, RADIUS])
     for way in [np.array([0, 0, -0.00025])] * 8 + [np.array([0.0002, 0, 0])] * 30:
         moved(tools, place, place + way)
-        settle(of, contact, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
+        solve_contact(of, contact, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
         place = place + way
         found, forces = gaps(contact, tools), contact.push[: contact.numbers[0]]
         along = np.sum(forces * found[:, 1:], axis=1)
@@ -122,10 +122,10 @@ def test_two_equal_tools_have_equal_forces_and_a_tool_without_contact_has_none()
     contact, tools = contact_scratch(of, 2), ball(of, tools=2)
     for t, x in enumerate((-0.006, 0.006)):
         tools.frames[t, :, :, 3] = (x, 0, RADIUS - 0.001)
-    settle(of, contact, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
+    solve_contact(of, contact, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
     np.testing.assert_allclose(tools.impulses[0, 2], tools.impulses[1, 2], rtol=2e-3)  # alike
     tools.frames[:, :, 2, 3] += 1.0
-    settle(of, contact, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
+    solve_contact(of, contact, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
     assert not contact.force.any()
     assert not tools.load.any()
 

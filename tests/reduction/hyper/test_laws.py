@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.reduction.hyper.material_point import Kinematics, material_point
+from palpate.dynamics.material.kinematics import Kinematics
+from palpate.reduction.hyper.material_point import material_point
 from palpate.reduction.storage.material import describe_material, material_of
 from palpate.tissue.catalogue import LAWS
 

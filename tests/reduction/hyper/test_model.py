@@ -89,21 +89,6 @@ def test_all_nodes_with_their_volumes_are_the_galerkin_model(body, whole):
         np.testing.assert_allclose(precise.body.energy(a), body.strain_energy(u), rtol=0.02)
 
 
-def test_all_nodes_and_all_pressures_are_the_galerkin_model_exactly(body, whole):
-    """The defining identity, with the moments replaced by the smoothed dilatation at every node."""
-    roots = np.sqrt(body.volumes)
-    pressure = np.sqrt(body.material.lame) * body.smooth_transposed(np.diag(roots))
-    data = replace(whole.data, cubature=replace(whole.data.cubature, pressure=pressure))
-    exact = pt.ReducedModel(data, single=False)
-    columns = data.basis_vectors[: exact.count]
-    for seed in range(3):
-        a = random_state(exact, np.random.default_rng(seed))
-        u = np.tensordot(a, columns, 1)
-        expected = np.tensordot(columns, body.force(u) * body.volumes[:, None], 2)
-        np.testing.assert_allclose(exact.body.force(a), expected, atol=1e-9 * np.abs(expected).max())
-        assert exact.body.energy(a) == pytest.approx(body.strain_energy(u), rel=1e-9)
-
-
 def test_the_force_is_minus_the_slope_of_the_energy(rom):
     rng = np.random.default_rng(1)
     precise = pt.ReducedModel(rom.data, single=False)

@@ -12,9 +12,10 @@ import numpy as np
 
 from palpate.app.check.picture import draw_cloud, draw_surface
 from palpate.app.common.arguments import option_names
-from palpate.app.common.console import Console, quantities_table
+from palpate.app.common.console import Console
 from palpate.app.common.rendering import DrawingError, check_drawing
 from palpate.app.common.report import REPORTS, deliver, machine
+from palpate.app.common.rows import Rows, named_rows, quantities
 from palpate.app.train.coverage import Coverage, draw_coverage
 from palpate.faults import InputError
 from palpate.files import check_folder, plain
@@ -32,6 +33,27 @@ from palpate.surface.surface import Surface
 __all__ = ["FILES", "check"]
 
 FILES = (*REPORTS, "surface.png", "cloud.png", "tool.png")
+NEAREST = "cloud/nearest_neighbour_over_spacing"
+CHECK_ROWS: Rows = {
+    "vertices, triangles": "{surface/vertices}, {surface/triangles}",
+    "parts, Euler number": "{surface/parts}, {surface/euler_number}",
+    "size": "{surface/extents:.1f mm}",
+    "area": "{surface/area:.4g cm^2}",
+    "volume; - if the surface is open": "{surface/volume:.4g litres}",
+    "spacing": "{cloud/spacing:.3g mm}",
+    "nodes": "{cloud/nodes}, {cloud/surface_nodes} of them on the surface",
+    **{
+        f"nearest neighbour, {where}, in spacings; median": (
+            f"{{{NEAREST}/{where}/0:.2f}} to {{{NEAREST}/{where}/4:.2f}}; {{{NEAREST}/{where}/2:.2f}}"
+        )
+        for where in ("surface", "inside")
+    },
+    "filled in": "{cloud/seconds:.2f s}",
+}
+TOOL_ROWS: Rows = {
+    "tool": "a ball of {scene/radius:.3g mm}, up to {scene/depth:.3g mm} deep",
+    "surface that it reaches; that supports hold": "{scene/reached:.0%}; {scene/held:.0%}",
+}
 DEFAULT_NODES = 4000  # approximate number without a given spacing
 
 
@@ -40,6 +62,7 @@ def check(
     file: Path,
     spacing: float | None = None,
     part: Sequence[str] | None = None,
+    labels: Path | None = None,
     units: str | None = None,
     scale: float = 1.0,
     repair: bool = False,
@@ -56,7 +79,7 @@ def check(
         reported.
     spacing : float, optional [m]
         Between nodes; by default one that gives some 4,000.
-    part, units, scale, repair
+    part, labels, units, scale, repair
         As for `palpate.io.read_surface`.
     seed : int
         As for `palpate.fill`.
@@ -76,6 +99,7 @@ def check(
     if kind_of(file.name) is SceneKind.SCENE_FILE:
         given = {
             "part": part,
+            "labels": labels,
             "units": units,
             "spacing": spacing,
             "scale": scale != 1.0,
@@ -89,7 +113,7 @@ def check(
         surface, seed, repair = _scene_surface(scene), scene.description.body.seed, scene.description.surface.repair
         spacing = scene.description.body.spacing
     else:
-        surface = read_surface(file, part=part, units=units, scale=scale, repair=repair)
+        surface = read_surface(file, part=part, units=units, scale=scale, repair=repair, labels=labels)
     with console.status("examining the surface"):
         surface_report = check_surface(surface)
     if spacing is None:
@@ -119,7 +143,10 @@ def check(
     except DrawingError as error:
         console.say(f"no pictures: {error}")
     report = plain(report)
-    table = quantities_table(report["title"], ["value"], {name: [value] for name, value in _rows(report).items()})
+    rows = dict(CHECK_ROWS)
+    for kind in ("supports", "springs", "regions"):
+        rows |= named_rows(f"{kind}, {{}}", f"scene/{kind}", "{value} nodes", report.get("scene", {}).get(kind, {}))
+    table = quantities(report["title"], rows | TOOL_ROWS, {"value": report})
     deliver(report, [table, *_remarks(report)], out, FILES, as_json)
     return 0 if cloud is not None else 1
 
@@ -208,35 +235,6 @@ def _cloud_entry(cloud: Cloud) -> dict[str, Any]:
             "inside": np.percentile(distance[inside], [0, 5, 50, 95, 100]).tolist(),
         },
     }
-
-
-def _rows(report: dict[str, Any]) -> dict[str, str]:
-    surface = report["surface"]
-    rows = {
-        "vertices, triangles": f"{surface['vertices']}, {surface['triangles']}",
-        "parts, Euler number": f"{surface['parts']}, {surface['euler_number']}",
-        "size": " x ".join(f"{1e3 * x:.1f}" for x in surface["extents"]) + " mm",
-        "area": f"{1e4 * surface['area']:.4g} cm^2",
-        "volume": "none, the surface is open" if surface["volume"] is None else f"{1e3 * surface['volume']:.4g} litres",
-    }
-    if "cloud" in report:
-        cloud = report["cloud"]
-        spread = cloud["nearest_neighbour_over_spacing"]
-        rows["spacing"] = f"{1e3 * cloud['spacing']:.3g} mm"
-        rows["nodes"] = f"{cloud['nodes']}, {cloud['surface_nodes']} of them on the surface"
-        for where, values in spread.items():
-            rows[f"nearest neighbour, {where}"] = (
-                f"{values[0]:.2f} to {values[-1]:.2f} spacings, median {values[2]:.2f}"
-            )
-        rows["filled in"] = f"{cloud['seconds']:.2f} s"
-    for kind in ("supports", "springs", "regions"):
-        for name, nodes in report.get("scene", {}).get(kind, {}).items():
-            rows[f"{kind}, {name}"] = f"{nodes} nodes"
-    if "reached" in report.get("scene", {}):
-        scene = report["scene"]
-        rows["tool"] = f"a ball of {1e3 * scene['radius']:.3g} mm, up to {1e3 * scene['depth']:.3g} mm deep"
-        rows["surface that it reaches; that supports hold"] = f"{scene['reached']:.0%}; {scene['held']:.0%}"
-    return rows
 
 
 def _remarks(report: dict[str, Any]) -> list[str]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from palpate.app.common.arguments import Command, add_command, add_output, add_parts, existing_file, number, whole
+from palpate.app.common.arguments import Command, add_command, add_output, add_parameter, add_parts, existing_file
+from palpate.scenes.description import Body, Shape
 from palpate.surface.formats.names import listed_formats
 
 __all__ = ["add_check"]
@@ -27,15 +28,13 @@ def add_check(commands: Any) -> None:
         "none. Leave a report with pictures in a folder. Of a scene file, also report supports, regions and what the "
         "tool reaches. See docs/organs.md and docs/scenes.md.",
     )
-    add = check.add_argument
-    add("file", type=existing_file, metavar="FILE", help="file of the surface, or scene file (organ.toml)")
-    text = "distance between nodes [m] (default: one that gives about 4,000 nodes)"
-    add("--spacing", type=number, metavar="M", help=text)
+    check.add_argument(
+        "file", type=existing_file, metavar="FILE", help="file of the surface, or scene file (organ.toml)"
+    )
+    add_parameter(check, Body, "spacing", " (default: one that gives about 4,000 nodes)")
     add_parts(check)
-    text = "unit of length in the file (default: guessed, with a warning)"
-    add("--units", choices=("m", "cm", "mm", "in"), help=text)
-    add("--scale", type=number, default=1.0, metavar="S", help="factor of all lengths")
-    text = "close small holes, turn triangles, smooth folds, and remove specks"
-    add("--repair", action="store_true", help=text)
-    add("--seed", type=whole, default=0, metavar="K", help="seed of the nodes' positions")
+    add_parameter(check, Shape, "units", " (default: guessed, with a warning)")
+    add_parameter(check, Shape, "scale")
+    add_parameter(check, Shape, "repair")
+    add_parameter(check, Body, "seed")
     add_output(check, "out/check")

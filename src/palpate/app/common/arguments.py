@@ -1,6 +1,6 @@
 """Command line: parsers, types of options, and shared options.
 
-Only the standard library is imported here, so that ``palpate --help`` answers at once.
+Parsers import the standard library and declarations of parameters only, so that ``palpate --help`` answers at once.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from unicodedata import category
 from palpate.app.common.exit_status import BAD_INPUT, one_line
 
 __all__ = [
-    "LOAD_KEY", "PARSER_KEY", "Command", "Parser", "add_command", "add_json", "add_output", "add_parts",
+    "LOAD_KEY", "PARSER_KEY", "Command", "Parser", "add_command", "add_json", "add_output", "add_parameter",
+    "add_parts",
     "existing_file", "in_option_words", "number", "option_names", "parse_settings", "path", "split_settings",
     "suggestion", "unprintable_word", "whole",
 ]  # fmt: skip
@@ -142,6 +143,49 @@ def add_command(commands: Any, name: str, load: Callable[[], Command], *, summar
     return parser
 
 
+def add_parameter(parser: Any, section: type, name: str, note: str = "", **options: Any) -> None:
+    """Add the option of a parameter of a scene file, whose type, range, choices and help are those of its declaration.
+
+    Parameters
+    ----------
+    section : type
+        Section of `palpate.scenes.description`.
+    note : str
+        Follows the help. With a note the option has no default, otherwise that of the declaration.
+    options : mapping
+        Other arguments of ``add_argument``.
+    """
+    from palpate.parameters import fields_of
+
+    field, kind = fields_of(section)[name]
+    about, unit = field.metadata, field.metadata["unit"]
+    given: dict[str, Any] = {"help": f"{about['help'].partition(';')[0]}{f' [{unit}]' if unit else ''}{note}"}
+    if kind is bool:
+        given["action"] = "store_true"
+    elif about["choices"]:
+        given["choices"] = about["choices"]
+    else:
+        whole_number = kind is int
+        given |= {"type": _parameter_type(about, whole_number), "metavar": unit.upper() or "KX"[not whole_number]}
+        given |= {} if note else {"default": field.default}
+    parser.add_argument(f"--{name.replace('_', '-')}", **given | options)
+
+
+def _parameter_type(about: Mapping[str, Any], is_whole: bool) -> Callable[[str], float]:
+    """Return the type of an option: a number in the range of a declaration, or a text with a unit such as ``5mm``."""
+
+    def parse(text: str) -> float:
+        from palpate.faults import InputError
+        from palpate.parameters import check_number
+
+        try:
+            return int(check_number(whole(text), about)) if is_whole else check_number(text, about)
+        except InputError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return parse
+
+
 def add_output(parser: argparse.ArgumentParser, out: str) -> None:
     """Add the options about results that every study has: its folder, and JSON in place of tables."""
     parser.add_argument("--out", type=path, default=Path(out), metavar="FOLDER", help="folder for the results")
@@ -153,8 +197,10 @@ def add_parts(parser: Any) -> None:
     text = (
         "part of a file of several, by its name or a pattern such as '*lobe*'; may be repeated (default: the largest "
     )
-    text += "closed one, if it is around all others)"
+    text += "closed one, if it is around all others); of a label map also a number, several are one body"
     parser.add_argument("--part", action="append", metavar="NAME", help=text)
+    text = "names that a label map lacks: JSON, a color table (.ctbl), or lines of a number and a name"
+    parser.add_argument("--labels", type=existing_file, metavar="FILE", help=text)
 
 
 def add_json(parser: argparse.ArgumentParser, what: str) -> None:
@@ -239,7 +285,7 @@ def in_option_words(message: str, parser: Parser, options: Mapping[str, Any]) ->
 
 def option_names(message: str) -> str:
     """Return a note about a surface with its arguments as options: ``give units= to be sure``, ``scale=0.1``."""
-    return re.sub(r"\b(part|scale|units)=(\S*)", lambda match: f"--{match[1]} {match[2]}".rstrip(), message)
+    return re.sub(r"\b(part|scale|units|labels)=(\S*)", lambda match: f"--{match[1]} {match[2]}".rstrip(), message)
 
 
 def _option_name(action: argparse.Action) -> str:

@@ -112,8 +112,13 @@ def _call(parser: Parser, load: Callable[[], Callable[..., int]], options: dict[
 
 def _failed(error: Exception, parser: Parser, options: Mapping[str, Any]) -> int:
     """Print one line about an error; an unexpected one is a defect of palpate."""
-    from palpate.faults import DivergenceError, InputError
+    from palpate.faults import ChoiceError, DivergenceError, InputError
 
+    if isinstance(error, ChoiceError):
+        print(error.table, file=sys.stderr)
+        return complain(
+            f"{in_option_words(str(error), parser, options)}: {_with_choice(error, parser, options)}", BAD_INPUT
+        )
     if isinstance(error, InputError):
         return complain(in_option_words(str(error), parser, options), BAD_INPUT)
     if isinstance(error, OSError):
@@ -121,6 +126,15 @@ def _failed(error: Exception, parser: Parser, options: Mapping[str, Any]) -> int
     if isinstance(error, RunError | DivergenceError):
         return complain(str(error), FAILED)
     return report_defect(error)
+
+
+def _with_choice(error: Any, parser: Parser, options: Mapping[str, Any]) -> str:
+    """Return the command that makes the choice of an error."""
+    from shlex import quote
+
+    files = [str(options[name]) for name in ("what", "file", "scene", "model") if options.get(name)]
+    words = [word for name, value in error.choice.items() for word in (f"--{name}", quote(value))]
+    return " ".join([parser.prog, *map(quote, files[:1]), *words])
 
 
 @contextmanager

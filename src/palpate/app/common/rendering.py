@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.common.figures import scale_bar
-from palpate.app.common.shading import RefinedSurface, shade, triangle_mesh
+from palpate.app.common.shading import RefinedSurface, colour_map, shade, triangle_mesh
 from palpate.arrays import Floats, Ints
 from palpate.extras import require
 from palpate.faults import InputError
 
 __all__ = [
-    "PIXELS", "DrawingError", "add_shaded", "camera_axes", "check_drawing", "off_screen", "screenshot", "show",
+    "PIXELS", "DrawingError", "add_colour_bar", "add_shaded", "camera_axes", "check_drawing", "off_screen",
+    "place_picture", "screenshot", "show",
 ]  # fmt: skip
 
 
@@ -138,6 +139,23 @@ def add_shaded(
     plotter.add_mesh(body, scalars="colour", rgb=True, lighting=False)
 
 
+def place_picture(axes: Any, picture: NDArray[np.uint8], spans: tuple[float, float, float, float], title: str) -> None:
+    """Show a picture in matplotlib axes, which span left, right, low and high [mm]."""
+    axes.imshow(picture, extent=spans, interpolation="antialiased")
+    axes.set(xlim=spans[:2], ylim=spans[2:])
+    axes.set_axis_off()
+    axes.set_title(title)
+
+
+def add_colour_bar(drawn: Any, axes: Any, limit: float, label: str, **style: Any) -> None:
+    """Add a horizontal bar of the colours from 0 to a limit."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    bar = drawn.colorbar(ScalarMappable(Normalize(0, limit), colour_map()), ax=axes, orientation="horizontal", **style)
+    bar.set_label(label)
+
+
 def show(axes: Any, points: Floats, towards: Floats, title: str, draw: Callable[[Any, float], None]) -> None:
     """Show a body seen from a side in matplotlib axes, with a scale bar.
 
@@ -159,9 +177,7 @@ def show(axes: Any, points: Floats, towards: Floats, title: str, draw: Callable[
         draw(plotter, width)
         image = screenshot(plotter)
     half = 0.5e3 * width, 0.5e3 * height
-    axes.imshow(image, extent=(-half[0], half[0], -half[1], half[1]), interpolation="antialiased")
-    axes.set_axis_off()
-    axes.set_title(title)
+    place_picture(axes, image, (-half[0], half[0], -half[1], half[1]), title)
     below = 0.06 * max(half)  # the scale bar covers no part of the body
     axes.set_ylim(-half[1] - 2 * below, half[1])
     scale_bar(axes, -half[0], half[0], -half[1] - below)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from palpate.app.common.arguments import Parser, add_parts, number
+from palpate.app.common.arguments import Parser, add_parameter, add_parts
+from palpate.scenes.description import Shape
 
 __all__ = ["add_surface_options"]
 
@@ -13,8 +14,8 @@ def add_surface_options(parser: Parser) -> Any:
     """Add the options of a surface file to a parser; return their group."""
     group = parser.add_argument_group("of a surface file")
     add = group.add_argument
-    add("--units", choices=("m", "cm", "mm", "in"), help="unit of length of the file (default: guessed by size)")
-    add("--scale", type=number, default=1.0, metavar="S", help="factor of all lengths (default: 1)")
+    add_parameter(group, Shape, "units", " (default: guessed by size)")
+    add_parameter(group, Shape, "scale")
     add_parts(group)
     add("--law", metavar="LAW", help="law of the tissue, see palpate laws (default: liver, 2.2 kPa)")
     text = (

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from palpate.app.recordings.snapshot import scalar_descriptions, training_errors
+from palpate.app.session.messages import describe_tools
 from palpate.app.session.session import material_sliders
 from palpate.app.view.server.page import PAGE_FOLDER
 from palpate.export.folder import complete_folder
@@ -28,6 +29,7 @@ __all__ = ["export_web"]
 MODEL_NAME, MODEL_FOLDER = "model", "model"  # the beginning of the functions' names, and the folder of the files
 PAGE_MARK, HIDDEN_DISCLAIMER = '<meta charset="utf-8" />', '<p id="disclaimer" hidden>'
 RATE = 1000.0  # [Hz] of the periods
+WEB_TOOLS = ("sphere", "capsule", "grasp")  # whose sizes page/src/localSession.js computes
 
 
 def export_web(model: ReducedModel, folder: Path, title: str) -> dict[str, str]:
@@ -63,7 +65,7 @@ def _describe(model: ReducedModel, title: str) -> dict[str, Any]:
         "title": title, "vertices": len(surface.rest), "triangles": len(surface.triangles),
         "spacing": model.cloud.spacing, "rate": RATE,
         "bounds": [surface.rest.min(axis=0).tolist(), surface.rest.max(axis=0).tolist()],
-        "tools": [] if prescribed else ["sphere", "capsule", "grasp"],
+        "tools": [] if prescribed else list(WEB_TOOLS), **describe_tools([] if prescribed else WEB_TOOLS),
         "scalars": [scalar for scalar in scalar_descriptions(surface) if scalar["name"] == "displacement"],
         "materials": material_sliders(model, 1.0), "training_errors": training_errors(model),
         "record": {name: field_offset(name) for name in HEADER_DTYPE.names or ()},

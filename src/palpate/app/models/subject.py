@@ -83,14 +83,14 @@ def open_subject(
         assert scene.surface is not None
         for support in scene.description.support:
             if support.place.side:
-                side_mask(scene.surface.vertices, support.place.side)
+                side_mask(scene.surface.vertices, support.place.side, space=scene.surface.space)
         return Subject(name, scene.title, scene)
     if kind is None and not (shape or settings or spacing is not None):
         return _model_of_file(name)
     if kind is None or (shape and kind is SceneKind.PACKAGE):
         raise InputError(
-            "units, scale, part, spacing, law, set and fixed must be left out unless a surface file is viewed, got "
-            f"{name!r:.60}"
+            "units, scale, part, labels, spacing, law, set and fixed must be left out unless a surface file is viewed, "
+            f"got {name!r:.60}"
         )
     if shape:
         raise InputError(f"{next(iter(shape))} must be left out with a scene file, got {name!r:.60}; change the file")

@@ -22,6 +22,7 @@ from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.schema import scene_schema
 from palpate.scenes.surface_scene import surface_scene
 from palpate.surface.checks import METRES_BY_UNIT
+from palpate.surface.labels.reading import is_label_map
 
 __all__ = ["new"]
 
@@ -33,6 +34,7 @@ def new(
     file: Path,
     out: Path,
     part: Sequence[str] | None = None,
+    labels: Path | None = None,
     units: str | None = None,
     scale: float = 1.0,
     spacing: float | None = None,
@@ -47,7 +49,7 @@ def new(
         A surface, as for `palpate.io.read_surface`.
     out : path
         Scene file; must not exist.
-    part, units, scale, spacing, law, fixed
+    part, labels, units, scale, spacing, law, fixed
         As for `palpate.scenes.surface_scene.surface_scene`.
 
     Returns
@@ -64,8 +66,9 @@ def new(
     check_folder(out.parent)
     console = Console()
     scene = surface_scene(
-        file, units=units, scale=scale, part=tuple(part or ()), spacing=spacing, law=law, fixed=tuple(fixed)
-    )
+        file, units=units, scale=scale, part=tuple(part or ()), spacing=spacing, law=law, fixed=tuple(fixed),
+        labels=labels,
+    )  # fmt: skip
     scene, guesses = _fitted(scene, spacing, console)
     notes = [option_names(note) for note in scene.notes if "does not state its units" not in note]
     text = scene_text(_placed(scene, out), guesses, notes, _schema(out))
@@ -99,13 +102,17 @@ def _fitted(scene: OrganScene, spacing: float | None, console: Console) -> tuple
     description = replace(
         fitted.description,
         title=fitted.title,
-        surface=replace(about.surface, units=unit),
+        surface=about.surface if is_label_map(about.surface.file) else replace(about.surface, units=unit),
         tool=replace(about.tool, radius=_round(paths.radius)),
         training=replace(about.training, depth=_round(paths.depth), slide=_round(paths.slide)),
         support=about.support,
     )
     guesses = {
-        "units": "given" if about.surface.units else f"guessed: an organ of {1e3 * volume:.3g} litres",
+        "units": "stated by the file"
+        if is_label_map(about.surface.file)
+        else "given"
+        if about.surface.units
+        else f"guessed: an organ of {1e3 * volume:.3g} litres",
         "size": " x ".join(f"{1e3 * x:.0f}" for x in np.ptp(surface.vertices, axis=0)) + " mm",
         "nodes": len(fitted.cloud),
         "support": "given" if about.support else "guessed: the side away from the first view of the page",
@@ -140,7 +147,9 @@ def _placed(scene: OrganScene, out: Path) -> OrganScene:
         else each
         for each in about.support
     )
-    about = replace(about, surface=replace(about.surface, file=relative(about.surface.file)), support=tuple(supports))
+    names = relative(about.surface.labels) if about.surface.labels else ""
+    surface = replace(about.surface, file=relative(about.surface.file), labels=names)
+    about = replace(about, surface=surface, support=tuple(supports))
     return OrganScene(about, out.parent, str(out), SceneKind.SCENE_FILE)
 
 

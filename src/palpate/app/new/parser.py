@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from palpate.app.common.arguments import Command, add_command, add_parts, existing_file, number, path
+from palpate.app.common.arguments import Command, add_command, add_parameter, add_parts, existing_file, path
+from palpate.scenes.description import Body, Shape
 from palpate.surface.formats.names import listed_formats
 
 __all__ = ["add_new"]
@@ -31,11 +32,9 @@ def add_new(commands: Any) -> None:
     add("file", type=existing_file, metavar="FILE", help="file of the surface")
     add("-o", "--out", type=path, default=Path("organ.toml"), metavar="FILE.toml", help="scene file to write")
     add_parts(new)
-    text = "unit of length in the file (default: guessed from the volume)"
-    add("--units", choices=("m", "cm", "mm", "in"), help=text)
-    add("--scale", type=number, default=1.0, metavar="S", help="factor of all lengths")
-    text = "distance between nodes [m] (default: one that gives about 5,000 nodes)"
-    add("--spacing", type=number, metavar="M", help=text)
+    add_parameter(new, Shape, "units", " (default: guessed from the volume)")
+    add_parameter(new, Shape, "scale")
+    add_parameter(new, Body, "spacing", " (default: one that gives about 5,000 nodes)")
     add("--law", metavar="NAME", help="law of the tissue, of those of palpate laws (default: NeoHookean, liver)")
     text = (
         "a support, as for palpate view: x-, back, 'lowest 15%%', 'near X,Y,Z,R' in mm, 'painted FILE'; may be repeated"

@@ -42,7 +42,10 @@ def scene_text(scene: OrganScene, guesses: Mapping[str, Any], notes: Sequence[st
         "[surface]",
         f"file = {_text(shape.file)}",
         *([f"parts = [{', '.join(map(_text, shape.parts))}]"] if shape.parts else []),
-        f"units = {_text(shape.units)}  # {guesses['units']}, {guesses['size']}",
+        *([f"labels = {_text(shape.labels)}"] if shape.labels else []),
+        f"units = {_text(shape.units)}  # {guesses['units']}, {guesses['size']}"
+        if shape.units
+        else f"# units are {guesses['units']}, {guesses['size']}",
         *([f"scale = {shape.scale!r}"] if shape.scale != 1.0 else []),
         "repair = true  # close small holes, turn triangles, smooth folds",
         *(f"# {line}" for note in notes for line in _wrapped(note)),

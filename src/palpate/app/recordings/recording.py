@@ -19,15 +19,19 @@ from palpate.app.common.vtkhdf import write_vtkhdf
 from palpate.app.recordings.recording_journal import read_journal
 from palpate.app.recordings.snapshot import ENGINE_STATES, TOOL_KINDS, Snapshot
 from palpate.app.recordings.snapshot_arrays import (
+    CUT_ARRAYS,
     FORMAT,
+    FULL_ARRAYS,
+    MAX_DURATION,
     MAX_TITLE_LENGTH,
     MAX_VALUE,
     SNAPSHOT_ARRAYS,
     VERSION,
-    coordinates_type,
+    recorded_arrays,
     snapshot_arrays,
 )
 from palpate.arrays import Floats
+from palpate.dynamics.contact.shapes import tool_parameters
 from palpate.dynamics.run.journal import is_journal
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError, integer_in_range, number_in_range
@@ -37,7 +41,7 @@ from palpate.meshfree.cut.surface import is_narrow
 from palpate.realtime.bodies.full_surface import display_surface
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.solid import body_contents, body_in
-from palpate.sealed import ArrayFile, loading, open_sealed, write_sealed
+from palpate.sealed import ArrayFile, check_arrays, loading, open_sealed, typed, write_sealed
 
 __all__ = [
     "ERROR_NAMES", "FORMAT", "MAX_DURATION", "RECORDING_INTERVAL", "VERSION", "Recording", "SurfaceFileError",
@@ -46,18 +50,10 @@ __all__ = [
 
 
 RECORDING_REMEDY = "record the session again"
-MAX_VALUE_OF = {"steps": 2.0**53, "sequence": 2.0**53, "stiffness": 1e30}  # exceptions
 ERROR_NAMES = ("displacement", "largest", "force", "peak", "wall_seconds", "seconds")  # of the replay on the full model
-TOOL_FIELDS = {"kind", "radius", "length", "friction", "stiffness", "toughness", "start"}  # the last but one is new
+TOOL_FIELDS = {"kind", "radius", "length", "friction", "stiffness", "start"}  # of each tool, and some of `TOOLS`
 RECORDING_INTERVAL = 0.01  # [s] between snapshots
-MAX_DURATION = 600.0  # [s]
 VTKHDF_INTERVAL = 0.04  # [s] between snapshots in the file for ParaView
-
-
-CUT_SHAPES: dict[str, tuple[str, tuple[int | str, ...]]] = {
-    "cuts/start": ("<i8", ("cuts",)), "cuts/kept": ("<i8", ("cuts",)), "cuts/count": ("<i8", ("cuts",)),
-    "cuts/triangles": ("<f8", ("cut triangles", 3, 3)),
-}  # fmt: skip
 
 
 class SurfaceFileError(OSError):
@@ -121,13 +117,11 @@ def save_recording(path: Path, recording: Recording) -> None:
     snapshots, model = recording.snapshots, recording.model
     header, arrays = body_contents(model)
     arrays = {f"model/{name}": values for name, values in arrays.items()}
-    arrays |= {**snapshot_arrays(snapshots, model), "wall": np.array(recording.times, dtype=float)}
+    arrays |= snapshot_arrays(recording.times, snapshots, model)
     if recording.cuts:
         arrays |= _cut_arrays(recording.cuts)
     if recording.full:
-        full = recording.full
-        arrays |= {"full/times": np.array(full["times"], dtype=float), "full/force": np.array(full["force"], float)}
-        arrays |= {"full/positions": np.array(full["positions"], dtype="<f4")}
+        arrays |= typed({name: recording.full[name.removeprefix("full/")] for name in FULL_ARRAYS}, FULL_ARRAYS)
     for name, values in arrays.items():
         if not np.isfinite(values).all():
             raise InputError(f"{name} of the recording must be finite, got other values; {path} was not written")
@@ -182,109 +176,66 @@ def read_recording(file: ArrayFile) -> Recording:
     arrays = {name: file.read(name) for name in file.arrays if not name.startswith("model/")}
     model = body_in(header["model"], file, "model/")
     count = len(arrays["wall"]) if "wall" in arrays and arrays["wall"].ndim else 0
-    shapes = _shapes(model, count, header["errors"] is not None)
-    if "cuts/start" in arrays:
-        shapes |= CUT_SHAPES
-    if arrays.keys() != shapes.keys() or not count:
-        raise InputError(f"arrays must be {', '.join(sorted(shapes))}, got {', '.join(sorted(arrays))}")
-    sizes: dict[str, int] = {}
-    for name, (kind, shape) in shapes.items():
-        expected_shape = tuple(
-            sizes.setdefault(each, length) if isinstance(each, str) else each
-            for each, length in zip(shape, arrays[name].shape, strict=False)
-        )
-        if arrays[name].ndim != len(shape) or arrays[name].shape != expected_shape or arrays[name].dtype != kind:
-            got = f"{arrays[name].shape} of type {arrays[name].dtype.str}"
-            raise InputError(f"array {name} must have shape {shape} and type {kind}, got {got}")
-        most = MAX_VALUE_OF.get(name, MAX_VALUE)
-        if not (np.abs(arrays[name]) <= most).all():
-            raise InputError(f"array {name} must be finite and within {most:g}, got other numbers")
-    _check_values(arrays, len(model.body.surface.nodes if isinstance(model, ReducedModel) else model.cloud))
+    sizes = {
+        "snapshots": count,
+        "parts": count + 1,
+        "coordinates": model.count if isinstance(model, ReducedModel) else 3 * len(model.cloud),
+        "surface": len(model.body.surface.nodes if isinstance(model, ReducedModel) else model.cloud),
+        "vertices": len(display_surface(model).rest) if header["errors"] is not None else 0,
+    }
+    check_arrays(arrays, recorded_arrays(model, "cuts/start" in arrays, header["errors"] is not None), sizes)
+    _require(count, "wall", "of at least one snapshot", "none")
+    _check_values(arrays)
     tools = validate_tools(header["tools"], count)
     start, nodes, forces = (arrays[f"contact/{name}"] for name in ("start", "nodes", "forces"))
     parts = [slice(first, last) for first, last in pairwise(start)]
     snapshots = [_snapshot(arrays, k, nodes[part], forces[part]) for k, part in enumerate(parts)]
     return Recording(header["title"], model, arrays["wall"], snapshots, tools, _full(arrays, header["errors"]),
-                     _cuts(arrays, model, count))  # fmt: skip
+                     _cuts(arrays, model))  # fmt: skip
 
 
 def _cut_arrays(cuts: list[Cut]) -> dict[str, Any]:
     """Return the arrays of a recording for its cuts."""
-    return {
-        "cuts/start": np.array([cut.start for cut in cuts]), "cuts/kept": np.array([cut.kept for cut in cuts]),
-        "cuts/count": np.array([len(cut.triangles) for cut in cuts]),
+    values = {
+        "cuts/start": [cut.start for cut in cuts],
+        "cuts/kept": [cut.kept for cut in cuts],
+        "cuts/count": [len(cut.triangles) for cut in cuts],
         "cuts/triangles": np.concatenate([np.zeros((0, 3, 3)), *(cut.triangles for cut in cuts)]),
-    }  # fmt: skip
+    }
+    return typed(values, CUT_ARRAYS)
 
 
-def _cuts(arrays: dict[str, Any], model: Any, snapshots: int) -> list[Cut]:
+def _cuts(arrays: dict[str, Any], model: Any) -> list[Cut]:
     """Return the cuts in the arrays of a file; raise InputError for those that no session writes."""
     if "cuts/start" not in arrays:
         return []
     start, kept, count = (arrays[f"cuts/{name}"] for name in ("start", "kept", "count"))
     _require(isinstance(model, EnergySolid), "model", "a full body for cuts", "another")
-    _require(np.all((start >= 0) & (start < snapshots)) and np.all(np.diff(start) > 0), "cuts/start",
-             "increasing indices of snapshots", "others")  # fmt: skip
+    _require(np.all(np.diff(start) > 0), "cuts/start", "increasing indices of snapshots", "others")
     _require(
         not is_narrow(arrays["cuts/triangles"], model.cloud.spacing).any(), "cuts/triangles", "wide", "narrow ones"
     )
     parts = np.cumsum(count)
-    _require(np.all(count >= 0) and (parts[-1] if len(parts) else 0) == len(arrays["cuts/triangles"]), "cuts/count",
-             "numbers of the triangles", "others")  # fmt: skip
+    total = parts[-1] if len(parts) else 0
+    _require(total == len(arrays["cuts/triangles"]), "cuts/count", "numbers of the triangles", "others")
     cuts, total = [], 0
     for first, stay, last, number in zip(start, kept, parts, count, strict=True):
-        _require(0 <= stay <= total, "cuts/kept", f"at most {total}", str(stay))
+        _require(stay <= total, "cuts/kept", f"at most {total}", str(stay))
         cuts.append(Cut(int(first), int(stay), arrays["cuts/triangles"][last - number : last]))
         total = int(stay + number)
     return cuts
 
 
-def _shapes(model: ReducedModel | EnergySolid, count: int, full: bool) -> dict[str, tuple[str, tuple[int | str, ...]]]:
-    """Return type and shape of each array of a recording; sizes given by name must agree between arrays."""
-    item_shapes = {
-        "force": (3,),
-        "moment": (3,),
-        "device_force": (3,),
-        "position": (3,),
-        "quaternion": (4,),
-        "stiffness": (3, 3),
-    }
-    item_shapes |= {"coordinates": (model.count if isinstance(model, ReducedModel) else 3 * len(model.cloud),)}
-    shapes: dict[str, tuple[str, tuple[int | str, ...]]] = {
-        name: ("<f8", (count, *item_shapes.get(name, ()))) for name in SNAPSHOT_ARRAYS
-    }
-    shapes["coordinates"] = (coordinates_type(model), shapes["coordinates"][1])
-    shapes |= {"wall": ("<f8", (count,)), "tool": ("|u1", (count,)), "state": ("|u1", (count,))}
-    shapes |= {"contact/start": ("<i8", (count + 1,)), "contact/nodes": ("<i8", ("contact",))}
-    shapes |= {"contact/forces": ("<f8", ("contact", 3))}
-    if full:
-        shapes |= {"full/times": ("<f8", ("full",)), "full/force": ("<f8", ("full", 3))}
-        shapes |= {"full/positions": ("<f4", ("full", len(display_surface(model).rest), 3))}
-    return shapes
-
-
-def _check_values(arrays: dict[str, Any], contact_count: int) -> None:
+def _check_values(arrays: dict[str, Any]) -> None:
     """Raise InputError for values that no session writes."""
-    for name in ("wall", "time", "steps", "sequence", "trust", "computing"):
-        _require(not np.any(arrays[name] < 0), name, "non-negative", "negative numbers")
     for name in ("steps", "sequence"):
         _require(not np.any(arrays[name] != np.floor(arrays[name])), name, "whole numbers", "fractions")
-    wall, start, nodes = arrays["wall"], arrays["contact/start"], arrays["contact/nodes"]
-    _require(not np.any(np.diff(wall) < 0), "wall", "increasing", "decreasing times")
-    _require(wall[-1] <= MAX_DURATION, "wall", f"at most {MAX_DURATION:g} s", f"{wall[-1]:g} s")
-    _require(not np.any(arrays["modulus_ratio"] <= 0), "modulus_ratio", "positive", "other numbers")
     length = np.linalg.norm(arrays["quaternion"], axis=1)
     _require(not np.any(np.abs(length - 1) > 1e-3), "quaternion", "of length 1", "other lengths")
-    for name, names in (("tool", TOOL_KINDS), ("state", ENGINE_STATES)):
-        _require(arrays[name].max() < len(names), name, f"below {len(names)}", str(arrays[name].max()))
-    partition = start[0] == 0 and start[-1] == len(nodes) and not np.any(np.diff(start) < 0)
-    _require(partition, "contact/start", "a partition of contact/nodes", "other indices")
-    valid = not np.any((nodes < 0) | (nodes >= contact_count))
-    _require(valid, "contact/nodes", f"from 0 to {contact_count - 1}", "other nodes")
+    start, nodes = arrays["contact/start"], arrays["contact/nodes"]
+    _require(start[0] == 0 and start[-1] == len(nodes), "contact/start", "a partition of contact/nodes", "others")
     if "full/times" in arrays:
-        times = arrays["full/times"]
-        _require(len(times) > 0, "full/times", "non-empty", "no times")
-        _require(not np.any(np.diff(times) < 0), "full/times", "increasing", "decreasing times")
+        _require(len(arrays["full/times"]), "full/times", "non-empty", "no times")
 
 
 def _require(condition: Any, name: str, requirement: str, got: str) -> None:
@@ -296,15 +247,18 @@ def validate_tools(tools: Any, count: int) -> list[dict[str, Any]]:
     """Return the tools of a file."""
     if not isinstance(tools, list) or not tools or not all(isinstance(tool, dict) for tool in tools):
         raise InputError(f"tools must be a list of tools, got {tools!r:.80}")
+    parameters = tool_parameters()
     for tool in tools:
-        if tool.keys() | {"toughness"} != TOOL_FIELDS or tool["kind"] not in TOOL_KINDS:
+        known = TOOL_FIELDS | parameters.keys()
+        if not TOOL_FIELDS <= tool.keys() <= known or tool["kind"] not in TOOL_KINDS:
             raise InputError(f"each entry of tools must be a tool, got {tool!r:.80}")
-        for name, most in (("radius", 1.0), ("length", 1.0), ("friction", 2.0)):
-            number_in_range(f"{name} of a tool", tool[name], 0.0, most)
+        number_in_range("friction of a tool", tool["friction"], 0.0, 2.0)
         if tool["stiffness"] is not None:
             number_in_range("stiffness of a tool", tool["stiffness"], 0.0, MAX_VALUE, open_low=True, unit="N/m")
-        if tool.setdefault("toughness", None) is not None:
-            number_in_range("toughness of a tool", tool["toughness"], 0.0, MAX_VALUE, unit="J/m^2")
+        for name, (about, _) in parameters.items():  # 0 of a tool without it, none in files of earlier versions
+            if name in TOOL_FIELDS or tool.setdefault(name, None) is not None:
+                most = 1.0 if about["unit"] == "m" else about["high"]
+                number_in_range(f"{name} of a tool", tool[name], 0.0, most, unit=about["unit"])
         integer_in_range("start of a tool", tool["start"], 0, count - 1)
     first = [tool["start"] for tool in tools]
     if first[0] != 0 or any(b <= a for a, b in pairwise(first)):

@@ -43,8 +43,7 @@ class RecordingJournal:
         """
         if self._journal is None:
             self._journal = self._begin()
-        arrays = {**snapshot_arrays(snapshots, self._model), "wall": np.array(times, dtype=float)}
-        self._journal.add({"tools": plain(list(tools))}, arrays)
+        self._journal.add({"tools": plain(list(tools))}, snapshot_arrays(times, snapshots, self._model))
         self.count += len(times)
         if not self._journal.named:
             self._journal.rename(self.path)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats
+from palpate.dynamics.contact.shapes import TOOLS
 from palpate.realtime.record import PeriodRecord
 
 if TYPE_CHECKING:
@@ -33,7 +34,8 @@ FIELD_UNITS = {
     "stress": ("kPa", 1e-3),
     "pressure": ("kPa", 1e-3),
 }  # display unit, factor from SI
-TOOL_KINDS = ("none", "sphere", "capsule", "grasp", "group", "scalpel")
+USER_KINDS = list(TOOLS)
+TOOL_KINDS = ("none", *USER_KINDS[:3], "group", *USER_KINDS[3:])  # their indices are in recordings and frames
 MAX_FINITE = 1e30  # replaces infinities
 MODES_ONLY = "excludes the local indentation at the tool"
 

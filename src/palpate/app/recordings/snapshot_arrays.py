@@ -3,33 +3,78 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.recordings.snapshot import ENGINE_STATES, TOOL_KINDS, Snapshot
+from palpate.arrays import Floats
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
+from palpate.sealed import LEAST_POSITIVE, Array, typed
 
 __all__ = [
     "FORMAT",
+    "MAX_DURATION",
     "MAX_TITLE_LENGTH",
     "MAX_VALUE",
     "SNAPSHOT_ARRAYS",
     "VERSION",
     "coordinates_type",
+    "recorded_arrays",
     "snapshot_arrays",
 ]
 
 FORMAT, VERSION = "palpate recording", 3
 MAX_TITLE_LENGTH = 200  # characters
 MAX_VALUE = 1e9  # of the arrays of a recording, in SI units
-SNAPSHOT_ARRAYS = tuple(
-    f.name for f in fields(Snapshot) if f.name not in ("contact_nodes", "contact_forces", "tool", "state")
-)
+MAX_DURATION = 600.0  # [s]
+MAX_COUNT = 2.0**53  # larger numbers are not all whole ones
+
+_Array = partial(Array, most=MAX_VALUE)
+SNAPSHOT_ARRAYS = {
+    "time": _Array(("snapshots",), low=0.0, unit="s"),
+    "steps": Array(("snapshots",), low=0.0, most=MAX_COUNT),
+    "force": _Array(("snapshots", 3), unit="N"),
+    "moment": _Array(("snapshots", 3), unit="N m"),
+    "stiffness": Array(("snapshots", 3, 3), most=1e30, unit="N/m"),
+    "trust": _Array(("snapshots",), low=0.0),
+    "position": _Array(("snapshots", 3), unit="m"),
+    "quaternion": _Array(("snapshots", 4)),
+    "sequence": Array(("snapshots",), low=0.0, most=MAX_COUNT),
+    "kinetic": _Array(("snapshots",), unit="J"),
+    "strain": _Array(("snapshots",), unit="J"),
+    "computing": _Array(("snapshots",), low=0.0, unit="s"),
+    "lateness": _Array(("snapshots",), unit="s"),
+    "coordinates": _Array(("snapshots", "coordinates")),
+    "device_force": _Array(("snapshots", 3), unit="N"),
+    "modulus_ratio": _Array(("snapshots",), low=LEAST_POSITIVE),
+}
+KIND_ARRAYS = {
+    "tool": Array(("snapshots",), "|u1", low=0, most=len(TOOL_KINDS) - 1),
+    "state": Array(("snapshots",), "|u1", low=0, most=len(ENGINE_STATES) - 1),
+}
+CONTACT_ARRAYS = {
+    "contact/start": Array(("parts",), "<i8", low=0, rising=True),
+    "contact/nodes": Array(("contacts",), "<i8", index_of="surface"),
+    "contact/forces": _Array(("contacts", 3), unit="N"),
+}
+WALL_ARRAY = {"wall": Array(("snapshots",), low=0.0, most=MAX_DURATION, unit="s", rising=True)}
+CUT_ARRAYS = {
+    "cuts/start": Array(("cuts",), "<i8", index_of="snapshots"),
+    "cuts/kept": _Array(("cuts",), "<i8", low=0),
+    "cuts/count": _Array(("cuts",), "<i8", low=0),
+    "cuts/triangles": _Array(("cut triangles", 3, 3), unit="m"),
+}
+FULL_ARRAYS = {
+    "full/times": _Array(("full",), unit="s", rising=True),
+    "full/force": _Array(("full", 3), unit="N"),
+    "full/positions": _Array(("full", "vertices", 3), "<f4", unit="m"),
+}
 
 
 def coordinates_type(model: ReducedModel | EnergySolid) -> str:
@@ -37,24 +82,29 @@ def coordinates_type(model: ReducedModel | EnergySolid) -> str:
     return "<f8" if isinstance(model, ReducedModel) else "<f4"
 
 
-def snapshot_arrays(snapshots: Sequence[Snapshot], model: ReducedModel | EnergySolid) -> dict[str, NDArray[Any]]:
-    """Return the arrays of at least one snapshot of a body."""
-    arrays: dict[str, NDArray[Any]] = {
-        name: np.array(
-            [getattr(each, name) for each in snapshots],
-            dtype=coordinates_type(model) if name == "coordinates" else "<f8",
-        )
-        for name in SNAPSHOT_ARRAYS
+def recorded_arrays(model: ReducedModel | EnergySolid, cuts: bool = False, full: bool = False) -> dict[str, Array]:
+    """Return the arrays of a recording."""
+    coordinates = replace(SNAPSHOT_ARRAYS["coordinates"], type=coordinates_type(model))
+    declared = SNAPSHOT_ARRAYS | {"coordinates": coordinates} | KIND_ARRAYS | CONTACT_ARRAYS | WALL_ARRAY
+    return declared | (CUT_ARRAYS if cuts else {}) | (FULL_ARRAYS if full else {})
+
+
+def snapshot_arrays(
+    times: Sequence[float] | Floats, snapshots: Sequence[Snapshot], model: ReducedModel | EnergySolid
+) -> dict[str, NDArray[Any]]:
+    """Return the arrays of at least one snapshot of a body at times [s] since the start."""
+    values: dict[str, Any] = {name: [getattr(each, name) for each in snapshots] for name in SNAPSHOT_ARRAYS}
+    values["trust"] = np.minimum(values["trust"], MAX_VALUE)  # unbounded for a body trained at rest
+    values |= {
+        "tool": [TOOL_KINDS.index(each.tool) for each in snapshots],
+        "state": [ENGINE_STATES.index(each.state) for each in snapshots],
+        "contact/start": np.cumsum([0, *(len(each.contact_nodes) for each in snapshots)]),
+        "contact/nodes": np.concatenate([each.contact_nodes for each in snapshots]),
+        "contact/forces": np.concatenate([each.contact_forces for each in snapshots]).reshape(-1, 3),
+        "wall": times,
     }
-    arrays["trust"] = np.minimum(arrays["trust"], MAX_VALUE)  # unbounded for a body trained at rest
-    arrays |= {
-        "tool": np.array([TOOL_KINDS.index(each.tool) for each in snapshots], dtype="u1"),
-        "state": np.array([ENGINE_STATES.index(each.state) for each in snapshots], dtype="u1"),
-        "contact/start": np.cumsum([0, *(len(each.contact_nodes) for each in snapshots)], dtype="<i8"),
-        "contact/nodes": np.concatenate([each.contact_nodes for each in snapshots]).astype("<i8"),
-        "contact/forces": np.concatenate([each.contact_forces for each in snapshots]).astype("<f8").reshape(-1, 3),
-    }
-    for name, values in arrays.items():
-        if not np.isfinite(values).all():
+    arrays = typed(values, recorded_arrays(model))
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
             raise InputError(f"{name} of the recording must be finite, got other values; record a sound session")
     return arrays

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from palpate.app.recordings.recording import Recording
 from palpate.app.recordings.snapshot import Snapshot
 from palpate.arrays import Floats
-from palpate.dynamics.contact.tools import Capsule, Contact, Grasp, Sphere
+from palpate.dynamics.contact.shapes import TOOLS, make_tool
+from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.reduction.hyper.model import ReducedModel
@@ -91,9 +92,8 @@ def make_load(
     """
     positions = np.array([snapshot.position for snapshot in snapshots])
     quaternions = np.array([snapshot.quaternion for snapshot in snapshots])
-    if tool["kind"] in ("sphere", "capsule"):
-        radius = tool["radius"]
-        shape = Sphere(radius) if tool["kind"] == "sphere" else Capsule(radius, tool["length"])
+    if tool["kind"] in TOOLS and tool["kind"] != "grasp":
+        shape = make_tool(tool["kind"], tool)
         return Contact(shape, (times, positions, quaternions), friction=tool["friction"], name=TOOL_NAME)
     rotations = Rotation.from_quat(quaternions, scalar_first=True)
     if tool["kind"] == "grasp":

@@ -12,10 +12,11 @@ from typing import Any, cast
 import numpy as np
 
 from palpate.app.common.arguments import parse_settings
-from palpate.app.common.console import Console, Table, count_nodes, percent, quantities_table
+from palpate.app.common.console import Console, Table, count_nodes
 from palpate.app.common.exit_status import RunError
 from palpate.app.common.preparation import prepare
 from palpate.app.common.report import REPORTS, deliver, machine
+from palpate.app.common.rows import Rows, named_rows, quantities
 from palpate.app.models.subject import open_subject
 from palpate.app.run.realtime import run_realtime
 from palpate.app.session.opening import check_record
@@ -39,6 +40,14 @@ __all__ = ["FILES", "run"]
 FILES = (*REPORTS, "full.h5", "reduced.h5")
 PRESS_SEED = 500_000  # of the path of a scene without loads: the first held-out one
 RUN_SNAPSHOTS = round(DURATION / EVERY)
+RUN_ROWS: Rows = {
+    "computing time": "{wall_seconds:.3g s}",
+    "simulated time over computing time": "{real_time_factor:.3g}",
+    "time steps": "{steps}",
+    "a step": "{seconds_per_step:.3g us}",
+    "largest displacement": "{largest_displacement:.4g mm}",
+    "energy balance, largest miss over largest work": "{energy_balance:.2%}",
+}
 PAPER_SCENE = "beam"  # a single run is that of the paper, in its strong form
 PAPER_UNITS = {"spacing": "m", "load": "N", "poisson": ""}  # its settings
 
@@ -138,7 +147,7 @@ def run_once(
         Train a hyper-reduced model of so many modes on the full run, and run it, too. The full model then is in its
         energy form, which the reduced one samples.
     as_json : bool
-        As for `palpate.app.studies.beam.reproduce.reproduce_beam`.
+        As for `palpate.app.studies.reproduce.reproduce`.
 
     Returns
     -------
@@ -252,19 +261,11 @@ def _run_entry(run: Trajectory, scene: Scene) -> dict[str, Any]:
 
 
 def _table(report: dict[str, Any]) -> Table:
-    runs = report["runs"].values()
-    rows = {
-        "computing time": [f"{run['wall_seconds']:.3g} s" for run in runs],
-        "simulated time over computing time": [f"{run['real_time_factor']:.3g}" for run in runs],
-        "time steps": [f"{run['steps']}" for run in runs],
-        "a step": [f"{1e6 * run['seconds_per_step']:.3g} us" for run in runs],
-        "largest displacement": [f"{1e3 * run['largest_displacement']:.4g} mm" for run in runs],
-        "energy balance, largest miss over largest work": [percent(run["energy_balance"]) for run in runs],
-    }
-    for group in next(iter(runs))["largest_reactions"]:
-        rows[f"largest force of {group!r}"] = [f"{run['largest_reactions'][group]:.4g} N" for run in runs]
+    names = [f"full model, {report['form']} form", "reduced model"]
+    runs = dict(zip(names, report["runs"].values(), strict=False))
     if "errors" in report:
-        rows |= {f"error of {name}": ["-", percent(value)] for name, value in report["errors"].items()}
-        rows["time over the full model's"] = ["-", percent(report["ratio"])]
-    columns = [f"full model, {report['form']} form", "reduced model"][: len(report["runs"])]
-    return quantities_table(report["title"], columns, rows)
+        runs["reduced model"] = runs["reduced model"] | {"errors": report["errors"], "ratio": report["ratio"]}
+    forces = report["runs"]["full"]["largest_reactions"]
+    rows = RUN_ROWS | named_rows("largest force of {!r}", "largest_reactions", "{value:.4g N}", forces)
+    rows |= named_rows("error of {}", "errors", "{value:.2%}", report.get("errors", ()))
+    return quantities(report["title"], rows | {"time over the full model's": "{ratio:.2%}"}, runs)

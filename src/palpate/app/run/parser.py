@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from palpate.app.common.arguments import Command, add_command, add_output, existing_file, number, path, whole
+from palpate.app.common.arguments import Command, add_command, add_output, add_parameter, existing_file, number, path
 from palpate.app.common.surface_options import add_surface_options
+from palpate.scenes.description import Body, Tissue, Training
 from palpate.scenes.names import listed_scenes
 from palpate.surface.formats.names import listed_formats
 
@@ -40,11 +41,11 @@ def add_run(commands: Any) -> None:
     add("what", metavar="SCENE|FILE", help=text)
     text = "settings of the scene, such as spacing=5mm"
     add("--set", nargs="+", action="extend", default=[], dest="given", metavar="NAME=X", help=text)
-    add("--spacing", type=number, metavar="M", help="distance between nodes [m]")
+    add_parameter(run, Body, "spacing", " (default: that of the scene)")
     add("--load", type=number, metavar="N", help="largest force [N] on the paper's beam (default: 100)")
-    add("--poisson", type=number, metavar="NU", help="Poisson's ratio, at most 0.499")
-    text = "number of modes of a reduced model (default: no reduced model; in real time that of the scene)"
-    add("--modes", type=whole, metavar="M", help=text)
+    add_parameter(run, Tissue, "poisson", " (default: that of the scene)")
+    text = " (default: no reduced model; in real time that of the scene)"
+    add_parameter(run, Training, "modes", text)
     add("--realtime", action="store_true", help="step at a fixed rate while a tool moves")
     text = "in real time: load this reduced model of palpate train, train none"
     add("--model", type=existing_file, metavar="FILE", help=text)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from palpate.app.common.console import Console, Table, percent, quantities_table
+from palpate.app.common.console import Console, Table, quantities_table
 from palpate.app.common.exit_status import DONE, FAILED, RunError
 from palpate.app.common.report import REPORTS, deliver, machine
+from palpate.app.common.rows import Rows, fill_template, quantities, rows_of
 from palpate.app.models.subject import Subject
 from palpate.app.models.trained import model_file
 from palpate.app.run.tool_motion import tool_motion
@@ -64,7 +66,7 @@ def run_realtime(
     rate : float [Hz]
         From 50 to 20000.
     as_json : bool
-        As for `palpate.app.studies.beam.reproduce.reproduce_beam`.
+        As for `palpate.app.studies.reproduce.reproduce`.
 
     Returns
     -------
@@ -122,7 +124,7 @@ def run_realtime(
     if session.body.cutter is not None and session.body.cuts:
         report["cut"] = _cut_report(black_box, session.body.cutter)
     report = plain(report)
-    deliver(report, [*_tables(report, statistics), *_verdict(report)], out, FILES, as_json)
+    deliver(report, _tables(report, statistics), out, FILES, as_json)
     return FAILED if session.recordings.failures else DONE
 
 
@@ -164,13 +166,13 @@ def _observations(black_box: Path, body: Any) -> dict[str, Any]:
 
 
 def _cut_report(black_box: Path, cutter: BladeCutter) -> dict[str, Any]:
-    """Return the books of a blade, and computing times of periods before the first cut and from then on."""
+    """Return the energy balance of a blade, and computing times of periods before the first cut and from then on."""
     import h5py
 
     with h5py.File(black_box) as file:
         computing, force = file["computing"][:], np.linalg.norm(file["force"][:], axis=1)
     first = int(np.argmax(force > 0)) if force.any() else len(force)
-    area, released, edge, friction = cutter.books.tolist()
+    area, released, edge, friction = cutter.totals.tolist()
     return {
         "area": area, "released_energy": released, "edge_work": edge, "friction_work": friction,
         "cuts": cutter.cuts, "seconds_per_cut": cutter.seconds, "released_nodes": len(cutter.model.released_nodes),
@@ -208,76 +210,78 @@ def _distribution(times: Distribution) -> dict[str, Any]:
     }
 
 
-def _tables(report: dict[str, Any], statistics: Statistics) -> list[Table]:
-    timing, tool = report["timing"], report["tool"]
-    both = [timing["computing"], timing["lateness"]]
-    names = {"50": "median", "95": "95 %", "99": "99 %", "99.9": "99.9 %"}
-    rows = {name: [_microseconds(each["percentiles"][key]) for each in both] for key, name in names.items()}
-    rows["largest"] = [_microseconds(each["maximum"]) for each in both]
-    title = f"{report['title']}, {timing['periods']} periods"
-    single = {
-        "largest force on the tool": f"{tool['largest_force']:.3g} N",
-        "farthest that the tool went": f"{1e3 * tool['largest_displacement']:.3g} mm",
-        "steps of the model in a period": f"{tool['mean_steps_per_period']:.2g}",
+def _expected_error(quantity: str) -> Callable[[Mapping[str, Any]], str]:
+    """Return the row of a median, and a bound with its level; states beyond the held-out runs have neither."""
+
+    def text(report: Mapping[str, Any]) -> str:
+        error = report["tool"]["expected_error"].get(quantity)
+        if error is None:
+            return "not measured"
+        if error["median"] is None or error["bound"] is None:
+            return "unknown: no held-out run had so large a number"
+        return fill_template("{median:.2%}; {bound:.2%} ({level:.0%} of runs, at least {least_level:.0%})", error)
+
+    return text
+
+
+def _slowdown(report: Mapping[str, Any]) -> str:
+    before, after = report["cut"]["computing_before"], report["cut"]["computing_after"]
+    return f"{after / before:.2f}" if before and after else "-"
+
+
+TIMING_ROWS: Rows = {
+    "median": "{percentiles/50: us}",
+    "95 %": "{percentiles/95: us}",
+    "99 %": "{percentiles/99: us}",
+    "99.9 %": "{percentiles/99.9: us}",
+    "largest": "{maximum: us}",
+}
+TOOL_ROWS: Rows = {
+    "largest force on the tool": "{tool/largest_force:.3g N}",
+    "farthest that the tool went": "{tool/largest_displacement:.3g mm}",
+    "steps of the model in a period": "{tool/mean_steps_per_period:.2g}",
+    "trust number, median; largest (above 1: not trained on)": "{tool/median_trust:.2f}; {tool/largest_trust:.2f}",
+    "share of periods above 1": "{tool/untrained_share:.2%}",
+    **{
+        f"error of the {what} expected at the largest, median; bound": _expected_error(what)
+        for what in ("displacement", "force")
+    },
+    "error of reaction forces on held-out runs, mean": "{model/held_out/mean/reaction:.2%}",
+    "cut area": "{cut/area:.0f mm^2} in {cut/cuts} steps of {cut/seconds_per_cut:.0f ms}",
+    "work at the edge; by friction; energy that fronts released": (
+        "{cut/edge_work:.3g mJ}; {cut/friction_work:.3g mJ}; {cut/released_energy:.3g mJ}"
+    ),
+    "computing time while it is cut over that before": _slowdown,
+    "longest period while it is cut": "{cut/longest_after: us}",
+    "the cut ended early": lambda report: report["cut"]["failure"],
+    "messages of the script; refused": lambda report: (
+        f"{report['script']['messages']}; {len(report['script']['refused'])}"
+    ),
+}
+VERDICT_ROWS: Rows = {
+    "Computation": "{median:.1%} of a period in the median, {most:.1%} at most; {missed_by_computing} of {periods} "
+    "periods computed for too long.",
+    "Scheduler": "steps began {lateness/percentiles/99: us} late or less in 99 % of the periods, "
+    "{lateness/maximum: us} at most; {missed_by_scheduler} deadlines missed for that, {dropped} periods without "
+    "a step.",
+    "Verdict": "{verdict}.",
+}
+
+
+def _tables(report: dict[str, Any], statistics: Statistics) -> list[Table | str]:
+    timing = report["timing"]
+    kinds = {"computing (the model)": timing["computing"], "lateness (the scheduler)": timing["lateness"]}
+    values = timing | {
+        "median": timing["computing"]["percentiles"]["50"] / timing["period"],
+        "most": timing["computing"]["maximum"] / timing["period"],
+        "missed_by_scheduler": max(timing["missed"] - timing["missed_by_computing"], 0),
     }
-    if "largest_trust" in tool:
-        single |= _indicators(tool)
-    if "held_out" in report["model"]:
-        error = report["model"]["held_out"]["mean"].get("reaction")
-        single["error of reaction forces on held-out runs, mean"] = "-" if error is None else percent(error)
-    if "cut" in report:
-        single |= _cut_rows(report["cut"])
-    if "script" in report:
-        script = report["script"]
-        single["messages of the script; refused"] = f"{script['messages']}; {len(script['refused'])}"
     return [
-        quantities_table(title, ["computing (the model)", "lateness (the scheduler)"], rows),
+        quantities(f"{report['title']}, {timing['periods']} periods", TIMING_ROWS, kinds),
         quantities_table("Periods", ["computing", "lateness"], _histogram(statistics), "time", "left"),
-        quantities_table("Tool", ["value"], {name: [value] for name, value in single.items()}),
+        quantities("Tool", TOOL_ROWS, {"value": report}),
+        *(f"{label}: {sentence}" for label, (sentence,) in rows_of(VERDICT_ROWS, values).items()),
     ]
-
-
-def _cut_rows(cut: dict[str, Any]) -> dict[str, str]:
-    """Return the rows of a blade's books."""
-    before, after = cut["computing_before"], cut["computing_after"]
-    ratio = f"{after / before:.2f}" if before and after else "-"
-    return {
-        "cut area": f"{1e6 * cut['area']:.0f} mm^2 in {cut['cuts']} steps of {1e3 * cut['seconds_per_cut']:.0f} ms",
-        "work at the edge; by friction; energy that fronts released": (
-            f"{1e3 * cut['edge_work']:.3g}; {1e3 * cut['friction_work']:.3g}; {1e3 * cut['released_energy']:.3g} mJ"
-        ),
-        "computing time while it is cut over that before": ratio,
-        "longest period while it is cut": _microseconds(cut["longest_after"]),
-        **({"the cut ended early": cut["failure"]} if cut["failure"] else {}),
-    }
-
-
-def _indicators(tool: dict[str, Any]) -> dict[str, str]:
-    """Return the rows of the error indicators of a reduced model."""
-    return {
-        "trust number, median; largest (above 1: not trained on)": (
-            f"{tool['median_trust']:.2f}; {tool['largest_trust']:.2f}"
-        ),
-        "share of periods above 1": percent(tool["untrained_share"]),
-        **{
-            f"error of the {what} expected at the largest, median; bound": _error_text(tool["expected_error"].get(what))
-            for what in ("displacement", "force")
-        },
-    }
-
-
-def _error_text(error: dict[str, float | None] | None) -> str:
-    """Write a median, and a bound with its level; states beyond the held-out runs have neither."""
-    if error is None:
-        return "not measured"
-    if error["median"] is None or error["bound"] is None:
-        return "unknown: no held-out run had so large a number"
-    levels = f"{error['level']:.0%} of runs, at least {error['least_level']:.0%}"
-    return f"{error['median']:.2%}; {error['bound']:.2%} ({levels})"
-
-
-def _microseconds(seconds: float) -> str:
-    return f"{1e6 * seconds:,.3g} us" if seconds < 1e-3 else f"{1e6 * seconds:,.0f} us"
 
 
 def _histogram(statistics: Statistics) -> dict[str, list[str]]:
@@ -289,22 +293,7 @@ def _histogram(statistics: Statistics) -> dict[str, list[str]]:
     rows = {}
     for k in range(filled[0], filled[-1] + 1) if filled.size else ():
         bars = ["#" * int(np.ceil(BAR_WIDTH * count / counts.max())) for count in counts[:, k]]
-        rows[f"up to {_microseconds(ends[k])}"] = [
+        rows[fill_template("up to {end: us}", {"end": ends[k]})] = [
             f"{count:>6} {bar}" for count, bar in zip(counts[:, k], bars, strict=True)
         ]
     return rows
-
-
-def _verdict(report: dict[str, Any]) -> list[str]:
-    """Return sentences about the computation, the scheduler and the deadlines."""
-    timing = report["timing"]
-    period, computing, late = timing["period"], timing["computing"], timing["lateness"]
-    over, lost = timing["missed_by_computing"], timing["missed"] - timing["missed_by_computing"]
-    return [
-        f"Computation: {computing['percentiles']['50'] / period:.1%} of a period in the median, "
-        f"{computing['maximum'] / period:.1%} at most; {over} of {timing['periods']} periods computed for too long.",
-        f"Scheduler: steps began {_microseconds(late['percentiles']['99'])} late or less in 99 % of the periods, "
-        f"{_microseconds(late['maximum'])} at most; {max(lost, 0)} deadlines missed for that, "
-        f"{timing['dropped']} periods without a step.",
-        f"Verdict: {timing['verdict']}.",
-    ]

@@ -9,7 +9,7 @@ import numpy as np
 
 from palpate.app.models.subject import Subject
 from palpate.app.session.play import Poses
-from palpate.dynamics.contact.blade import scalpel
+from palpate.dynamics.contact.blade import Scalpel
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
@@ -76,7 +76,7 @@ def cutting_scalpel(body: Any, cut: Cut) -> tuple[Poses, Contact]:
     above = points[(near[:, axis] < 0.5 * length) & (near[:, 1 - axis] < 2 * spacing)]
     depth = cut.cut_depth or min(MAX_CUT_DEPTH, CUT_SHARE * np.ptp(above[:, 2]))
     edge_length = cut.edge_length or max(SCALPEL_LENGTH, 4 * spacing)
-    blade = scalpel(edge_length, cut.toughness, cut.shear_stress, cut.wedge)
+    blade = Scalpel(length=edge_length, toughness=cut.toughness, friction=cut.shear_stress, wedge=cut.wedge)
     along = np.zeros(3)
     along[axis] = 1.0
     first = np.array([*(centre[:2] - 0.5 * length * along[:2]), above[:, 2].max() + AIR_GAP])

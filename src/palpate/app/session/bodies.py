@@ -13,6 +13,7 @@ import numpy as np
 from palpate.app.recordings.recording import RECORDING_INTERVAL
 from palpate.app.session.tool_control import NO_TOOL, SelectedTool
 from palpate.arrays import Floats
+from palpate.dynamics.contact.shapes import TOOLS
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.meshfree.cut.surface import NO_CUT
@@ -45,7 +46,7 @@ class SessionBody:
 
     is_full = False
     recording_interval = RECORDING_INTERVAL
-    tool_kinds: tuple[str, ...] = ("sphere", "capsule", "grasp")
+    tool_kinds: tuple[str, ...] = tuple(kind for kind in TOOLS if kind != "scalpel")
     idle_tool = NO_TOOL
     cutter: BladeCutter | None = None
 
@@ -113,7 +114,7 @@ class FullBody(SessionBody):
 class CuttableBody(FullBody):
     """A full solid, which a scalpel cuts."""
 
-    tool_kinds = (*SessionBody.tool_kinds, "scalpel")
+    tool_kinds = tuple(TOOLS)
     cutter: BladeCutter
 
     def __init__(self, model: EnergySolid, realtime: RealtimeModel) -> None:
@@ -149,7 +150,7 @@ class CuttableBody(FullBody):
         steps = super().statistics(tool)
         if tool.kind != "scalpel":
             return steps
-        return {**steps, "cut_area": float(self.cutter.books[0]), "cutting_force": self.cutter.cutting_force}
+        return {**steps, "cut_area": float(self.cutter.totals[0]), "cutting_force": self.cutter.cutting_force}
 
 
 def session_body(model: Any, foundations: Sequence[Foundation]) -> SessionBody:

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
+from palpate.app.recordings.snapshot import TOOL_KINDS
+from palpate.dynamics.contact.shapes import TOOLS, tool_parameters
+from palpate.dynamics.contact.tool_parameters import friction
 from palpate.faults import InputError
 from palpate.files import json_of, shortened
 
-__all__ = ["MAX_COORDINATE", "MAX_MESSAGE_BYTES", "PROTOCOL_VERSION", "Message", "parse_message", "validate_message"]
+__all__ = [
+    "MAX_COORDINATE", "MAX_MESSAGE_BYTES", "PROTOCOL_VERSION", "Message", "describe_tools", "parse_message",
+    "validate_message",
+]  # fmt: skip
 
 PROTOCOL_VERSION = 2
 MAX_MESSAGE_BYTES = 64 * 1024
 MAX_COORDINATE = 1000.0  # [m] of a position; single precision, in which bodies are drawn, has 0.06 mm there
 MAX_TEXT_LENGTH = 200  # characters
 SEE_DOCS = "see docs/protocol.md"
-LIVER_TOUGHNESS = 164.0  # [J/m^2], bovine (Gokgol, Basdogan and Canadinc 2012)
+MIN_TOOL_SIZE, MAX_TOOL_SIZE = 1e-4, 1.0  # [m]
 MIN_FORCE_RATE, MAX_FORCE_RATE = 1.0, 1000.0  # [Hz] of force frames
 
 Message = dict[str, Any]
@@ -105,14 +111,33 @@ def _short(value: Any) -> str:
     return shortened(repr(value))
 
 
+def _tool_limits(about: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the range of a tool's parameter in messages, where lengths are of the size of a hand."""
+    if about["unit"] == "m":
+        return {"low": max(about["low"], MIN_TOOL_SIZE), "high": min(about["high"], MAX_TOOL_SIZE)}
+    return {name: about[name] for name in ("low", "high", "open_low")}
+
+
+def describe_tools(kinds: Iterable[str]) -> dict[str, Any]:
+    """Return the names of all tools, as frames number them, and the parameters of some kinds, for ``hello``."""
+    declared = tool_parameters()
+    described = {
+        kind: [
+            {"name": name, "unit": declared[name][0]["unit"], "usual": usual, **_tool_limits(declared[name][0])}
+            for name, usual in TOOLS[kind].usual.items()
+        ]
+        for kind in kinds
+    }
+    return {"tool_kinds": list(TOOL_KINDS), "tool_parameters": described}
+
+
 REQUIRED_FIELD = object()  # marks a field without default
+FRICTION_FIELD = friction(0.2, high=2.0)
 _TOOL: dict[str, tuple[Check, Any]] = {
-    "kind": (_one_of("sphere", "capsule", "grasp", "scalpel"), REQUIRED_FIELD),
-    "radius": (_number(1e-4, 1.0), 0.015),
-    "length": (_number(1e-4, 1.0), 0.04),
-    "friction": (_number(0.0, 2.0), 0.2),
+    "kind": (_one_of(*TOOLS), REQUIRED_FIELD),
+    **{name: (_number(**_tool_limits(about)), usual) for name, (about, usual) in tool_parameters().items()},
+    "friction": (_number(**_tool_limits(FRICTION_FIELD.metadata)), FRICTION_FIELD.default),
     "stiffness": (_or_none(_number(1.0, 1e4)), None),
-    "toughness": (_number(0.0, 1e4), LIVER_TOUGHNESS),
     "position": (_vector(3), REQUIRED_FIELD),
     "quaternion": (_unit_quaternion, (1.0, 0.0, 0.0, 0.0)),
     "sequence": (_whole_number, 0),

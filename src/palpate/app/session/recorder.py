@@ -20,6 +20,8 @@ __all__ = ["Recorder"]
 
 JOURNAL_INTERVAL = 0.5  # [s]
 
+NOT_RECORDED = ("position", "quaternion", "active", "outline")  # of the description of a tool
+
 
 class Recorder:
     """Records snapshots of a session until it is stopped.
@@ -94,7 +96,7 @@ class Recorder:
                 return
             snapshot, tool, triangles = self._describe_period()
             self._add_cut(triangles)
-            tool = {name: value for name, value in tool.items() if name not in ("position", "quaternion", "active")}
+            tool = {name: value for name, value in tool.items() if name not in NOT_RECORDED}
             if not self.tools or any(self.tools[-1][name] != value for name, value in tool.items()):
                 self.tools.append({**tool, "start": len(self.times)})
             self.snapshots.append(snapshot)

@@ -11,7 +11,8 @@ import numpy as np
 from palpate.app.recordings.cut_surfaces import CutSurfaces
 from palpate.app.recordings.recording import Recording
 from palpate.app.recordings.snapshot import OverlayState, Snapshot, scalar_descriptions, training_errors
-from palpate.app.session.messages import Message
+from palpate.app.session.messages import Message, describe_tools
+from palpate.app.session.tool_control import drawn_outline
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.realtime.bodies.display_surface import DisplaySurface
@@ -63,7 +64,7 @@ class Replay:
     def hello(self) -> dict[str, Any]:
         """Return the constant properties for `hello`."""
         return {
-            "tools": [], "tool": self._describe_tool(), "materials": [], "rate": None,
+            "tools": [], **describe_tools([]), "tool": self._describe_tool(), "materials": [], "rate": None,
             "training_errors": training_errors(self.recording.model),
             "scalars": scalar_descriptions(self.surface), "duration": self.duration,
             "overlay": bool(self.recording.full), "full": isinstance(self.recording.model, EnergySolid),
@@ -75,8 +76,8 @@ class Replay:
         tool = [tool for tool in self.recording.tools if tool["start"] <= frame][-1]
         snapshot = self.recording.snapshots[frame]
         return {
-            **tool, "active": snapshot.tool != "none", "position": snapshot.position.tolist(),
-            "quaternion": snapshot.quaternion.tolist(),
+            **tool, "outline": drawn_outline(tool), "active": snapshot.tool != "none",
+            "position": snapshot.position.tolist(), "quaternion": snapshot.quaternion.tolist(),
         }  # fmt: skip
 
     def overlay(self, time: float) -> OverlayState | None:

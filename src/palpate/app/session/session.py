@@ -17,7 +17,7 @@ import numpy as np
 from palpate.app.recordings.snapshot import OverlayState, Snapshot, scalar_descriptions, training_errors
 from palpate.app.recordings.snapshot_arrays import coordinates_type
 from palpate.app.session.bodies import session_body
-from palpate.app.session.messages import MAX_COORDINATE, Message
+from palpate.app.session.messages import MAX_COORDINATE, Message, describe_tools
 from palpate.app.session.recordings import SessionRecordings
 from palpate.app.session.tool_control import (
     NO_ROTATION,
@@ -28,10 +28,10 @@ from palpate.app.session.tool_control import (
     compose_rotations,
     make_forceps,
     selected_tool,
-    tool_shape,
 )
 from palpate.arrays import Floats
-from palpate.dynamics.contact.tools import Contact, Forceps, Tool
+from palpate.dynamics.contact.shapes import Forceps, Tool, make_tool, tool_parameters
+from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
@@ -148,7 +148,7 @@ class Session:
         return {
             "tools": self.tool_kinds, "tool": self._describe_tool(), "materials": self._materials(), "rate": self.rate,
             "scalars": scalar_descriptions(self.surface), "training_errors": training_errors(self.model),
-            "overlay": False, "full": self.body.is_full,
+            "overlay": False, "full": self.body.is_full, **describe_tools(self.tool_kinds),
         }  # fmt: skip
 
     def _materials(self) -> list[dict[str, Any]]:
@@ -264,7 +264,7 @@ class Session:
         self.stop()
         self.recordings.close()
 
-    def succeed(self, former: Session) -> None:
+    def continue_from(self, former: Session) -> None:
         """Start in place of another session of the same body: with its selected tool, speed, moduli and pause.
 
         The other session stops, and its recording is written. Its notifications are those of this session from now
@@ -387,14 +387,11 @@ class Session:
         if message["kind"] == "grasp":
             shape, position = make_forceps(self.surface, self._displacements(), position, message["radius"])
         else:
-            shape = tool_shape(message)
+            shape = make_tool(message["kind"], message)
             if not self._workspace.is_outside(self._displacements(), shape, np.concatenate([position, quaternion])):
                 raise InputError("tool must be outside the body, got a position inside; put it down outside")
-        toughness = message["toughness"] if message["kind"] == "scalpel" else None
-        self.selected_tool = SelectedTool(
-            message["kind"], shape, message["radius"], message["length"], message["friction"], message["stiffness"],
-            toughness,
-        )  # fmt: skip
+        parameters = {name: message[name] for name in tool_parameters()}
+        self.selected_tool = SelectedTool(message["kind"], shape, message["friction"], message["stiffness"], parameters)
         self._change_tool(self.selected_tool, position, quaternion, message["sequence"])
 
     def put_down(self, contact: Contact) -> None:

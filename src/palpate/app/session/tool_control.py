@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from palpate.app.session.messages import Message
 from palpate.arrays import Floats
-from palpate.dynamics.contact.blade import Blade, scalpel
+from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import compute_gaps
-from palpate.dynamics.contact.tools import Capsule, Contact, Forceps, Sphere, Tool
+from palpate.dynamics.contact.shapes import TOOLS, Forceps, Sphere, Tool, make_tool, tool_parameters
+from palpate.dynamics.contact.tools import Contact
 from palpate.faults import InputError
 from palpate.realtime.bodies.display_surface import DisplaySurface, fixed_nodes
 
@@ -22,12 +23,13 @@ __all__ = [
     "SelectedTool",
     "ToolWorkspace",
     "compose_rotations",
+    "drawn_outline",
     "make_forceps",
     "selected_tool",
-    "tool_shape",
 ]
 
 
+PAGE_SHAPES = ("sphere", "capsule", "grasp", "scalpel")  # which page/src/toolGlyphs.js draws
 WORKSPACE_MARGIN = 0.3  # [m] around the body
 POINT_RADIUS = 1e-6  # [m] of the point of a blade
 MAX_PENETRATION = 0.25  # of a vertex into a tool that is put down, as a fraction of the spacing
@@ -44,34 +46,39 @@ class SelectedTool:
         One of `palpate.app.recordings.snapshot.TOOL_KINDS`.
     shape : Tool or None
         None for no tool, or for a group of nodes that the model prescribes.
-    radius, length : float [m]
     friction : float
         Coefficient of friction.
     stiffness : float or None [N/m]
         Stiffness of the virtual coupling; None for a rigid coupling.
-    toughness : float or None [J/m^2]
-        Of the tissue that a scalpel cuts; None for other tools.
+    parameters : mapping of str to float
+        Values of the parameters of all kinds, `palpate.dynamics.contact.tools.tool_parameters`.
     """
 
     kind: str
     shape: Tool | None
-    radius: float = 0.0
-    length: float = 0.0
     friction: float = 0.0
     stiffness: float | None = None
-    toughness: float | None = None
+    parameters: Mapping[str, float] = field(default_factory=lambda: dict.fromkeys(tool_parameters(), 0.0))
 
     def describe(self, position: Floats, quaternion: Floats, active: bool) -> dict[str, Any]:
         """Return the description of the tool for the protocol; an inactive one is selected but put away."""
         return {
-            "kind": self.kind, "active": active, "radius": self.radius, "length": self.length,
-            "friction": self.friction, "stiffness": self.stiffness, "toughness": self.toughness,
-            "position": [float(x) for x in position],
+            "kind": self.kind, "active": active, **self.parameters,
+            "outline": drawn_outline({"kind": self.kind, **self.parameters}), "friction": self.friction,
+            "stiffness": self.stiffness, "position": [float(x) for x in position],
             "quaternion": [float(x) for x in quaternion],
         }  # fmt: skip
 
 
 NO_TOOL = SelectedTool("none", None)
+
+
+def drawn_outline(tool: Mapping[str, Any]) -> list[list[float]] | None:
+    """Return the outline of the tool of a message, or none where the page has the shape of its kind."""
+    if tool["kind"] not in TOOLS or tool["kind"] in PAGE_SHAPES:
+        return None
+    outline: list[list[float]] = make_tool(tool["kind"], tool).outline.tolist()
+    return outline
 
 
 def compose_rotations(first: Floats, second: Floats, invert_first: bool = False) -> Floats:
@@ -85,25 +92,11 @@ def compose_rotations(first: Floats, second: Floats, invert_first: bool = False)
     )  # fmt: skip
 
 
-def tool_shape(message: Message) -> Tool:
-    """Return the sphere, capsule or scalpel of a message of type ``"tool"``."""
-    if message["kind"] == "scalpel":
-        return scalpel(message["length"], message["toughness"])
-    if message["kind"] == "sphere":
-        return Sphere(message["radius"])
-    return Capsule(message["radius"], message["length"])
-
-
 def selected_tool(contact: Contact) -> SelectedTool:
-    """Return the sphere, capsule or scalpel of a contact."""
-    tool = contact.tool
-    if isinstance(tool, Blade):
-        length = float(np.ptp(np.asarray(tool.edge), axis=0).max())
-        return SelectedTool("scalpel", tool, length=length, friction=contact.friction, toughness=tool.toughness)
-    if isinstance(tool, Sphere):
-        return SelectedTool("sphere", tool, tool.radius, friction=contact.friction)
-    assert isinstance(tool, Capsule)
-    return SelectedTool("capsule", tool, tool.radius, tool.length, contact.friction)
+    """Return the tool of a contact; its shape is one of `TOOLS`."""
+    kind = next(name for name, each in TOOLS.items() if type(contact.tool) is each.shape)
+    parameters = {name: float(getattr(contact.tool, name, 0.0)) for name in tool_parameters()}
+    return SelectedTool(kind, contact.tool, contact.friction, parameters=parameters)
 
 
 def make_forceps(

@@ -21,42 +21,32 @@ def add_reproduce(commands: Any) -> None:
     _add_membrane(examples)
 
 
-def _load_beam() -> Command:
-    from palpate.app.studies.beam.reproduce import reproduce_beam
+def _load() -> Command:
+    from palpate.app.studies.reproduce import reproduce
 
-    return reproduce_beam
-
-
-def _load_membrane() -> Command:
-    from palpate.app.studies.membrane.reproduce import reproduce_membrane
-
-    return reproduce_membrane
+    return reproduce
 
 
 def _add_beam(examples: Any) -> None:
-    beam = add_command(
+    beam = _add_example(
         examples,
         "beam",
-        _load_beam,
-        summary="the beam under traction: section 6.1, Figures 3 to 5",
-        description=f"Run the paper's beam under traction with the full model and with reduced models. {LEAVES}",
+        "the beam under traction: section 6.1, Figures 3 to 5",
+        "Run the paper's beam under traction with the full model and with reduced models.",
     )
     add = beam.add_argument
     add("--spacing", type=number, default=0.005, metavar="M", help="distance between nodes [m], at most 0.00666")
     add("--load", type=number, default=100.0, metavar="N", help="largest force [N], reached at 0.5 s")
     add("--poisson", type=number, default=0.49, metavar="NU", help="Poisson's ratio, at most 0.499")
-    _add_modes(beam)
-    add_output(beam, "out/beam")
 
 
 def _add_membrane(examples: Any) -> None:
-    membrane = add_command(
+    membrane = _add_example(
         examples,
         "membrane",
-        _load_membrane,
-        summary="the membrane under a tool tip: section 6.2, Figures 7 to 9",
-        description="Run the paper's circular membrane, whose centre a tool pushes for 0.1 s, with the full model and "
-        f"with reduced models. {LEAVES}",
+        "the membrane under a tool tip: section 6.2, Figures 7 to 9",
+        "Run the paper's circular membrane, whose centre a tool pushes for 0.1 s, with the full model and with "
+        "reduced models.",
     )
     add = membrane.add_argument
     add("--spacing", type=number, default=0.005, metavar="M", help="distance between nodes [m], from 0.001 to 0.05")
@@ -73,10 +63,12 @@ def _add_membrane(examples: Any) -> None:
     text = "random shift of the nodes, in spacings, at most 0.3"
     add("--jitter", type=number, default=0.0, metavar="J", help=text)
     add("--seed", type=whole, default=0, metavar="K", help="seed of the random shift")
-    _add_modes(membrane)
-    add_output(membrane, "out/membrane")
 
 
-def _add_modes(parser: Parser) -> None:
+def _add_example(examples: Any, name: str, summary: str, description: str) -> Parser:
+    parser = add_command(examples, name, _load, summary=summary, description=f"{description} {LEAVES}")
+    parser.set_defaults(example=name)
     text = "numbers of modes of the reduced models"
     parser.add_argument("--modes", type=whole, nargs="+", default=MODES, metavar="M", help=text)
+    add_output(parser, f"out/{name}")
+    return parser

@@ -14,12 +14,13 @@ import numpy as np
 
 from palpate.app.common.console import Console, count_nodes
 from palpate.app.common.exit_status import RunError
+from palpate.arrays import Floats
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError, TrustWarning
-from palpate.files import settle
+from palpate.files import flush_and_rename
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.errors import relative_errors
 from palpate.scenes.scene import Scene
@@ -53,12 +54,15 @@ class Phase:
     start, duration : float [s]
     step : float, optional [s]
         Time step of the projected runs; by default the one that `palpate.rollout` chooses.
+    title : str
+        What happens in it, for figures.
     """
 
     name: str
     start: float
     duration: float
     step: float | None = None
+    title: str = ""
 
 
 @dataclass(frozen=True)
@@ -86,10 +90,14 @@ class Study:
     series : mapping of str to functions
         Kinds of reduced models by name: of a full model, its run over a phase and a number of modes, each returns the
         reduced model.
-    title : str
-        Name of the full model in messages.
+    form : str
+        Form of the equations, of an example that has several.
     file : str
         Name of the full run's file.
+    fields : dict of str to (f, n) arrays
+        More of the full run, next to displacements and velocities: stresses and states by name.
+    singular_values : list of (r,) arrays
+        Of the snapshots behind the modes of every phase.
     parts : list of Trajectory
         Runs of the full model, one for every phase.
     full : Trajectory
@@ -104,12 +112,36 @@ class Study:
     scene: Scene
     phases: Sequence[Phase]
     series: Mapping[str, Train]
-    title: str = "full model"
+    form: str = ""
     file: str = "full.h5"
+    fields: dict[str, Floats] = field(default_factory=dict)
+    singular_values: list[Floats] = field(default_factory=list)
     parts: list[Trajectory] = field(default_factory=list)
     reduced: list[dict[str, Any]] = field(default_factory=list)
     shown: dict[str, Shown] = field(default_factory=dict)
     full: Trajectory = field(init=False)
+
+    @property
+    def title(self) -> str:
+        """Name of the full model in messages."""
+        return f"full model, {self.form}" if self.form else "full model"
+
+    def of_phases(self, values: Sequence[Any]) -> Any:
+        """Return values of the phases by name, or the one value of a study with one phase."""
+        named = {phase.name: value for phase, value in zip(self.phases, values, strict=True)}
+        return named if len(named) > 1 else values[0]
+
+    def finished(self, phase: Phase, series: str) -> list[dict[str, Any]]:
+        """Return the entries of the reduced runs of a series that finished a phase, each with its number of modes."""
+        return [entry for entry in self.entries(phase, series) if not entry["failed"]]
+
+    def entries(self, phase: Phase, series: str) -> list[dict[str, Any]]:
+        """Return the entries of all reduced runs of a series over a phase, each with its number of modes."""
+        return [
+            {"modes": entry["modes"]} | entry["phases"][phase.name]
+            for entry in self.reduced
+            if entry["series"] == series
+        ]
 
 
 def run_full(study: Study, out: Path, files: Sequence[str], console: Console) -> None:
@@ -165,7 +197,7 @@ def _join(parts: Sequence[Trajectory]) -> Trajectory:
 def _keep(study: Study, partials: list[Path], path: Path) -> None:
     """Give the complete run its name."""
     if len(partials) == 1:
-        settle(partials[0], path)
+        flush_and_rename(partials[0], path)
         return
     study.full.save(path)
     for partial in partials:

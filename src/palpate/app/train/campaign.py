@@ -26,16 +26,15 @@ from palpate.app.train.work import Outcome
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.prepared import Load
-from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.run.trajectory import StoredTrajectory
-from palpate.dynamics.solid.model import EnergySolid, Solid
+from palpate.dynamics.solid.model import Solid, energy_solid
 from palpate.faults import InputError, TrustWarning
 from palpate.files import check_space
 from palpate.reduction.contact.coarse_body import statics_body
 from palpate.reduction.contact.support_sensitivity import select_presses, support_sensitivity
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import save
-from palpate.reduction.training.reduce import energy_form, hyper_reduce
+from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.scene import TrainingScene
 
 __all__ = ["MODEL_FILE", "Campaign", "Round"]
@@ -155,16 +154,15 @@ class Campaign:
         The presses are those of the training runs; see `palpate.reduction.contact.support_sensitivity`.
         """
         scene, files = self.scene, [self.folder.file(job) for job in jobs if job.kind != HELD_OUT]
-        if scene.tools or isinstance(scene.model, Membrane):
+        if scene.tools or scene.model.kinematics.sheet:
             return None
         presses = select_presses([StoredTrajectory(file) for file in files[:MAX_REPEATED] if file.exists()])
         if not presses:
             return None
         began, loads = perf_counter(), path_of(self.folder, scene, jobs[0])[0]
-        body = self._statics or energy_form(scene.model)
+        body = energy_solid(self._statics or scene.model.energy_form())
         foundations = [load for load in loads if isinstance(load, Foundation)]
         with self.console.status("measuring how forces depend on the supports"):
-            assert isinstance(body, EnergySolid)
             changes = support_sensitivity(body, scene.model.cloud.points, presses, foundations)
         self.seconds["supports"] = perf_counter() - began
         return changes
@@ -218,7 +216,7 @@ class Campaign:
         """Raise `InputError` for too few paths or modes, or for too many modes."""
         scene = self.scene
         touched = any(isinstance(load, Contact | Grasp) for loads, _ in paths for load in loads)
-        if not touched or scene.tools or isinstance(scene.model, Membrane):
+        if not touched or scene.tools or scene.model.kinematics.sheet:
             snapshots = sum(self._frames(duration) for _, duration in paths)
             if self.modes > snapshots:
                 raise InputError(
@@ -248,7 +246,7 @@ class Campaign:
         scene, body = self.scene, self.scene.model
         if scene.coarse is not None:
             return scene.coarse()
-        return statics_body(body) if isinstance(body, EnergySolid) else None
+        return statics_body(body)
 
     def _make_model(self, jobs: Sequence[Job]) -> ReducedModel:
         """Train on the files of finished runs, and keep the model in the folder.

@@ -22,7 +22,6 @@ from palpate.app.train.folder import Folder, Job
 from palpate.app.train.paths import path_of
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.dynamics.solid.model import Solid
 from palpate.faults import DivergenceError, TrustWarning
 from palpate.reduction.hyper.error_indicator import distances_to_nearest, expected_error
 from palpate.reduction.hyper.model import ReducedModel
@@ -66,7 +65,7 @@ def choose(
     nearest = [np.full(len(path_trust), np.inf) for path_trust in trust]
     paths = [path_of(folder, scene, job) for job in candidates]
     before = [path_of(folder, scene, job) for job in trained]
-    covered = Coverage(scene, before) if isinstance(scene.model, Solid) else None
+    covered = None if scene.model.kinematics.sheet else Coverage(scene, before)
     chosen: list[int] = []
     while len(chosen) < min(count, len(candidates)):
         left = [k for k in range(len(candidates)) if k not in chosen]

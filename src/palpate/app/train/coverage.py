@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,9 +51,8 @@ class Coverage:
     """
 
     def __init__(self, scene: TrainingScene, runs: Iterable[Run]) -> None:
-        assert isinstance(scene.model, Solid)
         paths = scene.path
-        self.surface = paths.surface if isinstance(paths, ToolPaths) else FreeSurface(scene.model)
+        self.surface = paths.surface if isinstance(paths, ToolPaths) else FreeSurface(cast(Solid, scene.model))
         self.reachable = paths.reachable if isinstance(paths, ToolPaths) else None
         self.runs = 0
         self.mask = np.zeros(len(self.surface.nodes), dtype=np.bool_)
@@ -95,7 +94,7 @@ def coverage(scene: TrainingScene, runs: Iterable[Run]) -> Coverage | None:
     """Return the coverage of a scene by runs; None without a solid or without contact."""
     runs = list(runs)
     touched = any(isinstance(load, Contact | Grasp) for loads, _ in runs for load in loads)
-    return Coverage(scene, runs) if touched and isinstance(scene.model, Solid) else None
+    return Coverage(scene, runs) if touched and not scene.model.kinematics.sheet else None
 
 
 def draw_coverage(covered: Coverage, path: Path) -> None:

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
-from palpate.app.common.arguments import Command, add_command, add_json, existing_file, number, path, whole
+from palpate.app.common.arguments import (
+    Command,
+    add_command,
+    add_json,
+    add_parameter,
+    existing_file,
+    number,
+    path,
+    whole,
+)
+from palpate.scenes.description import Training
 from palpate.scenes.names import listed_scenes
 
 __all__ = ["add_train"]
@@ -34,23 +44,19 @@ def add_train(commands: Any) -> None:
     add("scene", metavar="SCENE", help=text)
     text = "settings of the scene, such as spacing=5mm, or parameters of the function"
     add("--set", nargs="+", action="extend", default=[], dest="given", metavar="NAME=X", help=text)
-    text = "number of runs to train on; with --tolerance, the most (default: that of the scene; 64 of a function)"
-    add("--paths", type=whole, metavar="K", help=text)
-    text = "number of further runs, on which errors are measured (default: that of the scene; 8 of a function)"
-    add("--held-out", type=whole, metavar="K", help=text)
-    add("--seed", type=whole, metavar="K", help="seed of the paths (default: that of the scene; 0 of a function)")
+    text = "; with --tolerance, the most (default: that of the scene; 64 of a function)"
+    add_parameter(train, Training, "paths", text)
+    add_parameter(train, Training, "held_out", " (default: that of the scene; 8 of a function)")
+    add_parameter(train, Training, "seed", " (default: that of the scene; 0 of a function)")
     text = (
         "choose paths on uncovered surface and where the model errs most, at most --paths, until its mean errors of "
         "displacement and forces on the held-out runs are at most this"
     )
-    add("--tolerance", type=number, metavar="E", help=text)
+    add_parameter(train, Training, "tolerance", " ", help=text)
     text = "recordings of sessions (palpate view): also train on their tool paths with trust numbers above 1"
     add("--more", type=existing_file, nargs="+", action="extend", default=[], metavar="FILE.h5", help=text)
-    text = (
-        "number of modes of the reduced model (default: that of the scene, 24 of a function; with --tolerance, up to "
-        "96 if all paths do not keep it)"
-    )
-    add("--modes", type=whole, metavar="M", help=text)
+    text = " (default: that of the scene, 24 of a function; with --tolerance, up to 96 if all paths do not keep it)"
+    add_parameter(train, Training, "modes", text)
     text = (
         "largest relative error of the sampled forces in training: the larger it is, the fewer nodes are sampled and "
         "the faster a step is; 0 samples every node (default: 0.01 where tools touch the body anywhere, else 0.001)"

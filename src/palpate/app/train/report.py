@@ -11,6 +11,7 @@ from palpate.app.common.console import Console, Table, count_nodes, percent, qua
 from palpate.app.common.figures import BLUE, GREEN, ORANGE, PINK, figure, heading, legend_below, percent_axis
 from palpate.app.common.rendering import DrawingError
 from palpate.app.common.report import REPORTS, deliver, machine
+from palpate.app.common.rows import Rows, quantities
 from palpate.app.train.campaign import MODEL_FILE, Round
 from palpate.app.train.coverage import coverage, draw_coverage
 from palpate.app.train.folder import HELD_OUT, RECORDED, TRAINED, Folder, Job
@@ -36,6 +37,29 @@ SMALL_CHANGE = 0.05  # of a force, below which supports need not be known better
 CURVE_POINTS = 100  # of a curve of expected errors
 FIELD_ERRORS = ("displacement", "velocity")  # whose errors are relative to each moment's size
 ERROR_COLOURS = {"displacement": BLUE, "velocity": GREEN, "energy": ORANGE, "reaction": PINK}
+
+
+RUN_ROWS: Rows = {
+    "runs to train on, held out, failed": "{totals/trained}, {totals/held_out}, {totals/failed}",
+    "of these along recorded paths": "{totals/recorded}",
+}
+MODEL_ROWS: Rows = {
+    "free surface within one tool radius of a place touched in training": "{coverage/covered:.0%}",
+    "free surface that the tool reaches; covered of it": (
+        "{coverage/reachable:.0%}; {coverage/covered_of_reachable:.0%}"
+    ),
+    "surface held by supports": "{coverage/held:.0%}",
+    "full model": lambda report: count_nodes(report["campaign"]["nodes"]),
+    "simulated time": "{totals/simulated:.4g s}",
+    "computing time of the runs": "{totals/wall_seconds:.4g s}",
+    "runs on disk": "{sizes/run_bytes:.1f MB}",
+    "snapshots trained on": "{model/snapshots}",
+    "modes": "{model/modes}",
+    "nodes sampled; relative error of their forces": "{model/nodes}; {model/cubature:.2g}",
+    "projection error": "{model/projection_error:.2%}",
+    "time to train and try the model": "{seconds/training:.4g s}",
+    "model on disk": "{sizes/model_bytes:.2f MB}",
+}
 
 
 def report_campaign(
@@ -78,7 +102,7 @@ def report_campaign(
                 draw()
         except (InputError, DrawingError) as error:  # a worker's installation need not draw
             Console().say(f"{figure_of} is missing: {error}")
-    table = quantities_table(report["title"], ["here"], {name: [value] for name, value in _rows(report).items()})
+    table = quantities(report["title"], _rows(report), {"here": report | {"totals": _totals(report)}})
     failed = [f"{run['name']} failed: {run['reason']}" for run in runs if run["failed"]]
     sentences = [*_support_sentences(supports), *([model.report["advice"]] if "advice" in model.report else [])]
     written = [table, *_details(report, held_out_names), *sentences]
@@ -117,53 +141,51 @@ def _sizes(folder: Folder, jobs: Sequence[Job]) -> dict[str, Any]:
     }
 
 
-def _rows(report: dict[str, Any]) -> dict[str, str]:
-    runs, model, sizes = report["runs"], report["model"], report["sizes"]
-    good = [run for run in runs if not run["failed"]]
-    simulated = sum(run["simulated"] for run in good)
-    wall = sum(run["wall_seconds"] for run in good)
+def _totals(report: dict[str, Any]) -> dict[str, Any]:
+    """Return counts and sums over the runs, for the table."""
+    good = [run for run in report["runs"] if not run["failed"]]
     kinds = {kind: sum(run["kind"] == kind for run in good) for kind in (TRAINED, RECORDED, HELD_OUT)}
-    recorded = {"of these along recorded paths": str(kinds[RECORDED])} if kinds[RECORDED] else {}
-    trained = kinds[TRAINED] + kinds[RECORDED]
-    rows = {
-        "runs to train on, held out, failed": f"{trained}, {kinds[HELD_OUT]}, {len(report['failed'])}",
-        **recorded,
-        **_round_rows(report["rounds"]),
-        **_coverage_rows(report["coverage"]),
-        "full model": count_nodes(report["campaign"]["nodes"]),
-        "simulated time": f"{simulated:.4g} s",
-        "computing time of the runs": f"{wall:.4g} s",
-        "runs on disk": f"{sizes['run_bytes'] / 1e6:.1f} MB",
-        "snapshots trained on": str(model["snapshots"]),
-        "modes": str(model["modes"]),
-        "nodes sampled; relative error of their forces": f"{model['nodes']}; {model['cubature']:.2g}",
-        "projection error": percent(model["projection_error"]),
-        "time to train and try the model": f"{report['seconds']['training']:.4g} s",
-        "model on disk": f"{sizes['model_bytes'] / 1e6:.2f} MB",
+    return {
+        "trained": kinds[TRAINED] + kinds[RECORDED],
+        "held_out": kinds[HELD_OUT],
+        "failed": len(report["failed"]),
+        "simulated": sum(run["simulated"] for run in good),
+        "wall_seconds": sum(run["wall_seconds"] for run in good),
+        **({"recorded": kinds[RECORDED]} if kinds[RECORDED] else {}),
     }
-    if "held_out" in model:
-        failed = sum(run["failed"] for run in model["held_out"]["runs"])
+
+
+def _rows(report: dict[str, Any]) -> Rows:
+    held_out = report["model"].get("held_out")
+    rows: Rows = {**RUN_ROWS, **_round_rows(report["rounds"]), **MODEL_ROWS}
+    if held_out:
+        failed = sum(run["failed"] for run in held_out["runs"])
         if failed:
             rows["held-out paths that the reduced model failed on"] = str(failed)
         for name in ERROR_COLOURS:
-            mean, worst = (model["held_out"][kind][name] for kind in ("mean", "percentile_95"))
-            after = (
-                " (each moment alike, also at rest)" if "contact" in model["held_out"] and name in FIELD_ERRORS else ""
+            field = "contact" in held_out and name in FIELD_ERRORS
+            label = f"error of {name} on held-out paths{' (each moment alike, also at rest)' if field else ''}"
+            rows[f"{label}, mean; 95 % below"] = _mean_and_bound(name)
+        rows |= _by_load(report)
+        for name, text in CONTACT_ERRORS.items():
+            rows[f"error of {text} while pressed; mean over held-out paths, 95 % below"] = _mean_and_bound(
+                name, "contact/"
             )
-            rows[f"error of {name} on held-out paths{after}, mean; 95 % below"] = (
-                "-" if mean is None else f"{percent(mean)}; {percent(worst)}"
-            )
-        rows |= _by_load(report) | _contact_rows(model["held_out"])
         for quantity in ("displacement", "force"):
-            if quantity in model["held_out"].get("expected_error", {}):
-                error = expected_error(model, 1.0, quantity)
-                name = (
-                    f"error of {quantity} expected at a trust number of 1, median; {error.level:.0%} of runs "
-                    f"stay below ({error.least_level:.0%} or more with a confidence of 90%)"
-                )
-                known = np.isfinite(error.bound)
-                rows[name] = f"{percent(error.median)}; {percent(error.bound)}" if known else "unknown; unknown"
+            if quantity not in held_out.get("expected_error", {}):
+                continue
+            error = expected_error(report["model"], 1.0, quantity)
+            label = (
+                f"error of {quantity} expected at a trust number of 1, median; {error.level:.0%} of runs "
+                f"stay below ({error.least_level:.0%} or more with a confidence of 90%)"
+            )
+            known = np.isfinite(error.bound)
+            rows[label] = f"{percent(error.median)}; {percent(error.bound)}" if known else "unknown; unknown"
     return rows | _support_rows(report["supports"])
+
+
+def _mean_and_bound(name: str, where: str = "") -> str:
+    return f"{{model/held_out/{where}mean/{name}:.2%}}; {{model/held_out/{where}percentile_95/{name}:.2%}}"
 
 
 def _round_rows(rounds: Sequence[Mapping[str, Any]]) -> dict[str, str]:
@@ -175,18 +197,6 @@ def _round_rows(rounds: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     kept = "kept" if last["error"] <= last["tolerance"] else "not kept"
     tolerance = percent(last["tolerance"])
     return {f"error by number of training runs and modes; tolerance of {tolerance}": f"{errors}; {kept}"}
-
-
-def _coverage_rows(shares: Mapping[str, float] | None) -> dict[str, str]:
-    """Return the share of the surface that training paths cover; empty without contact."""
-    if shares is None:
-        return {}
-    rows = {"free surface within one tool radius of a place touched in training": f"{shares['covered']:.0%}"}
-    if "reachable" in shares:
-        rows["free surface that the tool reaches; covered of it"] = (
-            f"{shares['reachable']:.0%}; {shares['covered_of_reachable']:.0%}"
-        )
-    return rows | {"surface held by supports": f"{shares['held']:.0%}"}
 
 
 def _by_load(report: dict[str, Any]) -> dict[str, str]:
@@ -201,21 +211,6 @@ def _by_load(report: dict[str, Any]) -> dict[str, str]:
             f"{percent(float(np.mean(errors)))}; {percent(float(np.quantile(errors, ERROR_QUANTILE)))}"
         )
         for load, errors in (errors_by_load.items() if len(errors_by_load) > 1 else ())
-    }
-
-
-def _contact_rows(held_out: dict[str, Any]) -> dict[str, str]:
-    """Return errors of tools on the surface of a body; empty without contact."""
-    if "contact" not in held_out:
-        return {}
-    errors = {
-        name: (held_out["contact"]["mean"][name], held_out["contact"]["percentile_95"][name]) for name in CONTACT_ERRORS
-    }
-    return {
-        f"error of {text} while pressed; mean over held-out paths, 95 % below": "-"
-        if errors[name][0] is None
-        else f"{percent(errors[name][0])}; {percent(errors[name][1])}"
-        for name, text in CONTACT_ERRORS.items()
     }
 
 

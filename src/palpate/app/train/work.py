@@ -19,7 +19,7 @@ from palpate.app.train.paths import path_of
 from palpate.app.train.scene_folder import scene_in_folder
 from palpate.dynamics.run.rollout import rollout
 from palpate.faults import DivergenceError, InputError
-from palpate.files import settle, write_sealed_json
+from palpate.files import flush_and_rename, write_sealed_json
 from palpate.scenes.scene import TrainingScene
 from palpate.scenes.training import training_scene
 
@@ -81,10 +81,10 @@ def _run(place: Folder, scene: TrainingScene, job: Job, watch: Watch | None) -> 
         raise
     except Exception as error:  # of any kind: the other runs continue
         if partial.exists():
-            settle(partial, place.failed(job))
+            flush_and_rename(partial, place.failed(job))
         reason = str(error) if isinstance(error, DivergenceError | InputError) else f"{type(error).__name__}: {error}"
         return record_fault(place, job, " ".join(reason.split()), retry=False)
-    settle(partial, place.file(job))
+    flush_and_rename(partial, place.file(job))
     place.reason(job).unlink(missing_ok=True)  # of a worker that died
     return {"job": job, "seconds": perf_counter() - began}
 

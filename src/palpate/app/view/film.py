@@ -26,7 +26,8 @@ from palpate.app.recordings.recording import Recording
 from palpate.app.recordings.snapshot import FIELD_UNITS
 from palpate.app.view.server.frames import colour_range
 from palpate.arrays import Floats, Singles
-from palpate.dynamics.contact.blade import scalpel
+from palpate.dynamics.contact.blade import Scalpel
+from palpate.dynamics.contact.shapes import TOOLS, Sphere, make_tool
 from palpate.extras import require
 from palpate.faults import InputError
 from palpate.files import whole_file
@@ -62,6 +63,7 @@ VIEW_MARGIN = 1.12  # of the picture around the body
 LEGEND_SHARE = 0.16  # of the height, below the body
 VIEWED_SNAPSHOTS = 50  # of a recording, from which view and range are chosen
 FULL_MODEL_COLOUR = "#0b7285"
+REVOLUTION_POINTS = 97  # around a tool
 BLADE_HEIGHT, BLADE_THICKNESS, HANDLE_LENGTH = 0.25, 0.02, 0.9  # of a scalpel, over the length of its edge
 SHADOW_CELLS, SHADOW_MARGIN, SHADOW_BLUR, SHADOW_STRENGTH = 128, 0.6, 0.1, 0.2  # margin and blur over the radius
 
@@ -239,21 +241,14 @@ class RecordingPlotter:
         starts = [tool["start"] for tool in self.recording.tools]
         meshes: list[tuple[Any, Any, Any, Any] | None] = []
         for tool in self.recording.tools:
-            radius, half = tool["radius"], 0.5 * tool["length"]
-            if tool["kind"] in ("none", "group"):
+            if tool["kind"] not in TOOLS:
                 meshes.append(None)
                 continue
-            shown_radius = radius if tool["kind"] != "grasp" else 0.3 * radius
             if tool["kind"] == "scalpel":
                 solid, normals = scalpel_solid(pyvista, tool["length"])
-                solid["colour"] = np.zeros((solid.n_points, 3), dtype=np.uint8)
-                actor = plotter.add_mesh(solid, scalars="colour", rgb=True, lighting=False)
-                meshes.append((actor, np.array(solid.points), normals, solid))
-                continue
-            solid = pyvista.Sphere(radius=shown_radius, theta_resolution=96, phi_resolution=97)
-            normals = np.asarray(solid.points) / shown_radius
-            if tool["kind"] == "capsule":
-                solid.points[:, 2] += np.where(solid.points[:, 2] > 0, half, -half)
+            else:
+                shown = Sphere(0.3 * tool["radius"]) if tool["kind"] == "grasp" else make_tool(tool["kind"], tool)
+                solid, normals = revolved_solid(pyvista, shown.outline)
             solid["colour"] = np.zeros((solid.n_points, 3), dtype=np.uint8)
             actor = plotter.add_mesh(solid, scalars="colour", rgb=True, lighting=False)
             meshes.append((actor, np.array(solid.points), normals, solid))
@@ -307,9 +302,25 @@ class DrawnBody:
         self._actor = self._plotter.add_mesh(self._mesh, scalars="colour", rgb=True, lighting=False)
 
 
+def revolved_solid(pyvista: Any, outline: Floats) -> tuple[Any, Floats]:
+    """Return the surface of revolution around z of an outline (k, 2) [m], and the normals of its points."""
+    angles = np.linspace(0.0, 2 * np.pi, REVOLUTION_POINTS)
+    axes = np.array([np.cos(angles), np.sin(angles)])
+    points = np.stack([*(outline[:, :1] * axis for axis in axes), np.repeat(outline[:, 1:], len(angles), axis=1)], -1)
+    index = np.arange(points[..., 0].size).reshape(points.shape[:2])
+    corners = [index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]]
+    faces = np.stack([np.full_like(corners[0], 4), *corners], -1)
+    solid = (
+        pyvista.PolyData(points.reshape(-1, 3), faces.ravel())
+        .clean(tolerance=1e-6)
+        .compute_normals(auto_orient_normals=True)
+    )
+    return solid, np.asarray(solid.point_data["Normals"])
+
+
 def scalpel_solid(pyvista: Any, length: float) -> tuple[Any, Floats]:
     """Return a scalpel of an edge length [m] in its frame, and the normals of its points."""
-    belly = np.array(scalpel(length, 0.0).edge)
+    belly = Scalpel(length=length, toughness=0.0).edge
     top = belly[:, 2].max() + BLADE_HEIGHT * length
     outline = np.concatenate([belly, [[0.5 * length, 0.0, top], [-0.5 * length, 0.0, top]]])
     count, thick = len(outline), BLADE_THICKNESS * length

@@ -8,12 +8,14 @@ from palpate.app.common.arguments import (
     Command,
     Parser,
     add_command,
+    add_parameter,
     existing_file,
     number,
     path,
     whole,
 )
 from palpate.app.common.surface_options import add_surface_options
+from palpate.scenes.description import Body
 from palpate.scenes.names import listed_scenes
 from palpate.surface.formats.names import listed_formats
 
@@ -48,8 +50,7 @@ def add_view(commands: Any) -> None:
     )
     add("what", metavar="SCENE|FILE", help=text)
     group = add_surface_options(view)
-    text = "distance of the nodes [m] (default: the finest that this machine steps in real time)"
-    group.add_argument("--spacing", type=number, metavar="M", help=text)
+    add_parameter(group, Body, "spacing", " (default: the finest that this machine steps in real time)")
     text = "parameters of the law, density and poisson, in SI units; settings of a scene"
     group.add_argument("--set", nargs="+", action="extend", default=[], dest="given", metavar="NAME=X", help=text)
     text = (
@@ -88,7 +89,23 @@ def add_replay(commands: Any) -> None:
     add("--movie", type=path, metavar="FILE", help=text)
     text = "field that the colours of pictures show: displacement, stress or pressure"
     add("--scalar", default="displacement", metavar="NAME", help=text)
+    _add_deformed_labels(replay)
     _add_address(replay)
+
+
+def _add_deformed_labels(parser: Parser) -> None:
+    """Add the options of the deformed label map of a recorded body."""
+    group = parser.add_argument_group("of the deformed label map")
+    add = group.add_argument
+    add("--labels", type=existing_file, metavar="MAP", help="label map of the body at rest, from which it was made")
+    text = "write the deformed label map, in the image of --labels: .nii, .nii.gz or .nrrd"
+    add("-o", "--out", type=path, metavar="FILE", help=text)
+    text = "write the displacement field that resamples an image of the body at rest to the deformed one"
+    add("--field", type=path, metavar="FILE", help=text)
+    text = "moment of the recording [s] (default: that of the largest force)"
+    add("--frame", type=number, metavar="T", help=text)
+    text = "label of the body, by its name or number; may be repeated (default: those that lie in it)"
+    add("--part", action="append", metavar="NAME", help=text)
 
 
 def _add_address(parser: Parser) -> None:

@@ -160,7 +160,7 @@ class Refinement:
             if not ready or self._next is None:
                 return None
             self._note = "The recording ended with the full body." if self._session.recordings.is_active else ""
-            self._next.succeed(self._session)
+            self._next.continue_from(self._session)
             self._state = USED
             return self._next
 

@@ -1,13 +1,16 @@
-"""Command ``palpate replay``: shows or draws a recording, or replays it on the full model."""
+"""Command ``palpate replay``: shows, draws or exports a recording, or replays it on the full model."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from palpate.app.common.console import Console, count_nodes, percent, print_plain, quantities_table
+from palpate.app.common.console import Console, count_nodes, print_plain
+from palpate.app.common.rows import Rows, quantities
+from palpate.app.recordings.deformed_labels import write_deformed_labels
 from palpate.app.recordings.recording import Recording, load_recording, save_recording
 from palpate.app.session.full_model_replay import full_model, reduced_model, replay_on_full_model, tool_path
 from palpate.app.session.replay import Replay
@@ -29,6 +32,16 @@ from palpate.scenes.names import SceneKind, kind_of
 
 __all__ = ["replay"]
 
+ERROR_ROWS: Rows = {
+    "displacement of the surface, root mean square": "{displacement:.2%}",
+    "displacement, largest error over the largest": "{largest:.2%}",
+    "force on the tool, mean error over the largest": "{force:.2%}",
+    "largest force over the full model's": lambda errors: f"{1 + errors['peak']:.3f}",
+    "computing time of the full model over the recorded time": (
+        lambda errors: f"{errors['wall_seconds'] / errors['seconds']:.3g}"
+    ),
+}
+
 
 def replay(
     file: Path,
@@ -38,6 +51,11 @@ def replay(
     png: Path | None = None,
     movie: Path | None = None,
     scalar: str = "displacement",
+    labels: Path | None = None,
+    out: Path | None = None,
+    field: Path | None = None,
+    frame: float | None = None,
+    part: Sequence[str] | None = None,
     port: int = DEFAULT_PORT,
     host: str = LOOPBACK,
     browser: bool = True,
@@ -57,6 +75,8 @@ def replay(
         Draw the snapshot of the largest force, or all snapshots, instead of serving a page.
     scalar : str
         Scalar that colours the pictures.
+    labels, out, field, frame, part
+        Write a deformed label map or a field instead; see `write_deformed_labels`.
     port, host, browser
         As for `palpate.app.view.command.view`.
 
@@ -75,9 +95,16 @@ def replay(
         raise InputError(f"png must end in .png, got {str(png)!r}; choose another name")
     if png is not None:
         check_picture()
-    elif movie is None and not full:
+    exports = png is not None or movie is not None or labels is not None
+    if not exports and not full:
         require("websockets", "palpate replay")
-    for path, name in ((png, "png"), (movie, "movie"), (file.with_suffix(".vtkhdf") if full else None, "full")):
+    if (labels is None) is not (out is None and field is None):
+        raise InputError("labels must be given with --out or --field, and these with labels; add the other one")
+    if labels is None and (frame is not None or part):
+        raise InputError("frame and part must be given with labels, got them alone; add --labels MAP --out FILE")
+    surface_file = file.with_suffix(".vtkhdf") if full else None
+    written = ((png, "png"), (movie, "movie"), (surface_file, "full"), (out, "out"), (field, "field"))
+    for path, name in written:
         if path is not None:
             check_folder(path.parent, name)
             if path.exists() and file.exists() and os.path.samefile(path, file):
@@ -88,9 +115,12 @@ def replay(
     if full:
         recording = replace(recording, full=_replay_full(recording, scene, console))
         save_recording(file, recording)
+    if labels is not None:
+        for line in write_deformed_labels(recording, labels, out=out, field_out=field, time=frame, part=part):
+            console.say(line)
     if png is not None or movie is not None:
         _draw(recording, scalar, png, movie, console)
-    elif not full:
+    if not exports and not full:
         from palpate.app.view.server.host import serve_source
 
         serve_source(Replay(recording), console, port, host, browser)
@@ -119,15 +149,6 @@ def _replay_full(recording: Recording, scene: str | None, console: Console) -> d
         model = full_model(reduced_model(recording), scene)
     console.say(f"replaying the recorded path on {count_nodes(len(model.cloud))} of the full model ...")
     full = replay_on_full_model(recording, model)
-    errors = full["errors"]
-    rows = {
-        "displacement of the surface, root mean square": percent(errors["displacement"]),
-        "displacement, largest error over the largest": percent(errors["largest"]),
-        "force on the tool, mean error over the largest": percent(errors["force"]),
-        "largest force over the full model's": f"{1 + errors['peak']:.3f}",
-        "computing time of the full model over the recorded time": f"{errors['wall_seconds'] / errors['seconds']:.3g}",
-    }
-    table = quantities_table(f"{recording.title}: recorded against the full model", ["error"],
-                             {name: [value] for name, value in rows.items()})  # fmt: skip
-    print_plain([table], Path("."), ())
+    title = f"{recording.title}: recorded against the full model"
+    print_plain([quantities(title, ERROR_ROWS, {"error": full["errors"]})], Path("."), ())
     return full

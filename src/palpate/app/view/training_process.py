@@ -55,7 +55,8 @@ def refined_scene(scene: OrganScene) -> OrganScene:
             ))) if each.place.painted else each
             for each in about.support
         )  # fmt: skip
-        about = replace(about, surface=replace(about.surface, file=file.name), support=support)
+        names = str(Path(about.surface.labels).absolute()) if about.surface.labels else ""
+        about = replace(about, surface=replace(about.surface, file=file.name, labels=names), support=support)
         scene = OrganScene(about, file.parent, str(file), scene.kind)
     if about.body.spacing or scene.surface is None:
         return scene

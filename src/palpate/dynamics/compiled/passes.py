@@ -62,15 +62,6 @@ class Formulation(NamedTuple):
     single : Formulation or None
         Passes of the steps in single precision, for other constants and scratch arrays; see
         `palpate.dynamics.solid.energy_form.body_in_single`.
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
-    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
-    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
-    >>> bar.formulation.numbers
-    12
     """
 
     digest: str

@@ -14,7 +14,7 @@ whose thickness wedges them apart. They slide along it against a shear stress.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -22,9 +22,11 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.dynamics.contact.kinds import BLADE
+from palpate.dynamics.contact.tool_parameters import side_stress, thickness, toughness
 from palpate.faults import InputError, brief, number_in_range
+from palpate.parameters import parameter
 
-__all__ = ["Blade", "scalpel"]
+__all__ = ["Blade", "Scalpel"]
 
 BELLY_POINTS, BELLY_SHARE = 13, 0.97  # of a scalpel's edge, and the sine of the angle at its ends
 
@@ -44,12 +46,9 @@ class Blade(Described):
     friction : float [Pa]
         Shear stress on each side of the blade that slides in the tissue.
     wedge : float [m]
-        Thickness of the blade, which wedges the cut apart. A blunt blade has it at its height, and none at its edge.
+        Thickness of the blade, which wedges the cut apart.
     height : float [m]
         Height of the flat of the blade above the edge.
-    sharp : bool
-        True: the edge cuts where it goes. False: it cuts nothing, and wedges the present cut of the body open. The
-        front of that cut advances where its energy release reaches the toughness. In runs only.
 
     Raises
     ------
@@ -60,15 +59,14 @@ class Blade(Described):
     --------
     >>> import palpate as pt
     >>> pt.tools.Blade(edge=[(-0.01, 0, 0), (0.01, 0, 0)], toughness=164.0)
-    Blade(edge=2 points, length=20 mm, toughness=164 J/m^2, height=20 mm)
+    Blade(edge=2 points, length=20 mm, toughness=164 J/m^2, friction=0 Pa, wedge=0 m, height=20 mm)
     """
 
-    edge: Sequence[Sequence[float]] | Floats
-    toughness: float
-    friction: float = 0.0
-    wedge: float = 0.0
-    height: float = 0.02
-    sharp: bool = True
+    edge: Sequence[Sequence[float]] | Floats = field(repr=False)
+    toughness: float = toughness(MISSING)
+    friction: float = side_stress()
+    wedge: float = thickness()
+    height: float = parameter("m", 0.02, "height of the flat of the blade above the edge", above=0.0)
     kind: ClassVar[int] = BLADE
 
     def __post_init__(self) -> None:
@@ -85,24 +83,12 @@ class Blade(Described):
             raise InputError(f"edge of a Blade must be in the plane y = 0 of its frame, got {brief(self.edge)}")
         if not np.all(np.diff(points[:, 0]) > 0):
             raise InputError(f"edge of a Blade must have ascending x, got {brief(points[:, 0].tolist())}")
-        if not isinstance(self.sharp, bool):
-            raise InputError(f"sharp of a Blade must be True or False, got {brief(self.sharp)}")
-        number_in_range("toughness of a Blade", self.toughness, 0.0, unit="J/m^2")
-        number_in_range("friction of a Blade", self.friction, 0.0, unit="Pa")
-        number_in_range("wedge of a Blade", self.wedge, 0.0, unit="m")
-        number_in_range("height of a Blade", self.height, 0.0, open_low=True, unit="m")
+        super().__post_init__()
 
     def _facts(self) -> list[Fact]:
         points = np.asarray(self.edge, dtype=float)
-        return [
-            ("edge", f"{len(points)} points", ""),
-            ("length", float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()), "m"),
-            ("toughness", float(self.toughness), "J/m^2"),
-            ("friction", float(self.friction) or None, "Pa"),
-            ("wedge", float(self.wedge) or None, "m"),
-            ("height", float(self.height), "m"),
-            ("sharp", None if self.sharp else "no", ""),
-        ]
+        length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+        return [("edge", f"{len(points)} points", ""), ("length", length, "m"), *super()._facts()]
 
     @property
     def sizes(self) -> tuple[float, float, float]:
@@ -110,18 +96,23 @@ class Blade(Described):
         return 0.0, 0.0, 0.0
 
 
-def scalpel(length: float, toughness: float, friction: float = 0.0, wedge: float = 0.0) -> Blade:
-    """Return a blade with a round belly, which cuts ahead to both sides.
+@dataclass(frozen=True, kw_only=True)
+class Scalpel(Blade):
+    """A blade with a round belly, which cuts ahead to both sides."""
 
-    Parameters
-    ----------
-    length : float [m]
-        Between the ends of the edge.
-    toughness : float [J/m^2]
-    friction : float [Pa]
-    wedge : float [m]
-    """
-    shares = np.linspace(-1.0, 1.0, BELLY_POINTS)
-    belly = 1.0 - np.sqrt(1.0 - (BELLY_SHARE * shares) ** 2)
-    edge = np.column_stack([0.5 * length * shares, np.zeros(BELLY_POINTS), 0.5 * length * belly])
-    return Blade(edge, toughness, friction, wedge, height=0.5 * length)
+    edge: Floats = field(init=False, repr=False)
+    height: float = field(init=False, repr=False)
+    sharp: bool = field(init=False, repr=False, default=True)
+    length: float = parameter("m", help="length of the edge", above=0.0)
+
+    def __post_init__(self) -> None:
+        length = number_in_range("length of a Scalpel", self.length, 0.0, open_low=True, unit="m")
+        shares = np.linspace(-1.0, 1.0, BELLY_POINTS)
+        belly = 1.0 - np.sqrt(1.0 - (BELLY_SHARE * shares) ** 2)
+        edge = np.column_stack([0.5 * length * shares, np.zeros(BELLY_POINTS), 0.5 * length * belly])
+        object.__setattr__(self, "edge", edge)
+        object.__setattr__(self, "height", 0.5 * length)
+        super().__post_init__()
+
+    def _facts(self) -> list[Fact]:
+        return list(Described._facts(self))

@@ -1,8 +1,7 @@
-"""Rigid tools: shapes, motions, contact and grasps.
+"""Rigid tools: motions, contact and grasps of the shapes in `palpate.dynamics.contact.shapes`.
 
-A shape is described in the tool's own frame. A pose is the position (3,) [m] of this frame and a
-unit quaternion (4,), w x y z, in one array (7,), as in `palpate.realtime`. The compiled step requires
-the kind and the sizes of a shape. Distances are in `palpate.dynamics.contact.geometry`.
+A pose is the position (3,) [m] of this frame and a
+unit quaternion (4,), w x y z, in one array (7,), as in `palpate.realtime`.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +17,11 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
-from palpate.dynamics.contact.blade import Blade
-from palpate.dynamics.contact.kinds import BONDED, CAPSULE, PLANE, PUNCH
-from palpate.faults import InputError, brief, check_arguments, number_in_range
+from palpate.dynamics.contact.shapes import Capsule, Forceps, Plane, Punch, Sphere, Tool
+from palpate.dynamics.contact.tool_parameters import friction
+from palpate.faults import InputError, brief, check_arguments
 from palpate.meshfree.cloud import MOVED_MARGIN, Cloud
+from palpate.parameters import parameter
 
 __all__ = [
     "Capsule",
@@ -40,180 +40,6 @@ __all__ = [
 Motion = Callable[[float], Any] | Sequence[Any] | Floats
 
 MAX_ROTATION = 1e6  # [rad], component of a rotation vector
-ROUNDING_RADII = 0.05  # default rounding of a punch's edge, in its radii
-
-
-@dataclass(frozen=True)
-class Sphere(Described):
-    """A ball around the tool's origin.
-
-    Parameters
-    ----------
-    radius : float [m]
-
-    Raises
-    ------
-    InputError
-        The radius is not positive.
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> pt.tools.Sphere(radius=0.01)
-    Sphere(radius=10 mm)
-    """
-
-    radius: float
-    kind: ClassVar[int] = CAPSULE
-
-    def __post_init__(self) -> None:
-        number_in_range("radius of a Sphere", self.radius, 0.0, open_low=True, unit="m")
-
-    def _facts(self) -> list[Fact]:
-        return [("radius", float(self.radius), "m")]
-
-    @property
-    def sizes(self) -> tuple[float, float, float]:
-        """Radius, half length and rounding [m]."""
-        return float(self.radius), 0.0, 0.0
-
-
-@dataclass(frozen=True)
-class Capsule(Described):
-    """A cylinder along the tool's z axis with hemispherical ends, centred at the tool's origin.
-
-    Parameters
-    ----------
-    radius, length : float [m]
-        Of the cylinder, without the ends.
-
-    Raises
-    ------
-    InputError
-        A size is not positive.
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> pt.tools.Capsule(radius=0.004, length=0.03)
-    Capsule(radius=4 mm, length=30 mm)
-    """
-
-    radius: float
-    length: float
-    kind: ClassVar[int] = CAPSULE
-
-    def __post_init__(self) -> None:
-        number_in_range("radius of a Capsule", self.radius, 0.0, open_low=True, unit="m")
-        number_in_range("length of a Capsule", self.length, 0.0, open_low=True, unit="m")
-
-    def _facts(self) -> list[Fact]:
-        return [("radius", float(self.radius), "m"), ("length", float(self.length), "m")]
-
-    @property
-    def sizes(self) -> tuple[float, float, float]:
-        """Radius, half length and rounding [m]."""
-        return float(self.radius), 0.5 * float(self.length), 0.0
-
-
-@dataclass(frozen=True)
-class Plane(Described):
-    """The half-space z < 0 of the tool's frame, with normal +z.
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> lid = pt.tools.Contact(pt.tools.Plane(), ((0, 0, 0.02), (3.14159265, 0, 0)))  # normal -z
-    >>> lid.tool
-    Plane()
-    """
-
-    kind: ClassVar[int] = PLANE
-
-    @property
-    def sizes(self) -> tuple[float, float, float]:
-        """Zeros: a plane has no size."""
-        return 0.0, 0.0, 0.0
-
-
-@dataclass(frozen=True)
-class Punch(Described):
-    """A semi-infinite cylinder z > 0 with a flat end at the tool's origin that faces -z.
-
-    Parameters
-    ----------
-    radius : float [m]
-    rounding : float, optional [m]
-        Radius of the edge's rounding; by default a twentieth of the radius.
-
-    Raises
-    ------
-    InputError
-        The radius is not positive, or the rounding is negative or larger than the radius.
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> pt.tools.Punch(radius=0.01, rounding=0.001)
-    Punch(radius=10 mm, rounding=1 mm)
-    """
-
-    radius: float
-    rounding: float | None = None
-    kind: ClassVar[int] = PUNCH
-
-    def __post_init__(self) -> None:
-        number_in_range("radius of a Punch", self.radius, 0.0, open_low=True, unit="m")
-        if self.rounding is not None:
-            number_in_range("rounding of a Punch", self.rounding, 0.0, self.radius, unit="m")
-
-    def _facts(self) -> list[Fact]:
-        return [("radius", float(self.radius), "m"), ("rounding", self.sizes[2], "m")]
-
-    @property
-    def sizes(self) -> tuple[float, float, float]:
-        """Radius, half length and rounding [m]."""
-        return float(self.radius), 0.0, ROUNDING_RADII * self.radius if self.rounding is None else float(self.rounding)
-
-
-@dataclass(frozen=True)
-class Forceps(Described):
-    """Forceps as a tool of the engine, or of a `Grasp` on a reduced model: bonded to the surface nodes near a point.
-
-    Parameters
-    ----------
-    radius : float [m]
-    point : (3,) sequence [m]
-        Centre at rest.
-    until : float [s]
-        Time of release; in the engine forceps are released by a change of the tool.
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> pt.tools.Forceps(radius=0.006, point=(0.015, 0.015, 0.015))
-    Forceps(radius=6 mm, point=(15, 15, 15) mm, until=inf s)
-    """
-
-    radius: float
-    point: Sequence[float]
-    until: float = np.inf
-    kind: ClassVar[int] = BONDED
-
-    def _facts(self) -> list[Fact]:
-        return [
-            ("radius", float(self.radius), "m"),
-            ("point", np.asarray(self.point, dtype=float), "m"),
-            ("until", float(self.until), "s"),
-        ]
-
-    @property
-    def sizes(self) -> tuple[float, float, float]:
-        """Radius [m] and zeros."""
-        return float(self.radius), 0.0, 0.0
-
-
-Tool = Sphere | Capsule | Plane | Punch | Forceps | Blade
 
 
 @dataclass(frozen=True)
@@ -260,7 +86,7 @@ class Contact(Described):
 
     tool: Tool
     motion: Motion
-    friction: float = 0.0
+    friction: float = friction(0.0)
     name: str = "tool"
     group: str | None = None
 
@@ -270,16 +96,10 @@ class Contact(Described):
                 f"tool of Contact {self.name!r} must be a Sphere, Capsule, Plane, Punch or Blade, got "
                 f"{self.tool!r:.200}"
             )
-        number_in_range(f"friction of Contact {self.name!r}", self.friction, 0.0)
+        super().__post_init__()
 
     def _facts(self) -> list[Fact]:
-        return [
-            ("name", self.name, ""),
-            ("tool", self.tool, ""),
-            ("friction", float(self.friction), ""),
-            ("motion", _motion_fact(self.motion), ""),
-            ("group", self.group, ""),
-        ]
+        return _with_motion(super()._facts())
 
     def poses(self, times: Floats) -> Floats:
         """Return the tool's poses (t, 7) at some times [s]; errors as in `poses`."""
@@ -323,20 +143,14 @@ class Grasp(Described):
     True
     """
 
-    point: Sequence[float]
-    radius: float
-    motion: Motion
-    until: float = np.inf
+    point: Sequence[float] = parameter("m", help="grasped point")
+    radius: float = parameter("m", help="radius around the point", above=0.0)
+    motion: Motion = parameter(help="pose of the tool")
+    until: float = parameter("s", np.inf, "time of release", low=0.0)
     name: str = "grasp"
 
     def _facts(self) -> list[Fact]:
-        return [
-            ("name", self.name, ""),
-            ("point", np.asarray(self.point, dtype=float), "m"),
-            ("radius", float(self.radius), "m"),
-            ("motion", _motion_fact(self.motion), ""),
-            ("until", float(self.until) if self.until < np.inf else None, "s"),
-        ]
+        return _with_motion(super()._facts())
 
     def with_group(self, cloud: Cloud) -> Cloud:
         """Return the cloud with the bonded nodes as a group, unless the group exists."""
@@ -366,6 +180,11 @@ class Grasp(Described):
     @cached_property
     def _motion(self) -> Motion:
         return motion_function(self.motion, f"motion of Grasp {self.name!r}")
+
+
+def _with_motion(facts: Sequence[Fact]) -> list[Fact]:
+    """Return facts with the motion in a few words."""
+    return [(name, _motion_fact(value) if name == "motion" else value, unit) for name, value, unit in facts]
 
 
 def _motion_fact(motion: Motion) -> str:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from palpate.describe import Described, Fact
+from palpate.describe import Described
 from palpate.dynamics.loads.values import Vector
+from palpate.parameters import parameter
 
 __all__ = ["Gravity"]
 
@@ -30,7 +31,4 @@ class Gravity(Described):
     True
     """
 
-    acceleration: Vector = (0.0, 0.0, -9.81)
-
-    def _facts(self) -> list[Fact]:
-        return [("acceleration", self.acceleration, "m/s^2")]
+    acceleration: Vector = parameter("m/s^2", (0.0, 0.0, -9.81), "acceleration of gravity")

@@ -19,15 +19,6 @@ class ForcePattern(NamedTuple):
     nodes : (g,) int array
         Loaded nodes.
     forces : (g, a, 3) array [N per unit of each amplitude]
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
-    >>> pull = pt.SurfaceForce("x+", force=(1, 0, 0))
-    >>> pattern = pull.pattern(cloud, cloud.area_vectors("x+"))
-    >>> isinstance(pattern, pt.typing.ForcePattern), pattern.forces.shape
-    (True, (16, 3, 3))
     """
 
     nodes: Ints

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.arrays import Floats
-from palpate.describe import Described, Fact
-from palpate.faults import InputError, first_few, number_in_range
+from palpate.describe import Described
+from palpate.faults import InputError, first_few
 from palpate.meshfree.cloud import Cloud
+from palpate.parameters import parameter
 
 __all__ = ["Foundation", "foundation_areas"]
 
@@ -48,19 +49,8 @@ class Foundation(Described):
     """
 
     group: str
-    stiffness: float
-    damping: float = 0.0
-
-    def __post_init__(self) -> None:
-        number_in_range(f"stiffness of Foundation on {self.group!r}", self.stiffness, 0.0, unit="N/m^3")
-        number_in_range(f"damping of Foundation on {self.group!r}", self.damping, 0.0, unit="N s/m^3")
-
-    def _facts(self) -> list[Fact]:
-        return [
-            ("group", self.group, ""),
-            ("stiffness", float(self.stiffness), "N/m^3"),
-            ("damping", float(self.damping), "N s/m^3"),
-        ]
+    stiffness: float = parameter("N/m^3", help="stiffness of springs per area", low=0.0)
+    damping: float = parameter("N s/m^3", 0.0, "damping of springs per area", low=0.0)
 
 
 def foundation_areas(cloud: Cloud, load: Foundation) -> Floats:

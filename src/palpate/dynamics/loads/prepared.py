@@ -68,18 +68,6 @@ class LoadHistory(NamedTuple):
     poses : (s, tools, 7) array
         Positions [m] and quaternions of the tools.
     times : (s,) array [s]
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import palpate as pt
-    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
-    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
-    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
-    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
-    >>> history = bar.prepare([pull, pt.Gravity()]).schedule(np.array([0.0, 0.01]))
-    >>> history.gravity.tolist()
-    [[0.0, 0.0, -9.81], [0.0, 0.0, -9.81]]
     """
 
     gravity: Floats

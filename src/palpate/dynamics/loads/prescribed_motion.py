@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats
-from palpate.describe import Described, Fact
-from palpate.faults import InputError, check_arguments
+from palpate.describe import Described
+from palpate.faults import check_arguments
+from palpate.parameters import parameter
 
 __all__ = ["PrescribedMotion"]
 
@@ -50,26 +51,16 @@ class PrescribedMotion(Described):
     """
 
     group: str
-    displacement: Sequence[float] | Callable[[Floats, float], Any]
-    until: float = np.inf
+    displacement: Sequence[float] | Callable[[Floats, float], Any] = parameter("m", help="displacement of the group")
+    until: float = parameter("s", np.inf, "time of release", low=0.0)
 
     def __post_init__(self) -> None:
-        try:
-            valid = float(self.until) >= 0
-        except (TypeError, ValueError, OverflowError):
-            valid = False
-        if not valid:
-            raise InputError(
-                f"until of PrescribedMotion of {self.group!r} must be a time of at least 0 s, got {self.until!r}"
-            )
-
+        super().__post_init__()
         if callable(self.displacement):
-            name = f"displacement of PrescribedMotion of {self.group!r}"
-            check_arguments(self.displacement, ("points", "time"), name)
+            check_arguments(self.displacement, ("points", "time"), f"displacement{self._owner()}")
 
-    def _facts(self) -> list[Fact]:
-        until = float(self.until) if self.until < np.inf else None
-        return [("group", self.group, ""), ("displacement", self.displacement, "m"), ("until", until, "s")]
+    def _owner(self) -> str:
+        return f" of PrescribedMotion of {self.group!r}"
 
     def is_active(self, times: Floats) -> NDArray[np.bool_]:
         """Return True for the times [s] before the release."""

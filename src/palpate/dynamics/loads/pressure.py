@@ -6,8 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from palpate.arrays import Floats
-from palpate.describe import Described, Fact
+from palpate.describe import Described
 from palpate.dynamics.loads.values import scalars_at
+from palpate.parameters import parameter
 
 __all__ = ["Pressure"]
 
@@ -39,10 +40,7 @@ class Pressure(Described):
     """
 
     group: str
-    pressure: float | Callable[[float], float]
-
-    def _facts(self) -> list[Fact]:
-        return [("group", self.group, ""), ("pressure", self.pressure, "Pa")]
+    pressure: float | Callable[[float], float] = parameter("Pa", help="pressure, positive towards the body")
 
     def values(self, times: Floats) -> Floats:
         """Return the pressure (t,) [Pa] at some times [s]."""

@@ -16,7 +16,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats, Ints
-from palpate.describe import Described, Fact
+from palpate.describe import Described
 from palpate.faults import InputError, brief
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.mirror import MirrorPlane
@@ -71,9 +71,6 @@ class Support(Described, ABC):
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {"kind": type(self).__name__} | {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
 
-    def _facts(self) -> list[Fact]:
-        return [("group", self.group, "")]
-
 
 @dataclass(frozen=True)
 class Clamp(Support):
@@ -82,15 +79,6 @@ class Clamp(Support):
     Parameters
     ----------
     group : str
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
-    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
-    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
-    >>> bar.supports
-    (Clamp(group='x-'),)
     """
 
     def directions(self, cloud: Cloud) -> Floats:
@@ -142,9 +130,6 @@ class Roller(Support):
         if mean.shape != (3,) or not np.linalg.norm(mean):
             raise InputError(f"normal of Roller on {self.group!r} must be given, as the group does not form a face")
         return np.asarray(mean / np.linalg.norm(mean))[None]
-
-    def _facts(self) -> list[Fact]:
-        return [("group", self.group, ""), ("normal", self.normal, "")]
 
 
 @dataclass(frozen=True)
@@ -218,9 +203,6 @@ class Rail(Support):
     def directions(self, cloud: Cloud) -> Floats:
         return np.asarray(np.linalg.svd(np.array(self.axis)[None])[2][1:])
 
-    def _facts(self) -> list[Fact]:
-        return [("group", self.group, ""), ("axis", self.axis, "")]
-
 
 def _keep_direction(support: Support, name: str) -> None:
     """Store a direction as a tuple of floats; raise `InputError` if it is zero or not finite."""
@@ -273,15 +255,6 @@ class SupportedNodes(NamedTuple):
         Nodes that slide.
     slide : (r, 3, 3) array
         Their projections on the directions in which they are free.
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
-    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
-    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
-    >>> bar.supported.kind.shape, len(bar.supported.sliding)
-    ((112,), 0)
     """
 
     kind: NDArray[np.uint8]

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.arrays import Floats
-from palpate.describe import Described, Fact
+from palpate.describe import Described
 from palpate.dynamics.loads.dead_load import DeadLoad, ForcePattern
 from palpate.dynamics.loads.values import Vector, vectors_at
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
+from palpate.parameters import parameter
 
 __all__ = ["SurfaceForce"]
 
@@ -50,8 +51,8 @@ class SurfaceForce(Described, DeadLoad):
     """
 
     group: str
-    force: Vector | None = None
-    moment: Vector | None = None
+    force: Vector | None = parameter("N", None, "total force")
+    moment: Vector | None = parameter("N m", None, "total moment about the centroid of the face")
 
     def __post_init__(self) -> None:
         if self.force is None and self.moment is None:
@@ -59,13 +60,6 @@ class SurfaceForce(Described, DeadLoad):
                 f"SurfaceForce on {self.group!r} must have a force [N] or a moment [N m], got neither; "
                 "give one of them, or use Pressure for a pressure [Pa]"
             )
-
-    def _facts(self) -> list[Fact]:
-        return [
-            ("group", self.group, ""),
-            ("force", self.force, "N"),
-            ("moment", self.moment, "N m"),
-        ]
 
     @property
     def labels(self) -> tuple[str, ...]:

@@ -35,15 +35,6 @@ class Tissue:
     fibres : FibreLaw or None
         Fibres with a direction at every node.
     nodes : int
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
-    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
-    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
-    >>> bar.tissue.nodes, bar.tissue.uniform
-    (112, True)
     """
 
     material: Material

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -19,11 +19,21 @@ from palpate.dynamics.loads.prepared import Load, PreparedLoads, prepare_loads
 from palpate.dynamics.loads.pressure import Pressure
 from palpate.dynamics.loads.supports import Support, supports_of, symmetry_planes
 from palpate.dynamics.material.fibres import lay_out_fibres, prepare_fibres
+from palpate.dynamics.material.kinematics import Kinematics
 from palpate.dynamics.material.relaxation import relaxation
 from palpate.dynamics.material.tissue import Tissue
 from palpate.dynamics.membrane.additional_stress import NO_ADDITIONAL_STRESS, AdditionalStress, additional_stress
-from palpate.dynamics.membrane.passes import NODE_POINTS, POINT_RADIUS, SheetBody, sheet, sheet_work
-from palpate.dynamics.nodal.model import History, NodalModel, NodalWork
+from palpate.dynamics.membrane.passes import (
+    NODE_POINTS,
+    POINT_COSINES,
+    POINT_RADIUS,
+    POINT_SINES,
+    SheetBody,
+    sheet,
+    sheet_work,
+)
+from palpate.dynamics.nodal.energy_model import NO_FIELDS, EnergyModel, Fields, precision
+from palpate.dynamics.nodal.model import History, NodalWork
 from palpate.dynamics.nodal.stability import StabilityReport, resting_frequency, stable_step
 from palpate.dynamics.run.model import Evaluation
 from palpate.faults import InputError, number_in_range
@@ -41,7 +51,7 @@ TAUT_STRAIN = 1e-3  # extension of the taut sheet for its highest frequency
 DEFAULT_DAMPING = 0.1  # stiffness damping times the highest frequency
 
 
-class Membrane(NodalModel):
+class Membrane(EnergyModel):
     """An incompressible membrane in plane stress.
 
     Nodal forces are the derivative of an energy summed over nodes, stable in every state of tension.
@@ -89,8 +99,6 @@ class Membrane(NodalModel):
     """
 
     name = "full"
-    form = "energy"  # as of a `palpate.Solid`
-    conservative = True
 
     def __init__(
         self,
@@ -115,6 +123,7 @@ class Membrane(NodalModel):
         if planes := symmetry_planes(cloud, self.supports):
             raise InputError(f"fixed of Membrane must hold no SymmetryPlane, got {planes[0].name!r}; use Roller")
         self.relaxed = bool(relaxed)
+        self.kinematics = Kinematics(True, self.prestretch, self.relaxed)
         # the energy includes the mounted boundary vectors, which have c = 2
         self.half_cell = 1.0
         self.mass_damping = number_in_range("mass_damping", mass_damping, 0.0, unit="1/s")
@@ -206,6 +215,35 @@ class Membrane(NodalModel):
         tensions = self._nominal(stretches)
         scaled = np.divide(tensions, stretches, out=np.zeros_like(tensions), where=stretches > 0)
         return np.asarray(F @ np.einsum("...la,...a,...ma->...lm", directions, scaled, directions))
+
+    @property
+    def rest_moduli(self) -> tuple[Floats, Floats]:
+        """Those of the taut sheet."""
+        shear = self.tissue.moduli("shear_modulus")
+        return shear, np.zeros_like(shear)
+
+    def inner_product(self) -> Callable[[Floats], Floats]:
+        """Return A of the inner product of displacements: a slack sheet has no energy at rest."""
+        return lambda fields: fields * self.volumes[:, None]
+
+    def at_points(self, columns: Floats, even: slice = NO_FIELDS) -> Fields:
+        """As `EnergyModel.at_points`; the third entry of every row of du/dX is 0."""
+        n, count, points = len(self.cloud), len(columns), len(POINT_COSINES)
+        gradients = np.zeros((points, n, count, 3, 3), dtype=precision(points * n, count))
+        for m, by_node in enumerate(self._derivatives(columns, even)):
+            first, second = by_node[:, :6].reshape(n, 3, 2), by_node[:, 6:].reshape(n, 3, 3)
+            for q in range(points):
+                x, y = (self.body.radius[:, None] * turn for turn in (POINT_COSINES[q], POINT_SINES[q]))
+                gradients[q, :, m, :, 0] = first[:, :, 0] + second[:, :, 0] * x + second[:, :, 2] * y
+                gradients[q, :, m, :, 1] = first[:, :, 1] + second[:, :, 2] * x + second[:, :, 1] * y
+        nodes = np.tile(np.arange(n), points)
+        flat = gradients.reshape(points * n, count, 9)
+        return Fields(columns, flat, np.zeros((count, count)), nodes, self.volumes[nodes] / points)
+
+    def shear_stress(self, F: Floats, nodes: NDArray[np.int64]) -> Floats:
+        stress = np.zeros_like(F)
+        stress[:, :, :2] = self.stress_at(F[:, :, :2] + (self.prestretch - 1) * np.eye(3, 2))
+        return stress
 
     def principal_stretches(self, displacements: Floats) -> Floats:
         """Return the principal stretches at every node, the larger first, (n, 2), for displacements (n, 3) [m]."""

@@ -161,9 +161,8 @@ def _reactions(balance: StaticBalance, u: Floats) -> dict[str, Floats]:
     supports, parts = active_partitions(model.cloud.points, prepared, balance.time)
     if not supports:
         return {}
-    nodal, stress = -model.external_force(State(u, np.zeros_like(u), balance.time), prepared), None
-    if model.conservative:
-        nodal -= model.without_images(model.volumes[:, None] * balance.internal(u))
-    else:
-        stress = balance.stress(u)
-    return dict(zip(supports, group_forces(model, parts, nodal, stress), strict=True))
+    still = np.zeros_like(u)
+    external = model.external_force(State(u, still, balance.time), prepared)
+    fields = model.nodal_fields(u, still, still, external, balance.history(u))
+    stress = None if fields.stress is None else fields.stress()
+    return dict(zip(supports, group_forces(model, parts, fields.unbalanced, stress), strict=True))

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,10 @@ from palpate.dynamics.contact.tools import surface_nodes
 from palpate.dynamics.loads.prepared import LoadHistory, PreparedLoads, with_held_nodes
 from palpate.dynamics.loads.supports import FIXED, SupportedNodes, free_directions, supported_nodes
 from palpate.dynamics.material.fibres import always_taut
+from palpate.dynamics.material.kinematics import Kinematics
 from palpate.dynamics.material.relaxation import equilibrium_history as evaluate_equilibrium
 from palpate.dynamics.material.relaxation import restore_history, saved_history
+from palpate.dynamics.material.tissue import Tissue
 from palpate.dynamics.nodal.central_difference import (
     Damping,
     NodalData,
@@ -40,7 +42,7 @@ from palpate.dynamics.run.contact_state import (
     steps_between_checks,
 )
 from palpate.dynamics.run.model import Evaluation, Model, Nodes, Outputs, State, StepReport, initial_field
-from palpate.dynamics.run.reactions import NodalFields, nodal_outputs, tool_power
+from palpate.dynamics.run.reactions import NodalFields, nodal_outputs
 from palpate.faults import number_in_range
 from palpate.meshfree.mirror import NO_MIRROR, Mirror, MirrorPlane
 from palpate.meshfree.stencils import Stencils
@@ -63,16 +65,6 @@ class NodalWork(NamedTuple):
     step : StepScratch
     step_passes : NamedTuple
         As `passes`, for `NodalModel.step_body`; the history variables are the same.
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
-    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
-    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
-    >>> work = bar.workspace()
-    >>> bar.force(0 * cloud.points, work=work).shape
-    (112, 3)
     """
 
     passes: Any
@@ -107,6 +99,8 @@ class NodalModel(Model):
     stability : StabilityReport
     wave_speed : float [m/s]
         Estimate of the fastest wave speed, and limit of prescribed velocities in the damping forces.
+    tissue : Tissue
+    kinematics : Kinematics
     fibres : FibreLaw or None
         Fibres with a direction at every node.
 
@@ -133,7 +127,11 @@ class NodalModel(Model):
     supported: SupportedNodes
     stability: StabilityReport
     wave_speed: float
+    tissue: Tissue
+    kinematics: Kinematics
     fibres: FibreLaw | None = None
+    # families of stencils, from nodal forces to the displacements on which they depend; a sheet has no smoothing
+    coupled_by: ClassVar[tuple[str, ...]] = ("transposed", "transposed_smoothing", "smoothing", "lanes")
 
     def _compile(self, formulation: Formulation, body: Any, allocate: Callable[[], Any], lanes: Lanes | Rows) -> None:
         """Set the compiled passes and their constants; requires the cloud, the volumes and the supports."""
@@ -314,7 +312,7 @@ class NodalModel(Model):
         constrained = schedule.constrained[0]
         fields[0][prepared.sites.prescribed[constrained]] = schedule.motion[0, constrained]
         check_initial_penetration(prepared, schedule, fields[0], self.cloud.spacing)
-        bonded = len(prepared.sites.prescribed) if self.conservative and prepared.grasps else 0
+        bonded = self._bonded_nodes(prepared)
         contact_state = None
         if prepared.tools or bonded:
             contact_state = initial_contact_state(len(prepared.tools), len(self.cloud), time, prescribed=bonded)
@@ -381,8 +379,6 @@ class NodalModel(Model):
         schedule = prepared.schedule(times)
         check_tool_step(prepared, schedule, self.cloud.spacing)
         sites, contacts = prepared.with_scratch()
-        powered = bool(prepared.motions) and not self.conservative
-        power = tool_power(self, self._fields(state, prepared, work), state, prepared) if powered else 0.0
         self._restore(state.history, work)
         work.step.surface[:] = 0.0  # of another run's loads
         least = self._least_dilatation(work)
@@ -416,9 +412,8 @@ class NodalModel(Model):
         if new.incision is not None:
             edge, friction = contacts.sites.works
             new = replace(new, incision=new.incision.with_works(float(edge), float(friction)))
-        if powered:  # trapezium rule for the power of the tools
-            power += tool_power(self, self._fields(new, prepared, work), new, prepared)
-            tools = 0.5 * step * steps * power
+        at_ends = (state, new), lambda at: self._fields(at, prepared, work)
+        tools = self.tool_work(tools, step * steps, prepared, *at_ends)
         report = StepReport(done + tools, lost, float(least.min(initial=0.0)), contacts.tool_impulses)
         return replace(new, external_work=new.external_work + tools), report
 
@@ -480,10 +475,31 @@ class NodalModel(Model):
         unbalanced = self.masses[:, None] * (acceleration + self.mass_damping * velocity)
         damped = displacement + self.stiffness_damping * velocity
         unbalanced -= external_force
-        if not self.conservative:
-            return NodalFields(displacement, velocity, unbalanced, lambda: self.stress(damped, history, work))
-        unbalanced -= self.without_images(self.volumes[:, None] * self.nodal_force(damped, history, work))
-        return NodalFields(displacement, velocity, unbalanced, None)
+        return self.with_internal_forces(
+            NodalFields(displacement, velocity, unbalanced, None),
+            lambda: self.volumes[:, None] * self.nodal_force(damped, history, work),
+            lambda: self.stress(damped, history, work),
+        )
+
+    def with_internal_forces(
+        self, fields: NodalFields, internal: Callable[[], Floats], stress: Callable[[], Floats]
+    ) -> NodalFields:
+        """Return fields of inertia and loads with the internal forces (n, 3) [N], or the stress [Pa], of a motion."""
+        return fields._replace(unbalanced=fields.unbalanced - self.without_images(internal()))
+
+    def tool_work(
+        self, summed: float, duration: float, prepared: PreparedLoads, states: tuple[State, State],
+        fields_of: Callable[[State], NodalFields],
+    ) -> float:  # fmt: skip
+        """Return the work [J] of tools that move nodes in steps of some duration [s], by its sum over these steps.
+
+        The states are those before and after the steps.
+        """
+        return summed
+
+    def _bonded_nodes(self, prepared: PreparedLoads) -> int:
+        """Return the number of prescribed nodes whose impulses are outputs, because a `Grasp` is among the loads."""
+        return len(prepared.sites.prescribed) if prepared.grasps else 0
 
     @property
     def loose_nodes(self) -> Ints:

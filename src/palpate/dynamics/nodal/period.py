@@ -66,11 +66,11 @@ STEP_SAFETY = 0.85  # step over the stable one
 ITERATION_NOISE = 0.005  # added to the vector of the iteration, so that another mode can grow
 MAX_STEPS = 400  # in a period; beyond it the body's time runs slower
 MAX_ATTEMPTS, STIFFENING_FACTOR = 6, 1.6  # of a period, and factor of the frequency in the next attempt
-TRIALS_OF_ENERGY = 2  # repetitions after which a gain of energy is accepted that is not of this period
+MAX_ENERGY_ATTEMPTS = 2  # repetitions after which a gain of energy is accepted that is not of this period
 HELD_ATTEMPT, STOPPED_ATTEMPT = 3, 5  # from which on the tool is held, and the body loses its velocities
-CRUSHED_RATIO = 6.0  # frequency over that at rest from which on the tool does not move on
+MAX_MOVING_RATIO = 6.0  # largest frequency over that at rest at which the tool moves on
 STIFF_RATIO, STIFF_ESTIMATE = 1.5, 4  # frequency over that at rest from which on it is estimated after fewer periods
-MOST_STIFF = 100.0  # largest estimate over that at rest
+MAX_FREQUENCY_RATIO = 100.0  # of the estimate over the frequency at rest
 MAX_GAIN, LEAST_ENERGY = 0.05, 1e-9  # kinetic energy beyond the work, relative to all work; [J] that is rounding
 BLOCK_NODES = 256  # nodes of a sum
 
@@ -191,7 +191,7 @@ def _pushes(data):  # type: ignore[no-untyped-def]
 @kernel_njit(inner=True)
 def _crushes(data):  # type: ignore[no-untyped-def]
     """Return True if the tool would move on into tissue that is stiff already."""
-    if data.clock[ESTIMATE] < CRUSHED_RATIO * data.resting_frequency:
+    if data.clock[ESTIMATE] < MAX_MOVING_RATIO * data.resting_frequency:
         return False
     return _pushes(data)
 
@@ -461,7 +461,7 @@ def nodal_period(formulation: Formulation) -> Any:
         if clock[UNTIL_ESTIMATE] <= 0.0:
             frequency = estimate(data, u)
             if frequency > 0.0 and frequency < np.inf:
-                least, most = data.resting_frequency, MOST_STIFF * data.resting_frequency
+                least, most = data.resting_frequency, MAX_FREQUENCY_RATIO * data.resting_frequency
                 clock[ESTIMATE] = min(max(FREQUENCY_MARGIN * frequency, least), most)
                 # an iteration that has not converged must not lengthen the step at once
                 clock[FREQUENCY] = min(max(clock[ESTIMATE], SLOWEST_DECREASE * clock[FREQUENCY]), most)
@@ -588,7 +588,7 @@ def nodal_period(formulation: Formulation) -> Any:
                 break
             # shorter steps make no difference, and the period has no gain: the sums of work have drifted
             drifted = excess - excess_before <= allowed
-            if attempt >= TRIALS_OF_ENERGY and (drifted or attempt == MAX_ATTEMPTS - 1):
+            if attempt >= MAX_ENERGY_ATTEMPTS and (drifted or attempt == MAX_ATTEMPTS - 1):
                 clock[GIVEN] += excess
                 clock[GAINED] += excess
                 break
@@ -609,8 +609,8 @@ def nodal_period(formulation: Formulation) -> Any:
                 data.tool_force[k - FORCES] = report[k]
         for k in range(FORCES, report.shape[0]):
             report[k] = data.tool_force[k - FORCES]
-        if attempt >= TRIALS_OF_ENERGY:  # shorter steps did not help
-            clock[FREQUENCY] = min(STIFFENING_FACTOR * frequency_before, MOST_STIFF * data.resting_frequency)
+        if attempt >= MAX_ENERGY_ATTEMPTS:  # shorter steps did not help
+            clock[FREQUENCY] = min(STIFFENING_FACTOR * frequency_before, MAX_FREQUENCY_RATIO * data.resting_frequency)
         clock[RESTED] = 0.0 if q.any() or v.any() else 1.0
         report[STEPS], report[TRUST] = count, depth
         report[KINETIC] = clock[KINETIC_ENERGY]

@@ -26,7 +26,7 @@ __all__ = [
 MAX_INITIAL_DEPTH = 1e-2  # penetration of a node at the start of a run, in spacings
 MAX_INTERIOR_SHARE = 0.5  # share of a tool's force on interior nodes
 MAX_TOOL_STEP = 0.5  # motion of a tool in a step, in its radii
-MAX_WAY_UNCHECKED = 0.5  # of a tool between two checks that it has not passed the surface, in spacings
+MAX_UNCHECKED_DISTANCE = 0.5  # of a tool between two checks that it has not passed the surface, in spacings
 
 
 def check_initial_penetration(
@@ -116,9 +116,9 @@ def steps_between_checks(prepared: PreparedLoads, time: float, step: float, spac
         return MANY_STEPS
     times = time + step * np.array([0.0, 1.0, 10.0, 50.0])
     poses = np.stack([tool.poses(times)[:, :3] for tool in prepared.tools])
-    ways = np.linalg.norm(np.diff(poses, axis=1), axis=2).max(axis=0)
-    way = float((ways / np.diff(times)).max()) * step
-    return max(1, int(MAX_WAY_UNCHECKED * spacing / way)) if way > 0 else MANY_STEPS
+    distances = np.linalg.norm(np.diff(poses, axis=1), axis=2).max(axis=0)
+    distance = float((distances / np.diff(times)).max()) * step
+    return max(1, int(MAX_UNCHECKED_DISTANCE * spacing / distance)) if distance > 0 else MANY_STEPS
 
 
 def initial_contact_state(tools: int, nodes: int, time: float, surface: int = 0, prescribed: int = 0) -> ContactState:

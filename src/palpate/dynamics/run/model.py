@@ -49,17 +49,6 @@ class ContactState(NamedTuple):
         Impulses on the prescribed nodes since `start_time`; empty without a `Grasp`.
     held_energy : float [J]
         Energy of the tissue over supports that tools press.
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> cloud = pt.box((0.03, 0.03, 0.015), spacing=0.005)
-    >>> tissue = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1060, poisson=0.45)
-    >>> block = pt.Solid(cloud, tissue, fixed="z-")
-    >>> ball = pt.tools.Contact(pt.tools.Sphere(radius=0.01), (0.015, 0.015, 0.026))
-    >>> state = block.state(block.prepare([ball]))
-    >>> state.contact_state.forces.shape == (len(cloud.points), 3)
-    True
     """
 
     forces: Floats

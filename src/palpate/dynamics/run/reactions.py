@@ -62,17 +62,6 @@ class NodalFields(NamedTuple):
         internal forces.
     stress : function or None
         Returns the first Piola-Kirchhoff stress (n, 3, d) [Pa] of a body without an energy.
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
-    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
-    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
-    >>> rest = 0 * cloud.points
-    >>> fields = bar.nodal_fields(rest, rest, rest, rest)
-    >>> isinstance(fields, pt.typing.NodalFields), float(abs(fields.unbalanced).max())
-    (True, 0.0)
     """
 
     displacement: Floats

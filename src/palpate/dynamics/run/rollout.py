@@ -19,6 +19,7 @@ from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed
 from palpate.dynamics.run.model import Model, Outputs, State
 from palpate.dynamics.run.progress import progress_bar
 from palpate.dynamics.run.recorder import Recorder
+from palpate.dynamics.run.series import NUMBER_NAMES, SERIES
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError, TrustWarning, number_in_range
 from palpate.files import shortened
@@ -312,7 +313,7 @@ def _check_outputs(model: Model, state: State, prepared: PreparedLoads, outputs:
         raise _divergence(model, state, prepared, what, step)
     forces = {f"force of {name!r}": force for name, force in outputs.reactions.items()}
     moments = {f"moment of {name!r}": moment for name, moment in outputs.moments.items()}
-    energies = {f"{name} energy": getattr(outputs, name) for name in ("kinetic", "strain", "external", "dissipated")}
+    energies = {f"{name} energy": getattr(outputs, name) for name in NUMBER_NAMES if SERIES[name].array.unit == "J"}
     fields = {
         "displacement": outputs.displacements,
         "velocity": outputs.velocities,

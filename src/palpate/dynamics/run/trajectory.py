@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,23 +13,29 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.dynamics.run.journal import is_journal, read_record, records
+from palpate.dynamics.run.series import (
+    EVERY_RUN,
+    FIELD_NAMES,
+    GROUP_ARRAYS,
+    LIST_ARRAYS,
+    MAX_DISPLACEMENT,
+    NUMBER_NAMES,
+    OPTIONAL_NAMES,
+    SERIES,
+    array_name,
+    joined_records,
+)
 from palpate.faults import InputError, number_in_range
 from palpate.files import regular_file
 from palpate.plotting import curve_svg, plot_curves
-from palpate.sealed import loading, open_sealed, write_sealed
+from palpate.sealed import Array, check_arrays, loading, open_sealed, write_sealed
 
-__all__ = ["FRAME_ARRAYS", "GROUP_ARRAYS", "SERIES_NAMES", "StoredTrajectory", "Trajectory", "blade_series", "stack"]
+__all__ = ["StoredTrajectory", "Trajectory", "from_arrays"]
 
 
 FORMAT, VERSION = "palpate trajectory", 4
 TRAJECTORY_REMEDY = "run the simulation again"
-MAX_DISPLACEMENT = 1e30  # [m], so that sums of squares are finite
-SERIES_NAMES = ("times", "kinetic", "strain", "external", "dissipated", "steps")
-FRAME_ARRAYS = ("displacements", "velocities")  # stored frame by frame
-BLADE_NAMES = ("cut_area", "released_energy", "edge_work", "friction_work")  # as `Outputs.blade`
-# (f,), or empty without an error indicator or a blade
-INDICATOR_NAMES = ("trust", "displacement_bounds", "force_bounds", *BLADE_NAMES)
-GROUP_ARRAYS = ("reactions", "moments")  # (f, 3) arrays of groups and tools
+POINTS_ARRAY = {"points": Array(("nodes", "space"), unit="m")}
 HEADER_KEYS = ("model", "label", "wall_seconds", "stiffness_damping", "complete")
 
 
@@ -75,7 +81,7 @@ class Trajectory(Described):
         Error bounds of the displacement, root mean square over the body, and of the tools' forces
         (`palpate.ReducedModel.error_bounds`); infinite where the error is unknown. Empty without them.
     cut_area, released_energy, edge_work, friction_work : (f,) arrays [m^2], [J]
-        Books of a blade since the start: the area that it has cut, the strain energy that the front has released
+        Totals of a blade since the start: the area that it has cut, the strain energy that the front has released
         at fixed displacements, and the energies dissipated at its edge and by friction on its sides. Empty
         without a blade.
     cuts : (c, 10) array
@@ -187,7 +193,7 @@ class Trajectory(Described):
             forces = {name: np.linalg.norm(force, axis=1) for name, force in self.reactions.items()}
             return plot_curves(self.times, forces | _bound_curve(self.force_bounds), "force [N]", axes)
         if what == "energy":
-            energies = {name: getattr(self, name) for name in ("kinetic", "strain", "external", "dissipated")}
+            energies = {name: getattr(self, name) for name in NUMBER_NAMES if SERIES[name].array.unit == "J"}
             return plot_curves(self.times, energies, "energy [J]", axes)
         if what == "trust":
             if not len(self.trust):
@@ -221,21 +227,21 @@ class Trajectory(Described):
                 f"got a run from {other.times[0]:g} s; continue the run from its last state"
             )
         joined: dict[str, Any] = {}
-        for name in (*SERIES_NAMES, "displacements", "velocities"):
+        for name, each in SERIES.items():
             first, second = getattr(self, name), getattr(other, name)
-            since = first[-1] - second[0] if name in ("external", "dissipated", "steps") else 0.0
-            joined[name] = np.concatenate([first, second[1:] + since])
-        for name in ("reactions", "moments"):
+            if each.exists == EVERY_RUN:
+                since = first[-1] - second[0] if each.is_total else 0.0
+                joined[name] = np.concatenate([first, second[1:] + since])
+            else:
+                both = len(first) == len(self.times) and len(second) == len(other.times)
+                joined[name] = np.concatenate([first, second[1:]]) if both else np.zeros(0)
+        for name in GROUP_ARRAYS:
             first, second = getattr(self, name), getattr(other, name)
             joined[name] = {key: np.concatenate([values, second[key][1:]]) for key, values in first.items()}
         after = other.contact_forces[:, 0] > 0
         later = other.contact_forces[after] + np.array([len(self.times) - 1.0, 0, 0, 0, 0])
         joined["contact_forces"] = np.concatenate([self.contact_forces, later])
         joined["bonded"] = np.concatenate([self.bonded, other.bonded[after]])
-        for name in INDICATOR_NAMES:
-            first, second = getattr(self, name), getattr(other, name)
-            both = len(first) == len(self.times) and len(second) == len(other.times)
-            joined[name] = np.concatenate([first, second[1:]]) if both else np.zeros(0)
         further = other.cuts[other.cuts[:, 0] > 0] + np.array([len(self.times) - 1.0, *np.zeros(9)])
         joined["cuts"] = np.concatenate([self.cuts, further])
         seconds, complete = self.wall_seconds + other.wall_seconds, self.complete and other.complete
@@ -251,17 +257,15 @@ class Trajectory(Described):
         OSError
             The file cannot be written; an existing file is unchanged.
         """
-        arrays: dict[str, Any] = {
-            name: getattr(self, name) for name in (*SERIES_NAMES, "points", "contact_forces", "bonded", "cuts")
-        }
-        arrays |= {_array_name(name, key): force for name in GROUP_ARRAYS for key, force in getattr(self, name).items()}
-        rows = {name: getattr(self, name) for name in FRAME_ARRAYS}
+        arrays: dict[str, Any] = {name: getattr(self, name) for name in (*NUMBER_NAMES, *POINTS_ARRAY, *LIST_ARRAYS)}
+        arrays |= {array_name(name, key): force for name in GROUP_ARRAYS for key, force in getattr(self, name).items()}
+        rows = {name: getattr(self, name) for name in FIELD_NAMES}
         if not len(self.times):
             arrays, rows = arrays | rows, {}
         for name, values in (arrays | rows).items():
             if not np.isfinite(values).all():
                 raise InputError(f"{name} is not finite: {path} was not written")
-        arrays |= {name: getattr(self, name) for name in INDICATOR_NAMES}
+        arrays |= {name: getattr(self, name) for name in OPTIONAL_NAMES}
         header = {name: getattr(self, name) for name in HEADER_KEYS}
         header |= {name: float(header[name]) for name in ("wall_seconds", "stiffness_damping")}
         write_sealed(Path(path), FORMAT, VERSION, header | {name: list(getattr(self, name)) for name in GROUP_ARRAYS},
@@ -286,45 +290,24 @@ class Trajectory(Described):
             if is_journal(path):
                 return _from_journal(path)
             file = open_sealed(path, FORMAT, VERSION)
-            return _from_arrays(file.header, {name: file.read(name) for name in file.arrays})
+            data = {name: file.read(name) for name in file.arrays}
+            _check(file.header, data)
+            return from_arrays(file.header, data)
 
 
 def _from_journal(path: Path) -> Trajectory:
     """Return the trajectory of the complete records of a journal."""
     journal_records = [record for _, _, record in records(path)]
     (about, first), frames = journal_records[0], journal_records[1:]
-    points, names = first["points"], {name: check_names(name, about.get(name)) for name in GROUP_ARRAYS}
-    numbers = stack([arrays["numbers"] for _, arrays in frames], (len(SERIES_NAMES),))
-    data = {name: numbers[:, k] for k, name in enumerate(SERIES_NAMES)} | {"points": points}
-    data |= {name: stack([arrays[name] for _, arrays in frames], (*points.shape[:1], 3)) for name in FRAME_ARRAYS}
-    for name, each in names.items():
-        forces = stack([arrays[name] for _, arrays in frames], (len(each), 3))
-        data |= {_array_name(name, key): forces[:, k] for k, key in enumerate(each)}
-    numbered = [np.insert(arrays["contact_forces"], 0, k, axis=1) for k, (_, arrays) in enumerate(frames)]
-    data["contact_forces"] = np.concatenate([np.zeros((0, 5)), *numbered])
-    data["bonded"] = np.concatenate([np.zeros(0, dtype=np.bool_), *(arrays["bonded"] for _, arrays in frames)])
-    data |= dict.fromkeys(INDICATOR_NAMES, np.zeros(0))
-    data |= blade_series([arrays["blade"] for _, arrays in frames])
-    data["cuts"] = np.concatenate([np.zeros((0, 10)), *(arrays["cuts"] for _, arrays in frames)])
-    data["trust"] = np.concatenate([np.zeros(0), *(arrays["trust"] for _, arrays in frames)])
-    return _from_arrays(about | names | {"wall_seconds": 0.0, "complete": False}, data)
+    names = {name: check_names(name, about.get(name)) for name in GROUP_ARRAYS}
+    data = joined_records([arrays for _, arrays in frames], names, len(first["points"])) | first
+    header = about | {"wall_seconds": 0.0, "complete": False}
+    _check(header, data)
+    return from_arrays(header, data)
 
 
-def blade_series(books: Sequence[Floats]) -> dict[str, Any]:
-    """Return the books of a blade at all frames by name; zeros before it cuts, and none without a blade."""
-    if not any(len(each) for each in books):
-        return {}
-    rows = np.array([each if len(each) else np.zeros(len(BLADE_NAMES)) for each in books])
-    return {name: rows[:, k] for k, name in enumerate(BLADE_NAMES)}
-
-
-def stack(values: list[Any], shape: tuple[int, ...]) -> Floats:
-    """Stack arrays of one shape, also for no frames."""
-    return np.stack(values) if values else np.zeros((0, *shape))
-
-
-def _from_arrays(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
-    """Return the trajectory of a file's header and arrays."""
+def _check(header: dict[str, Any], data: dict[str, Any]) -> None:
+    """Refuse a header and arrays that are not those of a trajectory; add empty arrays that the file can lack."""
     if header.keys() != {*HEADER_KEYS, *GROUP_ARRAYS}:
         raise InputError(f"header must have {sorted({*HEADER_KEYS, *GROUP_ARRAYS})}, got {sorted(header)}")
     for name in ("model", "label"):
@@ -332,44 +315,27 @@ def _from_arrays(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
             raise InputError(f"{name} must be text, got {header[name]!r:.60}")
     if not isinstance(header["complete"], bool):
         raise InputError(f"complete must be true or false, got {header['complete']!r:.60}")
-    numbers: dict[str, Any] = {
-        name: number_in_range(name, header[name], 0.0, unit="s") for name in ("wall_seconds", "stiffness_damping")
-    }
-    names = {name: check_names(name, header[name]) for name in GROUP_ARRAYS}
-    frames, n = len(data["times"]), len(data["points"])
-    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(FRAME_ARRAYS, (frames, n, 3)) | dict.fromkeys(
-        SERIES_NAMES, (frames,)
-    )
-    shapes |= {_array_name(name, key): (frames, 3) for name, each in names.items() for key in each}
-    contact_forces = len(data.get("contact_forces", ()))
+    for name in ("wall_seconds", "stiffness_damping"):
+        number_in_range(name, header[name], 0.0, unit="s")
+    declared = {name: SERIES[name].array for name in (*NUMBER_NAMES, *FIELD_NAMES)} | LIST_ARRAYS | POINTS_ARRAY
+    for what, each in GROUP_ARRAYS.items():
+        declared |= {array_name(what, key): each for key in check_names(what, header[what])}
     data.setdefault("cuts", np.zeros((0, 10)))  # of files of runs without blades
-    shapes |= {
-        "contact_forces": (contact_forces, 5),
-        "bonded": (contact_forces,),
-        "cuts": (len(data["cuts"]), 10),
-        "points": (n, 2 if data["points"].shape[-1:] == (2,) else 3),
-    }
-    indicators = {name: data.pop(name, np.zeros(0)) for name in INDICATOR_NAMES}
-    for name, values in indicators.items():
-        least = -np.inf if name in BLADE_NAMES[1:] else 0.0
-        if values.shape not in ((0,), (frames,)) or values.dtype != np.float64 or not np.all(values >= least):
-            raise InputError(f"{name} must hold {frames} positive numbers or none, got shape {values.shape}")
-    if data.keys() != shapes.keys():
-        raise InputError(f"arrays must be {', '.join(sorted(shapes))}, got {', '.join(sorted(data))}")
-    for name, shape in shapes.items():
-        dtype = np.bool_ if name == "bonded" else np.float64
-        if data[name].shape != shape or data[name].dtype != dtype or not np.isfinite(data[name]).all():
-            raise InputError(f"{name} must be finite, of shape {shape}, got shape {data[name].shape}")
-    if np.abs(data["displacements"]).max(initial=0.0) > MAX_DISPLACEMENT:
-        raise InputError(f"displacements must be at most {MAX_DISPLACEMENT:g} m")
-    if not n or np.any(np.diff(data["times"]) < 0) or np.any(np.diff(data["steps"]) < 0):
-        raise InputError("times and steps must not decrease, and points must not be empty")
-    _check_contact_forces(data["contact_forces"], frames, n)
-    forces: dict[str, Any] = {name: {key: data[_array_name(name, key)] for key in each} for name, each in names.items()}
-    arrays = {
-        name: data[name] for name in (*SERIES_NAMES, *FRAME_ARRAYS, "points", "contact_forces", "bonded", "cuts")
-    } | indicators
-    return Trajectory(**arrays, **forces, **numbers, **{name: header[name] for name in ("model", "label", "complete")})
+    for name in OPTIONAL_NAMES:
+        values = data.setdefault(name, np.zeros(0))
+        declared[name] = SERIES[name].array if len(values) else Array((0,))
+    check_arrays(data, declared, {"frames": len(data.get("times", ())), "nodes": len(data.get("points", ()))})
+    if not len(data["points"]) or data["points"].shape[1] not in (2, 3):
+        raise InputError(f"points must be at least one (n, 2) or (n, 3), got shape {data['points'].shape}")
+    _check_contact_forces(data["contact_forces"], len(data["times"]), len(data["points"]))
+
+
+def from_arrays(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
+    """Return the trajectory of a header and arrays."""
+    arrays = {name: data[name] for name in (*SERIES, *LIST_ARRAYS, *POINTS_ARRAY)}
+    groups: dict[str, Any] = {name: {key: data[array_name(name, key)] for key in header[name]} for name in GROUP_ARRAYS}
+    numbers: dict[str, Any] = {name: float(header[name]) for name in ("wall_seconds", "stiffness_damping")}
+    return Trajectory(**arrays, **groups, **numbers, **{name: header[name] for name in ("model", "label", "complete")})
 
 
 def _bound_curve(bounds: Floats) -> dict[str, Floats]:
@@ -382,13 +348,6 @@ def check_names(what: str, names: Any) -> list[str]:
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names) or len({*names}) < len(names):
         raise InputError(f"{what} must be a list of names, got {names!r:.60}")
     return names
-
-
-def _array_name(what: str, key: str) -> str:
-    """Return the HDF5 name of an array of a group or tool, without slashes and zero bytes."""
-    if key in ("", ".", ".."):
-        return f"{what}/%{key}"
-    return f"{what}/{key.replace('%', '%25').replace('/', '%2F').replace(chr(0), '%00')}"
 
 
 def _check_contact_forces(contact_forces: Floats, frames: int, nodes: int) -> None:
@@ -436,21 +395,18 @@ class StoredTrajectory(Described):
         file = open_sealed(self.path, FORMAT, VERSION)
         self.label = str(file.header.get("label", ""))
         self.wall_seconds = number_in_range("wall_seconds", file.header.get("wall_seconds", 0.0), 0.0, unit="s")
-        self.points, self.times, self.steps = map(file.read, ("points", "times", "steps"))
-        self.contact_forces, self.bonded = map(file.read, ("contact_forces", "bonded"))
-        shape, expected = file.arrays["displacements"].shape, (len(self.times), len(self.points), 3)
-        if shape != expected or not len(self.points) or self.contact_forces.shape != (len(self.bonded), 5):
-            raise InputError(
-                f"displacements must have shape {expected}, got {shape}; and contact_forces must fit bonded"
-            )
-        if self.points.ndim != 2 or self.times.ndim != 1 or self.steps.shape != self.times.shape:
-            raise InputError("points must be 2-d, and times and steps 1-d and of equal length")
-        if file.arrays["displacements"].type not in ("<f8", "<f4") or np.any(np.diff(self.times) < 0):
-            raise InputError("displacements must be of type <f8 or <f4, and times must not decrease")
-        if not all(np.isfinite(each).all() for each in (self.points, self.times, self.steps, self.contact_forces)):
-            raise InputError("points, times, steps and contact_forces must be finite")
+        declared = {name: SERIES[name].array for name in ("times", "steps")} | POINTS_ARRAY
+        declared |= {name: LIST_ARRAYS[name] for name in ("contact_forces", "bonded")}
+        data = {name: file.read(name) for name in declared}
+        check_arrays(data, declared, {})
+        self.points, self.times, self.steps, self.contact_forces, self.bonded = (
+            data[name] for name in ("points", "times", "steps", "contact_forces", "bonded")
+        )
+        entry, expected = file.arrays["displacements"], (len(self.times), len(self.points), 3)
+        if entry.shape != expected or entry.type not in ("<f8", "<f4") or not len(self.points):
+            raise InputError(f"displacements must have shape {expected} of <f8, got {entry.shape} of {entry.type}")
         _check_contact_forces(self.contact_forces, len(self.times), len(self.points))
-        self.displacements = Frames(self.path, shape, lambda k: file.row("displacements", k))
+        self.displacements = Frames(self.path, entry.shape, lambda k: file.row("displacements", k))
 
     def _open_journal(self) -> None:
         run = _from_journal(self.path)

@@ -13,7 +13,9 @@ from palpate.arrays import Floats, Ints
 from palpate.describe import Fact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed, prepare_loads
 from palpate.dynamics.loads.supports import Support, supports_of, symmetry_planes
-from palpate.dynamics.material.tissue import Tissue, tissue_of
+from palpate.dynamics.material.kinematics import Kinematics
+from palpate.dynamics.material.tissue import tissue_of
+from palpate.dynamics.nodal.energy_model import EnergyModel
 from palpate.dynamics.nodal.model import History, NodalModel
 from palpate.dynamics.run.model import State
 from palpate.faults import InputError, integer_in_range, number_in_range
@@ -113,7 +115,7 @@ class Solid(NodalModel):
     _title = "Solid"
     forms: ClassVar[dict[str, type[Solid]]] = {}
     form: ClassVar[str]
-    tissue: Tissue
+    kinematics = Kinematics()
     neighbours: int
     _cut: Any = None  # `CutState` of a body that is cut
 
@@ -156,6 +158,10 @@ class Solid(NodalModel):
         images = mirror_images(cloud, self.planes)
         smoother = _linear_fit(images.cloud, smoothing)
         self._build(Choices(stiffness_damping, half_cell, neighbours, images, smoother))
+
+    def energy_form(self) -> EnergyModel:
+        """Return the same body in the energy form: itself, or for the strong form another discretisation."""
+        raise NotImplementedError
 
     def _build(self, choices: Choices) -> None:
         """Compute the stencils, compile the passes, and examine the stability."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
@@ -16,6 +16,7 @@ from palpate.dynamics.compiled.passes import smooth_field
 from palpate.dynamics.contact.kinds import BLADE
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed, prepare_loads
+from palpate.dynamics.nodal.energy_model import NO_FIELDS, EnergyModel, Fields, precision
 from palpate.dynamics.nodal.model import History, NodalWork
 from palpate.dynamics.nodal.stability import StabilityReport, resting_frequency, stable_step
 from palpate.dynamics.run.model import Evaluation, Model, Outputs, State, StepReport
@@ -41,9 +42,10 @@ LEAST_VOLUME_RATIO = 0.1  # of a node's cell in `moved`
 DEFAULT_DAMPING = 0.1  # default stiffness damping, times the highest frequency
 CRUSHED_DILATATION = -0.6  # dilatation below which the energy balance of steps is checked
 MAX_ENERGY_ERROR = 1e-3  # largest energy error of such steps, relative to the energy
+MIN_PRESSURE = 1e-3  # of the largest pressure in runs, below which a state has reduced weight
 
 
-class EnergySolid(Solid):
+class EnergySolid(EnergyModel, Solid):
     """A solid in the energy form (`palpate.dynamics.solid.energy_form`).
 
     Attributes
@@ -53,9 +55,6 @@ class EnergySolid(Solid):
     smoothing : Smoothing
         Of the volumetric measure.
     """
-
-    form: ClassVar[str] = "energy"
-    conservative = True
 
     def _build(self, choices: Choices) -> None:
         if choices.half_cell is not None:
@@ -161,11 +160,6 @@ class EnergySolid(Solid):
         return np.flatnonzero(detached_nodes(self) & ~left_out)
 
     @property
-    def elastic_volumes(self) -> Floats:
-        """Nodal volumes [m^3] times the stiffness factors, the weights of energies, shape (n,)."""
-        return self.volumes * self.tissue.stiffness if len(self.tissue.stiffness) else self.volumes
-
-    @property
     def shear_volumes(self) -> Floats:
         """`elastic_volumes` times the ratio of nodal shear moduli to that of `material`, shape (n,)."""
         regions = self.tissue.regions
@@ -215,6 +209,42 @@ class EnergySolid(Solid):
             )  # fmt: skip
         return result * self.volumes
 
+    @property
+    def rest_moduli(self) -> tuple[Floats, Floats]:
+        shear = self.tissue.moduli("shear_modulus")
+        return shear, self.tissue.moduli("shear_share") - 2 / 3 * shear
+
+    def inner_product(self) -> Callable[[Floats], Floats]:
+        matrix, mirror = self.stencils.products(self.volumes), self.mirror
+        return lambda fields: np.stack([mirror.fold(matrix @ mirror.vectors(u)) for u in fields])
+
+    def at_points(self, columns: Floats, even: slice = NO_FIELDS) -> Fields:
+        n, count = len(self.cloud), len(columns)
+        type_ = precision(n, count)
+        gradients, residuals = np.empty((n, count, 9), dtype=type_), np.empty((count, 3 * n), dtype=type_)
+        for m, by_node in enumerate(self._derivatives(columns, even)):
+            gradients[:, m] = by_node[:, :9]
+            residuals[m] = by_node[:, 9:].reshape(-1) * np.repeat(np.sqrt(self.shear_volumes), 3)
+        constant = np.asarray(residuals @ residuals.T, dtype=float) * self.body.hourglass
+        return Fields(columns, gradients, constant, np.arange(n), self.elastic_volumes)
+
+    def shear_stress(self, F: Floats, nodes: NDArray[np.int64]) -> Floats:
+        return self.tissue.shear_stress(F, nodes)
+
+    def pressure_moments(self, displacements: Iterable[Floats], count: int) -> Floats:
+        roots, work = np.sqrt(self.bulk_volumes), self.workspace()
+        smooth = np.array([self.smoothed_measure(u, work) * roots for u in displacements])
+        smooth = smooth[np.isfinite(smooth).all(axis=1)]
+        if not len(smooth):
+            raise InputError("trajectories must keep all volumes positive, got none that does; train on smaller loads")
+        sizes = np.linalg.norm(smooth, axis=1)
+        if not sizes.any():  # the volume is the same in all snapshots
+            return np.zeros((0, len(self.cloud)))
+        smooth /= np.sqrt(np.maximum(sizes, MIN_PRESSURE * sizes.max()))[:, None]
+        _, values, shapes = np.linalg.svd(smooth, full_matrices=False)
+        kept = min(count, int(np.sum(values > 1e-10 * values[0])))
+        return np.asarray(np.sqrt(self.tissue.lame) * self.smooth_transposed(shapes[:kept] * roots))
+
     def smoothed_measure(self, displacements: Floats, work: NodalWork | None = None) -> Floats:
         """Return the smoothed volumetric measure g(J) at every node, shape (n,)."""
         work = self.workspace() if work is None else work
@@ -263,7 +293,7 @@ class EnergySolid(Solid):
         result = super().outputs(state, prepared, work)
         if state.incision is None:
             return result
-        return replace(result, blade=state.incision.books, cut_triangles=self.cut_surface.triangles)
+        return replace(result, blade=state.incision.totals, cut_triangles=self.cut_surface.triangles)
 
     def most_steps(self, state: State, prepared: PreparedLoads, step: float) -> int:
         return min(super().most_steps(state, prepared, step), steps_of_blade(prepared, state, step, self.cloud.spacing))

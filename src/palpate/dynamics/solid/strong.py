@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 
 from palpate.arrays import Floats
+from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.nodal.model import History, NodalWork
 from palpate.dynamics.nodal.stability import choose_stiffness_damping
-from palpate.dynamics.run.model import Evaluation
+from palpate.dynamics.run.model import Evaluation, State
+from palpate.dynamics.run.reactions import NodalFields, tool_power
 from palpate.dynamics.solid.base import STENCIL_SIZES, Choices, Solid
+from palpate.dynamics.solid.energy import EnergySolid
 from palpate.dynamics.solid.layout import strong_passes
 from palpate.faults import InputError, number_in_range
 from palpate.meshfree.stencils import moving_least_squares
@@ -26,6 +30,7 @@ class StrongSolid(Solid):
 
     form: ClassVar[str] = "strong"
     conservative = False
+    coupled_by: ClassVar[tuple[str, ...]] = ("lanes", "smoothing", "lanes")  # the smoothed pressure is differentiated
 
     def _build(self, choices: Choices) -> None:
         cloud, tissue = self.cloud, self.tissue
@@ -62,6 +67,35 @@ class StrongSolid(Solid):
         weights = self.cloud.volumes.copy()
         weights[self._face_nodes] /= self.half_cell
         return weights
+
+    def energy_form(self) -> EnergySolid:
+        return EnergySolid(
+            self.cloud,
+            self.material,
+            self.supports,
+            stiffness_damping=self.stiffness_damping,
+            mass_damping=self.mass_damping,
+            neighbours=self.neighbours,
+        )
+
+    # reactions follow from the stress, because the collocated forces are not the derivative of an energy
+
+    def with_internal_forces(
+        self, fields: NodalFields, internal: Callable[[], Floats], stress: Callable[[], Floats]
+    ) -> NodalFields:
+        return fields._replace(stress=stress)
+
+    def tool_work(
+        self, summed: float, duration: float, prepared: PreparedLoads, states: tuple[State, State],
+        fields_of: Callable[[State], NodalFields],
+    ) -> float:  # fmt: skip
+        if not prepared.motions:
+            return summed
+        power = sum(tool_power(self, fields_of(state), state, prepared) for state in states)
+        return 0.5 * duration * power  # trapezium rule
+
+    def _bonded_nodes(self, prepared: PreparedLoads) -> int:
+        return 0
 
     def evaluate(self, displacements: Floats, history: History = (), work: NodalWork | None = None) -> Evaluation:
         work = self.workspace() if work is None else work

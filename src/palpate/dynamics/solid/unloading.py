@@ -26,15 +26,14 @@ from palpate.dynamics.nodal.equilibrium import equilibrium
 from palpate.dynamics.nodal.mixed_newton import Tangent
 from palpate.dynamics.nodal.mixed_stress import extrapolated_stress, split_stress
 from palpate.dynamics.nodal.static_balance import StaticBalance
-from palpate.dynamics.solid.base import Solid
-from palpate.dynamics.solid.energy import EnergySolid
-from palpate.faults import CloudError, DivergenceError, InputError, brief, integer_in_range, number_in_range
+from palpate.dynamics.solid.model import EnergySolid, Solid, energy_solid
+from palpate.faults import CloudError, DivergenceError, integer_in_range, number_in_range
 
 __all__ = ["UnloadedBody", "unloaded"]
 
 UNLOADING_LOADS = (DeadLoad, Pressure, Gravity, Foundation)
 LEAST_INCREMENT = 1 / 64  # of the loads
-STAGE_TOLERANCE = 3e-2  # of corrections before the loads have increased fully, over the largest way
+STAGE_TOLERANCE = 3e-2  # of corrections before the loads have increased fully, over the largest shift
 STEPS_WITHOUT_DECREASE = 6  # steps after which corrections must decrease
 
 
@@ -120,8 +119,7 @@ def unloaded(
     >>> bool(abs(rest.body.cloud.points + weight.displacements - cloud.points).max() < 1e-5)
     True
     """
-    if not isinstance(body, EnergySolid):
-        raise InputError(f"body must be a Solid in the energy form, got {brief(body)}")
+    body = energy_solid(body)
     time = number_in_range("time", time, unit="s")
     number_in_range("tolerance", tolerance, 1e-8, 1e-1)
     integer_in_range("max_iterations", max_iterations, 1)
@@ -133,13 +131,13 @@ def unloaded(
 
 def _iterate(body: EnergySolid, loads: Sequence[Load], time: float, tolerance: float, most: int) -> UnloadedBody:
     """Increase the share of the loads until all of them balance, as `palpate.dynamics.nodal.mixed_newton` does."""
-    way, share, increment, iterations = np.zeros_like(body.cloud.points), 0.0, 1.0, 0
-    slope = np.zeros_like(way)  # of the way over the share
-    offset = _unbalanced(body, loads, time, way)[1]
+    shift, share, increment, iterations = np.zeros_like(body.cloud.points), 0.0, 1.0, 0
+    slope = np.zeros_like(shift)  # of the shift over the share
+    offset = _unbalanced(body, loads, time, shift)[1]
     while True:
         target = min(share + increment, 1.0)
         goal = tolerance if target == 1.0 else STAGE_TOLERANCE
-        guess = way + (target - share) * slope
+        guess = shift + (target - share) * slope
         moved, steps = _corrected(body, loads, time, guess, (1 - target) * offset, goal, most - iterations)
         iterations += steps
         if moved is None:
@@ -151,12 +149,12 @@ def _iterate(body: EnergySolid, loads: Sequence[Load], time: float, tolerance: f
                     "supports"
                 )
             continue
-        slope = (moved - way) / (target - share)
-        way, share, increment = moved, target, 2 * increment
+        slope = (moved - shift) / (target - share)
+        shift, share, increment = moved, target, 2 * increment
         if share == 1.0:
-            present = body.moved(way)
-            rest = equilibrium(present, loads, time=time, displacement=-way)
-            distance = float(np.linalg.norm(rest.displacements + way, axis=1).max())
+            present = body.moved(shift)
+            rest = equilibrium(present, loads, time=time, displacement=-shift)
+            distance = float(np.linalg.norm(rest.displacements + shift, axis=1).max())
             if distance > tolerance * float(np.linalg.norm(rest.displacements, axis=1).max(initial=0.0)):
                 raise DivergenceError(
                     f"no stress-free shape was found: the body has another equilibrium, {distance:.3g} m from the "
@@ -166,16 +164,16 @@ def _iterate(body: EnergySolid, loads: Sequence[Load], time: float, tolerance: f
 
 
 def _corrected(
-    body: EnergySolid, loads: Sequence[Load], time: float, way: Floats, offset: Floats, tolerance: float, most: int
+    body: EnergySolid, loads: Sequence[Load], time: float, shift: Floats, offset: Floats, tolerance: float, most: int
 ) -> tuple[Floats | None, int]:
-    """Return a way (n, 3) [m] to places at which only the forces `offset` (n, 3) [N] are unbalanced, and the steps.
+    """Return a shift (n, 3) [m] to places at which only the forces `offset` (n, 3) [N] are unbalanced, and the steps.
 
-    The way is None where corrections do not decrease.
+    The shift is None where corrections do not decrease.
     """
     given, least = None, np.inf
     for k in range(1, most + 1):
         try:
-            balance, unbalanced = _unbalanced(body.moved(way), loads, time, way)
+            balance, unbalanced = _unbalanced(body.moved(shift), loads, time, shift)
         except CloudError:
             return None, k
         u = balance.start
@@ -184,13 +182,13 @@ def _corrected(
         if step is None or (k > STEPS_WITHOUT_DECREASE and euclidean_norm(step) > least):
             return None, k
         given = extrapolated_stress(balance, u, present, step)
-        least, way = min(least, euclidean_norm(step)), way - step
-        if np.abs(step).max() <= tolerance * np.abs(way).max():
-            return way, k
+        least, shift = min(least, euclidean_norm(step)), shift - step
+        if np.abs(step).max() <= tolerance * np.abs(shift).max():
+            return shift, k
     return None, most
 
 
-def _unbalanced(body: EnergySolid, loads: Sequence[Load], time: float, way: Floats) -> tuple[StaticBalance, Floats]:
-    """Return the balance of a body, and its unbalanced forces (n, 3) [N] at displacements -way."""
-    balance = StaticBalance(body, body.prepare(loads), time, -way)
+def _unbalanced(body: EnergySolid, loads: Sequence[Load], time: float, shift: Floats) -> tuple[StaticBalance, Floats]:
+    """Return the balance of a body, and its unbalanced forces (n, 3) [N] at displacements -shift."""
+    balance = StaticBalance(body, body.prepare(loads), time, -shift)
     return balance, balance.residual(balance.start)

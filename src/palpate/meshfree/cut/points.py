@@ -71,11 +71,11 @@ def point_weights(uncut: UncutStencils, surface: CutSurface, points: Floats, see
         every, n + np.arange(len(points)), start, near.ravel(), *near_cut, uncut.spacing,
         SEARCH_DISTANCE * uncut.spacing, paths,
     )  # fmt: skip
-    ways: Floats = paths.reshape(near.shape)
-    seen = np.where(np.isfinite(ways), ways, 0.0)
-    ordered = np.sort(np.where(seen > 0.0, ways, np.inf), axis=1)[:, min(FIT_NODES, count - 1)]
+    lengths: Floats = paths.reshape(near.shape)
+    seen = np.where(np.isfinite(lengths), lengths, 0.0)
+    ordered = np.sort(np.where(seen > 0.0, lengths, np.inf), axis=1)[:, min(FIT_NODES, count - 1)]
     radius = REACH_MARGIN * np.where(np.isfinite(ordered), ordered, np.maximum(seen.max(axis=1), uncut.spacing))
-    ratio = ways / radius[:, None]
+    ratio = lengths / radius[:, None]
     inside = np.minimum(ratio, 1.0)
     weights = np.where(ratio < 1.0, 1.0 + inside**2 * (-6.0 + inside * (8.0 - 3.0 * inside)), 0.0)
     offsets = (uncut.points[near] - points[:, None]) / radius[:, None, None]

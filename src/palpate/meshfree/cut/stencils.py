@@ -1,6 +1,6 @@
 """Stencils of the nodes near a cut.
 
-Weights of moving least squares follow from the ways of the bonds round the fronts
+Weights of moving least squares follow from the paths of the bonds round the fronts
 (`palpate.meshfree.cut.surface`) in place of their distances. The reach of a node keeps the sum of its weights: it is
 continuous in the position of the front. A quadratic fit is used if its size
 

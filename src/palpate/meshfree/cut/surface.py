@@ -1,14 +1,14 @@
-"""Surfaces along which a body is cut, and the ways of its bonds round their fronts.
+"""Surfaces along which a body is cut, and the paths of its bonds round their fronts.
 
 A cut is a union of triangles in the stress-free body. A bond is a pair of nodes, one in the stencil of the other.
-A bond that crosses no triangle does not change. The distance of one that does is the shortest way round a front,
+A bond that crosses no triangle does not change. The distance of one that does is the shortest path round a front,
 
     p = min over the fronts of |A - x| + |x - B|,      x on the front,
 
 so the weight of the neighbour follows from p (diffraction: Organ, Fleming, Terry and Belytschko, Computational
 Mechanics 18, 1996). Without a front near, the bond is severed. A front is an edge of one triangle only, inside the body
 and not on other triangles. It is declared `FRONT_LEAD` spacings ahead of the edge, for which the energy release has the
-least error. A way round a front must not cross another component, a set of triangles that share edges: else the front
+least error. A path round a front must not cross another component, a set of triangles that share edges: else the front
 of a cut would connect the faces of an open one next to it.
 """
 

@@ -1,6 +1,6 @@
 """Cuts of a full body in the engine: the body is cut next to the running loop, and exchanged between two periods.
 
-A cutter takes the state of a period and cuts the body along the way of the blade
+A cutter takes the state of a period and cuts the body along the path of the blade
 (`palpate.dynamics.solid.cutting.blade_cut`), while the loop goes on with the body before. The new constants then take
 their places in the data of the period. A blade in tissue moves at most so fast that it advances by half a spacing in
 the mean time of a cut, and no blade moves further than that from where the body was cut last.
@@ -34,7 +34,7 @@ from palpate.faults import CloudError, DivergenceError, InputError
 
 __all__ = ["BladeCutter"]
 
-WAY_OF_A_CUT = 0.5  # largest way of a blade from where it cut the body last, in spacings
+MAX_DISTANCE_OF_A_CUT = 0.5  # largest distance of a blade from where it cut the body last, in spacings
 TURN_INTERVAL = 0.05  # [s] between turns of the normals of faces
 MEAN_CUTS, FIRST_SECONDS = 5.0, 0.03  # cuts over which their time is averaged, and the first guess [s]
 
@@ -76,9 +76,9 @@ class BladeCutter:
     wrap: Callable[[Any], Any]
 
     @property
-    def books(self) -> Floats:
+    def totals(self) -> Floats:
         """Cut area [m^2], released energy, and energies dissipated at the edge and by friction [J] of this blade."""
-        return np.zeros(4) if self.incision is None else self.incision.books
+        return np.zeros(4) if self.incision is None else self.incision.totals
 
     @property
     def cutting_force(self) -> float:
@@ -87,8 +87,8 @@ class BladeCutter:
         edge = (sites.kind == EDGE_SITE) & (sites.tool >= 0)
         return float(sites.limits[edge] @ np.abs(sites.directions[edge, 2]))
 
-    def take(self, blade: Blade | None, pose: Floats) -> None:
-        """Take another tool in a pose (7,): a blade, or None for one that does not cut. The engine must be paused."""
+    def set_blade(self, blade: Blade | None, pose: Floats) -> None:
+        """Set the tool in a pose (7,): a blade, or None for one that does not cut. The engine must be paused."""
         with self.lock:
             if blade is not None and not self._is_compiled:
                 self._compile(blade)
@@ -117,7 +117,7 @@ class BladeCutter:
     def restore(self) -> None:
         """Return to the whole body; the engine must be paused."""
         with self.lock:
-            self.take(None, np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
+            self.set_blade(None, np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
             self.model, self.cuts = self.whole_model, 0
 
     def update(self, coordinates: Floats) -> Any:
@@ -155,7 +155,7 @@ class BladeCutter:
                 taut_passes=(self.model.taut_step_body, self.data.taut_passes[1]),
                 contacts=self.data.contacts._replace(sites=sites),
                 tool_reach=self._reach(),
-                cut_reach=WAY_OF_A_CUT * self.model.cloud.spacing if is_blade else np.inf,
+                cut_reach=MAX_DISTANCE_OF_A_CUT * self.model.cloud.spacing if is_blade else np.inf,
             )
             return self.wrap(self.data)
 
@@ -170,11 +170,11 @@ class BladeCutter:
             ).directions
 
     def _reach(self) -> float:
-        """Return the largest way [m] of the tool in a step."""
+        """Return the largest displacement [m] of the tool in a step."""
         if self.incision is None or self.incision.hold is None or not len(self.incision.hold.pieces):
             return self._tool_reach
         step = self.whole_model.stability.step
-        return min(self._tool_reach, WAY_OF_A_CUT * self.model.cloud.spacing * step / self.seconds)
+        return min(self._tool_reach, MAX_DISTANCE_OF_A_CUT * self.model.cloud.spacing * step / self.seconds)
 
     def _advance(self, contact: Contact, coordinates: Floats) -> tuple[Any, float]:
         """Cut up to the blade; return its new sites or None, and the released energy [J]."""

@@ -170,7 +170,7 @@ def change_full_tool(
     data.contact_work.numbers[:], data.clock[NEAR_MARGIN] = 0, -1.0
     rotation(pose, data.path[HOME])
     if cutter is not None:
-        cutter.take(blade, pose)
+        cutter.set_blade(blade, pose)
     for frame in (START, END, LAST_CUT):
         data.path[frame] = data.path[HOME]
     contacts.frames[0, 1] = data.path[HOME]

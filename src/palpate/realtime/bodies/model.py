@@ -141,7 +141,7 @@ def realtime_model(
     Parameters
     ----------
     model : ReducedModel, LinearModel, or Solid or Membrane in the energy form
-        A full body has no trust number. Its contact stiffness follows from the tool's way and force.
+        A full body has no trust number. Its contact stiffness follows from the tool's displacement and force.
     longest : float [s]
         Longest period that the engine may request.
     contact : Contact or Grasp, optional

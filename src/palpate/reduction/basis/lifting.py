@@ -8,9 +8,8 @@ import numpy as np
 
 from palpate.arrays import Floats, Ints
 from palpate.dynamics.loads.supports import constrained_directions
-from palpate.dynamics.membrane.model import Membrane
+from palpate.dynamics.nodal.energy_model import EnergyModel
 from palpate.dynamics.run.partition import partitions, spread
-from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.reduction.basis.linear_modes import tool_responses
 
@@ -21,7 +20,7 @@ MAX_NODES = 6000  # of a body whose equations are solved
 RIGID_TOLERANCE = 1e-3  # largest error of a tool's motion in the lifting vectors, relative
 
 
-def lifting_vectors(body: EnergySolid | Membrane, tools: Sequence[str]) -> Floats:
+def lifting_vectors(body: EnergyModel, tools: Sequence[str]) -> Floats:
     """Return fields (l, n, 3) for rigid motions of each tool's nodes, with the static response of the body.
 
     In a large body they decay evenly towards supports and other tools instead, and the modes represent the
@@ -32,6 +31,7 @@ def lifting_vectors(body: EnergySolid | Membrane, tools: Sequence[str]) -> Float
     points = body.cloud.points
     groups = {name: body.cloud.group(name) for name in (*tools, *body.fixed)}
     columns: list[Floats] = []
+    slack = body.kinematics.sheet
     parts = partitions(points, groups, constrained_directions(body.cloud, body.supports))
     for g, name in enumerate(tools):
         nodes, factors = groups[name], []
@@ -39,17 +39,17 @@ def lifting_vectors(body: EnergySolid | Membrane, tools: Sequence[str]) -> Float
         for factor in (np.ones(len(points)), *arms.T):
             if np.abs(factor[nodes]).max() > 1e-9 * body.cloud.spacing:
                 factors.append(factor[:, None] / np.abs(factor[nodes]).max())
-        if isinstance(body, Membrane):
+        if slack:
             shapes = [np.isin(np.arange(len(points)), nodes)[:, None] * axis for axis in np.eye(3)]
         else:
             shapes = [spread(parts, g, axis) for axis in np.eye(3)]
         columns += [factor * shape for factor in factors for shape in shapes]
-    if isinstance(body, Membrane) or len(points) > MAX_NODES:
+    if slack or len(points) > MAX_NODES:
         return _on_supports(body, np.array(columns), np.unique(np.concatenate([groups[name] for name in tools])))
     return tool_responses(body, np.array(columns), tools)
 
 
-def support_fields(body: EnergySolid | Membrane, tools: Sequence[str]) -> Floats:
+def support_fields(body: EnergyModel, tools: Sequence[str]) -> Floats:
     """Return test fields (3 g, n, 3) for support forces: 1 at one support, 0 at others and at tools.
 
     Those of a support that leaves its group free in some directions are along the constrained ones.
@@ -61,7 +61,7 @@ def support_fields(body: EnergySolid | Membrane, tools: Sequence[str]) -> Floats
     return np.array([spread(parts, g, axis) for g in range(len(body.fixed)) for axis in np.eye(3)])
 
 
-def _on_supports(body: EnergySolid | Membrane, fields: Floats, tools: Ints) -> Floats:
+def _on_supports(body: EnergyModel, fields: Floats, tools: Ints) -> Floats:
     """Return fields (l, n, 3) that stay on the supports, except at the nodes of tools."""
     moved = fields[:, tools].copy()
     body.supported.project(fields)
@@ -77,7 +77,7 @@ class RemoveToolMotion:
     lifting : (l, n, 3) array
     """
 
-    def __init__(self, body: EnergySolid | Membrane, lifting: Floats, tools: Sequence[str]) -> None:
+    def __init__(self, body: EnergyModel, lifting: Floats, tools: Sequence[str]) -> None:
         self._lifting, self._least = lifting, RIGID_TOLERANCE * body.cloud.spacing
         self._nodes = np.unique(np.concatenate([body.cloud.group(name) for name in tools])) if tools else None
         self._error = self._largest = 0.0

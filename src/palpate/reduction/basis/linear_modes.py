@@ -20,7 +20,8 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from palpate.arrays import Floats
 from palpate.dynamics.loads.supports import free_directions, free_rigid_motions
-from palpate.dynamics.solid.model import EnergySolid, Solid
+from palpate.dynamics.nodal.model import NodalModel
+from palpate.dynamics.solid.model import Solid, energy_solid
 from palpate.faults import InputError, integer_in_range
 from palpate.meshfree.mirror import Mirror
 
@@ -41,7 +42,7 @@ DIFFERENCE_STEP = 0.02  # displacements for second differences, in spacings
 DENSE_SHARE = 0.1  # of non-zero entries, above which a dense factorisation is faster
 
 
-def rest_stiffness(body: Solid) -> Any:
+def rest_stiffness(body: NodalModel) -> Any:
     """Return the sparse stiffness [N/m] at rest of a body in its energy form, (3 n, 3 n), rows 3 i + c of node i."""
     n = len(body.cloud)
     by_node = np.arange(3 * n).reshape(3, n).T.reshape(-1)
@@ -54,7 +55,7 @@ def _assembled(blocks: dict[tuple[int, int], Any]) -> Any:
     return sparse.bmat(rows, format="csr")
 
 
-def stiffness_blocks(body: Solid, kind: type[np.floating[Any]] = np.float64) -> dict[tuple[int, int], Any]:
+def stiffness_blocks(body: NodalModel, kind: type[np.floating[Any]] = np.float64) -> dict[tuple[int, int], Any]:
     """Return the stiffness [N/m] at rest between components c <= e of all nodes: sparse (n, n) arrays by (c, e).
 
     Parameters
@@ -62,10 +63,7 @@ def stiffness_blocks(body: Solid, kind: type[np.floating[Any]] = np.float64) -> 
     kind : type
         Of the numbers; single precision halves the memory.
     """
-    if not isinstance(body, EnergySolid):
-        raise InputError(
-            "body must have the energy form for a symmetric stiffness, got the strong form; use form='energy'"
-        )
+    body = energy_solid(body)
     n, images = len(body.cloud), len(body.mirror.source)
     near, row = body.stencils.neighbours, body.stencils.row
     slopes = [_operator(near, body.stencils.first[row][:, :, d], images) for d in range(3)]
@@ -107,14 +105,14 @@ def _operator(near: NDArray[np.int32], weights: Floats, images: int = 0) -> Any:
     return (matrix - sums).tocsr()
 
 
-def _free(body: Solid, groups: Sequence[str]) -> tuple[Any, NDArray[np.int64]]:
+def _free(body: NodalModel, groups: Sequence[str]) -> tuple[Any, NDArray[np.int64]]:
     """Return the basis of displacements that supports and some groups, which do not move, leave free."""
     nodes = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(body.cloud.group(name) for name in groups)]))
     check_supported(body, nodes)
     return free_directions(body.supported, nodes)
 
 
-def check_supported(body: Solid, held: NDArray[np.int64] | None = None) -> None:
+def check_supported(body: NodalModel, held: NDArray[np.int64] | None = None) -> None:
     """Raise `InputError` for a body that supports and some nodes leave free to move rigidly."""
     mask = np.zeros(len(body.cloud), dtype=bool)
     mask[np.zeros(0, dtype=np.int64) if held is None else held] = True
@@ -135,7 +133,7 @@ class RestStatics(NamedTuple):
     solve: Callable[[Floats], Floats]
 
 
-def rest_statics(body: Solid, held: Sequence[str]) -> RestStatics:
+def rest_statics(body: NodalModel, held: Sequence[str]) -> RestStatics:
     (free, numbers), full = _free(body, held), rest_stiffness(body)
     stiffness = (free.T @ full @ free).tocsc()
     if stiffness.nnz < DENSE_SHARE * len(numbers) ** 2:
@@ -182,7 +180,7 @@ def vibration_modes(body: Solid, count: int, held: Sequence[str] = ()) -> tuple[
     return _vibrations(body, rest_statics(body, held), count)
 
 
-def _vibrations(body: Solid, statics: RestStatics, count: int) -> tuple[Floats, Floats]:
+def _vibrations(body: NodalModel, statics: RestStatics, count: int) -> tuple[Floats, Floats]:
     _, free, numbers, stiffness, solve = statics
     inverse = LinearOperator(stiffness.shape, matvec=solve)
     masses = sparse.diags(np.repeat(body.masses, 3)[numbers])
@@ -194,7 +192,7 @@ def _vibrations(body: Solid, statics: RestStatics, count: int) -> tuple[Floats, 
     return fields, np.sqrt(values[order])
 
 
-def interpolated_modes(coarse: Solid, body: Solid, count: int) -> Floats:
+def interpolated_modes(coarse: NodalModel, body: NodalModel, count: int) -> Floats:
     """Return smooth modes (count, n, 3) of a body from a coarser model: vibration modes and their derivatives.
 
     About half are derivatives of the slowest vibrations, without which a body is too stiff in large
@@ -217,7 +215,7 @@ def interpolated_modes(coarse: Solid, body: Solid, count: int) -> Floats:
     return np.ascontiguousarray(body.supported.project(np.array(fields)))
 
 
-def tool_responses(body: Solid, fields: Floats, held: Sequence[str]) -> Floats:
+def tool_responses(body: NodalModel, fields: Floats, held: Sequence[str]) -> Floats:
     """Return static responses at rest (l, n, 3) to fields prescribed at the nodes of some groups.
 
     Parameters
@@ -266,7 +264,7 @@ def modal_derivatives(body: Solid, modes: Floats, held: Sequence[str] = ()) -> F
     return _derivatives(body, rest_statics(body, held), modes)
 
 
-def _derivatives(body: Solid, statics: RestStatics, modes: Floats) -> Floats:
+def _derivatives(body: NodalModel, statics: RestStatics, modes: Floats) -> Floats:
     pairs, force = [], partial(body.force, work=body.workspace())
     shapes = DIFFERENCE_STEP * body.cloud.spacing * modes / np.linalg.norm(modes, axis=2).max(axis=1)[:, None, None]
     for i, one in enumerate(shapes):

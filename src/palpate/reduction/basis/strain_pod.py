@@ -7,8 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from palpate.arrays import Floats
-from palpate.dynamics.membrane.model import Membrane
-from palpate.dynamics.solid.model import EnergySolid
+from palpate.dynamics.nodal.energy_model import EnergyModel
 from palpate.faults import InputError
 from palpate.reduction.basis.incremental_pod import allowance, block_size, decompose
 from palpate.reduction.basis.snapshots import Snapshots
@@ -22,7 +21,7 @@ RANK_TOLERANCE = 1e-10  # of the largest eigenvalue, below which shapes are roun
 
 
 def main_modes(
-    body: EnergySolid | Membrane,
+    body: EnergyModel,
     snapshots: Snapshots | Floats,
     modes: int,
     spare: int = 0,
@@ -43,12 +42,12 @@ def main_modes(
     """
     frames = snapshots if isinstance(snapshots, Snapshots) else Snapshots(snapshots)
     prepare = prepared or (lambda block: block)
-    sheet, image = isinstance(body, Membrane), _inner_product(body)
+    image = body.inner_product()
     size = block_size(frames.nodes)
     sizes = np.concatenate([_sizes(prepare(block), image) for block in frames.blocks(size)])
     if sizes.max() == 0:
         raise InputError("snapshots must be non-zero, got zeros in all; train on a run with loads")
-    scale = np.maximum(sizes, MIN_SIZE * sizes.max()) ** (-1.0 if sheet else -0.5)
+    scale = np.maximum(sizes, MIN_SIZE * sizes.max()) ** (-1.0 if body.kinematics.sheet else -0.5)
     parts = np.split(scale, range(size, len(frames), size))
     scaled = (prepare(u) * part[:, None, None] for u, part in zip(frames.blocks(size), parts, strict=True))
     squares = float(np.sum((sizes * scale) ** 2))
@@ -63,30 +62,18 @@ def main_modes(
     return _orthonormal(body, decomposition.shapes(min(modes + spare, rank))), lost
 
 
-def _inner_product(body: EnergySolid | Membrane) -> Callable[[Floats], Floats]:
-    """Return A of the inner product u . A v of fields (b, n, 3): of du/dX, or of a membrane's u, over the volume."""
-    if isinstance(body, Membrane):
-        return lambda fields: fields * body.volumes[:, None]
-    matrix, mirror = body.stencils.products(body.volumes), body.mirror
-
-    def image(fields: Floats) -> Floats:
-        return np.stack([mirror.fold(matrix @ mirror.vectors(u)) for u in fields])
-
-    return image
-
-
 def _sizes(fields: Floats, image: Callable[[Floats], Floats]) -> Floats:
     return np.sqrt(np.maximum(np.einsum("bnc,bnc->b", fields, image(fields)), 0.0))
 
 
-def _orthonormal(body: EnergySolid | Membrane, fields: Floats) -> Floats:
+def _orthonormal(body: EnergyModel, fields: Floats) -> Floats:
     """Return fields (m, n, 3) with the same span, orthonormal in the volumes."""
     weights = np.repeat(np.sqrt(body.volumes), 3)
     orthonormal, _ = np.linalg.qr((fields.reshape(len(fields), -1) * weights).T)
     return np.asarray((orthonormal / weights[:, None]).T.reshape(fields.shape))
 
 
-def join(body: EnergySolid | Membrane, modes: Floats | None, enrichment: Floats | None) -> Floats:
+def join(body: EnergyModel, modes: Floats | None, enrichment: Floats | None) -> Floats:
     """Return modes and enrichment, orthonormal together."""
     if enrichment is None:
         return np.zeros((0, len(body.cloud), 3)) if modes is None else modes

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from palpate.arrays import Ints
 from palpate.dynamics.loads.supports import Roller, Support
+from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import CloudError, InputError, number_in_range
 from palpate.meshfree.cloud import Cloud
@@ -29,7 +30,7 @@ SURFACE_SHARE = 0.95  # surface nodes of `fill` over area / spacing^2, less the 
 FINER_FACTOR = 0.9  # factor on a spacing that is too coarse for thin parts of the body
 
 
-def coarse_body(body: EnergySolid, spacing: float | None = None, most: int = MAX_NODES) -> EnergySolid:
+def coarse_body(body: NodalModel, spacing: float | None = None, most: int = MAX_NODES) -> EnergySolid:
     """Return a model of the same body with a larger spacing.
 
     The law, regions, fibres, stiffness factors, density, relaxation and damping are those of the nearest nodes.
@@ -38,7 +39,8 @@ def coarse_body(body: EnergySolid, spacing: float | None = None, most: int = MAX
 
     Parameters
     ----------
-    body : EnergySolid
+    body : NodalModel
+        A solid.
         Its cloud has boundary triangles that form a closed surface, as `palpate.fill` and `palpate.box` return them.
     spacing : float, optional [m]
         By default that of about 3,000 nodes; smaller where the body has thin parts.
@@ -61,13 +63,14 @@ def coarse_body(body: EnergySolid, spacing: float | None = None, most: int = MAX
         ) from error
 
 
-def statics_body(body: EnergySolid) -> EnergySolid | None:
+def statics_body(body: NodalModel) -> EnergySolid | None:
     """Return the coarser model for the modes and statics of a large body that tools touch; None if the body serves.
 
-    A body of up to 5,000 nodes serves itself: the force of one of 4,936 nodes errs by 4.9 % with its own statics, and
-    by 6.3 % with those of 3,000 nodes.
+    A sheet has no statics at rest. A body of up to 5,000 nodes serves itself: the force of one of 4,936 nodes errs by
+    4.9 % with its own statics, and by 6.3 % with those of 3,000 nodes.
     """
-    return coarse_body(body, most=MAX_NODES) if len(body.cloud) > MAX_NODES else None
+    large = len(body.cloud) > MAX_NODES and not body.kinematics.sheet
+    return coarse_body(body, most=MAX_NODES) if large else None
 
 
 def _refill(surface: Surface, spacing: float | None, most: int) -> Cloud:
@@ -92,7 +95,7 @@ def _refill(surface: Surface, spacing: float | None, most: int) -> Cloud:
             raise fault
 
 
-def _same_body(body: EnergySolid, cloud: Cloud) -> EnergySolid:
+def _same_body(body: NodalModel, cloud: Cloud) -> EnergySolid:
     """Return a model in another cloud of the same body."""
     nearest, tissue = _nearest_nodes(body.cloud, cloud), body.tissue
     material = (

@@ -35,7 +35,7 @@ __all__ = [
     "press",
     "relax",
     "set_tool_path",
-    "settle",
+    "solve_contact",
 ]
 
 CLUSTER_STRETCH = 1.5  # largest extent of a cluster over that at rest
@@ -288,7 +288,7 @@ def _scale_forces(surface, contact, tools, step, response, moving):  # type: ign
 
 
 @kernel_njit()
-def settle(surface, contact, tools, a, v, step, response, moving):  # type: ignore[no-untyped-def]
+def solve_contact(surface, contact, tools, a, v, step, response, moving):  # type: ignore[no-untyped-def]
     """Solve for the forces of the tools at the end of a step.
 
     Parameters
@@ -343,7 +343,7 @@ def settle(surface, contact, tools, a, v, step, response, moving):  # type: igno
 
 @kernel_njit(inner=True)
 def _store(surface, contact, tools, step):  # type: ignore[no-untyped-def]
-    """Store forces and positions for the next step, and add up the impulses; return the work as `settle`."""
+    """Store forces and positions for the next step, and add up the impulses; return the work as `solve_contact`."""
     work, lost = 0.0, 0.0
     for e in range(contact.numbers[PAIRS]):
         i, t = contact.node[e], contact.tool[e]
@@ -433,7 +433,7 @@ def press(data, q, v, at, step, period, share, tool_forces):  # type: ignore[no-
     for m in range(q.shape[0]):
         at[m] = q[m] + step * v[m]
     tools.impulses[:] = 0.0
-    settle(data.contact_surface, data.contact_work, tools, at, v, step, response, q.shape[0])
+    solve_contact(data.contact_surface, data.contact_work, tools, at, v, step, response, q.shape[0])
     drag = 1.0 + 0.5 * data.body.mass_damping * step  # as that of the other forces in a kick
     kick_by_load(v, step / drag, response, tools.load)
     for i in range(3):

@@ -20,7 +20,7 @@ from palpate.dynamics.loads.supports import PRESCRIBED
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.nodal.stability import stable_step
 from palpate.dynamics.run.model import Outputs, State, StepReport
-from palpate.dynamics.run.reactions import NodalFields, nodal_outputs, tool_power
+from palpate.dynamics.run.reactions import NodalFields, nodal_outputs
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import InputError
 from palpate.reduction.basis.coordinates import CoordinateModel
@@ -263,8 +263,6 @@ class GalerkinModel(CoordinateModel):
         times: Floats = state.time + step * np.arange(-1.0, steps + 2)
         a, v = state.coordinates.copy(), state.velocities.copy()
         work.surface[:] = 0.0  # of another run's loads
-        powered = bool(prepared.motions) and not self.conservative
-        power = tool_power(self.full, self._fields(state, prepared, work), state, prepared) if powered else 0.0
         lifting, holds = self._lifting_coordinates(prepared, times), prepared.is_prescribed(times[1:-1])
         if self.implicit:
             state = self._with_tangent(state, work)
@@ -274,9 +272,8 @@ class GalerkinModel(CoordinateModel):
             state, coordinates=a, velocities=v, time=float(times[-2]), external_work=state.external_work + done,
             dissipated=state.dissipated + lost,
         )  # fmt: skip
-        if powered:  # trapezium rule for the power of the tools
-            power += tool_power(self.full, self._fields(new, prepared, work), new, prepared)
-            tools = 0.5 * step * steps * power
+        at_ends = (state, new), lambda at: self._fields(at, prepared, work)
+        tools = self.full.tool_work(tools, step * steps, prepared, *at_ends)
         return replace(new, external_work=new.external_work + tools), StepReport(done + tools, lost)
 
     def outputs(self, state: State, prepared: PreparedLoads, work: GalerkinWork | None = None) -> Outputs:

@@ -63,18 +63,6 @@ class GalerkinWork(NamedTuple):
     coordinates, result, previous, rates, mean, power : (m,) arrays
         Trial coordinates; projected force, and the previous one; accelerations; mean velocities; power of the
         surface forces.
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
-    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
-    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
-    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
-    >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
-    >>> model = pt.galerkin(bar, full, modes=4)
-    >>> type(model.workspace()).__name__
-    'GalerkinWork'
     """
 
     full: NodalWork

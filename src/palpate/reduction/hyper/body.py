@@ -44,18 +44,6 @@ class ReducedWork:
     force, all_forces : arrays [N]
     tools : ContactTools, optional
         Rigid tools of the loads that were used last.
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
-    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
-    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
-    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
-    >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
-    >>> model = pt.hyper_reduce(bar, full, modes=4)
-    >>> type(model.workspace()).__name__
-    'ReducedWork'
     """
 
     coordinates: Scratch

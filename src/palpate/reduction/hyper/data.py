@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats
 from palpate.describe import Described
 from palpate.dynamics.loads.supports import Support
+from palpate.dynamics.material.kinematics import Kinematics
 from palpate.dynamics.material.relaxation import relaxation
 from palpate.dynamics.material.tissue import Tissue
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.contact.compliance import NO_COMPLIANCE, SurfaceCompliance
 from palpate.reduction.contact.surface import ContactSurface, contact_surface
 from palpate.reduction.hyper.cubature import Cubature
-from palpate.reduction.hyper.material_point import Kinematics
 from palpate.reduction.hyper.sampled_energy import IntegrationPoints, integration_points
 
 __all__ = ["UNLIMITED_SCALE", "ReducedData"]
@@ -87,18 +87,6 @@ class ReducedData(Described):
         Compliance of the contact surface, fitted to runs with contact.
     mass_damping : float [1/s]
         Rayleigh's alpha.
-
-    Examples
-    --------
-    >>> import palpate as pt
-    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
-    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
-    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
-    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
-    >>> full = pt.rollout(bar, [pull], duration=0.03, every=0.001)
-    >>> model = pt.hyper_reduce(bar, full, modes=4)
-    >>> model.data.modes, model.data.distance_scale > 0
-    (4, True)
     """
 
     cloud: Cloud

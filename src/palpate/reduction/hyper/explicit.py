@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import law_digest, law_njit
 from palpate.dynamics.contact.geometry import rotation
-from palpate.reduction.contact.gauss_seidel import settle
+from palpate.reduction.contact.gauss_seidel import solve_contact
 from palpate.reduction.contact.surface import ContactScratch, ContactSurface, RigidTools
 from palpate.reduction.galerkin.central_difference import (
     damping_work,
@@ -132,7 +132,7 @@ def explicit_step(law: MaterialPoint, single: bool) -> Any:
                     rotation(contact.poses[s + 1, t], tools.frames[t, 1])
                 for m in range(count):
                     at[m] = a[m] + step * v[m] if m < moving else lifting[s + 2, m - first]
-                works = settle(contact.surface, contact.scratch, tools, at, v, step, response, moving)
+                works = solve_contact(contact.surface, contact.scratch, tools, at, v, step, response, moving)
                 total, lost = total + works[0], lost + works[1]
                 drag = 1.0 + 0.5 * alpha * kick  # as that of the other forces in `kick_coordinates`
                 for m in range(moving):

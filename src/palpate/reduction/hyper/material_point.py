@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import inline, law_digest, law_njit
 from palpate.dynamics.material.fibres import NO_FIBRES, FibrePoints, fibre_points
+from palpate.dynamics.material.kinematics import Kinematics
 from palpate.dynamics.material.material_fields import NO_FIELDS, parameters_at
 from palpate.dynamics.material.principal_point import make_principal_point
 from palpate.dynamics.membrane.passes import make_moduli
@@ -27,28 +28,9 @@ from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.materials import Material
 from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 
-__all__ = ["Kinematics", "MaterialPoint", "material_point", "volume_measure"]
+__all__ = ["MaterialPoint", "material_point", "volume_measure"]
 
 MIN_VOLUME_RATIO = 0.1  # J below which the energy continues as a parabola
-
-
-@dataclass(frozen=True)
-class Kinematics:
-    """Kinematics of a body: the relation of F to the derivatives of the displacement.
-
-    Parameters
-    ----------
-    sheet : bool
-        Whether the body is a membrane.
-    prestretch : float
-        Of a mounted membrane.
-    relaxed : bool
-        Whether a membrane wrinkles instead of carrying compression.
-    """
-
-    sheet: bool = False
-    prestretch: float = 1.0
-    relaxed: bool = False
 
 
 @dataclass(frozen=True)

@@ -225,13 +225,13 @@ class LinearModel(CoordinateModel):
         acceleration = np.tensordot(self._accelerations(state, prepared), self.columns, 1)
         unbalanced = self.masses[:, None] * (acceleration + self.mass_damping * v)
         unbalanced -= self.full.external_force(State(u, v, state.time), prepared)
-        stress = None
-        if self.conservative:
-            unbalanced += self.full.without_images((nodal @ damped.ravel()).reshape(-1, 3))
-        else:
-            stress = partial(linear_stress, self.full, damped)
+        fields = self.full.with_internal_forces(
+            NodalFields(u, v, unbalanced, None),
+            lambda: -(nodal @ damped.ravel()).reshape(-1, 3),
+            partial(linear_stress, self.full, damped),
+        )
         strain_energy = float(0.5 * u.ravel() @ (nodal @ u.ravel()))
-        return nodal_outputs(self.full, NodalFields(u, v, unbalanced, stress), state, prepared, strain_energy)
+        return nodal_outputs(self.full, fields, state, prepared, strain_energy)
 
     def _accelerations(self, state: State, prepared: PreparedLoads) -> Floats:
         """Return the accelerations (k + l,) of the coordinates and of the tools."""

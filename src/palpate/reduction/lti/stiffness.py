@@ -73,11 +73,8 @@ def coupling(model: NodalModel) -> Any:
     body, n = model.body, len(model.cloud)
     sources = np.concatenate([np.arange(n), model.mirror.source])
     reflected = np.concatenate([np.arange(n), getattr(body, "flux_mirror", NO_MIRROR).source])
-    names = ["transposed", "transposed_smoothing", "smoothing", "lanes"]
-    if not model.conservative:  # the smoothed pressure is differentiated at the node itself
-        names = ["lanes", "smoothing", "lanes"]
     pattern = sparse.identity(n, dtype=np.int32, format="csr")
-    for name in names:
+    for name in model.coupled_by:
         family = getattr(body, name, None)
         if family is not None:  # a sheet has no smoothing
             pattern = pattern @ _neighbours(family, reflected if name == "transposed" else sources)

@@ -20,21 +20,20 @@ from palpate.reduction.storage.material import (
     material_of,
     regions_of,
 )
-from palpate.sealed import ArrayFile
+from palpate.sealed import LEAST_POSITIVE, Array, ArrayFile, check_arrays, check_names, typed
 
 __all__ = [
     "BODY_ATTRIBUTES",
-    "BODY_LAYOUT",
-    "REGIONS_LAYOUT",
+    "MAX_NUMBER",
     "Arrays",
+    "Declared",
     "Header",
-    "Layout",
     "body_arrays",
+    "body_declared",
     "body_header",
     "body_of",
+    "check_body",
     "check_header",
-    "check_shapes",
-    "check_values",
     "mapping_in",
     "read_arrays",
     "supports_in",
@@ -42,33 +41,23 @@ __all__ = [
 
 Header = dict[str, Any]
 Arrays = dict[str, np.ndarray[Any, Any]]
-Layout = dict[str, tuple[str, tuple[str | int, ...]]]
+Declared = dict[str, Array]
 
 MAX_NUMBER = 1e30  # in a file, in SI units
 
-# One line per dataset: its type, and its shape in sizes that all datasets share.
-BODY_LAYOUT: Layout = {
-    "cloud/points": ("<f8", ("nodes", "space")),
-    "cloud/volumes": ("<f8", ("nodes",)),
-    "cloud/face_nodes": ("<i8", ("faces",)),
-    "cloud/face_normals": ("<f8", ("faces", "space")),
-    "cloud/face_areas": ("<f8", ("faces",)),
-    "cloud/group_sizes": ("<i8", ("groups",)),
-    "cloud/group_nodes": ("<i8", ("members",)),
-    "cloud/triangles": ("<i8", ("triangles", 3)),
-    "stiffness": ("<f8", ("nodes",)),
-    "fibres/directions": ("<f8", ("families", "nodes", 3)),
+BODY_ARRAYS: Declared = {
+    "cloud/points": Array(("nodes", "space"), most=MAX_NUMBER, unit="m"),
+    "cloud/volumes": Array(("nodes",), most=MAX_NUMBER, unit="m^3"),
+    "cloud/face_nodes": Array(("faces",), "<i8", index_of="nodes"),
+    "cloud/face_normals": Array(("faces", "space"), most=MAX_NUMBER),
+    "cloud/face_areas": Array(("faces",), most=MAX_NUMBER, unit="m^2"),
+    "cloud/group_sizes": Array(("groups",), "<i8", low=1),
+    "cloud/group_nodes": Array(("members",), "<i8", index_of="nodes"),
+    "cloud/triangles": Array(("triangles", 3), "<i8", index_of="nodes"),
+    "stiffness": Array(("nodes",), low=LEAST_POSITIVE, most=MAX_NUMBER),
+    "fibres/directions": Array(("families", "nodes", 3), most=MAX_NUMBER),
 }
-REGIONS_LAYOUT: Layout = {"regions": ("<i8", ("nodes",))}  # with several materials
-# datasets of node numbers
-NODE_ARRAYS = (
-    "cloud/face_nodes",
-    "cloud/group_nodes",
-    "cloud/triangles",
-    "cubature/nodes",
-    "compliance/nodes",
-    "interior/nodes",
-)
+SEVERAL_MATERIALS: Declared = {"regions": Array(("nodes",), "<i8")}
 BODY_ATTRIBUTES: dict[str, type] = {
     "material": str, "parameters": str, "regions": str, "expression": str, "prony": str, "fibres": str,
     "groups": list, "spacing": float, "supports": str, "stiffness_damping": float,
@@ -96,16 +85,20 @@ def body_header(
 def body_arrays(cloud: Cloud, tissue: Tissue) -> Arrays:
     """Return the arrays of a body, with ``"regions"`` if it has several materials."""
     groups = list(cloud.groups.values())
-    values: dict[str, Any] = {name: getattr(cloud, name.removeprefix("cloud/"), None) for name in BODY_LAYOUT} | {
+    values: dict[str, Any] = {name: getattr(cloud, name.removeprefix("cloud/"), None) for name in BODY_ARRAYS} | {
         "cloud/group_sizes": [len(nodes) for nodes in groups],
         "cloud/group_nodes": [node for nodes in groups for node in nodes],
         "stiffness": tissue.stiffness if len(tissue.stiffness) else np.ones(tissue.nodes),
         "fibres/directions": np.zeros((0, tissue.nodes, 3)) if tissue.fibres is None else tissue.fibres.directions,
     }
-    layout = BODY_LAYOUT
-    if tissue.regions is not None:
-        layout, values = BODY_LAYOUT | REGIONS_LAYOUT, values | {"regions": tissue.regions.which}
-    return {name: np.asarray(values[name], dtype=dtype) for name, (dtype, _) in layout.items()}
+    if tissue.regions is None:
+        return typed(values, BODY_ARRAYS)
+    return typed(values | {"regions": tissue.regions.which}, BODY_ARRAYS | SEVERAL_MATERIALS)
+
+
+def body_declared(header: Header) -> Declared:
+    """Return the arrays of a body with a header."""
+    return BODY_ARRAYS if header["regions"] == "[]" else BODY_ARRAYS | SEVERAL_MATERIALS
 
 
 def body_of(header: Header, arrays: Arrays) -> tuple[Cloud, Tissue, tuple[Support, ...]]:
@@ -141,13 +134,10 @@ def supports_in(header: Header) -> tuple[Support, ...]:
     return supports_of(support_from(values) for values in listed)
 
 
-def read_arrays(file: ArrayFile, prefix: str, layout: Layout) -> Arrays:
-    """Return the arrays of a file whose names begin with a prefix; refuse others than those of a layout."""
-    names = {name.removeprefix(prefix) for name in file.arrays if name.startswith(prefix)}
-    if names != layout.keys():
-        odd = sorted(names ^ layout.keys())[0]
-        raise InputError(f"array {shortened(odd)} is {'missing' if odd in layout else 'not one of a model'}")
-    return {name: file.read(prefix + name) for name in layout}
+def read_arrays(file: ArrayFile, prefix: str, declared: Declared) -> Arrays:
+    """Return the arrays of a file whose names begin with a prefix; refuse others than the declared ones."""
+    check_names((name.removeprefix(prefix) for name in file.arrays if name.startswith(prefix)), declared)
+    return {name: file.read(prefix + name) for name in declared}
 
 
 def check_header(header: Header, attributes: dict[str, type]) -> None:
@@ -164,34 +154,11 @@ def check_header(header: Header, attributes: dict[str, type]) -> None:
             raise InputError(f"header {name} must be a list of different names, got {given!r:.60}")
 
 
-def check_shapes(arrays: Arrays, layout: Layout, sizes: dict[str | int, int]) -> None:
-    """Refuse arrays of other types and shapes than those of a layout; add the sizes that they share."""
-    for name, (dtype, shape) in layout.items():
-        data = arrays[name]
-        expected = tuple(sizes.get(size, size) for size in shape)
-        fits = len(expected) == data.ndim and all(
-            length == size or isinstance(size, str) for length, size in zip(data.shape, expected, strict=True)
-        )
-        if not fits or data.dtype != dtype:
-            description = f"({', '.join(map(str, expected))}) of {dtype}"
-            raise InputError(f"array {name} has shape {data.shape} of {data.dtype.str}, expected {description}")
-        sizes.update(zip(shape, data.shape, strict=True))
-
-
-def check_values(arrays: Arrays) -> None:
-    """Refuse numbers that no body has."""
-    count = len(arrays["cloud/points"])
-    for name, array in arrays.items():
-        if not np.isfinite(array).all():
-            raise InputError(f"array {name} holds numbers that are not finite")
-        if array.dtype.kind == "f" and array.size and np.abs(array).max() > MAX_NUMBER:
-            raise InputError(f"array {name} holds numbers beyond {MAX_NUMBER:g}")
-        if name in NODE_ARRAYS and not np.all((array >= 0) & (array < count)):
-            raise InputError(f"array {name} names nodes outside 0..{count - 1}")
-    if not np.all(arrays["stiffness"] > 0):
-        raise InputError("array stiffness holds stiffness that are not positive")
-    sizes, members = arrays["cloud/group_sizes"], len(arrays["cloud/group_nodes"])
-    if np.any(sizes < 1) or sizes.sum() != members:
+def check_body(arrays: Arrays, declared: Declared, sizes: dict[str, int]) -> None:
+    """Refuse arrays that are not as declared, and groups that do not share out their nodes."""
+    check_arrays(arrays, declared, sizes)
+    members = len(arrays["cloud/group_nodes"])
+    if arrays["cloud/group_sizes"].sum() != members:
         raise InputError(f"array cloud/group_sizes does not share out the {members} entries of cloud/group_nodes")
 
 

@@ -17,11 +17,13 @@ import numpy as np
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.contact.compliance import SurfaceCompliance
 from palpate.reduction.contact.interior import Interior
+from palpate.reduction.storage.body import MAX_NUMBER
+from palpate.sealed import Array, check_arrays
 
 __all__ = [
     "COMPLIANCE_ARRAYS",
-    "INTERIOR_LAYOUT",
-    "STEPS_LAYOUT",
+    "INTERIOR_ARRAYS",
+    "STEPS_ARRAY",
     "pack_flexibilities",
     "read_compliance",
     "unpack_flexibilities",
@@ -29,20 +31,27 @@ __all__ = [
 
 Arrays = Mapping[str, np.ndarray[Any, Any]]
 
-COMPLIANCE_ARRAYS = (
-    "nodes", "carriers", "weights", "flexibility", "nearby", "near_field", "patches", "shares", "stiffening",
-)  # fmt: skip
-MAX_WEIGHT, ROW_TOLERANCE = 1e3, 1e-6  # of interpolations, whose rows sum to 1
-# of the interior nodes: type, and shape in sizes that all datasets of the file share
-INTERIOR_LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
-    "interior/nodes": ("<i8", ("followers",)),
-    "interior/flexibility": ("<f4", ("carriers", "moved")),
-    "interior/sources": ("<i8", ("followers", "followed")),
-    "interior/shares": ("<f8", ("followers", "followed")),
-    "interior/factor": ("<f8", (1,)),
+COMPLIANCE_ARRAYS = {
+    "compliance/nodes": Array(("touched",), "<i8", index_of="nodes"),
+    "compliance/carriers": Array(("touched", "carried"), "<i8"),
+    "compliance/weights": Array(("touched", "carried"), most=MAX_NUMBER),
+    "compliance/flexibility": Array(("carriers", "carriers"), "<f4", most=MAX_NUMBER, unit="m/N"),
+    "compliance/nearby": Array(("touched", "nearby"), "<i8", index_of="touched"),
+    "compliance/near_field": Array(("touched", "nearby", 3, 3), "<f4", most=MAX_NUMBER, unit="m/N"),
+    "compliance/patches": Array(("touched", "patched"), "<i8", index_of="touched"),
+    "compliance/shares": Array(("touched", "patched"), most=MAX_NUMBER),
+    "compliance/stiffening": Array((2,), most=MAX_NUMBER),
+}
+INTERIOR_ARRAYS = {
+    "interior/nodes": Array(("followers",), "<i8", index_of="nodes"),
+    "interior/flexibility": Array(("carriers", "moved"), "<f4", most=MAX_NUMBER, unit="m/N"),
+    "interior/sources": Array(("followers", "followed"), "<i8"),
+    "interior/shares": Array(("followers", "followed"), most=MAX_NUMBER),
+    "interior/factor": Array((1,), most=MAX_NUMBER),
 }
 FLEXIBILITY_ARRAYS = ("compliance/flexibility", "compliance/near_field", "interior/flexibility")
-STEPS_LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {"compliance/steps": ("<f8", (len(FLEXIBILITY_ARRAYS),))}
+STEPS_ARRAY = {"compliance/steps": Array((len(FLEXIBILITY_ARRAYS),))}
+MAX_WEIGHT, ROW_TOLERANCE = 1e3, 1e-6  # of interpolations, whose rows sum to 1
 INTEGER_OFFSET = (1 << 15) + (1 << 7)  # added to integers; those in -128..127 then have equal high bytes
 MIN_EXPONENT = -100  # of a step; its multiples then have all digits in single precision
 
@@ -86,8 +95,7 @@ def unpack_flexibilities(arrays: Arrays) -> dict[str, np.ndarray[Any, Any]]:
     """Return the arrays of a file with flexibilities in single precision, and both triangles of that of the surface."""
     result = dict(arrays)
     steps = result.pop("compliance/steps", np.zeros(len(FLEXIBILITY_ARRAYS)))
-    if steps.shape != (len(FLEXIBILITY_ARRAYS),) or steps.dtype != "<f8":
-        raise InputError(f"array compliance/steps has shape {steps.shape} of {steps.dtype.str}, expected (3,) of <f8")
+    check_arrays({"compliance/steps": steps}, STEPS_ARRAY, {})
     fractions, exponents = np.frexp(steps)
     if not np.all((steps == 0) | ((fractions == 0.5) & (exponents > MIN_EXPONENT) & (exponents < -MIN_EXPONENT))):
         raise InputError("array compliance/steps must hold powers of two, or 0 for arrays without a step")
@@ -104,7 +112,7 @@ def unpack_flexibilities(arrays: Arrays) -> dict[str, np.ndarray[Any, Any]]:
 
 def read_compliance(arrays: Arrays, bonded_scale: float) -> SurfaceCompliance | None:
     """Return the surface compliance; None for an empty contact surface."""
-    values: dict[str, Any] = {name: arrays[f"compliance/{name}"] for name in COMPLIANCE_ARRAYS}
+    values: dict[str, Any] = {name.removeprefix("compliance/"): arrays[name] for name in COMPLIANCE_ARRAYS}
     compliance = SurfaceCompliance(**values, bonded_scale=bonded_scale)
     if not len(compliance.nodes):
         return None
@@ -117,11 +125,6 @@ def read_compliance(arrays: Arrays, bonded_scale: float) -> SurfaceCompliance | 
         raise InputError("array compliance/flexibility must be symmetric, or zero above its diagonal")
     if not np.all((compliance.carriers >= 0) & (3 * compliance.carriers + 2 < len(diagonal))):
         raise InputError(f"array compliance/carriers names rows outside the {len(diagonal)} of compliance/flexibility")
-    for name in ("patches", "nearby"):
-        if not np.all((arrays[f"compliance/{name}"] >= 0) & (arrays[f"compliance/{name}"] < len(compliance.nodes))):
-            raise InputError(
-                f"array compliance/{name} names rows outside the {len(compliance.nodes)} of compliance/nodes"
-            )
     for name in ("weights", "shares"):
         rows = arrays[f"compliance/{name}"]
         if np.abs(rows).max() > MAX_WEIGHT or np.abs(rows.sum(axis=1) - 1).max() > ROW_TOLERANCE:
@@ -133,7 +136,7 @@ def read_compliance(arrays: Arrays, bonded_scale: float) -> SurfaceCompliance | 
 
 
 def _interior(arrays: Arrays, compliance: SurfaceCompliance) -> Interior:
-    nodes, flexibility, sources, shares, factor = (arrays[name] for name in INTERIOR_LAYOUT)
+    nodes, flexibility, sources, shares, factor = (arrays[name] for name in INTERIOR_ARRAYS)
     count, more = divmod(flexibility.shape[1], 3)
     if more:
         raise InputError(f"array interior/flexibility holds {3 * count + more} columns, not 3 a node")

@@ -12,41 +12,38 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from palpate.dynamics.material.kinematics import Kinematics
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import plain
 from palpate.reduction.contact.compliance import NO_COMPLIANCE
 from palpate.reduction.hyper.cubature import Cubature
 from palpate.reduction.hyper.data import UNLIMITED_SCALE, ReducedData
-from palpate.reduction.hyper.material_point import Kinematics
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.body import (
     BODY_ATTRIBUTES,
-    BODY_LAYOUT,
-    REGIONS_LAYOUT,
+    MAX_NUMBER,
     Arrays,
+    Declared,
     Header,
-    Layout,
     body_arrays,
+    body_declared,
     body_header,
     body_of,
+    check_body,
     check_header,
-    check_shapes,
-    check_values,
     mapping_in,
     read_arrays,
     supports_in,
 )
 from palpate.reduction.storage.compliance import (
     COMPLIANCE_ARRAYS,
-    INTERIOR_LAYOUT,
-    STEPS_LAYOUT,
+    INTERIOR_ARRAYS,
+    STEPS_ARRAY,
     pack_flexibilities,
     read_compliance,
     unpack_flexibilities,
 )
-from palpate.sealed import ArrayFile, loading, open_sealed, write_sealed
+from palpate.sealed import LEAST_POSITIVE, Array, ArrayFile, loading, open_sealed, typed, write_sealed
 
 __all__ = ["MODEL_REMEDY", "contents", "load_hyper_reduced", "model_of", "save_hyper_reduced"]
 
@@ -57,26 +54,16 @@ MODEL_REMEDY = "copy the file again, or train the model again"
 MAX_NAME_LENGTH = 200  # characters of a scene's name
 MAX_ADVICE_LENGTH = 1000  # characters
 
-# One line per dataset: its type, and its shape in sizes that all datasets share.
-MODEL_LAYOUT: Layout = BODY_LAYOUT | {
-    "volumes": ("<f8", ("nodes",)),
-    "basis_vectors": ("<f4", ("basis_vectors", "nodes", 3)),
-    "cubature/nodes": ("<i8", ("integration_points",)),
-    "cubature/weights": ("<f8", ("integration_points",)),
-    "cubature/pressure": ("<f8", ("moments", "integration_points")),
-    "gradients": ("<f8", ("integration_points", "basis_vectors", 9)),
-    "constant": ("<f8", ("basis_vectors", "basis_vectors")),
-    "training_states": ("<f8", ("states", "coordinates")),
-    "compliance/nodes": ("<i8", ("touched",)),
-    "compliance/carriers": ("<i8", ("touched", "carried")),
-    "compliance/weights": ("<f8", ("touched", "carried")),
-    "compliance/flexibility": ("<f4", ("carriers", "carriers")),
-    "compliance/nearby": ("<i8", ("touched", "nearby")),
-    "compliance/near_field": ("<f4", ("touched", "nearby", 3, 3)),
-    "compliance/patches": ("<i8", ("touched", "patched")),
-    "compliance/shares": ("<f8", ("touched", "patched")),
-    "compliance/stiffening": ("<f8", (2,)),
-}
+MODEL_ARRAYS: Declared = {
+    "volumes": Array(("nodes",), low=LEAST_POSITIVE, most=MAX_NUMBER, unit="m^3"),
+    "basis_vectors": Array(("basis_vectors", "nodes", 3), "<f4", most=MAX_NUMBER),
+    "cubature/nodes": Array(("integration_points",), "<i8", index_of="nodes"),
+    "cubature/weights": Array(("integration_points",), low=0.0, most=MAX_NUMBER, unit="m^3"),
+    "cubature/pressure": Array(("moments", "integration_points"), most=MAX_NUMBER),
+    "gradients": Array(("integration_points", "basis_vectors", 9), most=MAX_NUMBER),
+    "constant": Array(("basis_vectors", "basis_vectors"), most=MAX_NUMBER),
+    "training_states": Array(("states", "coordinates"), most=MAX_NUMBER),
+} | COMPLIANCE_ARRAYS
 CURVE_KEYS = ("bound", "exponent", "largest_trust", "least_trust", "median", "typical_size")  # of an expected error
 ATTRIBUTE_TYPES: dict[str, type] = BODY_ATTRIBUTES | {
     "prescribed": list, "wave_speed": float, "modes": int, "lifting_count": int, "residual": float,
@@ -117,7 +104,7 @@ def contents(model: ReducedModel) -> tuple[Header, Arrays]:
     check_header(header, ATTRIBUTE_TYPES)
     _step_rule(header)
     packed = pack_flexibilities(arrays)
-    if _data(header, _check_shapes(header, unpack_flexibilities(packed))).tissue.material != data.tissue.material:
+    if _data(header, _checked(header, unpack_flexibilities(packed))).tissue.material != data.tissue.material:
         raise InputError(f"the file would not give {data.tissue.material} back")
     return header, packed
 
@@ -148,17 +135,14 @@ def _header(data: ReducedData) -> Header:
 
 def _arrays(data: ReducedData) -> Arrays:
     compliance = data.compliance or NO_COMPLIANCE
-    values: dict[str, Any] = body_arrays(data.cloud, data.tissue)
-    layout = MODEL_LAYOUT if "regions" not in values else MODEL_LAYOUT | REGIONS_LAYOUT
-    values |= {f"compliance/{name}": getattr(compliance, name) for name in COMPLIANCE_ARRAYS}
+    values: dict[str, Any] = {f"compliance/{name}": array for name, array in compliance._asdict().items()}
+    declared = MODEL_ARRAYS
     if compliance.interior is not None:
-        layout = layout | INTERIOR_LAYOUT
+        declared = declared | INTERIOR_ARRAYS
         values |= {f"interior/{name}": array for name, array in compliance.interior._asdict().items()}
         values["interior/factor"] = [compliance.interior.factor]
-    return {
-        name: np.asarray(values[name] if name in values else attrgetter(name.replace("/", "."))(data), dtype=dtype)
-        for name, (dtype, _) in layout.items()
-    }
+    values |= {name: attrgetter(name.replace("/", "."))(data) for name in declared.keys() - values.keys()}
+    return body_arrays(data.cloud, data.tissue) | typed(values, declared)
 
 
 # reading
@@ -168,10 +152,10 @@ def model_of(header: Header, file: ArrayFile, prefix: str = "") -> ReducedModel:
     """Return the model of a header and of the arrays of a file whose names begin with a prefix."""
     header = header if NEW_ATTRIBUTES & header.keys() else _converted(header)
     check_header(header, ATTRIBUTE_TYPES)
-    layout = _layout(header, f"{prefix}interior/nodes" in file.arrays)
-    steps = STEPS_LAYOUT if f"{prefix}compliance/steps" in file.arrays else {}
-    arrays = unpack_flexibilities(read_arrays(file, prefix, layout | steps))
-    return ReducedModel(_data(header, _check_shapes(header, arrays)), **_step_rule(header))
+    declared = _declared(header, f"{prefix}interior/nodes" in file.arrays)
+    steps = STEPS_ARRAY if f"{prefix}compliance/steps" in file.arrays else {}
+    arrays = unpack_flexibilities(read_arrays(file, prefix, declared | steps))
+    return ReducedModel(_data(header, _checked(header, arrays)), **_step_rule(header))
 
 
 def _converted(header: Header) -> Header:
@@ -184,16 +168,15 @@ def _converted(header: Header) -> Header:
     return header | dict.fromkeys(NEW_ATTRIBUTES, UNLIMITED_SCALE) | {"report": json.dumps(report)}
 
 
-def _layout(header: Header, interior: bool) -> dict[str, tuple[str, tuple[str | int, ...]]]:
-    layout = MODEL_LAYOUT if header["regions"] == "[]" else MODEL_LAYOUT | REGIONS_LAYOUT
-    return layout | INTERIOR_LAYOUT if interior else layout
+def _declared(header: Header, interior: bool) -> Declared:
+    return body_declared(header) | MODEL_ARRAYS | (INTERIOR_ARRAYS if interior else {})
 
 
-def _check_shapes(header: Header, arrays: Arrays) -> Arrays:
-    """Return arrays of the types and shapes of the layout; refuse others."""
+def _checked(header: Header, arrays: Arrays) -> Arrays:
+    """Return arrays that are as declared; refuse others."""
     modes = integer_in_range("modes", header["modes"], 1)
     coordinates = modes + integer_in_range("lifting_count", header["lifting_count"], 0)
-    sizes: dict[str | int, int] = {
+    sizes = {
         "space": 2 if header["sheet"] else 3,
         "groups": len(header["groups"]),
         "coordinates": coordinates,
@@ -201,13 +184,14 @@ def _check_shapes(header: Header, arrays: Arrays) -> Arrays:
         + 3 * len(supports_in(header))
         + integer_in_range("residual_fields", header["residual_fields"], 0),
     }
-    check_shapes(arrays, _layout(header, "interior/nodes" in arrays), sizes)
+    check_body(arrays, _declared(header, "interior/nodes" in arrays), sizes)
+    if not len(arrays["training_states"]):
+        raise InputError("array training_states must hold at least one state")
     return arrays
 
 
 def _data(header: Header, arrays: Arrays) -> ReducedData:
     """Return the data of a model; refuse values out of range."""
-    _check_values(arrays)
     values: dict[str, Any] = arrays | {"basis_vectors": arrays["basis_vectors"].astype(float)}
     cloud, tissue, supports = body_of(header, values)
     if bool(header["prescribed"]) != bool(header["lifting_count"]):
@@ -290,13 +274,3 @@ def _step_rule(header: Header) -> Header:
     """Return the arguments of the step rule, and whether the model has single precision."""
     step = number_in_range("step", header["step"], 0.0, unit="s")
     return {"step": step or None, "single": header["single"]}
-
-
-def _check_values(arrays: Arrays) -> None:
-    check_values(arrays)
-    if not len(arrays["training_states"]):
-        raise InputError("array training_states must hold at least one state")
-    if np.any(arrays["cubature/weights"] < 0):
-        raise InputError("array cubature/weights holds negative weights")
-    if not np.all(arrays["volumes"] > 0):
-        raise InputError("array volumes holds volumes that are not positive")

@@ -7,16 +7,14 @@ from palpate.faults import integer_in_range, number_in_range
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.body import (
     BODY_ATTRIBUTES,
-    BODY_LAYOUT,
-    REGIONS_LAYOUT,
     Arrays,
     Header,
     body_arrays,
+    body_declared,
     body_header,
     body_of,
+    check_body,
     check_header,
-    check_shapes,
-    check_values,
     read_arrays,
 )
 from palpate.reduction.storage.model_file import contents, model_of
@@ -36,7 +34,7 @@ def body_contents(model: ReducedModel | EnergySolid) -> tuple[Header, Arrays]:
     header = body_header(model.cloud, model.tissue, supports, *damping) | {"neighbours": int(model.neighbours)}
     arrays = body_arrays(model.cloud, model.tissue)
     check_header(header, SOLID_ATTRIBUTES)
-    check_values(arrays)
+    check_body(arrays, body_declared(header), {"space": 3})
     integer_in_range("neighbours", header["neighbours"], 1, MAX_NEIGHBOURS)
     return header, arrays
 
@@ -46,10 +44,9 @@ def body_in(header: Header, file: ArrayFile, prefix: str) -> ReducedModel | Ener
     if "neighbours" not in header:
         return model_of(header, file, prefix)
     check_header(header, SOLID_ATTRIBUTES)
-    layout = BODY_LAYOUT if header["regions"] == "[]" else BODY_LAYOUT | REGIONS_LAYOUT
-    arrays = read_arrays(file, prefix, layout)
-    check_shapes(arrays, layout, {"space": 3, "groups": len(header["groups"])})
-    check_values(arrays)
+    declared = body_declared(header)
+    arrays = read_arrays(file, prefix, declared)
+    check_body(arrays, declared, {"space": 3, "groups": len(header["groups"])})
     cloud, tissue, supports = body_of(
         header, {name: a.astype(int if a.dtype.kind == "i" else float) for name, a in arrays.items()}
     )

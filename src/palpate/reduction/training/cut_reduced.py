@@ -21,8 +21,9 @@ import numpy as np
 import scipy.sparse as sparse
 
 from palpate.arrays import Floats, Ints
+from palpate.dynamics.nodal.energy_model import Fields
 from palpate.dynamics.solid.cutting.cut import cut
-from palpate.dynamics.solid.model import EnergySolid, Solid
+from palpate.dynamics.solid.model import EnergySolid, Solid, energy_solid
 from palpate.faults import CloudError, InputError, brief, integer_in_range
 from palpate.reduction.basis.cut_columns import StaticChanges, static_changes
 from palpate.reduction.basis.lifting import support_fields
@@ -32,7 +33,7 @@ from palpate.reduction.hyper.cubature import Cubature, fit_moments
 from palpate.reduction.hyper.data import ReducedData
 from palpate.reduction.hyper.material_point import volume_measure
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.training.ecsw import Fields, choose_integration_points, deformation, differentiate
+from palpate.reduction.training.ecsw import choose_integration_points, deformation
 from palpate.reduction.training.fit_compliance import rest_compliance
 from palpate.reduction.training.residual_fields import (
     RESIDUAL_FIELDS,
@@ -143,8 +144,7 @@ def _checked(model: Any, body: Any) -> EnergySolid:
     """Return the body; raise `InputError` for one that the model does not belong to."""
     if not isinstance(model, ReducedModel):
         raise InputError(f"model must be a ReducedModel, got {brief(model)}; train one with hyper_reduce")
-    if not isinstance(body, EnergySolid):
-        raise InputError(f"body must be a Solid in the energy form, got {brief(body)}; use form='energy'")
+    body = energy_solid(body)
     same = model.cloud.points.shape == body.cloud.points.shape and np.allclose(model.cloud.points, body.cloud.points)
     if not same:
         raise InputError("body must be the one that the model was trained on, got other points; give that body")
@@ -191,7 +191,7 @@ def _cut_data(
     # rounded to single precision as in the file, so that a saved and loaded model is identical
     basis = np.concatenate([shapes, lifting, tests, residual_fields]).astype(np.float32).astype(float)
     modes, count = len(shapes), len(shapes) + len(lifting)
-    fields = differentiate(cut_body, basis, slice(count, count + len(tests)))
+    fields = cut_body.at_points(basis, slice(count, count + len(tests)))
     flat = basis[:count].reshape(count, -1)
     weighted = flat * np.repeat(cut_body.masses, 3)
     mass = weighted @ flat.T

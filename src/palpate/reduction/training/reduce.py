@@ -15,9 +15,11 @@ from palpate.arrays import Floats
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.membrane.model import Membrane
+from palpate.dynamics.nodal.energy_model import EnergyModel, Fields
+from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import StoredTrajectory, Trajectory
-from palpate.dynamics.solid.model import EnergySolid, Solid
+from palpate.dynamics.solid.model import EnergySolid, Solid, energy_solid
 from palpate.faults import DivergenceError, InputError, TrustWarning, integer_in_range, number_in_range
 from palpate.reduction.basis.incremental_pod import block_size
 from palpate.reduction.basis.lifting import RemoveToolMotion, lifting_vectors, support_fields
@@ -32,12 +34,11 @@ from palpate.reduction.hyper.error_indicator import (
     rms_speeds,
     support_nearness,
 )
-from palpate.reduction.hyper.material_point import Kinematics
 from palpate.reduction.hyper.model import ReducedData, ReducedModel
 from palpate.reduction.training.advice import advice
 from palpate.reduction.training.calibrate_contact import Trial, calibrate_contact
 from palpate.reduction.training.calibrate_indicator import Frames, calibrate_scales, error_curves, held_out_frames
-from palpate.reduction.training.ecsw import Fields, choose_integration_points, differentiate, pressure_moments
+from palpate.reduction.training.ecsw import choose_integration_points, pressure_moments
 from palpate.reduction.training.errors import ContactErrors, Errors, contact_errors, relative_errors
 from palpate.reduction.training.fit_compliance import fit_compliance
 from palpate.reduction.training.residual_fields import (
@@ -49,7 +50,7 @@ from palpate.reduction.training.residual_fields import (
 from palpate.reduction.training.round_compliance import round_compliance
 from palpate.reduction.training.threads import in_threads
 
-__all__ = ["Trial", "energy_form", "hyper_reduce"]
+__all__ = ["Trial", "hyper_reduce"]
 
 
 TRIED_MODES = (8, 12, 16, 24, 32, 48, 64, 96)  # numbers of modes for a given tolerance
@@ -160,34 +161,33 @@ def hyper_reduce(
     """
     if (modes is None) == (tolerance is None):
         raise InputError("modes or tolerance must be given, but not both; leave one of them out")
-    if not isinstance(full, Solid | Membrane):
+    if not isinstance(full, NodalModel):
         raise InputError(f"full must be a Solid or a Membrane, got {type(full).__name__}; make one of them first")
-    if isinstance(full, Membrane) and (full.fibres is not None or full.material.prony is not None):
-        raise InputError(
-            "full must have no fibres and no relaxation if it is a membrane, got them; leave out fibres= and prony="
-        )
     snapshots = Snapshots(trajectories)
     _check(full, snapshots.points)
     for _, run in held_out:
         _check(full, [run.points if isinstance(run, Trajectory) else StoredTrajectory(run).points])
     if cubature is not None:
         cubature = number_in_range("cubature", cubature, 0.0, 1.0)
-    if coarse is not None and not isinstance(coarse, EnergySolid):
-        raise InputError(f"coarse must be a Solid with form='energy', got {coarse!r:.200}; make it in the energy form")
-    body = energy_form(full)
-    if isinstance(body, EnergySolid) and body.tissue.lame < 0:
+    coarse = None if coarse is None else energy_solid(coarse, "coarse")
+    body = full.energy_form()
+    if body.kinematics.sheet and (body.fibres is not None or body.material.prony is not None):
+        raise InputError(
+            "full must have no fibres and no relaxation if it is a membrane, got them; leave out fibres= and prony="
+        )
+    if body.tissue.lame < 0:
         raise InputError(
             f"poisson of the material must make its volumetric coefficient positive for a reduced model, got "
             f"{full.material.poisson:.3g} with {body.tissue.lame:.3g} Pa; use a larger Poisson's ratio"
         )
     tools = (prescribed,) if isinstance(prescribed, str) else tuple(prescribed)
-    touched = snapshots.has_contact and not tools and isinstance(body, EnergySolid)
+    touched = snapshots.has_contact and not tools and not body.kinematics.sheet
     vibrations = _has_vibrations(basis, body, touched, enrichment)
-    if (touched or vibrations) and coarse is None and isinstance(body, EnergySolid):
+    if (touched or vibrations) and coarse is None:
         coarse = statics_body(body)
     if cubature is None:
         cubature = CONTACT_CUBATURE_ERROR if touched else CUBATURE_ERROR
-    options = _Options(tools, held_out, enrichment, cubature, pressures, seed, coarse, repeated, vibrations)
+    options = _Options(tools, held_out, enrichment, cubature, pressures, seed, coarse, repeated, vibrations, touched)
     if modes is not None:
         count = integer_in_range("modes", modes, 0 if enrichment is not None else 1)
         return _warned(_train(full, body, snapshots, count, options))
@@ -233,18 +233,19 @@ class _Options:
     coarse: EnergySolid | None
     repeated: Sequence[Trial]
     vibrations: bool  # whether the modes are vibration modes and their derivatives
+    touched: bool  # whether tools touch a solid anywhere
 
 
 def _has_vibrations(
     basis: str | None,
-    body: EnergySolid | Membrane,
+    body: EnergyModel,
     contact: bool,
     enrichment: Floats | None,
 ) -> bool:
     """Return whether the modes are vibration modes; raise `InputError` or warn where the basis does not serve."""
     if basis not in (None, "pod", "vibrations"):
         raise InputError(f"basis must be 'pod' or 'vibrations', got {basis!r}; use one of them")
-    if basis == "vibrations" and (isinstance(body, Membrane) or enrichment is not None):
+    if basis == "vibrations" and (body.kinematics.sheet or enrichment is not None):
         raise InputError("basis must be 'pod' for a membrane or with enrichment, got 'vibrations'; leave basis= out")
     if basis is None:
         return contact and enrichment is None
@@ -258,7 +259,7 @@ def _has_vibrations(
     return basis == "vibrations"
 
 
-def _check(full: Solid | Membrane, points: Sequence[Floats]) -> None:
+def _check(full: NodalModel, points: Sequence[Floats]) -> None:
     for run_points in points:
         if run_points.shape != full.cloud.points.shape or not np.allclose(run_points, full.cloud.points):
             raise InputError(
@@ -266,32 +267,16 @@ def _check(full: Solid | Membrane, points: Sequence[Floats]) -> None:
             )
 
 
-def energy_form(full: Solid | Membrane) -> EnergySolid | Membrane:
-    """Return the model itself, or for the strong form of a solid the same body in the energy form."""
-    if isinstance(full, EnergySolid | Membrane):
-        return full
-    return EnergySolid(
-        full.cloud,
-        full.material,
-        full.supports,
-        stiffness_damping=full.stiffness_damping,
-        mass_damping=full.mass_damping,
-        neighbours=full.neighbours,
-    )
-
-
-def _train(
-    full: Solid | Membrane, body: EnergySolid | Membrane, snapshots: Snapshots, size: int, options: _Options
-) -> ReducedModel:
+def _train(full: NodalModel, body: EnergyModel, snapshots: Snapshots, size: int, options: _Options) -> ReducedModel:
     """Train a model with a given number of modes."""
     start = perf_counter()
     if options.vibrations:
-        shapes = interpolated_modes(options.coarse or body, body, size) if isinstance(body, EnergySolid) else None
+        shapes = interpolated_modes(options.coarse or body, body, size)
         size, options = 0, replace(options, enrichment=shapes)
     columns = _basis_vectors(body, snapshots, size, options)
     states, projection_error = _states(body, columns, snapshots)
     model = ReducedModel(_data(full, body, snapshots, columns, states, options))
-    if isinstance(body, Membrane):
+    if body.kinematics.sheet:
         trained = model.data.training_states
         taut = max(
             model.body.highest_frequency(state) for state in trained[:: max(1, len(trained) // FREQUENCY_STATES)]
@@ -315,9 +300,10 @@ def _train(
         "seed": options.seed,
         "training_seconds": perf_counter() - start,
     }
-    if snapshots.has_contact and not options.tools and isinstance(body, EnergySolid):
+    if options.touched:
+        solid = energy_solid(body)
         compliance, report["compliance_explained"], energy = fit_compliance(
-            model, body, snapshots, options.coarse or body
+            model, solid, snapshots, options.coarse or solid
         )
         model = ReducedModel(replace(model.data, compliance=compliance, flexibility_scale=max(energy, 1e-300)))
         if options.repeated:
@@ -348,7 +334,7 @@ class _BasisVectors:
     lost: float  # relative error of the modes by truncation between blocks
 
 
-def _basis_vectors(body: EnergySolid | Membrane, snapshots: Snapshots, size: int, options: _Options) -> _BasisVectors:
+def _basis_vectors(body: EnergyModel, snapshots: Snapshots, size: int, options: _Options) -> _BasisVectors:
     lifting, supports = lifting_vectors(body, options.tools), support_fields(body, options.tools)
     rest = RemoveToolMotion(body, lifting, options.tools)
     main, lost = main_modes(body, snapshots, size, RESIDUAL_FIELDS, rest)
@@ -360,11 +346,11 @@ def _basis_vectors(body: EnergySolid | Membrane, snapshots: Snapshots, size: int
     count = len(shapes) + len(lifting)
     flat = columns[:count].reshape(count, -1)
     mass = (flat * np.repeat(body.masses, 3)) @ flat.T
-    fields = differentiate(body, columns, slice(count, count + len(supports)))
+    fields = body.at_points(columns, slice(count, count + len(supports)))
     return _BasisVectors(fields, len(shapes), count, len(residual_fields), mass, lost)
 
 
-def _states(body: EnergySolid | Membrane, columns: _BasisVectors, snapshots: Snapshots) -> tuple[Floats, float]:
+def _states(body: EnergyModel, columns: _BasisVectors, snapshots: Snapshots) -> tuple[Floats, float]:
     """Return the coordinates (t, m + l) of all snapshots, and their relative projection error."""
     flat = columns.fields.columns[: columns.count].reshape(columns.count, -1)
     weighted, states, projection_error, total = flat * np.repeat(body.masses, 3), [], 0.0, 0.0
@@ -385,7 +371,7 @@ def _states(body: EnergySolid | Membrane, columns: _BasisVectors, snapshots: Sna
 
 
 def _data(
-    full: Solid | Membrane, body: EnergySolid | Membrane, snapshots: Snapshots, columns: _BasisVectors, states: Floats,
+    full: NodalModel, body: EnergyModel, snapshots: Snapshots, columns: _BasisVectors, states: Floats,
     options: _Options,
 ) -> ReducedData:  # fmt: skip
     """Choose the integration points, and return the data of the reduced model."""
@@ -419,18 +405,12 @@ def _data(
         speed_scale=_speed_scale(states, mass / body.masses.sum(), snapshots, options),
         nearness_scale=_nearness_scale(body, snapshots),
         residual_fields=columns.residual_fields,
-        kinematics=_kinematics(body),
+        kinematics=body.kinematics,
     )
     if not columns.residual_fields:
         return data
     some = snapshots.each(snapshots.evenly_spaced(TRAINING_STATES))
     return replace(data, residual_scale=typical_residual(ReducedModel(data), body, some))
-
-
-def _kinematics(body: EnergySolid | Membrane) -> Kinematics:
-    if isinstance(body, Membrane):
-        return Kinematics(True, body.prestretch, body.relaxed)
-    return Kinematics()
 
 
 def _test(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
@@ -524,7 +504,7 @@ def _speed_in_contact(run: Any) -> float:
     return fastest
 
 
-def _nearness_scale(body: EnergySolid | Membrane, snapshots: Snapshots) -> float:
+def _nearness_scale(body: EnergyModel, snapshots: Snapshots) -> float:
     """Return the largest nearness of tools to supports that most runs do not exceed; unlimited without contact."""
     nearness, nearest = nearness_to_supports(body.cloud, body.supports, np.arange(len(body.cloud))), []
     for run in snapshots.runs:

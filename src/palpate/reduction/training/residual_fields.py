@@ -23,13 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats
-from palpate.dynamics.membrane.model import Membrane
-from palpate.dynamics.solid.model import EnergySolid
+from palpate.dynamics.nodal.energy_model import EnergyModel, Fields
 from palpate.faults import InputError
 from palpate.reduction.hyper.cubature import Cubature
 from palpate.reduction.hyper.material_point import volume_measure
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.training.ecsw import Fields, compliance_root, shear_stress
+from palpate.reduction.training.ecsw import compliance_root, shear_stress
 
 __all__ = ["RESIDUAL_FIELDS", "orthogonal_complement", "scale_residual_fields", "typical_residual"]
 
@@ -42,7 +41,7 @@ TYPICAL_SHARE = 0.95  # of the training states
 MIN_SCALE = 0.05  # least residual norm at which the trust number is 1, over the largest displacement in training
 
 
-def orthogonal_complement(body: EnergySolid | Membrane, shapes: Floats, fields: Floats) -> Floats:
+def orthogonal_complement(body: EnergyModel, shapes: Floats, fields: Floats) -> Floats:
     """Return the parts of fields (w, n, 3) orthogonal to shapes (m, n, 3); at most w orthonormal fields.
 
     The shapes are orthonormal. The inner product has the nodal volumes as weights.
@@ -58,7 +57,7 @@ def orthogonal_complement(body: EnergySolid | Membrane, shapes: Floats, fields: 
 
 
 def scale_residual_fields(
-    body: EnergySolid | Membrane, fields: Fields, sizes: tuple[int, int], states: Floats, rule: Cubature,
+    body: EnergyModel, fields: Fields, sizes: tuple[int, int], states: Floats, rule: Cubature,
     places: NDArray[np.int64], moments: Floats,
 ) -> tuple[Fields, Floats]:  # fmt: skip
     """Combine the residual fields so that the residual is a displacement, and return their derivatives.
@@ -98,7 +97,7 @@ def scale_residual_fields(
     return replace(fields, columns=columns, constant=mixed @ fields.constant @ mixed.T), gradients
 
 
-def _scale(body: EnergySolid | Membrane, fields: Fields, modes: int, residual_fields: int, moments: Floats) -> Floats:
+def _scale(body: EnergyModel, fields: Fields, modes: int, residual_fields: int, moments: Floats) -> Floats:
     """Return A (w, w) [m/N] for which |A r| is the displacement [m] caused by a residual r."""
     residual_part = fields.of(np.r_[:modes, len(fields.columns) - residual_fields : len(fields.columns)])
     flat = residual_part.columns.reshape(len(residual_part.columns), -1)
@@ -119,9 +118,7 @@ def _triangular_root(square: Floats) -> Floats:
     return np.asarray(root * np.where(np.diagonal(root) < 0, -1.0, 1.0)[:, None])
 
 
-def _work(
-    body: EnergySolid | Membrane, fields: Fields, pressure: Floats, residual_fields: int, state: Floats
-) -> Floats:
+def _work(body: EnergyModel, fields: Fields, pressure: Floats, residual_fields: int, state: Floats) -> Floats:
     """Return the work (p, w) of the stresses at points on the residual fields, the last basis vectors.
 
     `pressure` are the coefficients (k, p) of the points in the moments of the dilatation.
@@ -134,7 +131,7 @@ def _work(
 
 
 def _factors(
-    body: EnergySolid | Membrane, fields: Fields, residual_fields: int, states: Floats, rule: Cubature,
+    body: EnergyModel, fields: Fields, residual_fields: int, states: Floats, rule: Cubature,
     places: NDArray[np.int64], moments: Floats,
 ) -> Floats:  # fmt: skip
     """Return factors (s, w) on the residual fields' derivatives at the integration points."""
@@ -157,7 +154,7 @@ def _factors(
     return result
 
 
-def typical_residual(model: ReducedModel, body: EnergySolid | Membrane, displacements: Iterable[Floats]) -> float:
+def typical_residual(model: ReducedModel, body: EnergyModel, displacements: Iterable[Floats]) -> float:
     """Return the residual norm [m] that most training states do not exceed, without regard to loads.
 
     It is the change of the forces on the residual fields when displacements (n, 3) of the full body are

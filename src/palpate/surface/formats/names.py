@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from pathlib import PurePath
 
-__all__ = ["FORMATS_WITH_PARTS", "GZIP_SUFFIX", "SURFACE_FORMATS", "VOLUME_FORMATS", "format_of", "listed_formats"]
+__all__ = [
+    "FORMATS_WITH_PARTS", "GZIP_SUFFIX", "LABEL_FORMATS", "SURFACE_FORMATS", "VOLUME_FORMATS", "format_of",
+    "listed_formats",
+]  # fmt: skip
 
 SURFACE_FORMATS = {
     "stl": "STL", "obj": "OBJ", "ply": "PLY", "off": "OFF", "glb": "GLB", "gltf": "glTF", "vtk": "VTK", "vtp": "VTP",
@@ -14,6 +17,7 @@ VOLUME_FORMATS = {  # which are refused
     "vtu": "a VTK unstructured grid", "pvtu": "a parallel VTK unstructured grid", "inp": "an Abaqus input file",
     "mesh": "a Medit mesh", "e": "an Exodus mesh", "exo": "an Exodus mesh", "feb": "a FEBio model",
 }  # fmt: skip
+LABEL_FORMATS = {"nii": "NIfTI", "nrrd": "NRRD", "mha": "MHA", "mhd": "MHD", "dcm": "DICOM SEG"}  # segmentations
 FORMATS_WITH_PARTS = ("glb", "gltf", "obj", "stl")
 GZIP_SUFFIX = "gz"  # suffix after that of the format
 
@@ -26,5 +30,5 @@ def format_of(path: PurePath) -> tuple[str, bool]:
 
 def listed_formats() -> str:
     """Return the names of all formats for a sentence."""
-    *names, last = SURFACE_FORMATS.values()
+    *names, last = (*SURFACE_FORMATS.values(), *LABEL_FORMATS.values())
     return f"{', '.join(names)} or {last}"

@@ -1,4 +1,4 @@
-"""A blade in a run: the force of a steady cut, the books of its energy, out and in again, and bad input."""
+"""A blade in a run: the force of a steady cut, its energy balance, out and in again, and bad input."""
 
 from __future__ import annotations
 

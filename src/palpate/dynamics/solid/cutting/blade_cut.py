@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.loads.supports import FREE
 from palpate.dynamics.run.model import MANY_STEPS, State
-from palpate.dynamics.solid.cutting.blunt import run_front, start_front
 from palpate.dynamics.solid.cutting.cut import cut_from
 from palpate.dynamics.solid.cutting.face_pairs import face_pairs, joined_sites, turn_pairs
 from palpate.dynamics.solid.cutting.incision import (
@@ -33,7 +31,6 @@ from palpate.faults import DivergenceError, InputError, first_few
 __all__ = ["advance_blade", "blade_of", "cut_with_blade", "steps_of_blade", "with_pairs"]
 
 STEP_WAY = 0.1  # of the edge between two cuts, in spacings
-STEPS_OF_FRONT = 4  # until the front ahead of a blunt blade can advance again
 SUPPORT_DISTANCE = 0.5  # from a cut to the nodes that supports and tools hold, in spacings
 
 
@@ -53,8 +50,7 @@ def steps_of_blade(prepared: PreparedLoads, state: State, step: float, spacing: 
     points = edge_points(tool[1].tool, spacing)  # type: ignore[arg-type]
     frames = [_frame(tool[1], time) for time in (state.time, state.time + step)]
     way = np.linalg.norm(points @ (frames[1] - frames[0])[:, :3].T + (frames[1] - frames[0])[:, 3], axis=1).max()
-    most = MANY_STEPS if tool[1].tool.sharp else STEPS_OF_FRONT  # type: ignore[union-attr]
-    return max(1, min(most, int(STEP_WAY * spacing / max(way, 1e-30 * spacing)))) if way > 0 else most
+    return max(1, min(MANY_STEPS, int(STEP_WAY * spacing / max(way, 1e-30 * spacing)))) if way > 0 else MANY_STEPS
 
 
 def _frame(tool: Contact, time: float) -> Floats:
@@ -72,8 +68,7 @@ def cut_with_blade(body: Any, state: State, prepared: PreparedLoads) -> tuple[An
     number, tool = blade
     frame = _frame(tool, state.time)
     held = np.flatnonzero(prepared.sites.kind != FREE)
-    advance = advance_blade if tool.tool.sharp else _advance_front  # type: ignore[union-attr]
-    body, incision, sites, released = advance(body, state, tool, frame, held, number)
+    body, incision, sites, released = advance_blade(body, state, tool, frame, held, number)
     state = replace(state, incision=incision, dissipated=state.dissipated + released)
     if sites is not None:
         prepared = replace(prepared, contacts=prepared.contacts._replace(sites=sites))
@@ -108,8 +103,6 @@ def advance_blade(
     `held` are nodes (h,) that supports or other tools hold.
     """
     blade: Any = tool.tool
-    if not blade.sharp:
-        raise InputError(f"Blade of Contact {tool.name!r} must be sharp outside runs, got sharp=False")
     cloud, u, history = body.cloud, state.coordinates, state.history
     cut_state, incision, released = body.cut_state, state.incision, 0.0
     corners = cloud.points[cloud.triangles]
@@ -148,22 +141,6 @@ def _start(body: Any, u: Floats, tool: Contact, frame: Floats, number: int) -> t
             "start it outside and move it in"
         )
     return incision, sites
-
-
-def _advance_front(
-    body: Any, state: State, tool: Contact, frame: Floats, held: Any, number: int
-) -> tuple[Any, Incision, Any, float]:
-    """Return the results of `advance_blade` for a blunt blade."""
-    blade: Any = tool.tool
-    cloud, u, released = body.cloud, state.coordinates, 0.0
-    if state.incision is None:
-        incision = start_front(body, _start(body, u, tool, frame, number)[0], blade, frame, tool.name)
-    else:
-        check = partial(_check_distance, tool, points=cloud.points, held=held, spacing=cloud.spacing)
-        body, incision, released = run_front(body, state, blade, frame, check, tool.name)
-    corners = cloud.points[cloud.triangles]
-    sites, incision, _ = blade_sites(body.cut_state, incision, blade, frame, u, corners, number)
-    return body, *_with_faces(incision, sites, face_pairs(body.cut_state, u, corners)), released
 
 
 def _with_faces(incision: Incision, sites: BladeSites, pairs: BladeSites) -> tuple[Incision, BladeSites]:

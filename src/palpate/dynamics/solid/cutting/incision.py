@@ -1,4 +1,4 @@
-"""Advance of a cut with a blade: the way of its edge through the stress-free body, and the books of its energy.
+"""Advance of a cut with a blade: the path of its edge through the stress-free body, and its energy balance.
 
 After some steps the points of the edge have moved on through the tissue. The triangles between their places before and
 after, in the stress-free body, are cut at fixed displacements, a quarter of the spacing at a time. The body then loses
@@ -40,14 +40,9 @@ __all__ = [
     "Strip",
     "advance_edge",
     "after_cut",
-    "area_inside",
     "blade_sites",
-    "cutting_directions",
     "edge_points",
-    "length_inside",
     "next_strip",
-    "points_in_space",
-    "project_on_cut",
     "start_incision",
 ]
 
@@ -116,7 +111,7 @@ class Incision(Described):
     Parameters
     ----------
     edge : (p, 3) array [m]
-        Points of the edge in the stress-free body, or of the front ahead of a blunt one.
+        Points of the edge in the stress-free body.
     strip : Strip
         Last strip of triangles of the cut, which goes on with the edge.
     area : float [m^2]
@@ -124,7 +119,7 @@ class Incision(Described):
     released : float [J]
         Strain energy that fronts have released at fixed displacements.
     release_rate : float [J/m^2]
-        Released energy per area, averaged over the last spacing; of a blunt blade that of the present front.
+        Released energy per area, averaged over the last spacing.
     edge_work, friction_work : float [J]
         Energies dissipated at the edge and by friction on the sides.
 
@@ -153,7 +148,7 @@ class Incision(Described):
     friction_work: float = 0.0
 
     @property
-    def books(self) -> Floats:
+    def totals(self) -> Floats:
         """Cut area [m^2], released energy, and energies dissipated at the edge and by friction [J], shape (4,)."""
         return np.array([self.area, self.released, self.edge_work, self.friction_work])
 
@@ -325,12 +320,6 @@ def area_inside(state: CutState, edges: Floats, pieces: NDArray[np.bool_], corne
     return float(np.sum(areas * shares.mean(axis=0)))
 
 
-def length_inside(state: CutState, front: Floats, corners: Floats) -> float:
-    """Return the length [m] of a front (p, 3) inside a body with a surface (s, 3, 3)."""
-    shares = shares_inside(state.uncut, corners, np.stack([front[:-1], front[1:]], axis=1))
-    return float(shares @ np.linalg.norm(np.diff(front, axis=0), axis=1))
-
-
 def next_strip(strip: Strip, before: Floats, edge: Floats, pieces: NDArray[np.bool_], spacing: float) -> Any:
     """Return the strip up to the next place of an edge, its triangles, and how many of the cut's last they replace.
 
@@ -377,7 +366,7 @@ def blade_sites(
     seen = _forward(incision.edge, frame, blade, spacing)
     in_cut = _in_cut(state, segments.mean(axis=1) + AHEAD_OF_EDGE * spacing * seen)
     shares[_in_removed(state, segments.mean(axis=1), seen)] = 0.0
-    held = np.flatnonzero((shares > LEAST_SHARE) & ~in_cut & blade.sharp)
+    held = np.flatnonzero((shares > LEAST_SHARE) & ~in_cut)
     edge_at, sights = segments.mean(axis=1)[held], seen[held]
     edge_weights = point_weights(state.uncut, state.surface, edge_at, edge_at + SIGHT_DISTANCE * spacing * sights)
     hold = _held_pieces(state, incision, blade, frame, u, held, edge_at, edge_weights)
@@ -452,12 +441,9 @@ def _faces(
     flat = (middles[:, None] + heights[None, :, None] * np.array([0.0, 0.0, 1.0])).reshape(-1, 3)
     areas = np.repeat(np.diff(points[:, 0]) * blade.height / rows, rows)
     along = np.repeat(np.diff(edge, axis=0), rows, axis=0)
-    slope = 0.0 if blade.sharp else 0.5 * blade.wedge / blade.height  # of the sides
-    half = 0.5 * blade.wedge - slope * (blade.height - np.tile(heights, len(middles)))
     sides = np.repeat([1.0, -1.0], len(flat))
-    across = sides[:, None] * np.array([0.0, 1.0, 0.0])
-    normals = (across - np.array([0.0, 0.0, slope])) / np.hypot(1.0, slope)
-    targets = np.tile(flat, (2, 1)) + np.tile(half, 2)[:, None] * across
+    normals = sides[:, None] * np.array([0.0, 1.0, 0.0])
+    targets = np.tile(flat, (2, 1)) + 0.5 * blade.wedge * normals
     areas, along, places = np.tile(areas, 2), np.tile(along, (2, 1)), points_in_space(frame, targets)
     nearest, close = _nearest_nodes(state.uncut.points + u, places, NEAR_FACE * spacing)
     close &= len(surface.triangles) > 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,15 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.common.figures import RED, figure, scale_bar
-from palpate.app.common.rendering import check_drawing, off_screen, screenshot
+from palpate.app.common.rendering import add_colour_bar, check_drawing, off_screen, place_picture, screenshot
 from palpate.app.common.shading import colour_map, triangle_mesh
+from palpate.app.studies.study import Study
 from palpate.arrays import Floats
-from palpate.dynamics.run.trajectory import Trajectory
 from palpate.meshfree.cloud import Cloud
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 __all__ = ["draw_beam"]
 
@@ -50,19 +50,11 @@ class _Moment:
     limit: float
 
 
-def draw_beam(cloud: Cloud, run: Trajectory, stress: Floats, path: Path) -> None:
-    """Draw a body at rest, at a quarter of a run and at its largest displacement, coloured by a stress.
-
-    Parameters
-    ----------
-    cloud : Cloud
-        Held where x is least.
-    stress : (f, n) array [Pa]
-        At every node, for the times of the run.
-    path : path
-        PNG file.
-    """
+def draw_beam(studies: Sequence[Study], path: Path) -> None:
+    """Draw the beam at rest, at a quarter of its run and at its largest displacement, coloured by von Mises stress."""
     check_drawing()
+    study = studies[0]
+    cloud, run, stress = study.scene.model.cloud, study.full, study.fields["von_mises"]
     peak = int(np.argmax(np.abs(run.displacements[:, :, 0]).max(axis=1)))
     frames = {"At rest": 0, "At a quarter of the run": len(run.times) // 4, "At the largest displacement": peak}
     shown = list(frames.values())
@@ -84,17 +76,18 @@ def draw_beam(cloud: Cloud, run: Trajectory, stress: Floats, path: Path) -> None
         for place, (name, view) in enumerate({"Held": held_view, "Pulled": pulled_view}.items()):
             title = f"{name} end at the largest displacement, with the nodes"
             _picture(drawn.add_subplot(grid[len(frames), place]), moments[peak], view, title, nodes=True)
-        _colour_bar(drawn, limit, float(stress[shown].max()))
+        text = (
+            f"von Mises Cauchy stress [kPa]; largest at a node {stress[shown].max() / 1e3:.4g} kPa.   "
+            "Dark plate: held face.   Dashed: undeformed beam."
+        )
+        add_colour_bar(drawn, drawn.axes, limit / 1e3, text, shrink=0.6, aspect=45, extend="max")
 
 
 def _picture(axes: Axes, moment: _Moment, view: _View, title: str, nodes: bool) -> None:
     """Draw a body at one time, with the undeformed outline and a scale bar."""
     left, right, high = 1e3 * view.left, 1e3 * view.right, 0.5e3 * view.height
-    axes.imshow(_render(moment, view, nodes), extent=(left, right, -high, high), interpolation="antialiased")
+    place_picture(axes, _render(moment, view, nodes), (left, right, -high, high), title)
     axes.plot(*_outline(moment.cloud), color=RED, lw=1.2, ls=(0, (5, 3)))
-    axes.set(xlim=(left, right), ylim=(-high, high))
-    axes.set_axis_off()
-    axes.set_title(title)
     scale_bar(axes, left, right, -0.9 * high)
 
 
@@ -140,15 +133,3 @@ def _render(moment: _Moment, view: _View, nodes: bool) -> NDArray[np.uint8]:
             dots = pv.PolyData(body.points + nearer)
             plotter.add_mesh(dots, color="#101010", point_size=26, render_points_as_spheres=True)
         return screenshot(plotter)
-
-
-def _colour_bar(drawn: Figure, limit: float, largest: float) -> None:
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    scale = ScalarMappable(Normalize(0, limit / 1e3), colour_map())
-    bar = drawn.colorbar(scale, ax=drawn.axes, orientation="horizontal", shrink=0.6, aspect=45, extend="max")
-    bar.set_label(
-        f"von Mises Cauchy stress [kPa]; largest at a node {largest / 1e3:.4g} kPa.   "
-        "Dark plate: held face.   Dashed: undeformed beam."
-    )

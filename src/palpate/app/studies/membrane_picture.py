@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.common.figures import BLUE, ORANGE, figure, heading, scale_bar
-from palpate.app.common.rendering import PIXELS, add_shaded, check_drawing, off_screen, screenshot
-from palpate.app.common.shading import RefinedSurface, colour_map, triangle_mesh
+from palpate.app.common.rendering import (
+    PIXELS,
+    add_colour_bar,
+    add_shaded,
+    check_drawing,
+    off_screen,
+    place_picture,
+    screenshot,
+)
+from palpate.app.common.shading import RefinedSurface, triangle_mesh
 from palpate.app.studies.study import PROJECTED, Study
 from palpate.arrays import Floats
 from palpate.meshfree.cloud import Cloud
@@ -18,7 +27,6 @@ from palpate.scenes.membrane import RADIUS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 __all__ = ["draw_deflection"]
 
@@ -30,15 +38,10 @@ MIN_DRAWN_RANGE = 0.03  # range of deflections over a ring, as a share of the la
 PICTURE_WIDTH = 2.1 * RADIUS  # [m] width of a picture
 
 
-def draw_deflection(study: Study, path: Path) -> None:
-    """Draw the deflected membrane when the tool has pushed, full and reduced, and its profile over the radius.
-
-    Parameters
-    ----------
-    path : path
-        PNG file.
-    """
+def draw_deflection(studies: Sequence[Study], path: Path) -> None:
+    """Draw the deflected membrane when the tool has pushed, full and reduced, and its profile over the radius."""
     check_drawing()
+    study = studies[0]
     cloud, run = study.scene.model.cloud, study.parts[0]
     drawn_ones = {FULL: run.displacements[-1]}
     shown = study.shown.get(PROJECTED)
@@ -52,7 +55,8 @@ def draw_deflection(study: Study, path: Path) -> None:
         for place, (name, displacement) in enumerate(drawn_ones.items()):
             views.append(drawn.add_subplot(grid[0, place]))
             _picture(views[-1], cloud, displacement, limit, name)
-        _colour_bar(drawn, views, limit)
+        text = f"deflection [mm].   Heights are scaled by {HEIGHT_SCALE:g}.   Lines: every 1 mm."
+        add_colour_bar(drawn, views, 1e3 * limit, text, shrink=0.5, aspect=45)
         _plot_profile(drawn.add_subplot(grid[1, :]), cloud, drawn_ones)
 
 
@@ -62,10 +66,7 @@ def _picture(axes: Axes, cloud: Cloud, displacement: Floats, limit: float, title
     low = -1.15 * RADIUS * np.sin(angle)
     high = max(1.15 * RADIUS * np.sin(angle), HEIGHT_SCALE * limit * np.cos(angle) + 0.1 * RADIUS)
     picture = _render(cloud, displacement, limit, low, high)
-    axes.imshow(picture, extent=(-reach, reach, 1e3 * low, 1e3 * high), interpolation="antialiased")
-    axes.set(xlim=(-reach, reach), ylim=(1e3 * low, 1e3 * high))
-    axes.set_axis_off()
-    axes.set_title(title)
+    place_picture(axes, picture, (-reach, reach, 1e3 * low, 1e3 * high), title)
     scale_bar(axes, -reach, reach, 0.97e3 * low)
     tall, at = 5.0 * HEIGHT_SCALE * np.cos(angle), -0.97 * reach
     axes.plot([at, at], [0.97e3 * low, 0.97e3 * low + tall], color="black", lw=2.5, solid_capstyle="butt")
@@ -94,15 +95,6 @@ def _render(cloud: Cloud, displacement: Floats, limit: float, low: float, high: 
         rim = sheet.extract_feature_edges(boundary_edges=True, feature_edges=False, manifold_edges=False)
         plotter.add_mesh(rim.translate(nearer), color="#404040", line_width=4.0)
         return screenshot(plotter)
-
-
-def _colour_bar(drawn: Figure, views: list[Any], limit: float) -> None:
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    scale = ScalarMappable(Normalize(0, 1e3 * limit), colour_map())
-    bar = drawn.colorbar(scale, ax=views, orientation="horizontal", shrink=0.5, aspect=45)
-    bar.set_label(f"deflection [mm].   Heights are scaled by {HEIGHT_SCALE:g}.   Lines: every 1 mm.")
 
 
 def _plot_profile(axes: Axes, cloud: Cloud, drawn_ones: dict[str, Floats]) -> None:

@@ -1,0 +1,132 @@
+"""NIfTI-1 and NIfTI-2 images of labels (https://nifti.nimh.nih.gov), with the names that TotalSegmentator writes.
+
+The sform gives the positions of voxels if its code is positive, else the qform, else the sizes of voxels alone.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from palpate.arrays import Floats
+from palpate.faults import FileFormatError
+from palpate.surface.labels.label_map import RAS_TO_LPS, LabelMap, as_grid, in_metres
+from palpate.surface.labels.voxels import GZIP_MAGIC, Unpacker, checked_shape, label_values, segments_of
+
+__all__ = ["read_nifti"]
+
+NUMPY_TYPES = {
+    2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8",
+}  # fmt: skip
+REFUSED_TYPES = {
+    1: "single bits", 32: "complex numbers", 128: "colours (RGB)", 1536: "numbers of 128 bits", 2304: "colours (RGBA)",
+}  # fmt: skip
+METRES_BY_CODE = {0: 1e-3, 1: 1.0, 2: 1e-3, 3: 1e-6}  # unknown, metre, millimetre, micrometre
+MAX_OFFSET = 1 << 24  # bytes before the voxels
+CARET_NAMES = 0  # code of extensions that hold names
+# `<Label Key="5" ...><![CDATA[liver]]></Label>`
+NAME_PATTERN = re.compile(rb'<Label [^<>]{0,200}?Key="(\d{1,9})"[^<>]{0,200}>\s{0,9}(?:<!\[CDATA\[)?([^\]<>]{1,200})')
+
+
+def read_nifti(data: bytes, name: str = "image.nii") -> LabelMap:
+    """Return the label map of a NIfTI file, also one compressed by gzip."""
+    file = Unpacker(data, data[:2] == GZIP_MAGIC)
+    head = file.read(4)
+    sizes = {struct.pack(order + "i", size): (order, size) for order in "<>" for size in (348, 540)}
+    if bytes(head) not in sizes:
+        raise FileFormatError("it must begin with the size of a NIfTI header, 348 or 540, got others")
+    order, size = sizes[bytes(head)]
+    head += file.read(size - 4)
+    wide = size == 540
+    if bytes(head[4:7] if wide else head[344:347]) != (b"n+2" if wide else b"n+1"):
+        raise FileFormatError("its voxels must be in the same file, got a header alone; save it as one .nii file")
+
+    def numbers(form: str, at: int) -> tuple[Any, ...]:
+        return struct.unpack_from(order + form, head, at)
+
+    dim = [int(each) for each in numbers("8q" if wide else "8h", 16 if wide else 40)]
+    code, _ = numbers("2h", 12 if wide else 70)
+    offset = numbers("q", 168)[0] if wide else numbers("f", 108)[0]
+    slope, intercept = numbers("2d", 176) if wide else numbers("2f", 112)
+    shape = _shape(dim)
+    kind = NUMPY_TYPES.get(int(code))
+    if kind is None:
+        what = REFUSED_TYPES.get(int(code), f"data type {int(code)}")
+        raise FileFormatError(f"its voxels must be numbers of labels, got {what}; save the labels as whole numbers")
+    if not size <= offset <= MAX_OFFSET:
+        raise FileFormatError(f"its voxels must begin at byte {size} to {MAX_OFFSET}, got {offset:g}")
+    affine, space, notes = _affine(numbers, wide)
+    extensions = bytes(file.read(int(offset) - size))
+    dtype = np.dtype(order + kind)
+    values = np.frombuffer(file.read(int(np.prod(shape)) * dtype.itemsize), dtype).reshape(shape, order="F")
+    if not file.ends():
+        notes += ("it holds more than its header states, which was left out",)
+    if np.isfinite([slope, intercept]).all() and slope != 0 and (slope, intercept) != (1.0, 0.0):
+        values = values * np.float32(slope) + np.float32(intercept)
+    names = {int(key): text.decode("utf-8", "replace") for key, text in _names(extensions, order)}
+    layers, segments, absent = segments_of([label_values(values)], {(0, key): (key, names[key]) for key in names})
+    return LabelMap(name, layers, as_grid(affine), segments, space, notes, absent)
+
+
+def _shape(dim: list[int]) -> tuple[int, ...]:
+    """Return the numbers of voxels along three axes."""
+    if not 2 <= dim[0] <= 7:
+        raise FileFormatError(f"it must have 3 axes, got {dim[0]}; save one volume")
+    sizes = dim[1 : dim[0] + 1] + [1] * (3 - dim[0])
+    if any(each > 1 for each in sizes[3:]):
+        raise FileFormatError(
+            f"it must be one volume, got {' x '.join(map(str, sizes[3:]))} of them (a time series or channels); save "
+            "one volume of labels"
+        )
+    return checked_shape(sizes[:3])
+
+
+def _affine(numbers: Callable[[str, int], tuple[Any, ...]], wide: bool) -> tuple[Floats, str, tuple[str, ...]]:
+    """Return the map from indices to positions [m], its frame, and notes."""
+    if wide:
+        spacing, (qform, sform), units = numbers("8d", 104), numbers("2i", 344), int(numbers("i", 500)[0])
+        turn, rows = numbers("6d", 352), numbers("12d", 400)
+    else:
+        spacing, (qform, sform), units = numbers("8f", 76), numbers("2h", 252), int(numbers("B", 123)[0])
+        turn, rows = numbers("6f", 256), numbers("12f", 280)
+    metres = METRES_BY_CODE.get(units & 7)
+    if metres is None:
+        raise FileFormatError(f"its unit of length must be metre, millimetre or micrometre, got code {units & 7}")
+    edges = np.array(spacing[1:4])
+    affine = np.eye(4)
+    if sform > 0:
+        affine[:3] = np.reshape(rows, (3, 4))
+    elif qform > 0:
+        b, c, d = turn[:3]
+        a = np.sqrt(max(1.0 - b * b - c * c - d * d, 0.0))
+        rotation = np.array(
+            [
+                [a * a + b * b - c * c - d * d, 2 * (b * c - a * d), 2 * (b * d + a * c)],
+                [2 * (b * c + a * d), a * a + c * c - b * b - d * d, 2 * (c * d - a * b)],
+                [2 * (b * d - a * c), 2 * (c * d + a * b), a * a + d * d - b * b - c * c],
+            ]
+        )
+        rotation[:, 2] *= -1.0 if spacing[0] < 0 else 1.0
+        affine[:3, :3], affine[:3, 3] = rotation * edges, turn[3:]
+    else:
+        affine[:3, :3] = np.diag(edges)
+        note = "it does not state how the patient lies: sizes of its voxels alone are used, without left and right"
+        return in_metres(affine, metres), "", (note,)
+    return RAS_TO_LPS @ in_metres(affine, metres), "LPS", ()
+
+
+def _names(extensions: bytes, order: str) -> list[tuple[bytes, bytes]]:
+    """Return numbers and names in the extensions of a header, after whose first four bytes they begin."""
+    pairs, at = list[tuple[bytes, bytes]](), 4
+    while extensions[:1] > b"\0" and at + 8 <= len(extensions):
+        size, code = struct.unpack_from(order + "2i", extensions, at)
+        if size < 16 or at + size > len(extensions):
+            break
+        if code == CARET_NAMES:
+            pairs += NAME_PATTERN.findall(extensions, at + 8, at + size)
+        at += size
+    return pairs

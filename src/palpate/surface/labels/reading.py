@@ -1,0 +1,70 @@
+"""Label maps from files of the formats in `palpate.surface.formats.names`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from palpate.faults import FileFormatError, InputError
+from palpate.files import read_bytes, shortened
+from palpate.surface.formats.names import LABEL_FORMATS, format_of
+from palpate.surface.labels.dicom import read_dicom
+from palpate.surface.labels.label_map import LabelMap
+from palpate.surface.labels.metaimage import read_metaimage
+from palpate.surface.labels.names import read_names
+from palpate.surface.labels.nifti import read_nifti
+from palpate.surface.labels.nrrd import read_nrrd
+from palpate.surface.labels.voxels import GZIP_MAGIC
+
+__all__ = ["is_label_map", "read_label_map"]
+
+READER_BY_FORMAT = {
+    "nii": read_nifti, "nrrd": read_nrrd, "mha": read_metaimage, "mhd": read_metaimage, "dcm": read_dicom,
+}  # fmt: skip
+MAX_BYTES = 1 << 30  # of a file
+
+
+def is_label_map(path: str | Path) -> bool:
+    """Return True for the name of a label map by its suffix."""
+    return format_of(Path(path))[0] in LABEL_FORMATS
+
+
+def read_label_map(path: str | Path, names: str | Path | None = None) -> LabelMap:
+    """Read a label map, such as TotalSegmentator, nnU-Net and 3D Slicer write it.
+
+    Other files that the file names are not read. Voxels are unpacked after the header's limits are checked, and no
+    more of them than it states.
+
+    Parameters
+    ----------
+    path : path
+        NIfTI (.nii, .nii.gz), NRRD (.nrrd, .seg.nrrd), MetaImage (.mha, .mhd) or DICOM SEG (.dcm).
+    names : path, optional
+        File of names that the file lacks (`palpate.surface.labels.names.read_names`).
+
+    Returns
+    -------
+    LabelMap
+        In metres and, where the file states how the patient lies, in LPS.
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    FileFormatError
+        The file is damaged, larger than 2^29 voxels, or an image of something else than labels.
+    """
+    path = Path(path)
+    kind, packed = format_of(path)
+    if kind not in LABEL_FORMATS or (packed and kind != "nii"):
+        raise FileFormatError(f"{path} must be a label map of {', '.join(LABEL_FORMATS.values())}, got {path.suffix!r}")
+    data = read_bytes(path, "label map", MAX_BYTES)
+    if packed and data[:2] != GZIP_MAGIC:
+        raise FileFormatError(f"{path} must be compressed by gzip, as its name ends in .gz; rename it")
+    try:
+        labels = READER_BY_FORMAT[kind](data, path.name)
+    except InputError as error:
+        raise type(error)(f"{path} cannot be read as {LABEL_FORMATS[kind]}: {error}") from error
+    except (ArithmeticError, LookupError, MemoryError, RecursionError, TypeError, ValueError) as error:
+        why = shortened(str(error))
+        raise FileFormatError(f"{path} is damaged ({type(error).__name__}: {why}); save it again") from error
+    return labels if names is None else labels.with_names(read_names(names))

@@ -1,0 +1,100 @@
+"""Label maps from files: real and made ones of the shared data, hostile ones, names, and limits of size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from label_files import blocks, nifti
+
+from palpate.faults import FileFormatError
+from palpate.surface.labels.label_map import mask_of
+from palpate.surface.labels.reading import is_label_map, read_label_map
+
+DATA = Path(__file__).parents[4] / "shared" / "data" / "labels"
+shared = pytest.mark.skipif(not DATA.is_dir(), reason="the data for developers are not here")
+
+CENTROID = np.array([-15.91, 1.54, -11.89])  # [mm, RAS] of liver and tumour in every made file
+VOLUME = 1.9913e-3  # [m^3]
+MADE = [
+    "liver_2mm_ras.nii.gz", "liver_5mm_slices_lps.nii.gz", "liver_oblique_qform_only.nii.gz",
+    "liver_sform_qform_conflict.nii.gz", "liver_metres.nii.gz", "liver_float_0988.nii.gz", "liver_4d_one.nii.gz",
+    "liver_int16_big_endian.nii", "liver_sheared_layers.seg.nrrd", "liver_oblique.mha", "liver_deep_tumour.nii.gz",
+]  # fmt: skip
+
+
+@shared
+@pytest.mark.parametrize("name", MADE)
+def test_the_liver_has_its_volume_and_place_in_every_file(name):
+    labels = read_label_map(DATA / name)
+    mask = mask_of(labels, ["liver", "tumour"] if "seg" in name else ["1", "2"])
+    positions = mask.positions(np.argwhere(mask.voxels) + mask.start)
+    assert labels.space == "LPS"
+    assert mask.volume == pytest.approx(VOLUME, rel=2e-3)
+    assert np.allclose(positions.mean(axis=0) * 1e3, CENTROID * [-1, -1, 1], atol=0.15)
+
+
+@shared
+def test_the_bladder_of_an_old_slicer_lies_where_the_patient_has_it():
+    labels = read_label_map(DATA / "bladder_old_slicer.seg.nrrd")
+    mask = mask_of(labels)
+    positions = mask.positions(np.argwhere(mask.voxels) + mask.start) * 1e3 * [-1, -1, 1]  # RAS
+    assert np.allclose(positions.min(axis=0), [-29.3, -21.5, -65.0], atol=1.0)
+    assert np.allclose(positions.max(axis=0), [36.1, 59.6, -5.0], atol=2.6)
+
+
+@shared
+def test_names_of_a_trunk_come_from_its_header():
+    labels = read_label_map(DATA / "trunk_3mm_61_labels.nii.gz")
+    assert len(labels.segments) == 61
+    assert next(each.name for each in labels.segments if each.number == 5) == "liver"
+
+
+@shared
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("x_dim9.nii", "3 axes, got 9"),
+        ("x_negative_dim.nii", "got -5"),
+        ("x_offset.nii", "begin at byte"),
+        ("x_singular.nii.gz", "orientation"),
+        ("x_overflow.nrrd", r"at most 2\^29"),
+        ("x_other_file.mha", "in the same file"),
+        ("x_bomb.nii.gz", "voxels of 0 alone"),
+        ("liver_cut_short.nii.gz", "cut short"),
+    ],
+)
+def test_hostile_files_are_refused_in_a_line_that_names_them(name, message):
+    with pytest.raises(FileFormatError, match=message) as caught:
+        read_label_map(DATA / name)
+    assert name in str(caught.value)
+
+
+def test_names_of_a_file_replace_those_that_it_lacks(tmp_path):
+    (tmp_path / "a.nii").write_bytes(nifti(blocks()))
+    (tmp_path / "names.json").write_text('{"liver": 1, "stomach": 7, "aorta": 8}', encoding="utf-8")
+    labels = read_label_map(tmp_path / "a.nii", tmp_path / "names.json")
+    assert [each.name for each in labels.segments] == ["liver", "stomach"]
+    assert labels.absent == ("aorta",)
+    assert [each.name for each in read_label_map(tmp_path / "a.nii").segments] == ["label 1", "label 7"]
+
+
+def test_formats_are_told_by_their_suffixes(tmp_path):
+    for name in ("a.nii", "a.NII.GZ", "a.seg.nrrd", "a.mha", "a.mhd", "a.dcm"):
+        assert is_label_map(name)
+    for name in ("a.stl.gz", "a.nrrdx", "nii", "liver"):
+        assert not is_label_map(name)
+    (tmp_path / "a.nii.gz").write_bytes(nifti(blocks()))
+    with pytest.raises(FileFormatError, match="must be compressed by gzip"):
+        read_label_map(tmp_path / "a.nii.gz")
+    with pytest.raises(FileNotFoundError):
+        read_label_map(tmp_path / "nowhere.nii")
+
+
+def test_unforeseen_errors_of_a_reader_become_one_line(tmp_path):
+    data = bytearray(nifti(blocks()))
+    data[40:42] = b"\xff\x7f"
+    (tmp_path / "a.nii").write_bytes(data)
+    with pytest.raises(FileFormatError, match=r"a\.nii"):
+        read_label_map(tmp_path / "a.nii")
