@@ -26,17 +26,7 @@ __all__ = ["Subject", "open_subject"]
 
 @dataclass(frozen=True)
 class Subject:
-    """A scene, or the reduced model of a file.
-
-    Parameters
-    ----------
-    name : str
-        As the user gave it.
-    scene : OrganScene or None
-        None for the model of a file.
-    model : ReducedModel or None
-        None for a scene, whose model `reduced` trains at its first use.
-    """
+    """A scene, whose reduced model is trained at its first use, or the reduced model of a file."""
 
     name: str
     title: str
@@ -66,15 +56,8 @@ def open_subject(
 ) -> Subject:
     """Open a scene of the package, a scene file, a surface file, or the file of a reduced model.
 
-    Parameters
-    ----------
-    settings : mapping
-        Of a scene (`palpate.open_scene`).
-    spacing : float, optional [m]
-        Of a scene.
-    shape : mapping
-        Further options of a surface file (`palpate.scenes.surface_scene.surface_scene`); None, 1, or empty where the
-        user gave none.
+    `settings` and `spacing` [m] are of a scene (`palpate.open_scene`), `shape` are further options of a surface file
+    (`palpate.scenes.surface_scene.surface_scene`): None, 1, or empty where the user gave none.
     """
     shape = {option: value for option, value in shape.items() if value not in (None, 1.0, [], ())}
     kind, settings = kind_of(name), dict(settings or {})

@@ -74,16 +74,8 @@ def run(
 ) -> int:
     """Run a body once or in real time: `run_once`, `palpate.app.run.realtime.run_realtime`.
 
-    Parameters
-    ----------
-    what : str
-        As of `palpate.app.models.subject.open_subject`.
-    realtime, full, cut : bool
-        In real time, with the full body or its cut.
-    model : path, optional
-        File of a reduced model of the scene. By default that of the scene, trained at the first use.
-    spacing, poisson, given, modes, shape
-        Options of the scene, of a surface file, and of a single run.
+    `model` is the file of a reduced model of the scene, in place of that which is trained at the first use. `shape` has
+    the options of a surface file.
     """
     words: dict[str, Any] = {"spacing": spacing, "poisson": poisson, "modes": modes}
     words = {name: value for name, value in words.items() if value is not None}
@@ -131,28 +123,9 @@ def run_once(
 ) -> int:
     """Run the full body of a scene under its loads, and leave the trajectory and a report in a folder.
 
-    A scene without loads is pressed by its tool.
-
-    Parameters
-    ----------
-    what : str
-        As of `palpate.app.models.subject.open_subject`. The run of the beam is the paper's
-        (`palpate.scenes.beam.beam`).
-    spacing : float, optional [m]
-    load : float, optional [N]
-        Of the paper's beam.
-    given : sequence of str
-        Settings of the scene as ``"name=value"``.
-    modes : int, optional
-        Train a hyper-reduced model of so many modes on the full run, and run it, too. The full model then is in its
-        energy form, which the reduced one samples.
-    as_json : bool
-        As for `palpate.app.studies.reproduce.reproduce`.
-
-    Returns
-    -------
-    int
-        0.
+    A scene without loads is pressed by its tool. The run of the beam is the paper's (`palpate.scenes.beam.beam`), and
+    `load` [N] is of it. With `modes`, train a hyper-reduced model of so many modes on the full run, and run it, too;
+    the full model then is in its energy form, which the reduced one samples.
     """
     if modes is not None:
         integer_in_range("modes", modes, 1, RUN_SNAPSHOTS)

@@ -51,27 +51,10 @@ def run_realtime(
 ) -> int:
     """Step a body at a fixed rate for some seconds under a moving tool, and report missed deadlines.
 
-    Parameters
-    ----------
-    full : bool
-        Step the full body of the subject's scene.
-    cut : bool
-        Cut it with a scalpel.
-    script : path, optional
-        Messages that drive the session, in place of the tool of the scene.
-    record : path, optional
-        File for a recording of the session.
-    seconds : float [s]
-        Up to 600.
-    rate : float [Hz]
-        From 50 to 20000.
-    as_json : bool
-        As for `palpate.app.studies.reproduce.reproduce`.
-
-    Returns
-    -------
-    int
-        0, whether the rate was held or not; 1 if a recording was not written.
+    With `full` the full body of the subject's scene is stepped, and with `cut` a scalpel cuts it. The messages of
+    `script` drive the session in place of the tool of the scene; `record` is the file of a recording. The time is at
+    most 600 s, the rate from 50 to 20,000 Hz. The status is 0 whether the rate was held or not, and 1 if a recording
+    was not written.
     """
     seconds = number_in_range("seconds", seconds, 0.0, MAX_RUN_SECONDS, open_low=True, unit="s")
     rate = number_in_range("rate", rate, MIN_RATE, MAX_RATE, unit="Hz")

@@ -30,15 +30,7 @@ MAX_PRESS_DEPTH, MIN_DEPTH_SHARE = 0.015, 2 / 3  # [m] depth of the press at mos
 
 
 def tool_motion(subject: Subject, body: Any, cut: bool) -> tuple[Poses, Contact | None]:
-    """Return the poses of the tool of a scene, and the tool at its first pose; None for one that moves a group.
-
-    Parameters
-    ----------
-    body : ReducedModel or NodalModel
-        Of the scene.
-    cut : bool
-        Whether the tool is a scalpel that cuts a full body.
-    """
+    """Return the poses of the tool of a scene, and the tool at its first pose; None for one that moves a group."""
     scene = subject.scene
     if scene is None:
         raise InputError(f"script must be given for the model of a file, got none for {subject.name}; or name a scene")
@@ -59,12 +51,8 @@ def tool_motion(subject: Subject, body: Any, cut: bool) -> tuple[Poses, Contact 
 def cutting_scalpel(body: Any, cut: Cut) -> tuple[Poses, Contact]:
     """Return the poses of a scalpel that cuts across the top of a body, and the scalpel at its first pose.
 
-    It goes down into the body, along its longest horizontal axis, and out again.
-
-    Parameters
-    ----------
-    cut : Cut
-        Section of a scene. Sizes that it leaves out fit the body.
+    It goes down into the body, along its longest horizontal axis, and out again. Sizes that the section of the scene
+    leaves out fit the body.
     """
     points, spacing = body.cloud.points, body.cloud.spacing
     if points.shape[1] != 3 or not isinstance(body, EnergySolid):

@@ -18,10 +18,10 @@ from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.meshfree.cut.surface import NO_CUT
 from palpate.realtime.bodies.cut_display import CutFullSurface
-from palpate.realtime.bodies.display_surface import DisplaySurface, Surface
+from palpate.realtime.bodies.display_surface import DisplaySurface
 from palpate.realtime.bodies.full_blade import BladeCutter
 from palpate.realtime.bodies.full_body import step_statistics
-from palpate.realtime.bodies.full_surface import FullSurface
+from palpate.realtime.bodies.full_surface import FullSurface, display_surface
 from palpate.realtime.bodies.model import RealtimeModel, idle_model
 from palpate.reduction.hyper.model import ReducedModel
 
@@ -32,17 +32,7 @@ REDRAW_INTERVAL = 0.1  # [s] between new surfaces of a body that is being cut
 
 
 class SessionBody:
-    """A reduced model that tools touch.
-
-    Attributes
-    ----------
-    tool_kinds : tuple of str
-        Tools that a user may select.
-    idle_tool : SelectedTool
-        Tool at the start and after a reset.
-    home : (3,) array [m]
-        Origin of that tool.
-    """
+    """A reduced model that tools touch; at the start and after a reset it has `idle_tool` at `home` (3,) [m]."""
 
     is_full = False
     recording_interval = RECORDING_INTERVAL
@@ -52,10 +42,7 @@ class SessionBody:
 
     def __init__(self, model: Any, realtime: RealtimeModel) -> None:
         self.model, self.realtime, self.home = model, realtime, np.zeros(3)
-        self.surface = self._make_surface()
-
-    def _make_surface(self) -> DisplaySurface:
-        return Surface(self.model)
+        self.surface = display_surface(model)
 
     @property
     def cuts(self) -> int:
@@ -102,9 +89,6 @@ class FullBody(SessionBody):
 
     is_full = True
     recording_interval = FULL_INTERVAL
-
-    def _make_surface(self) -> DisplaySurface:
-        return FullSurface(self.model)
 
     def statistics(self, tool: SelectedTool) -> dict[str, Any]:
         """Return how the body was stepped."""

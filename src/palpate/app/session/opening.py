@@ -41,18 +41,9 @@ def running_session(
 ) -> Iterator[Session]:
     """Yield a running session; stop it at the end, and write its recordings.
 
-    Parameters
-    ----------
-    full : bool
-        Step the full body of the subject's scene, which keeps real time, in place of its reduced model.
-    make : function
-        Makes the session of a body and its springs.
-    record : path, optional
-        File for a recording of the whole session.
-    wait : function, optional
-        Called before the engine is prepared.
-    exact : bool
-        Whether a full body has the spacing of the scene, where it gives one, also if it does not keep real time.
+    With `full`, the full body of the subject's scene is stepped, in place of its reduced model. It keeps real time;
+    with `exact` it has the spacing of the scene, where that gives one. `make` returns the session of a body and its
+    springs; before that, `wait` is called. `record` is the file of a recording of the whole session.
     """
     console.begin_phase("importing")
     from palpate.app.models.learned_spacings import learned_spacing

@@ -46,15 +46,7 @@ def follow(poses: Poses) -> ToolPath:
 
 
 class Script:
-    """Drives a session by the messages of a file, each at its time.
-
-    Attributes
-    ----------
-    done : int
-        Number of messages so far.
-    refused : list of dict
-        Times and reasons of those that the session refused.
-    """
+    """Drives a session by the messages of a file, each at its time; counts them, and notes those refused."""
 
     def __init__(self, messages: list[tuple[float, Message]]) -> None:
         self._messages, self.done = messages, 0
@@ -72,13 +64,7 @@ class Script:
 
 
 def read_script(path: Path) -> Script:
-    """Return the script in a file.
-
-    Parameters
-    ----------
-    path : path
-        Lines of JSON objects: messages of a client (docs/protocol.md) with a ``"time"`` [s] since the start.
-    """
+    """Return the script in a file: lines of JSON, messages of docs/protocol.md with a ``"time"`` [s]."""
     messages = []
     for k, line in enumerate(read_text(path, "script").split("\n")):
         if not line.strip():

@@ -26,35 +26,17 @@ __all__ = ["SessionRecordings"]
 
 
 class SessionRecordings:
-    """Recordings of one body.
-
-    Parameters
-    ----------
-    describe : function
-        Of a `Recorder`.
-
-    Attributes
-    ----------
-    folder : path
-        Of new files.
-    recorder : Recorder or None
-        Of the present recording.
-    failures : list of str
-        One line each.
-    notifications : list of dict
-        Messages still to be sent to all viewers.
-    """
+    """Recordings of one body, of snapshots that `describe` returns for a `Recorder`."""
 
     def __init__(
         self, title: str, body: SessionBody, describe: Callable[[], tuple[Snapshot, dict[str, Any], Floats]]
     ) -> None:
         self._title, self._body, self._describe = title, body, describe
-        self.folder, self.recorder = Path("out/view"), None
-        self.failures: list[str] = []
-        self.notifications: list[dict[str, Any]] = []
+        self.folder = Path("out/view")  # of new files
+        self.recorder: Recorder | None = None  # of the present recording
+        self.failures: list[str] = []  # one line each
+        self.notifications: list[dict[str, Any]] = []  # messages still to be sent to all viewers
         self._writers: list[threading.Thread] = []
-
-    recorder: Recorder | None
 
     @property
     def is_active(self) -> bool:
@@ -62,13 +44,7 @@ class SessionRecordings:
         return self.recorder is not None
 
     def start(self, path: Path | None = None) -> None:
-        """Start a recording; raise OSError if its file cannot be written.
-
-        Parameters
-        ----------
-        path : path, optional
-            File of the recording; by default a new file in the folder.
-        """
+        """Start a recording in a file, by default a new one in the folder; raise OSError if it cannot be written."""
         if self.recorder is not None:
             raise InputError("record must be 'stop' during a recording, got 'start'; stop the present one first")
         journal = RecordingJournal(path or _create_file(self.folder), self._title, self._body.model)
@@ -85,14 +61,9 @@ class SessionRecordings:
             ) from error
 
     def finish(self, path: Path | None = None, wait: bool = False) -> None:
-        """Stop the recording and write it in its own thread; `notifications` then has its path.
+        """Stop the recording and write it in its own thread, by default to the file that `start` began.
 
-        Parameters
-        ----------
-        path : path, optional
-            By default the file that `start` began.
-        wait : bool
-            Whether to wait until the file is written.
+        `notifications` then has its path. With `wait`, return when it is written.
         """
         if self.recorder is None:
             raise InputError("record must be 'start' without a recording, got 'stop'; start one first")
@@ -131,7 +102,7 @@ class SessionRecordings:
             if journal.path.stat().st_size == 0 or (path != journal.path and journal.count and not failure):
                 journal.path.unlink()
 
-    def succeed(self, former: SessionRecordings) -> None:
+    def continue_from(self, former: SessionRecordings) -> None:
         """Finish the recording of another body, and take its folder, failures and notifications."""
         if former.is_active:
             former.finish()

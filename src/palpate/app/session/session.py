@@ -270,7 +270,7 @@ class Session:
         The other session stops, and its recording is written. Its notifications are those of this session from now
         on.
         """
-        self.recordings.succeed(former.recordings)
+        self.recordings.continue_from(former.recordings)
         state, reason = former.engine.state, former.pause_reason
         former.stop()
         if former.selected_tool.kind in self.tool_kinds:

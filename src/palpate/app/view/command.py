@@ -48,28 +48,10 @@ def view(
 ) -> int:
     """Show a body in real time on a page until interrupted.
 
-    Parameters
-    ----------
-    what : str
-        As of `palpate.app.models.subject.open_subject`. The full body of a surface file or a scene file is shown, and
-        the reduced model of a scene of the package.
-    port : int
-        The next free one is used if it is busy.
-    host : str
-        Address of this machine; addresses other than 127.0.0.1 admit other machines.
-    browser : bool
-        Whether to open a browser.
-    record : path, optional
-        File for a recording of the whole session, written when it ends, also by SIGTERM or SIGHUP.
-    spacing, given, shape
-        Options of a scene and of a surface file; None where the command line gives none.
-    refine : bool
-        Train a reduced model behind the full body of a surface file or a scene file, and change over to it
-        (`palpate.app.view.refinement`).
-    compare : bool
-        Also step the full model of the reduced model's training scene, under the same tool.
-    scene : str, optional
-        With `compare`: the user's own scene, ``"module:function"``, which the model must name.
+    The full body of a surface file or a scene file is shown, and the reduced model of a scene of the package or of a
+    file. `record` is the file of a recording of the whole session, written when it ends, also by SIGTERM or SIGHUP.
+    With `compare` the full model of the reduced model's training scene is stepped, too; `scene`, ``"module:function"``,
+    is the user's own, which the model must name. `shape` has the options of a surface file.
 
     Returns
     -------
@@ -137,13 +119,7 @@ def _show(
     address: tuple[int, str, bool],
     refine: bool,
 ) -> list[str]:
-    """Show a body on a page until interrupted: first its surface, then the session.
-
-    Returns
-    -------
-    list of str
-        Failures of recordings.
-    """
+    """Show a body on a page until interrupted, first its surface; return failures of recordings."""
     from palpate.app.view.compile_ahead import compile_ahead
     from palpate.app.view.server.host import serve
     from palpate.app.view.server.preparation import Preparation
