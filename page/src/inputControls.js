@@ -4,11 +4,13 @@ import { Press } from "./press.js";
 const CURSOR_STEP = 0.02; // of an arrow key, in normalised device coordinates
 const DEPTH_STEP = 1e-3; // [m] of a key
 const CLICK_SLACK = 4; // [px] that the pointer may move in a click
+const CLICK_TIME = 300; // [ms] of a click on a shape in front of the body
 
 export class InputControls {
   /**
    * `page` has tool(), driver(), requestControl(), send(message), poseSent(sequence, stamp), pressChanged(press | null),
-   * and missed(why, [x, y]) for a press that cannot begin.
+   * missed(why, [x, y]) for a press that cannot begin, and clicked([u, v], distance, [x, y]) for a short click on the body
+   * at a distance, or next to it; it returns whether a shape was there.
    */
   constructor(scene, page) {
     Object.assign(this, { scene, page, press: null, hover: null, pointers: new Map(), cameraMotion: null });
@@ -32,7 +34,8 @@ export class InputControls {
     this.pointers.set(event.pointerId, [event.clientX, event.clientY]);
     if (this.pointers.size > 1) return this.startPinch();
     const hit = event.button === 0 && !event.shiftKey && this.scene.pick(...this.scene.deviceCoordinates(event));
-    this.click = !hit && event.button === 0 && !event.shiftKey && !event.ctrlKey && [event.clientX, event.clientY];
+    const plain = event.button === 0 && !event.shiftKey && !event.ctrlKey;
+    this.click = plain && { x: event.clientX, y: event.clientY, stamp: event.timeStamp, distance: hit ? hit.distance : Infinity };
     if (!hit) this.cameraMotion = event.button === 1 || event.ctrlKey ? "pan" : "rotate";
     else this.begin(hit, event.timeStamp);
   }
@@ -55,11 +58,11 @@ export class InputControls {
 
   up(event) {
     this.pointers.delete(event.pointerId);
-    const still = this.click && Math.hypot(event.clientX - this.click[0], event.clientY - this.click[1]) < CLICK_SLACK;
-    if (still && event.type === "pointerup") this.miss(event);
+    const { click } = this;
     this.click = null;
     if (this.pointers.size === 0) this.cameraMotion = null;
     if (this.press) this.release();
+    if (click && event.type === "pointerup" && Math.hypot(event.clientX - click.x, event.clientY - click.y) < CLICK_SLACK) this.answerClick(click, event);
   }
 
   wheel(event) {
@@ -92,6 +95,15 @@ export class InputControls {
   setHover(place) {
     this.hover = place;
     this.scene.dirty = true;
+  }
+
+  /** Name the shape under a click; on the body only a short click, if the shape is in front of it. */
+  answerClick({ stamp, distance }, event) {
+    const onBody = distance < Infinity;
+    if (onBody && event.timeStamp - stamp > CLICK_TIME) return;
+    const box = this.scene.canvas.getBoundingClientRect();
+    const named = this.page.clicked(this.scene.deviceCoordinates(event), distance, [event.clientX - box.left, event.clientY - box.top]);
+    if (!named && !onBody) this.miss(event);
   }
 
   /** Answer a click next to the body. */

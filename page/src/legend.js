@@ -1,18 +1,23 @@
 // Legend and scale bar.
 import { ColourScale } from "./colourScale.js";
 import { gradient } from "./colours.js";
+import { sideLetters, sideWords } from "./sides.js";
 
 const MAX_BAR_WIDTH = 120; // [px]
 const LEAST_END = { mm: 1, kPa: 0.2, Pa: 200 }; // hides noise of a body at rest
 
-export function updateScaleBar(byId, metresPerPixel) {
+/** Show the scale, and the sides of the patient towards which a horizontal direction of the view points, if they are known. */
+export function updateScaleBar(byId, metresPerPixel, space, direction) {
   const longest = 1e3 * MAX_BAR_WIDTH * metresPerPixel;
   if (!(longest > 0)) return;
   const decade = 10 ** Math.floor(Math.log10(longest));
   const length = decade * [5, 2, 1].find((step) => step * decade <= longest);
   byId("scale-bar").style.width = `${(length / 1e3 / metresPerPixel).toFixed(1)}px`;
   byId("scale-text").textContent = `${Number(length.toPrecision(1))} mm`;
-  byId("scale").setAttribute("aria-label", `Scale bar: ${Number(length.toPrecision(1))} millimetres`);
+  const letters = sideLetters(space, direction) ?? ["", ""];
+  ["side-left", "side-right"].forEach((id, k) => (byId(id).textContent = letters[k]));
+  const sides = letters[0] && `; the patient's ${sideWords(letters[0])} is on the left of the picture`;
+  byId("scale").setAttribute("aria-label", `Scale bar: ${Number(length.toPrecision(1))} millimetres${sides}`);
 }
 
 /** Legend of the shown scalar, with the end of its scale. */

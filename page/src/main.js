@@ -2,6 +2,7 @@
 import "./style.css";
 import { Vector3 } from "three";
 import { InputControls } from "./inputControls.js";
+import { LabelChoice } from "./labelChoice.js";
 import { Legend, updateScaleBar } from "./legend.js";
 import { LocalConnection, localModel } from "./localConnection.js";
 import { paceText } from "./forceText.js";
@@ -13,6 +14,7 @@ import { Preparation } from "./preparation.js";
 import { Connection } from "./protocol.js";
 import { Refinement } from "./refinement.js";
 import { Scene } from "./scene.js";
+import { Surroundings, SurroundingsPanel, shapeName } from "./surroundings.js";
 import { theme } from "./theme.js";
 import { Transport } from "./transport.js";
 
@@ -28,7 +30,7 @@ const SPEECH_INTERVAL = 1500; // [ms] between announcements
 const AIR_TIME = 0.5; // [s] without a force after which a tool is in the air
 const LEAST_FORCE = 2e-3; // [N] of a tool that touches
 
-const session = { hello: null, status: {}, scalar: "displacement", state: null, next: null, waiting: null, tool: null, tools: {} };
+const session = { hello: null, space: "", status: {}, scalar: "displacement", state: null, next: null, waiting: null, tool: null, tools: {} };
 const replaying = () => session.hello?.mode === "replay";
 const driver = () => Boolean(session.status.driver) && !replaying();
 const send = (message) => connection.send(message);
@@ -45,13 +47,21 @@ const page = {
   },
   poseSent: (sequence, stamp) => meter.poseSent(sequence, stamp),
   missed: (why, place) => statusLine.showCallout(why, place),
+  /** Name the nearest shape, or the one behind it where that is marked. */
+  clicked(coordinates, distance, place) {
+    const shapes = scene.shapesUnder(...coordinates, distance);
+    const shape = shapes[shapes.indexOf(scene.surroundings?.marked) + 1] ?? shapes[0];
+    if (scene.surroundings && (shape !== undefined || distance === Infinity)) mark(shape ?? -1);
+    if (shape !== undefined) statusLine.showCallout(shapeName(scene.surroundings.names[shape]), place);
+    return shape !== undefined;
+  },
   pressChanged(press) {
     if (press && session.status.state === "paused") statusLine.showToast("The session is paused: resume it to move the body.");
     if (!press) statusLine.announce("Released");
   },
 };
 
-let scene, controls, plots, panel, transport, refinement, connection;
+let scene, controls, plots, panel, transport, refinement, surroundings, choice, connection;
 
 function start() {
   try {
@@ -68,6 +78,8 @@ function start() {
     send(message);
   });
   refinement = new Refinement(byId, send);
+  surroundings = new SurroundingsPanel(byId, (shown) => scene.showSurroundings(shown), mark);
+  choice = new LabelChoice(byId, send);
   controls = new InputControls(scene, page);
   theme(byId("theme"), (accent, dark) => {
     scene.setColours(accent, dark);
@@ -102,11 +114,18 @@ function start() {
 // messages from the server
 
 const answers = {
+  labels(message) {
+    statusLine.setConnection("Choose the body", "");
+    choice.show(message);
+  },
   preparing(message) {
+    choice.end();
+    session.space = message.space;
     statusLine.setConnection("Preparing", "");
     preparation.show(message);
   },
   failed({ reason }) {
+    choice.end();
     connection.close();
     preparation.end();
     statusLine.setConnection("Ended", "bad");
@@ -116,6 +135,7 @@ const answers = {
     preparation.end();
     if (controls.press) controls.release(); // of the body that was shown
     session.hello = message;
+    session.space = message.space;
     session.status = { driver: false, viewers: message.viewers, state: "running", speed: 1 };
     session.tools = { ...initialTools(message), ...session.tools };
     refinement.offer();
@@ -149,6 +169,7 @@ const answers = {
     session.waiting = session.next;
   },
   error({ reason }) {
+    if (choice.fail(reason)) return;
     statusLine.showToast(reason, true);
     if (controls.press?.tool.kind !== "grasp" || session.state?.tool === "grasp") return;
     statusLine.showCallout("cannot hold here", scene.project(controls.press.hit.point.toArray()));
@@ -170,7 +191,10 @@ function message(received) {
 function frame(received) {
   if (received.kind === 2) session.next = received;
   else if (received.kind === 5 || received.kind === 6) scene.setBody(received);
-  else if (received.kind === 1) {
+  else if (received.kind === 7) {
+    scene.setSurroundings(new Surroundings(received), surroundings.asked);
+    surroundings.offer(received.names);
+  } else if (received.kind === 1) {
     scene.setBody(received);
     byId("fixed-key").hidden = !received.fixed.includes(1);
     if (driver()) sendTool();
@@ -183,6 +207,7 @@ function frame(received) {
 }
 
 function lost(seconds) {
+  choice.end();
   session.next = null;
   if (controls.press) controls.release();
   session.status.driver = false;
@@ -192,6 +217,7 @@ function lost(seconds) {
 }
 
 function ended(why) {
+  choice.end();
   statusLine.setConnection("Not connected", "bad");
   const reasons = {
     token: "This address has expired. Open the one that palpate view printed last.",
@@ -230,7 +256,7 @@ function showStatus() {
 // input of the user
 
 /** Initial sizes of each kind of tool, from the size of the body. */
-function initialTools({ bounds: [low, high], spacing, full, compare, tools, tool_parameters: parameters }) {
+function initialTools({ bounds: [low, high], spacing, full, compare, tools, tool_parameters: parameters = {} }) {
   const size = Math.hypot(...high.map((part, k) => part - low[k]));
   const round = (metres) => Math.max(Math.round(1e3 * metres), 1) / 1e3;
   const least = full || compare ? Math.ceil(2e3 * spacing) / 2e3 : 0; // of a tool that touches a full body
@@ -259,6 +285,13 @@ function choose(kind) {
   session.tools[session.tool.kind] = session.tool;
   session.tool = session.tools[kind];
   sendTool();
+}
+
+/** Mark a shape around the body; none for -1. */
+function mark(shape) {
+  scene.markShape(shape);
+  surroundings.mark(shape);
+  if (shape >= 0) statusLine.announce(shapeName(scene.surroundings.names[shape]));
 }
 
 /** Change fields of the tool. */
@@ -291,11 +324,12 @@ function scalar(name) {
 }
 
 function key(event) {
-  if (byId("help").open || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (byId("help").open || !byId("choice").hidden || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.target.id === "surroundings-names" && event.key !== "Escape") return; // letters find a name
   const field = event.target.matches?.("input, select, button");
   if (field && [" ", "Enter", "ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown"].includes(event.key)) return;
   const kinds = session.hello?.tools ?? [];
-  const meanings = { r: () => transport.reset(), p: () => transport.pause(), f: () => scene.orbitCamera.reset(), "?": () => byId("help").showModal() };
+  const meanings = { r: () => transport.reset(), p: () => transport.pause(), f: () => scene.orbitCamera.reset(), s: () => surroundings.toggle(), escape: () => scene.surroundings && mark(-1), "?": () => byId("help").showModal() };
   const meaning = meanings[event.key.toLowerCase()] ?? (kinds[event.key - 1] && (() => choose(kinds[event.key - 1])));
   if (meaning) meaning();
   else if (!scene.body || !controls.key(event)) return;
@@ -315,7 +349,7 @@ function renderFrame(now, seconds) {
     showTool(session.state);
     showAir(session.state, seconds);
   }
-  if (scene.draw(seconds)) updateScaleBar(byId, scene.metresPerPixel());
+  if (scene.draw(seconds)) updateScaleBar(byId, scene.metresPerPixel(), session.space, scene.rightward());
   updateReadings(now);
   if (fresh) {
     meter.stateRendered(state);

@@ -7,19 +7,24 @@ const [a, b, c] = [new three.Vector3(), new three.Vector3(), new three.Vector3()
 
 /** Nearest surface point at normalised device coordinates, with its normal and vertex; or null. */
 export function pick(body, camera, x, y) {
+  const [first] = crossings(body, camera, x, y);
+  if (!first) return null;
+  ray.ray.at(first.distance, hit);
+  const corners = [0, 1, 2].map((j) => body.triangles[3 * first.triangle + j]);
+  const point = hit.clone();
+  return { point, distance: first.distance, vertex: closest(body, corners, point), normal: normalIn(body, corners, point) };
+}
+
+/** Fronts of triangles along a ray at normalised device coordinates, the nearest first: distances, and triangles by number. */
+export function crossings({ positions, triangles }, camera, x, y) {
   ray.setFromCamera({ x, y }, camera);
-  const { positions, triangles } = body;
   const { origin, direction } = ray.ray;
-  let [nearest, found] = [Infinity, -1];
+  const found = [];
   for (let k = 0; k < triangles.length; k += 3) {
     const distance = crossing(positions, 3 * triangles[k], 3 * triangles[k + 1], 3 * triangles[k + 2], origin, direction);
-    if (distance < nearest) [nearest, found] = [distance, k];
+    if (distance < Infinity) found.push({ distance, triangle: k / 3 });
   }
-  if (found < 0) return null;
-  ray.ray.at(nearest, hit);
-  const corners = [0, 1, 2].map((j) => triangles[found + j]);
-  const point = hit.clone();
-  return { point, distance: nearest, vertex: closest(body, corners, point), normal: normalIn(body, corners, point) };
+  return found.sort((a, b) => a.distance - b.distance);
 }
 
 /** Distance along a ray to the front of a triangle (Moeller and Trumbore 1997), or infinity. */

@@ -15,12 +15,26 @@ export function decode(buffer) {
     const fixed = new Uint8Array(buffer, start + 12 * triangles, vertices);
     return { kind, sequence, positions, triangles: new Uint32Array(buffer, start, 3 * triangles), fixed };
   }
+  if (kind === 7) return surroundings(buffer, sequence, vertices, triangles);
   if (kind === 2) return state(buffer, sequence, vertices);
   if (kind === 3) {
     const force = new Float32Array(buffer, HEADER_BYTES + 12 * vertices, 3);
     return { kind, sequence, positions: new Float32Array(buffer, HEADER_BYTES, 3 * vertices), newtons: Math.hypot(...force) };
   }
   return { kind, sequence };
+}
+
+/** Shapes around a body; `count` of them. */
+function surroundings(buffer, count, vertices, triangles) {
+  const start = HEADER_BYTES + 12 * vertices;
+  const sizes = start + 12 * triangles;
+  return {
+    kind: 7,
+    positions: new Float32Array(buffer, HEADER_BYTES, 3 * vertices),
+    triangles: new Uint32Array(buffer, start, 3 * triangles),
+    sizes: new Uint32Array(buffer, sizes, count),
+    names: JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, sizes + 4 * count))),
+  };
 }
 
 function state(buffer, sequence, vertices) {
@@ -68,13 +82,13 @@ export class Connection {
     const socket = new WebSocket(this.url, "palpate.v2");
     this.socket = socket;
     socket.binaryType = "arraybuffer";
-    socket.onopen = () => this.send({ type: "hello", protocol: 2, token: this.token, preparation: true });
+    socket.onopen = () => this.send({ type: "hello", protocol: 2, token: this.token, preparation: true, surroundings: true });
     socket.onmessage = ({ data }) => {
       if (socket !== this.socket) return;
       if (typeof data !== "string") return this.on.frame(decode(data));
       const message = JSON.parse(data);
       if (message.tool_kinds) TOOLS.splice(0, TOOLS.length, ...message.tool_kinds);
-      if (message.type === "hello" || message.type === "preparing") this.wait = FIRST_RETRY_DELAY;
+      if (["hello", "preparing", "labels"].includes(message.type)) this.wait = FIRST_RETRY_DELAY;
       this.on.message(message);
     };
     socket.onclose = ({ code }) => {

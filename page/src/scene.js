@@ -40,7 +40,7 @@ export class Scene {
     this.marker = new SurfaceMarker("#0b7285");
     this.shadow = new Shadow(this.renderer, this.fine);
     this.graph.add(this.shadow.plane, this.tool.group, this.ghost.group, this.arrow.group, this.marker.mesh);
-    this.body = this.overlay = null;
+    this.body = this.overlay = this.surroundings = null;
     this.dirty = true;
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
     this.resize();
@@ -69,12 +69,42 @@ export class Scene {
     this.dirty = true;
   }
 
+  /** Replace the shapes around the body; drawn only where they are shown. */
+  setSurroundings(surroundings, shown) {
+    if (this.surroundings) {
+      if (this.surroundings.mesh) this.graph.remove(this.surroundings.mesh);
+      this.surroundings.dispose();
+    }
+    this.surroundings = surroundings;
+    this.showSurroundings(shown);
+  }
+
+  showSurroundings(shown) {
+    const { surroundings } = this;
+    if (shown) this.graph.add(surroundings.show(this.body.sphere, this.accent, this.dark));
+    else if (surroundings.mesh) this.graph.remove(surroundings.mesh);
+    this.surroundingsShown = shown;
+    this.dirty = true;
+  }
+
+  /** Mark a shape around the body; none for -1. */
+  markShape(shape) {
+    this.surroundings.mark(shape);
+    this.dirty = true;
+  }
+
+  /** Shapes at normalised device coordinates in front of a distance, the nearest first. */
+  shapesUnder(x, y, distance) {
+    return this.surroundings && this.surroundingsShown ? this.surroundings.under(this.camera, x, y, distance) : [];
+  }
+
   get size() {
     return this.body ? 2 * this.body.sphere.radius : 1;
   }
 
   setColours(accent, dark) {
-    this.accent = accent;
+    Object.assign(this, { accent, dark });
+    this.surroundings?.setColours(accent, dark);
     this.arrow.setColour(accent);
     this.marker.material.color.set(accent);
     this.overlay?.lines.material.color.set(accent);
@@ -111,6 +141,11 @@ export class Scene {
 
   metresPerPixel(point) {
     return this.orbitCamera.metresPerPixel(this.height, point?.distanceTo(this.camera.position));
+  }
+
+  /** Direction [3] in space of a line to the right on the screen. */
+  rightward() {
+    return this.camera.matrixWorld.elements.slice(0, 3);
   }
 
   /** Render if anything has changed in the last seconds; returns whether it did. */

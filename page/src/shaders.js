@@ -212,6 +212,34 @@ export const toolShader = {
     }`,
 };
 
+/** Shapes around a body: clear where they face the camera, dense at their outlines; one is marked. */
+export const surroundingsShader = {
+  vertex: `
+    in float number;
+    uniform float marked; uniform vec3 middle; uniform float radius; // of the body
+    out vec3 eye, n; out float near;
+    flat out float chosen;
+    void main() {
+      vec4 seen = modelViewMatrix * vec4(position, 1.0);
+      eye = seen.xyz; n = normalMatrix * normal;
+      near = mix(1.0, 0.3, smoothstep(1.0, 2.2, distance(position, middle) / radius));
+      chosen = 1.0 - step(0.5, abs(number - marked));
+      gl_Position = projectionMatrix * seen;
+    }`,
+  fragment: `
+    precision highp float;
+    uniform vec3 colour, accent;
+    in vec3 eye, n; in float near;
+    flat in float chosen;
+    out vec4 result;
+    void main() {
+      float facing = clamp(dot(normalize(n), normalize(-eye)), 0.0, 1.0);
+      float rim = pow(1.0 - facing, 2.5);
+      float alpha = mix(near * (0.035 + 0.36 * rim), 0.30 + 0.5 * rim, chosen);
+      result = vec4(mix(colour, accent, chosen) * alpha, alpha);
+    }`,
+};
+
 /** Blur of the shadow in one direction. */
 export const blurShader = {
   vertex: `out vec2 at; void main() { at = 0.5 * position.xy + 0.5; gl_Position = vec4(position.xy, 0.0, 1.0); }`,

@@ -145,6 +145,7 @@ class Client:
     def __init__(self, socket, draws=True):
         self.socket, self.draws = socket, draws
         self.messages, self.states, self.overlays, self.forces, self.geometry = [], [], [], [], None
+        self.surroundings = []
 
     async def say(self, **message):
         await self.socket.send(json.dumps(message))
@@ -169,6 +170,8 @@ class Client:
                 await self.say(type="ack", sequence=sequence)
         elif kind == 3:
             self.overlays.append((sequence, np.frombuffer(text, "<f4", 3 * n, 16).reshape(-1, 3)))
+        elif kind == 7:
+            self.surroundings.append((len(self.states), text))
         else:
             self.forces.append(np.frombuffer(text, "<f8", 23, 16))
 
@@ -218,11 +221,11 @@ class Site:
         self.thread.join(SECONDS)
 
     @contextlib.asynccontextmanager
-    async def client(self, *, token=TOKEN, draws=True, greet=True, **options):
+    async def client(self, *, token=TOKEN, draws=True, greet=True, more=None, **options):
         options = {"subprotocols": ["palpate.v2"], "max_size": None, **options}
         async with connect(f"ws://{LOOPBACK}:{self.port}/session", **options) as socket:
             own = Client(socket, draws)
-            await own.say(type="hello", protocol=2, token=token)
+            await own.say(type="hello", protocol=2, token=token, **(more or {}))
             if greet:
                 await own.hear_until(lambda c: c.geometry is not None)
             yield own

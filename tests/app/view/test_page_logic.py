@@ -161,3 +161,52 @@ def test_the_legend_begins_at_zero_or_at_minus_its_end():
     signed = evaluate("colours.js", "m.gradient(true)")
     assert signed.startswith(f"linear-gradient(to right, {colour.format(*low)},")
     assert colour.format(*zero) in signed
+
+
+@pytest.mark.parametrize(
+    ("space", "right", "letters"),
+    [
+        ("LPS", [1, 0, 0], ["R", "L"]),  # from the front
+        ("LPS", [-1, 0, 0], ["L", "R"]),  # from the rear
+        ("LPS", [0, 1, 0], ["A", "P"]),  # from the left
+        ("LPS", [0.95, 0.31, 0], ["R", "L"]),  # the first view
+        ("LPS", [0.8, -0.6, 0], ["RP", "LA"]),
+        ("RAS", [1, 0, 0], ["L", "R"]),
+        ("RAS", [0, 1, 0], ["P", "A"]),
+        ("", [1, 0, 0], None),
+    ],
+)
+def test_letters_at_the_scale_bar_are_the_sides_of_the_patient(space, right, letters):
+    assert evaluate("sides.js", f"m.sideLetters({json.dumps(space)}, {right})") == letters
+
+
+def test_letters_have_words():
+    assert evaluate("sides.js", "['R', 'LA'].map(m.sideWords)") == ["right", "left, front"]
+
+
+def test_labels_are_found_by_words_of_their_names_and_by_their_numbers():
+    labels = [{"name": "kidney_left", "number": 3}, {"name": "rib_left_3", "number": 94}]
+    for text, found in (("", [0, 1]), ("left", [0, 1]), ("LEFT kid", [0]), ("kidney_l", [0]), ("94", [1]), ("x", [])):
+        expression = f"{json.dumps(labels)}.map((each) => m.matches(each, {json.dumps(text)}))"
+        assert [k for k, match in enumerate(evaluate("labelChoice.js", expression)) if match] == found
+
+
+def test_volumes_have_the_digits_that_one_compares():
+    volumes = [1.1257e-3, 1.374e-4, 1.88e-5, 4.5e-6, 2e-8]
+    texts = evaluate("labelChoice.js", f"{volumes}.map(m.millilitres)")
+    assert texts == ["1126", "137", "19", "4.5", "0.02"]
+
+
+def test_a_frame_of_shapes_is_decoded():
+    names = ["Niere «links»", "rib"]
+    points = np.arange(21, dtype="<f4")
+    triangles = np.array([0, 1, 2, 3, 4, 5, 4, 5, 6], dtype="<u4")
+    sizes = np.array([1, 2], dtype="<u4")
+    head = np.array([7, 2, 7, 3], dtype="<u4")
+    frame = b"".join(part.tobytes() for part in (head, points, triangles, sizes)) + json.dumps(names).encode()
+    expression = (
+        f"(({{ positions, triangles, sizes, names }}) => [[...positions], [...triangles], [...sizes], names])"
+        f"(m.decode(new Uint8Array({list(frame)}).buffer))"
+    )
+    found = evaluate("protocol.js", expression)
+    assert found == [points.tolist(), triangles.tolist(), sizes.tolist(), names]

@@ -18,6 +18,8 @@ __all__ = ["export"]
 def export(
     *,
     model: str,
+    part: Sequence[str] | None = None,
+    labels: Path | None = None,
     folder: Path | None = None,
     web: Path | None = None,
     name: str | None = None,
@@ -30,6 +32,8 @@ def export(
     ----------
     model : str
         As for `palpate.app.models.subject.open_subject`.
+    part, labels
+        Of a surface file, as for `palpate.io.read_surface`.
     folder, name, targets, relaxed
         As for `palpate.export.folder.export_c`.
     web : path
@@ -45,7 +49,7 @@ def export(
         if name is not None or targets or relaxed:
             raise InputError("web must be alone, got an option of a library; leave name, target and relaxed out")
         check_new(web)
-        subject = open_subject(model)
+        subject = open_subject(model, part=part, labels=labels)
         reduced = subject.reduced(console)
         with console.status("compiling the step of the model (about a minute)"):
             written = export_web(reduced, web, subject.title)
@@ -55,7 +59,7 @@ def export(
         return 0
     assert folder is not None  # the parser requires one
     check_new(folder)
-    subject = open_subject(model)
+    subject = open_subject(model, part=part, labels=labels)
     reduced = subject.reduced(console)
     chosen = identifier(Path(model).stem) if name is None else name
     with console.status("compiling the step of the model (about a minute)"):

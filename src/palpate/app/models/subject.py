@@ -16,7 +16,7 @@ from palpate.scenes.names import PACKAGE_SCENES, SceneKind, kind_of
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.places import side_mask
-from palpate.scenes.surface_scene import surface_scene
+from palpate.scenes.surface_scene import refined_scene, surface_scene
 
 if TYPE_CHECKING:  # it takes a second to import, before a page opens
     from palpate.reduction.hyper.model import ReducedModel
@@ -40,9 +40,9 @@ class Subject:
             from palpate.app.models.trained import trained_model
 
             assert self.scene is not None
-            if self.scene.kind is SceneKind.SURFACE_FILE:
-                raise InputError(f"what must be {SUBJECT_NAMES}, got {self.name!r:.60}; write one with palpate new")
-            model = trained_model(self.scene, console)
+            model = trained_model(
+                refined_scene(self.scene) if self.scene.kind is SceneKind.SURFACE_FILE else self.scene, console
+            )
         if "advice" in model.report:
             console.say(f"warning: {one_line(model.report['advice'])}")
         return model

@@ -34,6 +34,7 @@ from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.beam import DURATION, EVERY, beam
 from palpate.scenes.names import SceneKind
 from palpate.scenes.scene import Scene
+from palpate.scenes.surface_scene import refined_scene
 
 __all__ = ["FILES", "run"]
 
@@ -44,7 +45,7 @@ RUN_ROWS: Rows = {
     "computing time": "{wall_seconds:.3g s}",
     "simulated time over computing time": "{real_time_factor:.3g}",
     "time steps": "{steps}",
-    "a step": "{seconds_per_step:.3g us}",
+    "a step": "{seconds_per_step: us}",
     "largest displacement": "{largest_displacement:.4g mm}",
     "energy balance, largest miss over largest work": "{energy_balance:.2%}",
 }
@@ -102,7 +103,9 @@ def run(
         subject = replace(subject, name=str(model), model=load_model(model))
     if (full or cut) and subject.scene is None:
         raise InputError(f"full and cut must be left out for the model of a file, got one of them for {what!r:.60}")
-    full = full or cut or (subject.scene is not None and subject.scene.kind is SceneKind.SURFACE_FILE)
+    full = full or cut
+    if subject.scene is not None and subject.scene.kind is SceneKind.SURFACE_FILE and not full:
+        subject = replace(subject, scene=refined_scene(subject.scene))
     limits = {name: value for name, value in (("seconds", seconds), ("rate", rate)) if value is not None}
     return run_realtime(
         subject, full=full, cut=cut, script=script, record=record, out=out, as_json=as_json, **limits
@@ -162,6 +165,8 @@ def _scene(name: str, settings: dict[str, Any], energy: bool, shape: Mapping[str
         raise InputError(
             f"what must be a scene or a surface file for a single run, got the model {name!r:.60}; add --script"
         )
+    if opened.kind is SceneKind.SURFACE_FILE:
+        opened = refined_scene(opened)
     loads, duration, every = opened.loads, opened.duration, opened.every
     if not opened.description.load:
         (loads, duration), every = opened.paths(PRESS_SEED), opened.description.training.every

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from palpate.app.common.arguments import Command, add_command, add_output, add_parameter, existing_file, number, path
+from palpate.app.common.arguments import add_command, add_output, add_parameter, existing_file, number, path
 from palpate.app.common.surface_options import add_surface_options
 from palpate.scenes.description import Body, Tissue, Training
 from palpate.scenes.names import listed_scenes
@@ -13,18 +13,12 @@ from palpate.surface.formats.names import listed_formats
 __all__ = ["add_run"]
 
 
-def _load() -> Command:
-    from palpate.app.run.command import run
-
-    return run
-
-
 def add_run(commands: Any) -> None:
     """Add the command to those of a parser."""
     run = add_command(
         commands,
         "run",
-        _load,
+        "palpate.app.run.command:run",
         summary="run a body, once or in real time, and report its cost",
         description="Run the full body of a scene under its loads, or under a press of its tool if it has none, and "
         "with --modes also a hyper-reduced model of that run. Leave the trajectories and a report in a folder. With "

@@ -20,7 +20,7 @@ __all__ = [
 PROTOCOL_VERSION = 2
 MAX_MESSAGE_BYTES = 64 * 1024
 MAX_COORDINATE = 1000.0  # [m] of a position; single precision, in which bodies are drawn, has 0.06 mm there
-MAX_TEXT_LENGTH = 200  # characters
+MAX_TEXT_LENGTH, MAX_TEXTS = 200, 200  # characters; texts of a list
 SEE_DOCS = "see docs/protocol.md"
 MIN_TOOL_SIZE, MAX_TOOL_SIZE = 1e-4, 1.0  # [m]
 MIN_FORCE_RATE, MAX_FORCE_RATE = 1.0, 1000.0  # [Hz] of force frames
@@ -71,6 +71,12 @@ def _text(name: str, value: Any) -> str:
             f"{name} must be text of at most {MAX_TEXT_LENGTH} characters, got {_short(value)}; shorten it"
         )
     return value
+
+
+def _texts(name: str, value: Any) -> list[str]:
+    if not isinstance(value, list) or len(value) > MAX_TEXTS:
+        raise InputError(f"{name} must be a list of at most {MAX_TEXTS} texts, got {_short(value)}; {SEE_DOCS}")
+    return [_text(name, entry) for entry in value]
 
 
 def _boolean(name: str, value: Any) -> bool:
@@ -146,7 +152,7 @@ _TOOL: dict[str, tuple[Check, Any]] = {
 FIELDS_BY_MESSAGE: dict[str, dict[str, tuple[Check, Any]]] = {
     "hello": {
         "protocol": (_whole_number, REQUIRED_FIELD), "token": (_text, REQUIRED_FIELD), "name": (_text, ""),
-        "preparation": (_boolean, False),
+        "preparation": (_boolean, False), "surroundings": (_boolean, False),
     },
     "ack": {"sequence": (_whole_number, REQUIRED_FIELD)},
     "pose": {
@@ -162,6 +168,7 @@ FIELDS_BY_MESSAGE: dict[str, dict[str, tuple[Check, Any]]] = {
     "material": {"name": (_text, REQUIRED_FIELD), "value": (_number(0.0, 1e12, open_low=True), REQUIRED_FIELD)},
     "record": {"action": (_one_of("start", "stop"), REQUIRED_FIELD)},
     "replay": {"action": (_one_of("play", "pause", "seek"), REQUIRED_FIELD), "time": (_number(0.0, 1e6), 0.0)},
+    "choose": {"parts": (_texts, REQUIRED_FIELD)},
     "refine": {"action": (_one_of("start", "stop", "use"), REQUIRED_FIELD)},
     "force": {"rate": (_rate, REQUIRED_FIELD)},
     "latency": {"stamp": (_stamp, None)},

@@ -22,10 +22,12 @@ from palpate.dynamics.loads.foundation import Foundation
 from palpate.extras import require
 from palpate.faults import InputError, integer_in_range
 from palpate.scenes.names import SceneKind
+from palpate.surface.labels.reading import is_label_map
 from palpate.surface.surface import Surface
 
 if TYPE_CHECKING:  # it takes a second to import, before the page opens
     from palpate.app.session.session import Session
+    from palpate.app.view.server.host import Host
 
 __all__ = ["view"]
 
@@ -65,18 +67,30 @@ def view(
         check_record(record, what)
     if scene is not None and not compare:
         raise InputError(f"scene must be left out without --compare, got {scene!r:.60}; add --compare")
-    subject = open_subject(what, parse_settings(given), spacing, **shape)
-    full = subject.scene is not None and subject.scene.kind is not SceneKind.PACKAGE
-    if compare and full:
-        raise InputError(f"compare must be left out for a full body, got {what!r:.60}; give a reduced model")
-    if refine and not full:
-        raise InputError(
-            f"refine must be left out unless a page shows a surface file or a scene file, got {what!r:.60}"
-        )
-    make = partial(_make_session, title=subject.title, compare=compare, scene=scene)
-    name = _durations_name(subject, full, compare)
+    settings, address = parse_settings(given), (port, host, browser)
+
+    def read(parts: Sequence[str]) -> Subject:
+        return open_subject(what, settings, spacing, **shape | {"part": list(parts)})
+
+    def show(subject: Subject, place: Host | tuple[int, str, bool]) -> int:
+        full = subject.scene is not None and subject.scene.kind is not SceneKind.PACKAGE
+        if compare and full:
+            raise InputError(f"compare must be left out for a full body, got {what!r:.60}; give a reduced model")
+        if refine and not full:
+            raise InputError(
+                f"refine must be left out unless a page shows a surface file or a scene file, got {what!r:.60}"
+            )
+        make = partial(_make_session, title=subject.title, compare=compare, scene=scene)
+        name = _durations_name(subject, full, compare)
+        return FAILED if _show(subject, full, make, name, record, place, refine) else DONE
+
     with exit_on_signals():
-        return FAILED if _show(subject, full, make, name, record, (port, host, browser), refine) else DONE
+        if is_label_map(what) and not shape.get("part"):
+            from palpate.app.view.choose_labels import choose_on_page
+
+            with choose_on_page(what, shape.get("labels"), read, address) as (place, chosen):
+                return show(chosen, place)
+        return show(read(shape.get("part") or ()), address)
 
 
 def _make_session(
@@ -116,19 +130,25 @@ def _show(
     make: MakeSession,
     durations_name: str,
     record: Path | None,
-    address: tuple[int, str, bool],
+    place: Host | tuple[int, str, bool],
     refine: bool,
 ) -> list[str]:
     """Show a body on a page until interrupted, first its surface; return failures of recordings."""
     from palpate.app.view.compile_ahead import compile_ahead
-    from palpate.app.view.server.host import serve
+    from palpate.app.view.server.host import Host, serve
     from palpate.app.view.server.preparation import Preparation
+    from palpate.app.view.surroundings import show_surroundings
 
     preparation = Preparation(subject.title, durations_name, _first_surface(subject, full))
     console = Console(preparation.begin)
     scene = subject.scene if full else None
     patience = TRAINING_STOP_SECONDS if scene is None and subject.model is None else STOP_SECONDS
-    with serve(preparation, console, *address) as host, contextlib.ExitStack() as stack:
+    serving = contextlib.nullcontext(place) if isinstance(place, Host) else serve(preparation, console, *place)
+    with serving as host, contextlib.ExitStack() as stack:
+        if isinstance(place, Host):
+            host.prepare(preparation)
+        if scene is not None:
+            show_surroundings(host, scene)
         try:
             with _end_after_interrupt(patience):
                 tissue = None if scene is None or preparation.code_is_compiled else scene.description.tissue

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from palpate.app.common.arguments import (
-    Command,
     Parser,
     add_command,
     add_parameter,
@@ -22,24 +21,12 @@ from palpate.surface.formats.names import listed_formats
 __all__ = ["add_replay", "add_view"]
 
 
-def _load_view() -> Command:
-    from palpate.app.view.command import view
-
-    return view
-
-
-def _load_replay() -> Command:
-    from palpate.app.view.replay_command import replay
-
-    return replay
-
-
 def add_view(commands: Any) -> None:
     """Add the command ``palpate view`` to those of a parser."""
     view = add_command(
         commands,
         "view",
-        _load_view,
+        "palpate.app.view.command:view",
         summary="press and pull a body on a page in the browser",
         description="Show a body in real time on a page, where a tool presses, grasps and pulls it. See docs/view.md.",
     )
@@ -74,7 +61,7 @@ def add_replay(commands: Any) -> None:
     replay = add_command(
         commands,
         "replay",
-        _load_replay,
+        "palpate.app.view.replay_command:replay",
         summary="show or export what palpate view has recorded",
         description="Show a recording on a page, draw it, or run its tool's path on the full model. See docs/view.md.",
     )

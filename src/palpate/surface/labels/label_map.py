@@ -249,9 +249,10 @@ def _matches(labels: LabelMap, text: str) -> list[int]:
 
 
 def part_names(labels: LabelMap) -> list[str]:
-    """Return what chooses each segment: its name, or its number where several have the name."""
+    """Return what chooses each segment: its name, or its number where it has none, or shares it with others."""
     count = Counter(each.name for each in labels.segments)
-    return [each.name if count[each.name] == 1 else str(each.number) for each in labels.segments]
+    unnamed = {f"label {each.number}" for each in labels.segments}
+    return [str(each.number) if count[each.name] > 1 or each.name in unnamed else each.name for each in labels.segments]
 
 
 def mask_of(labels: LabelMap, part: str | Sequence[str] | None = None) -> Mask:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import struct
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,12 +19,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CUT_GEOMETRY",
-    "FORCE", "GEOMETRY", "OVERLAY", "PREVIEW", "STATE", "colour_range", "force_frame", "geometry_frame", "overlay_body",
-    "pack_frame", "preview_frame", "state_body",
+    "FORCE", "GEOMETRY", "OVERLAY", "PREVIEW", "STATE", "SURROUNDING_SHAPES", "colour_range", "force_frame",
+    "geometry_frame", "overlay_body", "pack_frame", "preview_frame", "state_body", "surroundings_frame",
 ]  # fmt: skip
 
 
-GEOMETRY, STATE, OVERLAY, FORCE, PREVIEW, CUT_GEOMETRY = 1, 2, 3, 4, 5, 6
+GEOMETRY, STATE, OVERLAY, FORCE, PREVIEW, CUT_GEOMETRY, SURROUNDING_SHAPES = 1, 2, 3, 4, 5, 6, 7
 FRAME_HEADER = struct.Struct("<4I")
 RANGE_PERCENTILE = 99.0  # of a scalar, at which its colour range ends; excludes peaks of single vertices at edges
 
@@ -40,6 +42,18 @@ def geometry_frame(surface: DisplaySurface, kind: int = GEOMETRY) -> bytes:
 def preview_frame(surface: Surface) -> bytes:
     """Return the preview frame of the surface of a file, shown until the body is ready; no vertex is fixed."""
     return _mesh_frame(PREVIEW, surface.vertices, surface.triangles, np.zeros(len(surface.vertices)))
+
+
+def surroundings_frame(surfaces: Sequence[Surface]) -> bytes:
+    """Return the frame of shapes around a body: positions, triangles, numbers of triangles by shape, and names."""
+    counts = [len(each.vertices) for each in surfaces]
+    starts = np.cumsum([0, *counts])
+    points = np.concatenate([each.vertices for each in surfaces]).astype("<f4")
+    triangles = np.concatenate([each.triangles + start for each, start in zip(surfaces, starts, strict=False)])
+    sizes = np.array([len(each.triangles) for each in surfaces], dtype="<u4")
+    names = json.dumps([each.name for each in surfaces]).encode()
+    body = points.tobytes() + triangles.astype("<u4").tobytes() + sizes.tobytes() + names
+    return pack_frame(SURROUNDING_SHAPES, len(surfaces), len(points), body, len(triangles))
 
 
 def _mesh_frame(kind: int, points: NDArray[Any], triangles: NDArray[Any], fixed: NDArray[Any]) -> bytes:

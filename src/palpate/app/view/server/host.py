@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import secrets
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 from palpate.app.common.console import Console
 from palpate.app.view.server.address import (
@@ -18,10 +18,12 @@ from palpate.app.view.server.address import (
     open_listener,
 )
 from palpate.app.view.server.connection import CLOSE_TIMEOUT
+from palpate.app.view.server.label_choice import LabelChoice
 from palpate.app.view.server.page import Page
 from palpate.app.view.server.preparation import Preparation
 from palpate.app.view.server.server import Server
 from palpate.app.view.server.view_source import Refining, ViewSource
+from palpate.surface.surface import Surface
 
 __all__ = ["Host", "serve", "serve_source"]
 
@@ -47,7 +49,9 @@ class Host:
     page : Page
     """
 
-    def __init__(self, source: ViewSource | Preparation, host: str = LOOPBACK, port: int = DEFAULT_PORT) -> None:
+    def __init__(
+        self, source: ViewSource | Preparation | LabelChoice, host: str = LOOPBACK, port: int = DEFAULT_PORT
+    ) -> None:
         self._listener = open_listener(host, port)
         self.port, token = self._listener.getsockname()[1], secrets.token_urlsafe(24)
         names = allowed_hosts(host, self.port)
@@ -83,9 +87,22 @@ class Host:
         finally:
             self.stop()
 
+    def prepare(self, preparation: Preparation) -> None:
+        """Show the preparation of a body whose labels were chosen."""
+        self._call(self._server.prepare, preparation)
+
+    def refuse(self, reason: str) -> None:
+        """Report to the viewers that the labels that were chosen make no body."""
+        self._call(self._server.refuse, reason)
+
     def show(self, source: ViewSource, refinement: Refining | None = None) -> None:
         """Show a prepared session to all viewers, and the refinement that may replace it later."""
         self._call(self._server.show, source, refinement)
+
+    def surround(self, shapes: Sequence[Surface]) -> None:
+        """Show shapes around the body to all viewers, now or when the body is shown."""
+        with contextlib.suppress(RuntimeError):  # the server has ended
+            self._call(self._server.surround, shapes)
 
     def fail(self, reason: str) -> None:
         """Report to the viewers that the preparation has failed."""
@@ -116,7 +133,9 @@ def serve_source(source: ViewSource, console: Console, port: int, host: str, bro
 
 
 @contextlib.contextmanager
-def serve(source: ViewSource | Preparation, console: Console, port: int, host: str, browser: bool) -> Iterator[Host]:
+def serve(
+    source: ViewSource | Preparation | LabelChoice, console: Console, port: int, host: str, browser: bool
+) -> Iterator[Host]:
     """Serve within a context: print the address, and open it in a browser."""
     server = Host(source, host, port)
     if server.port != port:

@@ -47,6 +47,8 @@ class Preparation:
 
     Attributes
     ----------
+    space : str
+        Frame of the surface, ``"LPS"`` or empty.
     code_is_compiled : bool
         Whether a run of the same body has ended since the sources or the cache of compiled functions changed.
     """
@@ -54,6 +56,7 @@ class Preparation:
     def __init__(self, title: str, body: str, surface: Surface | None = None, file: Path | None = None) -> None:
         self.title, self._body = title, body
         self.surface = None if surface is None else coarsen(surface, MAX_PREVIEW_TRIANGLES)
+        self.space = "" if surface is None else surface.space
         self._file = file or user_cache_path("palpate") / "preparation.json"
         self._code = _code_digest()
         self._durations: Durations = {}
@@ -101,6 +104,7 @@ class Preparation:
         return {
             "type": "preparing", "title": self.title, "phase": phase, "seconds": now - self._start,
             "fraction": fraction, "seconds_left": left, "functions_compiled": self._functions.count,
+            "space": self.space,
         }  # fmt: skip
 
 

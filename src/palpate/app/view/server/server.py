@@ -9,7 +9,7 @@ import json
 import logging
 import socket
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Sequence
 from functools import partial
 from typing import Any
 
@@ -27,18 +27,20 @@ from palpate.app.view.server.connection import (
     close_connection,
     unsent_bytes,
 )
+from palpate.app.view.server.label_choice import LabelChoice, let_choose
 from palpate.app.view.server.page import Page
 from palpate.app.view.server.preparation import Preparation
 from palpate.app.view.server.streams import Streams
 from palpate.app.view.server.view_source import Refining, ViewSource
-from palpate.app.view.server.viewer import VIEWER_TOO_SLOW, Viewer
+from palpate.app.view.server.viewer import INVALID_MESSAGES, VIEWER_TOO_SLOW, Viewer
 from palpate.faults import InputError
 from palpate.files import shortened
+from palpate.surface.surface import Surface
 
 __all__ = ["SUBPROTOCOL", "Server"]
 
 SUBPROTOCOL = Subprotocol("palpate.v2")
-WRONG_TOKEN, INVALID_MESSAGES, TOO_MANY_VIEWERS = 4401, 4400, 4429  # closing codes; also VIEWER_TOO_SLOW
+WRONG_TOKEN, TOO_MANY_VIEWERS = 4401, 4429  # closing codes; also those of a viewer
 GOING_AWAY, SERVER_ERROR = 1001, 1011
 HELLO_TIMEOUT = 5.0  # [s]
 PING_INTERVAL, PING_TIMEOUT = 5.0, 10.0  # [s]
@@ -59,21 +61,22 @@ class Server:
 
     Parameters
     ----------
-    source : Session, Replay or Preparation
-        After a preparation, `show` gives the session.
+    source : Session, Replay, Preparation or LabelChoice
+        After a choice, `prepare` gives the preparation; after a preparation, `show` gives the session.
     token : str
         Secret that admits a viewer.
     """
 
     source: ViewSource  # from `show` on
 
-    def __init__(self, source: ViewSource | Preparation, page: Page, token: str) -> None:
+    def __init__(self, source: ViewSource | Preparation | LabelChoice, page: Page, token: str) -> None:
         self.page, self._token = page, token
         self.viewers: list[Viewer] = []
         self.driver: Viewer | None = None
         self._connections: dict[CountedConnection, None] = {}  # the oldest first
         self._last_status = ""
         self._logged: set[str] = set()
+        self._choice: LabelChoice | None = None
         self._preparation: Preparation | None = None
         self._prepared = asyncio.Event()
         self._preview = b""
@@ -81,12 +84,26 @@ class Server:
         self._replaced = asyncio.Event()  # another source is shown
         self._last_refinement: dict[str, Any] = {}
         self._max_unsent = MAX_UNSENT_BYTES
-        if isinstance(source, Preparation):
-            self._preparation = source
-            self._preview = b"" if source.surface is None else frames.preview_frame(source.surface)
-            self._max_unsent += 2 * len(self._preview)
+        self._surroundings, self._surrounded = b"", asyncio.Event()
+        self._space = ""
+        if isinstance(source, LabelChoice):
+            self._choice = source
+        elif isinstance(source, Preparation):
+            self.prepare(source)
         else:
             self.show(source)
+
+    def prepare(self, preparation: Preparation) -> None:
+        """Show a preparation to all viewers; called in the server's thread."""
+        if self._choice is not None:
+            self._choice.made.set()
+        self._preparation, self._choice, self._space = preparation, None, preparation.space
+        self._preview = b"" if preparation.surface is None else frames.preview_frame(preparation.surface)
+        self._max_unsent += 2 * len(self._preview)
+
+    def refuse(self, reason: str) -> None:
+        """Report to the viewers that their choice of labels makes no body; called in the server's thread."""
+        self._broadcast({"type": "error", "reason": reason})
 
     def show(self, source: ViewSource, refinement: Refining | None = None) -> None:
         """Replace the source of all viewers by a session or a replay; called in the server's thread.
@@ -111,6 +128,12 @@ class Server:
         if not self.viewers:
             source.pause(NO_VIEWERS)
         self._prepared.set()
+
+    def surround(self, shapes: Sequence[Surface]) -> None:
+        """Show shapes around the body to the viewers that ask for them; called in the server's thread, once."""
+        if shapes:
+            self._surroundings = frames.surroundings_frame(shapes)
+            self._surrounded.set()
 
     async def fail(self, reason: str) -> None:
         """Report to the viewers that the preparation has failed."""
@@ -141,8 +164,9 @@ class Server:
     async def _run_clock(self) -> None:
         last_statistics = 0.0
         while True:
-            if self._preparation is not None:
-                self._broadcast(self._preparation.message())
+            if self._choice is not None or self._preparation is not None:
+                if self._preparation is not None:
+                    self._broadcast(self._preparation.message())
                 self._close_stalled()
                 await asyncio.sleep(TICK_INTERVAL)
                 continue
@@ -163,7 +187,7 @@ class Server:
     def _close_stalled(self) -> None:
         """Abort connections that do not read; close those of unresponsive viewers."""
         for connection in list(self._connections):
-            if unsent_bytes(connection) > self._max_unsent or connection.pings > MAX_PINGS:
+            if unsent_bytes(connection) > self._max_unsent + len(self._surroundings) or connection.pings > MAX_PINGS:
                 connection.transport.abort()
             connection.pings = 0
         for viewer in self._ready_viewers():
@@ -215,7 +239,7 @@ class Server:
             self._schedule(viewer, self._send_to(viewer, text))
 
     def _schedule(self, viewer: Viewer, work: Coroutine[Any, Any, None]) -> None:
-        """Run a coroutine for a viewer in the background; it must have a time limit."""
+        """Run a coroutine for a viewer in the background, until it leaves; a send must have a time limit."""
 
         def done(task: asyncio.Future[None]) -> None:
             viewer.tasks.discard(task)
@@ -227,9 +251,9 @@ class Server:
         task.add_done_callback(done)
 
     @staticmethod
-    async def _send_to(viewer: Viewer, text: str) -> None:
+    async def _send_to(viewer: Viewer, data: str | bytes) -> None:
         with contextlib.suppress(ConnectionClosed):
-            await viewer.send(text)
+            await viewer.send(data)
 
     # viewers
 
@@ -248,6 +272,10 @@ class Server:
     async def _serve_viewer(self, viewer: Viewer) -> None:
         try:
             self._add_viewer(viewer)
+            if viewer.shows_surroundings:
+                self._schedule(viewer, self._send_surroundings(viewer))
+            if self._choice is not None:
+                await let_choose(viewer, self._choice)
             if not self._prepared.is_set() and not await self._wait_for_session(viewer):
                 return
             replaced = await self._introduce(viewer)
@@ -260,6 +288,12 @@ class Server:
                 streaming.cancel()
         finally:
             self._remove_viewer(viewer)
+
+    async def _send_surroundings(self, viewer: Viewer) -> None:
+        """Send the shapes around the body once they exist and the viewer shows a body; cancelled when it leaves."""
+        await self._surrounded.wait()
+        await viewer.has_body.wait()
+        await self._send_to(viewer, self._surroundings)
 
     async def _introduce(self, viewer: Viewer) -> asyncio.Event:
         """Send hello, geometry and status of the current source; return the event of its replacement."""
@@ -301,6 +335,7 @@ class Server:
             await viewer.send_message(preparation.message())
             if self._preview:
                 await viewer.send(self._preview)
+                viewer.has_body.set()
             viewer.ready = self._preparation is not None
         waits = [asyncio.ensure_future(each) for each in (self._prepared.wait(), viewer.socket.wait_closed())]
         try:
@@ -333,7 +368,7 @@ class Server:
             return None
         if isinstance(connection, CountedConnection):
             connection.admitted = True
-        return Viewer(connection, hello["preparation"])
+        return Viewer(connection, hello["preparation"], hello["surroundings"])
 
     def _add_viewer(self, viewer: Viewer) -> None:
         self.viewers.append(viewer)
@@ -365,7 +400,7 @@ class Server:
         return {
             "type": "hello", "protocol": PROTOCOL_VERSION, "title": self.source.title, "driver": viewer is self.driver,
             "viewers": len(self.viewers), "mode": self.source.mode, "vertices": len(surface.rest),
-            "triangles": len(surface.triangles), "spacing": surface.model.cloud.spacing,
+            "triangles": len(surface.triangles), "spacing": surface.model.cloud.spacing, "space": self._space,
             "bounds": [surface.rest.min(axis=0).tolist(), surface.rest.max(axis=0).tolist()], **self.source.hello(),
         }  # fmt: skip
 

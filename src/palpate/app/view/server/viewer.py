@@ -17,11 +17,12 @@ from websockets.exceptions import ConnectionClosed
 from palpate.app.view.server.connection import close_connection, unsent_bytes
 from palpate.app.view.server.queue import MessageQueue
 
-__all__ = ["MAX_FRAMES_IN_FLIGHT", "VIEWER_TOO_SLOW", "Viewer"]
+__all__ = ["INVALID_MESSAGES", "MAX_FRAMES_IN_FLIGHT", "VIEWER_TOO_SLOW", "Viewer"]
 
 MAX_FRAMES_IN_FLIGHT = 2  # state frames without acknowledgement
 MAX_INVALID_MESSAGES = 10  # in a row
 VIEWER_TOO_SLOW = 4408  # closing code of a viewer that does not read or does not respond
+INVALID_MESSAGES = 4400  # closing code of a viewer of another protocol
 SEND_TIMEOUT = 5.0  # [s] in addition to the time at the slowest rate
 MIN_READ_RATE = 1e6  # [bytes/s] of a client
 RESPONSE_TIMEOUT = 20.0  # [s] without a message while state frames are in flight
@@ -34,11 +35,16 @@ class Viewer:
     ----------
     follows_preparation : bool
         Whether it receives the progress before the session exists.
+    shows_surroundings : bool
+        Whether it receives the shapes around the body.
     """
 
-    def __init__(self, socket: ServerConnection, follows_preparation: bool = False) -> None:
+    def __init__(
+        self, socket: ServerConnection, follows_preparation: bool = False, shows_surroundings: bool = False
+    ) -> None:
         self.socket, self.scalar, self.queue = socket, "displacement", MessageQueue()
-        self.follows_preparation = follows_preparation
+        self.follows_preparation, self.shows_surroundings = follows_preparation, shows_surroundings
+        self.has_body = asyncio.Event()  # set once it has received a preview or a state frame
         self.sent, self.acknowledged, self.invalid_messages = 0, 0, 0
         self.ready = False  # whether it has received hello, geometry and status
         self.closing = False
@@ -54,6 +60,7 @@ class Viewer:
         if self.sent == self.acknowledged:
             self.last_message = time.monotonic()  # there was nothing to acknowledge
         self.sent += 1
+        self.has_body.set()
         self._update_flow()
         return self.sent
 
