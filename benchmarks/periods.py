@@ -58,7 +58,7 @@ def told(what: str, times: np.ndarray) -> str:
 def main() -> None:
     """Measure, and print a table."""
     import palpate as pt
-    from palpate.app.run.realtime_scene import pressing_ball
+    from palpate.app.run.tool_motion import pressing_ball
     from palpate.scenes.open_scene import open_scene
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

@@ -82,7 +82,7 @@ def liver_press(path: Path) -> None:
         script, recording = Path(folder, "press.jsonl"), Path(folder, "press.h5")
         script.write_text("\n".join(map(json.dumps, press_script())))
         palpate = [sys.executable, "-m", "palpate"]
-        session = ["view", "liver", "--headless", "--seconds", "3.2", "--script", script, "--record", recording]
+        session = ["run", "liver", "--script", script, "--seconds", "3.2", "--record", recording, "--out", folder]
         subprocess.run([*palpate, *session], check=True)
         subprocess.run([*palpate, "replay", recording, "--movie", path], check=True)
 

@@ -27,8 +27,8 @@ import palpate as pt
 from palpate.app.recordings import recording as recordings
 from palpate.app.recordings.recording_journal import RecordingJournal
 from palpate.app.recordings.snapshot import Snapshot
-from palpate.app.view.session.messages import parse_message
-from palpate.app.view.session.replay import Replay
+from palpate.app.session.messages import parse_message
+from palpate.app.session.replay import Replay
 from palpate.dynamics.run import trajectory as trajectories
 from palpate.dynamics.run.recorder import Recorder
 from palpate.faults import InputError
@@ -305,7 +305,7 @@ def model() -> pt.ReducedModel:
 def use_model(found: pt.ReducedModel) -> None:
     """Show the model's surface as the page would, and run the model for a millisecond, also under a ball."""
     from palpate.app.recordings.snapshot import scalar_descriptions, training_errors
-    from palpate.app.view.session.tool_control import ToolWorkspace
+    from palpate.app.session.tool_control import ToolWorkspace
     from palpate.realtime.bodies.display_surface import Surface
 
     scalar_descriptions(Surface(found))
@@ -410,8 +410,8 @@ def recording(full: bool = False) -> recordings.Recording:
 
 def use_recording(found: recordings.Recording) -> None:
     """Show the recording as the server would, and ask for its full model as `palpate replay --full` does."""
+    from palpate.app.session.full_model_replay import tool_path
     from palpate.app.view.server import frames
-    from palpate.app.view.session.full_model_replay import tool_path
 
     show = Replay(found)
     json.dumps([show.hello(), show.status(), show.statistics()], allow_nan=False)

@@ -1,6 +1,6 @@
 """Every organ surface at hand by the commands a newcomer uses, with default choices: how long, and how good.
 
-For each surface `palpate new` writes a scene file; `palpate view --headless` presses the full body by a script (the
+For each surface `palpate new` writes a scene file; `palpate run --full --script` presses the full body by a script (the
 time to its end, less the length of the script, bounds the time to the first force); `palpate train` makes the small
 model of the defaults; and again with 32 paths and 10 held-out ones.
 
@@ -67,9 +67,9 @@ def measure(name: str, folder: Path, small: bool) -> dict[str, Any]:
     entry["new"], _ = palpate("new", DATA / source[0], "--out", scene)
     script = folder / "press.jsonl"
     script.write_text(press(scene))
-    options = ["--headless", "--seconds", PRESS_SECONDS, "--script", script, "--json"]
-    seconds, printed = palpate("view", scene, *options)
-    entry |= {"first_force": seconds - PRESS_SECONDS, "largest_force": json.loads(printed)["largest_force"]}
+    options = ["--full", "--script", script, "--seconds", PRESS_SECONDS, "--json", "--out", folder / "run"]
+    seconds, printed = palpate("run", scene, *options)
+    entry |= {"first_force": seconds - PRESS_SECONDS, "largest_force": json.loads(printed)["tool"]["largest_force"]}
     entry["small"] = train(scene)
     if not small:
         entry["large"] = train(scene, "--paths", PATHS, "--held-out", HELD_OUT)

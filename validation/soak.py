@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 
 import palpate as pt
+from palpate.app.session.session import Session
 from palpate.app.view.server.host import Host
-from palpate.app.view.session.session import Session
 from palpate.reduction.hyper.model import ReducedModel
 
 HERE = Path(__file__).parent

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 import palpate as pt
-from palpate.app.view.session.messages import validate_message
-from palpate.app.view.session.session import MODULUS_NAME, Session
+from palpate.app.session.messages import validate_message
+from palpate.app.session.session import MODULUS_NAME, Session
 
 SIZE, SPACING = (0.06, 0.06, 0.03), 0.006  # [m]
 REACH = 0.03  # [m] of jumps beyond the body
@@ -103,8 +103,8 @@ def main() -> None:
 
     session = Session(block() if options.reduced else body(), "Storm")
     with TemporaryDirectory() as folder:
-        session.start_recording(Path(folder) / "storm.h5")
-        session.finish_recording(wait=True)
+        session.recordings.start(Path(folder) / "storm.h5")
+        session.recordings.finish(wait=True)
         found = storm(session, 60 * options.minutes, options.seed)
     for name, value in found.items():
         print(f"{name:18} {value:12.5g}" if isinstance(value, int | float) else f"{name:18} {value!s:>12}")

@@ -53,10 +53,10 @@ def test_the_command_without_arguments_prints_help_with_first_steps(capsys, tmp_
         ("trian beam", ["COMMAND must be one of ", "got 'trian'; did you mean train?", "(see palpate --help)"]),
         (
             "run livr",
-            ["SCENE must be beam, liver, membrane, or a file that ends in .toml, got 'livr'; did you mean liver?"],
+            ["SCENE|FILE must be beam, liver, membrane", "got 'livr'; did you mean liver?"],
         ),
         ("--cache run", ["palpate: --cache must be one of show, json, empty, got 'run'"]),
-        ("run", ["SCENE must be given (see palpate run --help)"]),
+        ("run", ["SCENE|FILE must be given (see palpate run --help)"]),
         ("reproduce membrane --after hodl", ["--after must be one of", "did you mean hold?"]),
         ("laws more", ["palpate laws: 'more' is not expected here (see palpate laws --help)"]),
         ("reproduce beam --load", ["--load must be followed by a value"]),

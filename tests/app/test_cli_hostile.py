@@ -38,8 +38,8 @@ def idle(monkeypatch, tmp_path):
         "palpate.scenes.beam.Solid", "palpate.scenes.organ_scene.Solid", "palpate.scenes.organ_scene.Membrane",
         "palpate.scenes.membrane.Membrane", "palpate.scenes.organ_scene.fill",
         "palpate.app.fit.command.fit",
-        "palpate.app.run.realtime_scene.trained_model", "palpate.app.train.command.open_campaign",
-        "palpate.app.view.command._session", "palpate.app.view.command._show",
+        "palpate.app.run.realtime.running_session", "palpate.app.train.command.open_campaign",
+        "palpate.app.view.command._show",
         "palpate.app.view.server.host.serve_source",
     ):  # fmt: skip
         monkeypatch.setattr(place, stop)
@@ -104,7 +104,7 @@ def test_the_tests_cover_all_commands():
     assert len(COMMANDS) >= 11
 
 
-@pytest.mark.parametrize("option", ["run beam --realtime --model", "view beam --headless --script", "check", "replay",
+@pytest.mark.parametrize("option", ["run beam --realtime --model", "run beam --script", "check", "replay",
                                     "fit NeoHookean"])  # fmt: skip
 def test_pipes_and_folders_are_refused_as_input_files(option, idle, tmp_path, assert_refused):
     pipe = tmp_path / "pipe"
@@ -118,7 +118,7 @@ def test_pipes_and_folders_are_refused_as_input_files(option, idle, tmp_path, as
 def test_invalid_scripts_are_refused_with_the_line(text, idle, tmp_path, assert_refused):
     script = tmp_path / "script.jsonl"
     script.write_bytes(text)
-    assert_refused(["view", "beam", "--headless", "--script", str(script)], str(script))
+    assert_refused(["run", "beam", "--script", str(script)], str(script))
 
 
 def test_an_internal_error_prints_one_line_and_writes_its_traceback_to_a_file(monkeypatch, capsys, tmp_path):

@@ -8,8 +8,8 @@ import pytest
 
 import palpate as pt
 from palpate.app.cli import main
-from palpate.scenes.names import PACKAGE_SCENES, is_scene_file, listed_scenes
-from palpate.scenes.training import is_opened, training_scene
+from palpate.scenes.names import PACKAGE_SCENES, SceneKind, kind_of, listed_scenes
+from palpate.scenes.training import training_scene
 
 
 @pytest.mark.parametrize("name", [pytest.param("liver", marks=pytest.mark.slow), "beam", "membrane"])
@@ -21,13 +21,17 @@ def test_every_name_is_of_a_scene_to_train_on(name):
     assert 0 < scene.every < duration
 
 
-def test_scene_files_are_known_by_their_suffix():
-    assert is_scene_file("a/organ.toml")
-    assert is_scene_file("ORGAN.TOML")
-    assert not is_scene_file("organ.stl")
-    assert [name for name in PACKAGE_SCENES if not is_opened(name)] == []
-    assert is_opened("organ.toml")
-    assert not is_opened("module:function")
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        *((name, SceneKind.PACKAGE) for name in PACKAGE_SCENES),
+        *((name, SceneKind.SCENE_FILE) for name in ("a/organ.toml", "ORGAN.TOML")),
+        *((name, SceneKind.SURFACE_FILE) for name in ("organ.STL", "a/b.ply", "organ.obj.gz")),
+        *((name, None) for name in ("module:function", "model.rom", "model.rom.gz", "kidney")),
+    ],
+)
+def test_a_name_has_the_kind_of_its_scene(name, kind):
+    assert kind_of(name) is kind
 
 
 def test_a_near_name_is_suggested():

@@ -1,19 +1,37 @@
-"""The names of the package's scenes, and the suffix of scene files.
+"""The names of the package's scenes, and what the name of a scene stands for.
 
 A command line reads them without an import of numerics.
 """
 
 from __future__ import annotations
 
-__all__ = ["PACKAGE_SCENES", "SCENE_SUFFIX", "is_scene_file", "listed_scenes"]
+from enum import Enum
+from pathlib import Path
+
+from palpate.surface.formats.names import LABEL_FORMATS, SURFACE_FORMATS, format_of
+
+__all__ = ["PACKAGE_SCENES", "SCENE_SUFFIX", "SceneKind", "kind_of", "listed_scenes"]
 
 PACKAGE_SCENES = ("beam", "liver", "membrane")  # files in the folder data
 SCENE_SUFFIX = ".toml"
 
 
-def is_scene_file(what: str) -> bool:
-    """Return True for the name of a scene file."""
-    return what.lower().endswith(SCENE_SUFFIX)
+class SceneKind(Enum):
+    """Where a scene comes from."""
+
+    PACKAGE = "package"
+    SCENE_FILE = "scene file"
+    SURFACE_FILE = "surface file"
+
+
+def kind_of(name: str) -> SceneKind | None:
+    """Return the kind of the scene of a name; None for other names, such as those of models and functions."""
+    if name in PACKAGE_SCENES:
+        return SceneKind.PACKAGE
+    if name.lower().endswith(SCENE_SUFFIX):
+        return SceneKind.SCENE_FILE
+    is_surface = format_of(Path(name))[0] in (*SURFACE_FORMATS, *LABEL_FORMATS)
+    return SceneKind.SURFACE_FILE if is_surface else None
 
 
 def listed_scenes() -> str:

@@ -14,7 +14,7 @@ from palpate.faults import InputError, brief
 from palpate.files import json_of
 from palpate.parameters import Fault, read_section, written_section
 from palpate.scenes.description import Description, chooses_runs, with_settings
-from palpate.scenes.names import PACKAGE_SCENES, is_scene_file
+from palpate.scenes.names import PACKAGE_SCENES, SceneKind, kind_of
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.scene import TrainingScene
 from palpate.scenes.scene_text import parse_scene, read_scene
@@ -58,10 +58,11 @@ def open_scene(what: str | Path, settings: Mapping[str, Any] | None = None) -> O
     >>> scene.body.material.poisson
     0.3
     """
-    if str(what) in PACKAGE_SCENES:
+    kind = kind_of(str(what))
+    if kind is SceneKind.PACKAGE:
         text = (files("palpate.scenes") / "data" / f"{what}.toml").read_text(encoding="utf-8")
         description, folder = parse_scene(text, f"{what}.toml of palpate"), Path()
-    elif is_scene_file(str(what)):
+    elif kind is SceneKind.SCENE_FILE:
         description, folder = read_scene(Path(what)), Path(what).parent
     else:
         near = get_close_matches(str(what)[:60], PACKAGE_SCENES, 1)
@@ -69,11 +70,7 @@ def open_scene(what: str | Path, settings: Mapping[str, Any] | None = None) -> O
         raise InputError(
             f"scene must be {', '.join(PACKAGE_SCENES)}, or a file that ends in .toml, got {brief(str(what))}{remedy}"
         )
-    return _with(description, settings or {}, folder, str(what))
-
-
-def _with(description: Description, settings: Mapping[str, Any], folder: Path, name: str) -> OrganScene:
-    return OrganScene(with_settings(description, settings), folder, name, settings)
+    return OrganScene(with_settings(description, settings or {}), folder, str(what), kind, settings)
 
 
 def text_of_scene(scene: OrganScene) -> str:
@@ -93,7 +90,8 @@ def described_scene(name: str, text: str) -> OrganScene:
         description: Description = read_section(Description, json_of(text))
     except Fault as fault:
         raise InputError(f"{DESCRIPTION_KEY} must be that of a scene, got one whose {fault.message}") from fault
-    return OrganScene(description, Path() if name in PACKAGE_SCENES else Path(name).parent, name)
+    kind = kind_of(name)
+    return OrganScene(description, Path() if kind is SceneKind.PACKAGE else Path(name).parent, name, kind)
 
 
 def training_scene_of(scene: OrganScene, parameters: Mapping[str, Any]) -> TrainingScene:

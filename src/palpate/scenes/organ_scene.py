@@ -35,7 +35,7 @@ from palpate.meshfree.cloud import BORDER_MARGIN, MOVED_MARGIN, Cloud, box
 from palpate.meshfree.filling import BODY_PREFIX, fill
 from palpate.meshfree.sheets import disc
 from palpate.scenes.description import CHOICES_OF_RUNS, Description
-from palpate.scenes.names import PACKAGE_SCENES, is_scene_file
+from palpate.scenes.names import SceneKind
 from palpate.scenes.organ import liver_surface
 from palpate.scenes.places import PlaceFinder, side_mask
 from palpate.scenes.scene_paths import MIN_DEPTH_RATIO, HeldMotion, held_motion, touching_paths
@@ -66,6 +66,8 @@ class OrganScene(Described):
         Folder of relative file names.
     name : str
         Name of the scene in messages and reports: of a scene of the package, or the path of a file.
+    kind : SceneKind or None
+        Where it comes from.
     settings : mapping, optional
         Settings that replaced values of the file; workers of a campaign open the scene with them.
 
@@ -85,9 +87,14 @@ class OrganScene(Described):
     _title = "Scene"
 
     def __init__(
-        self, description: Description, folder: Path, name: str, settings: Mapping[str, Any] | None = None
+        self,
+        description: Description,
+        folder: Path,
+        name: str,
+        kind: SceneKind | None,
+        settings: Mapping[str, Any] | None = None,
     ) -> None:
-        self.description, self.folder, self.name = description, folder, name
+        self.description, self.folder, self.name, self.kind = description, folder, name, kind
         self.settings = dict(settings or {})
         self.notes: list[str] = []
         self._unloaded: UnloadedBody | None = None
@@ -123,7 +130,7 @@ class OrganScene(Described):
         about = replace(self.description, body=replace(self.description.body, **changes))
         settings = {key: value for key, value in self.settings.items() if key.removeprefix("body.") not in changes}
         settings |= {f"body.{name}": value for name, value in changes.items()}
-        scene = OrganScene(about, self.folder, self.name, settings)
+        scene = OrganScene(about, self.folder, self.name, self.kind, settings)
         if "surface" in vars(self):
             vars(scene)["surface"] = self.surface
         return scene
@@ -195,7 +202,7 @@ class OrganScene(Described):
                 cloud = _with_group(cloud, self._group("support", number), mask)
         if not self.description.support:
             cloud = cloud.with_group(self._group("support", 0), self._default_support(cloud))
-            if is_scene_file(self.name):
+            if self.kind is SceneKind.SCENE_FILE:
                 self.notes.append(
                     f"support: the scene has none, so the side {DEFAULT_SIDE!r} of the body is held; give [[support]]"
                 )
@@ -408,10 +415,11 @@ class OrganScene(Described):
 
     def _place_of(self, keys: tuple[str | int, ...]) -> str:
         """Return the file, the line and the keys of an entry; for a surface the argument that gives supports."""
-        if keys[0] == "support" and not (self.name in PACKAGE_SCENES or is_scene_file(self.name)):
+        if keys[0] == "support" and self.kind is SceneKind.SURFACE_FILE:
             return "fixed"
         words = ".".join(words_of(keys))
-        if not is_scene_file(self.name) or any(words == key or words.endswith(f".{key}") for key in self.settings):
+        is_set = any(words == key or words.endswith(f".{key}") for key in self.settings)
+        if is_set or self.kind is not SceneKind.SCENE_FILE:
             return words
         return f"{self.name}, line {line_of_file(Path(self.name), keys)}: {words}"
 

@@ -12,20 +12,15 @@ import numpy as np
 from palpate.faults import InputError
 from palpate.parameters import check_number, fields_of
 from palpate.scenes.description import Body, Description, Shape, Support, Tissue, with_settings
+from palpate.scenes.names import SceneKind, kind_of
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.places import place_of_text
-from palpate.surface.formats.names import LABEL_FORMATS, SURFACE_FORMATS, format_of
 
-__all__ = ["NODES_PER_CELL", "is_surface_file", "named_scene", "refined_scene", "surface_scene"]
+__all__ = ["NODES_PER_CELL", "named_scene", "refined_scene", "surface_scene"]
 
 NODES_PER_CELL = 1.45  # nodes over volume / spacing^3 in a filled organ
 REFINED_NODES = 4500  # of a body without a spacing; statics of training take 5,000 at most
-
-
-def is_surface_file(what: str) -> bool:
-    """Return True for the name of a surface file or a label map by its suffix."""
-    return format_of(Path(what))[0] in (*SURFACE_FORMATS, *LABEL_FORMATS)
 
 
 def surface_scene(
@@ -80,7 +75,7 @@ def surface_scene(
         tissue=Tissue(law=law or "NeoHookean"),
         support=tuple(Support(place=place_of_text(text)) for text in fixed),
     )
-    scene = OrganScene(with_settings(description, settings or {}), Path(), str(file), settings)
+    scene = OrganScene(with_settings(description, settings or {}), Path(), str(file), SceneKind.SURFACE_FILE, settings)
     _ = scene.material  # raises for a wrong law or parameter
     return scene
 
@@ -91,7 +86,7 @@ def refined_scene(scene: OrganScene) -> OrganScene:
     That of a surface file depends on the file, and not on the folder from which it was opened.
     """
     about = scene.description
-    if is_surface_file(scene.name):
+    if scene.kind is SceneKind.SURFACE_FILE:
         file = Path(scene.name).absolute()
         support = tuple(
             replace(each, place=replace(each.place, painted=replace(
@@ -101,7 +96,7 @@ def refined_scene(scene: OrganScene) -> OrganScene:
         )  # fmt: skip
         names = str(Path(about.surface.labels).absolute()) if about.surface.labels else ""
         about = replace(about, surface=replace(about.surface, file=file.name, labels=names), support=support)
-        scene = OrganScene(about, file.parent, str(file))
+        scene = OrganScene(about, file.parent, str(file), scene.kind)
     if about.body.spacing or scene.surface is None:
         return scene
     spacing = np.cbrt(NODES_PER_CELL * abs(scene.surface.volume) / REFINED_NODES)
@@ -120,7 +115,7 @@ def named_scene(
     part, labels
         Of a surface file, as for `surface_scene`.
     """
-    if is_surface_file(what):
+    if kind_of(what) is SceneKind.SURFACE_FILE:
         return refined_scene(surface_scene(what, part=tuple(part or ()), labels=labels, settings=settings))
     for name, value in (("part", part), ("labels", labels)):
         if value:

@@ -12,11 +12,11 @@ from importlib import import_module
 from typing import Any
 
 from palpate.faults import InputError, brief
-from palpate.scenes.names import PACKAGE_SCENES, is_scene_file
+from palpate.scenes.names import PACKAGE_SCENES, SceneKind, kind_of
 from palpate.scenes.open_scene import DESCRIPTION_KEY, DIGEST_KEY, described_scene, open_scene, training_scene_of
 from palpate.scenes.scene import TrainingScene
 
-__all__ = ["is_opened", "search_current_folder", "training_scene"]
+__all__ = ["search_current_folder", "training_scene"]
 
 SCENE_NAMES = f"{', '.join(map(repr, PACKAGE_SCENES))}, a scene file, or 'module:function' of your own"
 PARAMETER_TYPES = (bool, int, float, str)  # of parameters
@@ -36,7 +36,7 @@ def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
     """
     if DESCRIPTION_KEY in parameters:
         return training_scene_of(described_scene(name, str(parameters[DESCRIPTION_KEY])), parameters)
-    if is_opened(name):
+    if kind_of(name) in (SceneKind.PACKAGE, SceneKind.SCENE_FILE):
         settings = {key: value for key, value in parameters.items() if key != DIGEST_KEY}
         return training_scene_of(open_scene(name, settings), parameters)
     function, arguments = _user_function(name), _arguments(name, parameters)
@@ -44,11 +44,6 @@ def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
     if not isinstance(made, TrainingScene):
         raise InputError(f"scene {name!r} must return a TrainingScene, got a {type(made).__name__}")
     return made
-
-
-def is_opened(name: str) -> bool:
-    """Return True for a scene of the package or a scene file, False for a function."""
-    return name in PACKAGE_SCENES or is_scene_file(name)
 
 
 def _arguments(name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:

@@ -19,14 +19,14 @@ from palpate.app.models.touch import (
     open_touched,
     realtime_spacing,
 )
-from palpate.app.view.session.messages import validate_message
-from palpate.app.view.session.session import Session
+from palpate.app.session.messages import validate_message
+from palpate.app.session.session import Session
 from palpate.meshfree.cloud import BORDER_MARGIN
 from palpate.scenes.description import Shape
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.organ import liver_surface
 from palpate.scenes.places import PlaceFinder, place_of_text, side_mask
-from palpate.scenes.surface_scene import is_surface_file, surface_scene
+from palpate.scenes.surface_scene import surface_scene
 
 POINTS = np.random.default_rng(0).uniform(-1.0, 1.0, (500, 3))
 CLOUD = pt.Cloud(
@@ -60,15 +60,6 @@ def mask(text, unit=1.0):
 def held(body):
     """Return the nodes that the supports of a body hold."""
     return np.unique(np.concatenate([body.cloud.group(each.group) for each in body.supports]))
-
-
-def test_surface_files_are_known_by_their_suffix():
-    assert is_surface_file("organ.STL")
-    assert is_surface_file("a/b.ply")
-    assert is_surface_file("organ.obj.gz")
-    assert not is_surface_file("model.rom.gz")
-    assert not is_surface_file("model.rom")
-    assert not is_surface_file("liver")
 
 
 @pytest.mark.parametrize(
@@ -338,15 +329,15 @@ def test_the_printed_errors_of_the_force_are_those_of_the_study():
         (["--scale", "0"], "--scale must be"),
     ],
 )
-def test_bad_input_is_one_line_that_names_the_option(organ, options, said, assert_refused):
+def test_bad_input_is_one_line_that_names_the_option(organ, options, said, assert_refused, tmp_path):
     given = options if "--spacing" in options else [*options, "--spacing", "0.006"]
-    assert_refused(["view", str(organ), "--headless", *given], said)
+    assert_refused(["run", str(organ), "--realtime", "--out", str(tmp_path / "out"), *given], said)
 
 
 def test_a_sheet_is_refused_in_one_line(tmp_path, assert_refused):
     (tmp_path / "sheet.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 4 3\n")
     said = ("sheet.obj must hold a closed surface, got one that is not: ", "run palpate check for pictures")
-    assert_refused(["view", str(tmp_path / "sheet.obj"), "--units", "m", "--headless"], *said)
+    assert_refused(["run", str(tmp_path / "sheet.obj"), "--units", "m", "--realtime"], *said)
 
 
 @pytest.mark.slow

@@ -156,7 +156,7 @@ def test_a_model_is_trained_where_none_is_given_and_the_verdict_is_printed(grasp
 
 @pytest.mark.slow
 def test_a_diverged_state_is_reported(file, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("palpate.app.run.realtime.Engine.state", property(lambda engine: "diverged"))
+    monkeypatch.setattr("palpate.realtime.engine.Engine.state", property(lambda engine: "diverged"))
     assert main([*REALTIME, "--model", str(file), "--out", str(tmp_path)]) == 1
     assert "the state diverged" in capsys.readouterr().err
 

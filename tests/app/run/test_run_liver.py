@@ -11,7 +11,7 @@ import pytest
 import palpate as pt
 from palpate.app.cli import main
 from palpate.app.models import trained as trained_models
-from palpate.app.run import realtime_scene
+from palpate.app.run import tool_motion
 from palpate.app.train import scene_folder
 from palpate.reduction.training.errors import contact_errors
 from palpate.scenes.open_scene import open_scene
@@ -37,7 +37,7 @@ def trained(tmp_path_factory):
 @pytest.fixture
 def swift(monkeypatch):
     """Let a press take half a second."""
-    monkeypatch.setattr(realtime_scene, "PRESS_SECONDS", 0.5)
+    monkeypatch.setattr(tool_motion, "PRESS_SECONDS", 0.5)
 
 
 @pytest.fixture
@@ -94,8 +94,8 @@ def test_the_report_has_the_errors_of_the_tool_force_and_the_surface(trained):
 @pytest.mark.slow
 def test_the_ball_starts_outside_presses_to_the_trained_depth_and_leaves(trained):
     model = pt.load(trained / "model.rom")
-    poses, ball = realtime_scene.pressing_ball(open_scene("liver", COARSE), model)
-    times = np.linspace(0.0, 2 * realtime_scene.PRESS_SECONDS, 81)
+    poses, ball = tool_motion.pressing_ball(open_scene("liver", COARSE), model)
+    times = np.linspace(0.0, 2 * tool_motion.PRESS_SECONDS, 81)
     moved, turned = (np.array(part) for part in zip(*map(poses, times), strict=True))
     np.testing.assert_array_equal(turned, np.tile([1.0, 0.0, 0.0, 0.0], (81, 1)))
     np.testing.assert_allclose(moved[[0, 40, 80]], 0.0, atol=1e-15)  # again and again from one place
@@ -122,9 +122,9 @@ def test_the_full_liver_is_pressed_without_training(cache, tmp_path, capsys):
 def test_a_scalpel_goes_the_way_of_the_scene():
     settings = {"spacing": 0.012, "cut_depth": "8 mm", "cut_length": 0.03, "cut_speed": "10 mm/s", "toughness": 50}
     scene = open_scene("liver", settings)
-    poses, contact = realtime_scene.cutting_scalpel(scene.body, scene.description.cut)
+    poses, contact = tool_motion.cutting_scalpel(scene.body, scene.description.cut)
     ways = np.array([poses(time)[0] for time in np.linspace(0.0, 10.0, 1001)])
-    top, gap = scene.body.cloud.points[:, 2].max(), realtime_scene.AIR_GAP
+    top, gap = scene.body.cloud.points[:, 2].max(), tool_motion.AIR_GAP
     assert contact.tool.toughness == 50
     np.testing.assert_allclose(np.ptp(ways, axis=0).max(), 0.03)
     np.testing.assert_allclose(ways[:, 2].min(), -(0.008 + gap))
@@ -160,7 +160,7 @@ def test_a_model_from_a_file_is_pressed_and_the_force_is_reported(trained, swift
     assert "Computation: " in told
     assert "Verdict: 200 Hz" in told
     model = pt.load(file)
-    poses, ball = realtime_scene.pressing_ball(open_scene("liver"), model)
+    poses, ball = tool_motion.pressing_ball(open_scene("liver"), model)
     again = pt.tools.Contact(ball.tool, lambda time: ball.motion + poses(time)[0], friction=ball.friction)
     run = pt.rollout(model, [again], duration=0.45, every=0.005)
     expected = np.linalg.norm(run.reactions["tool"], axis=1).max()

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.app.view.session.messages import describe_tools
+from palpate.app.session.messages import describe_tools
 
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 TOKEN = "synthetic"

@@ -19,12 +19,12 @@ import pytest
 from palpate import load
 from palpate.app.models.trained import model_file
 from palpate.app.recordings.recording import ERROR_NAMES, load_recording, save_recording
+from palpate.app.session.comparison import Comparison
+from palpate.app.session.full_model_replay import full_model
+from palpate.app.session.messages import validate_message
+from palpate.app.session.replay import Replay
+from palpate.app.session.session import Session
 from palpate.app.view.server.label_choice import LabelChoice
-from palpate.app.view.session.comparison import Comparison
-from palpate.app.view.session.full_model_replay import full_model
-from palpate.app.view.session.messages import validate_message
-from palpate.app.view.session.replay import Replay
-from palpate.app.view.session.session import Session
 from palpate.scenes.open_scene import open_scene
 from palpate.surface.labels.listing import LabelRow
 from palpate.surface.surface import Surface
@@ -79,13 +79,13 @@ def test_a_real_body_answers_every_tool_without_a_complaint(pressed_body):
 def recording(session, ball, until, tmp_path):
     """A recorded press, with the same press moved by a millimetre as the full model's."""
     path = tmp_path / "press.h5"
-    session.start_recording()
+    session.recordings.start()
     session.handle(validate_message(ball))
     for depth in (0.0, 0.003, 0.005):
         session.handle(validate_message({"type": "pose", "position": [*MIDDLE[:2], MIDDLE[2] + BALL + 0.002 - depth]}))
-        before = len(session._recorder.times)
-        until(lambda before=before: len(session._recorder.times) > before + 20)
-    session.finish_recording(path, wait=True)
+        before = len(session.recordings.recorder.times)
+        until(lambda before=before: len(session.recordings.recorder.times) > before + 20)
+    session.recordings.finish(path, wait=True)
     own = load_recording(path)
     positions = np.array([session.surface.rest + m.displacements(session.surface) for m in own.snapshots]) + 1e-3
     full = {"times": own.times, "positions": positions, "force": np.zeros((len(own.times), 3))}

@@ -13,7 +13,7 @@ import pytest
 import palpate as pt
 from palpate.app.cli import main
 from palpate.app.recordings.recording import load_recording, save_recording
-from palpate.app.view.session.session import Session
+from palpate.app.session.session import Session
 
 pytestmark = pytest.mark.slow
 
@@ -37,15 +37,15 @@ def ended(monkeypatch):
             os.kill(os.getpid(), number)
         save_recording(path, recording)
 
-    monkeypatch.setattr("palpate.app.view.session.session.save_recording", saving)
+    monkeypatch.setattr("palpate.app.session.recordings.save_recording", saving)
 
     def send(number, *, begin=False):
         def wait():
             while not made:
                 time.sleep(0.01)
             if begin:
-                made[0].start_recording()
-            while made[0]._recorder is None or len(made[0]._recorder.times) < 5:
+                made[0].recordings.start()
+            while made[0].recordings.recorder is None or len(made[0].recordings.recorder.times) < 5:
                 time.sleep(0.01)
             sent.extend([number] if number != signal.SIGINT else [])
             os.kill(os.getpid(), number)
@@ -57,14 +57,18 @@ def ended(monkeypatch):
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="no such signals")
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
-@pytest.mark.parametrize("more", [["--headless", "--seconds", "60"], ["--no-browser", "--port", "18990"]])
-def test_a_recording_survives_the_signals_that_end_a_program(file, tmp_path, ended, name, more):
+@pytest.mark.parametrize(
+    "more", [["run", "--script", "none.jsonl", "--seconds", "60"], ["view", "--no-browser", "--port", "18990"]]
+)
+def test_a_recording_survives_the_signals_that_end_a_program(file, tmp_path, ended, name, more, monkeypatch):
     number = getattr(signal, name)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "none.jsonl").write_text("")
     before = signal.signal(number, signal.SIG_DFL)  # ignored where the tests run under nohup
     try:
         ended(number)
         with pytest.raises(SystemExit) as end:
-            main(["view", str(file), "--record", str(tmp_path / "run.h5"), *more])
+            main([more[0], str(file), "--record", str(tmp_path / "run.h5"), *more[1:]])
         assert signal.getsignal(number) == signal.SIG_DFL
     finally:
         signal.signal(number, before)
@@ -86,39 +90,43 @@ def test_a_recording_of_the_page_survives_the_end_of_the_server(file, tmp_path, 
 
 
 def test_a_recording_overwrites_no_other_file(file, tmp_path, assert_refused):
-    view = ["view", str(file), "--headless", "--seconds", "0.1", "--record"]
+    (tmp_path / "none.jsonl").write_text("")
+    run = ["run", str(file), "--script", str(tmp_path / "none.jsonl"), "--out", str(tmp_path / "out")]
+    run += ["--seconds", "0.1", "--record"]
     content = file.read_bytes()
-    assert_refused([*view, str(file)], "record must end in .h5")
-    assert_refused([*view, str(tmp_path / "r.vtkhdf")], "record must end in .h5")
+    assert_refused([*run, str(file)], "record must end in .h5")
+    assert_refused([*run, str(tmp_path / "r.vtkhdf")], "record must end in .h5")
     (tmp_path / "link.h5").symlink_to(file)
-    assert_refused([*view, str(tmp_path / "link.h5")], "another file than the model")
+    assert_refused([*run, str(tmp_path / "link.h5")], "another file than the model")
     (tmp_path / "text.h5").write_text("precious")
-    assert_refused([*view, str(tmp_path / "text.h5")], "text.h5 is another file")
+    assert_refused([*run, str(tmp_path / "text.h5")], "text.h5 is another file")
     with h5py.File(tmp_path / "other.h5", "w") as other:
         other.attrs["format"] = "another"
-    assert_refused([*view, str(tmp_path / "other.h5")], "other.h5 is another file")
+    assert_refused([*run, str(tmp_path / "other.h5")], "other.h5 is another file")
     (tmp_path / "folder.h5").mkdir()
-    assert_refused([*view, str(tmp_path / "folder.h5")], "folder.h5 is another file")
+    assert_refused([*run, str(tmp_path / "folder.h5")], "folder.h5 is another file")
     (tmp_path / "fresh.vtkhdf").write_text("precious")
-    assert_refused([*view, str(tmp_path / "fresh.h5")], "fresh.vtkhdf is another file")
+    assert_refused([*run, str(tmp_path / "fresh.h5")], "fresh.vtkhdf is another file")
     assert file.read_bytes() == content
     assert (tmp_path / "text.h5").read_text() == (tmp_path / "fresh.vtkhdf").read_text() == "precious"
-    assert main([*view, str(tmp_path / "new.h5")]) == 0
-    assert main([*view, str(tmp_path / "new.h5")]) == 0  # an earlier recording gives way
+    assert main([*run, str(tmp_path / "new.h5")]) == 0
+    assert main([*run, str(tmp_path / "new.h5")]) == 0  # an earlier recording gives way
 
 
 def test_a_recording_that_was_not_written_ends_with_status_1(file, tmp_path, monkeypatch, capsys):
     def full(path, recording):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("palpate.app.view.session.session.save_recording", full)
+    monkeypatch.setattr("palpate.app.session.recordings.save_recording", full)
     path = tmp_path / "new.h5"
-    assert main(["view", str(file), "--headless", "--seconds", "0.3", "--record", str(path)]) == 1
+    (tmp_path / "none.jsonl").write_text("")
+    run = ["run", str(file), "--script", str(tmp_path / "none.jsonl"), "--out", str(tmp_path / "out")]
+    assert main([*run, "--seconds", "0.3", "--record", str(path)]) == 1
     said = capsys.readouterr().err
     assert "the recording was not written" in said
     assert load_recording(path).snapshots
     monkeypatch.undo()
-    main(["view", str(file), "--headless", "--seconds", "0.1", "--record", str(path)])  # replaces the journal
+    main([*run, "--seconds", "0.1", "--record", str(path)])  # replaces the journal
 
 
 @pytest.mark.parametrize(
@@ -133,11 +141,11 @@ def test_a_recording_that_was_not_written_ends_with_status_1(file, tmp_path, mon
 )
 def test_invalid_scripts_are_refused(file, tmp_path, assert_refused, content, said):
     (tmp_path / "script.jsonl").write_bytes(content)
-    assert_refused(["view", str(file), "--headless", "--script", str(tmp_path / "script.jsonl")], said)
+    assert_refused(["run", str(file), "--script", str(tmp_path / "script.jsonl")], said)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes of a name")
 def test_a_script_that_is_a_pipe_is_refused_at_once(file, tmp_path, assert_refused):
     os.mkfifo(tmp_path / "script.jsonl")
     script = str(tmp_path / "script.jsonl")
-    assert_refused(["view", str(file), "--headless", "--script", script], "must be a regular file")
+    assert_refused(["run", str(file), "--script", script], "must be a regular file")

@@ -20,13 +20,13 @@ from view_scenes import BALL, MIDDLE, block
 from websockets.asyncio.client import connect
 
 from palpate.app.common.console import Console
+from palpate.app.session.messages import validate_message
+from palpate.app.session.session import Session
 from palpate.app.train.folder import manifest_of, open_campaign
 from palpate.app.train.scene_folder import name_in_folder, training_folder
 from palpate.app.view.command import view
 from palpate.app.view.refinement import Refinement
 from palpate.app.view.server.frames import STATE
-from palpate.app.view.session.messages import validate_message
-from palpate.app.view.session.session import Session
 from palpate.app.view.training_process import LEAST_SHARE, Progress, TrainingProcess
 from palpate.faults import InputError
 from palpate.reduction.storage.models import save
@@ -85,7 +85,7 @@ def model_path(model, tmp_path_factory):
 @pytest.fixture
 def full(tmp_path):
     session = Session(block().model, "Block")
-    session.folder = tmp_path
+    session.recordings.folder = tmp_path
     session.start()
     yield session
     session.close()
@@ -150,7 +150,7 @@ def test_a_good_model_takes_over_with_tool_speed_moduli_and_pause(refining, full
     assert refinement.next_source() is None
     tool, status = new.status()["tool"], new.status()
     assert (tool["kind"], tool["radius"], tool["friction"], tool["active"]) == ("sphere", BALL, 0.3, False)
-    assert (status["speed"], status["state"], new.is_full) == (0.5, "paused", False)
+    assert (status["speed"], status["state"], new.body.is_full) == (0.5, "paused", False)
     assert new.modulus_ratio == pytest.approx(1.5)
     assert full.engine.state == "stopped"
     assert state(refinement) == "used"
@@ -416,10 +416,10 @@ def test_the_command_changes_over_and_ends_its_training_at_an_interrupt(scene, t
     assert (training_folder(scene) / "model.rom").is_file()
 
 
-@pytest.mark.parametrize(("what", "options"), [("liver", {}), ("box.toml", {"headless": True})])
-def test_nothing_but_a_shown_full_body_is_refined(what, options):
+@pytest.mark.parametrize("what", ["liver"])
+def test_nothing_but_a_shown_full_body_is_refined(what):
     with pytest.raises(InputError, match="refine must be left out"):
-        view(what, refine=True, browser=False, **options)
+        view(what, refine=True, browser=False)
 
 
 def children(pid):

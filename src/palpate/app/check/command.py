@@ -22,7 +22,7 @@ from palpate.files import check_folder, plain
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.filling import fill
 from palpate.meshfree.gate import nearest_spacing
-from palpate.scenes.names import is_scene_file
+from palpate.scenes.names import SceneKind, kind_of
 from palpate.scenes.open_scene import open_scene, training_scene_of
 from palpate.scenes.organ_scene import OrganScene
 from palpate.surface.checks import SurfaceReport, check_surface
@@ -98,7 +98,7 @@ def check(
     check_folder(out)
     console = Console()
     scene = None
-    if is_scene_file(file.name):
+    if kind_of(file.name) is SceneKind.SCENE_FILE:
         given = {
             "part": part,
             "labels": labels,

@@ -55,6 +55,8 @@ class Parser(argparse.ArgumentParser):
     ----------
     renamed : dict of str to str
         Options of earlier versions, and those that took their places.
+    moved : dict of str to str
+        Former options, and the commands that do the same now.
     synonyms : dict of str to str
         Arguments of the library, and the options of other names that they come from.
     assignments : dict of str to str
@@ -65,6 +67,7 @@ class Parser(argparse.ArgumentParser):
         options.setdefault("formatter_class", _Formatter)
         super().__init__(*arguments, **options)
         self.renamed: dict[str, str] = {}
+        self.moved: dict[str, str] = {}
         self.synonyms: dict[str, str] = {}
         self.assignments: dict[str, str] = {}
 
@@ -99,6 +102,8 @@ class Parser(argparse.ArgumentParser):
             return
         if name in self.renamed:
             self.error(f"{name} is now called {self.renamed[name]}; give {self.renamed[name]} instead")
+        if name in self.moved:
+            self.error(f"{name} is now of another command; use {self.moved[name]}")
         self.error(f"{name!r:.60} is not an option of {self.prog}{suggestion(name, options)}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from palpate.app.common.console import Console
 from palpate.app.export.web import export_web
-from palpate.app.models.loader import open_model
+from palpate.app.models.subject import open_subject
 from palpate.export.folder import check_new, export_c, identifier
 from palpate.export.targets import HOST_TARGET
 from palpate.faults import InputError
@@ -31,7 +31,7 @@ def export(
     Parameters
     ----------
     model : str
-        As for `palpate.app.models.loader.open_model`.
+        As for `palpate.app.models.subject.open_subject`.
     part, labels
         Of a surface file, as for `palpate.io.read_surface`.
     folder, name, targets, relaxed
@@ -49,20 +49,22 @@ def export(
         if name is not None or targets or relaxed:
             raise InputError("web must be alone, got an option of a library; leave name, target and relaxed out")
         check_new(web)
-        reduced, title = open_model(model, console, part, labels)
+        subject = open_subject(model, part=part, labels=labels)
+        reduced = subject.reduced(console)
         with console.status("compiling the step of the model (about a minute)"):
-            written = export_web(reduced, web, title)
+            written = export_web(reduced, web, subject.title)
         _say(console, web, written)
         console.say(f"open it:          python3 -m http.server --directory {web} 8000")
         console.say("                  http://localhost:8000")
         return 0
     assert folder is not None  # the parser requires one
     check_new(folder)
-    reduced, title = open_model(model, console, part, labels)
+    subject = open_subject(model, part=part, labels=labels)
+    reduced = subject.reduced(console)
     chosen = identifier(Path(model).stem) if name is None else name
     with console.status("compiling the step of the model (about a minute)"):
         written = export_c(
-            reduced, folder, name=chosen, title=title, targets=list(dict.fromkeys(targets or [HOST_TARGET])),
+            reduced, folder, name=chosen, title=subject.title, targets=list(dict.fromkeys(targets or [HOST_TARGET])),
             strict=not relaxed, say=console.say,
         )  # fmt: skip
     _say(console, folder, written)

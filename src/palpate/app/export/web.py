@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from palpate.app.recordings.snapshot import scalar_descriptions, training_errors
+from palpate.app.session.messages import describe_tools
+from palpate.app.session.session import material_sliders
 from palpate.app.view.server.page import PAGE_FOLDER
-from palpate.app.view.session.messages import describe_tools
-from palpate.app.view.session.session import material_sliders
 from palpate.export.folder import complete_folder
 from palpate.export.library import lower_model
 from palpate.export.targets import WEB_TARGETS

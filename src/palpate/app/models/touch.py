@@ -12,7 +12,7 @@ from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import CloudError, InputError
 from palpate.meshfree.cloud import box
-from palpate.scenes.names import is_scene_file
+from palpate.scenes.names import SceneKind
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.surface_scene import NODES_PER_CELL
 from palpate.tissue.materials import Material
@@ -79,7 +79,7 @@ def open_touched(scene: OrganScene, console: Console, spacing: float | None = No
 
 def _remedy(scene: OrganScene, options: str) -> str:
     """Return the end of a line: the option or key that changes a choice."""
-    return f"; another: {scene.name}" if is_scene_file(scene.name) else f"; another: {options}"
+    return f"; another: {scene.name}" if scene.kind is SceneKind.SCENE_FILE else f"; another: {options}"
 
 
 def _touched(scene: OrganScene, console: Console, spacing: float | None) -> OrganScene:
@@ -88,7 +88,7 @@ def _touched(scene: OrganScene, console: Console, spacing: float | None) -> Orga
     surface = scene.surface
     if surface is None:  # a box or a disc, which is small
         return _prepared(scene, console)
-    if given is not None and not is_scene_file(scene.name):
+    if given is not None and scene.kind is not SceneKind.SCENE_FILE:
         return fitting_scene(scene, given, True, console)
     finest = spacing
     if finest is None:

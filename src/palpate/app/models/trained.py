@@ -17,10 +17,9 @@ from palpate.faults import FileFormatError, InputError
 from palpate.files import check_folder
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import load
-from palpate.scenes.names import PACKAGE_SCENES
+from palpate.scenes.names import SceneKind
 from palpate.scenes.open_scene import DESCRIPTION_KEY, open_scene, text_of_scene, training_scene_of
 from palpate.scenes.organ_scene import OrganScene
-from palpate.scenes.training import is_opened
 
 __all__ = ["held_out_means", "model_file", "trained_model", "training_folder"]
 
@@ -58,7 +57,7 @@ def trained_model(scene: OrganScene, console: Console, workers: int | None = Non
                 console.say(f"{folder / MODEL_FILE} has {sizes}; palpate train {scene.name} trains it again")
                 return model
     try:
-        check_folder(folder, "cache" if scene.name in PACKAGE_SCENES else "folder")
+        check_folder(folder, "cache" if scene.kind is SceneKind.PACKAGE else "folder")
     except InputError as error:
         raise InputError(f"{error}, or train a model elsewhere: palpate train {scene.name} --out FOLDER") from error
     with console.status("preparing the full model (the first run on a machine compiles it: a minute or two)"):
@@ -86,7 +85,7 @@ def _other_sizes(scene: OrganScene, model: ReducedModel) -> dict[str, Any]:
 
 def _parameters(scene: OrganScene) -> dict[str, Any]:
     """Return the parameters with which a worker opens the scene: its settings, or its own description."""
-    if is_opened(scene.name) and open_scene(scene.name, scene.settings).digest == scene.digest:
+    if scene.kind is not SceneKind.SURFACE_FILE and open_scene(scene.name, scene.settings).digest == scene.digest:
         return scene.settings
     return {DESCRIPTION_KEY: text_of_scene(scene)}
 

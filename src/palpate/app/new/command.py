@@ -18,11 +18,11 @@ from palpate.app.new.text import scene_text
 from palpate.faults import InputError
 from palpate.files import check_folder, whole_file, write_json
 from palpate.scenes.description import Support
-from palpate.scenes.names import is_scene_file
+from palpate.scenes.names import SceneKind, kind_of
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.schema import scene_schema
-from palpate.scenes.surface_scene import is_surface_file, surface_scene
+from palpate.scenes.surface_scene import surface_scene
 from palpate.surface.checks import METRES_BY_UNIT
 from palpate.surface.labels.label_map import choose_segments, segments_mask
 from palpate.surface.labels.listing import choice_of_labels
@@ -61,11 +61,11 @@ def new(
     int
         0.
     """
-    if not is_scene_file(out.name):
+    if kind_of(out.name) is not SceneKind.SCENE_FILE:
         raise InputError(f"out must end in .toml, got {str(out)!r}; name the scene file organ.toml")
     if out.exists():
         raise InputError(f"out must be a new file, got {str(out)!r}, which exists; choose another name, or remove it")
-    if not is_surface_file(file.name):
+    if kind_of(file.name) is not SceneKind.SURFACE_FILE:
         raise InputError(f"file must be a surface, got {str(file)!r}; palpate new --help lists the formats")
     check_folder(out.parent)
     console = Console()
@@ -131,7 +131,7 @@ def _fitted(scene: OrganScene, spacing: float | None, console: Console) -> tuple
         "support": "given" if about.support else "guessed: the side away from the first view of the page",
         "reach": f"a ball of {1e3 * paths.radius:.3g} mm reaches {reach:.0%} of the surface, {held_share:.0%} is held",
     }
-    made = OrganScene(description, fitted.folder, fitted.name)
+    made = OrganScene(description, fitted.folder, fitted.name, fitted.kind)
     vars(made).update({name: vars(fitted)[name] for name in ("surface", "cloud", "body") if name in vars(fitted)})
     made.notes += [*dict.fromkeys([*scene.notes, *fitted.notes])]
     return made, guesses
@@ -151,7 +151,7 @@ def _with_proposals(scene: OrganScene, spacing: float | None, console: Console) 
     supports = about.support or tuple(support for support, _ in proposals.supports)
     shape = replace(about.surface, parts=proposals.parts)
     about = replace(about, title=proposals.title, surface=shape, region=regions, support=supports)
-    return OrganScene(about, scene.folder, scene.name), proposals
+    return OrganScene(about, scene.folder, scene.name, scene.kind), proposals
 
 
 def _round(length: float) -> float:
@@ -165,7 +165,7 @@ def _placed(scene: OrganScene, out: Path) -> OrganScene:
     names = _relative(about.surface.labels, out) if about.surface.labels else ""
     surface = replace(about.surface, file=_relative(about.surface.file, out), labels=names)
     about = replace(about, surface=surface, support=tuple(_placed_support(each, out) for each in about.support))
-    return OrganScene(about, out.parent, str(out))
+    return OrganScene(about, out.parent, str(out), SceneKind.SCENE_FILE)
 
 
 def _placed_support(support: Support, out: Path) -> Support:

@@ -93,7 +93,7 @@ class Recording:
     tools : list of dict
         Descriptions of the selected tools, with ``"start"``, the index of the first snapshot of each.
     full : dict
-        Result of `palpate.app.view.session.full_model_replay.replay_on_full_model`; empty without such a run.
+        Result of `palpate.app.session.full_model_replay.replay_on_full_model`; empty without such a run.
     cuts : list of Cut
         Changes of the cut of a full body, in the order of their snapshots.
     """

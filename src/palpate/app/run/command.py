@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any, cast
@@ -18,7 +17,9 @@ from palpate.app.common.exit_status import RunError
 from palpate.app.common.preparation import prepare
 from palpate.app.common.report import REPORTS, deliver, machine
 from palpate.app.common.rows import Rows, named_rows, quantities
-from palpate.app.run.realtime_scene import run_scene_realtime
+from palpate.app.models.subject import open_subject
+from palpate.app.run.realtime import run_realtime
+from palpate.app.session.opening import check_record
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
@@ -27,12 +28,13 @@ from palpate.faults import DivergenceError, InputError, TrustWarning, integer_in
 from palpate.files import plain
 from palpate.parameters import quantity
 from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.storage.models import load as load_model
 from palpate.reduction.training.errors import relative_errors
 from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.beam import DURATION, EVERY, beam
-from palpate.scenes.organ_scene import OrganScene
+from palpate.scenes.names import SceneKind
 from palpate.scenes.scene import Scene
-from palpate.scenes.surface_scene import named_scene
+from palpate.scenes.surface_scene import refined_scene
 
 __all__ = ["FILES", "run"]
 
@@ -47,42 +49,21 @@ RUN_ROWS: Rows = {
     "largest displacement": "{largest_displacement:.4g mm}",
     "energy balance, largest miss over largest work": "{energy_balance:.2%}",
 }
-REALTIME_OPTIONS = ("seconds", "rate", "model", "full")
 PAPER_SCENE = "beam"  # a single run is that of the paper, in its strong form
 PAPER_UNITS = {"spacing": "m", "load": "N", "poisson": ""}  # its settings
 
 
-def run(*, scene: str, realtime: bool = False, **options: Any) -> int:
-    """Run a scene, once or in real time: `run_once`, `palpate.app.run.realtime_scene.run_scene_realtime`.
-
-    Parameters
-    ----------
-    scene : str
-        As for `palpate.open_scene`.
-    options : mapping
-        Of either; None or False where the command line gives none.
-    """
-    given = {name: value for name, value in options.items() if value is not None and value is not False and value != []}
-    given.setdefault("as_json", False)
-    if not (realtime or given.get("cut")):  # a cut is in real time
-        for name in REALTIME_OPTIONS:
-            if name in given:
-                raise InputError(f"{name} must be left out of a single run, got {given[name]}; or add --realtime")
-        return run_once(scene=scene, **given)
-    if "load" in given:
-        raise InputError(f"load must be left out in real time, got {given['load']:g}; a tool moves the body instead")
-    words = {name: given.pop(name) for name in ("spacing", "poisson", "modes") if name in given}
-    if words and "model" in given:
-        name = next(iter(words))
-        raise InputError(f"{name} must be left out with --model, got {words[name]}; the file's model has its own")
-    return run_scene_realtime(scene=scene, settings=words | parse_settings(given.pop("given", ())), **given)
-
-
-def run_once(
+def run(
     *,
-    scene: str,
-    part: Sequence[str] | None = None,
-    labels: Path | None = None,
+    what: str,
+    realtime: bool = False,
+    full: bool = False,
+    cut: bool = False,
+    model: Path | None = None,
+    script: Path | None = None,
+    record: Path | None = None,
+    seconds: float | None = None,
+    rate: float | None = None,
     spacing: float | None = None,
     load: float | None = None,
     poisson: float | None = None,
@@ -90,43 +71,74 @@ def run_once(
     modes: int | None = None,
     out: Path,
     as_json: bool = False,
+    **shape: Any,
+) -> int:
+    """Run a body once or in real time: `run_once`, `palpate.app.run.realtime.run_realtime`.
+
+    `model` is the file of a reduced model of the scene, in place of that which is trained at the first use. `shape` has
+    the options of a surface file.
+    """
+    words: dict[str, Any] = {"spacing": spacing, "poisson": poisson, "modes": modes}
+    words = {name: value for name, value in words.items() if value is not None}
+    if not (realtime or cut or script is not None):  # a cut and a script are in real time
+        for name, value in (
+            ("seconds", seconds), ("rate", rate), ("model", model), ("full", full or None), ("record", record)
+        ):  # fmt: skip
+            if value is not None:
+                raise InputError(f"{name} must be left out of a single run, got {value}; or add --realtime")
+        return run_once(what=what, load=load, given=given, out=out, as_json=as_json, **words, **shape)
+    if load is not None:
+        raise InputError(f"load must be left out in real time, got {load:g}; a tool moves the body instead")
+    if words and model is not None:
+        name = next(iter(words))
+        raise InputError(f"{name} must be left out with --model, got {words[name]}; the file's model has its own")
+    if (full or cut) and model is not None:
+        option = "--cut" if cut else "--full"
+        raise InputError(f"model must be left out with {option}, got {str(model)!r}; leave out one of the two")
+    if record is not None:
+        check_record(record, what)
+    spacing = words.pop("spacing", None)
+    subject = open_subject(what, words | parse_settings(given), spacing, **shape)
+    if model is not None:
+        subject = replace(subject, name=str(model), model=load_model(model))
+    if (full or cut) and subject.scene is None:
+        raise InputError(f"full and cut must be left out for the model of a file, got one of them for {what!r:.60}")
+    full = full or cut
+    if subject.scene is not None and subject.scene.kind is SceneKind.SURFACE_FILE and not full:
+        subject = replace(subject, scene=refined_scene(subject.scene))
+    limits = {name: value for name, value in (("seconds", seconds), ("rate", rate)) if value is not None}
+    return run_realtime(
+        subject, full=full, cut=cut, script=script, record=record, out=out, as_json=as_json, **limits
+    )  # fmt: skip
+
+
+def run_once(
+    *,
+    what: str,
+    spacing: float | None = None,
+    load: float | None = None,
+    poisson: float | None = None,
+    given: Sequence[str] = (),
+    modes: int | None = None,
+    out: Path,
+    as_json: bool = False,
+    **shape: Any,
 ) -> int:
     """Run the full body of a scene under its loads, and leave the trajectory and a report in a folder.
 
-    A scene without loads is pressed by its tool.
-
-    Parameters
-    ----------
-    scene : str
-        As for `palpate.open_scene`, or a surface file. The run of the beam is the paper's (`palpate.scenes.beam.beam`).
-    part, labels
-        Of a surface file, as for `palpate.io.read_surface`.
-    spacing : float, optional [m]
-    load : float, optional [N]
-        Of the paper's beam.
-    given : sequence of str
-        Settings of the scene as ``"name=value"``.
-    modes : int, optional
-        Train a hyper-reduced model of so many modes on the full run, and run it, too. The full model then is in its
-        energy form, which the reduced one samples.
-    as_json : bool
-        As for `palpate.app.studies.reproduce.reproduce`.
-
-    Returns
-    -------
-    int
-        0.
+    A scene without loads is pressed by its tool. The run of the beam is the paper's (`palpate.scenes.beam.beam`), and
+    `load` [N] is of it. With `modes`, train a hyper-reduced model of so many modes on the full run, and run it, too;
+    the full model then is in its energy form, which the reduced one samples.
     """
     if modes is not None:
         integer_in_range("modes", modes, 1, RUN_SNAPSHOTS)
     words = {"spacing": spacing, "load": load, "poisson": poisson}
     settings = {name: value for name, value in words.items() if value is not None} | parse_settings(given)
-    if load is not None and scene != PAPER_SCENE:
-        raise InputError(f"load must be left out of {scene}, got {load:g}; change the loads in its file")
+    if load is not None and what != PAPER_SCENE:
+        raise InputError(f"load must be left out of {what}, got {load:g}; change the loads in its file")
     console = Console()
     doubles = 6 if modes is None else 12
-    named = partial(named_scene, part=part, labels=labels)
-    made = prepare(lambda: _scene(scene, settings, modes is not None, named), out, doubles, console)
+    made = prepare(lambda: _scene(what, settings, modes is not None, shape), out, doubles, console)
     for name in FILES:  # of an earlier run: all files of a folder belong together
         (out / name).unlink(missing_ok=True)
     runs, reduced = {"full": _run(made, made.model, console, out / "full.h5")}, None
@@ -142,13 +154,19 @@ def run_once(
     return 0
 
 
-def _scene(name: str, settings: dict[str, Any], energy: bool, named: Callable[..., OrganScene]) -> Scene:
+def _scene(name: str, settings: dict[str, Any], energy: bool, shape: Mapping[str, Any]) -> Scene:
     """Return a scene for a single run, its model in the energy form if asked."""
     if name == PAPER_SCENE:
         scene = beam(**{key: _paper_value(key, value) for key, value in settings.items()})
         body = scene.model
         return replace(scene, model=Solid(body.cloud, body.material, body.supports, form="energy")) if energy else scene
-    opened = named(name, settings)
+    opened = open_subject(name, settings, **shape).scene
+    if opened is None:
+        raise InputError(
+            f"what must be a scene or a surface file for a single run, got the model {name!r:.60}; add --script"
+        )
+    if opened.kind is SceneKind.SURFACE_FILE:
+        opened = refined_scene(opened)
     loads, duration, every = opened.loads, opened.duration, opened.every
     if not opened.description.load:
         (loads, duration), every = opened.paths(PRESS_SEED), opened.description.training.every

@@ -1,8 +1,7 @@
-"""``palpate run ... --realtime``: step a model at a fixed rate under a moving tool, and report missed deadlines."""
+"""``palpate run ... --realtime``: step a body at a fixed rate under a moving tool, and report missed deadlines."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -11,123 +10,115 @@ from typing import Any
 import numpy as np
 
 from palpate.app.common.console import Console, Table, quantities_table
-from palpate.app.common.exit_status import RunError
+from palpate.app.common.exit_status import DONE, FAILED, RunError
 from palpate.app.common.report import REPORTS, deliver, machine
 from palpate.app.common.rows import Rows, fill_template, quantities, rows_of
+from palpate.app.models.subject import Subject
+from palpate.app.models.trained import model_file
+from palpate.app.run.tool_motion import tool_motion
+from palpate.app.session.opening import exit_on_signals, running_session
+from palpate.app.session.play import ToolPath, follow, play, read_script
+from palpate.app.session.session import Session
 from palpate.dynamics.contact.tools import Contact
-from palpate.dynamics.run.progress import progress_bar
+from palpate.dynamics.loads.foundation import Foundation
 from palpate.faults import number_in_range
 from palpate.files import check_folder, check_space, plain
 from palpate.realtime.bodies.full_blade import BladeCutter
-from palpate.realtime.bodies.model import realtime_model
-from palpate.realtime.device import DummyDevice
-from palpate.realtime.engine import Engine
 from palpate.realtime.statistics import Distribution, Statistics
 from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["FILES", "Poses", "run_realtime"]
-
-Poses = Callable[[float], Any]  # at times [s], as `palpate.DummyDevice` takes them
+__all__ = ["FILES", "run_realtime"]
 
 BLACK_BOX = "black_box.h5"
 FILES = (*REPORTS, BLACK_BOX)
-MAX_RUN_SECONDS, MIN_RATE, MAX_RATE = (
-    600.0,
-    50.0,
-    20_000.0,
-)  # [s], [Hz]: limits of black box and periods
+MAX_RUN_SECONDS, MIN_RATE, MAX_RATE = 600.0, 50.0, 20_000.0  # [s], [Hz]: limits of black box and periods
 BINS_PER_LINE = 20  # of the engine's histogram in one line of the printed one: half a decade
 BAR_WIDTH = 24  # characters of the longest line
 BYTES_PER_PERIOD = 1000  # bytes of a period in the black box, at most
-UPDATE_INTERVAL = 0.1  # [s] between two updates of the progress bar
 
 
 def run_realtime(
-    make: Callable[[Console], tuple[Any, Poses, Contact | None]],
+    subject: Subject,
     *,
-    title: str,
-    about: Mapping[str, Any],
+    full: bool,
+    cut: bool,
+    script: Path | None,
+    record: Path | None,
     seconds: float = 10.0,
     rate: float = 1000.0,
     out: Path,
     as_json: bool = False,
 ) -> int:
-    """Step a model at a fixed rate for some seconds under a moving tool, and report missed deadlines.
+    """Step a body at a fixed rate for some seconds under a moving tool, and report missed deadlines.
 
-    Parameters
-    ----------
-    make : function
-        Called after all checks; returns the reduced model or the full body, the poses of the tool, and the tool that
-        touches the body, or None for one that moves the model's prescribed group.
-    about : mapping
-        More of the report's parameters.
-    seconds : float [s]
-        Up to 600.
-    rate : float [Hz]
-        From 50 to 20000.
-    as_json : bool
-        As for `palpate.app.studies.reproduce.reproduce`.
-
-    Returns
-    -------
-    int
-        0, whether the rate was held or not.
+    With `full` the full body of the subject's scene is stepped, and with `cut` a scalpel cuts it. The messages of
+    `script` drive the session in place of the tool of the scene; `record` is the file of a recording. The time is at
+    most 600 s, the rate from 50 to 20,000 Hz. The status is 0 whether the rate was held or not, and 1 if a recording
+    was not written.
     """
     seconds = number_in_range("seconds", seconds, 0.0, MAX_RUN_SECONDS, open_low=True, unit="s")
     rate = number_in_range("rate", rate, MIN_RATE, MAX_RATE, unit="Hz")
     check_folder(out)
     check_space(out, round(seconds * rate * BYTES_PER_PERIOD))
-    console = Console()
-    body, poses, contact = make(console)
-    with console.status("making the engine ready (the first run on a machine compiles it: about a minute)"):
-        ready = realtime_model(body, contact=contact)
+    messages = None if script is None else read_script(script)
+    tool: Contact | None = None
+    path: ToolPath
+
+    def make(body: Any, foundations: tuple[Foundation, ...]) -> Session:
+        nonlocal tool, path
+        if messages is not None:
+            path = messages
+        else:
+            poses, tool = tool_motion(subject, body, cut)
+            path = follow(poses)
         out.mkdir(parents=True, exist_ok=True)
-        engine = Engine(ready, rate, history=seconds, black_box=out / BLACK_BOX)
-    statistics = _step_engine(engine, poses, seconds, out / BLACK_BOX, console)
+        return Session(body, subject.title, rate, foundations, history=seconds, black_box=black_box)
+
+    console, black_box = Console(), out / BLACK_BOX
+    with exit_on_signals(), running_session(subject, full, make, console, record, exact=True) as session:
+        session.stop()  # so that the statistics begin with the tool
+        if tool is not None:
+            session.put_down(tool)
+        console.say(f"{rate:g} Hz for {seconds:g} s ...")
+        session.start()
+        try:
+            play(session, path, seconds)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt("in real time") from None
+        last_force = float(np.linalg.norm(session.engine.read().force))
+        session.stop()
+        if session.engine.state == "diverged":
+            raise RunError(f"the state diverged; what happened before is in {black_box}")
+        session.engine.dump(black_box)
+        statistics, body = session.engine.statistics(), session.model
+    title = f"{'Full ' + subject.title.lower() if full else subject.title} in real time"
     report = {
         "title": f"{title}, {rate:g} Hz",
-        "parameters": {"seconds": seconds, "rate": rate, "spacing": body.cloud.spacing, **about},
+        "parameters": {"seconds": seconds, "rate": rate, "spacing": body.cloud.spacing, **_origin(subject, full, cut)},
         "material": asdict(body.material),
         "machine": machine(),
         "model": body.report if isinstance(body, ReducedModel) else {"nodes": len(body.cloud)},
-        "tool": _observations(out / BLACK_BOX, body),
+        "tool": _observations(black_box, body) | {"last_force": last_force},
         "timing": _timing(statistics),
+        "session": session.statistics(),
     }
-    if ready.cutter is not None and ready.cutter.cuts:
-        report["cut"] = _cut_report(out / BLACK_BOX, ready.cutter)
+    if messages is not None:
+        report["script"] = {"file": str(script), "messages": messages.done, "refused": messages.refused}
+    if session.body.cutter is not None and session.body.cuts:
+        report["cut"] = _cut_report(black_box, session.body.cutter)
     report = plain(report)
     deliver(report, _tables(report, statistics), out, FILES, as_json)
-    return 0
+    return FAILED if session.recordings.failures else DONE
 
 
-def _step_engine(engine: Engine, poses: Poses, seconds: float, black_box: Path, console: Console) -> Statistics:
-    """Run an engine while its tool moves; write the black box, and return the statistics."""
-    console.say(f"{1 / engine.period:g} Hz for {seconds:g} s ...")
-    with warnings.catch_warnings(), progress_bar("real time", seconds, True) as shown:
-        warnings.simplefilter("ignore", RuntimeWarning)  # about trust: the report has it
-        try:
-            with engine:
-                DummyDevice(_with_progress(poses, shown)).run(engine, seconds)
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt("in real time") from None
-    if engine.state == "diverged":
-        raise RunError(f"the state diverged; what happened before is in {black_box}")
-    engine.dump(black_box)
-    return engine.statistics()
-
-
-def _with_progress(poses: Poses, shown: Callable[[float, float], None]) -> Poses:
-    """Return the poses of a tool by a function that also updates the progress bar."""
-    last = 0.0
-
-    def path(time: float) -> Any:
-        nonlocal last
-        if time > last + UPDATE_INTERVAL:
-            last = time
-            shown(time, time)
-        return poses(time)
-
-    return path
+def _origin(subject: Subject, full: bool, cut: bool) -> dict[str, Any]:
+    """Return the parameters of a report that name the body."""
+    scene = subject.scene
+    if scene is None or subject.model is not None:
+        return {"file": subject.name}
+    if not full:
+        return {"file": str(model_file(scene))}
+    return {"full": True} | ({"toughness": scene.description.cut.toughness} if cut else {})
 
 
 def _observations(black_box: Path, body: Any) -> dict[str, Any]:
@@ -246,6 +237,9 @@ TOOL_ROWS: Rows = {
     "computing time while it is cut over that before": _slowdown,
     "longest period while it is cut": "{cut/longest_after: us}",
     "the cut ended early": lambda report: report["cut"]["failure"],
+    "messages of the script; refused": lambda report: (
+        f"{report['script']['messages']}; {len(report['script']['refused'])}"
+    ),
 }
 VERDICT_ROWS: Rows = {
     "Computation": "{median:.1%} of a period in the median, {most:.1%} at most; {missed_by_computing} of {periods} "

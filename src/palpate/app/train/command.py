@@ -15,13 +15,14 @@ from palpate.app.train.cluster import check_dask
 from palpate.app.train.folder import manifest_of, open_campaign
 from palpate.app.train.paths import add_recording
 from palpate.app.train.report import report_campaign
-from palpate.app.train.scene_folder import is_file, name_in_folder, training_folder
+from palpate.app.train.scene_folder import name_in_folder, training_folder
 from palpate.faults import InputError, integer_in_range
 from palpate.files import check_folder
 from palpate.scenes.description import Training
+from palpate.scenes.names import SceneKind, kind_of
 from palpate.scenes.open_scene import DESCRIPTION_KEY, text_of_scene
-from palpate.scenes.surface_scene import is_surface_file, named_scene
-from palpate.scenes.training import is_opened, search_current_folder, training_scene
+from palpate.scenes.surface_scene import named_scene
+from palpate.scenes.training import search_current_folder, training_scene
 
 __all__ = ["train"]
 
@@ -86,13 +87,13 @@ def train(
     int
         0, also if some runs failed; 3 if the errors on the held-out runs are too large to use the model.
     """
-    if is_opened(scene) or is_surface_file(scene):
+    if kind_of(scene) is not None:
         settings = parse_settings(given)
         opened = named_scene(scene, settings, part, labels)
         defaults = opened.description.training
         if out is None:
-            out = training_folder(opened) if is_file(scene) else DEFAULT_OUT
-        if is_surface_file(scene):  # workers open it by its description
+            out = DEFAULT_OUT if opened.kind is SceneKind.PACKAGE else training_folder(opened)
+        if opened.kind is SceneKind.SURFACE_FILE:  # workers open it by its description
             scene, settings = opened.name, {DESCRIPTION_KEY: text_of_scene(opened)}
     else:
         settings = split_settings(given)  # converted to the types of the function's defaults

@@ -9,9 +9,8 @@ from platformdirs import user_cache_path
 
 from palpate import __version__
 from palpate.faults import InputError
-from palpate.scenes.names import PACKAGE_SCENES, is_scene_file
+from palpate.scenes.names import SceneKind, kind_of
 from palpate.scenes.organ_scene import OrganScene
-from palpate.scenes.surface_scene import is_surface_file
 
 __all__ = [
     "folder_of_file", "is_file", "last_recording", "name_in_folder", "recordings_folder", "scene_in_folder",
@@ -23,7 +22,7 @@ FOLDER_SUFFIX = ".palpate"  # of the folder next to a scene file
 
 def training_folder(scene: OrganScene) -> Path:
     """Return the path of a scene's campaign, which may be missing; a changed scene has another folder."""
-    if scene.name in PACKAGE_SCENES:
+    if scene.kind is SceneKind.PACKAGE:
         return user_cache_path("palpate") / f"{scene.name}-{__version__}-{scene.digest[:8]}"
     return folder_of_file(Path(scene.name)) / scene.digest[:8]
 
@@ -61,4 +60,4 @@ def scene_in_folder(name: str, folder: Path) -> str:
 
 def is_file(scene: str) -> bool:
     """Return True for a scene of a scene file or a surface file."""
-    return is_scene_file(scene) or is_surface_file(scene)
+    return kind_of(scene) in (SceneKind.SCENE_FILE, SceneKind.SURFACE_FILE)

@@ -43,7 +43,7 @@ def _processors() -> int:
 
 def compile_for_tissue(receive: Receive, _answer: Answer) -> None:
     """Make a session of a block of a tissue."""
-    from palpate.app.view.session.session import Session
+    from palpate.app.session.session import Session
     from palpate.dynamics.solid.model import EnergySolid
     from palpate.meshfree.cloud import box
     from palpate.scenes.tissue import fibres_of, material_of

@@ -7,15 +7,14 @@ from typing import Any
 from palpate.app.common.arguments import (
     Parser,
     add_command,
-    add_json,
     add_parameter,
-    add_parts,
     existing_file,
     number,
     path,
     whole,
 )
-from palpate.scenes.description import Body, Shape
+from palpate.app.common.surface_options import add_surface_options
+from palpate.scenes.description import Body
 from palpate.scenes.names import listed_scenes
 from palpate.surface.formats.names import listed_formats
 
@@ -37,7 +36,10 @@ def add_view(commands: Any) -> None:
         f"({listed_scenes()}); or the file of a reduced model, such as model.rom of palpate train"
     )
     add("what", metavar="SCENE|FILE", help=text)
-    _add_surface(view)
+    group = add_surface_options(view)
+    add_parameter(group, Body, "spacing", " (default: the finest that this machine steps in real time)")
+    text = "parameters of the law, density and poisson, in SI units; settings of a scene"
+    group.add_argument("--set", nargs="+", action="extend", default=[], dest="given", metavar="NAME=X", help=text)
     text = (
         "of a surface or scene file: train a reduced model in the background, next to the file, and change over to it; "
         "continues a training that was stopped"
@@ -50,30 +52,8 @@ def add_view(commands: Any) -> None:
     _add_address(view)
     text = "record the session, and write it to this file when the session ends"
     add("--record", type=path, metavar="FILE.h5", help=text)
-    add("--headless", action="store_true", help="serve no page: run a script, and print statistics")
-    add("--seconds", type=number, metavar="S", help="duration of a headless session [s], at most 3600 (default: 10)")
-    text = "script of a headless session: lines of JSON, see docs/protocol.md"
-    add("--script", type=existing_file, metavar="FILE", help=text)
-    add_json(view, "the statistics of a headless session")
-
-
-def _add_surface(parser: Parser) -> None:
-    """Add the options of a body from a surface file."""
-    group = parser.add_argument_group("of a surface file")
-    add = group.add_argument
-    add_parameter(group, Shape, "units", " (default: guessed by size)")
-    add_parameter(group, Shape, "scale")
-    add_parts(group)
-    add_parameter(group, Body, "spacing", " (default: the finest that this machine steps in real time)")
-    add("--law", metavar="LAW", help="law of the tissue, see palpate laws (default: liver, 2.2 kPa)")
-    text = "parameters of the law, density and poisson, in SI units"
-    add("--set", nargs="+", action="extend", default=[], dest="given", metavar="NAME=X", help=text)
-    text = (
-        "part that is held: x-, x+, y-, y+, z-, z+, back, 'lowest 15%%', 'near X,Y,Z,R' in mm or 'painted FILE'; may "
-        "be repeated (default: back, the side away from the first view); of a label map also left, right, front, rear, "
-        "head, feet"
-    )
-    add("--fixed", action="append", default=[], metavar="WHERE", help=text)
+    script = "palpate run SCENE|FILE --script FILE --seconds S, with --full for the full body of a scene file"
+    view.moved = dict.fromkeys(("--headless", "--seconds", "--script", "--json"), script)
 
 
 def add_replay(commands: Any) -> None:

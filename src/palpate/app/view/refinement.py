@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from palpate.app.common.console import Console, percent
 from palpate.app.models.trained import training_folder
-from palpate.app.view.session.session import Session
+from palpate.app.session.session import Session
 from palpate.app.view.training_process import TrainingProcess
 from palpate.faults import InputError
 from palpate.reduction.storage.models import load
@@ -155,12 +155,12 @@ class Refinement:
 
     def next_source(self) -> Session | None:
         """Return the running session of the model, once: if accepted, or if it is good and the body not in use."""
-        in_use = self._session.is_touched or self._session.is_cut
+        in_use = self._session.is_touched or self._session.body.cuts
         with self._lock:
             ready = self._state == READY and (self._accepted or (self._is_good and not in_use))
             if not ready or self._next is None:
                 return None
-            self._note = "The recording ended with the full body." if self._session.is_recording else ""
+            self._note = "The recording ended with the full body." if self._session.recordings.is_active else ""
             self._next.continue_from(self._session)
             self._state = USED
             return self._next

@@ -12,6 +12,8 @@ from palpate.app.common.console import Console, count_nodes, print_plain
 from palpate.app.common.rows import Rows, quantities
 from palpate.app.recordings.deformed_labels import write_deformed_labels
 from palpate.app.recordings.recording import Recording, load_recording, save_recording
+from palpate.app.session.full_model_replay import full_model, reduced_model, replay_on_full_model, tool_path
+from palpate.app.session.replay import Replay
 from palpate.app.train.scene_folder import last_recording
 from palpate.app.view.film import (
     MOVIE_PIXELS,
@@ -22,13 +24,11 @@ from palpate.app.view.film import (
     write_picture,
 )
 from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK
-from palpate.app.view.session.full_model_replay import full_model, reduced_model, replay_on_full_model, tool_path
-from palpate.app.view.session.replay import Replay
 from palpate.dynamics.run.progress import progress_bar
 from palpate.extras import require
 from palpate.faults import InputError
 from palpate.files import check_folder
-from palpate.scenes.names import is_scene_file
+from palpate.scenes.names import SceneKind, kind_of
 
 __all__ = ["replay"]
 
@@ -70,7 +70,7 @@ def replay(
         First replay the tool's path on the full model, print the errors, and store its surface in the file.
     scene : str, optional
         Scene of the full model, ``"module:function"``, if it is not one of palpate's; see
-        `palpate.app.view.session.full_model_replay.full_model`.
+        `palpate.app.session.full_model_replay.full_model`.
     png, movie : path, optional
         Draw the snapshot of the largest force, or all snapshots, instead of serving a page.
     scalar : str
@@ -86,7 +86,7 @@ def replay(
         0.
     """
     console = Console()
-    if is_scene_file(file.name):
+    if kind_of(file.name) is SceneKind.SCENE_FILE:
         file = last_recording(file)
         console.say(f"replaying {file}")
     if movie is not None:

@@ -110,7 +110,7 @@ def train_in_process(receive: Receive, answer: Answer) -> None:
 
 def _compile_engine(model: Any, scene: OrganScene) -> None:
     """Run the model's engine for a moment, so that its code is in the cache of compiled functions."""
-    from palpate.app.view.session.session import Session
+    from palpate.app.session.session import Session
 
     session = Session(model, scene.title, foundations=scene.foundations)
     session.start()

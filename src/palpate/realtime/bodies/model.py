@@ -188,13 +188,52 @@ def realtime_model(
         return _full_body(model, contact, foundations, tailored_modes)
     if tailored_modes is not None:
         raise InputError(f"tailored_modes must be left out for a reduced model, got {tailored_modes!r}")
-    reduced, count = model.data, model.count
+    return _reduced_body(model, longest, contact, foundations)
+
+
+def idle_model(model: ReducedModel | NodalModel, foundations: Sequence[Foundation] = ()) -> RealtimeModel:
+    """Return a model for the engine that takes tools by `RealtimeModel.change_tool`, and has none yet.
+
+    A reduced model that was trained without tools has its prescribed group as the tool, and no `change_tool`.
+    """
+    takes_tools = not isinstance(model, ReducedModel) or (
+        not model.data.prescribed and model.data.compliance is not None
+    )
+    away = model.cloud.points.max(axis=0) + ABSENT_TOOL_DISTANCE
+    contact = Contact(Sphere(model.cloud.spacing), away) if takes_tools else None
+    ready = realtime_model(model, contact=contact, foundations=foundations)
+    if ready.change_tool is not None:
+        ready.change_tool(None, np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), 0.0)
+    return ready
+
+
+def _reduced_body(
+    model: ReducedModel, longest: float, contact: Contact | Grasp | None, foundations: Sequence[Foundation]
+) -> RealtimeModel:
+    """Return a reduced model for the engine, whose periods are at most `longest` [s]."""
     check_kinds([] if contact is None else [contact], (Contact, Grasp), "contact")
-    if contact is None and len(reduced.prescribed) != 1:
+    if contact is None and len(model.data.prescribed) != 1:
         raise InputError(
-            f"model must have one prescribed group for the engine, got {len(reduced.prescribed)}; "
+            f"model must have one prescribed group for the engine, got {len(model.data.prescribed)}; "
             "train it with prescribed='GROUP', or give a tool with contact="
         )
+    data = _period_data(model, longest, contact, _springs(model, foundations))
+    advance, stiffness = period_functions(model.body.law, model.single)
+    bound, relaxes = force_bound(model.data.report), model.material.prony is not None
+    if contact is None:
+        tool = tool_map(model.body, model.data.prescribed[0])
+        return RealtimeModel(advance, stiffness, data, np.zeros(model.count), tool, bound, relaxes=relaxes)
+    return RealtimeModel(
+        advance, contact_stiffness, data, np.zeros(model.count), np.eye(12), bound,
+        change_tool=partial(change_tool, data), relaxes=relaxes,
+    )  # fmt: skip
+
+
+def _period_data(
+    model: ReducedModel, longest: float, contact: Contact | Grasp | None, all_springs: Springs
+) -> PeriodData:
+    """Return the constants and work arrays of a period of a reduced model, with springs on all basis vectors."""
+    reduced, count = model.data, model.count
     surface, home = model.body.surface, np.eye(3, 4)
     tools, contact_work = rigid_tools(None, surface), contact_scratch(surface, 0)
     if contact is not None:
@@ -205,7 +244,6 @@ def realtime_model(
         tools.path[:, :, 3] = home[:, 3]
     number_in_range("step", model.step or longest, longest / MAX_SUBSTEPS, unit="s")
     steps = int(np.ceil(longest / (model.step or longest)))
-    all_springs = _springs(model, foundations)
     springs = all_springs.of(np.arange(count))
     tangent = model.body.stiffness(np.zeros(count))
     if springs.stiffness.size:
@@ -228,7 +266,7 @@ def realtime_model(
         springs=springs,
         newton=newton_scratch(count),
     )
-    data = PeriodData(
+    return PeriodData(
         modes=reduced.modes,
         step=model.step or 0.0,
         body=body,
@@ -257,31 +295,6 @@ def realtime_model(
             frames=tools.frames.copy(),
         ),
     )
-    advance, stiffness = period_functions(model.body.law, model.single)
-    bound, relaxes = force_bound(reduced.report), model.material.prony is not None
-    if contact is None:
-        tool = tool_map(model.body, reduced.prescribed[0])
-        return RealtimeModel(advance, stiffness, data, np.zeros(count), tool, bound, relaxes=relaxes)
-    return RealtimeModel(
-        advance, contact_stiffness, data, np.zeros(count), np.eye(12), bound,
-        change_tool=partial(change_tool, data), relaxes=relaxes,
-    )  # fmt: skip
-
-
-def idle_model(model: ReducedModel | NodalModel, foundations: Sequence[Foundation] = ()) -> RealtimeModel:
-    """Return a model for the engine that takes tools by `RealtimeModel.change_tool`, and has none yet.
-
-    A reduced model that was trained without tools has its prescribed group as the tool, and no `change_tool`.
-    """
-    takes_tools = not isinstance(model, ReducedModel) or (
-        not model.data.prescribed and model.data.compliance is not None
-    )
-    away = model.cloud.points.max(axis=0) + ABSENT_TOOL_DISTANCE
-    contact = Contact(Sphere(model.cloud.spacing), away) if takes_tools else None
-    ready = realtime_model(model, contact=contact, foundations=foundations)
-    if ready.change_tool is not None:
-        ready.change_tool(None, np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), 0.0)
-    return ready
 
 
 def _full_body(

@@ -7,9 +7,9 @@ import queue
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from palpate.app.session.messages import parse_message
 from palpate.app.view.server.connection import close_connection
 from palpate.app.view.server.viewer import INVALID_MESSAGES, Viewer
-from palpate.app.view.session.messages import parse_message
 from palpate.faults import InputError
 from palpate.files import shortened
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 
-from palpate.app.view.session.messages import Message
+from palpate.app.session.messages import Message
 
 __all__ = ["MAX_MESSAGES", "MessageQueue"]
 

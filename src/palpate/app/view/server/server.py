@@ -18,6 +18,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
+from palpate.app.session.messages import MAX_MESSAGE_BYTES, PROTOCOL_VERSION, Message, parse_message
 from palpate.app.view.server import frames
 from palpate.app.view.server.connection import (
     CLOSE_TIMEOUT,
@@ -32,7 +33,6 @@ from palpate.app.view.server.preparation import Preparation
 from palpate.app.view.server.streams import Streams
 from palpate.app.view.server.view_source import Refining, ViewSource
 from palpate.app.view.server.viewer import INVALID_MESSAGES, VIEWER_TOO_SLOW, Viewer
-from palpate.app.view.session.messages import MAX_MESSAGE_BYTES, PROTOCOL_VERSION, Message, parse_message
 from palpate.faults import InputError
 from palpate.files import shortened
 from palpate.surface.surface import Surface

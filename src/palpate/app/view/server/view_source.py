@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Protocol
 
 from palpate.app.recordings.snapshot import OverlayState, Snapshot
-from palpate.app.view.session.messages import Message
+from palpate.app.session.messages import Message
 
 if TYPE_CHECKING:
     from palpate.realtime.bodies.display_surface import DisplaySurface
@@ -25,7 +25,10 @@ class ViewSource(Protocol):
         """The surface that is drawn, which a cut changes."""
 
     pause_reason: str | None
-    notifications: list[dict[str, Any]]  # messages still to be sent to all viewers
+
+    @property
+    def notifications(self) -> list[dict[str, Any]]:
+        """Messages still to be sent to all viewers."""
 
     def snapshot(self) -> Snapshot:
         """Return the present snapshot."""

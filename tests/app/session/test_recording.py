@@ -17,11 +17,11 @@ from view_scenes import BALL, MIDDLE, block
 import palpate as pt
 from palpate.app.cli import main
 from palpate.app.recordings.recording import FORMAT, VERSION, load_recording, save_recording
+from palpate.app.session.full_model_replay import full_model, replay_on_full_model
+from palpate.app.session.messages import validate_message
+from palpate.app.session.replay import Replay
+from palpate.app.session.session import Session
 from palpate.app.view.server.frames import state_body
-from palpate.app.view.session.full_model_replay import full_model, replay_on_full_model
-from palpate.app.view.session.messages import validate_message
-from palpate.app.view.session.replay import Replay
-from palpate.app.view.session.session import Session
 
 ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
 
@@ -40,16 +40,16 @@ def recorded(model, tmp_path_factory, until):
     )
     steps = 30
     for k in range(steps + 1):
-        before = len(session._recorder.times)
+        before = len(session.recordings.recorder.times)
         deep = 0.005 * np.sin(np.pi * k / steps)
         session.handle(validate_message({"type": "pose", "position": (ABOVE - np.array([0, 0, deep])).tolist()}))
-        until(lambda before=before: len(session._recorder.times) > before)
+        until(lambda before=before: len(session.recordings.recorder.times) > before)
     with pytest.raises(pt.InputError, match="stop the present one"):
-        session.start_recording()
+        session.recordings.start()
     session.pause()
     seen = session.snapshot()
     time.sleep(0.1)
-    session.finish_recording(path, wait=True)
+    session.recordings.finish(path, wait=True)
     session.stop()
     (news,) = session.notifications
     assert news == {"type": "recorded", "file": str(path), "frames": news["frames"]}
@@ -410,17 +410,18 @@ def test_a_script_moves_the_tool_of_a_session(model, tmp_path, capsys, assert_re
     ]
     script = tmp_path / "script.jsonl"
     script.write_text("\n".join(map(json.dumps, lines)) + "\n\n")
-    view = ["view", str(tmp_path / "block.rom"), "--headless"]
+    run = ["run", str(tmp_path / "block.rom"), "--out", str(tmp_path / "out")]
     record = tmp_path / "run.h5"
-    assert main([*view, "--seconds", "3", "--script", str(script), "--json", "--record", str(record)]) == 0
+    assert main([*run, "--seconds", "3", "--script", str(script), "--json", "--record", str(record)]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["largest_force"] > 0.05
-    assert told["last_force"] == 0.0
-    assert told["periods"] > 100
-    assert told["messages"] == 4
-    assert [refused["time"] for refused in told["refused"]] == [2.1]
+    assert told["tool"]["largest_force"] > 0.05
+    assert told["tool"]["last_force"] == 0.0
+    assert told["timing"]["periods"] > 100
+    assert told["script"]["messages"] == 4
+    assert [refused["time"] for refused in told["script"]["refused"]] == [2.1]
     assert max(moment.force[2] for moment in load_recording(record).snapshots) > 0.05
     script.write_text('{"time": 0, "type": "pose"}\n')
-    assert_refused([*view, "--script", str(script)], "line 1", "position must be given")
-    assert_refused(["view", str(tmp_path / "block.rom"), "--seconds", "3"], "--headless")
+    assert_refused([*run, "--script", str(script)], "line 1", "position must be given")
+    assert_refused([*run, "--realtime"], "--script must be given for the model of a file")
+    assert_refused(["view", str(tmp_path / "block.rom"), "--headless"], "use palpate run SCENE|FILE --script FILE")
     assert_refused(["view", "spleen"], "beam, liver")

@@ -13,9 +13,9 @@ import palpate as pt
 from palpate.app.cli import main
 from palpate.app.recordings.recording import FORMAT, VERSION, load_recording
 from palpate.app.recordings.recording_journal import is_recording
-from palpate.app.view.session.messages import validate_message
-from palpate.app.view.session.replay import Replay
-from palpate.app.view.session.session import Session
+from palpate.app.session.messages import validate_message
+from palpate.app.session.replay import Replay
+from palpate.app.session.session import Session
 
 ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
 
@@ -41,15 +41,15 @@ def recorded(body, tmp_path_factory, until):
         )
     )
     for k in range(9):
-        before = len(session._recorder.times)
+        before = len(session.recordings.recorder.times)
         deep = 0.005 * k / 8
         session.handle(validate_message({"type": "pose", "position": (ABOVE - np.array([0, 0, deep])).tolist()}))
-        until(lambda before=before: len(session._recorder.times) > before)
+        until(lambda before=before: len(session.recordings.recorder.times) > before)
     session.pause()
     seen = session.snapshot()
-    before = len(session._recorder.times)
-    until(lambda: len(session._recorder.times) > before + 1)
-    session.finish_recording(path, wait=True)
+    before = len(session.recordings.recorder.times)
+    until(lambda: len(session.recordings.recorder.times) > before + 1)
+    session.recordings.finish(path, wait=True)
     session.stop()
     (news,) = session.notifications
     assert news == {"type": "recorded", "file": str(path), "frames": news["frames"]}
@@ -133,12 +133,12 @@ def test_a_campaign_refuses_a_recording_of_a_full_body(recorded):
 def test_an_interrupted_recording_of_a_full_body_is_read(body, tmp_path, until):
     session = Session(body, "Full block")
     session.start()
-    session.start_recording(tmp_path / "cut.h5")
-    until(lambda: session._recorder.journal.count > 0)
-    first = session._recorder.journal.count
-    until(lambda: session._recorder.journal.count > first)
+    session.recordings.start(tmp_path / "cut.h5")
+    until(lambda: session.recordings.recorder.journal.count > 0)
+    first = session.recordings.recorder.journal.count
+    until(lambda: session.recordings.recorder.journal.count > first)
     content = (tmp_path / "cut.h5").read_bytes()
-    session.finish_recording(wait=True)
+    session.recordings.finish(wait=True)
     session.close()
     cut = tmp_path / "again.h5"
     cut.write_bytes(content[:-7])  # the end of the last record is missing

@@ -1,29 +1,24 @@
-"""``palpate run SCENE --realtime``: step the body of a scene under repeated presses or moves of its tool."""
+"""Motions of the tool of a scene in real time: repeated presses of a ball, moves of a group, or a cut."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from palpate.app.common.console import Console
-from palpate.app.models.trained import model_file, trained_model
-from palpate.app.run.realtime import Poses, run_realtime
+from palpate.app.models.subject import Subject
+from palpate.app.session.play import Poses
 from palpate.dynamics.contact.blade import Scalpel
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.storage.models import load
 from palpate.scenes.description import Cut
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.scene_paths import MIN_RADIUS, touching_paths
-from palpate.scenes.surface_scene import named_scene
 
-__all__ = ["pressing_ball", "run_scene_realtime"]
+__all__ = ["cutting_scalpel", "pressing_ball", "tool_motion"]
 
 UNTRAINED_SEED = 1_500_000  # of a path that was not trained on
 PRESS_SECONDS, SWING_SECONDS = 2.0, 3.0  # [s] duration of such a path
@@ -34,75 +29,30 @@ NO_ROTATION = np.array([1.0, 0.0, 0.0, 0.0])
 MAX_PRESS_DEPTH, MIN_DEPTH_SHARE = 0.015, 2 / 3  # [m] depth of the press at most; least depth over that
 
 
-def run_scene_realtime(
-    *,
-    scene: str,
-    settings: Mapping[str, Any],
-    part: Sequence[str] | None = None,
-    labels: Path | None = None,
-    model: Path | None = None,
-    full: bool = False,
-    cut: bool = False,
-    **options: Any,
-) -> int:
-    """Step a scene's body in real time for some seconds under its moving tool, and report missed deadlines.
-
-    Parameters
-    ----------
-    scene : str
-        As for `palpate.open_scene`, or a surface file.
-    settings : mapping
-        Its settings.
-    part, labels
-        Of a surface file, as for `palpate.io.read_surface`.
-    model : path, optional
-        File of a reduced model of the scene. By default that of the scene, trained at the first use.
-    full : bool
-        Step the full body in place of a reduced model.
-    cut : bool
-        Step the full body, and cut it with a scalpel.
-    options : mapping
-        ``seconds``, ``rate``, ``out`` and ``as_json``: see `palpate.app.run.realtime.run_realtime`.
-
-    Returns
-    -------
-    int
-        0, whether the rate was held or not.
-    """
-    full = full or cut
-    if full and model is not None:
-        given = "--cut" if cut else "--full"
-        raise InputError(f"model must be left out with {given}, got {str(model)!r}; leave out one of the two")
-    opened = named_scene(scene, settings, part, labels)
-    about: dict[str, Any] = {"full": True} if full else {"file": str(model_file(opened) if model is None else model)}
-
-    def make(console: Console) -> tuple[Any, Poses, Contact | None]:
-        if full:
-            with console.status("filling the surface with nodes (the first time on a machine compiles it)"):
-                body = opened.body
-        else:
-            body = trained_model(opened, console) if model is None else load(model)  # type: ignore[assignment]
-        if cut:
-            return body, *cutting_scalpel(body, opened.description.cut)
-        if opened.held_group:
-            return body, opened.held_motion(UNTRAINED_SEED, SWING_SECONDS), None
-        return body, *pressing_ball(opened, body, model)
-
+def tool_motion(subject: Subject, body: Any, cut: bool) -> tuple[Poses, Contact | None]:
+    """Return the poses of the tool of a scene, and the tool at its first pose; None for one that moves a group."""
+    scene = subject.scene
+    if scene is None:
+        raise InputError(f"script must be given for the model of a file, got none for {subject.name}; or name a scene")
     if cut:
-        about |= {"toughness": opened.description.cut.toughness}
-    title = f"{'Full ' + opened.title.lower() if full else opened.title} in real time"
-    return run_realtime(make, title=title, about=about, **options)
+        return cutting_scalpel(body, scene.description.cut)
+    if not scene.held_group:
+        return pressing_ball(scene, body, subject.name)
+    if not isinstance(body, ReducedModel):
+        raise InputError(f"full must be left out for {scene.name}, whose tool holds a group, got it; leave it out")
+    if len(body.data.prescribed) != 1:
+        raise InputError(
+            f"model must have one prescribed group for the engine, got {len(body.data.prescribed)}; "
+            f"train one with palpate train {scene.name}"
+        )
+    return scene.held_motion(UNTRAINED_SEED, SWING_SECONDS), None
 
 
 def cutting_scalpel(body: Any, cut: Cut) -> tuple[Poses, Contact]:
     """Return the poses of a scalpel that cuts across the top of a body, and the scalpel at its first pose.
 
-    It goes down into the body, along its longest horizontal axis, and out again.
-
-    Parameters
-    ----------
-    cut : Cut
-        Section of a scene. Sizes that it leaves out fit the body.
+    It goes down into the body, along its longest horizontal axis, and out again. Sizes that the section of the scene
+    leaves out fit the body.
     """
     points, spacing = body.cloud.points, body.cloud.spacing
     if points.shape[1] != 3 or not isinstance(body, EnergySolid):
@@ -131,11 +81,11 @@ def cutting_scalpel(body: Any, cut: Cut) -> tuple[Poses, Contact]:
     return poses, Contact(blade, (tuple(first), rotation), name="scalpel")
 
 
-def pressing_ball(scene: OrganScene, body: Any, file: Path | None = None) -> tuple[Poses, Contact]:
+def pressing_ball(scene: OrganScene, body: Any, name: str = "") -> tuple[Poses, Contact]:
     """Return the poses of a ball that presses a body repeatedly, and the ball at its first pose."""
     if isinstance(body, ReducedModel) and body.data.compliance is None:
         raise InputError(
-            f"model must be one that was trained on a body that a ball touches, got {str(file)!r}; train one with "
+            f"model must be one that was trained on a body that a ball touches, got {name!r}; train one with "
             f"palpate train {scene.name}"
         )
     tool = scene.description.tool

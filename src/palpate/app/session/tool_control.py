@@ -12,17 +12,20 @@ from palpate.arrays import Floats
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import compute_gaps
 from palpate.dynamics.contact.shapes import TOOLS, Forceps, Sphere, Tool, make_tool, tool_parameters
+from palpate.dynamics.contact.tools import Contact
 from palpate.faults import InputError
 from palpate.realtime.bodies.display_surface import DisplaySurface, fixed_nodes
 
 __all__ = [
     "NO_ROTATION",
+    "NO_TOOL",
     "WORKSPACE_MARGIN",
     "SelectedTool",
     "ToolWorkspace",
     "compose_rotations",
     "drawn_outline",
     "make_forceps",
+    "selected_tool",
 ]
 
 
@@ -67,6 +70,9 @@ class SelectedTool:
         }  # fmt: skip
 
 
+NO_TOOL = SelectedTool("none", None)
+
+
 def drawn_outline(tool: Mapping[str, Any]) -> list[list[float]] | None:
     """Return the outline of the tool of a message, or none where the page has the shape of its kind."""
     if tool["kind"] not in TOOLS or tool["kind"] in PAGE_SHAPES:
@@ -84,6 +90,13 @@ def compose_rotations(first: Floats, second: Floats, invert_first: bool = False)
         [w * a - x * b - y * c - z * d, w * b + x * a + y * d - z * c,
          w * c - x * d + y * a + z * b, w * d + x * c - y * b + z * a]
     )  # fmt: skip
+
+
+def selected_tool(contact: Contact) -> SelectedTool:
+    """Return the tool of a contact; its shape is one of `TOOLS`."""
+    kind = next(name for name, each in TOOLS.items() if type(contact.tool) is each.shape)
+    parameters = {name: float(getattr(contact.tool, name, 0.0)) for name in tool_parameters()}
+    return SelectedTool(kind, contact.tool, contact.friction, parameters=parameters)
 
 
 def make_forceps(

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from palpate.app.recordings.snapshot import OverlayState
-from palpate.app.view.session.messages import Message
-from palpate.app.view.session.session import NO_TOOL, PERIODS_PER_SECOND, Session
+from palpate.app.session.messages import Message
+from palpate.app.session.session import PERIODS_PER_SECOND, Session
+from palpate.app.session.tool_control import NO_TOOL
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
@@ -35,7 +36,7 @@ class Comparison(Session):
     model : ReducedModel
         A model with tool contact.
     full_model : Model
-        Its full model, with the same nodes; see `palpate.app.view.session.full_model_replay.full_model`.
+        Its full model, with the same nodes; see `palpate.app.session.full_model_replay.full_model`.
     rate : float [Hz]
     """
 

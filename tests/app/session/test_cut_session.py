@@ -9,9 +9,9 @@ import pytest
 
 import palpate as pt
 from palpate.app.recordings.recording import load_recording
-from palpate.app.view.session.messages import validate_message
-from palpate.app.view.session.replay import Replay
-from palpate.app.view.session.session import Session
+from palpate.app.session.messages import validate_message
+from palpate.app.session.replay import Replay
+from palpate.app.session.session import Session
 
 SIZE = (0.05, 0.04, 0.025)
 TOUGHNESS = 5.0
@@ -23,7 +23,7 @@ def send(session, **message):
 
 def lower(session, area, height=0.04, deadline=60.0, depth=0.012):
     """Lower the scalpel into the body until it has cut an area [m^2]; return the cutter and the scalpel's height."""
-    cutter, end, sequence = session._realtime_model.cutter, time.monotonic() + deadline, int(1e4 * (0.04 - height))
+    cutter, end, sequence = session.body.cutter, time.monotonic() + deadline, int(1e4 * (0.04 - height))
     while cutter.totals[0] < area and time.monotonic() < end:
         height = max(height - 2e-4, SIZE[2] - depth)
         sequence += 1
@@ -40,13 +40,13 @@ def cut_session(tmp_path_factory):
     path = tmp_path_factory.mktemp("cut") / "session.h5"
     session.start()
     send(session, type="tool", kind="scalpel", length=0.03, toughness=TOUGHNESS, position=[0.025, 0.02, 0.045])
-    session.start_recording(path)
+    session.recordings.start(path)
     cutter, height = lower(session, 5e-5)
     entered = cutter.totals
     lower(session, 1.5e-4, height)
     time.sleep(0.3)
     shown = session.shown_surface
-    session.finish_recording(wait=True)
+    session.recordings.finish(wait=True)
     yield session, cutter, shown, path, entered
     session.close()
 

@@ -14,8 +14,8 @@ from view_scenes import BALL, MIDDLE, SIZE
 
 import palpate as pt
 from palpate.app.recordings.recording import load_recording, save_recording
-from palpate.app.view.session.messages import validate_message
-from palpate.app.view.session.session import HAND_FORCE, Session
+from palpate.app.session.messages import validate_message
+from palpate.app.session.session import HAND_FORCE, Session
 from palpate.dynamics.run.journal import Journal
 from palpate.sealed import kind_of_file
 
@@ -144,9 +144,7 @@ def test_a_pause_stops_the_steps_and_a_suspended_machine_pauses(session, monkeyp
     session.tick()
     assert session.status()["state"] == "running"
     now = time.time()
-    monkeypatch.setattr(
-        "palpate.app.view.session.session.time.time", lambda: now + 3600.0
-    )  # the lid was closed for an hour
+    monkeypatch.setattr("palpate.app.session.session.time.time", lambda: now + 3600.0)  # the lid was closed for an hour
     session.tick()
     assert session.status()["state"] == "paused"
     assert session.status()["pause_reason"] == "sleep"
@@ -202,7 +200,7 @@ def test_a_coupled_tool_rests_where_spring_and_body_balance(session, ball, until
 @pytest.mark.slow  # the periods are called from Python, which compiles them for one test
 def test_the_virtual_coupling_produces_no_energy(model):
     """The example's energy balance, in periods of 1 ms without a clock."""
-    path = Path(__file__).parents[4] / "validation" / "virtual_coupling.py"
+    path = Path(__file__).parents[3] / "validation" / "virtual_coupling.py"
     example = runpy.run_path(str(path))
     terms = example["balance"](model, 300.0, radius=BALL, depth=0.004)
     most = terms["body"].max()
@@ -214,7 +212,7 @@ def test_the_virtual_coupling_produces_no_energy(model):
 
 @pytest.mark.slow  # as above
 def test_a_saturated_coupling_produces_no_energy_and_pulls_with_its_limit(model):
-    path = Path(__file__).parents[4] / "validation" / "virtual_coupling.py"
+    path = Path(__file__).parents[3] / "validation" / "virtual_coupling.py"
     balance = runpy.run_path(str(path))["balance"]
     free = balance(model, 300.0, radius=BALL, depth=0.004)
     limit = 0.3 * free["force"].max()
@@ -240,38 +238,38 @@ def test_a_model_without_tools_is_refused(model):
 
 
 def test_recordings_of_the_same_second_have_different_names(session, tmp_path, monkeypatch, until):
-    monkeypatch.setattr("palpate.app.view.session.session.time.strftime", lambda form: "recording-now")
-    session.folder = tmp_path / "recordings"
+    monkeypatch.setattr("palpate.app.session.recordings.time.strftime", lambda form: "recording-now")
+    session.recordings.folder = tmp_path / "recordings"
     for _ in range(3):
-        session.start_recording()
-        until(lambda: len(session._recorder.times) > 1)
-        session.finish_recording()
-    session.start_recording()
-    until(lambda: len(session._recorder.times) > 1)
+        session.recordings.start()
+        until(lambda: len(session.recordings.recorder.times) > 1)
+        session.recordings.finish()
+    session.recordings.start()
+    until(lambda: len(session.recordings.recorder.times) > 1)
     session.close()  # ends the one that goes on, and returns when all are written
     names = ["recording-now", "recording-now-2", "recording-now-3", "recording-now-4"]
-    assert sorted(path.stem for path in session.folder.glob("*.h5")) == names
-    assert sorted(path.stem for path in session.folder.glob("*.vtkhdf")) == names
+    assert sorted(path.stem for path in session.recordings.folder.glob("*.h5")) == names
+    assert sorted(path.stem for path in session.recordings.folder.glob("*.vtkhdf")) == names
     assert sorted(news["file"] for news in session.notifications) == sorted(
-        str(session.folder / f"{n}.h5") for n in names
+        str(session.recordings.folder / f"{n}.h5") for n in names
     )
-    assert all(load_recording(path).snapshots for path in session.folder.glob("*.h5"))
+    assert all(load_recording(path).snapshots for path in session.recordings.folder.glob("*.h5"))
 
 
 def test_a_recording_that_cannot_be_written_keeps_its_journal(session, tmp_path, monkeypatch, until):
     def full(path, recording):
         raise OSError("no space left")
 
-    monkeypatch.setattr("palpate.app.view.session.session.save_recording", full)
-    session.folder = tmp_path
-    session.start_recording()
-    until(lambda: len(session._recorder.times) > 1)
-    seen = session._recorder.snapshots
-    session.finish_recording(wait=True)
+    monkeypatch.setattr("palpate.app.session.recordings.save_recording", full)
+    session.recordings.folder = tmp_path
+    session.recordings.start()
+    until(lambda: len(session.recordings.recorder.times) > 1)
+    seen = session.recordings.recorder.snapshots
+    session.recordings.finish(wait=True)
     (path,) = tmp_path.iterdir()
     reason = f"the recording was not written: no space left; its first {len(seen)} snapshots are in {path}"
     assert session.notifications == [{"type": "error", "reason": reason}]
-    assert session.failures == [reason]
+    assert session.recordings.failures == [reason]
     kept = load_recording(path)
     assert len(kept.snapshots) == len(seen)
     np.testing.assert_array_equal(kept.snapshots[-1].coordinates, seen[-1].coordinates)
@@ -286,19 +284,19 @@ def test_a_recording_that_cannot_be_written_is_written_elsewhere(session, tmp_pa
     (tmp_path / "full").mkdir()
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
-    monkeypatch.setattr("palpate.app.view.session.session.save_recording", full)
-    session.start_recording(tmp_path / "full" / "all.h5")
-    until(lambda: len(session._recorder.times) > 1)
-    session.finish_recording(wait=True)
+    monkeypatch.setattr("palpate.app.session.recordings.save_recording", full)
+    session.recordings.start(tmp_path / "full" / "all.h5")
+    until(lambda: len(session.recordings.recorder.times) > 1)
+    session.recordings.finish(wait=True)
     (other,) = tmp_path.glob("palpate-recording-*/all.h5")
-    assert session.failures == [f"the recording was not written: no space left; it is in {other}"]
+    assert session.recordings.failures == [f"the recording was not written: no space left; it is in {other}"]
     assert load_recording(other).snapshots
 
 
 def test_a_recording_is_on_the_disk_while_it_goes_on(session, tmp_path, until):
     path, copy = tmp_path / "all.h5", tmp_path / "killed.h5"
-    session.start_recording(path)
-    recorder = session._recorder
+    session.recordings.start(path)
+    recorder = session.recordings.recorder
     until(lambda: recorder.journal.count > 60)
     copy.write_bytes(path.read_bytes())  # what a killed process leaves
     killed = load_recording(copy)
@@ -309,7 +307,7 @@ def test_a_recording_is_on_the_disk_while_it_goes_on(session, tmp_path, until):
     cut = tmp_path / "cut.h5"
     cut.write_bytes(copy.read_bytes()[:-100])
     assert 0 < len(load_recording(cut).snapshots) < len(killed.snapshots)
-    session.finish_recording(wait=True)
+    session.recordings.finish(wait=True)
     assert kind_of_file(path) == "palpate recording"
     assert len(load_recording(path).snapshots) > len(killed.snapshots)
     assert not [each for each in tmp_path.iterdir() if each.name.startswith(".")]
@@ -326,23 +324,23 @@ def test_a_disk_that_is_full_for_a_while_costs_no_snapshot_of_the_journal(sessio
         write(self, content)
 
     monkeypatch.setattr(Journal, "_write", full)
-    session.start_recording(tmp_path / "all.h5")
-    recorder = session._recorder
+    session.recordings.start(tmp_path / "all.h5")
+    recorder = session.recordings.recorder
     until(lambda: len(failed) == 3 and recorder.journal.count > 60)
     copy = tmp_path / "killed.h5"
     copy.write_bytes((tmp_path / "all.h5").read_bytes())
     np.testing.assert_array_equal(load_recording(copy).times, recorder.times[: len(load_recording(copy).times)])
-    session.finish_recording(wait=True)
-    assert session.failures == []
+    session.recordings.finish(wait=True)
+    assert session.recordings.failures == []
     assert sorted(each.name for each in tmp_path.iterdir()) == ["all.h5", "all.vtkhdf", "killed.h5"]
 
 
 def test_a_page_cannot_record_into_a_folder_that_does_not_exist(session, tmp_path):
     (tmp_path / "file").touch()
-    session.folder = tmp_path / "file"
+    session.recordings.folder = tmp_path / "file"
     with pytest.raises(pt.InputError, match="record must have a folder that can be written"):
         session.handle(validate_message({"type": "record", "action": "start"}))
-    assert session._recorder is None
+    assert session.recordings.recorder is None
 
 
 def test_a_recording_is_kept_if_only_the_paraview_file_fails(session, tmp_path, monkeypatch, until):
@@ -350,10 +348,10 @@ def test_a_recording_is_kept_if_only_the_paraview_file_fails(session, tmp_path, 
         raise OSError("no space left")
 
     monkeypatch.setattr("palpate.app.recordings.recording._write_surface", full)
-    session.folder = tmp_path
-    session.start_recording()
-    until(lambda: len(session._recorder.times) > 1)
-    session.finish_recording(wait=True)
+    session.recordings.folder = tmp_path
+    session.recordings.start()
+    until(lambda: len(session.recordings.recorder.times) > 1)
+    session.recordings.finish(wait=True)
     reason = "the file for ParaView was not written: no space left"
     assert session.notifications == [{"type": "error", "reason": reason}]
     (path,) = tmp_path.iterdir()
@@ -361,8 +359,8 @@ def test_a_recording_is_kept_if_only_the_paraview_file_fails(session, tmp_path, 
 
 
 def test_a_recording_is_written_to_its_path_whoever_stops_it(session, tmp_path, until):
-    session.start_recording(tmp_path / "all.h5")
-    until(lambda: len(session._recorder.times) > 1)
+    session.recordings.start(tmp_path / "all.h5")
+    until(lambda: len(session.recordings.recorder.times) > 1)
     session.handle(validate_message({"type": "record", "action": "stop"}))
     session.close()
     assert session.notifications[0]["file"] == str(tmp_path / "all.h5")

@@ -3,45 +3,39 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import math
-import shutil
 import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from tempfile import mkdtemp
 from typing import Any
 
 import numpy as np
 
-from palpate.app.recordings.recording import RECORDING_INTERVAL, Recording, SurfaceFileError, save_recording
-from palpate.app.recordings.recording_journal import RecordingJournal
 from palpate.app.recordings.snapshot import OverlayState, Snapshot, scalar_descriptions, training_errors
 from palpate.app.recordings.snapshot_arrays import coordinates_type
-from palpate.app.view.session.messages import MAX_COORDINATE, Message, describe_tools
-from palpate.app.view.session.recorder import Recorder
-from palpate.app.view.session.tool_control import (
+from palpate.app.session.bodies import session_body
+from palpate.app.session.messages import MAX_COORDINATE, Message, describe_tools
+from palpate.app.session.recordings import SessionRecordings
+from palpate.app.session.tool_control import (
     NO_ROTATION,
+    NO_TOOL,
     WORKSPACE_MARGIN,
     SelectedTool,
     ToolWorkspace,
     compose_rotations,
     make_forceps,
+    selected_tool,
 )
 from palpate.arrays import Floats
-from palpate.dynamics.contact.shapes import TOOLS, Forceps, Tool, make_tool, tool_parameters
+from palpate.dynamics.contact.shapes import Forceps, Tool, make_tool, tool_parameters
+from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
-from palpate.meshfree.cut.surface import NO_CUT
-from palpate.realtime.bodies.cut_display import CutFullSurface
 from palpate.realtime.bodies.display_surface import DisplaySurface
-from palpate.realtime.bodies.full_body import step_statistics
-from palpate.realtime.bodies.full_surface import FullSurface, display_surface
-from palpate.realtime.bodies.model import idle_model
 from palpate.realtime.engine import Engine
 from palpate.realtime.observable import Observation, make_observable
 from palpate.realtime.record import Reading
@@ -53,14 +47,12 @@ __all__ = ["Session"]
 
 PERIODS_PER_SECOND = 1000.0  # [Hz]
 MAX_TOOL_SPEED = 0.5  # [m/s]
-FULL_INTERVAL = 0.04  # [s] between snapshots of a full body: a minute of 3,000 nodes takes 54 MB
+HISTORY_SECONDS = 5.0
 MAX_READS = 1000  # attempts to read the engine and the model in the same period
 PACE_SECONDS = 3.0  # [s] over which the pace is taken
 HOLD_SECONDS = 1.0  # [s] after its last pose for which a tool counts as held
 SLEEP_TIME = 3.0  # [s] without a tick after which the machine is taken to have slept
-NO_TOOL = SelectedTool("none", None)
 MODULUS_NAME = "shear modulus"
-REDRAW_INTERVAL = 0.1  # [s] between new surfaces of a body that is being cut
 HAND_FORCE = 3.3  # [N] of a coupled tool: the largest of a common haptic device (Touch, 3D Systems, data sheet)
 MIN_MODULUS_RATIO, MAX_MODULUS_RATIO = 0.25, 4.0  # to the model's own moduli
 
@@ -77,6 +69,10 @@ class Session:
     rate : float [Hz]
     foundations : sequence of Foundation
         Springs between the body and the ground.
+    history : float [s]
+        Duration that the engine's black box stores.
+    black_box : path, optional
+        Its file, written if the state diverges.
     """
 
     mode = "live"
@@ -87,6 +83,8 @@ class Session:
         title: str,
         rate: float = PERIODS_PER_SECOND,
         foundations: Sequence[Foundation] = (),
+        history: float = HISTORY_SECONDS,
+        black_box: Path | None = None,
     ) -> None:
         farthest = float(np.abs(model.cloud.points).max()) + WORKSPACE_MARGIN
         if farthest > MAX_COORDINATE:
@@ -95,47 +93,33 @@ class Session:
                 f"got {farthest - WORKSPACE_MARGIN:.4g} m; move the surface"
             )
         self.model, self.title, self.rate = model, title, rate
-        self.surface: DisplaySurface = display_surface(model)
+        self.body = session_body(model, foundations)
+        self.surface = self.body.surface
         self._workspace = ToolWorkspace(self.surface)
-        self.is_full = not isinstance(model, ReducedModel)
-        self._realtime_model = idle_model(model, foundations)
-        self.accepts_tools = self._realtime_model.change_tool is not None
-        self._tool_origin, self._tool_rotation = np.zeros(3), NO_ROTATION  # when the tool was put down
-        self.tool, self.selected_tool = NO_TOOL, NO_TOOL
-        if not self.accepts_tools and isinstance(model, ReducedModel):
-            centre = model.cloud.points[model.cloud.group(model.data.prescribed[0])].mean(axis=0)
-            self._tool_origin[: len(centre)] = centre
-            self.tool = self.selected_tool = SelectedTool("group", None)
-        self._observable = make_observable(self._realtime_model)
+        self.tool = self.selected_tool = self.body.idle_tool
+        self._tool_origin, self._tool_rotation = self.body.home, NO_ROTATION  # when the tool was put down
+        self._observable = make_observable(self.body.realtime)
         self.engine = Engine(  # every frame has the trust number
-            self._observable, rate, max_speed=MAX_TOOL_SPEED, on_distrust="ignore"
+            self._observable, rate, max_speed=MAX_TOOL_SPEED, on_distrust="ignore", history=history, black_box=black_box
         )
         self.pause_reason: str | None = None
         self.speed, self.modulus_ratio = 1.0, 1.0
-        self.notifications: list[dict[str, Any]] = []  # messages still to be sent to all viewers
-        self.folder = Path("out/view")  # of recordings
-        self._recorder: Recorder | None = None
-        self.failures: list[str] = []  # of recordings, one line each
-        self._writers: list[threading.Thread] = []
+        self.recordings = SessionRecordings(title, self.body, self._describe_recorded)
         self._paces: deque[tuple[float, int, int]] = deque()  # time [s], periods, dropped periods
         self._last_pose = -math.inf  # [s]
-        self._cut_surface, self._cut_shown = self.surface, (0, -math.inf)  # number of cuts, and time [s]
         self._lock, self._last_tick = threading.RLock(), (time.time(), time.monotonic())
 
     # queries
 
     @property
+    def notifications(self) -> list[dict[str, Any]]:
+        """Messages still to be sent to all viewers."""
+        return self.recordings.notifications
+
+    @property
     def shown_surface(self) -> DisplaySurface:
         """The surface that is drawn: of the body as it is cut now."""
-        cutter = getattr(self._realtime_model, "cutter", None)
-        if cutter is None or not cutter.cuts:
-            return self.surface
-        with self._lock:
-            is_old = time.monotonic() - self._cut_shown[1] > REDRAW_INTERVAL
-            if self._cut_shown[0] != cutter.cuts and is_old and isinstance(self.surface, FullSurface):
-                self._cut_surface = CutFullSurface(cutter.model, self.surface)
-                self._cut_shown = cutter.cuts, time.monotonic()
-        return self._cut_surface
+        return self.body.shown_surface
 
     def snapshot(self) -> Snapshot:
         """Return the results of the last period, from the engine and the observable model."""
@@ -164,7 +148,7 @@ class Session:
         return {
             "tools": self.tool_kinds, "tool": self._describe_tool(), "materials": self._materials(), "rate": self.rate,
             "scalars": scalar_descriptions(self.surface), "training_errors": training_errors(self.model),
-            "overlay": False, "full": self.is_full, **describe_tools(self.tool_kinds),
+            "overlay": False, "full": self.body.is_full, **describe_tools(self.tool_kinds),
         }  # fmt: skip
 
     def _materials(self) -> list[dict[str, Any]]:
@@ -180,9 +164,7 @@ class Session:
 
     def _describe_recorded(self) -> tuple[Snapshot, dict[str, Any], Floats]:
         """Return the present snapshot, the description of the tool, and the triangles of the cut."""
-        cutter = getattr(self._realtime_model, "cutter", None)
-        triangles = NO_CUT.triangles if cutter is None else cutter.model.cut_surface.triangles
-        return *self._describe_period(), triangles
+        return *self._describe_period(), self.body.cut_triangles
 
     def overlay(self, time: float) -> OverlayState | None:
         """Return None: a session of one body has no full model to show."""
@@ -192,7 +174,7 @@ class Session:
         """Return the properties that change rarely, for `status`."""
         return {
             "state": self.engine.state, "tool": self._describe_tool(), "speed": self.speed,
-            "pause_reason": self.pause_reason, "recording": self.is_recording,
+            "pause_reason": self.pause_reason, "recording": self.recordings.is_active,
             "materials": self._materials(),
         }  # fmt: skip
 
@@ -207,15 +189,8 @@ class Session:
             "median_ms": 1e3 * computing.percentile(50), "p99_ms": 1e3 * computing.percentile(99),
             "misses": statistics.missed, "periods": statistics.count, "pace": self._recent_pace(statistics),
             "force_bound": bound if math.isfinite(bound) else None,
-            **(step_statistics(self._realtime_model.data) if self.is_full else {}), **self._cut_statistics(),
+            **self.body.statistics(self.selected_tool),
         }  # fmt: skip
-
-    def _cut_statistics(self) -> dict[str, Any]:
-        """Return the area [m^2] that a scalpel has cut, and the force [N] with which it cuts; empty without one."""
-        cutter = getattr(self._realtime_model, "cutter", None)
-        if cutter is None or self.selected_tool.kind != "scalpel":
-            return {}
-        return {"cut_area": float(cutter.totals[0]), "cutting_force": cutter.cutting_force}
 
     def load(self, seconds: float) -> float:
         """Return the computing time of periods over their length, from the median of those in some seconds.
@@ -242,16 +217,7 @@ class Session:
     @property
     def tool_kinds(self) -> list[str]:
         """Kinds of tools that a user may select."""
-        if not self.accepts_tools:
-            return []
-        cutter = getattr(self._realtime_model, "cutter", None)
-        return [kind for kind in TOOLS if kind != "scalpel" or cutter is not None]
-
-    @property
-    def is_cut(self) -> bool:
-        """Whether a scalpel has cut the body."""
-        cutter = getattr(self._realtime_model, "cutter", None)
-        return cutter is not None and cutter.cuts > 0
+        return list(self.body.tool_kinds)
 
     @property
     def is_touched(self) -> bool:
@@ -259,7 +225,7 @@ class Session:
         if self.tool is NO_TOOL:
             return False
         moved_lately = time.monotonic() - self._last_pose < HOLD_SECONDS
-        return moved_lately or (self.accepts_tools and bool(np.any(self.engine.read().force)))
+        return moved_lately or bool(np.any(self.engine.read().force))
 
     # commands
 
@@ -277,7 +243,7 @@ class Session:
         elif kind == "material":
             self._set_modulus(message["name"], 1e3 * message["value"])
         elif kind == "record":
-            self._start_file() if message["action"] == "start" else self.finish_recording()
+            self.recordings.start_file() if message["action"] == "start" else self.recordings.finish()
         elif kind == "speed":
             with self._lock:
                 self.engine.slow_down(message["factor"])
@@ -296,10 +262,7 @@ class Session:
     def close(self) -> None:
         """Stop the engine, finish the present recording, and wait until all recordings are written."""
         self.stop()
-        if self._recorder is not None:
-            self.finish_recording()
-        for writer in self._writers:
-            writer.join()
+        self.recordings.close()
 
     def continue_from(self, former: Session) -> None:
         """Start in place of another session of the same body: with its selected tool, speed, moduli and pause.
@@ -307,12 +270,9 @@ class Session:
         The other session stops, and its recording is written. Its notifications are those of this session from now
         on.
         """
-        if former.is_recording:
-            former.finish_recording()
+        self.recordings.continue_from(former.recordings)
         state, reason = former.engine.state, former.pause_reason
         former.stop()
-        self.notifications, self.failures, self.folder = former.notifications, former.failures, former.folder
-        self._writers = former._writers
         if former.selected_tool.kind in self.tool_kinds:
             self.selected_tool = former.selected_tool
         self.engine.slow_down(former.speed)
@@ -343,98 +303,22 @@ class Session:
         with self._lock:
             running = self.engine.state in ("running", "diverged")
             self.engine.pause()
-            if self.accepts_tools:
-                self._set_tool(NO_TOOL, self._tool_origin, NO_ROTATION)
+            self._set_tool(self.body.idle_tool, self._tool_origin, NO_ROTATION)
             self.engine.reset()
-            self._observable.set_state(self._realtime_model.rest, np.zeros(3))
+            self._observable.set_state(self.body.realtime.rest, np.zeros(3))
             if running:
                 self.resume()
 
     def release(self) -> None:
         """Put the tool away; a prescribed group returns to its place at rest."""
-        if not self.accepts_tools:
+        if self.tool is NO_TOOL:
+            return
+        if self.tool is self.body.idle_tool:
             self.engine.set_pose(np.zeros(3))
-        elif self.tool is not NO_TOOL:
-            with self._lock:
-                snapshot = self.snapshot()
-                self._change_tool(NO_TOOL, snapshot.position, snapshot.quaternion)
-
-    # recordings
-
-    @property
-    def is_recording(self) -> bool:
-        """Whether a recording is in progress."""
-        return self._recorder is not None
-
-    def start_recording(self, path: Path | None = None) -> None:
-        """Start a recording.
-
-        Parameters
-        ----------
-        path : path, optional
-            File of the recording; by default a new file in the session's folder.
-        """
-        if self._recorder is not None:
-            raise InputError("record must be 'stop' during a recording, got 'start'; stop the present one first")
-        journal = RecordingJournal(path or _create_file(self.folder), self.title, self.model)
-        self._recorder = Recorder(
-            self._describe_recorded, journal, FULL_INTERVAL if self.is_full else RECORDING_INTERVAL
-        )
-
-    def _start_file(self) -> None:
-        try:
-            self.start_recording()
-        except OSError as error:
-            raise InputError(
-                f"record must have a folder that can be written, got {str(self.folder)!r} ({error.strerror or error}); "
-                "start palpate in another folder"
-            ) from error
-
-    def finish_recording(self, path: Path | None = None, wait: bool = False) -> None:
-        """Stop the recording and write it in its own thread; `notifications` then has its path.
-
-        Parameters
-        ----------
-        path : path, optional
-            By default the file that `start_recording` began.
-        wait : bool
-            Whether to wait until the file is written.
-        """
-        if self._recorder is None:
-            raise InputError("record must be 'start' without a recording, got 'stop'; start one first")
-        recorder, self._recorder = self._recorder, None
-        recorder.stop()
-        recording = Recording(
-            self.title, self.model, np.array(recorder.times), recorder.snapshots, recorder.tools, {}, recorder.cuts
-        )  # fmt: skip
-        writer = threading.Thread(target=self._write, args=(path, recorder.journal, recording), name="palpate writer")
-        self._writers = [*(each for each in self._writers if each.is_alive()), writer]
-        writer.start()
-        if wait:
-            writer.join()
-
-    def _write(self, given: Path | None, journal: RecordingJournal, recording: Recording) -> None:
-        """Replace the journal by the recording; if that fails, write it to another place or keep the journal."""
-        path = given or journal.path
-        try:
-            save_recording(path, recording)
-            failure = ""
-        except SurfaceFileError as error:
-            failure = f"the file for ParaView was not written: {error}"
-        except (InputError, OSError) as error:
-            failure = f"the recording was not written: {error}"
-            if isinstance(error, OSError) and (other := _save_elsewhere(path.name, recording)) is not None:
-                failure += f"; it is in {other}"
-            elif journal.count:
-                failure += f"; its first {journal.count} snapshots are in {journal.path}"
-        else:
-            self.notifications.append({"type": "recorded", "file": str(path), "frames": len(recording.times)})
-        if failure:
-            self.failures.append(failure)
-            self.notifications.append({"type": "error", "reason": failure})
-        with contextlib.suppress(OSError):
-            if journal.path.stat().st_size == 0 or (path != journal.path and journal.count and not failure):
-                journal.path.unlink()
+            return
+        with self._lock:
+            snapshot = self.snapshot()
+            self._change_tool(NO_TOOL, snapshot.position, snapshot.quaternion)
 
     def tick(self) -> None:
         """Pause if the machine slept or the program was stopped; to be called several times a second."""
@@ -476,7 +360,7 @@ class Session:
         position = self._workspace.nearest_position(np.array(message["position"]))
         quaternion = np.array(message["quaternion"])
         with self._lock:
-            if self.accepts_tools and self.tool is NO_TOOL and not self._restore_tool(position, quaternion):
+            if self.tool is NO_TOOL and not self._restore_tool(position, quaternion):
                 return
             rotation = compose_rotations(self._tool_rotation, quaternion, invert_first=True)
             self.engine.set_pose(position - self._tool_origin, rotation, message["sequence"])
@@ -492,7 +376,7 @@ class Session:
         return True
 
     def _select_tool(self, message: Message) -> None:
-        if not self.accepts_tools:
+        if not self.tool_kinds:
             raise InputError("tool must be the model's prescribed group, got another tool; use a model with contact")
         if message["kind"] not in self.tool_kinds:
             allowed = ", ".join(map(repr, self.tool_kinds))
@@ -510,6 +394,12 @@ class Session:
         self.selected_tool = SelectedTool(message["kind"], shape, message["friction"], message["stiffness"], parameters)
         self._change_tool(self.selected_tool, position, quaternion, message["sequence"])
 
+    def put_down(self, contact: Contact) -> None:
+        """Put a tool down at its first pose, to which the poses of `palpate.Engine.set_pose` are then relative."""
+        pose = contact.poses(np.zeros(1))[0]
+        self.selected_tool = selected_tool(contact)
+        self._change_tool(self.selected_tool, pose[:3], pose[3:])
+
     def _displacements(self) -> Floats:
         return self.snapshot().displacements(self.surface).astype(float)
 
@@ -523,8 +413,7 @@ class Session:
     def _set_tool(self, tool: SelectedTool, position: Floats, quaternion: Floats, sequence: int = 0) -> None:
         grasps = isinstance(tool.shape, Forceps)  # forceps rotate the nodes they grasp as much as they are rotated
         rotation = NO_ROTATION if grasps else quaternion
-        if self._realtime_model.change_tool is not None:
-            self._realtime_model.change_tool(tool.shape, np.concatenate([position, rotation]), tool.friction)
+        self.body.change_tool(tool, np.concatenate([position, rotation]))
         self._observable.set_coupling(tool.stiffness, HAND_FORCE)
         self._observable.set_state(self.engine.read().coordinates, np.zeros(3))
         self.engine.place_tool(np.zeros(3), NO_ROTATION, sequence)
@@ -538,30 +427,3 @@ def material_sliders(model: ReducedModel | EnergySolid, ratio: float) -> list[di
     modulus = 1e-3 * float(model.material.shear_modulus)
     return [{"name": MODULUS_NAME, "unit": "kPa", "value": ratio * modulus, "low": MIN_MODULUS_RATIO * modulus,
              "high": MAX_MODULUS_RATIO * modulus, "live": True}]  # fmt: skip
-
-
-def _create_file(folder: Path) -> Path:
-    """Create an empty file with a unique name for a recording."""
-    folder.mkdir(parents=True, exist_ok=True)
-    stem = time.strftime("recording-%Y%m%d-%H%M%S")
-    for number in itertools.count(1):
-        path = folder / (f"{stem}.h5" if number == 1 else f"{stem}-{number}.h5")
-        with contextlib.suppress(FileExistsError):
-            path.touch(exist_ok=False)
-            break
-    return path
-
-
-def _save_elsewhere(name: str, recording: Recording) -> Path | None:
-    """Save a recording in a new folder for temporary files, and return its path; None if that fails, too."""
-    folder: Path | None = None
-    try:
-        folder = Path(mkdtemp(prefix="palpate-recording-"))
-        save_recording(folder / name, recording)
-    except SurfaceFileError:
-        return None if folder is None else folder / name
-    except OSError:
-        if folder is not None:
-            shutil.rmtree(folder, ignore_errors=True)
-        return None
-    return folder / name

@@ -11,8 +11,8 @@ import numpy as np
 from palpate.app.recordings.cut_surfaces import CutSurfaces
 from palpate.app.recordings.recording import Recording
 from palpate.app.recordings.snapshot import OverlayState, Snapshot, scalar_descriptions, training_errors
-from palpate.app.view.session.messages import Message, describe_tools
-from palpate.app.view.session.tool_control import drawn_outline
+from palpate.app.session.messages import Message, describe_tools
+from palpate.app.session.tool_control import drawn_outline
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.realtime.bodies.display_surface import DisplaySurface

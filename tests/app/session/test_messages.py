@@ -7,7 +7,7 @@ import json
 import pytest
 
 import palpate as pt
-from palpate.app.view.session.messages import parse_message
+from palpate.app.session.messages import parse_message
 
 
 def test_missing_fields_have_defaults_and_unknown_fields_are_dropped():

@@ -12,10 +12,10 @@ sys.path.append(str(Path(__file__).parents[1]))
 
 from view_scenes import BALL, MIDDLE
 
-from palpate.app.view.session.comparison import Comparison
-from palpate.app.view.session.full_model_replay import full_model
-from palpate.app.view.session.messages import validate_message
-from palpate.app.view.session.session import Session
+from palpate.app.session.comparison import Comparison
+from palpate.app.session.full_model_replay import full_model
+from palpate.app.session.messages import validate_message
+from palpate.app.session.session import Session
 from palpate.faults import InputError
 
 

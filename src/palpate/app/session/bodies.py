@@ -1,0 +1,147 @@
+"""Bodies of a session: what each answers about its tools, its surface, its cut and its steps."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from palpate.app.recordings.recording import RECORDING_INTERVAL
+from palpate.app.session.tool_control import NO_TOOL, SelectedTool
+from palpate.arrays import Floats
+from palpate.dynamics.contact.shapes import TOOLS
+from palpate.dynamics.loads.foundation import Foundation
+from palpate.dynamics.solid.model import EnergySolid
+from palpate.meshfree.cut.surface import NO_CUT
+from palpate.realtime.bodies.cut_display import CutFullSurface
+from palpate.realtime.bodies.display_surface import DisplaySurface
+from palpate.realtime.bodies.full_blade import BladeCutter
+from palpate.realtime.bodies.full_body import step_statistics
+from palpate.realtime.bodies.full_surface import FullSurface, display_surface
+from palpate.realtime.bodies.model import RealtimeModel, idle_model
+from palpate.reduction.hyper.model import ReducedModel
+
+__all__ = ["SessionBody", "session_body"]
+
+FULL_INTERVAL = 0.04  # [s] between snapshots of a full body: a minute of 3,000 nodes takes 54 MB
+REDRAW_INTERVAL = 0.1  # [s] between new surfaces of a body that is being cut
+
+
+class SessionBody:
+    """A reduced model that tools touch; at the start and after a reset it has `idle_tool` at `home` (3,) [m]."""
+
+    is_full = False
+    recording_interval = RECORDING_INTERVAL
+    tool_kinds: tuple[str, ...] = tuple(kind for kind in TOOLS if kind != "scalpel")
+    idle_tool = NO_TOOL
+    cutter: BladeCutter | None = None
+
+    def __init__(self, model: Any, realtime: RealtimeModel) -> None:
+        self.model, self.realtime, self.home = model, realtime, np.zeros(3)
+        self.surface = display_surface(model)
+
+    @property
+    def cuts(self) -> int:
+        """Number of exchanges of the body since it was whole."""
+        return 0
+
+    @property
+    def cut_triangles(self) -> Floats:
+        """Triangles (t, 3, 3) of the cut [m]."""
+        return NO_CUT.triangles
+
+    @property
+    def shown_surface(self) -> DisplaySurface:
+        """The surface that is drawn."""
+        return self.surface
+
+    def change_tool(self, tool: SelectedTool, pose: Floats) -> None:
+        """Replace the tool by another in a pose (7,); the engine must be paused."""
+        assert self.realtime.change_tool is not None
+        self.realtime.change_tool(tool.shape, pose, tool.friction)
+
+    def statistics(self, tool: SelectedTool) -> dict[str, Any]:
+        """Return how the body was stepped and cut, for the statistics of a session."""
+        return {}
+
+
+class GroupBody(SessionBody):
+    """A reduced model whose prescribed group is the tool."""
+
+    tool_kinds = ()
+    idle_tool = SelectedTool("group", None)
+
+    def __init__(self, model: ReducedModel, realtime: RealtimeModel) -> None:
+        super().__init__(model, realtime)
+        centre = model.cloud.points[model.cloud.group(model.data.prescribed[0])].mean(axis=0)
+        self.home[: len(centre)] = centre
+
+    def change_tool(self, tool: SelectedTool, pose: Floats) -> None:
+        """Keep the group."""
+
+
+class FullBody(SessionBody):
+    """A full body that is never cut."""
+
+    is_full = True
+    recording_interval = FULL_INTERVAL
+
+    def statistics(self, tool: SelectedTool) -> dict[str, Any]:
+        """Return how the body was stepped."""
+        return step_statistics(self.realtime.data)
+
+
+class CuttableBody(FullBody):
+    """A full solid, which a scalpel cuts."""
+
+    tool_kinds = tuple(TOOLS)
+    cutter: BladeCutter
+
+    def __init__(self, model: EnergySolid, realtime: RealtimeModel) -> None:
+        super().__init__(model, realtime)
+        assert realtime.cutter is not None
+        self.cutter = realtime.cutter
+        assert isinstance(self.surface, FullSurface)
+        self._uncut = self._opened = self.surface
+        self._shown, self._lock = (0, -math.inf), threading.Lock()  # number of cuts, and time [s]
+
+    @property
+    def cuts(self) -> int:
+        return self.cutter.cuts
+
+    @property
+    def cut_triangles(self) -> Floats:
+        return self.cutter.model.cut_surface.triangles
+
+    @property
+    def shown_surface(self) -> DisplaySurface:
+        """The surface of the body as it is cut now."""
+        if not self.cuts:
+            return self.surface
+        with self._lock:
+            is_old = time.monotonic() - self._shown[1] > REDRAW_INTERVAL
+            if self._shown[0] != self.cuts and is_old:
+                self._opened = CutFullSurface(self.cutter.model, self._uncut)
+                self._shown = self.cuts, time.monotonic()
+        return self._opened
+
+    def statistics(self, tool: SelectedTool) -> dict[str, Any]:
+        """Return how the body was stepped, the area [m^2] that a scalpel has cut, and the force [N] of a cut."""
+        steps = super().statistics(tool)
+        if tool.kind != "scalpel":
+            return steps
+        return {**steps, "cut_area": float(self.cutter.totals[0]), "cutting_force": self.cutter.cutting_force}
+
+
+def session_body(model: Any, foundations: Sequence[Foundation]) -> SessionBody:
+    """Return the body of a session with springs, prepared for the engine without a tool."""
+    realtime = idle_model(model, foundations)
+    if isinstance(model, ReducedModel):
+        kind = GroupBody if realtime.change_tool is None else SessionBody
+    else:
+        kind = FullBody if realtime.cutter is None else CuttableBody
+    return kind(model, realtime)
