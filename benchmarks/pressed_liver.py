@@ -50,9 +50,9 @@ class PressedLiver:
         """Return the displacement (3,) [m] of the ball at a time [s] of the press."""
         return np.array([0.0, (PRESS_DEPTH + START_GAP) * np.sin(np.pi * min(time / PRESS_SECONDS, 1.0)) ** 2, 0.0])
 
-    def realtime(self) -> RealtimeModel:
-        """Return the body for the engine."""
-        return realtime_model(self.body, contact=self.ball(tuple(self.home)))
+    def realtime(self, modes: int | None = None) -> RealtimeModel:
+        """Return the body for the engine, with a number of modes that get more mass."""
+        return realtime_model(self.body, contact=self.ball(tuple(self.home)), tailored_modes=modes)
 
 
 class Periods(NamedTuple):

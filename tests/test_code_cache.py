@@ -133,16 +133,18 @@ def test_the_use_of_a_file_is_noted_once_a_day(own_folder):
     assert time.time() - code_files()[0].used < 3600
 
 
-def test_the_command_shows_and_empties_the_folder(own_folder, capsys):
+def test_the_option_shows_and_empties_the_folder(own_folder, capsys):
     assert cached_njit()(double)(2.0) == 4.0
-    assert main(["cache"]) == 0
+    assert main(["--cache"]) == 0
     text = capsys.readouterr().out
     assert "1 compiled functions" in text
     assert str(own_folder) in text
-    assert main(["cache", "--empty", "--json"]) == 0
+    assert main(["--cache", "json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["functions"] == 1
     assert report["bytes"] > 1000
+    assert main(["--cache", "empty"]) == 0
+    assert "removed 1 compiled functions" in capsys.readouterr().out
     assert not list(own_folder.iterdir())
 
 

@@ -24,10 +24,13 @@ SOURCES = ROOT / "src" / "palpate"
 MODULES = ("io", "lti", "materials", "tools", "typing")
 INNER_TYPES = {  # prepared data and scratch arrays, in attributes and methods that palpate itself uses
     "ContactState",
+    "EnergyModel",
+    "Fields",
     "ForcePattern",
     "Formulation",
     "GalerkinWork",
     "Histograms",
+    "Kinematics",
     "LoadHistory",
     "Mirror",
     "MirrorPlane",

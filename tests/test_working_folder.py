@@ -124,15 +124,14 @@ def test_workers_and_probes_import_no_module_of_the_working_folder(tmp_path):
         (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\nraise ImportError\n")
     (tmp_path / "program.py").write_text(
         "import sys\nfrom palpate.app.common.rendering import DrawingError, check_drawing\n"
-        "from palpate.app.train.local import _start_worker\n"
-        "from palpate.app.train.folder import Folder\n"
-        "from contextlib import suppress\nfrom pathlib import Path\n"
+        "from palpate.app.train.local import WORKER_ENVIRONMENT, serve_runs\n"
+        "from palpate.processes import Child\n"
+        "from contextlib import suppress\n"
         "with suppress(DrawingError):\n    check_drawing()\n"
-        "if __name__ == '__main__':\n"
-        "    worker = _start_worker(Folder(Path('x'), {}), None)\n"
-        "    worker.process.join()\n    print(worker.process.exitcode)\n"
+        "worker = Child(serve_runs, ['x', {'scene': 'beam', 'parameters': {}}], environment=WORKER_ENVIRONMENT)\n"
+        "worker.send(['train', 0, 0])\nprint([kind for kind, _ in worker.answers()], worker.wait())\n"
     )
     command = [sys.executable, "-P", str(tmp_path / "program.py")]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.stdout == "0\n", done.stderr
+    assert done.stdout == "['stopped'] 0\n", done.stderr
     assert not (tmp_path / "ran").exists()

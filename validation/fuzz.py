@@ -36,6 +36,7 @@ from palpate.faults import DivergenceError, InputError
 # bytes that a trial may take beyond the program's own, and computing time [s] after which it hangs: a forged model may
 # need kernels that are not yet compiled
 TRIAL_LIMITS = (200 << 20, 30.0)
+LABEL_LIMITS = (300 << 20, 30.0)  # of label maps, whose voxels are unpacked
 COMPILING = {"physics": (1 << 30, 120.0)}  # of kinds whose trials compile kernels of many bodies
 SLOW = 1.0  # [s] of computing time that a trial should not exceed
 GOOD = ("refused", "equal", "accepted")
@@ -105,8 +106,9 @@ def study(kind: str, seconds: float, most: int, seed: int, only: int | None = No
         counts: Counter[str] = Counter()
         faults: list[dict[str, Any]] = []
         began, slowest, slow, number = time.monotonic(), 0.0, 0, 0
+        limits = LABEL_LIMITS if kind.startswith("labels") else COMPILING.get(kind, TRIAL_LIMITS)
         while number < most and time.monotonic() - began < seconds:
-            found = run_trial(trial, seed, number, folder, COMPILING.get(kind, TRIAL_LIMITS))
+            found = run_trial(trial, seed, number, folder, limits)
             counts[found["what"]] += 1
             slowest, slow = max(slowest, found["seconds"]), slow + (found["seconds"] > SLOW)
             if found["what"] not in GOOD:

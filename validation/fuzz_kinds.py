@@ -20,6 +20,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+import fuzz_labels
 import numpy as np
 
 import palpate as pt
@@ -717,6 +718,25 @@ def surface_kind(suffix: str) -> Callable[[Path], Trial]:
     return kind
 
 
+def label_kind(suffix: str) -> Callable[[Path], Trial]:
+    """Return the kind of a label map: half of the files have headers that lie, all others are damaged."""
+
+    def kind(folder: Path) -> Trial:
+        sound = fuzz_labels.dicom(folder) if suffix == "dcm" else b""
+
+        def trial(rng: Rng, folder: Path) -> str:
+            data = sound or fuzz_labels.compose(suffix, rng)
+            if sound or rng.random() < 0.5:
+                data = damaged(rng, data)
+            path = folder / f"changed.{suffix}"
+            path.write_bytes(data)
+            return fuzz_labels.read_and_use(path, rng)
+
+        return trial
+
+    return kind
+
+
 def command_kind(folder: Path) -> Trial:
     """Return trials of command lines: options of the parser with odd values, and files of other kinds."""
     import argparse
@@ -809,6 +829,7 @@ KINDS: dict[str, Callable[[Path], Trial]] = {
     "journal": journal_kind, "recording": recording_kind(False), "full_recording": recording_kind(True),
     "recording journal": recording_journal_kind, "manifest": manifest_kind,
     **{suffix: surface_kind(suffix) for suffix in ("stl", "obj", "ply", "off", "glb", "vtk", "vtp", "trian", "stl.gz")},
+    **{f"labels {suffix}": label_kind(suffix) for suffix in fuzz_labels.SUFFIXES},
     "material": material_kind, "scene": scene_kind, "curve": curve_kind, "message": message_kind,
     "command": command_kind, "physics": physics_kind, "cost": cost_kind, "folder": folder_kind,
 }  # fmt: skip

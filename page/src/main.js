@@ -257,7 +257,7 @@ function showStatus() {
 // input of the user
 
 /** Initial sizes of each kind of tool, from the size of the body. */
-function initialTools({ bounds: [low, high], spacing, full, compare, tools, tool_parameters: parameters }) {
+function initialTools({ bounds: [low, high], spacing, full, compare, tools, tool_parameters: parameters = {} }) {
   const size = Math.hypot(...high.map((part, k) => part - low[k]));
   const round = (metres) => Math.max(Math.round(1e3 * metres), 1) / 1e3;
   const least = full || compare ? Math.ceil(2e3 * spacing) / 2e3 : 0; // of a tool that touches a full body

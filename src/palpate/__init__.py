@@ -42,7 +42,6 @@ _HOME = {
     "Solid": "dynamics.solid.model",
     "Membrane": "dynamics.membrane.model",
     "cut": "dynamics.solid.cutting.cut",
-    "cut_reduced": "reduction.training.cut_reduced",
     "equilibrium": "dynamics.nodal.equilibrium",
     "unloaded": "dynamics.solid.unloading",
     "Foundation": "dynamics.loads.foundation",

@@ -48,7 +48,6 @@ from palpate.reduction.galerkin.model import galerkin as galerkin
 from palpate.reduction.hyper.model import ReducedModel as ReducedModel
 from palpate.reduction.storage.models import load as load
 from palpate.reduction.storage.models import save as save
-from palpate.reduction.training.cut_reduced import cut_reduced as cut_reduced
 from palpate.reduction.training.errors import Errors as Errors
 from palpate.reduction.training.errors import relative_errors as relative_errors
 from palpate.reduction.training.reduce import hyper_reduce as hyper_reduce

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from palpate.parameters import check_parameters
+from palpate.parameters import check_parameters, declared
 
 __all__ = ["MAX_LINE_CHARACTERS", "Described", "Fact", "format_quantity"]
 
@@ -44,7 +44,8 @@ class Described:
             cls.__repr__ = Described.__repr__  # type: ignore[method-assign]  # a dataclass keeps one of its own class
 
     def __post_init__(self) -> None:
-        check_parameters(self, self._owner())
+        if declared(type(self)):
+            check_parameters(self, self._owner())
 
     def _owner(self) -> str:
         """Return what follows the name of a parameter in messages."""

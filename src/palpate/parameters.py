@@ -114,8 +114,8 @@ def parameter(
 
 def limits(about: Mapping[str, Any]) -> dict[str, Any]:
     """Return range, unit and remedy of a parameter, as arguments of `number_in_range`."""
-    what, unit = re.split("[;:,]", about["help"])[0], about["unit"]
-    remedy = f"give {what}{f' in {unit}' if unit else ''}" if what else "change it"
+    what, unit = re.split("[;:]", about["help"])[0], about["unit"]
+    remedy = f"give {what}{f' [{unit}]' if unit else ''}" if what else "change it"
     return {name: about[name] for name in ("low", "high", "open_low", "unit")} | {"remedy": remedy}
 
 

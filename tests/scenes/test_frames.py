@@ -46,6 +46,19 @@ def written(kind, space, vertices, triangles):
         header += [f"property float {axis}" for axis in "xyz"]
         header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header"]
         return "\n".join([*header, *points, *faces, ""]).encode()
+    if kind == "vtp":
+        numbers = [
+            " ".join(map(str, each)) for each in (vertices.ravel(), triangles.ravel(), 3 * np.arange(1, len(faces) + 1))
+        ]
+        codes = " ".join(str(ord(letter)) for letter in f"{space}\0")
+        field = f'<FieldData><Array type="String" Name="SPACE" format="ascii">{codes}</Array></FieldData>' * bool(space)
+        points = f'<Points><DataArray type="Float64" format="ascii">{numbers[0]}</DataArray></Points>'
+        arrays = "".join(
+            f'<DataArray type="Int64" Name="{name}" format="ascii">{text}</DataArray>'
+            for name, text in zip(("connectivity", "offsets"), numbers[1:], strict=True)
+        )
+        piece = f'<Piece NumberOfPoints="{len(vertices)}">{points}<Polys>{arrays}</Polys></Piece>'
+        return f'<VTKFile type="PolyData"><PolyData>{field}{piece}</PolyData></VTKFile>'.encode()
     header = ["# vtk DataFile Version 3.0", word, "ASCII", "DATASET POLYDATA", f"POINTS {len(points)} float"]
     return "\n".join([*header, *points, f"POLYGONS {len(faces)} {4 * len(faces)}", *faces, ""]).encode()
 
@@ -61,7 +74,7 @@ def held_place(folder, kind, organ_space, bone_space):
     return cloud.points[cloud.group("support 1"), 0].mean()
 
 
-@pytest.mark.parametrize("kind", ["stl", "obj", "ply", "vtk"])
+@pytest.mark.parametrize("kind", ["stl", "obj", "ply", "vtk", "vtp"])
 def test_files_of_two_frames_meet_in_that_of_the_body(kind, tmp_path):
     with pytest.warns(UserWarning, match="bone.* is in LPS and the body in RAS: it is turned by 180 degrees about z"):
         assert held_place(tmp_path, kind, "RAS", "LPS") > 0.11

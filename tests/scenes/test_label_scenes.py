@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.app.cli import main
+from palpate.scenes.open_scene import described_scene, text_of_scene
 from palpate.scenes.places import side_mask
+from palpate.scenes.surface_scene import named_scene
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "surface" / "labels"))
 from label_files import caret, nifti
@@ -81,3 +84,27 @@ def test_sides_of_a_patient_follow_the_frame_and_require_one():
             assert np.all(sign * turn * points[mask, axis] > 0.5)
         with pytest.raises(pt.InputError, match=r"SPACE=LPS"):
             side_mask(points, side)
+
+
+def test_a_label_map_is_a_scene_by_itself_with_a_spacing_for_training(folder):
+    scene = named_scene(str(folder / "trunk.nii"), {"poisson": 0.4}, ["liver", "tumour"])
+    assert scene.description.tissue.poisson == 0.4
+    assert 1.45 * scene.surface.volume / scene.description.body.spacing**3 == pytest.approx(4500, rel=0.02)
+    again = described_scene(scene.name, text_of_scene(scene))  # as workers of a campaign open it
+    assert again.digest == scene.digest
+    assert again.surface.volume == scene.surface.volume
+    for options in ({"part": ["liver"]}, {"labels": folder / "names.json"}):
+        with pytest.raises(pt.InputError, match="must be left out unless a surface file is given, got 'beam'"):
+            named_scene("beam", **options)
+
+
+@pytest.mark.parametrize("command", ["check", "new -o new.toml", "view", "train", "run", "export --c out"])
+def test_every_command_lists_the_labels_and_types_the_command(folder, command, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    words = command.split()
+    assert main([words[0], "trunk.nii", *words[1:]]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    table = [line.split()[:3] for line in lines]
+    assert table[table.index(["number", "name", "ml"]) + 1][:2] == ["1", "liver"]
+    assert "--part must be given for trunk.nii" in lines[-1]
+    assert lines[-1].endswith(f"palpate {words[0]} trunk.nii --part liver")

@@ -56,6 +56,7 @@ title = "All sections"
 [surface]
 file = "organ.obj"
 parts = ["*lobe*", "left"]
+labels = "names.json"
 units = "cm"
 scale = 1.5
 repair = false
@@ -287,7 +288,7 @@ WRONG = [  # replaced, by what, line, what is said
     ('"10 mm"', "true", 7, "body.spacing must be a number [m] or a text such as \"12 m\", got True"),
     ('"10 mm"', '"10 kg"', 7, "body.spacing must have one of the units m, cm, mm, um, in, got 'kg'"),
     ('"10 mm"', '"ten mm"', 7, "body.spacing must be a number [m]"),
-    ('"10 mm"', "2", 7, "body.spacing must be in (0, 1] m, got 2; give distance between nodes in m"),
+    ('"10 mm"', "2", 7, "body.spacing must be in (0, 1] m, got 2; give distance between nodes [m]"),
     ('"10 mm"', "nan", 7, "body.spacing must be in (0, 1] m, got nan"),
     ('"10 mm"', "1" + "0" * 400, 7, "body.spacing must be in (0, 1] m, got 1000"),
     ('"10 mm"', '"1e999 mm"', 7, "body.spacing must be in (0, 1] m, got '1e999 mm'"),
@@ -607,7 +608,7 @@ def test_wrong_parameters_of_laws_are_refused_by_name(opened):
         ("C1 = -1", "C1 must be"),
         ("C1 = nan", "C1 must be"),
         ("C1 = [1, 2]", "C1 must be"),
-        ("K1 = 1", "parameters must be C1 for NeoHookean, got 'K1'; palpate laws NeoHookean lists them"),
+        ("K1 = 1", "parameters must be C1 for NeoHookean, got 'K1'; palpate laws lists them"),
     ):
         with pytest.raises(pt.InputError, match=said):
             _ = opened(box_scene(replace={'C1 = "1.5 kPa"': value})).material

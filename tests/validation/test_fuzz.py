@@ -26,6 +26,7 @@ def run(script, *options):
 KINDS = {
     "sealed": ["model", "linear", "trajectory", "stored", "journal", "recording", "recording journal", "manifest"],
     "surfaces": ["stl", "obj", "ply", "off", "glb", "vtk", "vtp", "cost"],
+    "labels": ["labels nii", "labels nii.gz", "labels nrrd", "labels mha"],
     "words": ["material", "scene", "curve", "message", "command", "physics"],
 }
 

@@ -61,9 +61,9 @@ def build_parser() -> Any:
     """Return the parser of all commands, an `argparse.ArgumentParser`."""
     from argparse import RawDescriptionHelpFormatter
 
-    from palpate.app.cache.parser import add_cache
     from palpate.app.check.parser import add_check
     from palpate.app.common.arguments import Parser
+    from palpate.app.common.compiled_code import add_cache_option
     from palpate.app.export.parser import add_export
     from palpate.app.fit.parser import add_fit
     from palpate.app.laws.parser import add_laws
@@ -80,10 +80,10 @@ def build_parser() -> Any:
         formatter_class=RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"palpate {__version__}")
+    add_cache_option(parser)
     commands = parser.add_subparsers(metavar="COMMAND")
     for add in (
         add_reproduce, add_view, add_new, add_train, add_run, add_replay, add_check, add_fit, add_laws, add_export,
-        add_cache,
     ):  # fmt: skip
         add(commands)
     return parser

@@ -146,7 +146,10 @@ class Near:
     """
 
     file: str = parameter(help="surface file or label map, relative to the scene file; units and scale as the body's")
-    distance: float = parameter("m", help="largest distance", above=0.0, high=1.0)
+    distance: float | None = parameter(
+        "m", None, "largest distance; of a label map by default half a spacing, or 1.5 edges of a voxel if more",
+        above=0.0, high=1.0,
+    )  # fmt: skip
     parts: tuple[str, ...] = parameter("", (), "names or patterns of its parts")
 
 
@@ -155,8 +158,8 @@ class Place:
     """Part of the body: exactly one of these."""
 
     side: str = parameter(
-        "", "", "'x-', 'z+', 'back' (away from the first view), 'lowest 15%', 'near X,Y,Z,R' [mm]; of a body whose "
-        "file states its frame also left, right, front, rear, head, feet",
+        "", "", "'x-', 'z+', 'back' (away from the first view), 'lowest 15%', 'near X,Y,Z,R' [mm]; where the "
+        "file states how the patient lies, 'left', 'right', 'front', 'rear', 'head', 'feet'",
     )  # fmt: skip
     group: str = parameter("", "", "group of a generated shape, such as 'x-' or 'rim'")
     plane: Plane | None = parameter("", None, "what is behind a plane")
@@ -301,7 +304,7 @@ class Training:
     held_out: int = parameter("", 4, "further runs, on which errors are measured", low=0, high=100_000)
     modes: int = parameter("", 60, "modes of the reduced model", low=1, high=1000)
     tolerance: float | None = parameter("", None, "choose paths until the errors are at most this", above=0.0, high=1.0)
-    cubature: float | None = parameter("", None, "largest relative error of the sampled forces", above=0.0, high=1.0)
+    cubature: float | None = parameter("", None, "largest relative error of the sampled forces", low=0.0, high=1.0)
     seed: int = parameter("", 0, "seed of the paths", low=0, high=1_000_000)
     depth: float | None = parameter(
         "m",

@@ -22,6 +22,7 @@ from palpate.scenes.painted import read_painted
 from palpate.surface.checks import METRES_BY_UNIT
 from palpate.surface.files import read_surface
 from palpate.surface.labels.label_map import LabelMap, Mask, mask_of
+from palpate.surface.labels.neighbours import contact_distance
 from palpate.surface.labels.reading import is_label_map, read_label_map
 from palpate.surface.nesting import inside_points
 from palpate.surface.refining import refine_surface
@@ -125,7 +126,11 @@ class PlaceFinder:
         distance, path = near.distance, self.folder / near.file
         if is_label_map(path):
             mask = mask_of(self._label_map(path), list(near.parts) or None)
+            if distance is None:
+                distance = contact_distance(mask.voxel_edges, self.cloud.spacing)
             tree = cKDTree(in_frame(mask.boundary(), mask.space, self.space, mask.name))
+        elif distance is None:
+            raise InputError(f'near must have a distance from a surface, got none from {path}; give distance = "3 mm"')
         else:
             surface = read_surface(path, part=list(near.parts) or None, units=self._units, scale=self.shape.scale)
             vertices = in_frame(surface.vertices, surface.space, self.space, surface.name)

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from palpate.faults import InputError
 from palpate.parameters import check_number, fields_of
 from palpate.scenes.description import Body, Description, Shape, Support, Tissue, with_settings
+from palpate.scenes.open_scene import open_scene
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.places import place_of_text
 from palpate.surface.formats.names import LABEL_FORMATS, SURFACE_FORMATS, format_of
 
-__all__ = ["is_surface_file", "surface_scene"]
+__all__ = ["NODES_PER_CELL", "is_surface_file", "named_scene", "refined_scene", "surface_scene"]
+
+NODES_PER_CELL = 1.45  # nodes over volume / spacing^3 in a filled organ
+REFINED_NODES = 4500  # of a body without a spacing; statics of training take 5,000 at most
 
 
 def is_surface_file(what: str) -> bool:
@@ -76,3 +83,46 @@ def surface_scene(
     scene = OrganScene(with_settings(description, settings or {}), Path(), str(file), settings)
     _ = scene.material  # raises for a wrong law or parameter
     return scene
+
+
+def refined_scene(scene: OrganScene) -> OrganScene:
+    """Return the scene of the reduced model: with its own spacing, or with one that gives about `REFINED_NODES`.
+
+    That of a surface file depends on the file, and not on the folder from which it was opened.
+    """
+    about = scene.description
+    if is_surface_file(scene.name):
+        file = Path(scene.name).absolute()
+        support = tuple(
+            replace(each, place=replace(each.place, painted=replace(
+                each.place.painted, file=str(Path(each.place.painted.file).absolute())
+            ))) if each.place.painted else each
+            for each in about.support
+        )  # fmt: skip
+        names = str(Path(about.surface.labels).absolute()) if about.surface.labels else ""
+        about = replace(about, surface=replace(about.surface, file=file.name, labels=names), support=support)
+        scene = OrganScene(about, file.parent, str(file))
+    if about.body.spacing or scene.surface is None:
+        return scene
+    spacing = np.cbrt(NODES_PER_CELL * abs(scene.surface.volume) / REFINED_NODES)
+    return scene.with_body(spacing=float(f"{spacing:.3g}"))
+
+
+def named_scene(
+    what: str, settings: Mapping[str, Any] | None = None, part: Sequence[str] | None = None, labels: Path | None = None
+) -> OrganScene:
+    """Return a scene of the package, of a scene file, or of a surface file as `refined_scene`.
+
+    Parameters
+    ----------
+    settings : mapping, optional
+        As for `palpate.open_scene`.
+    part, labels
+        Of a surface file, as for `surface_scene`.
+    """
+    if is_surface_file(what):
+        return refined_scene(surface_scene(what, part=tuple(part or ()), labels=labels, settings=settings))
+    for name, value in (("part", part), ("labels", labels)):
+        if value:
+            raise InputError(f"{name} must be left out unless a surface file is given, got {what!r:.60}")
+    return open_scene(what, settings)

@@ -73,7 +73,7 @@ def _parameters(law: CatalogueEntry, given: Mapping[str, Any]) -> dict[str, Any]
     for key, value in given.items():
         if key not in units:
             near = get_close_matches(str(key)[:60], units, 1)
-            remedy = f"did you mean {near[0]}?" if near else f"palpate laws {law.name} lists them"
+            remedy = f"did you mean {near[0]}?" if near else "palpate laws lists them"
             raise InputError(f"parameters must be {', '.join(units)} for {law.name}, got {key!r:.60}; {remedy}")
         values[key] = _number(key, value, units[key], key)
     return values

@@ -24,7 +24,7 @@ from palpate.surface.formats.names import (
 from palpate.surface.formats.plain import read_obj, read_off, read_stl, read_trian
 from palpate.surface.formats.ply import read_ply
 from palpate.surface.formats.vtk import read_vtk
-from palpate.surface.formats.vtp import read_vtp
+from palpate.surface.formats.vtp import read_vtp, space_of_vtp
 from palpate.surface.labels.label_map import LabelMap
 from palpate.surface.labels.listing import choice_of_labels
 from palpate.surface.labels.mask_surface import label_surface
@@ -176,6 +176,7 @@ def _read(
             raise FileFormatError("it must hold triangles, got none")
         names = list(parts) if part is None else matching_parts(list(parts), part)
         surfaces = _surfaces(parts, names, path.name)
+        space = space_of_vtp(data) if kind == "vtp" else _stated_space(data)
     except FileFormatError as error:
         raise FileFormatError(f"{path} cannot be read as {kind.upper()}: {error}") from error
     except InputError as error:
@@ -190,7 +191,7 @@ def _read(
     else:
         whole_name = path.name if part is None else f"{path.name}, part {names_text(names, 3)}"
         body = finish(join_parts(surfaces, whole_name))
-    return replace(body, space=_stated_space(data))
+    return replace(body, space=space)
 
 
 def _stated_space(data: bytes) -> str:

@@ -39,7 +39,7 @@ def test_a_template_without_its_values_raises(template):
         fill_template(template, REPORT)
 
 
-def test_names_of_a_person_are_no_templates():
+def test_names_of_a_person_are_not_templates():
     forces = {"left: {back}/1": 2.0}
     rows = named_rows("force of {!r}", "forces", "{value:.1f N}", forces)
     assert rows_of(rows, {"forces": forces}) == {"force of 'left: {back}/1'": ["2.0 N"]}

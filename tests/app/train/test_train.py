@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import multiprocessing
 import os
 import shutil
 import signal
@@ -172,7 +171,7 @@ def test_an_interrupt_keeps_finished_runs(tmp_path, capsys, monkeypatch):
     assert main(command(tmp_path / "interrupted")) == 130
     assert "1 of 5 runs are kept; the same command continues from there" in capsys.readouterr().err
     assert (tmp_path / "interrupted" / "runs" / RUNS[0]).exists()
-    assert not multiprocessing.active_children()
+    assert not children(os.getpid())
 
 
 @pytest.mark.slow

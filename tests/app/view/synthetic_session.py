@@ -15,6 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
+from palpate.app.view.session.messages import describe_tools
+
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 TOKEN = "synthetic"
 STIFFNESS = 400.0  # [N/m] of the indentation
@@ -165,6 +167,7 @@ class SyntheticSession:
             "viewers": len(self.viewers), "mode": "live", "vertices": len(self.rest),
             "triangles": len(self.triangles), "spacing": 0.004,
             "bounds": self.bounds.tolist(), "tools": ["sphere", "capsule", "grasp"], "tool": self.tool,
+            **describe_tools(["sphere", "capsule", "grasp"]),
             "scalars": [{"name": name, "unit": unit, "factor": factor, "signed": name == "pressure"}
                         for name, (unit, factor) in units.items()],
             "materials": [modulus],

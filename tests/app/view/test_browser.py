@@ -366,6 +366,9 @@ def test_every_control_has_an_accessible_name(opened):
 def test_the_panel_sends_the_chosen_values(opened, synthetic):
     tab = opened()
     tab.evaluate("document.querySelector('#kinds [value=capsule]').click()")
+    shown = "[...document.querySelectorAll('#sizes .slider:not([hidden]) input')]"
+    assert tab.wait(f"{shown}.map(e => e.ariaLabel)") == ["Radius", "Length"]  # as the tool declares them
+    tab.evaluate(f"(e => {{ e.value = 7; e.oninput(); e.onchange(); }})({shown}[0])")
     tab.evaluate("document.querySelector('#scalars [value=pressure]').click()")
     tab.wait("!document.getElementById('legend').hidden")
     slide = "(e => { e.value = 4; e.oninput(); e.onchange(); })(document.querySelector('#material-sliders input'))"
@@ -377,6 +380,7 @@ def test_the_panel_sends_the_chosen_values(opened, synthetic):
     tab.wait("[...document.querySelectorAll('.toast')].some(e => e.textContent.includes('run.h5'))")
     told = {message["type"]: message for message in synthetic.received}
     assert synthetic.tool["kind"] == "capsule"
+    assert synthetic.tool["radius"] == pytest.approx(0.007)
     assert told["show"]["scalar"] == "pressure"
     assert told["material"] == {"type": "material", "name": "shear modulus", "value": 4}
     assert told["speed"]["factor"] == 0.25

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from palpate import processes
 from palpate.app.view import compile_ahead as module
 from palpate.app.view.compile_ahead import compile_ahead
 from palpate.scenes.description import Tissue
@@ -14,7 +15,7 @@ def test_one_processor_starts_no_second_process(monkeypatch):
         raise AssertionError("a process was started")
 
     monkeypatch.setattr(module, "_processors", lambda: 1)
-    monkeypatch.setattr(module.subprocess, "Popen", start)
+    monkeypatch.setattr(processes.subprocess, "Popen", start)
     with compile_ahead(Tissue()) as wait:
         wait()
 
@@ -28,14 +29,14 @@ def test_the_engine_of_a_law_is_compiled_in_a_second_process(monkeypatch):
 
 def test_the_second_process_ends_with_the_first(monkeypatch):
     started = []
-    start = module.subprocess.Popen
+    start = processes.subprocess.Popen
 
     def popen(*arguments, **options):
         started.append(start(*arguments, **options))
         return started[0]
 
     monkeypatch.setattr(module, "_processors", lambda: 2)
-    monkeypatch.setattr(module.subprocess, "Popen", popen)
+    monkeypatch.setattr(processes.subprocess, "Popen", popen)
     with compile_ahead(Tissue()):
         assert started[0].poll() is None
     assert started[0].poll() is not None

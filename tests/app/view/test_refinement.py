@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import io
 import json
 import os
 import queue
@@ -28,11 +27,11 @@ from palpate.app.view.refinement import Refinement
 from palpate.app.view.server.frames import STATE
 from palpate.app.view.session.messages import validate_message
 from palpate.app.view.session.session import Session
-from palpate.app.view.training_process import LEAST_SHARE, Progress, TrainingProcess, refined_scene
+from palpate.app.view.training_process import LEAST_SHARE, Progress, TrainingProcess
 from palpate.faults import InputError
 from palpate.reduction.storage.models import save
 from palpate.scenes.open_scene import described_scene, open_scene, text_of_scene
-from palpate.scenes.surface_scene import surface_scene
+from palpate.scenes.surface_scene import refined_scene, surface_scene
 from palpate.scenes.training import training_scene
 
 GOOD, BAD = {"force": 0.07, "surface": 0.02}, {"force": 0.14, "surface": 0.02}
@@ -277,14 +276,14 @@ def test_a_session_without_refinement_refuses_it(site):
 
 
 def test_the_time_left_counts_the_training_after_the_runs():
-    seconds, stream = [0.0], io.StringIO()
-    progress = Progress(stream, lambda: seconds[0])
+    seconds, events = [0.0], []
+    progress = Progress(events.append, lambda: seconds[0])
     progress.phase("preparing")
     progress.runs(0.0, "0 of 4 runs")
     seconds[0] = 10.0
     progress.runs(0.25, "1 of 4 runs")
     progress.runs(0.5 * LEAST_SHARE, "too early")
-    first, begun, later, early = map(json.loads, stream.getvalue().splitlines())
+    first, begun, later, early = events
     assert [first["left"], begun["left"], early["left"]] == [None, None, None]
     assert later["left"] > 30.0  # three runs, and the training
 
@@ -349,14 +348,14 @@ def test_a_training_and_its_workers_end_with_a_killed_parent(scene, until):
         "from palpate.app.view.training_process import TrainingProcess\n"
         "process = TrainingProcess(open_scene(sys.argv[1]))\n"
         "for event in process.events():\n"
-        "    print(process._process.pid, event.get('phase'), flush=True)"
+        "    print(process._child.pid, event.get('phase'), flush=True)"
     )
     parent = subprocess.Popen([sys.executable, "-c", code, scene.name], stdout=subprocess.PIPE, text=True)
     for line in parent.stdout:
         pid, _, phase = line.partition(" ")
         if "runs" in phase:
             break
-    until(lambda: len(children(int(pid))) > 1)  # a worker, and the tracker of multiprocessing
+    until(lambda: children(int(pid)))
     group = {int(pid), *children(int(pid))}
     assert os.getpriority(os.PRIO_PROCESS, int(pid)) == 19
     parent.send_signal(signal.SIGKILL)

@@ -58,5 +58,5 @@ def test_each_parameter_of_a_kind_is_a_declared_number_with_a_usual_value_in_its
 @pytest.mark.parametrize("wrong", [-0.001, 0.0, np.nan, np.inf, "5 mm", None])
 def test_a_wrong_size_is_refused_by_name_with_its_range_and_what_to_give(name, wrong):
     for parameter in TOOLS[name].usual:
-        with pytest.raises(pt.InputError, match=rf"{parameter} of a \w+ must be .*, got .*; give .* in m"):
+        with pytest.raises(pt.InputError, match=rf"{parameter} of a \w+ must be .*, got .*; give .* \[m\]"):
             make_tool(name, {**TOOLS[name].usual, parameter: wrong})

@@ -10,7 +10,7 @@ import pytest
 
 import palpate as pt
 from palpate.dynamics.contact.tools import Forceps
-from palpate.dynamics.nodal.mass_tailoring import tailored_mass, without_nodes
+from palpate.dynamics.nodal.mass_tailoring import default_modes, tailored_mass, without_nodes
 from palpate.dynamics.nodal.stability import stiffness
 from palpate.realtime.bodies.full_body import step_statistics
 
@@ -46,30 +46,49 @@ def press(model, ways) -> tuple[np.ndarray, np.ndarray]:
     return np.array(forces), q.reshape(-1, 3)
 
 
-def test_the_fastest_modes_are_slower_and_no_other(block):
-    tailoring, highest = tailored_mass(block, block.fixed_mask, MODES)
-    basis, count = block.free_directions.toarray(), len(tailoring.shares)
-    assert count == MODES
-    operator = stiffness(block)  # M^-1 K of the free directions
-    shapes = np.zeros((3 * len(block.cloud), count))
-    for k in range(count):
+def dense_frequencies(body, tailoring) -> np.ndarray:
+    """Return all frequencies [rad/s] of a body at rest with the additional mass of the used shapes."""
+    basis, operator = body.free_directions.toarray(), stiffness(body)  # M^-1 K of the free directions
+    masses = basis.T @ np.repeat(body.masses, 3)[:, None]
+    shapes = basis.T @ dense_shapes(body, tailoring)[:, tailoring.used]
+    return np.sort(np.sqrt(np.linalg.eigvals(operator - shapes @ (shapes.T @ (masses * operator))).real))
+
+
+def dense_shapes(body, tailoring) -> np.ndarray:
+    shapes = np.zeros((3 * len(body.cloud), len(tailoring.used)))
+    for k in range(len(tailoring.used)):
         part = slice(*tailoring.start[k : k + 2])
         shapes[3 * tailoring.nodes[part, None] + np.arange(3), k] = tailoring.shapes[part]
-    masses = np.repeat(block.masses, 3)[:, None]
-    np.testing.assert_allclose(shapes.T @ (masses * shapes), np.eye(count), atol=2e-2)  # parts are left out
-    shapes, masses = basis.T @ shapes, basis.T @ masses
-    slowed = operator - shapes @ (tailoring.shares[:, None] * (shapes.T @ (masses * operator)))
-    before, after = (np.sort(np.sqrt(np.linalg.eigvals(each).real)) for each in (operator, slowed))
+    return shapes
+
+
+def test_the_fastest_modes_are_slower_and_no_other(block):
+    tailoring, highest = tailored_mass(block, block.fixed_mask, MODES)
+    plain, _ = tailored_mass(block, block.fixed_mask, 0)
+    assert len(tailoring.used) == MODES
+    before, after = (dense_frequencies(block, each) for each in (plain, tailoring))
     assert after[-1] < 0.9 * before[-1]
     assert highest == pytest.approx(after[-1], rel=0.03)
+    assert tailoring.plain_frequency == plain.plain_frequency == pytest.approx(before[-1], rel=0.03)
     np.testing.assert_allclose(after[:40], before[:40], rtol=1e-4)
+
+
+def test_local_shapes_add_the_mass_of_the_modes(block):
+    tailoring, highest = tailored_mass(block, block.fixed_mask, MODES)
+    shapes, shares = dense_shapes(block, tailoring), 1.0 - (highest / tailoring.frequencies) ** 2
+    products = shapes.T @ (np.repeat(block.masses, 3)[:, None] * shapes)
+    np.testing.assert_allclose(np.diag(tailoring.mixing @ tailoring.mixing.T), shares, atol=2e-2)
+    np.testing.assert_allclose(np.linalg.eigvalsh(products), np.sort(shares), atol=2e-2)  # parts are left out
+    assert np.linalg.eigvalsh(products).max() < 1.0  # so that the mass is positive definite
 
 
 def test_a_step_is_longer_and_an_equilibrium_the_same(block):
     ways = 0.004 * np.minimum(np.arange(1, 801) / 300, 1.0)
     plain, slowed = (pt.realtime_model(block, contact=ball(), tailored_modes=k) for k in (0, MODES))
     assert slowed.data.resting_frequency < 0.9 * plain.data.resting_frequency
-    assert step_statistics(slowed.data)["tailored_modes"] == MODES
+    statistics, rest = step_statistics(slowed.data), plain.data.resting_frequency
+    assert statistics["tailored_modes"] == MODES
+    assert statistics["step_gain"] == rest / slowed.data.resting_frequency
     (force, u), (other, w) = press(plain, ways), press(slowed, ways)
     assert step_statistics(slowed.data)["repeated"] == 0
     assert force[-100:, 2].mean() < -0.1
@@ -101,17 +120,53 @@ def test_modes_at_changed_nodes_are_left_out(block):
     tailoring, highest = tailored_mass(block, block.fixed_mask, MODES)
     changed = np.zeros(len(block.cloud), dtype=bool)
     assert without_nodes(tailoring, changed)[1] == 0.0
-    fastest = int(tailoring.frequencies.argmax())
-    part = slice(*tailoring.start[fastest : fastest + 2])
+    part = slice(*tailoring.start[:2])
     changed[tailoring.nodes[part][np.abs(tailoring.shapes[part]).sum(axis=1).argmax()]] = True
     left, frequency = without_nodes(tailoring, changed)
-    assert left.shares[fastest] == 0.0
-    assert frequency == tailoring.frequencies.max() > highest
+    assert not left.used[0]
+    assert highest < frequency <= tailoring.frequencies.max()
+    assert frequency == pytest.approx(dense_frequencies(block, left)[-1], rel=0.02)
+    assert without_nodes(tailoring, np.ones_like(changed))[1] == pytest.approx(tailoring.frequencies.max())
+
+
+def vibration_energies(body, modes) -> np.ndarray:
+    """Return energies [J] in means over 0.1 s, because velocities belong to the middles of steps, after a pull."""
+    model: Any = pt.realtime_model(body, contact=ball(), tailored_modes=modes)
+    pose = np.array([*HOME, 1.0, 0.0, 0.0, 0.0])
+    model.change_tool(Forceps(0.006, (0.015, 0.015, SIZE[2])), pose, 0.0)
+    q, v, report, energies = *np.zeros((2, len(model.rest))), np.zeros(20), []
+    for k in range(650):
+        if k == 50:
+            model.change_tool(None, pose, 0.0)
+        model.advance(model.data, q, v, np.array([0.0, 0.0, 1e-4 * k if k < 50 else 0.0, *np.zeros(9)]), PERIOD, report)
+        kinetic = 0.5 * body.masses @ np.sum(v.reshape(-1, 3) ** 2, axis=1)
+        energies.append(kinetic + body.strain_energy(q.reshape(-1, 3)))
+    assert step_statistics(model.data)["energy_gained"] == 0.0
+    return np.reshape(energies[50:], (6, 100)).mean(axis=1)
+
+
+def test_a_free_vibration_decays_as_without_modes(block):
+    free = pt.Solid(block.cloud, block.material, "z-")
+    expected, found = (vibration_energies(free, modes) for modes in (0, MODES))
+    assert np.all(np.diff(found) < 0.0)
+    np.testing.assert_allclose(found, expected, rtol=0.02)
+
+
+def test_bits_are_those_of_one_thread(block):
+    before, found = numba.get_num_threads(), []
+    for threads in (1, before):
+        numba.set_num_threads(threads)
+        model = pt.realtime_model(block, contact=ball(friction=0.3), tailored_modes=MODES)
+        found.append(press(model, 0.004 * np.sin(0.01 * np.arange(200)) ** 2))
+    numba.set_num_threads(before)
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_small_bodies_keep_their_mass_by_default(block):
     assert step_statistics(pt.realtime_model(block, contact=ball()).data)["tailored_modes"] == 0
-    assert not len(tailored_mass(block, block.fixed_mask, 0)[0].shares)
+    assert not len(tailored_mass(block, block.fixed_mask, 0)[0].used)
+    assert [default_modes(nodes) for nodes in (499, 500, 990, 1e6)] == [0, 20, 30, 40]
 
 
 def test_bodies_with_and_without_modes_share_compiled_code(block):

@@ -9,8 +9,9 @@ import pytest
 from label_files import blocks, nifti
 
 from palpate.faults import FileFormatError
+from palpate.surface.formats.names import LABEL_FORMATS, listed_formats
 from palpate.surface.labels.label_map import mask_of
-from palpate.surface.labels.reading import is_label_map, read_label_map
+from palpate.surface.labels.reading import READER_BY_FORMAT, is_label_map, read_label_map
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "labels"
 shared = pytest.mark.skipif(not DATA.is_dir(), reason="the data for developers are not here")
@@ -78,6 +79,11 @@ def test_names_of_a_file_replace_those_that_it_lacks(tmp_path):
     assert [each.name for each in labels.segments] == ["liver", "stomach"]
     assert labels.absent == ("aorta",)
     assert [each.name for each in read_label_map(tmp_path / "a.nii").segments] == ["label 1", "label 7"]
+
+
+def test_every_format_of_the_table_has_a_reader():
+    assert list(READER_BY_FORMAT) == list(LABEL_FORMATS)
+    assert all(name in listed_formats() for name in LABEL_FORMATS.values())
 
 
 def test_formats_are_told_by_their_suffixes(tmp_path):

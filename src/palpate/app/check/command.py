@@ -15,7 +15,7 @@ from palpate.app.common.arguments import option_names
 from palpate.app.common.console import Console
 from palpate.app.common.rendering import DrawingError, check_drawing
 from palpate.app.common.report import REPORTS, deliver, machine
-from palpate.app.common.rows import Rows, named_rows, quantities
+from palpate.app.common.rows import Rows, fill_template, named_rows, quantities
 from palpate.app.train.coverage import Coverage, draw_coverage
 from palpate.faults import InputError
 from palpate.files import check_folder, plain
@@ -33,19 +33,21 @@ from palpate.surface.surface import Surface
 __all__ = ["FILES", "check"]
 
 FILES = (*REPORTS, "surface.png", "cloud.png", "tool.png")
-NEAREST = "cloud/nearest_neighbour_over_spacing"
+NEAREST_ROW = "{KEYS/0:.2f} to {KEYS/4:.2f} spacings, median {KEYS/2:.2f}"
 CHECK_ROWS: Rows = {
     "vertices, triangles": "{surface/vertices}, {surface/triangles}",
     "parts, Euler number": "{surface/parts}, {surface/euler_number}",
     "size": "{surface/extents:.1f mm}",
     "area": "{surface/area:.4g cm^2}",
-    "volume; - if the surface is open": "{surface/volume:.4g litres}",
+    "volume": lambda report: (
+        "none, the surface is open"
+        if report["surface"]["volume"] is None
+        else fill_template("{surface/volume:.4g litres}", report)
+    ),
     "spacing": "{cloud/spacing:.3g mm}",
     "nodes": "{cloud/nodes}, {cloud/surface_nodes} of them on the surface",
     **{
-        f"nearest neighbour, {where}, in spacings; median": (
-            f"{{{NEAREST}/{where}/0:.2f}} to {{{NEAREST}/{where}/4:.2f}}; {{{NEAREST}/{where}/2:.2f}}"
-        )
+        f"nearest neighbour, {where}": NEAREST_ROW.replace("KEYS", f"cloud/nearest_neighbour_over_spacing/{where}")
         for where in ("surface", "inside")
     },
     "filled in": "{cloud/seconds:.2f s}",

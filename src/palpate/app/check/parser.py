@@ -4,17 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from palpate.app.common.arguments import Command, add_command, add_output, add_parameter, add_parts, existing_file
+from palpate.app.common.arguments import add_command, add_output, add_parameter, add_parts, existing_file
 from palpate.scenes.description import Body, Shape
 from palpate.surface.formats.names import listed_formats
 
 __all__ = ["add_check"]
-
-
-def _load() -> Command:
-    from palpate.app.check.command import check
-
-    return check
 
 
 def add_check(commands: Any) -> None:
@@ -22,7 +16,7 @@ def add_check(commands: Any) -> None:
     check = add_command(
         commands,
         "check",
-        _load,
+        "palpate.app.check.command:check",
         summary="examine the surface of an organ and fill it with nodes",
         description=f"Read a closed surface ({listed_formats()}), list its faults, and fill it with nodes if it has "
         "none. Leave a report with pictures in a folder. Of a scene file, also report supports, regions and what the "

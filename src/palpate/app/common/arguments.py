@@ -17,15 +17,13 @@ from unicodedata import category
 from palpate.app.common.exit_status import BAD_INPUT, one_line
 
 __all__ = [
-    "LOAD_KEY", "PARSER_KEY", "Command", "Parser", "add_command", "add_json", "add_output", "add_parameter",
+    "COMMAND_KEY", "PARSER_KEY", "Parser", "add_command", "add_json", "add_output", "add_parameter",
     "add_parts",
     "existing_file", "in_option_words", "number", "option_names", "parse_settings", "path", "split_settings",
     "suggestion", "unprintable_word", "whole",
 ]  # fmt: skip
 
-Command = Callable[..., int]  # takes the options by name, and returns the exit code
-
-LOAD_KEY, PARSER_KEY = " load", " parser"  # names that no option has
+COMMAND_KEY, PARSER_KEY = " command", " parser"  # names that no option has
 MAX_ARGUMENT_CHARACTERS, MAX_NAME_BYTES = 4095, 255  # characters; bytes of a name in a folder
 UNPRINTABLE_CATEGORIES = ("Cc", "Cs")  # categories of characters: controls, halves of surrogate pairs
 MAX_EXACT_INTEGER = 2**53  # whole numbers beyond are not exact in the reports
@@ -119,22 +117,22 @@ def suggestion(word: str, choices: Sequence[str]) -> str:
     return f"; did you mean {near[0]}?" if near else ""
 
 
-def add_command(commands: Any, name: str, load: Callable[[], Command], *, summary: str, description: str) -> Parser:
+def add_command(commands: Any, name: str, function: str, *, summary: str, description: str) -> Parser:
     """Add a command to those of a parser.
 
     Parameters
     ----------
     commands : subparsers
         As `argparse.ArgumentParser.add_subparsers` returns them.
-    load : function
-        Imports and returns the function that runs the command.
+    function : str
+        ``"module:function"`` that runs the command: it takes the options by name, and returns the exit code.
     summary : str
         Of a line, for the help of all commands.
     description : str
         For the help of this one.
     """
     parser: Parser = commands.add_parser(name, help=summary, description=description)
-    parser.set_defaults(**{LOAD_KEY: load, PARSER_KEY: parser})
+    parser.set_defaults(**{COMMAND_KEY: function, PARSER_KEY: parser})
     return parser
 
 

@@ -9,9 +9,10 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from typing import Any
 
-from palpate.app.common.arguments import LOAD_KEY, PARSER_KEY, Parser, in_option_words, unprintable_word
+from palpate.app.common.arguments import COMMAND_KEY, PARSER_KEY, Parser, in_option_words, unprintable_word
 from palpate.app.common.exit_status import (
     BAD_INPUT,
     DONE,
@@ -78,10 +79,10 @@ def _run(build_parser: Callable[[], Parser], words: Sequence[str]) -> int:
         if end.code:
             raise
         return DONE
-    if LOAD_KEY not in options:  # nothing but `palpate`
+    if COMMAND_KEY not in options:  # nothing but `palpate`
         parser.print_help()
         return DONE
-    return _call(options.pop(PARSER_KEY), options.pop(LOAD_KEY), options)
+    return _call(options.pop(PARSER_KEY), options.pop(COMMAND_KEY), options)
 
 
 def _complete(parser: Parser) -> int:
@@ -94,12 +95,13 @@ def _complete(parser: Parser) -> int:
     return DONE
 
 
-def _call(parser: Parser, load: Callable[[], Callable[..., int]], options: dict[str, Any]) -> int:
-    """Import and run a command."""
+def _call(parser: Parser, place: str, options: dict[str, Any]) -> int:
+    """Import and run a command, ``"module:function"``."""
     try:
         with _ending_at_interrupt():
-            command = load()
-        return command(**options)
+            module, function = place.split(":")
+            command = getattr(import_module(module), function)
+        return int(command(**options))
     except BrokenPipeError:
         raise
     except KeyboardInterrupt as interrupt:

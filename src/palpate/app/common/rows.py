@@ -2,7 +2,8 @@
 
 The template ``"{cloud/spacing:.3g mm} between {cloud/nodes} nodes"`` names values by their keys in the report, which
 are in SI units, and says with which digits and in which unit they are printed. A list is printed as ``1 x 2 x 3 mm``. A
-row is left out where the report has no such value, and is ``-`` where the value is None.
+row is left out where the report has no such value, and is ``-`` where the value is None. A function of the report
+may stand in place of a template; it raises `KeyError` where its value is missing.
 """
 
 from __future__ import annotations

@@ -18,6 +18,8 @@ __all__ = ["export"]
 def export(
     *,
     model: str,
+    part: Sequence[str] | None = None,
+    labels: Path | None = None,
     folder: Path | None = None,
     web: Path | None = None,
     name: str | None = None,
@@ -30,6 +32,8 @@ def export(
     ----------
     model : str
         As for `palpate.app.models.loader.open_model`.
+    part, labels
+        Of a surface file, as for `palpate.io.read_surface`.
     folder, name, targets, relaxed
         As for `palpate.export.folder.export_c`.
     web : path
@@ -45,7 +49,7 @@ def export(
         if name is not None or targets or relaxed:
             raise InputError("web must be alone, got an option of a library; leave name, target and relaxed out")
         check_new(web)
-        reduced, title = open_model(model, console)
+        reduced, title = open_model(model, console, part, labels)
         with console.status("compiling the step of the model (about a minute)"):
             written = export_web(reduced, web, title)
         _say(console, web, written)
@@ -54,7 +58,7 @@ def export(
         return 0
     assert folder is not None  # the parser requires one
     check_new(folder)
-    reduced, title = open_model(model, console)
+    reduced, title = open_model(model, console, part, labels)
     chosen = identifier(Path(model).stem) if name is None else name
     with console.status("compiling the step of the model (about a minute)"):
         written = export_c(

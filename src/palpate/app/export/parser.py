@@ -4,16 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from palpate.app.common.arguments import Command, add_command, path
+from palpate.app.common.arguments import add_command, add_parts, path
 from palpate.export.targets import TARGET_NAMES
 
 __all__ = ["add_export"]
-
-
-def _load() -> Command:
-    from palpate.app.export.command import export
-
-    return export
 
 
 def add_export(commands: Any) -> None:
@@ -21,15 +15,16 @@ def add_export(commands: Any) -> None:
     export = add_command(
         commands,
         "export",
-        _load,
+        "palpate.app.export.command:export",
         summary="compile a trained model to a library for C, C++ and Unity, or to a page for any web server",
         description="Compile the engine's step of a reduced model to a library without Python: objects, a shared "
         "library, a file of constants, a C header, a program that presses the organ at 1 kHz, and a C# file for "
         "Unity (--c). Or to a page on which a browser steps it (--web). See docs/howto/export.md.",
     )
     add = export.add_argument
-    text = "file of palpate train, a scene of palpate view, or a scene file"
+    text = "file of palpate train, a scene of palpate view, a scene file, or a surface file, whose model is trained"
     add("model", metavar="MODEL", help=text)
+    add_parts(export)
     text = "folder for a library and its sources in C; new or empty"
     target = export.add_mutually_exclusive_group(required=True)
     target.add_argument("--c", type=path, dest="folder", metavar="FOLDER", help=text)

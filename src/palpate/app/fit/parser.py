@@ -4,15 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from palpate.app.common.arguments import Command, add_command, add_output, existing_file, number, whole
+from palpate.app.common.arguments import add_command, add_output, existing_file, number, whole
 
 __all__ = ["add_fit"]
-
-
-def _load() -> Command:
-    from palpate.app.fit.command import fit_law
-
-    return fit_law
 
 
 def add_fit(commands: Any) -> None:
@@ -20,7 +14,7 @@ def add_fit(commands: Any) -> None:
     fit = add_command(
         commands,
         "fit",
-        _load,
+        "palpate.app.fit.command:fit_law",
         summary="find a law's parameters from measured curves",
         description="Fit a law to curves of nominal stress from CSV files with units. Leave a report with standard "
         "errors and the law's stability, and a picture, in a folder. See docs/fitting.md for the files.",

@@ -4,15 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from palpate.app.common.arguments import Command, add_command, add_json
+from palpate.app.common.arguments import add_command, add_json
 
 __all__ = ["add_laws"]
-
-
-def _load() -> Command:
-    from palpate.app.laws.command import laws
-
-    return laws
 
 
 def add_laws(commands: Any) -> None:
@@ -20,7 +14,7 @@ def add_laws(commands: Any) -> None:
     laws = add_command(
         commands,
         "laws",
-        _load,
+        "palpate.app.laws.command:laws",
         summary="list the material laws with their parameters, units and ranges",
         description="List every material law, law of fibres, relaxation and volumetric part: its energy, its "
         "parameters with units and ranges, and its source.",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from palpate.app.common.arguments import suggestion
@@ -13,24 +14,30 @@ from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import load
 from palpate.scenes.names import PACKAGE_SCENES
-from palpate.scenes.open_scene import open_scene
+from palpate.scenes.surface_scene import is_surface_file, named_scene
 from palpate.scenes.training import is_opened
 
 __all__ = ["open_model"]
 
 
-def open_model(what: str, console: Console) -> tuple[ReducedModel, str]:
+def open_model(
+    what: str, console: Console, part: Sequence[str] | None = None, labels: Path | None = None
+) -> tuple[ReducedModel, str]:
     """Return a model that takes a tool, and its title.
 
     Parameters
     ----------
     what : str
         A scene of `palpate.scenes.names.PACKAGE_SCENES` or a scene file: its trained model
-        (`palpate.app.models.trained`). Or a file of `palpate train`.
+        (`palpate.app.models.trained`). Or a surface file, likewise, or a file of `palpate train`.
+    part, labels
+        Of a surface file, as for `palpate.io.read_surface`.
     """
-    if is_opened(what):
-        scene = open_scene(what)
+    if is_opened(what) or is_surface_file(what):
+        scene = named_scene(what, None, part, labels)
         return _with_advice(trained_model(scene, console), console), scene.title
+    if part or labels:
+        raise InputError(f"part and labels must be left out unless a surface file is given, got {what!r:.60}")
     path = Path(what)
     if not path.suffix and not os.path.exists(path):  # False also for a name that is too long
         raise InputError(

@@ -14,6 +14,7 @@ from palpate.faults import CloudError, InputError
 from palpate.meshfree.cloud import box
 from palpate.scenes.names import is_scene_file
 from palpate.scenes.organ_scene import OrganScene
+from palpate.scenes.surface_scene import NODES_PER_CELL
 from palpate.tissue.materials import Material
 
 __all__ = [
@@ -24,7 +25,6 @@ __all__ = [
 TRAINED_NODES = 5000  # of the body of a trained model without a given spacing
 
 FINER_FACTOR, MAX_FINER_TRIALS = 0.8, 4  # factor of a guessed spacing that is too coarse for the tissue; how often
-NODES_PER_CELL = 1.45  # nodes over volume / spacing^3 in a filled organ
 STEP_PER_WAVE = 0.42  # stable step over the time of a pressure wave over a spacing: 0.35 to 0.47 on organs
 STEP_OVER_FORCE = 1.6  # time of a step over that of its force evaluation
 BUSY_SHARE = 0.6  # of the time, which the steps of a body in real time may take

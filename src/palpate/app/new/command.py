@@ -13,16 +13,20 @@ import numpy as np
 from palpate.app.common.arguments import option_names
 from palpate.app.common.console import Console, count_nodes
 from palpate.app.models.touch import TRAINED_NODES, fitting_scene, spacing_for
+from palpate.app.new.proposals import Proposals, propose
 from palpate.app.new.text import scene_text
 from palpate.faults import InputError
 from palpate.files import check_folder, whole_file, write_json
+from palpate.scenes.description import Support
 from palpate.scenes.names import is_scene_file
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.schema import scene_schema
 from palpate.scenes.surface_scene import is_surface_file, surface_scene
 from palpate.surface.checks import METRES_BY_UNIT
-from palpate.surface.labels.reading import is_label_map
+from palpate.surface.labels.label_map import choose_segments, segments_mask
+from palpate.surface.labels.listing import choice_of_labels
+from palpate.surface.labels.reading import is_label_map, read_label_map
 
 __all__ = ["new"]
 
@@ -69,9 +73,18 @@ def new(
         file, units=units, scale=scale, part=tuple(part or ()), spacing=spacing, law=law, fixed=tuple(fixed),
         labels=labels,
     )  # fmt: skip
+    proposals = None
+    if is_label_map(file):
+        scene, proposals = _with_proposals(scene, spacing, console)
     scene, guesses = _fitted(scene, spacing, console)
+    if proposals is not None:
+        guesses["reasons"] = {region.name: why for region, why in proposals.regions}
+        if not fixed:
+            guesses["reasons"] |= {support.name: why for support, why in proposals.supports}
+            guesses["support"] = "by what touches the organ in the label map"
     notes = [option_names(note) for note in scene.notes if "does not state its units" not in note]
-    text = scene_text(_placed(scene, out), guesses, notes, _schema(out))
+    alternatives = [(_placed_support(each, out), why) for each, why in proposals.alternatives] if proposals else []
+    text = scene_text(_placed(scene, out), guesses, notes, _schema(out), alternatives)
     _schema(out).parent.mkdir(exist_ok=True)
     write_json(_schema(out), scene_schema())
     with whole_file(out) as partial:
@@ -124,6 +137,23 @@ def _fitted(scene: OrganScene, spacing: float | None, console: Console) -> tuple
     return made, guesses
 
 
+def _with_proposals(scene: OrganScene, spacing: float | None, console: Console) -> tuple[OrganScene, Proposals]:
+    """Return the scene of an organ with what lies in it, and held by what touches it, and all proposals."""
+    about = scene.description
+    with console.status("searching the label map"):
+        labels = read_label_map(about.surface.file, about.surface.labels or None).scaled(about.surface.scale)
+        if not about.surface.parts and len(labels.segments) > 1:
+            raise choice_of_labels(labels)
+        organ = segments_mask(labels, choose_segments(labels, about.surface.parts or None))
+        target_spacing = spacing or spacing_for(TRAINED_NODES, organ.volume)
+        proposals = propose(labels, Path(about.surface.file), about.surface.parts, target_spacing)
+    regions = tuple(region for region, _ in proposals.regions)
+    supports = about.support or tuple(support for support, _ in proposals.supports)
+    shape = replace(about.surface, parts=proposals.parts)
+    about = replace(about, title=proposals.title, surface=shape, region=regions, support=supports)
+    return OrganScene(about, scene.folder, scene.name), proposals
+
+
 def _round(length: float) -> float:
     """Return a length [m] of two digits."""
     return float(f"{length:.2g}")
@@ -131,26 +161,28 @@ def _round(length: float) -> float:
 
 def _placed(scene: OrganScene, out: Path) -> OrganScene:
     """Return the scene with files relative to the folder of its scene file, if possible."""
-
-    def relative(file: str) -> str:
-        try:
-            return Path(os.path.relpath(file, out.parent)).as_posix()
-        except ValueError:  # on another drive
-            return Path(file).absolute().as_posix()
-
     about = scene.description
-    supports = tuple(
-        replace(
-            each, place=replace(each.place, painted=replace(each.place.painted, file=relative(each.place.painted.file)))
-        )
-        if each.place.painted
-        else each
-        for each in about.support
-    )
-    names = relative(about.surface.labels) if about.surface.labels else ""
-    surface = replace(about.surface, file=relative(about.surface.file), labels=names)
-    about = replace(about, surface=surface, support=tuple(supports))
+    names = _relative(about.surface.labels, out) if about.surface.labels else ""
+    surface = replace(about.surface, file=_relative(about.surface.file, out), labels=names)
+    about = replace(about, surface=surface, support=tuple(_placed_support(each, out) for each in about.support))
     return OrganScene(about, out.parent, str(out))
+
+
+def _placed_support(support: Support, out: Path) -> Support:
+    """Return a support whose file is relative to the folder of a scene file, if possible."""
+    place = support.place
+    if place.painted:
+        place = replace(place, painted=replace(place.painted, file=_relative(place.painted.file, out)))
+    if place.near:
+        place = replace(place, near=replace(place.near, file=_relative(place.near.file, out)))
+    return replace(support, place=place)
+
+
+def _relative(file: str, out: Path) -> str:
+    try:
+        return Path(os.path.relpath(file, out.parent)).as_posix()
+    except ValueError:  # on another drive
+        return Path(file).absolute().as_posix()
 
 
 def _schema(out: Path) -> Path:

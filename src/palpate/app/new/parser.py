@@ -5,17 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from palpate.app.common.arguments import Command, add_command, add_parameter, add_parts, existing_file, path
+from palpate.app.common.arguments import add_command, add_parameter, add_parts, existing_file, path
 from palpate.scenes.description import Body, Shape
 from palpate.surface.formats.names import listed_formats
 
 __all__ = ["add_new"]
-
-
-def _load() -> Command:
-    from palpate.app.new.command import new
-
-    return new
 
 
 def add_new(commands: Any) -> None:
@@ -23,7 +17,7 @@ def add_new(commands: Any) -> None:
     new = add_command(
         commands,
         "new",
-        _load,
+        "palpate.app.new.command:new",
         summary="write a scene file for the surface of an organ",
         description=f"Read a surface ({listed_formats()}), and write a scene file that works, with comments about what "
         "was guessed and why. Then palpate view, check, run and train take the scene file. See docs/scenes.md.",

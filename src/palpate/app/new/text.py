@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from palpate.scenes.description import Painted, Support
+from palpate.scenes.description import Painted, Place, Region, Support
 from palpate.scenes.organ_scene import OrganScene
 from palpate.tissue.liver import SHEAR_MODULUS
 
@@ -16,7 +16,13 @@ __all__ = ["scene_text"]
 LIVER_SOURCE = "mean of healthy livers: Yin et al., Clin. Gastroenterol. Hepatol. 5, 2007"
 
 
-def scene_text(scene: OrganScene, guesses: Mapping[str, Any], notes: Sequence[str], schema: Path) -> str:
+def scene_text(
+    scene: OrganScene,
+    guesses: Mapping[str, Any],
+    notes: Sequence[str],
+    schema: Path,
+    alternatives: Sequence[tuple[Support, str]] = (),
+) -> str:
     """Return the text of a scene file.
 
     Parameters
@@ -24,14 +30,18 @@ def scene_text(scene: OrganScene, guesses: Mapping[str, Any], notes: Sequence[st
     scene : OrganScene
         With all values in use.
     guesses : mapping
-        ``"units"``, ``"size"``, ``"nodes"``, ``"support"`` and ``"reach"`` in words.
+        ``"units"``, ``"size"``, ``"nodes"``, ``"support"`` and ``"reach"`` in words; ``"reasons"`` for regions and
+        supports by their names.
     notes : sequence of str
         Notes about the surface.
     schema : path
         File of the schema.
+    alternatives : sequence of pairs
+        Supports that can be chosen in place of those in use, and what they are.
     """
     about = scene.description
     shape, tissue, training = about.surface, about.tissue, about.training
+    reasons = guesses.get("reasons", {})
     relative = f"./{schema.parent.name}/{schema.name}"
     lines = [
         f"#:schema {relative}",
@@ -63,6 +73,7 @@ def scene_text(scene: OrganScene, guesses: Mapping[str, Any], notes: Sequence[st
         '# relaxation = { shares = [0.5], times = ["0.1 s"] }',
         '# fibres = { law = "Fibres", directions = [[1, 0, 0]], parameters = { k1 = "20 kPa", k2 = 5 } }',
         "",
+        *(line for region in about.region for line in _region(region, reasons)),
         "# [[region]]  # other tissue, such as a tumour; also a box, a painting, or a closed part of the file",
         '# place = { ball = { centre = ["10 mm", 0, 0], radius = "15 mm" } }',
         "# stiffness = 3",
@@ -70,7 +81,8 @@ def scene_text(scene: OrganScene, guesses: Mapping[str, Any], notes: Sequence[st
         f"# Supports decide the force more than anything else. {guesses['support'].capitalize()}.",
         '# Others: side = "x-", "z+", "lowest 15%"; plane, box, ball, painted = { file = "paint.ply" },',
         '# near = { file = "bone.stl", distance = "3 mm" }.',
-        *(line for support in about.support or (None,) for line in _support(support)),
+        *(line for support in about.support or (None,) for line in _support(support, reasons)),
+        *(f"# {line}" if line else "" for each, why in alternatives for line in _support(each, {each.name: why})),
         "# [[support]]  # ligaments or a bed of soft tissue",
         '# kind = "springs"',
         '# place = { side = "lowest 15%" }',
@@ -92,14 +104,34 @@ def scene_text(scene: OrganScene, guesses: Mapping[str, Any], notes: Sequence[st
     return "\n".join(lines)
 
 
-def _support(support: Support | None) -> list[str]:
-    if support is None:
-        place = 'side = "back"'
-    elif support.place.painted:
-        place = f"painted = {{ {_painted(support.place.painted)} }}"
+def _region(region: Region, reasons: Mapping[str, str]) -> list[str]:
+    lines = ["[[region]]" + _reason(region.name, reasons), f"name = {_text(region.name)}"]
+    return [*lines, f"place = {{ part = {_text(region.place.part)} }}", f"stiffness = {region.stiffness:g}", ""]
+
+
+def _support(support: Support | None, reasons: Mapping[str, str]) -> list[str]:
+    about = support or Support(place=Place(side="back"))
+    place, springs = about.place, about.kind == "springs"
+    if place.painted:
+        text = f"painted = {{ {_painted(place.painted)} }}"
+    elif place.near:
+        parts = ", ".join(map(_text, place.near.parts))
+        text = f"near = {{ file = {_text(place.near.file)}, parts = [{parts}] }}"
     else:
-        place = f"side = {_text(support.place.side)}"
-    return ["[[support]]", 'kind = "fixed"', f"place = {{ {place} }}", ""]
+        text = f"side = {_text(place.side)}"
+    return [
+        "[[support]]" + _reason(about.name, reasons),
+        *([f"name = {_text(about.name)}"] if about.name else []),
+        f"kind = {_text(about.kind)}",
+        f"place = {{ {text} }}",
+        *(["surface_only = true"] if about.surface_only and not springs else []),
+        *([f'stiffness = "{about.stiffness / 1e5:g} kPa/cm"  # an example: set yours'] if springs else []),
+        "",
+    ]
+
+
+def _reason(name: str, reasons: Mapping[str, str]) -> str:
+    return f"  # {reasons[name]}" if name in reasons else ""
 
 
 def _painted(paint: Painted) -> str:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any, cast
@@ -29,8 +30,9 @@ from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.errors import relative_errors
 from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.beam import DURATION, EVERY, beam
-from palpate.scenes.open_scene import open_scene
+from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.scene import Scene
+from palpate.scenes.surface_scene import named_scene
 
 __all__ = ["FILES", "run"]
 
@@ -41,7 +43,7 @@ RUN_ROWS: Rows = {
     "computing time": "{wall_seconds:.3g s}",
     "simulated time over computing time": "{real_time_factor:.3g}",
     "time steps": "{steps}",
-    "a step": "{seconds_per_step:.3g us}",
+    "a step": "{seconds_per_step: us}",
     "largest displacement": "{largest_displacement:.4g mm}",
     "energy balance, largest miss over largest work": "{energy_balance:.2%}",
 }
@@ -79,6 +81,8 @@ def run(*, scene: str, realtime: bool = False, **options: Any) -> int:
 def run_once(
     *,
     scene: str,
+    part: Sequence[str] | None = None,
+    labels: Path | None = None,
     spacing: float | None = None,
     load: float | None = None,
     poisson: float | None = None,
@@ -94,7 +98,9 @@ def run_once(
     Parameters
     ----------
     scene : str
-        As for `palpate.open_scene`. The run of the beam is the paper's (`palpate.scenes.beam.beam`).
+        As for `palpate.open_scene`, or a surface file. The run of the beam is the paper's (`palpate.scenes.beam.beam`).
+    part, labels
+        Of a surface file, as for `palpate.io.read_surface`.
     spacing : float, optional [m]
     load : float, optional [N]
         Of the paper's beam.
@@ -119,7 +125,8 @@ def run_once(
         raise InputError(f"load must be left out of {scene}, got {load:g}; change the loads in its file")
     console = Console()
     doubles = 6 if modes is None else 12
-    made = prepare(lambda: _scene(scene, settings, modes is not None), out, doubles, console)
+    named = partial(named_scene, part=part, labels=labels)
+    made = prepare(lambda: _scene(scene, settings, modes is not None, named), out, doubles, console)
     for name in FILES:  # of an earlier run: all files of a folder belong together
         (out / name).unlink(missing_ok=True)
     runs, reduced = {"full": _run(made, made.model, console, out / "full.h5")}, None
@@ -135,13 +142,13 @@ def run_once(
     return 0
 
 
-def _scene(name: str, settings: dict[str, Any], energy: bool) -> Scene:
+def _scene(name: str, settings: dict[str, Any], energy: bool, named: Callable[..., OrganScene]) -> Scene:
     """Return a scene for a single run, its model in the energy form if asked."""
     if name == PAPER_SCENE:
         scene = beam(**{key: _paper_value(key, value) for key, value in settings.items()})
         body = scene.model
         return replace(scene, model=Solid(body.cloud, body.material, body.supports, form="energy")) if energy else scene
-    opened = open_scene(name, settings)
+    opened = named(name, settings)
     loads, duration, every = opened.loads, opened.duration, opened.every
     if not opened.description.load:
         (loads, duration), every = opened.paths(PRESS_SEED), opened.description.training.every

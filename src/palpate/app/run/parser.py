@@ -4,17 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from palpate.app.common.arguments import Command, add_command, add_output, add_parameter, existing_file, number
+from palpate.app.common.arguments import add_command, add_output, add_parameter, add_parts, existing_file, number
 from palpate.scenes.description import Body, Tissue, Training
 from palpate.scenes.names import listed_scenes
 
 __all__ = ["add_run"]
-
-
-def _load() -> Command:
-    from palpate.app.run.command import run
-
-    return run
 
 
 def add_run(commands: Any) -> None:
@@ -22,7 +16,7 @@ def add_run(commands: Any) -> None:
     run = add_command(
         commands,
         "run",
-        _load,
+        "palpate.app.run.command:run",
         summary="run a scene, once or in real time, and report its cost",
         description="Run the full body of a scene under its loads, or under a press of its tool if it has none, and "
         "with --modes also a hyper-reduced model of that run. Leave the trajectories and a report in a folder. With "
@@ -30,8 +24,9 @@ def add_run(commands: Any) -> None:
         "again; the model is trained at the first start. Report how well the rate was kept, and the force on the tool.",
     )
     run.assignments["given"] = "--set"
+    add_parts(run)
     add = run.add_argument
-    text = f"{listed_scenes()}, or a scene file (organ.toml); a single run of the beam is the paper's"
+    text = f"{listed_scenes()}, a scene file (organ.toml), or a surface file; a single run of the beam is the paper's"
     add("scene", metavar="SCENE", help=text)
     text = "settings of the scene, such as spacing=5mm"
     add("--set", nargs="+", action="extend", default=[], dest="given", metavar="NAME=X", help=text)

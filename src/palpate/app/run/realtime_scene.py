@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,9 +19,9 @@ from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import load
 from palpate.scenes.description import Cut
-from palpate.scenes.open_scene import open_scene
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.scene_paths import MIN_RADIUS, touching_paths
+from palpate.scenes.surface_scene import named_scene
 
 __all__ = ["pressing_ball", "run_scene_realtime"]
 
@@ -38,6 +38,8 @@ def run_scene_realtime(
     *,
     scene: str,
     settings: Mapping[str, Any],
+    part: Sequence[str] | None = None,
+    labels: Path | None = None,
     model: Path | None = None,
     full: bool = False,
     cut: bool = False,
@@ -48,9 +50,11 @@ def run_scene_realtime(
     Parameters
     ----------
     scene : str
-        As for `palpate.open_scene`.
+        As for `palpate.open_scene`, or a surface file.
     settings : mapping
         Its settings.
+    part, labels
+        Of a surface file, as for `palpate.io.read_surface`.
     model : path, optional
         File of a reduced model of the scene. By default that of the scene, trained at the first use.
     full : bool
@@ -69,7 +73,7 @@ def run_scene_realtime(
     if full and model is not None:
         given = "--cut" if cut else "--full"
         raise InputError(f"model must be left out with {given}, got {str(model)!r}; leave out one of the two")
-    opened = open_scene(scene, settings)
+    opened = named_scene(scene, settings, part, labels)
     about: dict[str, Any] = {"full": True} if full else {"file": str(model_file(opened) if model is None else model)}
 
     def make(console: Console) -> tuple[Any, Poses, Contact | None]:

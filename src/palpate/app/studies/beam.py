@@ -29,7 +29,7 @@ from palpate.app.studies.figures import (
     percentage_of,
     seconds_of,
 )
-from palpate.app.studies.report import Claim, Finished
+from palpate.app.studies.report import COST_ROWS, Claim, Finished, cost_of
 from palpate.app.studies.study import HYPER_REDUCED, PROJECTED, Phase, Study
 from palpate.arrays import Floats
 from palpate.dynamics.nodal.model import NodalModel
@@ -82,10 +82,7 @@ def _quantities(study: Study, _number: int) -> dict[str, Any]:
     peak, middle = int(np.argmax(np.abs(tip))), int(np.argmin(np.abs(full.times - scene.duration / 2)))
     force = scene.loads[0].force  # type: ignore[union-attr]
     return {
-        "wall_seconds": full.wall_seconds,
-        "real_time_factor": scene.duration / full.wall_seconds,
-        "steps": int(full.steps[-1]),
-        "stiffness_damping": full.stiffness_damping,
+        **cost_of(full),
         "peak_tip_displacement": float(tip[peak]),
         "peak_tip_time": float(full.times[peak]),
         "energy_balance": float(np.abs(full.balance).max() / np.abs(full.external).max()),
@@ -95,9 +92,7 @@ def _quantities(study: Study, _number: int) -> dict[str, Any]:
 
 
 ROWS: Rows = {
-    "computing time": "{wall_seconds:.2f s}",
-    "simulated time over computing time": "{real_time_factor:.3g}",
-    "time steps": "{steps}",
+    **COST_ROWS,
     "largest displacement of the pulled end": "{peak_tip_displacement:.2f mm}",
     "support force at the largest load": "{reaction_at_peak:.4g N} for {load_at_peak:.4g N}",
     "energy balance, largest miss over largest work": "{energy_balance:.2%}",

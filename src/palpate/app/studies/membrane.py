@@ -38,7 +38,7 @@ from palpate.app.studies.figures import (
     seconds_of,
 )
 from palpate.app.studies.membrane_picture import draw_deflection
-from palpate.app.studies.report import Claim, Finished
+from palpate.app.studies.report import COST_ROWS, Claim, Finished, cost_of
 from palpate.app.studies.study import HYPER_REDUCED, PROJECTED, Phase, Study
 from palpate.arrays import Floats
 from palpate.dynamics.membrane.model import Membrane
@@ -106,10 +106,7 @@ def _quantities(study: Study, number: int) -> dict[str, Any]:
     peak, widest = int(np.argmax(size)), int(np.argmax(wrinkled))
     energy = max(np.abs(run.external).max(), (run.kinetic + run.strain).max())
     return {
-        "wall_seconds": run.wall_seconds,
-        "real_time_factor": float(run.times[-1] - run.times[0]) / run.wall_seconds,
-        "steps": int(run.steps[-1]),
-        "stiffness_damping": run.stiffness_damping,
+        **cost_of(run),
         "end_time": float(run.times[-1]),
         "tool_force_at_end": float(force[-1, 2]),
         "centre_deflection_at_end": float(deflection[cloud.group("centre")[0]]),
@@ -125,9 +122,7 @@ def _quantities(study: Study, number: int) -> dict[str, Any]:
 
 
 ROWS: Rows = {
-    "computing time": "{wall_seconds:.2f s}",
-    "simulated time over computing time": "{real_time_factor:.3g}",
-    "time steps": "{steps}",
+    **COST_ROWS,
     "tool force at the end": "{tool_force_at_end:.3f mN}",
     "largest tool force": "{peak_tool_force:.3f mN} at {peak_tool_force_time:.0f ms}",
     "deflection of the centre at the end": "{centre_deflection_at_end:.2f mm}",

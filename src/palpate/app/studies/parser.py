@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from palpate.app.common.arguments import Command, Parser, add_command, add_output, number, whole
+from palpate.app.common.arguments import Parser, add_command, add_output, number, whole
 
 __all__ = ["add_reproduce"]
 
@@ -19,12 +19,6 @@ def add_reproduce(commands: Any) -> None:
     examples = reproduce.add_subparsers(required=True, metavar="EXAMPLE")
     _add_beam(examples)
     _add_membrane(examples)
-
-
-def _load() -> Command:
-    from palpate.app.studies.reproduce import reproduce
-
-    return reproduce
 
 
 def _add_beam(examples: Any) -> None:
@@ -66,7 +60,13 @@ def _add_membrane(examples: Any) -> None:
 
 
 def _add_example(examples: Any, name: str, summary: str, description: str) -> Parser:
-    parser = add_command(examples, name, _load, summary=summary, description=f"{description} {LEAVES}")
+    parser = add_command(
+        examples,
+        name,
+        "palpate.app.studies.reproduce:reproduce",
+        summary=summary,
+        description=f"{description} {LEAVES}",
+    )
     parser.set_defaults(example=name)
     text = "numbers of modes of the reduced models"
     parser.add_argument("--modes", type=whole, nargs="+", default=MODES, metavar="M", help=text)

@@ -12,35 +12,31 @@ from palpate.app.common.console import Table, percent
 from palpate.app.common.report import machine
 from palpate.app.common.rows import Rows, quantities
 from palpate.app.studies.study import HYPER_REDUCED, PROJECTED, Study
+from palpate.dynamics.run.trajectory import Trajectory
 from palpate.files import plain
 from palpate.reduction.training.errors import relative_errors
 
-__all__ = ["Claim", "Finished", "build_report", "difference_of_forms", "tables"]
+__all__ = ["COST_ROWS", "Claim", "Finished", "build_report", "cost_of", "difference_of_forms", "tables"]
 
 SERIES_TITLES = {PROJECTED: "Projected models (the paper's)", HYPER_REDUCED: "Hyper-reduced models"}
 CLAIM_KEYS = {PROJECTED: "paper", HYPER_REDUCED: "paper_hyper_reduced"}
 COLUMNS = ("modes", "nodes", "displ.", "velocity", "energy", "force", "proj.", "s", "ratio", "steps", "us/step")
+COST_ROWS: Rows = {
+    "computing time": "{wall_seconds:.2f s}",
+    "simulated time over computing time": "{real_time_factor:.3g}",
+    "time steps": "{steps}",
+}
 BACK_AT_REST = 0.9  # share of the run after which the load is small and the body swings about rest
 MIN_GROWTH = 1.5  # of the difference of the two forms after that, which is then one of phase
 
 
 @dataclass(frozen=True)
 class Finished:
-    """Results of the reduced runs that were finished, by number of modes, ascending.
+    """Results of the reduced runs that were finished, by number of modes, ascending."""
 
-    Parameters
-    ----------
-    errors : dict of int to float
-        Of the displacement, (34).
-    ratios : dict of int to float
-        Computing time over the full model's.
-    seconds : dict of int to float
-        Computing time.
-    """
-
-    errors: dict[int, float]
-    ratios: dict[int, float]
-    seconds: dict[int, float]
+    errors: dict[int, float]  # of the displacement, (34)
+    ratios: dict[int, float]  # computing time over the full model's
+    seconds: dict[int, float]  # computing time [s]
 
     def time_per_mode(self) -> tuple[float, float]:
         """Return the slope [s] of a straight line through the times over the modes, and how well it fits, R^2."""
@@ -53,28 +49,14 @@ class Finished:
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim of the paper, which the reduced models of each series are held to.
-
-    Parameters
-    ----------
-    text : str
-        The claim, and how its words are read where it has no numbers.
-    judge : function
-        Returns the result here as a text, and whether the claim holds.
-    modes : tuple of int
-        Numbers of modes that the judgement needs.
-    more : bool
-        Whether it needs a larger model than these, too.
-    sizes : int
-        Least number of models that it needs.
-    """
+    """A claim of the paper, to which the reduced models of each series are held."""
 
     figure: str
-    text: str
-    judge: Callable[[Finished], tuple[str, bool]]
-    modes: tuple[int, ...] = ()
-    more: bool = False
-    sizes: int = 0
+    text: str  # the claim, and how its words are read where it has no numbers
+    judge: Callable[[Finished], tuple[str, bool]]  # returns the result here, and whether the claim holds
+    modes: tuple[int, ...] = ()  # numbers of modes that the judgement needs
+    more: bool = False  # whether it needs a larger model than these, too
+    sizes: int = 0  # least number of models that it needs
 
     def entry(self, done: Finished) -> dict[str, Any]:
         """Return the claim, the result and whether it holds; None where no run tests it."""
@@ -89,6 +71,16 @@ class Claim:
         """Models without which the claim is not judged."""
         sizes = f"{' and '.join(map(str, self.modes))} modes" if self.modes else f"{self.sizes} sizes"
         return f"{sizes} and more" if self.more else sizes
+
+
+def cost_of(run: Trajectory) -> dict[str, Any]:
+    """Return the time and the steps of a full run."""
+    return {
+        "wall_seconds": run.wall_seconds,
+        "real_time_factor": float(run.times[-1] - run.times[0]) / run.wall_seconds,
+        "steps": int(run.steps[-1]),
+        "stiffness_damping": run.stiffness_damping,
+    }
 
 
 def build_report(

@@ -38,7 +38,7 @@ __all__ = [
     "run_reduced",
 ]
 
-Train = Callable[[NodalModel, Trajectory, int], Model]
+Train = Callable[[NodalModel, Trajectory, int], Model]  # of a full model, its run over a phase and a number of modes
 
 PROJECTED, HYPER_REDUCED = "projected", "hyper-reduced"  # names of series: `palpate.galerkin`, `palpate.hyper_reduce`
 
@@ -47,33 +47,18 @@ SHOWN_MODES = 8  # the reduced model that figures compare with the full one: the
 
 @dataclass(frozen=True)
 class Phase:
-    """A part of a run that has reduced models of its own.
-
-    Parameters
-    ----------
-    start, duration : float [s]
-    step : float, optional [s]
-        Time step of the projected runs; by default the one that `palpate.rollout` chooses.
-    title : str
-        What happens in it, for figures.
-    """
+    """A part of a run that has reduced models of its own."""
 
     name: str
-    start: float
-    duration: float
-    step: float | None = None
-    title: str = ""
+    start: float  # [s]
+    duration: float  # [s]
+    step: float | None = None  # [s] of the projected runs; None for the one that `palpate.rollout` chooses
+    title: str = ""  # what happens in it, for figures
 
 
 @dataclass(frozen=True)
 class Shown:
-    """The reduced runs of a series that figures compare with the full ones.
-
-    Parameters
-    ----------
-    runs : list of Trajectory
-        One for every phase.
-    """
+    """The reduced runs of a series, one for every phase, that figures compare with the full ones."""
 
     modes: int
     runs: list[Trajectory]
@@ -81,45 +66,21 @@ class Shown:
 
 @dataclass
 class Study:
-    """Models to run, and their results.
-
-    Parameters
-    ----------
-    phases : sequence of Phase
-        One after the other; together they are the scene's whole run.
-    series : mapping of str to functions
-        Kinds of reduced models by name: of a full model, its run over a phase and a number of modes, each returns the
-        reduced model.
-    form : str
-        Form of the equations, of an example that has several.
-    file : str
-        Name of the full run's file.
-    fields : dict of str to (f, n) arrays
-        More of the full run, next to displacements and velocities: stresses and states by name.
-    singular_values : list of (r,) arrays
-        Of the snapshots behind the modes of every phase.
-    parts : list of Trajectory
-        Runs of the full model, one for every phase.
-    full : Trajectory
-        The same joined.
-    reduced : list of dict
-        One for every series and number of modes: ``"series"``, ``"modes"``, ``"failed"``, for every phase its entry in
-        ``"phases"``, and those of the whole run in ``"joined"``.
-    shown : dict of str to Shown
-        By series; without those of which no run was finished.
-    """
+    """Models to run, and their results."""
 
     scene: Scene
-    phases: Sequence[Phase]
-    series: Mapping[str, Train]
-    form: str = ""
-    file: str = "full.h5"
-    fields: dict[str, Floats] = field(default_factory=dict)
-    singular_values: list[Floats] = field(default_factory=list)
-    parts: list[Trajectory] = field(default_factory=list)
+    phases: Sequence[Phase]  # one after the other; together they are the scene's whole run
+    series: Mapping[str, Train]  # kinds of reduced models by name
+    form: str = ""  # of the equations, of an example that has several
+    file: str = "full.h5"  # of the full run
+    fields: dict[str, Floats] = field(default_factory=dict)  # stresses and states (f, n) of the full run, by name
+    singular_values: list[Floats] = field(default_factory=list)  # of the snapshots behind the modes of every phase
+    parts: list[Trajectory] = field(default_factory=list)  # runs of the full model, one for every phase
+    # one for every series and number of modes: "series", "modes", "failed", for every phase its entry in "phases", and
+    # those of the whole run in "joined"
     reduced: list[dict[str, Any]] = field(default_factory=list)
-    shown: dict[str, Shown] = field(default_factory=dict)
-    full: Trajectory = field(init=False)
+    shown: dict[str, Shown] = field(default_factory=dict)  # by series; without those of which no run was finished
+    full: Trajectory = field(init=False)  # the parts joined
 
     @property
     def title(self) -> str:

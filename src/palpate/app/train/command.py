@@ -3,37 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from palpate.app.common.arguments import parse_settings, split_settings
 from palpate.app.common.console import Console
 from palpate.app.common.exit_status import DONE, UNTRUSTED, complain
 from palpate.app.train.campaign import Campaign, Round
-from palpate.app.train.choose import CANDIDATES_PER_RUN
 from palpate.app.train.cluster import check_dask
-from palpate.app.train.folder import MAX_PATHS, manifest_of, open_campaign
+from palpate.app.train.folder import manifest_of, open_campaign
 from palpate.app.train.paths import add_recording
 from palpate.app.train.report import report_campaign
-from palpate.app.train.scene_folder import name_in_folder, training_folder
-from palpate.faults import InputError, integer_in_range, number_in_range
+from palpate.app.train.scene_folder import is_file, name_in_folder, training_folder
+from palpate.faults import InputError, integer_in_range
 from palpate.files import check_folder
 from palpate.scenes.description import Training
-from palpate.scenes.names import is_scene_file
-from palpate.scenes.open_scene import open_scene
+from palpate.scenes.open_scene import DESCRIPTION_KEY, text_of_scene
+from palpate.scenes.surface_scene import is_surface_file, named_scene
 from palpate.scenes.training import is_opened, search_current_folder, training_scene
 
 __all__ = ["train"]
 
 DEFAULT_OUT = Path("out/train")
 USER_DEFAULTS = Training(paths=64, held_out=8, modes=24)  # of a scene that is a user's function
-MAX_SEED = 1_000_000
 MAX_WORKERS = 1024
-MAX_MODES = 1000
 
 
 def train(
     *,
     scene: str,
+    part: Sequence[str] | None = None,
+    labels: Path | None = None,
     given: Sequence[str] = (),
     paths: int | None = None,
     held_out: int | None = None,
@@ -52,7 +53,10 @@ def train(
     Parameters
     ----------
     scene : str
-        As for `palpate.scenes.training.training_scene`; a module is looked for in the current folder, too.
+        As for `palpate.scenes.training.training_scene`; a module is looked for in the current folder, too. Or a
+        surface file.
+    part, labels
+        Of a surface file, as for `palpate.io.read_surface`.
     given : sequence of str
         Its parameters as ``"name=value"``.
     paths, held_out : int, optional
@@ -82,31 +86,24 @@ def train(
     int
         0, also if some runs failed; 3 if the errors on the held-out runs are too large to use the model.
     """
-    if is_opened(scene):
+    if is_opened(scene) or is_surface_file(scene):
         settings = parse_settings(given)
-        opened = open_scene(scene, settings)
+        opened = named_scene(scene, settings, part, labels)
         defaults = opened.description.training
         if out is None:
-            out = training_folder(opened) if is_scene_file(scene) else DEFAULT_OUT
+            out = training_folder(opened) if is_file(scene) else DEFAULT_OUT
+        if is_surface_file(scene):  # workers open it by its description
+            scene, settings = opened.name, {DESCRIPTION_KEY: text_of_scene(opened)}
     else:
         settings = split_settings(given)  # converted to the types of the function's defaults
         defaults, out = USER_DEFAULTS, DEFAULT_OUT if out is None else out
-    paths = defaults.paths if paths is None else paths
-    held_out = defaults.held_out if held_out is None else held_out
-    seed = defaults.seed if seed is None else seed
     more_modes = modes is None
-    modes = defaults.modes if modes is None else modes
-    tolerance = defaults.tolerance if tolerance is None else tolerance
-    seed = integer_in_range("seed", seed, 0, MAX_SEED)
-    paths = integer_in_range("paths", paths, 1, MAX_PATHS // CANDIDATES_PER_RUN)
-    held_out = integer_in_range("held_out", held_out, 0, MAX_PATHS)
-    if tolerance is not None:
-        tolerance = number_in_range("tolerance", tolerance, 0.0, 1.0, open_low=True)
-        if not held_out:
-            raise InputError("held_out must be at least 1 with --tolerance, got 0; the errors are of held-out runs")
-    modes = integer_in_range("modes", modes, 1, MAX_MODES)
-    if cubature is not None:
-        cubature = number_in_range("cubature", cubature, 0.0, 1.0)
+    sizes: dict[str, Any] = {
+        "paths": paths, "held_out": held_out, "seed": seed, "modes": modes, "tolerance": tolerance
+    }  # fmt: skip
+    chosen = replace(defaults, **{name: value for name, value in sizes.items() if value is not None})
+    if chosen.tolerance is not None and not chosen.held_out:
+        raise InputError("held_out must be at least 1 with --tolerance, got 0; the errors are of held-out runs")
     if cluster is not None:
         check_dask()
         if workers is not None:
@@ -118,16 +115,18 @@ def train(
         if ":" in scene:
             search_current_folder()
         made = training_scene(scene, settings)
-    with open_campaign(out, manifest_of(name_in_folder(scene, out), made, seed)) as campaign_folder:
+    with open_campaign(out, manifest_of(name_in_folder(scene, out), made, chosen.seed)) as campaign_folder:
         for recording in more:
             add_recording(campaign_folder, made, recording)
-        campaign = Campaign(campaign_folder, made, console, modes, cubature, workers, cluster)
+        campaign = Campaign(campaign_folder, made, console, chosen.modes, cubature, workers, cluster)
         rounds: list[Round] = []
-        if tolerance is None:
-            jobs = campaign.jobs(range(paths), held_out)
+        if chosen.tolerance is None:
+            jobs = campaign.jobs(range(chosen.paths), chosen.held_out)
             model = campaign.train(jobs)
         else:
-            jobs, model, rounds = campaign.train_to_tolerance(tolerance, paths, held_out, more_modes)
+            jobs, model, rounds = campaign.train_to_tolerance(
+                chosen.tolerance, chosen.paths, chosen.held_out, more_modes
+            )
         supports = campaign.support_study(jobs)
         report_campaign(campaign_folder, made, jobs, model, campaign.seconds, rounds, supports, as_json)
     if "advice" in model.report:

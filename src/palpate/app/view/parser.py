@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from palpate.app.common.arguments import (
-    Command,
     Parser,
     add_command,
     add_json,
@@ -23,31 +22,19 @@ from palpate.surface.formats.names import listed_formats
 __all__ = ["add_replay", "add_view"]
 
 
-def _load_view() -> Command:
-    from palpate.app.view.command import view
-
-    return view
-
-
-def _load_replay() -> Command:
-    from palpate.app.view.replay_command import replay
-
-    return replay
-
-
 def add_view(commands: Any) -> None:
     """Add the command ``palpate view`` to those of a parser."""
     view = add_command(
         commands,
         "view",
-        _load_view,
+        "palpate.app.view.command:view",
         summary="press and pull a body on a page in the browser",
         description="Show a body in real time on a page, where a tool presses, grasps and pulls it. See docs/view.md.",
     )
     add = view.add_argument
     text = (
-        f"a surface file ({listed_formats()}), whose full body is touched at once; a scene ({listed_scenes()}); or the "
-        "file of a reduced model, such as model.rom of palpate train"
+        f"a surface file or label map ({listed_formats()}), whose full body is touched at once; a scene "
+        f"({listed_scenes()}); or the file of a reduced model, such as model.rom of palpate train"
     )
     add("what", metavar="SCENE|FILE", help=text)
     _add_surface(view)
@@ -83,7 +70,8 @@ def _add_surface(parser: Parser) -> None:
     add("--set", nargs="+", action="extend", default=[], dest="given", metavar="NAME=X", help=text)
     text = (
         "part that is held: x-, x+, y-, y+, z-, z+, back, 'lowest 15%%', 'near X,Y,Z,R' in mm or 'painted FILE'; may "
-        "be repeated (default: back, the side away from the first view)"
+        "be repeated (default: back, the side away from the first view); of a label map also left, right, front, rear, "
+        "head, feet"
     )
     add("--fixed", action="append", default=[], metavar="WHERE", help=text)
 
@@ -93,7 +81,7 @@ def add_replay(commands: Any) -> None:
     replay = add_command(
         commands,
         "replay",
-        _load_replay,
+        "palpate.app.view.replay_command:replay",
         summary="show or export what palpate view has recorded",
         description="Show a recording on a page, draw it, or run its tool's path on the full model. See docs/view.md.",
     )

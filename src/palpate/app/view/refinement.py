@@ -11,10 +11,11 @@ from typing import Any, Protocol
 from palpate.app.common.console import Console, percent
 from palpate.app.models.trained import training_folder
 from palpate.app.view.session.session import Session
-from palpate.app.view.training_process import TrainingProcess, refined_scene
+from palpate.app.view.training_process import TrainingProcess
 from palpate.faults import InputError
 from palpate.reduction.storage.models import load
 from palpate.scenes.organ_scene import OrganScene
+from palpate.scenes.surface_scene import refined_scene
 
 __all__ = ["MAX_FORCE_ERROR", "MAX_SURFACE_ERROR", "Refinement"]
 

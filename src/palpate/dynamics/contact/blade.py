@@ -102,7 +102,6 @@ class Scalpel(Blade):
 
     edge: Floats = field(init=False, repr=False)
     height: float = field(init=False, repr=False)
-    sharp: bool = field(init=False, repr=False, default=True)
     length: float = parameter("m", help="length of the edge", above=0.0)
 
     def __post_init__(self) -> None:

@@ -480,6 +480,9 @@ def nodal_period(formulation: Formulation) -> Any:
         if count > MAX_STEPS:
             count = MAX_STEPS
             behind = count * step - period
+        if count == 0:
+            clock[KINETIC_ENERGY], clock[NEXT_BEHIND] = kinetic_energy(nodes, velocity), behind + period
+            return 0
         _drift_blocks(sites.kind, nodes, scratch.damped, scratch.surface, 0.0, damping.beta, u, velocity, data.sums)
         reach = contacts.tool_radius[0] + contacts.search_gap + contacts.patch_radius
         way = _way_since_list(data, u, reach + max(clock[NEAR_MARGIN], 0.0))

@@ -17,9 +17,10 @@ from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.supports import FREE
 from palpate.dynamics.material.relaxation import history_copy
 from palpate.dynamics.nodal.central_difference import Damping
-from palpate.dynamics.nodal.mass_tailoring import DEFAULT_MODES, MAX_MODES, MIN_NODES, PROBE, tailored_mass
+from palpate.dynamics.nodal.mass_tailoring import MAX_MODES, PROBE, default_modes, tailored_mass
 from palpate.dynamics.nodal.model import NodalModel, nodal_data
 from palpate.dynamics.nodal.period import (
+    BASE_FREQUENCY,
     BLOCK_NODES,
     FREQUENCY,
     GAINED,
@@ -27,6 +28,7 @@ from palpate.dynamics.nodal.period import (
     LOST,
     NEAR_MARGIN,
     REPEATED,
+    STEP,
     ContactReport,
     NodalPeriodData,
     nodal_period,
@@ -59,13 +61,15 @@ def full_period(
     sites, contacts = prepared.with_scratch()
     n = len(model.cloud)
     if tailored_modes is None:
-        tailored_modes = DEFAULT_MODES if isinstance(model, Solid) and n >= MIN_NODES else 0
+        damped = isinstance(model, Solid) and model.stiffness_damping > 0.0  # else no motion of fast modes decays
+        tailored_modes = default_modes(n) if damped else 0
     tailored_modes = integer_in_range("tailored_modes", tailored_modes, 0, MAX_MODES)
     tailoring, frequency = tailored_mass(model, prepared.constraint_mask(0.0), tailored_modes)
     if len(sites.foundation_node):
         response = 1.0 / (model.volumes[sites.foundation_node] * model.material.density)
-        springs = np.bincount(sites.foundation_node, sites.foundation_spring * response, minlength=n).max()
-        frequency = float(np.hypot(frequency, np.sqrt(springs)))
+        springs = np.sqrt(np.bincount(sites.foundation_node, sites.foundation_spring * response, minlength=n).max())
+        frequency = float(np.hypot(frequency, springs))
+        tailoring = tailoring._replace(plain_frequency=float(np.hypot(tailoring.plain_frequency, springs)))
     path = np.zeros((6, 3, 4))
     rotation(prepared.schedule(np.zeros(1)).poses[0, 0], path[HOME])
     path[START], path[END], contacts.frames[0, 1] = path[HOME], path[HOME], path[HOME]
@@ -80,7 +84,7 @@ def full_period(
         contacts=contacts,
         grip=empty_grip(n),
         scratch=work.step,
-        clock=np.array([0.0, model.stability.step, frequency, *np.zeros(11), -1.0, 0.0, frequency]),
+        clock=_clock_at_rest(model.stability.step, frequency),
         sums=np.zeros((-(-n // BLOCK_NODES), 5)),
         secant=np.zeros((5, 3)),
         tool_force=np.zeros(12),
@@ -109,6 +113,14 @@ def full_period(
     return nodal_period(model.formulation), data
 
 
+def _clock_at_rest(step: float, frequency: float) -> Floats:
+    """Return `NodalPeriodData.clock` for a step [s] and the highest frequency [rad/s] at rest."""
+    clock = np.zeros(BASE_FREQUENCY + 1)
+    clock[STEP], clock[FREQUENCY], clock[BASE_FREQUENCY] = step, frequency, frequency
+    clock[NEAR_MARGIN] = -1.0
+    return clock
+
+
 def step_statistics(data: NodalPeriodData) -> dict[str, float]:
     """Return how a full body was stepped since rest.
 
@@ -116,13 +128,15 @@ def step_statistics(data: NodalPeriodData) -> dict[str, float]:
     -------
     dict
         ``"step_share"``: present step over that at rest; ``"tailored_modes"``: number of modes with more mass;
+        ``"step_gain"``: step at rest over that without them;
         ``"repeated"``: number of periods that were repeated with shorter steps; ``"held"``: number of periods in which
         the tool was held or late; ``"energy_gained"``: gain of energy that shorter steps did not cure [J].
     """
     clock = data.clock
     return {
         "step_share": float(data.resting_frequency / clock[FREQUENCY]),
-        "tailored_modes": int(np.count_nonzero(data.tailoring.shares)),
+        "tailored_modes": int(np.count_nonzero(data.tailoring.used)),
+        "step_gain": float(data.tailoring.plain_frequency / data.resting_frequency),
         "repeated": int(clock[REPEATED]),
         "held": int(clock[HELD]),
         "energy_gained": float(clock[GAINED]),

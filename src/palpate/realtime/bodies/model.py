@@ -154,9 +154,9 @@ def realtime_model(
     period : float [s]
         Of a linear model. The first step with another period computes a matrix exponential.
     tailored_modes : int, optional
-        Number of the fastest modes of a full body that get more mass, so that its steps are 1.3 to 2 times as long;
-        0 for steps as those of `rollout`. By default 20 for a solid of at least 500 nodes. Equilibria and all
-        other modes are unchanged (`palpate.dynamics.nodal.mass_tailoring`).
+        Number of the fastest modes of a full body that get more mass, so that its steps are 1.4 to 2 times as long;
+        0 for steps as those of `rollout`. By default 20 to 40 for a solid of at least 500 nodes with stiffness damping.
+        Equilibria and all other modes are unchanged (`palpate.dynamics.nodal.mass_tailoring`).
 
     Raises
     ------

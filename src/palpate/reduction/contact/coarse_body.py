@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from scipy.spatial import cKDTree
 from palpate.arrays import Ints
 from palpate.dynamics.loads.supports import Roller, Support
 from palpate.dynamics.nodal.model import NodalModel
+from palpate.dynamics.solid.base import Solid
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import CloudError, InputError, number_in_range
 from palpate.meshfree.cloud import Cloud
@@ -30,7 +32,7 @@ SURFACE_SHARE = 0.95  # surface nodes of `fill` over area / spacing^2, less the 
 FINER_FACTOR = 0.9  # factor on a spacing that is too coarse for thin parts of the body
 
 
-def coarse_body(body: NodalModel, spacing: float | None = None, most: int = MAX_NODES) -> EnergySolid:
+def coarse_body(body: Solid, spacing: float | None = None, most: int = MAX_NODES) -> EnergySolid:
     """Return a model of the same body with a larger spacing.
 
     The law, regions, fibres, stiffness factors, density, relaxation and damping are those of the nearest nodes.
@@ -39,8 +41,7 @@ def coarse_body(body: NodalModel, spacing: float | None = None, most: int = MAX_
 
     Parameters
     ----------
-    body : NodalModel
-        A solid.
+    body : Solid
         Its cloud has boundary triangles that form a closed surface, as `palpate.fill` and `palpate.box` return them.
     spacing : float, optional [m]
         By default that of about 3,000 nodes; smaller where the body has thin parts.
@@ -51,6 +52,8 @@ def coarse_body(body: NodalModel, spacing: float | None = None, most: int = MAX_
     try:
         if body.planes:
             raise InputError("planes of symmetry cut the surface")
+        if len(body.cut_surface.triangles):
+            raise InputError("the body is cut")
         if not len(cloud.triangles):
             raise InputError("its cloud has no boundary triangles")
         coarse = _refill(Surface(cloud.points, cloud.triangles, "body"), spacing, most)
@@ -70,7 +73,7 @@ def statics_body(body: NodalModel) -> EnergySolid | None:
     4.9 % with its own statics, and by 6.3 % with those of 3,000 nodes.
     """
     large = len(body.cloud) > MAX_NODES and not body.kinematics.sheet
-    return coarse_body(body, most=MAX_NODES) if large else None
+    return coarse_body(cast(Solid, body), most=MAX_NODES) if large else None
 
 
 def _refill(surface: Surface, spacing: float | None, most: int) -> Cloud:

@@ -17,7 +17,7 @@ from palpate.arrays import Floats, Ints
 from palpate.faults import FileFormatError
 from palpate.surface.formats.common import Parts, check_indices, fans, printable_word, read_count, read_numbers, strips
 
-__all__ = ["read_vtp"]
+__all__ = ["read_vtp", "space_of_vtp"]
 
 NUMPY_TYPES = {
     "Int8": "i1", "UInt8": "u1", "Int16": "i2", "UInt16": "u2", "Int32": "i4", "UInt32": "u4", "Int64": "i8",
@@ -45,6 +45,7 @@ class _VtpFile:
     attributes: dict[str, str] = field(default_factory=dict)
     pieces: list[tuple[dict[str, str], dict[tuple[str, str], _Array]]] = field(default_factory=list)
     arrays: int = 0  # and pieces
+    space: _Array | None = None  # text of the frame, as 3D Slicer writes it
 
     def count_array(self) -> int:
         self.arrays += 1
@@ -83,6 +84,15 @@ def read_vtp(data: bytes) -> Parts:
     return {"": lambda: (np.concatenate(vertices), np.concatenate(triangles))}
 
 
+def space_of_vtp(data: bytes) -> str:
+    """Return the frame that a VTP file states in a field array SPACE; empty for other files."""
+    if b'Name="SPACE"' not in data:
+        return ""
+    file = _parse(data)
+    text = b"" if file.space is None else bytes(_values(file, file.space).astype(np.uint8)).strip(b"\0")
+    return text.decode() if text in (b"LPS", b"RAS") else ""
+
+
 def _parse(data: bytes) -> _VtpFile:
     """Read the XML without definitions of documents or entities; appended data, which is not XML, is cut out first."""
     appended, coded = b"", False
@@ -111,6 +121,8 @@ def _parse(data: bytes) -> _VtpFile:
             file.pieces.append((attributes, {}))
         elif name in NEEDED_SECTIONS and file.pieces:
             section = name
+        elif name == "Array" and attributes.get("Name") == "SPACE" and attributes.get("type") == "String":
+            array = file.space = _Array(attributes | {"type": "Int8"})  # codes of letters
         elif name == "DataArray" and section:
             array = file.pieces[-1][1].setdefault((section, attributes.get("Name", "")), _Array(attributes))
 
@@ -120,7 +132,7 @@ def _parse(data: bytes) -> _VtpFile:
             deeper -= 1
             return
         section = "" if name == section else section
-        array = None if name == "DataArray" else array
+        array = None if name in ("DataArray", "Array") else array
 
     def text_of(text: str) -> None:
         if array is not None and not deeper:

@@ -16,7 +16,7 @@ from palpate.arrays import Floats, Ints
 from palpate.extras import require
 from palpate.faults import FileFormatError, InputError
 from palpate.files import shortened
-from palpate.surface.labels.label_map import LabelMap, as_grid, in_metres
+from palpate.surface.labels.label_map import LabelMap, in_metres
 from palpate.surface.labels.voxels import MAX_VOXELS, checked_shape, segments_of
 
 __all__ = ["read_dicom"]
@@ -79,7 +79,7 @@ def _label_map(file: Any, name: str) -> LabelMap:
         known = {(place, number): (number, names.get(number, "")) for number, place in places.items()}
         known |= {(0, number): (number, text) for number, text in names.items() if number not in places}
     kept, segments, absent = segments_of(layers, known)
-    return LabelMap(name, kept, in_metres(as_grid(affine), 1e-3), segments, "LPS", notes, absent)
+    return LabelMap(name, kept, in_metres(affine, 1e-3), segments, "LPS", notes, absent)
 
 
 def _first(group: Any, shared: Any, key: str) -> Any:

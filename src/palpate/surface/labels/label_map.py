@@ -22,6 +22,7 @@ from palpate.arrays import Floats, Ints
 from palpate.faults import FileFormatError, InputError
 from palpate.files import shortened
 from palpate.surface.parts import names_text
+from palpate.surface.surface import MAX_COORDINATE
 
 __all__ = [
     "RAS_TO_LPS", "LabelMap", "Mask", "Segment", "as_grid", "choose_segments", "in_metres", "mask_of", "part_names",
@@ -190,8 +191,8 @@ class Mask:
 
 
 def in_metres(affine: Floats, metres: float) -> Floats:
-    """Return an affine map (4, 4) whose positions were in another unit of length."""
-    return np.asarray(np.diag([metres, metres, metres, 1.0]) @ affine)
+    """Return an affine map (4, 4) whose positions were in another unit of length, after `as_grid`."""
+    return np.asarray(np.diag([metres, metres, metres, 1.0]) @ as_grid(affine))
 
 
 def as_grid(affine: Floats) -> Floats:
@@ -199,7 +200,7 @@ def as_grid(affine: Floats) -> Floats:
     axes = affine[:3, :3]
     with np.errstate(all="ignore"):
         edges = np.linalg.norm(axes, axis=0)
-        regular = np.isfinite(affine).all() and np.isfinite(edges).all() and bool((edges > 0).all())
+        regular = bool((np.abs(affine) <= MAX_COORDINATE).all() and (edges > 0).all())
         regular = regular and abs(np.linalg.det(axes / edges)) > 1e-3
     if not regular:
         raise FileFormatError(
@@ -249,9 +250,10 @@ def _matches(labels: LabelMap, text: str) -> list[int]:
 
 
 def part_names(labels: LabelMap) -> list[str]:
-    """Return what chooses each segment: its name, or its number where several have the name."""
+    """Return what chooses each segment: its name, or its number where it has none, or shares it with others."""
     count = Counter(each.name for each in labels.segments)
-    return [each.name if count[each.name] == 1 else str(each.number) for each in labels.segments]
+    unnamed = {f"label {each.number}" for each in labels.segments}
+    return [str(each.number) if count[each.name] > 1 or each.name in unnamed else each.name for each in labels.segments]
 
 
 def mask_of(labels: LabelMap, part: str | Sequence[str] | None = None) -> Mask:

@@ -26,6 +26,7 @@ from palpate.surface.surface import Surface, part_volumes, select_triangles, ver
 
 __all__ = ["label_surface", "largest_piece", "mask_surface", "piece_sizes"]
 
+MAX_POINTS = 1 << 20  # of the grid
 STEPS_ACROSS = 32  # steps of the grid along the cube root of the volume, at least
 GAUSSIAN_WIDTH = 0.7  # standard deviation of the Gaussian over the largest edge of a voxel
 GAUSSIAN_REACH = 3.5  # of the Gaussian, in standard deviations
@@ -194,36 +195,49 @@ def mask_surface(mask: Mask) -> Surface:
 def _smooth_field(mask: Mask) -> tuple[Floats, Floats, Floats]:
     """Return the smoothed share of the mask on a grid, the index of its first point, and its steps in voxels."""
     edges = mask.voxel_edges
-    step = max(float(edges.min()), float(np.cbrt(mask.volume)) / STEPS_ACROSS)
     sigma = GAUSSIAN_WIDTH * float(edges.max())
+    blocks, parts, pads = _grid_of(mask, sigma)
     field: Any = mask.voxels
-    origin, scale = mask.start.astype(float), np.ones(3)
-    for axis, edge in enumerate(edges):
-        block = max(1, int(step / edge + BLOCK_SLACK))
-        pad = int(np.ceil(GAUSSIAN_REACH * sigma / edge / block) + 1) * block
-        size = field.shape[axis]
-        ends = [(0, 0)] * 3
-        ends[axis] = (pad, pad + -size % block)
-        field = np.pad(field, ends)
-        if block > 1:
-            shape = (*field.shape[:axis], -1, block, *field.shape[axis + 1 :])
-            field = field.reshape(shape).mean(axis=axis + 1, dtype=np.float32)
-        parts = round(block * edge / step) if block * edge > COARSE_EDGE * step else 1
-        if parts > 1:
-            field = _divided(field, axis, parts)
-        origin[axis] += 0.5 * (block - 1) - pad
-        scale[axis] = block / parts
-    field = np.asarray(field, dtype=np.float32)
-    widths = sigma / (edges * scale)
-    return ndimage.gaussian_filter(field, widths, mode="constant", truncate=GAUSSIAN_REACH), origin, scale
+    for axis in range(3):
+        field = np.pad(field, _ends(axis, 0, -field.shape[axis] % blocks[axis]))
+        shape = (*field.shape[:axis], -1, int(blocks[axis]), *field.shape[axis + 1 :])
+        field = field.reshape(shape).mean(axis=axis + 1, dtype=np.float32)
+    for axis in range(3):
+        field = _divided(np.pad(field, _ends(axis, pads[axis], pads[axis])), axis, int(parts[axis]))
+    scale = blocks / parts
+    field = ndimage.gaussian_filter(field, sigma / (edges * scale), mode="constant", truncate=GAUSSIAN_REACH)
+    return field, mask.start + 0.5 * (blocks - 1) - pads * blocks, scale
+
+
+def _grid_of(mask: Mask, sigma: float) -> tuple[Ints, Ints, Ints]:
+    """Return the voxels in a block, the steps in a block and the blocks around the mask, along each axis.
+
+    Steps grow until the grid has a bounded number of points.
+    """
+    edges, sizes = mask.voxel_edges, np.array(mask.voxels.shape)
+    step = max(float(edges.min()), float(np.cbrt(mask.volume)) / STEPS_ACROSS)
+    while True:
+        blocks = np.maximum(1, (step / edges + BLOCK_SLACK).astype(np.int64))
+        coarse = blocks * edges > COARSE_EDGE * step
+        parts = np.where(coarse, np.rint(blocks * edges / step), 1).astype(np.int64)
+        pads = np.ceil(GAUSSIAN_REACH * sigma / (edges * blocks)).astype(np.int64) + 1
+        if np.prod((-(-sizes // blocks) + 2.0 * pads) * parts) <= MAX_POINTS:
+            return blocks, parts, pads
+        step *= 1.25
+
+
+def _ends(axis: int, before: int, after: int) -> list[tuple[int, int]]:
+    """Return how many zeros `numpy.pad` adds at the ends of one axis of three."""
+    return [(int(before), int(after)) if a == axis else (0, 0) for a in range(3)]
 
 
 def _divided(field: Floats, axis: int, parts: int) -> Floats:
     """Return a field interpolated linearly along an axis, with so many steps in place of one."""
+    if parts == 1:
+        return field
     at = np.arange((field.shape[axis] - 1) * parts + 1) / parts
     low = np.minimum(at.astype(np.int64), field.shape[axis] - 2)
     share = np.expand_dims((at - low).astype(np.float32), tuple(a for a in range(3) if a != axis))
-    field = field.astype(np.float32, copy=False)
     return (1 - share) * np.take(field, low, axis) + share * np.take(field, low + 1, axis)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from palpate.faults import FileFormatError
 from palpate.surface.formats.common import printable_word
-from palpate.surface.labels.label_map import LabelMap, as_grid, in_metres
+from palpate.surface.labels.label_map import LabelMap, in_metres
 from palpate.surface.labels.voxels import Unpacker, checked_shape, label_values, numbers_of, segments_of
 
 __all__ = ["read_metaimage"]
@@ -64,7 +64,7 @@ def read_metaimage(data: bytes, name: str = "image.mha") -> LabelMap:
     if not file.ends():
         notes = ("it holds more than its header states, which was left out",)
     layers, segments, absent = segments_of([label_values(values)], {})
-    return LabelMap(name, layers, in_metres(as_grid(affine), 1e-3), segments, "LPS", notes, absent)
+    return LabelMap(name, layers, in_metres(affine, 1e-3), segments, "LPS", notes, absent)
 
 
 def _header(data: bytes) -> tuple[dict[str, str], int]:

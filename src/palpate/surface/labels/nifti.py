@@ -14,7 +14,7 @@ import numpy as np
 
 from palpate.arrays import Floats
 from palpate.faults import FileFormatError
-from palpate.surface.labels.label_map import RAS_TO_LPS, LabelMap, as_grid, in_metres
+from palpate.surface.labels.label_map import RAS_TO_LPS, LabelMap, in_metres
 from palpate.surface.labels.voxels import GZIP_MAGIC, Unpacker, checked_shape, label_values, segments_of
 
 __all__ = ["read_nifti"]
@@ -69,7 +69,7 @@ def read_nifti(data: bytes, name: str = "image.nii") -> LabelMap:
         values = values * np.float32(slope) + np.float32(intercept)
     names = {int(key): text.decode("utf-8", "replace") for key, text in _names(extensions, order)}
     layers, segments, absent = segments_of([label_values(values)], {(0, key): (key, names[key]) for key in names})
-    return LabelMap(name, layers, as_grid(affine), segments, space, notes, absent)
+    return LabelMap(name, layers, affine, segments, space, notes, absent)
 
 
 def _shape(dim: list[int]) -> tuple[int, ...]:

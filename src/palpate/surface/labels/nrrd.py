@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats
 from palpate.faults import FileFormatError
 from palpate.surface.formats.common import printable_word
-from palpate.surface.labels.label_map import RAS_TO_LPS, LabelMap, as_grid, in_metres
+from palpate.surface.labels.label_map import RAS_TO_LPS, LabelMap, in_metres
 from palpate.surface.labels.voxels import Unpacker, checked_shape, label_values, numbers_of, segments_of
 
 __all__ = ["read_nrrd"]
@@ -63,7 +63,7 @@ def read_nrrd(data: bytes, name: str = "image.nrrd") -> LabelMap:
         notes += ("it holds more than its header states, which was left out",)
     volumes = [label_values(each) for each in _layers(values, layer_axis)]
     layers, segments, absent = segments_of(volumes, _names(keys, old))
-    return LabelMap(name, layers, as_grid(affine), segments, space, notes, absent)
+    return LabelMap(name, layers, affine, segments, space, notes, absent)
 
 
 def _header(data: bytes) -> tuple[dict[str, str], dict[str, str], int]:

@@ -20,6 +20,7 @@ MAX_VOXELS = 2**29  # of a file, stated in its header
 MAX_AXIS = 2**20  # voxels along an axis
 GZIP_MAGIC = b"\x1f\x8b"
 CHUNK_BYTES, CHUNK_VOXELS = 1 << 16, 1 << 22  # read or checked at a time
+MAX_EXPANSION = 1032  # of deflate, the most that it can do
 MAX_MEMBERS = 20_000  # of a gzip file
 ROUNDING_DISTANCE = 0.02  # distance of a value from a whole number, which is rounded
 MAX_LABELS = 2000  # different values of a label map; images of intensities have more
@@ -81,6 +82,8 @@ class Unpacker:
 
     def _unpacked(self, size: int) -> bytearray:
         assert self._stream is not None
+        if size > MAX_EXPANSION * (len(self._data) + 1):
+            raise FileFormatError(f"it is cut short: it must unpack to {size} bytes, got {len(self._data)} packed ones")
         content, filled = bytearray(size), 0
         try:
             while filled < size:

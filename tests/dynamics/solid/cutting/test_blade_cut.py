@@ -44,7 +44,7 @@ def test_the_cut_area_is_that_of_the_way_of_the_blade(steady_cut):
     assert np.all(np.diff(steady_cut.cut_area) >= 0)
 
 
-def test_the_books_of_a_blade_close(steady_cut):
+def test_the_energy_balance_of_a_blade_closes(steady_cut):
     run = steady_cut
     assert np.abs(run.balance).max() <= 5e-3 * run.external[-1]
     fracture = run.edge_work[-1] + run.released_energy[-1]
@@ -70,7 +70,7 @@ def test_a_support_bears_the_force_of_the_blade(steady_cut):
     assert forces + support == pytest.approx(momentum[-1] - momentum[0], abs=0.2 * forces)
 
 
-def test_cuts_and_books_are_stored(steady_cut, tmp_path):
+def test_cuts_and_their_energies_are_stored(steady_cut, tmp_path):
     steady_cut.save(tmp_path / "run.h5")
     again = pt.Trajectory.load(tmp_path / "run.h5")
     for name in ("cut_area", "released_energy", "edge_work", "friction_work", "cuts"):

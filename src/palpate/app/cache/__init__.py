@@ -1,1 +1,0 @@
-"""``palpate cache``: the compiled functions that a user keeps."""

@@ -1,0 +1,109 @@
+"""Regions and supports that a label map proposes for an organ: what lies in it, and what touches it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from palpate.scenes.description import Near, Place, Region, Support
+from palpate.surface.labels.label_map import LabelMap, Segment, choose_segments, part_names, segments_mask
+from palpate.surface.labels.neighbours import contact_distance, enclosed_segments, touching_segments
+
+__all__ = ["Proposals", "propose"]
+
+LESION_WORDS = ("tumour", "tumor", "lesion", "mass", "neoplasm", "cancer", "carcinoma", "metasta", "nodule")
+# stiffness of a malignant lesion over that of its organ, with the source
+LESION_FACTORS = (
+    ("liver", 4.4, "malignant tumours 10.1 kPa, healthy liver 2.3 kPa: Venkatesh et al., AJR 190, 2008; benign: 1.2"),
+    ("prostate", 2.1, "cancer over normal tissue: Zhang et al., Cancer Biomarkers 4, 2008"),
+)
+OTHER_FACTOR = 3.0  # of a lesion in another organ
+BONE_WORDS = ("vertebra", "rib_", "ribs", "sternum", "sacrum", "hip_", "scapula", "clavicula", "femur", "humerus",
+              "skull", "costal", "bone")  # fmt: skip
+VESSEL_WORDS = ("aorta", "vena_cava", "vein", "artery", "atrium", "ligament", "trachea", "oesophagus", "esophagus")
+MIN_CONTACT_SHARE = 0.01  # of the surface, from which a neighbour is proposed
+MIN_HELD_SHARE = 0.1  # of the surface; less is held by bones and vessels alone if the rear is held, too
+
+
+@dataclass(frozen=True)
+class Proposals:
+    """Sections for the scene of an organ, and the reason for each.
+
+    Parameters
+    ----------
+    title : str
+        Names of the parts that were chosen.
+    parts : tuple of str
+        Parts of the label map that are the body: those, and what lies in them.
+    regions, supports : tuples of pairs
+        Sections and the reasons for them.
+    alternatives : tuple of pairs
+        Supports that are not proposed, but can be chosen.
+    """
+
+    title: str
+    parts: tuple[str, ...]
+    regions: tuple[tuple[Region, str], ...]
+    supports: tuple[tuple[Support, str], ...]
+    alternatives: tuple[tuple[Support, str], ...]
+
+
+def propose(labels: LabelMap, file: Path, part: Sequence[str] | None, spacing: float) -> Proposals:
+    """Return what a label map proposes for the scene of an organ.
+
+    Parameters
+    ----------
+    file : path
+        The file of the label map.
+    part : sequence of str, optional
+        Parts of the map that the user has chosen.
+    spacing : float [m]
+        Of the body's nodes.
+    """
+    chosen = choose_segments(labels, part or None)
+    names = dict(zip(labels.segments, part_names(labels), strict=True))
+    enclosed = enclosed_segments(labels, segments_mask(labels, chosen))
+    organ = " ".join(each.name for each in chosen).lower()
+    inner = (*chosen, *enclosed)
+    mask = segments_mask(labels, inner)
+    fixed, soft, held = [], [], 0.0
+    for segment, share in touching_segments(labels, mask, contact_distance(labels.voxel_edges, spacing), inner):
+        if share < MIN_CONTACT_SHARE:
+            continue
+        near = Place(near=Near(file=str(file), parts=(names[segment],)))
+        why = f"touches {share:.1%} of the surface"
+        kind = "bone" if _has(segment, BONE_WORDS) else "vessel" if _has(segment, VESSEL_WORDS) else ""
+        if kind:
+            fixed.append((Support(name=segment.name, place=near, surface_only=True), f"a {kind} that {why}"))
+            held += share
+        else:
+            springs = Support(name=segment.name, kind="springs", place=near, surface_only=True, stiffness=1e6)
+            soft.append((springs, f"a soft neighbour that {why}"))
+    if held < MIN_HELD_SHARE and labels.space:
+        rear = Support(name="rear", place=Place(side="rear"))
+        why = f"guessed: bones and vessels hold {held:.1%} of the surface, and the patient lies on the back"
+        fixed.append((rear, why))
+    parts = tuple(part or [names[each] for each in chosen])
+    return Proposals(
+        ", ".join(each.name for each in chosen).replace("_", " ").capitalize(),
+        (*parts, *(names[each] for each in enclosed)),
+        tuple(_region(segment, names[segment], organ) for segment in enclosed), tuple(fixed), tuple(soft),
+    )  # fmt: skip
+
+
+def _region(segment: Segment, name: str, organ: str) -> tuple[Region, str]:
+    """Return the region of a segment in an organ, with the stiffness of a lesion if it is one."""
+    if not _has(segment, LESION_WORDS):
+        return Region(
+            name=segment.name, place=Place(part=name)
+        ), "lies in the organ; the same tissue until you change it"
+    factor, source = OTHER_FACTOR, "an example: set yours"
+    for word, ratio, text in LESION_FACTORS:
+        if word in organ:
+            factor, source = ratio, text
+    return Region(name=segment.name, place=Place(part=name), stiffness=factor), f"lies in the organ; {source}"
+
+
+def _has(segment: Segment, words: Sequence[str]) -> bool:
+    return any(word in segment.name.lower() for word in words)
