@@ -94,7 +94,7 @@ def touches(folder: Path, laws: Sequence[str]) -> list[list[str]]:
         {"time": 2.5, "type": "control", "action": "reset"},
     ]  # fmt: skip
     (folder / "touch.jsonl").write_text("\n".join(map(json.dumps, script)) + "\n")
-    command = ["run", "organ.obj", "--script", "touch.jsonl", "--seconds", "3"]
+    command = ["run", "organ.obj", "--full", "--script", "touch.jsonl", "--seconds", "3"]
     command += ["--spacing", f"{SPACING}"]
     return [[*command, "--law", law.name, "--set", *_parameters(law)] for law in LAWS if law.name in laws]
 

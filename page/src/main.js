@@ -132,6 +132,7 @@ const answers = {
     statusLine.showMessage(reason);
   },
   hello(message) {
+    choice.end();
     preparation.end();
     if (controls.press) controls.release(); // of the body that was shown
     session.hello = message;

@@ -6,6 +6,7 @@ cache, else of a block.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import sys
@@ -25,6 +26,7 @@ from palpate.app.session.messages import validate_message
 from palpate.app.session.replay import Replay
 from palpate.app.session.session import Session
 from palpate.app.view.server.label_choice import LabelChoice
+from palpate.app.view.server.preparation import Preparation
 from palpate.scenes.open_scene import open_scene
 from palpate.surface.labels.listing import LabelRow
 from palpate.surface.surface import Surface
@@ -149,7 +151,7 @@ def _shape(name, low, high):
 def test_shapes_around_a_body_are_named_by_a_click_and_hidden_by_a_key(browser, site, session):
     high = session.surface.rest.max(axis=0)
     size = high - session.surface.rest.min(axis=0)
-    left = _shape("kidney_left", high + size * [0.1, -1.0, -1.0], high + size * [0.6, 0.0, 0.0])
+    left = _shape("kidney_left", high + size * [0.05, -1.0, -1.0], high + size * [0.4, 0.0, 0.0])
     behind = _shape("rib_7", left.vertices.min(axis=0) + 0.1 * size, left.vertices.max(axis=0) - 0.1 * size)
     with opening(browser) as open_tab:
         tab = open_tab(site.address)
@@ -190,7 +192,7 @@ def test_shapes_around_a_body_are_named_by_a_click_and_hidden_by_a_key(browser, 
         assert tab.evaluate("palpate.statusLine.errors") == []
 
 
-def test_a_body_is_chosen_in_the_list_of_labels(browser, site_of, session):
+def test_a_body_is_chosen_in_the_list_of_labels(browser, site_of, session, tmp_path):
     rows = [LabelRow(k, f"organ_{k}", f"organ_{k}", 1e-4 * k, 1 + k % 2, k == 3) for k in range(1, 14)]
     choice = LabelChoice("trunk.nii.gz", rows)
     site = site_of(choice)
@@ -213,8 +215,9 @@ def test_a_body_is_chosen_in_the_list_of_labels(browser, site_of, session):
         tab.evaluate(f"document.querySelectorAll('#choice-rows input')[{k}].click()")
     tab.evaluate("document.getElementById('choice-start').click()")
     assert choice.wait() == ("organ_2", "organ_5")
-    site.loop.call_soon_threadsafe(choice.made.set)
-    site.loop.call_soon_threadsafe(site.server.show, session)
+    with contextlib.closing(Preparation("Organ 2", "organ", None, tmp_path / "durations.json")) as preparation:
+        site.loop.call_soon_threadsafe(site.server.prepare, preparation)
+        site.loop.call_soon_threadsafe(site.server.show, session)
     tab.wait("window.palpate?.ready && document.getElementById('choice').hidden", 60)
     assert tab.evaluate("document.getElementById('panel').inert") is False
     errors = tab.errors

@@ -267,7 +267,7 @@ class Count(event.Listener):
 count = Count()
 event.register("numba:compile", count)
 from palpate.app.cli import main
-code = main(["run", sys.argv[1], "--units", "mm", "--spacing", "0.02", "--realtime", "--seconds", "0.2"])
+code = main(["run", sys.argv[1], "--units", "mm", "--spacing", "0.02", "--full", "--realtime", "--seconds", "0.2"])
 print("compiled", count.count)
 sys.exit(code)
 """
