@@ -131,7 +131,7 @@ def largest_piece(mask: Mask, number: int = 0) -> Mask:
         )
     voxels, filled = _without_pores(voxels)
     if filled:
-        warnings.append(f"{mask.name}: {filled} voxels of pores filled")
+        warnings.append(f"{mask.name}: pores of {filled} voxel{'s' * (filled > 1)} in all filled")
     start = mask.start + [side.start for side in box]
     piece = replace(mask, voxels=voxels, start=start, warnings=())
     if piece.at_edge:
