@@ -331,7 +331,7 @@ def test_the_printed_errors_of_the_force_are_those_of_the_study():
 )
 def test_bad_input_is_one_line_that_names_the_option(organ, options, said, assert_refused, tmp_path):
     given = options if "--spacing" in options else [*options, "--spacing", "0.006"]
-    assert_refused(["run", str(organ), "--realtime", "--out", str(tmp_path / "out"), *given], said)
+    assert_refused(["run", str(organ), "--full", "--realtime", "--out", str(tmp_path / "out"), *given], said)
 
 
 def test_a_sheet_is_refused_in_one_line(tmp_path, assert_refused):
