@@ -98,7 +98,7 @@ def test_a_label_map_is_a_scene_by_itself_with_a_spacing_for_training(folder):
             named_scene("beam", **options)
 
 
-@pytest.mark.parametrize("command", ["check", "new -o new.toml", "view", "train", "run", "export --c out"])
+@pytest.mark.parametrize("command", ["check", "new -o new.toml", "train", "run", "export --c out"])
 def test_every_command_lists_the_labels_and_types_the_command(folder, command, capsys, monkeypatch):
     monkeypatch.chdir(folder)
     words = command.split()
