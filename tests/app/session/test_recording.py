@@ -235,7 +235,7 @@ LIES = {
     "a coupling that pulls": (tool(stiffness=-1.0), "stiffness of a tool"),
     "a tool that comes later": (tool(start=3), "must increase from 0"),
     "a tool after the end": (tool(start=10**6), "start of a tool"),
-    "errors of a full model that was not run": (header("errors", {}), "errors must have|array full/times is missing"),
+    "errors of a full model that was not run": (header("errors", {}), r"errors must have|array full/\w+ is missing"),
     "an array too many": (lambda header, arrays: arrays.update(colour=np.zeros(3)), "array colour is not one"),
     "no moments": (lambda header, arrays: arrays.update(wall=np.zeros(0)), "must have shape"),
     "a force that is not finite": (entry("force", (2, 1), np.nan), "array force must be finite"),
