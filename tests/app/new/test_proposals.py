@@ -62,6 +62,26 @@ def test_bones_hold_the_organ_and_soft_neighbours_can_be_chosen(trunk):
     assert found.alternatives[0][0].kind == "springs"
 
 
+def test_a_face_at_the_edge_of_the_image_can_be_held(tmp_path):
+    numbers = np.zeros((30, 30, 20), dtype=int)
+    numbers[3:27, 3:27, 2:] = 1
+    path = tmp_path / "cut.nii.gz"
+    write_labels(path, numbers, np.diag([EDGE, EDGE, EDGE, 1.0]), {1: "liver"})
+    assert main(["new", str(path), "--out", str(tmp_path / "organ.toml"), "--spacing", "0.009"]) == 0
+    text = (tmp_path / "organ.toml").read_text()
+    assert "the image cuts the organ here" in text
+    commented = text.partition("# [[support]]  # the image cuts the organ")[2].partition("\n\n")[0]
+    section = "[[support]]\n" + "\n".join(line.removeprefix("# ") for line in commented.splitlines()[1:])
+    held = tomllib.loads(section)["support"][0]["place"]["plane"]
+    assert held["normal"] == [0.0, 0.0, -1.0]
+    whole = text.partition("[[support]]")[0] + section + "\n" + "[tool]" + text.partition("[tool]")[2]
+    (tmp_path / "held.toml").write_text(whole)
+    scene = pt.open_scene(tmp_path / "held.toml")
+    (support,) = scene.body.supports
+    heights = scene.cloud.points[scene.cloud.group(support.group), 2]
+    assert heights.min() > scene.cloud.points[:, 2].max() - 0.004
+
+
 def test_a_new_scene_of_a_label_map_has_what_it_proposes_and_opens(trunk, scene):
     text = scene.read_text()
     table = tomllib.loads(text)

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from palpate.scenes.description import Near, Place, Region, Support
+from palpate.arrays import Floats
+from palpate.scenes.description import Near, Place, Plane, Region, Support
 from palpate.surface.labels.label_map import LabelMap, Segment, choose_segments, part_names, segments_mask
-from palpate.surface.labels.neighbours import contact_distance, enclosed_segments, touching_segments
+from palpate.surface.labels.neighbours import contact_distance, cut_faces, enclosed_segments, touching_segments
 
 __all__ = ["Proposals", "propose"]
 
@@ -80,6 +81,11 @@ def propose(labels: LabelMap, file: Path, part: Sequence[str] | None, spacing: f
         else:
             springs = Support(name=segment.name, kind="springs", place=near, surface_only=True, stiffness=1e6)
             soft.append((springs, f"a soft neighbour that {why}"))
+    for number, face in enumerate(cut_faces(mask), 1):
+        if face.share >= MIN_CONTACT_SHARE:
+            plane = Plane(point=_rounded(face.point, 4), normal=_rounded(face.normal, 3))
+            cut = Support(name=f"cut {number}", place=Place(plane=plane), surface_only=True)
+            soft.append((cut, f"the image cuts the organ here, on {face.share:.1%} of the surface"))
     if held < MIN_HELD_SHARE and labels.space:
         rear = Support(name="rear", place=Place(side="rear"))
         why = f"guessed: bones and vessels hold {held:.1%} of the surface, and the patient lies on the back"
@@ -90,6 +96,10 @@ def propose(labels: LabelMap, file: Path, part: Sequence[str] | None, spacing: f
         (*parts, *(names[each] for each in enclosed)),
         tuple(_region(segment, names[segment], organ) for segment in enclosed), tuple(fixed), tuple(soft),
     )  # fmt: skip
+
+
+def _rounded(values: Floats, digits: int) -> tuple[float, ...]:
+    return tuple(round(float(value), digits) + 0.0 for value in values)
 
 
 def _region(segment: Segment, name: str, organ: str) -> tuple[Region, str]:

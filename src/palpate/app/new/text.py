@@ -117,6 +117,9 @@ def _support(support: Support | None, reasons: Mapping[str, str]) -> list[str]:
     elif place.near:
         parts = ", ".join(map(_text, place.near.parts))
         text = f"near = {{ file = {_text(place.near.file)}, parts = [{parts}] }}"
+    elif place.plane:
+        point = ", ".join(map(_length, place.plane.point))
+        text = f"plane = {{ point = [{point}], normal = {list(place.plane.normal)} }}"
     else:
         text = f"side = {_text(place.side)}"
     return [

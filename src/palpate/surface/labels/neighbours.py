@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from palpate.arrays import Floats
 from palpate.surface.labels.label_map import LabelMap, Mask, Segment, mask_of
 
-__all__ = ["TouchingSegment", "contact_distance", "enclosed_segments", "touching_segments"]
+__all__ = ["CutFace", "TouchingSegment", "contact_distance", "cut_faces", "enclosed_segments", "touching_segments"]
 
 MIN_ENCLOSED_SHARE = 0.6  # of the voxels round a segment, which belong to the organ in which it lies
 CONTACT_EDGES = 1.5  # largest voxel edges between the boundary voxels of segments that touch
@@ -22,6 +22,14 @@ class TouchingSegment(NamedTuple):
     """A segment that touches an organ, and the share of the organ's surface that it touches."""
 
     segment: Segment
+    share: float
+
+
+class CutFace(NamedTuple):
+    """A flat face of an organ at the edge of the image: a point [m], the unit normal inwards, share of the surface."""
+
+    point: Floats
+    normal: Floats
     share: float
 
 
@@ -70,6 +78,26 @@ def touching_segments(
             if near.any():
                 contacts.append(TouchingSegment(segment, float(near.mean())))
     return sorted(contacts, key=lambda each: -each.share)
+
+
+def cut_faces(organ: Mask) -> list[CutFace]:
+    """Return the faces at which the edge of the image may have cut an organ; none along an axis of one voxel."""
+    faces, surface = [], len(organ.boundary())
+    for axis in range(3):
+        for last in (False, True):
+            index = organ.voxels.shape[axis] - 1 if last else 0
+            at_edge = organ.start[axis] + index == (organ.shape[axis] - 1 if last else 0)
+            if organ.shape[axis] == 1 or not at_edge:
+                continue
+            places = np.argwhere(np.take(organ.voxels, [index], axis))
+            places[:, axis] = index
+            others = np.delete(organ.affine[:3, :3], axis, axis=1)
+            normal = np.cross(others[:, 0], others[:, 1])
+            inward = (-1.0 if last else 1.0) * organ.affine[:3, axis]
+            normal *= np.sign(normal @ inward) / np.linalg.norm(normal)
+            point = organ.positions(places + organ.start).mean(axis=0)
+            faces.append(CutFace(point, normal, len(places) / surface))
+    return sorted(faces, key=lambda face: -face.share)
 
 
 def _meet(organ: Mask, box: tuple[slice, ...]) -> bool:
