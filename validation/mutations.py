@@ -128,7 +128,7 @@ MUTATIONS = (
     ),
     Mutation(
         "springs dropped in real time", "realtime/bodies/model.py",
-        "all_springs = _springs(model, foundations)", "all_springs = _springs(model, ())",
+        "contact, _springs(model, foundations))", "contact, _springs(model, ()))",
         (f"{LOADS}::test_in_real_time_a_load_moves_a_sampled_model_or_is_refused_by_name[held-Foundation, springs]",),
     ),
     Mutation(

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.app.common.rows import rows_of
 from palpate.app.train import choose as choosing
 from palpate.app.train.coverage import Coverage, coverage, draw_coverage
 from palpate.app.train.folder import TRAINED, Folder, Job
-from palpate.app.train.report import _coverage_rows
+from palpate.app.train.report import MODEL_ROWS
 from palpate.scenes.scene import TrainingScene
 from palpate.scenes.tool_paths import ToolPaths
 
@@ -35,10 +36,17 @@ def test_shares_are_of_the_free_area(scene):
     assert shares["reachable"] == pytest.approx(far / free)
     assert 0 < shares["covered"] < 1
     assert shares["covered"] * free >= found.surface.areas[found.mask & found.reachable].sum() - 1e-12
-    covered, reached, held = _coverage_rows(shares).values()
+    covered, reached, held = coverage_rows(shares)
     assert covered == f"{shares['covered']:.0%}"
     assert reached == f"{shares['reachable']:.0%}; {shares['covered_of_reachable']:.0%}"
     assert held == f"{shares['held']:.0%}"
+
+
+def coverage_rows(shares):
+    """Return the texts of the report's rows about the coverage."""
+    rows = {label: row for label, row in MODEL_ROWS.items() if "coverage" in str(row)}
+    assert len(rows) == 3
+    return [text for (text,) in rows_of(rows, {"coverage": shares}).values()]
 
 
 def test_further_runs_cover_more_and_the_same_run_adds_nothing(scene):
@@ -57,7 +65,7 @@ def test_further_runs_cover_more_and_the_same_run_adds_nothing(scene):
 def test_runs_without_a_tool_on_the_surface_have_no_coverage(scene):
     push = pt.PrescribedMotion("x+", lambda points, time: np.zeros_like(points))
     assert coverage(scene, [((push,), 1.0)]) is None
-    assert _coverage_rows(None) == {}
+    assert coverage_rows(None) == []
 
 
 def chosen(monkeypatch, scene, trust, count, trained=(), largest=10.0):

@@ -178,9 +178,9 @@ def test_an_invalid_value_is_named(parameters, message):
 
 def test_too_many_terms_or_branches_are_refused():
     rest = said_of(pt.materials.Ogden(C=1e3, alpha=2.0, **REST))[1]
-    with pytest.raises(pt.InputError, match="C must have at most 16 terms, got 5000"):
+    with pytest.raises(pt.InputError, match="C must have at most 16 entries, got 5000"):
         material_of("Ogden", rest | {"C": [1e3] * 5000, "alpha": [2.0] * 5000}, "", {})
-    with pytest.raises(pt.InputError, match="shares must have at most 64 branches, got 5000"):
+    with pytest.raises(pt.InputError, match="shares must have at most 64 entries, got 5000"):
         material_of("Ogden", rest, "", {"shares": [0.1] * 5000, "times": [0.1] * 5000})
 
 
