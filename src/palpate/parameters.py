@@ -63,15 +63,9 @@ MAX_PARAMETER_ENTRIES = 100  # of a list that is one parameter of a law
 
 @dataclass(frozen=True)
 class Fault(Exception):
-    """A value of a scene file that is wrong: where it stands, and why.
+    """A value of a scene file that is wrong: where it stands, and why."""
 
-    Parameters
-    ----------
-    path : tuple of str and int
-        Keys that lead to the value, and indices in lists.
-    """
-
-    path: tuple[str | int, ...]
+    path: tuple[str | int, ...]  # keys that lead to the value, and indices in lists
     message: str
 
 

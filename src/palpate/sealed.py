@@ -66,29 +66,17 @@ LEAST_POSITIVE = float(np.nextafter(0.0, 1.0))
 
 @dataclass(frozen=True)
 class Array:
-    """Declaration of an array of a file, which `typed` writes by and `check_arrays` reads by.
+    """Declaration of an array of a file, which `typed` writes by and `check_arrays` reads by."""
 
-    Parameters
-    ----------
-    shape : tuple of int or str
-        Arrays share the sizes that have names.
-    type : str
-        One of `ARRAY_TYPES`.
-    low, most : float
-        Least number, and largest size of a number; `LEAST_POSITIVE` and `LARGEST_NUMBER` are the limits of each.
-    index_of : str
-        Name of the size that the entries are indices of.
-    rising : bool
-        Whether no entry is less than the one before.
-    """
-
-    shape: tuple[int | str, ...]
-    type: str = "<f8"
+    shape: tuple[int | str, ...]  # arrays share the sizes that have names
+    type: str = "<f8"  # one of `ARRAY_TYPES`
+    # low, most: least number, and largest size of a number; `LEAST_POSITIVE` and `LARGEST_NUMBER` are the limits of
+    # each
     low: float = -math.inf
     most: float = LARGEST_NUMBER
     unit: str = ""
-    index_of: str = ""
-    rising: bool = False
+    index_of: str = ""  # name of the size that the entries are indices of
+    rising: bool = False  # whether no entry is less than the one before
 
 
 def typed(values: Mapping[str, Any], declared: Mapping[str, Array]) -> dict[str, Values]:
@@ -130,26 +118,14 @@ def check_names(arrays: Iterable[str], declared: Mapping[str, Array]) -> None:
 
 @dataclass(frozen=True)
 class ArrayEntry:
-    """Array of a sealed file.
+    """Array of a sealed file."""
 
-    Parameters
-    ----------
-    type : str
-        One of `ARRAY_TYPES`, in NumPy's notation.
-    offset : int
-        First byte in the file.
-    digests : tuple of str
-        SHA-256 of the whole array; or of every row, of one that is read by row.
-    deflated : int, optional
-        Number of bytes in the file, of an array that is compressed.
-    """
-
-    type: str
+    type: str  # one of `ARRAY_TYPES`, in NumPy's notation
     shape: tuple[int, ...]
-    offset: int
-    digests: tuple[str, ...]
+    offset: int  # first byte in the file
+    digests: tuple[str, ...]  # SHA-256 of the whole array; or of every row, of one that is read by row
     by_row: bool
-    deflated: int | None = None
+    deflated: int | None = None  # number of bytes in the file, of an array that is compressed
 
     @property
     def size(self) -> int:
@@ -177,19 +153,11 @@ class ArrayFile(Protocol):
 
 @dataclass(frozen=True)
 class SealedFile:
-    """Sealed file with a verified table; arrays are verified on reading.
-
-    Parameters
-    ----------
-    header : dict
-        Plain values.
-    arrays : dict of ArrayEntry
-        By name.
-    """
+    """Sealed file with a verified table; arrays are verified on reading."""
 
     path: Path
-    header: dict[str, Any]
-    arrays: dict[str, ArrayEntry]
+    header: dict[str, Any]  # plain values
+    arrays: dict[str, ArrayEntry]  # by name
 
     def read(self, name: str) -> Values:
         """Return an array."""

@@ -33,22 +33,12 @@ DEFAULT_OPTIONS = {
 
 
 class Library(NamedTuple):
-    """Functions of a model before they are compiled for a target.
+    """Functions of a model before they are compiled for a target."""
 
-    Parameters
-    ----------
-    name : str
-        With which the names of all functions begin.
-    texts : list of str
-        Modules of LLVM's intermediate representation.
-    image : bytes
-        Content of the model's file.
-    """
-
-    name: str
-    texts: list[str]
+    name: str  # with which the names of all functions begin
+    texts: list[str]  # modules of LLVM's intermediate representation
     memory: Memory
-    image: bytes
+    image: bytes  # content of the model's file
 
     def emit(self, target: Target, strict: bool = True) -> bytes:
         """Return the object of the functions for a target; see `palpate.export.link.emit_object`."""

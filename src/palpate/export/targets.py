@@ -8,14 +8,9 @@ __all__ = ["HOST_TARGET", "TARGET_MACHINES", "TARGET_NAMES", "WEB_TARGETS", "Tar
 
 
 class Target(NamedTuple):
-    """A machine that a library runs on.
+    """A machine that a library runs on."""
 
-    Parameters
-    ----------
-    triple, processor, features : str
-        As LLVM names them.
-    """
-
+    # triple, processor, features: as LLVM names them
     triple: str
     processor: str
     features: str = ""

@@ -125,25 +125,16 @@ def _bodies(near: NDArray[np.int32]) -> Ints:
 
 
 class _Pairs(NamedTuple):
-    """Weights that the gradient has: one for every row and each of its neighbours.
+    """Weights that the gradient has: one for every row and each of its neighbours."""
 
-    Parameters
-    ----------
-    sample : (s,) int array
-        One node of every row.
-    present : (s, k) bool array
-        The neighbours of a row, without padding.
-    row, offset, freedom : (p,), (p, d), (p,) arrays
-        Row of every weight, the offset of its neighbour in spacings, and how easily the weight changes.
-    node, other, pair : (e,) int arrays
-        Every node, its neighbours, and the weight of each.
-    """
-
-    sample: Ints
-    present: NDArray[np.bool_]
+    sample: Ints  # (s,) int array: one node of every row
+    present: NDArray[np.bool_]  # (s, k) bool array: the neighbours of a row, without padding
+    # row, offset, freedom: (p,), (p, d), (p,) arrays: row of every weight, the offset of its neighbour in spacings, and
+    # how easily the weight changes
     row: Ints
     offset: Floats
     freedom: Floats
+    # node, other, pair: (e,) int arrays: every node, its neighbours, and the weight of each
     node: Ints
     other: Ints
     pair: Ints

@@ -150,17 +150,10 @@ def fill(
 
 @dataclass(frozen=True)
 class Sizing:
-    """Target spacing as a function of position.
+    """Target spacing as a function of position."""
 
-    Parameters
-    ----------
-    spacing : float [m]
-        Spacing far from all regions.
-    regions : tuple of (centre, radius, spacing)
-    """
-
-    spacing: float
-    regions: tuple[Region, ...] = ()
+    spacing: float  # [m]: spacing far from all regions
+    regions: tuple[Region, ...] = ()  # tuple of (centre, radius, spacing)
 
     @classmethod
     def of(cls, spacing: float, refine: Sequence[Region]) -> Sizing:

@@ -30,35 +30,18 @@ MAX_NORMAL_COSINE = 1e-9  # largest cosine between the normals of two planes
 
 
 class MirrorPlane(NamedTuple):
-    """A plane of symmetry.
-
-    Parameters
-    ----------
-    name : str
-    nodes : (k,) int array
-        All nodes in the plane.
-    normal : (3,) array
-        Unit normal.
-    """
+    """A plane of symmetry."""
 
     name: str
-    nodes: Ints
-    normal: Floats
+    nodes: Ints  # (k,) int array: all nodes in the plane
+    normal: Floats  # (3,) array: unit normal
 
 
 class Mirror(NamedTuple):
-    """Images that stencils use, numbered after the n nodes of a cloud.
+    """Images that stencils use, numbered after the n nodes of a cloud."""
 
-    Parameters
-    ----------
-    source : (g,) int array
-        The node that each image reflects.
-    reflection : (g, 3, 3) array
-        Matrices that turn the vectors of the source into those of the image.
-    """
-
-    source: NDArray[np.int64]
-    reflection: Floats
+    source: NDArray[np.int64]  # (g,) int array: the node that each image reflects
+    reflection: Floats  # (g, 3, 3) array: matrices that turn the vectors of the source into those of the image
 
     def vectors(self, field: Floats) -> Floats:
         """Append the images' vectors to fields (..., n, 3); return the fields themselves without images."""
@@ -92,22 +75,12 @@ NO_MIRROR = Mirror(np.zeros(0, dtype=np.int64), np.zeros((0, 3, 3)))
 
 
 class Images(NamedTuple):
-    """A cloud together with all of its mirror images.
+    """A cloud together with all of its mirror images."""
 
-    Parameters
-    ----------
-    cloud : Cloud
-        The nodes of the part, and after them the images. Without planes it is the part's own cloud.
-    source : (N,) int array
-        Node of the part for each node of the cloud.
-    reflection : (N, 3, 3) array
-    copies : (n,) array
-        Volume of every node in the cloud over that in the part: 1, or 2 in a plane, 4 in two planes.
-    """
-
-    cloud: Cloud
-    source: NDArray[np.int64]
-    reflection: Floats
+    cloud: Cloud  # the nodes of the part, and after them the images. Without planes it is the part's own cloud.
+    source: NDArray[np.int64]  # (N,) int array: node of the part for each node of the cloud
+    reflection: Floats  # (N, 3, 3) array
+    # (n,) array: volume of every node in the cloud over that in the part: 1, or 2 in a plane, 4 in two planes
     copies: Floats
 
     @property

@@ -29,18 +29,12 @@ LINE_SHIFT = np.array([0.5 * (np.sqrt(5) - 1), np.sqrt(2) - 1, np.sqrt(3) - 1]) 
 
 @dataclass(frozen=True)
 class DepthQuery:
-    """Closed refined surface with a search tree for depths.
+    """Closed refined surface with a search tree for depths."""
 
-    Parameters
-    ----------
-    vertices, triangles : (v, 3), (t, 3) arrays
-    tree : cKDTree
-        Search tree of the vertices.
-    """
-
+    # vertices, triangles: (v, 3), (t, 3) arrays
     vertices: Floats
     triangles: Ints
-    tree: cKDTree
+    tree: cKDTree  # search tree of the vertices
 
     @classmethod
     def of(cls, vertices: Floats, triangles: Ints) -> DepthQuery:

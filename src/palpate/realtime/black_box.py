@@ -24,18 +24,10 @@ FORMAT, VERSION = "palpate black box", 2
 
 
 class RingBuffer(NamedTuple):
-    """The most recent records; a new record replaces the oldest one.
+    """The most recent records; a new record replaces the oldest one."""
 
-    Parameters
-    ----------
-    written : flags
-        Element 0 counts the records written since the buffer was made.
-    records : (r, w) float64
-        Record k is stored in row k modulo r.
-    """
-
-    written: NDArray[np.int64]
-    records: Floats
+    written: NDArray[np.int64]  # element 0 counts the records written since the buffer was made
+    records: Floats  # (r, w) float64: record k is stored in row k modulo r
 
     @classmethod
     def empty(cls, count: int, coordinates: int) -> RingBuffer:

@@ -75,17 +75,11 @@ _fence_acquire, _fence_release = _make_fence("acquire"), _make_fence("release")
 
 
 class Slot(NamedTuple):
-    """Numbers that readers receive from one complete write.
+    """Numbers that readers receive from one complete write."""
 
-    Parameters
-    ----------
-    version : (FLAGS_LENGTH,) int64
-        Element 0 counts the starts and ends of writes; 1 and 2 are those of `stamp`.
-    values : (n,) float64
-    """
-
+    # (FLAGS_LENGTH,) int64: element 0 counts the starts and ends of writes; 1 and 2 are those of `stamp`
     version: NDArray[np.int64]
-    values: NDArray[np.float64]
+    values: NDArray[np.float64]  # (n,) float64
 
     @classmethod
     def zeros(cls, count: int) -> Slot:

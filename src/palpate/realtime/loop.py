@@ -29,25 +29,14 @@ COMPUTING, LATENESS, SEQUENCE = (field_offset(name) for name in ("computing", "l
 
 
 class Channels(NamedTuple):
-    """Exchange between the loop and other threads.
+    """Exchange between the loop and other threads."""
 
-    Parameters
-    ----------
-    command : flags
-        Element 0 is RUNNING while the loop shall continue.
-    pose, record : Slot
-        The newest pose (7,) with its sequence number, and the newest record.
-    histograms : Histograms
-        Deadline statistics.
-    ring_buffer : RingBuffer
-        Records of the last seconds.
-    """
-
-    command: NDArray[np.int64]
+    command: NDArray[np.int64]  # element 0 is RUNNING while the loop shall continue
+    # pose, record: the newest pose (7,) with its sequence number, and the newest record
     pose: Slot
     record: Slot
-    histograms: Histograms
-    ring_buffer: RingBuffer
+    histograms: Histograms  # deadline statistics
+    ring_buffer: RingBuffer  # records of the last seconds
 
     @classmethod
     def allocate(cls, coordinates: int, history: int, shared: SharedSlots | None = None) -> Channels:

@@ -54,77 +54,41 @@ TOOL_MASS = 0.05  # [kg] of a coupled tool
 
 
 class VirtualCoupling(NamedTuple):
-    """State of the spring and damper between a haptic device and the tool.
+    """State of the spring and damper between a haptic device and the tool."""
 
-    Parameters
-    ----------
-    parameters : (4,) array
-        Stiffness [N/m], 0 for a rigid coupling; damping [N s/m]; mass [kg]; largest force of the spring [N].
-    position, velocity : (3,) arrays [m], [m/s]
-        Displacement and velocity of the tool.
-    device : (3,) array [m]
-        Displacement of the device at the end of the last period.
-    force : (3,) array [N]
-        Force of the body on the tool.
-    """
-
+    # (4,) array: stiffness [N/m], 0 for a rigid coupling; damping [N s/m]; mass [kg]; largest force of the spring [N]
     parameters: Floats
+    # position, velocity: (3,) arrays [m], [m/s]: displacement and velocity of the tool
     position: Floats
     velocity: Floats
-    device: Floats
-    force: Floats
+    device: Floats  # (3,) array [m]: displacement of the device at the end of the last period
+    force: Floats  # (3,) array [N]: force of the body on the tool
 
 
 class ObservableData(NamedTuple):
-    """Data of an observable model.
+    """Data of an observable model."""
 
-    Parameters
-    ----------
-    inner : tuple
-        Data of the model inside.
-    slot : Slot
-        Published values.
-    values : array
-        Values to be published next.
-    target : (l,) array
-        Tool coordinates that the model inside receives.
-    tangent : (l, l) array
-        Contact stiffness of the model inside.
-    modulus_ratio : (2,) array
-        Present and requested ratio of the moduli to the model's own.
-    """
-
-    inner: Any
-    slot: Slot
-    values: Floats
+    inner: Any  # data of the model inside
+    slot: Slot  # published values
+    values: Floats  # array: values to be published next
     coupling: VirtualCoupling
-    target: Floats
-    tangent: Floats
-    modulus_ratio: Floats
+    target: Floats  # (l,) array: tool coordinates that the model inside receives
+    tangent: Floats  # (l, l) array: contact stiffness of the model inside
+    modulus_ratio: Floats  # (2,) array: present and requested ratio of the moduli to the model's own
 
 
 class Observation(NamedTuple):
-    """Published values of one period.
+    """Published values of one period."""
 
-    Parameters
-    ----------
-    coordinates, contact_nodes, contact_forces : arrays
-        Arguments of `Surface.displacements` (`palpate.realtime.bodies.display_surface`); the forces are those of the
-        model's own moduli.
-    tool_position : (3,) array [m]
-        Displacement of the tool, which differs from the device's with a virtual coupling.
-    device_force : (3,) array [N]
-        Force on the haptic device.
-    modulus_ratio : float
-        Moduli relative to the model's own.
-    """
-
+    # coordinates, contact_nodes, contact_forces: arrays: arguments of `Surface.displacements`
+    # (`palpate.realtime.bodies.display_surface`); the forces are those of the model's own moduli
     coordinates: Floats
     contact_nodes: NDArray[np.int64]
     contact_forces: Floats
+    # (3,) array [m]: displacement of the tool, which differs from the device's with a virtual coupling
     tool_position: Floats
-    device_force: Floats
-    modulus_ratio: float
+    device_force: Floats  # (3,) array [N]: force on the haptic device
+    modulus_ratio: float  # moduli relative to the model's own
 
 
 class ObservableModel(NamedTuple):

@@ -70,47 +70,32 @@ class Settings(NamedTuple):
 
 
 class Work(NamedTuple):
-    """State of body and tool, and scratch arrays; owned by the loop.
+    """State of body and tool, and scratch arrays; owned by the loop."""
 
-    Parameters
-    ----------
-    q, v : (m,)
-        Coordinates and velocities.
-    tool : (l, 12)
-        See `Realtime`.
-    pose, wanted : (7,)
-        Present and requested pose of the tool.
-    trail, length : (MAX_TRAIL, 7), (1,)
-        Trusted poses, newest last, and their number. The first is where the tool was put down. A full trail keeps every
-        second pose.
-    fetched : (8,)
-        Copy of the newest pose and its sequence number.
-    target, lost_at, last_trusted, wanted_coordinates : (l,)
-        Tool coordinates of `pose`, of the pose at which trust was lost, of the last trusted pose, and of `wanted`.
-    report, tangent : (8 + l,), (l, l)
-        Results of the model's functions.
-    record : (HEADER_SIZE + 2 m,)
-        Record of the present period.
-    clock : (5,)
-        Model time [ns], model time per wall-clock time, the time [s] that a clamped tool has waited for trust, the
-        largest energy [J] since the body was at rest, and the largest trust number since the reset.
-    """
-
+    # q, v: (m,): coordinates and velocities
     q: Floats
     v: Floats
-    tool: Floats
+    tool: Floats  # (l, 12): see `Realtime`
+    # pose, wanted: (7,): present and requested pose of the tool
     pose: Floats
     wanted: Floats
+    # trail, length: (MAX_TRAIL, 7), (1,): trusted poses, newest last, and their number. The first is where the tool was
+    # put down. A full trail keeps every second pose.
     trail: Floats
     length: NDArray[np.int64]
-    fetched: Floats
+    fetched: Floats  # (8,): copy of the newest pose and its sequence number
+    # target, lost_at, last_trusted, wanted_coordinates: (l,): tool coordinates of `pose`, of the pose at which trust
+    # was lost, of the last trusted pose, and of `wanted`
     target: Floats
     lost_at: Floats
     last_trusted: Floats
     wanted_coordinates: Floats
+    # report, tangent: (8 + l,), (l, l): results of the model's functions
     report: Floats
     tangent: Floats
-    record: Floats
+    record: Floats  # (HEADER_SIZE + 2 m,): record of the present period
+    # (5,): model time [ns], model time per wall-clock time, the time [s] that a clamped tool has waited for trust, the
+    # largest energy [J] since the body was at rest, and the largest trust number since the reset
     clock: Floats
 
     @classmethod

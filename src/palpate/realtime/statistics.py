@@ -28,20 +28,11 @@ MAX_OVERRUN_SHARE = 0.01  # of the steps at a sustained rate
 
 
 class Histograms(NamedTuple):
-    """Counts of the loop, by computing time and lateness.
+    """Counts of the loop, by computing time and lateness."""
 
-    Parameters
-    ----------
-    bins : (2, BINS) int64
-        Steps per bin, by computing time and by lateness.
-    maxima : (2,) float64 [s]
-        Largest computing time and lateness.
-    counts : (3,) int64
-        Missed deadlines, steps that computed for longer than a period, periods without a step.
-    """
-
-    bins: NDArray[np.int64]
-    maxima: NDArray[np.float64]
+    bins: NDArray[np.int64]  # (2, BINS) int64: steps per bin, by computing time and by lateness
+    maxima: NDArray[np.float64]  # (2,) float64 [s]: largest computing time and lateness
+    # (3,) int64: missed deadlines, steps that computed for longer than a period, periods without a step
     counts: NDArray[np.int64]
 
     @classmethod

@@ -45,25 +45,13 @@ MIN_WIDTH = 1e-6  # of a margin, in spacings
 
 @dataclass(frozen=True)
 class PlaceFinder:
-    """Search of the nodes of places in a body.
-
-    Parameters
-    ----------
-    shape : Shape
-        Surface of the body: its file, unit and scale.
-    unit : float [m]
-        Length of a unit of painted files.
-    folder : path
-        Folder of relative file names.
-    space : str
-        Frame that the file of the body states: ``"LPS"``, ``"RAS"`` or none.
-    """
+    """Search of the nodes of places in a body."""
 
     cloud: Cloud
-    shape: Shape
-    unit: float = 1.0
-    folder: Path = Path()
-    space: str = ""
+    shape: Shape  # surface of the body: its file, unit and scale
+    unit: float = 1.0  # [m]: length of a unit of painted files
+    folder: Path = Path()  # folder of relative file names
+    space: str = ""  # frame that the file of the body states: ``"LPS"``, ``"RAS"`` or none
 
     def mask(self, place: Place, *, margin: float = 0.0) -> NDArray[np.bool_]:
         """Return the nodes (n,) in a place, and those up to a margin [spacings] beyond its border.

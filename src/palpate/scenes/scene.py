@@ -19,25 +19,16 @@ TRAINING_SEEDS = 500_000  # the first of these, for training; the others are for
 
 @dataclass(frozen=True)
 class Scene:
-    """Body with loads for `palpate.rollout`.
-
-    Parameters
-    ----------
-    duration, every : float [s]
-        Length of the run, and time between snapshots.
-    parameters : mapping of str to number or text
-        Parameters of the scene, in SI units.
-    displacement : (n, 3) array, optional [m]
-        Displacements at the start; zero by default.
-    """
+    """Body with loads for `palpate.rollout`."""
 
     model: NodalModel
     loads: tuple[Load, ...]
+    # duration, every: float [s]: length of the run, and time between snapshots
     duration: float
     every: float
     title: str
-    parameters: Mapping[str, float | str]
-    displacement: Floats | None = None
+    parameters: Mapping[str, float | str]  # parameters of the scene, in SI units
+    displacement: Floats | None = None  # (n, 3) array, optional [m]: displacements at the start; zero by default
 
 
 @dataclass(frozen=True)

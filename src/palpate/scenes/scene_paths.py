@@ -73,19 +73,11 @@ def touching_paths(
 
 @dataclass(frozen=True)
 class HeldMotion:
-    """Smooth random motion of a tool: a sum of swings out and back, with one to three periods in a motion.
-
-    Parameters
-    ----------
-    lasting : float [s]
-        Period of the motion, at the ends of which the tool is at rest.
-    bounds : (2, 6) array
-        Least and largest displacement [m] and rotation vector [rad] of one swing.
-    """
+    """Smooth random motion of a tool: a sum of swings out and back, with one to three periods in a motion."""
 
     seed: int
-    lasting: float
-    bounds: Floats
+    lasting: float  # [s]: period of the motion, at the ends of which the tool is at rest
+    bounds: Floats  # (2, 6) array: least and largest displacement [m] and rotation vector [rad] of one swing
 
     @cached_property
     def sizes(self) -> Floats:

@@ -29,22 +29,12 @@ MAX_REPAIRS = 12  # rounds of repairing clusters that are not discs
 
 @dataclass(frozen=True)
 class SurfaceNodes:
-    """Nodes of a remeshed surface.
+    """Nodes of a remeshed surface."""
 
-    Parameters
-    ----------
-    points : (s, 3) array [m]
-    vectors : (s, 3) array [m^2]
-        Area vectors; they sum to zero.
-    areas : (s,) array [m^2]
-        They sum to the area of the surface.
-    triangles : (t, 3) array
-    """
-
-    points: Floats
-    vectors: Floats
-    areas: Floats
-    triangles: Ints
+    points: Floats  # (s, 3) array [m]
+    vectors: Floats  # (s, 3) array [m^2]: area vectors; they sum to zero
+    areas: Floats  # (s,) array [m^2]: they sum to the area of the surface
+    triangles: Ints  # (t, 3) array
 
 
 def vertex_vectors(vertices: Floats, triangles: Ints) -> tuple[Floats, Floats]:

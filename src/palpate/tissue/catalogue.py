@@ -24,44 +24,23 @@ __all__ = ["FIBRE_LAWS", "LAWS", "RELAXATION", "CatalogueEntry", "Law", "Paramet
 
 @dataclass(frozen=True)
 class Parameter:
-    """Parameter of a law.
+    """Parameter of a law."""
 
-    Parameters
-    ----------
-    name, unit : str
-        The unit of a dimensionless parameter is empty.
-    range : str
-        Interval of allowed values, such as ``"(0, inf)"``.
-    """
-
+    # name, unit: the unit of a dimensionless parameter is empty
     name: str
     unit: str
-    range: str
+    range: str  # interval of allowed values, such as ``"(0, inf)"``
 
 
 @dataclass(frozen=True)
 class CatalogueEntry:
-    """Catalogue entry of a class with parameters.
+    """Catalogue entry of a class with parameters."""
 
-    Parameters
-    ----------
-    kind : type
-        Class of the material, the fibre law or the relaxation.
-    formula : str
-        Energy, for display.
-    reference : str
-        Source of the law.
-    example : dict
-        Parameters of a soft tissue, without density and Poisson's ratio.
-    note : str
-        Constraints on the parameters beyond their ranges, and remarks.
-    """
-
-    kind: type[Material] | type[FibreLaw] | type[Prony]
-    formula: str
-    reference: str
-    example: dict[str, Any]
-    note: str = ""
+    kind: type[Material] | type[FibreLaw] | type[Prony]  # class of the material, the fibre law or the relaxation
+    formula: str  # energy, for display
+    reference: str  # source of the law
+    example: dict[str, Any]  # parameters of a soft tissue, without density and Poisson's ratio
+    note: str = ""  # constraints on the parameters beyond their ranges, and remarks
 
     @property
     def name(self) -> str:

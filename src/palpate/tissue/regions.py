@@ -20,18 +20,10 @@ COMMON_FIELDS = {"split": "split", "volumetric": "volumetric form", "prony": "Pr
 
 @dataclass(frozen=True, eq=False)
 class Regions(Described):
-    """Assignment of materials of one law to nodes.
+    """Assignment of materials of one law to nodes."""
 
-    Parameters
-    ----------
-    materials : tuple of Material
-        `modulus_ratio` refers to the first.
-    which : (n,) int array
-        Index of the material of each node.
-    """
-
-    materials: tuple[Material, ...]
-    which: NDArray[np.int64]
+    materials: tuple[Material, ...]  # `modulus_ratio` refers to the first
+    which: NDArray[np.int64]  # (n,) int array: index of the material of each node
 
     def __post_init__(self) -> None:
         first = self.materials[0]

@@ -30,22 +30,12 @@ __all__ = ["FORM_BY_NAME", "QUADRATIC", "Volumetric", "volumetric_form"]
 
 @dataclass(frozen=True)
 class Volumetric:
-    """Form of U(J).
-
-    Parameters
-    ----------
-    formula : str
-        U / lame.
-    measure : function
-        Returns g and g'(J) for J - 1.
-    pressure : function
-        Returns U'(J) / lame and U''(J) / lame for J - 1.
-    """
+    """Form of U(J)."""
 
     name: str
-    formula: str
-    measure: Any
-    pressure: Any
+    formula: str  # u / lame
+    measure: Any  # returns g and g'(J) for J - 1
+    pressure: Any  # returns U'(J) / lame and U''(J) / lame for J - 1
 
 
 def _quadratic_measure(x):  # type: ignore[no-untyped-def]

@@ -20,25 +20,13 @@ __all__ = ["Console", "Table", "count_nodes", "percent", "print_json", "print_pl
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text under headings, for a terminal and for a report.
-
-    Parameters
-    ----------
-    columns : sequence of str
-        Headings.
-    rows : sequence of sequences of str
-        As long as `columns`.
-    justify : sequence of "left" or "right"
-        For every column.
-    wraps : bool
-        Whether a terminal may break the lines of a cell.
-    """
+    """Rows of text under headings, for a terminal and for a report."""
 
     title: str
-    columns: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    justify: Sequence[Literal["left", "right"]]
-    wraps: bool = True
+    columns: Sequence[str]  # headings
+    rows: Sequence[Sequence[str]]  # as long as `columns`
+    justify: Sequence[Literal["left", "right"]]  # for every column
+    wraps: bool = True  # whether a terminal may break the lines of a cell
 
 
 class Console:

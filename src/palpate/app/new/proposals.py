@@ -29,25 +29,14 @@ MIN_HELD_SHARE = 0.1  # of the surface; less is held by bones and vessels alone 
 
 @dataclass(frozen=True)
 class Proposals:
-    """Sections for the scene of an organ, and the reason for each.
+    """Sections for the scene of an organ, and the reason for each."""
 
-    Parameters
-    ----------
-    title : str
-        Names of the parts that were chosen.
-    parts : tuple of str
-        Parts of the label map that are the body: those, and what lies in them.
-    regions, supports : tuples of pairs
-        Sections and the reasons for them.
-    alternatives : tuple of pairs
-        Supports that are not proposed, but can be chosen.
-    """
-
-    title: str
-    parts: tuple[str, ...]
+    title: str  # names of the parts that were chosen
+    parts: tuple[str, ...]  # parts of the label map that are the body: those, and what lies in them
+    # regions, supports: sections and the reasons for them
     regions: tuple[tuple[Region, str], ...]
     supports: tuple[tuple[Support, str], ...]
-    alternatives: tuple[tuple[Support, str], ...]
+    alternatives: tuple[tuple[Support, str], ...]  # supports that are not proposed, but can be chosen
 
 
 def propose(labels: LabelMap, file: Path, part: Sequence[str] | None, spacing: float) -> Proposals:

@@ -61,50 +61,26 @@ class SurfaceFileError(OSError):
 
 
 class Cut(NamedTuple):
-    """A change of the cut of a body.
+    """A change of the cut of a body."""
 
-    Parameters
-    ----------
-    start : int
-        Index of the first snapshot of the body that is cut so.
-    kept : int
-        Number of triangles that stay.
-    triangles : (t, 3, 3) array [m]
-        Those that follow them.
-    """
-
-    start: int
-    kept: int
-    triangles: Floats
+    start: int  # index of the first snapshot of the body that is cut so
+    kept: int  # number of triangles that stay
+    triangles: Floats  # (t, 3, 3) array [m]: those that follow them
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A recorded session.
-
-    Parameters
-    ----------
-    model : ReducedModel or EnergySolid
-        The reduced model or the full body of the session.
-    times : (f,) array [s]
-        Wall-clock time, from 0.
-    snapshots : list of Snapshot
-        Snapshots at these times.
-    tools : list of dict
-        Descriptions of the selected tools, with ``"start"``, the index of the first snapshot of each.
-    full : dict
-        Result of `palpate.app.session.full_model_replay.replay_on_full_model`; empty without such a run.
-    cuts : list of Cut
-        Changes of the cut of a full body, in the order of their snapshots.
-    """
+    """A recorded session."""
 
     title: str
-    model: ReducedModel | EnergySolid
-    times: Floats
-    snapshots: list[Snapshot]
+    model: ReducedModel | EnergySolid  # the reduced model or the full body of the session
+    times: Floats  # (f,) array [s]: wall-clock time, from 0
+    snapshots: list[Snapshot]  # snapshots at these times
+    # descriptions of the selected tools, with ``"start"``, the index of the first snapshot of each
     tools: list[dict[str, Any]]
+    # result of `palpate.app.session.full_model_replay.replay_on_full_model`; empty without such a run
     full: dict[str, Any]
-    cuts: list[Cut] = field(default_factory=list)
+    cuts: list[Cut] = field(default_factory=list)  # changes of the cut of a full body, in the order of their snapshots
 
 
 def save_recording(path: Path, recording: Recording) -> None:

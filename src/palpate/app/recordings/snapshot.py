@@ -42,25 +42,16 @@ MODES_ONLY = "excludes the local indentation at the tool"
 
 @dataclass(frozen=True, kw_only=True)
 class Snapshot(PeriodRecord):
-    """Results of one period; the tool's position is in the body's frame.
+    """Results of one period; the tool's position is in the body's frame."""
 
-    Parameters
-    ----------
-    device_force : (3,) array [N]
-        Force on the haptic device, transmitted by the virtual coupling if there is one.
-    contact_nodes, contact_forces : (e,) int array, (e, 3) array [N]
-        Contact nodes of the model's contact surface, and the forces on them for the model's own moduli.
-    modulus_ratio : float
-        Moduli relative to the model's own.
-    tool : str
-        One of `TOOL_KINDS`.
-    """
-
+    # (3,) array [N]: force on the haptic device, transmitted by the virtual coupling if there is one
     device_force: Floats
+    # contact_nodes, contact_forces: (e,) int array, (e, 3) array [N]: contact nodes of the model's contact surface, and
+    # the forces on them for the model's own moduli
     contact_nodes: NDArray[np.int64]
     contact_forces: Floats
-    modulus_ratio: float
-    tool: str
+    modulus_ratio: float  # moduli relative to the model's own
+    tool: str  # one of `TOOL_KINDS`
 
     def displacements(self, surface: DisplaySurface) -> NDArray[np.float32]:
         """Return finite displacements (n, 3) [m] of a surface's vertices."""

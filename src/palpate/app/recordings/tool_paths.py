@@ -27,18 +27,11 @@ TOOL_NAME = "tool"
 
 
 class ToolPath(NamedTuple):
-    """A tool's path, from rest, as a load.
-
-    Parameters
-    ----------
-    duration : float [s]
-    trust : float
-        Largest trust number of the snapshots.
-    """
+    """A tool's path, from rest, as a load."""
 
     load: Load
-    duration: float
-    trust: float
+    duration: float  # [s]
+    trust: float  # largest trust number of the snapshots
 
 
 def tool_paths(recording: Recording) -> list[ToolPath]:

@@ -38,26 +38,13 @@ NO_ROTATION = np.array([1.0, 0.0, 0.0, 0.0])
 
 @dataclass(frozen=True)
 class SelectedTool:
-    """A tool with the parameters of its message.
+    """A tool with the parameters of its message."""
 
-    Parameters
-    ----------
-    kind : str
-        One of `palpate.app.recordings.snapshot.TOOL_KINDS`.
-    shape : Tool or None
-        None for no tool, or for a group of nodes that the model prescribes.
-    friction : float
-        Coefficient of friction.
-    stiffness : float or None [N/m]
-        Stiffness of the virtual coupling; None for a rigid coupling.
-    parameters : mapping of str to float
-        Values of the parameters of all kinds, `palpate.dynamics.contact.tools.tool_parameters`.
-    """
-
-    kind: str
-    shape: Tool | None
-    friction: float = 0.0
-    stiffness: float | None = None
+    kind: str  # one of `palpate.app.recordings.snapshot.TOOL_KINDS`
+    shape: Tool | None  # None for no tool, or for a group of nodes that the model prescribes
+    friction: float = 0.0  # coefficient of friction
+    stiffness: float | None = None  # float or None [N/m]: stiffness of the virtual coupling; None for a rigid coupling
+    # values of the parameters of all kinds, `palpate.dynamics.contact.tools.tool_parameters`
     parameters: Mapping[str, float] = field(default_factory=lambda: dict.fromkeys(tool_parameters(), 0.0))
 
     def describe(self, position: Floats, quaternion: Floats, active: bool) -> dict[str, Any]:

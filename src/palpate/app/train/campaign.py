@@ -59,29 +59,16 @@ class Round(NamedTuple):
 
 @dataclass(frozen=True)
 class Campaign:
-    """A campaign in its folder; makes its runs and models.
-
-    Parameters
-    ----------
-    modes : int
-        Of the models.
-    cubature : float, optional
-        As for `palpate.hyper_reduce`; by default the scene's.
-    workers : int
-        Processes on this machine.
-    cluster : str, optional
-        Address of a Dask scheduler, or the path of its file, instead.
-    seconds : dict
-        Time spent on ``"runs"`` and on ``"training"``.
-    """
+    """A campaign in its folder; makes its runs and models."""
 
     folder: Folder
     scene: TrainingScene
     console: Console
-    modes: int
-    cubature: float | None = None
-    workers: int = 1
-    cluster: str | None = None
+    modes: int  # of the models
+    cubature: float | None = None  # as for `palpate.hyper_reduce`; by default the scene's
+    workers: int = 1  # processes on this machine
+    cluster: str | None = None  # address of a Dask scheduler, or the path of its file, instead
+    # time spent on ``"runs"`` and on ``"training"``
     seconds: dict[str, float] = field(default_factory=lambda: {"runs": 0.0, "training": 0.0})
 
     def jobs(self, paths: Iterable[int], held_out: int) -> list[Job]:

@@ -71,16 +71,10 @@ def manifest_of(name: str, scene: TrainingScene, seed: int) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Folder:
-    """A folder that belongs to a campaign.
-
-    Parameters
-    ----------
-    manifest : mapping
-        As `manifest_of` makes it.
-    """
+    """A folder that belongs to a campaign."""
 
     path: Path
-    manifest: Mapping[str, Any]
+    manifest: Mapping[str, Any]  # as `manifest_of` makes it
 
     @property
     def runs(self) -> Path:

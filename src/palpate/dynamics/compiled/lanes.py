@@ -40,27 +40,15 @@ __all__ = [
 
 
 class Lanes(NamedTuple):
-    """Neighbours of one family of stencils, in blocks of `LANES` nodes.
+    """Neighbours of one family of stencils, in blocks of `LANES` nodes."""
 
-    Parameters
-    ----------
-    nodes : (b, LANES) int32
-        Nodes of every block; the last node of an unfilled block is repeated.
-    start, stop : (b,) int64
-        First entry of every block in `neighbours`, and the one after its last.
-    neighbours : (t, LANES) int32
-        Neighbours of every lane.
-    shared : (b,) bool
-        True for blocks whose nodes share their weights.
-    weight_start : (b,) int64
-        First entry of every block in the table of shared weights or of those by lane.
-    """
-
-    nodes: NDArray[np.int32]
+    nodes: NDArray[np.int32]  # (b, LANES) int32: nodes of every block; the last node of an unfilled block is repeated
+    # start, stop: (b,) int64: first entry of every block in `neighbours`, and the one after its last
     start: NDArray[np.int64]
     stop: NDArray[np.int64]
-    neighbours: NDArray[np.int32]
-    shared: NDArray[np.bool_]
+    neighbours: NDArray[np.int32]  # (t, LANES) int32: neighbours of every lane
+    shared: NDArray[np.bool_]  # (b,) bool: True for blocks whose nodes share their weights
+    # (b,) int64: first entry of every block in the table of shared weights or of those by lane
     weight_start: NDArray[np.int64]
 
 

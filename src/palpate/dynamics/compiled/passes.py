@@ -35,43 +35,24 @@ def without_history(work, interval):  # type: ignore[no-untyped-def]
 
 
 class Formulation(NamedTuple):
-    """The compiled passes of a body, for one material law.
+    """The compiled passes of a body, for one material law."""
 
-    Parameters
-    ----------
-    digest : str
-        Digest of all sources of the passes.
-    numbers : int
-        Derivatives per node: 27 in a solid (12 in its energy form), 15 in a membrane.
-    respond : function
-        ``respond(u, body, work)`` computes the responses of all nodes to displacements (n, 3).
-    respond_to_columns : function
-        ``respond_to_columns(columns, table, body, work)`` does so for the coordinates (m,) of basis
-        vectors, whose derivatives are in a table (b, m, numbers, LANES).
-    differentiate : function
-        ``differentiate(modes, body, work, table)`` writes that table for basis vectors (m, n, 3).
-    finish : function
-        ``finish(body, work, force)`` computes the nodal forces [N/m^3] from the responses.
-    project : function or None
-        ``project(table, body, work, volumes, partial, result)`` computes the virtual work of the
-        responses on the basis vectors, with partial sums (b, m). None unless the forces are the
-        derivative of an energy.
-    after : function
-        ``after(work, interval)`` sets the interval [s] after which the next evaluation updates the
-        history variables; 0 for no update.
-    single : Formulation or None
-        Passes of the steps in single precision, for other constants and scratch arrays; see
-        `palpate.dynamics.solid.energy_form.body_in_single`.
-    """
-
-    digest: str
-    numbers: int
-    respond: Any
+    digest: str  # digest of all sources of the passes
+    numbers: int  # derivatives per node: 27 in a solid (12 in its energy form), 15 in a membrane
+    respond: Any  # ``respond(u, body, work)`` computes the responses of all nodes to displacements (n, 3)
+    # ``respond_to_columns(columns, table, body, work)`` does so for the coordinates (m,) of basis vectors, whose
+    # derivatives are in a table (b, m, numbers, LANES)
     respond_to_columns: Any
-    differentiate: Any
-    finish: Any
+    differentiate: Any  # ``differentiate(modes, body, work, table)`` writes that table for basis vectors (m, n, 3)
+    finish: Any  # ``finish(body, work, force)`` computes the nodal forces [N/m^3] from the responses
+    # ``project(table, body, work, volumes, partial, result)`` computes the virtual work of the responses on the basis
+    # vectors, with partial sums (b, m). None unless the forces are the derivative of an energy.
     project: Any = None
+    # ``after(work, interval)`` sets the interval [s] after which the next evaluation updates the history variables; 0
+    # for no update
     after: Any = without_history
+    # passes of the steps in single precision, for other constants and scratch arrays; see
+    # `palpate.dynamics.solid.energy_form.body_in_single`
     single: Any = None
 
     @property

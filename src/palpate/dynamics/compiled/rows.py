@@ -36,28 +36,18 @@ class Rows(NamedTuple):
     """Stencils in compressed rows: a node's neighbours are next to each other, and so are their weights.
 
     The number of entries of a row is a multiple of `ROW_MULTIPLE`. The last can be the node itself with zero weights.
-
-    Parameters
-    ----------
-    nodes : (b, LANES) int32
-        Nodes in blocks for the material law; the last node of an unfilled block is repeated.
-    start, stop : (n,) int64
-        First entry of every node in `neighbours`, and the one after its last.
-    neighbours : (t,) int32
-    weight_start : (n,) int64
-        First entry of every node in `weights`. Nodes with equal weights share them.
-    weights : (s, w) float64 or float32
-        Of one of the `ROW_WIDTHS`, padded with zeros.
-    used : (2,) int64
-        Entries of `neighbours` and of `weights` that some layout reads. Layouts share arrays (`with_rows`).
     """
 
+    # (b, LANES) int32: nodes in blocks for the material law; the last node of an unfilled block is repeated
     nodes: NDArray[np.int32]
+    # start, stop: (n,) int64: first entry of every node in `neighbours`, and the one after its last
     start: NDArray[np.int64]
     stop: NDArray[np.int64]
-    neighbours: NDArray[np.int32]
+    neighbours: NDArray[np.int32]  # (t,) int32
+    # (n,) int64: first entry of every node in `weights`. Nodes with equal weights share them.
     weight_start: NDArray[np.int64]
-    weights: NDArray[Any]
+    weights: NDArray[Any]  # (s, w) float64 or float32: of one of the `ROW_WIDTHS`, padded with zeros
+    # (2,) int64: entries of `neighbours` and of `weights` that some layout reads. Layouts share arrays (`with_rows`).
     used: NDArray[np.int64]
 
 

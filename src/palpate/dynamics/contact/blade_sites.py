@@ -15,47 +15,25 @@ AWAY_TOOL, NO_TOOL = -1, -2  # of sites of a tool that was put away, and of pair
 
 
 class BladeSites(NamedTuple):
-    """Points of the tissue at blades, for the compiled step.
+    """Points of the tissue at blades, for the compiled step."""
 
-    Parameters
-    ----------
-    tool, kind : (s,) arrays
-        Number of the tool or AWAY_TOOL or NO_TOOL, and EDGE_SITE, FACE_SITE or PAIR_SITE.
-    start : (s + 1,) array
-        First entry of every site in the next two arrays.
-    nodes, weights : (e,) arrays
-    points : (s, 3) array [m]
-        Reference positions.
-    places : (s, 3) array [m]
-        The points of the blade, in its frame.
-    directions : (s, 3) array
-        In the tool's frame, the direction in which the edge cuts, or the normal of the blade's side. In space, the
-        normal from the second face of a pair to its first.
-    limits : (s,) array [N]
-        Largest force of the edge, or largest friction.
-    offsets : (s, 3) array [m]
-        From the tissue to the point of the blade where an edge is at the front.
-    slips : (s,) array [m]
-        How far the front has advanced since the site was made.
-    impulses : (s, 3) array [N s]
-        Of the present step.
-    works : (2,) array [J]
-        Energy dissipated at the edge and by friction since the start of a call.
-    """
-
+    # tool, kind: (s,) arrays: number of the tool or AWAY_TOOL or NO_TOOL, and EDGE_SITE, FACE_SITE or PAIR_SITE
     tool: Ints
     kind: Ints
-    start: Ints
+    start: Ints  # (s + 1,) array: first entry of every site in the next two arrays
+    # nodes, weights: (e,) arrays
     nodes: Ints
     weights: Floats
-    points: Floats
-    places: Floats
+    points: Floats  # (s, 3) array [m]: reference positions
+    places: Floats  # (s, 3) array [m]: the points of the blade, in its frame
+    # (s, 3) array: in the tool's frame, the direction in which the edge cuts, or the normal of the blade's side. In
+    # space, the normal from the second face of a pair to its first.
     directions: Floats
-    limits: Floats
-    offsets: Floats
-    slips: Floats
-    impulses: Floats
-    works: Floats
+    limits: Floats  # (s,) array [N]: largest force of the edge, or largest friction
+    offsets: Floats  # (s, 3) array [m]: from the tissue to the point of the blade where an edge is at the front
+    slips: Floats  # (s,) array [m]: how far the front has advanced since the site was made
+    impulses: Floats  # (s, 3) array [N s]: of the present step
+    works: Floats  # (2,) array [J]: energy dissipated at the edge and by friction since the start of a call
 
 
 def no_sites() -> BladeSites:

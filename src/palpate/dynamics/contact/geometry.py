@@ -51,31 +51,17 @@ SLIDING_RESISTANCE = 20.0  # of a held node, in masses times the speed of the fa
 
 
 class HeldNodes(NamedTuple):
-    """Nodes that supports hold in all directions, and the forces of tools on them.
+    """Nodes that supports hold in all directions, and the forces of tools on them."""
 
-    Parameters
-    ----------
-    nodes : (h,) int array
-    points : (h, 3) array [m]
-    stiffness, impedance : (h,) arrays [N/m], [N s/m]
-    reach : (t, h) bool array
-        Whether a tool acts on a node.
-    forces : (h, 3) array [N]
-        Mean forces in the last step.
-    impulses : (h, 3) array [N s]
-        Their impulses since the start of a call.
-    energy : (1,) array [J]
-        Of the tissue over the supports after the last step.
-    """
-
-    nodes: Ints
-    points: Floats
+    nodes: Ints  # (h,) int array
+    points: Floats  # (h, 3) array [m]
+    # stiffness, impedance: (h,) arrays [N/m], [N s/m]
     stiffness: Floats
     impedance: Floats
-    reach: NDArray[np.bool_]
-    forces: Floats
-    impulses: Floats
-    energy: Floats
+    reach: NDArray[np.bool_]  # (t, h) bool array: whether a tool acts on a node
+    forces: Floats  # (h, 3) array [N]: mean forces in the last step
+    impulses: Floats  # (h, 3) array [N s]: their impulses since the start of a call
+    energy: Floats  # (1,) array [J]: of the tissue over the supports after the last step
 
 
 class Contacts(NamedTuple):
@@ -83,104 +69,47 @@ class Contacts(NamedTuple):
 
     A candidate is a pair of a tool and a patch that the tool can reach. The p patches are those of the n
     nodes, and those of the middles of edges of the surface.
-
-    Parameters
-    ----------
-    kind : (t,) array
-        Shape of every tool.
-    sizes : (t, 3) array [m]
-    friction : (t,) array
-    start : (t + 1,) array
-        First candidate of every tool, and their number k.
-    nodes, tool : (k,) arrays
-        Patch and tool of every candidate.
-    points : (p, 3) array [m]
-        Reference positions.
-    ends : (p, 2) array
-        Nodes at the ends of every patch's edge; for the patch of a node twice the node.
-    lengths : (p,) array [m]
-        Lengths of these edges at rest.
-    curvature : (t,) array [1/m]
-        Largest curvature of every tool.
-    patch_start : (p + 1,) array
-        First entry of every patch in the next two arrays.
-    patch_nodes, patch_weights : (c,) arrays
-        Nodes of the patches and their weights.
-    prescribed_until : (p,) array [s]
-        Time until which a patch is constrained.
-    slide_of : (n,) array
-        Index in `slide` of a node that slides on a support; -1 for others.
-    slide : (r, 3, 3) array
-        Projections on the directions in which sliding nodes are free.
-    overlap : float [m]
-        Depth of a patch in a tool beyond which it is not pushed out in a single step.
-    contact_gap : float [m]
-        Gap below which a patch is in contact at the end of a call.
-    search_gap : float [m]
-        Gap below which a patch is included in the sweeps.
-    patch_radius : float [m]
-        Largest distance of a patch from its node.
-    patch_gain : float
-        Largest displacement of a patch over that of its nodes: the largest sum of absolute weights.
-    frames : (t, 2, 3, 4) array
-        Rotations and positions of the tools before and after a step.
-    tool_radius : (t,) array [m]
-        Radius about its origin that contains a tool.
-    near_count : (t,) array
-        Number of candidates of every tool that are near it, so that a step looks at them; by default all.
-    near : (k,) array
-        The near candidates of every tool in order, from its first candidate on.
-    active_count : (1,) array
-        Number of active candidates, within `search_gap`.
-    active : (k,) array
-        The active candidates.
-    patch_impulses : (k, 4) array
-        Impulses of the candidates [N s] and 1 / m [1/kg]; zero unless active.
-    places : (k, 4) array [m]
-        Positions of the active candidates at the start of a step, and the gaps that they may keep in it.
-    inverse_mass : (n,) array [1/kg]
-        1 / mass of the nodes near the active patches; zero for constrained nodes.
-    step_impulses : (n, 3) array [N s]
-        Nodal impulses of the present step.
-    nodal_impulses : (n, 3) array [N s]
-        Nodal impulses since the start of a call.
-    tool_impulses : (t, 6) array [N s], [N m s]
-        Impulse of every tool on the body and its moment about the tool's origin, since the start of
-        a call.
     """
 
-    kind: NDArray[np.int64]
-    sizes: Floats
-    friction: Floats
-    start: NDArray[np.int64]
+    kind: NDArray[np.int64]  # (t,) array: shape of every tool
+    sizes: Floats  # (t, 3) array [m]
+    friction: Floats  # (t,) array
+    start: NDArray[np.int64]  # (t + 1,) array: first candidate of every tool, and their number k
+    # nodes, tool: (k,) arrays: patch and tool of every candidate
     nodes: NDArray[np.int64]
-    points: Floats
+    points: Floats  # (p, 3) array [m]: reference positions
+    # (p, 2) array: nodes at the ends of every patch's edge; for the patch of a node twice the node
     ends: NDArray[np.int64]
-    lengths: Floats
-    curvature: Floats
-    patch_start: NDArray[np.int64]
+    lengths: Floats  # (p,) array [m]: lengths of these edges at rest
+    curvature: Floats  # (t,) array [1/m]: largest curvature of every tool
+    patch_start: NDArray[np.int64]  # (p + 1,) array: first entry of every patch in the next two arrays
+    # patch_nodes, patch_weights: (c,) arrays: nodes of the patches and their weights
     patch_nodes: NDArray[np.int64]
     patch_weights: Floats
-    prescribed_until: Floats
-    slide_of: NDArray[np.int64]
-    slide: Floats
-    overlap: float
-    contact_gap: float
-    search_gap: float
-    patch_radius: float
-    patch_gain: float
-    frames: Floats
-    tool_radius: Floats
+    prescribed_until: Floats  # (p,) array [s]: time until which a patch is constrained
+    slide_of: NDArray[np.int64]  # (n,) array: index in `slide` of a node that slides on a support; -1 for others
+    slide: Floats  # (r, 3, 3) array: projections on the directions in which sliding nodes are free
+    overlap: float  # [m]: depth of a patch in a tool beyond which it is not pushed out in a single step
+    contact_gap: float  # [m]: gap below which a patch is in contact at the end of a call
+    search_gap: float  # [m]: gap below which a patch is included in the sweeps
+    patch_radius: float  # [m]: largest distance of a patch from its node
+    patch_gain: float  # largest displacement of a patch over that of its nodes: the largest sum of absolute weights
+    frames: Floats  # (t, 2, 3, 4) array: rotations and positions of the tools before and after a step
+    tool_radius: Floats  # (t,) array [m]: radius about its origin that contains a tool
     tool: NDArray[np.int64]
+    # (t,) array: number of candidates of every tool that are near it, so that a step looks at them; by default all
     near_count: NDArray[np.int64]
-    near: NDArray[np.int64]
-    active_count: NDArray[np.int64]
-    active: NDArray[np.int64]
-    patch_impulses: Floats
+    near: NDArray[np.int64]  # (k,) array: the near candidates of every tool in order, from its first candidate on
+    active_count: NDArray[np.int64]  # (1,) array: number of active candidates, within `search_gap`
+    active: NDArray[np.int64]  # (k,) array: the active candidates
+    patch_impulses: Floats  # (k, 4) array: impulses of the candidates [N s] and 1 / m [1/kg]; zero unless active
+    # (k, 4) array [m]: positions of the active candidates at the start of a step, and the gaps that they may keep in it
     places: Floats
-    inverse_mass: Floats
-    step_impulses: Floats
-    nodal_impulses: Floats
+    inverse_mass: Floats  # (n,) array [1/kg]: 1 / mass of the nodes near the active patches; zero for constrained nodes
+    step_impulses: Floats  # (n, 3) array [N s]: nodal impulses of the present step
+    nodal_impulses: Floats  # (n, 3) array [N s]: nodal impulses since the start of a call
+    # (t, 6) array [N s], [N m s]: impulse of every tool on the body and its moment about the tool's origin, since the
+    # start of a call
     tool_impulses: Floats
     held: HeldNodes
     sites: BladeSites

@@ -23,26 +23,13 @@ COUNT, FRESH = range(2)  # entries of `Grip.numbers`
 
 
 class Grip(NamedTuple):
-    """Nodes that forceps hold.
+    """Nodes that forceps hold."""
 
-    Parameters
-    ----------
-    numbers : (2,) array
-        Number of nodes, and 1 until the first period has set their places.
-    node : (n,) array
-    place : (n, 3) array [m]
-        Positions in the tool's frame.
-    before : (n, 3) array [m/s]
-        Velocities before the kick.
-    impulse : (n, 3) array [N s]
-        Of the tool on the nodes in the last step.
-    """
-
-    numbers: Ints
-    node: Ints
-    place: Floats
-    before: Floats
-    impulse: Floats
+    numbers: Ints  # (2,) array: number of nodes, and 1 until the first period has set their places
+    node: Ints  # (n,) array
+    place: Floats  # (n, 3) array [m]: positions in the tool's frame
+    before: Floats  # (n, 3) array [m/s]: velocities before the kick
+    impulse: Floats  # (n, 3) array [N s]: of the tool on the nodes in the last step
 
 
 def empty_grip(nodes: int) -> Grip:

@@ -12,17 +12,10 @@ __all__ = ["DeadLoad", "ForcePattern"]
 
 
 class ForcePattern(NamedTuple):
-    """Nodal forces of unit amplitudes.
+    """Nodal forces of unit amplitudes."""
 
-    Parameters
-    ----------
-    nodes : (g,) int array
-        Loaded nodes.
-    forces : (g, a, 3) array [N per unit of each amplitude]
-    """
-
-    nodes: Ints
-    forces: Floats
+    nodes: Ints  # (g,) int array: loaded nodes
+    forces: Floats  # (g, a, 3) array [N per unit of each amplitude]
 
 
 class DeadLoad(ABC):

@@ -53,78 +53,36 @@ Load = DeadLoad | Pressure | Gravity | PrescribedMotion | Grasp | Contact | Foun
 
 
 class LoadHistory(NamedTuple):
-    """Values of the loads at s times, for the compiled step.
+    """Values of the loads at s times, for the compiled step."""
 
-    Parameters
-    ----------
-    gravity : (s, 3) array [m/s^2]
-    amplitudes : (s, dead loads, a) array
-        Amplitudes of the dead loads, padded with zeros.
-    pressure : (s, pressures) array [Pa]
-    motion : (s, p, 3) array [m]
-        Displacements of the prescribed nodes.
-    constrained : (s, p) bool array
-        True while a prescribed node follows its motion.
-    poses : (s, tools, 7) array
-        Positions [m] and quaternions of the tools.
-    times : (s,) array [s]
-    """
-
-    gravity: Floats
-    amplitudes: Floats
-    pressure: Floats
-    motion: Floats
-    constrained: NDArray[np.bool_]
-    poses: Floats
-    times: Floats
+    gravity: Floats  # (s, 3) array [m/s^2]
+    amplitudes: Floats  # (s, dead loads, a) array: amplitudes of the dead loads, padded with zeros
+    pressure: Floats  # (s, pressures) array [Pa]
+    motion: Floats  # (s, p, 3) array [m]: displacements of the prescribed nodes
+    constrained: NDArray[np.bool_]  # (s, p) bool array: True while a prescribed node follows its motion
+    poses: Floats  # (s, tools, 7) array: positions [m] and quaternions of the tools
+    times: Floats  # (s,) array [s]
 
 
 class LoadSites(NamedTuple):
-    """Nodes of the loads and their constant factors, for the compiled step.
+    """Nodes of the loads and their constant factors, for the compiled step."""
 
-    Parameters
-    ----------
-    kind : (n,) array
-        FREE, FIXED, PRESCRIBED or SLIDING.
-    sliding : (r,) array
-        Nodes that slide on a support, also those that are prescribed.
-    slide : (r, 3, 3) array
-        Projections on the directions in which they are free.
-    slide_of : (n,) array
-        Index of a node in `sliding`; -1 for others.
-    dead_start : (dead loads + 1,) array
-        First entry of every dead load, and the number of entries.
-    dead_node : (k,) array
-    dead_pattern : (k, a, 3) array
-        Forces [N] of unit amplitudes.
-    pressure_start, pressure_node : arrays
-        As for the dead loads.
-    pressure_area : (k, 3) array [m^2]
-        Area vectors.
-    prescribed : (p,) array
-        Nodes of prescribed motion.
-    impulses : (p, 3) array [N s]
-        Impulses on the prescribed nodes, summed by the step.
-    foundation_node : (k,) array
-    foundation_spring : (k,) array [N/m]
-    foundation_dashpot : (k,) array [N s/m]
-    """
-
-    kind: NDArray[np.uint8]
-    sliding: NDArray[np.int64]
-    slide: Floats
-    slide_of: NDArray[np.int64]
-    dead_start: NDArray[np.int64]
-    dead_node: NDArray[np.int64]
-    dead_pattern: Floats
+    kind: NDArray[np.uint8]  # (n,) array: FREE, FIXED, PRESCRIBED or SLIDING
+    sliding: NDArray[np.int64]  # (r,) array: nodes that slide on a support, also those that are prescribed
+    slide: Floats  # (r, 3, 3) array: projections on the directions in which they are free
+    slide_of: NDArray[np.int64]  # (n,) array: index of a node in `sliding`; -1 for others
+    dead_start: NDArray[np.int64]  # (dead loads + 1,) array: first entry of every dead load, and the number of entries
+    dead_node: NDArray[np.int64]  # (k,) array
+    dead_pattern: Floats  # (k, a, 3) array: forces [N] of unit amplitudes
+    # pressure_start, pressure_node: arrays: as for the dead loads
     pressure_start: NDArray[np.int64]
     pressure_node: NDArray[np.int64]
-    pressure_area: Floats
-    prescribed: NDArray[np.int64]
-    impulses: Floats
-    foundation_node: NDArray[np.int64]
-    foundation_spring: Floats
-    foundation_dashpot: Floats
+    pressure_area: Floats  # (k, 3) array [m^2]: area vectors
+    prescribed: NDArray[np.int64]  # (p,) array: nodes of prescribed motion
+    impulses: Floats  # (p, 3) array [N s]: impulses on the prescribed nodes, summed by the step
+    foundation_node: NDArray[np.int64]  # (k,) array
+    foundation_spring: Floats  # (k,) array [N/m]
+    foundation_dashpot: Floats  # (k,) array [N s/m]
 
 
 @dataclass(frozen=True)

@@ -245,21 +245,11 @@ def support_from(values: Mapping[str, Any]) -> Support:
 
 
 class SupportedNodes(NamedTuple):
-    """Constraints of the nodes by supports.
+    """Constraints of the nodes by supports."""
 
-    Parameters
-    ----------
-    kind : (n,) array
-        FREE, FIXED or SLIDING.
-    sliding : (r,) array
-        Nodes that slide.
-    slide : (r, 3, 3) array
-        Their projections on the directions in which they are free.
-    """
-
-    kind: NDArray[np.uint8]
-    sliding: NDArray[np.int64]
-    slide: Floats
+    kind: NDArray[np.uint8]  # (n,) array: FREE, FIXED or SLIDING
+    sliding: NDArray[np.int64]  # (r,) array: nodes that slide
+    slide: Floats  # (r, 3, 3) array: their projections on the directions in which they are free
 
     def project(self, field: Floats) -> Floats:
         """Remove the constrained components of a field (n, 3) or fields (..., n, 3) in place, and return it."""

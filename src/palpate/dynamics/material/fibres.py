@@ -31,21 +31,11 @@ class Families(NamedTuple):
 
 
 class FibrePoints(NamedTuple):
-    """Compiled functions of fibres at a point.
+    """Compiled functions of fibres at a point."""
 
-    Parameters
-    ----------
-    digest : str
-        Digest of their sources; empty without fibres.
-    add_stress : function
-        ``add_stress(P, d0, ..., d8, b, v, families)`` returns P, nine numbers, plus the fibres' stress.
-    add_energy : function
-        ``add_energy(W, d0, ..., d8, b, v, families)`` returns W plus their energy.
-    """
-
-    digest: str
-    add_stress: Any
-    add_energy: Any
+    digest: str  # digest of their sources; empty without fibres
+    add_stress: Any  # ``add_stress(P, d0, ..., d8, b, v, families)`` returns P, nine numbers, plus the fibres' stress
+    add_energy: Any  # ``add_energy(W, d0, ..., d8, b, v, families)`` returns W plus their energy
 
 
 def prepare_fibres(fibres: FibreLaw | None, material: Material, form: str, points: Floats) -> FibreLaw | None:

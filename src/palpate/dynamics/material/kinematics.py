@@ -13,21 +13,11 @@ __all__ = ["Kinematics"]
 
 @dataclass(frozen=True)
 class Kinematics:
-    """Kinematics of a body: the relation of F to the derivatives of the displacement.
+    """Kinematics of a body: the relation of F to the derivatives of the displacement."""
 
-    Parameters
-    ----------
-    sheet : bool
-        Whether the body is a membrane.
-    prestretch : float
-        Of a mounted membrane.
-    relaxed : bool
-        Whether a membrane wrinkles instead of carrying compression.
-    """
-
-    sheet: bool = False
-    prestretch: float = 1.0
-    relaxed: bool = False
+    sheet: bool = False  # whether the body is a membrane
+    prestretch: float = 1.0  # of a mounted membrane
+    relaxed: bool = False  # whether a membrane wrinkles instead of carrying compression
 
     def rest_strain(self, gradients: Floats) -> Floats:
         """Return twice the strain (..., 3, 3) that has stiffness at rest; tension resists every slope of a sheet."""

@@ -53,60 +53,32 @@ MIN_VOLUME_RATIO = 0.1  # volume ratio of a crushed point
 
 
 class Relaxation(NamedTuple):
-    """Branches of a Prony series.
+    """Branches of a Prony series."""
 
-    Parameters
-    ----------
-    moduli : (k,) array [Pa]
-        Shear moduli.
-    bulk : (k,) array
-        Bulk moduli over the law's volumetric coefficient.
-    times : (k,) array [s]
-    """
-
-    moduli: Floats
-    bulk: Floats
-    times: Floats
+    moduli: Floats  # (k,) array [Pa]: shear moduli
+    bulk: Floats  # (k,) array: bulk moduli over the law's volumetric coefficient
+    times: Floats  # (k,) array [s]
 
 
 class HistoryVariables(NamedTuple):
-    """History variables of viscoelastic tissue, in blocks of lanes.
+    """History variables of viscoelastic tissue, in blocks of lanes."""
 
-    Parameters
-    ----------
-    interval : (2,) array [s]
-        Interval from the last update to the next evaluation, 0 for an evaluation without update; and the
-        time since the last update, if the steps count it.
-    strain : (b, 6, LANES) array
-        C̄ of the last update: 00 11 22 01 02 12.
-    branches : (b, k, 6, LANES) array
-        A_i.
-    dilatation : (v,) array
-        Volumetric measure of the last update: theta of the nodes, or the moments of a reduced model.
-    volume : (v, k) array
-        Its branches.
-    effective : (v,) array
-        Volumetric measure plus its branches, as last evaluated.
-    factors : (k, 5) array
-        Factors of every branch for the interval.
-    stress : (b, 9, LANES) array [Pa]
-        Overstress, as last evaluated, row by row.
-    energy, lost : (b, LANES) arrays [J/m^3]
-        Energy in the branches as last evaluated, and energy dissipated since the last restore.
-    volume_energy, volume_lost : (v,) arrays
-        The same of the volumetric branches, over the bulk modulus.
-    """
-
+    # (2,) array [s]: interval from the last update to the next evaluation, 0 for an evaluation without update; and the
+    # time since the last update, if the steps count it
     interval: Floats
-    strain: Floats
-    branches: Floats
+    strain: Floats  # (b, 6, LANES) array: c̄ of the last update: 00 11 22 01 02 12
+    branches: Floats  # (b, k, 6, LANES) array: a_i
+    # (v,) array: volumetric measure of the last update: theta of the nodes, or the moments of a reduced model
     dilatation: Floats
-    volume: Floats
-    effective: Floats
-    factors: Floats
-    stress: Floats
+    volume: Floats  # (v, k) array: its branches
+    effective: Floats  # (v,) array: volumetric measure plus its branches, as last evaluated
+    factors: Floats  # (k, 5) array: factors of every branch for the interval
+    stress: Floats  # (b, 9, LANES) array [Pa]: overstress, as last evaluated, row by row
+    # energy, lost: (b, LANES) arrays [J/m^3]: energy in the branches as last evaluated, and energy dissipated since the
+    # last restore
     energy: Floats
     lost: Floats
+    # volume_energy, volume_lost: (v,) arrays: the same of the volumetric branches, over the bulk modulus
     volume_energy: Floats
     volume_lost: Floats
 

@@ -22,25 +22,12 @@ __all__ = ["Tissue", "tissue_of"]
 
 @dataclass(frozen=True)
 class Tissue:
-    """The material properties of a body at all of its nodes.
+    """The material properties of a body at all of its nodes."""
 
-    Parameters
-    ----------
-    material : Material
-        The law, with the density and the relaxation of all nodes.
-    regions : Regions or None
-        Parameters of the law that differ from node to node.
-    stiffness : (n,) array
-        Stiffness factors of the nodes; empty if all are 1.
-    fibres : FibreLaw or None
-        Fibres with a direction at every node.
-    nodes : int
-    """
-
-    material: Material
-    regions: Regions | None
-    stiffness: Floats
-    fibres: FibreLaw | None
+    material: Material  # the law, with the density and the relaxation of all nodes
+    regions: Regions | None  # parameters of the law that differ from node to node
+    stiffness: Floats  # (n,) array: stiffness factors of the nodes; empty if all are 1
+    fibres: FibreLaw | None  # fibres with a direction at every node
     nodes: int
 
     @property

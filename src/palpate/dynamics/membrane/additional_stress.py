@@ -63,18 +63,11 @@ def flatten_additional(families, relaxation, history):  # type: ignore[no-untype
 
 
 class AdditionalStress(NamedTuple):
-    """The compiled additional stress of a sheet.
+    """The compiled additional stress of a sheet."""
 
-    Parameters
-    ----------
-    digest : str
-        Digest of its sources; empty without additional stress.
-    response : function or None
-        ``response(C00, C11, C01, b, point, v, extras)`` returns the energy, then S as 00 11 01, of a point in
-        lane v; `b` is the block of the node, `point` that of the point. None without additional stress.
-    """
-
-    digest: str
+    digest: str  # digest of its sources; empty without additional stress
+    # ``response(C00, C11, C01, b, point, v, extras)`` returns the energy, then S as 00 11 01, of a point in lane v; `b`
+    # is the block of the node, `point` that of the point. None without additional stress.
     response: Any
 
 

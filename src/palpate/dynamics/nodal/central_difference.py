@@ -44,60 +44,31 @@ __all__ = [
 
 
 class NodalData(NamedTuple):
-    """Constants of the nodes of a body.
+    """Constants of the nodes of a body."""
 
-    Parameters
-    ----------
-    volumes : (n,) array [m^3]
-    mass : (n,) array [kg]
-        Masses in the inner product of the nodal forces.
-    density : float [kg/m^3]
-    slot : (n,) array
-        Position of every node in the blocks of lanes.
-    half_cell : float
-        Half the c of the half-cell balance at the boundary.
-    """
-
-    volumes: Floats
-    mass: Floats
-    density: float
-    slot: Ints
-    half_cell: float
+    volumes: Floats  # (n,) array [m^3]
+    mass: Floats  # (n,) array [kg]: masses in the inner product of the nodal forces
+    density: float  # [kg/m^3]
+    slot: Ints  # (n,) array: position of every node in the blocks of lanes
+    half_cell: float  # half the c of the half-cell balance at the boundary
 
 
 class Damping(NamedTuple):
-    """Damping proportional to mass and stiffness, C = alpha M + beta K.
+    """Damping proportional to mass and stiffness, C = alpha M + beta K."""
 
-    Parameters
-    ----------
-    alpha : float [1/s]
-    beta : float [s]
-    wave_speed : float [m/s]
-        Largest velocity of prescribed nodes in the damping forces.
-    """
-
-    alpha: float
-    beta: float
-    wave_speed: float
+    alpha: float  # [1/s]
+    beta: float  # [s]
+    wave_speed: float  # [m/s]: largest velocity of prescribed nodes in the damping forces
 
 
 class StepScratch(NamedTuple):
-    """Nodal arrays (n, 3) that a step overwrites.
+    """Nodal arrays (n, 3) that a step overwrites."""
 
-    Parameters
-    ----------
-    force, previous : arrays [N/m^3]
-        Internal force density of the present and the previous evaluation.
-    surface : array [N/m^3]
-        Surface loads per nodal volume.
-    damped : array [m]
-        Displacements u + beta v of the evaluation.
-    """
-
+    # force, previous: arrays [N/m^3]: internal force density of the present and the previous evaluation
     force: Floats
     previous: Floats
-    surface: Floats
-    damped: Floats
+    surface: Floats  # array [N/m^3]: surface loads per nodal volume
+    damped: Floats  # array [m]: displacements u + beta v of the evaluation
 
 
 def step_scratch(nodes: int) -> StepScratch:

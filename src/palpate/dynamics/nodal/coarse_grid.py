@@ -36,20 +36,11 @@ MIN_MODULUS = 1e-4  # smallest modulus of a node alone, over the shear modulus
 
 
 class _Moduli(NamedTuple):
-    """Moduli with positive energies; rows and columns d c + k of F_ck.
+    """Moduli with positive energies; rows and columns d c + k of F_ck."""
 
-    Parameters
-    ----------
-    shear : (n, 3 d, 3 d) array [Pa]
-        Without the volume's share.
-    bulk : (n,) array [Pa]
-        Coefficient of the volume's share, bulk (cof F) x (cof F).
-    cofactor : (n, 3 d) array
-    """
-
-    shear: Floats
-    bulk: Floats
-    cofactor: Floats
+    shear: Floats  # (n, 3 d, 3 d) array [Pa]: without the volume's share
+    bulk: Floats  # (n,) array [Pa]: coefficient of the volume's share, bulk (cof F) x (cof F)
+    cofactor: Floats  # (n, 3 d) array
 
 
 def two_level_preconditioner(

@@ -20,27 +20,14 @@ NO_FIELDS = slice(0, 0)
 
 @dataclass(frozen=True)
 class Fields:
-    """Displacement fields and their derivatives at the points of an energy.
+    """Displacement fields and their derivatives at the points of an energy."""
 
-    Parameters
-    ----------
-    columns : (m, n, 3) array
-        The fields.
-    gradients : (p, m, 9) array
-        Their derivatives, row by row of du/dX; in single precision where there are many.
-    constant : (m, m) array
-        Stiffness of their hourglass residual.
-    nodes : (p,) int array
-        Node of each point.
-    volumes : (p,) array [m^3]
-        Of the points, times the stiffness factor of the node.
-    """
-
-    columns: Floats
+    columns: Floats  # (m, n, 3) array: the fields
+    # (p, m, 9) array: their derivatives, row by row of du/dX; in single precision where there are many
     gradients: Floats
-    constant: Floats
-    nodes: NDArray[np.int64]
-    volumes: Floats
+    constant: Floats  # (m, m) array: stiffness of their hourglass residual
+    nodes: NDArray[np.int64]  # (p,) int array: node of each point
+    volumes: Floats  # (p,) array [m^3]: of the points, times the stiffness factor of the node
 
     def of(self, which: slice | NDArray[np.int64]) -> Fields:
         """Return a subset of the fields."""

@@ -51,35 +51,16 @@ PROBE = 1e-3  # displacement of difference quotients, in spacings: far above the
 
 
 class MassTailoring(NamedTuple):
-    """Modes that get more mass, as local shapes l_j.
+    """Modes that get more mass, as local shapes l_j."""
 
-    Parameters
-    ----------
-    start : (k + 1,) int array
-        First entry of every shape in the next two arrays.
-    nodes : (e,) int array
-    shapes : (e, 3) array [kg^-1/2]
-        l_j at their nodes.
-    used : (k,) bool array
-        False for shapes that a cut has changed.
-    mixing : (k, k) array
-        sqrt(s_k) R_kj.
-    frequencies : (k,) array [rad/s]
-        w_k.
-    plain_frequency : float [rad/s]
-        Highest frequency of the body without them.
-    forces : (n, 3) array [N]
-        Scratch array; empty without modes.
-    """
-
-    start: Ints
-    nodes: Ints
-    shapes: Floats
-    used: NDArray[np.bool_]
-    mixing: Floats
-    frequencies: Floats
-    plain_frequency: float
-    forces: Floats
+    start: Ints  # (k + 1,) int array: first entry of every shape in the next two arrays
+    nodes: Ints  # (e,) int array
+    shapes: Floats  # (e, 3) array [kg^-1/2]: l_j at their nodes
+    used: NDArray[np.bool_]  # (k,) bool array: False for shapes that a cut has changed
+    mixing: Floats  # (k, k) array: sqrt(s_k) R_kj
+    frequencies: Floats  # (k,) array [rad/s]: w_k
+    plain_frequency: float  # [rad/s]: highest frequency of the body without them
+    forces: Floats  # (n, 3) array [N]: scratch array; empty without modes
 
 
 def _no_modes(frequency: float) -> tuple[MassTailoring, float]:

@@ -33,18 +33,10 @@ LEVI_CIVITA[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = -1.0
 
 
 class SplitStress(NamedTuple):
-    """Nodal stresses in two parts.
+    """Nodal stresses in two parts."""
 
-    Parameters
-    ----------
-    pressure : (n,) array [Pa]
-        p, the mean Cauchy stress; zero in a sheet.
-    second : (n, d, d) array [Pa]
-        S, the rest of the second Piola-Kirchhoff stress.
-    """
-
-    pressure: Floats
-    second: Floats
+    pressure: Floats  # (n,) array [Pa]: p, the mean Cauchy stress; zero in a sheet
+    second: Floats  # (n, d, d) array [Pa]: s, the rest of the second Piola-Kirchhoff stress
 
 
 def split_stress(balance: StaticBalance, displacements: Floats) -> SplitStress:

@@ -56,20 +56,11 @@ MIN_STEP_SHARE = 0.1  # of the undamped stable step, below which stiffness dampi
 
 
 class NodalWork(NamedTuple):
-    """Scratch arrays of a nodal model, for one thread at a time.
+    """Scratch arrays of a nodal model, for one thread at a time."""
 
-    Parameters
-    ----------
-    passes : NamedTuple
-        Scratch arrays of the compiled passes, with the history variables of relaxing tissue.
-    step : StepScratch
-    step_passes : NamedTuple
-        As `passes`, for `NodalModel.step_body`; the history variables are the same.
-    """
-
-    passes: Any
+    passes: Any  # scratch arrays of the compiled passes, with the history variables of relaxing tissue
     step: StepScratch
-    step_passes: Any
+    step_passes: Any  # as `passes`, for `NodalModel.step_body`; the history variables are the same
 
 
 class NodalModel(Model):

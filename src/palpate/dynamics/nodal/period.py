@@ -80,20 +80,11 @@ REPEATED, GAINED, HELD, ESTIMATE, RESTED, NEAR_MARGIN, CLEAR_WAY, BASE_FREQUENCY
 
 
 class ContactReport(NamedTuple):
-    """Forces on the patches in contact, as means over the last period.
+    """Forces on the patches in contact, as means over the last period."""
 
-    Parameters
-    ----------
-    node : (k,) array
-        Nodes of the patches; one can be there several times.
-    push : (k, 3) array [N]
-    numbers : (3,) array
-        The first is the number of patches in contact.
-    """
-
-    node: Ints
-    push: Floats
-    numbers: Ints
+    node: Ints  # (k,) array: nodes of the patches; one can be there several times
+    push: Floats  # (k, 3) array [N]
+    numbers: Ints  # (3,) array: the first is the number of patches in contact
 
 
 class NodalPeriodData(NamedTuple):

@@ -29,36 +29,19 @@ RESOLVED_STEP = 1e-4  # [s]: resolves motions of tools and loads at ten steps a 
 
 
 class ContactState(NamedTuple):
-    """The forces and impulses of tools on a body.
+    """The forces and impulses of tools on a body."""
 
-    Parameters
-    ----------
-    forces : (n, 3) array [N]
-        Present forces on the nodes.
-    impulses : (t, 6) array [N s], [N m s]
-        Impulse of every tool and its moment about the tool's origin, since `start_time`.
-    start_time : float [s]
-        Time from which impulses are summed.
-    nodal_impulses : (n, 3) array [N s]
-        Impulses on the nodes since `start_time`.
-    surface_positions : (t, k, 3) array [m]
-        Positions of a reduced model's surface nodes in contact; empty in a full model.
-    surface_forces : (t, k, 3) array [N]
-        Forces on those nodes.
-    constraint_impulses : (p, 3) array [N s]
-        Impulses on the prescribed nodes since `start_time`; empty without a `Grasp`.
-    held_energy : float [J]
-        Energy of the tissue over supports that tools press.
-    """
-
-    forces: Floats
+    forces: Floats  # (n, 3) array [N]: present forces on the nodes
+    # (t, 6) array [N s], [N m s]: impulse of every tool and its moment about the tool's origin, since `start_time`
     impulses: Floats
-    start_time: float
-    nodal_impulses: Floats
+    start_time: float  # [s]: time from which impulses are summed
+    nodal_impulses: Floats  # (n, 3) array [N s]: impulses on the nodes since `start_time`
+    # (t, k, 3) array [m]: positions of a reduced model's surface nodes in contact; empty in a full model
     surface_positions: Floats
-    surface_forces: Floats
+    surface_forces: Floats  # (t, k, 3) array [N]: forces on those nodes
+    # (p, 3) array [N s]: impulses on the prescribed nodes since `start_time`; empty without a `Grasp`
     constraint_impulses: Floats
-    held_energy: float = 0.0
+    held_energy: float = 0.0  # [J]: energy of the tissue over supports that tools press
 
     def reset_impulses(self, time: float) -> ContactState:
         """Return the same forces with zero impulses, summed from a time [s] on."""

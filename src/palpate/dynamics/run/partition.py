@@ -24,17 +24,10 @@ Groups = Mapping[str, NDArray[np.int64]]
 
 
 class Partition(NamedTuple):
-    """A partition of unity for forces along some directions.
+    """A partition of unity for forces along some directions."""
 
-    Parameters
-    ----------
-    directions : (3, 3) array
-        Projection on the directions.
-    phi : (groups, n) array
-        1 on the own group and 0 on the others; 0 for groups that are free in these directions.
-    """
-
-    directions: Floats
+    directions: Floats  # (3, 3) array: projection on the directions
+    # (groups, n) array: 1 on the own group and 0 on the others; 0 for groups that are free in these directions
     phi: Floats
 
 

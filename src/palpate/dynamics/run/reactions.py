@@ -52,21 +52,15 @@ class NodalBody(Protocol):
 
 
 class NodalFields(NamedTuple):
-    """Fields of a state at every node, from which reactions and energies follow.
+    """Fields of a state at every node, from which reactions and energies follow."""
 
-    Parameters
-    ----------
-    displacement, velocity : (n, 3) arrays [m], [m/s]
-    unbalanced : (n, 3) array [N]
-        Mass times acceleration, minus surface loads and gravity. Of a body with an energy, also minus the
-        internal forces.
-    stress : function or None
-        Returns the first Piola-Kirchhoff stress (n, 3, d) [Pa] of a body without an energy.
-    """
-
+    # displacement, velocity: (n, 3) arrays [m], [m/s]
     displacement: Floats
     velocity: Floats
+    # (n, 3) array [N]: mass times acceleration, minus surface loads and gravity. Of a body with an energy, also minus
+    # the internal forces.
     unbalanced: Floats
+    # returns the first Piola-Kirchhoff stress (n, 3, d) [Pa] of a body without an energy
     stress: Callable[[], Floats] | None
 
 

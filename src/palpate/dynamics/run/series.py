@@ -28,21 +28,11 @@ WITH_BLADE = "with a blade"
 
 @dataclass(frozen=True)
 class Series:
-    """A quantity of the frames of a run.
+    """A quantity of the frames of a run."""
 
-    Parameters
-    ----------
-    array : Array
-        As in a file; its first size is the number of frames.
-    exists : str
-        In which runs; its array is empty in others.
-    is_total : bool
-        Whether it counts from the start, so that a run that continues adds to it.
-    """
-
-    array: Array
-    exists: str = EVERY_RUN
-    is_total: bool = False
+    array: Array  # as in a file; its first size is the number of frames
+    exists: str = EVERY_RUN  # in which runs; its array is empty in others
+    is_total: bool = False  # whether it counts from the start, so that a run that continues adds to it
 
 
 def _energy(exists: str = EVERY_RUN, *, is_total: bool = False) -> Series:

@@ -423,19 +423,11 @@ class StoredTrajectory(Described):
 
 @dataclass(frozen=True)
 class Frames:
-    """The displacements of a stored trajectory.
-
-    Parameters
-    ----------
-    shape : tuple
-        (f, n, 3).
-    read : function
-        Returns the (n, 3) array of a frame.
-    """
+    """The displacements of a stored trajectory."""
 
     path: Path
-    shape: tuple[int, ...]
-    read: Callable[[int], Floats]
+    shape: tuple[int, ...]  # (f, n, 3)
+    read: Callable[[int], Floats]  # returns the (n, 3) array of a frame
 
     def __len__(self) -> int:
         return self.shape[0]

@@ -30,19 +30,11 @@ HOURGLASS_MODULUS = 1.0  # modulus of the hourglass residual, in shear moduli ov
 
 
 class CompiledForm(NamedTuple):
-    """Compiled passes of a body with their arrays.
-
-    Parameters
-    ----------
-    body : NamedTuple
-        Constants of the passes.
-    allocate : function
-        Returns new scratch arrays of the passes.
-    """
+    """Compiled passes of a body with their arrays."""
 
     formulation: Formulation
-    body: Any
-    allocate: Callable[[], Any]
+    body: Any  # constants of the passes
+    allocate: Callable[[], Any]  # returns new scratch arrays of the passes
     lanes: Any
 
 

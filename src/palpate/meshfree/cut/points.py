@@ -36,20 +36,11 @@ FAR_DISTANCE = 1.5  # distance from the nearest node beyond which a point moves 
 
 
 class PointWeights(NamedTuple):
-    """Weights of nodes at points.
+    """Weights of nodes at points."""
 
-    Parameters
-    ----------
-    nodes : (p, k) array
-    values : (p, k) array
-        Weights of the displacement.
-    slopes : (p, k, 3) array [1/m]
-        Weights of its derivatives.
-    """
-
-    nodes: Ints
-    values: Floats
-    slopes: Floats
+    nodes: Ints  # (p, k) array
+    values: Floats  # (p, k) array: weights of the displacement
+    slopes: Floats  # (p, k, 3) array [1/m]: weights of its derivatives
 
 
 def point_weights(uncut: UncutStencils, surface: CutSurface, points: Floats, seen_from: Floats) -> PointWeights:

@@ -46,102 +46,55 @@ QUADRATIC_FIT, LINEAR_FIT, RELEASED_FIT = 0, 1, 2  # kinds of a fit
 
 
 class UncutStencils(NamedTuple):
-    """What the stencils of cut nodes depend on, of the uncut body.
+    """What the stencils of cut nodes depend on, of the uncut body."""
 
-    Parameters
-    ----------
-    points : (n, 3) array [m]
-    volumes : (n,) array [m^3]
-    spacing : float [m]
-    reach, smoothing_reach : (n,) arrays [m]
-        Distance of the last node of a stencil.
-    limit : (n,) array
-        Largest size q of a fit.
-    sums : (n, 3) array [m^2]
-        Sum over I of V_I g_IJ.
-    tree : cKDTree
-        Of the points.
-    on_surface : (n,) bool array
-    cubic : (n,) bool array
-        Nodes whose first derivatives are those of cubic fits.
-    widest : (n,) array [m]
-        Largest distance of neighbours of cut nodes.
-    bond_start, bond_near : (n + 1,), (t,) int arrays
-        First bond of every node, and the other nodes of all bonds: all nodes within that distance.
-    """
-
-    points: Floats
-    volumes: Floats
-    spacing: float
+    points: Floats  # (n, 3) array [m]
+    volumes: Floats  # (n,) array [m^3]
+    spacing: float  # [m]
+    # reach, smoothing_reach: (n,) arrays [m]: distance of the last node of a stencil
     reach: Floats
     smoothing_reach: Floats
-    limit: Floats
-    sums: Floats
-    tree: cKDTree
-    on_surface: NDArray[np.bool_]
-    cubic: NDArray[np.bool_]
-    widest: Floats
+    limit: Floats  # (n,) array: largest size q of a fit
+    sums: Floats  # (n, 3) array [m^2]: sum over I of V_I g_IJ
+    tree: cKDTree  # of the points
+    on_surface: NDArray[np.bool_]  # (n,) bool array
+    cubic: NDArray[np.bool_]  # (n,) bool array: nodes whose first derivatives are those of cubic fits
+    widest: Floats  # (n,) array [m]: largest distance of neighbours of cut nodes
+    # bond_start, bond_near: (n + 1,), (t,) int arrays: first bond of every node, and the other nodes of all bonds: all
+    # nodes within that distance
     bond_start: Ints
     bond_near: NDArray[np.int32]
 
 
 class CutState(NamedTuple):
-    """The cut of a body.
-
-    Parameters
-    ----------
-    sums : (n, 3) array [m^2]
-        Sum over I of V_I g_IJ.
-    checks : (n,) array
-        Sums of the lengths of every node's bonds, which change with any of them; 0 where no bond is longer.
-    touched, released, removed : (n,) bool arrays
-        Nodes whose stencils the cut has changed, those that left all stencils, and those of the latter that left the
-        body, too.
-    residuals : tuple of float
-        Largest errors of the uniform stress along the cut and of the kept integrals.
-    """
+    """The cut of a body."""
 
     surface: CutSurface
     uncut: UncutStencils
-    sums: Floats
+    sums: Floats  # (n, 3) array [m^2]: sum over I of V_I g_IJ
+    # (n,) array: sums of the lengths of every node's bonds, which change with any of them; 0 where no bond is longer
     checks: Floats
+    # touched, released, removed: (n,) bool arrays: nodes whose stencils the cut has changed, those that left all
+    # stencils, and those of the latter that left the body, too
     touched: NDArray[np.bool_]
     released: NDArray[np.bool_]
     removed: NDArray[np.bool_]
-    residuals: tuple[float, float]
+    residuals: tuple[float, float]  # largest errors of the uniform stress along the cut and of the kept integrals
 
 
 class FittedRows(NamedTuple):
-    """Stencils of some nodes in compressed rows.
+    """Stencils of some nodes in compressed rows."""
 
-    Parameters
-    ----------
-    nodes : (m,) int array
-    start : (m + 1,) int array
-        First entry of every node.
-    near : (t,) int array
-        Neighbours.
-    first : (t, 3) array [1/m]
-        Weights of the first derivatives.
-    residual, smoothing : (t,) arrays
-        Weights of the hourglass residual and of the smoothing.
-    freedom : (t,) array
-        f of every bond; 0 for one that is severed.
-    kind : (m,) int array
-        QUADRATIC_FIT, LINEAR_FIT or RELEASED_FIT.
-    checks : (m,) array
-        As in `CutState`.
-    """
-
-    nodes: Ints
-    start: Ints
-    near: Ints
-    first: Floats
+    nodes: Ints  # (m,) int array
+    start: Ints  # (m + 1,) int array: first entry of every node
+    near: Ints  # (t,) int array: neighbours
+    first: Floats  # (t, 3) array [1/m]: weights of the first derivatives
+    # residual, smoothing: (t,) arrays: weights of the hourglass residual and of the smoothing
     residual: Floats
     smoothing: Floats
-    freedom: Floats
-    kind: Ints
-    checks: Floats
+    freedom: Floats  # (t,) array: f of every bond; 0 for one that is severed
+    kind: Ints  # (m,) int array: QUADRATIC_FIT, LINEAR_FIT or RELEASED_FIT
+    checks: Floats  # (m,) array: as in `CutState`
 
 
 def uncut_stencils(

@@ -63,59 +63,35 @@ AT_STATE, ALONG_SHAPE, ALONG_COLUMN = range(3)  # rows of `Probes.forces`
 
 
 class ResidualFields(NamedTuple):
-    """Constants and work arrays of the residual norm.
+    """Constants and work arrays of the residual norm."""
 
-    Parameters
-    ----------
-    table : (b, w, 9, LANES) array
-        Derivatives of the w residual fields at the integration points.
-    constant, mass : (w, m) arrays
-        Stiffness of the hourglass residual, and mass matrix, of residual fields and coordinates.
-    springs : Springs
-        Of foundations, on the residual fields.
-    columns : (k, 3, w) array
-        The residual fields at the nodes of the contact surface.
-    forces : (w,) array [N times the unit of the fields]
-        Internal forces and those of springs.
-    partial : (w, LANES) array
-        Scratch.
-    """
-
+    # (b, w, 9, LANES) array: derivatives of the w residual fields at the integration points
     table: NDArray[np.float32] | Floats
+    # constant, mass: (w, m) arrays: stiffness of the hourglass residual, and mass matrix, of residual fields and
+    # coordinates
     constant: Floats
     mass: Floats
-    springs: Springs
-    columns: NDArray[np.float32]
-    forces: Floats
-    partial: Floats
+    springs: Springs  # of foundations, on the residual fields
+    columns: NDArray[np.float32]  # (k, 3, w) array: the residual fields at the nodes of the contact surface
+    forces: Floats  # (w,) array [N times the unit of the fields]: internal forces and those of springs
+    partial: Floats  # (w, LANES) array: scratch
 
 
 class IndicatorData(NamedTuple):
-    """Data of the error indicator.
+    """Data of the error indicator."""
 
-    Parameters
-    ----------
-    training_states, mass_root : (t, m), (m, m) arrays
-        Training states times the root; transposed root of the mass matrix divided by the body's mass.
-    distance_scale, residual_scale : float [m]
-    flexibility_scale : float [J]
-    speed_scale : float [m/s]
-    nearness_scale : float
-        See `palpate.reduction.hyper.data.ReducedData`.
-    nearness : (k,) array
-        Of the surface nodes to supports.
-    body_mass : float [kg]
-    """
-
+    # training_states, mass_root: (t, m), (m, m) arrays: training states times the root; transposed root of the mass
+    # matrix divided by the body's mass
     training_states: Floats
     mass_root: Floats
+    # distance_scale, residual_scale: float [m]
     distance_scale: float
     residual_scale: float
-    flexibility_scale: float
-    speed_scale: float
-    nearness_scale: float
-    nearness: Floats
-    body_mass: float
+    flexibility_scale: float  # [J]
+    speed_scale: float  # [m/s]
+    nearness_scale: float  # see `palpate.reduction.hyper.data.ReducedData`
+    nearness: Floats  # (k,) array: of the surface nodes to supports
+    body_mass: float  # [kg]
     residual_fields: ResidualFields
 
 
@@ -144,57 +120,33 @@ class PeriodStart(NamedTuple):
 
 
 class PeriodData(NamedTuple):
-    """Constants and work arrays of the compiled period.
-
-    Parameters
-    ----------
-    step : float [s]
-        Of the implicit rule, 0 for explicit steps.
-    body : ImplicitData
-        Mass, damping, integration points and springs of the coordinates.
-    constrained_inverse_mass : (modes, modes) array
-        Inverse of the modes' block of the mass matrix.
-    vectors : (8, m) array
-        Work arrays; the first is the state of the power iteration.
-    tangent : (m, m) array
-        Each period updates one column.
-    condensed : (m, m) array
-    tracking : (4,) array
-        Frequency [rad/s] at rest and now; next column of the tangent; energy [J] after the last period.
-    substep : (1,) array [s]
-        Last explicit step.
-    path, holds, no_loads : (s + 3, l), (s,), (s, m) arrays
-        Path of the tool during the implicit steps of a period, that it is prescribed, and zero loads.
-    contact_surface, contact_work, tools : tuples
-        Of a tool in contact (`palpate.reduction.contact.gauss_seidel`); empty for a prescribed group.
-    home : (3, 4) array [-], [m]
-        Rotation and position of that tool at zero displacement.
-    system : ContactSystem
-        Of the contact stiffness (`palpate.reduction.contact.tangent`).
-    start : PeriodStart
-        From which a period is repeated.
-    """
+    """Constants and work arrays of the compiled period."""
 
     modes: int
-    step: float
-    body: ImplicitData
-    constrained_inverse_mass: Floats
+    step: float  # [s]: of the implicit rule, 0 for explicit steps
+    body: ImplicitData  # mass, damping, integration points and springs of the coordinates
+    constrained_inverse_mass: Floats  # (modes, modes) array: inverse of the modes' block of the mass matrix
     indicator: IndicatorData
-    vectors: Floats
+    vectors: Floats  # (8, m) array: work arrays; the first is the state of the power iteration
     probes: Probes
-    tangent: Floats
-    condensed: Floats
+    tangent: Floats  # (m, m) array: each period updates one column
+    condensed: Floats  # (m, m) array
+    # (4,) array: frequency [rad/s] at rest and now; next column of the tangent; energy [J] after the last period
     tracking: Floats
-    substep: Floats
+    substep: Floats  # (1,) array [s]: last explicit step
+    # path, holds, no_loads: (s + 3, l), (s,), (s, m) arrays: path of the tool during the implicit steps of a period,
+    # that it is prescribed, and zero loads
     path: Floats
     holds: NDArray[np.bool_]
     no_loads: Floats
+    # contact_surface, contact_work, tools: of a tool in contact (`palpate.reduction.contact.gauss_seidel`); empty for a
+    # prescribed group
     contact_surface: ContactSurface
     contact_work: ContactScratch
     tools: RigidTools
-    home: Floats
-    system: ContactSystem
-    start: PeriodStart
+    home: Floats  # (3, 4) array [-], [m]: rotation and position of that tool at zero displacement
+    system: ContactSystem  # of the contact stiffness (`palpate.reduction.contact.tangent`)
+    start: PeriodStart  # from which a period is repeated
 
 
 @kernel_njit(inner=True)

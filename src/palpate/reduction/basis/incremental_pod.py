@@ -39,24 +39,12 @@ MIN_BLOCK, MAX_BLOCK = 32, 800  # snapshots in a block
 
 @dataclass(frozen=True)
 class Decomposition:
-    """Result of the last step.
+    """Result of the last step."""
 
-    Parameters
-    ----------
-    left : (k, k) array
-        Left singular vectors: coefficients of the modes in the fields.
-    values : (k,) array
-        Singular values, in descending order.
-    fields : (k, n, 3) array
-        Input of the last step.
-    dropped : float
-        Sum of the squares of all dropped singular values.
-    """
-
-    left: Floats
-    values: Floats
-    fields: Floats
-    dropped: float
+    left: Floats  # (k, k) array: left singular vectors: coefficients of the modes in the fields
+    values: Floats  # (k,) array: singular values, in descending order
+    fields: Floats  # (k, n, 3) array: input of the last step
+    dropped: float  # sum of the squares of all dropped singular values
 
     def shapes(self, count: int) -> Floats:
         """Return the first modes times their singular values, (count, n, 3)."""

@@ -47,45 +47,22 @@ MAX_ACTIVE = 256  # patches in contact up to which their mutual compliance is st
 
 
 class SurfaceCompliance(NamedTuple):
-    """The surface compliance of a body in addition to its modes.
+    """The surface compliance of a body in addition to its modes."""
 
-    Parameters
-    ----------
-    nodes : (k,) int array
-        Nodes of the contact surface.
-    carriers : (k, w) int array
-        Rows of the flexibility that represent each node.
-    weights : (k, w) array
-        Their weights.
-    flexibility : (3 c, 3 c) float32 array [m/N]
-        Residual flexibility of the c carriers, rows 3 a + component.
-    nearby : (k, q) int array
-        Of `nodes`, those near each; padded with the node itself.
-    near_field : (k, q, 3, 3) float32 array [m/N]
-        Near-field correction of a coarser model between them; q = 0 without one.
-    patches : (k, p) int array
-        Of `nodes`, the patch of surface about each that tools push (`palpate.meshfree.patches`).
-    shares : (k, p) array
-        Their weights in the patch.
-    stiffening : (2,) array
-        Exponent gamma and force F [N] of the secant factor.
-    bonded_scale : float
-        h of nodes that forceps hold.
-    interior : Interior, optional
-        Displacements of the interior nodes.
-    """
-
-    nodes: Ints
-    carriers: Ints
-    weights: Floats
+    nodes: Ints  # (k,) int array: nodes of the contact surface
+    carriers: Ints  # (k, w) int array: rows of the flexibility that represent each node
+    weights: Floats  # (k, w) array: their weights
+    # (3 c, 3 c) float32 array [m/N]: residual flexibility of the c carriers, rows 3 a + component
     flexibility: NDArray[np.float32]
-    nearby: Ints
+    nearby: Ints  # (k, q) int array: of `nodes`, those near each; padded with the node itself
+    # (k, q, 3, 3) float32 array [m/N]: near-field correction of a coarser model between them; q = 0 without one
     near_field: NDArray[np.float32]
+    # (k, p) int array: of `nodes`, the patch of surface about each that tools push (`palpate.meshfree.patches`)
     patches: Ints
-    shares: Floats
-    stiffening: Floats
-    bonded_scale: float
-    interior: Interior | None = None
+    shares: Floats  # (k, p) array: their weights in the patch
+    stiffening: Floats  # (2,) array: exponent gamma and force F [N] of the secant factor
+    bonded_scale: float  # h of nodes that forceps hold
+    interior: Interior | None = None  # displacements of the interior nodes
 
     def scaled(self, factor: float) -> SurfaceCompliance:
         """Return this with all compliances multiplied by a factor."""

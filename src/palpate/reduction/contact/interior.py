@@ -27,28 +27,15 @@ SLOPE_RIDGE = 1e-3  # regularisation of the slopes of a fit, as a fraction of th
 
 
 class Interior(NamedTuple):
-    """Linear dependence of the interior nodes on forces on the surface, in addition to the modes.
+    """Linear dependence of the interior nodes on forces on the surface, in addition to the modes."""
 
-    Parameters
-    ----------
-    nodes : (i,) int array
-        Free interior nodes.
-    flexibility : (3 c, 3 b) float32 array [m/N]
-        Displacements of b of them, or of a coarser model's, columns 3 b + component, by forces on the
-        carriers of the surface (`SurfaceCompliance.carriers`).
-    sources : (i, w) int array
-        Sources of each node: first the b columns of the flexibility, then the carriers.
-    shares : (i, w) array
-        Weights of the sources.
-    factor : float
-        Ratio of the surface's flexibility (`SurfaceCompliance.flexibility`) to R.
-    """
-
-    nodes: Ints
+    nodes: Ints  # (i,) int array: free interior nodes
+    # (3 c, 3 b) float32 array [m/N]: displacements of b of them, or of a coarser model's, columns 3 b + component, by
+    # forces on the carriers of the surface (`SurfaceCompliance.carriers`)
     flexibility: NDArray[np.float32]
-    sources: Ints
-    shares: Floats
-    factor: float = 1.0
+    sources: Ints  # (i, w) int array: sources of each node: first the b columns of the flexibility, then the carriers
+    shares: Floats  # (i, w) array: weights of the sources
+    factor: float = 1.0  # ratio of the surface's flexibility (`SurfaceCompliance.flexibility`) to R
 
 
 def interior_flexibility(

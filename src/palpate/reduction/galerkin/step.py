@@ -51,24 +51,16 @@ class BasisData(NamedTuple):
 
 
 class GalerkinWork(NamedTuple):
-    """Scratch arrays of a Galerkin model for one thread, with n nodes, b blocks and m coordinates.
-
-    Parameters
-    ----------
-    full : NodalWork
-    force, surface : (n, 3) arrays [N/m^3]
-        Internal force, and surface loads.
-    partial : (b, m) array
-        Partial sums of the projection.
-    coordinates, result, previous, rates, mean, power : (m,) arrays
-        Trial coordinates; projected force, and the previous one; accelerations; mean velocities; power of the
-        surface forces.
-    """
+    """Scratch arrays of a Galerkin model for one thread, with n nodes, b blocks and m coordinates."""
 
     full: NodalWork
+    # force, surface: (n, 3) arrays [N/m^3]: internal force, and surface loads
     force: Floats  # (n, 3)
     surface: Floats  # (n, 3)
+    # (b, m) array: partial sums of the projection
     partial: Floats  # (b, m)
+    # coordinates, result, previous, rates, mean, power: (m,) arrays: trial coordinates; projected force, and the
+    # previous one; accelerations; mean velocities; power of the surface forces
     coordinates: Floats  # (m,)
     result: Floats  # (m,)
     previous: Floats  # (m,)

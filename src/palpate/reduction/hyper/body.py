@@ -34,24 +34,16 @@ STENCIL_NEIGHBOURS = {2: 14, 3: 42}  # by dimension of the cloud: a sheet, a sol
 
 @dataclass
 class ReducedWork:
-    """Scratch arrays of a reduced model, for one thread at a time.
+    """Scratch arrays of a reduced model, for one thread at a time."""
 
-    Parameters
-    ----------
-    coordinates, all : Scratch
-        Of the forces on the coordinates, and on all basis vectors; they share the history variables.
-    newton : NewtonScratch
-    force, all_forces : arrays [N]
-    tools : ContactTools, optional
-        Rigid tools of the loads that were used last.
-    """
-
+    # coordinates, all: of the forces on the coordinates, and on all basis vectors; they share the history variables
     coordinates: Scratch
     all: Scratch
     newton: NewtonScratch
+    # force, all_forces: arrays [N]
     force: Floats
     all_forces: Floats
-    tools: ContactTools | None = None
+    tools: ContactTools | None = None  # rigid tools of the loads that were used last
 
 
 @dataclass(frozen=True, eq=False)

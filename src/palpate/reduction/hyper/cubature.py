@@ -28,24 +28,13 @@ BATCH_FRACTION = 0.05  # of the active columns that are added at once
 
 @dataclass(frozen=True)
 class Cubature(Described):
-    """Integration points with weights.
+    """Integration points with weights."""
 
-    Parameters
-    ----------
-    nodes : (s,) int array
-    weights : (s,) array [m^3]
-        Positive.
-    pressure : (k, s) array
-        Coefficients of the dilatations J - 1 in the moments, times the root of the bulk modulus
-        [sqrt(J)].
-    residual : float
-        Relative error of the sampled forces in training, in the compliance norm.
-    """
-
-    nodes: Ints
-    weights: Floats
+    nodes: Ints  # (s,) int array
+    weights: Floats  # (s,) array [m^3]: positive
+    # (k, s) array: coefficients of the dilatations J - 1 in the moments, times the root of the bulk modulus [sqrt(J)]
     pressure: Floats
-    residual: float
+    residual: float  # relative error of the sampled forces in training, in the compliance norm
 
 
 def sparse_nnls(

@@ -29,92 +29,46 @@ UNLIMITED_SCALE = 1e300  # scale of a measure without training states
 
 @dataclass(frozen=True)
 class ReducedData(Described):
-    """Data of a reduced model, and the content of its file.
-
-    Parameters
-    ----------
-    cloud : Cloud
-    tissue : Tissue
-        The weights of the integration points include its stiffness factors.
-    supports : tuple of Support
-    prescribed : tuple of str
-        Groups that rigid tools move.
-    volumes : (n,) array [m^3]
-        Nodal volumes of the mass.
-    stiffness_damping : float [s]
-        Rayleigh's beta.
-    wave_speed : float [m/s]
-        Approximate speed of the fastest waves. It limits the velocity of a jumping tool in the damping
-        forces.
-    basis_vectors : (m + l + 3 g + w, n, 3) array
-        Displacement fields: m modes, l lifting vectors of the tools, and test fields. These are 3 for
-        each of g supports, and w residual fields (`palpate.reduction.training.residual_fields`).
-    modes : int
-        Number m of modes.
-    lifting_count : int
-        Number l of lifting vectors.
-    cubature : Cubature
-    gradients : (s, m + l + 3 g + w, 9) array
-        Derivatives of the basis vectors at the integration points, row by row. Those of the residual
-        fields are multiplied by fitted factors.
-    constant : (m + l + 3 g + w, m + l + 3 g + w) array
-        Constant stiffness of the hourglass residual.
-    training_states : (t, m + l) array
-        Coordinates of the training states.
-    distance_scale : float [m]
-        Distance from the training states at which the trust number is 1.
-    residual_fields : int
-        Number w of residual fields, the last basis vectors.
-    residual_scale : float [m]
-        Residual norm at which the trust number is 1.
-    load_scale : float
-        Share of the loads' static response outside the coordinates at which the trust number is 1.
-    flexibility_scale : float [J]
-        Energy of the surface compliance at which the trust number is 1.
-    speed_scale : float [m/s]
-        Touch speed of tools at which the trust number is 1; without a contact surface, root mean square speed over
-        the body.
-    nearness_scale : float
-        Nearness of tools to supports, as the spacing over their distance, at which the trust number is 1.
-    report : mapping
-        Figures measured in training.
-    kinematics : Kinematics
-        Kind of body, solid or membrane.
-    taut_frequency : float [rad/s]
-        Highest frequency of a membrane in its training states, because a slack region may become taut
-        within a few steps. 0 for solids.
-    compliance : SurfaceCompliance, optional
-        Compliance of the contact surface, fitted to runs with contact.
-    mass_damping : float [1/s]
-        Rayleigh's alpha.
-    """
+    """Data of a reduced model, and the content of its file."""
 
     cloud: Cloud
-    tissue: Tissue
+    tissue: Tissue  # the weights of the integration points include its stiffness factors
     supports: tuple[Support, ...]
-    prescribed: tuple[str, ...]
-    volumes: Floats
-    stiffness_damping: float
+    prescribed: tuple[str, ...]  # groups that rigid tools move
+    volumes: Floats  # (n,) array [m^3]: nodal volumes of the mass
+    stiffness_damping: float  # [s]: Rayleigh's beta
+    # [m/s]: approximate speed of the fastest waves. It limits the velocity of a jumping tool in the damping
+    # forces.
     wave_speed: float
+    # (m + l + 3 g + w, n, 3) array: displacement fields: m modes, l lifting vectors of the tools, and test fields.
+    # These are 3 for each of g supports, and w residual fields (`palpate.reduction.training.residual_fields`).
     basis_vectors: Floats
-    modes: int
-    lifting_count: int
+    modes: int  # number m of modes
+    lifting_count: int  # number l of lifting vectors
     cubature: Cubature
+    # (s, m + l + 3 g + w, 9) array: derivatives of the basis vectors at the integration points, row by row. Those of
+    # the residual fields are multiplied by fitted factors.
     gradients: Floats
-    constant: Floats
-    training_states: Floats
-    distance_scale: float
-    residual_fields: int = 0
-    residual_scale: float = 1.0
+    constant: Floats  # (m + l + 3 g + w, m + l + 3 g + w) array: constant stiffness of the hourglass residual
+    training_states: Floats  # (t, m + l) array: coordinates of the training states
+    distance_scale: float  # [m]: distance from the training states at which the trust number is 1
+    residual_fields: int = 0  # number w of residual fields, the last basis vectors
+    residual_scale: float = 1.0  # [m]: residual norm at which the trust number is 1
+    # share of the loads' static response outside the coordinates at which the trust number is 1
     load_scale: float = 0.3
-    flexibility_scale: float = 1.0
+    flexibility_scale: float = 1.0  # [J]: energy of the surface compliance at which the trust number is 1
+    # [m/s]: touch speed of tools at which the trust number is 1; without a contact surface, root mean square
+    # speed over the body
     speed_scale: float = UNLIMITED_SCALE
+    # nearness of tools to supports, as the spacing over their distance, at which the trust number is 1
     nearness_scale: float = UNLIMITED_SCALE
-    report: Mapping[str, Any] = field(default_factory=dict)
-    kinematics: Kinematics = field(default_factory=Kinematics)
+    report: Mapping[str, Any] = field(default_factory=dict)  # figures measured in training
+    kinematics: Kinematics = field(default_factory=Kinematics)  # kind of body, solid or membrane
+    # [rad/s]: highest frequency of a membrane in its training states, because a slack region may become taut
+    # within a few steps. 0 for solids.
     taut_frequency: float = 0.0
-    compliance: SurfaceCompliance | None = None
-    mass_damping: float = 0.0
+    compliance: SurfaceCompliance | None = None  # compliance of the contact surface, fitted to runs with contact
+    mass_damping: float = 0.0  # [1/s]: Rayleigh's alpha
 
     @property
     def surface(self) -> ContactSurface:

@@ -40,21 +40,14 @@ RIGID_TOLERANCE = 1e-3  # largest error of a prescribed motion in the lifting ve
 
 @dataclass(frozen=True, kw_only=True)
 class ReducedLoads(PreparedLoads):
-    """Loads prepared for a reduced model.
-
-    Parameters
-    ----------
-    work : (g a + 3, c) array
-        Work of unit amplitudes of dead loads and gravity on the basis vectors, see `load_work`.
-    springs, coordinate_springs : Springs
-        Foundations on all basis vectors, and on the coordinates only.
-    static_response : function
-        Returns the static response of the body without foundations; called at the first use of `responses`.
-    """
+    """Loads prepared for a reduced model."""
 
     body: ReducedBody = field(repr=False, compare=False)
+    # returns the static response of the body without foundations; called at the first use of `responses`
     static_response: Callable[[], Response] = field(repr=False, compare=False)
+    # (g a + 3, c) array: work of unit amplitudes of dead loads and gravity on the basis vectors, see `load_work`
     work: Floats
+    # springs, coordinate_springs: foundations on all basis vectors, and on the coordinates only
     springs: Springs
     coordinate_springs: Springs
 

@@ -35,31 +35,15 @@ MIN_VOLUME_RATIO = 0.1  # J below which the energy continues as a parabola
 
 @dataclass(frozen=True)
 class MaterialPoint:
-    """Compiled functions of one integration point.
+    """Compiled functions of one integration point."""
 
-    Parameters
-    ----------
-    digest : str
-        Of all sources of the functions.
-    stress : function
-        ``stress(d0, ..., d8, coefficients)`` returns P and cof(F), nine numbers each, and J - 1.
-    density : function
-        ``density(d0, ..., d8, coefficients)`` returns the energy density [J/m^3] and J - 1.
-    measure : function, optional
-        ``measure(x)`` returns g and g' of x = J - 1, continued linearly where the point is crushed. None
-        where g(x) = x.
-    fibres : FibrePoints
-        Stress and energy of the fibres.
-    parameter_count : int
-        Number of the law's parameters if they differ from point to point.
-    """
-
-    digest: str
-    stress: Any
-    density: Any
+    digest: str  # of all sources of the functions
+    stress: Any  # ``stress(d0, ..., d8, coefficients)`` returns P and cof(F), nine numbers each, and J - 1
+    density: Any  # ``density(d0, ..., d8, coefficients)`` returns the energy density [J/m^3] and J - 1
+    # ``measure(x)`` returns g and g' of x = J - 1, continued linearly where the point is crushed. None where g(x) = x.
     measure: Any = None
-    fibres: FibrePoints = NO_FIBRES
-    parameter_count: int = NO_FIELDS
+    fibres: FibrePoints = NO_FIBRES  # stress and energy of the fibres
+    parameter_count: int = NO_FIELDS  # number of the law's parameters if they differ from point to point
 
     @property
     def at(self) -> Any:

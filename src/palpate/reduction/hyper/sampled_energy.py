@@ -50,34 +50,19 @@ NO_RELAXATION = Relaxation(np.zeros(0), np.zeros(0), np.zeros(0))  # elastic tis
 
 
 class IntegrationPoints(NamedTuple):
-    """Constants of the sampled energy.
+    """Constants of the sampled energy."""
 
-    Parameters
-    ----------
-    table : (b, m, 9, LANES) float32 or float64 array [1/m times the unit of the basis vectors]
-        Derivatives of every basis vector at the points, row by row of du/dX, in blocks of LANES points.
-    weights : (b, LANES) array [m^3]
-        Zero where a block is not filled.
-    pressure : (b, k, LANES) array
-        Z, which includes the root of the bulk modulus.
-    constant : (m, m) array
-        H.
-    coefficients : tuple, or (b, p + 1, LANES) array
-        Of the law. Where they differ, by lane; the last entry is the ratio of the shear modulus at rest
-        to that of the body.
-    relaxation : Relaxation
-        Of tissue that relaxes.
-    families : Families
-        Of fibres.
-    """
-
+    # (b, m, 9, LANES) float32 or float64 array [1/m times the unit of the basis vectors]: derivatives of every basis
+    # vector at the points, row by row of du/dX, in blocks of LANES points
     table: NDArray[np.float32] | Floats
-    weights: Floats
-    pressure: Floats
-    constant: Floats
+    weights: Floats  # (b, LANES) array [m^3]: zero where a block is not filled
+    pressure: Floats  # (b, k, LANES) array: z, which includes the root of the bulk modulus
+    constant: Floats  # (m, m) array: h
+    # tuple, or (b, p + 1, LANES) array: of the law. Where they differ, by lane; the last entry is the ratio of the
+    # shear modulus at rest to that of the body.
     coefficients: tuple[float, ...] | Floats
-    relaxation: Relaxation
-    families: Families
+    relaxation: Relaxation  # of tissue that relaxes
+    families: Families  # of fibres
 
 
 class Scratch(NamedTuple):

@@ -33,17 +33,10 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Budget:
-    """Limits on the cost of a reduction.
+    """Limits on the cost of a reduction."""
 
-    Parameters
-    ----------
-    seconds : float [s]
-    memory : float, optional [bytes]
-        By default half of the machine's memory.
-    """
-
-    seconds: float = 600.0
-    memory: float | None = None
+    seconds: float = 600.0  # [s]
+    memory: float | None = None  # float, optional [bytes]: by default half of the machine's memory
 
     def check(self, estimate: Estimate, what: str, instead: str) -> None:
         """Raise `InputError` if an estimate exceeds the budget."""

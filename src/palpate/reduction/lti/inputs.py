@@ -21,18 +21,10 @@ RIGID_TOLERANCE = 1e-2  # largest error of a tool's motion in small translations
 
 @dataclass(frozen=True, kw_only=True)
 class LinearLoads(PreparedLoads):
-    """Loads prepared for a linear system, whose inputs they are.
+    """Loads prepared for a linear system, whose inputs they are."""
 
-    Parameters
-    ----------
-    input_count : int
-        Number p of inputs other than tools.
-    force_inputs : tuple of slices
-        Inputs of every dead load.
-    """
-
-    input_count: int
-    force_inputs: tuple[slice, ...]
+    input_count: int  # number p of inputs other than tools
+    force_inputs: tuple[slice, ...]  # inputs of every dead load
     gravity_inputs: slice | None
 
     def inputs(self, times: Floats) -> Floats:

@@ -29,51 +29,28 @@ SERIES_NORM, SERIES_TERMS = 0.5, 14  # largest norm for the series of a matrix e
 
 
 class LinearData(NamedTuple):
-    """Constants and work arrays of the compiled period.
+    """Constants and work arrays of the compiled period."""
 
-    Parameters
-    ----------
-    modes : int
-        Number of coordinates without those of the tool.
-    second : bool
-        True if the state includes their rates.
-    matrix, sizes : (N, N), (N,) arrays
-        A for scaled states, and the scales.
-    step : (N, N) array
-        exp(A T) of the last period.
-    asked : (1,) array [s]
-        The period of `step`.
-    impulse : (N, l) array
-    drag : (N, l) array
-        Minus the equilibrium states for unit speeds of the tool, by mass damping.
-    mean_force : (l, N) array
-        Map from changes of the state over a period to forces times the period.
-    static, static_rate, inertia : (l, l) arrays
-    mass, elastic : (m, m) arrays
-        Mass and stiffness matrix.
-    linear_range : (l,) array
-        Of the tool's coordinates, [m] and [rad], where the trust number is 1.
-    scratch : (4, N, N) array
-    vectors : (3, max(N, m)) array
-    """
-
-    modes: int
-    second: bool
+    modes: int  # number of coordinates without those of the tool
+    second: bool  # True if the state includes their rates
+    # matrix, sizes: (N, N), (N,) arrays: a for scaled states, and the scales
     matrix: Floats
     sizes: Floats
-    step: Floats
-    asked: Floats
-    impulse: Floats
-    drag: Floats
-    mean_force: Floats
+    step: Floats  # (N, N) array: exp(A T) of the last period
+    asked: Floats  # (1,) array [s]: the period of `step`
+    impulse: Floats  # (N, l) array
+    drag: Floats  # (N, l) array: minus the equilibrium states for unit speeds of the tool, by mass damping
+    mean_force: Floats  # (l, N) array: map from changes of the state over a period to forces times the period
+    # static, static_rate, inertia: (l, l) arrays
     static: Floats
     static_rate: Floats
     inertia: Floats
+    # mass, elastic: (m, m) arrays: mass and stiffness matrix
     mass: Floats
     elastic: Floats
-    linear_range: Floats
-    scratch: Floats
-    vectors: Floats
+    linear_range: Floats  # (l,) array: of the tool's coordinates, [m] and [rad], where the trust number is 1
+    scratch: Floats  # (4, N, N) array
+    vectors: Floats  # (3, max(N, m)) array
 
 
 class LinearRealtime(NamedTuple):

@@ -55,45 +55,25 @@ EXPONENT_RIDGE = 0.3  # added to the sum of squares of logarithms: few runs show
 
 
 class Measures(NamedTuple):
-    """The measures of the error indicator in the frames of a run.
+    """The measures of the error indicator in the frames of a run."""
 
-    Parameters
-    ----------
-    distances, residual_norms : (f,) arrays [m]
-        See `palpate.reduction.hyper.error_indicator`.
-    load_shares : (f,) array
-        See `palpate.reduction.hyper.load_share`.
-    flexibility_energies : (f,) array [J]
-        Energy of the surface compliance.
-    speeds : (f,) array [m/s]
-        Of tools that move into the body, or of the body.
-    nearness : (f,) array
-        Of tools to supports.
-    """
-
+    # distances, residual_norms: (f,) arrays [m]: see `palpate.reduction.hyper.error_indicator`
     distances: Floats
     residual_norms: Floats
-    load_shares: Floats
-    flexibility_energies: Floats
-    speeds: Floats
-    nearness: Floats
+    load_shares: Floats  # (f,) array: see `palpate.reduction.hyper.load_share`
+    flexibility_energies: Floats  # (f,) array [J]: energy of the surface compliance
+    speeds: Floats  # (f,) array [m/s]: of tools that move into the body, or of the body
+    nearness: Floats  # (f,) array: of tools to supports
 
 
 class Frames(NamedTuple):
-    """Frames of a held-out run of a reduced model.
-
-    Parameters
-    ----------
-    errors : mapping of quantity to (f,) array
-        Of ``"displacement"``, the root mean square over the body [m], and with tools of ``"force"``, the largest
-        over the tools [N].
-    sizes : mapping of quantity to (f,) array
-        Displacement [m] or tool force [N] of the reduced run.
-    """
+    """Frames of a held-out run of a reduced model."""
 
     measures: Measures
+    # mapping of quantity to (f,) array: of ``"displacement"``, the root mean square over the body [m], and with tools
+    # of ``"force"``, the largest over the tools [N]
     errors: dict[str, Floats]
-    sizes: dict[str, Floats]
+    sizes: dict[str, Floats]  # mapping of quantity to (f,) array: displacement [m] or tool force [N] of the reduced run
 
 
 class Scales(NamedTuple):

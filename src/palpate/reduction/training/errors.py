@@ -113,19 +113,13 @@ def relative_errors(full: Trajectory, other: Trajectory) -> Errors:
 
 @dataclass(frozen=True)
 class ContactErrors(_Named):
-    """Errors of tool forces and of the contact surface, in frames with at least a tenth of the largest force.
+    """Errors of tool forces and of the contact surface, in frames with at least a tenth of the largest force."""
 
-    Parameters
-    ----------
-    force, force_95 : float
-        Difference of the forces on a tool over the current reference force: median and 95th percentile.
-    surface_95, farthest_95 : float
-        Distance of the two positions of a surface node over the largest displacement of the surface: 95th
-        percentile over nodes and frames, and over frames for the farthest node.
-    """
-
+    # force, force_95: difference of the forces on a tool over the current reference force: median and 95th percentile
     force: float
     force_95: float
+    # surface_95, farthest_95: distance of the two positions of a surface node over the largest displacement of the
+    # surface: 95th percentile over nodes and frames, and over frames for the farthest node
     surface_95: float
     farthest_95: float
 

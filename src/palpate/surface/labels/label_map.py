@@ -35,58 +35,29 @@ Box = tuple[slice, slice, slice]
 
 @dataclass(frozen=True)
 class Segment:
-    """Segment of a label map: an organ, or another region that has a number.
+    """Segment of a label map: an organ, or another region that has a number."""
 
-    Parameters
-    ----------
-    number : int
-        Number in the file, by which it can be chosen.
-    name : str
-        Name in the file; ``"label 5"`` without one.
-    layer : int
-        Layer of the map that holds it.
-    value : int
-        Value of its voxels there.
-    count : int
-        Number of its voxels.
-    """
-
-    number: int
-    name: str
-    layer: int
-    value: int
-    count: int
+    number: int  # number in the file, by which it can be chosen
+    name: str  # name in the file; ``"label 5"`` without one
+    layer: int  # layer of the map that holds it
+    value: int  # value of its voxels there
+    count: int  # number of its voxels
 
 
 @dataclass(frozen=True)
 class LabelMap:
-    """Label map: an image whose voxels hold the numbers of segments.
+    """Label map: an image whose voxels hold the numbers of segments."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the file, for messages.
-    layers : tuple of (nx, ny, nz) int array
-        Values of the voxels, 0 outside of all segments. Segments that overlap are in different layers.
-    affine : (4, 4) array [m]
-        Map from indices (i, j, k, 1) to the middle of a voxel, in LPS if `space` is ``"LPS"``.
-    segments : tuple of Segment
-        Those that have voxels, in the order of their numbers.
-    space : str
-        ``"LPS"``, or empty where the file does not state how the patient lies.
-    notes : tuple of str
-        What was assumed in reading the file.
-    absent : tuple of str
-        Names in the file of segments without voxels.
-    """
-
-    name: str
+    name: str  # name of the file, for messages
+    # tuple of (nx, ny, nz) int array: values of the voxels, 0 outside of all segments. Segments that overlap are in
+    # different layers.
     layers: tuple[NDArray[Any], ...]
+    # (4, 4) array [m]: map from indices (i, j, k, 1) to the middle of a voxel, in LPS if `space` is ``"LPS"``
     affine: Floats
-    segments: tuple[Segment, ...]
-    space: str = "LPS"
-    notes: tuple[str, ...] = ()
-    absent: tuple[str, ...] = ()
+    segments: tuple[Segment, ...]  # those that have voxels, in the order of their numbers
+    space: str = "LPS"  # ``"LPS"``, or empty where the file does not state how the patient lies
+    notes: tuple[str, ...] = ()  # what was assumed in reading the file
+    absent: tuple[str, ...] = ()  # names in the file of segments without voxels
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -128,32 +99,15 @@ class LabelMap:
 
 @dataclass(frozen=True)
 class Mask:
-    """Voxels of one or several segments, cropped to their bounding box.
+    """Voxels of one or several segments, cropped to their bounding box."""
 
-    Parameters
-    ----------
-    name : str
-        Name in messages.
-    voxels : (a, b, c) bool array
-    start : (3,) int array
-        Indices of the first voxel in the image.
-    shape : tuple of int
-        Voxels of the image along each axis.
-    affine : (4, 4) array [m]
-        Of the image, as in `LabelMap`.
-    space : str
-        As in `LabelMap`.
-    warnings : tuple of str
-        What was left out or filled.
-    """
-
-    name: str
-    voxels: NDArray[np.bool_]
-    start: Ints
-    shape: tuple[int, int, int]
-    affine: Floats
-    space: str = "LPS"
-    warnings: tuple[str, ...] = field(default=())
+    name: str  # name in messages
+    voxels: NDArray[np.bool_]  # (a, b, c) bool array
+    start: Ints  # (3,) int array: indices of the first voxel in the image
+    shape: tuple[int, int, int]  # voxels of the image along each axis
+    affine: Floats  # (4, 4) array [m]: of the image, as in `LabelMap`
+    space: str = "LPS"  # as in `LabelMap`
+    warnings: tuple[str, ...] = field(default=())  # what was left out or filled
 
     @property
     def volume(self) -> float:

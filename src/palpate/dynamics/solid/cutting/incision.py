@@ -61,46 +61,22 @@ RELEASE_WAY = 1.0  # spacings over which the release is averaged
 
 
 class Strip(NamedTuple):
-    """A strip of triangles behind an edge.
+    """A strip of triangles behind an edge."""
 
-    Parameters
-    ----------
-    start : (p, 3) array [m]
-        Points of the edge where the strip begins.
-    pieces : (p - 1,) bool array
-        Pieces of the edge that cut.
-    triangles : int
-        Number of triangles.
-    """
-
-    start: Floats
-    pieces: NDArray[np.bool_]
-    triangles: int
+    start: Floats  # (p, 3) array [m]: points of the edge where the strip begins
+    pieces: NDArray[np.bool_]  # (p - 1,) bool array: pieces of the edge that cut
+    triangles: int  # number of triangles
 
 
 class HeldPieces(NamedTuple):
-    """Pieces of an edge that hold tissue.
+    """Pieces of an edge that hold tissue."""
 
-    Parameters
-    ----------
-    pieces : (m,) int array
-    points : (m, 3) array [m]
-        Their middles in the stress-free body.
-    weights : PointWeights
-        Of the nodes there.
-    offsets : (m, 3) array [m]
-        From the tissue there to the blade that are not counted as an advance.
-    normals : (m, 3) array
-        In which they advance, in the tool's frame.
-    slips : (m,) array [m]
-        How far the front has advanced since the sites were made; the compiled step writes them.
-    """
-
-    pieces: NDArray[np.int64]
-    points: Floats
-    weights: PointWeights
-    offsets: Floats
-    normals: Floats
+    pieces: NDArray[np.int64]  # (m,) int array
+    points: Floats  # (m, 3) array [m]: their middles in the stress-free body
+    weights: PointWeights  # of the nodes there
+    offsets: Floats  # (m, 3) array [m]: from the tissue there to the blade that are not counted as an advance
+    normals: Floats  # (m, 3) array: in which they advance, in the tool's frame
+    # (m,) array [m]: how far the front has advanced since the sites were made; the compiled step writes them
     slips: Floats
 
 
