@@ -8,8 +8,6 @@ threads.
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Complex", "Floats", "Ints", "Singles", "euclidean_norm", "sum_of_products"]
-
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Singles = NDArray[np.float32]

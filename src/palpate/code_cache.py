@@ -35,11 +35,6 @@ from palpate.shipped_code import NUMPY_VERSION, find_shipped
 from palpate.threads import loops_share_threads
 from palpate.working_folder import foreign_writer, make_private
 
-__all__ = [
-    "DIGEST_BYTES", "FILE_SUFFIX", "CodeCache", "CodeFile", "cached_njit", "code_files", "code_folder", "enable_cache",
-    "loop_options",
-]  # fmt: skip
-
 MAX_BYTES, KEPT_SHARE = 500_000_000, 0.8  # of all files, and the share of it that is left when it is exceeded
 SAVES_BETWEEN_CHECKS = 50
 FILE_SUFFIX, DIGEST_BYTES = ".code", 32  # of files, and of the digest of their content, which comes first

@@ -19,8 +19,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["kernel_sources", "law_digest"]
-
 IMPORT_PATTERN = re.compile(r"^from (palpate\.[\w.]+) import (\([^)]*\)|[^\n(]+)", re.MULTILINE)
 PLAIN_TYPES = (bool, int, float, str, tuple)  # types of constants in compiled code
 # modules that compile and keep functions; what they pass to the compiler is a part of the digests

@@ -15,8 +15,6 @@ import numpy as np
 
 from palpate.parameters import check_parameters, declared
 
-__all__ = ["MAX_LINE_CHARACTERS", "Described", "Fact", "format_quantity"]
-
 Fact = tuple[str, Any, str]  # name, value, SI unit; a value of None is left out
 
 MAX_LINE_CHARACTERS = 160  # characters of a repr

@@ -6,8 +6,6 @@ from importlib.util import find_spec
 
 from palpate.faults import InputError
 
-__all__ = ["EXTRA_BY_PACKAGE", "require"]
-
 EXTRA_BY_PACKAGE = {
     "distributed": "cluster",
     "imageio": "film",

@@ -13,23 +13,6 @@ from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from typing import Any, cast
 
-__all__ = [
-    "ChoiceError",
-    "CloudError",
-    "DivergenceError",
-    "FileFormatError",
-    "InputError",
-    "TrustWarning",
-    "UnitWarning",
-    "brief",
-    "check_arguments",
-    "check_names",
-    "integer_in_range",
-    "interval",
-    "number_in_range",
-    "warn_of_unit",
-]
-
 
 class InputError(ValueError):
     """Invalid argument: out of range, unknown, or inconsistent with another one.

@@ -24,26 +24,6 @@ from uuid import uuid4
 
 from palpate.faults import FileFormatError, InputError
 
-__all__ = [
-    "check_folder",
-    "check_nesting",
-    "check_space",
-    "digest_of",
-    "flush_and_rename",
-    "json_of",
-    "plain",
-    "read_bytes",
-    "read_json",
-    "read_sealed_json",
-    "read_text",
-    "regular_file",
-    "shortened",
-    "unpack_gzip",
-    "whole_file",
-    "write_json",
-    "write_sealed_json",
-]  # fmt: skip
-
 STALE_AGE = 86400.0  # [s] of temporary files of dead writers
 MAX_DEPTH = 32  # of nested lists and objects in JSON
 MAX_TEXT_BYTES = 16 << 20

@@ -9,8 +9,6 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-__all__ = ["DEFLATE_LEVEL", "HEAD_BYTES", "Frame", "lay_out"]
-
 HEAD_BYTES = 512  # bytes before HDF5's datatype, which it leaves to its users
 DEFLATE_LEVEL = 4  # of deflate; 6 takes three times as long to save 2 %
 MAX_ATTRIBUTE_CHARACTERS = 32_000  # limit of an object's header in HDF5

@@ -21,22 +21,6 @@ from typing import Any
 
 from palpate.faults import InputError, brief, interval, number_in_range
 
-__all__ = [
-    "FACTORS_BY_UNIT",
-    "Fault",
-    "check_number",
-    "check_parameters",
-    "declared",
-    "fields_of",
-    "limits",
-    "parameter",
-    "quantity",
-    "read_section",
-    "read_values",
-    "written_section",
-    "written_value",
-]
-
 # units that a text may carry, by the SI unit of the setting; a number without unit is in the SI unit
 FACTORS_BY_UNIT: dict[str, dict[str, float]] = {
     "": {"%": 0.01},

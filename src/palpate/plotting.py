@@ -15,9 +15,6 @@ import numpy as np
 from palpate.arrays import Floats, Ints
 from palpate.extras import require
 
-__all__ = ["body_svg", "curve_svg", "plot_body", "plot_curves", "plot_fit", "plot_singular_values"]
-
-
 BLUE, GREY = "#0072B2", "#888888"
 SVG_WIDTH, SVG_HEIGHT, SVG_MARGIN = 320, 200, 34  # [px] of an SVG picture
 MAX_SHAPES = 2500  # of an SVG picture, which stays below some 200 kB

@@ -19,8 +19,6 @@ from contextlib import suppress
 from queue import SimpleQueue
 from typing import Any
 
-__all__ = ["Answer", "Child", "Receive"]
-
 Receive = Callable[[], Any]  # waits for the next value of the parent
 Answer = Callable[[Any], None]
 Function = Callable[[Receive, Answer], None]

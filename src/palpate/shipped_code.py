@@ -25,10 +25,6 @@ from numba.core.registry import cpu_target
 
 from palpate.working_folder import foreign_writer
 
-__all__ = [
-    "PROCESSOR_FAMILIES", "Pack", "find_shipped", "installed_packs", "machine_processor", "pack_name", "write_pack",
-]  # fmt: skip
-
 PACKAGE_NAME = "palpate_kernels"
 INDEX_BYTES = 8  # of the length of the index
 NUMPY_VERSION = ".".join(np.__version__.split(".")[:2])

@@ -15,8 +15,6 @@ import numba.np.ufunc.parallel as numba_threads
 
 from palpate.faults import InputError
 
-__all__ = ["check_process", "loops_share_threads"]
-
 LAYER_MODULES = {"tbb": "tbbpool", "omp": "omppool"}  # of the layers that several threads may use
 
 

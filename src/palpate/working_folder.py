@@ -22,10 +22,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-__all__ = [
-    "check_cache_folder", "foreign_writer", "guard_matplotlib", "guard_numba", "import_pymor", "make_private",
-]  # fmt: skip
-
 NUMBA_CONFIGURATION = "numba.core.config"
 MATPLOTLIB_STYLE = "matplotlibrc"
 PYMOR_DEFAULTS = "PYMOR_DEFAULTS"

@@ -13,8 +13,6 @@ from typing import Any
 from palpate import __version__
 from palpate.app.documentation import documentation
 
-__all__ = ["build_parser", "main"]
-
 CLI_DESCRIPTION = """\
 Simulate soft tissue in real time: point collocation, model reduction, and a tool at 1 kHz.
 

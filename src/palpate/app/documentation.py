@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-__all__ = ["documentation"]
-
 
 def documentation() -> Path:
     """Return the folder that holds the pages that help texts call docs/NAME.md."""

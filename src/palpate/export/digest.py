@@ -8,8 +8,6 @@ import numpy as np
 
 from palpate.dynamics.compiled.cache import kernel_njit
 
-__all__ = ["DIGEST_WORDS", "check_file"]
-
 DIGEST_FIRST, DIGEST_END, BLOCK_BYTES, WORD_BITS = 32, 64, 64, 0xFFFFFFFF
 DIGEST_WORDS = 8
 ROUND_COUNT = 64

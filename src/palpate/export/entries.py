@@ -29,14 +29,6 @@ from palpate.realtime.record import field_offset
 from palpate.reduction.contact.surface import PAIRS
 from palpate.reduction.hyper.error_indicator import curve_bound
 
-__all__ = [
-    "OPTION_NAMES",
-    "compile_step",
-    "exchange_tool",
-    "reset_model",
-    "write_vertices",
-]
-
 TAKEN_STATUS, POSE_STATUS, DIVERGED_STATUS, INVALID_STATUS = range(4)
 OPTION_NAMES = ("period", "force_limit", "max_speed", "max_angular_speed", "stiffness_every", "on_distrust")
 OPTION_PERIOD, FORCE_LIMIT, MAX_SPEED, MAX_ANGULAR_SPEED, STIFFNESS_EVERY, ON_DISTRUST = range(len(OPTION_NAMES))

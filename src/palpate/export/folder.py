@@ -27,8 +27,6 @@ from palpate.realtime.bodies.display_surface import Surface
 from palpate.realtime.record import HEADER_DTYPE, field_offset
 from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["check_new", "complete_folder", "export_c", "identifier"]
-
 TEMPLATE_NAMES = ("palpate.h", "model.h", "main.c", "CMakeLists.txt", "Organ.cs", "README.md")
 PRESS_SHARE, RADIUS_SPACINGS = 0.5, 3.0  # depth of the example's press over the ball's radius, and that radius
 ZIG_TARGETS = {

@@ -22,8 +22,6 @@ from palpate.realtime.pose import IDENTITY_POSE
 from palpate.reduction.hyper.error_indicator import bound_curve
 from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["FUNCTION_NAMES", "Library", "lower_model", "model_functions"]
-
 FUNCTION_NAMES = ("step", "reset", "set_tool", "vertices", "check", "memory_size", "file_size")  # of every library
 CHECKED_LENGTH = 7  # place of the length among the flat arguments of `check_file`, after an array
 DEFAULT_OPTIONS = {

@@ -14,8 +14,6 @@ import llvmlite.binding as llvm
 
 from palpate.export.targets import Target
 
-__all__ = ["emit_object", "host_target", "link_modules", "target_machine"]
-
 RELAXED_FLAGS = re.compile(
     r"\b(fadd|fsub|fmul|fdiv|frem|fneg|fcmp|call|select|phi)"
     r"((?: (?:contract|reassoc|nsz|arcp|afn|nnan|ninf|fast))+) "

@@ -19,8 +19,6 @@ from numba.core.codegen import AOTCodeLibrary, AOTCPUCodegen
 from numba.core.dispatcher import Dispatcher
 from numba.core.registry import cpu_target
 
-__all__ = ["LoweredFunction", "recording"]
-
 COMPILE_FLAGS = {"_nrt": False, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 

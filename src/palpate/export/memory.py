@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from palpate.export.lowering import LoweredFunction
 
-__all__ = ["DIGEST_PLACE", "FILE_MAGIC", "HEADER_BYTES", "Memory", "constant_function"]
-
 FILE_MAGIC, FORMAT_VERSION = b"PALPATE\0", 1
 HEADER_FORMAT = struct.Struct("<8sIIQQ32s")  # magic, version, named arrays, bytes of memory and file, digest
 ENTRY_FORMAT = struct.Struct("<24sQIIII")  # name, offset, type, rows, columns, zero

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = ["HOST_TARGET", "TARGET_MACHINES", "TARGET_NAMES", "WEB_TARGETS", "Target"]
-
 
 class Target(NamedTuple):
     """A machine that a library runs on."""

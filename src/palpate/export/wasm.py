@@ -10,8 +10,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
-__all__ = ["Module", "module_of_object"]
-
 PREAMBLE_BYTES = 8
 CUSTOM_SECTION, EXPORT_SECTION, ELEMENT_SECTION, CODE_SECTION, DATA_SECTION, DATA_COUNT_SECTION = 0, 7, 9, 10, 11, 12
 SYMBOL_TABLE, FUNCTION_SYMBOL, DATA_SYMBOL, SECTION_SYMBOL = 8, 0, 1, 3

@@ -16,8 +16,6 @@ from palpate.arrays import Floats, Ints
 from palpate.faults import InputError, number_in_range
 from palpate.meshfree.cloud import BORDER_MARGIN, Cloud
 
-__all__ = ["in_box", "near_plane", "painted"]
-
 
 def in_box(
     cloud: Cloud, low: Sequence[float], high: Sequence[float], *, surface: bool = True, margin: float = BORDER_MARGIN

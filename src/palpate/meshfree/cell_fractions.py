@@ -18,8 +18,6 @@ from palpate.arrays import Floats
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 
-__all__ = ["cell_fractions"]
-
 SAMPLES_PER_EDGE = 6  # along an edge of a node's cell
 BATCH_NODES = 256  # whose samples are kept at once
 CELL_REACH = 1.0  # from a region to cells that it can enter, in spacings

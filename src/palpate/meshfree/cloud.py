@@ -22,9 +22,6 @@ from palpate.faults import CloudError, InputError, brief, first_few, integer_in_
 from palpate.meshfree.visibility import hidden_pairs
 from palpate.plotting import body_svg, plot_body
 
-__all__ = ["BORDER_MARGIN", "MOVED_MARGIN", "Cloud", "box", "warn_of_size"]
-
-
 MAX_NODES = 5e7  # of a box
 MAX_COORDINATE = 1e9  # [m] of a coordinate
 MIN_SPACING = 1e-9  # [m]; beyond these limits volumes and stiffnesses exceed the range of double precision

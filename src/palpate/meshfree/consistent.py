@@ -35,8 +35,6 @@ from palpate.meshfree.inner_gradient import with_inner_gradient
 from palpate.meshfree.quadrature import integration_weights, quadratic_residuals
 from palpate.meshfree.stencils import Stencils, moving_least_squares
 
-__all__ = ["consistent_gradient", "consistent_stencils"]
-
 RESIDUAL_TOLERANCE = 1e-11  # largest residual of the condition, relative to V / h
 SHARED_TOLERANCE = 1e-9  # the same with shared rows: the volumes integrate linear fields as exactly
 MAX_ITERATIONS = 1000  # of conjugate gradients

@@ -41,8 +41,6 @@ from palpate.surface.surface import (
     weld,
 )
 
-__all__ = ["BODY_PREFIX", "Region", "fill"]
-
 Region = tuple[Sequence[float], float, float]  # centre [m], radius [m], spacing [m]
 
 SURFACE_SPACING = 0.8  # distance of surface nodes, in spacings

@@ -10,8 +10,6 @@ from palpate.faults import CloudError
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import moving_least_squares
 
-__all__ = ["STENCIL_NODES", "faulty_nodes", "nearest_spacing"]
-
 STENCIL_NODES = 42  # neighbours in a stencil, the default of `palpate.Solid`
 
 

@@ -20,8 +20,6 @@ from palpate.arrays import Floats
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import BATCH_NODES, Stencils, monomial_exponents, quartic_spline
 
-__all__ = ["CUBIC_DAMPING", "inner_nodes", "with_inner_gradient"]
-
 INNER_DEPTH = 0.55  # smallest distance of inner nodes from those of the surface, in radii of their stencils
 # of cubic coefficients, in coordinates relative to the support radius; times i! j! k! / 3! for x^i y^j z^k, as in
 # the norm of Bombieri, which no rotation changes

@@ -13,8 +13,6 @@ from palpate.arrays import Floats, Ints
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.visibility import is_pair
 
-__all__ = ["cells_between", "inverted_share"]
-
 LONGEST_EDGE, LEAST_VOLUME = 2.2, 0.02  # of a tetrahedron, in spacings; flat ones may turn in any deformation
 NODE_SHIFT, SHIFT_SEED = 1e-6, 0  # of the nodes in spacings, since those of a lattice have no unique tetrahedra
 SAFE_WAY = 0.05  # spacings by which nodes may move without turning a cell

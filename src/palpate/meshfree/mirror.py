@@ -21,8 +21,6 @@ from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import Stencils
 
-__all__ = ["NO_MIRROR", "Images", "Mirror", "MirrorPlane", "mirror_images"]
-
 ON_PLANE = 1e-6  # largest distance of a plane's nodes from it, in spacings
 MIN_DISTANCE = 0.1  # least distance of all other nodes, in spacings
 MAX_FACE_COSINE = 1e-6  # cosine, or 1 minus a cosine, below which a face is at right angles to a plane, or in it

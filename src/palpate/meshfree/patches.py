@@ -23,8 +23,6 @@ from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.cut.surface import NO_CUT, CutSurface, bond_paths
 from palpate.meshfree.visibility import is_pair
 
-__all__ = ["spread_load", "surface_patches"]
-
 KERNEL_RADIUS = 1.55  # kernel radius in surface spacings, closest to Hertz's contact
 MAX_PATCH_DEPTH = 2.0  # largest distance of interior nodes in a patch, in spacings
 SAME_FACE_COSINE = 0.85  # of normals of nodes on one face; 0.82 at the corner of a box

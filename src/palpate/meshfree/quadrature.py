@@ -31,8 +31,6 @@ from palpate.faults import CloudError
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import Stencils
 
-__all__ = ["conservative_smoothing", "integration_weights", "quadratic_residuals"]
-
 MIN_WEIGHT_RATIO = 0.3  # smallest weight over a node's volume: corrections of edges and corners multiply
 # smallest weight of a node with at most one face, over its volume and over the median volume
 MIN_SMOOTH_RATIO, MIN_MEDIAN_RATIO = 0.5, 0.25

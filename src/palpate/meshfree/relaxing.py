@@ -17,8 +17,6 @@ from palpate.code_cache import cached_njit
 from palpate.surface.crossings import column_crossings
 from palpate.surface.refining import poisson_discs
 
-__all__ = ["DepthQuery", "lattice_inside", "relax", "scattered_inside", "voronoi_volumes"]
-
 MIN_DEPTH = 0.65  # of interior nodes, in spacings
 MAX_SWEEPS, SWEEPS_PER_LIST = 60, 6  # number of repulsion sweeps; sweeps between new lists of neighbours
 REPULSION_RADIUS, MAX_MOVE = 1.15, 0.25  # radius and largest move per neighbour and sweep, in spacings

@@ -18,8 +18,6 @@ from palpate.faults import CloudError, InputError, brief, integer_in_range, numb
 from palpate.meshfree.cloud import MAX_COORDINATE, MIN_SPACING, Cloud, warn_of_size
 from palpate.meshfree.stencils import moving_least_squares
 
-__all__ = ["disc", "sheet"]
-
 ROW_DISTANCE = np.sqrt(0.75)  # distance between rows of the lattice, in spacings
 MIN_RINGS = 2  # a disc of 19 nodes
 # In spacings:

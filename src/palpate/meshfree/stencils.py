@@ -29,8 +29,6 @@ from palpate.meshfree.cloud import MAX_COORDINATE
 from palpate.meshfree.visibility import is_pair
 from palpate.threads import check_process
 
-__all__ = ["BATCH_NODES", "Stencils", "monomial_exponents", "moving_least_squares", "quartic_spline"]
-
 MAX_CONDITION = 1e10  # of scaled moment matrices; above it, second derivatives lose half their digits
 BATCH_NODES = 1024  # nodes fitted at once
 MIN_DISTANCE_RATIO = 0.2  # smallest distance of nodes over the median distance of nearest neighbours

@@ -19,8 +19,6 @@ from scipy.spatial import cKDTree
 from palpate.arrays import Floats, Ints
 from palpate.code_cache import cached_njit
 
-__all__ = ["hidden_pairs", "is_pair"]
-
 MAX_DISTANCE = 4.0  # largest distance of pairs, in spacings: more than the radius of one-sided stencils
 FACING_COSINE = 0.5  # least cosine between a normal and the vector to a node that the surface faces
 SURFACE_MARGIN = 0.15  # of the outside next to the surface that paths may touch, in spacings

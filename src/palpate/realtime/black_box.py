@@ -16,9 +16,6 @@ from palpate.files import whole_file
 from palpate.realtime.exchange import acquire_fence, get_flag, make_flags, release_fence, set_flag
 from palpate.realtime.record import FIELD_UNITS, HEADER_DTYPE, HEADER_SIZE
 
-__all__ = ["MAX_COORDINATES", "RingBuffer", "append_record", "latest_records", "write_black_box"]
-
-
 MAX_COORDINATES = 64  # reduced coordinates stored of each record
 FORMAT, VERSION = "palpate black box", 2
 

@@ -21,8 +21,6 @@ from palpate.faults import InputError, brief
 from palpate.realtime.exchange import FLAGS_LENGTH, Slot
 from palpate.realtime.record import HEADER_SIZE
 
-__all__ = ["SharedSlots", "channel_header"]
-
 SHARED_FOLDER = Path("/dev/shm")
 CHANNEL_HEADER = struct.Struct("<8sqq40x")  # magic with the version, process, numbers of a record
 CHANNEL_MAGIC = b"PALPATE\2"

@@ -23,8 +23,6 @@ from palpate.realtime.windows_clock import now as windows_now
 from palpate.realtime.windows_clock import sleep_until as windows_sleep_until
 from palpate.realtime.windows_clock import use_precise_sleep as windows_use_precise_sleep
 
-__all__ = ["HAS_ABSOLUTE_SLEEP", "HAS_CLOCKS", "now", "sleep_until", "thread_time", "use_precise_sleep"]
-
 IS_WINDOWS = sys.platform == "win32"
 HAS_CLOCKS = IS_WINDOWS or (hasattr(time, "CLOCK_THREAD_CPUTIME_ID") and hasattr(time, "clock_gettime"))
 HAS_ABSOLUTE_SLEEP = sys.platform.startswith("linux")  # clock_nanosleep until a point in time

@@ -15,8 +15,6 @@ from palpate.faults import number_in_range
 if TYPE_CHECKING:
     from palpate.realtime.engine import Engine
 
-__all__ = ["DeviceLog", "DummyDevice"]
-
 Path = Callable[[float], tuple[Sequence[float] | Floats, Sequence[float] | Floats]]
 
 

@@ -34,9 +34,6 @@ from palpate.realtime.runner import Runner
 from palpate.realtime.statistics import Statistics
 from palpate.threads import check_process
 
-__all__ = ["Engine"]
-
-
 STATE_NAMES = {RUNNING: "running", STOPPED: "stopped", PAUSED: "paused", DIVERGED: "diverged"}
 ON_DISTRUST = {"warn": WARN, "clamp": CLAMP, "stop": STOP, "ignore": IGNORE}
 MIN_RATE, MAX_RATE = 1e-6, 20_000.0  # [Hz]; the period of a lower rate overflows

@@ -17,11 +17,6 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import kernel_njit
 
-__all__ = [
-    "Slot", "acquire_fence", "fetch", "get_flag", "make_flags", "publish", "release_fence", "set_flag", "snapshot",
-    "stamp",
-]  # fmt: skip
-
 ALIGNMENT_BYTES = 8  # bytes
 FLAGS_LENGTH = 16  # int64 in an array of flags: fills its cache lines, so that no other data shares them
 

@@ -19,9 +19,6 @@ from palpate.realtime.pose import IDENTITY_POSE, request_pose
 from palpate.realtime.record import HEADER_SIZE, field_offset
 from palpate.realtime.statistics import Histograms, count_step
 
-__all__ = ["DIVERGED", "PAUSED", "RUNNING", "STOPPED", "Channels", "compile_loop", "passed"]
-
-
 RUNNING, STOPPED, PAUSED, DIVERGED = range(4)  # commands to the loop, and reasons for its end
 MAX_RECORD_AGE, MAX_RECORD_PERIODS = 20_000_000, 4  # [ns], or in periods: then readers take its force as zero
 MAX_SLEEP = 10_000_000  # [ns], which bounds the delay of a command

@@ -41,9 +41,6 @@ from palpate.realtime.exchange import Slot, publish, snapshot
 from palpate.realtime.period import function_key
 from palpate.reduction.contact.surface import PAIRS
 
-__all__ = ["ObservableModel", "Observation", "VirtualCoupling", "make_observable"]
-
-
 MAX_CONTACT_NODES = 4096  # contact nodes published in a period
 DEVICE_FORCE, TOOL_POSITION, CONTACT_COUNT, MODULUS_RATIO, COORDINATES = 0, 3, 6, 7, 8  # offsets in `values`
 CONTACT_SIZE = 4  # values of a contact: node, force (3,)

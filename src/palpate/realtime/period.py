@@ -19,27 +19,6 @@ from palpate.realtime.contract import FORCES, KINETIC, POSE_COLUMNS, STATUS, STE
 from palpate.realtime.pose import IDENTITY_POSE, follow_pose, pose_of_coordinates, tool_coordinates, wrench
 from palpate.realtime.record import HEADER_SIZE, field_offset
 
-__all__ = [
-    "CLAMP",
-    "FAILED",
-    "IGNORE",
-    "STOP",
-    "TIME_SCALE",
-    "TRUSTED",
-    "WARN",
-    "WORST_SINCE_RESET",
-    "Settings",
-    "Work",
-    "clamp_tool",
-    "compile_period",
-    "copy_to",
-    "function_key",
-    "move_tool",
-    "place_work",
-    "reset_work",
-    "write_record",
-]
-
 WARN, CLAMP, STOP, IGNORE = range(4)  # responses to a trust number above 1
 MAX_TRAIL = 256  # stored trusted poses
 RETREAT_DIVISOR = 4  # the tool moves back by 1 / RETREAT_DIVISOR of its trail ...

@@ -12,9 +12,6 @@ from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.faults import InputError
 from palpate.files import shortened
 
-__all__ = ["IDENTITY_POSE", "MAX_JUMP", "follow_pose", "normalise_pose", "request_pose", "tool_coordinates", "wrench"]
-
-
 IDENTITY_POSE = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 MAX_JUMP = 1.0  # [m] between consecutive poses; a larger one is a device error
 UNIT_TOLERANCE = 1e-12  # of the size of a quaternion that is kept as it is

@@ -15,9 +15,6 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 
-__all__ = ["FIELD_UNITS", "HEADER_DTYPE", "HEADER_SIZE", "PeriodRecord", "Reading", "field_offset"]
-
-
 HEADER_DTYPE = np.dtype(
     [(name, "f8") for name in ("time", "steps", "failed", "iterations", "computing", "lateness")]
     + [

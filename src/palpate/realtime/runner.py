@@ -12,8 +12,6 @@ from palpate.realtime.clock import use_precise_sleep
 from palpate.realtime.exchange import set_flag
 from palpate.realtime.loop import DIVERGED, PAUSED, RUNNING, STOPPED
 
-__all__ = ["Runner"]
-
 
 class Runner:
     """Starts and stops a loop in its own thread.

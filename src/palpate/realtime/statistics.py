@@ -17,8 +17,6 @@ from palpate.describe import Described, Fact
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.realtime.clock import HAS_ABSOLUTE_SLEEP
 
-__all__ = ["Distribution", "Histograms", "Statistics", "count_step"]
-
 FIRST_EDGE, BIN_DECADES, BINS_PER_DECADE = 1e-7, 8, 40  # [s]: bins from 0.1 us to 10 s, each 6 % wide
 BIN_COUNT = BIN_DECADES * BINS_PER_DECADE
 BIN_EDGES = FIRST_EDGE * 10 ** (np.arange(BIN_COUNT + 1) / BINS_PER_DECADE)

@@ -15,8 +15,6 @@ from numba.extending import intrinsic
 
 from palpate.dynamics.compiled.cache import kernel_njit
 
-__all__ = ["now", "sleep_until", "use_precise_sleep"]
-
 NANOSECONDS_PER_SECOND = 10**9
 TIMER_TICK = 100  # [ns], unit of a due time; a negative one is a duration
 HIGH_RESOLUTION_TIMER, ALL_ACCESS, INFINITE_WAIT = 0x2, 0x1F0003, 0xFFFFFFFF

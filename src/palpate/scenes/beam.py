@@ -17,8 +17,6 @@ from palpate.meshfree.cloud import box
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.scene import Scene
 
-__all__ = ["BEAM_SIZE", "DURATION", "EVERY", "beam", "pull"]
-
 BEAM_SCENE = open_scene("beam")
 BEAM_SIZE = BEAM_SCENE.description.surface.size  # [m]
 DURATION, EVERY = BEAM_SCENE.duration, BEAM_SCENE.every  # [s]

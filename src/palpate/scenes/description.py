@@ -15,11 +15,6 @@ from palpate.faults import InputError
 from palpate.parameters import Fault, parameter, read_values
 from palpate.tissue.liver import LIVER_DENSITY, LIVER_POISSON, MASS_DAMPING
 
-__all__ = [
-    "Ball", "Body", "Box", "Cut", "Description", "Fibre", "Load", "Near", "Painted", "Place", "Plane", "Region",
-    "Relaxation", "Run", "Shape", "Support", "Tissue", "Tool", "Training", "chooses_runs", "with_settings",
-]  # fmt: skip
-
 SINGLE_SECTIONS = ("surface", "body", "tissue", "tool", "cut", "run", "training")
 SURFACE_SHAPES = ("liver", "box", "disc")
 # keys of [training] that choose runs and the size of the model; neither the body nor a path depends on them

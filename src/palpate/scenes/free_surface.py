@@ -19,8 +19,6 @@ from palpate.faults import InputError
 from palpate.meshfree.cloud import MOVED_MARGIN
 from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["FreeSurface"]
-
 POSES_PER_PATH = 61  # of a path, between which a tool moves by a fraction of its radius
 
 

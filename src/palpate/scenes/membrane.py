@@ -13,8 +13,6 @@ from palpate.meshfree.sheets import disc
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.scene import Scene
 
-__all__ = ["AFTER", "DURATION", "EVERY", "PUSH_TIME", "RADIUS", "membrane", "tool_tip"]
-
 MEMBRANE_SCENE = open_scene("membrane")
 RADIUS = MEMBRANE_SCENE.description.surface.disc_radius  # [m]
 PUSH_SPEED, PUSH_TIME = 0.1, 0.1  # [m/s], [s]

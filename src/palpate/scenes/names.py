@@ -10,8 +10,6 @@ from pathlib import Path
 
 from palpate.surface.formats.names import LABEL_FORMATS, SURFACE_FORMATS, format_of
 
-__all__ = ["PACKAGE_SCENES", "SCENE_SUFFIX", "SceneKind", "kind_of", "listed_scenes"]
-
 PACKAGE_SCENES = ("beam", "liver", "membrane")  # files in the folder data
 SCENE_SUFFIX = ".toml"
 

@@ -19,8 +19,6 @@ from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.scene import TrainingScene
 from palpate.scenes.scene_text import parse_scene, read_scene
 
-__all__ = ["DESCRIPTION_KEY", "DIGEST_KEY", "described_scene", "open_scene", "text_of_scene", "training_scene_of"]
-
 # parameters of a training scene from a file: digest of what it depends on; its description where the file alone has
 # another one, or is a surface
 DIGEST_KEY, DESCRIPTION_KEY = "digest", "description"

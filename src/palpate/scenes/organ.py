@@ -16,8 +16,6 @@ from palpate.faults import number_in_range
 from palpate.surface.isosurface import zero_surface
 from palpate.surface.surface import Surface, weld
 
-__all__ = ["liver_surface"]
-
 Vector = Sequence[float]
 
 LIVER_VOLUME = 1.5e-3  # [m^3] of an adult liver

@@ -49,8 +49,6 @@ from palpate.surface.repair import repair_surface
 from palpate.surface.surface import Surface, scaled
 from palpate.tissue.materials import Material
 
-__all__ = ["OrganScene"]
-
 TOOL_GROUP = "tool"
 DEFAULT_SIDE = "back"  # away from the first view of the page
 MIN_HELD, MAX_HELD_SHARE = 3, 0.6  # nodes of a body that supports hold

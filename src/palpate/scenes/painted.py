@@ -21,8 +21,6 @@ from palpate.extras import require
 from palpate.faults import FileFormatError, InputError
 from palpate.files import regular_file, shortened
 
-__all__ = ["read_painted"]
-
 MESH_SUFFIXES = (".ply", ".vtk", ".vtp", ".vtu")
 MAX_FILE_BYTES = 300_000_000  # bytes of a file
 READER_BYTES, READER_SECONDS = 400 << 20, 30  # of the reader, with which it begins; more for larger files

@@ -28,8 +28,6 @@ from palpate.surface.nesting import inside_points
 from palpate.surface.refining import refine_surface
 from palpate.surface.surface import Surface
 
-__all__ = ["PlaceFinder", "inside_surface", "place_of_text", "side_mask"]
-
 PAINTED_PREFIX = "painted "  # begins the text of a painted place
 CAMERA_SIDE = (0.277, -0.833, 0.479)  # direction from the body to the camera of the page at its start
 SUPPORT_SHARE = 0.12  # of the extent along a direction, which a side holds

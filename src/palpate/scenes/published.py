@@ -13,8 +13,6 @@ from palpate.files import whole_file
 from palpate.surface.files import read_surface
 from palpate.surface.surface import Surface
 
-__all__ = ["LIVER_ADDRESS", "LIVER_CITATION", "LIVER_PART", "fetch_liver"]
-
 LIVER_ADDRESS = "https://github.com/hubmapconsortium/ccf-releases/raw/cb9bfd93/v1.3/models/VH_F_Liver.glb"
 LIVER_FILE = "VH_F_Liver.glb"
 MAX_LIVER_BYTES, DOWNLOAD_SECONDS = 20_000_000, 60.0

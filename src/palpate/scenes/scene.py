@@ -11,8 +11,6 @@ from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.solid.model import Solid
 
-__all__ = ["CAMPAIGN_SEEDS", "TRAINING_SEEDS", "Scene", "TrainingScene"]
-
 CAMPAIGN_SEEDS = 1_000_000  # seeds of a campaign of `palpate train`
 TRAINING_SEEDS = 500_000  # the first of these, for training; the others are for held-out runs
 

@@ -19,8 +19,6 @@ from palpate.meshfree.cloud import Cloud
 from palpate.scenes.description import Tool, Training
 from palpate.scenes.tool_paths import ToolPaths
 
-__all__ = ["HeldMotion", "held_motion", "touching_paths"]
-
 RADIUS_SHARE, DEPTH_SHARE, SLIDE_SHARE = 0.06, 0.07, 0.08  # of the body's length, where the scene gives none
 MIN_RADIUS = 2.5  # [spacings] of the ball
 MIN_DEPTH_RATIO = 0.3  # depth of the shallowest press over that of the deepest

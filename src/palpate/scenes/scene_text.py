@@ -11,8 +11,6 @@ from palpate.files import check_nesting, read_text, shortened
 from palpate.parameters import Fault, read_section
 from palpate.scenes.description import Description
 
-__all__ = ["line_of", "line_of_file", "parse_scene", "read_scene", "words_of"]
-
 MAX_BYTES = 1 << 20  # of a scene file
 # keys of more parts than a scene has; tomllib takes hours for one of 100,000
 LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){16}""")

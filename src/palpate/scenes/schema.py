@@ -11,8 +11,6 @@ from typing import Any
 from palpate.parameters import FACTORS_BY_UNIT, fields_of
 from palpate.scenes.description import Description
 
-__all__ = ["scene_schema"]
-
 SCHEMA_DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 

@@ -17,8 +17,6 @@ from palpate.scenes.open_scene import open_scene
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.places import place_of_text
 
-__all__ = ["NODES_PER_CELL", "named_scene", "refined_scene", "surface_scene"]
-
 NODES_PER_CELL = 1.45  # nodes over volume / spacing^3 in a filled organ
 REFINED_NODES = 4500  # of a body without a spacing; statics of training take 5,000 at most
 

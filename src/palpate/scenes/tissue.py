@@ -18,8 +18,6 @@ from palpate.tissue.materials import Material
 from palpate.tissue.prony import Prony
 from palpate.tissue.symbolic_law import Hyperelastic
 
-__all__ = ["fibres_of", "material_of"]
-
 
 def material_of(tissue: Tissue, changes: Mapping[str, Any] | None = None) -> Material:
     """Return the material of a tissue, with changed parameters of a region.

@@ -31,8 +31,6 @@ from palpate.reduction.hyper.model import ReducedModel
 from palpate.scenes.free_surface import FreeSurface
 from palpate.scenes.scene import CAMPAIGN_SEEDS, TRAINING_SEEDS
 
-__all__ = ["ToolPaths", "check_radius"]
-
 MIN_RADIUS = 2.0  # [spacings] of the ball, so that nodes resolve the surface under it
 CLEARANCE_RADII = 0.2  # [radii] between ball and body near a press; twice that before and after
 # [s] away, near, pressed, slid, near, away; of forceps: pulled, turned

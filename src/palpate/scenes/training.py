@@ -16,8 +16,6 @@ from palpate.scenes.names import PACKAGE_SCENES, SceneKind, kind_of
 from palpate.scenes.open_scene import DESCRIPTION_KEY, DIGEST_KEY, described_scene, open_scene, training_scene_of
 from palpate.scenes.scene import TrainingScene
 
-__all__ = ["search_current_folder", "training_scene"]
-
 SCENE_NAMES = f"{', '.join(map(repr, PACKAGE_SCENES))}, a scene file, or 'module:function' of your own"
 PARAMETER_TYPES = (bool, int, float, str)  # of parameters
 MAX_TEXT_CHARACTERS = 200  # characters of a text

@@ -21,8 +21,6 @@ from palpate.surface.surface import (
     pinched_vertices,
 )
 
-__all__ = ["METRES_BY_UNIT", "SurfaceReport", "check_surface", "guessed_units", "shape_problems"]
-
 PLAUSIBLE_VOLUMES = (2e-6, 2e-2)  # [m^3] of an organ
 TYPICAL_VOLUME = 5e-4  # [m^3] of an organ: geometric mean of an adrenal gland and a liver
 OPEN_SHARE = 0.05  # volume of an organ over the cube of its diagonal, for a surface that is open

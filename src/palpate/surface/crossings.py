@@ -7,8 +7,6 @@ import numpy as np
 from palpate.arrays import Floats, Ints
 from palpate.code_cache import cached_njit
 
-__all__ = ["column_crossings"]
-
 
 @cached_njit()
 def _crossings(corners, low, step, nx, ny, start, height, write):  # type: ignore[no-untyped-def]

@@ -8,8 +8,6 @@ from palpate.arrays import Floats, Ints
 from palpate.code_cache import cached_njit
 from palpate.faults import InputError
 
-__all__ = ["MAX_PAIRS", "self_intersections"]
-
 MAX_PAIRS = 10_000  # the search stops there
 MAX_BOX_TESTS = (5_000_000, 300)  # largest number of box tests: in total at least, and per triangle
 LEAF_TRIANGLES = 4

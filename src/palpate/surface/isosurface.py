@@ -16,9 +16,6 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats, Ints
 
-__all__ = ["zero_surface"]
-
-
 # Edges of a cell: axis, and offset of the lower end in x, y and z.
 CUBE_EDGES = np.array(
     [

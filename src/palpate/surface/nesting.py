@@ -11,17 +11,6 @@ from palpate.arrays import Floats, Ints
 from palpate.code_cache import cached_njit
 from palpate.surface.surface import Surface, components, part_volumes
 
-__all__ = [
-    "MAX_COMPONENTS",
-    "body_numbers",
-    "cavities",
-    "enclosures",
-    "inside_points",
-    "inside_shares",
-    "orient_components",
-    "winding_number",
-]
-
 MAX_COMPONENTS = 100  # of a surface, whose pairs are compared
 # what to do with a body in another
 REGION_REMEDY = (

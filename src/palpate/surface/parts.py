@@ -21,8 +21,6 @@ from palpate.files import shortened
 from palpate.surface.checks import METRES_BY_UNIT, guessed_units, shape_problems
 from palpate.surface.surface import Surface, SurfaceProblem, coincident_vertices, directed_edges, weld
 
-__all__ = ["MAX_PARTS", "choose_body", "join_parts", "matching_parts", "names_text"]
-
 MAX_PARTS = 1000  # of a file, which are joined or compared
 MAX_LISTED_NAMES = 40  # of parts, in a message
 BORDER_TOLERANCE = 1e-3  # distance of border vertices that are joined, over the size

@@ -9,8 +9,6 @@ import numpy as np
 from palpate.arrays import Floats, Ints
 from palpate.code_cache import cached_njit
 
-__all__ = ["poisson_discs", "refine_surface"]
-
 
 def refine_surface(vertices: Floats, triangles: Ints, max_edge: Callable[[Floats], Floats]) -> tuple[Floats, Ints]:
     """Return a closed surface refined by bisection until no edge exceeds a length.

@@ -21,8 +21,6 @@ from palpate.code_cache import cached_njit
 from palpate.faults import CloudError
 from palpate.surface.refining import poisson_discs
 
-__all__ = ["SurfaceNodes", "remesh", "vertex_vectors"]
-
 MAX_SWEEPS = 60  # of moves between clusters
 MAX_REPAIRS = 12  # rounds of repairing clusters that are not discs
 

@@ -25,8 +25,6 @@ from palpate.surface.surface import (
     weld,
 )
 
-__all__ = ["HOLLOWED_BODY", "repair_surface"]
-
 MAX_HOLE_RATIO = 0.6  # rim length of a closed hole, over pi times the diagonal of the body
 SPECK_SHARE = 1e-3  # of the volume; smaller components are removed
 MAX_SMOOTHINGS = 30  # of folds

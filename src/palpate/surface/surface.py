@@ -17,23 +17,6 @@ from palpate.describe import Described, Fact
 from palpate.faults import InputError, first_few
 from palpate.plotting import body_svg
 
-__all__ = [
-    "MAX_TRIANGLES",
-    "Surface",
-    "SurfaceProblem",
-    "boundary_loops",
-    "coincident_vertices",
-    "components",
-    "directed_edges",
-    "part_centroids",
-    "part_volumes",
-    "pinched_vertices",
-    "scaled",
-    "select_triangles",
-    "vertex_components",
-    "weld",
-]
-
 MAX_TRIANGLES = 2_000_000  # checked before expensive steps
 WELD_TOLERANCE = 1e-6  # distance of coinciding vertices, over the size
 MAX_COORDINATE = 1e9  # in any unit; beyond it volumes overflow or lose all digits

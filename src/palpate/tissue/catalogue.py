@@ -19,8 +19,6 @@ from palpate.tissue.prony import Prony
 from palpate.tissue.small_strain import LinearElastic
 from palpate.tissue.stretch_laws import Exponential, Logarithmic, Ogden
 
-__all__ = ["FIBRE_LAWS", "LAWS", "RELAXATION", "CatalogueEntry", "Law", "Parameter"]
-
 
 @dataclass(frozen=True)
 class Parameter:

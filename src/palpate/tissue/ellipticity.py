@@ -25,8 +25,6 @@ from palpate.faults import InputError, brief, number_in_range
 from palpate.tissue.homogeneous import DEFORMATION_KINDS, compressible, deformation_gradient, rest
 from palpate.tissue.materials import Material
 
-__all__ = ["MaterialStability", "material_stability", "min_wave_modulus"]
-
 MIN_STRETCH, MAX_STRETCH = 0.002, 25.0  # widest range; paths through it are checked point by point
 DIFFERENCE_STEP = 1e-5  # of F, for central differences of stress
 ZERO_MODULUS = 1e-6  # over the shear modulus; smaller moduli are rounding errors

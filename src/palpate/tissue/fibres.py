@@ -29,8 +29,6 @@ from palpate.faults import InputError, brief, check_arguments, check_names, firs
 from palpate.parameters import check_parameters, parameter
 from palpate.tissue.materials import ShearLaw
 
-__all__ = ["MIN_VOLUME_RATIO", "FibreLaw", "Fibres", "Guccione", "VolumeOnly"]
-
 MIN_VOLUME_RATIO = 0.1  # J below which J^(-2/3) is continued by its tangent
 LENGTH_TOLERANCE = 1e-6  # largest deviation of the length of a direction from 1
 

@@ -20,9 +20,6 @@ from palpate.tissue.materials import Material
 from palpate.tissue.measurements import Measurement
 from palpate.tissue.parameters import Layout, field_metadata, flatten
 
-__all__ = ["FitProblem"]
-
-
 RELATIVE_STEP = 6e-6  # of differences: the cube root of the rounding error
 SMALL_MODULUS_RATIO = 1e-3  # smallest step size of a modulus, over the largest modulus
 BOUND_TOLERANCE = 1e-4  # relative change of the residual norm

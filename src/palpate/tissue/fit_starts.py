@@ -12,8 +12,6 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.tissue.fit_problem import FitProblem
 
-__all__ = ["starting_points"]
-
 POSITIVE_FACTOR, SIGNED_FACTOR = 1000.0, 8.0  # largest factor from the first start: positive parameters, either sign
 MAX_DRAWS = 100  # of a start, until the law accepts it
 BOUND_MARGIN = 1e-3  # smallest relative distance of a start from its bounds

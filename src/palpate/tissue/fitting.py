@@ -22,9 +22,6 @@ from palpate.tissue.materials import Material
 from palpate.tissue.measurements import Measurement
 from palpate.tissue.parameters import field_metadata
 
-__all__ = ["CurveFit", "Fit", "FitStart", "fit"]
-
-
 MAX_EVALUATIONS = 200  # of the residuals, for each start
 COARSE_TOLERANCE = 1e-5  # relative change of cost at the end of each start
 FINE_TOLERANCE = 1e-11  # relative change of cost at the end of the best start, which continues

@@ -28,8 +28,6 @@ from palpate.arrays import Floats
 from palpate.faults import InputError, brief
 from palpate.tissue.materials import Material
 
-__all__ = ["DEFORMATION_KINDS", "compressible", "deformation_gradient", "isochoric_stress", "nominal_stress", "rest"]
-
 # kind of test: exponents of l in the second and third principal stretch at constant volume
 _STRETCH_EXPONENTS = {"uniaxial": (-0.5, -0.5), "equibiaxial": (1.0, -2.0), "planar": (0.0, -1.0)}
 DEFORMATION_KINDS = (*_STRETCH_EXPONENTS, "shear")

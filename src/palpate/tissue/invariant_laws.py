@@ -20,8 +20,6 @@ from palpate.faults import number_in_range
 from palpate.parameters import parameter
 from palpate.tissue.materials import Material, ShearLaw
 
-__all__ = ["ArrudaBoyce", "Fung", "Gent", "StVenantKirchhoff", "Yeoh"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Yeoh(Material):

@@ -22,8 +22,6 @@ import numpy as np
 
 from palpate.faults import InputError, brief
 
-__all__ = ["COUPLED", "ISOCHORIC", "check_split", "isochoric"]
-
 COUPLED, ISOCHORIC = "coupled", "isochoric"
 
 

@@ -1,7 +1,5 @@
 """Properties of liver tissue, for scenes and for a first touch."""
 
-__all__ = ["LIVER_DENSITY", "LIVER_POISSON", "MASS_DAMPING", "SHEAR_MODULUS"]
-
 SHEAR_MODULUS = 2.2e3  # [Pa] mean of healthy livers by elastography: Yin et al., Clin. Gastroenterol. Hepatol. 5, 2007
 LIVER_DENSITY = 1060.0  # [kg/m^3]
 LIVER_POISSON = 0.45

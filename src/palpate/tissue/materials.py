@@ -37,8 +37,6 @@ from palpate.tissue.isochoric import COUPLED, check_split, isochoric
 from palpate.tissue.prony import Prony
 from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 
-__all__ = ["Material", "MooneyRivlin", "NeoHookean", "ShearLaw"]
-
 MAX_POISSON = 0.499  # largest ratio with verified stability of the split pressure
 EQUAL_MODULI_TOLERANCE = 1e-12  # relative difference of equal moduli
 EXPECTED_DENSITIES = 100.0, 20_000.0  # [kg/m^3]; other densities are probably in another unit

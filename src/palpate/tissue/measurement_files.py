@@ -25,8 +25,6 @@ from palpate.faults import FileFormatError, InputError
 from palpate.files import read_text, shortened
 from palpate.tissue.measurements import Measurement
 
-__all__ = ["read_measurements"]
-
 KIND_BY_WORD = {
     "uniaxial": "uniaxial",
     "tension": "uniaxial",

@@ -11,8 +11,6 @@ from palpate.describe import Described, Fact
 from palpate.faults import InputError, brief
 from palpate.tissue.homogeneous import rest
 
-__all__ = ["Measurement"]
-
 MAX_DEFORMATION = 20.0  # stretch or shear, beyond that of tissue and rubber
 
 

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from palpate.faults import InputError, brief
 from palpate.tissue.materials import Material
 
-__all__ = ["Layout", "field_metadata", "flatten", "is_sequence", "own_fields"]
-
 INDEX_PATTERN = re.compile(r"\[(\d+)\]")
 
 

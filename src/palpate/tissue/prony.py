@@ -13,8 +13,6 @@ from palpate.describe import Described, Fact
 from palpate.faults import InputError, check_names
 from palpate.parameters import check_parameters, parameter
 
-__all__ = ["Prony"]
-
 MAX_BRANCHES = 64  # a few per decade of time are enough; each has history variables at every node
 
 

@@ -13,8 +13,6 @@ from palpate.describe import Described, Fact
 from palpate.faults import InputError
 from palpate.tissue.materials import Material
 
-__all__ = ["Regions"]
-
 COMMON_FIELDS = {"split": "split", "volumetric": "volumetric form", "prony": "Prony series", "density": "density"}
 
 

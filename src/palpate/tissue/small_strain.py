@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from palpate.tissue.materials import ShearLaw
 
-__all__ = ["LinearElastic"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class LinearElastic(ShearLaw):

@@ -20,8 +20,6 @@ import numpy as np
 
 from palpate.faults import InputError
 
-__all__ = ["FUNCTION_BY_NAME", "Tape", "compile_functions"]
-
 Row = tuple[str, float | str | int, int]  # operation with a value, a name, or one or two earlier rows
 
 FUNCTION_BY_NAME: dict[str, Any] = {

@@ -37,8 +37,6 @@ from palpate.faults import InputError
 from palpate.parameters import parameter
 from palpate.tissue.materials import Material
 
-__all__ = ["Exponential", "Logarithmic", "Ogden", "StretchLaw"]
-
 MAX_EXPONENT = 100.0  # powers of ordinary stretches overflow beyond it
 MAX_TERMS = 16  # of Ogden's law; each number of terms is compiled separately, and many terms compile slowly
 

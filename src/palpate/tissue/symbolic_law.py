@@ -31,8 +31,6 @@ from palpate.tissue.straight_line import FUNCTION_BY_NAME, Tape, compile_functio
 from palpate.tissue.stretch_laws import StretchLaw
 from palpate.tissue.volumetric import QUADRATIC
 
-__all__ = ["Hyperelastic", "law_of"]
-
 INVARIANT_NAMES, STRETCH_NAMES = ("I1", "I2", "J"), ("l1", "l2", "l3")
 ISOCHORIC_POWERS = {"I1bar": ("I1", -2 / 3), "I2bar": ("I2", -4 / 3)}  # I1 J^(-2/3), I2 J^(-4/3)
 PERMITTED_TEXT = "an expression of numbers, parameters, variables and the functions of `Hyperelastic`"

@@ -25,8 +25,6 @@ import numpy as np
 
 from palpate.faults import InputError, brief
 
-__all__ = ["FORM_BY_NAME", "QUADRATIC", "Volumetric", "volumetric_form"]
-
 
 @dataclass(frozen=True)
 class Volumetric:

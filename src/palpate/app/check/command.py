@@ -30,8 +30,6 @@ from palpate.surface.files import read_surface
 from palpate.surface.repair import repair_surface
 from palpate.surface.surface import Surface
 
-__all__ = ["FILES", "check"]
-
 FILES = (*REPORTS, "surface.png", "cloud.png", "tool.png")
 NEAREST_ROW = "{KEYS/0:.2f} to {KEYS/4:.2f} spacings, median {KEYS/2:.2f}"
 CHECK_ROWS: Rows = {

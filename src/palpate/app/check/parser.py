@@ -8,8 +8,6 @@ from palpate.app.common.arguments import add_command, add_output, add_parameter,
 from palpate.scenes.description import Body, Shape
 from palpate.surface.formats.names import listed_formats
 
-__all__ = ["add_check"]
-
 
 def add_check(commands: Any) -> None:
     """Add the command to those of a parser."""

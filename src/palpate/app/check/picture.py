@@ -18,9 +18,6 @@ from palpate.meshfree.gate import nearest_spacing
 from palpate.surface.checks import SurfaceReport
 from palpate.surface.surface import Surface
 
-__all__ = ["draw_cloud", "draw_surface"]
-
-
 MESH_EDGE_COLOUR = "#5A2F28"  # colour of the triangles' edges
 MARKS = {
     "error": ("#0072B2", "blue: faults"),

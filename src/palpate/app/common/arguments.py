@@ -16,13 +16,6 @@ from unicodedata import category
 
 from palpate.app.common.exit_status import BAD_INPUT, one_line
 
-__all__ = [
-    "COMMAND_KEY", "PARSER_KEY", "Parser", "add_command", "add_json", "add_output", "add_parameter",
-    "add_parts",
-    "existing_file", "in_option_words", "number", "option_names", "parse_settings", "path", "split_settings",
-    "suggestion", "unprintable_word", "whole",
-]  # fmt: skip
-
 COMMAND_KEY, PARSER_KEY = " command", " parser"  # names that no option has
 MAX_ARGUMENT_CHARACTERS, MAX_NAME_BYTES = 4095, 255  # characters; bytes of a name in a folder
 UNPRINTABLE_CATEGORIES = ("Cc", "Cs")  # categories of characters: controls, halves of surrogate pairs

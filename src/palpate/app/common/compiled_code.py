@@ -6,8 +6,6 @@ import argparse
 from contextlib import suppress
 from typing import Any
 
-__all__ = ["add_cache_option"]
-
 
 def add_cache_option(parser: argparse.ArgumentParser) -> None:
     """Add the option to the parser of all commands."""

@@ -15,8 +15,6 @@ from rich.box import SIMPLE_HEAD
 
 from palpate.dynamics.run.progress import make_console
 
-__all__ = ["Console", "Table", "count_nodes", "percent", "print_json", "print_plain", "quantities_table"]
-
 
 @dataclass(frozen=True)
 class Table:

@@ -26,8 +26,6 @@ from palpate.app.common.exit_status import (
 )
 from palpate.working_folder import guard_matplotlib
 
-__all__ = ["execute"]
-
 
 def execute(build_parser: Callable[[], Parser], words: Sequence[str]) -> int:
     """Run a command line.

@@ -6,11 +6,6 @@ import os
 import sys
 from contextlib import suppress
 
-__all__ = [
-    "BAD_INPUT", "DEBUG_VARIABLE", "DONE", "FAILED", "INTERRUPTED", "UNTRUSTED", "RunError", "complain", "one_line",
-    "report_defect", "silence_output", "system_error",
-]  # fmt: skip
-
 DONE, FAILED, BAD_INPUT, UNTRUSTED, DEFECT, INTERRUPTED = 0, 1, 2, 3, 70, 130
 DEBUG_VARIABLE = "PALPATE_DEBUG"  # environment variable: 1 prints the traceback of an internal error
 MAX_MESSAGE_CHARACTERS = 1000  # characters

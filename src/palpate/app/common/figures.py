@@ -17,18 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "draw_singular_values",
-    "energy_unit",
-    "figure",
-    "heading",
-    "legend_below",
-    "over_modes",
-    "percent_axis",
-    "plot_errors",
-    "scale_bar",
-]
-
 # Okabe and Ito's colours, which colour-blind people tell apart
 BLUE, ORANGE, GREEN, RED, PINK, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
 YELLOW, GREY = "#F0E442", "#777777"

@@ -9,8 +9,6 @@ from palpate.app.common.console import Console
 from palpate.files import check_folder, check_space
 from palpate.scenes.scene import Scene
 
-__all__ = ["prepare"]
-
 FIGURES_SIZE = 5_000_000  # [bytes] of all figures of a study, about
 
 

@@ -18,12 +18,6 @@ from palpate.arrays import Floats, Ints
 from palpate.extras import require
 from palpate.faults import InputError
 
-__all__ = [
-    "PIXELS", "DrawingError", "add_colour_bar", "add_shaded", "camera_axes", "check_drawing", "off_screen",
-    "place_picture", "screenshot", "show",
-]  # fmt: skip
-
-
 PIXELS = 2000  # across a picture
 VIEW_PIXELS = 900  # across one of several views
 SAMPLES = 2  # rendered for each pixel of a picture, along its width and height

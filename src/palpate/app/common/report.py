@@ -13,8 +13,6 @@ from palpate import __version__
 from palpate.app.common.console import Table, print_json, print_plain
 from palpate.files import whole_file, write_json
 
-__all__ = ["REPORTS", "deliver", "machine"]
-
 REPORTED_PACKAGES = ("numpy", "scipy", "numba", "h5py", "matplotlib", "pyvista", "vtk")
 REPORTS = ("report.json", "report.md")  # that every study leaves
 

@@ -14,8 +14,6 @@ from typing import Any
 
 from palpate.app.common.console import Table, quantities_table
 
-__all__ = ["Rows", "fill_template", "named_rows", "quantities", "rows_of"]
-
 Values = Mapping[str, Any]
 Rows = dict[str, str | Callable[[Values], str]]  # templates, or functions of the values, by label
 

@@ -17,19 +17,6 @@ from palpate.arrays import Floats, Ints
 if TYPE_CHECKING:
     from matplotlib.colors import ListedColormap
 
-__all__ = [
-    "INK",
-    "QUIET",
-    "TISSUE",
-    "RefinedSurface",
-    "colour_at",
-    "colour_map",
-    "round_up",
-    "shade",
-    "shade_tool",
-    "triangle_mesh",
-]
-
 INK, QUIET = "#1b1f23", "#646b73"  # text, and quieter text
 TISSUE = np.array([0.43, 0.15, 0.12])  # reflectance of tissue, sRGB
 STEEL = np.array([0.914, 0.925, 0.933])  # of a tool

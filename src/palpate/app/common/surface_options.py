@@ -7,8 +7,6 @@ from typing import Any
 from palpate.app.common.arguments import Parser, add_parameter, add_parts
 from palpate.scenes.description import Shape
 
-__all__ = ["add_surface_options"]
-
 
 def add_surface_options(parser: Parser) -> Any:
     """Add the options of a surface file to a parser; return their group."""

@@ -13,9 +13,6 @@ from palpate.faults import InputError
 from palpate.files import whole_file
 from palpate.meshfree.cloud import Cloud
 
-__all__ = ["write_vtkhdf"]
-
-
 VTK_VERTEX, VTK_TRIANGLE = 1, 5
 
 

@@ -12,8 +12,6 @@ from palpate.export.folder import check_new, export_c, identifier
 from palpate.export.targets import HOST_TARGET
 from palpate.faults import InputError
 
-__all__ = ["export"]
-
 
 def export(
     *,

@@ -7,8 +7,6 @@ from typing import Any
 from palpate.app.common.arguments import add_command, add_parts, path
 from palpate.export.targets import TARGET_NAMES
 
-__all__ = ["add_export"]
-
 
 def add_export(commands: Any) -> None:
     """Add the command to those of a parser."""

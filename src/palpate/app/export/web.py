@@ -24,8 +24,6 @@ from palpate.realtime.bodies.display_surface import Surface
 from palpate.realtime.record import HEADER_DTYPE, field_offset
 from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["export_web"]
-
 MODEL_NAME, MODEL_FOLDER = "model", "model"  # the beginning of the functions' names, and the folder of the files
 PAGE_MARK, HIDDEN_DISCLAIMER = '<meta charset="utf-8" />', '<p id="disclaimer" hidden>'
 RATE = 1000.0  # [Hz] of the periods

@@ -21,8 +21,6 @@ from palpate.tissue.measurement_files import read_measurements
 from palpate.tissue.measurements import Measurement
 from palpate.tissue.parameters import field_metadata, is_sequence, own_fields
 
-__all__ = ["FILES", "fit_law"]
-
 FILES = (*REPORTS, "fit.png")
 MAX_STARTS = 1000
 

@@ -15,8 +15,6 @@ from palpate.tissue.measurements import Measurement
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["draw_fit"]
-
 CURVE_COLOURS = (BLUE, RED, GREEN, ORANGE, PINK, SKY)
 CURVE_MARKERS = "os^Dvx"
 

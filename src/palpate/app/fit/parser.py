@@ -6,8 +6,6 @@ from typing import Any
 
 from palpate.app.common.arguments import add_command, add_output, existing_file, number, whole
 
-__all__ = ["add_fit"]
-
 
 def add_fit(commands: Any) -> None:
     """Add the command to those of a parser."""

@@ -9,8 +9,6 @@ from palpate.app.common.console import print_json
 from palpate.tissue.catalogue import FIBRE_LAWS, LAWS, RELAXATION, CatalogueEntry, Law
 from palpate.tissue.volumetric import FORM_BY_NAME, QUADRATIC
 
-__all__ = ["laws"]
-
 LAWS_TEXT = """\
 Strain energies W [J/m^3]. To each comes a volumetric part U(J), last in this list, with lame from the given poisson
 or bulk modulus. x = I1 - 3 - 2 ln J and q(a) = l1^a + l2^a + l3^a - 3 - a ln J, which are the printed I1 - 3 and

@@ -6,8 +6,6 @@ from typing import Any
 
 from palpate.app.common.arguments import add_command, add_json
 
-__all__ = ["add_laws"]
-
 
 def add_laws(commands: Any) -> None:
     """Add the command to those of a parser."""

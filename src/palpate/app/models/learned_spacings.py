@@ -11,8 +11,6 @@ from platformdirs import user_cache_path
 from palpate.faults import InputError
 from palpate.files import json_of, read_text, write_json
 
-__all__ = ["keep_spacing", "learned_spacing"]
-
 MOST_SPACINGS, MOST_BYTES = 1000, 1_000_000  # in the file: the oldest are dropped
 LEAST_LEARNED, MOST_LEARNED = 1e-5, 1.0  # [m]; other values in the file are not used
 

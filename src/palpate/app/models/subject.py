@@ -21,8 +21,6 @@ from palpate.scenes.surface_scene import refined_scene, surface_scene
 if TYPE_CHECKING:  # it takes a second to import, before a page opens
     from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["Subject", "open_subject"]
-
 
 @dataclass(frozen=True)
 class Subject:

@@ -17,11 +17,6 @@ from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.surface_scene import NODES_PER_CELL
 from palpate.tissue.materials import Material
 
-__all__ = [
-    "TRAINED_NODES", "better_spacing", "fitting_scene", "is_guessed", "open_touched",
-    "realtime_spacing", "spacing_for",
-]  # fmt: skip
-
 TRAINED_NODES = 5000  # of the body of a trained model without a given spacing
 
 FINER_FACTOR, MAX_FINER_TRIALS = 0.8, 4  # factor of a guessed spacing that is too coarse for the tissue; how often

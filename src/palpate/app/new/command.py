@@ -28,8 +28,6 @@ from palpate.surface.labels.label_map import choose_segments, segments_mask
 from palpate.surface.labels.listing import choice_of_labels
 from palpate.surface.labels.reading import is_label_map, read_label_map
 
-__all__ = ["new"]
-
 SCHEMA_FILE = "scene.schema.json"
 
 

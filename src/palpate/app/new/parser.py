@@ -9,8 +9,6 @@ from palpate.app.common.arguments import add_command, add_parameter, add_parts, 
 from palpate.scenes.description import Body, Shape
 from palpate.surface.formats.names import listed_formats
 
-__all__ = ["add_new"]
-
 
 def add_new(commands: Any) -> None:
     """Add the command to those of a parser."""

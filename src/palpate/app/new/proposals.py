@@ -11,8 +11,6 @@ from palpate.scenes.description import Near, Place, Plane, Region, Support
 from palpate.surface.labels.label_map import LabelMap, Segment, choose_segments, part_names, segments_mask
 from palpate.surface.labels.neighbours import contact_distance, cut_faces, enclosed_segments, touching_segments
 
-__all__ = ["Proposals", "propose"]
-
 LESION_WORDS = ("tumour", "tumor", "lesion", "mass", "neoplasm", "cancer", "carcinoma", "metasta", "nodule")
 # stiffness of a malignant lesion over that of its organ, with the source
 LESION_FACTORS = (

@@ -11,8 +11,6 @@ from palpate.scenes.description import Painted, Place, Region, Support
 from palpate.scenes.organ_scene import OrganScene
 from palpate.tissue.liver import SHEAR_MODULUS
 
-__all__ = ["scene_text"]
-
 LIVER_SOURCE = "mean of healthy livers: Yin et al., Clin. Gastroenterol. Hepatol. 5, 2007"
 
 

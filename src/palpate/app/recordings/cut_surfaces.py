@@ -11,8 +11,6 @@ from palpate.realtime.bodies.cut_display import CutFullSurface
 from palpate.realtime.bodies.display_surface import DisplaySurface
 from palpate.realtime.bodies.full_surface import FullSurface, display_surface
 
-__all__ = ["CutSurfaces"]
-
 
 class CutSurfaces:
     """Surfaces of a recording.

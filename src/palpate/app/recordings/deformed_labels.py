@@ -18,8 +18,6 @@ from palpate.surface.labels.label_map import choose_segments
 from palpate.surface.labels.reading import read_label_map
 from palpate.surface.labels.writers import check_volume_name, write_field, write_labels
 
-__all__ = ["write_deformed_labels"]
-
 
 def write_deformed_labels(
     recording: Recording,

@@ -25,8 +25,6 @@ from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.solid import body_contents
 from palpate.sealed import kind_of_file
 
-__all__ = ["JournalFile", "RecordingJournal", "is_recording", "read_journal"]
-
 
 class RecordingJournal:
     """A writer of the journal of a recording; the file has its name from the first snapshot on."""

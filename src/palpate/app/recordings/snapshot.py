@@ -17,16 +17,6 @@ if TYPE_CHECKING:
     from palpate.realtime.bodies.display_surface import DisplaySurface
     from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = [
-    "ENGINE_STATES",
-    "FIELD_UNITS",
-    "TOOL_KINDS",
-    "OverlayState",
-    "Snapshot",
-    "scalar_descriptions",
-    "training_errors",
-]
-
 
 ENGINE_STATES = ("stopped", "running", "paused", "diverged")
 FIELD_UNITS = {

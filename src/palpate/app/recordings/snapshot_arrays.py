@@ -17,18 +17,6 @@ from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.sealed import LEAST_POSITIVE, Array, typed
 
-__all__ = [
-    "FORMAT",
-    "MAX_DURATION",
-    "MAX_TITLE_LENGTH",
-    "MAX_VALUE",
-    "SNAPSHOT_ARRAYS",
-    "VERSION",
-    "coordinates_type",
-    "recorded_arrays",
-    "snapshot_arrays",
-]
-
 FORMAT, VERSION = "palpate recording", 3
 MAX_TITLE_LENGTH = 200  # characters
 MAX_VALUE = 1e9  # of the arrays of a recording, in SI units

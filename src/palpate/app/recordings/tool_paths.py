@@ -18,8 +18,6 @@ from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["MIN_SNAPSHOTS", "TOOL_NAME", "ToolPath", "make_load", "tool_paths"]
-
 MIN_SNAPSHOTS = 3
 MAX_PATH = 10.0  # [s] of a path; the rest is left out
 APPROACH_SECONDS = 0.1  # [s] from rest to the first pose of a held group

@@ -36,8 +36,6 @@ from palpate.scenes.names import SceneKind
 from palpate.scenes.scene import Scene
 from palpate.scenes.surface_scene import refined_scene
 
-__all__ = ["FILES", "run"]
-
 FILES = (*REPORTS, "full.h5", "reduced.h5")
 PRESS_SEED = 500_000  # of the path of a scene without loads: the first held-out one
 RUN_SNAPSHOTS = round(DURATION / EVERY)

@@ -10,8 +10,6 @@ from palpate.scenes.description import Body, Tissue, Training
 from palpate.scenes.names import listed_scenes
 from palpate.surface.formats.names import listed_formats
 
-__all__ = ["add_run"]
-
 
 def add_run(commands: Any) -> None:
     """Add the command to those of a parser."""

@@ -27,8 +27,6 @@ from palpate.realtime.bodies.full_blade import BladeCutter
 from palpate.realtime.statistics import Distribution, Statistics
 from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["FILES", "run_realtime"]
-
 BLACK_BOX = "black_box.h5"
 FILES = (*REPORTS, BLACK_BOX)
 MAX_RUN_SECONDS, MIN_RATE, MAX_RATE = 600.0, 50.0, 20_000.0  # [s], [Hz]: limits of black box and periods

@@ -18,8 +18,6 @@ from palpate.scenes.description import Cut
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.scene_paths import MIN_RADIUS, touching_paths
 
-__all__ = ["cutting_scalpel", "pressing_ball", "tool_motion"]
-
 UNTRAINED_SEED = 1_500_000  # of a path that was not trained on
 PRESS_SECONDS, SWING_SECONDS = 2.0, 3.0  # [s] duration of such a path
 REST_SECONDS = 1.0  # [s] of a scalpel above the body at first

@@ -25,8 +25,6 @@ from palpate.realtime.bodies.full_surface import FullSurface, display_surface
 from palpate.realtime.bodies.model import RealtimeModel, idle_model
 from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["SessionBody", "session_body"]
-
 FULL_INTERVAL = 0.04  # [s] between snapshots of a full body: a minute of 3,000 nodes takes 54 MB
 REDRAW_INTERVAL = 0.1  # [s] between new surfaces of a body that is being cut
 

@@ -15,8 +15,6 @@ from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["Comparison"]
-
 SHARED_MESSAGES = (
     "pose",
     "tool",

@@ -23,9 +23,6 @@ from palpate.reduction.hyper.model import ReducedModel
 from palpate.scenes.names import PACKAGE_SCENES
 from palpate.scenes.training import search_current_folder, training_scene
 
-__all__ = ["full_model", "reduced_model", "replay_errors", "replay_on_full_model", "tool_path"]
-
-
 MAX_INITIAL_DISPLACEMENT = 0.02  # of the body when the tool comes, as a fraction of the spacing
 POINT_TOLERANCE = 1e-6  # between equal points of two bodies, as a fraction of the spacing
 

@@ -12,11 +12,6 @@ from palpate.dynamics.contact.tool_parameters import friction
 from palpate.faults import InputError
 from palpate.files import json_of, shortened
 
-__all__ = [
-    "MAX_COORDINATE", "MAX_MESSAGE_BYTES", "PROTOCOL_VERSION", "Message", "describe_tools", "parse_message",
-    "validate_message",
-]  # fmt: skip
-
 PROTOCOL_VERSION = 2
 MAX_MESSAGE_BYTES = 64 * 1024
 MAX_COORDINATE = 1000.0  # [m] of a position; single precision, in which bodies are drawn, has 0.06 mm there

@@ -22,8 +22,6 @@ from palpate.scenes.organ_scene import OrganScene
 if TYPE_CHECKING:  # it takes a second to import, before a page opens
     from palpate.app.session.session import Session
 
-__all__ = ["MakeSession", "check_record", "exit_on_signals", "running_session"]
-
 MakeSession = Callable[[Any, tuple[Foundation, ...]], "Session"]
 
 MAX_REFILLS, LOAD_SECONDS = 3, 0.5  # of a body whose steps take another time than expected; of a measurement

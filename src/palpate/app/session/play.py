@@ -15,8 +15,6 @@ from palpate.dynamics.run.progress import progress_bar
 from palpate.faults import FileFormatError, InputError
 from palpate.files import json_of, read_text
 
-__all__ = ["Poses", "Script", "ToolPath", "follow", "play", "read_script"]
-
 ToolPath = Callable[[Session, float], None]  # moves the tool of a session at a time [s] since the start
 Poses = Callable[[float], Any]  # at times [s], as `palpate.DummyDevice` takes them
 

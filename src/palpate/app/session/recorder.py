@@ -16,8 +16,6 @@ from palpate.app.recordings.snapshot import Snapshot
 from palpate.arrays import Floats
 from palpate.faults import InputError
 
-__all__ = ["Recorder"]
-
 JOURNAL_INTERVAL = 0.5  # [s]
 
 NOT_RECORDED = ("position", "quaternion", "active", "outline")  # of the description of a tool

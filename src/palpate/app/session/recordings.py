@@ -22,8 +22,6 @@ from palpate.app.session.recorder import Recorder
 from palpate.arrays import Floats
 from palpate.faults import InputError
 
-__all__ = ["SessionRecordings"]
-
 
 class SessionRecordings:
     """Recordings of one body, of snapshots that `describe` returns for a `Recorder`."""

@@ -17,8 +17,6 @@ from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.realtime.bodies.display_surface import DisplaySurface
 
-__all__ = ["Replay"]
-
 
 class Replay:
     """Plays a recording in a loop, in place of a session."""

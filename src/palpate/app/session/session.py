@@ -42,9 +42,6 @@ from palpate.realtime.record import Reading
 from palpate.realtime.statistics import Statistics
 from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["Session"]
-
-
 PERIODS_PER_SECOND = 1000.0  # [Hz]
 MAX_TOOL_SPEED = 0.5  # [m/s]
 HISTORY_SECONDS = 5.0

@@ -16,19 +16,6 @@ from palpate.dynamics.contact.tools import Contact
 from palpate.faults import InputError
 from palpate.realtime.bodies.display_surface import DisplaySurface, fixed_nodes
 
-__all__ = [
-    "NO_ROTATION",
-    "NO_TOOL",
-    "WORKSPACE_MARGIN",
-    "SelectedTool",
-    "ToolWorkspace",
-    "compose_rotations",
-    "drawn_outline",
-    "make_forceps",
-    "selected_tool",
-]
-
-
 PAGE_SHAPES = ("sphere", "capsule", "grasp", "scalpel")  # which page/src/toolGlyphs.js draws
 WORKSPACE_MARGIN = 0.3  # [m] around the body
 POINT_RADIUS = 1e-6  # [m] of the point of a blade

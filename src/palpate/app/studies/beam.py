@@ -40,8 +40,6 @@ from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.beam import DURATION, EVERY, beam
 from palpate.scenes.scene import Scene
 
-__all__ = ["BEAM_EXAMPLE", "von_mises"]
-
 MIN_SHARE_LEFT = 0.5  # of the error with 8 modes; with less than that left, the decrease is not slight
 NEARLY_LINEAR = 0.9  # coefficient of determination
 MAX_TIME_RATIO = 1.5  # at most this many times the printed ratio of times still is its "almost" or "around"

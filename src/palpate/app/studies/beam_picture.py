@@ -20,8 +20,6 @@ from palpate.meshfree.cloud import Cloud
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["draw_beam"]
-
 
 ELEVATION = 25.0  # [degree] of the camera above the horizon: lengths along the beam keep their scale
 WIDE_INCH = 11.0  # of the whole figure

@@ -15,8 +15,6 @@ from palpate.arrays import Floats
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.scenes.scene import Scene
 
-__all__ = ["Draw", "Example"]
-
 Draw = Callable[[Sequence[Study], Path], None]  # draws a figure of an example's studies into a file
 
 

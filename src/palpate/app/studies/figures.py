@@ -28,11 +28,6 @@ from palpate.app.studies.study import HYPER_REDUCED, PROJECTED, Study
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = [
-    "ErrorMark", "Panel", "TimeAxes", "draw_energies", "draw_errors", "draw_times", "draw_values", "grid_of",
-    "percentage_of", "phase_titles", "seconds_of",
-]  # fmt: skip
-
 SERIES_TITLES = {
     PROJECTED: "Projected at all nodes (the paper's)",
     HYPER_REDUCED: "Hyper-reduced to few points",

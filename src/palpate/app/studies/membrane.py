@@ -54,8 +54,6 @@ from palpate.scenes.scene import Scene
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["MEMBRANE_EXAMPLE"]
-
 STEP = EVERY / 5  # of the projected runs while the tool pushes; after its jump they are not stable with such a step
 AFTERWARDS = {"return": "Tool back at 0", "hold": "Tool holds still", "release": "Tool has let go"}
 STATES = {"slack": YELLOW, "wrinkled": SKY, "taut": BLUE}

@@ -28,8 +28,6 @@ from palpate.scenes.membrane import RADIUS
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["draw_deflection"]
-
 
 FULL = "Full model"
 HEIGHT_SCALE = 4.0  # scale of heights over lengths

@@ -6,8 +6,6 @@ from typing import Any
 
 from palpate.app.common.arguments import Parser, add_command, add_output, number, whole
 
-__all__ = ["add_reproduce"]
-
 MODES = [2, 4, 6, 8, 10, 12]  # the paper's
 LEAVES = "Leave a report, figures, the snapshots and a file for ParaView in a folder."
 

@@ -16,8 +16,6 @@ from palpate.dynamics.run.trajectory import Trajectory
 from palpate.files import plain
 from palpate.reduction.training.errors import relative_errors
 
-__all__ = ["COST_ROWS", "Claim", "Finished", "build_report", "cost_of", "difference_of_forms", "tables"]
-
 SERIES_TITLES = {PROJECTED: "Projected models (the paper's)", HYPER_REDUCED: "Hyper-reduced models"}
 CLAIM_KEYS = {PROJECTED: "paper", HYPER_REDUCED: "paper_hyper_reduced"}
 COLUMNS = ("modes", "nodes", "displ.", "velocity", "energy", "force", "proj.", "s", "ratio", "steps", "us/step")

@@ -28,8 +28,6 @@ from palpate.faults import integer_in_range
 from palpate.reduction.galerkin.model import GalerkinModel
 from palpate.scenes.scene import Scene
 
-__all__ = ["PAPER_EXAMPLES", "reproduce"]
-
 PAPER_EXAMPLES = {example.name: example for example in (BEAM_EXAMPLE, MEMBRANE_EXAMPLE)}
 
 

@@ -25,19 +25,6 @@ from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.errors import relative_errors
 from palpate.scenes.scene import Scene
 
-__all__ = [
-    "HYPER_REDUCED",
-    "PROJECTED",
-    "SHOWN_MODES",
-    "Phase",
-    "Shown",
-    "Study",
-    "Train",
-    "comparison",
-    "run_full",
-    "run_reduced",
-]
-
 Train = Callable[[NodalModel, Trajectory, int], Model]  # of a full model, its run over a phase and a number of modes
 
 PROJECTED, HYPER_REDUCED = "projected", "hyper-reduced"  # names of series: `palpate.galerkin`, `palpate.hyper_reduce`

@@ -12,8 +12,6 @@ from palpate.app.train.folder import Job
 from palpate.app.train.work import Outcome
 from palpate.dynamics.run.progress import make_console
 
-__all__ = ["Bar"]
-
 
 class Bar:
     """Progress of all runs: a bar of simulated time on a terminal, a line for every run elsewhere.

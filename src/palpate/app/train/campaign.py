@@ -37,8 +37,6 @@ from palpate.reduction.storage.models import save
 from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.scene import TrainingScene
 
-__all__ = ["MODEL_FILE", "Campaign", "Round"]
-
 MODEL_FILE = "model.rom"
 # Where tools touch the body anywhere. Every fourth path of a liver is a grasp, and trust numbers compare runs.
 # With 3 to 6 modes the 95th percentile of the force errs by 12 to 14 %, with 8 by 10 %, with 24 by 9 % (liver of

@@ -27,8 +27,6 @@ from palpate.reduction.hyper.error_indicator import distances_to_nearest, expect
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.scenes.scene import TrainingScene
 
-__all__ = ["CANDIDATES_PER_RUN", "FIRST_RUNS", "choose", "next_count"]
-
 FIRST_RUNS = 4  # before the first model
 ROUND_GROWTH = 0.5  # further runs of a round, over those before
 MIN_ROUND = 2

@@ -12,8 +12,6 @@ from palpate.app.train.work import Outcome, perform, record_fault
 from palpate.extras import require
 from palpate.faults import InputError
 
-__all__ = ["check_dask", "run_on_cluster"]
-
 ANSWER_SECONDS = 20.0  # [s] within which a scheduler has to answer
 
 

@@ -24,8 +24,6 @@ from palpate.scenes.open_scene import DESCRIPTION_KEY, text_of_scene
 from palpate.scenes.surface_scene import named_scene
 from palpate.scenes.training import search_current_folder, training_scene
 
-__all__ = ["train"]
-
 DEFAULT_OUT = Path("out/train")
 USER_DEFAULTS = Training(paths=64, held_out=8, modes=24)  # of a scene that is a user's function
 MAX_WORKERS = 1024

@@ -21,8 +21,6 @@ from palpate.scenes.free_surface import FreeSurface
 from palpate.scenes.scene import TrainingScene
 from palpate.scenes.tool_paths import ToolPaths
 
-__all__ = ["Coverage", "coverage", "draw_coverage"]
-
 Run = tuple[Sequence[Load], float]  # loads of a run and its duration [s]
 COVERED, UNCOVERED, UNREACHABLE, HELD = range(4)
 LEGEND_BY_KIND = {

@@ -25,8 +25,6 @@ from palpate.files import digest_of, read_sealed_json, regular_file, write_seale
 from palpate.scenes.scene import CAMPAIGN_SEEDS, TRAINING_SEEDS, TrainingScene
 from palpate.sealed import loading
 
-__all__ = ["HELD_OUT", "MAX_PATHS", "RECORDED", "TRAINED", "Folder", "Job", "jobs", "manifest_of", "open_campaign"]
-
 FORMAT, VERSION = "palpate campaign", 2
 MAX_RECORD_BYTES = 1 << 20  # bytes of a manifest, or of the record of a failed run
 TRAINED, HELD_OUT, RECORDED = "train", "held_out", "recorded"

@@ -12,8 +12,6 @@ from palpate.app.train.folder import Folder, Job
 from palpate.app.train.work import Outcome, Watch, perform, record_fault
 from palpate.processes import Answer, Child, Receive
 
-__all__ = ["run_local"]
-
 THREAD_VARIABLES = (
     "NUMBA_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",

@@ -16,8 +16,6 @@ from palpate.app.common.arguments import (
 from palpate.scenes.description import Training
 from palpate.scenes.names import listed_scenes
 
-__all__ = ["add_train"]
-
 
 def add_train(commands: Any) -> None:
     """Add the command to those of a parser."""

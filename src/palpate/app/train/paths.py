@@ -17,8 +17,6 @@ from palpate.files import read_bytes, whole_file
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.scenes.scene import TrainingScene
 
-__all__ = ["add_recording", "path_of", "recorded_jobs"]
-
 SEEDS_PER_RECORDING = 100_000  # seeds of one recording
 SAME_POINT = 1e-6  # distance between points of one body, over the spacing
 

@@ -24,8 +24,6 @@ from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.reduce import ERROR_QUANTILE
 from palpate.scenes.scene import TrainingScene
 
-__all__ = ["FILES", "report_campaign"]
-
 ERRORS_FIGURE, COVERAGE_FIGURE = "errors.png", "coverage.png"
 FILES = (MODEL_FILE, *REPORTS, ERRORS_FIGURE, COVERAGE_FIGURE, "campaign.json", "runs")
 CONTACT_ERRORS = {

@@ -12,11 +12,6 @@ from palpate.faults import InputError
 from palpate.scenes.names import SceneKind, kind_of
 from palpate.scenes.organ_scene import OrganScene
 
-__all__ = [
-    "folder_of_file", "is_file", "last_recording", "name_in_folder", "recordings_folder", "scene_in_folder",
-    "training_folder",
-]  # fmt: skip
-
 FOLDER_SUFFIX = ".palpate"  # of the folder next to a scene file
 
 

@@ -23,8 +23,6 @@ from palpate.files import flush_and_rename, write_sealed_json
 from palpate.scenes.scene import TrainingScene
 from palpate.scenes.training import training_scene
 
-__all__ = ["Outcome", "Watch", "perform", "record_fault"]
-
 Outcome = dict[str, Any]  # "job", "seconds", and if it failed "failed" with the reason
 Watch = Callable[[Job, float], None]  # takes a run and the simulated time that it has reached [s]
 

@@ -16,8 +16,6 @@ from palpate.faults import InputError
 from palpate.surface.labels.listing import label_rows
 from palpate.surface.labels.reading import read_label_map
 
-__all__ = ["choose_on_page"]
-
 Subject = TypeVar("Subject")
 
 

@@ -29,8 +29,6 @@ if TYPE_CHECKING:  # it takes a second to import, before the page opens
     from palpate.app.session.session import Session
     from palpate.app.view.server.host import Host
 
-__all__ = ["view"]
-
 STOP_SECONDS, TRAINING_STOP_SECONDS = 1.0, 10.0  # [s] after an interrupt; workers of a training are stopped in order
 
 

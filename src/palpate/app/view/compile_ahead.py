@@ -13,8 +13,6 @@ from palpate.parameters import read_section, written_section
 from palpate.processes import Answer, Child, Receive
 from palpate.scenes.description import Tissue
 
-__all__ = ["compile_ahead", "compile_for_tissue"]
-
 BLOCK_SIZE, BLOCK_SPACING = 0.1, 0.02  # [m] of a body whose engine has the same types
 
 

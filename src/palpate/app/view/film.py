@@ -33,24 +33,6 @@ from palpate.faults import InputError
 from palpate.files import whole_file
 from palpate.realtime.bodies.display_surface import DisplaySurface
 
-__all__ = [
-    "FRAME_RATE",
-    "MOVIE_PIXELS",
-    "MOVIE_SUFFIXES",
-    "PICTURE_PIXELS",
-    "Caption",
-    "Draw",
-    "DrawnBody",
-    "RecordingPlotter",
-    "add_shadow",
-    "check_movie",
-    "check_picture",
-    "movie_writer",
-    "scalpel_solid",
-    "write_movie",
-    "write_picture",
-]
-
 Draw = Callable[[int], Any]
 
 MOVIE_SUFFIXES = (".gif", ".mp4", ".webp")

@@ -18,8 +18,6 @@ from palpate.scenes.description import Body
 from palpate.scenes.names import listed_scenes
 from palpate.surface.formats.names import listed_formats
 
-__all__ = ["add_replay", "add_view"]
-
 
 def add_view(commands: Any) -> None:
     """Add the command ``palpate view`` to those of a parser."""

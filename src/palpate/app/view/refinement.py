@@ -17,8 +17,6 @@ from palpate.reduction.storage.models import load
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.surface_scene import refined_scene
 
-__all__ = ["MAX_FORCE_ERROR", "MAX_SURFACE_ERROR", "Refinement"]
-
 MAX_FORCE_ERROR, MAX_SURFACE_ERROR = 0.1, 0.1  # mean on held-out runs, up to which a model is used without a question
 OFFERED, TRAINING, READY, USED, FAILED = "offered", "training", "ready", "used", "failed"
 JOIN_SECONDS = 2.0  # [s] in which a model that is being loaded may end

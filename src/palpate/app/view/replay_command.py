@@ -30,8 +30,6 @@ from palpate.faults import InputError
 from palpate.files import check_folder
 from palpate.scenes.names import SceneKind, kind_of
 
-__all__ = ["replay"]
-
 ERROR_ROWS: Rows = {
     "displacement of the surface, root mean square": "{displacement:.2%}",
     "displacement, largest error over the largest": "{largest:.2%}",

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from palpate.scenes.organ_scene import OrganScene
     from palpate.surface.surface import Surface
 
-__all__ = ["show_surroundings", "surroundings_of"]
-
 
 def surroundings_of(scene: OrganScene) -> tuple[Surface, ...]:
     """Return the surfaces around the body of a scene, in its frame; none unless its surface is of a label map."""

@@ -20,8 +20,6 @@ from palpate.processes import Answer, Child, Receive
 from palpate.scenes.open_scene import described_scene, text_of_scene
 from palpate.scenes.organ_scene import OrganScene
 
-__all__ = ["Progress", "TrainingProcess", "train_in_process"]
-
 TRAINING_SHARE = 1.3  # time of the training over that of all its runs: 1.3 on a liver of 4,500 nodes
 LEAST_SHARE = 0.02  # of the runs, from which their time is estimated
 MIN_SECONDS_LEFT = 1.0  # [s]

@@ -18,26 +18,6 @@ from numpy.typing import NDArray
 
 LANES = 8
 
-__all__ = [
-    "LANES",
-    "Lanes",
-    "Weights",
-    "column_sums",
-    "column_sums_2",
-    "column_work",
-    "column_work_3",
-    "gather_rows",
-    "lane_gather",
-    "lane_sums_1x3",
-    "lane_sums_3x2",
-    "lane_sums_3x3",
-    "lane_sums_3x6",
-    "lane_table",
-    "ranges",
-    "transpose",
-    "with_blocks",
-]
-
 
 class Lanes(NamedTuple):
     """Neighbours of one family of stencils, in blocks of `LANES` nodes."""

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from palpate.dynamics.compiled.cache import kernel_njit
 
-__all__ = ["fill_fluxes", "fill_scalars", "fill_vectors"]
-
 
 @kernel_njit(inner=True)
 def fill_vectors(u, mirror, out):  # type: ignore[no-untyped-def]

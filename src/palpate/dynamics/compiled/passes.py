@@ -16,18 +16,6 @@ from numba import get_thread_id, prange
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.lanes import LANES, lane_gather
 
-__all__ = [
-    "Formulation",
-    "add_blocks",
-    "combine",
-    "differences",
-    "internal_force",
-    "lift_passes",
-    "smooth_field",
-    "weights_address",
-    "without_history",
-]
-
 
 @kernel_njit()
 def without_history(work, interval):  # type: ignore[no-untyped-def]

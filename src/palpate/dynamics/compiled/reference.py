@@ -24,8 +24,6 @@ from numba.core.types.containers import BaseNamedTuple, BaseTuple
 from numba.core.typing.templates import AttributeTemplate, infer_getattr
 from numba.extending import NativeValue, intrinsic, typeof_impl, unbox
 
-__all__ = ["StoredRecord", "reference"]
-
 
 class Reference(types.Type):
     """Type of the address of a named tuple."""

@@ -21,8 +21,6 @@ from palpate.dynamics.compiled.cache import law_digest, law_njit
 from palpate.dynamics.compiled.lanes import LANES, ranges
 from palpate.dynamics.compiled.transposes import LINE_NUMBERS, shuffled
 
-__all__ = ["Rows", "aligned_zeros", "difference_sums", "gather_fluxes", "row_table", "rows_in_single", "with_rows"]
-
 SUM_CHAINS = 2  # independent sums of a node in double precision, as an addition takes some cycles
 ROW_MULTIPLE = 4  # entries of a row are a multiple: neighbours at a time in single precision
 ALIGNMENT_BYTES = 64  # bytes of a cache line

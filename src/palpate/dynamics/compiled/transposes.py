@@ -14,8 +14,6 @@ from numba.extending import intrinsic
 
 from palpate.dynamics.compiled.lanes import LANES
 
-__all__ = ["LINE_NUMBERS", "lanes_to_nodes", "nodes_to_lanes", "shuffled"]
-
 LINE_NUMBERS = {"float64": 12, "float32": 16}  # from a node to the next; those in single precision fill a cache line
 COMPONENT_COUNT, COMPONENT_NUMBERS, HALF_LANES = 3, 4, LANES // 2
 LOW_NUMBERS, HIGH_NUMBERS = (

@@ -26,8 +26,6 @@ from palpate.dynamics.contact.tool_parameters import side_stress, thickness, tou
 from palpate.faults import InputError, brief, number_in_range
 from palpate.parameters import parameter
 
-__all__ = ["Blade", "Scalpel"]
-
 BELLY_POINTS, BELLY_SHARE = 13, 0.97  # of a scalpel's edge, and the sine of the angle at its ends
 
 

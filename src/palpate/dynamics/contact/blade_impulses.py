@@ -15,8 +15,6 @@ from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.blade_sites import EDGE_SITE, FACE_SITE, PAIR_SITE
 from palpate.dynamics.contact.geometry import project
 
-__all__ = ["clear_sites", "push_sites", "site_works"]
-
 MAX_SITE_SWEEPS, SITE_TOLERANCE = 30, 3e-2  # of the impulses in a step, and largest change in the last one, relative
 RECOVERY_TIME = 0.01  # [s] in which a face leaves a blade that it is in
 

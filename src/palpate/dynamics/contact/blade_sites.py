@@ -8,8 +8,6 @@ import numpy as np
 
 from palpate.arrays import Floats, Ints
 
-__all__ = ["AWAY_TOOL", "EDGE_SITE", "FACE_SITE", "NO_TOOL", "PAIR_SITE", "BladeSites", "no_sites"]
-
 EDGE_SITE, FACE_SITE, PAIR_SITE = 0, 1, 2  # kinds of a site; a pair are the two faces of a cut
 AWAY_TOOL, NO_TOOL = -1, -2  # of sites of a tool that was put away, and of pairs
 

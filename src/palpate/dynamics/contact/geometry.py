@@ -25,24 +25,6 @@ from palpate.dynamics.contact.tools import Contact
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 
-__all__ = [
-    "Contacts",
-    "HeldNodes",
-    "chord_depth",
-    "compute_gaps",
-    "compute_patch_positions",
-    "contacts",
-    "coulomb",
-    "curvatures",
-    "gap",
-    "held_nodes",
-    "material_velocity",
-    "patch",
-    "project",
-    "rotation",
-    "signed_distance",
-]
-
 CONTACT_GAP = {"nodes": 1e-6, "patches": 1e-3}  # gap of a node or patch in contact, in spacings
 PATCH_OVERLAP = 0.05  # depth of a patch in a tool, in spacings; runs, whose tools begin outside, have less
 SEARCH_GAP = 0.1  # gap of a patch that is included in the sweeps, in spacings

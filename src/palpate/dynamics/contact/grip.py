@@ -17,8 +17,6 @@ from palpate.dynamics.contact.tools import Forceps, surface_nodes
 from palpate.faults import InputError
 from palpate.meshfree.cloud import MOVED_MARGIN, Cloud
 
-__all__ = ["Grip", "begin_grip", "empty_grip", "grasped_nodes", "hold_nodes", "set_grip", "store_velocities"]
-
 COUNT, FRESH = range(2)  # entries of `Grip.numbers`
 
 

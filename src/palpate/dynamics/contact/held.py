@@ -22,8 +22,6 @@ from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.geometry import coulomb, gap, material_velocity
 from palpate.dynamics.contact.kinds import BLADE, BONDED, CAPSULE
 
-__all__ = ["press_held_nodes"]
-
 
 @kernel_njit()
 def press_held_nodes(held, kinds, sizes, friction, frames, step, kick, tool_impulses):  # type: ignore[no-untyped-def]

@@ -30,8 +30,6 @@ from palpate.dynamics.contact.blade_impulses import clear_sites, push_sites, sit
 from palpate.dynamics.contact.geometry import chord_depth, coulomb, gap, material_velocity, patch, project, rotation
 from palpate.dynamics.contact.held import press_held_nodes
 
-__all__ = ["apply_contact_impulses", "list_near", "push_patches"]
-
 MAX_SWEEPS = 30
 MIN_FREEDOM = 0.01  # of a sliding node: least squared part of a tool's normal along its free directions
 RECOVERY_TIME = 0.01  # [s] in which a patch leaves a tool that was put down in it

@@ -2,6 +2,4 @@
 
 from __future__ import annotations
 
-__all__ = ["BLADE", "BONDED", "CAPSULE", "PLANE", "PUNCH"]
-
 CAPSULE, PLANE, PUNCH, BONDED, BLADE = 0, 1, 2, 3, 4

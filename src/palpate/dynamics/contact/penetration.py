@@ -13,8 +13,6 @@ from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.geometry import gap, patch
 from palpate.dynamics.contact.kinds import BLADE, BONDED, PLANE
 
-__all__ = ["MAX_SURFACE_DEPTH", "SLOW_DEPTH", "deepest_triangle", "triangle_depth", "way_above_surface"]
-
 MAX_SURFACE_DEPTH = 0.3  # of the surface in a tool, in spacings; deeper, a tool passes between the nodes
 # depth of the surface in a tool from which on it is slowed, and how far it may then move in a period, over the largest
 SLOW_DEPTH, SLOW_WAY = 0.8, 0.15

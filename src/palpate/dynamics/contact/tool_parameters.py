@@ -6,8 +6,6 @@ from typing import Any
 
 from palpate.parameters import parameter
 
-__all__ = ["friction", "side_stress", "thickness", "toughness"]
-
 LIGHT_TOUGHNESS = 20.0  # [J/m^2], which lets soft tissue be cut before it is dragged far
 
 

@@ -8,8 +8,6 @@ from palpate.describe import Described
 from palpate.dynamics.loads.values import Vector
 from palpate.parameters import parameter
 
-__all__ = ["Gravity"]
-
 
 @dataclass(frozen=True)
 class Gravity(Described):

@@ -8,8 +8,6 @@ from typing import NamedTuple
 from palpate.arrays import Floats, Ints
 from palpate.meshfree.cloud import Cloud
 
-__all__ = ["DeadLoad", "ForcePattern"]
-
 
 class ForcePattern(NamedTuple):
     """Nodal forces of unit amplitudes."""

@@ -12,8 +12,6 @@ from palpate.faults import InputError, first_few
 from palpate.meshfree.cloud import Cloud
 from palpate.parameters import parameter
 
-__all__ = ["Foundation", "foundation_areas"]
-
 
 @dataclass(frozen=True)
 class Foundation(Described):

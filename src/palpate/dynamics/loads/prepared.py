@@ -38,16 +38,6 @@ from palpate.faults import InputError, brief, first_few
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.patches import spread_load
 
-__all__ = [
-    "Load",
-    "LoadHistory",
-    "LoadSites",
-    "PreparedLoads",
-    "check_kinds",
-    "listed",
-    "prepare_loads",
-]
-
 SUPPORT_TOLERANCE = 1e-9  # largest prescribed displacement across a support, relative to the largest one
 Load = DeadLoad | Pressure | Gravity | PrescribedMotion | Grasp | Contact | Foundation
 

@@ -14,8 +14,6 @@ from palpate.describe import Described
 from palpate.faults import check_arguments
 from palpate.parameters import parameter
 
-__all__ = ["PrescribedMotion"]
-
 
 @dataclass(frozen=True)
 class PrescribedMotion(Described):

@@ -10,8 +10,6 @@ from palpate.describe import Described
 from palpate.dynamics.loads.values import scalars_at
 from palpate.parameters import parameter
 
-__all__ = ["Pressure"]
-
 
 @dataclass(frozen=True)
 class Pressure(Described):

@@ -21,12 +21,6 @@ from palpate.faults import InputError, brief
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.mirror import MirrorPlane
 
-__all__ = [
-    "FIXED", "FREE", "PRESCRIBED", "SLIDING", "Clamp", "Rail", "Roller", "Support", "SupportedNodes", "SymmetryPlane",
-    "constrained_directions", "free_directions", "free_rigid_motions", "support_from", "supported_nodes", "supports_of",
-    "symmetry_planes",
-]  # fmt: skip
-
 FREE, FIXED, PRESCRIBED, SLIDING = 0, 1, 2, 3  # kinds of nodes
 SAME_DIRECTION = 1e-6  # sine of the angle below which two directions are one
 

@@ -14,8 +14,6 @@ from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 from palpate.parameters import parameter
 
-__all__ = ["SurfaceForce"]
-
 AXES = "xyz"
 
 

@@ -10,8 +10,6 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.faults import InputError, brief, check_arguments
 
-__all__ = ["Vector", "arrays_at", "scalars_at", "vectors_at"]
-
 Vector = Sequence[float] | Callable[[float], Sequence[float]]
 
 

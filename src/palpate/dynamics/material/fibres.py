@@ -20,8 +20,6 @@ from palpate.faults import InputError
 from palpate.tissue.fibres import MIN_VOLUME_RATIO, FibreLaw
 from palpate.tissue.materials import Material
 
-__all__ = ["NO_FIBRES", "Families", "FibrePoints", "always_taut", "fibre_points", "lay_out_fibres", "prepare_fibres"]
-
 
 class Families(NamedTuple):
     """Coefficients of the fibre law, and directions (b, f, 3, LANES) in blocks of lanes."""

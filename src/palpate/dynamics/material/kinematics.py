@@ -8,8 +8,6 @@ import numpy as np
 
 from palpate.arrays import Floats
 
-__all__ = ["Kinematics"]
-
 
 @dataclass(frozen=True)
 class Kinematics:

@@ -21,8 +21,6 @@ from palpate.meshfree.cloud import Cloud
 from palpate.tissue.materials import Material
 from palpate.tissue.regions import Regions
 
-__all__ = ["NO_FIELDS", "parameters_at", "regions_of", "spread"]
-
 NO_FIELDS = 0  # number of parameters that differ in a uniform body
 
 

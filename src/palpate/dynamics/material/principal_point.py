@@ -21,8 +21,6 @@ import numpy as np
 from palpate.dynamics.compiled.cache import inline, kernel_njit, law_njit
 from palpate.dynamics.material.principal_stretches import make_principal_stress, principal
 
-__all__ = ["make_principal_point"]
-
 
 def make_principal_point(
     digest: str, energy_of: Any, law_first: Any, law_second: Any, crushed: float

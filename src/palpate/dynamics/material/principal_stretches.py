@@ -17,8 +17,6 @@ import numpy as np
 from palpate.dynamics.compiled.cache import inline, kernel_njit, law_njit
 from palpate.dynamics.compiled.lanes import LANES
 
-__all__ = ["make_principal_response", "make_principal_stress", "principal"]
-
 EQUAL_STRETCH_TOLERANCE = 1e-5  # relative difference of squared stretches below which quotients use their limit
 MIN_DIVISOR = 1e-300  # added to divisors that can vanish
 

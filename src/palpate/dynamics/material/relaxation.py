@@ -25,30 +25,6 @@ from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.compiled.lanes import LANES
 from palpate.tissue.materials import Material
 
-__all__ = [
-    "HistoryCopy",
-    "HistoryVariables",
-    "Relaxation",
-    "after",
-    "copy_history",
-    "copy_values",
-    "equilibrium_history",
-    "even_change",
-    "history",
-    "history_after",
-    "history_copy",
-    "overstress",
-    "overstress_alone",
-    "prepare",
-    "relax_volume",
-    "relaxation",
-    "reset_history",
-    "restore_history",
-    "saved_history",
-    "update_history",
-]
-
-
 MIN_VOLUME_RATIO = 0.1  # volume ratio of a crushed point
 
 

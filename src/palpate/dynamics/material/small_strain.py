@@ -11,8 +11,6 @@ from typing import Any
 from palpate.dynamics.compiled.cache import law_njit
 from palpate.dynamics.compiled.lanes import LANES
 
-__all__ = ["make_linear_response", "make_linear_stress"]
-
 
 def make_linear_stress(digest: str) -> Any:
     """Compile the shear stress of one point, as `energy_form.make_stress`."""

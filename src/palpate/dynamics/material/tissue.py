@@ -17,8 +17,6 @@ from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.materials import Material
 from palpate.tissue.regions import Regions
 
-__all__ = ["Tissue", "tissue_of"]
-
 
 @dataclass(frozen=True)
 class Tissue:

@@ -27,15 +27,6 @@ from palpate.dynamics.material.relaxation import even_change, update_history
 from palpate.dynamics.membrane.principal_moduli import axes
 from palpate.tissue.fibres import FibreLaw
 
-__all__ = [
-    "NO_ADDITIONAL_STRESS",
-    "AdditionalStress",
-    "AdditionalStressData",
-    "additional_stress",
-    "flatten_additional",
-]
-
-
 MIN_SQUARE_GAP = 1e-30  # least difference of squared stretches in quotients, whose numerators vanish too
 
 

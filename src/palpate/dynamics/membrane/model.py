@@ -43,9 +43,6 @@ from palpate.meshfree.stencils import Stencils, moving_least_squares
 from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.materials import Material
 
-__all__ = ["Membrane", "load_areas"]
-
-
 MAX_FIBRE_TILT = 1e-6  # largest component of a fibre direction out of the plane
 TAUT_STRAIN = 1e-3  # extension of the taut sheet for its highest frequency
 DEFAULT_DAMPING = 0.1  # stiffness damping times the highest frequency

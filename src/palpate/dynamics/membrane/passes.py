@@ -34,10 +34,6 @@ from palpate.dynamics.membrane.additional_stress import NO_ADDITIONAL_STRESS, Ad
 from palpate.dynamics.membrane.principal_moduli import make_principal_moduli
 from palpate.tissue.materials import Material
 
-__all__ = [
-    "NODE_POINTS", "POINT_COSINES", "POINT_SINES", "SheetBody", "SheetWork", "make_moduli", "sheet", "sheet_work",
-]  # fmt: skip
-
 FLUX_WIDTH = 8  # numbers of a component's flux: two stresses, three moments and padding
 NODE_DERIVATIVES = 15  # derivatives per node: x_c,0 and x_c,1, then x_c,00 x_c,11 x_c,01, for three components c
 NODE_POINTS = 6  # integration points around a node, with the symmetry of a triangular lattice

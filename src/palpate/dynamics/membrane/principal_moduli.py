@@ -17,8 +17,6 @@ import numpy as np
 from palpate.dynamics.compiled.cache import inline, kernel_njit, law_njit
 from palpate.dynamics.material.principal_stretches import EQUAL_STRETCH_TOLERANCE
 
-__all__ = ["axes", "make_principal_moduli"]
-
 MIN_SQUARE_GAP = 1e-30  # least difference of squared stretches in quotients, whose numerators vanish too
 
 

@@ -28,20 +28,6 @@ from palpate.dynamics.contact.geometry import project
 from palpate.dynamics.contact.impulses import apply_contact_impulses
 from palpate.dynamics.loads.supports import FIXED, FREE, SLIDING
 
-__all__ = [
-    "Damping",
-    "NodalData",
-    "StepScratch",
-    "damping_work",
-    "drift_nodes",
-    "foundation_force",
-    "full_step",
-    "kick_node",
-    "kick_nodes",
-    "step_scratch",
-    "surface_force",
-]
-
 
 class NodalData(NamedTuple):
     """Constants of the nodes of a body."""

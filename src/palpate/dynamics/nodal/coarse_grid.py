@@ -25,8 +25,6 @@ from palpate.dynamics.material.tissue import Tissue
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.meshfree.cloud import Cloud
 
-__all__ = ["static_estimate", "stress_free_points", "two_level_preconditioner"]
-
 CELL_SPACINGS = (2.0, 2.5, 3.0, 4.0, 6.0)  # widths of a cell in spacings; the first with few enough nodes is used
 MAX_GRID_NODES = 1500
 NODE_STIFFNESS = 0.3  # stiffness of one node alone, over its moduli times volume / spacing^2

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats
 from palpate.dynamics.nodal.model import NodalModel
 
-__all__ = ["NO_FIELDS", "EnergyModel", "Fields", "precision"]
-
 NO_FIELDS = slice(0, 0)
 
 

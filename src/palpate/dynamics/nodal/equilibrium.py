@@ -26,8 +26,6 @@ from palpate.dynamics.run.reactions import group_forces
 from palpate.faults import DivergenceError, InputError, brief, integer_in_range, number_in_range
 from palpate.threads import check_process
 
-__all__ = ["Equilibrium", "equilibrium"]
-
 MIN_TOLERANCE, MAX_TOLERANCE = 1e-10, 1e-2
 PERMITTED_LOADS = (DeadLoad, Pressure, Gravity, PrescribedMotion, Grasp, Foundation)
 

@@ -33,15 +33,6 @@ from palpate.dynamics.compiled.passes import internal_force
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.nodal.stability import highest_frequency
 
-__all__ = [
-    "MAX_MODES",
-    "MassTailoring",
-    "default_modes",
-    "subtract_inertia",
-    "tailored_mass",
-    "without_nodes",
-]
-
 MIN_NODES, NODES_PER_MODE = 500, 33  # of a body that gets modes by default
 FEWEST_MODES, MOST_MODES, MAX_MODES = 20, 40, 200  # by default, and by argument
 VECTORS_PER_MODE, RITZ_TOLERANCE = 3, 3e-2  # of the Lanczos iteration

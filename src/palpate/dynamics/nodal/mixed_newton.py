@@ -33,8 +33,6 @@ from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.nodal.static_balance import StaticBalance
 from palpate.faults import DivergenceError
 
-__all__ = ["MixedNewton", "Tangent", "conjugate_gradients"]
-
 DIFFERENCE_SPACINGS = 1e-6  # largest displacement of a difference of forces, in spacings
 LINEAR_TOLERANCE = 1e-3  # relative error of the linear solution of a step
 MAX_LINEAR_ITERATIONS = 500  # of conjugate gradients

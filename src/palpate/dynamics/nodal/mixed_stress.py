@@ -23,8 +23,6 @@ from palpate.arrays import Floats
 from palpate.dynamics.nodal.coarse_grid import stress_free_points
 from palpate.dynamics.nodal.static_balance import StaticBalance
 
-__all__ = ["SplitStress", "added_moduli", "extrapolated_stress", "split_stress", "tangent_moduli"]
-
 STRAIN_DIFFERENCE = 1e-5  # change of F for differences of stresses
 DIFFERENCE_SPACINGS = 1e-6  # largest displacement for differences along a step, in spacings
 LEVI_CIVITA = np.zeros((3, 3, 3))

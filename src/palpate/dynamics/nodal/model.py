@@ -48,8 +48,6 @@ from palpate.meshfree.mirror import NO_MIRROR, Mirror, MirrorPlane
 from palpate.meshfree.stencils import Stencils
 from palpate.tissue.fibres import FibreLaw
 
-__all__ = ["NodalModel", "NodalWork", "nodal_data"]
-
 History = tuple[Floats, ...]
 
 MIN_STEP_SHARE = 0.1  # of the undamped stable step, below which stiffness damping causes a warning

@@ -57,8 +57,6 @@ from palpate.dynamics.nodal.tool_path import (
 )
 from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN, TRUST
 
-__all__ = ["ContactReport", "NodalPeriodData", "nodal_period"]
-
 ESTIMATE_PERIODS = 16  # between two iterations for the highest frequency
 FREQUENCY_MARGIN = 1.05  # of the estimate, because an iteration converges from below
 SLOWEST_DECREASE = 0.9  # of the frequency from one estimate to the next

@@ -29,16 +29,6 @@ from palpate.faults import CloudError, InputError, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.tissue.materials import Material
 
-__all__ = [
-    "StabilityReport",
-    "choose_stiffness_damping",
-    "highest_frequency",
-    "resting_frequency",
-    "spectrum",
-    "stable_step",
-]
-
-
 STEP_SAFETY = 0.85  # factor of the step: the power iteration converges from below, and the body deforms
 DAMPING_SAFETY = 2.0  # factor of the damping: a body stretched four times requires 1.8 times that at rest
 MAX_DENSE_NODES = 400  # largest cloud of the dense spectrum

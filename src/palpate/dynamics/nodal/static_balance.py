@@ -11,8 +11,6 @@ from palpate.dynamics.loads.supports import free_rigid_motions
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.faults import InputError
 
-__all__ = ["StaticBalance"]
-
 MIN_STRAIN = 1e-8  # smallest strain whose forces are resolved by the largest residual
 
 

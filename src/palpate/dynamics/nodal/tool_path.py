@@ -11,22 +11,6 @@ import numpy as np
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.material.relaxation import copy_values
 
-__all__ = [
-    "END",
-    "HOME",
-    "LAST_CUT",
-    "LISTED_AT",
-    "SAVED",
-    "START",
-    "contact_stiffness",
-    "frame_way",
-    "limit_path",
-    "limit_to_cut",
-    "place_tool",
-    "set_path",
-    "write_place",
-]
-
 START, END, HOME, SAVED, LAST_CUT, LISTED_AT = range(6)  # frames of a path
 POSITION, FORCE = 3, 4  # rows of `NodalPeriodData.secant` after those of the matrix
 LEAST_WAY = 1e-4  # [m] of the tool between two updates of the contact stiffness

@@ -13,16 +13,6 @@ from palpate.dynamics.loads.prepared import LoadHistory, LoadSites, PreparedLoad
 from palpate.dynamics.run.model import MANY_STEPS, ContactState
 from palpate.faults import DivergenceError, InputError, first_few
 
-__all__ = [
-    "check_initial_penetration",
-    "check_penetration",
-    "check_tool_step",
-    "initial_contact_state",
-    "next_contact_state",
-    "steps_between_checks",
-]
-
-
 MAX_INITIAL_DEPTH = 1e-2  # penetration of a node at the start of a run, in spacings
 MAX_INTERIOR_SHARE = 0.5  # share of a tool's force on interior nodes
 MAX_TOOL_STEP = 0.5  # motion of a tool in a step, in its radii

@@ -25,8 +25,6 @@ from palpate.faults import InputError
 from palpate.files import json_of, regular_file
 from palpate.sealed import array_of, checked_shape
 
-__all__ = ["Journal", "Record", "is_journal", "read_record", "records"]
-
 Arrays = Mapping[str, NDArray[Any]]
 Record = tuple[dict[str, Any], dict[str, NDArray[Any]]]
 

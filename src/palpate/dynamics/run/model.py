@@ -19,8 +19,6 @@ from palpate.faults import InputError, brief
 from palpate.meshfree.cloud import Cloud
 from palpate.tissue.materials import Material
 
-__all__ = ["ContactState", "Evaluation", "Model", "Nodes", "Outputs", "State", "StepReport", "initial_field"]
-
 Nodes = NDArray[np.int64] | slice
 
 

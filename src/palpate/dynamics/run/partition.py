@@ -17,8 +17,6 @@ from scipy.spatial import cKDTree
 from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import PreparedLoads
 
-__all__ = ["Partition", "active_partitions", "partitions", "spread"]
-
 MAX_COSINE = 1e-6  # cosine below which two directions are orthogonal
 Groups = Mapping[str, NDArray[np.int64]]
 

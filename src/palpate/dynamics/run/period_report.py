@@ -1,7 +1,5 @@
 """Entries of the report of one real-time period: an array (8 + l,) for a tool of l coordinates."""
 
-__all__ = ["FORCES", "KINETIC", "STATUS", "STEPS", "STRAIN", "TRUST"]
-
 STATUS = 0  # 0, or 1 if the period failed
 TRUST = 1
 STEPS = 2  # steps or iterations in the period

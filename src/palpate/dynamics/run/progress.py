@@ -10,8 +10,6 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-__all__ = ["make_console", "progress_bar"]
-
 
 def make_console(*, stderr: bool, **options: Any) -> Console:
     """Return a console that is a terminal only if its stream is one.

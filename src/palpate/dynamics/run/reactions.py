@@ -27,16 +27,6 @@ from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.mirror import Mirror
 from palpate.meshfree.stencils import Stencils
 
-__all__ = [
-    "NodalBody",
-    "NodalFields",
-    "contact_outputs",
-    "group_forces",
-    "nodal_outputs",
-    "reactions",
-    "tool_power",
-]
-
 
 class NodalBody(Protocol):
     """The nodes of a body, with their stress-free volumes, stencils and mirror images."""

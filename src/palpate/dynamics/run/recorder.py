@@ -16,8 +16,6 @@ from palpate.dynamics.run.model import Outputs
 from palpate.dynamics.run.series import FIELD_NAMES, GROUP_ARRAYS, NUMBER_NAMES, joined_records
 from palpate.dynamics.run.trajectory import Trajectory, from_arrays
 
-__all__ = ["Recorder"]
-
 Bounds = Callable[[Trajectory], tuple[Floats, Floats]]
 
 

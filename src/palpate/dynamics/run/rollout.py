@@ -25,9 +25,6 @@ from palpate.faults import DivergenceError, InputError, TrustWarning, number_in_
 from palpate.files import shortened
 from palpate.threads import check_process
 
-__all__ = ["frame_states", "machine_memory", "rollout"]
-
-
 MAX_OVERSTEP = 1.2  # longest step that is accepted, over the stable step after it
 STEPS_PER_ESTIMATE = 50  # steps between two estimates of the stable step
 MIN_RETRY_STEP = 1 / 256  # smallest retry step, as a fraction of the stable step

@@ -16,11 +16,6 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.sealed import Array
 
-__all__ = [
-    "BLADE_NAMES", "EVERY_RUN", "FIELD_NAMES", "GROUP_ARRAYS", "LIST_ARRAYS", "MAX_DISPLACEMENT", "NUMBER_NAMES",
-    "OPTIONAL_NAMES", "SERIES", "Series", "array_name", "joined_records",
-]  # fmt: skip
-
 MAX_DISPLACEMENT = 1e30  # [m], so that sums of squares are finite
 EVERY_RUN, WITH_TRUST, WITH_BOUNDS = "in every run", "with a trust number", "with error bounds"
 WITH_BLADE = "with a blade"

@@ -30,9 +30,6 @@ from palpate.files import regular_file
 from palpate.plotting import curve_svg, plot_curves
 from palpate.sealed import Array, check_arrays, loading, open_sealed, write_sealed
 
-__all__ = ["StoredTrajectory", "Trajectory", "from_arrays"]
-
-
 FORMAT, VERSION = "palpate trajectory", 4
 TRAJECTORY_REMEDY = "run the simulation again"
 POINTS_ARRAY = {"points": Array(("nodes", "space"), unit="m")}

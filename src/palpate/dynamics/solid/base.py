@@ -27,9 +27,6 @@ from palpate.meshfree.stencils import Stencils, moving_least_squares
 from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.materials import Material
 
-__all__ = ["STENCIL_SIZES", "Choices", "Solid"]
-
-
 RECOVERY_NEIGHBOURS = 57  # points of the fit of the recovered pressure
 STENCIL_SIZES = (42, 50, 63)  # default points in a stencil; the energy form tries them in turn
 

@@ -34,9 +34,6 @@ from palpate.meshfree.patches import surface_patches
 from palpate.meshfree.quadrature import conservative_smoothing, quadratic_residuals
 from palpate.meshfree.stencils import Stencils
 
-__all__ = ["EnergySolid"]
-
-
 NEW_SURFACE = 1.5  # distance from removed nodes below which others are at the surface, in spacings
 LEAST_VOLUME_RATIO = 0.1  # of a node's cell in `moved`
 DEFAULT_DAMPING = 0.1  # default stiffness damping, times the highest frequency

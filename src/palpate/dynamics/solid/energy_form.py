@@ -52,8 +52,6 @@ from palpate.meshfree.mirror import Mirror
 from palpate.tissue.materials import Material
 from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 
-__all__ = ["EnergyBody", "EnergyWork", "body_in_single", "energy_work", "make_stress", "solid_energy", "work_in_single"]
-
 NODE_NUMBERS = 12  # per node: du_c/dX_d as 3 c + d, then the residuals e_c
 WEIGHT_WIDTH = 4  # weights per neighbour
 # first rows in the array of a block's response, (ROWS * LANES,): after derivatives, in their place total stresses

@@ -24,8 +24,6 @@ from palpate.meshfree.mirror import Images, Mirror
 from palpate.meshfree.stencils import Stencils
 from palpate.tissue.materials import Material
 
-__all__ = ["CompiledForm", "Smoothing", "energy_passes", "strong_passes"]
-
 HOURGLASS_MODULUS = 1.0  # modulus of the hourglass residual, in shear moduli over the spacing squared
 
 

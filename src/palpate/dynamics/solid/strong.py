@@ -20,8 +20,6 @@ from palpate.dynamics.solid.layout import strong_passes
 from palpate.faults import InputError, number_in_range
 from palpate.meshfree.stencils import moving_least_squares
 
-__all__ = ["StrongSolid"]
-
 HALF_CELL = 3.0  # default c of the half-cell balance
 
 

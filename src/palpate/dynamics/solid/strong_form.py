@@ -33,8 +33,6 @@ from palpate.meshfree.mirror import Mirror
 from palpate.tissue.materials import Material
 from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 
-__all__ = ["Body", "Workspace", "solid", "workspace"]
-
 
 class Body(NamedTuple):
     """Constants of a body for the compiled passes."""

@@ -29,8 +29,6 @@ from palpate.dynamics.nodal.static_balance import StaticBalance
 from palpate.dynamics.solid.model import EnergySolid, Solid, energy_solid
 from palpate.faults import CloudError, DivergenceError, integer_in_range, number_in_range
 
-__all__ = ["UnloadedBody", "unloaded"]
-
 UNLOADING_LOADS = (DeadLoad, Pressure, Gravity, Foundation)
 LEAST_INCREMENT = 1 / 64  # of the loads
 STAGE_TOLERANCE = 3e-2  # of corrections before the loads have increased fully, over the largest shift

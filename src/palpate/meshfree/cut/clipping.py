@@ -7,8 +7,6 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.meshfree.cut.surface import is_narrow, nearest_on_cut
 
-__all__ = ["clipped", "off_surface"]
-
 CLIP_MARGIN = 8.0  # distance of the box from the body, in spacings: more than any path round a front
 MERGE_WIDTH = 2e-3  # of corners of a clipped triangle, in spacings
 ON_SURFACE = 1e-5  # distance of nodes in the plane of a triangle, in spacings

@@ -19,8 +19,6 @@ from palpate.code_cache import cached_njit
 from palpate.meshfree.cut.stencils import FittedRows, UncutStencils
 from palpate.meshfree.cut.surface import CutSurface, nearest_normals
 
-__all__ = ["conserve_integrals", "keep_uniform_stress"]
-
 MAX_ITERATIONS, RESIDUAL_TOLERANCE = 400, 1e-11  # of the iterations for the changes; relative to V / h
 WINDOW_ITERATIONS, SLOWEST_DECREASE = 40, 0.5  # iterations after which the residual must have decreased by a factor
 LEAST_PROGRESS, LEAST_SCALE = 1e-13, 1e-3

@@ -16,16 +16,6 @@ from palpate.meshfree.cut.stencils import REACH_MARGIN, UncutStencils
 from palpate.meshfree.cut.surface import CutSurface, bond_paths
 from palpate.surface.nesting import inside_points, inside_shares
 
-__all__ = [
-    "LEAST_VOLUME",
-    "SIGHT_DISTANCE",
-    "PointWeights",
-    "inside_body",
-    "point_weights",
-    "reference_points",
-    "shares_inside",
-]
-
 CANDIDATE_NODES, FIT_NODES = 64, 20  # nearest nodes, and nodes inside the radius of the fit
 MAX_ITERATIONS, LAST_CHANGE = 4, 1e-3  # of the reference point, and its last change in spacings
 SIGHT_DISTANCE = 0.3  # from a point to where it is seen from, in spacings

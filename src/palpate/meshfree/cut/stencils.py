@@ -27,14 +27,6 @@ from palpate.meshfree.cut.surface import CutSurface, bond_paths
 from palpate.meshfree.inner_gradient import CUBIC_DAMPING
 from palpate.meshfree.visibility import is_pair
 
-__all__ = [
-    "CutState",
-    "FittedRows",
-    "UncutStencils",
-    "fit_rows",
-    "uncut_stencils",
-]
-
 WIDEST_REACH = 3.2  # largest reach of a cut node, in spacings
 REACH_MARGIN = 1.05  # radius of a stencil over the distance of its last node
 SIZE_FACTOR, LARGEST_SIZE = 1.2, 6.0  # largest q over that of uncut nodes, and in itself

@@ -28,20 +28,6 @@ from palpate.code_cache import cached_njit
 from palpate.describe import Described, Fact
 from palpate.faults import CloudError
 
-__all__ = [
-    "CutSurface",
-    "bond_paths",
-    "cut_surface",
-    "first_crossings",
-    "first_triangles",
-    "is_narrow",
-    "nearest_normals",
-    "nearest_on_cut",
-    "nodes_near",
-    "swept",
-    "triangle_areas",
-]
-
 FRONT_LEAD = 0.2  # spacings by which a front is ahead of the edge of the cut
 PIECE_LENGTH = 0.5  # longest piece of an edge that is inside or outside as a whole, in spacings
 MERGE_DISTANCE = 1e-6  # of equal corners, in spacings

@@ -18,8 +18,6 @@ from palpate.faults import InputError
 from palpate.realtime.bodies.period import PeriodData
 from palpate.reduction.contact.surface import PAIRS
 
-__all__ = ["change_tool", "replace_tool"]
-
 
 def change_tool(data: PeriodData, tool: Tool | None, pose: Floats, friction: float) -> None:
     """Replace the tool of a reduced body; see `palpate.realtime.bodies.model.RealtimeModel`."""

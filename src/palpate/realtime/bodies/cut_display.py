@@ -20,8 +20,6 @@ from palpate.realtime.bodies.display_surface import fixed_nodes
 from palpate.realtime.bodies.full_surface import FullSurface
 from palpate.surface.nesting import inside_points
 
-__all__ = ["CutFullSurface"]
-
 MERGED_DISTANCE = 1e-6  # of corners of the cut that are one vertex, in spacings
 
 

@@ -21,9 +21,6 @@ from palpate.faults import InputError
 from palpate.reduction.contact.compliance import secant_factor, static_displacements
 from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["SCALAR_NAMES", "DisplaySurface", "Surface", "fixed_nodes"]
-
-
 SCALAR_NAMES = ("displacement", "stress", "pressure")
 
 

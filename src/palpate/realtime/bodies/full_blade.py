@@ -32,8 +32,6 @@ from palpate.dynamics.solid.cutting.incision import Incision
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import CloudError, DivergenceError, InputError
 
-__all__ = ["BladeCutter"]
-
 MAX_DISTANCE_OF_A_CUT = 0.5  # largest distance of a blade from where it cut the body last, in spacings
 TURN_INTERVAL = 0.05  # [s] between turns of the normals of faces
 MEAN_CUTS, FIRST_SECONDS = 5.0, 0.03  # cuts over which their time is averaged, and the first guess [s]

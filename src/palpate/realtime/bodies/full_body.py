@@ -38,8 +38,6 @@ from palpate.dynamics.solid.base import Solid
 from palpate.faults import InputError, integer_in_range
 from palpate.realtime.bodies.full_blade import BladeCutter
 
-__all__ = ["change_full_tool", "full_period", "step_statistics"]
-
 MAX_WAY, MAX_TOOL_WAY = 0.4, 0.25  # of a node and of the tool in a step, in spacings
 AWAY_DISTANCE = 1e3  # [m] beyond the body, where a tool stays while forceps hold it
 

@@ -17,8 +17,6 @@ from palpate.faults import InputError
 from palpate.realtime.bodies.display_surface import SCALAR_NAMES, DisplaySurface, Surface, fixed_nodes
 from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["FullSurface", "display_surface"]
-
 
 def display_surface(model: ReducedModel | EnergySolid) -> DisplaySurface:
     """Return the display surface of a reduced model or of a full body."""

@@ -45,9 +45,6 @@ from palpate.reduction.hyper.sampled_energy import scratch
 from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.realtime import LinearRealtime, linear_realtime
 
-__all__ = ["RealtimeModel", "idle_model", "realtime_model"]
-
-
 ABSENT_TOOL_DISTANCE = 10.0  # [m] from the body to an absent tool
 CATCH_UP = 4  # periods by which a full body may be late, because its periods take one step or two
 

@@ -39,17 +39,6 @@ from palpate.reduction.hyper.implicit import ImplicitData, cholesky_factor, chol
 from palpate.reduction.hyper.material_point import MaterialPoint
 from palpate.reduction.hyper.sampled_energy import Scratch, collect_forces, sampled_energy, scratch
 
-__all__ = [
-    "MAX_SUBSTEPS",
-    "IndicatorData",
-    "PeriodData",
-    "PeriodStart",
-    "ResidualFields",
-    "period_functions",
-    "probes",
-]
-
-
 STEP_SAFETY = 0.8  # explicit step over the stable one, whose frequency one power iteration a period estimates
 MAX_SUBSTEPS = 1000  # explicit steps in a period
 REFINEMENT_FACTOR, MAX_ATTEMPTS = 4, 4  # factor of the steps in a repeated period, and most attempts

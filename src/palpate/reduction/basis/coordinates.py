@@ -8,8 +8,6 @@ from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.run.model import Model, Nodes, State
 
-__all__ = ["CoordinateModel"]
-
 
 class CoordinateModel(Model):
     """A model with displacements u = sum over m of a_m Phi_m.

@@ -28,9 +28,6 @@ import numpy as np
 
 from palpate.arrays import Floats
 
-__all__ = ["Decomposition", "allowance", "block_size", "decompose"]
-
-
 DROP_TOLERANCE = 1e-4  # of all steps together, relative to the snapshots' root mean square
 MAX_RANK = 256  # between steps, unless blocks are larger
 BLOCK_BYTES = 500e6  # with the images in the inner product

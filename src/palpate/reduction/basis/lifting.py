@@ -13,9 +13,6 @@ from palpate.dynamics.run.partition import partitions, spread
 from palpate.faults import InputError
 from palpate.reduction.basis.linear_modes import tool_responses
 
-__all__ = ["RemoveToolMotion", "lifting_vectors", "support_fields"]
-
-
 MAX_NODES = 6000  # of a body whose equations are solved
 RIGID_TOLERANCE = 1e-3  # largest error of a tool's motion in the lifting vectors, relative
 

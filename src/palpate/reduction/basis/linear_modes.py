@@ -25,17 +25,6 @@ from palpate.dynamics.solid.model import Solid, energy_solid
 from palpate.faults import InputError, integer_in_range
 from palpate.meshfree.mirror import Mirror
 
-__all__ = [
-    "check_supported",
-    "interpolated_modes",
-    "modal_derivatives",
-    "rest_stiffness",
-    "stiffness_blocks",
-    "tool_responses",
-    "vibration_modes",
-]
-
-
 INTERPOLATION_NODES = 40  # coarse nodes in the interpolation of a mode
 DERIVATIVE_SHARE = 0.55  # largest share of modal derivatives in all modes
 DIFFERENCE_STEP = 0.02  # displacements for second differences, in spacings
@@ -134,6 +123,7 @@ class RestStatics(NamedTuple):
 
 
 def rest_statics(body: NodalModel, held: Sequence[str]) -> RestStatics:
+    """Return the factorised stiffness at rest of the free degrees of freedom, with those of some groups held."""
     (free, numbers), full = _free(body, held), rest_stiffness(body)
     stiffness = (free.T @ full @ free).tocsc()
     if stiffness.nnz < DENSE_SHARE * len(numbers) ** 2:

@@ -20,9 +20,6 @@ from palpate.plotting import curve_svg, plot_singular_values
 from palpate.reduction.basis.incremental_pod import allowance, block_size, decompose
 from palpate.reduction.basis.snapshots import Run, Snapshots
 
-__all__ = ["Basis", "pod"]
-
-
 NUMERICAL_RANK = 1e-12  # of the largest singular value, below which directions are rounding noise
 
 

@@ -13,8 +13,6 @@ from palpate.arrays import Floats
 from palpate.dynamics.run.trajectory import StoredTrajectory, Trajectory
 from palpate.faults import InputError
 
-__all__ = ["Run", "Snapshots"]
-
 Run = Trajectory | str | Path  # or the path of a trajectory's file
 
 

@@ -12,9 +12,6 @@ from palpate.faults import InputError
 from palpate.reduction.basis.incremental_pod import allowance, block_size, decompose
 from palpate.reduction.basis.snapshots import Snapshots
 
-__all__ = ["join", "main_modes"]
-
-
 MIN_SIZE = 1e-3  # of the largest snapshot, below which one has reduced weight
 SUPPORT_TOLERANCE = 1e-9  # largest displacement of an enrichment across a support, relative to its largest one
 RANK_TOLERANCE = 1e-10  # of the largest eigenvalue, below which shapes are rounding noise

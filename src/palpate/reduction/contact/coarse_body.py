@@ -25,8 +25,6 @@ from palpate.meshfree.filling import fill
 from palpate.reduction.contact.residual_flexibility import MAX_NODES
 from palpate.surface.surface import Surface
 
-__all__ = ["coarse_body", "explicit_supports", "statics_body"]
-
 COARSE_NODES = 3000  # of the coarser body: factorised in seconds, and fine enough for modes and statics
 SURFACE_SHARE = 0.95  # surface nodes of `fill` over area / spacing^2, less the inner ones that they replace
 FINER_FACTOR = 0.9  # factor on a spacing that is too coarse for thin parts of the body

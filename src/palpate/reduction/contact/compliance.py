@@ -24,24 +24,6 @@ from palpate.arrays import Floats, Ints
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.reduction.contact.interior import Interior, flexible_displacements, interior_displacements
 
-__all__ = [
-    "NO_COMPLIANCE",
-    "ActiveCompliance",
-    "ComplianceTable",
-    "SurfaceCompliance",
-    "active_compliance",
-    "carrier_forces",
-    "compliance_table",
-    "contact_displacements",
-    "energy_factor",
-    "pair",
-    "refresh",
-    "secant_factor",
-    "static_displacements",
-    "stiffened_force",
-]
-
-
 MAX_NEWTON_STEPS = 50  # for the force of a stiffened compliance
 MAX_ACTIVE = 256  # patches in contact up to which their mutual compliance is stored
 

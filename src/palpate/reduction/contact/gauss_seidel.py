@@ -27,17 +27,6 @@ from palpate.meshfree.cloud import MOVED_MARGIN
 from palpate.reduction.contact.compliance import energy_factor, pair, refresh, secant_factor, stiffened_force
 from palpate.reduction.contact.surface import PAIRS, SWEEPS, UNCONVERGED
 
-__all__ = [
-    "approach_speed",
-    "compliance_energy",
-    "contact_nearness",
-    "place_frame",
-    "press",
-    "relax",
-    "set_tool_path",
-    "solve_contact",
-]
-
 CLUSTER_STRETCH = 1.5  # largest extent of a cluster over that at rest
 MAX_SWEEPS = 60
 SWEEP_TOLERANCE = 1e-3  # largest change of a position in the last sweep, as a fraction of the deepest penetration

@@ -18,9 +18,6 @@ from scipy.spatial import cKDTree
 from palpate.arrays import Floats, Ints
 from palpate.meshfree.cloud import Cloud
 
-__all__ = ["Interior", "flexible_displacements", "interior_displacements", "interior_flexibility"]
-
-
 MAX_SOURCES = 12  # coarse nodes in the fit of a fine node
 KERNEL_WIDTH = 0.6  # distance at which a source's weight falls to 1/e, in coarse spacings
 SLOPE_RIDGE = 1e-3  # regularisation of the slopes of a fit, as a fraction of the weights

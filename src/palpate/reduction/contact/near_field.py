@@ -21,9 +21,6 @@ from palpate.arrays import Floats, Ints
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.reduction.basis.linear_modes import stiffness_blocks
 
-__all__ = ["add_own_compliance", "lowest_compliance", "near_field_compliance"]
-
-
 # radii in coarse spacings: of a piece's core, of the near field beyond it, and of the rest of the piece
 CORE_RADIUS, NEAR_RADIUS, MARGIN_SPACINGS = 1.0, 2.5, 1.0
 FADE_START = 0.5  # where the correction starts to fade out, as a fraction of the near radius

@@ -12,8 +12,6 @@ from palpate.dynamics.contact.penetration import triangle_depth, way_above_surfa
 from palpate.dynamics.nodal.tool_path import END, START, limit_path
 from palpate.reduction.contact.surface import PAIRS
 
-__all__ = ["MAX_DEPTH_BETWEEN_NODES", "hold_above_surface", "store_depths"]
-
 # of triangles between nodes in contact, in spacings; nodes alone keep a tool out here, and so a triangle is deeper than
 # in a full body, where middles of edges do, too: beyond `MAX_SURFACE_DEPTH` the force is not trusted
 MAX_DEPTH_BETWEEN_NODES = 0.5

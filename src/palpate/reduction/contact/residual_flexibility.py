@@ -24,9 +24,6 @@ from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.basis.linear_modes import check_supported, rest_stiffness
 
-__all__ = ["MAX_NODES", "carriers", "residual_flexibility"]
-
-
 MAX_NODES = 5000  # of a body whose equations are solved: 1.8 GB
 INTERPOLATION_NODES = 40  # in the interpolation of a mode
 MAX_CARRIERS = 6  # of a node

@@ -33,8 +33,6 @@ from palpate.meshfree.cloud import Cloud
 from palpate.reduction.basis.linear_modes import rest_stiffness
 from palpate.reduction.contact.coarse_body import explicit_supports
 
-__all__ = ["Press", "moved_borders", "select_presses", "support_sensitivity"]
-
 MAX_PRESSES = 6
 MAX_HELD_SHARE = 0.1  # of the force of a press on nodes that a moved border would hold
 

@@ -21,19 +21,6 @@ from palpate.reduction.contact.compliance import (
     compliance_table,
 )
 
-__all__ = [
-    "PAIRS",
-    "SWEEPS",
-    "UNCONVERGED",
-    "ContactScratch",
-    "ContactSurface",
-    "RigidTools",
-    "contact_scratch",
-    "contact_surface",
-    "rigid_tools",
-]
-
-
 CLUSTER_SIZE = 32  # most surface nodes in a cluster
 PAIRS, SWEEPS, UNCONVERGED = range(3)  # entries of `ContactScratch.numbers`: now, in the last step, steps so far
 

@@ -33,9 +33,6 @@ from palpate.dynamics.contact.kinds import BONDED
 from palpate.reduction.contact.compliance import refresh
 from palpate.reduction.contact.surface import PAIRS
 
-__all__ = ["ContactSystem", "contact_stiffness", "contact_system"]
-
-
 RIGHT_SIDES = 4  # a displacement along each axis, and the change of the secant factor
 CALL_WORK = 300_000  # multiplications per call, approximately
 PANEL_UNKNOWNS = 4  # unknowns per elimination

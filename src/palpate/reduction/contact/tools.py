@@ -17,8 +17,6 @@ from palpate.reduction.contact.compliance import SurfaceCompliance, contact_disp
 from palpate.reduction.contact.penetration import MAX_DEPTH_BETWEEN_NODES, store_depths
 from palpate.reduction.contact.surface import ContactScratch, ContactSurface, RigidTools, contact_scratch, rigid_tools
 
-__all__ = ["ContactTools", "bonded_nodes", "contact_at_frame", "tool_displacements"]
-
 
 class ContactTools:
     """Tools on the contact surface of a reduced model."""

@@ -17,16 +17,6 @@ import numpy as np
 
 from palpate.dynamics.compiled.cache import kernel_njit
 
-__all__ = [
-    "damping_work",
-    "drift",
-    "kick_coordinates",
-    "mass_damping_loss",
-    "prescribe",
-    "prescribed_work",
-    "trial_coordinates",
-]
-
 
 @kernel_njit(inline="always", fastmath={"contract"})
 def prescribe(a, v, lifting, s, step):  # type: ignore[no-untyped-def]

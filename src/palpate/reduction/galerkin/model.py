@@ -27,9 +27,6 @@ from palpate.reduction.basis.coordinates import CoordinateModel
 from palpate.reduction.basis.pod import Basis, pod
 from palpate.reduction.galerkin.step import BasisData, BodyData, GalerkinWork, reduced_step
 
-__all__ = ["GalerkinModel", "galerkin"]
-
-
 PERMITTED_LOADS = (DeadLoad, Pressure, Gravity, PrescribedMotion, Grasp)  # of loads, whose forces the step has
 REFRESH_DISPLACEMENT = 0.1  # displacement after which the tangent is updated, as a fraction of the largest so far
 MIN_SIZE = 1e-3  # of the largest snapshot, below which one has reduced weight in a relative basis

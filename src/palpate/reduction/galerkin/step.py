@@ -22,8 +22,6 @@ from palpate.reduction.galerkin.central_difference import (
     trial_coordinates,
 )
 
-__all__ = ["BasisData", "BodyData", "GalerkinWork", "reduced_step"]
-
 
 class BodyData(NamedTuple):
     """Constants of the full model."""

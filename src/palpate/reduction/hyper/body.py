@@ -24,8 +24,6 @@ from palpate.reduction.hyper.implicit import NewtonScratch, implicit_step, newto
 from palpate.reduction.hyper.material_point import MaterialPoint, material_point
 from palpate.reduction.hyper.sampled_energy import IntegrationPoints, Scratch, sampled_energy, scratch
 
-__all__ = ["ReducedBody", "ReducedWork", "reduced_body"]
-
 History = tuple[Floats, ...]
 
 DIFFERENCE_STEP = 1e-5  # displacements for difference quotients of the tangent, in spacings

@@ -20,9 +20,6 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats, Ints
 from palpate.describe import Described
 
-__all__ = ["Cubature", "fit_moments", "sketch", "sparse_nnls"]
-
-
 BATCH_FRACTION = 0.05  # of the active columns that are added at once
 
 

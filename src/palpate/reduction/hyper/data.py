@@ -21,9 +21,6 @@ from palpate.reduction.contact.surface import ContactSurface, contact_surface
 from palpate.reduction.hyper.cubature import Cubature
 from palpate.reduction.hyper.sampled_energy import IntegrationPoints, integration_points
 
-__all__ = ["UNLIMITED_SCALE", "ReducedData"]
-
-
 UNLIMITED_SCALE = 1e300  # scale of a measure without training states
 
 

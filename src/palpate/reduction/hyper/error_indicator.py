@@ -33,26 +33,6 @@ from palpate.meshfree.cloud import Cloud
 from palpate.reduction.hyper.body import ReducedBody
 from palpate.reduction.hyper.data import ReducedData
 
-__all__ = [
-    "ExpectedError",
-    "approach_speeds",
-    "distances_to_nearest",
-    "error_bounds",
-    "expected_error",
-    "force_bound",
-    "force_sizes",
-    "mean_size",
-    "nearness_to_supports",
-    "residual_norm",
-    "rms_sizes",
-    "rms_speeds",
-    "support_nearness",
-    "tools_of",
-    "touch_speed",
-    "training_distance",
-]
-
-
 LEAST_DISTANCE = 0.25  # from a fixed node that counts, in spacings
 TOUCH_SHARE = 0.2  # of a typical force, which counts in addition to the force of a tool
 SPEED_INTERVAL = 1e-4  # [s] over which the speed of a tool is measured

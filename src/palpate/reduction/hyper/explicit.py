@@ -33,9 +33,6 @@ from palpate.reduction.hyper.foundation import Springs, add_spring_forces
 from palpate.reduction.hyper.material_point import MaterialPoint
 from palpate.reduction.hyper.sampled_energy import IntegrationPoints, Scratch, sampled_energy
 
-__all__ = ["ContactData", "ExplicitData", "explicit_step"]
-
-
 TRIAL, FORCE, PREVIOUS, RATE, LOAD, MEAN = range(6)  # rows of `ExplicitData.work`
 
 

@@ -12,8 +12,6 @@ from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.loads.prepared import LoadSites
 
-__all__ = ["Springs", "add_spring_forces", "project_springs"]
-
 
 class Springs(NamedTuple):
     """Projected springs and dashpots of `palpate.Foundation`.

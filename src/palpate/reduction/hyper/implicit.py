@@ -29,9 +29,6 @@ from palpate.reduction.hyper.foundation import Springs, add_spring_forces
 from palpate.reduction.hyper.material_point import MaterialPoint
 from palpate.reduction.hyper.sampled_energy import IntegrationPoints, Scratch, sampled_energy
 
-__all__ = ["ImplicitData", "NewtonScratch", "cholesky_factor", "cholesky_solve", "implicit_step", "newton_scratch"]
-
-
 GAUSS_POINTS = (0.5 - np.sqrt(3.0) / 6.0, 0.5 + np.sqrt(3.0) / 6.0)  # of Gauss's rule in a step
 MAX_ITERATIONS = 30  # of Newton's method in a step
 REFRESH_ITERATIONS = (4, 10, 18, 24)  # iterations after which the tangent is updated

@@ -28,17 +28,6 @@ from palpate.dynamics.run.model import State
 from palpate.reduction.hyper.body import ReducedBody
 from palpate.reduction.hyper.data import ReducedData
 
-__all__ = [
-    "MAX_LOAD_SCALE",
-    "MIN_LOAD_SCALE",
-    "Response",
-    "ResponseSquares",
-    "load_share",
-    "response_squares",
-    "static_response",
-]
-
-
 MIN_LOAD_SCALE = 0.3  # least share at which the trust number is 1
 MAX_LOAD_SCALE = 0.9  # largest: a load that the coordinates cannot feel at all has a share of 1
 LEAST_DISPLACEMENT = 1e-9  # least displacement that counts, in spacings: rounding is below

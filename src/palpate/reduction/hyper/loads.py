@@ -31,9 +31,6 @@ from palpate.reduction.hyper.data import ReducedData
 from palpate.reduction.hyper.foundation import Springs, project_springs
 from palpate.reduction.hyper.load_share import Response, ResponseSquares, response_squares
 
-__all__ = ["ReducedLoads", "lifting_coordinates", "load_work", "prepare_reduced_loads", "reduced_loads"]
-
-
 PERMITTED_LOADS = (DeadLoad, Gravity, PrescribedMotion, Grasp, Contact, Foundation)  # whose forces the step has
 RIGID_TOLERANCE = 1e-3  # largest error of a prescribed motion in the lifting vectors, relative
 

@@ -28,8 +28,6 @@ from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.materials import Material
 from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 
-__all__ = ["MaterialPoint", "material_point", "volume_measure"]
-
 MIN_VOLUME_RATIO = 0.1  # J below which the energy continues as a parabola
 
 

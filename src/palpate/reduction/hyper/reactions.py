@@ -15,8 +15,6 @@ from palpate.reduction.hyper.body import ReducedBody, ReducedWork
 from palpate.reduction.hyper.foundation import add_spring_forces
 from palpate.reduction.hyper.loads import lifting_coordinates, reduced_loads
 
-__all__ = ["accelerations", "constraint_forces", "pose_map", "reactions", "tool_map"]
-
 
 def accelerations(
     body: ReducedBody, state: State, prepared: PreparedLoads, work: ReducedWork | None = None

@@ -34,18 +34,6 @@ from palpate.reduction.hyper.material_point import MaterialPoint
 from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.regions import Regions
 
-__all__ = [
-    "IntegrationPoints",
-    "SampledEnergy",
-    "Scratch",
-    "collect_forces",
-    "integration_points",
-    "sampled_energy",
-    "scratch",
-    "shear_weights",
-]
-
-
 NO_RELAXATION = Relaxation(np.zeros(0), np.zeros(0), np.zeros(0))  # elastic tissue
 
 

@@ -12,8 +12,6 @@ import scipy.linalg
 from palpate.dynamics.run.rollout import machine_memory
 from palpate.faults import InputError
 
-__all__ = ["Budget", "Estimate", "dense_lyapunov"]
-
 TIMED_ORDER = 240  # order of the dense equation that is timed
 SOLVER_ARRAYS = 8  # square arrays that a dense solver stores at a time: the Schur form, vectors and work
 

@@ -11,8 +11,6 @@ import scipy.sparse as sparse
 from palpate.files import whole_file
 from palpate.reduction.lti.system import LinearSystem
 
-__all__ = ["matrices", "save_matlab", "save_matrix_market"]
-
 
 def matrices(system: LinearSystem) -> dict[str, Any]:
     """Return the matrices by name: M, D, K, B, Cp, Cv, Df, S, Sv sparse or dense, as in `LinearSystem`."""

@@ -17,9 +17,6 @@ import scipy.linalg
 from palpate.arrays import Floats
 from palpate.faults import InputError, integer_in_range
 
-__all__ = ["Realisation", "balance", "hankel_norm", "lyapunov_factor", "nearest_fields"]
-
-
 MIN_HANKEL_VALUE = 1e-10  # relative to the largest Hankel singular value: states below it are rounding errors
 EQUAL_VALUES_TOLERANCE = 1e-6  # relative difference of Hankel singular values that count as equal
 

@@ -14,8 +14,6 @@ from palpate.dynamics.loads.prepared import Load, PreparedLoads, check_kinds
 from palpate.faults import InputError
 from palpate.reduction.lti.system import INPUT_LOADS, LinearSystem
 
-__all__ = ["LinearLoads", "linear_loads", "prepare_linear_loads", "tool_accelerations", "tool_coordinates"]
-
 RIGID_TOLERANCE = 1e-2  # largest error of a tool's motion in small translations and rotations, relative
 
 

@@ -32,8 +32,6 @@ from palpate.reduction.lti.state_space import FirstOrder, Reduced, first_order_h
 from palpate.reduction.lti.stiffness import linear_stress
 from palpate.reduction.lti.system import LinearSystem, force_inputs
 
-__all__ = ["LinearModel"]
-
 
 class LinearModel(CoordinateModel):
     """A linear reduction of a body.

@@ -22,8 +22,6 @@ from palpate.reduction.basis.pod import pod
 from palpate.reduction.lti.state_space import SecondOrder
 from palpate.reduction.lti.system import LinearSystem
 
-__all__ = ["Columns", "condense", "eigenvectors", "modal", "moments", "project", "proper"]
-
 Columns = tuple[Floats, Floats]
 
 DEGENERACY_TOLERANCE = 1e-5  # relative distance of squared frequencies that count as equal

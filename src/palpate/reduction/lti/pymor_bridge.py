@@ -8,8 +8,6 @@ from palpate.extras import require
 from palpate.reduction.lti.system import LinearSystem
 from palpate.working_folder import import_pymor
 
-__all__ = ["need_pymor", "to_pymor"]
-
 
 def need_pymor(what: str) -> None:
     """Import pyMOR and reduce its log level."""

@@ -20,9 +20,6 @@ from palpate.faults import InputError, number_in_range
 from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.state_space import SecondOrder, first_order_hold
 
-__all__ = ["LinearData", "LinearRealtime", "linear_range", "linear_realtime"]
-
-
 TRUSTED_NONLINEARITY = 0.1  # relative difference of the tool's force from the linear one at a trust number of 1
 RANGE_BISECTIONS, MAX_RANGE = 24, 64.0  # of the search for that range; its upper end, in spacings or radians
 SERIES_NORM, SERIES_TERMS = 0.5, 14  # largest norm for the series of a matrix exponential, and number of terms

@@ -26,9 +26,6 @@ from palpate.reduction.lti.simulate import linear_run
 from palpate.reduction.lti.state_space import FirstOrder, Reduced, SecondOrder
 from palpate.reduction.lti.system import LinearSystem
 
-__all__ = ["TITLE_BY_METHOD", "Reduction", "reduce_linear"]
-
-
 SECOND_ORDER_BALANCING = {
     "sobt": "SOBTReductor", "sobt-p": "SOBTpReductor", "sobt-v": "SOBTvReductor", "sobt-pv": "SOBTpvReductor",
     "sobt-vp": "SOBTvpReductor", "sobt-fv": "SOBTfvReductor",

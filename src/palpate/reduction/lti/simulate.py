@@ -13,8 +13,6 @@ from palpate.faults import InputError, number_in_range
 from palpate.reduction.lti.inputs import prepare_linear_loads, tool_coordinates
 from palpate.reduction.lti.system import LinearSystem
 
-__all__ = ["input_sizes", "linear_run"]
-
 
 def input_sizes(system: LinearSystem, loads: Sequence[Load], duration: float, samples: int = 2000) -> Floats:
     """Return the largest absolute value (p,) of each input in a run: forces [N], gravity, accelerations of tools."""

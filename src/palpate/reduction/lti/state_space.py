@@ -14,8 +14,6 @@ import scipy.linalg
 from palpate.arrays import Complex, Floats
 from palpate.describe import Described
 
-__all__ = ["FirstOrder", "Reduced", "SecondOrder"]
-
 
 @dataclass(frozen=True)
 class SecondOrder(Described):

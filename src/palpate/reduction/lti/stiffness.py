@@ -20,9 +20,6 @@ from palpate.dynamics.solid.model import EnergySolid
 from palpate.meshfree.mirror import NO_MIRROR
 from palpate.reduction.basis.linear_modes import rest_stiffness
 
-__all__ = ["coupling", "independent_groups", "linear_stress", "nodal_stiffness"]
-
-
 # displacements for central differences, over the spacing, as in `palpate.dynamics.nodal.stability.stiffness`
 STEP_SPACINGS = 1e-5
 ROUNDING_SHARE = 1e-10  # of the largest entry: rounding error of differences for entries that are zero

@@ -15,8 +15,6 @@ from palpate.reduction.lti.state_space import FirstOrder, SecondOrder
 from palpate.reduction.lti.system import LinearSystem
 from palpate.sealed import Array, check_arrays, check_names, loading, open_sealed, write_sealed
 
-__all__ = ["read_linear", "save_linear"]
-
 FORMAT, VERSION = "palpate linear model", 2
 LINEAR_MODEL_REMEDY = "make the linear model again"
 LINEAR_ARRAYS = {

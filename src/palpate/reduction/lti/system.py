@@ -45,9 +45,6 @@ from palpate.dynamics.run.model import State
 from palpate.faults import InputError
 from palpate.reduction.lti.stiffness import nodal_stiffness
 
-__all__ = ["LinearSystem", "force_inputs", "linearise"]
-
-
 AXES = "xyz"
 INPUT_LOADS = (DeadLoad, Gravity, PrescribedMotion, Grasp)  # kinds of loads that are inputs
 MIN_ROTATION = 1e-9  # displacement, in spacings, below which a rotation is left out

@@ -22,23 +22,6 @@ from palpate.reduction.storage.material import (
 )
 from palpate.sealed import LEAST_POSITIVE, Array, ArrayFile, check_arrays, check_names, typed
 
-__all__ = [
-    "BODY_ATTRIBUTES",
-    "MAX_NUMBER",
-    "Arrays",
-    "Declared",
-    "Header",
-    "body_arrays",
-    "body_declared",
-    "body_header",
-    "body_of",
-    "check_body",
-    "check_header",
-    "mapping_in",
-    "read_arrays",
-    "supports_in",
-]
-
 Header = dict[str, Any]
 Arrays = dict[str, np.ndarray[Any, Any]]
 Declared = dict[str, Array]

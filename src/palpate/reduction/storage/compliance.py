@@ -20,15 +20,6 @@ from palpate.reduction.contact.interior import Interior
 from palpate.reduction.storage.body import MAX_NUMBER
 from palpate.sealed import Array, check_arrays
 
-__all__ = [
-    "COMPLIANCE_ARRAYS",
-    "INTERIOR_ARRAYS",
-    "STEPS_ARRAY",
-    "pack_flexibilities",
-    "read_compliance",
-    "unpack_flexibilities",
-]
-
 Arrays = Mapping[str, np.ndarray[Any, Any]]
 
 COMPLIANCE_ARRAYS = {

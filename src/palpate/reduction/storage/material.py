@@ -19,8 +19,6 @@ from palpate.tissue.prony import Prony
 from palpate.tissue.regions import Regions
 from palpate.tissue.volumetric import QUADRATIC
 
-__all__ = ["describe_fibres", "describe_material", "describe_regions", "fibres_of", "material_of", "regions_of"]
-
 LAW_BY_NAME = {law.name: law.kind for law in LAWS} | {"VolumeOnly": VolumeOnly}
 FIBRE_LAW_BY_NAME: dict[str, Any] = {law.name: law.kind for law in FIBRE_LAWS}
 SYMBOLIC_LAW = "Hyperelastic"

@@ -45,8 +45,6 @@ from palpate.reduction.storage.compliance import (
 )
 from palpate.sealed import LEAST_POSITIVE, Array, ArrayFile, loading, open_sealed, typed, write_sealed
 
-__all__ = ["MODEL_REMEDY", "contents", "load_hyper_reduced", "model_of", "save_hyper_reduced"]
-
 FORMAT, VERSION = "palpate reduced model", 14
 OLDER_VERSIONS = (12, 13)  # also read
 NEW_ATTRIBUTES = {"speed_scale", "nearness_scale"}  # that older files lack; their error bounds have another meaning

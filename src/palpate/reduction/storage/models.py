@@ -14,8 +14,6 @@ from palpate.reduction.storage import model_file
 from palpate.reduction.storage.model_file import load_hyper_reduced, save_hyper_reduced
 from palpate.sealed import kind_of_file
 
-__all__ = ["load", "save"]
-
 
 def save(model: ReducedModel | LinearModel, path: str | Path) -> None:
     """Write a reduced model to one checked file, completely or not at all.

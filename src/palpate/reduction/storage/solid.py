@@ -20,8 +20,6 @@ from palpate.reduction.storage.body import (
 from palpate.reduction.storage.model_file import contents, model_of
 from palpate.sealed import ArrayFile
 
-__all__ = ["body_contents", "body_in"]
-
 MAX_NEIGHBOURS = 200  # of a node; the largest default is 63
 SOLID_ATTRIBUTES: dict[str, type] = BODY_ATTRIBUTES | {"neighbours": int}
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["MAX_ERROR", "advice"]
-
 MAX_ERROR = 0.3  # mean error over the held-out runs above which a model is not to be used
 SMOOTH_MODES, SMOOTH_RUNS = 40, 8  # beyond these, errors where tools touch the body decrease little (docs/training.md)
 MIN_EXPLAINED = 0.5  # share of the displacements around tools that the surface compliance explains

@@ -22,8 +22,6 @@ from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.fit_compliance import fit_stiffening
 from palpate.reduction.training.threads import in_threads
 
-__all__ = ["Trial", "calibrate_contact"]
-
 Trial = tuple[Sequence[Load], Run]
 
 FORCE_PASSES = 2  # corrections of the surface compliance

@@ -41,9 +41,6 @@ from palpate.reduction.hyper.load_share import MAX_LOAD_SCALE, MIN_LOAD_SCALE
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.hyper.reactions import constraint_forces
 
-__all__ = ["Frames", "Measures", "Scales", "calibrate_scales", "error_curves", "held_out_frames", "trust_numbers"]
-
-
 BOUND_PROBABILITY = 0.95  # probability that a run keeps the bound
 CONFIDENCE_LEVEL = 0.9  # that at least a share of the runs keeps the bound of a campaign
 REPEAT_MARGIN = 1.001  # a margin, by which the trust number of a held-out run stays below 1 when it is repeated

@@ -14,15 +14,6 @@ from palpate.reduction.hyper.cubature import Cubature, fit_moments, sketch, spar
 from palpate.reduction.hyper.material_point import volume_measure
 from palpate.tissue.materials import Material
 
-__all__ = [
-    "choose_integration_points",
-    "compliance_root",
-    "deformation",
-    "pressure_moments",
-    "shear_stress",
-]
-
-
 PRESSURE_STATES = 240  # training states for the pressure modes
 BALANCED_SHARE = 1e-9  # relative size of a sum of forces that counts as zero, as in a taut sheet at rest
 REACTION_WEIGHT = 0.1  # of the forces on tools and supports, relative to those on all coordinates

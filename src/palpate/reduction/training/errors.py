@@ -13,9 +13,6 @@ from palpate.describe import Described, Fact
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import InputError
 
-__all__ = ["ContactErrors", "Errors", "contact_errors", "relative_errors"]
-
-
 MIN_FORCE = 0.1  # of frames in the contact errors, as a fraction of a tool's largest force
 
 

@@ -32,9 +32,6 @@ from palpate.reduction.contact.near_field import add_own_compliance, near_field_
 from palpate.reduction.contact.residual_flexibility import carriers, residual_flexibility
 from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["fit_compliance", "fit_stiffening", "rest_compliance"]
-
-
 MAX_FRAMES = 400  # of the runs, in the fit
 FIT_RADIUS = 5.0  # about a node in contact, in spacings
 MAX_EXPONENT = 0.8  # of the stiffening; at 1 a larger force would not increase the displacement

@@ -30,9 +30,6 @@ from palpate.reduction.hyper.material_point import volume_measure
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.ecsw import compliance_root, shear_stress
 
-__all__ = ["RESIDUAL_FIELDS", "orthogonal_complement", "scale_residual_fields", "typical_residual"]
-
-
 RESIDUAL_FIELDS = 8
 MIN_INDEPENDENT = 1e-3  # least norm of a field without its modal part, relative
 RIDGE_SHARE = 1e-3  # of the largest singular value of the changes from rest, for the factors

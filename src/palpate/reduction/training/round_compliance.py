@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from palpate.reduction.contact.compliance import SurfaceCompliance
 from palpate.reduction.contact.near_field import lowest_compliance
 
-__all__ = ["round_compliance"]
-
 # largest steps, over the median compliance of a surface node under its own force; a step is more than half of it
 MAX_STEP, MAX_INTERIOR_STEP = 1 / 1024, 1 / 700
 MIN_LOWEST = 0.1  # lowest eigenvalue of the rounded compliance, over that of the exact one

@@ -16,9 +16,6 @@ from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError, integer_in_range, number_in_range
 from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["select_time_step"]
-
-
 TRIED_STEPS = (None, 1e-3, 0.5e-3, 0.25e-3)  # explicit; implicit, [s]
 REFERENCE_REFINEMENT = 20  # steps of the reference per explicit step
 DEFAULT_FRAMES = 100  # of the motion

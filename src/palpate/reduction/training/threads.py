@@ -8,8 +8,6 @@ from typing import TypeVar
 
 import numba
 
-__all__ = ["in_threads"]
-
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 

@@ -15,8 +15,6 @@ from palpate.faults import FileFormatError, InputError
 from palpate.files import shortened
 from palpate.surface.surface import MAX_TRIANGLES
 
-__all__ = ["Parts", "check_indices", "fans", "printable_word", "read_count", "read_numbers", "strips"]
-
 Parts = dict[str, Callable[[], tuple[Floats, Ints]]]  # functions that return vertices and triangles, by the part's name
 
 MAX_INDEX = 2**31

@@ -18,8 +18,6 @@ from palpate.files import json_of, shortened
 from palpate.surface.formats.common import Parts, check_indices, fans, strips, triangle_count_error
 from palpate.surface.surface import MAX_TRIANGLES
 
-__all__ = ["read_glb", "read_gltf"]
-
 TYPE_BY_COMPONENT = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTH_BY_TYPE = {"SCALAR": 1, "VEC3": 3}
 TRIANGLES, STRIP, FAN = 4, 5, 6  # modes of primitives

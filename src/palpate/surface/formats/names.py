@@ -4,11 +4,6 @@ from __future__ import annotations
 
 from pathlib import PurePath
 
-__all__ = [
-    "FORMATS_WITH_PARTS", "GZIP_SUFFIX", "LABEL_FORMATS", "SURFACE_FORMATS", "VOLUME_FORMATS", "format_of",
-    "listed_formats",
-]  # fmt: skip
-
 SURFACE_FORMATS = {
     "stl": "STL", "obj": "OBJ", "ply": "PLY", "off": "OFF", "glb": "GLB", "gltf": "glTF", "vtk": "VTK", "vtp": "VTP",
     "trian": "trian",

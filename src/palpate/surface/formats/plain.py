@@ -21,8 +21,6 @@ from palpate.surface.formats.common import (
 )
 from palpate.surface.surface import MAX_TRIANGLES
 
-__all__ = ["read_obj", "read_off", "read_stl", "read_trian"]
-
 FACET_DTYPE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 

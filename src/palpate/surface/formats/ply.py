@@ -13,8 +13,6 @@ from palpate.arrays import Ints
 from palpate.faults import FileFormatError
 from palpate.surface.formats.common import Parts, check_indices, fans, printable_word, read_count, read_numbers
 
-__all__ = ["read_ply"]
-
 NUMPY_TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
     "float": "f4", "double": "f8", "float32": "f4", "float64": "f8",

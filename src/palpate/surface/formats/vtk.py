@@ -13,8 +13,6 @@ from palpate.arrays import Floats, Ints
 from palpate.faults import FileFormatError
 from palpate.surface.formats.common import Parts, check_indices, fans, printable_word, read_count, read_numbers, strips
 
-__all__ = ["read_vtk"]
-
 NUMPY_TYPES = {
     b"char": ">i1", b"unsigned_char": ">u1", b"short": ">i2", b"unsigned_short": ">u2", b"int": ">i4",
     b"unsigned_int": ">u4", b"long": ">i8", b"unsigned_long": ">u8", b"float": ">f4", b"double": ">f8",

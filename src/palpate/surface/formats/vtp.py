@@ -17,8 +17,6 @@ from palpate.arrays import Floats, Ints
 from palpate.faults import FileFormatError
 from palpate.surface.formats.common import Parts, check_indices, fans, printable_word, read_count, read_numbers, strips
 
-__all__ = ["read_vtp", "space_of_vtp"]
-
 NUMPY_TYPES = {
     "Int8": "i1", "UInt8": "u1", "Int16": "i2", "UInt16": "u2", "Int32": "i4", "UInt32": "u4", "Int64": "i8",
     "UInt64": "u8", "Float32": "f4", "Float64": "f8",

@@ -19,8 +19,6 @@ from palpate.faults import InputError
 from palpate.surface.labels.label_map import LabelMap, Segment
 from palpate.surface.nesting import inside_points
 
-__all__ = ["body_segments", "deform", "resampling_field"]
-
 FITTED_NODES = 24  # near a place, whose displacements a linear function fits
 REACH_SPACINGS = 2.0  # of the nodes' displacements beyond the body, in spacings
 STEPS_PER_SPACING = 4  # of the lattice on which displacements are fitted, then interpolated to the voxels

@@ -19,8 +19,6 @@ from palpate.files import shortened
 from palpate.surface.labels.label_map import LabelMap, in_metres
 from palpate.surface.labels.voxels import MAX_VOXELS, checked_shape, segments_of
 
-__all__ = ["read_dicom"]
-
 SEGMENTATION_CLASSES = ("1.2.840.10008.5.1.4.1.1.66.4", "1.2.840.10008.5.1.4.1.1.66.7")  # SEG, and SEG of label maps
 PLAIN_SYNTAXES = ("1.2.840.10008.1.2", "1.2.840.10008.1.2.1", "1.2.840.10008.1.2.2")  # uncompressed
 RUN_LENGTH = "1.2.840.10008.1.2.5"

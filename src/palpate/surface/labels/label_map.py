@@ -24,11 +24,6 @@ from palpate.files import shortened
 from palpate.surface.parts import names_text
 from palpate.surface.surface import MAX_COORDINATE
 
-__all__ = [
-    "RAS_TO_LPS", "LabelMap", "Mask", "Segment", "as_grid", "choose_segments", "in_metres", "mask_of", "part_names",
-    "segments_mask",
-]  # fmt: skip
-
 RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])  # a turn by 180 degrees about z
 Box = tuple[slice, slice, slice]
 

@@ -10,8 +10,6 @@ from palpate.files import shortened
 from palpate.surface.labels.label_map import LabelMap, part_names, segments_mask
 from palpate.surface.labels.mask_surface import MIN_VOXELS, piece_sizes
 
-__all__ = ["LabelRow", "choice_of_labels", "label_rows"]
-
 # words in the names of organs that are palpated, the likeliest first
 ORGAN_WORDS = (
     "liver", "spleen", "kidney", "stomach", "pancreas", "prostate", "breast", "uterus", "bladder", "heart", "lung",

@@ -24,8 +24,6 @@ from palpate.surface.labels.label_map import LabelMap, Mask, mask_of
 from palpate.surface.labels.voxels import counts_of_values
 from palpate.surface.surface import Surface, part_volumes, select_triangles, vertex_components
 
-__all__ = ["label_surface", "largest_piece", "mask_surface", "piece_sizes"]
-
 MAX_POINTS = 1 << 20  # of the grid
 STEPS_ACROSS = 32  # steps of the grid along the cube root of the volume, at least
 GAUSSIAN_WIDTH = 0.7  # standard deviation of the Gaussian over the largest edge of a voxel

@@ -11,8 +11,6 @@ from palpate.surface.formats.common import printable_word
 from palpate.surface.labels.label_map import LabelMap, in_metres
 from palpate.surface.labels.voxels import Unpacker, checked_shape, label_values, numbers_of, segments_of
 
-__all__ = ["read_metaimage"]
-
 NUMPY_TYPES = {
     "MET_CHAR": "i1", "MET_UCHAR": "u1", "MET_SHORT": "i2", "MET_USHORT": "u2", "MET_INT": "i4", "MET_UINT": "u4",
     "MET_LONG": "i4", "MET_ULONG": "u4", "MET_LONG_LONG": "i8", "MET_ULONG_LONG": "u8", "MET_FLOAT": "f4",

@@ -9,8 +9,6 @@ from typing import Any
 from palpate.faults import FileFormatError
 from palpate.files import json_of, read_text, shortened
 
-__all__ = ["read_names"]
-
 MAX_BYTES = 1 << 20
 MAX_NUMBER = 2**31 - 1
 SNAP_LINE = re.compile(r'(\d{1,10})\s[^"]*"([^"]*)"')  # number, colours, "name"

@@ -11,8 +11,6 @@ from scipy.spatial import cKDTree
 from palpate.arrays import Floats
 from palpate.surface.labels.label_map import LabelMap, Mask, Segment, mask_of
 
-__all__ = ["CutFace", "TouchingSegment", "contact_distance", "cut_faces", "enclosed_segments", "touching_segments"]
-
 MIN_ENCLOSED_SHARE = 0.6  # of the voxels round a segment, which belong to the organ in which it lies
 CONTACT_EDGES = 1.5  # largest voxel edges between the boundary voxels of segments that touch
 CONTACT_SPACINGS = 0.5  # or as many spacings, if that is more

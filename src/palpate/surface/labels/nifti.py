@@ -17,8 +17,6 @@ from palpate.faults import FileFormatError
 from palpate.surface.labels.label_map import RAS_TO_LPS, LabelMap, in_metres
 from palpate.surface.labels.voxels import GZIP_MAGIC, Unpacker, checked_shape, label_values, segments_of
 
-__all__ = ["read_nifti"]
-
 NUMPY_TYPES = {
     2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8",
 }  # fmt: skip

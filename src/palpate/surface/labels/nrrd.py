@@ -14,8 +14,6 @@ from palpate.surface.formats.common import printable_word
 from palpate.surface.labels.label_map import RAS_TO_LPS, LabelMap, in_metres
 from palpate.surface.labels.voxels import Unpacker, checked_shape, label_values, numbers_of, segments_of
 
-__all__ = ["read_nrrd"]
-
 NUMPY_TYPES = {
     "i1": ("signed char", "int8", "int8_t"), "u1": ("uchar", "unsigned char", "uint8", "uint8_t"),
     "i2": ("short", "short int", "signed short", "signed short int", "int16", "int16_t"),

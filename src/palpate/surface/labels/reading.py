@@ -15,8 +15,6 @@ from palpate.surface.labels.nifti import read_nifti
 from palpate.surface.labels.nrrd import read_nrrd
 from palpate.surface.labels.voxels import GZIP_MAGIC
 
-__all__ = ["is_label_map", "read_label_map"]
-
 READER_BY_FORMAT = {
     "nii": read_nifti, "nrrd": read_nrrd, "mha": read_metaimage, "mhd": read_metaimage, "dcm": read_dicom,
 }  # fmt: skip

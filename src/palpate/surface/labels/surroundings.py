@@ -14,8 +14,6 @@ from palpate.surface.labels.label_map import LabelMap, Segment, choose_segments
 from palpate.surface.labels.mask_surface import PIECE_PATTERN
 from palpate.surface.surface import Surface
 
-__all__ = ["MAX_SURROUNDING_TRIANGLES", "surrounding_surfaces"]
-
 MAX_SURROUNDING_TRIANGLES = 60_000  # of all surfaces
 AIMED_SHARE = 0.8  # of the triangles; long labels have more than others of their volume
 TRIANGLES_PER_SQUARE = 20.0  # over the square of the steps along the cube root of a label's volume

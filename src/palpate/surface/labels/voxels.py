@@ -14,8 +14,6 @@ from palpate.faults import FileFormatError
 from palpate.surface.formats.common import printable_word
 from palpate.surface.labels.label_map import Segment
 
-__all__ = ["Unpacker", "checked_shape", "counts_of_values", "label_values", "numbers_of", "segments_of"]
-
 MAX_VOXELS = 2**29  # of a file, stated in its header
 MAX_AXIS = 2**20  # voxels along an axis
 GZIP_MAGIC = b"\x1f\x8b"

@@ -16,8 +16,6 @@ from palpate.arrays import Floats, Singles
 from palpate.faults import InputError
 from palpate.files import whole_file
 
-__all__ = ["check_volume_name", "write_field", "write_labels"]
-
 VOLUME_SUFFIXES = (".nii", ".nii.gz", ".nrrd")
 LPS_TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
 METRES_TO_MILLIMETRES = np.diag([1e3, 1e3, 1e3, 1.0])  # of a metre

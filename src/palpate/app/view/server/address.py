@@ -11,8 +11,6 @@ import webbrowser
 
 from palpate.faults import InputError
 
-__all__ = ["DEFAULT_PORT", "LOOPBACK", "allowed_hosts", "is_loopback", "open_browser", "open_listener"]
-
 DEFAULT_PORT = 8765
 LOOPBACK = "127.0.0.1"
 PORT_ATTEMPTS = 20

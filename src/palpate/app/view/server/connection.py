@@ -12,8 +12,6 @@ from websockets.asyncio.server import ServerConnection
 from websockets.frames import Frame, Opcode
 from websockets.protocol import Event
 
-__all__ = ["CLOSE_TIMEOUT", "MAX_CONNECTIONS", "CountedConnection", "client_logger", "close_connection", "unsent_bytes"]
-
 HELLO_TIME = 0.25  # [s] in which a client surely sends hello
 MAX_CONNECTIONS = 128  # including those that have not sent hello
 CLOSE_TIMEOUT = 2.0  # [s] for the closing handshake

@@ -17,12 +17,6 @@ if TYPE_CHECKING:
     from palpate.realtime.bodies.display_surface import DisplaySurface
     from palpate.surface.surface import Surface
 
-__all__ = [
-    "CUT_GEOMETRY",
-    "FORCE", "GEOMETRY", "OVERLAY", "PREVIEW", "STATE", "SURROUNDING_SHAPES", "colour_range", "force_frame",
-    "geometry_frame", "overlay_body", "pack_frame", "preview_frame", "state_body", "surroundings_frame",
-]  # fmt: skip
-
 
 GEOMETRY, STATE, OVERLAY, FORCE, PREVIEW, CUT_GEOMETRY, SURROUNDING_SHAPES = 1, 2, 3, 4, 5, 6, 7
 FRAME_HEADER = struct.Struct("<4I")

@@ -25,8 +25,6 @@ from palpate.app.view.server.server import Server
 from palpate.app.view.server.view_source import Refining, ViewSource
 from palpate.surface.surface import Surface
 
-__all__ = ["Host", "serve", "serve_source"]
-
 JOIN_INTERVAL = 1.0  # [s]
 
 

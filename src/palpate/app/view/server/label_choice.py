@@ -16,8 +16,6 @@ from palpate.files import shortened
 if TYPE_CHECKING:
     from palpate.surface.labels.listing import LabelRow
 
-__all__ = ["LabelChoice", "let_choose"]
-
 POLL_INTERVAL = 0.5  # [s]: a wait without an end cannot be interrupted everywhere
 
 

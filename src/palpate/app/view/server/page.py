@@ -8,8 +8,6 @@ from pathlib import Path
 from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
 
-__all__ = ["PAGE_FOLDER", "SOCKET_PATH", "Page"]
-
 PAGE_FOLDER = Path(__file__).parents[1] / "page"
 SOCKET_PATH = "/session"
 CONTENT_TYPES = {

@@ -20,8 +20,6 @@ from palpate.faults import FileFormatError, InputError
 from palpate.files import read_json, write_json
 from palpate.surface.surface import Surface
 
-__all__ = ["MAX_PREVIEW_TRIANGLES", "Preparation", "coarsen"]
-
 MAX_PREVIEW_TRIANGLES = 60_000
 AREA_PER_TRIANGLE = 0.35  # of a triangle between vertices of a grid, over the square of its cells
 MAX_BODIES = 50  # with durations in the file

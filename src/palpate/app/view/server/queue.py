@@ -7,8 +7,6 @@ from collections import deque
 
 from palpate.app.session.messages import Message
 
-__all__ = ["MAX_MESSAGES", "MessageQueue"]
-
 MAX_MESSAGES = 64
 
 

@@ -37,8 +37,6 @@ from palpate.faults import InputError
 from palpate.files import shortened
 from palpate.surface.surface import Surface
 
-__all__ = ["SUBPROTOCOL", "Server"]
-
 SUBPROTOCOL = Subprotocol("palpate.v2")
 WRONG_TOKEN, TOO_MANY_VIEWERS = 4401, 4429  # closing codes; also those of a viewer
 GOING_AWAY, SERVER_ERROR = 1001, 1011

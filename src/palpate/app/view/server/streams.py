@@ -11,8 +11,6 @@ from palpate.app.view.server import frames
 from palpate.app.view.server.view_source import ViewSource
 from palpate.app.view.server.viewer import Viewer
 
-__all__ = ["Streams"]
-
 STATE_INTERVAL = 1 / 60  # [s] between state frames of a viewer
 PRECISE_WAIT = 0.01  # [s]: shorter waits use the system's sleep
 POLL_INTERVAL = 0.01  # [s] between checks for a new state

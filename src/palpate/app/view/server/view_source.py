@@ -10,8 +10,6 @@ from palpate.app.session.messages import Message
 if TYPE_CHECKING:
     from palpate.realtime.bodies.display_surface import DisplaySurface
 
-__all__ = ["Refining", "ViewSource"]
-
 
 class ViewSource(Protocol):
     """A session or a replay."""

@@ -17,8 +17,6 @@ from websockets.exceptions import ConnectionClosed
 from palpate.app.view.server.connection import close_connection, unsent_bytes
 from palpate.app.view.server.queue import MessageQueue
 
-__all__ = ["INVALID_MESSAGES", "MAX_FRAMES_IN_FLIGHT", "VIEWER_TOO_SLOW", "Viewer"]
-
 MAX_FRAMES_IN_FLIGHT = 2  # state frames without acknowledgement
 MAX_INVALID_MESSAGES = 10  # in a row
 VIEWER_TOO_SLOW = 4408  # closing code of a viewer that does not read or does not respond

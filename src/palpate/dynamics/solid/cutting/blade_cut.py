@@ -28,8 +28,6 @@ from palpate.dynamics.solid.cutting.incision import (
 )
 from palpate.faults import DivergenceError, InputError, first_few
 
-__all__ = ["advance_blade", "blade_of", "cut_with_blade", "steps_of_blade", "with_pairs"]
-
 STEP_WAY = 0.1  # of the edge between two cuts, in spacings
 SUPPORT_DISTANCE = 0.5  # from a cut to the nodes that supports and tools hold, in spacings
 

@@ -37,8 +37,6 @@ from palpate.meshfree.cut.stencils import (
 from palpate.meshfree.cut.surface import MAX_WAY, NO_CUT, CutSurface, cut_surface, first_triangles, nodes_near
 from palpate.meshfree.inner_gradient import inner_nodes
 
-__all__ = ["cut", "cut_from", "detached_nodes", "uncut_state", "without_detached"]
-
 KEEP_PIECES, REMOVE_PIECES = "keep", "remove"
 COMPUTED_NAMES = (  # attributes of a body that follow from its constants
     "stencils", "smoothing", "patches", "contact_edges", "stability", "_recovery", "free_directions", "step_body",

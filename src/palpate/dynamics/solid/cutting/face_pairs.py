@@ -15,8 +15,6 @@ from palpate.meshfree.cut.points import SIGHT_DISTANCE, PointWeights, inside_bod
 from palpate.meshfree.cut.stencils import CutState
 from palpate.meshfree.cut.surface import triangle_areas
 
-__all__ = ["face_pairs", "joined_sites", "turn_pairs"]
-
 PAIR_DISTANCE = 0.8  # between the points at which faces touch, in spacings
 
 

@@ -35,17 +35,6 @@ from palpate.meshfree.cut.points import (
 from palpate.meshfree.cut.stencils import CutState
 from palpate.meshfree.cut.surface import is_narrow, nearest_on_cut, swept, triangle_areas
 
-__all__ = [
-    "Incision",
-    "Strip",
-    "advance_edge",
-    "after_cut",
-    "blade_sites",
-    "edge_points",
-    "next_strip",
-    "start_incision",
-]
-
 EDGE_PIECE = 0.5  # longest piece of the edge, in spacings
 LARGEST_ADVANCE, LEAST_ADVANCE = 0.25, 0.05  # of the edge in one cut, in spacings
 LEAST_WAY = 0.02  # of a point of the edge in one cut, below which it stays, in spacings

@@ -15,16 +15,6 @@ from palpate.dynamics.solid.layout import Smoothing
 from palpate.meshfree.cut.stencils import FittedRows
 from palpate.meshfree.stencils import Stencils
 
-__all__ = [
-    "Entries",
-    "fitted_entries",
-    "row_entries",
-    "smoothing_entries",
-    "smoothing_of",
-    "stencils_of",
-    "with_stencils",
-]
-
 
 class Entries(NamedTuple):
     """Weights (t, w) of neighbours (t,) in the rows of nodes (t,), without those of nodes on themselves."""
