@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import subspace_angles
 
 import palpate as pt
 from palpate.reduction.basis import incremental_pod as incremental
@@ -119,12 +120,13 @@ def test_the_products_of_strain_are_those_of_the_gradients(held):
 
 
 def test_modes_of_strain_by_blocks_span_those_of_all_snapshots(run, held, monkeypatch):
-    whole, _ = main_modes(held, run.displacements, 6)
+    body = held.energy_form()
+    whole, _ = main_modes(body, run.displacements, 6)
     monkeypatch.setattr(incremental, "MAX_BLOCK", BLOCK)
-    found, lost = main_modes(held, Snapshots(run), 6)
+    found, lost = main_modes(body, Snapshots(run), 6)
     assert 0.0 < lost <= incremental.DROP_TOLERANCE
-    cosines = np.linalg.svd(np.einsum("mnc,n,knc->mk", found, held.volumes, whole), compute_uv=False)
-    assert cosines.min() > 1 - 1e-6
+    angles = subspace_angles(found.reshape(6, -1).T, whole.reshape(6, -1).T)
+    assert np.cos(angles).min() > 1 - 1e-6
 
 
 def test_a_model_trained_on_files_equals_one_trained_in_memory(bar, tissue, files, calm):
