@@ -323,7 +323,7 @@ def test_the_printed_errors_of_the_force_are_those_of_the_study():
         ),
         (["--fixed", "near 0,0,0,500"], "--fixed must leave tissue free, got 100% of the nodes held"),
         (["--fixed", "painted nothing.vtp"], "there is no painted mesh at nothing.vtp"),
-        (["--spacing", "0.0002"], f"--spacing must give at most {MOST_NODES} nodes for a full body, got 0.2 mm"),
+        (["--spacing", "0.0002"], "--spacing must give at most 500000 nodes, got 0.0002 m"),
         (["--spacing", "0.03"], "--spacing must be at most"),
         (["--part", "lobe"], "--part must be omitted for OFF files"),
         (["--scale", "0"], "--scale must be"),
