@@ -175,9 +175,9 @@ def test_quaternions_of_any_length_are_normalised():
 
 @pytest.mark.parametrize("value", [10**5000, np.inf, "much"], ids=["long", "inf", "text"])
 def test_loads_that_are_not_finite_numbers_are_refused(value, energetic):
-    for load in (pt.Gravity((0.0, 0.0, value)), pt.Pressure("x+", value)):
+    for make in (lambda: pt.Gravity((0.0, 0.0, value)), lambda: pt.Pressure("x+", value)):
         with pytest.raises(pt.InputError, match=r"Gravity|Pressure"):
-            pt.rollout(energetic, [load], **SHORT)
+            pt.rollout(energetic, [make()], **SHORT)
 
 
 @pytest.mark.parametrize("factor", [1e200, 1e12])
