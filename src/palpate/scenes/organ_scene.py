@@ -328,11 +328,12 @@ class OrganScene(Described):
         """Function of a seed, from 0, that returns the loads of a random tool path and its duration [s]."""
         if not self.held_group:
             return self.tool_paths()
-        lasting = self.description.training.duration
-        self.held_motion(0, lasting)  # raises an error at once
+        duration = self.description.training.duration
+        self.held_motion(0, duration)  # raises an error at once
 
         def path(seed: int) -> tuple[tuple[Load, ...], float]:
-            return (*self.foundations, self.held_motion(seed, lasting).load(self.body.cloud, self.held_group)), lasting
+            loads = (*self.foundations, self.held_motion(seed, duration).load(self.body.cloud, self.held_group))
+            return loads, duration
 
         return path
 
@@ -353,9 +354,9 @@ class OrganScene(Described):
         touched = self.body if body is None else body
         return touching_paths(about.tool, about.training, touched, self.foundations, deepest, shallowest)
 
-    def held_motion(self, seed: int, lasting: float) -> HeldMotion:
+    def held_motion(self, seed: int, duration: float) -> HeldMotion:
         """Return a motion of the tool that holds a group, over a time [s]."""
-        return held_motion(self.description.training, seed, lasting)
+        return held_motion(self.description.training, seed, duration)
 
     @property
     def region_groups(self) -> list[str]:

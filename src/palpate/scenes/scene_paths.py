@@ -25,12 +25,12 @@ MIN_DEPTH_RATIO = 0.3  # depth of the shallowest press over that of the deepest
 SWINGS_PER_MOTION = 3  # in a motion of a held group
 
 
-def held_motion(training: Training, seed: int, lasting: float) -> HeldMotion:
+def held_motion(training: Training, seed: int, duration: float) -> HeldMotion:
     """Return a motion of a tool that holds a group; raise `InputError` for swings of no size."""
     bounds = np.array([[*training.low, *training.low_turn], [*training.high, *training.high_turn]])
     if not np.all(bounds[0] <= bounds[1]) or not bounds.any():
         raise InputError("low of [training] must be at most high, and not all 0, for a tool that holds a group")
-    return HeldMotion(seed, lasting, bounds)
+    return HeldMotion(seed, duration, bounds)
 
 
 def touching_paths(
@@ -74,7 +74,7 @@ class HeldMotion:
     """Smooth random motion of a tool: a sum of swings out and back, with one to three periods in a motion."""
 
     seed: int
-    lasting: float  # [s]: period of the motion, at the ends of which the tool is at rest
+    duration: float  # [s]: period of the motion, at the ends of which the tool is at rest
     bounds: Floats  # (2, 6) array: least and largest displacement [m] and rotation vector [rad] of one swing
 
     @cached_property
@@ -85,7 +85,7 @@ class HeldMotion:
 
     def pose(self, time: float) -> tuple[Floats, Rotation]:
         """Return the displacement (3,) [m] of the tool's reference point and the rotation about it at a time [s]."""
-        shares = np.sin(np.pi * np.arange(1, SWINGS_PER_MOTION + 1) * time / self.lasting) ** 2
+        shares = np.sin(np.pi * np.arange(1, SWINGS_PER_MOTION + 1) * time / self.duration) ** 2
         moved = shares @ self.sizes
         return moved[:3], Rotation.from_rotvec(moved[3:])
 
