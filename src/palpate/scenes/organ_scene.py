@@ -332,8 +332,8 @@ class OrganScene(Described):
         self.held_motion(0, duration)  # raises an error at once
 
         def path(seed: int) -> tuple[tuple[Load, ...], float]:
-            loads = (*self.foundations, self.held_motion(seed, duration).load(self.body.cloud, self.held_group))
-            return loads, duration
+            load = self.held_motion(seed, duration).load(self.body.cloud, self.held_group)
+            return (*self.foundations, load), duration
 
         return path
 
