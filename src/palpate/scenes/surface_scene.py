@@ -11,11 +11,13 @@ import numpy as np
 
 from palpate.faults import InputError
 from palpate.parameters import check_number, fields_of
-from palpate.scenes.description import Body, Description, Shape, Support, Tissue, with_settings
+from palpate.scenes.description import Body, Description, Region, Shape, Support, Tissue, with_settings
+from palpate.scenes.label_parts import whole_body
 from palpate.scenes.names import SceneKind, kind_of
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.organ_scene import OrganScene
 from palpate.scenes.places import place_of_text
+from palpate.surface.labels.reading import is_label_map
 
 NODES_PER_CELL = 1.45  # nodes over volume / spacing^3 in a filled organ
 REFINED_NODES = 4500  # of a body without a spacing; statics of training take 5,000 at most
@@ -60,21 +62,26 @@ def surface_scene(
                 check_number(value, fields_of(section)[name][0].metadata)
             except InputError as error:
                 raise InputError(f"{name} {error}") from None
+    parts, regions, notes = tuple(part), tuple[Region, ...](), list[str]()
+    if is_label_map(file):
+        parts, regions, notes = whole_body(Path(file), None if labels is None else Path(labels), parts, scale, spacing)
     description = Description(
         title="",
         surface=Shape(
             file=str(file),
-            parts=tuple(part),
+            parts=parts,
             units=units or "",
             scale=scale,
             labels="" if labels is None else str(labels),
         ),
         body=Body(spacing=spacing),
         tissue=Tissue(law=law or "NeoHookean"),
+        region=regions,
         support=tuple(Support(place=place_of_text(text)) for text in fixed),
     )
     scene = OrganScene(with_settings(description, settings or {}), Path(), str(file), SceneKind.SURFACE_FILE, settings)
     _ = scene.material  # raises for a wrong law or parameter
+    scene.notes += [f"label map: {note}" for note in notes]
     return scene
 
 

@@ -49,7 +49,7 @@ def test_what_lies_in_the_organ_is_of_the_body_and_a_region_and_a_lesion_is_stif
     stiffness = {region.name: (region.stiffness, region.place.part, why) for region, why in found.regions}
     assert stiffness["liver_tumour"][:2] == (4.4, "liver_tumour")
     assert "Venkatesh" in stiffness["liver_tumour"][2]
-    assert stiffness["hepatic_vessels"][0] == 1.0
+    assert stiffness.keys() == {"liver_tumour"}  # the vessels can lie between two nodes
     assert found.title == "Liver"
 
 
@@ -87,7 +87,7 @@ def test_a_new_scene_of_a_label_map_has_what_it_proposes_and_opens(trunk, scene)
     table = tomllib.loads(text)
     assert (scene.parent / table["surface"]["file"]).resolve() == trunk.resolve()
     assert table["surface"]["parts"] == ["liver", "liver_tumour", "hepatic_vessels"]
-    assert [each["name"] for each in table["region"]] == ["liver_tumour", "hepatic_vessels"]
+    assert [each["name"] for each in table["region"]] == ["liver_tumour"]
     assert table["support"][0]["name"] == "rib_right_8"
     assert "# a bone that touches" in text
     assert '# kind = "springs"' in text

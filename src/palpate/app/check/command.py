@@ -22,11 +22,13 @@ from palpate.files import check_folder, plain
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.filling import fill
 from palpate.meshfree.gate import nearest_spacing
+from palpate.scenes.label_parts import whole_body
 from palpate.scenes.names import SceneKind, kind_of
 from palpate.scenes.open_scene import open_scene, training_scene_of
 from palpate.scenes.organ_scene import OrganScene
 from palpate.surface.checks import SurfaceReport, check_surface
 from palpate.surface.files import read_surface
+from palpate.surface.labels.reading import is_label_map
 from palpate.surface.repair import repair_surface
 from palpate.surface.surface import Surface
 
@@ -113,6 +115,8 @@ def check(
         surface, seed, repair = _scene_surface(scene), scene.description.body.seed, scene.description.surface.repair
         spacing = scene.description.body.spacing
     else:
+        if is_label_map(file):
+            part = list(whole_body(file, labels, tuple(part or ()), scale, spacing)[0]) or None
         surface = read_surface(file, part=part, units=units, scale=scale, repair=repair, labels=labels)
     with console.status("examining the surface"):
         surface_report = check_surface(surface)

@@ -73,7 +73,7 @@ def new(
     )  # fmt: skip
     proposals = None
     if is_label_map(file):
-        scene, proposals = _with_proposals(scene, spacing, console)
+        scene, proposals = _with_proposals(scene, tuple(part or ()), spacing, console)
     scene, guesses = _fitted(scene, spacing, console)
     if proposals is not None:
         guesses["reasons"] = {region.name: why for region, why in proposals.regions}
@@ -135,16 +135,18 @@ def _fitted(scene: OrganScene, spacing: float | None, console: Console) -> tuple
     return made, guesses
 
 
-def _with_proposals(scene: OrganScene, spacing: float | None, console: Console) -> tuple[OrganScene, Proposals]:
+def _with_proposals(
+    scene: OrganScene, part: tuple[str, ...], spacing: float | None, console: Console
+) -> tuple[OrganScene, Proposals]:
     """Return the scene of an organ with what lies in it, and held by what touches it, and all proposals."""
     about = scene.description
     with console.status("searching the label map"):
         labels = read_label_map(about.surface.file, about.surface.labels or None).scaled(about.surface.scale)
-        if not about.surface.parts and len(labels.segments) > 1:
+        if not part and len(labels.segments) > 1:
             raise choice_of_labels(labels)
-        organ = segments_mask(labels, choose_segments(labels, about.surface.parts or None))
+        organ = segments_mask(labels, choose_segments(labels, part or None))
         target_spacing = spacing or spacing_for(TRAINED_NODES, organ.volume)
-        proposals = propose(labels, Path(about.surface.file), about.surface.parts, target_spacing)
+        proposals = propose(labels, Path(about.surface.file), part, target_spacing)
     regions = tuple(region for region, _ in proposals.regions)
     supports = about.support or tuple(support for support, _ in proposals.supports)
     shape = replace(about.surface, parts=proposals.parts)

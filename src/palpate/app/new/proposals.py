@@ -8,16 +8,10 @@ from pathlib import Path
 
 from palpate.arrays import Floats
 from palpate.scenes.description import Near, Place, Plane, Region, Support
-from palpate.surface.labels.label_map import LabelMap, Segment, choose_segments, part_names, segments_mask
-from palpate.surface.labels.neighbours import contact_distance, cut_faces, enclosed_segments, touching_segments
+from palpate.scenes.label_parts import body_segments_of, enclosed_region, is_large
+from palpate.surface.labels.label_map import LabelMap, Segment, part_names, segments_mask
+from palpate.surface.labels.neighbours import contact_distance, cut_faces, touching_segments
 
-LESION_WORDS = ("tumour", "tumor", "lesion", "mass", "neoplasm", "cancer", "carcinoma", "metasta", "nodule")
-# stiffness of a malignant lesion over that of its organ, with the source
-LESION_FACTORS = (
-    ("liver", 4.4, "malignant tumours 10.1 kPa, healthy liver 2.3 kPa: Venkatesh et al., AJR 190, 2008; benign: 1.2"),
-    ("prostate", 2.1, "cancer over normal tissue: Zhang et al., Cancer Biomarkers 4, 2008"),
-)
-OTHER_FACTOR = 3.0  # of a lesion in another organ
 BONE_WORDS = ("vertebra", "rib_", "ribs", "sternum", "sacrum", "hip_", "scapula", "clavicula", "femur", "humerus",
               "skull", "costal", "bone")  # fmt: skip
 VESSEL_WORDS = ("aorta", "vena_cava", "vein", "artery", "atrium", "ligament", "trachea", "oesophagus", "esophagus")
@@ -49,10 +43,8 @@ def propose(labels: LabelMap, file: Path, part: Sequence[str] | None, spacing: f
     spacing : float [m]
         Of the body's nodes.
     """
-    chosen = choose_segments(labels, part or None)
+    chosen, enclosed = body_segments_of(labels, part)
     names = dict(zip(labels.segments, part_names(labels), strict=True))
-    enclosed = enclosed_segments(labels, segments_mask(labels, chosen))
-    organ = " ".join(each.name for each in chosen).lower()
     inner = (*chosen, *enclosed)
     mask = segments_mask(labels, inner)
     fixed, soft, held = [], [], 0.0
@@ -81,25 +73,13 @@ def propose(labels: LabelMap, file: Path, part: Sequence[str] | None, spacing: f
     return Proposals(
         ", ".join(each.name for each in chosen).replace("_", " ").capitalize(),
         (*parts, *(names[each] for each in enclosed)),
-        tuple(_region(segment, names[segment], organ) for segment in enclosed), tuple(fixed), tuple(soft),
+        tuple(enclosed_region(labels, segment, chosen) for segment in enclosed if is_large(labels, segment, spacing)),
+        tuple(fixed), tuple(soft),
     )  # fmt: skip
 
 
 def _rounded(values: Floats, digits: int) -> tuple[float, ...]:
     return tuple(round(float(value), digits) + 0.0 for value in values)
-
-
-def _region(segment: Segment, name: str, organ: str) -> tuple[Region, str]:
-    """Return the region of a segment in an organ, with the stiffness of a lesion if it is one."""
-    if not _has(segment, LESION_WORDS):
-        return Region(
-            name=segment.name, place=Place(part=name)
-        ), "lies in the organ; the same tissue until you change it"
-    factor, source = OTHER_FACTOR, "an example: set yours"
-    for word, ratio, text in LESION_FACTORS:
-        if word in organ:
-            factor, source = ratio, text
-    return Region(name=segment.name, place=Place(part=name), stiffness=factor), f"lies in the organ; {source}"
 
 
 def _has(segment: Segment, words: Sequence[str]) -> bool:
