@@ -150,6 +150,7 @@ def test_a_disc_whose_radius_is_not_a_multiple_of_the_spacing_is_evenly_spread(l
         assert 0.7 < distance.min() <= distance.max() < 1.25
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("count", [10, 20, 40, 80])
 def test_jitter_keeps_neighbours_apart(layout, count):
@@ -295,6 +296,7 @@ def test_triangles_tile_a_sheet_and_stay_in_it(shape):
     np.testing.assert_array_equal(np.unique(cloud.triangles), np.arange(len(cloud)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OUTLINES)
 @pytest.mark.parametrize("spacing", [0.02, 0.0123, 0.004])
 def test_nodes_of_a_sheet_are_evenly_spread(name, spacing):
@@ -309,6 +311,7 @@ def test_stencils_on_a_sheet_are_exact_and_well_conditioned(shape):
     assert_quadratics_are_exact(shape[1], 4000)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_accepted_outlines_have_accurate_stencils(seed):
     """Random outlines: each is refused, or gives a cloud that tiles it and carries quadratics, jittered or not."""

@@ -20,7 +20,8 @@ from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats, Ints
 from palpate.meshfree.cloud import Cloud
-from palpate.meshfree.cut.surface import NO_CUT, CutSurface, bond_paths
+from palpate.meshfree.cut.bond_paths import bond_paths
+from palpate.meshfree.cut.surface import NO_CUT, CutSurface
 from palpate.meshfree.visibility import is_pair
 
 KERNEL_RADIUS = 1.55  # kernel radius in surface spacings, closest to Hertz's contact
@@ -60,7 +61,7 @@ def surface_patches(cloud: Cloud, *, cut: CutSurface = NO_CUT) -> sparse.csr_arr
         distance[is_pair(cloud.hidden, row, near.ravel()).reshape(near.shape)] = np.inf
         near = np.where(np.isfinite(distance), near, surface[:, None])
     if len(cut.triangles):
-        distance = _distances_round(cut, points, surface, near, distance, cloud.spacing)
+        distance = _distances_round(cut, points, surface, near, distance)
         near = np.where(np.isfinite(distance), near, surface[:, None])
     across = _kernel(distance, reach)
     below = np.where(np.isin(near, surface), across, _kernel(distance, MAX_PATCH_DEPTH * cloud.spacing))
@@ -123,18 +124,12 @@ def _ends_inside(cloud: Cloud, nodes: Ints) -> bool:
     return bool(np.any(along > SAME_FACE_COSINE * np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)))
 
 
-def _distances_round(
-    cut: CutSurface, points: Floats, nodes: Ints, near: Ints, distance: Floats, spacing: float
-) -> Floats:
+def _distances_round(cut: CutSurface, points: Floats, nodes: Ints, near: Ints, distance: Floats) -> Floats:
     """Return distances (s, k) [m] of nodes from others along the paths round the fronts of a cut."""
     count, paths = near.shape[1], np.empty(near.size)
     start = np.arange(0, near.size + 1, count)
     every = np.ascontiguousarray(near.ravel(), dtype=np.int64)
-    reach = float(np.max(np.where(np.isfinite(distance), distance, 0.0)))
-    bond_paths(
-        points, nodes, start, every, cut.extended, cut.components, cut.fronts, cut.front_components, spacing, reach,
-        paths,
-    )  # fmt: skip
+    bond_paths(points, nodes, start, every, cut.tree, cut.fronts, cut.front_components, paths)
     return np.where(np.isfinite(distance), np.maximum(distance, paths.reshape(near.shape)), distance)
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.meshfree.cut.surface import NO_CUT, bond_paths, cut_surface, swept
+from palpate.meshfree.cut.bond_paths import bond_paths
+from palpate.meshfree.cut.surface import NO_CUT, changed_spheres, cut_surface, swept
 from palpate.surface.nesting import inside_points
 
 SPACING = 0.1
@@ -30,7 +31,7 @@ def paths(surface, pairs):
     result = np.empty(count)
     start, near = np.arange(count + 1), np.arange(1, 2 * count, 2)
     nodes, fronts = np.arange(0, 2 * count, 2), (surface.fronts, surface.front_components)
-    bond_paths(points, nodes, start, near, surface.extended, surface.components, *fronts, SPACING, 0.34, result)
+    bond_paths(points, nodes, start, near, surface.tree, *fronts, result)
     return result
 
 
@@ -98,6 +99,24 @@ def test_triangles_with_a_common_edge_are_a_component():
     )
     np.testing.assert_array_equal(surface.components, [0] * 8 + [1] * 2)
     assert set(surface.front_components) == {0, 1}
+
+
+def test_changes_are_new_triangles_moved_fronts_and_triangles_of_joined_components():
+    """The third sheet joins the second to the first, whose triangles behind its front stay."""
+    y = np.linspace(-0.5, 1.5, 5)
+    sheets = [
+        swept(np.array([np.column_stack([np.full(5, x), y, np.full(5, 0.55)]) for x in places]))
+        for places in ((-0.5, 0.0, 0.4), (0.8, 1.5), (0.4, 0.8))
+    ]
+    apart = cut_surface(cut_surface(NO_CUT, sheets[0], IS_INSIDE, SPACING), sheets[1], IS_INSIDE, SPACING)
+    joined = cut_surface(apart, sheets[2], IS_INSIDE, SPACING)
+    assert len(changed_spheres(joined, joined)) == 0
+    middles, radii = np.split(changed_spheres(apart, joined), [3], axis=1)
+    is_changed = lambda ends: np.linalg.norm(ends.mean(axis=1)[:, None] - middles, axis=2).min(axis=1) < 1e-9  # noqa: E731
+    # of the last triangle at the front of the first sheet only a corner outside the body is there
+    np.testing.assert_array_equal(is_changed(joined.extended), np.repeat([False, True, False, True], [8, 7, 1, 16]))
+    assert is_changed(apart.fronts).all()
+    assert radii.max() <= np.linalg.norm([0.7, 0.5])
 
 
 def test_a_front_that_a_further_cut_covers_is_no_longer_one():

@@ -16,8 +16,9 @@ import numpy as np
 
 from palpate.arrays import Floats, Ints
 from palpate.code_cache import cached_njit
-from palpate.meshfree.cut.stencils import FittedRows, UncutStencils
+from palpate.meshfree.cut.stencils import FittedRows
 from palpate.meshfree.cut.surface import CutSurface, nearest_normals
+from palpate.meshfree.cut.uncut import UncutStencils
 
 MAX_ITERATIONS, RESIDUAL_TOLERANCE = 400, 1e-11  # of the iterations for the changes; relative to V / h
 WINDOW_ITERATIONS, SLOWEST_DECREASE = 40, 0.5  # iterations after which the residual must have decreased by a factor
@@ -75,18 +76,35 @@ def _across(normals, field):  # type: ignore[no-untyped-def]
 @cached_njit(nogil=True)
 def _change(m, start, freedom, size, center, other, offset, inverse, field, block):  # type: ignore[no-untyped-def]
     """Write the changes (k, 3) of the weights of row m for multipliers (l, 3) into `block`."""
-    begin, end, i = start[m], start[m + 1], center[m]
-    for c in range(3):
-        x, y, z = 0.0, 0.0, 0.0
-        for p in range(begin, end):
-            value = freedom[p] * size * (field[other[p], c] - field[i, c])
-            block[p - begin, c] = value
-            x, y, z = x + value * offset[p, 0], y + value * offset[p, 1], z + value * offset[p, 2]
-        fx = x * inverse[m, 0, 0] + y * inverse[m, 1, 0] + z * inverse[m, 2, 0]
-        fy = x * inverse[m, 0, 1] + y * inverse[m, 1, 1] + z * inverse[m, 2, 1]
-        fz = x * inverse[m, 0, 2] + y * inverse[m, 1, 2] + z * inverse[m, 2, 2]
-        for p in range(begin, end):
-            block[p - begin, c] -= freedom[p] * (fx * offset[p, 0] + fy * offset[p, 1] + fz * offset[p, 2])
+    begin, i = start[m], center[m]
+    fx, fy, fz = field[i, 0], field[i, 1], field[i, 2]
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # sums of the changes times x'
+    for p in range(begin, start[m + 1]):
+        j, k, share = other[p], p - begin, freedom[p] * size
+        ox, oy, oz = offset[p, 0], offset[p, 1], offset[p, 2]
+        x, y, z = share * (field[j, 0] - fx), share * (field[j, 1] - fy), share * (field[j, 2] - fz)
+        block[k, 0], block[k, 1], block[k, 2] = x, y, z
+        xx, xy, xz = xx + x * ox, xy + x * oy, xz + x * oz
+        yx, yy, yz = yx + y * ox, yy + y * oy, yz + y * oz
+        zx, zy, zz = zx + z * ox, zy + z * oy, zz + z * oz
+    ax, ay, az = _times(inverse, m, xx, xy, xz)
+    bx, by, bz = _times(inverse, m, yx, yy, yz)
+    cx, cy, cz = _times(inverse, m, zx, zy, zz)
+    for p in range(begin, start[m + 1]):
+        k, share, ox, oy, oz = p - begin, freedom[p], offset[p, 0], offset[p, 1], offset[p, 2]
+        block[k, 0] -= share * (ax * ox + ay * oy + az * oz)
+        block[k, 1] -= share * (bx * ox + by * oy + bz * oz)
+        block[k, 2] -= share * (cx * ox + cy * oy + cz * oz)
+
+
+@cached_njit(nogil=True)
+def _times(inverse, m, x, y, z):  # type: ignore[no-untyped-def]
+    """Return a vector times the inverse matrix of row m."""
+    return (
+        x * inverse[m, 0, 0] + y * inverse[m, 1, 0] + z * inverse[m, 2, 0],
+        x * inverse[m, 0, 1] + y * inverse[m, 1, 1] + z * inverse[m, 2, 1],
+        x * inverse[m, 0, 2] + y * inverse[m, 1, 2] + z * inverse[m, 2, 2],
+    )
 
 
 @cached_njit(nogil=True)
@@ -95,13 +113,17 @@ def _apply(rows, field, image, block):  # type: ignore[no-untyped-def]
     start, freedom, sizes, center, other, offset, inverse = rows
     image[:] = 0.0
     for m in range(center.shape[0]):
-        size = sizes[m]
+        i, size = center[m], sizes[m]
         _change(m, start, freedom, size, center, other, offset, inverse, field, block)
+        x, y, z = image[i, 0], image[i, 1], image[i, 2]
         for p in range(start[m], start[m + 1]):
-            for c in range(3):
-                value = size * block[p - start[m], c]
-                image[other[p], c] += value
-                image[center[m], c] -= value
+            j, k = other[p], p - start[m]
+            dx, dy, dz = size * block[k, 0], size * block[k, 1], size * block[k, 2]
+            image[j, 0] += dx
+            image[j, 1] += dy
+            image[j, 2] += dz
+            x, y, z = x - dx, y - dy, z - dz
+        image[i, 0], image[i, 1], image[i, 2] = x, y, z
 
 
 @cached_njit(nogil=True)

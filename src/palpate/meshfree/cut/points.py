@@ -12,14 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats, Ints
-from palpate.meshfree.cut.stencils import REACH_MARGIN, UncutStencils
-from palpate.meshfree.cut.surface import CutSurface, bond_paths
+from palpate.code_cache import cached_njit
+from palpate.meshfree.cut.bond_paths import bond_paths
+from palpate.meshfree.cut.surface import CutSurface
+from palpate.meshfree.cut.uncut import REACH_MARGIN, UncutStencils
 from palpate.surface.nesting import inside_points, inside_shares
 
 CANDIDATE_NODES, FIT_NODES = 64, 20  # nearest nodes, and nodes inside the radius of the fit
 MAX_ITERATIONS, LAST_CHANGE = 4, 1e-3  # of the reference point, and its last change in spacings
 SIGHT_DISTANCE = 0.3  # from a point to where it is seen from, in spacings
-SEARCH_DISTANCE = 4.0  # of the cut from points, in spacings
 LEAST_VOLUME = 0.1  # ratio of volumes below which a fit is not used
 MAX_DEPTH = 2.0  # of a point in the body whose nearest node is on the surface, in spacings
 FAR_DISTANCE = 1.5  # distance from the nearest node beyond which a point moves with it, in spacings
@@ -31,6 +32,8 @@ class PointWeights(NamedTuple):
     nodes: Ints  # (p, k) array
     values: Floats  # (p, k) array: weights of the displacement
     slopes: Floats  # (p, k, 3) array [1/m]: weights of its derivatives
+    # (p,) array [m]: distances from where the points are seen beyond which a change of the cut does not change them
+    radii: Floats
 
 
 def point_weights(uncut: UncutStencils, surface: CutSurface, points: Floats, seen_from: Floats) -> PointWeights:
@@ -45,26 +48,55 @@ def point_weights(uncut: UncutStencils, surface: CutSurface, points: Floats, see
     n, count = len(uncut.points), min(CANDIDATE_NODES, len(uncut.points))
     _, near = uncut.tree.query(points, k=count)
     near = np.asarray(near, dtype=np.int64)
-    near_cut = _near_points(surface, points, uncut.spacing)
     start, paths = np.arange(0, len(points) * count + 1, count), np.empty(near.size)
     every = np.concatenate([uncut.points, seen_from])
     bond_paths(
-        every, n + np.arange(len(points)), start, near.ravel(), *near_cut, uncut.spacing,
-        SEARCH_DISTANCE * uncut.spacing, paths,
+        every, n + np.arange(len(points)), start, near.ravel(), surface.tree, surface.fronts,
+        surface.front_components, paths,
     )  # fmt: skip
     lengths: Floats = paths.reshape(near.shape)
     seen = np.where(np.isfinite(lengths), lengths, 0.0)
     ordered = np.sort(np.where(seen > 0.0, lengths, np.inf), axis=1)[:, min(FIT_NODES, count - 1)]
     radius = REACH_MARGIN * np.where(np.isfinite(ordered), ordered, np.maximum(seen.max(axis=1), uncut.spacing))
-    ratio = lengths / radius[:, None]
-    inside = np.minimum(ratio, 1.0)
-    weights = np.where(ratio < 1.0, 1.0 + inside**2 * (-6.0 + inside * (8.0 - 3.0 * inside)), 0.0)
-    offsets = (uncut.points[near] - points[:, None]) / radius[:, None, None]
-    monomials = np.concatenate([np.ones((*near.shape, 1)), offsets], axis=2)
-    moments = np.einsum("pk,pki,pkj->pij", weights, monomials, monomials)
-    inverse = np.linalg.pinv(moments, rcond=1e-9, hermitian=True)
-    table = np.einsum("pk,pki,pij->pkj", weights, monomials, inverse)
-    return PointWeights(near, table[..., 0], table[..., 1:] / radius[:, None, None])
+    weighted, moments = np.zeros((*near.shape, 4)), np.zeros((len(points), 4, 4))
+    _weigh(uncut.points, near, points, lengths, radius, weighted, moments)
+    values, slopes = np.zeros(near.shape), np.zeros((*near.shape, 3))
+    _fit(weighted, np.linalg.pinv(moments, rcond=1e-9, hermitian=True), radius, values, slopes)
+    # a path beyond the radius has no weight, and no path leaves the sphere of its length
+    return PointWeights(near, values, slopes, np.where(np.isfinite(ordered), radius, np.inf))
+
+
+@cached_njit(nogil=True)
+def _weigh(nodes, near, points, lengths, radius, weighted, moments):  # type: ignore[no-untyped-def]
+    """Write monomials 1, x, y, z of nodes in the fits at points times weights (p, k, 4), and the moments (p, 4, 4)."""
+    monomial = np.ones(4)
+    for p in range(points.shape[0]):
+        for k in range(near.shape[1]):
+            ratio = lengths[p, k] / radius[p]
+            if not ratio < 1.0:
+                continue
+            weight = 1.0 + ratio * ratio * (-6.0 + ratio * (8.0 - 3.0 * ratio))
+            for c in range(3):
+                monomial[1 + c] = (nodes[near[p, k], c] - points[p, c]) / radius[p]
+            for i in range(4):
+                weighted[p, k, i] = weight * monomial[i]
+                for j in range(4):
+                    moments[p, i, j] += weighted[p, k, i] * monomial[j]
+
+
+@cached_njit(nogil=True)
+def _fit(weighted, inverse, radius, values, slopes):  # type: ignore[no-untyped-def]
+    """Write the weights (p, k) of the fitted values, and those of their derivatives (p, k, 3)."""
+    for p in range(weighted.shape[0]):
+        for k in range(weighted.shape[1]):
+            if weighted[p, k, 0] == 0.0:
+                continue
+            for i in range(4):
+                values[p, k] += weighted[p, k, i] * inverse[p, i, 0]
+            for c in range(3):
+                for i in range(4):
+                    slopes[p, k, c] += weighted[p, k, i] * inverse[p, i, 1 + c]
+                slopes[p, k, c] /= radius[p]
 
 
 def inside_body(uncut: UncutStencils, corners: Floats, points: Floats) -> NDArray[np.bool_]:
@@ -88,16 +120,6 @@ def shares_inside(uncut: UncutStencils, corners: Floats, segments: Floats) -> Fl
     inside_shares(np.ascontiguousarray(segments[near]), corners, result)
     shares[near] = result
     return shares
-
-
-def _near_points(surface: CutSurface, points: Floats, spacing: float) -> tuple[Floats, Ints, Floats, Ints]:
-    """Return the triangles and the fronts of a cut that can be near points (p, 3), each with their components."""
-    if not len(points) or not len(surface.extended):
-        return surface.extended, surface.components, surface.fronts, surface.front_components
-    low, high = points.min(axis=0) - SEARCH_DISTANCE * spacing, points.max(axis=0) + SEARCH_DISTANCE * spacing
-    parts = surface.extended, surface.fronts
-    close, ahead = (np.all((p.max(axis=1) > low) & (p.min(axis=1) < high), axis=1) for p in parts)
-    return parts[0][close], surface.components[close], parts[1][ahead], surface.front_components[ahead]
 
 
 def reference_points(

@@ -14,22 +14,19 @@ neighbours. A node for which neither is small enough is *released*: it leaves al
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats, Ints
 from palpate.code_cache import cached_njit
-from palpate.meshfree.cut.surface import CutSurface, bond_paths
+from palpate.meshfree.cut.bond_paths import bond_paths
+from palpate.meshfree.cut.face_points import FacePoints
+from palpate.meshfree.cut.surface import CutSurface
+from palpate.meshfree.cut.uncut import REACH_MARGIN, WIDEST_REACH, UncutStencils
 from palpate.meshfree.inner_gradient import CUBIC_DAMPING
-from palpate.meshfree.visibility import is_pair
 
-WIDEST_REACH = 3.2  # largest reach of a cut node, in spacings
-REACH_MARGIN = 1.05  # radius of a stencil over the distance of its last node
-SIZE_FACTOR, LARGEST_SIZE = 1.2, 6.0  # largest q over that of uncut nodes, and in itself
 REACH_BISECTIONS = 30
 RAMP_WIDTH = 0.045  # range of distances in which a node enters the hourglass residual, over the reach
 LOST_WEIGHT_DAMPING = 100.0  # exponent of the damping of cubic terms, times the share of the weight that is lost
@@ -37,31 +34,11 @@ LEAST_PIVOT = 1e-10  # of a moment matrix, relative to its diagonal
 QUADRATIC_FIT, LINEAR_FIT, RELEASED_FIT = 0, 1, 2  # kinds of a fit
 
 
-class UncutStencils(NamedTuple):
-    """What the stencils of cut nodes depend on, of the uncut body."""
-
-    points: Floats  # (n, 3) array [m]
-    volumes: Floats  # (n,) array [m^3]
-    spacing: float  # [m]
-    # reach, smoothing_reach: (n,) arrays [m]: distance of the last node of a stencil
-    reach: Floats
-    smoothing_reach: Floats
-    limit: Floats  # (n,) array: largest size q of a fit
-    sums: Floats  # (n, 3) array [m^2]: sum over I of V_I g_IJ
-    tree: cKDTree  # of the points
-    on_surface: NDArray[np.bool_]  # (n,) bool array
-    cubic: NDArray[np.bool_]  # (n,) bool array: nodes whose first derivatives are those of cubic fits
-    widest: Floats  # (n,) array [m]: largest distance of neighbours of cut nodes
-    # bond_start, bond_near: (n + 1,), (t,) int arrays: first bond of every node, and the other nodes of all bonds: all
-    # nodes within that distance
-    bond_start: Ints
-    bond_near: NDArray[np.int32]
-
-
 class CutState(NamedTuple):
     """The cut of a body."""
 
     surface: CutSurface
+    faces: FacePoints  # of the surface
     uncut: UncutStencils
     sums: Floats  # (n, 3) array [m^2]: sum over I of V_I g_IJ
     # (n,) array: sums of the lengths of every node's bonds, which change with any of them; 0 where no bond is longer
@@ -87,58 +64,6 @@ class FittedRows(NamedTuple):
     freedom: Floats  # (t,) array: f of every bond; 0 for one that is severed
     kind: Ints  # (m,) int array: QUADRATIC_FIT, LINEAR_FIT or RELEASED_FIT
     checks: Floats  # (m,) array: as in `CutState`
-
-
-def uncut_stencils(
-    points: Floats, volumes: Floats, spacing: float, near: Any, first: Floats, smoothing_near: Any, surface: Any,
-    cubic: NDArray[np.bool_], hidden: csr_array,
-) -> UncutStencils:  # fmt: skip
-    """Return what the stencils of cut nodes depend on.
-
-    Parameters
-    ----------
-    points : (n, 3) array [m]
-    volumes : (n,) array [m^3]
-    spacing : float [m]
-    near, first : (n, k) and (n, k, 3) arrays
-        Neighbours and weights of the first derivatives; the node itself fills rows.
-    smoothing_near : (n, l) array
-    surface : (k,) int array
-        Nodes of the surface.
-    cubic : (n,) bool array
-        Nodes whose first derivatives are those of cubic fits.
-    hidden : (n, n) sparse array
-        Pairs without bonds: `Cloud.hidden`.
-    """
-    size = spacing**2 * (np.sum(first**2, axis=(1, 2)) + np.sum(first.sum(axis=1) ** 2, axis=1))
-    common = min(SIZE_FACTOR * float(size.max()), LARGEST_SIZE)
-    shares = volumes[:, None, None] * first
-    sums = -shares.sum(axis=1)
-    np.add.at(sums, near, shares)
-    reach, smoothing_reach = (
-        np.linalg.norm(points[each] - points[:, None], axis=2).max(axis=1) for each in (near, smoothing_near)
-    )
-    limit = np.maximum(common, SIZE_FACTOR * size)
-    on_surface = np.zeros(len(points), dtype=np.bool_)
-    on_surface[surface] = True
-    tree = cKDTree(points)
-    widest = REACH_MARGIN * np.maximum(WIDEST_REACH * spacing, np.maximum(reach, smoothing_reach))
-    return UncutStencils(
-        points, volumes, spacing, reach, smoothing_reach, limit, sums, tree, on_surface, cubic, widest,
-        *_bonds_within(points, tree, widest, hidden),
-    )  # fmt: skip
-
-
-def _bonds_within(points: Floats, tree: cKDTree, widest: Floats, hidden: csr_array) -> tuple[Ints, NDArray[np.int32]]:
-    """Return the first bond of every node, and the other nodes of all bonds, in ascending order for each node."""
-    pairs = tree.query_pairs(float(widest.max()), output_type="ndarray")
-    pairs = pairs[~is_pair(hidden, *pairs.T)]
-    square = np.sum((points[pairs[:, 0]] - points[pairs[:, 1]]) ** 2, axis=1)
-    both = [pairs[square <= widest[pairs[:, k]] ** 2][:, [k, 1 - k]] for k in range(2)]
-    node, near = np.concatenate(both).T
-    order = np.lexsort((near, node))
-    count = np.bincount(node, minlength=len(points))
-    return np.concatenate([[0], np.cumsum(count)]).astype(np.int64), near[order].astype(np.int32)
 
 
 def fit_rows(state: CutState, surface: CutSurface, nodes: Ints, released: NDArray[np.bool_]) -> FittedRows:
@@ -179,10 +104,7 @@ def _bonds(uncut: UncutStencils, surface: CutSurface, nodes: Ints) -> tuple[Ints
     start = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
     near = uncut.bond_near[np.repeat(first - start[:-1], count) + np.arange(start[-1])].astype(np.int64)
     paths = np.empty(len(near))
-    bond_paths(
-        uncut.points, nodes, start, near, surface.extended, surface.components, surface.fronts,
-        surface.front_components, uncut.spacing, float(uncut.widest[nodes].max(initial=0.0)), paths,
-    )  # fmt: skip
+    bond_paths(uncut.points, nodes, start, near, surface.tree, surface.fronts, surface.front_components, paths)
     return start, near, paths
 
 

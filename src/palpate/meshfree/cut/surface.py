@@ -1,4 +1,4 @@
-"""Surfaces along which a body is cut, and the paths of its bonds round their fronts.
+"""Surfaces along which a body is cut, and their fronts; `palpate.meshfree.cut.bond_paths` has the paths round them.
 
 A cut is a union of triangles in the stress-free body. A bond is a pair of nodes, one in the stencil of the other.
 A bond that crosses no triangle does not change. The distance of one that does is the shortest path round a front,
@@ -15,7 +15,7 @@ of a cut would connect the faces of an open one next to it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -27,14 +27,12 @@ from palpate.arrays import Floats, Ints
 from palpate.code_cache import cached_njit
 from palpate.describe import Described, Fact
 from palpate.faults import CloudError
+from palpate.meshfree.cut.crossings import TriangleTree, difference, normal, sphere, triangle_tree
 
 FRONT_LEAD = 0.2  # spacings by which a front is ahead of the edge of the cut
 PIECE_LENGTH = 0.5  # longest piece of an edge that is inside or outside as a whole, in spacings
 MERGE_DISTANCE = 1e-6  # of equal corners, in spacings
-ON_PLANE = 1e-6  # distance from a triangle below which a node is on the side of its normal, in spacings
 MIN_WIDTH = 1e-3  # least height of a triangle, in spacings
-MAX_WAY = 1.6 * 2.3  # longest way round a front, in spacings
-SAME_COMPONENT = 0.3  # distance of a front from the plane of its component's triangles around it, in spacings
 COVER_AHEAD, COVER_DISTANCE = 0.3, 0.1  # from an edge, and from there to the cut that covers it, in spacings
 MIN_MITRE = 0.5  # least 1 + cosine of the normals of two edges for the mitre at their corner
 
@@ -53,6 +51,8 @@ class CutSurface(Described):
         Pieces of the fronts of `extended`.
     components, front_components : (t,), (e,) int arrays
         Number of the component of every triangle and front.
+    tree : TriangleTree
+        Of `extended`.
     inside : dict
         For the pieces of edges that were examined, whether they are inside the body.
 
@@ -73,6 +73,7 @@ class CutSurface(Described):
     fronts: Floats
     components: Ints = field(repr=False)
     front_components: Ints = field(repr=False)
+    tree: TriangleTree = field(repr=False, compare=False)
     inside: Mapping[bytes, bool] = field(default_factory=dict, repr=False, compare=False)
 
     def _facts(self) -> list[Fact]:
@@ -83,8 +84,10 @@ class CutSurface(Described):
         ]
 
 
+_NO_TRIANGLES, _NO_NUMBERS = np.zeros((0, 3, 3)), np.zeros(0, np.int64)
 NO_CUT = CutSurface(
-    np.zeros((0, 3, 3)), np.zeros((0, 3, 3)), np.zeros((0, 2, 3)), np.zeros(0, np.int64), np.zeros(0, np.int64)
+    _NO_TRIANGLES, _NO_TRIANGLES, np.zeros((0, 2, 3)), _NO_NUMBERS, _NO_NUMBERS,
+    triangle_tree(_NO_TRIANGLES, _NO_NUMBERS, 0.0),
 )  # fmt: skip
 
 
@@ -95,14 +98,6 @@ def swept(edges: Floats) -> Floats:
     return np.stack(halves, axis=1).reshape(-1, 3, 3)
 
 
-def first_triangles(surface: CutSurface, count: int) -> CutSurface:
-    """Return a cut surface with the first triangles only, and without the fronts of the others."""
-    return replace(
-        surface, triangles=surface.triangles[:count], extended=surface.extended[:count],
-        components=surface.components[:count],
-    )  # fmt: skip
-
-
 def triangle_areas(triangles: Floats) -> Floats:
     """Return the areas (t,) [m^2] of triangles (t, 3, 3)."""
     a, b, c = (triangles[:, k] for k in range(3))
@@ -110,7 +105,11 @@ def triangle_areas(triangles: Floats) -> Floats:
 
 
 def cut_surface(
-    before: CutSurface, triangles: Floats, is_inside: Callable[[Floats], NDArray[np.bool_]], spacing: float
+    before: CutSurface,
+    triangles: Floats,
+    is_inside: Callable[[Floats], NDArray[np.bool_]],
+    spacing: float,
+    kept: int | None = None,
 ) -> CutSurface:
     """Return the union of a cut surface and further triangles.
 
@@ -120,6 +119,8 @@ def cut_surface(
     is_inside : function
         Returns which points (p, 3) are inside the body.
     spacing : float [m]
+    kept : int, optional
+        Number of the first triangles of `before` that remain; by default all.
     """
     narrow = np.flatnonzero(is_narrow(triangles, spacing))
     if narrow.size:
@@ -127,7 +128,7 @@ def cut_surface(
             f"triangles of a cut must be at least {MIN_WIDTH * spacing:.2g} m wide, got triangle {narrow[0]} with "
             f"corners {triangles[narrow[0]].tolist()}; leave it out"
         )
-    union = np.concatenate([before.triangles, triangles])
+    union = np.concatenate([before.triangles[:kept], triangles])
     number, vertices = _merged(union, spacing)
     edges, normals, owners = _boundary(number, vertices)
     pieces, owner = _pieces(vertices[edges], spacing)
@@ -139,8 +140,36 @@ def cut_surface(
     lead = _leads(edges[on_front], normals[on_front], len(vertices)) * FRONT_LEAD * spacing
     moved = vertices + lead
     pieces, owner = _pieces(moved[edges], spacing, vertices[edges])
-    components, fronts = _components(number), np.ascontiguousarray(pieces[inside])
-    return CutSurface(union, moved[number], fronts, components, components[owners[owner[inside]]], known)
+    components, fronts, extended = _components(number), np.ascontiguousarray(pieces[inside]), moved[number]
+    tree = triangle_tree(extended, components, spacing)
+    return CutSurface(union, extended, fronts, components, components[owners[owner[inside]]], tree, known)
+
+
+def changed_spheres(before: CutSurface, after: CutSurface) -> Floats:
+    """Return spheres (c, 4) [m] around the triangles and fronts that are in one of two cuts only.
+
+    Those of another component count as others. The rows have the middles and the radii.
+    """
+    spheres = []
+    for surface, other in ((before, after), (after, before)):
+        for rows, other_rows in zip(_labelled(surface), _labelled(other), strict=True):
+            in_both = {row.tobytes() for row in other_rows}
+            is_alone = np.array([row.tobytes() not in in_both for row in rows], dtype=np.bool_)
+            ends = rows[is_alone, 1:].reshape(-1, rows.shape[1] // 3, 3)
+            middles = ends.mean(axis=1)
+            radii = np.linalg.norm(ends - middles[:, None], axis=2).max(axis=1, initial=0.0)
+            spheres.append(np.column_stack([middles, radii]))
+    return np.concatenate(spheres)
+
+
+def _labelled(surface: CutSurface) -> tuple[Floats, Floats]:
+    """Return triangles (t, 10) and fronts (e, 7), each with the number of the first triangle of its component."""
+    _, first = np.unique(surface.components, return_index=True)
+    triangles, fronts = surface.extended.reshape(-1, 9), surface.fronts.reshape(-1, 6)
+    return (
+        np.column_stack([first[surface.components], triangles]),
+        np.column_stack([first[surface.front_components], fronts]),
+    )
 
 
 def is_narrow(triangles: Floats, spacing: float) -> Any:
@@ -217,30 +246,27 @@ def _inside(
 
 
 @cached_njit(nogil=True)
-def _difference(a, b):  # type: ignore[no-untyped-def]
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-@cached_njit(nogil=True)
-def _length(x, y, z):  # type: ignore[no-untyped-def]
-    return np.sqrt(x * x + y * y + z * z)
-
-
-@cached_njit(nogil=True)
 def nearest_on_cut(points, triangles, projections, distance, over):  # type: ignore[no-untyped-def]
     """Write the projections (p, 3) of points on their nearest triangles, and the distances (p,) [m].
 
     `over` is True for a point whose projection is inside a triangle, False for one beyond the edges of all.
     """
+    spheres = np.empty((triangles.shape[0], 4))
+    for t in range(triangles.shape[0]):
+        spheres[t, 0], spheres[t, 1], spheres[t, 2], spheres[t, 3] = sphere(triangles[t])
     for k in range(points.shape[0]):
         distance[k], over[k] = np.inf, False
+        nearest = np.inf
         for t in range(triangles.shape[0]):
+            x, y, z = difference(spheres[t], points[k])
+            if x * x + y * y + z * z > (nearest + spheres[t, 3]) ** 2:
+                continue
             square = _square_distance(points[k], triangles[t])
             if square >= distance[k]:
                 continue
-            distance[k] = square
-            n = _normal(triangles[t])
-            x, y, z = _difference(points[k], triangles[t, 0])
+            distance[k], nearest = square, np.sqrt(square) * (1.0 + 1e-9)
+            n = normal(triangles[t])
+            x, y, z = difference(points[k], triangles[t, 0])
             height = x * n[0] + y * n[1] + z * n[2]
             projections[k, 0], projections[k, 1], projections[k, 2] = (
                 points[k, 0] - height * n[0],
@@ -267,7 +293,7 @@ def _leads(edges: Any, normals: Floats, count: int) -> Floats:
 def nodes_near(points, triangles, reach, near):  # type: ignore[no-untyped-def]
     """Set entries of `near` (n,) to True for points (n, 3) within a distance [m] of spheres about triangles."""
     for t in range(triangles.shape[0]):
-        x, y, z, radius = _sphere(triangles[t])
+        x, y, z, radius = sphere(triangles[t])
         limit = (reach + radius) ** 2
         for i in range(points.shape[0]):
             square = (points[i, 0] - x) ** 2 + (points[i, 1] - y) ** 2 + (points[i, 2] - z) ** 2
@@ -276,54 +302,22 @@ def nodes_near(points, triangles, reach, near):  # type: ignore[no-untyped-def]
 
 
 @cached_njit(nogil=True)
-def _sphere(corners):  # type: ignore[no-untyped-def]
-    """Return the mean of a triangle's corners, and the radius of the sphere about it that holds them."""
-    x = (corners[0, 0] + corners[1, 0] + corners[2, 0]) / 3.0
-    y = (corners[0, 1] + corners[1, 1] + corners[2, 1]) / 3.0
-    z = (corners[0, 2] + corners[1, 2] + corners[2, 2]) / 3.0
-    square = 0.0
-    for k in range(3):
-        square = max(square, (corners[k, 0] - x) ** 2 + (corners[k, 1] - y) ** 2 + (corners[k, 2] - z) ** 2)
-    return x, y, z, np.sqrt(square)
-
-
-@cached_njit(nogil=True)
 def nearest_normals(points, triangles, normals):  # type: ignore[no-untyped-def]
     """Write the unit normals (p, 3) of the triangles nearest to points (p, 3)."""
     spheres = np.empty((triangles.shape[0], 4))
     for t in range(triangles.shape[0]):
-        spheres[t, 0], spheres[t, 1], spheres[t, 2], spheres[t, 3] = _sphere(triangles[t])
+        spheres[t, 0], spheres[t, 1], spheres[t, 2], spheres[t, 3] = sphere(triangles[t])
     for k in range(points.shape[0]):
         best = np.inf
         for t in range(triangles.shape[0]):
-            x, y, z = _difference(spheres[t], points[k])
+            x, y, z = difference(spheres[t], points[k])
             if x * x + y * y + z * z > (np.sqrt(best) + spheres[t, 3]) ** 2:
                 continue
             square = _square_distance(points[k], triangles[t])
             if square < best:
                 best = square
-                n = _normal(triangles[t])
+                n = normal(triangles[t])
                 normals[k, 0], normals[k, 1], normals[k, 2] = n
-
-
-@cached_njit(nogil=True)
-def _normal(corners):  # type: ignore[no-untyped-def]
-    """Return the unit normal of a triangle, whose largest component is positive.
-
-    It does not depend on the order of the corners: the rule for nodes on a plane is one for the whole plane.
-    """
-    ax, ay, az = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1], corners[1, 2] - corners[0, 2]
-    bx, by, bz = corners[2, 0] - corners[0, 0], corners[2, 1] - corners[0, 1], corners[2, 2] - corners[0, 2]
-    x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    largest = x
-    if abs(y) > abs(largest) * (1.0 + 1e-6):
-        largest = y
-    if abs(z) > abs(largest) * (1.0 + 1e-6):
-        largest = z
-    length = np.sqrt(x * x + y * y + z * z)
-    if largest < 0.0:
-        length = -length
-    return x / length, y / length, z / length
 
 
 @cached_njit(nogil=True)
@@ -349,224 +343,3 @@ def _square_distance(point, corners):  # type: ignore[no-untyped-def]
         x, y, z = qx - share * ex, qy - share * ey, qz - share * ez
         best = min(best, x * x + y * y + z * z)
     return best
-
-
-@cached_njit(nogil=True)
-def _planes(triangles, planes):  # type: ignore[no-untyped-def]
-    """Write the functions n . x - d, s(x) and t(x) of triangles as coefficients (t, 3, 4), and a relative slack.
-
-    The first is the distance from the plane, the others are the coordinates of its points along two sides.
-    """
-    for q in range(triangles.shape[0]):
-        corners, n = triangles[q], _normal(triangles[q])
-        ux, uy, uz = _difference(corners[1], corners[0])
-        vx, vy, vz = _difference(corners[2], corners[0])
-        uu, vv, uv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, ux * vx + uy * vy + uz * vz
-        det = uu * vv - uv * uv
-        planes[q, 0, 0], planes[q, 0, 1], planes[q, 0, 2] = n
-        planes[q, 1, 0], planes[q, 1, 1] = (vv * ux - uv * vx) / det, (vv * uy - uv * vy) / det
-        planes[q, 2, 0], planes[q, 2, 1] = (uu * vx - uv * ux) / det, (uu * vy - uv * uy) / det
-        planes[q, 1, 2], planes[q, 2, 2] = (vv * uz - uv * vz) / det, (uu * vz - uv * uz) / det
-        for k in range(3):
-            planes[q, k, 3] = 0.0
-            for c in range(3):
-                planes[q, k, 3] -= planes[q, k, c] * corners[0, c]
-
-
-@cached_njit(nogil=True)
-def _value(plane, x, y, z):  # type: ignore[no-untyped-def]
-    return plane[0] * x + plane[1] * y + plane[2] * z + plane[3]
-
-
-@cached_njit(nogil=True, error_model="numpy")
-def _find_crossed(plane, slack, tiny, ax, ay, az, x, y, z, crossed):  # type: ignore[no-untyped-def]
-    """Set the entries of bonds from A that cross a triangle to 1; a node on its plane is on the side of the normal."""
-    above = _value(plane[0], ax, ay, az)
-    if abs(above) < tiny:
-        above = tiny
-    n0, n1, n2, n3 = plane[0, 0], plane[0, 1], plane[0, 2], plane[0, 3]
-    s0, s1, s2, s3 = plane[1, 0], plane[1, 1], plane[1, 2], plane[1, 3]
-    t0, t1, t2, t3 = plane[2, 0], plane[2, 1], plane[2, 2], plane[2, 3]
-    for k in range(x.shape[0]):  # without branches, for vector registers
-        value = n0 * x[k] + n1 * y[k] + n2 * z[k] + n3
-        below = tiny if abs(value) < tiny else value
-        share = above / (above - below)
-        px, py, pz = ax + share * (x[k] - ax), ay + share * (y[k] - ay), az + share * (z[k] - az)
-        s = s0 * px + s1 * py + s2 * pz + s3
-        t = t0 * px + t1 * py + t2 * pz + t3
-        passes = (above * value < tiny * abs(above)) & ((above > 0.0) != (below > 0.0))
-        inside = (s > -slack) & (t > -slack) & (s + t < 1.0 + slack)
-        crossed[k] = 1.0 if passes & inside else crossed[k]
-
-
-@cached_njit(nogil=True, error_model="numpy")
-def _near_fronts(fronts, ax, ay, az, most, close, table):  # type: ignore[no-untyped-def]
-    """Write the numbers of fronts (e, 2, 3) near A, and what their ways depend on, (12, e); return how many they are.
-
-    The rows are the beginning, the unit vector, the length, and of A the place along the front, the distance off its
-    line, and the offset from its beginning.
-    """
-    count = 0
-    for q in range(fronts.shape[0]):
-        px, py, pz = ax - fronts[q, 0, 0], ay - fronts[q, 0, 1], az - fronts[q, 0, 2]
-        if px * px + py * py + pz * pz >= most * most:
-            continue
-        ex, ey, ez = (
-            fronts[q, 1, 0] - fronts[q, 0, 0],
-            fronts[q, 1, 1] - fronts[q, 0, 1],
-            fronts[q, 1, 2] - fronts[q, 0, 2],
-        )
-        length = np.sqrt(ex * ex + ey * ey + ez * ez)
-        ex, ey, ez = ex / length, ey / length, ez / length
-        along = px * ex + py * ey + pz * ez
-        off = np.sqrt(max(px * px + py * py + pz * pz - along * along, 0.0))
-        close[count] = q
-        table[0, count], table[1, count], table[2, count] = fronts[q, 0, 0], fronts[q, 0, 1], fronts[q, 0, 2]
-        table[3, count], table[4, count], table[5, count] = ex, ey, ez
-        table[6, count], table[7, count], table[8, count] = length, along, off
-        table[9, count], table[10, count], table[11, count] = px, py, pz
-        count += 1
-    return count
-
-
-@cached_njit(nogil=True, error_model="numpy")
-def _ways_round(dx, dy, dz, count, table, ways, feet):  # type: ignore[no-untyped-def]
-    """Write the lengths of the shortest ways from A to A + d that touch each near front, and the places along them."""
-    for q in range(count):  # without branches, for vector registers
-        ex, ey, ez, length = table[3, q], table[4, q], table[5, q], table[6, q]
-        along_a, off_a = table[7, q], table[8, q]
-        qx, qy, qz = table[9, q] + dx, table[10, q] + dy, table[11, q] + dz
-        along_b = qx * ex + qy * ey + qz * ez
-        off_b = np.sqrt(max(qx * qx + qy * qy + qz * qz - along_b * along_b, 0.0))
-        foot = (along_a * off_b + along_b * off_a) / max(off_a + off_b, 1e-12 * length)
-        foot = min(max(foot, 0.0), length)
-        feet[q] = foot
-        da, db = along_a - foot, along_b - foot
-        ways[q] = np.sqrt(off_a * off_a + da * da) + np.sqrt(off_b * off_b + db * db)
-
-
-@cached_njit(nogil=True)
-def _is_blocked(ax, ay, az, px, py, pz, planes, spheres, components, close, component, tiny, spacing):  # type: ignore[no-untyped-def]
-    """Return whether the line from A to a place on a front crosses another component, or another part of its own."""
-    for k in range(close.shape[0]):
-        q = close[k]
-        above, below = _value(planes[q, 0], ax, ay, az), _value(planes[q, 0], px, py, pz)
-        if components[q] == component and abs(below) < SAME_COMPONENT * spacing:
-            continue
-        above, below = tiny if abs(above) < tiny else above, tiny if abs(below) < tiny else below
-        if (above > 0.0) == (below > 0.0):
-            continue
-        share, slack = above / (above - below), tiny / spheres[q, 3]
-        x, y, z = ax + share * (px - ax), ay + share * (py - ay), az + share * (pz - az)
-        s, t = _value(planes[q, 1], x, y, z), _value(planes[q, 2], x, y, z)
-        if s > -slack and t > -slack and s + t < 1.0 + slack:
-            return True
-    return False
-
-
-@cached_njit(nogil=True)
-def _shortest_free(ax, ay, az, bx, by, bz, near, front_components, most, surface, tiny, spacing):  # type: ignore[no-untyped-def]
-    """Return the length of the shortest way from A to B round a near front that crosses nothing, or infinity."""
-    planes, spheres, components, close = surface
-    edges, table, ways, feet, count = near
-    while count > 0:
-        q = np.argmin(ways[:count])
-        length = ways[q]
-        if not length <= most:
-            break
-        component, foot = front_components[edges[q]], feet[q]
-        px, py, pz = (
-            table[0, q] + foot * table[3, q],
-            table[1, q] + foot * table[4, q],
-            table[2, q] + foot * table[5, q],
-        )
-        if not (
-            _is_blocked(ax, ay, az, px, py, pz, planes, spheres, components, close, component, tiny, spacing)
-            or _is_blocked(bx, by, bz, px, py, pz, planes, spheres, components, close, component, tiny, spacing)
-        ):
-            return length
-        ways[q] = np.inf
-    return np.inf
-
-
-@cached_njit(nogil=True)
-def bond_paths(points, nodes, start, near, triangles, components, fronts, front_components, spacing, reach, paths):  # type: ignore[no-untyped-def]
-    """Write the lengths of bonds round the fronts of a cut; infinite for severed ones.
-
-    Parameters
-    ----------
-    points : (n, 3) array [m]
-    nodes : (m,) int array
-    start : (m + 1,) int array
-        First neighbour of every node.
-    near : (t,) int array
-        Neighbours.
-    triangles : (s, 3, 3) array [m]
-    components : (s,) int array
-    fronts : (e, 2, 3) array [m]
-    front_components : (e,) int array
-    spacing, reach : float [m]
-        Longest distance of neighbours.
-    paths : (t,) array [m]
-    """
-    planes, spheres = np.empty((triangles.shape[0], 3, 4)), np.empty((triangles.shape[0], 4))
-    tiny, most, longest = ON_PLANE * spacing, MAX_WAY * spacing, 0
-    _planes(triangles, planes)
-    for q in range(triangles.shape[0]):
-        spheres[q, 0], spheres[q, 1], spheres[q, 2], spheres[q, 3] = _sphere(triangles[q])
-    for m in range(nodes.shape[0]):
-        longest = max(longest, start[m + 1] - start[m])
-    x, y, z, crossed = np.empty(longest), np.empty(longest), np.empty(longest), np.empty(longest)
-    edges, close = np.empty(fronts.shape[0], np.int64), np.empty(triangles.shape[0], np.int64)
-    table, ways, feet = np.empty((12, fronts.shape[0])), np.empty(fronts.shape[0]), np.empty(fronts.shape[0])
-    for m in range(nodes.shape[0]):
-        ax, ay, az = points[nodes[m], 0], points[nodes[m], 1], points[nodes[m], 2]
-        begin, count, triangles_near = start[m], start[m + 1] - start[m], 0
-        for k in range(count):
-            j = near[begin + k]
-            x[k], y[k], z[k], crossed[k] = points[j, 0], points[j, 1], points[j, 2], 0.0
-        for q in range(triangles.shape[0]):
-            square = (spheres[q, 0] - ax) ** 2 + (spheres[q, 1] - ay) ** 2 + (spheres[q, 2] - az) ** 2
-            if square < (reach + spheres[q, 3]) ** 2:
-                close[triangles_near], triangles_near = q, triangles_near + 1
-                if abs(_value(planes[q, 0], ax, ay, az)) <= reach + tiny:
-                    slack = tiny / spheres[q, 3]
-                    _find_crossed(planes[q], slack, tiny, ax, ay, az, x[:count], y[:count], z[:count], crossed[:count])
-        fronts_near = -1
-        for k in range(count):
-            dx, dy, dz = x[k] - ax, y[k] - ay, z[k] - az
-            length = _length(dx, dy, dz)
-            paths[begin + k] = length
-            if crossed[k] > 0.0:
-                if fronts_near < 0:
-                    fronts_near = _near_fronts(fronts, ax, ay, az, most + spacing, edges, table)
-                _ways_round(dx, dy, dz, fronts_near, table, ways, feet)
-                best = _shortest_free(
-                    ax, ay, az, x[k], y[k], z[k], (edges, table, ways, feet, fronts_near), front_components, most,
-                    (planes, spheres, components, close[:triangles_near]), tiny, spacing,
-                )  # fmt: skip
-                paths[begin + k] = max(best, length) if best <= most else np.inf
-
-
-@cached_njit(nogil=True)
-def first_crossings(segments, triangles, shares):  # type: ignore[no-untyped-def]
-    """Write the shares of segments (s, 2, 3) at which they first cross triangles (t, 3, 3); infinite without one."""
-    planes = np.empty((triangles.shape[0], 3, 4))
-    _planes(triangles, planes)
-    for k in range(segments.shape[0]):
-        shares[k] = np.inf
-        a, b = segments[k, 0], segments[k, 1]
-        dx, dy, dz = _difference(b, a)
-        tiny = ON_PLANE * _length(dx, dy, dz)
-        for q in range(triangles.shape[0]):
-            above = _value(planes[q, 0], a[0], a[1], a[2])
-            below = _value(planes[q, 0], b[0], b[1], b[2])
-            above = tiny if abs(above) < tiny else above
-            below = tiny if abs(below) < tiny else below
-            if (above > 0.0) == (below > 0.0):
-                continue
-            share = above / (above - below)
-            x, y, z = a[0] + share * dx, a[1] + share * dy, a[2] + share * dz
-            s, t = _value(planes[q, 1], x, y, z), _value(planes[q, 2], x, y, z)
-            if s > -1e-6 and t > -1e-6 and s + t < 1.0 + 1e-6:
-                shares[k] = min(shares[k], share)

@@ -228,6 +228,7 @@ def test_a_huge_triangle_cuts_as_one_of_the_size_of_the_body(block):
     np.testing.assert_allclose(far.force(u), near.force(u), rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_statics_names_a_piece_that_nothing_holds(block):
     held = pt.Solid(block.cloud, TISSUE, fixed="z-")
     body = pt.cut(held, rectangle(0.5 * SIZE + (0.0, 0.0, 0.3 * SPACING), (0, 0, 1), 1.0))

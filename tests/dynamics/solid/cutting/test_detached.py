@@ -88,6 +88,7 @@ def test_a_tool_touches_no_removed_piece(halves, piece):
     assert deeper.reactions["tool"][-1, 2] < 0  # the rest
 
 
+@pytest.mark.slow
 def test_a_blade_meets_the_rest_only(halves):
     rest, across = halves[1], (0.0, 0.0, 0.5 * np.pi)
     motion = lambda t: ((4.4e-3, 0.5 * SIZE[1], SIZE[2] + 0.6e-3 - 0.4 * t), across)  # noqa: E731

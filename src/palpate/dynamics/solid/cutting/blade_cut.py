@@ -78,16 +78,16 @@ def with_turned_pairs(body: Any, u: Floats, prepared: PreparedLoads) -> Prepared
     sites = prepared.contacts.sites
     if not len(sites.kind):
         return prepared
-    turned = turn_pairs(sites, body.cut_state, u, body.cloud.points[body.cloud.triangles])
+    turned = turn_pairs(sites, body.cut_state, u)
     return replace(prepared, contacts=prepared.contacts._replace(sites=turned))
 
 
 def with_pairs(body: Any, prepared: PreparedLoads) -> PreparedLoads:
     """Return the loads of a cut body, whose faces touch each other."""
-    cloud, count = body.cloud, len(body.cloud)
+    count = len(body.cloud)
     u = np.zeros((count, 3))
     contacts = prepared.contacts._replace(
-        sites=face_pairs(body.cut_state, u, cloud.points[cloud.triangles]), inverse_mass=np.zeros(count),
+        sites=face_pairs(body.cut_state, u), inverse_mass=np.zeros(count),
         step_impulses=np.zeros((count, 3)), nodal_impulses=np.zeros((count, 3)),
     )  # fmt: skip
     return replace(prepared, contacts=contacts)
@@ -107,7 +107,7 @@ def advance_blade(
     is_new = incision is None
     if is_new:
         incision, sites = _start(body, u, tool, frame, number)
-        return body, *_with_faces(incision, sites, face_pairs(cut_state, u, corners)), 0.0
+        return body, *_with_faces(incision, sites, face_pairs(cut_state, u)), 0.0
     cuts = advance_edge(cut_state, incision, blade, frame, u, corners)
     energy = body.strain_energy(u, history) if cuts else 0.0
     for edge, pieces, area in cuts:
@@ -123,7 +123,7 @@ def advance_blade(
     if not cuts:
         return body, incision, None, 0.0
     sites, incision, _ = blade_sites(body.cut_state, incision, blade, frame, u, corners, number)
-    return body, *_with_faces(incision, sites, face_pairs(body.cut_state, u, corners)), released
+    return body, *_with_faces(incision, sites, face_pairs(body.cut_state, u)), released
 
 
 def _start(body: Any, u: Floats, tool: Contact, frame: Floats, number: int) -> tuple[Incision, BladeSites]:

@@ -24,7 +24,9 @@ from palpate.dynamics.solid.base import Solid
 from palpate.dynamics.solid.cutting.layout import Entries, fitted_entries, row_entries, smoothing_entries, with_stencils
 from palpate.faults import CloudError, InputError, brief
 from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.cut.bond_paths import MAX_WAY
 from palpate.meshfree.cut.clipping import clipped, off_surface
+from palpate.meshfree.cut.face_points import face_points, no_face_points
 from palpate.meshfree.cut.kept_sums import conserve_integrals, keep_uniform_stress
 from palpate.meshfree.cut.points import inside_body
 from palpate.meshfree.cut.stencils import (
@@ -32,9 +34,9 @@ from palpate.meshfree.cut.stencils import (
     CutState,
     FittedRows,
     fit_rows,
-    uncut_stencils,
 )
-from palpate.meshfree.cut.surface import MAX_WAY, NO_CUT, CutSurface, cut_surface, first_triangles, nodes_near
+from palpate.meshfree.cut.surface import NO_CUT, CutSurface, changed_spheres, cut_surface, nodes_near
+from palpate.meshfree.cut.uncut import uncut_stencils
 from palpate.meshfree.inner_gradient import inner_nodes
 
 KEEP_PIECES, REMOVE_PIECES = "keep", "remove"
@@ -122,13 +124,14 @@ def _warn_of_miss(cloud: Cloud, corners: Floats) -> None:
 def cut_from(body: Any, kept: int, corners: Floats) -> Solid:
     """Return a body whose cut has the first `kept` of its triangles, and others (t, 3, 3) in place of the rest."""
     solid, cloud, before = body, body.cloud, body.cut_state
-    first = first_triangles(before.surface, kept)
-    is_inside = partial(inside_body, before.uncut, cloud.points[cloud.triangles])
-    surface = cut_surface(first, corners, is_inside, cloud.spacing)
+    body_corners = cloud.points[cloud.triangles]
+    is_inside = partial(inside_body, before.uncut, body_corners)
+    surface = cut_surface(before.surface, corners, is_inside, cloud.spacing, kept)
     nodes = _nodes_to_fit(surface, kept, before, cloud.points, cloud.spacing)
     rows, released = _fit(before, surface, nodes)
     state, constants = _exchange(body.body, before, surface, rows, released)
-    return _with_cut(solid, state, constants)
+    faces = face_points(before.uncut, surface, body_corners, before.faces, changed_spheres(before.surface, surface))
+    return _with_cut(solid, state._replace(faces=faces), constants)
 
 
 def _checked(body: Any, triangles: Any) -> tuple[Any, Floats]:
@@ -159,7 +162,7 @@ def uncut_state(body: Any) -> CutState:
         body.smoothing.neighbours, body.cloud.triangles.ravel(), inner_nodes(body.cloud, stencils), body.cloud.hidden,
     )  # fmt: skip
     none = np.zeros(n, np.bool_)
-    return CutState(NO_CUT, uncut, uncut.sums, np.zeros(n), none, none, none, (0.0, 0.0))
+    return CutState(NO_CUT, no_face_points(), uncut, uncut.sums, np.zeros(n), none, none, none, (0.0, 0.0))
 
 
 def _nodes_to_fit(
@@ -216,7 +219,9 @@ def _exchange(
     touched[nodes], checks[nodes] = True, rows.checks
     residuals = max(before.residuals[0], stress_left), max(before.residuals[1], integrals_left)
     sums = rest + new.sums(volumes)[:, :3]
-    state = CutState(surface, uncut, sums, checks, touched, released, before.removed, residuals)
+    state = before._replace(
+        surface=surface, sums=sums, checks=checks, touched=touched, released=released, residuals=residuals
+    )
     return state, with_stencils(body, nodes, new, smoothing, volumes)
 
 

@@ -140,9 +140,9 @@ def _turned(entries: Entries, volumes: Floats) -> Entries:
 
 
 def _merged(parts: list[Entries]) -> Entries:
-    """Return the entries of all parts in the order of their nodes and neighbours."""
+    """Return the entries of all parts, each once, in the order of their nodes and neighbours."""
     node, near, weights = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    order = np.lexsort((near, node))
+    order = np.argsort(node * (np.int64(near.max(initial=0)) + 1) + near)
     return Entries(node[order], near[order], weights[order])
 
 
