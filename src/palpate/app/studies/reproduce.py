@@ -8,10 +8,12 @@ with that run.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
 from time import perf_counter
 from typing import Any, cast
 
+from palpate.app.common.compile_ahead import CompiledFunctions, compile_ahead
 from palpate.app.common.console import Console
 from palpate.app.common.exit_status import RunError
 from palpate.app.common.preparation import prepare
@@ -22,9 +24,10 @@ from palpate.app.studies.beam import BEAM_EXAMPLE
 from palpate.app.studies.example import Example
 from palpate.app.studies.membrane import MEMBRANE_EXAMPLE
 from palpate.app.studies.report import build_report, difference_of_forms, tables
-from palpate.app.studies.study import PROJECTED, Study, run_full, run_reduced
+from palpate.app.studies.study import PROJECTED, Study, compile_study, run_full, run_reduced
 from palpate.extras import require
 from palpate.faults import integer_in_range
+from palpate.processes import Answer, Receive
 from palpate.reduction.galerkin.model import GalerkinModel
 from palpate.scenes.scene import Scene
 
@@ -56,9 +59,14 @@ def reproduce(*, example: str, modes: Sequence[int], out: Path, as_json: bool = 
     sizes = sorted({integer_in_range("modes", m, 1, chosen.snapshots) for m in modes})
     require("matplotlib", f"palpate reproduce {example}")
     console = Console()
-    scene = prepare(lambda: chosen.scene(**options), out, chosen.doubles, console)
     (key, make), *others = chosen.studies.items()
-    study = make(scene)
+    with compile_ahead(compile_rest, [example, options]) as wait, closing(CompiledFunctions()) as compiled:
+        scene = prepare(lambda: chosen.scene(**options), out, chosen.doubles, console)
+        study = make(scene)
+        with console.status("compiling what is not compiled yet"):
+            compile_study(study, [PROJECTED])
+            if compiled.count:  # otherwise the other process finds all compiled, too
+                wait()
     run_full(study, out, chosen.files, console)
     study.fields = chosen.fields(scene.model, study.full.displacements)
     start = perf_counter()
@@ -74,6 +82,18 @@ def reproduce(*, example: str, modes: Sequence[int], out: Path, as_json: bool = 
         report["missing"] = _draw(chosen, [each for each in studies.values() if each], out, console)
     deliver(report, tables(report, studies, chosen.rows), out, chosen.files, as_json)
     return 1 if all(entry["failed"] for entry in report["reduced"]) else 0
+
+
+def compile_rest(receive: Receive, _answer: Answer) -> None:
+    """Compile all of an example but its first full and projected models; its name and options are received."""
+    example, options = receive()
+    chosen = PAPER_EXAMPLES[example]
+    scene = chosen.scene(**options)
+    for number, make in enumerate(chosen.studies.values()):
+        study = make(scene)
+        series = [name for name in study.series if number > 0 or name != PROJECTED]
+        if series:
+            compile_study(study, series)
 
 
 def _singular_values(study: Study, number: int) -> Any:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from pathlib import Path
@@ -29,6 +30,7 @@ Train = Callable[[NodalModel, Trajectory, int], Model]  # of a full model, its r
 
 PROJECTED, HYPER_REDUCED = "projected", "hyper-reduced"  # names of series: `palpate.galerkin`, `palpate.hyper_reduce`
 
+COMPILED_STEPS = 4  # of a run that compiles
 SHOWN_MODES = 8  # the reduced model that figures compare with the full one: the paper's choice
 
 
@@ -90,6 +92,16 @@ class Study:
             for entry in self.reduced
             if entry["series"] == series
         ]
+
+
+def compile_study(study: Study, series: Iterable[str]) -> None:
+    """Compile what a full model calls, and the reduced models of some series: a few steps of each."""
+    scene, step = study.scene, study.scene.model.stability.step
+    short: dict[str, Any] = {"duration": COMPILED_STEPS * step, "every": step, "progress": False}
+    with suppress(DivergenceError, InputError), warnings.catch_warnings(action="ignore"):  # the runs themselves say so
+        run = rollout(scene.model, scene.loads, **short)
+        for name in series:
+            rollout(study.series[name](scene.model, run, 1), scene.loads, **short)
 
 
 def run_full(study: Study, out: Path, files: Sequence[str], console: Console) -> None:

@@ -1,12 +1,14 @@
-"""Compilation of the engine in a second process."""
+"""Compilation in a second process."""
 
 from __future__ import annotations
 
 import pytest
 
 from palpate import processes
-from palpate.app.view import compile_ahead as module
-from palpate.app.view.compile_ahead import compile_ahead
+from palpate.app.common import compile_ahead as module
+from palpate.app.common.compile_ahead import compile_ahead
+from palpate.app.view.compile_engine import compile_engine
+from palpate.parameters import written_section
 from palpate.scenes.description import Tissue
 
 
@@ -16,14 +18,14 @@ def test_one_processor_starts_no_second_process(monkeypatch):
 
     monkeypatch.setattr(module, "_processors", lambda: 1)
     monkeypatch.setattr(processes.subprocess, "Popen", start)
-    with compile_ahead(Tissue()) as wait:
+    with compile_ahead(compile_engine, written_section(Tissue())) as wait:
         wait()
 
 
 @pytest.mark.slow
 def test_the_engine_of_a_law_is_compiled_in_a_second_process(monkeypatch):
     monkeypatch.setattr(module, "_processors", lambda: 2)
-    with compile_ahead(Tissue(parameters={"C1": 900.0})) as wait:
+    with compile_ahead(compile_engine, written_section(Tissue(parameters={"C1": 900.0}))) as wait:
         assert wait() == 0
 
 
@@ -37,6 +39,6 @@ def test_the_second_process_ends_with_the_first(monkeypatch):
 
     monkeypatch.setattr(module, "_processors", lambda: 2)
     monkeypatch.setattr(processes.subprocess, "Popen", popen)
-    with compile_ahead(Tissue()):
+    with compile_ahead(compile_engine, written_section(Tissue())):
         assert started[0].poll() is None
     assert started[0].poll() is not None

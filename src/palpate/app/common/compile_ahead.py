@@ -1,0 +1,58 @@
+"""Compilation in a second process, while this one does other work.
+
+Both processes read what the other has kept in the cache of compiled functions.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from numba.core import event
+
+from palpate.processes import Child, Function
+
+
+@contextlib.contextmanager
+def compile_ahead(function: Function, given: Any) -> Iterator[Callable[[], object]]:
+    """Call a function that compiles in another process within a context, if there is a second processor.
+
+    Yields
+    ------
+    function
+        Waits until that process has ended. What it has not compiled is compiled when it is called.
+    """
+    if _processors() < 2:
+        yield lambda: None
+        return
+    child = Child(function, given)
+    try:
+        yield child.wait
+    finally:
+        child.stop()
+
+
+def _processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class CompiledFunctions(event.Listener):  # type: ignore[misc]
+    """Counts the functions that Numba compiles in this process."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        event.register("numba:compile", self)
+
+    def on_start(self, event: Any) -> None:
+        """Do nothing."""
+
+    def on_end(self, event: Any) -> None:
+        """Count a function."""
+        self.count += 1
+
+    def close(self) -> None:
+        """Stop counting."""
+        with contextlib.suppress(ValueError):  # of an earlier call
+            event.unregister("numba:compile", self)

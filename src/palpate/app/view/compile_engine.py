@@ -1,0 +1,25 @@
+"""The engine of a full body, compiled before its surface is filled."""
+
+from __future__ import annotations
+
+from palpate.parameters import read_section
+from palpate.processes import Answer, Receive
+from palpate.scenes.description import Tissue
+
+BLOCK_SIZE, BLOCK_SPACING = 0.1, 0.02  # [m] of a body whose engine has the same types
+
+
+def compile_engine(receive: Receive, _answer: Answer) -> None:
+    """Make a session of a block of a tissue, which is received."""
+    from palpate.app.session.session import Session
+    from palpate.dynamics.solid.model import EnergySolid
+    from palpate.meshfree.cloud import box
+    from palpate.scenes.tissue import fibres_of, material_of
+
+    tissue: Tissue = read_section(Tissue, receive())
+    cloud = box((BLOCK_SIZE,) * 3, BLOCK_SPACING, jitter=0.2)
+    fibres = None if tissue.fibres is None else fibres_of(tissue.fibres)
+    body = EnergySolid(cloud, material_of(tissue), "z-", mass_damping=1.0, fibres=fibres)
+    session = Session(body, "block")
+    session.start()  # compiles the loop
+    session.close()

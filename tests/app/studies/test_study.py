@@ -1,0 +1,59 @@
+"""What studies compile before their runs, in two processes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from palpate.app.studies import reproduce
+from palpate.app.studies.reproduce import PAPER_EXAMPLES, compile_rest
+
+OPTIONS = {"beam": {"spacing": 0.02 / 3, "load": 2.0}, "membrane": {"spacing": 0.0125}}
+COMPILED = """
+import warnings
+
+from palpate.app.studies.reproduce import PAPER_EXAMPLES
+from palpate.app.studies.study import compile_study
+from palpate.code_cache import CodeCache
+from palpate.dynamics.run.rollout import rollout
+
+warnings.simplefilter("ignore")
+asked, load = [], CodeCache.load_overload
+
+
+def recorded(self, signature, context):
+    asked.append(self._name)
+    return load(self, signature, context)
+
+
+CodeCache.load_overload = recorded
+example, scene = PAPER_EXAMPLES[{name!r}], PAPER_EXAMPLES[{name!r}].scene(**{options})
+for make in example.studies.values():
+    study = make(scene)
+    compile_study(study, study.series)
+    assert asked
+    asked.clear()
+    run = rollout(study.scene.model, scene.loads, duration=12 * scene.every, every=scene.every, progress=False)
+    for train in study.series.values():
+        rollout(train(study.scene.model, run, 4), scene.loads, duration=scene.every, every=scene.every, progress=False)
+    assert not asked, asked
+    asked.append("of the study before")
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PAPER_EXAMPLES)
+def test_runs_call_nothing_that_is_not_compiled_before(name):
+    code = COMPILED.format(name=name, options=OPTIONS[name])
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_second_process_compiles_all_but_what_the_first_does(monkeypatch):
+    compiled = []
+    monkeypatch.setattr(reproduce, "compile_study", lambda study, series: compiled.append((study.form, list(series))))
+    for name, options in OPTIONS.items():
+        compile_rest(lambda name=name, options=options: [name, options], None)
+    assert compiled == [("energy form", ["hyper-reduced"]), ("", ["hyper-reduced"])]
