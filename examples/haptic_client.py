@@ -20,7 +20,8 @@ import numpy as np
 from websockets.asyncio.client import connect
 
 RATE, RADIUS, DEPTH, GAP = 1000, 0.02, 0.006, 0.003  # [Hz], [m], [m], [m]
-MAX_AGE = 0.02  # [s] of a force; an older one counts as zero: the session has paused, or the connection is gone
+MAX_AGE = 0.02  # [s] of a force; an older one counts as zero: the connection is gone, or the session does not run
+RAMP = 0.2  # [s] in which the force comes back after that
 MASS, USER_STIFFNESS, DAMPING = 0.1, 300.0, 8.0  # [kg], [N/m], [N s/m]
 
 
@@ -66,11 +67,13 @@ async def main(address: str, seconds: float) -> None:
 
 async def move(socket, home: np.ndarray, sent: deque, forces: deque, arrivals: deque, seconds: float) -> None:
     """Simulate the device: one step of its motion and one pose every millisecond."""
-    place, speed, began, number = home.copy(), np.zeros(3), perf_counter(), 0
+    place, speed, began, number, share = home.copy(), np.zeros(3), perf_counter(), 0, 0.0
     while (now := perf_counter() - began) < seconds:
         number += 1
         goal = home + np.array([0.0, (DEPTH + GAP) * np.sin(np.pi * now) ** 2, 0.0])
-        force = forces[-1][2:5] if perf_counter() - arrivals[-1] < MAX_AGE else np.zeros(3)
+        fresh = forces[-1][21] == 1 and perf_counter() - arrivals[-1] < MAX_AGE  # of a session that runs
+        share = min(1.0, share + 1 / (RATE * RAMP)) if fresh else 0.0
+        force = share * forces[-1][2:5]
         speed += (USER_STIFFNESS * (goal - place) - DAMPING * speed + force) / MASS / RATE
         place = place + speed / RATE
         sent.append((number, perf_counter()))

@@ -3,7 +3,7 @@
     python kernels/check.py dist
 
 Nothing can be written but results: a surface is pressed and a beam is stepped with no function compiled, also as
-another processor with AVX2. Without AVX2 the force compiles, and is equal.
+another processor with AVX2. Without AVX2 the force compiles, and is equal. At the end pip removes all of both wheels.
 """
 
 from __future__ import annotations
@@ -75,9 +75,19 @@ def main() -> None:
         old = _run(
             python, FORCE, [], folder, nowhere | {"NUMBA_CPU_NAME": "x86-64-v2", "NUMBA_CPU_FEATURES": ""}
         ).split()
+        left = _uninstall(python, folder / "venv")
+    if left:
+        sys.exit(f"pip uninstall leaves {', '.join(left)}")
     if packed[3] != "0" or old[3] == "0" or abs(float(old[1]) / float(packed[1]) - 1) > 1e-12:
         sys.exit(f"forces {packed} and, without AVX2, {old}")
     print(f"{len(wheels)} wheels: nothing compiled with AVX2; {old[3]} functions without, and an equal force")
+
+
+def _uninstall(python: Path, environment: Path) -> list[str]:
+    """Uninstall both packages, and return what is left of them."""
+    command = [python, "-m", "pip", "uninstall", "--quiet", "--yes", "palpate", "palpate-kernels"]
+    subprocess.run(command, check=True)
+    return sorted(str(path.relative_to(environment)) for path in environment.rglob("*palpate*"))
 
 
 def _train(folder: Path) -> None:

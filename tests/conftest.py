@@ -46,12 +46,13 @@ def pytest_collection_modifyitems(items):
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """Return a scheduler that keeps all tests of ``app`` on one worker, and those of any other file together.
+    """Return a scheduler that keeps the quick tests of ``app`` on one worker, and those of any other file together.
 
     Two workers that begin with the same folder compile the same kernels at the same time. One begins with the
-    programs, the other with the folders of `ORDER`; the last of them use what both have compiled.
+    programs, the other with the folders of `ORDER`; the last of them use what both have compiled. The slow tests
+    come after the quick ones, so their kernels are there, and one worker would have all programs left at the end.
     """
-    if config.getvalue("dist") != "loadfile":
+    if config.getvalue("dist") != "loadfile" or config.getvalue("markexpr") == "slow":
         return None
     from xdist.scheduler import LoadFileScheduling
 

@@ -17,10 +17,16 @@ import numba
 import pytest
 
 import palpate
+import palpate as pt
 from palpate import code_cache
 from palpate.app.cli import main
+from palpate.app.models.learned_spacings import keep_spacing, learned_spacing
+from palpate.app.train.scene_folder import training_folder
+from palpate.app.view.server.preparation import Preparation
 from palpate.code_cache import cached_njit, code_files, code_folder
 from palpate.dynamics.compiled.reference import Reference
+from palpate.scenes.open_scene import open_scene
+from palpate.working_folder import cache_folder
 
 
 @pytest.fixture
@@ -71,7 +77,7 @@ def test_a_function_runs_without_a_folder_for_its_code_and_one_warning_says_so(r
 
 def test_a_user_without_a_home_gets_no_folder_in_the_working_folder(reasons, tmp_path, monkeypatch):
     monkeypatch.setattr("numba.core.config.CACHE_DIR", "")
-    monkeypatch.setattr(code_cache, "user_cache_path", lambda name: Path("~/.cache") / name)
+    monkeypatch.setattr(code_cache, "cache_folder", lambda: None)
     monkeypatch.chdir(tmp_path)
     with pytest.warns(RuntimeWarning, match="no home"):
         assert cached_njit()(double)(2.0) == 4.0
@@ -197,6 +203,24 @@ def test_starts_at_once_and_killed_ones_leave_sound_code(tmp_path):
     results = [each.communicate() for each in [start(**home) for _ in range(4)]]
     assert len({out.split()[0] for out, _ in results}) == 1, results
     assert start(**home).communicate()[0].split()[2] == "1"
+
+
+def test_an_unknown_user_without_a_home_has_no_cache(monkeypatch):
+    monkeypatch.setattr("platformdirs.user_cache_path", lambda name: Path("~/.cache") / name)  # not expanded
+    assert cache_folder() is None
+
+    def fail(name):
+        raise RuntimeError("could not determine the home directory")
+
+    monkeypatch.setattr("platformdirs.user_cache_path", fail)  # of newer versions
+    assert cache_folder() is None
+    with pytest.raises(pt.InputError, match="home folder"):
+        pt.io.fetch_liver()
+    with pytest.raises(pt.InputError, match="home folder"):
+        training_folder(open_scene("liver"))
+    assert learned_spacing("0") is None
+    keep_spacing("0", 1e-3)
+    Preparation("a body", "a body").close()
 
 
 @pytest.mark.slow

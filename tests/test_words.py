@@ -20,7 +20,7 @@ RETIRED = {  # word: its place is taken by
     r"load_linear\b(?=\()|quickest": "load, select_time_step",
     r"own_law": "symbolic law",
     r"firm_\w+|\w*_firm": "always taut, shear-weighted",
-    r"untouched(?=\()|touch_of|Handling": "no_contact, contact_at_frame, ContactTools",
+    r"untouched(?=\()|touch_of|Handling": "no_contact, ContactTools",
     r"usual_imbalance|retool(?:ing|ed)?": "typical residual, change_tool",
     r"fullrun|inbox|Hung": "full-model replay, queue, virtual coupling",
     r"anew": "again, reset",

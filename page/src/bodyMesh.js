@@ -1,5 +1,6 @@
 // The body mesh: positions are one array, shared by a buffer and a texture; the GPU computes normals.
 import * as three from "three";
+import { RestSurface } from "./restSurface.js";
 import { bodyShader, normalsShader } from "./shaders.js";
 
 const WIDTH = 128; // texels in a row of the textures, one for each vertex
@@ -31,6 +32,12 @@ export class BodyMesh {
     if (this.parts > 1) this.refine();
     if (!fine && this.material.side === three.FrontSide) this.enableCulling();
     this.refresh();
+  }
+
+  /** The surface at rest. */
+  get atRest() {
+    this.restSurface ??= new RestSurface(this.rest, this.triangles);
+    return this.restSurface;
   }
 
   makeMesh() {

@@ -1,4 +1,7 @@
-// A session of an exported model: its tool, its periods in real time, recordings, and frames as those of the server.
+// A session of an exported model: its tools, its periods in real time, recordings, and frames as those of the server.
+
+import { IDENTITY, LocalTool, NO_TOOL, nearestOnAxis, overlap, roundShape } from "./localTool.js";
+import { TOOLS } from "./protocol.js";
 
 const PERIOD = 1; // [ms]
 const TURN = 4; // [ms] between two turns of the loop
@@ -9,19 +12,9 @@ const MAX_RECORD_SECONDS = 120;
 const STATISTICS_INTERVAL = 500;
 const UNACKNOWLEDGED = 2; // state frames that wait for the page
 const SAMPLES = 4000; // computing times that the statistics are of
-const HAND_FORCE = 3.3; // [N], largest force of the spring between pointer and tool
-const TOOL_MASS = 0.05; // [kg]
 const MARGIN = 0.3; // [m] around the body in which a tool may be
 const STATES = { stopped: 0, running: 1, paused: 2, diverged: 3 };
-const TOOLS = ["none", "sphere", "capsule", "grasp", "group", "scalpel"];
-const KINDS = { none: -1n, sphere: 0n, capsule: 0n, grasp: 3n };
-const IDENTITY = [1, 0, 0, 0];
-
-/** The product of quaternions: the rotation b, then a. */
-function multiply([a, b, c, d], [w, x, y, z]) {
-  return [a * w - b * x - c * y - d * z, a * x + b * w + c * z - d * y, a * y - b * z + c * w + d * x, a * z + b * y - c * x + d * w];
-}
-const inverse = ([w, x, y, z]) => [w, -x, -y, -z];
+const DESCRIBED = ["kind", "active", "pinned", "radius", "length"]; // what a replay tells of a tool when it changes
 
 export class LocalSession {
   /** `post` sends a message, or a frame (ArrayBuffer), to the page. */
@@ -31,16 +24,13 @@ export class LocalSession {
     this.speed = 1;
     this.modulus = 1;
     this.show = "displacement";
-    this.selected = { kind: "none", radius: 0, length: 0, friction: 0, stiffness: null };
-    this.tool = this.selected;
-    this.origin = [0, 0, 0];
-    this.rotation = IDENTITY;
+    this.tools = Array.from({ length: model.arrays.pose.length / 7 }, (_, index) => new LocalTool(model, index));
     this.groups = this.about.tools.length === 0; // the tool moves a group of nodes
     if (this.groups) {
-      this.origin = this.about.group_centre;
-      this.tool = this.selected = { ...this.selected, kind: "group" };
+      const group = { ...NO_TOOL, kind: "group" };
+      Object.assign(this.tools[0], { selected: group, active: group, origin: this.about.group_centre });
     }
-    this.sequence = this.sent = this.acknowledged = 0;
+    this.sent = this.acknowledged = 0;
     this.computing = new Float64Array(SAMPLES);
     this.periods = this.dropped = this.counted = 0;
     this.frames = null; // of the recording
@@ -55,7 +45,7 @@ export class LocalSession {
     const { about } = this;
     const replay = this.replay && { mode: "replay", duration: this.duration(), tools: [], materials: [] };
     this.post({
-      type: "hello", protocol: 2, driver: true, viewers: 1, mode: "live", ...about, tool: this.describe(),
+      type: "hello", protocol: 3, driver: true, viewers: 1, mode: "live", ...about, max_tools: this.tools.length, ...this.describe(),
       materials: this.materials(), overlay: false, full: false, returns: true, ...replay,
     });
     const { vertices, triangles, fixed, rest } = this.arrays;
@@ -75,24 +65,17 @@ export class LocalSession {
     return this.about.materials.map((material) => ({ ...material, value: this.modulus * material.value }));
   }
 
+  /** The tools by index, of the session or of the replay; and the first one. */
   describe() {
-    const active = this.tool === this.selected;
-    return { ...this.selected, active, position: this.position(), quaternion: this.quaternion() };
-  }
-
-  position() {
-    return this.origin.map((part, k) => part + this.arrays.tool_position[k]);
-  }
-
-  quaternion() {
-    const first = this.about.record.quaternion;
-    return multiply(Array.from(this.arrays.record.subarray(first, first + 4)), this.rotation);
+    const { replay } = this;
+    const described = replay ? replay.frames[Math.max(replay.shown, 0)].described : this.tools.map((tool) => tool.describe());
+    return { tool: described[0], all_tools: described };
   }
 
   sendStatus() {
     const state = this.replay ? (this.replay.playing ? "running" : "paused") : this.state;
     this.post({
-      type: "status", driver: true, viewers: 1, state, speed: this.speed, tool: this.describe(), pause_reason: null,
+      type: "status", driver: true, viewers: 1, state, speed: this.speed, ...this.describe(), pause_reason: null,
       recording: this.frames !== null, ...(this.replay ? {} : { materials: this.materials() }),
     });
   }
@@ -134,25 +117,49 @@ export class LocalSession {
     if (this.dirty && now - this.drawn >= FRAME_INTERVAL && this.sent - this.acknowledged < UNACKNOWLEDGED) {
       this.drawn = now;
       this.dirty = false;
-      this.post(this.frame(++this.sent));
+      this.send(this.shot());
     }
   }
 
-  /** The frame of the present state; docs/protocol.md, kind 2. */
-  frame(sequence) {
+  /** Send frames of tools and state, whose sequence number is the next one. */
+  send(frames) {
+    this.sent++;
+    for (const buffer of frames) {
+      new Uint32Array(buffer, 4, 1)[0] = this.sent;
+      this.post(buffer);
+    }
+  }
+
+  /** The frames of the present state, of all tools and of the body. */
+  shot() {
+    return [this.toolFrame(), this.stateFrame()];
+  }
+
+  /** docs/protocol.md, kind 8. */
+  toolFrame() {
+    const numbers = this.tools.flatMap((tool) => tool.numbers());
+    const buffer = new ArrayBuffer(16 + 8 * numbers.length);
+    new Uint32Array(buffer, 0, 4).set([8, 0, this.tools.length, 0]);
+    new Float64Array(buffer, 16).set(numbers);
+    return buffer;
+  }
+
+  /** docs/protocol.md, kind 2. */
+  stateFrame() {
     const { record, vertices, rest } = this.arrays;
     const at = this.about.record;
+    const [tool] = this.tools;
     const count = vertices.length / 3;
     this.model.call("vertices");
     const shown = this.show === "displacement";
     const buffer = new ArrayBuffer(16 + 200 + 12 * count + (shown ? 4 * count : 0));
-    new Uint32Array(buffer, 0, 4).set([2, sequence, count, 0]);
+    new Uint32Array(buffer, 0, 4).set([2, 0, count, 0]);
     const numbers = new Float64Array(buffer, 16, 25);
-    numbers.set([record[at.time], record[at.trust], ...record.subarray(at.force, at.force + 3), ...record.subarray(at.moment, at.moment + 3)]);
-    numbers.set([...this.position(), ...this.quaternion(), record[at.kinetic], record[at.strain]], 8);
+    numbers.set([record[at.time], record[at.trust], ...tool.part("force", 3), ...tool.part("moment", 3)]);
+    numbers.set([...tool.position, ...tool.quaternion, record[at.kinetic], record[at.strain]], 8);
     const last = this.periods ? this.computing[(this.periods - 1) % SAMPLES] / 1e3 : 0;
-    numbers.set([last, 0, record[at.steps], STATES[this.state], TOOLS.indexOf(this.tool.kind)], 17);
-    numbers[24] = this.sequence;
+    numbers.set([last, 0, record[at.steps], STATES[this.state], TOOLS.indexOf(tool.active.kind)], 17);
+    numbers[24] = tool.sequence;
     new Float32Array(buffer, 216, 3 * count).set(vertices);
     if (shown) {
       const sizes = new Float32Array(buffer, 216 + 12 * count, count);
@@ -168,7 +175,7 @@ export class LocalSession {
     const sorted = this.computing.slice(0, Math.min(this.periods, SAMPLES)).sort();
     const at = (share) => (sorted.length ? sorted[Math.round(share * (sorted.length - 1))] : 0);
     const [periods, lost] = [this.periods - this.counted, this.dropped];
-    const bound = this.arrays.force_bound[0];
+    const bound = Math.max(...this.arrays.force_bound);
     this.post({
       type: "statistics", median_ms: at(0.5), p99_ms: at(0.99), misses: 0, periods: Math.max(this.periods, 1),
       pace: periods + lost > 0 ? periods / (periods + lost) : 1, force_bound: Number.isFinite(bound) ? bound : null,
@@ -184,14 +191,18 @@ export class LocalSession {
       show: ({ scalar }) => Object.assign(this, { show: scalar, dirty: true }),
       pose: (pose) => this.move(pose),
       tool: (tool) => this.select(tool),
-      release: () => this.release(),
+      pin: (pin) => this.pin(pin),
+      release: ({ index = 0 }) => this.release(index),
       control: ({ action }) => this.control(action),
       speed: ({ factor }) => Object.assign(this, { speed: factor, last: performance.now() }),
       material: ({ value }) => this.setModulus(value),
       record: ({ action }) => (action === "start" ? this.startRecording() : this.stopRecording()),
       replay: ({ action, time }) => this.control(action, time),
     }[message.type];
-    act?.(message);
+    const count = this.tools.length;
+    const late = this.replay && ["pose", "tool", "pin"].includes(message.type); // a replay takes no tool
+    if ((message.index ?? 0) < count) late || act?.(message);
+    else this.refuse(`This model takes ${count} tool${count > 1 ? "s" : ""} at most.`);
     if (!["ack", "pose"].includes(message.type)) this.sendStatus();
   }
 
@@ -200,27 +211,40 @@ export class LocalSession {
     return position.map((part, k) => Math.min(Math.max(part, low[k] - MARGIN), high[k] + MARGIN));
   }
 
-  move({ position, quaternion = IDENTITY, sequence = 0 }) {
-    if (this.replay) return;
+  move({ index = 0, position, quaternion = IDENTITY, sequence = 0 }) {
+    const tool = this.tools[index];
+    if (tool.pinned) return this.refuse("The tool is held where it is; take it in hand first.");
     const place = this.inside(position);
-    if (this.tool.kind === "none" && !this.putBack(place, quaternion)) return;
-    this.sequence = sequence;
-    this.arrays.pose.set(place.map((part, k) => part - this.origin[k]));
-    this.arrays.pose.set(multiply(quaternion, inverse(this.rotation)), 3);
+    if (tool.active.kind === "none" && !this.putBack(tool, place, quaternion)) return;
+    tool.request(place, quaternion, sequence);
   }
 
-  /** Put the selected tool down again where it is outside of the body; forceps do not come back. */
-  putBack(position, quaternion) {
-    const { kind } = this.selected;
-    if ((kind !== "sphere" && kind !== "capsule") || !this.isOutside(this.selected, position, quaternion)) return false;
-    this.put(this.selected, position, quaternion);
-    return true;
+  /** Put the selected tool down again where it is clear of body and tools; forceps do not come back. */
+  putBack(tool, position, quaternion) {
+    const { selected } = tool;
+    if ((selected.kind !== "sphere" && selected.kind !== "capsule") || this.blocked(tool, selected, position, quaternion)) return false;
+    return this.put(tool, selected, position, quaternion);
+  }
+
+  pin({ index = 0, pinned }) {
+    const tool = this.tools[index];
+    if (tool.active.kind === "none") return this.refuse("Only a tool that is put down can be held; put it down first.");
+    tool.pinned = pinned;
+  }
+
+  /** Why a tool cannot be in a place, or null. */
+  blocked(tool, shape, position, quaternion) {
+    const round = roundShape(shape, position, quaternion);
+    if (shape.kind !== "grasp" && !this.isOutside(round)) return "The tool must be outside the body; put it down outside.";
+    const clear = this.tools.every((other) => other === tool || other.active.kind === "none" || !overlap(round, other.shape));
+    return clear ? null : "The tool must be clear of the other tools; put it down elsewhere.";
   }
 
   select(message) {
     const { kind, radius = 0.015, length = 0.04, friction = 0.2, stiffness = null, quaternion = IDENTITY } = message;
     if (!this.about.tools.includes(kind)) return this.refuse(`This body takes no tool of kind ${kind}.`);
     let position = this.inside(message.position);
+    const slot = this.tools[message.index ?? 0];
     const tool = { kind, radius, length, friction, stiffness };
     if (kind === "grasp") {
       const vertex = this.nearest(position);
@@ -228,34 +252,31 @@ export class LocalSession {
       if (this.holdsSupport(vertex.number, radius)) return this.refuse("Forceps must be away from the support; choose another place.");
       this.arrays.tool_point.set(this.arrays.rest.subarray(3 * vertex.number, 3 * vertex.number + 3));
       position = Array.from(this.arrays.vertices.subarray(3 * vertex.number, 3 * vertex.number + 3));
-    } else if (!this.isOutside(tool, position, quaternion)) return this.refuse("The tool must be outside the body; put it down outside.");
-    this.selected = tool;
-    this.put(tool, position, quaternion);
-    this.sequence = message.sequence ?? 0;
+    }
+    const why = this.blocked(slot, tool, position, quaternion);
+    if (why) return this.refuse(why);
+    if (!this.put(slot, tool, position, quaternion)) return;
+    Object.assign(slot, { selected: tool, sequence: message.sequence ?? 0 });
   }
 
   refuse(reason) {
     this.post({ type: "error", reason });
   }
 
-  put(tool, position, quaternion) {
-    const { arrays } = this;
-    const turned = tool.kind === "grasp" ? IDENTITY : quaternion; // forceps turn nodes as much as they are turned
-    arrays.tool_kind[0] = KINDS[tool.kind];
-    arrays.tool_sizes.set([tool.radius, tool.kind === "capsule" ? tool.length / 2 : 0, 0]);
-    arrays.tool_friction[0] = tool.friction;
-    arrays.tool_pose.set([...position, ...turned]);
-    arrays.pose.set([0, 0, 0, ...IDENTITY]);
-    if (this.model.call("set_tool") !== 0) return this.refuse("The tool is out of range.");
-    const k = tool.stiffness ?? 0;
-    arrays.coupling.set(k > 0 ? [k, 2 * Math.sqrt(k * TOOL_MASS), TOOL_MASS, HAND_FORCE] : [0, 0, 0, Infinity]);
-    Object.assign(this, { tool, origin: position, rotation: quaternion, dirty: true });
+  /** Replace a tool; returns whether the model takes it. */
+  put(slot, tool, position, quaternion) {
+    const taken = slot.put(this.model, tool, position, quaternion);
+    if (!taken) this.refuse(tool.kind === "grasp" ? "Other forceps hold the tissue here; choose another place." : "The tool is out of range.");
+    this.dirty = true;
+    return taken;
   }
 
-  /** Put the tool away; a group of nodes returns to its place at rest. */
-  release() {
-    if (this.groups) this.arrays.pose.set([0, 0, 0, ...IDENTITY]);
-    else if (this.tool.kind !== "none") this.put({ ...this.selected, kind: "none" }, this.position(), this.quaternion());
+  /** Put a tool away; a group of nodes returns to its place at rest. */
+  release(index) {
+    const tool = this.tools[index];
+    tool.pinned = false;
+    if (this.groups) tool.home();
+    else if (tool.active.kind !== "none") this.put(tool, { ...tool.selected, kind: "none" }, tool.position, tool.quaternion);
   }
 
   nearest(position) {
@@ -274,18 +295,14 @@ export class LocalSession {
     return fixed.some((held, i) => held && Math.hypot(...[0, 1, 2].map((k) => rest[3 * i + k] - rest[3 * vertex + k])) <= radius);
   }
 
-  /** Whether a ball or a capsule along its z axis is outside: its nearest vertex is, and faces it. */
-  isOutside({ kind, radius, length }, position, [w, x, y, z]) {
+  /** Whether a round shape is outside: its nearest vertex is, and faces it. */
+  isOutside(round) {
     const { vertices, triangles } = this.arrays;
-    const axis = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)];
-    const half = kind === "capsule" ? length / 2 : 0;
     this.model.call("vertices");
-    let [number, gap, near] = [0, Infinity, position];
+    let [number, gap, near] = [0, Infinity, round.position];
     for (let i = 0; i < vertices.length / 3; i++) {
-      const away = [0, 1, 2].map((k) => vertices[3 * i + k] - position[k]);
-      const along = Math.min(Math.max(away[0] * axis[0] + away[1] * axis[1] + away[2] * axis[2], -half), half);
-      const distance = Math.hypot(...away.map((part, k) => part - along * axis[k])) - radius;
-      if (distance < gap) [number, gap, near] = [i, distance, position.map((part, k) => part + along * axis[k])];
+      const found = nearestOnAxis(round, Array.from(vertices.subarray(3 * i, 3 * i + 3)));
+      if (found.distance - round.radius < gap) [number, gap, near] = [i, found.distance - round.radius, found.near];
     }
     if (gap < -0.25 * this.about.spacing) return false;
     const normal = [0, 0, 0];
@@ -320,9 +337,8 @@ export class LocalSession {
       return;
     }
     if (action === "reset") {
-      if (!this.groups) this.put({ ...this.selected, kind: "none" }, this.origin, IDENTITY);
-      this.arrays.pose.set([0, 0, 0, ...IDENTITY]);
       this.model.call("reset");
+      for (const { index } of this.tools) this.release(index);
       if (this.state === "diverged") this.state = "running";
     }
     if (action === "pause") this.state = "paused";
@@ -339,7 +355,7 @@ export class LocalSession {
 
   record(now) {
     this.recorded = now;
-    this.frames.push({ time: (now - this.began) / 1000, data: this.frame(0), tool: this.selected });
+    this.frames.push({ time: (now - this.began) / 1000, data: this.shot(), described: this.tools.map((tool) => tool.describe()) });
     if (now - this.began > 1000 * MAX_RECORD_SECONDS) {
       this.stopRecording();
       this.sendStatus();
@@ -351,7 +367,7 @@ export class LocalSession {
     const { frames } = this;
     this.frames = null;
     if (!frames?.length) return this.refuse("The recording is empty.");
-    this.release();
+    for (const { index } of this.tools) this.release(index);
     this.replay = { frames, at: 0, since: performance.now(), playing: true, shown: -1 };
     this.begin();
   }
@@ -376,11 +392,12 @@ export class LocalSession {
     }
     const number = Math.max(0, replay.frames.findLastIndex(({ time }) => time <= replay.at));
     if (number === replay.shown || this.sent - this.acknowledged >= UNACKNOWLEDGED) return;
-    const { data, time } = replay.frames[number];
-    const buffer = data.slice(0);
-    new Uint32Array(buffer, 4, 1)[0] = ++this.sent;
-    new Float64Array(buffer, 16, 1)[0] = time;
+    const { data, time, described } = replay.frames[number];
+    const changed = JSON.stringify(described, DESCRIBED) !== JSON.stringify(this.describe().all_tools, DESCRIBED);
     replay.shown = number;
-    this.post(buffer);
+    if (changed) this.sendStatus();
+    const buffers = data.map((buffer) => buffer.slice(0));
+    new Float64Array(buffers[1], 16, 1)[0] = time;
+    this.send(buffers);
   }
 }

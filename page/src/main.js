@@ -1,6 +1,7 @@
 // The page: connects the session with the scene, the input controls and the panel.
 import "./style.css";
-import { Vector3 } from "three";
+import { HandList } from "./handList.js";
+import { Hands } from "./hands.js";
 import { InputControls } from "./inputControls.js";
 import { LabelChoice } from "./labelChoice.js";
 import { Legend, updateScaleBar } from "./legend.js";
@@ -16,6 +17,8 @@ import { Refinement } from "./refinement.js";
 import { Scene } from "./scene.js";
 import { Surroundings, SurroundingsPanel, shapeName } from "./surroundings.js";
 import { theme } from "./theme.js";
+import { initialTools, offerDepth } from "./toolSettings.js";
+import { showTools } from "./toolView.js";
 import { Transport } from "./transport.js";
 
 const byId = (id) => document.getElementById(id);
@@ -23,14 +26,14 @@ const statusLine = new StatusLine(byId);
 const meter = new FrameMeter();
 const legend = new Legend(byId);
 const preparation = new Preparation(byId);
-const FRICTION = 0.2;
-const COUPLING_STIFFNESS = 300; // [N/m], smooths the motion of a mouse
 const READOUT_INTERVAL = 60; // [ms] between updates of the readings
 const SPEECH_INTERVAL = 1500; // [ms] between announcements
 const AIR_TIME = 0.5; // [s] without a force after which a tool is in the air
 const LEAST_FORCE = 2e-3; // [N] of a tool that touches
 
-const session = { hello: null, space: "", status: {}, scalar: "displacement", state: null, next: null, waiting: null, tool: null, tools: {} };
+const session = { hello: null, space: "", status: {}, scalar: "displacement", state: null, next: null, nextTools: null, waiting: null,
+  get tool() { return hands.tool; },
+};
 const replaying = () => session.hello?.mode === "replay";
 const driver = () => Boolean(session.status.driver) && !replaying();
 const send = (message) => connection.send(message);
@@ -38,7 +41,7 @@ const send = (message) => connection.send(message);
 const page = {
   driver,
   send,
-  tool: () => session.tool,
+  address: (index) => hands.address(index),
   requestControl() {
     if (replaying()) return;
     if (!session.hello) return statusLine.showToast("The body is being prepared.");
@@ -57,11 +60,25 @@ const page = {
   },
   pressChanged(press) {
     if (press && session.status.state === "paused") statusLine.showToast("The session is paused: resume it to move the body.");
-    if (!press) statusLine.announce("Released");
+    if (!press && !hands.held.length) statusLine.announce("Released");
   },
 };
 
-let scene, controls, plots, panel, transport, refinement, surroundings, choice, connection;
+const hands = new Hands({
+  send,
+  driver,
+  /** A place next to the body for a tool. */
+  place(tool) {
+    const { sphere } = scene.body;
+    const far = sphere.radius + 2 * (tool.radius ?? 0) + (tool.length ?? 0);
+    return [sphere.center.x, sphere.center.y, sphere.center.z + far];
+  },
+  say: (text) => statusLine.showToast(text),
+  announce: (text) => statusLine.announce(text),
+  changed: () => showStatus(),
+});
+
+let scene, controls, handList, plots, panel, transport, refinement, surroundings, choice, connection;
 
 function start() {
   try {
@@ -74,15 +91,21 @@ function start() {
   plots = new Plots(byId);
   panel = new Panel(byId, { send, choose, change, scalar });
   transport = new Transport(byId, (message) => {
-    if (message.action === "reset" && controls.press) controls.release();
+    if (message.action === "reset") for (const press of [...controls.presses]) controls.release(press);
     send(message);
+    if (message.action === "reset") hands.reset();
   });
   refinement = new Refinement(byId, send);
   surroundings = new SurroundingsPanel(byId, scene.fine, (shown) => scene.showSurroundings(shown), mark);
   choice = new LabelChoice(byId, send);
-  controls = new InputControls(scene, page);
+  controls = new InputControls(scene, page, hands);
+  handList = new HandList(byId, hands, scene, {
+    hold: () => controls.hold(),
+    take: (index) => controls.grab(index),
+    release: releaseTool,
+  });
   theme(byId("theme"), (accent, dark) => {
-    scene.setColours(accent, dark);
+    scene.setColours(accent, dark, handColours());
     plots.draw(performance.now(), true);
   });
   byId("drive").onclick = () => send({ type: "drive" });
@@ -134,11 +157,12 @@ const answers = {
   hello(message) {
     choice.end();
     preparation.end();
-    if (controls.press) controls.release(); // of the body that was shown
+    for (const press of [...controls.presses]) controls.release(press); // of the body that was shown
     session.hello = message;
     session.space = message.space;
     session.status = { driver: false, viewers: message.viewers, state: "running", speed: 1 };
-    session.tools = { ...initialTools(message), ...session.tools };
+    offerDepth(message);
+    hands.offer(message, initialTools(message));
     refinement.offer();
     byId("title").textContent = message.title;
     document.title = `${message.title} · palpate`;
@@ -151,14 +175,14 @@ const answers = {
     statusLine.showMessage(message.training_errors?.advice);
     const names = ["none", ...message.scalars.map(({ name }) => name)];
     scalar(names.includes(session.scalar) ? session.scalar : "none");
-    answers.status({ driver: message.driver, tool: message.tool });
+    answers.status({ driver: message.driver, tool: message.tool, all_tools: message.all_tools });
   },
   status(message) {
     const before = driver();
     Object.assign(session.status, message);
-    adoptTool(message.tool);
+    hands.adopt(message.all_tools ?? [message.tool]);
     panel.materials(message.materials);
-    if (driver() && !before && scene.body?.count === session.hello.vertices) sendTool();
+    if (driver() && !before && scene.body?.count === session.hello.vertices) hands.start();
     showStatus();
   },
   statistics(message) {
@@ -172,7 +196,8 @@ const answers = {
   error({ reason }) {
     if (choice.fail(reason)) return;
     statusLine.showToast(reason, true);
-    if (controls.press?.tool.kind !== "grasp" || session.state?.tool === "grasp") return;
+    const { press } = controls;
+    if (press?.tool.kind !== "grasp" || press.taken || hands.state(press.index).kind === "grasp") return;
     statusLine.showCallout("cannot hold here", scene.project(controls.press.hit.point.toArray()));
     controls.release();
   },
@@ -191,6 +216,7 @@ function message(received) {
 
 function frame(received) {
   if (received.kind === 2) session.next = received;
+  else if (received.kind === 8) session.nextTools = received;
   else if (received.kind === 5 || received.kind === 6) scene.setBody(received);
   else if (received.kind === 7) {
     scene.setSurroundings(new Surroundings(received), surroundings.asked);
@@ -198,7 +224,7 @@ function frame(received) {
   } else if (received.kind === 1) {
     scene.setBody(received);
     byId("fixed-key").hidden = !received.fixed.includes(1);
-    if (driver()) sendTool();
+    if (driver()) hands.start();
     scene.overlay.lines.visible = byId("overlay").checked && session.hello.overlay;
   } else if (received.kind === 3) {
     scene.overlay?.update(received.positions);
@@ -209,8 +235,8 @@ function frame(received) {
 
 function lost(seconds) {
   choice.end();
-  session.next = null;
-  if (controls.press) controls.release();
+  session.next = session.nextTools = null;
+  controls.forget();
   session.status.driver = false;
   statusLine.setConnection("Not connected", "bad");
   statusLine.showMessage(`Connection lost. Reconnecting ${seconds < 1 ? "now" : `in ${Math.round(seconds)} s`} …`);
@@ -244,48 +270,23 @@ function showStatus() {
   const { status } = session;
   showConnection();
   byId("watching").hidden = driver() || replaying();
-  if (controls.press && !driver()) {
-    controls.press = null;
+  if (controls.presses.length && !driver()) {
+    controls.forget();
     statusLine.showToast("Another viewer now controls the tool.");
   }
   panel.status({ tool: session.tool, driver: driver() }, replaying());
   transport.status(status, driver());
   refinement.status(driver());
+  handList.show(driver());
   scene.dirty = true;
 }
 
 // input of the user
 
-/** Initial sizes of each kind of tool, from the size of the body. */
-function initialTools({ bounds: [low, high], spacing, full, compare, tools, tool_parameters: parameters = {} }) {
-  const size = Math.hypot(...high.map((part, k) => part - low[k]));
-  const round = (metres) => Math.max(Math.round(1e3 * metres), 1) / 1e3;
-  const least = full || compare ? Math.ceil(2e3 * spacing) / 2e3 : 0; // of a tool that touches a full body
-  const held = { friction: FRICTION, stiffness: compare ? null : COUPLING_STIFFNESS };
-  const fitted = {
-    sphere: { radius: Math.max(round(0.075 * size), least) },
-    capsule: { radius: Math.max(round(0.04 * size), least), length: round(0.2 * size) },
-    scalpel: { length: Math.max(round(0.15 * size), 2 * least) },
-    grasp: { radius: round(Math.max(0.05 * size, 1.5 * (spacing ?? 0))) },
-  };
-  const usual = (kind) => Object.fromEntries((parameters[kind] ?? []).map(({ name, usual: value }) => [name, value]));
-  return Object.fromEntries(tools.map((kind) => [kind, { kind, ...held, ...usual(kind), ...fitted[kind] }]));
-}
-
-/** Adopt the tool of the session; viewers who watch show the driver's tool. */
-function adoptTool(tool) {
-  const first = session.tools[session.hello.tools[0]] ?? tool;
-  if (tool && tool.kind !== "none" && (!driver() || tool.kind === "group")) session.tool = { ...tool };
-  session.tool ??= { ...first };
-  if (tool?.kind === session.tool.kind) session.tool.outline = tool.outline;
-}
-
 function choose(kind) {
   if (kind === session.tool.kind || !driver()) return;
-  if (controls.press) controls.release();
-  session.tools[session.tool.kind] = session.tool;
-  session.tool = session.tools[kind];
-  sendTool();
+  controls.putAside();
+  hands.choose(kind);
 }
 
 /** Mark a shape around the body; none for -1. */
@@ -295,24 +296,23 @@ function mark(shape) {
   if (shape >= 0) statusLine.announce(shapeName(scene.surroundings.names[shape]));
 }
 
-/** Change fields of the tool. */
+/** Change fields of the tool in hand. */
 function change(part) {
   if (controls.press) controls.release();
-  session.tool = { ...session.tool, ...part };
-  sendTool();
+  hands.change(part);
 }
 
-/** Send the tool to the session: put down next to the body, then released. Forceps are sent when they grasp. */
-function sendTool() {
-  const { tool } = session;
-  const { sphere } = scene.body;
-  if (tool.kind !== "grasp" && tool.kind !== "group") {
-    const far = sphere.radius + 2 * (tool.radius ?? 0) + (tool.length ?? 0);
-    const position = [sphere.center.x, sphere.center.y, sphere.center.z + far];
-    send({ ...tool, type: "tool", position, quaternion: [1, 0, 0, 0] });
-    send({ type: "release" });
-  }
-  showStatus();
+/** Release a tool, in hand or held. */
+function releaseTool(index) {
+  const press = controls.presses.find((each) => each.index === index);
+  if (press) controls.release(press);
+  else hands.release(index);
+}
+
+/** Colours of the forces of tools by index. */
+function handColours() {
+  const style = getComputedStyle(document.documentElement);
+  return [0, 1, 2, 3].map((index) => style.getPropertyValue(`--tool-${index}`).trim());
 }
 
 function scalar(name) {
@@ -330,7 +330,7 @@ function key(event) {
   const field = event.target.matches?.("input, select, button");
   if (field && [" ", "Enter", "ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown"].includes(event.key)) return;
   const kinds = session.hello?.tools ?? [];
-  const meanings = { r: () => transport.reset(), p: () => transport.pause(), f: () => scene.orbitCamera.reset(), s: () => surroundings.toggle(), escape: () => scene.surroundings && mark(-1), "?": () => byId("help").showModal() };
+  const meanings = { r: () => transport.reset(), p: () => transport.pause(), h: () => driver() && controls.hold(), delete: () => controls.release(), f: () => scene.orbitCamera.reset(), s: () => surroundings.toggle(), escape: () => scene.surroundings && mark(-1), "?": () => byId("help").showModal() };
   const meaning = meanings[event.key.toLowerCase()] ?? (kinds[event.key - 1] && (() => choose(kinds[event.key - 1])));
   if (meaning) meaning();
   else if (!scene.body || !controls.key(event)) return;
@@ -347,17 +347,19 @@ function renderFrame(now, seconds) {
   if (fresh) showState(state, now, seconds);
   if (scene.body) {
     controls.update(seconds, session.state);
-    showTool(session.state);
+    showTools(scene, hands, controls.presses, panel.beyond);
+    handList.place();
     showAir(session.state, seconds);
   }
   if (scene.draw(seconds)) updateScaleBar(byId, scene.metresPerPixel(), session.space, scene.rightward());
   updateReadings(now);
   if (fresh) {
-    meter.stateRendered(state);
+    meter.stateRendered({ pose: Math.max(...hands.slots.map((slot) => slot.state.pose)) });
     send({ type: "ack", sequence: state.sequence });
   }
   if (session.state?.state === "running" || replaying()) plots.draw(now);
-  byId("view").classList.toggle("over", scene.ghost.group.visible || Boolean(controls.press));
+  byId("view").classList.toggle("over", scene.ghost.group.visible || controls.presses.length > 0);
+  byId("view").classList.toggle("held", controls.overHeld >= 0);
 }
 
 function showState(state, now, seconds) {
@@ -366,25 +368,37 @@ function showState(state, now, seconds) {
   scene.body.setColourRange(session.scalar === "none" ? null : legend.updateRange(state, seconds));
   scene.dirty = true;
   const beyond = panel.judge(state);
-  scene.tool.warn(beyond);
-  if (state.state === "running") plots.add(now, state, beyond, session.fullNewtons);
+  hands.update(statesOf(state));
+  if (state.state === "running") plots.add(now, state, beyond, session.fullNewtons, hands.slots.map((slot) => slot.state));
   transport.time(state.time);
   announceForce(state, now);
 }
+
+/** States of all tools: of their own frame, or of the first tool alone. */
+function statesOf({ sequence, tool, force, newtons, position, quaternion, pose }) {
+  const { nextTools } = session;
+  if (nextTools?.sequence === sequence) return nextTools.tools;
+  return [{ kind: tool, pinned: false, force, newtons, position, quaternion, pose }];
+}
+
+/** A state with the force of the tool in hand. */
+const handState = (state) => ({ ...state, newtons: hands.state(hands.inHand).newtons });
 
 /** Update the readings at a rate at which they can be read. */
 let lastReading = { at: 0, state: null };
 function updateReadings(now) {
   if (!session.state || lastReading.state === session.state || now - lastReading.at < READOUT_INTERVAL) return;
   lastReading = { at: now, state: session.state };
-  panel.state(session.state, session.fullNewtons);
+  panel.state(handState(session.state), session.fullNewtons);
+  handList.show(driver());
+  handList.update(panel.beyond);
 }
 
 let lastAnnouncement = 0;
 function announceForce(state, now) {
   if (!controls.press || now - lastAnnouncement < SPEECH_INTERVAL) return;
   lastAnnouncement = now;
-  const { lead, value, range, note } = panel.force(state);
+  const { lead, value, range, note } = panel.force(handState(state));
   const words = value ? `${lead} ${value} newtons${range && `, ${range}`}` : note;
   statusLine.announce(`${(1e3 * controls.press.depth).toFixed(1)} millimetres, ${words}`);
 }
@@ -393,38 +407,12 @@ function announceForce(state, now) {
 let airTime = 0;
 function showAir(state, seconds) {
   const { press } = controls;
-  const touches = !press || press.grasps || press.tool.kind === "scalpel" || press.approach > 0 || state?.state !== "running" || state.newtons > LEAST_FORCE;
+  const touches = !press || press.grasps || press.tool.kind === "scalpel" || press.approach > 0 || state?.state !== "running" || hands.state(press.index).newtons > LEAST_FORCE;
   const before = airTime;
   airTime = touches ? 0 : airTime + seconds;
   panel.through = airTime > AIR_TIME && scene.body.isInside(press.position);
   if (airTime > AIR_TIME) statusLine.showCallout(panel.through ? "slipped through" : "in the air", scene.project(press.position.toArray()));
   else if (before > AIR_TIME) statusLine.hideCallout();
-}
-
-/** Draw the tool: at the driver's pointer for a rigid coupling, otherwise at the pose of the session. */
-function showTool(state) {
-  const { tool: mark, arrow, size } = scene;
-  const { tool } = session;
-  const there = controls.press !== null || (state && state.tool !== "none");
-  mark.group.visible = Boolean(there && tool && tool.kind !== "group" && size);
-  arrow.group.visible = false;
-  if (!there || !tool) return;
-  const own = controls.press && (!tool.stiffness || state?.tool === "none");
-  const [position, quaternion] = own ? [controls.press.position.toArray(), controls.press.quaternion] : [state.position, state.quaternion];
-  mark.shape(tool, size);
-  mark.at(position, quaternion);
-  const ball = tool.kind === "sphere" || tool.kind === "capsule" ? tool.radius : 0;
-  if (controls.press && !own) showPointer(position, tool);
-  if (state && state.tool !== "none" && !panel.beyond) arrow.show(position, state.force, state.newtons, size, ball, tool.kind === "grasp");
-}
-
-/** Draw the pose of the pointer where a soft coupling separates it from the tool. */
-function showPointer(position, tool) {
-  const { ghost, size } = scene;
-  const at = controls.press.position;
-  ghost.group.visible = tool.kind !== "grasp" && at.distanceTo(new Vector3().fromArray(position)) > 0.004 * size;
-  ghost.shape(tool, size);
-  ghost.at(at.toArray(), controls.press.quaternion);
 }
 
 /** State for tests. */
@@ -434,7 +422,10 @@ function publish() {
     statusLine,
     session,
     scene,
-    get force() { return session.state?.newtons ?? 0; },
+    hands,
+    controls,
+    plots,
+    get force() { return session.state ? hands.state(hands.inHand).newtons : 0; },
     get driver() { return driver(); },
     get viewers() { return session.status.viewers ?? 0; },
     get ready() { return session.state !== null; },

@@ -1,8 +1,8 @@
 // The panel: readings of the session, and settings.
+import { nameOf } from "./hands.js";
 import { choice, slider, formatNumber } from "./widgets.js";
 import { comparisonText, cutText, forceReading, isBeyond } from "./forceText.js";
 
-const NAMES = { sphere: "Sphere", capsule: "Capsule", grasp: "Forceps", scalpel: "Scalpel" };
 const MIN_STIFFNESS_EXPONENT = 1.5; // power of ten of the coupling [N/m]
 const RIGID_EXPONENT = 4; // the end of the slider stands for a rigid coupling
 
@@ -20,7 +20,7 @@ export class Panel {
     const { byId, actions } = this;
     this.toolParameters = hello.tool_parameters ?? {};
     byId("tools").hidden = hello.tools.length === 0;
-    this.markKind = choice(byId("kinds"), hello.tools.map((kind) => [kind, NAMES[kind] ?? capital(kind)]), actions.choose);
+    this.markKind = choice(byId("kinds"), hello.tools.map((kind) => [kind, nameOf(kind)]), actions.choose);
     const scalars = [["none", "Off"], ...hello.scalars.map(({ name }) => [name, capital(name)])];
     this.markScalar = choice(byId("scalars"), scalars, actions.scalar);
     byId("scalars").classList.toggle("four", scalars.length > 3);
@@ -44,7 +44,7 @@ export class Panel {
       step: 0.5,
       settled: (value) => this.actions.change({ [name]: value / 1e3 }),
     });
-    const limits = { radius: [Math.max(millimetres(0.012, 1), Math.ceil(2 * leastRadius) / 2), Math.max(millimetres(0.12, 4), 2 * leastRadius)] };
+    const limits = { depth: [1, millimetres(0.2, 10)], radius: [Math.max(millimetres(0.012, 1), Math.ceil(2 * leastRadius) / 2), Math.max(millimetres(0.12, 4), 2 * leastRadius)] };
     const own = ({ name, unit, low, high, usual }) => {
       const title = capital(name.replaceAll("_", " "));
       if (unit !== "m") {
@@ -92,7 +92,7 @@ export class Panel {
       const names = (this.toolParameters[tool.kind] ?? []).map(({ name }) => name);
       for (const [name, { label, set }] of Object.entries(this.sliders)) {
         label.hidden = !names.includes(name);
-        if (names.includes(name)) set(this.isLength(name) ? 1e3 * tool[name] : tool[name]);
+        if (names.includes(name) && name in tool) set(this.isLength(name) ? 1e3 * tool[name] : tool[name]);
       }
       this.byId("sizes").classList.toggle("two", names.length > 1 && names.every((name) => this.isLength(name)));
       if (tool.kind !== "scalpel") this.write("cut", "");

@@ -1,9 +1,12 @@
-// Three strip charts of the last ten seconds.
+// Three strip charts of the last ten seconds; that of the forces has a line for each tool.
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 
 const DURATION = 10; // [s]
 const REDRAW_INTERVAL = 100; // [ms]
+const MORE_TOOLS = ["tool1", "tool2", "tool3"]; // columns of forces
+const TOOL_LINES = ["--accent", "--tool-1", "--tool-2", "--tool-3"]; // by index
+const DASHES = { "--tool-1": [7, 3], "--tool-2": [2, 3], "--tool-3": [7, 3, 2, 3] }; // told apart without colours, too
 const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 class Strip {
@@ -13,6 +16,7 @@ class Strip {
     const series = colours.map((name, k) => ({
       stroke: () => style(name),
       width: 1.5,
+      dash: DASHES[name],
       points: { show: false },
       ...(fill && k === 0 && { fill: () => `color-mix(in srgb, ${style(name)} 12%, transparent)` }),
     }));
@@ -47,20 +51,25 @@ class Strip {
 export class Plots {
   constructor(byId) {
     this.strips = [
-      [new Strip(byId("plot-force"), 0.5, ["--accent", "--faint"], true), ["newtons", "fullNewtons"]],
+      [new Strip(byId("plot-force"), 0.5, [TOOL_LINES[0], "--faint", ...TOOL_LINES.slice(1)], true), ["newtons", "fullNewtons", ...MORE_TOOLS]],
       [new Strip(byId("plot-energy"), 0.1, ["--accent", "--faint"], false), ["strain", "kinetic"]],
       [new Strip(byId("plot-step"), 0.1, ["--accent"], false), ["computing"]],
     ];
     this.times = [];
-    this.values = { newtons: [], fullNewtons: [], strain: [], kinetic: [], computing: [] };
+    this.values = Object.fromEntries(["newtons", "fullNewtons", ...MORE_TOOLS, "strain", "kinetic", "computing"].map((name) => [name, []]));
     this.last = 0;
   }
 
-  add(now, state, beyond, fullNewtons) {
+  /** Add a state, and the states of all tools by index. */
+  add(now, state, beyond, fullNewtons, tools) {
     if (now - (this.times.at(-1) ?? -Infinity) < 15) return;
     this.times.push(now);
     const gap = beyond && !Number.isFinite(fullNewtons); // where a model was not trained, and nothing is compared
     this.values.newtons.push(gap ? null : state.newtons);
+    MORE_TOOLS.forEach((name, k) => {
+      const tool = tools[k + 1];
+      this.values[name].push(gap || !tool || tool.kind === "none" ? null : tool.newtons);
+    });
     this.values.fullNewtons.push(Number.isFinite(fullNewtons) ? fullNewtons : null);
     this.values.strain.push(1e3 * state.strain);
     this.values.kinetic.push(1e3 * state.kinetic);

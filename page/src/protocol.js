@@ -5,6 +5,8 @@ export const TOOLS = ["none", "sphere", "capsule", "grasp", "group", "scalpel"];
 
 const HEADER_BYTES = 16; // kind, sequence, vertices, triangles
 const STATE_NUMBERS = 25; // float64 values of a state
+const TOOL_NUMBERS = 16; // of a tool
+const [KIND, PINNED, FORCE, MOMENT, POSITION, QUATERNION, SEQUENCE] = [0, 1, 2, 5, 8, 11, 15]; // where they are
 
 /** Decode a binary frame; arrays are views of the buffer. */
 export function decode(buffer) {
@@ -17,6 +19,7 @@ export function decode(buffer) {
   }
   if (kind === 7) return surroundings(buffer, sequence, vertices, triangles);
   if (kind === 2) return state(buffer, sequence, vertices);
+  if (kind === 8) return { kind, sequence, tools: Array.from({ length: vertices }, (_, index) => tool(buffer, index)) };
   if (kind === 3) {
     const force = new Float32Array(buffer, HEADER_BYTES + 12 * vertices, 3);
     return { kind, sequence, positions: new Float32Array(buffer, HEADER_BYTES, 3 * vertices), newtons: Math.hypot(...force) };
@@ -66,6 +69,22 @@ function state(buffer, sequence, vertices) {
   };
 }
 
+/** The tool of an index in a frame of all tools. */
+function tool(buffer, index) {
+  const numbers = new Float64Array(buffer, HEADER_BYTES + 8 * TOOL_NUMBERS * index, TOOL_NUMBERS);
+  const force = numbers.subarray(FORCE, MOMENT);
+  return {
+    kind: TOOLS[numbers[KIND]] ?? "none",
+    pinned: numbers[PINNED] === 1,
+    force,
+    newtons: Math.hypot(...force),
+    position: numbers.subarray(POSITION, QUATERNION),
+    quaternion: numbers.subarray(QUATERNION, SEQUENCE),
+    pose: numbers[SEQUENCE],
+  };
+}
+
+const VERSIONS = { "palpate.v3": 3, "palpate.v2": 2 }; // by subprotocol, the newest first
 const FIRST_RETRY_DELAY = 500; // [ms], doubled after each failure
 const MAX_RETRY_DELAY = 8000;
 const FINAL_CODES = { 4401: "token", 4400: "refused", 4429: "full" }; // closing codes without a retry
@@ -79,10 +98,10 @@ export class Connection {
 
   connect() {
     clearTimeout(this.timer);
-    const socket = new WebSocket(this.url, "palpate.v2");
+    const socket = new WebSocket(this.url, Object.keys(VERSIONS));
     this.socket = socket;
     socket.binaryType = "arraybuffer";
-    socket.onopen = () => this.send({ type: "hello", protocol: 2, token: this.token, preparation: true, surroundings: true });
+    socket.onopen = () => this.send({ type: "hello", protocol: VERSIONS[socket.protocol], token: this.token, preparation: true, surroundings: true });
     socket.onmessage = ({ data }) => {
       if (socket !== this.socket) return;
       if (typeof data !== "string") return this.on.frame(decode(data));

@@ -1,7 +1,7 @@
 // The scene: renderer, camera, body mesh, tool glyphs, and shadow.
 import * as three from "three";
 import { Shadow } from "./shadow.js";
-import { ForceArrow, SurfaceMarker, ToolGlyph } from "./toolGlyphs.js";
+import { ForceArrow, SurfaceMarker, TOOL_TINTS, ToolGlyph } from "./toolGlyphs.js";
 import { OrbitCamera } from "./camera.js";
 import { BodyMesh, Overlay } from "./bodyMesh.js";
 import { pick } from "./pick.js";
@@ -23,6 +23,9 @@ function isNear(first, second) {
   return apart < 0.2 * first.radius;
 }
 
+const PICK_SLACK = 14; // [px] around the point of a tool that is held, at which a click takes it
+const raycaster = new three.Raycaster();
+
 export class Scene {
   constructor(canvas) {
     this.canvas = canvas;
@@ -34,12 +37,13 @@ export class Scene {
     this.renderer.setClearAlpha(0);
     this.resolution = new AdaptiveResolution(this.fine ? Math.min(devicePixelRatio, 2) : 1, this.orbitCamera.still);
     this.graph = new three.Scene();
-    this.tool = new ToolGlyph(1, this.fine);
+    this.tools = TOOL_TINTS.map((_, index) => new ToolGlyph(1, this.fine, index)); // by index
+    this.arrows = TOOL_TINTS.map((tint) => new ForceArrow(tint));
     this.ghost = new ToolGlyph(0.5, this.fine);
-    this.arrow = new ForceArrow("#0b7285");
     this.marker = new SurfaceMarker("#0b7285");
     this.shadow = new Shadow(this.renderer, this.fine);
-    this.graph.add(this.shadow.plane, this.tool.group, this.ghost.group, this.arrow.group, this.marker.mesh);
+    const groups = [...this.tools, ...this.arrows].map(({ group }) => group);
+    this.graph.add(this.shadow.plane, ...groups, this.ghost.group, this.marker.mesh);
     this.body = this.overlay = this.surroundings = null;
     this.dirty = true;
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
@@ -65,7 +69,8 @@ export class Scene {
     this.graph.add(this.body.mesh, this.overlay.lines);
     this.shadow.fit(this.body);
     this.body.preview = geometry.kind === 5;
-    if (!same) this.orbitCamera.fitSphere(this.body.sphere, previewed || (before && isNear(before, this.body.sphere)));
+    const grows = geometry.kind === 6 && before; // a cut: the view stays, as a blade is led in it
+    if (!same && !grows) this.orbitCamera.fitSphere(this.body.sphere, previewed || (before && isNear(before, this.body.sphere)));
     this.dirty = true;
   }
 
@@ -102,10 +107,11 @@ export class Scene {
     return this.body ? 2 * this.body.sphere.radius : 1;
   }
 
-  setColours(accent, dark) {
+  /** Set the accent and the colours of forces of tools by index. */
+  setColours(accent, dark, colours) {
     Object.assign(this, { accent, dark });
     this.surroundings?.setColours(accent, dark);
-    this.arrow.setColour(accent);
+    this.arrows.forEach((arrow, index) => arrow.setColour(colours[index]));
     this.marker.material.color.set(accent);
     this.overlay?.lines.material.color.set(accent);
     this.shadow.strength = dark ? 0.6 : 0.2;
@@ -131,6 +137,30 @@ export class Scene {
 
   pick(x, y) {
     return this.body && pick(this.body, this.camera, x, y);
+  }
+
+  /** The first tool, and the arrow of its force. */
+  get tool() {
+    return this.tools[0];
+  }
+
+  get arrow() {
+    return this.arrows[0];
+  }
+
+  /** Which of the tools of some indices is at normalised device coordinates, in front of a distance or at its own point; or -1. */
+  toolUnder(x, y, indices, distance) {
+    raycaster.setFromCamera(new three.Vector2(x, y), this.camera);
+    const hits = indices.flatMap((index) => raycaster.intersectObject(this.tools[index].group).map((hit) => [hit.distance, index]));
+    const [nearest] = hits.sort(([a], [b]) => a - b);
+    if (nearest?.[0] < distance) return nearest[1];
+    const [u, v] = [(0.5 + 0.5 * x) * this.width, (0.5 - 0.5 * y) * this.height];
+    const away = indices.map((index) => {
+      const [left, top] = this.project(this.tools[index].group.position.toArray());
+      return [Math.hypot(left - u, top - v), index];
+    });
+    const [closest] = away.sort(([a], [b]) => a - b);
+    return closest?.[0] < PICK_SLACK ? closest[1] : -1;
   }
 
   /** Pixel coordinates of a point in space. */

@@ -1,5 +1,6 @@
 // Glyphs of the tool, the force on it, and the point under the pointer.
 import * as three from "three";
+import { scalpelParts, strokeArrow } from "./bladeGlyph.js";
 import { toolShader } from "./shaders.js";
 
 const Z = new three.Vector3(0, 0, 1);
@@ -17,19 +18,28 @@ function material(colour, opacity = 1, more = {}) {
   });
 }
 
-const STEEL = [0.914, 0.925, 0.933]; // sRGB
-const EDGE = "#c8452d"; // of a scalpel
-const BELLY_SHARE = 0.97; // sine of the angle at the ends of a scalpel's edge, as in the session
-const WARNING = [0.86, 0.2, 0.16]; // where a model was not trained
+const STEEL = "#e9ecee";
+const EDGE = "#e8590c"; // of a scalpel
+const WARNING = "#db3329"; // where a model was not trained
+const SLATE = "#5b6670"; // of the handle of the first scalpel
+export const TOOL_TINTS = [STEEL, "#1fb58b", "#e2a12b", "#9775fa"]; // of tools by index
 
-/** A tool in its own frame. */
+const paint = (target, style) => {
+  const { r, g, b } = new three.Color().setStyle(style, three.LinearSRGBColorSpace); // components as given
+  target.uniforms.colour.value.set(r, g, b);
+};
+
+/** A tool in its own frame; the tint is that of its index. */
 export class ToolGlyph {
-  constructor(opacity, fine) {
+  constructor(opacity, fine, index = 0) {
     this.parts = fine ? 2 : 1; // subdivision of arcs
     this.group = new three.Group();
     this.group.visible = false;
-    this.material = material("#e9ecee", opacity, { depthWrite: opacity === 1 });
-    this.accent = material(EDGE, opacity, { depthWrite: opacity === 1 }); // of an edge that cuts, and its direction
+    this.index = index;
+    const made = (colour) => material(colour, opacity, { depthWrite: opacity === 1 });
+    this.material = made(TOOL_TINTS[index]);
+    // of a scalpel: the flat of its blade, the ground faces, the edge that cuts, its handle and the grip
+    this.materials = { flat: made("#c3cad0"), ground: made("#f6f8f9"), edge: made(EDGE), handle: made(SLATE), grip: made("#23282d") };
     this.key = "";
   }
 
@@ -40,17 +50,28 @@ export class ToolGlyph {
     this.key = key;
     this.group.traverse((part) => part.geometry?.dispose());
     this.group.clear();
+    this.way = null;
     if (kind === "sphere") this.group.add(this.part(new three.SphereGeometry(radius, 24 * this.parts, 16 * this.parts)));
     else if (kind === "capsule") {
       this.group.add(this.part(new three.CapsuleGeometry(radius, length, 8 * this.parts, 20 * this.parts).rotateX(Math.PI / 2)));
-    } else if (kind === "scalpel") this.group.add(...this.scalpel(length, 0.02 * size));
+    } else if (kind === "scalpel") this.scalpel(length);
     else if (outline) this.group.add(this.revolved(outline));
     else for (const side of [1, -1]) this.group.add(this.jaw(side, 0.02 * size));
   }
 
-  /** Colour the tool red beyond training. */
-  warn(beyond) {
-    this.material.uniforms.colour.value.fromArray(beyond ? WARNING : STEEL);
+  /** Give the tool the tint of an index, or red beyond training. */
+  tint(index, beyond = false) {
+    this.index = index;
+    paint(this.material, beyond ? WARNING : TOOL_TINTS[index]);
+    paint(this.materials.handle, beyond ? WARNING : index ? TOOL_TINTS[index] : SLATE);
+  }
+
+  /** Draw the tool as solid or translucent as a share. */
+  fade(opacity) {
+    for (const each of [this.material, ...Object.values(this.materials)]) {
+      each.uniforms.opacity.value = opacity;
+      each.depthWrite = opacity === 1;
+    }
   }
 
   part(shape) {
@@ -63,24 +84,23 @@ export class ToolGlyph {
     return this.part(new three.LatheGeometry(points, 48 * this.parts).rotateX(Math.PI / 2));
   }
 
-  /** A flat blade with a round belly around the origin, its edge and the direction in which it cuts, and a handle above. */
-  scalpel(length, unit) {
-    const flat = new three.Shape();
-    const angle = Math.asin(BELLY_SHARE);
-    const radius = (0.5 * length) / BELLY_SHARE;
-    flat.absarc(0, radius, radius, -Math.PI / 2 - angle, -Math.PI / 2 + angle, false);
-    const top = radius * (1 - Math.cos(angle)) + 0.25 * length;
-    flat.lineTo(0.5 * length, top).lineTo(-0.5 * length, top).closePath();
-    const thick = 0.1 * unit;
-    const blade = new three.ExtrudeGeometry(flat, { depth: thick, bevelEnabled: false, curveSegments: 24 }).translate(0, 0, -thick / 2);
-    const handle = new three.BoxGeometry(0.35 * length, 0.5 * unit, 4.5 * unit).translate(0, 0, top + 2.2 * unit);
-    const points = Array.from({ length: 25 }, (_, k) => {
-      const at = -angle + (2 * angle * k) / 24;
-      return new three.Vector3(radius * Math.sin(at), 0, radius * (1 - Math.cos(at)));
-    });
-    const edge = new three.TubeGeometry(new three.CatmullRomCurve3(points), 24, 0.14 * unit, 8);
-    const way = new three.ConeGeometry(0.3 * unit, 0.9 * unit, 16).rotateX(-Math.PI / 2).translate(0, 0, -0.9 * unit);
-    return [this.part(blade.rotateX(Math.PI / 2)), this.part(handle), new three.Mesh(edge, this.accent), new three.Mesh(way, this.accent)];
+  /** A blade with its handle, and the arrow of its stroke. */
+  scalpel(length) {
+    for (const [name, shapes] of Object.entries(scalpelParts(length))) {
+      this.group.add(...shapes.map((shape) => new three.Mesh(shape, this.materials[name])));
+    }
+    this.way = new three.Group().add(...strokeArrow().map((shape) => new three.Mesh(shape, this.materials.edge)));
+    this.way.scale.setScalar(0.62 * length);
+    this.length = length;
+    this.group.add(this.way);
+    this.stroke(1, 0);
+  }
+
+  /** Show that a scalpel cuts towards +x or -x of its frame, at a height [m] above the deepest point of its edge. */
+  stroke(sign, height) {
+    if (!this.way) return;
+    this.way.rotation.z = sign < 0 ? Math.PI : 0;
+    this.way.position.set(sign * 0.6 * this.length, 0, height + 0.1 * this.length);
   }
 
   jaw(side, unit) {

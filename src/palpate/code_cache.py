@@ -28,12 +28,11 @@ import numba
 from numba import njit
 from numba.core import serialize, types
 from numba.core.compiler import CompileResult
-from platformdirs import user_cache_path
 
 from palpate.code_digest import law_digest
 from palpate.shipped_code import NUMPY_VERSION, find_shipped
 from palpate.threads import loops_share_threads
-from palpate.working_folder import foreign_writer, make_private
+from palpate.working_folder import cache_folder, foreign_writer, make_private
 
 MAX_BYTES, KEPT_SHARE = 500_000_000, 0.8  # of all files, and the share of it that is left when it is exceeded
 SAVES_BETWEEN_CHECKS = 50
@@ -85,14 +84,15 @@ def code_folder() -> Path | None:
 def _found_folder() -> tuple[Path, str]:
     """Return the folder of compiled functions, and why it cannot be used; empty if it can."""
     given = numba.config.CACHE_DIR
-    return _checked(Path(given) / "palpate-code" if given else user_cache_path("palpate") / "code")
+    if given:
+        return _checked(Path(given) / "palpate-code")
+    folder = cache_folder()
+    return (Path(), "the user has no home folder") if folder is None else _checked(folder / "code")
 
 
 @cache
 def _checked(folder: Path) -> tuple[Path, str]:
     """Create a folder, and return it and why it cannot be used."""
-    if not folder.is_absolute():  # of a user without a home
-        return folder, "the user has no home folder"
     try:
         make_private(folder)
     except OSError as error:

@@ -15,7 +15,7 @@ from palpate.dynamics.solid.unloading import UnloadedBody
 from palpate.meshfree.cut.surface import CutSurface
 from palpate.realtime.bodies.model import RealtimeModel
 from palpate.realtime.device import DeviceLog
-from palpate.realtime.record import Reading
+from palpate.realtime.record import Reading, ToolReading
 from palpate.realtime.statistics import Distribution
 from palpate.reduction.hyper.body import ReducedBody
 from palpate.reduction.hyper.error_indicator import ExpectedError
@@ -45,5 +45,6 @@ __all__ = [
     "StepReport",
     "Support",
     "Tool",
+    "ToolReading",
     "UnloadedBody",
 ]

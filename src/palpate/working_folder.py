@@ -33,6 +33,17 @@ Guard = Callable[[ModuleType], contextlib.AbstractContextManager[None]]
 # folders of compiled code
 
 
+def cache_folder() -> Path | None:
+    """Return the folder of palpate in the user's cache; None for a user without a home folder."""
+    from platformdirs import user_cache_path  # not of the standard library
+
+    try:
+        folder = user_cache_path("palpate")
+    except RuntimeError:
+        return None
+    return folder if folder.is_absolute() else None
+
+
 def foreign_writer(folder: str | Path) -> str:
     """Return the reason for which others can replace the content of a folder; empty if only owner and root can.
 

@@ -32,7 +32,7 @@ from palpate.dynamics.run.reactions import nodal_outputs
 
 TOKEN = "a-token-of-tests"
 ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
-SECONDS = 20.0  # to wait for what takes a fraction of one on an idle machine
+SECONDS = 60.0  # to wait for what takes a fraction of one on an idle machine
 
 
 @pytest.fixture
@@ -145,7 +145,8 @@ class Client:
     def __init__(self, socket, draws=True):
         self.socket, self.draws = socket, draws
         self.messages, self.states, self.overlays, self.forces, self.geometry = [], [], [], [], None
-        self.surroundings = []
+        self.force_indices = []
+        self.surroundings, self.tools = [], []
 
     async def say(self, **message):
         await self.socket.send(json.dumps(message))
@@ -172,7 +173,10 @@ class Client:
             self.overlays.append((sequence, np.frombuffer(text, "<f4", 3 * n, 16).reshape(-1, 3)))
         elif kind == 7:
             self.surroundings.append((len(self.states), text))
+        elif kind == 8:
+            self.tools.append((sequence, np.frombuffer(text, "<f8", 16 * n, 16).reshape(-1, 16)))
         else:
+            self.force_indices.append(n)
             self.forces.append(np.frombuffer(text, "<f8", 23, 16))
 
     async def hear_until(self, condition):
@@ -221,11 +225,11 @@ class Site:
         self.thread.join(SECONDS)
 
     @contextlib.asynccontextmanager
-    async def client(self, *, token=TOKEN, draws=True, greet=True, more=None, **options):
-        options = {"subprotocols": ["palpate.v2"], "max_size": None, **options}
+    async def client(self, *, token=TOKEN, draws=True, greet=True, more=None, version=2, **options):
+        options = {"subprotocols": [f"palpate.v{version}"], "max_size": None, **options}
         async with connect(f"ws://{LOOPBACK}:{self.port}/session", **options) as socket:
             own = Client(socket, draws)
-            await own.say(type="hello", protocol=2, token=token, **(more or {}))
+            await own.say(type="hello", protocol=version, token=token, **(more or {}))
             if greet:
                 await own.hear_until(lambda c: c.geometry is not None)
             yield own

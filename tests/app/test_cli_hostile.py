@@ -44,6 +44,7 @@ def idle(monkeypatch, tmp_path):
     ):  # fmt: skip
         monkeypatch.setattr(place, stop)
     monkeypatch.setattr("palpate.app.train.command.check_dask", stop)
+    monkeypatch.setattr("palpate.app.cli.build_parser", lambda: PARSER)  # building it takes most of the time
     monkeypatch.chdir(tmp_path)
 
 
@@ -57,7 +58,8 @@ def leaves(parser, before=()):
             yield from leaves(own, (*before, name))
 
 
-COMMANDS = dict(leaves(build_parser()))
+PARSER = build_parser()
+COMMANDS = dict(leaves(PARSER))
 
 
 def command_line(words, parser, tried, value):
@@ -82,6 +84,7 @@ def outcome(line, capsys):
     return code, [text for text in capsys.readouterr().err.splitlines() if not text.endswith(" ...")]
 
 
+@pytest.mark.slow
 @pytest.mark.quick(words=[("fit",), ("laws",)])
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
 def test_no_value_of_any_option_ends_in_a_traceback(words, idle, capsys):

@@ -240,18 +240,21 @@ def test_accepting_a_step_is_a_function_of_its_states_and_report(model, prepared
         assert model.accept_step(state, wild, given) == first
 
 
+@pytest.mark.slow
 def test_interleaved_runs_with_fixed_steps_are_independent(model, loads, step):
     alone = run(model, loads, step=step)
     interleaved = run(model, loads, step=step, progress=lambda *_: run(model, loads, step=0.8 * step, duration=EVERY))
     same_runs(alone, interleaved)
 
 
+@pytest.mark.slow
 def test_interleaved_runs_are_independent(model, loads):
     alone = run(model, loads)
     interleaved = run(model, loads, progress=lambda *_: run(model, loads, duration=3 * EVERY))
     same_runs(alone, interleaved)
 
 
+@pytest.mark.slow
 def test_two_threads_can_step_two_states_of_one_model(model, loads, step):
     """Each has its own workspace; the model is shared and only read."""
     durations = (2 * EVERY, 3 * EVERY)

@@ -7,10 +7,13 @@ static class Steps
     {
         using (var organ = new Palpate.Organ(arguments[0]))
         {
-            if (organ.SetBall(0.015, 0.024, 0.038, 0.046, 0.3) != 0) return 1;
+            if (organ.SetBall(0, 0.015, 0.024, 0.038, 0.046, 0.3) != 0) return 1;
             for (int k = 0; k < 200; k++)
-                if (organ.Step(0, 0, -0.005 * Math.Min(1, k / 100.0)) != 0) return 2;
-            double[] force = organ.Force;
+            {
+                organ.SetPose(0, 0, 0, -0.005 * Math.Min(1, k / 100.0));
+                if (organ.Step() != 0) return 2;
+            }
+            double[] force = organ.Force(0);
             Console.WriteLine("{0:R} {1:R} {2:R}", force[0], force[1], force[2]);
             Console.WriteLine("{0} {1}", organ.Vertices().Length, organ.Triangles().Length);
         }

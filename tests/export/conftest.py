@@ -15,7 +15,7 @@ def model_file(tmp_path_factory):
     from exported import train
 
     path = tmp_path_factory.mktemp("model") / "organ.rom"
-    train("NeoHookean", path)
+    train("MooneyRivlin", path)
     return path
 
 

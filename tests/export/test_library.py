@@ -2,23 +2,37 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
-from exported import BALL, FORCE, SIZE, SPACING, Engine, Library, pose_at, set_tool, step_through
+from exported import (
+    BALL,
+    FORCE,
+    SIZE,
+    SPACING,
+    TOOL_FORCE,
+    Engine,
+    Library,
+    coordinates_part,
+    pose_at,
+    set_tool,
+    step_through,
+    tool_record,
+)
 
 import palpate as pt
 from palpate.dynamics.contact import kinds
-from palpate.realtime.record import HEADER_SIZE, field_offset
+from palpate.realtime.record import HEADER_SIZE, TOOL_DTYPE, field_offset
 
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler"),
 ]
-PERIODS, PLACE = 400, (0.024, 0.038, SIZE[2] + BALL + 0.001)
+PERIODS, PLACE, OTHER = 400, (0.024, 0.038, SIZE[2] + BALL + 0.001), (0.052, 0.012, SIZE[2] + 0.007)
 STRICT_WARNINGS = ["-Wall", "-Wextra", "-Werror", "-Wno-unused-function"]
 
 
@@ -37,7 +51,7 @@ def press(model, periods=200):
 
 
 def step(model, pose):
-    model.arrays["pose"][:] = pose
+    model.arrays["pose"][0] = pose
     assert model("step") == 0
     return model.arrays["record"].copy()
 
@@ -55,7 +69,7 @@ def test_presses_and_grasps_are_those_of_the_engine(library, model_file):
     records, vertices, _ = step_through(library, PERIODS, True)
     model = pt.load(model_file)
     expected, expected_vertices, _ = step_through(Engine(model), PERIODS, True)
-    force, coordinates = slice(FORCE, FORCE + 3), slice(HEADER_SIZE, HEADER_SIZE + model.count)
+    force, coordinates = slice(FORCE, FORCE + 3), coordinates_part(library, model.count)
     for part in (force, coordinates):
         scale = np.abs(expected[:, part]).max()
         assert scale > 0
@@ -63,6 +77,34 @@ def test_presses_and_grasps_are_those_of_the_engine(library, model_file):
     np.testing.assert_allclose(vertices, expected_vertices, rtol=0, atol=1e-8)
     assert np.abs(records[:, FORCE + 2]).max() > 0.5  # of a press and of a pull
     assert records[: PERIODS // 2, FORCE + 2].max() > 0 > records[PERIODS // 2 :, FORCE + 2].min()
+
+
+def test_two_tools_have_the_records_of_the_engine(library, model_file):
+    model, records = pt.load(model_file), []
+    for each in (library, Engine(model)):
+        set_tool(each, 0, (BALL, 0.0, 0.0), PLACE, 0.3)
+        set_tool(each, 0, (0.006, 0.0, 0.0), OTHER, 0.3, 1)
+        for k in range(PERIODS):
+            s = k / PERIODS
+            each.arrays["pose"][:] = pose_at(s, True), pose_at(1.0 - s, True)
+            assert each("step") == 0
+            parts = [tool_record(each, index) for index in (0, 1)]
+            record = each.arrays["record"]
+            records.append(np.concatenate([record[coordinates_part(library, model.count)], *parts]))
+    numbers, expected = np.array(records).reshape(2, PERIODS, -1)
+    sizes = np.linalg.norm(numbers[:, model.count :].reshape(PERIODS, 2, -1)[..., TOOL_FORCE : TOOL_FORCE + 3], axis=2)
+    assert (sizes.max(axis=0) > 0.3).all()
+    assert (sizes > 0.0).all(axis=1).sum() > PERIODS // 4  # both press at the same time
+    scale = np.maximum(np.abs(expected).max(axis=(0, 1)), 1e-12)
+    np.testing.assert_allclose(numbers / scale, expected / scale, rtol=0, atol=1e-9)
+
+
+def test_forceps_on_nodes_that_others_hold_are_refused(library):
+    set_tool(library, kinds.BONDED, (0.012, 0.0, 0.0), (0.03, 0.03, SIZE[2]), 0.0)
+    with pytest.raises(RuntimeError, match="is refused"):
+        set_tool(library, kinds.BONDED, (0.012, 0.0, 0.0), (0.04, 0.03, SIZE[2]), 0.0, 1)
+    set_tool(library, kinds.BONDED, (0.007, 0.0, 0.0), (0.0525, 0.0525, SIZE[2]), 0.0, 1)
+    set_tool(library, kinds.BONDED, (0.012, 0.0, 0.0), (0.04, 0.03, SIZE[2]), 0.0)  # in place of itself
 
 
 @pytest.mark.parametrize(
@@ -104,12 +146,18 @@ def test_vertices_are_those_that_the_page_draws(library, model_file):
     engine, surface = Engine(model), Surface(model)
     data, work = engine._functions["step"][1][:2]
     for drawn in (library, engine):
+        set_tool(drawn, kinds.BONDED, (0.008, 0.0, 0.0), (0.0525, 0.015, SIZE[2]), 0.0, 1)
+        drawn.arrays["pose"][1, 2] = 0.001  # forceps pull while the ball presses
         press(drawn, 100)
         drawn("vertices")
     contact = data.inner.contact_work
     count = contact.numbers[PAIRS]
     assert count > 0
-    moved = surface.displacements(work.q, contact.node[:count], contact.push[:count])
+    tools = contact.tool[:count]
+    bonded = data.inner.tools.kind[tools] == kinds.BONDED
+    assert bonded.any()
+    assert not bonded.all()
+    moved = surface.displacements(work.q, contact.node[:count], contact.push[:count], bonded, tools)
     for drawn in (library, engine):
         np.testing.assert_allclose(drawn.arrays["vertices"], surface.rest + moved, rtol=0, atol=1e-8)
 
@@ -124,9 +172,9 @@ def test_a_copy_of_the_memory_is_another_model_in_the_same_state(library):
 
 
 def test_a_coupled_tool_begins_at_rest_where_it_is_put(library):
-    library.arrays["coupling"][:] = (300.0, 2 * np.sqrt(300 * 0.05), 0.05, np.inf)
+    library.arrays["coupling"][0] = (300.0, 2 * np.sqrt(300 * 0.05), 0.05, np.inf)
     press(library, 100)
-    assert library.arrays["tool_position"][2] < 0.0
+    assert library.arrays["tool_position"][0, 2] < 0.0
     set_tool(library, 0, (BALL, 0.0, 0.0), PLACE, 0.3)
     assert not library.arrays["tool_position"].any()
     assert not library.arrays["record"][field_offset("position") : field_offset("position") + 3].any()
@@ -139,10 +187,10 @@ def test_a_reset_returns_to_rest(library):
     first = press(library)
     assert library("reset") == 0
     assert not library.arrays["record"][FORCE : FORCE + 3].any()
-    again, stiffness = press(library), field_offset("stiffness")
-    for records in (first, again):  # it follows from the tangents of the periods before
-        for record in records:
-            record[stiffness : stiffness + 9] = 0.0
+    again, of_tool = press(library), HEADER_SIZE + field_offset("stiffness", TOOL_DTYPE)
+    for record in (*first, *again):  # the stiffness follows from the tangents of the periods before
+        for place in (field_offset("stiffness"), of_tool):
+            record[place : place + 9] = 0.0
     np.testing.assert_array_equal(again, first)
 
 
@@ -179,6 +227,21 @@ def test_the_force_of_a_model_that_has_diverged_is_zero(library):
     assert library("step") == 2
 
 
+# the object file
+
+
+@needs("nm")
+def test_no_kernel_of_a_period_allocates_or_calls_python(library, exported_folder):
+    """The object has the functions of the header alone, and needs no function of Python, of Numba or of memory."""
+    symbols = [line.split()[:2] for line in run("nm", "-g", "-P", exported_folder / "organ.o").decode().splitlines()]
+    defined = sorted(name for name, kind in symbols if kind != "U")
+    functions = ("check", "file_size", "memory_size", "reset", "set_tool", "step", "vertices")
+    assert defined == [f"organ_{name}" for name in functions]
+    needed = {name for name, kind in symbols if kind == "U"}
+    assert not [name for name in needed if re.match("_?Py|NRT|_?numba|malloc|calloc|realloc|free", name)], needed
+    assert library._number("file_size") < library._number("memory_size")
+
+
 # bad input
 
 
@@ -186,7 +249,7 @@ def test_the_force_of_a_model_that_has_diverged_is_zero(library):
 def test_a_pose_that_is_not_finite_or_jumps_keeps_the_last(library, pose):
     press(library, 50)
     before = library.arrays["record"][:HEADER_SIZE].copy()
-    library.arrays["pose"][:] = pose
+    library.arrays["pose"][0] = pose
     assert library("step") == 1
     after, place = library.arrays["record"], field_offset("position")
     assert after[0] > before[0]  # the period was taken
@@ -238,6 +301,33 @@ def test_a_c_program_takes_the_same_periods(library, exported_folder, poses, tmp
     run(*command, exported_folder / "organ.o", "-lm", "-o", program)
     records = np.frombuffer(run(program, exported_folder / "organ.palpate", poses)).reshape(200, -1)
     np.testing.assert_array_equal(records, press(library))
+
+
+TWO_TOOLS = """
+#include "organ.h"
+int main(int argc, char **argv) {
+    void *block, *memory;
+    double pose[7] = {0, 0, -0.001, 1, 0, 0, 0}, *poses;
+    const double *record;
+    if (argc < 2 || organ_open(argv[1], &block, &memory)) return 1;
+    poses = (double *)palpate_array(memory, "pose");
+    record = (const double *)palpate_array(memory, "record");
+    if (palpate_set_pose(memory, 2, pose) != PALPATE_BAD_VALUE || palpate_tool(memory, 2)) return 2;
+    if (palpate_set_pose(memory, 1, pose) || poses[2] != 0 || poses[7 + 2] != -0.001) return 3;
+    if (organ_step(memory)) return 4;
+    if (palpate_tool(memory, 0) != record + PALPATE_HEADER_SIZE) return 5;
+    if (palpate_tool(memory, 1)[PALPATE_TOOL_POSITION + 2] >= 0 || record[PALPATE_POSITION + 2] != 0) return 6;
+    free(block);
+    return 0;
+}
+"""
+
+
+def test_the_header_moves_the_second_tool_and_refuses_a_third(exported_folder, tmp_path):
+    (tmp_path / "two.c").write_text(TWO_TOOLS)
+    sources = [f"-I{exported_folder}", tmp_path / "two.c", exported_folder / "organ.o"]
+    run("cc", "-std=c99", "-pedantic", *STRICT_WARNINGS, *sources, "-lm", "-o", tmp_path / "two")
+    run(tmp_path / "two", exported_folder / "organ.palpate")
 
 
 def test_damaged_and_missing_files_end_a_program_with_a_line(exported_folder, tmp_path):

@@ -12,7 +12,7 @@ from numba import njit
 
 from palpate.realtime.black_box import MAX_COORDINATES, RingBuffer, append_record, latest_records, write_black_box
 from palpate.realtime.exchange import get_flag, make_flags, set_flag
-from palpate.realtime.record import HEADER_DTYPE, HEADER_SIZE
+from palpate.realtime.record import HEADER_DTYPE, TOOL_DTYPE, record_size
 
 
 @njit(nogil=True)
@@ -27,7 +27,7 @@ def keep_until_told(ring, row, told):
 def filled(count, capacity=10, coordinates=3):
     ring = RingBuffer.empty(capacity, coordinates)
     for k in range(count):
-        append_record(ring, np.full(HEADER_SIZE + 2 * coordinates, float(k)))
+        append_record(ring, np.full(record_size(coordinates, 1), float(k)))
     return ring
 
 
@@ -35,12 +35,12 @@ def filled(count, capacity=10, coordinates=3):
 def test_the_last_rows_are_kept_in_order(count):
     rows = latest_records(filled(count))
     assert np.array_equal(rows[:, 0], np.arange(max(0, count - 10), count))
-    assert rows.shape[1] == HEADER_SIZE + 3
+    assert rows.shape[1] == record_size(0, 1) + 3
 
 
 def test_rows_read_while_others_are_written_are_whole():
     ring, told = RingBuffer.empty(50, 40), make_flags()
-    writer = threading.Thread(target=keep_until_told, args=(ring, np.zeros(HEADER_SIZE + 80), told))
+    writer = threading.Thread(target=keep_until_told, args=(ring, np.zeros(record_size(40, 1)), told))
     writer.start()
     try:
         while get_flag(ring.written, 0) < 100:
@@ -59,9 +59,9 @@ def test_rows_read_while_others_are_written_are_whole():
 
 def test_a_file_holds_the_rows_with_their_units(tmp_path):
     path = tmp_path / "flight.h5"
-    write_black_box(path, filled(4), {"period": 1e-3})
+    write_black_box(path, filled(4), 1, {"period": 1e-3})
     with h5py.File(path) as file:
-        assert set(file) == {*HEADER_DTYPE.names, "coordinates"}
+        assert set(file) == {*HEADER_DTYPE.names, "coordinates", "tools"}
         assert file["force"].shape == (4, 3)
         assert file["force"].attrs["unit"] == "N"
         assert np.array_equal(file["time"], np.arange(4.0))
@@ -71,12 +71,12 @@ def test_a_file_holds_the_rows_with_their_units(tmp_path):
 
 
 def test_of_many_coordinates_the_first_are_kept():
-    assert latest_records(filled(2, coordinates=100)).shape == (2, HEADER_SIZE + MAX_COORDINATES)
+    assert latest_records(filled(2, coordinates=100)).shape == (2, record_size(0, 1) + MAX_COORDINATES)
 
 
 def test_an_old_file_survives_a_failed_write(tmp_path, monkeypatch):
     path = tmp_path / "flight.h5"
-    write_black_box(path, filled(4), {})
+    write_black_box(path, filled(4), 1, {})
     before = path.read_bytes()
 
     def full(*args):
@@ -84,11 +84,23 @@ def test_an_old_file_survives_a_failed_write(tmp_path, monkeypatch):
 
     monkeypatch.setattr("os.replace", full)
     with pytest.raises(OSError, match=r"cannot write .*flight\.h5: No space left"):
-        write_black_box(path, filled(9), {})
+        write_black_box(path, filled(9), 1, {})
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["flight.h5"]
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path):
     with pytest.raises(OSError, match="nowhere"):
-        write_black_box(tmp_path / "nowhere" / "flight.h5", filled(1), {})
+        write_black_box(tmp_path / "nowhere" / "flight.h5", filled(1), 1, {})
+
+
+def test_the_file_of_two_tools_holds_both(tmp_path):
+    path, ring = tmp_path / "flight.h5", RingBuffer.empty(10, 2, tools=2)
+    append_record(ring, np.arange(float(record_size(2, 2))))
+    write_black_box(path, ring, 2, {})
+    first = record_size(0, 1)  # of the second tool
+    with h5py.File(path) as file:
+        assert set(file["tools"]) == set(TOOL_DTYPE.names)
+        assert file["tools/position"][0, 1].tolist() == [first, first + 1, first + 2]
+        assert file["tools/force"].attrs["unit"] == "N"
+        assert file["coordinates"][0].tolist() == [record_size(0, 2), record_size(0, 2) + 1]

@@ -16,7 +16,7 @@ import pytest
 
 import palpate as pt
 from palpate.realtime.channel import CHANNEL_HEADER, CHANNEL_MAGIC, SHARED_FOLDER, channel_header
-from palpate.realtime.record import HEADER_SIZE, field_offset
+from palpate.realtime.record import HEADER_DTYPE, HEADER_SIZE, TOOL_DTYPE, TOOL_SIZE, field_offset
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="uses /dev/shm")
 NAME = f"palpate-test-{os.getpid()}"
@@ -31,11 +31,14 @@ def model():
 
 
 def test_the_header_has_the_records_fields():
-    numbers = dict(re.findall(r"PALPATE_CHANNEL_([A-Z]+) = (\d+)", channel_header().read_text(encoding="utf-8")))
+    text = channel_header().read_text(encoding="utf-8")
+    numbers = dict(re.findall(r"PALPATE_CHANNEL_([A-Z_]+) = (\d+)", text))
     assert int(numbers.pop("SIZE")) == HEADER_SIZE
+    assert int(numbers.pop("TOOL_SIZE")) == TOOL_SIZE
     for name, place in numbers.items():
-        assert int(place) == field_offset({"PERIODS": "steps"}.get(name, name.lower()))
-    assert len(channel_header().read_text(encoding="utf-8").splitlines()) < 120
+        fields, field = (TOOL_DTYPE, name[5:]) if name.startswith("TOOL_") else (HEADER_DTYPE, name)
+        assert int(place) == field_offset({"PERIODS": "steps"}.get(field, field.lower()), fields)
+    assert len(text.splitlines()) < 150
 
 
 ENGINE = """
@@ -137,7 +140,7 @@ def test_the_channel_of_a_program_that_died_is_replaced(model):
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
     path = SHARED_FOLDER / NAME
-    path.write_bytes(CHANNEL_HEADER.pack(CHANNEL_MAGIC, ended.pid, 0))
+    path.write_bytes(CHANNEL_HEADER.pack(CHANNEL_MAGIC, ended.pid, 0, 1))
     engine = pt.Engine(model, shared_memory=NAME)
     assert path.stat().st_size > CHANNEL_HEADER.size
     del engine

@@ -6,6 +6,7 @@ import threading
 import time
 
 import numpy as np
+import pytest
 from numba import njit
 
 from palpate.realtime.exchange import Slot, fetch, get_flag, make_flags, publish, set_flag, snapshot
@@ -78,6 +79,7 @@ def test_compiled_reads_never_mix_writes():
     assert met >= 10  # reads and writes did fall together
 
 
+@pytest.mark.slow
 def test_reads_from_python_never_mix_writes():
     slot, told = Slot.zeros(SIZE), make_flags()
     writer = threading.Thread(target=write_until_told, args=(slot, told))

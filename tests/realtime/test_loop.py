@@ -21,9 +21,9 @@ from palpate.realtime.period import (
     MAX_TRAIL,
     SETTLING_TIME,
     Work,
-    clamp_tool,
+    clamp_tools,
     function_key,
-    move_tool,
+    move_tools,
     write_record,
 )
 from palpate.realtime.pose import IDENTITY_POSE
@@ -41,6 +41,7 @@ print(sum(loop.stats.cache_hits.values()), sum(loop.stats.cache_misses.values())
 """
 
 
+@pytest.mark.slow
 def test_a_second_process_compiles_nothing():
     for attempt in range(2):  # the first may find nothing yet
         done = subprocess.run(
@@ -92,13 +93,13 @@ def prescribed(poses, seconds, max_speed=2.0):
     for pose, lasting in zip(poses, np.broadcast_to(seconds, len(poses)), strict=True):
         publish(slot, np.append(pose, 0.0))
         for _ in range(round(lasting / 1e-3)):
-            _fetch_pose(work, slot)
-            move_tool(work, settings)
+            _fetch_pose(work, 0, slot)
+            move_tools(work, settings)
             advance_late(body.data, work.q, work.v, work.target, 1e-3, work.report)
             assert write_record(work, settings)
-            clamp_tool(work, 1e-3)
+            clamp_tools(work, 1e-3)
             trust.append(work.report[1])
-            place.append(work.pose.copy())
+            place.append(work.pose[0].copy())
             held.append(bool(work.record[CLAMPED]))
     return np.array(trust), np.array(place), np.array(held), work
 
@@ -119,6 +120,7 @@ WAYS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [0.05, 0.5, 5.0])
 @pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
 @pytest.mark.parametrize("early", [0.004, 0.03, 1.0])
@@ -154,7 +156,7 @@ def test_the_trail_of_poses_keeps_the_first_and_the_newest():
     *_, work = prescribed(poses, 1e-3, 5.0)
     length = int(work.length[0])
     assert MAX_TRAIL // 2 <= length <= MAX_TRAIL
-    np.testing.assert_array_equal(work.trail[0], IDENTITY_POSE)
-    np.testing.assert_array_equal(work.trail[length - 1], poses[-1])
-    ways = np.linalg.norm(np.diff(work.trail[1:length], axis=0), axis=1)
+    np.testing.assert_array_equal(work.trail[0, 0], IDENTITY_POSE)
+    np.testing.assert_array_equal(work.trail[length - 1, 0], poses[-1])
+    ways = np.linalg.norm(np.diff(work.trail[1:length, 0], axis=0), axis=1)
     assert (ways > 0).all()

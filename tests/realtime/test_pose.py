@@ -29,7 +29,7 @@ def test_tool_coordinates_are_those_of_the_rigid_motion(random):
     tool = random.normal(size=(5, 12))
     pose = pose_of(random.normal(size=3), Rotation.random(random_state=3))
     out = np.empty(5)
-    tool_coordinates(tool, pose, out)
+    tool_coordinates(tool[None], pose[None], out)
     turned = rotation_of(pose).as_matrix() - np.eye(3)
     np.testing.assert_allclose(out, tool @ np.concatenate([pose[:3], turned.ravel()]), atol=1e-13)
 
@@ -41,8 +41,9 @@ def test_the_wrench_does_the_work_of_the_generalised_forces(random):
     force, moment, before, after = np.empty(3), np.empty(3), np.empty(5), np.empty(5)
     wrench(tool, pose, forces, force, moment)
     way, turn = 1e-6 * random.normal(size=(2, 3))
-    tool_coordinates(tool, pose_of(pose[:3] - way, Rotation.from_rotvec(-turn) * rotation_of(pose)), before)
-    tool_coordinates(tool, pose_of(pose[:3] + way, Rotation.from_rotvec(turn) * rotation_of(pose)), after)
+    for side, out in ((-1, before), (1, after)):
+        moved = pose_of(pose[:3] + side * way, Rotation.from_rotvec(side * turn) * rotation_of(pose))
+        tool_coordinates(tool[None], moved[None], out)
     assert forces @ (after - before) == pytest.approx(-2 * (force @ way + moment @ turn), rel=1e-8)
 
 

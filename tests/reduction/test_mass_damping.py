@@ -63,6 +63,7 @@ def pull() -> pt.SurfaceForce:
 KINDS = ["explicit", "implicit", "Galerkin", "linear"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_vibration_decays_as_its_damping_ratio_says(kind):
     """The energy decays as exp(-2 zeta omega t) with zeta = alpha / (2 omega) + beta omega / 2."""
@@ -173,6 +174,7 @@ def periods(made, steps: int, speed: float):
     return np.array(forces)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [None, PERIOD], ids=["explicit", "implicit"])
 def test_the_engines_force_is_that_of_a_run(grasped, step):
     model = grasped.with_step(step)

@@ -74,6 +74,7 @@ def held_place(folder, kind, organ_space, bone_space):
     return cloud.points[cloud.group("support 1"), 0].mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["stl", "obj", "ply", "vtk", "vtp"])
 def test_files_of_two_frames_meet_in_that_of_the_body(kind, tmp_path):
     with pytest.warns(UserWarning, match="bone.* is in LPS and the body in RAS: it is turned by 180 degrees about z"):

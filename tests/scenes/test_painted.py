@@ -35,6 +35,7 @@ def test_meshes_without_the_painted_field_are_refused(tmp_path):
         pt.io.read_painted(tmp_path / "mesh.vtp", "arrows")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "content",
     [

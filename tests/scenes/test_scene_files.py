@@ -156,6 +156,7 @@ seed = 11
 depth = "9 mm"
 slide = "1 cm"
 grasps = 0.5
+pairs = 0.25
 every = "5 ms"
 duration = "0.3 s"
 low = [0, 0, "-1 mm"]
@@ -229,7 +230,7 @@ def test_a_file_with_most_keys_round_trips():
     assert read_section(Description, written_section(about)) == about
     assert about.training == Training(
         paths=7, held_out=2, modes=13, tolerance=0.05, cubature=0.02, seed=11, depth=0.009, slide=0.01, grasps=0.5,
-        every=0.005, duration=0.3, low=(0.0, 0.0, -0.001), high=(0.0, 0.0, 0.001),
+        pairs=0.25, every=0.005, duration=0.3, low=(0.0, 0.0, -0.001), high=(0.0, 0.0, 0.001),
         low_turn=(0.0, 0.0, pytest.approx(np.deg2rad(-10))), high_turn=(0.0, 0.0, 0.2),
     )  # fmt: skip
 
@@ -563,6 +564,7 @@ def test_every_kind_of_load_is_that_of_the_library(opened):
     assert (scene.duration, scene.every) == (1.0, 0.01)
 
 
+@pytest.mark.slow
 def test_fibres_relaxation_and_laws_as_texts_are_those_of_the_library(opened):
     tissue = """[tissue]
 energy = "a*(I1 - 3 - 2*log(J))"

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from tool_bodies import Body, bean, filled, hollow, lobes, together
 
 import palpate as pt
+from palpate.scenes.scene import TRAINING_SEEDS
 from palpate.scenes.tool_paths import ToolPaths
 from palpate.surface.nesting import winding_number
 
@@ -57,6 +58,7 @@ def signed_distance(cloud, places):
     return np.where(inside, -distance, distance)
 
 
+@pytest.mark.slow
 def test_the_ball_comes_from_outside_along_the_normal_and_only_indents_the_body(paths):
     cloud, radius = paths.surface.cloud, paths.radius
     for seed in (*range(6), *range(HELD_OUT, HELD_OUT + 6)):
@@ -95,6 +97,7 @@ def inner_walls(surface, gap):
     return (np.abs(np.abs(x) - gap / 2) < 1e-3) & (z > 0.0) & (z < 0.02) & (np.abs(y) < 0.015)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("gap", "reached"), [(0.008, False), (0.03, True)])
 def test_between_lobes_only_a_ball_that_fits_reaches(gap, reached):
     paths = ToolPaths(Body(lobes(gap)), 0.011, 0.012, 0.2, 0.01)
@@ -300,3 +303,46 @@ def test_presses_on_organs_come_from_outside(file, units):
     paths = ToolPaths(Body(cloud, ("bed",)), 2.5 * spacing, 4 * spacing, 0.2, 3 * spacing)
     assert paths.surface.share(paths.reachable) > 0.5
     test_the_ball_comes_from_outside_along_the_normal_and_only_indents_the_body(paths)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("share", "count"), [(0.0, 0), (0.25, 10), (0.5, 20), (1.0, 40)])
+def test_pairs_are_a_share_of_the_held_out_paths(share, count):
+    paths = ToolPaths(Body(pt.box((0.2, 0.2, 0.05), 0.01)), 0.025, 0.01, 0.2, 0.01, pairs=share)
+    held_out = [paths(TRAINING_SEEDS + number) for number in range(40)]
+    pairs = [loads for loads, _ in held_out if len(loads) == 2]
+    assert abs(len(pairs) - count) <= 1
+    assert all(len(paths(number)[0]) == 1 for number in range(40))
+    grasped = [sum(isinstance(loads[0], pt.tools.Grasp) for loads, _ in held_out if len(loads) == n) for n in (1, 2)]
+    assert sum(grasped) == 10
+    assert abs(grasped[1] - share * 10) <= 2  # whether a path is a pair does not depend on its tool
+
+
+def test_the_tools_of_a_pair_stay_apart_and_the_first_is_the_tool_alone():
+    paths, times = ToolPaths(Body(pt.box((0.2, 0.2, 0.05), 0.01)), 0.025, 0.01, 0.2, 0.01), np.linspace(0, 0.75, 151)
+    near = []
+    for number in range(20):
+        ((one, two), duration), ((alone,), short) = paths.pair(number), paths.single(number)
+        assert two.name == {"Contact": "tool 2", "Grasp": "grasp 2"}[type(two).__name__]
+        places, other, expected = (
+            np.array([np.asarray(motion(time)[0] if isinstance(load, pt.tools.Grasp) else motion(time))
+                      for time in times])
+            for load, motion in ((one, one.motion), (two, two.motion), (alone, alone.motion))
+        )  # fmt: skip
+        np.testing.assert_array_equal(places, expected)
+        delay = duration - short
+        assert -1e-12 <= delay <= 0.15 + 1e-12
+        if isinstance(two, pt.tools.Grasp):
+            assert two.until == pytest.approx(0.58 + delay)
+            np.testing.assert_array_equal(other[times <= delay], np.tile(other[0], (np.sum(times <= delay), 1)))
+        sizes = sum(load.radius if isinstance(load, pt.tools.Grasp) else load.tool.radius for load in (one, two))
+        apart = np.linalg.norm(places - other, axis=1).min()
+        assert apart > sizes
+        near.append(apart < 1.7 * sizes)
+    assert 5 <= sum(near) <= 17
+
+
+def test_a_body_without_room_for_a_second_tool_has_the_first_alone():
+    top_alone = Body(pt.box((0.06, 0.06, 0.04), 0.01), ("z-", "x-", "x+", "y-", "y+"))
+    paths = ToolPaths(top_alone, 0.025, 0.01, 0.2, 0.0, grasps=0.0, pairs=1.0)
+    assert [len(paths(TRAINING_SEEDS + number)[0]) for number in range(4)] == [1, 1, 1, 1]

@@ -231,6 +231,7 @@ def heavy(folder):
     return [*names, *(name for name, data, _ in ATTACKS if len(data) < 1_300_000)]
 
 
+@pytest.mark.slow
 def test_small_files_neither_use_much_memory_nor_crash_the_process(tmp_path):
     names = heavy(tmp_path)
     assert max((tmp_path / name).stat().st_size for name in names) < 1_300_000
@@ -275,6 +276,7 @@ def damaged(data, rng):
     return bytes(data)
 
 
+@pytest.mark.slow
 def test_random_damage_is_refused_or_gives_a_surface(valid, tmp_path):
     said = []
     for name, data in valid.items():

@@ -137,6 +137,7 @@ def test_waves_of_a_body_at_rest_have_the_moduli_of_linear_elasticity():
         np.testing.assert_allclose(min_wave_modulus(material, np.eye(3)[None]), 5e3, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poisson", [0.2, 0.45, 0.499, 0.5])
 def test_polyconvex_laws_are_stable(poisson):
     for law in (

@@ -101,6 +101,7 @@ def stiff(poisson=0.5):
     return Stiffening(mu=6e3, b=1.5, density=1060.0, poisson=poisson)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [kind for kind in DEFORMATION_KINDS if kind != "shear"])
 @pytest.mark.parametrize("poisson", [0.3, 0.49, 0.5])
 def test_parameters_are_recovered_from_curves_without_noise(kind, poisson):
@@ -141,14 +142,14 @@ def test_points_are_weighted_by_their_deviations():
     ("law", "truth", "start"), [(pt.materials.MooneyRivlin, rubbery(), {}), (Stiffening, stiff(), {"b": 1.0})]
 )
 def test_standard_errors_cover_the_true_parameters_at_their_level(law, truth, start):
-    seeds = 200
+    seeds = 100
     z = np.empty((seeds, 2))
     for seed in range(seeds):
         fitted = fit(law, curves(truth, seed=seed), start=start, starts=1)
         errors = fitted.standard_errors
         z[seed] = [(value - getattr(truth, name)) / errors[name] for name, value in fitted.parameters.items()]
     within = np.mean(np.abs(z) < 1.96, axis=0)
-    # 95 % of runs, up to four standard deviations of a count of 200
+    # 95 % of runs, up to four standard deviations of their count
     np.testing.assert_allclose(within, 0.95, atol=4 * np.sqrt(0.05 * 0.95 / seeds))
     np.testing.assert_allclose(z.mean(axis=0), 0, atol=4 / np.sqrt(seeds))
     np.testing.assert_allclose(z.std(axis=0), 1, atol=4 / np.sqrt(2 * seeds))
@@ -157,16 +158,16 @@ def test_standard_errors_cover_the_true_parameters_at_their_level(law, truth, st
 @pytest.mark.slow
 def test_the_covariance_is_that_of_a_bootstrap():
     one = fit(Stiffening, curves(stiff()), starts=1)
-    again = []
-    for seed in range(200):
+    again, seeds = [], 100
+    for seed in range(seeds):
         made = curves(one.material, seed=1000 + seed)
         again.append(list(fit(Stiffening, made, start=one.parameters, starts=1).parameters.values()))
     drawn = np.cov(np.array(again).T)
     estimated = np.sqrt(np.mean([c.rms**2 for c in one.curves]) * 42 / 40) / NOISE  # the bootstrap knows the noise
     expected = one.covariance / estimated**2
-    np.testing.assert_allclose(np.sqrt(np.diag(drawn)), np.sqrt(np.diag(expected)), rtol=4 / np.sqrt(2 * 200))
+    np.testing.assert_allclose(np.sqrt(np.diag(drawn)), np.sqrt(np.diag(expected)), rtol=4 / np.sqrt(2 * seeds))
     correlation = [c[0, 1] / np.sqrt(c[0, 0] * c[1, 1]) for c in (drawn, expected)]
-    assert correlation[0] == pytest.approx(correlation[1], abs=4 * (1 - correlation[1] ** 2) / np.sqrt(200))
+    assert correlation[0] == pytest.approx(correlation[1], abs=4 * (1 - correlation[1] ** 2) / np.sqrt(seeds))
 
 
 def pulled():

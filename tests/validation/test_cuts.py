@@ -10,6 +10,7 @@ import pytest
 MOST_SHORTER = 1.5  # times by which a cut may shorten the stable step
 
 
+@pytest.mark.slow
 def test_a_penny_of_five_spacings_opens_and_releases_energy_like_the_closed_form():
     (row,) = cut_cracks.penny(5, [0.45], (0.0, 0.0, 1.0), 0.0, 2.0)
     assert row["center"] == pytest.approx(0.0, abs=0.05)
@@ -17,6 +18,7 @@ def test_a_penny_of_five_spacings_opens_and_releases_energy_like_the_closed_form
     assert row["half"] == pytest.approx(0.0, abs=0.07)
 
 
+@pytest.mark.slow
 def test_a_strip_releases_its_energy_per_area():
     row = cut_strip.strip("neo-Hookean", 0.25, 0.0, moving=False, way=2.0)
     assert row["release"] == pytest.approx(0.0, abs=0.05)
@@ -25,6 +27,7 @@ def test_a_strip_releases_its_energy_per_area():
         assert -1.0 < change["low"] <= change["high"] < 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 4, 20])  # through, a sliver, and less than a spacing from an open cut
 def test_a_random_cut_makes_no_energy(seed):
     check(cut_stability.run("box", 0.45, seed))
@@ -37,12 +40,14 @@ def check(row):
     assert row["step_ratio"] <= MOST_SHORTER, row
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", cut_cracks.PLANES)
 def test_uniform_stress_along_a_cut_of_an_irregular_cloud_moves_no_node(place):
     assert cut_cracks.patch(place, cut_cracks.JITTER)["cut"] <= 2e-5
     assert cut_cracks.patch(place, 0.0)["change"] <= 2e-5
 
 
+@pytest.mark.slow
 def test_halves_turn_apart_without_energy():
     row = cut_cracks.halves(cut_cracks.JITTER)
     assert abs(row["energy"]) <= 1e-14
@@ -56,7 +61,7 @@ def test_strips_of_other_laws_release_their_energy_at_large_strain(law):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(14, 20))
+@pytest.mark.parametrize("seed", [14, 17])  # others in docs/claims/cuts.md
 def test_random_cuts_of_nearly_incompressible_tissue_make_no_energy(seed):
     check(cut_stability.run("box", 0.49, seed))
 

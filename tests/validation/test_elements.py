@@ -31,6 +31,7 @@ def case(name):
         pytest.skip(str(error))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BOUNDS)
 def test_linear_responses_agree_with_finite_elements(name, truths):
     case(name)

@@ -15,6 +15,7 @@ from fuzz_kinds import damaged
 TRIALS = 12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["nii", "nii.gz", "nrrd", "mha"])
 def test_forged_and_damaged_label_maps_are_read_or_refused_in_a_line(suffix, tmp_path, monkeypatch):
     monkeypatch.setattr(fuzz_labels, "MAX_SECONDS", np.inf)  # no test compares a time with a bound

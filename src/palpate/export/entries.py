@@ -13,10 +13,11 @@ import numpy as np
 from palpate.dynamics.compiled.cache import kernel_njit, law_njit
 from palpate.dynamics.contact.kinds import BONDED, PLANE
 from palpate.realtime.bodies.change_tool import replace_tool
-from palpate.realtime.observable import DEVICE_FORCE, TOOL_POSITION
+from palpate.realtime.observable import TOOLS
 from palpate.realtime.period import (
     CLAMP,
     FAILED,
+    FORCE,
     IGNORE,
     Settings,
     compile_period,
@@ -25,7 +26,7 @@ from palpate.realtime.period import (
     reset_work,
 )
 from palpate.realtime.pose import request_pose
-from palpate.realtime.record import field_offset
+from palpate.realtime.record import HEADER_SIZE, TOOL_SIZE, field_offset
 from palpate.reduction.contact.surface import PAIRS
 from palpate.reduction.hyper.error_indicator import curve_bound
 
@@ -52,14 +53,14 @@ def compile_step(advance: Any, stiffness: Any) -> Any:
     Returns
     -------
     function
-        ``step(data, work, pose, options, curve, bound)`` takes a period towards a pose (7,), and writes the record and
-        the error bound [N] of the force. It returns 0; 1 if the pose is not finite or jumps, and the last one is kept;
-        2 if the state has diverged; 3 if an option is not valid.
+        ``step(data, work, pose, options, curve, bound)`` takes a period towards poses (t, 7), and writes the record and
+        the error bounds (t,) [N] of the forces. It returns 0; 1 if a pose is not finite or jumps, and its last one is
+        kept; 2 if the state has diverged; 3 if an option is not valid.
     """
     take_period = compile_period(advance, stiffness)
     digest, _ = functions_digest(__name__, advance, stiffness)
 
-    @law_njit(digest, cached=False)
+    @law_njit(digest)
     def step(data, work, pose, options, curve, bound):  # type: ignore[no-untyped-def]
         if work.record[FAILED] != 0.0:
             return DIVERGED_STATUS
@@ -71,19 +72,24 @@ def compile_step(advance: Any, stiffness: Any) -> Any:
             return INVALID_STATUS
         if options[ON_DISTRUST] != CLAMP and options[ON_DISTRUST] != IGNORE:
             return INVALID_STATUS
-        is_taken = request_pose(work.wanted, pose)
+        tools, is_taken = pose.shape[0], True
+        for t in range(tools):
+            is_taken = request_pose(work.wanted[t], pose[t]) and is_taken
         period = options[OPTION_PERIOD]
         settings = Settings(
             int(1e9 * period + 0.5), 0, period * options[MAX_SPEED], period * options[MAX_ANGULAR_SPEED],
             options[FORCE_LIMIT], int(options[STIFFNESS_EVERY]), int(options[ON_DISTRUST]), 0,
         )  # fmt: skip
         valid = take_period(data, work, settings)
-        square = 0.0
-        for i in range(3):
-            square += work.record[RECORD_FORCE + i] ** 2
-        bound[0] = curve_bound(curve, work.record[WORST_TRUST], np.sqrt(square))
+        for t in range(tools):
+            square, first = 0.0, HEADER_SIZE + TOOL_SIZE * t + FORCE
+            for i in range(3):
+                square += work.record[first + i] ** 2
+            bound[t] = curve_bound(curve, work.record[WORST_TRUST], np.sqrt(square))
+            if not valid:
+                work.record[first : first + FORCE_NUMBERS] = 0.0  # a device would hold the last one
         if not valid:
-            work.record[RECORD_FORCE : RECORD_FORCE + FORCE_NUMBERS] = 0.0  # a device would hold the last one
+            work.record[RECORD_FORCE : RECORD_FORCE + FORCE_NUMBERS] = 0.0
             return DIVERGED_STATUS
         return TAKEN_STATUS if is_taken else POSE_STATUS
 
@@ -91,29 +97,50 @@ def compile_step(advance: Any, stiffness: Any) -> Any:
 
 
 @kernel_njit(inner=True)
-def _rest_tool(data):  # type: ignore[no-untyped-def]
-    """Set the tool at the end of the coupling to rest at zero displacement."""
-    coupling = data.coupling
+def _rest_tool(data, t):  # type: ignore[no-untyped-def]
+    """Set the tool at the end of a coupling to rest at zero displacement."""
+    coupling, tools = data.coupling, data.coupling.position.shape[0]
     for i in range(3):
-        coupling.position[i], coupling.velocity[i], coupling.device[i], coupling.force[i] = 0.0, 0.0, 0.0, 0.0
-        data.values[TOOL_POSITION + i], data.values[DEVICE_FORCE + i] = 0.0, 0.0
+        coupling.position[t, i], coupling.velocity[t, i] = 0.0, 0.0
+        coupling.device[t, i], coupling.force[t, i] = 0.0, 0.0
+        data.values[TOOLS + 3 * t + i], data.values[TOOLS + 3 * (tools + t) + i] = 0.0, 0.0
 
 
 @kernel_njit()
 def reset_model(data, work, rest):  # type: ignore[no-untyped-def]
-    """Set body and tool to rest; the tool and the moduli stay."""
+    """Set body and tools to rest; the tools and the moduli stay."""
     reset_work(work, rest)
-    _rest_tool(data)
+    for t in range(data.coupling.position.shape[0]):
+        _rest_tool(data, t)
     return TAKEN_STATUS
 
 
-@kernel_njit()
-def exchange_tool(data, work, kind, sizes, friction, point, pose):  # type: ignore[no-untyped-def]
-    """Replace the tool by one of a kind (1,) at a pose (7,), or by none if the kind is negative.
+@kernel_njit(inner=True)
+def _are_held(inner, t, radius, point):  # type: ignore[no-untyped-def]
+    """Return whether other forceps hold a node within a radius of a point at rest."""
+    tools, points = inner.tools, inner.contact_surface.points
+    for i in range(points.shape[0]):
+        square = 0.0
+        for d in range(3):
+            square += (points[i, d] - point[d]) ** 2
+        for other in range(tools.kind.shape[0]):
+            away = 0.0
+            for d in range(3):
+                away += (points[i, d] - tools.origins[other, d]) ** 2
+            held = other != t and tools.kind[other] == BONDED and away <= tools.sizes[other, 0] ** 2
+            if held and square <= radius**2:
+                return True
+    return False
 
-    Later displacements are relative to that pose. Returns 3, and changes nothing, if a number is out of range.
+
+@kernel_njit()
+def exchange_tool(data, work, index, kind, sizes, friction, point, pose):  # type: ignore[no-untyped-def]
+    """Replace a tool (1,) by one of a kind (1,) at a pose (7,), or by none if the kind is negative.
+
+    Later displacements are relative to that pose. Returns 3, and changes nothing, if a number is out of range, or for
+    forceps on nodes that others hold.
     """
-    if data.inner.tools.kind.shape[0] == 0:  # a tool that moves a group
+    if not 0 <= index[0] < data.inner.tools.kind.shape[0]:  # without any, a tool moves a group
         return INVALID_STATUS
     valid = kind[0] <= BONDED and _is_finite(sizes) and _is_finite(point) and _is_finite(pose) and friction[0] >= 0.0
     square = pose[3] ** 2 + pose[4] ** 2 + pose[5] ** 2 + pose[6] ** 2
@@ -122,11 +149,13 @@ def exchange_tool(data, work, kind, sizes, friction, point, pose):  # type: igno
         valid = valid and sizes[k] >= 0.0
     if not valid or (kind[0] >= 0 and kind[0] != PLANE and not sizes[0] > 0.0):
         return INVALID_STATUS
-    replace_tool(data.inner, kind[0], sizes, friction[0], point, pose)
+    if kind[0] == BONDED and _are_held(data.inner, index[0], sizes[0], point):
+        return INVALID_STATUS
+    replace_tool(data.inner, index[0], kind[0], sizes, friction[0], point, pose)
     for i in range(7):
-        work.pose[i] = 1.0 if i == 3 else 0.0
-    place_work(work)
-    _rest_tool(data)
+        work.pose[index[0], i] = 1.0 if i == 3 else 0.0
+    place_work(work, index[0])
+    _rest_tool(data, index[0])
     return TAKEN_STATUS
 
 
@@ -141,28 +170,35 @@ def write_vertices(data, q, rest, columns, patch_columns, places, fields, vertic
     inner = data.inner
     compliance, contact, tools = inner.contact_surface.compliance, inner.contact_work, inner.tools
     count, carriers = contact.numbers[PAIRS], compliance.flexibility.shape[0]
-    nodes = compliance.members.shape[0] // 2
-    bonded = tools.kind.shape[0] > 0 and tools.kind[0] == BONDED
-    table = columns if bonded else patch_columns
-    factor = 0.0 if count == 0 else compliance.bonded_scale if bonded else contact.factor[0]
+    nodes, held = compliance.members.shape[0] // 2, 0
+    for e in range(count):  # forceps hold nodes, which are then drawn themselves
+        if tools.kind[contact.tool[e]] == BONDED:
+            contact.pair_of[contact.node[e]] = 1
+            held += 1
     _spread_forces(compliance, contact, count, carriers, fields)
     for i in range(vertices.shape[0]):
         x, y, z = rest[i, 0], rest[i, 1], rest[i, 2]
+        bonded = held > 0 and (held == count or (places[i] >= 0 and contact.pair_of[places[i]] == 1))
+        table = columns if bonded else patch_columns
         for m in range(q.shape[0]):
             x += table[i, 0, m] * q[m]
             y += table[i, 1, m] * q[m]
             z += table[i, 2, m] * q[m]
         if places[i] >= 0 and count > 0:
-            row = places[i] + nodes if bonded else places[i]
-            moved = _compliance_displacement(compliance, row, carriers, fields)
-            x, y, z = x + factor * moved[0], y + factor * moved[1], z + factor * moved[2]
+            moved = _compliance_displacement(compliance, places[i] + nodes if bonded else places[i], carriers, fields)
+            x, y, z = x + moved[0], y + moved[1], z + moved[2]
         vertices[i, 0], vertices[i, 1], vertices[i, 2] = x, y, z
+    for e in range(count):
+        contact.pair_of[contact.node[e]] = 0
     return TAKEN_STATUS
 
 
 @kernel_njit(inner=True)
 def _spread_forces(compliance, contact, count, carriers, fields):  # type: ignore[no-untyped-def]
-    """Distribute the forces of the pairs to carriers and nodes, and write the displacements of the carriers."""
+    """Distribute the forces of the pairs, times the secant factors of their tools, to carriers and nodes.
+
+    Then write the displacements of the carriers.
+    """
     for k in range(fields.shape[0]):
         fields[k] = 0.0
     if count == 0:
@@ -171,7 +207,7 @@ def _spread_forces(compliance, contact, count, carriers, fields):  # type: ignor
     for e in range(count):
         row = contact.point[e]
         for d in range(3):
-            push = contact.push[e, d]
+            push = contact.factor[contact.tool[e]] * contact.push[e, d]
             for a in range(compliance.carriers.shape[1]):
                 fields[3 * compliance.carriers[row, a] + d] += compliance.weights[row, a] * push
             for a in range(compliance.members.shape[1]):

@@ -24,7 +24,7 @@ from palpate.export.targets import HOST_TARGET, TARGET_MACHINES, TARGET_NAMES
 from palpate.faults import InputError
 from palpate.files import check_folder, write_bytes
 from palpate.realtime.bodies.display_surface import Surface
-from palpate.realtime.record import HEADER_DTYPE, field_offset
+from palpate.realtime.record import HEADER_DTYPE, HEADER_SIZE, TOOL_DTYPE, TOOL_SIZE, field_offset
 from palpate.reduction.hyper.model import ReducedModel
 
 TEMPLATE_NAMES = ("palpate.h", "model.h", "main.c", "CMakeLists.txt", "Organ.cs", "README.md")
@@ -82,6 +82,7 @@ def export_c(
     title: str = "",
     targets: Sequence[str] = (HOST_TARGET,),
     strict: bool = True,
+    tools: int = 2,
     say: Callable[[str], None] = print,
 ) -> dict[str, str]:
     """Write a library of a reduced model for programs in C, and what they need to use it.
@@ -103,6 +104,8 @@ def export_c(
     strict : bool
         True compiles without contraction and reassociation of sums, so that all targets compute the same bits but for
         the functions of their C library.
+    tools : int
+        Number of tools that can touch the model at once, 1 to 4; a prescribed group is one.
     say : function
         Is called with a line about each file that could not be made.
 
@@ -116,7 +119,7 @@ def export_c(
             raise InputError(f"target must be one of {', '.join(TARGET_NAMES)}, got {target!r}; choose one of these")
     check_new(folder)
     words = _words(model, name)
-    library = lower_model(model, name)
+    library = lower_model(model, name, tools)
     with complete_folder(folder) as part:
         return _write(part, library, words, name, title, targets, strict, say)
 
@@ -159,12 +162,14 @@ def _words(model: ReducedModel, name: str) -> dict[str, str]:
     """Return what stands in place of the words of the templates."""
     places = {field: field_offset(field) for field in HEADER_DTYPE.names or ()}
     lines = [f"    PALPATE_{field.upper()} = {place}" for field, place in places.items()]
-    lines += [f"    PALPATE_HEADER_SIZE = {HEADER_DTYPE.itemsize // 8}"]
+    lines += [f"    PALPATE_HEADER_SIZE = {HEADER_SIZE}, PALPATE_TOOL_SIZE = {TOOL_SIZE}"]
+    of_tool = [f"    PALPATE_TOOL_{each.upper()} = {field_offset(each, TOOL_DTYPE)}" for each in TOOL_DTYPE.names or ()]
     names = {"CAPSULE": kinds.CAPSULE, "PLANE": kinds.PLANE, "PUNCH": kinds.PUNCH, "FORCEPS": kinds.BONDED}
     point, inward, radius = _example_press(model)
     return {
         "NAME": name,
         "RECORD": ",\n".join(lines),
+        "TOOL_RECORD": ",\n".join(of_tool),
         "KINDS": ", ".join(f"PALPATE_{key} = {value}" for key, value in names.items()),
         "POINT": ", ".join(f"{x:.6g}" for x in point),
         "INWARD": ", ".join(f"{x:.6g}" for x in inward),
@@ -172,8 +177,10 @@ def _words(model: ReducedModel, name: str) -> dict[str, str]:
         "DEPTH": f"{PRESS_SHARE * radius:.6g}",
         "TAKES_TOOLS": "1" if not model.data.prescribed else "0",
         "TRUST_INDEX": str(places["trust"]),
-        "FORCE_INDEX": str(places["force"]),
-        "POSITION_INDEX": str(places["position"]),
+        "HEADER_SIZE": str(HEADER_SIZE),
+        "TOOL_SIZE": str(TOOL_SIZE),
+        "FORCE_INDEX": str(field_offset("force", TOOL_DTYPE)),
+        "POSITION_INDEX": str(field_offset("position", TOOL_DTYPE)),
     }
 
 

@@ -13,10 +13,11 @@ from palpate.export.link import emit_object
 from palpate.export.lowering import LoweredFunction, recording
 from palpate.export.memory import DIGEST_PLACE, Memory, constant_function
 from palpate.export.targets import Target
-from palpate.faults import InputError
+from palpate.faults import InputError, integer_in_range
 from palpate.realtime.bodies.display_surface import Surface
 from palpate.realtime.bodies.model import idle_model
-from palpate.realtime.observable import TOOL_POSITION, make_observable
+from palpate.realtime.contract import MAX_TOOLS
+from palpate.realtime.observable import TOOLS, make_observable
 from palpate.realtime.period import IGNORE, Work
 from palpate.realtime.pose import IDENTITY_POSE
 from palpate.reduction.hyper.error_indicator import bound_curve
@@ -48,7 +49,7 @@ class Library(NamedTuple):
         return [f"{self.name}_{function}" for function in FUNCTION_NAMES]
 
 
-def lower_model(model: ReducedModel, name: str) -> Library:
+def lower_model(model: ReducedModel, name: str, tools: int = 2) -> Library:
     """Return the library of a reduced model; no compiled function can be called in this process afterwards.
 
     Parameters
@@ -57,10 +58,12 @@ def lower_model(model: ReducedModel, name: str) -> Library:
         With tool contact, or with one prescribed group.
     name : str
         An identifier of C.
+    tools : int
+        Number of tools, up to `palpate.realtime.contract.MAX_TOOLS`; a group is one.
     """
     if not (name.isascii() and name.isidentifier()):
         raise InputError(f"name must be an identifier of C, got {name!r}; use letters, digits and underscores")
-    functions, named = model_functions(model)
+    functions, named = model_functions(model, tools)
     placeholder, scratch, digest = np.zeros(0, dtype=np.uint8), np.zeros((2, 64), dtype=np.int64), (0,) * DIGEST_WORDS
     functions["check"] = check_file, (placeholder, 0, scratch[0], scratch[1], digest)
     with recording() as texts:
@@ -77,21 +80,25 @@ def lower_model(model: ReducedModel, name: str) -> Library:
     return Library(name, [*texts, *entries], memory, image)
 
 
-def model_functions(model: ReducedModel) -> tuple[dict[str, tuple[Any, tuple[Any, ...]]], dict[str, NDArray[Any]]]:
+def model_functions(
+    model: ReducedModel, tools: int
+) -> tuple[dict[str, tuple[Any, tuple[Any, ...]]], dict[str, NDArray[Any]]]:
     """Return the functions of a library with their arguments, and the arrays that a program uses by name."""
-    ready = idle_model(model)
+    ready = idle_model(model, tools=integer_in_range("tools", tools, 1, MAX_TOOLS))
     observable = make_observable(ready)
     surface, data = Surface(model), observable.data
+    count = len(data.coupling.position)
     work = Work.at_rest(observable.rest, observable.tool)
     columns, patch_columns, places = surface.tables(ready.data.contact_surface.nodes)
     named: dict[str, NDArray[Any]] = {
-        "pose": IDENTITY_POSE.copy(),
+        "pose": np.tile(IDENTITY_POSE, (count, 1)),
         "options": np.array([DEFAULT_OPTIONS[name] for name in OPTION_NAMES]),
         "record": work.record,
-        "force_bound": np.full(1, np.inf),
+        "force_bound": np.full(count, np.inf),
         "modulus_ratio": data.modulus_ratio,
         "coupling": data.coupling.parameters,
-        "tool_position": data.values[TOOL_POSITION : TOOL_POSITION + 3],
+        "tool_position": data.values[TOOLS + 3 * count : TOOLS + 6 * count].reshape(count, 3),
+        "tool_index": np.zeros(1, dtype=np.int64),
         "tool_kind": np.full(1, -1),
         "tool_sizes": np.zeros(3),
         "tool_friction": np.zeros(1),
@@ -106,7 +113,7 @@ def model_functions(model: ReducedModel) -> tuple[dict[str, tuple[Any, tuple[Any
     fields = np.zeros(2 * compliance.flexibility.shape[0] + 3 * (compliance.members.shape[0] // 2))
     step = compile_step(observable.advance, observable.stiffness)
     n, curve = named, bound_curve(model.report)
-    tool = (n["tool_kind"], n["tool_sizes"], n["tool_friction"], n["tool_point"], n["tool_pose"])
+    tool = (n["tool_index"], n["tool_kind"], n["tool_sizes"], n["tool_friction"], n["tool_point"], n["tool_pose"])
     return {
         "step": (step, (data, work, n["pose"], n["options"], curve, n["force_bound"])),
         "reset": (reset_model, (data, work, observable.rest)),

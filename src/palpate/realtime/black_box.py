@@ -14,10 +14,10 @@ from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.files import whole_file
 from palpate.realtime.exchange import acquire_fence, get_flag, make_flags, release_fence, set_flag
-from palpate.realtime.record import FIELD_UNITS, HEADER_DTYPE, HEADER_SIZE
+from palpate.realtime.record import FIELD_UNITS, HEADER_DTYPE, HEADER_SIZE, TOOL_DTYPE, TOOL_SIZE
 
 MAX_COORDINATES = 64  # reduced coordinates stored of each record
-FORMAT, VERSION = "palpate black box", 2
+FORMAT, VERSION = "palpate black box", 3
 
 
 class RingBuffer(NamedTuple):
@@ -27,9 +27,10 @@ class RingBuffer(NamedTuple):
     records: Floats  # (r, w) float64: record k is stored in row k modulo r
 
     @classmethod
-    def empty(cls, count: int, coordinates: int) -> RingBuffer:
-        """Make a buffer for `count` records with up to `MAX_COORDINATES` coordinates each."""
-        return cls(make_flags(), np.zeros((count + 1, HEADER_SIZE + min(coordinates, MAX_COORDINATES))))
+    def empty(cls, count: int, coordinates: int, tools: int = 1) -> RingBuffer:
+        """Make a buffer for `count` records of some tools with up to `MAX_COORDINATES` coordinates each."""
+        numbers = HEADER_SIZE + TOOL_SIZE * tools + min(coordinates, MAX_COORDINATES)
+        return cls(make_flags(), np.zeros((count + 1, numbers)))
 
 
 @kernel_njit()
@@ -53,11 +54,13 @@ def latest_records(buffer: RingBuffer) -> Floats:
     return np.asarray(records[max(0, replaced) :])
 
 
-def write_black_box(path: str | Path, buffer: RingBuffer, attributes: dict[str, Any]) -> None:
+def write_black_box(path: str | Path, buffer: RingBuffer, tools: int, attributes: dict[str, Any]) -> None:
     """Write the records of a ring buffer to an HDF5 file atomically.
 
     Parameters
     ----------
+    tools : int
+        Number of tools in a record.
     attributes : dict
         Attributes of the file.
     """
@@ -70,7 +73,13 @@ def write_black_box(path: str | Path, buffer: RingBuffer, attributes: dict[str, 
             file[name] = headers[name]
             if name in FIELD_UNITS:
                 file[name].attrs["unit"] = FIELD_UNITS[name]
-        file["coordinates"] = records[:, HEADER_SIZE:]
+        first = HEADER_SIZE + TOOL_SIZE * tools
+        parts = np.ascontiguousarray(records[:, HEADER_SIZE:first]).view(TOOL_DTYPE)  # (k, tools)
+        for name in TOOL_DTYPE.names or ():
+            file[f"tools/{name}"] = parts[name]
+            if name in FIELD_UNITS:
+                file[f"tools/{name}"].attrs["unit"] = FIELD_UNITS[name]
+        file["coordinates"] = records[:, first:]
         file.attrs.update(format=FORMAT, version=VERSION, written=time.strftime("%Y-%m-%dT%H:%M:%S%z"), **attributes)
     with whole_file(path) as partial:
         partial.write_bytes(content.getvalue())

@@ -1,7 +1,8 @@
 """A channel in shared memory: pose and record of an engine for programs on the same machine.
 
-The memory holds a header, then the two slots (`exchange.Slot`). `palpate_channel.h` is the other side in C. On Linux it
-is a file in /dev/shm that only its owner can open, on Windows a named mapping.
+The memory holds a header, then the two slots (`exchange.Slot`) of the first tool's pose and of the record. The slots of
+the poses of other tools follow. `palpate_channel.h` is the other side in C. On Linux the memory is a file in /dev/shm
+that only its owner can open, on Windows a named mapping.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ import numpy as np
 
 from palpate.faults import InputError, brief
 from palpate.realtime.exchange import FLAGS_LENGTH, Slot
-from palpate.realtime.record import HEADER_SIZE
+from palpate.realtime.record import record_size
 
 SHARED_FOLDER = Path("/dev/shm")
-CHANNEL_HEADER = struct.Struct("<8sqq40x")  # magic with the version, process, numbers of a record
+CHANNEL_HEADER = struct.Struct("<8sqqq32x")  # magic with the version, process, numbers of a record, tools
 CHANNEL_MAGIC = b"PALPATE\2"
 POSE_NUMBERS, NUMBER_BYTES = 8, 8
 NAME_PATTERN = re.compile(r"[A-Za-z0-9_-]{1,60}")
@@ -47,20 +48,20 @@ class SharedSlots:
     ----------
     name : str
         Letters, digits, hyphens and underscores.
-    coordinates : int
+    coordinates, tools : int
         Of the model.
     """
 
-    def __init__(self, name: str, coordinates: int) -> None:
+    def __init__(self, name: str, coordinates: int, tools: int = 1) -> None:
         if not isinstance(name, str) or not NAME_PATTERN.fullmatch(name):
             raise InputError(
                 f"shared_memory must be 1 to 60 letters, digits, hyphens or underscores, got {brief(name)}; use a name "
                 "such as 'organ'"
             )
-        numbers, flags = HEADER_SIZE + 2 * coordinates, NUMBER_BYTES * FLAGS_LENGTH
-        size = CHANNEL_HEADER.size + 2 * flags + NUMBER_BYTES * (POSE_NUMBERS + numbers)
+        numbers, flags = record_size(coordinates, tools), NUMBER_BYTES * FLAGS_LENGTH
+        size = CHANNEL_HEADER.size + (tools + 1) * flags + NUMBER_BYTES * (tools * POSE_NUMBERS + numbers)
         memory = _map(name, size)
-        memory[: CHANNEL_HEADER.size] = CHANNEL_HEADER.pack(CHANNEL_MAGIC, os.getpid(), numbers)
+        memory[: CHANNEL_HEADER.size] = CHANNEL_HEADER.pack(CHANNEL_MAGIC, os.getpid(), numbers, tools)
         at = CHANNEL_HEADER.size
         slots = []
         for count in (POSE_NUMBERS, numbers):
@@ -68,6 +69,12 @@ class SharedSlots:
             slots.append(Slot(version, np.frombuffer(memory, dtype=np.float64, count=count, offset=at + flags)))
             at += flags + NUMBER_BYTES * count
         self.pose, self.record = slots
+        more = tools - 1  # poses of the other tools: first their versions, then their values
+        ints, reals = np.frombuffer(memory, np.int64, offset=at), np.frombuffer(memory, np.float64, offset=at)
+        values = reals[more * FLAGS_LENGTH :][: more * POSE_NUMBERS]
+        self.more_poses = Slot(
+            ints[: more * FLAGS_LENGTH].reshape(more, FLAGS_LENGTH), values.reshape(more, POSE_NUMBERS)
+        )
 
 
 def _map(name: str, size: int) -> mmap.mmap:
@@ -96,7 +103,7 @@ def _remove_abandoned(path: Path) -> None:
     """Remove the channel of a process that has ended."""
     try:
         content = path.read_bytes()[: CHANNEL_HEADER.size] if not path.is_symlink() else b""
-        magic, process, _ = CHANNEL_HEADER.unpack(content)
+        magic, process, *_ = CHANNEL_HEADER.unpack(content)
     except (OSError, struct.error):
         return
     if magic != CHANNEL_MAGIC or process <= 0:

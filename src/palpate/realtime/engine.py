@@ -1,4 +1,4 @@
-"""The engine: steps a model at a fixed rate against a tool, in its own thread."""
+"""The engine: steps a model at a fixed rate against its tools, in its own thread."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
-from palpate.faults import InputError, TrustWarning, integer_in_range, number_in_range
+from palpate.faults import InputError, TrustWarning, brief, integer_in_range, number_in_range
 from palpate.realtime.black_box import write_black_box
 from palpate.realtime.bodies.model import RealtimeModel
 from palpate.realtime.channel import SharedSlots
@@ -27,9 +27,19 @@ from palpate.realtime.contract import check_contract
 from palpate.realtime.exchange import publish, snapshot
 from palpate.realtime.loop import DIVERGED, PAUSED, RUNNING, STOPPED, Channels, compile_loop, passed
 from palpate.realtime.observable import ObservableModel, make_observable
-from palpate.realtime.period import CLAMP, IGNORE, STOP, TIME_SCALE, WARN, WORST_SINCE_RESET, Settings, Work
+from palpate.realtime.period import (
+    CLAMP,
+    IGNORE,
+    SEQUENCE,
+    STOP,
+    TIME_SCALE,
+    WARN,
+    WORST_SINCE_RESET,
+    Settings,
+    Work,
+)
 from palpate.realtime.pose import IDENTITY_POSE, normalise_pose
-from palpate.realtime.record import HEADER_SIZE, Reading, field_offset
+from palpate.realtime.record import HEADER_SIZE, Reading, field_offset, record_size
 from palpate.realtime.runner import Runner
 from palpate.realtime.statistics import Statistics
 from palpate.threads import check_process
@@ -77,7 +87,7 @@ def _make_settings(
 class Engine(Described):
     """Steps a model at a fixed rate in its own thread, without Python's global lock.
 
-    In every period the thread waits for a deadline, moves the tool towards the newest pose, advances the model, and
+    In every period the thread waits for a deadline, moves the tools towards their newest poses, advances the model, and
     publishes the forces. It runs no Python code while it steps. If steps take longer than a period, periods are dropped
     and model time falls behind. A full body, whose periods differ, may first be late by a few periods. Sleeps are less
     precise on a system without clock_nanosleep (macOS).
@@ -96,13 +106,13 @@ class Engine(Described):
         Duration that the black box stores, up to 600 s.
     on_distrust : str
         Response to a trust number above 1, where the model was not trained. ``"warn"`` warns once, in `read`.
-        ``"clamp"`` keeps the tool at the last trusted pose until the model is trusted again and the requested pose has
-        returned from beyond it. If that takes more than 50 ms, the tool moves back along its path, at most to the start
-        of the path: rest, or the pose of `place_tool`. ``"stop"`` pauses the engine; `resume` continues until
+        ``"clamp"`` keeps all tools at the last trusted poses until the model is trusted again and the requested poses
+        have returned from beyond them. If that takes more than 50 ms, the tools move back along their paths, at most to
+        the start of the path: rest, or the pose of `place_tool`. ``"stop"`` pauses the engine; `resume` continues until
         trust is lost again. ``"ignore"`` does nothing, for callers that read the trust number themselves.
     max_speed : float [m/s]
     max_angular_speed : float [rad/s]
-        Largest speeds at which the tool follows a pose.
+        Largest speeds at which a tool follows a pose.
     spin : float [s]
         Time before each deadline at which the thread stops sleeping and polls the clock; up to 1 ms.
     black_box : path, optional
@@ -162,7 +172,7 @@ class Engine(Described):
                 "the system must have clock_gettime and nanosleep, got neither; use Linux, macOS or Windows"
             )
         self._force_bound, catch_up = getattr(model, "force_bound", None), getattr(model, "catch_up", 0)
-        self._cutter = getattr(model, "cutter", None)
+        self._cutter, tool_names = getattr(model, "cutter", None), getattr(model, "tool_names", ())
         if adjustable:
             model = _adjustable(model)
         self._model = model
@@ -177,11 +187,14 @@ class Engine(Described):
         )
         self.period = 1e-9 * self._settings.period
         self._rest, self._work = model.rest, Work.at_rest(model.rest, model.tool)
+        tools = len(model.tool)
+        self._tool_names = tuple(tool_names) or tuple(map(str, range(tools)))
         self._shared_name = shared_memory
-        shared = None if shared_memory is None else SharedSlots(shared_memory, len(model.rest))
-        self._channels = Channels.allocate(len(model.rest), math.ceil(history / self.period), shared)
+        shared = None if shared_memory is None else SharedSlots(shared_memory, len(model.rest), tools)
+        self._channels = Channels.allocate(len(model.rest), tools, math.ceil(history / self.period), shared)
         attributes = {"period": self.period, "coordinates": len(model.rest), "on_distrust": on_distrust}
-        self._write = partial(write_black_box, buffer=self._channels.ring_buffer, attributes=attributes)
+        buffer = self._channels.ring_buffer
+        self._write = partial(write_black_box, buffer=buffer, tools=tools, attributes=attributes)
         self._loop = compile_loop(model.advance, model.stiffness)
         self._exchanges = False  # while the loop stops for an exchange
         self._runner = Runner(
@@ -189,8 +202,10 @@ class Engine(Described):
             self._channels.command,
             partial(self._write, black_box) if black_box is not None else None,
         )
-        self._lock, self._last_pose, self._warned = threading.RLock(), IDENTITY_POSE, False
-        publish(self._channels.pose, np.append(IDENTITY_POSE, 0.0))
+        self._lock, self._warned = threading.RLock(), False
+        self._last_poses = [IDENTITY_POSE] * tools
+        for t in range(tools):
+            publish(self._channels.pose_slot(t), np.append(IDENTITY_POSE, 0.0))
         self._to_rest()
         snapshot(self._channels.record)  # compiles it before the loop runs
         weakref.finalize(self, self._runner.stop, STOPPED)  # at exit, or without references to the engine
@@ -258,7 +273,7 @@ class Engine(Described):
                 self._runner.stop(PAUSED)
 
     def reset(self) -> None:
-        """Set body and tool to rest and time to 0; a running engine continues, a diverged one becomes stopped."""
+        """Set body and tools to rest and time to 0; a running engine continues, a diverged one becomes stopped."""
         with self._cutter_lock(), self._lock:
             running = self._runner.state == RUNNING
             if running:
@@ -311,19 +326,30 @@ class Engine(Described):
         if self._runner.state != RUNNING or self._cutter is None:
             return
         with self._cutter.lock:
-            data = self._cutter.update(snapshot(self._channels.record)[HEADER_SIZE : HEADER_SIZE + len(self._rest)])
+            record, first = snapshot(self._channels.record), record_size(0, len(self._work.tool))
+            data = self._cutter.update(record[first : first + len(self._rest)])
             if data is not None:
                 self.exchange(data)
 
     def _to_rest(self) -> None:
         self._work.reset(self._rest)
-        self._publish_pose(IDENTITY_POSE, 0)
+        for t in range(len(self._last_poses)):
+            self._publish_pose(t, IDENTITY_POSE, 0)
         publish(self._channels.record, self._work.record)
 
-    def _publish_pose(self, pose: Floats, sequence: int) -> None:
-        self._last_pose = pose
+    def _publish_pose(self, tool: int, pose: Floats, sequence: int) -> None:
+        self._last_poses[tool] = pose
         if self._shared_name is None:  # a slot has one writer
-            publish(self._channels.pose, np.append(pose, float(sequence)))
+            publish(self._channels.pose_slot(tool), np.append(pose, float(sequence)))
+
+    def _index_of(self, tool: int | str) -> int:
+        """Return the index of a tool by its index or name."""
+        if isinstance(tool, str) and tool in self._tool_names:
+            return self._tool_names.index(tool)
+        if isinstance(tool, int) and not isinstance(tool, bool) and 0 <= tool < len(self._last_poses):
+            return tool
+        named = ", ".join(f"{t} ({name!r})" for t, name in enumerate(self._tool_names))
+        raise InputError(f"tool must be the number or name of a tool, got {brief(tool)}; use one of {named}")
 
     def _require_own_poses(self) -> None:
         if self._shared_name is not None:
@@ -337,8 +363,9 @@ class Engine(Described):
         position: Sequence[float] | Floats,
         quaternion: Sequence[float] | Floats = (1.0, 0.0, 0.0, 0.0),
         sequence: int = 0,
+        tool: int | str = 0,
     ) -> None:
-        """Request a pose of the tool, which follows it at the engine's largest speeds.
+        """Request a pose of a tool, which follows it at the engine's largest speeds.
 
         Parameters
         ----------
@@ -348,44 +375,49 @@ class Engine(Described):
             Rotation about the reference point; normalised.
         sequence : int
             Number of the pose, at least 0; `Reading.sequence` returns the number of the pose that a force includes.
+        tool : int or str
+            Number of the tool, in the order of `palpate.realtime_model`, or its name.
 
         Raises
         ------
         InputError
             The pose is not finite, the quaternion is zero, the position is more than a metre from the last one, or the
-            sequence number is negative. The last pose is kept. Or the engine has `shared_memory`.
+            sequence number is negative. The last pose is kept. Or there is no such tool, or the engine has
+            `shared_memory`.
         """
-        sequence = integer_in_range("sequence", sequence, 0)
+        sequence, index = integer_in_range("sequence", sequence, 0), self._index_of(tool)
         self._require_own_poses()
         with self._lock:
-            self._publish_pose(normalise_pose(position, quaternion, self._last_pose), sequence)
+            self._publish_pose(index, normalise_pose(position, quaternion, self._last_poses[index]), sequence)
 
     def place_tool(
         self,
         position: Sequence[float] | Floats,
         quaternion: Sequence[float] | Floats = (1.0, 0.0, 0.0, 0.0),
         sequence: int = 0,
+        tool: int | str = 0,
     ) -> None:
-        """Move the tool to a pose at once, as if it were lifted off and put down again; see `set_pose`.
+        """Move a tool to a pose at once, as if it were lifted off and put down again; see `set_pose`.
 
         A model that stores its tool's previous pose must be updated as well.
 
         Raises
         ------
         InputError
-            The pose is not finite, the quaternion is zero, or the sequence number is negative.
+            The pose is not finite, the quaternion is zero, the sequence number is negative, or there is no such tool.
         RuntimeError
             The engine runs.
         """
-        sequence = integer_in_range("sequence", sequence, 0)
+        sequence, index = integer_in_range("sequence", sequence, 0), self._index_of(tool)
         self._require_own_poses()
         with self._lock:
             if self._runner.state == RUNNING:
                 raise RuntimeError("the engine must be paused for place_tool, got a running one; call pause() first")
             pose = normalise_pose(position, quaternion, None)
-            self._work.place_tool(pose)
-            self._work.record[field_offset("sequence")] = sequence
-            self._publish_pose(pose, sequence)
+            self._work.place_tool(index, pose)
+            self._work.record[record_size(0, index) + SEQUENCE] = sequence
+            self._work.record[field_offset("sequence")] = self._work.record[HEADER_SIZE + SEQUENCE]
+            self._publish_pose(index, pose, sequence)
             publish(self._channels.record, self._work.record)
 
     def slow_down(self, factor: float) -> None:
@@ -461,7 +493,7 @@ class Engine(Described):
         error_text, self._runner.error_text = self._runner.error_text, ""
         if error_text:
             warnings.warn(error_text, RuntimeWarning, stacklevel=2)
-        return Reading.from_record(record, self.state, self._force_bound)
+        return Reading.from_record(record, self.state, len(self._last_poses), self._force_bound)
 
     def statistics(self) -> Statistics:
         """Return the deadline statistics since `start`."""

@@ -11,40 +11,43 @@ from numpy.typing import NDArray
 from palpate.dynamics.compiled.cache import kernel_njit, law_njit
 from palpate.dynamics.compiled.reference import StoredRecord
 from palpate.realtime.black_box import RingBuffer, append_record
-from palpate.realtime.channel import SharedSlots
+from palpate.realtime.channel import POSE_NUMBERS, SharedSlots
 from palpate.realtime.clock import now, sleep_until, thread_time
-from palpate.realtime.exchange import Slot, fetch, get_flag, make_flags, publish, stamp
-from palpate.realtime.period import STOP, TRUSTED, compile_period, functions_digest
-from palpate.realtime.pose import IDENTITY_POSE, request_pose
-from palpate.realtime.record import HEADER_SIZE, field_offset
+from palpate.realtime.exchange import FLAGS_LENGTH, Slot, fetch, get_flag, make_flags, publish, stamp
+from palpate.realtime.period import SEQUENCE, STOP, TRUSTED, compile_period, functions_digest
+from palpate.realtime.pose import request_pose
+from palpate.realtime.record import HEADER_SIZE, TOOL_SIZE, field_offset, record_size
 from palpate.realtime.statistics import Histograms, count_step
 
 RUNNING, STOPPED, PAUSED, DIVERGED = range(4)  # commands to the loop, and reasons for its end
 MAX_RECORD_AGE, MAX_RECORD_PERIODS = 20_000_000, 4  # [ns], or in periods: then readers take its force as zero
 MAX_SLEEP = 10_000_000  # [ns], which bounds the delay of a command
-COMPUTING, LATENESS, SEQUENCE = (field_offset(name) for name in ("computing", "lateness", "sequence"))
+COMPUTING, LATENESS = (field_offset(name) for name in ("computing", "lateness"))
 
 
 class Channels(NamedTuple):
     """Exchange between the loop and other threads."""
 
     command: NDArray[np.int64]  # element 0 is RUNNING while the loop shall continue
-    # pose, record: the newest pose (7,) with its sequence number, and the newest record
-    pose: Slot
-    record: Slot
+    pose: Slot  # the newest pose (7,) of the first tool with its sequence number
+    more_poses: Slot  # those of the other tools: versions (t - 1, FLAGS_LENGTH) and values (t - 1, 8)
+    record: Slot  # the newest record
     histograms: Histograms  # deadline statistics
     ring_buffer: RingBuffer  # records of the last seconds
 
     @classmethod
-    def allocate(cls, coordinates: int, history: int, shared: SharedSlots | None = None) -> Channels:
-        """Make channels for a number of coordinates and a number of stored records; the slots may be shared."""
-        return cls(
-            make_flags(),
-            Slot.zeros(len(IDENTITY_POSE) + 1) if shared is None else shared.pose,
-            Slot.zeros(HEADER_SIZE + 2 * coordinates) if shared is None else shared.record,
-            Histograms.zeros(),
-            RingBuffer.empty(history, coordinates),
-        )
+    def allocate(cls, coordinates: int, tools: int, history: int, shared: SharedSlots | None = None) -> Channels:
+        """Make channels for numbers of coordinates, tools and stored records; the slots may be shared."""
+        if shared is None:
+            pose, record = Slot.zeros(POSE_NUMBERS), Slot.zeros(record_size(coordinates, tools))
+            more = Slot(np.zeros((tools - 1, FLAGS_LENGTH), np.int64), np.zeros((tools - 1, POSE_NUMBERS)))
+        else:
+            pose, more, record = shared.pose, shared.more_poses, shared.record
+        return cls(make_flags(), pose, more, record, Histograms.zeros(), RingBuffer.empty(history, coordinates, tools))
+
+    def pose_slot(self, tool: int) -> Slot:
+        """Return the slot of a tool's pose."""
+        return self.pose if tool == 0 else Slot(self.more_poses.version[tool - 1], self.more_poses.values[tool - 1])
 
 
 @kernel_njit(inner=True)
@@ -61,11 +64,11 @@ def _wait(deadline, spin, command):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def _fetch_pose(work, slot):  # type: ignore[no-untyped-def]
-    """Read the newest pose; another program may have written one that is not valid."""
+def _fetch_pose(work, t, slot):  # type: ignore[no-untyped-def]
+    """Read the newest pose of a tool; another program may have written one that is not valid."""
     is_complete = fetch(slot, work.fetched)  # during a write, the next period reads it
-    if is_complete and request_pose(work.wanted, work.fetched[:7]):
-        work.record[SEQUENCE] = work.fetched[7]
+    if is_complete and request_pose(work.wanted[t], work.fetched[:7]):
+        work.record[HEADER_SIZE + TOOL_SIZE * t + SEQUENCE] = work.fetched[7]
 
 
 @cache
@@ -87,7 +90,10 @@ def compile_loop(advance: Any, stiffness: Any) -> Any:
         deadline = now() + period
         while _wait(deadline, settings.spin, channels.command):
             began, thread_began, trusted = now(), thread_time(), record[TRUSTED] <= 1.0
-            _fetch_pose(work, channels.pose)
+            _fetch_pose(work, np.int64(0), channels.pose)
+            for t in range(1, work.pose.shape[0]):
+                more = channels.more_poses
+                _fetch_pose(work, t, Slot(more.version[t - 1], more.values[t - 1]))
             valid = take_period(data, work, settings)
             record[COMPUTING], record[LATENESS] = 1e-9 * (thread_time() - thread_began), 1e-9 * (began - deadline)
             ended = now()

@@ -1,9 +1,9 @@
-"""Observable model: publishes its contact forces, with an optional virtual coupling and a variable stiffness.
+"""Observable model: publishes its contact forces, with optional virtual couplings and a variable stiffness.
 
 The record of the engine has the coordinates of a period but not the contact forces on the surface. An observable model
 publishes both in one slot after every period, so that readers need no lock and receive values of one period.
 
-A virtual coupling is a spring and a damper between the pose p of a haptic device and the position x of the tool:
+A virtual coupling is a spring and a damper between the pose p of a haptic device and the position x of its tool:
 
     m dv/dt = K (p - x) + B (dp/dt - v) + f,
 
@@ -36,14 +36,15 @@ from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import law_digest, law_njit
 from palpate.faults import number_in_range
 from palpate.realtime.bodies.model import RealtimeModel
-from palpate.realtime.contract import FORCES, KINETIC, STATUS, STRAIN
+from palpate.realtime.contract import FORCES, KINETIC, STATUS, STRAIN, tool_maps
 from palpate.realtime.exchange import Slot, publish, snapshot
 from palpate.realtime.period import function_key
 from palpate.reduction.contact.surface import PAIRS
 
 MAX_CONTACT_NODES = 4096  # contact nodes published in a period
-DEVICE_FORCE, TOOL_POSITION, CONTACT_COUNT, MODULUS_RATIO, COORDINATES = 0, 3, 6, 7, 8  # offsets in `values`
-CONTACT_SIZE = 4  # values of a contact: node, force (3,)
+# offsets in `values`, in which forces on devices (t, 3), positions of tools (t, 3), coordinates and contacts follow
+CONTACT_COUNT, MODULUS_RATIO, TOOLS = range(3)
+CONTACT_SIZE = 5  # values of a contact: node, tool, force (3,)
 PRESENT, TARGET = 0, 1  # indices in `modulus_ratio`
 MAX_RATIO_RATE = 5.0  # [1/s]: largest rate of the logarithm of the modulus ratio, in model time
 STIFFNESS, DAMPING, MASS, FORCE_LIMIT = range(4)  # indices in `VirtualCoupling.parameters`
@@ -51,15 +52,15 @@ TOOL_MASS = 0.05  # [kg] of a coupled tool
 
 
 class VirtualCoupling(NamedTuple):
-    """State of the spring and damper between a haptic device and the tool."""
+    """State of the springs and dampers between haptic devices and their t tools."""
 
-    # (4,) array: stiffness [N/m], 0 for a rigid coupling; damping [N s/m]; mass [kg]; largest force of the spring [N]
+    # (t, 4) array: stiffness [N/m], 0 for a rigid coupling; damping [N s/m]; mass [kg]; largest force of the spring [N]
     parameters: Floats
-    # position, velocity: (3,) arrays [m], [m/s]: displacement and velocity of the tool
+    # position, velocity: (t, 3) arrays [m], [m/s]: displacements and velocities of the tools
     position: Floats
     velocity: Floats
-    device: Floats  # (3,) array [m]: displacement of the device at the end of the last period
-    force: Floats  # (3,) array [N]: force of the body on the tool
+    device: Floats  # (t, 3) array [m]: displacements of the devices at the end of the last period
+    force: Floats  # (t, 3) array [N]: forces of the body on the tools
 
 
 class ObservableData(NamedTuple):
@@ -69,8 +70,8 @@ class ObservableData(NamedTuple):
     slot: Slot  # published values
     values: Floats  # array: values to be published next
     coupling: VirtualCoupling
-    target: Floats  # (l,) array: tool coordinates that the model inside receives
-    tangent: Floats  # (l, l) array: contact stiffness of the model inside
+    target: Floats  # (t l,) array: tool coordinates that the model inside receives
+    tangent: Floats  # (t l, l) array: contact stiffness of the model inside
     modulus_ratio: Floats  # (2,) array: present and requested ratio of the moduli to the model's own
 
 
@@ -81,10 +82,11 @@ class Observation(NamedTuple):
     # (`palpate.realtime.bodies.display_surface`); the forces are those of the model's own moduli
     coordinates: Floats
     contact_nodes: NDArray[np.int64]
+    contact_tools: NDArray[np.int64]  # (e,) array: the tools of those nodes
     contact_forces: Floats
-    # (3,) array [m]: displacement of the tool, which differs from the device's with a virtual coupling
-    tool_position: Floats
-    device_force: Floats  # (3,) array [N]: force on the haptic device
+    # (t, 3) array [m]: displacements of the tools, which differ from those of devices with a virtual coupling
+    tool_positions: Floats
+    device_forces: Floats  # (t, 3) array [N]: forces on the haptic devices
     modulus_ratio: float  # moduli relative to the model's own
 
 
@@ -99,30 +101,46 @@ class ObservableModel(NamedTuple):
     force_bound: Callable[[float, float], float] | None = None
     catch_up: int = 0
     cutter: Any = None
+    tool_names: tuple[str, ...] = ()
 
     def observe(self) -> Observation:
         """Return the values that the last period published; may be called from any thread."""
-        values, end = snapshot(self.data.slot), COORDINATES + len(self.rest)
-        contacts = values[end:].reshape(-1, CONTACT_SIZE)[: int(values[CONTACT_COUNT])]
+        values, coordinates = snapshot(self.data.slot), self._coordinates
+        device_forces, tool_positions = values[TOOLS : coordinates.start].reshape(2, -1, 3)
+        contacts = values[coordinates.stop :].reshape(-1, CONTACT_SIZE)[: int(values[CONTACT_COUNT])]
         return Observation(
-            coordinates=values[COORDINATES:end],
+            coordinates=values[coordinates],
             contact_nodes=contacts[:, 0].astype(np.int64),
-            contact_forces=contacts[:, 1:],
-            tool_position=values[TOOL_POSITION : TOOL_POSITION + 3],
-            device_force=values[DEVICE_FORCE : DEVICE_FORCE + 3],
+            contact_tools=contacts[:, 1].astype(np.int64),
+            contact_forces=contacts[:, 2:],
+            tool_positions=tool_positions,
+            device_forces=device_forces,
             modulus_ratio=float(values[MODULUS_RATIO]),
         )
 
-    def set_state(self, coordinates: Floats, position: Floats) -> None:
-        """Restart from coordinates, with the tool at rest at a displacement (3,) [m]; the engine must not run."""
-        data, coupling = self.data, self.data.coupling
-        for array in (coupling.velocity, coupling.force, data.values):
-            array[:] = 0.0
-        coupling.position[:], coupling.device[:] = position, position
+    @property
+    def _coordinates(self) -> slice:
+        """Place of the coordinates in the published values."""
+        first = TOOLS + 6 * len(self.data.coupling.position)
+        return slice(first, first + len(self.rest))
+
+    def set_state(self, coordinates: Floats, positions: Floats) -> None:
+        """Restart from coordinates, with the tools at rest at displacements (t, 3) [m]; the engine must not run."""
+        data = self.data
+        data.values[:] = 0.0
         data.values[MODULUS_RATIO] = data.modulus_ratio[PRESENT]
-        data.values[TOOL_POSITION : TOOL_POSITION + 3] = position
-        data.values[COORDINATES : COORDINATES + len(self.rest)] = coordinates
-        publish(data.slot, data.values)
+        data.values[self._coordinates] = coordinates
+        for index, position in enumerate(positions):
+            self.place_tool(index, position)
+
+    def place_tool(self, index: int, position: Floats) -> None:
+        """Set a tool to rest at a displacement (3,) [m] without a force; others go on. The engine must not run."""
+        coupling = self.data.coupling
+        coupling.velocity[index], coupling.force[index] = 0.0, 0.0
+        coupling.position[index], coupling.device[index] = position, position
+        device_forces, tool_positions = self.data.values[TOOLS : self._coordinates.start].reshape(2, -1, 3)
+        device_forces[index], tool_positions[index] = 0.0, position
+        publish(self.data.slot, self.data.values)
 
     def set_modulus_ratio(self, ratio: float) -> None:
         """Multiply all moduli by a ratio from 0.1 to 10, at constant density; the engine must not run.
@@ -131,8 +149,8 @@ class ObservableModel(NamedTuple):
         """
         self.data.modulus_ratio[TARGET] = number_in_range("ratio", ratio, 0.1, 10.0)
 
-    def set_coupling(self, stiffness: float | None, force_limit: float = np.inf) -> None:
-        """Couple the tool by a critically damped spring [N/m], or rigidly if None; the engine must not run.
+    def set_coupling(self, stiffness: float | None, force_limit: float = np.inf, index: int = 0) -> None:
+        """Couple a tool by a critically damped spring [N/m], or rigidly if None; the engine must not run.
 
         Parameters
         ----------
@@ -141,7 +159,7 @@ class ObservableModel(NamedTuple):
             Largest force of the spring, beyond which the tool lags behind the device. The force limit of
             `palpate.Engine` scales only the reported force.
         """
-        parameters = self.data.coupling.parameters
+        parameters = self.data.coupling.parameters[index]
         if stiffness is None:
             parameters[:] = 0.0
             return
@@ -155,23 +173,24 @@ def make_observable(model: RealtimeModel) -> ObservableModel:
     """Return an observable model that shares the data of a real-time model."""
     advance, stiffness = _compile(model.advance, model.stiffness)
     contacts = min(MAX_CONTACT_NODES, len(model.data.contact_work.node))
-    values = np.zeros(COORDINATES + len(model.rest) + CONTACT_SIZE * contacts)
-    tools = len(model.tool)
+    tools, count = tool_maps(model.tool).shape[:2]
+    values = np.zeros(TOOLS + 6 * tools + len(model.rest) + CONTACT_SIZE * contacts)
     data = ObservableData(
         inner=model.data,
         slot=Slot.zeros(len(values)),
         values=values,
-        coupling=VirtualCoupling(np.zeros(4), *np.zeros((4, 3))),
-        target=np.zeros(tools),
-        tangent=np.zeros((tools, tools)),
+        coupling=VirtualCoupling(np.zeros((tools, 4)), *np.zeros((4, tools, 3))),
+        target=np.zeros(tools * count),
+        tangent=np.zeros((tools * count, count)),
         modulus_ratio=np.ones(2),
     )
     if model.cutter is not None:
         model.cutter.wrap = lambda inner: data._replace(inner=inner)
     observable = ObservableModel(
-        advance, stiffness, data, model.rest, model.tool, model.force_bound, model.catch_up, model.cutter
-    )
-    observable.set_state(model.rest, np.zeros(3))
+        advance, stiffness, data, model.rest, model.tool, model.force_bound, model.catch_up, model.cutter,
+        model.tool_names,
+    )  # fmt: skip
+    observable.set_state(model.rest, np.zeros((tools, 3)))
     return observable
 
 
@@ -181,8 +200,8 @@ def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
     digest = law_digest(__name__, function_key(inner_advance), inner_stiffness and function_key(inner_stiffness))
 
     @law_njit(digest, inner=True)
-    def move_coupled_tool(coupling, target, values, period):  # type: ignore[no-untyped-def]
-        """Advance the coupled tool by a period; write its position to `target` and the device's force."""
+    def move_coupled_tool(coupling, target, device_force, period):  # type: ignore[no-untyped-def]
+        """Advance a coupled tool by a period; write its position to `target`, and the device's force."""
         stiffness, damping = coupling.parameters[STIFFNESS], coupling.parameters[DAMPING]
         mass, limit = coupling.parameters[MASS], coupling.parameters[FORCE_LIMIT]
         effective_mass = mass + period * damping + period * period * stiffness
@@ -202,7 +221,7 @@ def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
                 pull = limit * (wanted - coupling.position[i] - period * momentum / slow) / np.sqrt(apart)
                 coupling.velocity[i] = (momentum + period * pull) / slow
                 coupling.position[i] += period * coupling.velocity[i]
-                values[DEVICE_FORCE + i] = -pull
+                device_force[i] = -pull
                 coupling.device[i] = wanted
                 target[i] = coupling.position[i]
             return
@@ -213,12 +232,12 @@ def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
             coupling.velocity[i] = (mass * coupling.velocity[i] + period * force) / effective_mass
             coupling.position[i] += period * coupling.velocity[i]
             spring = stiffness * (wanted - coupling.position[i]) + damping * (rate - coupling.velocity[i])
-            values[DEVICE_FORCE + i] = -spring
+            device_force[i] = -spring
             coupling.device[i] = wanted
             target[i] = coupling.position[i]
 
     @law_njit(digest, inner=True)
-    def stop_coupled_tool(coupling, moved, values, period):  # type: ignore[no-untyped-def]
+    def stop_coupled_tool(coupling, moved, device_force, period):  # type: ignore[no-untyped-def]
         """Set a coupled tool that the model has held to where it is; the device feels the spring."""
         held = False
         for i in range(3):
@@ -234,16 +253,25 @@ def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
         stiffness, limit = coupling.parameters[STIFFNESS], coupling.parameters[FORCE_LIMIT]
         share = min(1.0, limit / (stiffness * np.sqrt(square))) if square > 0.0 else 1.0
         for i in range(3):
-            values[DEVICE_FORCE + i] = -share * stiffness * (coupling.device[i] - moved[i])
+            device_force[i] = -share * stiffness * (coupling.device[i] - moved[i])
+
+    @law_njit(digest, inner=True)
+    def coupling_of(coupling, t):  # type: ignore[no-untyped-def]
+        return VirtualCoupling(
+            coupling.parameters[t], coupling.position[t], coupling.velocity[t], coupling.device[t], coupling.force[t]
+        )
 
     @law_njit(digest, inline="always")
     def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
-        moved, coupling, values, modulus_ratio = data.target, data.coupling, data.values, data.modulus_ratio
+        moved, values, modulus_ratio = data.target, data.values, data.modulus_ratio
+        tools = data.coupling.position.shape[0]
+        count = target.shape[0] // tools
         for k in range(target.shape[0]):
             moved[k] = target[k]
-        coupled = coupling.parameters[STIFFNESS] > 0.0
-        if coupled:
-            move_coupled_tool(coupling, moved, values, period)
+        for t in range(tools):
+            coupling = coupling_of(data.coupling, t)
+            if coupling.parameters[STIFFNESS] > 0.0:
+                move_coupled_tool(coupling, moved[count * t : count * t + 3], values[TOOLS + 3 * t :], period)
         before, most = modulus_ratio[PRESENT], np.exp(MAX_RATIO_RATE * period)
         ratio = min(max(modulus_ratio[TARGET], before / most), before * most)
         if ratio != before:
@@ -257,26 +285,31 @@ def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
         report[STRAIN] *= ratio
         for k in range(FORCES, report.shape[0]):
             report[k] *= ratio
-        contact = data.inner.contact_work
-        if coupled:
-            stop_coupled_tool(coupling, moved, values, period)
-        else:
-            for k in range(target.shape[0]):
-                target[k] = moved[k]
-        for i in range(3):
-            coupling.force[i] = -report[FORCES + i]
-            values[TOOL_POSITION + i] = moved[i]  # where the tool is, which may be held
-            if not coupled:
-                values[DEVICE_FORCE + i] = coupling.force[i]
+        for t in range(tools):
+            coupling, first = coupling_of(data.coupling, t), count * t
+            device_force, position = values[TOOLS + 3 * t :], values[TOOLS + 3 * (tools + t) :]
+            coupled = coupling.parameters[STIFFNESS] > 0.0
+            if coupled:
+                stop_coupled_tool(coupling, moved[first : first + 3], device_force, period)
+            else:
+                for k in range(count):
+                    target[first + k] = moved[first + k]
+            for i in range(min(3, count)):
+                coupling.force[i] = -report[FORCES + first + i]
+                position[i] = moved[first + i]  # where the tool is, which may be held
+                if not coupled:
+                    device_force[i] = coupling.force[i]
+        at = TOOLS + 6 * tools
         for m in range(q.shape[0]):
-            values[COORDINATES + m] = q[m]
-        at = COORDINATES + q.shape[0]
-        count = min(contact.numbers[PAIRS], (values.shape[0] - at) // CONTACT_SIZE)
-        values[CONTACT_COUNT], values[MODULUS_RATIO] = count, ratio
-        for e in range(count):
-            values[at] = contact.node[e]
+            values[at + m] = q[m]
+        at += q.shape[0]
+        contact = data.inner.contact_work
+        pairs = min(contact.numbers[PAIRS], (values.shape[0] - at) // CONTACT_SIZE)
+        values[CONTACT_COUNT], values[MODULUS_RATIO] = pairs, ratio
+        for e in range(pairs):
+            values[at], values[at + 1] = contact.node[e], contact.tool[e]
             for i in range(3):
-                values[at + 1 + i] = contact.push[e, i]  # for the model's own moduli
+                values[at + 2 + i] = contact.push[e, i]  # for the model's own moduli
             at += CONTACT_SIZE
         publish(data.slot, values[:at])
 

@@ -1,4 +1,4 @@
-"""One period of the engine: move the tool, advance the model, write the record, and clamp a tool without trust.
+"""One period of the engine: move the tools, advance the model, write the record, and clamp tools without trust.
 
 It reads no clock and exchanges nothing, so that exported libraries take the same period as the engine's loop.
 """
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
-from palpate.realtime.contract import FORCES, KINETIC, POSE_COLUMNS, STATUS, STEPS, STRAIN, TRUST
+from palpate.realtime.contract import FORCES, KINETIC, POSE_COLUMNS, STATUS, STEPS, STRAIN, TRUST, tool_maps
 from palpate.realtime.pose import IDENTITY_POSE, follow_pose, pose_of_coordinates, tool_coordinates, wrench
-from palpate.realtime.record import HEADER_SIZE, field_offset
+from palpate.realtime.record import HEADER_SIZE, TOOL_DTYPE, TOOL_SIZE, field_offset, record_size
 
 WARN, CLAMP, STOP, IGNORE = range(4)  # responses to a trust number above 1
 MAX_TRAIL = 256  # stored trusted poses
@@ -27,13 +27,21 @@ REST_ENERGY = 1e-4  # energy of a body at rest, over the largest since it was at
 MODEL_TIME, TIME_SCALE, WAITED, LARGEST_ENERGY, WORST_SINCE_RESET = range(5)  # indices in `Work.clock`
 
 TIME, PERIODS, FAILED, ITERATIONS = (field_offset(name) for name in ("time", "steps", "failed", "iterations"))
-TRUSTED, WORST_TRUST, LARGEST_FORCE = (field_offset(name) for name in ("trust", "worst_trust", "largest_force"))
-CLAMPED, LIMITED, ENERGIES, POSE = (field_offset(name) for name in ("clamped", "limited", "kinetic", "position"))
-FORCE, MOMENT, STIFFNESS = (field_offset(name) for name in ("force", "moment", "stiffness"))
+TRUSTED, WORST_TRUST, CLAMPED, ENERGIES = (
+    field_offset(name) for name in ("trust", "worst_trust", "clamped", "kinetic")
+)
+POSE, FORCE, MOMENT, STIFFNESS, LARGEST_FORCE, LIMITED, SEQUENCE = (  # in the part of a tool
+    field_offset(name, TOOL_DTYPE)
+    for name in ("position", "force", "moment", "stiffness", "largest_force", "limited", "sequence")
+)
+FIRST_POSE, FIRST_LARGEST, FIRST_LIMITED, FIRST_SEQUENCE = (  # of the first tool, in the header
+    field_offset(name) for name in ("position", "largest_force", "limited", "sequence")
+)
+POSE_NUMBERS = len(IDENTITY_POSE)
 
 
 class Settings(NamedTuple):
-    """Constants of a run: times in [ns]; `max_distance` [m] and `max_angle` [rad] of the tool in one period.
+    """Constants of a run: times in [ns]; `max_distance` [m] and `max_angle` [rad] of a tool in one period.
 
     `catch_up` is the number of periods by which the model may be late and still take them all.
     """
@@ -49,59 +57,61 @@ class Settings(NamedTuple):
 
 
 class Work(NamedTuple):
-    """State of body and tool, and scratch arrays; owned by the loop."""
+    """State of body and tools, and scratch arrays; owned by the loop."""
 
     # q, v: (m,): coordinates and velocities
     q: Floats
     v: Floats
-    tool: Floats  # (l, 12): see `Realtime`
-    # pose, wanted: (7,): present and requested pose of the tool
+    tool: Floats  # (t, l, 12): see `Realtime`
+    # pose, wanted: (t, 7): present and requested poses of the tools
     pose: Floats
     wanted: Floats
-    # trail, length: (MAX_TRAIL, 7), (1,): trusted poses, newest last, and their number. The first is where the tool was
-    # put down. A full trail keeps every second pose.
+    # trail, length: (MAX_TRAIL, t, 7), (1,): trusted poses, newest last, and their number. The first is where the tools
+    # were put down. A full trail keeps every second pose.
     trail: Floats
     length: NDArray[np.int64]
-    fetched: Floats  # (8,): copy of the newest pose and its sequence number
-    # target, lost_at, last_trusted, wanted_coordinates: (l,): tool coordinates of `pose`, of the pose at which trust
-    # was lost, of the last trusted pose, and of `wanted`
+    fetched: Floats  # (8,): copy of the newest pose of a tool and its sequence number
+    # target, lost_at, last_trusted, wanted_coordinates: (t l,): tool coordinates of `pose`, of the poses at which trust
+    # was lost, of the last trusted poses, and of `wanted`
     target: Floats
     lost_at: Floats
     last_trusted: Floats
     wanted_coordinates: Floats
-    # report, tangent: (8 + l,), (l, l): results of the model's functions
+    # report, tangent: (8 + t l,), (t l, l): results of the model's functions
     report: Floats
     tangent: Floats
-    record: Floats  # (HEADER_SIZE + 2 m,): record of the present period
-    # (5,): model time [ns], model time per wall-clock time, the time [s] that a clamped tool has waited for trust, the
+    record: Floats  # record of the present period
+    # (5,): model time [ns], model time per wall-clock time, the time [s] that clamped tools have waited for trust, the
     # largest energy [J] since the body was at rest, and the largest trust number since the reset
     clock: Floats
 
     @classmethod
     def at_rest(cls, rest: Floats, tool: Floats) -> Work:
-        """Make the state at rest."""
-        m, tools = len(rest), len(tool)
-        poses = {name: np.zeros(len(IDENTITY_POSE)) for name in ("pose", "wanted")}
-        poses["trail"] = np.zeros((MAX_TRAIL, len(IDENTITY_POSE)))
-        coordinates = {name: np.zeros(tools) for name in ("target", "lost_at", "last_trusted", "wanted_coordinates")}
-        report, tangent, record = np.zeros(FORCES + tools), np.zeros((tools, tools)), np.zeros(HEADER_SIZE + 2 * m)
+        """Make the state at rest; `tool` as that of `Realtime`."""
+        tool = tool_maps(tool)
+        m, (tools, count, _) = len(rest), tool.shape
+        poses = {name: np.zeros((tools, POSE_NUMBERS)) for name in ("pose", "wanted")}
+        poses["trail"] = np.zeros((MAX_TRAIL, tools, POSE_NUMBERS))
+        names = ("target", "lost_at", "last_trusted", "wanted_coordinates")
+        coordinates = {name: np.zeros(tools * count) for name in names}
+        report, tangent = np.zeros(FORCES + tools * count), np.zeros((tools * count, count))
         clock = np.array([0.0, 1.0, 0.0, 0.0, 0.0])
         work = cls(
             np.zeros(m), np.zeros(m), tool, **poses, length=np.ones(1, dtype=np.int64),
-            fetched=np.zeros(len(IDENTITY_POSE) + 1), **coordinates, report=report, tangent=tangent, record=record,
-            clock=clock,
+            fetched=np.zeros(POSE_NUMBERS + 1), **coordinates, report=report, tangent=tangent,
+            record=np.zeros(record_size(m, tools)), clock=clock,
         )  # fmt: skip
         work.reset(rest)
         return work
 
     def reset(self, rest: Floats) -> None:
-        """Set body and tool to rest."""
+        """Set body and tools to rest."""
         reset_work(self, rest)
 
-    def place_tool(self, pose: Floats) -> None:
-        """Move the tool to a pose at once."""
-        copy_to(pose, self.pose, 0)
-        place_work(self)
+    def place_tool(self, index: int, pose: Floats) -> None:
+        """Move a tool to a pose at once."""
+        copy_to(pose, self.pose[index], 0)
+        place_work(self, index)
 
 
 @kernel_njit()
@@ -117,34 +127,53 @@ def _fill(array, value):  # type: ignore[no-untyped-def]
         array.flat[i] = value
 
 
+@kernel_njit(inner=True)
+def _coordinates_place(work):  # type: ignore[no-untyped-def]
+    """Return the index in the record at which the coordinates begin."""
+    return HEADER_SIZE + TOOL_SIZE * work.tool.shape[0]
+
+
+@kernel_njit(inner=True)
+def _repeat_first(record):  # type: ignore[no-untyped-def]
+    """Write the fields of the first tool into the header."""
+    for i in range(STIFFNESS + 9):
+        record[FIRST_POSE + i] = record[HEADER_SIZE + i]
+    record[FIRST_LARGEST], record[FIRST_LIMITED] = record[HEADER_SIZE + LARGEST_FORCE], record[HEADER_SIZE + LIMITED]
+    record[FIRST_SEQUENCE] = record[HEADER_SIZE + SEQUENCE]
+
+
 @kernel_njit()
 def reset_work(work, rest):  # type: ignore[no-untyped-def]
-    """Set body and tool to rest."""
+    """Set body and tools to rest."""
     for array in (work.v, work.target, work.lost_at, work.report, work.record):
         _fill(array, 0.0)
     _fill(work.tangent, 0.0)
     copy_to(rest, work.q, 0)
     work.clock[MODEL_TIME], work.clock[LARGEST_ENERGY], work.clock[WORST_SINCE_RESET] = 0.0, 0.0, 0.0
     _fill(work.pose, 0.0)
-    work.pose[3] = 1.0
-    place_work(work)
-    copy_to(rest, work.record, HEADER_SIZE)
+    for t in range(work.pose.shape[0]):
+        work.pose[t, 3] = 1.0
+        place_work(work, t)
+    copy_to(rest, work.record, _coordinates_place(work))
 
 
 @kernel_njit()
-def place_work(work):  # type: ignore[no-untyped-def]
-    """Start again from the present pose of the tool, with no force on it."""
-    copy_to(work.pose, work.wanted, 0)
-    copy_to(work.pose, work.trail[0], 0)
+def place_work(work, t):  # type: ignore[no-untyped-def]
+    """Start again from the present pose of a tool, with no force on it; others go on."""
+    copy_to(work.pose[t], work.wanted[t], 0)
+    for s in range(work.pose.shape[0]):
+        copy_to(work.pose[s], work.trail[0, s], 0)
     work.length[0], work.record[CLAMPED] = 1, 0.0
-    copy_to(work.pose, work.record, POSE)
+    at = HEADER_SIZE + TOOL_SIZE * t
+    copy_to(work.pose[t], work.record, at + POSE)
     for i in range(6):
-        work.record[FORCE + i] = 0.0
+        work.record[at + FORCE + i] = 0.0
+    _repeat_first(work.record)
 
 
 @kernel_njit()
-def move_tool(work, settings):  # type: ignore[no-untyped-def]
-    """Move the tool towards the requested pose, or a clamped tool towards its last trusted pose."""
+def move_tools(work, settings):  # type: ignore[no-untyped-def]
+    """Move the tools towards the requested poses, or clamped tools towards their last trusted poses."""
     goal = work.wanted
     if work.record[CLAMPED]:
         if work.record[TRUSTED] > 1.0 or _is_beyond(work):
@@ -152,23 +181,27 @@ def move_tool(work, settings):  # type: ignore[no-untyped-def]
         else:
             work.record[CLAMPED] = 0.0
     time_scale = work.clock[TIME_SCALE]
-    follow_pose(work.pose, goal, time_scale * settings.max_distance, time_scale * settings.max_angle)
+    for t in range(goal.shape[0]):
+        follow_pose(work.pose[t], goal[t], time_scale * settings.max_distance, time_scale * settings.max_angle)
     tool_coordinates(work.tool, work.pose, work.target)
 
 
 @kernel_njit(inner=True)
 def _take_back(work):  # type: ignore[no-untyped-def]
     """Set the pose to that of a tool in contact that the model has held; it follows from there."""
-    if work.tool.shape[0] != POSE_COLUMNS:
+    count = work.tool.shape[1]
+    if count != POSE_COLUMNS:
         return
     tool_coordinates(work.tool, work.pose, work.wanted_coordinates)
-    if not _is_equal(work.target, work.wanted_coordinates):
-        pose_of_coordinates(work.target, work.pose)
+    for t in range(work.tool.shape[0]):
+        reached, wanted = work.target[count * t : count * (t + 1)], work.wanted_coordinates[count * t : count * (t + 1)]
+        if not _is_equal(reached, wanted):
+            pose_of_coordinates(reached, work.pose[t])
 
 
 @kernel_njit(inner=True)
 def _is_beyond(work):  # type: ignore[no-untyped-def]
-    """Return whether the requested pose is beyond the last trusted one, in the direction that lost trust."""
+    """Return whether the requested poses are beyond the last trusted ones, in the direction that lost trust."""
     tool_coordinates(work.tool, work.wanted, work.wanted_coordinates)
     beyond = 0.0
     for k in range(work.wanted_coordinates.shape[0]):
@@ -177,8 +210,8 @@ def _is_beyond(work):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def clamp_tool(work, seconds):  # type: ignore[no-untyped-def]
-    """After a period [s], store a trusted pose, or clamp the tool to the last one."""
+def clamp_tools(work, seconds):  # type: ignore[no-untyped-def]
+    """After a period [s], store the trusted poses, or clamp the tools to the last ones."""
     if work.record[TRUSTED] > 1.0 and not work.record[CLAMPED]:
         work.record[CLAMPED], work.clock[WAITED] = 1.0, 0.0
         copy_to(work.target, work.lost_at, 0)
@@ -187,18 +220,18 @@ def clamp_tool(work, seconds):  # type: ignore[no-untyped-def]
         _retreat(work, seconds)
     elif work.record[CLAMPED]:
         work.clock[WAITED] = 0.0
-    elif not _is_equal(work.pose, work.trail[work.length[0] - 1]):
+    elif not _is_equal_pose(work.pose, work.trail[work.length[0] - 1]):
         if work.length[0] == work.trail.shape[0]:
             work.length[0] = _thin(work.trail)
-        copy_to(work.pose, work.trail[work.length[0]], 0)
+        _copy_poses(work.pose, work.trail[work.length[0]])
         work.length[0] += 1
 
 
 @kernel_njit(inner=True)
 def _retreat(work, seconds):  # type: ignore[no-untyped-def]
-    """Move a clamped tool back along its trail if trust does not return."""
+    """Move clamped tools back along their trail if trust does not return."""
     length = work.length[0]
-    if length > 1 and _is_equal(work.pose, work.trail[length - 1]):
+    if length > 1 and _is_equal_pose(work.pose, work.trail[length - 1]):
         work.clock[WAITED] += seconds
         if work.clock[WAITED] >= SETTLING_TIME:
             work.clock[WAITED] = 0.0
@@ -216,11 +249,27 @@ def _is_equal(numbers, others):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
+def _is_equal_pose(poses, others):  # type: ignore[no-untyped-def]
+    different = 0
+    for t in range(poses.shape[0]):
+        for i in range(POSE_NUMBERS):
+            different += poses[t, i] != others[t, i]
+    return different == 0
+
+
+@kernel_njit(inner=True)
+def _copy_poses(poses, out):  # type: ignore[no-untyped-def]
+    for t in range(poses.shape[0]):
+        for i in range(POSE_NUMBERS):
+            out[t, i] = poses[t, i]
+
+
+@kernel_njit(inner=True)
 def _thin(trail):  # type: ignore[no-untyped-def]
     """Keep every second pose, including the first; return their number."""
     kept = (trail.shape[0] + 1) // 2
     for k in range(1, kept):
-        copy_to(trail[2 * k], trail[k], 0)
+        _copy_poses(trail[2 * k], trail[k])
     return kept
 
 
@@ -234,11 +283,13 @@ def _is_finite(array):  # type: ignore[no-untyped-def]
 
 @kernel_njit(inner=True)
 def _forget_at_rest(work):  # type: ignore[no-untyped-def]
-    """Forget the largest trust number and force of a motion when the body is at rest again."""
+    """Forget the largest trust number and forces of a motion when the body is at rest again."""
     energy, clock = work.report[KINETIC] + work.report[STRAIN], work.clock
     clock[LARGEST_ENERGY] = max(clock[LARGEST_ENERGY], energy)
     if clock[LARGEST_ENERGY] > 0.0 and energy <= REST_ENERGY * clock[LARGEST_ENERGY]:
-        clock[LARGEST_ENERGY], work.record[WORST_TRUST], work.record[LARGEST_FORCE] = 0.0, 0.0, 0.0
+        clock[LARGEST_ENERGY], work.record[WORST_TRUST] = 0.0, 0.0
+        for t in range(work.tool.shape[0]):
+            work.record[HEADER_SIZE + TOOL_SIZE * t + LARGEST_FORCE] = 0.0
 
 
 @kernel_njit()
@@ -256,34 +307,48 @@ def write_record(work, settings):  # type: ignore[no-untyped-def]
     record[WORST_TRUST] = max(record[WORST_TRUST], report[TRUST])
     work.clock[WORST_SINCE_RESET] = max(work.clock[WORST_SINCE_RESET], report[TRUST])
     record[ENERGIES], record[ENERGIES + 1] = report[KINETIC], report[STRAIN]
-    copy_to(work.pose, record, POSE)
-    force, moment = record[FORCE : FORCE + 3], record[MOMENT : MOMENT + 3]
-    wrench(work.tool, work.pose, report[FORCES:], force, moment)
-    size = np.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
-    record[LARGEST_FORCE] = max(record[LARGEST_FORCE], size)
-    record[LIMITED] = 1.0 if size > settings.force_limit else 0.0
-    if size > settings.force_limit:
-        for i in range(3):
-            force[i] *= settings.force_limit / size
-            moment[i] *= settings.force_limit / size
-    copy_to(work.q, record, HEADER_SIZE)
-    copy_to(work.v, record, HEADER_SIZE + work.q.shape[0])
+    for t in range(work.tool.shape[0]):
+        _write_tool(work, settings, t)
+    _repeat_first(record)
+    place = _coordinates_place(work)
+    copy_to(work.q, record, place)
+    copy_to(work.v, record, place + work.q.shape[0])
     return valid
 
 
 @kernel_njit(inner=True)
+def _write_tool(work, settings, t):  # type: ignore[no-untyped-def]
+    """Write pose, force and moment of a tool to its part of the record."""
+    at, count, record = HEADER_SIZE + TOOL_SIZE * t, work.tool.shape[1], work.record
+    copy_to(work.pose[t], record, at + POSE)
+    force, moment = record[at + FORCE : at + FORCE + 3], record[at + MOMENT : at + MOMENT + 3]
+    forces = work.report[FORCES + count * t : FORCES + count * (t + 1)]
+    wrench(work.tool[t], work.pose[t], forces, force, moment)
+    size = np.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
+    record[at + LARGEST_FORCE] = max(record[at + LARGEST_FORCE], size)
+    record[at + LIMITED] = 1.0 if size > settings.force_limit else 0.0
+    if size > settings.force_limit:
+        for i in range(3):
+            force[i] *= settings.force_limit / size
+            moment[i] *= settings.force_limit / size
+
+
+@kernel_njit(inner=True)
 def _write_stiffness(work):  # type: ignore[no-untyped-def]
-    """Write the contact stiffness (3, 3) to the record if it is finite."""
-    tool, tools = work.tool, work.tool.shape[0]
+    """Write the contact stiffness (3, 3) of every tool to the record if it is finite."""
+    count = work.tool.shape[1]
     if not _is_finite(work.tangent):
         return
-    for i in range(3):
-        for j in range(3):
-            total = 0.0
-            for a in range(tools):
-                for b in range(tools):
-                    total += tool[a, i] * work.tangent[a, b] * tool[b, j]
-            work.record[STIFFNESS + 3 * i + j] = total
+    for t in range(work.tool.shape[0]):
+        tool, tangent = work.tool[t], work.tangent[count * t : count * (t + 1)]
+        for i in range(3):
+            for j in range(3):
+                total = 0.0
+                for a in range(count):
+                    for b in range(count):
+                        total += tool[a, i] * tangent[a, b] * tool[b, j]
+                work.record[HEADER_SIZE + TOOL_SIZE * t + STIFFNESS + 3 * i + j] = total
+    _repeat_first(work.record)
 
 
 def function_key(function: Any) -> str | None:
@@ -306,8 +371,8 @@ def compile_period(advance: Any, stiffness: Any) -> Any:
     Returns
     -------
     function
-        ``take_period(data, work, settings)`` moves the tool towards `Work.wanted`, advances body and tool by a period,
-        and writes the record. It returns False if the state is not finite; the record then keeps its time.
+        ``take_period(data, work, settings)`` moves the tools towards `Work.wanted`, advances body and tools by a
+        period, and writes the record. It returns False if the state is not finite; the record then keeps its time.
     """
     has_stiffness = stiffness is not None
     digest, cached = functions_digest(__name__, advance, stiffness)
@@ -315,7 +380,7 @@ def compile_period(advance: Any, stiffness: Any) -> Any:
     @law_njit(digest, cached=cached, inline="always")
     def take_period(data, work, settings):  # type: ignore[no-untyped-def]
         seconds = 1e-9 * settings.period * work.clock[TIME_SCALE]
-        move_tool(work, settings)
+        move_tools(work, settings)
         advance(data, work.q, work.v, work.target, seconds, work.report)
         _take_back(work)
         valid = write_record(work, settings)
@@ -325,7 +390,7 @@ def compile_period(advance: Any, stiffness: Any) -> Any:
                 stiffness(data, work.q, work.tangent)
                 _write_stiffness(work)
         if settings.on_distrust == CLAMP:
-            clamp_tool(work, seconds)
+            clamp_tools(work, seconds)
         return valid
 
     return take_period

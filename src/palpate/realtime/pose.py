@@ -119,15 +119,18 @@ def _rotation(pose, i, j):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def tool_coordinates(tool, pose, out):  # type: ignore[no-untyped-def]
-    """Write the tool coordinates (l,): tool @ concatenate([d, (R - I).ravel()])."""
-    for row in range(tool.shape[0]):
-        total = 0.0
-        for i in range(3):
-            total += tool[row, i] * pose[i]
-            for j in range(3):
-                total += tool[row, 3 + 3 * i + j] * (_rotation(pose, i, j) - (1.0 if i == j else 0.0))
-        out[row] = total
+def tool_coordinates(tool, poses, out):  # type: ignore[no-untyped-def]
+    """Write the coordinates (t l,) of tools in poses (t, 7): tool @ concatenate([d, (R - I).ravel()]) of each."""
+    count = tool.shape[1]
+    for t in range(tool.shape[0]):
+        pose = poses[t]
+        for row in range(count):
+            total = 0.0
+            for i in range(3):
+                total += tool[t, row, i] * pose[i]
+                for j in range(3):
+                    total += tool[t, row, 3 + 3 * i + j] * (_rotation(pose, i, j) - (1.0 if i == j else 0.0))
+            out[t * count + row] = total
 
 
 @kernel_njit()

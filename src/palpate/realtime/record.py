@@ -1,6 +1,7 @@
 """The record of one period: an array of float64 that the engine publishes and the black box stores.
 
-A record holds the fields of `HEADER_DTYPE`, then m coordinates, then m velocities.
+A record holds the fields of `HEADER_DTYPE`, then those of `TOOL_DTYPE` for each of t tools, then m coordinates and m
+velocities. The header repeats the fields of the first tool, so that programs of one tool read no further.
 """
 
 from __future__ import annotations
@@ -15,23 +16,35 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 
+MOTION_FIELDS: list[Any] = [
+    ("position", "f8", 3),
+    ("quaternion", "f8", 4),
+    ("force", "f8", 3),
+    ("moment", "f8", 3),
+    ("stiffness", "f8", (3, 3)),
+]
 HEADER_DTYPE = np.dtype(
     [(name, "f8") for name in ("time", "steps", "failed", "iterations", "computing", "lateness")]
     + [
         (name, "f8")
         for name in ("trust", "worst_trust", "largest_force", "clamped", "limited", "sequence", "kinetic", "strain")
     ]
-    + [("position", "f8", 3), ("quaternion", "f8", 4), ("force", "f8", 3), ("moment", "f8", 3)]
-    + [("stiffness", "f8", (3, 3))]
+    + MOTION_FIELDS
 )
-HEADER_SIZE = HEADER_DTYPE.itemsize // 8
+TOOL_DTYPE = np.dtype(MOTION_FIELDS + [(name, "f8") for name in ("largest_force", "limited", "sequence")])
+HEADER_SIZE, TOOL_SIZE = HEADER_DTYPE.itemsize // 8, TOOL_DTYPE.itemsize // 8
 FIELD_UNITS = {"time": "s", "computing": "s", "lateness": "s", "kinetic": "J", "strain": "J", "position": "m"}
 FIELD_UNITS |= {"force": "N", "largest_force": "N", "moment": "N m", "stiffness": "N/m"}
 
 
-def field_offset(name: str) -> int:
-    """Return the index in a record at which a field of `HEADER_DTYPE` begins."""
-    return int(dict(HEADER_DTYPE.fields or {})[name][1]) // 8
+def field_offset(name: str, fields: np.dtype[Any] = HEADER_DTYPE) -> int:
+    """Return the index in a record at which a field of `HEADER_DTYPE` begins, or in the part of a tool."""
+    return int(dict(fields.fields or {})[name][1]) // 8
+
+
+def record_size(coordinates: int, tools: int) -> int:
+    """Return the count of numbers in a record."""
+    return HEADER_SIZE + TOOL_SIZE * tools + 2 * coordinates
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,10 +82,69 @@ class PeriodRecord(Described):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ToolReading(Described):
+    """Results of one period for one tool.
+
+    Parameters
+    ----------
+    position, quaternion : (3,) array [m] and (4,) array
+        Pose of the tool, relative to that at rest.
+    force, moment : (3,) arrays [N], [N m]
+        Force and moment of the body on the tool, about its reference point.
+    stiffness : (3, 3) array [N/m]
+        Contact stiffness: the derivative of the tool's force on the body by its displacement, while others rest.
+    largest_force : float [N]
+        Largest force since the body was at rest.
+    limited : bool
+        Whether the force was scaled down to the engine's limit.
+    sequence : int
+        Number of the newest pose that the period used.
+    force_bound : float [N]
+        Error bound of the force, as in `Reading`.
+
+    Examples
+    --------
+    >>> import palpate as pt
+    >>> cloud = pt.box((0.03, 0.03, 0.015), spacing=0.005)
+    >>> tissue = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1060, poisson=0.45)
+    >>> block = pt.Solid(cloud, tissue, fixed="z-")
+    >>> left, right = (
+    ...     pt.tools.Contact(pt.tools.Sphere(radius=0.005), (x, 0.015, 0.021), name=name)
+    ...     for name, x in (("left", 0.008), ("right", 0.022))
+    ... )
+    >>> with pt.Engine(pt.realtime_model(block, contact=[left, right])) as engine:
+    ...     reading = engine.read()
+    >>> len(reading.tools), reading.tools[1].force.tolist()
+    (2, [0.0, 0.0, 0.0])
+    """
+
+    position: Floats
+    quaternion: Floats
+    force: Floats
+    moment: Floats
+    stiffness: Floats
+    largest_force: float
+    limited: bool
+    sequence: int
+    force_bound: float
+
+    @classmethod
+    def from_record(cls, numbers: Floats, bound: Callable[[float], float]) -> ToolReading:
+        """Read the part (TOOL_SIZE,) of a tool, with the error bound by the size of the force."""
+        fields = numbers.view(TOOL_DTYPE)[0]
+        arrays = {name: fields[name].copy() for name in ("position", "quaternion", "force", "moment", "stiffness")}
+        return cls(
+            **arrays, largest_force=float(fields["largest_force"]), limited=bool(fields["limited"]),
+            sequence=int(fields["sequence"]), force_bound=bound(float(np.linalg.norm(arrays["force"]))),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
 class Reading(PeriodRecord):
     """Results of one period as the engine returns them; the pose is relative to the tool at rest.
 
-    A force above the engine's limit is scaled down together with the moment.
+    A force above the engine's limit is scaled down together with the moment. Force, moment, stiffness, pose, sequence,
+    largest_force, force_bound and limited are those of the first tool; `tools` has those of all.
 
     Parameters
     ----------
@@ -116,6 +188,8 @@ class Reading(PeriodRecord):
         Whether the force was scaled down to the engine's limit.
     velocities : (m,) array
         Velocities of the reduced coordinates.
+    tools : tuple of ToolReading
+        One for every tool, in their order.
 
     Examples
     --------
@@ -136,19 +210,24 @@ class Reading(PeriodRecord):
     clamped: bool
     limited: bool
     velocities: Floats
+    tools: tuple[ToolReading, ...]
 
     @classmethod
-    def from_record(cls, record: Floats, state: str, bound: Callable[[float, float], float] | None = None) -> Reading:
-        """Read a record (HEADER_SIZE + 2 m,), with the error bound by the largest trust number and the force."""
-        header = record[:HEADER_SIZE].view(HEADER_DTYPE)[0]
-        names = ("time", "trust", "worst_trust", "largest_force", "kinetic", "strain", "computing", "lateness")
+    def from_record(
+        cls, record: Floats, state: str, tools: int, bound: Callable[[float, float], float] | None = None
+    ) -> Reading:
+        """Read a record of a number of tools, with the error bound by the largest trust number and the force."""
+        header, at = record[:HEADER_SIZE].view(HEADER_DTYPE)[0], HEADER_SIZE + TOOL_SIZE * tools
+        names = ("time", "trust", "worst_trust", "kinetic", "strain", "computing", "lateness")
         numbers: dict[str, Any] = {name: float(header[name]) for name in names}
-        numbers |= {name: int(header[name]) for name in ("steps", "sequence")}
-        arrays = {name: header[name].copy() for name in ("force", "moment", "stiffness", "position", "quaternion")}
-        worst, size = numbers["worst_trust"], float(np.linalg.norm(arrays["force"]))
-        coordinates, velocities = record[HEADER_SIZE:].reshape(2, -1).copy()
+
+        def bound_of(size: float) -> float:
+            return bound(numbers["worst_trust"], size) if bound else math.inf
+
+        parts = record[HEADER_SIZE:at].reshape(tools, TOOL_SIZE)
+        readings = tuple(ToolReading.from_record(part, bound_of) for part in parts)
+        coordinates, velocities = record[at:].reshape(2, -1).copy()
         return cls(
-            **numbers, **arrays, force_bound=bound(worst, size) if bound else math.inf,
-            clamped=bool(header["clamped"]), limited=bool(header["limited"]),
-            coordinates=coordinates, velocities=velocities, state=state,
+            **numbers, **vars(readings[0]), steps=int(header["steps"]), clamped=bool(header["clamped"]),
+            coordinates=coordinates, velocities=velocities, state=state, tools=readings,
         )  # fmt: skip

@@ -312,6 +312,7 @@ class Training:
         "m", None, "longest slide of a press; what fits the body if it is left out", low=0.0, high=0.5
     )
     grasps: float = parameter("", 0.25, "share of the paths that are pulls of forceps", low=0.0, high=1.0)
+    pairs: float = parameter("", 0.5, "share of the held-out paths with two tools at once", low=0.0, high=1.0)
     every: float = parameter("s", 0.01, "time between two frames", above=0.0, high=1.0)
     duration: float = parameter("s", 0.4, "length of a path of a tool that holds a group", above=0.0, high=10.0)
     low: Vector = parameter("m", (0.0, 0.0, 0.0), "smallest displacement of a swing of a held group", length=3)

@@ -6,12 +6,11 @@ from hashlib import sha256
 from pathlib import Path
 from urllib.request import urlopen
 
-from platformdirs import user_cache_path
-
 from palpate.faults import FileFormatError, InputError
 from palpate.files import whole_file
 from palpate.surface.files import read_surface
 from palpate.surface.surface import Surface
+from palpate.working_folder import cache_folder
 
 LIVER_ADDRESS = "https://github.com/hubmapconsortium/ccf-releases/raw/cb9bfd93/v1.3/models/VH_F_Liver.glb"
 LIVER_FILE = "VH_F_Liver.glb"
@@ -59,7 +58,10 @@ def fetch_liver(folder: str | Path | None = None, source: str = LIVER_ADDRESS) -
         ...
     palpate.faults.InputError: source must be an address, got 'liver.glb'
     """
-    path = (user_cache_path("palpate") if folder is None else Path(folder)) / LIVER_FILE
+    place = cache_folder() if folder is None else Path(folder)
+    if place is None:
+        raise InputError("folder must be given for a user without a home folder, got None")
+    path = place / LIVER_FILE
     if not (path.is_file() and sha256(path.read_bytes()).hexdigest() == LIVER_SHA256):
         content = _downloaded(source)
         path.parent.mkdir(parents=True, exist_ok=True)

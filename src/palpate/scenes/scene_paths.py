@@ -66,6 +66,7 @@ def touching_paths(
         training.grasps,
         shallowest,
         others,
+        training.pairs,
     )
 
 

@@ -14,7 +14,8 @@ other paths are independent of them and of each other.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.ndimage as ndimage
@@ -49,6 +50,11 @@ MAX_TRACES = 40  # steps of sphere tracing
 TOUCH_RADII = 0.01  # [radii] distance that counts as touching
 MAX_HALVINGS = 4  # of a slide or pull that is obstructed, before it is left out
 SLIDE_SAMPLES = 9
+# Second tool of a pair: candidates, share of pairs whose nearest candidate is taken, and latest delay [s]
+PAIR_CANDIDATES, NEAR_PAIRS, MAX_DELAY, DELAY_STEP = 24, 0.5, 0.15, 0.05
+PAIR_SAMPLES = 25  # times at which two tools must be apart
+GOLDEN_RATIO = 0.5 * (1 + np.sqrt(5))  # its multiples, less whole numbers, spread evenly between 0 and 1
+SECOND_SUFFIX = " 2"  # of the name of a second tool
 
 
 class _Place(NamedTuple):
@@ -97,6 +103,8 @@ class ToolPaths:
         Depth of the shallowest press and length of the shortest pull, over the largest at its place.
     others : sequence of loads
         Further loads of every path, such as foundations.
+    pairs : float
+        Share of the held-out paths with a second tool, spread evenly: with 0.5 the numbers 1, 3, 4, 6, 9 and so on.
 
     Attributes
     ----------
@@ -122,6 +130,7 @@ class ToolPaths:
         grasps: float = 0.25,
         shallowest: float = 0.3,
         others: Sequence[Load] = (),
+        pairs: float = 0.0,
     ) -> None:
         self.others = tuple(others)
         self.surface = surface = FreeSurface(body)
@@ -132,6 +141,7 @@ class ToolPaths:
         self.friction = number_in_range("friction", friction, 0.0)
         self.slide = number_in_range("slide", slide, 0.0, unit="m")
         self.grasps = number_in_range("grasps", grasps, 0.0, 1.0)
+        self.pairs = number_in_range("pairs", pairs, 0.0, 1.0)
         self.shallowest = number_in_range("shallowest", shallowest, 0.0, 1.0, open_low=True)
         self.grasp_radius = max(GRASP_RADIUS * radius, MIN_GRASP_RADIUS * spacing)
         longest = float(np.ptp(surface.points, axis=0).max())
@@ -160,8 +170,13 @@ class ToolPaths:
             The last six digits are the number of the path in its campaign. Places of the numbers below 500,000 are
             spread over the surface together. Those of others, for held-out runs, are independent.
         """
-        loads, duration = self.grasp(seed) if _is_grasp(seed, self.grasps) else self.press(seed)
-        return (*self.others, *loads), duration
+        is_held_out = seed % CAMPAIGN_SEEDS >= TRAINING_SEEDS
+        return self.pair(seed) if is_held_out and _is_pair(seed % TRAINING_SEEDS, self.pairs) else self.single(seed)
+
+    def single(self, seed: int) -> tuple[tuple[Load, ...], float]:
+        """Return the loads of a path of one tool and its duration [s]."""
+        load, duration = self._draw(seed)
+        return (*self.others, load), duration
 
     def press(self, seed: int) -> tuple[tuple[Contact], float]:
         """Return the load of a ball that presses, slides and retracts, and its duration [s]."""
@@ -202,6 +217,35 @@ class ToolPaths:
             return place + moved[:3], moved[3:]
 
         return (Grasp(place, self.grasp_radius, motion, until=PHASE_TIMES[-2]),), PHASE_TIMES[-1]
+
+    def pair(self, seed: int) -> tuple[tuple[Load, ...], float]:
+        """Return the loads of a path and of a second one that begins up to 0.15 s later, and their duration [s].
+
+        The second path is at a random place. In half of the pairs it is the nearest of some. The tools are never
+        closer to each other than their radii and a spacing; without room for that the first one is alone. The
+        second name ends in `SECOND_SUFFIX`.
+        """
+        first, duration = self._draw(seed)
+        random = np.random.default_rng([seed, 2])
+        delay = DELAY_STEP * random.integers(round(MAX_DELAY / DELAY_STEP) + 1)
+        near = random.uniform() < NEAR_PAIRS
+        seeds = seed - seed % CAMPAIGN_SEEDS + random.integers(SPREAD_PLACES, CAMPAIGN_SEEDS, PAIR_CANDIDATES)
+        times = np.linspace(0.0, duration + delay, PAIR_SAMPLES)
+        least, chosen = np.inf, None
+        for number in seeds.tolist():
+            second = _delayed(self._draw(number)[0], delay)
+            distances = np.linalg.norm(_centres(first, times) - _centres(second, times), axis=1)
+            apart = _size(first) + _size(second) + self.surface.cloud.spacing
+            if distances.min() >= apart and (chosen is None or (near and distances.min() < least)):
+                least, chosen = float(distances.min()), second
+        if chosen is None:
+            return (*self.others, first), duration
+        return (*self.others, first, chosen), duration + delay
+
+    def _draw(self, seed: int) -> tuple[Contact | Grasp, float]:
+        """Return the press or the grasp of a path and its duration [s]."""
+        (load,), duration = self.grasp(seed) if _is_grasp(seed, self.grasps) else self.press(seed)
+        return load, duration
 
     def _node(self, seed: int, allowed: NDArray[np.bool_], random: np.random.Generator) -> int:
         """Return the surface node of a path: a spread one for training, else one at random by area."""
@@ -343,6 +387,34 @@ class ToolPaths:
 def _is_grasp(seed: int, grasps: float) -> bool:
     """Return whether a path is a grasp: the number of grasps up to a path is the share of all, rounded down."""
     return int((seed + 1) * grasps) > int(seed * grasps)
+
+
+def _is_pair(number: int, pairs: float) -> bool:
+    """Return whether a held-out path has two tools: a share of any first ones, independent of which are grasps."""
+    return bool((number + 1) * GOLDEN_RATIO % 1.0 < pairs)
+
+
+def _delayed(load: Contact | Grasp, delay: float) -> Contact | Grasp:
+    """Return a second tool that moves some time [s] later; forceps hold from the start on."""
+    motion: Any = load.motion
+    later: dict[str, Any] = {"name": load.name + SECOND_SUFFIX, "motion": lambda time: motion(time - delay)}
+    if isinstance(load, Grasp):
+        later["until"] = load.until + delay
+    return replace(load, **later)
+
+
+def _centres(load: Contact | Grasp, times: Floats) -> Floats:
+    """Return the positions (k, 3) [m] of a tool at some times [s]."""
+    motion: Any = load.motion
+    return np.array([motion(time)[0] if isinstance(load, Grasp) else motion(time) for time in times.tolist()])
+
+
+def _size(load: Contact | Grasp) -> float:
+    """Return the radius [m] of a ball or of forceps."""
+    if isinstance(load, Grasp):
+        return float(load.radius)
+    assert isinstance(load.tool, Sphere)
+    return float(load.tool.radius)
 
 
 def _between(start: _Place, end: _Place, shares: Floats) -> tuple[Floats, Floats]:

@@ -53,6 +53,7 @@ def test_an_open_surface_is_reported_not_filled(liver, tmp_path, capsys):
     assert not (tmp_path / "out" / "cloud.png").exists()
 
 
+@pytest.mark.slow
 def test_repairs_are_listed_and_drawn(liver, tmp_path, capsys, assert_drawn):
     trimesh = pytest.importorskip("trimesh")
     body = pt.io.read_surface(liver, units="mm")
@@ -80,6 +81,7 @@ def _pixels(path, colour):
     return int(near.sum())
 
 
+@pytest.mark.slow
 def test_an_implausible_volume_names_the_scale(liver, tmp_path, capsys):
     line = ["check", str(liver), "--units", "m", "--out", str(tmp_path / "out")]
     main(line)
@@ -88,6 +90,7 @@ def test_an_implausible_volume_names_the_scale(liver, tmp_path, capsys):
     assert "--scale" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_spacing_that_is_too_coarse_is_reported(liver, tmp_path, capsys):
     assert main(["check", str(liver), "--spacing", "0.06", "--json", "--out", str(tmp_path / "out")]) == 1
     assert "too coarse" in json.loads(capsys.readouterr().out)["refused"]

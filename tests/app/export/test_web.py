@@ -15,28 +15,31 @@ import numpy as np
 import pytest
 from browser_input import NARROW, hold, needs_chromium, opening, picture
 from chromium import Chromium
-from exported import BALL, FORCE, SIZE, Engine, export, pose_at, set_tool, train
+from exported import BALL, SIZE, TOOL_FORCE, Engine, export, pose_at, set_tool, tool_record, train
 
 import palpate as pt
 
 pytestmark = [pytest.mark.slow, needs_chromium]
 SOURCES = Path(__file__).parents[3] / "page" / "src"
-PLACE = (0.024, 0.038, SIZE[2] + BALL + 0.001)
-STEPS = """
-import("./exportedModel.js").then(async ({ openModel }) => {
-  const model = await openModel(new URL("model/", location.href).href);
-  const { arrays } = model;
-  arrays.tool_kind[0] = 0n;
-  arrays.tool_sizes.set(SIZES);
-  arrays.tool_friction[0] = 0.3;
-  arrays.tool_pose.set(PLACE);
-  if (model.call("set_tool")) throw new Error("tool");
-  return POSES.map((pose) => {
-    arrays.pose.set(pose);
-    if (model.call("step")) throw new Error("step");
-    return Array.from(arrays.record.subarray(FORCE, FORCE + 3));
+PLACE, SMALL_BALL = (0.024, 0.038, SIZE[2] + BALL + 0.001), 0.006
+OTHER = (0.052, 0.012, SIZE[2] + SMALL_BALL + 0.001)
+SESSION = """
+(async () => {
+  const [{ openModel }, { LocalSession }, { decode }] = await Promise.all(
+    ["exportedModel", "localSession", "protocol"].map((name) => import(`./${name}.js`)));
+  let clock = 0;
+  performance.now = () => clock;
+  LocalSession.prototype.turn = () => {}; // periods are taken below
+  const reasons = [];
+  const told = ({ type, reason }) => type === "error" && reasons.push(reason);
+  const session = new LocalSession(await openModel(new URL("model/", location.href).href), told);
+  const turns = GIVEN.map((messages) => {
+    for (const message of messages) session.handle(message);
+    session.stepTo(++clock);
+    return decode(session.toolFrame()).tools.map(({ force, pinned }) => [...force, Number(pinned)]);
   });
-})
+  return { turns, reasons };
+})()
 """
 
 
@@ -48,7 +51,7 @@ class QuietHandler(http.server.SimpleHTTPRequestHandler):
 @pytest.fixture(scope="module")
 def model_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("web") / "organ.rom"
-    train("NeoHookean", path)
+    train("MooneyRivlin", path)
     return path
 
 
@@ -90,8 +93,8 @@ def page(browser):
         yield open_page
 
 
-def press(tab, depth=40):
-    x, y = hold(tab)
+def press(tab, depth=40, at=(0, 0)):
+    x, y = hold(tab, at)
     for k in range(1, 9):
         tab.mouse("Moved", x, y + depth * k / 8)
         sleep(0.02)
@@ -165,26 +168,75 @@ def test_the_page_is_dark_and_narrow(page, address):
     tab.wait("palpate.force > 0.1")
 
 
-def test_the_browser_computes_the_forces_of_the_engine(browser, folder, serve, model_file, tmp_path):
+def test_the_browser_computes_the_forces_of_two_tools_as_the_engine(browser, folder, serve, model_file, tmp_path):
     copy = shutil.copytree(folder, tmp_path / "web")
-    shutil.copy(SOURCES / "exportedModel.js", copy)
+    for source in SOURCES.glob("*.js"):
+        shutil.copy(source, copy)
     tab = browser.open(serve(copy))
-    poses = [pose_at(k / 200, True) for k in range(200)]
-    words = {"SIZES": [BALL, 0, 0], "PLACE": [*PLACE, 1, 0, 0, 0], "POSES": np.array(poses).tolist(), "FORCE": FORCE}
-    script = STEPS
-    for name, value in words.items():
-        script = script.replace(name, json.dumps(value))
-    forces = np.array(tab.evaluate(script))
+    first, second = (ball_message(0, BALL, PLACE), ball_message(1, SMALL_BALL, OTHER))
+    moves = [pose_at(0.5 * k / 200, True) for k in range(200)] + [pose_at(k / 200, True) for k in range(200)]
+    given = [[pose_message(k // 200, (PLACE, OTHER)[k // 200], move)] for k, move in enumerate(moves)]
+    given[0].insert(0, first)
+    given[200] = [{"type": "pin", "index": 0, "pinned": True}, second, *given[200]]
+    refused = [pose_message(0, PLACE, moves[0]), {**second, "position": PLACE}, ball_message(2, BALL, OTHER)]
+    answer = tab.evaluate(SESSION.replace("GIVEN", json.dumps([*given, [*refused, {"type": "release", "index": 1}]])))
     tab.close()
-    engine = Engine(pt.load(model_file))
-    set_tool(engine, 0, (BALL, 0.0, 0.0), PLACE, 0.3)
-    expected = []
-    for pose in poses:
-        engine.arrays["pose"][:] = pose
+    words = ("held where it is", "clear of the other tools", "takes 2 tools at most")
+    assert len(answer["reasons"]) == len(words)
+    assert all(word in reason for word, reason in zip(words, answer["reasons"], strict=True))
+    turns = np.array(answer["turns"])
+    assert turns[:200, 0, 3].sum() == 0
+    assert turns[200:, 0, 3].all()
+    assert not turns[-1, 1].any()  # it is put away
+    engine, expected = Engine(pt.load(model_file)), []
+    for k, move in enumerate(moves):
+        if k % 200 == 0:
+            set_tool(engine, 0, ((BALL, SMALL_BALL)[k // 200], 0.0, 0.0), (PLACE, OTHER)[k // 200], 0.3, k // 200)
+        engine.arrays["pose"][k // 200] = move
         assert engine("step") == 0
-        expected.append(engine.arrays["record"][FORCE : FORCE + 3].copy())
-    assert np.abs(expected).max() > 0.5
-    np.testing.assert_allclose(forces, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+        expected.append([tool_record(engine, index)[TOOL_FORCE : TOOL_FORCE + 3] for index in (0, 1)])
+    assert np.abs(expected[-1]).max(axis=1).min() > 0.1  # both press
+    np.testing.assert_allclose(turns[:-1, :, :3], expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+def test_a_ball_is_held_while_a_second_presses(page, address, model_file):
+    tab = page(address)
+    tab.evaluate(f"palpate.hands.change({{ radius: {SMALL_BALL}, friction: 0 }})")
+    x, y = press(tab, at=(-110, 0))
+    tab.wait("palpate.force > 0.1")
+    sleep(0.5)  # the approach has ended
+    tab.key("h")
+    tab.mouse("Released", x, y)
+    tab.wait("palpate.hands.held.join() === '0' && palpate.hands.inHand === 1")
+    click(tab, "record")
+    press(tab, at=(110, 0))
+    tab.wait("palpate.force > 0.1 && palpate.hands.state(0).newtons > 0.1")
+    sleep(1.5)  # the body is at rest
+    shown = "[...document.querySelectorAll('#hands li output')].map((each) => each.textContent)"
+    states = "[0, 1].map((index) => palpate.hands.state(index)).map((each) => [...each.position, each.newtons])"
+    texts, states = tab.evaluate(f"[{shown}, {states}]")
+    model, starts = Engine(pt.load(model_file)), [np.add(state[:3], (0.0, 0.0, 0.008)) for state in states]
+    for index, start in enumerate(starts):
+        set_tool(model, 0, (SMALL_BALL, 0.0, 0.0), start, 0.0, index)
+    for k in range(3000):
+        for index, start in enumerate(starts):
+            model.arrays["pose"][index, :3] = min(1.0, k / 500) * (states[index][:3] - start)
+        assert model("step") == 0
+    for index, state in enumerate(states):
+        newtons = np.linalg.norm(tool_record(model, index)[TOOL_FORCE : TOOL_FORCE + 3])
+        assert state[3] == pytest.approx(newtons, rel=0.01)
+        assert float(texts[index].removesuffix(" N")) == pytest.approx(newtons, abs=0.06)
+    click(tab, "record")
+    tab.wait("palpate.session.hello.mode === 'replay' && palpate.hands.held.join() === '0'")
+    tab.wait("palpate.hands.state(0).newtons > 0.1 && palpate.hands.state(1).newtons > 0.1")
+
+
+def ball_message(index, radius, place):
+    return {"type": "tool", "index": index, "kind": "sphere", "radius": radius, "friction": 0.3, "position": place}
+
+
+def pose_message(index, place, move):
+    return {"type": "pose", "index": index, "position": list(np.add(place, move[:3])), "quaternion": list(move[3:])}
 
 
 def test_damaged_files_are_named(browser, folder, serve, tmp_path):

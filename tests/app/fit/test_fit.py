@@ -25,6 +25,7 @@ def left(run_study, tmp_path_factory):
     return run_study(["fit", "mooney-rivlin", UNIAXIAL, SHEAR], tmp_path_factory.mktemp("fit") / "results" / "liver")
 
 
+@pytest.mark.slow
 def test_the_listed_files_are_written_and_no_others(left, assert_drawn):
     out, report, stdout, stderr = left
     assert {path.name for path in out.iterdir()} == set(FILES)

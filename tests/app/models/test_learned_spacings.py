@@ -13,7 +13,7 @@ from palpate.app.models.learned_spacings import MOST_SPACINGS, keep_spacing, lea
 @pytest.fixture
 def kept(tmp_path, monkeypatch):
     """The file of an empty cache folder."""
-    monkeypatch.setattr(learned_spacings, "user_cache_path", lambda name: tmp_path / name)
+    monkeypatch.setattr(learned_spacings, "cache_folder", lambda: tmp_path / "palpate")
     return tmp_path / "palpate" / "spacings.json"
 
 

@@ -107,6 +107,7 @@ def test_a_slower_machine_steps_a_coarser_body(monkeypatch):
     assert spacings[1] / spacings[0] == pytest.approx(2**0.25, rel=0.03)
 
 
+@pytest.mark.slow
 def test_the_spacing_follows_the_measured_load():
     scene = open_scene("liver", {"spacing": 0.016})
     spacing, count = scene.body.cloud.spacing, len(scene.body.cloud)
@@ -229,6 +230,7 @@ def off(path, surface, unit=1.0):
     )
 
 
+@pytest.mark.slow
 def test_a_painted_support_is_in_the_unit_of_the_surface(tmp_path):
     pyvista = pytest.importorskip("pyvista")
     mesh = pyvista.PolyData(1e3 * POINTS)

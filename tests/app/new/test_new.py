@@ -82,6 +82,7 @@ def test_comments_of_a_new_scene_are_settings_that_work(scene, tmp_path):
     assert opened.material.prony.shares == (0.5,)
 
 
+@pytest.mark.slow
 def test_options_of_a_new_scene_are_written(organ, tmp_path):
     out = tmp_path / "hard.toml"
     options = ["--law", "Gent", "--fixed", "z-", "--units", "mm", "--scale", "2", "--spacing", "0.012"]
@@ -95,6 +96,7 @@ def test_options_of_a_new_scene_are_written(organ, tmp_path):
     assert "given, " in out.read_text()
 
 
+@pytest.mark.slow
 def test_what_cannot_become_a_scene_is_refused_and_nothing_is_written(organ, scene, tmp_path, assert_refused):
     def folder():
         return sorted(path.name for path in tmp_path.iterdir())
@@ -114,6 +116,7 @@ def test_what_cannot_become_a_scene_is_refused_and_nothing_is_written(organ, sce
     assert folder() == ["broken.stl", "notes.txt"]
 
 
+@pytest.mark.slow
 def test_check_of_a_scene_reports_supports_and_the_reach_of_the_tool(scene, tmp_path, capsys, assert_refused):
     assert main(["check", str(scene), "--out", str(tmp_path / "out"), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)

@@ -26,7 +26,8 @@ def snapshot(coordinates: np.ndarray, force: float) -> Snapshot:
         time=0.0, steps=0, force=np.array([0, 0, force]), moment=np.zeros(3), stiffness=np.eye(3), trust=1.0,
         position=np.zeros(3), quaternion=np.array([1.0, 0.0, 0.0, 0.0]), sequence=0, kinetic=0.0, strain=0.0,
         computing=0.0, lateness=0.0, coordinates=coordinates, state="running", device_force=np.zeros(3),
-        contact_nodes=np.zeros(0, dtype=int), contact_forces=np.zeros((0, 3)), modulus_ratio=1.0, tool="none",
+        contact_nodes=np.zeros(0, dtype=int), contact_forces=np.zeros((0, 3)), modulus_ratio=1.0, kind="none",
+        contact_tools=np.zeros(0, dtype=int),
     )  # fmt: skip
 
 
@@ -35,7 +36,7 @@ def body():
     """Return a body that fills voxels 10 to 29 of each axis."""
     cloud = pt.box((0.04, 0.04, 0.04), spacing=SPACING)
     cloud = replace(cloud, points=cloud.points + 9.5 * EDGE)
-    return pt.Solid(cloud, pt.materials.NeoHookean(C1=2e3, density=1000.0, poisson=0.45), "x-")
+    return pt.Solid(cloud, pt.materials.MooneyRivlin(C1=4e3, C2=0, density=1000.0, poisson=0.45), "x-")
 
 
 @pytest.fixture

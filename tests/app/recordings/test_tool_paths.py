@@ -15,12 +15,12 @@ from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 
 EVERY = 0.01
-BALL = {"kind": "sphere", "radius": 0.004, "length": 0.0, "friction": 0.3, "stiffness": None, "start": 0}
+BALL = {"kind": "sphere", "radius": 0.004, "length": 0.0, "friction": 0.3, "stiffness": None, "index": 0, "start": 0}
 
 
 @pytest.fixture(scope="module")
 def model():
-    tissue = pt.materials.NeoHookean(C1=2e3, density=1000.0, poisson=0.45)
+    tissue = pt.materials.MooneyRivlin(C1=4e3, C2=0, density=1000.0, poisson=0.45)
     body = pt.Solid(pt.box((0.03, 0.015, 0.015), 0.005), tissue, "x-", form="energy")
     motion = pt.PrescribedMotion("x+", lambda points, time: np.array([0.1 * time, 0.0, 0.0]))
     run = pt.rollout(body, [motion], duration=0.01, every=0.001, progress=False)
@@ -33,7 +33,8 @@ def snapshot(k, tool="sphere", touching=True, trust=2.0, **values):
         time=EVERY * k, steps=k, force=np.zeros(3), moment=np.zeros(3), stiffness=np.eye(3), trust=trust,
         position=np.array([0.1 * k, 0.0, 0.05]), quaternion=np.array([1.0, 0.0, 0.0, 0.0]), sequence=k, kinetic=0.0,
         strain=0.0, computing=0.0, lateness=0.0, coordinates=np.zeros(9), state="running", device_force=np.zeros(3),
-        contact_nodes=np.arange(2), contact_forces=np.full((2, 3), float(touching)), modulus_ratio=1.0, tool=tool,
+        contact_nodes=np.arange(2), contact_forces=np.full((2, 3), float(touching)), modulus_ratio=1.0, kind=tool,
+        contact_tools=np.zeros(2, dtype=int),
     )  # fmt: skip
     return replace(still, **values)
 

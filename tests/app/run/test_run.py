@@ -32,7 +32,7 @@ def cache(tmp_path_factory):
     """An empty cache."""
     folder = tmp_path_factory.mktemp("cache")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("palpate.app.train.scene_folder.user_cache_path", lambda name: folder / name)
+        patch.setattr("palpate.app.train.scene_folder.cache_folder", lambda: folder / "palpate")
         patch.setattr("palpate.app.models.trained.MAX_WORKERS", 1)
         yield folder
 
@@ -50,6 +50,7 @@ def file(grasped, tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_a_trained_model_moves_the_prescribed_end_with_the_hand(grasped):
     hand = open_scene("beam").held_motion(9, 0.04)
     loads = [hand.load(grasped.cloud, "x+")]

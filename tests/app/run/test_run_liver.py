@@ -44,7 +44,7 @@ def swift(monkeypatch):
 def cache(tmp_path, monkeypatch):
     """An empty cache, into which next to nothing will be trained."""
     monkeypatch.setattr(trained_models, "MAX_WORKERS", 1)
-    monkeypatch.setattr(scene_folder, "user_cache_path", lambda name: tmp_path / name)
+    monkeypatch.setattr(scene_folder, "cache_folder", lambda: tmp_path / "palpate")
     return scene_folder.training_folder(open_scene("liver", SMALL))
 
 

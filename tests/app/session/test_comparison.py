@@ -86,7 +86,7 @@ def test_a_release_a_reset_and_a_pause_hold_for_both(comparison, ball, until):
     comparison.handle(validate_message({"type": "speed", "factor": 1.0}))
     comparison.handle(validate_message({"type": "control", "action": "reset"}))
     assert not comparison.full.snapshot().coordinates.any()
-    assert comparison.full.tool.kind == comparison.tool.kind == "none"
+    assert comparison.full.tools[0].active.kind == comparison.tools[0].active.kind == "none"
 
 
 def test_tools_that_one_body_refuses_are_refused(comparison, ball):
@@ -96,7 +96,7 @@ def test_tools_that_one_body_refuses_are_refused(comparison, ball):
         comparison.handle(validate_message(grasp))
     with pytest.raises(InputError, match="radius of the tool must be at least the spacing"):
         comparison.handle(validate_message({**ball, "radius": 0.002}))
-    assert comparison.full.tool.kind == comparison.tool.kind == "none"
+    assert comparison.full.tools[0].active.kind == comparison.tools[0].active.kind == "none"
 
 
 @pytest.mark.parametrize("paces", [(1.0, 0.4), (0.4, 1.0)])

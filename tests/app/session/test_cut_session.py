@@ -15,6 +15,7 @@ from palpate.app.session.session import Session
 
 SIZE = (0.05, 0.04, 0.025)
 TOUGHNESS = 5.0
+pytestmark = pytest.mark.slow
 
 
 def send(session, **message):
@@ -79,10 +80,14 @@ def test_the_cut_body_is_drawn_open_with_both_faces(cut_session):
     assert len(shown.rest) > len(session.surface.rest)
     assert shown.triangles.max() < len(shown.rest)
     coordinates = session.engine.read().coordinates
-    moved = shown.displacements(coordinates, np.zeros(0, dtype=int), np.zeros((0, 3)))
+    moved = shown.displacements(
+        coordinates, np.zeros(0, dtype=int), np.zeros((0, 3)), np.zeros(0, dtype=bool), np.zeros(0, dtype=int)
+    )
     assert np.isfinite(moved).all()
     translated = np.tile([0.01, 0.0, 0.0], len(cutter.model.cloud))
-    moved = shown.displacements(translated, np.zeros(0, dtype=int), np.zeros((0, 3)))
+    moved = shown.displacements(
+        translated, np.zeros(0, dtype=int), np.zeros((0, 3)), np.zeros(0, dtype=bool), np.zeros(0, dtype=int)
+    )
     np.testing.assert_allclose(moved, np.broadcast_to([0.01, 0, 0], moved.shape), atol=1e-6)
     scalar = shown.scalar("stress", translated, moved)
     assert scalar.shape == (len(shown.rest),)
@@ -91,7 +96,7 @@ def test_the_cut_body_is_drawn_open_with_both_faces(cut_session):
 def test_a_recording_holds_the_cut_and_its_replay_shows_it(cut_session):
     recording = load_recording(cut_session[3])
     assert recording.cuts
-    assert recording.tools[-1]["toughness"] == TOUGHNESS
+    assert recording.tool_at(len(recording.snapshots) - 1)["toughness"] == TOUGHNESS
     replay = Replay(recording)
     replay.pause()
     replay._seek(0.0)

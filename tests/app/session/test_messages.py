@@ -13,7 +13,7 @@ from palpate.app.session.messages import parse_message
 def test_missing_fields_have_defaults_and_unknown_fields_are_dropped():
     message = parse_message('{"type": "pose", "position": [0, 0.01, -0.02], "colour": "red"}')
     assert message == {
-        "type": "pose", "position": [0.0, 0.01, -0.02], "quaternion": [1.0, 0.0, 0.0, 0.0], "sequence": 0,
+        "type": "pose", "position": [0.0, 0.01, -0.02], "quaternion": [1.0, 0.0, 0.0, 0.0], "sequence": 0, "index": 0,
     }  # fmt: skip
 
 
@@ -58,12 +58,32 @@ def test_quaternions_are_normalised():
         ('{"type": "speed", "factor": 0}', "0.05 to 1"),
         ('{"type": "material", "name": "x", "value": 0}', "value"),
         (json.dumps({"type": "hello", "protocol": 2, "token": "x" * 1000}), "at most 200"),
+        ('{"type": "pose", "position": [0, 0, 0], "index": 4}', "index must be a whole number from 0 to 3, got 4"),
+        ('{"type": "release", "index": 16}', "from 0 to 3, got 16"),
+        ('{"type": "release", "index": -1}', "from 0 to 3, got -1"),
+        ('{"type": "release", "index": true}', "from 0 to 3, got True"),
+        ('{"type": "pin", "index": 1.0, "pinned": true}', "from 0 to 3, got 1.0"),
+        ('{"type": "pin", "index": 1}', "pinned must be given"),
+        ('{"type": "pin", "index": 1, "pinned": 1}', "pinned must be true or false"),
+        ('{"type": "force", "rate": 100, "tools": []}', "list of 1 to 4 indices"),
+        (json.dumps({"type": "force", "rate": 100, "tools": list(range(16))}), "list of 1 to 4 indices"),
+        ('{"type": "force", "rate": 100, "tools": [0, 0]}', "different indices"),
+        ('{"type": "force", "rate": 100, "tools": 0}', "list of 1 to 4 indices"),
         (b"\x00\x01", "binary"),
     ],
 )
 def test_invalid_messages_are_refused(text, said):
     with pytest.raises(pt.InputError, match=said):
         parse_message(text)
+
+
+def test_a_client_of_version_2_has_no_index_and_no_pin():
+    given = {"type": "pose", "position": [0, 0, 0], "index": 16}
+    assert parse_message(json.dumps(given), 2)["index"] == 0
+    assert parse_message('{"type": "force", "rate": 100, "tools": 5}', 2)["tools"] == [0]
+    with pytest.raises(pt.InputError, match="type must be one of") as refused:
+        parse_message('{"type": "pin", "index": 0, "pinned": true}', 2)
+    assert "pin," not in str(refused.value)
 
 
 @pytest.mark.parametrize("stamp", [None, 0, -1.5, 2**53, "text"])

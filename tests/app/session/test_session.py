@@ -44,7 +44,7 @@ def pressed(session, ball, until):
 def test_a_press_has_force_and_displacement_and_a_release_ends_both(pressed, until):
     moment = pressed.snapshot()
     moved = moment.displacements(pressed.surface)
-    assert moment.tool == "sphere"
+    assert moment.kind == "sphere"
     assert len(moment.contact_nodes) > 0
     middle = int(np.argmin(np.linalg.norm(pressed.surface.rest - MIDDLE, axis=1)))
     assert -0.0035 < moved[middle, 2] < -0.0025  # the ball's lowest point is 3 mm deep
@@ -52,7 +52,7 @@ def test_a_press_has_force_and_displacement_and_a_release_ends_both(pressed, unt
     pressed.release()
     until(lambda: not pressed.snapshot().force.any())
     until(lambda: np.abs(pressed.snapshot().displacements(pressed.surface)).max() < 1e-4)
-    assert pressed.snapshot().tool == "none"
+    assert pressed.snapshot().kind == "none"
 
 
 def test_forces_on_nodes_are_of_the_same_period_as_the_force_on_the_tool(pressed):
@@ -65,9 +65,9 @@ def test_forces_on_nodes_are_of_the_same_period_as_the_force_on_the_tool(pressed
 def test_a_released_ball_returns_at_a_pose_outside_the_body(pressed, until):
     pressed.release()
     pressed.handle(pose(PRESSED))  # inside: it stays away
-    assert pressed.snapshot().tool == "none"
+    assert pressed.snapshot().kind == "none"
     pressed.handle(pose(ABOVE))
-    assert pressed.snapshot().tool == "sphere"
+    assert pressed.snapshot().kind == "sphere"
     np.testing.assert_allclose(pressed.snapshot().position, ABOVE)
     pressed.handle(pose(PRESSED))
     until(lambda: pressed.snapshot().force[2] > 0.01)
@@ -77,7 +77,7 @@ def test_a_reset_restores_rest(pressed):
     pressed.reset()
     moment = pressed.snapshot()
     assert not moment.displacements(pressed.surface).any()
-    assert moment.tool == "none"
+    assert moment.kind == "none"
     assert moment.time < 0.1
     assert moment.state == "running"
 
@@ -88,7 +88,7 @@ def test_a_change_of_tool_keeps_the_state(pressed, until):
     capsule = {"type": "tool", "kind": "capsule", "radius": 0.01, "length": 0.01, "position": aside}
     pressed.handle(validate_message(capsule))
     moment = pressed.snapshot()
-    assert moment.tool == "capsule"
+    assert moment.kind == "capsule"
     assert moment.steps >= before.steps
     assert pressed.model.data is parts  # nothing was built again
     np.testing.assert_allclose(moment.position, aside)
@@ -109,7 +109,7 @@ def test_a_grasp_pulls_and_lets_go(session, until):
     session.release()
     until(lambda: not session.snapshot().force.any())
     session.handle(pose(ABOVE))  # forceps do not come back by themselves
-    assert session.snapshot().tool == "none"
+    assert session.snapshot().kind == "none"
 
 
 @pytest.mark.parametrize(

@@ -162,6 +162,7 @@ def test_runs_do_not_depend_on_the_number_of_workers_and_restarts(whole, tmp_pat
     assert_same_runs(folder, whole)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="interrupts processes as POSIX does")
 def test_an_interrupt_keeps_finished_runs(tmp_path, capsys, monkeypatch):
     def interrupted(self, outcome):
@@ -342,15 +343,18 @@ def further(model, reach, duration=0.2):
         Snapshot(
             time=duration * k / 20, steps=k, force=zeros, moment=zeros, stiffness=np.eye(3), trust=3.0, position=pose,
             quaternion=np.array([1.0, 0, 0, 0]), sequence=k, kinetic=0.0, strain=0.0, computing=0.0, lateness=0.0,
-            coordinates=np.zeros(model.count), state="running", device_force=zeros, modulus_ratio=1.0, tool="group",
+            coordinates=np.zeros(model.count), state="running", device_force=zeros, modulus_ratio=1.0, kind="group",
             contact_nodes=np.zeros(0, dtype=np.int64), contact_forces=np.zeros((0, 3)),
+            contact_tools=np.zeros(0, dtype=np.int64),
         )
         for k, pose in enumerate(poses)
     ]  # fmt: skip
-    tool = {"kind": "group", "radius": 0.0, "length": 0.0, "friction": 0.0, "stiffness": None, "start": 0}
+    tool = {"kind": "group", "radius": 0.0, "length": 0.0, "friction": 0.0, "stiffness": None, "index": 0}
+    tool["start"] = 0
     return Recording("Bar", model, np.arange(21) * duration / 20, snapshots, [tool], {})
 
 
+@pytest.mark.slow
 def test_a_recorded_path_beyond_trust_is_added_to_the_training(whole, tmp_path, capsys, assert_refused):
     folder, file = tmp_path / "more", tmp_path / "session.h5"
     shutil.copytree(whole, folder)
@@ -383,6 +387,7 @@ def test_a_recorded_path_beyond_trust_is_added_to_the_training(whole, tmp_path, 
     assert_refused([*other, "--more", str(file)], "campaign's body")
 
 
+@pytest.mark.slow
 def test_no_model_is_written_if_all_runs_fail(tmp_path, capsys):
     options = ["--set", "diverging=0", "--paths", "1", "--held-out", "0"]
     assert main(command(tmp_path / "none", *options)) == 1

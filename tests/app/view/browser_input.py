@@ -62,12 +62,13 @@ def press(tab, depth=40, steps=6):
     return x, y + depth
 
 
-def hold(tab):
-    """Hold on the middle of what is seen of the body."""
+def hold(tab, at=(0, 0)):
+    """Hold some pixels from the middle of what is seen of the body."""
     x, y = tab.evaluate(
         "(() => { const b = document.getElementById('view').getBoundingClientRect(), { sphere } = palpate.scene.body;"
         "const [x, y] = palpate.project(sphere.center.toArray()); return [b.x + x, b.y + y]; })()"
     )
+    x, y = x + at[0], y + at[1]
     tab.mouse("Moved", x, y, "none")
     tab.mouse("Pressed", x, y)
     return x, y

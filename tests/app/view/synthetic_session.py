@@ -40,6 +40,8 @@ def sphere(rows=48, columns=96, radius=0.05):
 class SyntheticSession:
     """Serves the page and a body that yields to the tool; a context manager."""
 
+    subprotocols = ("palpate.v2",)
+
     def __init__(self, folder: Path, surface=None, **hello):
         self.folder, self.more = folder, hello
         self.rest, self.triangles = surface or sphere()
@@ -49,7 +51,7 @@ class SyntheticSession:
         self.viewers, self.driver, self.received = [], None, []
         self.tool = {"kind": "sphere", "radius": 0.07 * self.size, "length": 0.2 * self.size}
         self.tool |= {"friction": 0.2, "stiffness": None}
-        self.pose = None
+        self.pose = self.grasped = None
         self.state, self.sequence, self.posed, self.recording, self.speed = "running", 0, 0, False, 1.0
         self.started = time.monotonic()
 
@@ -107,7 +109,7 @@ class SyntheticSession:
 
         async def run():
             self.stop = asyncio.Event()
-            async with serve(self._session, "127.0.0.1", 0, process_request=self._file, subprotocols=["palpate.v2"],
+            async with serve(self._session, "127.0.0.1", 0, process_request=self._file, subprotocols=self.subprotocols,
                              compression=None, max_size=2**16) as server:  # fmt: skip
                 self.port = server.sockets[0].getsockname()[1]
                 ready.set()
@@ -250,18 +252,22 @@ class SyntheticSession:
         """Positions, and the force on the tool: the surface goes where the tool is not."""
         if self.pose is None:
             return self.rest, np.zeros(3)
-        at = np.array(self.pose["position"])
-        if self.tool["kind"] == "grasp":
-            pull = at - self.grasped
-            share = np.exp(-np.sum((self.rest - self.grasped) ** 2, axis=1) / (0.12 * self.size) ** 2)
+        return self._deform(self.tool, self.pose, self.grasped)
+
+    def _deform(self, tool, pose, grasped):
+        """Positions under a tool of a pose, and the force on it."""
+        at = np.array(pose["position"])
+        if tool["kind"] == "grasp":
+            pull = at - grasped
+            share = np.exp(-np.sum((self.rest - grasped) ** 2, axis=1) / (0.12 * self.size) ** 2)
             return self.rest + share[:, None] * pull, -STIFFNESS * pull
         inward = self.rest[np.argmin(np.linalg.norm(self.rest - at, axis=1))] - at
         distance = np.linalg.norm(inward)
         outside = np.dot(at - self.bounds.mean(axis=0), -inward) > 0
-        depth = max(self.tool["radius"] - (distance if outside else -distance), 0.0)
+        depth = max(tool["radius"] - (distance if outside else -distance), 0.0)
         direction = (inward if outside else -inward) / distance
-        centre = at + direction * (self.tool["radius"] - depth)
-        share = np.exp(-np.sum((self.rest - centre) ** 2, axis=1) / (1.6 * self.tool["radius"] + depth) ** 2)
+        centre = at + direction * (tool["radius"] - depth)
+        share = np.exp(-np.sum((self.rest - centre) ** 2, axis=1) / (1.6 * tool["radius"] + depth) ** 2)
         return self.rest + (depth * share)[:, None] * direction, -STIFFNESS * depth * direction
 
     def _state(self, scalar):
@@ -274,7 +280,8 @@ class SyntheticSession:
         clock = time.monotonic() - self.started
         at = self.pose["position"] if self.pose else [0, 0, 0]
         turn = self.pose["quaternion"] if self.pose else [1, 0, 0, 0]
-        tool = 0 if self.pose is None else ["none", "sphere", "capsule", "grasp"].index(self.tool["kind"])
+        kinds = ["none", "sphere", "capsule", "grasp", "group", "scalpel"]
+        tool = 0 if self.pose is None else kinds.index(self.tool["kind"])
         strain, computing = 0.5 * newtons**2 / STIFFNESS, 3.1e-4 + 2e-5 * np.sin(3 * clock)
         numbers = [clock, 0.3 + newtons / 8, *force, 0, 0, 0, *at, *turn, 0.0, strain, computing, 1e-5, 1000 * clock]
         numbers += [1 if self.state == "running" else 2, tool]

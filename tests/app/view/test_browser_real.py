@@ -16,7 +16,9 @@ from time import sleep
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
+import palpate as pt
 from palpate import load
 from palpate.app.models.trained import model_file
 from palpate.app.recordings.recording import ERROR_NAMES, load_recording, save_recording
@@ -35,6 +37,8 @@ sys.path.append(str(Path(__file__).parent))
 
 from browser_input import NARROW, hold, needs_chromium, opening, picture
 from view_scenes import BALL, MIDDLE
+
+AREA = "Number(document.getElementById('cut').textContent.match(/Cut: ([\\d.]+)/)?.[1] ?? 0)"  # [mm^2]
 
 pytestmark = [pytest.mark.slow, needs_chromium]
 
@@ -90,7 +94,8 @@ def recording(session, ball, until, tmp_path):
     session.recordings.finish(path, wait=True)
     own = load_recording(path)
     positions = np.array([session.surface.rest + m.displacements(session.surface) for m in own.snapshots]) + 1e-3
-    full = {"times": own.times, "positions": positions, "force": np.zeros((len(own.times), 3))}
+    tools = len(own.snapshots[0].tools)
+    full = {"times": own.times, "positions": positions, "force": np.zeros((len(own.times), tools, 3))}
     full["errors"] = dict.fromkeys(ERROR_NAMES, 0.0)
     save_recording(path, replace(own, full=full))
     return load_recording(path)
@@ -120,6 +125,25 @@ def test_a_real_recording_is_replayed_with_the_full_model_over_it(browser, site_
         tab.wait(f"palpate.session.state.time !== {float(recording.times[most])}")
 
 
+def test_a_replay_of_two_tools_shows_both(browser, site_of, session, until, tmp_path):
+    path = tmp_path / "two.h5"
+    session.recordings.start()
+    for index, x in enumerate((0.012, 0.036)):
+        tool = {"type": "tool", "kind": "sphere", "radius": 0.006, "friction": 0.2, "index": index}
+        session.handle(validate_message({**tool, "position": [x, MIDDLE[1], MIDDLE[2] + 0.008]}))
+        pressed = [x, MIDDLE[1], MIDDLE[2] + 0.004]
+        session.handle(validate_message({"type": "pose", "position": pressed, "index": index}))
+    before = len(session.recordings.recorder.times)
+    until(lambda: len(session.recordings.recorder.times) > before + 60)
+    session.recordings.finish(path, wait=True)
+    with opening(browser) as open_tab:
+        tab = open_tab(site_of(Replay(load_recording(path))).address)
+        tab.wait("palpate.hands.slots.filter(({ state }) => state.newtons > 0.01).length === 2", 60)
+        assert tab.evaluate("palpate.scene.tools.map(({ group }) => group.visible).slice(0, 2)") == [True, True]
+        places = tab.evaluate("palpate.scene.tools.slice(0, 2).map(({ group }) => group.position.x)")
+        np.testing.assert_allclose(places, (0.012, 0.036), atol=1e-3)
+
+
 def test_a_comparison_shows_both_bodies_and_both_forces(browser, model, site_of):
     compared = Comparison(model, full_model(model, "view_scenes:block"), "Block")
     compared.start()
@@ -138,6 +162,97 @@ def test_a_comparison_shows_both_bodies_and_both_forces(browser, model, site_of)
             tab.wait("palpate.force === 0 && palpate.session.fullNewtons === 0")
     finally:
         compared.close()
+
+
+CUT_SIZE = (0.06, 0.05, 0.02)  # [m]
+
+
+@pytest.fixture(scope="module")
+def soft_block():
+    """A session of a soft full body, which forceps hold and a scalpel cuts."""
+    tissue = pt.materials.MooneyRivlin(C1=1500.0, C2=0, density=1060.0, poisson=0.45)
+    body = pt.Solid(pt.box(CUT_SIZE, 5e-3, jitter=0.2), tissue, fixed="z-", mass_damping=8.0)
+    session = Session(body, "Block")
+    session.start()
+    yield session
+    session.close()
+
+
+def _place(tab, point):
+    """Where a point of the body's frame is in the window [px]."""
+    return tab.evaluate(
+        "(() => { const b = document.getElementById('view').getBoundingClientRect();"
+        f"const [x, y] = palpate.project({list(point)}); return [b.x + x, b.y + y]; }})()"
+    )
+
+
+def _drag(tab, start, end, steps, pause):
+    """Press at a place of the body and move to another one in steps, with a pause [s] after each."""
+    (x, y), (u, v) = _place(tab, start), _place(tab, end)
+    tab.mouse("Moved", x, y, "none")
+    tab.mouse("Pressed", x, y)
+    for k in range(1, steps + 1):
+        tab.mouse("Moved", x + (u - x) * k / steps, y + (v - y) * k / steps)
+        sleep(pause)
+    return u, v
+
+
+def _wound(tab):
+    """Return the largest distance [m] of two vertices that are at the same place at rest: of the faces of a cut."""
+    both = tab.evaluate("[[...palpate.scene.body.rest], [...palpate.scene.body.positions]]")
+    rest, now = np.array(both).reshape(2, -1, 3)
+    pairs = cKDTree(rest).query_pairs(1e-6, output_type="ndarray")
+    return float(np.linalg.norm(now[pairs[:, 0]] - now[pairs[:, 1]], axis=1).max()) if len(pairs) else 0.0
+
+
+def _wait(tab, condition, seconds=200):
+    """Wait for a condition of the page; a busy machine pauses the session, as one that slept does."""
+    resume = "palpate.session.status.pause_reason && document.getElementById('pause').click()"
+    return tab.wait(f"({resume}, {condition})", seconds)
+
+
+def _picture_at_leisure(tab, path):
+    """Take a picture with all its pixels, which software draws too slowly for a motion."""
+    fine = "Object.assign(palpate.scene.resolution, { fixed: true, ratio: 1.5 }); palpate.scene.resize();"
+    tab.evaluate(f"{{ {fine} }}")
+    sleep(1.5)
+    tab.screenshot(path)
+    tab.evaluate("{ palpate.scene.resolution.ratio = 0.6; palpate.scene.resize(); }")
+
+
+def test_tissue_is_grasped_held_and_cut_and_the_wound_opens_under_tension(browser, site_of, soft_block):
+    length, width, height = CUT_SIZE
+    with opening(browser) as open_tab:
+        folder = os.environ.get("PALPATE_SCREENSHOTS")
+        tab = open_tab(site_of(soft_block).address, (1280, 800))
+        _wait(tab, "palpate.hands.max === 4")
+        tab.key("3")
+        end = _drag(tab, (0.5 * length, 0.2 * width, height), (0.5 * length, -0.3 * width, height + 0.004), 12, 0.05)
+        _wait(tab, "palpate.hands.state(0).kind === 'grasp' && palpate.force > 0.05")
+        tab.key("h")
+        _wait(tab, "palpate.hands.state(0).pinned")
+        tab.mouse("Released", *end)
+        _wait(tab, "palpate.hands.inHand === 1")
+        tab.key("4")
+        tab.evaluate("palpate.hands.change({ toughness: 5, depth: 0.008, length: 0.016 })")
+        end = _drag(tab, (0.25 * length, 0.42 * width, height), (0.78 * length, 0.42 * width, height), 30, 0.1)
+        _wait(tab, "palpate.hands.state(1).kind === 'scalpel'")
+        _wait(tab, "palpate.scene.body.count > palpate.session.hello.vertices")
+        _wait(tab, f"({AREA}) > 80")
+        if folder:
+            _picture_at_leisure(tab, Path(folder) / "page_two_hands.png")
+        tab.mouse("Released", *end)
+        _wait(tab, "palpate.hands.state(1).kind === 'none'")
+        assert tab.evaluate("palpate.hands.state(0).newtons") > 0.05  # it held all the time
+        assert tab.evaluate("palpate.hands.held") == [0]
+        sleep(1.0)
+        taut = _wound(tab)
+        assert taut > 1e-3
+        tab.evaluate("document.querySelector('.held-label button').click()")
+        _wait(tab, "palpate.hands.state(0).kind === 'none'")
+        sleep(2.0)
+        assert _wound(tab) < 0.5 * taut
+        assert tab.evaluate("palpate.statusLine.errors") == []
 
 
 def _shape(name, low, high):

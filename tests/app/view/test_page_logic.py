@@ -5,15 +5,21 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-import palpate
+import palpate as pt
+from palpate.dynamics.contact.blade import Scalpel
 
-SOURCES = Path(palpate.__file__).parents[2] / "page" / "src"
+sys.path.append(str(Path(__file__).parent))
+
+from synthetic_session import sphere
+
+SOURCES = Path(pt.__file__).parents[2] / "page" / "src"
 NODE = shutil.which("node")
 
 pytestmark = pytest.mark.skipif(
@@ -210,3 +216,51 @@ def test_a_frame_of_shapes_is_decoded():
     )
     found = evaluate("protocol.js", expression)
     assert found == [points.tolist(), triangles.tolist(), sizes.tolist(), names]
+
+
+def test_the_drawn_edge_is_that_of_the_session():
+    edge = np.array(evaluate("bladeEdge.js", "m.cuttingEdge(0.03, 12)"))
+    of_session = Scalpel(length=0.03, toughness=5.0).edge
+    np.testing.assert_allclose(edge, of_session[:, [0, 2]], atol=1e-12)
+    assert edge[:, 1].min() == edge[6, 1] == 0.0  # the position is the deepest point
+
+
+def test_a_frame_of_all_tools_is_decoded():
+    rows = [
+        [5, 1, 0.3, 0.0, 0.4, 1, 2, 3, 0.01, 0.02, 0.03, 1, 0, 0, 0, 41],
+        [3, 0, 0, 0, 2, 4, 5, 6, 0.04, 0.05, 0.06, 0, 1, 0, 0, 42],
+    ]
+    frame = np.array([8, 7, 2, 0], dtype="<u4").tobytes() + np.array(rows, dtype="<f8").tobytes()
+    told = "[t.kind, t.pinned, t.newtons, [...t.position], [...t.quaternion], t.pose]"
+    expression = (
+        f"(({{ sequence, tools }}) => [sequence, ...tools.map((t) => {told})])"
+        f"(m.decode(new Uint8Array({list(frame)}).buffer))"
+    )
+    sequence, first, second = evaluate("protocol.js", expression)
+    assert sequence == 7
+    assert first == ["scalpel", True, pytest.approx(0.5), [0.01, 0.02, 0.03], [1, 0, 0, 0], 41]
+    assert second == ["grasp", False, 2, [0.04, 0.05, 0.06], [0, 1, 0, 0], 42]
+
+
+def _ball_with_a_wound():
+    """Vertices and triangles of a ball of 5 cm with a slit of two walls at its top."""
+    vertices, triangles = sphere(24, 48)
+    deep, top = 0.04, 0.0499
+    corners = [[x, y, z] for y in (1e-4, -1e-4) for x in (-0.01, 0.01) for z in (deep, top)]
+    a = len(vertices)
+    walls = [[a, a + 1, a + 2], [a + 1, a + 3, a + 2], [a + 4, a + 6, a + 5], [a + 5, a + 6, a + 7]]
+    return np.vstack([vertices, corners]), np.vstack([triangles, walls])
+
+
+@pytest.mark.parametrize("surface", [sphere(24, 48), _ball_with_a_wound()], ids=["whole", "cut"])
+def test_a_blade_follows_the_surface_at_rest_and_not_its_wound(surface):
+    vertices, triangles = surface
+    build = f"new m.RestSurface({np.ravel(vertices).round(6).tolist()}, {np.ravel(triangles).tolist()})"
+    places = [[0.05 * np.sin(a), 0.0, 0.05 * np.cos(a)] for a in (0.0, 0.2, 0.5)]
+    asked = f"(s => {json.dumps(places)}.map((p) => s.around(p, p.map((x) => 20 * x), 0.015)))({build})"
+    found = evaluate("restSurface.js", asked)
+    for place, each in zip(places, found, strict=True):
+        assert np.dot(each["normal"], place) / 0.05 > 0.999
+    heights = [each["height"] for each in found]
+    assert np.ptp(heights) < 2e-4  # the same mean below each place of a ball
+    assert -0.0015 < heights[0] < 0

@@ -139,7 +139,7 @@ def test_a_good_model_takes_over_with_tool_speed_moduli_and_pause(refining, full
     position = (MIDDLE + np.array([0, 0, BALL + 0.002])).tolist()
     full.handle(validate_message({"type": "tool", "kind": "sphere", "radius": BALL, "friction": 0.3,
                                   "position": position}))  # fmt: skip
-    full.handle({"type": "release"})
+    full.handle(validate_message({"type": "release"}))
     full.handle({"type": "speed", "factor": 0.5})
     modulus = 1.5e-3 * float(full.model.material.shear_modulus)
     full.handle({"type": "material", "name": "shear modulus", "value": modulus})

@@ -71,7 +71,7 @@ def test_only_compiled_code_calls_kernels_without_a_wrapper(trees, kernels):
     assert {str(path): calls for path, calls in found.items() if calls} == {}
 
 
-@pytest.mark.parametrize("name", ["press", "set_tool_path as move"])
+@pytest.mark.parametrize("name", ["press", "set_tool_paths as move"])
 def test_a_call_from_python_is_detected(name, kernels):
     called = name.split()[-1]
     text = f"from palpate.reduction.contact.gauss_seidel import {name}\n\ndef f():\n    return {called}(1)\n"

@@ -9,6 +9,7 @@ import pytest
 
 import palpate as pt
 from palpate.dynamics.run.period_report import FORCES, STATUS
+from palpate.realtime.loop import passed
 
 SPACING, RADIUS, DEPTH, TIME = 0.005, 0.015, 2e-3, 0.1
 MIDDLE = np.array([0.015, 0.015, 0.0075])
@@ -112,15 +113,18 @@ def test_a_reduced_model_has_the_same_force():
     np.testing.assert_allclose(tool[1:-1] + tool[2:], -2 * support[1:-1], atol=0.06 * np.abs(tool).max())
 
 
+@pytest.mark.slow
+@pytest.mark.quick(make=[block])  # the other compiles the engine of a law for two minutes
 @pytest.mark.parametrize("make", [block, reduced], ids=["full", "reduced"])
 def test_the_engine_has_the_same_force(make):
     tool = press(-1)
     made = pt.realtime_model(make(), contact=pt.tools.Contact(tool.tool, tuple(tool.motion(0.0))))
     q, v, report, forces = made.rest.copy(), np.zeros(len(made.rest)), np.zeros(20), []
+    data = passed(made.advance, made.data)
     for k in range(100):
         pose = np.zeros(12)
         pose[:3] = tool.motion(1e-3 * (k + 1)) - tool.motion(0.0)
-        made.advance(made.data, q, v, pose, 1e-3, report)
+        made.advance(data, q, v, pose, 1e-3, report)
         assert report[STATUS] == 0.0
         forces.append(report[FORCES + 2])
     wanted = lower_press().reactions["tool"][1:, 2]

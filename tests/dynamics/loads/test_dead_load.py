@@ -57,6 +57,7 @@ def test_a_user_dead_load_does_the_work_of_its_forces_on_the_full_model(body, ru
     assert np.abs(balance).max() < 1e-2 * run.external[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.quick(reduce=[pt.galerkin])
 @pytest.mark.parametrize("reduce", [pt.galerkin, pt.hyper_reduce])
 def test_a_user_dead_load_acts_on_reduced_models(body, run, reduce):

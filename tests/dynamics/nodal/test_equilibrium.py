@@ -51,6 +51,7 @@ def test_no_free_node_accelerates_and_the_support_bears_the_load(form, bar, tiss
     np.testing.assert_allclose(alone.reactions["x-"], -np.array(PULL), atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_damped_run_ends_at_the_equilibrium_and_a_run_from_it_stays(body, pulled):
     load = pt.SurfaceForce("x+", force=PULL)
     prepared = body.prepare([load])

@@ -29,6 +29,7 @@ def free_run(model, shape, **options):
     return pt.rollout(model, displacement=shape, duration=1.0, every=0.005, progress=False, **options)
 
 
+@pytest.mark.slow
 def test_a_free_vibration_decays_with_half_of_alpha(shape):
     damped, free = (free_run(bar(alpha, stiffness_damping=0.0), shape) for alpha in (ALPHA, 0.0))
     energy = damped.kinetic + damped.strain

@@ -247,6 +247,7 @@ def test_a_run_that_diverges_at_once_leaves_a_file_that_is_loaded(held, path):
     assert kept.displacements.shape == (0, len(held.cloud), 3)
 
 
+@pytest.mark.slow
 def test_a_killed_run_keeps_its_frames(tmp_path):
     """The process is killed in the middle of its run, as by the system."""
     path = tmp_path / "run.h5"

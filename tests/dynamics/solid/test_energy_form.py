@@ -204,7 +204,7 @@ def wave_frequency(model, number, polarised):
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.45, 0.49])
 @pytest.mark.parametrize("wave", ["P", "S"])
 def test_plane_waves_travel_at_the_speeds_of_p_and_s_waves(deep, poisson, wave):
-    material = pt.materials.NeoHookean(C1=20e3, density=1000, poisson=poisson)
+    material = pt.materials.MooneyRivlin(C1=40e3, C2=0, density=1000, poisson=poisson)
     model = energy_form(deep, material)
     mu, bulk = material.shear_modulus, material.bulk_modulus
     speed = np.sqrt(((bulk + 4 / 3 * mu) if wave == "P" else mu) / 1000)
@@ -223,7 +223,7 @@ def test_plane_waves_travel_at_the_speeds_of_p_and_s_waves(deep, poisson, wave):
 @pytest.mark.parametrize("polarised", [(1, 0, 0), (0, 1, 0)])
 def test_the_shortest_waves_have_energy(deep, number, polarised):
     """No gradient at the nodes sees a wave of two spacings: what the fit misses must."""
-    model = energy_form(deep, pt.materials.NeoHookean(C1=20e3, density=1000, poisson=0.3))
+    model = energy_form(deep, pt.materials.MooneyRivlin(C1=40e3, C2=0, density=1000, poisson=0.3))
     short = wave_frequency(model, np.pi / deep.spacing * np.array(number), np.array(polarised, dtype=float))
     assert short > np.sqrt(model.material.shear_modulus / 1000) / deep.spacing
 

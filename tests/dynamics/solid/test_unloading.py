@@ -10,6 +10,7 @@ import palpate as pt
 SIZE, SPACING = (0.06, 0.02, 0.02), 0.004
 WEIGHT = pt.Gravity((0.0, 0.0, -9.81))
 TISSUE = pt.materials.NeoHookean(C1=6e3, density=1060.0, poisson=0.45)
+pytestmark = pytest.mark.slow
 
 
 def sag_of(field):
@@ -68,7 +69,6 @@ def elements_shape(cells=(24, 8, 8)):
     return lattice.points + u, lattice.triangles, np.linalg.norm(u, axis=1).max()
 
 
-@pytest.mark.slow
 def test_the_unloaded_shape_is_that_which_finite_elements_have_bent():
     corners, triangles, sag = elements_shape()
     cloud = pt.fill((corners, triangles), spacing=0.0035)

@@ -42,7 +42,7 @@ def test_vertices_are_at_the_displacements_of_the_model(pressed):
     push = state.contact_state.surface_forces[0]
     on = np.flatnonzero(push.any(axis=1))
     nodal = model.displacement(state, prepared, surface.nodes)
-    met = surface.displacements(state.coordinates, on, push[on])
+    met = surface.displacements(state.coordinates, on, push[on], np.zeros(len(on), bool), np.zeros(len(on), int))
     expected = surface.patch_displacements(nodal.astype(np.float32))
     np.testing.assert_allclose(met, expected, atol=2e-3 * np.abs(nodal).max())
     middle = int(np.argmin(np.linalg.norm(surface.rest - (0.024, 0.024, SIZE[2]), axis=1)))
@@ -61,7 +61,7 @@ def test_bonded_nodes_have_their_forces_without_smoothing(pressed):
     push = state.contact_state.surface_forces[0]
     on = np.flatnonzero(push.any(axis=1))
     nodal = model.displacement(state, prepared, surface.nodes)
-    seen = surface.displacements(state.coordinates, on, push[on], bonded=True)
+    seen = surface.displacements(state.coordinates, on, push[on], np.ones(len(on), bool), np.zeros(len(on), int))
     np.testing.assert_allclose(seen, nodal, atol=2e-3 * np.abs(nodal).max())
 
 

@@ -13,6 +13,7 @@ import pytest
 import palpate as pt
 from palpate.dynamics.contact.tools import Forceps
 from palpate.dynamics.nodal import period as nodal
+from palpate.realtime.loop import passed
 from palpate.realtime.observable import make_observable
 
 SIZE, SPACING, BALL = (0.03, 0.03, 0.02), 0.005, 0.012  # [m]
@@ -43,12 +44,12 @@ class Stepped:
     def __init__(self, body, contact=None, **options):
         self.model: Any = pt.realtime_model(body, contact=contact or ball(tuple(HOME)), **options)
         self.q, self.v = np.zeros((2, len(self.model.rest)))
-        self.report = np.zeros(20)
+        self.report, self.data = np.zeros(20), passed(self.model.advance, self.model.data)
 
     def to(self, displacement, turn=None):
         rotation = np.zeros(9) if turn is None else (turn - np.eye(3)).ravel()
         target = np.concatenate([displacement, rotation])
-        self.model.advance(self.model.data, self.q, self.v, target, PERIOD, self.report)
+        self.model.advance(self.data, self.q, self.v, target, PERIOD, self.report)
         return self.report.copy()
 
     def press(self, duration, path=depth):
@@ -80,7 +81,7 @@ def test_a_body_at_rest_is_touched_in_periods_shorter_than_its_step(block):
     for k in range(500):
         target = np.zeros(12)
         target[2] = -depth(min((k + 1) * period, 0.1))
-        stepped.model.advance(stepped.model.data, stepped.q, stepped.v, target, period, stepped.report)
+        stepped.model.advance(stepped.data, stepped.q, stepped.v, target, period, stepped.report)
         reports.append(stepped.report.copy())
     means = np.array(reports)[:, 10].reshape(10, 50).mean(axis=1)
     slower = Stepped(block).press(0.1)[:, 10].reshape(10, 10).mean(axis=1)
@@ -275,7 +276,7 @@ def test_a_slow_grasp_has_force_and_moment_of_a_run(block):
     force, means = run.reactions["grasp"][1:], reports[:, 8:11].reshape(30, 10, 3).mean(axis=1)
     assert np.abs(force).max() > 0.05
     np.testing.assert_allclose(means, force, atol=0.02 * np.abs(force).max())
-    held = stepped.model.data.grip.node[: stepped.model.data.grip.numbers[0]]
+    held = stepped.model.data.grip.node[0, : stepped.model.data.grip.numbers[0, 0]]
     at = block.cloud.points[held] + stepped.q.reshape(-1, 3)[held]
     share = 1 - stepped.model.data.clock[nodal.BEHIND] / PERIOD  # of the last way; the body is behind the clock
     time = 0.299 + share * PERIOD
@@ -337,7 +338,7 @@ def test_a_held_tool_reports_where_it_is_and_the_pose_follows():
     rng, out = np.random.default_rng(0), np.zeros(12)
     for turn in (*rng.standard_normal((20, 4)), [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0], [1.0, 0, 0, 0]):
         pose = np.concatenate([rng.standard_normal(3), np.array(turn) / np.linalg.norm(turn)])
-        tool_coordinates(np.eye(12), pose, out)
+        tool_coordinates(np.eye(12)[None], pose[None], out)
         found = pose * [1, 1, 1, 1, 0.9, 1, 1]
         pose_of_coordinates(out, found)
         np.testing.assert_allclose(found, pose, atol=1e-7)
@@ -368,7 +369,7 @@ def test_forceps_take_hold_of_strained_tissue_without_a_tug(block):
     forces = [np.abs(stepped.to(np.zeros(3))[8:11]).max() for _ in range(3)]
     assert max(forces) < 0.1 * abs(held)
     grip = stepped.model.data.grip
-    nodes = grip.node[: grip.numbers[0]]
+    nodes = grip.node[0, : grip.numbers[0, 0]]
     moved = np.abs(stepped.q - before).reshape(-1, 3)
     assert moved[nodes].max() < 1e-9 < moved.max()
     stepped.model.change_tool(None, np.array([*place, 1.0, 0, 0, 0]), 0.0)

@@ -15,8 +15,8 @@ from palpate.reduction.basis.linear_modes import interpolated_modes
 from palpate.reduction.basis.strain_pod import join
 from palpate.reduction.contact.coarse_body import coarse_body
 from palpate.reduction.contact.compliance import NO_COMPLIANCE, contact_displacements
-from palpate.reduction.contact.gauss_seidel import solve_contact
-from palpate.reduction.contact.surface import RigidTools, contact_scratch, contact_surface, rigid_tools
+from palpate.reduction.contact.gauss_seidel import solve_contact, tool_energy
+from palpate.reduction.contact.surface import PAIRS, RigidTools, contact_scratch, contact_surface, rigid_tools
 from palpate.reduction.training.round_compliance import MAX_STEP
 
 SPACING, RADIUS = 0.002, 0.008
@@ -53,7 +53,7 @@ def ball(of, friction=0.0, tools=1):
     return RigidTools(
         np.zeros(tools, dtype=np.int64), np.tile([RADIUS, 0.0, 0.0], (tools, 1)), np.full(tools, friction),
         np.zeros((tools, 3)), frames, np.zeros(3), np.zeros(3), np.zeros((tools, 6)),
-        np.zeros((len(of.nodes), 3)), rigid_tools(None, of).held, np.zeros((3, 3, 4)),
+        np.zeros((len(of.nodes), 3)), rigid_tools(None, of).held, np.zeros((tools, 3, 3, 4)),
     )  # fmt: skip
 
 
@@ -130,6 +130,32 @@ def test_two_equal_tools_have_equal_forces_and_a_tool_without_contact_has_none()
     assert not tools.load.any()
 
 
+def test_energies_of_tools_have_what_they_share_and_are_those_of_a_run():
+    """Two balls near each other: half of the forces times all displacements, in the engine and in a run."""
+    of = flat_skin()
+    contact, tools = contact_scratch(of, 2), ball(of, tools=2)
+    for t, x in enumerate((-0.006, 0.006)):
+        tools.frames[t, :, :, 3] = (x, 0, RADIUS - 0.001)
+    solve_contact(of, contact, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
+    found = [tool_energy.py_func(of, contact, t) for t in range(2)]
+    expected = [
+        0.5 * sum(contact.push[e] @ (contact.now[e] - contact.modal[e])
+                  for e in range(contact.numbers[PAIRS]) if contact.tool[e] == t)
+        for t in range(2)
+    ]  # fmt: skip
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    points = np.random.default_rng(1).random((30, 3))
+    compliance, pushes = falling(points, np.arange(30), [0.1, 0.4], [2.0, 3.0], 1.0), np.zeros((2, 30, 3))
+    pushes[0, 7], pushes[1, 20] = (1.0, 0.0, 2.0), (0.0, -1.0, 0.5)
+    moved, energies = contact_displacements(compliance, points, pushes, [False, False])
+    one, alone = contact_displacements(compliance, points, pushes[:1], [False])
+    np.testing.assert_allclose(energies, 0.5 * np.einsum("tkc,kc->t", pushes, moved), rtol=1e-12)
+    assert energies[0] - alone[0] == pytest.approx(0.5 * pushes[0, 7] @ (moved - one)[7])
+    assert energies.sum() == pytest.approx(
+        contact_displacements(compliance, points, pushes.sum(axis=0)[None], [False])[1][0]
+    )
+
+
 def test_contact_displacements_are_the_compliance_times_the_forces():
     points = np.random.default_rng(1).random((30, 3))
     compliance = falling(points, np.arange(5, 30), [0.1, 0.4], [2.0, 3.0], 1.0)
@@ -166,6 +192,7 @@ def pressed():
     return body, runs, model
 
 
+@pytest.mark.slow
 def test_contact_forces_of_a_run_sum_to_the_reactions_and_are_stored(pressed, tmp_path):
     _, (run, *_), _ = pressed
     pushes = np.zeros((len(run.times), 3))
@@ -190,6 +217,7 @@ def test_force_and_surface_of_a_press_it_was_not_trained_on(pressed):
     assert np.abs(run.balance).max() < 0.05 * run.external.max()
 
 
+@pytest.mark.slow
 def test_rounding_of_the_compliance_adds_little_error_to_a_press_it_was_not_trained_on(pressed, monkeypatch):
     body, runs, model = pressed
     monkeypatch.setattr("palpate.reduction.training.reduce.round_compliance", lambda compliance: compliance)
@@ -229,6 +257,7 @@ def test_interior_nodes_follow_the_contact_displacements(pressed):
     assert pt.relative_errors(runs[-1], own).displacement < pt.relative_errors(runs[-1], bare).displacement
 
 
+@pytest.mark.slow
 def test_calibration_matches_the_forces_of_full_runs(pressed):
     body, runs, model = pressed
     trials = [(press(0.021, 0.027), runs[0])]
@@ -249,6 +278,7 @@ def force_error(body_run, run) -> float:
     return float(np.median(np.abs(mine[pressing] / full[pressing] - 1)))
 
 
+@pytest.mark.slow
 def test_runs_with_tools_are_reduced_to_vibrations_by_default(pressed):
     body, runs, _ = pressed
     model = pt.hyper_reduce(body, runs[:-1], modes=24)
@@ -276,6 +306,7 @@ def test_a_basis_that_does_not_exist_is_refused(pressed, options, message):
         pt.hyper_reduce(body, runs[:-1], modes=4, **options)
 
 
+@pytest.mark.slow
 def test_a_large_body_with_tools_has_a_coarse_one_made_of_its_surface(pressed, monkeypatch):
     body, runs, _ = pressed
     most = len(body.cloud) - 1
@@ -295,6 +326,7 @@ def test_a_large_body_with_tools_has_a_coarse_one_made_of_its_surface(pressed, m
         pt.hyper_reduce(open_body, runs[:-1], modes=12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("longer", [0.0, 1e9, -1.0])
 def test_training_runs_that_no_model_can_follow_are_refused(pressed, longer):
     body, runs, _ = pressed
@@ -396,6 +428,7 @@ def test_the_engine_turns_a_tool_from_its_pose_at_the_start(pressed):
     np.testing.assert_allclose(means, run.reactions["tool"][1:], atol=0.05 * peak)
 
 
+@pytest.mark.slow
 @pytest.mark.xfail(
     reason="contact of a model of one press misses 0.1 to 7 of the tool's work on filled and jittered clouds, and on "
     "lattices since their patches are as narrow"
@@ -461,6 +494,37 @@ def test_a_grasp_of_fixed_nodes_or_of_no_nodes_is_refused(pressed):
         pt.rollout(model, [replace(grasped()[0], name="z+")], duration=0.01, every=0.01)
     with pytest.raises(pt.InputError, match=r"must hold a node|must reach a node"):
         pt.rollout(model, [pt.tools.Grasp((0.03, 0.03, 0.05), 0.001, (0.03, 0.03, 0.05))], duration=0.01, every=0.01)
+
+
+def test_two_tools_of_the_engine_are_those_of_a_run(pressed):
+    _, _, model = pressed
+    homes = [np.array([x, 0.03, SIZE[2] + BALL + 0.001]) for x in (0.014, 0.046)]
+    depths = (0.004, 0.003)
+
+    def way(t, depth):
+        return np.array([0.0, 0.0, -depth * min(t / 0.1, 1.0)])
+
+    def tools(moving):
+        return [
+            pt.tools.Contact(
+                pt.tools.Sphere(BALL), (lambda t, h=home, d=depth: h + way(t, d)) if moving else home, name=f"{home[0]}"
+            )
+            for home, depth in zip(homes, depths, strict=True)
+        ]
+
+    run = pt.rollout(model, tools(True), duration=0.12, every=0.005, progress=False)
+    ready = pt.realtime_model(model, contact=tools(False))
+    q, v, report, target = ready.rest.copy(), np.zeros_like(ready.rest), np.zeros(32), np.zeros(24)
+    forces = []
+    for k in range(120):
+        for t, depth in enumerate(depths):
+            target[12 * t : 12 * t + 3] = way(1e-3 * (k + 1), depth)
+        ready.advance(ready.data, q, v, target, 1e-3, report)
+        forces.append(report[8:].reshape(2, 12)[:, :3].copy())
+    for t, home in enumerate(homes):
+        means, pushed = np.reshape(forces, (24, 5, 2, 3)).mean(axis=1)[:, t], run.reactions[f"{home[0]}"][1:]
+        assert np.abs(pushed).max() > 0.05
+        np.testing.assert_allclose(means, pushed, atol=0.03 * np.abs(pushed).max())
 
 
 def test_an_engine_presses_and_releases(pressed):

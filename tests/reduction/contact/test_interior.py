@@ -15,7 +15,7 @@ from palpate.reduction.training.fit_compliance import _free_interior, _free_surf
 
 pytestmark = pytest.mark.slow
 
-TISSUE = pt.materials.NeoHookean(C1=1e3, density=1000, poisson=0.4)
+TISSUE = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1000, poisson=0.4)
 SIZE = (0.06, 0.06, 0.03)
 
 

@@ -15,7 +15,7 @@ SIDE = 0.04
 
 
 def block(spacing):
-    tissue = pt.materials.NeoHookean(C1=1e3, density=1000, poisson=0.45)
+    tissue = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1000, poisson=0.45)
     return pt.Solid(pt.box((SIDE, SIDE, SIDE / 2), spacing=spacing), tissue, fixed="z-", form="energy")
 
 

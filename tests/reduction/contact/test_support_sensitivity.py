@@ -67,6 +67,7 @@ def test_the_force_is_proportional_to_springs_that_are_much_softer_than_the_body
     np.testing.assert_allclose(changes["springs"]["doubled"]["place"], [0.02, 0.02, SIZE[2]], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_median_and_largest_change_are_those_of_the_presses(cloud):
     body = pt.Solid(cloud, TISSUE, "x-")
     presses = [press(cloud, x, 0.02) for x in (0.012, 0.025, 0.035)]

@@ -37,7 +37,11 @@ def pressed():
     """A block that is clamped below, and a model trained on presses of a ball."""
     cloud = pt.box(SIZE, spacing=0.006)
     body = pt.Solid(
-        cloud, pt.materials.NeoHookean(C1=2e3, density=1000, poisson=0.4), "z-", form="energy", stiffness_damping=1e-4
+        cloud,
+        pt.materials.MooneyRivlin(C1=4e3, C2=0, density=1000, poisson=0.4),
+        "z-",
+        form="energy",
+        stiffness_damping=1e-4,
     )
     runs = [pt.rollout(body, [press(*at)], duration=0.2, every=0.005) for at in ((0.021, 0.027), (0.030, 0.040))]
     return body, pt.hyper_reduce(body, runs, modes=0, enrichment=pt.vibration_modes(body, 24)[0])
@@ -49,15 +53,18 @@ def slow(model, **parts):
 
 
 class Hand:
-    """A slow hand with a tool on a body in real time."""
+    """A slow hand with a tool on a body in real time; other tools stay at a displacement."""
 
-    def __init__(self, model, contact, **options):
+    def __init__(self, model, contact, other=None, **options):
         self.ready = pt.realtime_model(model, contact=contact, **options)
-        self.q, self.v, self.report = self.ready.rest.copy(), np.zeros_like(self.ready.rest), np.zeros(20)
+        tools = len(self.ready.tool) if self.ready.tool.ndim == 3 else 1
+        self.q, self.v, self.report = self.ready.rest.copy(), np.zeros_like(self.ready.rest), np.zeros(8 + 12 * tools)
+        self.others = np.zeros((tools - 1, 12))
+        self.others[:, :3] = np.zeros(3) if other is None else other
 
     def goes(self, place, periods=400):
         """Hold the tool at a displacement; return the force on the body in the end."""
-        target = np.concatenate([place, np.zeros(9)])
+        target = np.concatenate([place, np.zeros(9), self.others.ravel()])
         for _ in range(periods):
             self.ready.advance(self.ready.data, self.q, self.v, target, 1e-3, self.report)
         assert self.report[0] == 0.0
@@ -89,13 +96,13 @@ class Hand:
 
     def told(self):
         """Return the contact stiffness, and in how many calls it was found."""
-        out, numbers, calls = np.zeros((12, 12)), self.ready.data.system.numbers, 0
+        out, numbers, calls = np.zeros((len(self.report) - 8, 12)), self.ready.data.system.numbers, 0
         numbers[:] = 0
         while calls == 0 or numbers[2] < numbers[1]:
             assert not out.any()
             self.ready.stiffness(self.ready.data, self.q, out)
             calls += 1
-        assert not out[3:].any()
+        assert not out[3:12].any()
         assert not out[:, 3:].any()
         return out[:3, :3], calls
 
@@ -115,6 +122,29 @@ def test_the_contact_stiffness_is_the_derivative_of_the_force_in_slow_motion(pre
     out = found.copy()
     hand.ready.stiffness(hand.ready.data, hand.q, out)
     assert not out.any()  # nothing is touched
+
+
+@pytest.mark.parametrize("bonded", [False, True])
+def test_the_contact_stiffness_next_to_another_tool_is_the_derivative_of_the_force(pressed, bonded):
+    """The other tool rests; without it the stiffness is another one."""
+    body = slow(pressed[1])
+    first = pt.tools.Contact(pt.tools.Sphere(BALL), HOME, name="first")
+    near = (HOME[0] + 0.022, HOME[1] - 0.022, HOME[2])
+    if bonded:
+        second = pt.tools.Grasp((near[0], near[1], SIZE[2]), 0.008, (near[0], near[1], SIZE[2]), name="second")
+    else:
+        second = pt.tools.Contact(pt.tools.Sphere(BALL), near, name="second")
+    hand = Hand(body, [first, second], other=(0.0, 0.0, 0.002 if bonded else -0.004))
+    deep = np.array((0.0, 0.0, -0.0044 if bonded else -DEEP))  # where the same patches are pushed around it
+    hand.presses(deep)
+    found, _ = hand.told()
+    felt = hand.feels(deep, 2e-5)
+    np.testing.assert_allclose(found, felt, atol=0.01 * felt[2, 2])
+    if bonded:  # too far away to change much
+        return
+    alone = Hand(body, first)
+    alone.presses(deep)
+    assert np.abs(alone.told()[0] - found).max() > 0.005 * felt[2, 2]
 
 
 @HANDS

@@ -178,3 +178,51 @@ def test_the_engine_has_the_same_speed_and_nearness_as_a_run(model):
     expected = pt.rollout(alone, [contact], duration=0.05, every=1e-3).trust[1:]
     assert max(trust) > 0
     np.testing.assert_allclose(trust[10:], expected[10:], rtol=0.1, atol=0.02 * max(trust))
+
+
+def two_presses(one: tuple[float, ...], two: tuple[float, ...]) -> list[pt.tools.Contact]:
+    """Two balls that press the top, the second of them after the first."""
+    first, later = press(*one)[0], press(*two)[0]
+    return [first, pt.tools.Contact(later.tool, lambda t: later.motion(max(t - 0.02, 0.0)), name="second")]
+
+
+def drawn_pair(random) -> list[pt.tools.Contact]:
+    low, high = random.uniform(0.010, 0.014, 2), random.uniform(0.034, 0.038, 2)
+    return two_presses((*low, random.uniform(0.003, 0.005)), (*high, random.uniform(0.003, 0.005)))
+
+
+def both_touch(run) -> np.ndarray:
+    """Return the frames in which both balls have touched the body at once so far."""
+    forces = [np.linalg.norm(run.reactions[name], axis=1) for name in ("ball", "second")]
+    return np.maximum.accumulate((forces[0] > 0) & (forces[1] > 0))
+
+
+def test_the_bound_is_unknown_from_the_second_tool_on_where_held_out_runs_had_one(model):
+    own = run(model, drawn_pair(np.random.default_rng(5)))
+    both = both_touch(own)
+    assert model.data.trained_tools == 1
+    assert 0 < np.count_nonzero(both) < len(both) - 2
+    assert np.all(own.trust[both & (own.reactions["second"].any(axis=1))] >= 2.0)
+    assert np.isinf(own.force_bounds[both]).all()
+    assert np.isinf(own.displacement_bounds[both]).all()
+    assert np.isfinite(own.force_bounds[:3]).all()
+
+
+def test_bounds_of_held_out_pairs_hold_for_the_force_on_each_tool(model, body):
+    random = np.random.default_rng(6)
+    draws = [(*random.uniform(0.012, 0.036, 2), random.uniform(0.003, 0.006)) for _ in range(10)]
+    trained = [run(body, press(*draw)) for draw in draws[:4]]
+    loads = [*(press(*draw) for draw in draws[4:]), *(drawn_pair(random) for _ in range(6))]
+    held_out = [(each, run(body, each)) for each in loads]
+    modes = pt.vibration_modes(body, 16)[0]
+    both = pt.hyper_reduce(body, trained, modes=0, enrichment=modes, held_out=held_out)
+    assert both.data.trained_tools == 2
+    assert both.expected_error(0.5, "force").level == pytest.approx(6 / 7)  # of either kind
+    further = drawn_pair(random)
+    own, full = run(both, further), run(body, further)
+    assert both_touch(own)[-1]
+    assert own.trust.max() < 2.0
+    for name in ("ball", "second"):
+        missed = np.linalg.norm(own.reactions[name] - full.reactions[name], axis=1)
+        assert missed.max() > 0
+        assert np.all(missed <= own.force_bounds)

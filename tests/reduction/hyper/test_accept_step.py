@@ -46,6 +46,7 @@ def energy_error(run) -> float:
     return float(np.abs(run.balance).max() / max(run.external.max(), (run.kinetic + run.strain).max()))
 
 
+@pytest.mark.slow
 @pytest.mark.quick(every=[0.001])
 @pytest.mark.parametrize("every", [0.001, 0.002, 0.005, 0.01])
 def test_good_steps_of_a_pull_and_its_release_are_accepted(trained, every, monkeypatch):

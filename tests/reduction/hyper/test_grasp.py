@@ -48,7 +48,11 @@ def run(model, loads):
 def body():
     cloud = pt.box(SIZE, spacing=0.006)
     return pt.Solid(
-        cloud, pt.materials.NeoHookean(C1=2e3, density=1000, poisson=0.4), "z-", form="energy", stiffness_damping=1e-4
+        cloud,
+        pt.materials.MooneyRivlin(C1=4e3, C2=0, density=1000, poisson=0.4),
+        "z-",
+        form="energy",
+        stiffness_damping=1e-4,
     )
 
 

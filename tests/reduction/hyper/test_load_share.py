@@ -96,7 +96,10 @@ def test_no_calibration_trusts_a_load_outside_the_coordinates():
     """Held-out frames with large shares and a wide tail."""
     random = np.random.default_rng(0)
     numbers = random.random((20, 50)) ** -2.0
-    runs = [Measures(one, random.permutation(one), np.linspace(0.5, 1.0, 50), *np.zeros((3, 50))) for one in numbers]
+    runs = [
+        Measures(one, random.permutation(one), np.linspace(0.5, 1.0, 50), *np.zeros((2, 50, 1)), *np.zeros((2, 50)))
+        for one in numbers
+    ]
     found = calibrate_scales(runs, 0.95)
     assert found.load_scale == MAX_LOAD_SCALE < 1
     assert all(trust_numbers(run, found).max() >= 1 / MAX_LOAD_SCALE for run in runs)

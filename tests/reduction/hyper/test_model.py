@@ -134,6 +134,7 @@ def test_untrained_motions_are_reproduced_better_with_more_modes(body, runs):
     assert found[1] < 0.15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("modes", [2, 12, 40])
 def test_runs_far_beyond_training_remain_bounded(body, runs, modes):
     """Loads that crush the body far beyond its training; the full model turns inside out under them."""
@@ -260,6 +261,7 @@ def test_entries_of_a_report_are_added_to_another_model(rom):
     assert other.report == before | {"scene": "mine", "modes": 3}
 
 
+@pytest.mark.slow
 def test_a_tolerance_selects_the_fewest_modes_that_meet_it(body, runs):
     held = [(pull(6.0, -0.3, 2e-3), runs[3])]
     rom = pt.hyper_reduce(body, runs, tolerance=0.1, held_out=held)

@@ -175,6 +175,15 @@ def test_a_file_without_interior_gives_a_model_with_compliance_at_its_surface_on
     np.testing.assert_equal(found.compliance, trained.data.compliance._replace(interior=None))
 
 
+def test_a_file_without_a_number_of_tools_is_of_a_model_that_met_one(trained, altered):
+    two = pt.ReducedModel(replace(trained.data, trained_tools=2))
+    assert pt.load(altered(lambda header, _: header.update(trained_tools=2))).data.trained_tools == 2
+    assert_equal(pt.load(altered(lambda header, _: header.pop("trained_tools"))).data, rounded(trained.data))
+    with pytest.raises(pt.FileFormatError, match="trained_tools must be"):
+        pt.load(altered(lambda header, _: header.update(trained_tools=0)))
+    assert storage.contents(two)[0]["trained_tools"] == 2
+
+
 @pytest.mark.parametrize("version", [12, 13])
 def test_a_file_of_a_version_before_is_loaded(trained, saved, path, version):
     """Such files limit neither speed nor nearness to supports, and their error bounds mean something else."""
@@ -184,6 +193,7 @@ def test_a_file_of_a_version_before_is_loaded(trained, saved, path, version):
         del arrays["compliance/steps"]
         arrays["compliance/flexibility"] = trained.data.compliance.flexibility
     header = {name: value for name, value in file.header.items() if name not in storage.NEW_ATTRIBUTES}
+    del header["trained_tools"]
     older = {"held_out": {"mean": {"displacement": 0.1}, "expected_error": {"level": 0.95, "displacement": {}}}}
     write_sealed(path, storage.FORMAT, version, header | {"report": json.dumps(older)}, arrays)
     found = pt.load(path).data
@@ -710,4 +720,6 @@ def test_an_unwritable_place_is_named(trained, tmp_path):
 def test_a_surface_with_single_node_patches_is_drawn(altered):
     model = pt.load(altered(put("compliance/patches", np.zeros_like)))
     surface = Surface(model)
-    assert np.isfinite(surface.displacements(np.ones(model.count), np.array([0]), np.ones((1, 3)))).all()
+    assert np.isfinite(
+        surface.displacements(np.ones(model.count), np.array([0]), np.ones((1, 3)), np.zeros(1, bool), np.zeros(1, int))
+    ).all()

@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.reduction.hyper.error_indicator import _errors, expected_error, mean_size, residual_norm, training_distance
+from palpate.reduction.hyper.error_indicator import (
+    curve_errors,
+    expected_error,
+    mean_size,
+    residual_norm,
+    training_distance,
+)
 from palpate.reduction.hyper.reactions import constraint_forces
 from palpate.reduction.hyper.sampled_energy import scratch
 from palpate.reduction.training.calibrate_indicator import (
@@ -152,13 +158,13 @@ def drawn_run(random, spread=0.5) -> Frames:
     trust = np.maximum.accumulate(random.uniform(0.2, 2.0) * random.random(60))
     error = 0.03 * trust * np.exp(spread * random.standard_normal() + 0.2 * random.standard_normal(60))
     size = np.linspace(0.0, random.uniform(1.0, 3.0), 60)
-    measures = Measures(trust, *np.zeros((5, 60)))
+    measures = Measures(trust, *np.zeros((2, 60)), *np.zeros((2, 60, 1)), *np.zeros((2, 60)))
     return Frames(measures, {"displacement": error * (size + 2.0)}, {"displacement": size})
 
 
 def keeps(run: Frames, scales: Scales, curves) -> bool:
     worst = np.maximum.accumulate(trust_numbers(run.measures, scales))
-    bounds = _errors(curves["displacement"], "bound", worst)
+    bounds = curve_errors(curves["displacement"], "bound", worst)
     size = mean_size(run.sizes["displacement"], curves["displacement"]["typical_size"])
     return bool(np.all(run.errors["displacement"] <= bounds * size))
 
@@ -214,16 +220,17 @@ def test_the_least_level_is_a_percentile_of_a_beta_distribution(count, least):
 
 def test_trust_numbers_are_at_most_1_in_most_calibration_runs():
     random = np.random.default_rng(2)
-    runs = [
-        Measures(*(random.gamma(2.0, scale, (6, 30)) * np.array([1.0, 1e-3, 0.02, 1e-6, 0.1, 0.3])[:, None]))
-        for scale in random.uniform(0.5, 2.0, 40)
-    ]
+    sizes, runs = np.array([1.0, 1e-3, 0.02, 1e-6, 0.1, 0.3]), []
+    for scale in random.uniform(0.5, 2.0, 40):
+        values = random.gamma(2.0, scale, (6, 30)) * sizes[:, None]
+        runs.append(Measures(*values[:3], *values[3:5, :, None], values[5], np.ones(30)))
     scales = calibrate_scales(runs, 0.95)
     assert sum(trust_numbers(run, scales).max() <= 1 + 1e-9 for run in runs) in (38, 39, 40)
 
 
 def test_runs_without_error_have_a_zero_bound_and_one_run_has_level_one_half():
-    still = Frames(Measures(*np.zeros((6, 5))), {"displacement": np.zeros(5)}, {"displacement": np.zeros(5)})
+    measures = Measures(*np.zeros((3, 5)), *np.zeros((2, 5, 1)), *np.zeros((2, 5)))
+    still = Frames(measures, {"displacement": np.zeros(5)}, {"displacement": np.zeros(5)})
     curves = error_curves([still], calibrate_scales([still.measures], 0.95))
     assert curves["level"] == 0.5
     assert curves["displacement"]["bound"] <= 1e-12

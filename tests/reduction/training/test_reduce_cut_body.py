@@ -36,6 +36,7 @@ def model(opened, runs):
     return pt.hyper_reduce(opened, runs, modes=8)
 
 
+@pytest.mark.slow
 def test_runs_agree_with_the_full_model_of_the_cut(opened, model):
     both = pt.SurfaceForce("x+", force=lambda t: (0.7 * min(t, 0.1), 0, -0.15 * min(t, 0.1)))
     exact = pt.rollout(opened, [both], **RUN)
@@ -65,6 +66,7 @@ def test_the_surface_of_a_cut_body_is_not_filled_again(opened):
         coarse_body(opened)
 
 
+@pytest.mark.slow
 def test_the_engine_steps_a_cut_model_under_a_tool():
     opened = pt.cut(block("z-"), TRIANGLES)
     ball = pt.tools.Contact(pt.tools.Sphere(radius=0.008), lambda t: (0.009, 0.015, 0.0232 - 0.03 * min(t, 0.1)))

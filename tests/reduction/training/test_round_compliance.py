@@ -70,6 +70,7 @@ def matrix(compliance):
     return whole.reshape(3 * count, 3 * count)
 
 
+@pytest.mark.slow
 def test_all_values_are_multiples_of_a_power_of_two_and_err_by_half_of_it(exact, rounded):
     typical = np.median(np.diagonal(exact.flexibility))
     for limit, before, after in (

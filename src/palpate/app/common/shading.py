@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 INK, QUIET = "#1b1f23", "#646b73"  # text, and quieter text
 TISSUE = np.array([0.43, 0.15, 0.12])  # reflectance of tissue, sRGB
 STEEL = np.array([0.914, 0.925, 0.933])  # of a tool
+TOOL_COLOURS = np.array([STEEL, [0.35, 0.78, 0.76], [0.95, 0.75, 0.35], [0.72, 0.62, 0.92]])  # by index, as on the page
 SUPPORT = np.array([0.30, 0.23, 0.20])  # reflectance of a support, linear
 FRONT = np.array([1.76, 1.61, 1.58])  # light on tissue that faces the eye
 FLAT_LIGHT, FLAT_FROM = 1.02, 0.35  # light where values are shown, and the share of the range from which it is flat

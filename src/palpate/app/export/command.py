@@ -23,6 +23,7 @@ def export(
     name: str | None = None,
     targets: Sequence[str] | None = None,
     relaxed: bool = False,
+    tools: int = 2,
 ) -> int:
     """Write a library of a model for programs in C, or a page on which a browser steps it.
 
@@ -32,7 +33,7 @@ def export(
         As for `palpate.app.models.subject.open_subject`.
     part, labels
         Of a surface file, as for `palpate.io.read_surface`.
-    folder, name, targets, relaxed
+    folder, name, targets, relaxed, tools
         As for `palpate.export.folder.export_c`.
     web : path
         Folder of a page, in place of `folder`.
@@ -50,7 +51,7 @@ def export(
         subject = open_subject(model, part=part, labels=labels)
         reduced = subject.reduced(console)
         with console.status("compiling the step of the model (about a minute)"):
-            written = export_web(reduced, web, subject.title)
+            written = export_web(reduced, web, subject.title, tools)
         _say(console, web, written)
         console.say(f"open it:          python3 -m http.server --directory {web} 8000")
         console.say("                  http://localhost:8000")
@@ -63,7 +64,7 @@ def export(
     with console.status("compiling the step of the model (about a minute)"):
         written = export_c(
             reduced, folder, name=chosen, title=subject.title, targets=list(dict.fromkeys(targets or [HOST_TARGET])),
-            strict=not relaxed, say=console.say,
+            strict=not relaxed, tools=tools, say=console.say,
         )  # fmt: skip
     _say(console, folder, written)
     console.say(f"build and run it: cmake -S {folder} -B {folder}/build && cmake --build {folder}/build")

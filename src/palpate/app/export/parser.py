@@ -34,3 +34,5 @@ def add_export(commands: Any) -> None:
     add("--target", action="append", choices=TARGET_NAMES, metavar="TARGET", dest="targets", help=text)
     text = "allow fused and reordered sums: faster by a tenth, and targets differ in the last bits"
     add("--relaxed", action="store_true", help=text)
+    text = "number of tools that can touch the model at once, 1 to 4 (default: 2)"
+    add("--tools", type=int, default=2, metavar="N", help=text)

@@ -21,7 +21,7 @@ from palpate.export.wasm import module_of_object
 from palpate.faults import InputError
 from palpate.files import write_bytes
 from palpate.realtime.bodies.display_surface import Surface
-from palpate.realtime.record import HEADER_DTYPE, field_offset
+from palpate.realtime.record import HEADER_DTYPE, HEADER_SIZE, TOOL_DTYPE, TOOL_SIZE, field_offset
 from palpate.reduction.hyper.model import ReducedModel
 
 MODEL_NAME, MODEL_FOLDER = "model", "model"  # the beginning of the functions' names, and the folder of the files
@@ -30,12 +30,12 @@ RATE = 1000.0  # [Hz] of the periods
 WEB_TOOLS = ("sphere", "capsule", "grasp")  # whose sizes page/src/localSession.js computes
 
 
-def export_web(model: ReducedModel, folder: Path, title: str) -> dict[str, str]:
+def export_web(model: ReducedModel, folder: Path, title: str, tools: int = 2) -> dict[str, str]:
     """Write a page for any web server, on which a browser steps a model; as `palpate.export.folder.export_c`."""
     if not (PAGE_FOLDER / "index.html").is_file():
         raise InputError(f"the page must be built, got no {PAGE_FOLDER / 'index.html'}; see docs/view.md")
     about = _describe(model, title)
-    library = lower_model(model, MODEL_NAME)
+    library = lower_model(model, MODEL_NAME, tools)
     modules = {name: module_of_object(library.emit(target), library.symbols) for name, target in WEB_TARGETS.items()}
     about["memory_size"], about["data_end"] = library.memory.size, max(each.data_end for each in modules.values())
     with complete_folder(folder) as part:
@@ -67,6 +67,9 @@ def _describe(model: ReducedModel, title: str) -> dict[str, Any]:
         "scalars": [scalar for scalar in scalar_descriptions(surface) if scalar["name"] == "displacement"],
         "materials": material_sliders(model, 1.0), "training_errors": training_errors(model),
         "record": {name: field_offset(name) for name in HEADER_DTYPE.names or ()},
+        "tool_record": {"start": HEADER_SIZE, "size": TOOL_SIZE} | {
+            name: field_offset(name, TOOL_DTYPE) for name in TOOL_DTYPE.names or ()
+        },
     }  # fmt: skip
     if prescribed:
         centre = np.zeros(3)

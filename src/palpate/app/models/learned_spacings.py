@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from pathlib import Path
 from typing import Any
 
-from platformdirs import user_cache_path
-
 from palpate.faults import InputError
 from palpate.files import json_of, read_text, write_json
+from palpate.working_folder import cache_folder
 
 MOST_SPACINGS, MOST_BYTES = 1000, 1_000_000  # in the file: the oldest are dropped
 LEAST_LEARNED, MOST_LEARNED = 1e-5, 1.0  # [m]; other values in the file are not used
@@ -38,4 +38,4 @@ def _read() -> dict[str, Any]:
 
 
 def _file() -> Path:
-    return user_cache_path("palpate") / "spacings.json"
+    return (cache_folder() or Path(os.devnull)) / "spacings.json"

@@ -82,6 +82,6 @@ def nodal_displacements(recording: Recording, frame: int, surface: DisplaySurfac
 def _frame(recording: Recording, time: float | None) -> int:
     """Return the index of the last snapshot up to a time [s], or that of the largest force."""
     if time is None:
-        return int(np.argmax([float(np.linalg.norm(each.force)) for each in recording.snapshots]))
+        return int(np.argmax([each.largest_force for each in recording.snapshots]))
     number_in_range("frame", time, 0.0, float(recording.times[-1]), unit="s")
     return max(0, int(np.searchsorted(recording.times, time, side="right")) - 1)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from palpate.app.common.vtkhdf import write_vtkhdf
 from palpate.app.recordings.recording_journal import read_journal
-from palpate.app.recordings.snapshot import ENGINE_STATES, TOOL_KINDS, Snapshot
+from palpate.app.recordings.snapshot import ENGINE_STATES, TOOL_KINDS, Snapshot, ToolSnapshot
 from palpate.app.recordings.snapshot_arrays import (
     CUT_ARRAYS,
     FORMAT,
@@ -25,10 +25,13 @@ from palpate.app.recordings.snapshot_arrays import (
     MAX_DURATION,
     MAX_TITLE_LENGTH,
     MAX_VALUE,
+    OLDER_VERSIONS,
     SNAPSHOT_ARRAYS,
+    TOOL_ARRAYS,
     VERSION,
     recorded_arrays,
     snapshot_arrays,
+    upgraded_arrays,
 )
 from palpate.arrays import Floats
 from palpate.dynamics.contact.shapes import tool_parameters
@@ -39,6 +42,7 @@ from palpate.files import plain, regular_file, shortened
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.cut.surface import is_narrow
 from palpate.realtime.bodies.full_surface import display_surface
+from palpate.realtime.contract import MAX_TOOLS
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.solid import body_contents, body_in
 from palpate.sealed import ArrayFile, check_arrays, loading, open_sealed, typed, write_sealed
@@ -51,7 +55,7 @@ __all__ = [
 
 RECORDING_REMEDY = "record the session again"
 ERROR_NAMES = ("displacement", "largest", "force", "peak", "wall_seconds", "seconds")  # of the replay on the full model
-TOOL_FIELDS = {"kind", "radius", "length", "friction", "stiffness", "start"}  # of each tool, and some of `TOOLS`
+TOOL_FIELDS = {"kind", "radius", "length", "friction", "stiffness", "start", "index"}  # and some of `TOOLS`
 RECORDING_INTERVAL = 0.01  # [s] between snapshots
 VTKHDF_INTERVAL = 0.04  # [s] between snapshots in the file for ParaView
 
@@ -76,11 +80,15 @@ class Recording:
     model: ReducedModel | EnergySolid  # the reduced model or the full body of the session
     times: Floats  # (f,) array [s]: wall-clock time, from 0
     snapshots: list[Snapshot]  # snapshots at these times
-    # descriptions of the selected tools, with ``"start"``, the index of the first snapshot of each
+    # descriptions of the selected tools, with ``"index"``, and ``"start"``, the number of the first snapshot of each
     tools: list[dict[str, Any]]
     # result of `palpate.app.session.full_model_replay.replay_on_full_model`; empty without such a run
     full: dict[str, Any]
     cuts: list[Cut] = field(default_factory=list)  # changes of the cut of a full body, in the order of their snapshots
+
+    def tool_at(self, frame: int, index: int = 0) -> dict[str, Any]:
+        """Return the description of the tool of an index that is selected at a snapshot."""
+        return [tool for tool in self.tools if tool["index"] == index and tool["start"] <= frame][-1]
 
 
 def save_recording(path: Path, recording: Recording) -> None:
@@ -139,7 +147,7 @@ def load_recording(path: Path) -> Recording:
         regular_file(path, "recording")
         if is_journal(path):
             return read_recording(read_journal(path))
-        return read_recording(open_sealed(path, FORMAT, VERSION))
+        return read_recording(open_sealed(path, FORMAT, VERSION, OLDER_VERSIONS))
 
 
 def read_recording(file: ArrayFile) -> Recording:
@@ -149,7 +157,7 @@ def read_recording(file: ArrayFile) -> Recording:
         raise InputError(f"header must be that of a recording, got {', '.join(header)!r:.80}")
     if not isinstance(header["title"], str) or len(header["title"]) > MAX_TITLE_LENGTH:
         raise InputError(f"title must be text of at most {MAX_TITLE_LENGTH} characters, got {header['title']!r:.80}")
-    arrays = {name: file.read(name) for name in file.arrays if not name.startswith("model/")}
+    arrays = upgraded_arrays({name: file.read(name) for name in file.arrays if not name.startswith("model/")})
     model = body_in(header["model"], file, "model/")
     count = len(arrays["wall"]) if "wall" in arrays and arrays["wall"].ndim else 0
     sizes = {
@@ -159,13 +167,14 @@ def read_recording(file: ArrayFile) -> Recording:
         "surface": len(model.body.surface.nodes if isinstance(model, ReducedModel) else model.cloud),
         "vertices": len(display_surface(model).rest) if header["errors"] is not None else 0,
     }
+    if getattr(arrays.get("tools/kind"), "ndim", 0) == 2:  # another one is refused below
+        sizes["tools"] = min(max(arrays["tools/kind"].shape[1], 1), MAX_TOOLS)
     check_arrays(arrays, recorded_arrays(model, "cuts/start" in arrays, header["errors"] is not None), sizes)
     _require(count, "wall", "of at least one snapshot", "none")
     _check_values(arrays)
-    tools = validate_tools(header["tools"], count)
-    start, nodes, forces = (arrays[f"contact/{name}"] for name in ("start", "nodes", "forces"))
-    parts = [slice(first, last) for first, last in pairwise(start)]
-    snapshots = [_snapshot(arrays, k, nodes[part], forces[part]) for k, part in enumerate(parts)]
+    tools = validate_tools(header["tools"], count, sizes["tools"])
+    parts = [slice(first, last) for first, last in pairwise(arrays["contact/start"])]
+    snapshots = [_snapshot(arrays, k, part) for k, part in enumerate(parts)]
     return Recording(header["title"], model, arrays["wall"], snapshots, tools, _full(arrays, header["errors"]),
                      _cuts(arrays, model))  # fmt: skip
 
@@ -204,10 +213,10 @@ def _cuts(arrays: dict[str, Any], model: Any) -> list[Cut]:
 
 def _check_values(arrays: dict[str, Any]) -> None:
     """Raise InputError for values that no session writes."""
-    for name in ("steps", "sequence"):
+    for name in ("steps", "tools/sequence"):
         _require(not np.any(arrays[name] != np.floor(arrays[name])), name, "whole numbers", "fractions")
-    length = np.linalg.norm(arrays["quaternion"], axis=1)
-    _require(not np.any(np.abs(length - 1) > 1e-3), "quaternion", "of length 1", "other lengths")
+    length = np.linalg.norm(arrays["tools/quaternion"], axis=2)
+    _require(not np.any(np.abs(length - 1) > 1e-3), "tools/quaternion", "of length 1", "other lengths")
     start, nodes = arrays["contact/start"], arrays["contact/nodes"]
     _require(start[0] == 0 and start[-1] == len(nodes), "contact/start", "a partition of contact/nodes", "others")
     if "full/times" in arrays:
@@ -219,13 +228,14 @@ def _require(condition: Any, name: str, requirement: str, got: str) -> None:
         raise InputError(f"{name} must be {requirement}, got {got}")
 
 
-def validate_tools(tools: Any, count: int) -> list[dict[str, Any]]:
-    """Return the tools of a file."""
+def validate_tools(tools: Any, count: int, indices: int) -> list[dict[str, Any]]:
+    """Return the tools of a file with a number of snapshots and of tools in each."""
     if not isinstance(tools, list) or not tools or not all(isinstance(tool, dict) for tool in tools):
         raise InputError(f"tools must be a list of tools, got {tools!r:.80}")
     parameters = tool_parameters()
     for tool in tools:
         known = TOOL_FIELDS | parameters.keys()
+        tool.setdefault("index", 0)  # of version 3
         if not TOOL_FIELDS <= tool.keys() <= known or tool["kind"] not in TOOL_KINDS:
             raise InputError(f"each entry of tools must be a tool, got {tool!r:.80}")
         number_in_range("friction of a tool", tool["friction"], 0.0, 2.0)
@@ -236,19 +246,31 @@ def validate_tools(tools: Any, count: int) -> list[dict[str, Any]]:
                 most = 1.0 if about["unit"] == "m" else about["high"]
                 number_in_range(f"{name} of a tool", tool[name], 0.0, most, unit=about["unit"])
         integer_in_range("start of a tool", tool["start"], 0, count - 1)
-    first = [tool["start"] for tool in tools]
-    if first[0] != 0 or any(b <= a for a, b in pairwise(first)):
-        raise InputError(f"starts of tools must increase from 0, got {first!r:.80}")
+        integer_in_range("index of a tool", tool["index"], 0, indices - 1)
+    for index in range(indices):
+        starts = [tool["start"] for tool in tools if tool["index"] == index]
+        if not starts or starts[0] != 0 or any(b <= a for a, b in pairwise(starts)):
+            raise InputError(f"starts of tools of index {index} must increase from 0, got {starts!r:.80}")
     return tools
 
 
-def _snapshot(numbers: dict[str, Any], k: int, nodes: NDArray[np.int64], forces: Floats) -> Snapshot:
-    values: dict[str, Any] = {name: np.array(numbers[name][k]) for name in SNAPSHOT_ARRAYS}
-    for name in values:
-        if values[name].ndim == 0:
-            values[name] = int(values[name]) if name in ("steps", "sequence") else float(values[name])
-    values |= {"contact_nodes": nodes, "contact_forces": forces, "tool": TOOL_KINDS[numbers["tool"][k]]}
-    return Snapshot(**values, state=ENGINE_STATES[numbers["state"][k]])
+def _snapshot(arrays: dict[str, Any], k: int, part: slice) -> Snapshot:
+    """Return a snapshot of the arrays of a file, with a part of the contacts."""
+    values: dict[str, Any] = {name: _entry(arrays[name], k) for name in SNAPSHOT_ARRAYS}
+    values |= {f"contact_{name}": arrays[f"contact/{name}"][part] for name in ("nodes", "forces", "tools")}
+    values |= {"steps": int(values["steps"]), "state": ENGINE_STATES[arrays["state"][k]]}
+    tools = []
+    for index in range(arrays["tools/kind"].shape[1]):
+        tool = {name: _entry(arrays[f"tools/{name}"], (k, index)) for name in TOOL_ARRAYS}
+        tool |= {"sequence": int(tool["sequence"]), "kind": TOOL_KINDS[tool["kind"]]}
+        tools.append(ToolSnapshot(**tool))
+    return Snapshot.from_tools(tools, **values)
+
+
+def _entry(values: NDArray[Any], at: Any) -> Any:
+    """Return an entry of an array: a copy of an array, or a number of Python."""
+    entry = values[at]
+    return entry.copy() if entry.ndim else entry.item()
 
 
 def _full(arrays: dict[str, Any], errors: Any) -> dict[str, Any]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.recordings.snapshot import Snapshot
-from palpate.app.recordings.snapshot_arrays import FORMAT, MAX_TITLE_LENGTH, VERSION, snapshot_arrays
+from palpate.app.recordings.snapshot_arrays import FORMAT, MAX_TITLE_LENGTH, OLDER_VERSIONS, VERSION, snapshot_arrays
 from palpate.dynamics.run.journal import Journal, is_journal, records
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
@@ -96,7 +96,7 @@ def read_journal(path: Path) -> JournalFile:
 
 def _is_header(header: dict[str, Any]) -> bool:
     same = header.keys() == {"kind", "version", "title", "model"}
-    return same and (header["kind"], header["version"]) == (FORMAT, VERSION)
+    return same and header["kind"] == FORMAT and header["version"] in (VERSION, *OLDER_VERSIONS)
 
 
 def is_recording(path: Path) -> bool:

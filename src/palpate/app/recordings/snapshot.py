@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -31,22 +32,58 @@ MODES_ONLY = "excludes the local indentation at the tool"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Snapshot(PeriodRecord):
-    """Results of one period; the tool's position is in the body's frame."""
+class ToolSnapshot:
+    """One tool in one period; its position is in the body's frame."""
 
+    force: Floats  # (3,) array [N]: of the body on the tool, and its moment (3,) [N m]
+    moment: Floats
+    stiffness: Floats  # (3, 3) array [N/m]: contact stiffness
+    position: Floats  # (3,) array [m]
+    quaternion: Floats  # (4,) array, w x y z
+    sequence: int  # of the newest pose that the period used
     # (3,) array [N]: force on the haptic device, transmitted by the virtual coupling if there is one
     device_force: Floats
-    # contact_nodes, contact_forces: (e,) int array, (e, 3) array [N]: contact nodes of the model's contact surface, and
-    # the forces on them for the model's own moduli
+    kind: str  # one of `TOOL_KINDS`
+    pinned: bool = False  # whether it stays where it is
+
+
+@dataclass(frozen=True, kw_only=True)
+class Snapshot(PeriodRecord):
+    """Results of one period. The pose, the forces and the kind are those of the first tool, as in `ToolSnapshot`."""
+
+    device_force: Floats
+    # contact_nodes, contact_forces, contact_tools: (e,) int array, (e, 3) array [N], (e,) int array: contact nodes of
+    # the model's contact surface, the forces on them for the model's own moduli, and the indices of their tools
     contact_nodes: NDArray[np.int64]
     contact_forces: Floats
+    contact_tools: NDArray[np.int64]
     modulus_ratio: float  # moduli relative to the model's own
-    tool: str  # one of `TOOL_KINDS`
+    kind: str
+    pinned: bool = False
+    others: tuple[ToolSnapshot, ...] = ()  # the tools after the first
+
+    @classmethod
+    def from_tools(cls, tools: Sequence[ToolSnapshot], **values: Any) -> Snapshot:
+        """Return the snapshot of at least one tool, with values of the other fields."""
+        first = {each.name: getattr(tools[0], each.name) for each in fields(ToolSnapshot)}
+        return cls(**first, **values, others=tuple(tools[1:]))
+
+    @property
+    def tools(self) -> tuple[ToolSnapshot, ...]:
+        """All tools by index."""
+        return ToolSnapshot(**{each.name: getattr(self, each.name) for each in fields(ToolSnapshot)}), *self.others
+
+    @property
+    def largest_force(self) -> float:
+        """The largest force on a tool [N]."""
+        return max(float(np.linalg.norm(tool.force)) for tool in self.tools)
 
     def displacements(self, surface: DisplaySurface) -> NDArray[np.float32]:
         """Return finite displacements (n, 3) [m] of a surface's vertices."""
-        grasps = self.tool == "grasp"
-        displacements = surface.displacements(self.coordinates, self.contact_nodes, self.contact_forces, grasps)
+        bonded = np.array([tool.kind == "grasp" for tool in self.tools])[self.contact_tools]
+        displacements = surface.displacements(
+            self.coordinates, self.contact_nodes, self.contact_forces, bonded, self.contact_tools
+        )
         return np.nan_to_num(displacements, nan=0.0, posinf=MAX_FINITE, neginf=-MAX_FINITE)
 
     def scalar(self, surface: DisplaySurface, name: str, displacements: NDArray[np.float32]) -> NDArray[np.float32]:

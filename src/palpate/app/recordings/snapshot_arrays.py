@@ -17,7 +17,7 @@ from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.sealed import LEAST_POSITIVE, Array, typed
 
-FORMAT, VERSION = "palpate recording", 3
+FORMAT, VERSION, OLDER_VERSIONS = "palpate recording", 4, (3,)
 MAX_TITLE_LENGTH = 200  # characters
 MAX_VALUE = 1e9  # of the arrays of a recording, in SI units
 MAX_DURATION = 600.0  # [s]
@@ -27,29 +27,31 @@ _Array = partial(Array, most=MAX_VALUE)
 SNAPSHOT_ARRAYS = {
     "time": _Array(("snapshots",), low=0.0, unit="s"),
     "steps": Array(("snapshots",), low=0.0, most=MAX_COUNT),
-    "force": _Array(("snapshots", 3), unit="N"),
-    "moment": _Array(("snapshots", 3), unit="N m"),
-    "stiffness": Array(("snapshots", 3, 3), most=1e30, unit="N/m"),
     "trust": _Array(("snapshots",), low=0.0),
-    "position": _Array(("snapshots", 3), unit="m"),
-    "quaternion": _Array(("snapshots", 4)),
-    "sequence": Array(("snapshots",), low=0.0, most=MAX_COUNT),
     "kinetic": _Array(("snapshots",), unit="J"),
     "strain": _Array(("snapshots",), unit="J"),
     "computing": _Array(("snapshots",), low=0.0, unit="s"),
     "lateness": _Array(("snapshots",), unit="s"),
     "coordinates": _Array(("snapshots", "coordinates")),
-    "device_force": _Array(("snapshots", 3), unit="N"),
     "modulus_ratio": _Array(("snapshots",), low=LEAST_POSITIVE),
 }
-KIND_ARRAYS = {
-    "tool": Array(("snapshots",), "|u1", low=0, most=len(TOOL_KINDS) - 1),
-    "state": Array(("snapshots",), "|u1", low=0, most=len(ENGINE_STATES) - 1),
+TOOL_ARRAYS = {  # of `ToolSnapshot`, under ``tools/``
+    "force": _Array(("snapshots", "tools", 3), unit="N"),
+    "moment": _Array(("snapshots", "tools", 3), unit="N m"),
+    "stiffness": Array(("snapshots", "tools", 3, 3), most=1e30, unit="N/m"),
+    "position": _Array(("snapshots", "tools", 3), unit="m"),
+    "quaternion": _Array(("snapshots", "tools", 4)),
+    "sequence": Array(("snapshots", "tools"), low=0.0, most=MAX_COUNT),
+    "device_force": _Array(("snapshots", "tools", 3), unit="N"),
+    "kind": Array(("snapshots", "tools"), "|u1", low=0, most=len(TOOL_KINDS) - 1),
+    "pinned": Array(("snapshots", "tools"), "|b1"),
 }
+STATE_ARRAY = {"state": Array(("snapshots",), "|u1", low=0, most=len(ENGINE_STATES) - 1)}
 CONTACT_ARRAYS = {
     "contact/start": Array(("parts",), "<i8", low=0, rising=True),
     "contact/nodes": Array(("contacts",), "<i8", index_of="surface"),
     "contact/forces": _Array(("contacts", 3), unit="N"),
+    "contact/tools": Array(("contacts",), "|u1", index_of="tools"),
 }
 WALL_ARRAY = {"wall": Array(("snapshots",), low=0.0, most=MAX_DURATION, unit="s", rising=True)}
 CUT_ARRAYS = {
@@ -60,7 +62,7 @@ CUT_ARRAYS = {
 }
 FULL_ARRAYS = {
     "full/times": _Array(("full",), unit="s", rising=True),
-    "full/force": _Array(("full", 3), unit="N"),
+    "full/force": _Array(("full", "tools", 3), unit="N"),
     "full/positions": _Array(("full", "vertices", 3), "<f4", unit="m"),
 }
 
@@ -73,7 +75,8 @@ def coordinates_type(model: ReducedModel | EnergySolid) -> str:
 def recorded_arrays(model: ReducedModel | EnergySolid, cuts: bool = False, full: bool = False) -> dict[str, Array]:
     """Return the arrays of a recording."""
     coordinates = replace(SNAPSHOT_ARRAYS["coordinates"], type=coordinates_type(model))
-    declared = SNAPSHOT_ARRAYS | {"coordinates": coordinates} | KIND_ARRAYS | CONTACT_ARRAYS | WALL_ARRAY
+    tools = {f"tools/{name}": each for name, each in TOOL_ARRAYS.items()}
+    declared = SNAPSHOT_ARRAYS | {"coordinates": coordinates} | tools | STATE_ARRAY | CONTACT_ARRAYS | WALL_ARRAY
     return declared | (CUT_ARRAYS if cuts else {}) | (FULL_ARRAYS if full else {})
 
 
@@ -83,12 +86,15 @@ def snapshot_arrays(
     """Return the arrays of at least one snapshot of a body at times [s] since the start."""
     values: dict[str, Any] = {name: [getattr(each, name) for each in snapshots] for name in SNAPSHOT_ARRAYS}
     values["trust"] = np.minimum(values["trust"], MAX_VALUE)  # unbounded for a body trained at rest
+    tools = [each.tools for each in snapshots]
+    values |= {f"tools/{name}": [[getattr(tool, name) for tool in each] for each in tools] for name in TOOL_ARRAYS}
     values |= {
-        "tool": [TOOL_KINDS.index(each.tool) for each in snapshots],
+        "tools/kind": [[TOOL_KINDS.index(tool.kind) for tool in each] for each in tools],
         "state": [ENGINE_STATES.index(each.state) for each in snapshots],
         "contact/start": np.cumsum([0, *(len(each.contact_nodes) for each in snapshots)]),
         "contact/nodes": np.concatenate([each.contact_nodes for each in snapshots]),
         "contact/forces": np.concatenate([each.contact_forces for each in snapshots]).reshape(-1, 3),
+        "contact/tools": np.concatenate([each.contact_tools for each in snapshots]),
         "wall": times,
     }
     arrays = typed(values, recorded_arrays(model))
@@ -96,3 +102,16 @@ def snapshot_arrays(
         if not np.isfinite(array).all():
             raise InputError(f"{name} of the recording must be finite, got other values; record a sound session")
     return arrays
+
+
+def upgraded_arrays(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a recording of version 3, which has one tool, as those of the present version."""
+    if "tool" not in arrays:
+        return arrays
+    result = {("kind" if name == "tool" else name): values for name, values in arrays.items()}
+    count, contacts = len(result["kind"]), len(result.get("contact/nodes", ()))
+    result |= {"pinned": np.zeros(count, dtype="|b1"), "contact/tools": np.zeros(contacts, dtype="|u1")}
+    if "full/force" in result:
+        result["full/force"] = result["full/force"][:, None]
+    one_tool = {f"tools/{name}": result.pop(name)[:, None] for name in TOOL_ARRAYS if name in result}
+    return result | one_tool

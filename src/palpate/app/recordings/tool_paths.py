@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from palpate.app.recordings.recording import Recording
-from palpate.app.recordings.snapshot import Snapshot
+from palpate.app.recordings.snapshot import Snapshot, ToolSnapshot
 from palpate.arrays import Floats
 from palpate.dynamics.contact.shapes import TOOLS, make_tool
 from palpate.dynamics.contact.tools import Contact, Grasp
@@ -20,8 +20,8 @@ from palpate.reduction.hyper.model import ReducedModel
 
 MIN_SNAPSHOTS = 3
 MAX_PATH = 10.0  # [s] of a path; the rest is left out
-APPROACH_SECONDS = 0.1  # [s] from rest to the first pose of a held group
 TOOL_NAME = "tool"
+APPROACH_SECONDS = 0.1  # [s] from rest to the first pose of a held group
 
 
 class ToolPath(NamedTuple):
@@ -36,22 +36,27 @@ def tool_paths(recording: Recording) -> list[ToolPath]:
     """Return the tool paths of a recording: a touch of a ball or capsule, a grasp, or a motion of a held group.
 
     Paths begin with the body at rest, whatever its state was, and have at most 10 s. Changed moduli do not count.
+    Tools that act at the same time have a path each.
     """
-    kinds = np.array([snapshot.tool for snapshot in recording.snapshots])
+    return [path for index in range(len(recording.snapshots[0].tools)) for path in _paths_of_tool(recording, index)]
+
+
+def _paths_of_tool(recording: Recording, index: int) -> list[ToolPath]:
+    kinds = np.array([snapshot.tools[index].kind for snapshot in recording.snapshots])
     times = np.array([snapshot.time for snapshot in recording.snapshots])
-    starts = [tool["start"] for tool in recording.tools]
+    starts = [tool["start"] for tool in recording.tools if tool["index"] == index]
     of_tool = np.searchsorted(starts, np.arange(len(kinds)), side="right") - 1
-    touching = np.array([_touches(snapshot) for snapshot in recording.snapshots])
+    touching = np.array([_touches(snapshot, index) for snapshot in recording.snapshots])
     touching[:-1] |= touching[1:].copy()  # a path begins before the touch
     acts = (kinds != "none") & (touching | np.isin(kinds, ("grasp", "group")))
     breaks = (np.diff(of_tool) > 0) | (np.diff(times) < 0) | (acts[1:] != acts[:-1]) | (kinds[1:] != kinds[:-1])
     parts = np.split(np.arange(len(kinds)), np.flatnonzero(breaks) + 1)
-    paths = [_path(recording, recording.tools[of_tool[part[0]]], part) for part in parts if acts[part[0]]]
+    paths = [_path(recording, recording.tool_at(part[0], index), part) for part in parts if acts[part[0]]]
     return [path for path in paths if path is not None]
 
 
-def _touches(snapshot: Snapshot) -> bool:
-    return bool(np.any(snapshot.contact_forces))
+def _touches(snapshot: Snapshot, index: int) -> bool:
+    return bool(np.any(snapshot.contact_forces[snapshot.contact_tools == index]))
 
 
 def _path(recording: Recording, tool: dict[str, Any], part: NDArray[np.intp]) -> ToolPath | None:
@@ -60,15 +65,20 @@ def _path(recording: Recording, tool: dict[str, Any], part: NDArray[np.intp]) ->
     kept = np.diff(times, prepend=-1.0) > 0  # one snapshot of a pause
     kept &= times <= MAX_PATH
     snapshots, times = [recording.snapshots[k] for k in part[kept]], times[kept]
-    if len(snapshots) < MIN_SNAPSHOTS or snapshots[0].tool != tool["kind"]:
+    if len(snapshots) < MIN_SNAPSHOTS or snapshots[0].tools[tool["index"]].kind != tool["kind"]:
         return None
     approach = APPROACH_SECONDS if tool["kind"] == "group" else 0.0
-    load = make_load(recording, tool, snapshots, times, approach)
+    load = make_load(recording, tool, [snapshot.tools[tool["index"]] for snapshot in snapshots], times, approach)
     return ToolPath(load, float(times[-1]) + approach, max(snapshot.trust for snapshot in snapshots))
 
 
 def make_load(
-    recording: Recording, tool: dict[str, Any], snapshots: Sequence[Snapshot], times: Floats, approach: float = 0.0
+    recording: Recording,
+    tool: dict[str, Any],
+    snapshots: Sequence[ToolSnapshot],
+    times: Floats,
+    approach: float = 0.0,
+    name: str = TOOL_NAME,
 ) -> Load:
     """Return the load of a tool with the poses of snapshots.
 
@@ -80,16 +90,18 @@ def make_load(
         Of the snapshots, from 0.
     approach : float [s]
         Duration in which a held group moves from rest to the first pose.
+    name : str
+        Of the load.
     """
     positions = np.array([snapshot.position for snapshot in snapshots])
     quaternions = np.array([snapshot.quaternion for snapshot in snapshots])
     if tool["kind"] in TOOLS and tool["kind"] != "grasp":
         shape = make_tool(tool["kind"], tool)
-        return Contact(shape, (times, positions, quaternions), friction=tool["friction"], name=TOOL_NAME)
+        return Contact(shape, (times, positions, quaternions), friction=tool["friction"], name=name)
     rotations = Rotation.from_quat(quaternions, scalar_first=True)
     if tool["kind"] == "grasp":
         relative = (rotations * rotations[0].inv()).as_quat(scalar_first=True)
-        return Grasp(positions[0], tool["radius"], (times, positions, relative), name=TOOL_NAME)
+        return Grasp(positions[0], tool["radius"], (times, positions, relative), name=name)
     assert isinstance(recording.model, ReducedModel)  # full bodies have no held groups
     group = recording.model.data.prescribed[0]
     centre = recording.model.cloud.points[recording.model.cloud.group(group)].mean(axis=0)

@@ -17,6 +17,7 @@ from palpate.app.common.exit_status import RunError
 from palpate.app.common.preparation import prepare
 from palpate.app.common.report import REPORTS, deliver, machine
 from palpate.app.common.rows import Rows, named_rows, quantities
+from palpate.app.device.options import take_device
 from palpate.app.models.subject import open_subject
 from palpate.app.run.realtime import run_realtime
 from palpate.app.session.opening import check_record
@@ -74,11 +75,12 @@ def run(
     """Run a body once or in real time: `run_once`, `palpate.app.run.realtime.run_realtime`.
 
     `model` is the file of a reduced model of the scene, in place of that which is trained at the first use. `shape` has
-    the options of a surface file.
+    the options of a surface file, and those of a device (`palpate.app.device.options`).
     """
+    device = take_device(shape)
     words: dict[str, Any] = {"spacing": spacing, "poisson": poisson, "modes": modes}
     words = {name: value for name, value in words.items() if value is not None}
-    if not (realtime or cut or script is not None):  # a cut and a script are in real time
+    if not (realtime or cut or script is not None or device):  # a cut, a script and a device are in real time
         for name, value in (
             ("seconds", seconds), ("rate", rate), ("model", model), ("full", full or None), ("record", record)
         ):  # fmt: skip
@@ -106,7 +108,7 @@ def run(
         subject = replace(subject, scene=refined_scene(subject.scene))
     limits = {name: value for name, value in (("seconds", seconds), ("rate", rate)) if value is not None}
     return run_realtime(
-        subject, full=full, cut=cut, script=script, record=record, out=out, as_json=as_json, **limits
+        subject, full=full, cut=cut, script=script, record=record, device=device, out=out, as_json=as_json, **limits
     )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from palpate.app.common.arguments import add_command, add_output, add_parameter, existing_file, number, path
 from palpate.app.common.surface_options import add_surface_options
+from palpate.app.device.options import add_device
 from palpate.scenes.description import Body, Tissue, Training
 from palpate.scenes.names import listed_scenes
 from palpate.surface.formats.names import listed_formats
@@ -53,5 +54,6 @@ def add_run(commands: Any) -> None:
     add("--record", type=path, metavar="FILE.h5", help=text)
     add("--seconds", type=number, metavar="S", help="in real time: length of the run [s], at most 600 (default: 10)")
     add("--rate", type=number, metavar="HZ", help="in real time: steps per second, 50 to 20000 (default: 1000)")
+    add_device(run)
     add_surface_options(run)
     add_output(run, "out/run")

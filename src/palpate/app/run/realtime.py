@@ -13,6 +13,8 @@ from palpate.app.common.console import Console, Table, quantities_table
 from palpate.app.common.exit_status import DONE, FAILED, RunError
 from palpate.app.common.report import REPORTS, deliver, machine
 from palpate.app.common.rows import Rows, fill_template, quantities, rows_of
+from palpate.app.device.driver import driving
+from palpate.app.device.options import DeviceOptions
 from palpate.app.models.subject import Subject
 from palpate.app.models.trained import model_file
 from palpate.app.run.tool_motion import tool_motion
@@ -24,6 +26,7 @@ from palpate.dynamics.loads.foundation import Foundation
 from palpate.faults import number_in_range
 from palpate.files import check_folder, check_space, plain
 from palpate.realtime.bodies.full_blade import BladeCutter
+from palpate.realtime.contract import MAX_TOOLS
 from palpate.realtime.statistics import Distribution, Statistics
 from palpate.reduction.hyper.model import ReducedModel
 
@@ -42,6 +45,7 @@ def run_realtime(
     cut: bool,
     script: Path | None,
     record: Path | None,
+    device: DeviceOptions | None = None,
     seconds: float = 10.0,
     rate: float = 1000.0,
     out: Path,
@@ -50,7 +54,8 @@ def run_realtime(
     """Step a body at a fixed rate for some seconds under a moving tool, and report missed deadlines.
 
     With `full` the full body of the subject's scene is stepped, and with `cut` a scalpel cuts it. The messages of
-    `script` drive the session in place of the tool of the scene; `record` is the file of a recording. The time is at
+    `script` or the hand at a `device` drive the session in place of the tool of the scene; `record` is the file of a
+    recording. The time is at
     most 600 s, the rate from 50 to 20,000 Hz. The status is 0 whether the rate was held or not, and 1 if a recording
     was not written.
     """
@@ -66,6 +71,8 @@ def run_realtime(
         nonlocal tool, path
         if messages is not None:
             path = messages
+        elif device is not None:
+            path = _leave_to_device
         else:
             poses, tool = tool_motion(subject, body, cut)
             path = follow(poses)
@@ -80,10 +87,11 @@ def run_realtime(
         console.say(f"{rate:g} Hz for {seconds:g} s ...")
         session.start()
         try:
-            play(session, path, seconds)
+            with driving(session, device, console.say):
+                play(session, path, seconds)
         except KeyboardInterrupt:
             raise KeyboardInterrupt("in real time") from None
-        last_force = float(np.linalg.norm(session.engine.read().force))
+        last_forces = [float(np.linalg.norm(each.force)) for each in session.engine.read().tools]
         session.stop()
         if session.engine.state == "diverged":
             raise RunError(f"the state diverged; what happened before is in {black_box}")
@@ -96,17 +104,24 @@ def run_realtime(
         "material": asdict(body.material),
         "machine": machine(),
         "model": body.report if isinstance(body, ReducedModel) else {"nodes": len(body.cloud)},
-        "tool": _observations(black_box, body) | {"last_force": last_force},
+        "tool": _observations(black_box, body) | {"last_force": last_forces[0]},
         "timing": _timing(statistics),
         "session": session.statistics(),
     }
+    if tools := _other_tools(black_box, last_forces):
+        report["tools"] = tools
     if messages is not None:
         report["script"] = {"file": str(script), "messages": messages.done, "refused": messages.refused}
     if session.body.cutter is not None and session.body.cuts:
-        report["cut"] = _cut_report(black_box, session.body.cutter)
+        kinds = [each.selected.kind for each in session.tools]
+        report["cut"] = _cut_report(black_box, session.body.cutter, kinds.index("scalpel") if "scalpel" in kinds else 0)
     report = plain(report)
     deliver(report, _tables(report, statistics), out, FILES, as_json)
     return FAILED if session.recordings.failures else DONE
+
+
+def _leave_to_device(session: Session, now: float) -> None:
+    """Move nothing: a device does."""
 
 
 def _origin(subject: Subject, full: bool, cut: bool) -> dict[str, Any]:
@@ -146,12 +161,25 @@ def _observations(black_box: Path, body: Any) -> dict[str, Any]:
     }
 
 
-def _cut_report(black_box: Path, cutter: BladeCutter) -> dict[str, Any]:
-    """Return the energy balance of a blade, and computing times of periods before the first cut and from then on."""
+def _other_tools(black_box: Path, last_forces: list[float]) -> dict[str, dict[str, float]]:
+    """Return the forces on the tools after the first that touched the body, by their index."""
     import h5py
 
     with h5py.File(black_box) as file:
-        computing, force = file["computing"][:], np.linalg.norm(file["force"][:], axis=1)
+        forces = np.linalg.norm(file["tools/force"][:], axis=2)
+    return {
+        str(index): {"largest_force": float(forces[:, index].max()), "last_force": last}
+        for index, last in enumerate(last_forces)
+        if index > 0 and forces[:, index].any()
+    }
+
+
+def _cut_report(black_box: Path, cutter: BladeCutter, tool: int) -> dict[str, Any]:
+    """Return the energy balance of a blade, and computing times of periods before its first force and from then on."""
+    import h5py
+
+    with h5py.File(black_box) as file:
+        computing, force = file["computing"][:], np.linalg.norm(file["tools/force"][:, tool], axis=1)
     first = int(np.argmax(force > 0)) if force.any() else len(force)
     area, released, edge, friction = cutter.totals.tolist()
     return {
@@ -219,6 +247,7 @@ TIMING_ROWS: Rows = {
 }
 TOOL_ROWS: Rows = {
     "largest force on the tool": "{tool/largest_force:.3g N}",
+    **{f"largest force on tool {k}": f"{{tools/{k}/largest_force:.3g N}}" for k in range(1, MAX_TOOLS)},
     "farthest that the tool went": "{tool/largest_displacement:.3g mm}",
     "steps of the model in a period": "{tool/mean_steps_per_period:.2g}",
     "trust number, median; largest (above 1: not trained on)": "{tool/median_trust:.2f}; {tool/largest_trust:.2f}",

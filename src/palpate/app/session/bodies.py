@@ -23,6 +23,7 @@ from palpate.realtime.bodies.full_blade import BladeCutter
 from palpate.realtime.bodies.full_body import step_statistics
 from palpate.realtime.bodies.full_surface import FullSurface, display_surface
 from palpate.realtime.bodies.model import RealtimeModel, idle_model
+from palpate.realtime.contract import MAX_TOOLS
 from palpate.reduction.hyper.model import ReducedModel
 
 FULL_INTERVAL = 0.04  # [s] between snapshots of a full body: a minute of 3,000 nodes takes 54 MB
@@ -36,6 +37,7 @@ class SessionBody:
     recording_interval = RECORDING_INTERVAL
     tool_kinds: tuple[str, ...] = tuple(kind for kind in TOOLS if kind != "scalpel")
     idle_tool = NO_TOOL
+    max_tools = MAX_TOOLS
     cutter: BladeCutter | None = None
 
     def __init__(self, model: Any, realtime: RealtimeModel) -> None:
@@ -57,13 +59,13 @@ class SessionBody:
         """The surface that is drawn."""
         return self.surface
 
-    def change_tool(self, tool: SelectedTool, pose: Floats) -> None:
-        """Replace the tool by another in a pose (7,); the engine must be paused."""
+    def change_tool(self, tool: SelectedTool, pose: Floats, index: int) -> None:
+        """Replace the tool of an index by another in a pose (7,); the engine must be paused."""
         assert self.realtime.change_tool is not None
-        self.realtime.change_tool(tool.shape, pose, tool.friction)
+        self.realtime.change_tool(tool.shape, pose, tool.friction, index)
 
-    def statistics(self, tool: SelectedTool) -> dict[str, Any]:
-        """Return how the body was stepped and cut, for the statistics of a session."""
+    def statistics(self, kinds: Sequence[str]) -> dict[str, Any]:
+        """Return with tools of some kinds how the body was stepped and cut, for the statistics of a session."""
         return {}
 
 
@@ -72,13 +74,14 @@ class GroupBody(SessionBody):
 
     tool_kinds = ()
     idle_tool = SelectedTool("group", None)
+    max_tools = 1
 
     def __init__(self, model: ReducedModel, realtime: RealtimeModel) -> None:
         super().__init__(model, realtime)
         centre = model.cloud.points[model.cloud.group(model.data.prescribed[0])].mean(axis=0)
         self.home[: len(centre)] = centre
 
-    def change_tool(self, tool: SelectedTool, pose: Floats) -> None:
+    def change_tool(self, tool: SelectedTool, pose: Floats, index: int) -> None:
         """Keep the group."""
 
 
@@ -88,7 +91,7 @@ class FullBody(SessionBody):
     is_full = True
     recording_interval = FULL_INTERVAL
 
-    def statistics(self, tool: SelectedTool) -> dict[str, Any]:
+    def statistics(self, kinds: Sequence[str]) -> dict[str, Any]:
         """Return how the body was stepped."""
         return step_statistics(self.realtime.data)
 
@@ -127,17 +130,17 @@ class CuttableBody(FullBody):
                 self._shown = self.cuts, time.monotonic()
         return self._opened
 
-    def statistics(self, tool: SelectedTool) -> dict[str, Any]:
+    def statistics(self, kinds: Sequence[str]) -> dict[str, Any]:
         """Return how the body was stepped, the area [m^2] that a scalpel has cut, and the force [N] of a cut."""
-        steps = super().statistics(tool)
-        if tool.kind != "scalpel":
+        steps = super().statistics(kinds)
+        if "scalpel" not in kinds:
             return steps
         return {**steps, "cut_area": float(self.cutter.totals[0]), "cutting_force": self.cutter.cutting_force}
 
 
 def session_body(model: Any, foundations: Sequence[Foundation]) -> SessionBody:
     """Return the body of a session with springs, prepared for the engine without a tool."""
-    realtime = idle_model(model, foundations)
+    realtime = idle_model(model, foundations, MAX_TOOLS)
     if isinstance(model, ReducedModel):
         kind = GroupBody if realtime.change_tool is None else SessionBody
     else:

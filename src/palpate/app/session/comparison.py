@@ -1,4 +1,4 @@
-"""A reduced model and its full body in one session, both under the same tool."""
+"""A reduced model and its full body in one session, both under the same tools."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from palpate.app.recordings.snapshot import OverlayState
 from palpate.app.session.messages import Message
 from palpate.app.session.session import PERIODS_PER_SECOND, Session
 from palpate.app.session.tool_control import NO_TOOL
+from palpate.arrays import Floats
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
@@ -18,6 +19,7 @@ from palpate.reduction.hyper.model import ReducedModel
 SHARED_MESSAGES = (
     "pose",
     "tool",
+    "pin",
     "material",
     "speed",
 )  # messages that `Session.handle` does not pass to a command below
@@ -26,7 +28,7 @@ SHARED_MESSAGES = (
 class Comparison(Session):
     """The session of a reduced model, with the full body in a second engine.
 
-    Both have the same tool at the same pose, with a rigid coupling: the tools of two springs would differ. Each
+    Both have the same tools at the same poses, with a rigid coupling: the tools of two springs would differ. Each
     body has its own clock. While one is slower than real time and the tool moves, the two are at different times.
 
     Parameters
@@ -47,6 +49,11 @@ class Comparison(Session):
         super().__init__(model, title, rate)
         if not np.array_equal(self.full.surface.triangles, self.surface.triangles):
             raise InputError("full_model must have the surface of the model, got another one; train the model again")
+
+    def follow_device(self, position: Floats, quaternion: Floats, sequence: int, index: int = 0) -> None:
+        """Move the tool of both bodies to the pose of a haptic device."""
+        super().follow_device(position, quaternion, sequence, index)
+        self.full.follow_device(position, quaternion, sequence, index)
 
     def hello(self) -> dict[str, Any]:
         """Return the constant properties for `hello`."""
@@ -80,10 +87,11 @@ class Comparison(Session):
         try:
             self.full.handle(message)
         except InputError:
-            self.release()
+            self.release(message.get("index"))
             raise
-        if (self.tool is NO_TOOL) != (self.full.tool is NO_TOOL):  # one body is in the way of its tool
-            self.release()
+        for index, (tool, other) in enumerate(zip(self.tools, self.full.tools, strict=True)):
+            if (tool.active is NO_TOOL) != (other.active is NO_TOOL):  # one body is in the way of its tool
+                self.release(index)
 
     def start(self) -> None:
         """Start both engines."""
@@ -106,11 +114,11 @@ class Comparison(Session):
         super().resume()
 
     def reset(self) -> None:
-        """Set both bodies to rest and put the tool away."""
+        """Set both bodies to rest and put all tools away."""
         self.full.reset()
         super().reset()
 
-    def release(self) -> None:
-        """Put the tool away."""
-        self.full.release()
-        super().release()
+    def release(self, index: int | None = None) -> None:
+        """Put a tool away, by default all."""
+        self.full.release(index)
+        super().release(index)

@@ -11,6 +11,8 @@ from palpate.app.recordings.snapshot import Snapshot
 from palpate.app.recordings.tool_paths import MIN_SNAPSHOTS, TOOL_NAME, make_load
 from palpate.app.train.scene_folder import is_file
 from palpate.arrays import Floats
+from palpate.dynamics.contact.geometry import compute_gaps
+from palpate.dynamics.contact.shapes import make_tool
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.run.model import Model
@@ -72,31 +74,62 @@ def reduced_model(recording: Recording) -> ReducedModel:
     return recording.model
 
 
-def tool_path(recording: Recording) -> tuple[slice, dict[str, Any]]:
-    """Return the range of snapshots with an active tool, and the description of the tool."""
+def tool_path(recording: Recording) -> tuple[slice, list[dict[str, Any]]]:
+    """Return the range of snapshots in which tools are active, and the descriptions of these tools.
+
+    It ends where the first of several tools is released, because a tool cannot leave the full model. A tool that comes
+    later waits where it is put down, clear of the body.
+    """
     reduced_model(recording)
-    active = np.array([snapshot.tool != "none" for snapshot in recording.snapshots])
-    if not active.any():
+    kinds = np.array([[tool.kind for tool in snapshot.tools] for snapshot in recording.snapshots])
+    active = kinds != "none"
+    starts, ends = np.argmax(active, axis=0), len(active) - np.argmax(active[::-1], axis=0)
+    indices: list[int] = np.flatnonzero(active.any(axis=0)).tolist()
+    if not indices:
         raise InputError("recording must have an active tool, got none; record a press or a grasp")
-    first, last = int(np.argmax(active)), len(active) - int(np.argmax(active[::-1]))
-    part = slice(first, last)
-    ends = [tool["start"] for tool in recording.tools[1:]] + [len(active)]
-    tools = [tool for tool, end in zip(recording.tools, ends, strict=True) if tool["start"] < last and end > first]
-    if not active[part].all() or len(tools) > 1:
-        raise InputError(
-            "recording must have a single press or grasp, got a tool that was released or changed; record one at a time"
-        )
-    snapshots, kind = recording.snapshots[part], tools[0]["kind"]
-    _check_path(recording, snapshots, kind)
-    return part, tools[0]
+    part = slice(int(starts[indices].min()), int(ends[indices].min()))
+    tools = [recording.tool_at(part.stop - 1, index) for index in indices]
+    for tool, index in zip(tools, indices, strict=True):
+        held = slice(starts[index], part.stop)
+        if held.start >= held.stop or not active[held, index].all() or tool is not recording.tool_at(held.start, index):
+            raise InputError(
+                "recording must have a single press or grasp of each tool, all at a time, got a tool that was released "
+                "or changed; record one at a time"
+            )
+        if np.any(kinds[held, index] != tool["kind"]):
+            raise InputError(
+                f"tools of the snapshots must all be {tool['kind']!r}, got another one; record the session again"
+            )
+        _check_wait(recording, recording.snapshots[part.start : held.start], recording.snapshots[held.start], tool)
+    _check_path(recording, recording.snapshots[part], tools)
+    return part, tools
 
 
-def _check_path(recording: Recording, snapshots: list[Snapshot], kind: str) -> None:
+def _check_wait(recording: Recording, before: list[Snapshot], first: Snapshot, tool: dict[str, Any]) -> None:
+    """Raise InputError if a tool that waits at its first pose would act on the body in the snapshots before."""
+    model, place = reduced_model(recording), first.tools[tool["index"]]
+    surface, tolerance = Surface(model), MAX_INITIAL_DISPLACEMENT * model.cloud.spacing
+    for snapshot in before:
+        displacements, gaps = snapshot.displacements(surface), np.zeros(len(surface.rest))
+        vertices = np.ascontiguousarray(surface.rest + displacements, dtype=float)
+        if tool["kind"] == "grasp":
+            near = np.linalg.norm(surface.rest - place.position, axis=1) <= tool["radius"]
+            acts = np.abs(displacements[near]).max(initial=0.0) > tolerance
+        else:
+            shape = make_tool(tool["kind"], tool)
+            compute_gaps(shape.kind, np.array(shape.sizes), np.append(place.position, place.quaternion), vertices, gaps)
+            acts = gaps.min() < -tolerance
+        if acts:
+            raise InputError(
+                f"tool {tool['index']} must be clear of the body until it is put down for --full, got the body there; "
+                "put all tools down before the first one presses"
+            )
+
+
+def _check_path(recording: Recording, snapshots: list[Snapshot], tools: list[dict[str, Any]]) -> None:
     """Raise InputError for a path that the full model cannot follow."""
     model, times = reduced_model(recording), np.array([snapshot.time for snapshot in snapshots])
-    if any(snapshot.tool != kind for snapshot in snapshots):
-        raise InputError(f"tools of the snapshots must all be {kind!r}, got another one; record the session again")
-    if kind == "group" and len(model.data.prescribed) != 1:
+    if any(tool["kind"] == "group" for tool in tools) and len(model.data.prescribed) != 1:
         raise InputError(
             f"model must have one prescribed group, got {len(model.data.prescribed)}; record the session again"
         )
@@ -129,10 +162,10 @@ def replay_on_full_model(recording: Recording, model: Model | None = None) -> di
     Returns
     -------
     dict
-        ``"times"`` (f,) [s] of the recording, ``"positions"`` (f, n, 3) [m] of the surface, ``"force"`` (f, 3) [N] on
-        the tool, and ``"errors"``, the result of `replay_errors`.
+        ``"times"`` (f,) [s] of the recording, ``"positions"`` (f, n, 3) [m] of the surface, ``"force"`` (f, t, 3) [N]
+        on the tools, and ``"errors"``, the result of `replay_errors`.
     """
-    part, tool = tool_path(recording)
+    part, tools = tool_path(recording)
     model = model or full_model(reduced_model(recording))
     snapshots = recording.snapshots[part]
     model_times = np.array([snapshot.time for snapshot in snapshots])
@@ -141,21 +174,34 @@ def replay_on_full_model(recording: Recording, model: Model | None = None) -> di
     snapshots = [snapshot for snapshot, kept in zip(snapshots, keep, strict=True) if kept]
     if len(times) < MIN_SNAPSHOTS:
         raise InputError(
-            f"the tool must be active in at least {MIN_SNAPSHOTS} snapshots, got {len(times)}; record for longer"
+            f"the tools must be active in at least {MIN_SNAPSHOTS} snapshots, got {len(times)}; record for longer"
         )
-    load = make_load(recording, tool, snapshots, times)
+    loads = {tool["index"]: _load(recording, tool, snapshots, times) for tool in tools}
     every = float(times[-1] / (len(times) - 1))
-    run = rollout(model, [load], duration=float(times[-1]), every=every)
+    run = rollout(model, list(loads.values()), duration=float(times[-1]), every=every)
     surface = Surface(reduced_model(recording))
     at = np.array([int(np.argmin(np.abs(run.times - t))) for t in times])
     displacements = run.displacements[at][:, surface.nodes]
-    if isinstance(load, Contact):
+    if any(isinstance(load, Contact) for load in loads.values()):
         displacements = np.array([surface.patch_displacements(each) for each in displacements])
-    force = -run.reactions[load.group if isinstance(load, PrescribedMotion) else TOOL_NAME][at]
+    force = np.zeros((len(times), len(snapshots[0].tools), 3))
+    for index, load in loads.items():
+        force[:, index] = -run.reactions[load.group if isinstance(load, PrescribedMotion) else load.name][at]
     return {
         "times": wall, "positions": (surface.rest + displacements).astype(np.float32), "force": force,
         "errors": replay_errors(surface, snapshots, displacements, force, run),
     }  # fmt: skip
+
+
+def _load(recording: Recording, tool: dict[str, Any], snapshots: list[Snapshot], times: Floats) -> Any:
+    """Return the load of a tool from the snapshot on in which it is put down."""
+    shown = [snapshot.tools[tool["index"]] for snapshot in snapshots]
+    start = [each.kind != "none" for each in shown].index(True)
+    if len(shown) - start < 2:
+        raise InputError(
+            f"tool {tool['index']} must be active in at least 2 snapshots, got {len(shown) - start}; record for longer"
+        )
+    return make_load(recording, tool, shown[start:], times[start:], name=f"{TOOL_NAME} {tool['index']}")
 
 
 def replay_errors(
@@ -167,21 +213,22 @@ def replay_errors(
     -------
     dict
         ``"displacement"``: root mean square of the error over that of the displacement, over surface and time.
-        ``"largest"``: largest error of a vertex over the largest displacement. ``"force"``: mean error of the tool's
-        force over the largest force. ``"peak"``: relative error of the largest force. ``"wall_seconds"``: computing
-        time of the full model. ``"seconds"``: duration of the path.
+        ``"largest"``: largest error of a vertex over the largest displacement. ``"force"``: mean error of the force on
+        an active tool over the largest force. ``"peak"``: relative error of the largest force. ``"wall_seconds"``:
+        computing time of the full model. ``"seconds"``: duration of the path.
     """
     recorded = np.array([snapshot.displacements(surface) for snapshot in snapshots])
-    tool_forces = np.array([snapshot.force for snapshot in snapshots])
-    size, peak = float(np.linalg.norm(displacements)), float(np.linalg.norm(force, axis=1).max())
+    tool_forces = np.array([[tool.force for tool in snapshot.tools] for snapshot in snapshots])
+    active = np.array([[tool.kind != "none" for tool in snapshot.tools] for snapshot in snapshots])
+    size, peak = float(np.linalg.norm(displacements)), float(np.linalg.norm(force, axis=2).max())
     if not size > 0 or not peak > 0:
         raise InputError("tool must touch the full model for a comparison, got no contact; record a deeper press")
     largest = float(np.linalg.norm(displacements, axis=2).max())
     return {
         "displacement": float(np.linalg.norm(recorded - displacements)) / size,
         "largest": float(np.linalg.norm(recorded - displacements, axis=2).max()) / largest,
-        "force": float(np.linalg.norm(tool_forces - force, axis=1).mean()) / peak,
-        "peak": float(np.linalg.norm(tool_forces, axis=1).max()) / peak - 1.0,
+        "force": float(np.linalg.norm(tool_forces - force, axis=2)[active].mean()) / peak,
+        "peak": float(np.linalg.norm(tool_forces, axis=2).max()) / peak - 1.0,
         "wall_seconds": float(run.wall_seconds),
         "seconds": float(run.times[-1]),
     }

@@ -11,11 +11,13 @@ from palpate.dynamics.contact.shapes import TOOLS, tool_parameters
 from palpate.dynamics.contact.tool_parameters import friction
 from palpate.faults import InputError
 from palpate.files import json_of, shortened
+from palpate.realtime.contract import MAX_TOOLS
 
-PROTOCOL_VERSION = 2
+PROTOCOL_VERSIONS = (2, 3)
 MAX_MESSAGE_BYTES = 64 * 1024
 MAX_COORDINATE = 1000.0  # [m] of a position; single precision, in which bodies are drawn, has 0.06 mm there
 MAX_TEXT_LENGTH, MAX_TEXTS = 200, 200  # characters; texts of a list
+NO_VIEWERS, VIEWERS_LEFT = "no viewers", "viewers left"  # reasons of a pause
 SEE_DOCS = "see docs/protocol.md"
 MIN_TOOL_SIZE, MAX_TOOL_SIZE = 1e-4, 1.0  # [m]
 MIN_FORCE_RATE, MAX_FORCE_RATE = 1.0, 1000.0  # [Hz] of force frames
@@ -58,6 +60,21 @@ def _whole_number(name: str, value: Any) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**53:
         raise InputError(f"{name} must be a whole number from 0 to 2^53, got {_short(value)}; {SEE_DOCS}")
     return value
+
+
+def _index(name: str, value: Any) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < MAX_TOOLS:
+        raise InputError(f"{name} must be a whole number from 0 to {MAX_TOOLS - 1}, got {_short(value)}; {SEE_DOCS}")
+    return value
+
+
+def _indices(name: str, value: Any) -> list[int]:
+    if not isinstance(value, list) or not 1 <= len(value) <= MAX_TOOLS:
+        raise InputError(f"{name} must be a list of 1 to {MAX_TOOLS} indices, got {_short(value)}; {SEE_DOCS}")
+    indices = [_index(name, entry) for entry in value]
+    if len(set(indices)) < len(indices):
+        raise InputError(f"{name} must be different indices, got {_short(value)}; leave out those that come twice")
+    return indices
 
 
 def _text(name: str, value: Any) -> str:
@@ -141,8 +158,8 @@ _TOOL: dict[str, tuple[Check, Any]] = {
     "stiffness": (_or_none(_number(1.0, 1e4)), None),
     "position": (_vector(3), REQUIRED_FIELD),
     "quaternion": (_unit_quaternion, (1.0, 0.0, 0.0, 0.0)),
-    "sequence": (_whole_number, 0),
-}
+    "sequence": (_whole_number, 0), "index": (_index, 0),
+}  # fmt: skip
 # fields of each type of message: check and default
 FIELDS_BY_MESSAGE: dict[str, dict[str, tuple[Check, Any]]] = {
     "hello": {
@@ -152,10 +169,11 @@ FIELDS_BY_MESSAGE: dict[str, dict[str, tuple[Check, Any]]] = {
     "ack": {"sequence": (_whole_number, REQUIRED_FIELD)},
     "pose": {
         "position": (_vector(3), REQUIRED_FIELD), "quaternion": (_unit_quaternion, (1.0, 0.0, 0.0, 0.0)),
-        "sequence": (_whole_number, 0),
+        "sequence": (_whole_number, 0), "index": (_index, 0),
     },
     "tool": _TOOL,
-    "release": {},
+    "pin": {"index": (_index, 0), "pinned": (_boolean, REQUIRED_FIELD)},
+    "release": {"index": (_index, 0)},
     "drive": {},
     "control": {"action": (_one_of("reset", "pause", "resume"), REQUIRED_FIELD)},
     "speed": {"factor": (_number(0.05, 1.0), REQUIRED_FIELD)},
@@ -165,28 +183,31 @@ FIELDS_BY_MESSAGE: dict[str, dict[str, tuple[Check, Any]]] = {
     "replay": {"action": (_one_of("play", "pause", "seek"), REQUIRED_FIELD), "time": (_number(0.0, 1e6), 0.0)},
     "choose": {"parts": (_texts, REQUIRED_FIELD)},
     "refine": {"action": (_one_of("start", "stop", "use"), REQUIRED_FIELD)},
-    "force": {"rate": (_rate, REQUIRED_FIELD)},
+    "force": {"rate": (_rate, REQUIRED_FIELD), "tools": (_indices, (0,))},
     "latency": {"stamp": (_stamp, None)},
 }  # fmt: skip
+TYPES_OF_VERSION_3, FIELDS_OF_VERSION_3 = ("pin",), ("index", "tools")  # unknown to clients of version 2
 
 
-def parse_message(text: str | bytes) -> Message:
-    """Return a message with all its fields; adds defaults and drops unknown fields."""
+def parse_message(text: str | bytes, version: int = PROTOCOL_VERSIONS[-1]) -> Message:
+    """Return a message with all its fields; adds defaults and drops fields that the version does not have."""
     if isinstance(text, bytes):
         raise InputError("message must be text, got binary data; send JSON as text")
-    return validate_message(json_of(text))
+    return validate_message(json_of(text), version)
 
 
-def validate_message(given: Any) -> Message:
+def validate_message(given: Any, version: int = PROTOCOL_VERSIONS[-1]) -> Message:
     """Return a decoded message with all its fields; see `parse_message`."""
     if not isinstance(given, dict):
         raise InputError(f"message must be a JSON object, got {_short(given)}; {SEE_DOCS}")
     kind = given.get("type")
-    if not isinstance(kind, str) or kind not in FIELDS_BY_MESSAGE:
-        raise InputError(f"type must be one of {', '.join(FIELDS_BY_MESSAGE)}, got {_short(kind)}; {SEE_DOCS}")
+    hidden_types, hidden = (TYPES_OF_VERSION_3, FIELDS_OF_VERSION_3) if version < 3 else ((), ())
+    types = [each for each in FIELDS_BY_MESSAGE if each not in hidden_types]
+    if not isinstance(kind, str) or kind not in types:
+        raise InputError(f"type must be one of {', '.join(types)}, got {_short(kind)}; {SEE_DOCS}")
     message: Message = {"type": kind}
     for name, (check, default) in FIELDS_BY_MESSAGE[kind].items():
-        if name in given:
+        if name in given and name not in hidden:
             message[name] = check(f"{kind}: {name}", given[name])
         elif default is REQUIRED_FIELD:
             raise InputError(f"{kind}: {name} must be given, got nothing; {SEE_DOCS}")

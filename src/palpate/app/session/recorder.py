@@ -18,7 +18,7 @@ from palpate.faults import InputError
 
 JOURNAL_INTERVAL = 0.5  # [s]
 
-NOT_RECORDED = ("position", "quaternion", "active", "outline")  # of the description of a tool
+NOT_RECORDED = ("position", "quaternion", "active", "outline", "pinned")  # of the description of a tool
 
 
 class Recorder:
@@ -27,8 +27,8 @@ class Recorder:
     Parameters
     ----------
     describe_period : function
-        Returns the present snapshot, the description of the selected tool, and the triangles (t, 3, 3) of the cut;
-        called from the recorder's thread.
+        Returns the present snapshot, the descriptions of the selected tools by index, and the triangles (t, 3, 3) of
+        the cut; called from the recorder's thread.
     journal : RecordingJournal
         Receives the snapshots twice a second, and the rest at the end.
     interval : float [s]
@@ -37,7 +37,7 @@ class Recorder:
 
     def __init__(
         self,
-        describe_period: Callable[[], tuple[Snapshot, dict[str, Any], Floats]],
+        describe_period: Callable[[], tuple[Snapshot, list[dict[str, Any]], Floats]],
         journal: RecordingJournal,
         interval: float = RECORDING_INTERVAL,
     ) -> None:
@@ -45,6 +45,7 @@ class Recorder:
         self.times: list[float] = []
         self.snapshots: list[Snapshot] = []
         self.tools: list[dict[str, Any]] = []
+        self._selected: dict[int, dict[str, Any]] = {}  # by index
         self.cuts: list[Cut] = []
         self._triangles: Floats = np.zeros((0, 3, 3))
         self._end = threading.Event()
@@ -92,11 +93,13 @@ class Recorder:
             now = time.monotonic() - start
             if now > MAX_DURATION:  # the machine slept
                 return
-            snapshot, tool, triangles = self._describe_period()
+            snapshot, tools, triangles = self._describe_period()
             self._add_cut(triangles)
-            tool = {name: value for name, value in tool.items() if name not in NOT_RECORDED}
-            if not self.tools or any(self.tools[-1][name] != value for name, value in tool.items()):
-                self.tools.append({**tool, "start": len(self.times)})
+            for index, about in enumerate(tools):
+                tool = {name: value for name, value in about.items() if name not in NOT_RECORDED}
+                if self._selected.get(index) != tool:
+                    self._selected[index] = tool
+                    self.tools.append({**tool, "index": index, "start": len(self.times)})
             self.snapshots.append(snapshot)
             self.times.append(now)
             due = max(due + self._interval, now)

@@ -27,7 +27,7 @@ class SessionRecordings:
     """Recordings of one body, of snapshots that `describe` returns for a `Recorder`."""
 
     def __init__(
-        self, title: str, body: SessionBody, describe: Callable[[], tuple[Snapshot, dict[str, Any], Floats]]
+        self, title: str, body: SessionBody, describe: Callable[[], tuple[Snapshot, list[dict[str, Any]], Floats]]
     ) -> None:
         self._title, self._body, self._describe = title, body, describe
         self.folder = Path("out/view")  # of new files

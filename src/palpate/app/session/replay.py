@@ -30,6 +30,7 @@ class Replay:
         self.duration = float(recording.times[-1])
         self.pause_reason: str | None = None
         self.notifications: list[dict[str, Any]] = []
+        self.devices: dict[int, str] = {}
         self.speed = 1.0
         self._at, self._since, self._playing = 0.0, time.monotonic(), True
 
@@ -59,38 +60,46 @@ class Replay:
             time=float(self.recording.times[frame]),
         )  # fmt: skip
 
+    @property
+    def max_tools(self) -> int:
+        """Number of tools in each snapshot."""
+        return len(self.recording.snapshots[0].tools)
+
     def hello(self) -> dict[str, Any]:
         """Return the constant properties for `hello`."""
+        tools = self._describe_tools()
         return {
-            "tools": [], **describe_tools([]), "tool": self._describe_tool(), "materials": [], "rate": None,
+            "tools": [], **describe_tools([]), "tool": tools[0], "max_tools": len(tools), "all_tools": tools,
+            "materials": [], "rate": None,
             "training_errors": training_errors(self.recording.model),
             "scalars": scalar_descriptions(self.surface), "duration": self.duration,
             "overlay": bool(self.recording.full), "full": isinstance(self.recording.model, EnergySolid),
             "errors": self.recording.full.get("errors"),
         }  # fmt: skip
 
-    def _describe_tool(self) -> dict[str, Any]:
-        frame = self.frame
-        tool = [tool for tool in self.recording.tools if tool["start"] <= frame][-1]
-        snapshot = self.recording.snapshots[frame]
-        return {
-            **tool, "outline": drawn_outline(tool), "active": snapshot.tool != "none",
-            "position": snapshot.position.tolist(), "quaternion": snapshot.quaternion.tolist(),
-        }  # fmt: skip
+    def _describe_tools(self) -> list[dict[str, Any]]:
+        """Return the descriptions of all tools by index."""
+        frame, described = self.frame, []
+        for index, shown in enumerate(self.recording.snapshots[frame].tools):
+            tool = {**self.recording.tool_at(frame, index), "active": shown.kind != "none"}
+            place = {"position": shown.position.tolist(), "quaternion": shown.quaternion.tolist()}
+            described.append({**tool, "outline": drawn_outline(tool), "pinned": shown.pinned, **place})
+        return described
 
     def overlay(self, time: float) -> OverlayState | None:
-        """Return the full model's state at a time of the recording [s], or None without a run."""
+        """Return the full model's state at a time of the recording [s], with the first tool; None without a run."""
         full = self.recording.full
         if not full:
             return None
         nearest = int(np.argmin(np.abs(full["times"] - time)))
-        return OverlayState(full["positions"][nearest], full["force"][nearest])
+        return OverlayState(full["positions"][nearest], full["force"][nearest, 0])
 
     def status(self) -> dict[str, Any]:
         """Return the properties that change rarely, for `status`."""
+        tools = self._describe_tools()
         return {
-            "state": "running" if self._playing else "paused", "tool": self._describe_tool(), "speed": self.speed,
-            "pause_reason": self.pause_reason, "materials": [],
+            "state": "running" if self._playing else "paused", "tool": tools[0], "all_tools": tools,
+            "speed": self.speed, "pause_reason": self.pause_reason, "materials": [],
         }  # fmt: skip
 
     def statistics(self) -> dict[str, Any]:
@@ -135,4 +144,4 @@ class Replay:
         self._playing, self.pause_reason = True, None
 
     def release(self) -> None:
-        """Do nothing: a replay has no tool to release."""
+        """Do nothing: a replay has no tools to release."""

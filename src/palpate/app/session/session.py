@@ -1,4 +1,4 @@
-"""A session: a body in real time, the tool of its user, and recordings; independent of server and page."""
+"""A session: a body in real time, the tools of its user, and recordings; independent of server and page."""
 
 from __future__ import annotations
 
@@ -14,7 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from palpate.app.recordings.snapshot import OverlayState, Snapshot, scalar_descriptions, training_errors
+from palpate.app.common.rotations import compose_rotations
+from palpate.app.recordings.snapshot import (
+    OverlayState,
+    Snapshot,
+    scalar_descriptions,
+    training_errors,
+)
 from palpate.app.recordings.snapshot_arrays import coordinates_type
 from palpate.app.session.bodies import session_body
 from palpate.app.session.messages import MAX_COORDINATE, Message, describe_tools
@@ -24,12 +30,14 @@ from palpate.app.session.tool_control import (
     NO_TOOL,
     WORKSPACE_MARGIN,
     SelectedTool,
+    ToolState,
     ToolWorkspace,
-    compose_rotations,
+    check_clear,
     make_forceps,
     selected_tool,
 )
 from palpate.arrays import Floats
+from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.shapes import Forceps, Tool, make_tool, tool_parameters
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.foundation import Foundation
@@ -55,7 +63,7 @@ MIN_MODULUS_RATIO, MAX_MODULUS_RATIO = 0.25, 4.0  # to the model's own moduli
 
 
 class Session:
-    """A reduced model or a full body in an `Engine`, with the tool of a user.
+    """A reduced model or a full body in an `Engine`, with the tools of a user by index.
 
     Messages must come from one thread at a time; `snapshot` may be called from any thread.
 
@@ -93,8 +101,8 @@ class Session:
         self.body = session_body(model, foundations)
         self.surface = self.body.surface
         self._workspace = ToolWorkspace(self.surface)
-        self.tool = self.selected_tool = self.body.idle_tool
-        self._tool_origin, self._tool_rotation = self.body.home, NO_ROTATION  # when the tool was put down
+        idle = self.body.idle_tool
+        self.tools = [ToolState(idle, idle, self.body.home, NO_ROTATION) for _ in range(self.body.max_tools)]
         self._observable = make_observable(self.body.realtime)
         self.engine = Engine(  # every frame has the trust number
             self._observable, rate, max_speed=MAX_TOOL_SPEED, on_distrust="ignore", history=history, black_box=black_box
@@ -103,7 +111,8 @@ class Session:
         self.speed, self.modulus_ratio = 1.0, 1.0
         self.recordings = SessionRecordings(title, self.body, self._describe_recorded)
         self._paces: deque[tuple[float, int, int]] = deque()  # time [s], periods, dropped periods
-        self._last_pose = -math.inf  # [s]
+        self.devices: dict[int, str] = {}  # haptic devices by the tool that they move
+        self.successor: Session | None = None  # the session that has taken the place of this one
         self._lock, self._last_tick = threading.RLock(), (time.time(), time.monotonic())
 
     # queries
@@ -122,14 +131,20 @@ class Session:
         """Return the results of the last period, from the engine and the observable model."""
         with self._lock:
             reading, observed = self._read_period()
-            return Snapshot(
-                time=reading.time, steps=reading.steps, force=reading.force, moment=reading.moment,
-                stiffness=reading.stiffness, trust=reading.trust, position=self._tool_origin + observed.tool_position,
-                quaternion=compose_rotations(self._tool_rotation, reading.quaternion), sequence=reading.sequence,
-                kinetic=reading.kinetic, strain=reading.strain, computing=reading.computing, lateness=reading.lateness,
-                coordinates=observed.coordinates.astype(coordinates_type(self.model)), state=reading.state,
-                device_force=observed.device_force, contact_nodes=observed.contact_nodes,
-                contact_forces=observed.contact_forces, modulus_ratio=observed.modulus_ratio, tool=self.tool.kind,
+            acts = [tool.active is not NO_TOOL and reading.steps > tool.since for tool in self.tools]
+            tools = [
+                tool.snapshot(*each)
+                for tool, *each in zip(
+                    self.tools, acts, reading.tools, observed.tool_positions, observed.device_forces, strict=True
+                )
+            ]
+            kept = np.array(acts)[observed.contact_tools]
+            return Snapshot.from_tools(
+                tools, time=reading.time, steps=reading.steps, trust=reading.trust, kinetic=reading.kinetic,
+                strain=reading.strain, computing=reading.computing, lateness=reading.lateness, state=reading.state,
+                coordinates=observed.coordinates.astype(coordinates_type(self.model)),
+                contact_nodes=observed.contact_nodes[kept], contact_forces=observed.contact_forces[kept],
+                contact_tools=observed.contact_tools[kept], modulus_ratio=observed.modulus_ratio,
             )  # fmt: skip
 
     def _read_period(self) -> tuple[Reading, Observation]:
@@ -142,25 +157,26 @@ class Session:
 
     def hello(self) -> dict[str, Any]:
         """Return the constant properties for `hello`."""
+        tools = self._describe_period()[1]
         return {
-            "tools": self.tool_kinds, "tool": self._describe_tool(), "materials": self._materials(), "rate": self.rate,
-            "scalars": scalar_descriptions(self.surface), "training_errors": training_errors(self.model),
-            "overlay": False, "full": self.body.is_full, **describe_tools(self.tool_kinds),
+            "tools": self.tool_kinds, "tool": tools[0], "max_tools": self.max_tools, "all_tools": tools,
+            "materials": self._materials(), "rate": self.rate, "scalars": scalar_descriptions(self.surface),
+            "training_errors": training_errors(self.model), "overlay": False, "full": self.body.is_full,
+            **describe_tools(self.tool_kinds),
         }  # fmt: skip
 
     def _materials(self) -> list[dict[str, Any]]:
         return material_sliders(self.model, self.modulus_ratio)
 
-    def _describe_tool(self) -> dict[str, Any]:
-        return self._describe_period()[1]
-
-    def _describe_period(self) -> tuple[Snapshot, dict[str, Any]]:
+    def _describe_period(self) -> tuple[Snapshot, list[dict[str, Any]]]:
+        """Return the present snapshot, and the descriptions of the selected tools by index."""
         with self._lock:
-            now, active = self.snapshot(), self.tool is self.selected_tool
-            return now, self.selected_tool.describe(now.position, now.quaternion, active)
+            now = self.snapshot()
+            shown = zip(self.tools, now.tools, strict=True)
+            return now, [tool.describe(each.position, each.quaternion) for tool, each in shown]
 
-    def _describe_recorded(self) -> tuple[Snapshot, dict[str, Any], Floats]:
-        """Return the present snapshot, the description of the tool, and the triangles of the cut."""
+    def _describe_recorded(self) -> tuple[Snapshot, list[dict[str, Any]], Floats]:
+        """Return the present snapshot, the descriptions of the tools, and the triangles of the cut."""
         return *self._describe_period(), self.body.cut_triangles
 
     def overlay(self, time: float) -> OverlayState | None:
@@ -169,24 +185,26 @@ class Session:
 
     def status(self) -> dict[str, Any]:
         """Return the properties that change rarely, for `status`."""
+        tools = self._describe_period()[1]
         return {
-            "state": self.engine.state, "tool": self._describe_tool(), "speed": self.speed,
+            "state": self.engine.state, "tool": tools[0], "all_tools": tools, "speed": self.speed,
             "pause_reason": self.pause_reason, "recording": self.recordings.is_active,
-            "materials": self._materials(),
+            "materials": self._materials(), "devices": [[index, name] for index, name in sorted(self.devices.items())],
         }  # fmt: skip
 
     def statistics(self) -> dict[str, Any]:
         """Return the deadline statistics since the start, the pace of the last seconds, and the bound of the force.
 
-        The pace is the model time over real time. The error bound [N] is None if it is unknown.
+        The pace is the model time over real time. The error bound [N], the largest of all tools, is None if unknown.
         """
-        statistics, bound = self.engine.statistics(), self.engine.read().force_bound
+        statistics = self.engine.statistics()
         computing = statistics.computing
+        bound = max(tool.force_bound for tool in self.engine.read().tools)
         return {
             "median_ms": 1e3 * computing.percentile(50), "p99_ms": 1e3 * computing.percentile(99),
             "misses": statistics.missed, "periods": statistics.count, "pace": self._recent_pace(statistics),
             "force_bound": bound if math.isfinite(bound) else None,
-            **self.body.statistics(self.selected_tool),
+            **self.body.statistics([tool.selected.kind for tool in self.tools]),
         }  # fmt: skip
 
     def load(self, seconds: float) -> float:
@@ -217,12 +235,16 @@ class Session:
         return list(self.body.tool_kinds)
 
     @property
+    def max_tools(self) -> int:
+        """Number of tools that the body takes at the same time."""
+        return len(self.tools)
+
+    @property
     def is_touched(self) -> bool:
         """Whether a tool touches the body, or is held by its user: it was moved within the last second."""
-        if self.tool is NO_TOOL:
-            return False
-        moved_lately = time.monotonic() - self._last_pose < HOLD_SECONDS
-        return moved_lately or bool(np.any(self.engine.read().force))
+        active = [tool for tool in self.tools if tool.active is not NO_TOOL]
+        moved_lately = any(time.monotonic() - tool.last_pose < HOLD_SECONDS for tool in active)
+        return bool(active) and (moved_lately or any(np.any(each.force) for each in self.engine.read().tools))
 
     # commands
 
@@ -230,11 +252,16 @@ class Session:
         """Execute a validated message of the driver."""
         kind = message["type"]
         if kind == "pose":
+            if message["index"] in self.devices:
+                device = self.devices[message["index"]]
+                raise InputError(f"pose must be of a tool without device, got that of {device}; move another tool")
             self._move_tool(message)
         elif kind == "tool":
             self._select_tool(message)
+        elif kind == "pin":
+            self._pin_tool(message)
         elif kind == "release":
-            self.release()
+            self.release(message["index"])
         elif kind == "control":
             {"reset": self.reset, "pause": self.pause, "resume": self.resume}[message["action"]]()
         elif kind == "material":
@@ -262,7 +289,7 @@ class Session:
         self.recordings.close()
 
     def continue_from(self, former: Session) -> None:
-        """Start in place of another session of the same body: with its selected tool, speed, moduli and pause.
+        """Start in place of another session of the same body: with its selected tools, speed, moduli and pause.
 
         The other session stops, and its recording is written. Its notifications are those of this session from now
         on.
@@ -270,13 +297,15 @@ class Session:
         self.recordings.continue_from(former.recordings)
         state, reason = former.engine.state, former.pause_reason
         former.stop()
-        if former.selected_tool.kind in self.tool_kinds:
-            self.selected_tool = former.selected_tool
+        for tool, before in zip(self.tools, former.tools, strict=False):
+            if before.selected.kind in self.tool_kinds:
+                tool.selected = before.selected
         self.engine.slow_down(former.speed)
         self.speed = former.speed
         if former.modulus_ratio != 1.0 and self._materials():
             self.engine.set_modulus_ratio(former.modulus_ratio)
             self.modulus_ratio = former.modulus_ratio
+        self.devices, former.devices, former.successor = former.devices, {}, self
         self.start()
         if state != "running":
             self.pause(reason)
@@ -296,26 +325,31 @@ class Session:
         self.pause_reason = None
 
     def reset(self) -> None:
-        """Set the body to rest and put the tool away."""
+        """Set the body to rest and put all tools away."""
         with self._lock:
             running = self.engine.state in ("running", "diverged")
             self.engine.pause()
-            self._set_tool(self.body.idle_tool, self._tool_origin, NO_ROTATION)
+            for index, tool in enumerate(self.tools):
+                self._set_tool(index, self.body.idle_tool, tool.origin, NO_ROTATION)
             self.engine.reset()
-            self._observable.set_state(self.body.realtime.rest, np.zeros(3))
+            for tool in self.tools:
+                tool.since = 0
+            self._observable.set_state(self.body.realtime.rest, np.zeros((self.max_tools, 3)))
             if running:
                 self.resume()
 
-    def release(self) -> None:
-        """Put the tool away; a prescribed group returns to its place at rest."""
-        if self.tool is NO_TOOL:
-            return
-        if self.tool is self.body.idle_tool:
-            self.engine.set_pose(np.zeros(3))
-            return
+    def release(self, index: int | None = None) -> None:
+        """Put a tool away, by default all; a prescribed group returns to its place at rest."""
         with self._lock:
-            snapshot = self.snapshot()
-            self._change_tool(NO_TOOL, snapshot.position, snapshot.quaternion)
+            for k in range(self.max_tools) if index is None else [self._checked(index)]:
+                tool = self.tools[k]
+                if tool.active is self.body.idle_tool:
+                    tool.pinned = False
+                    if tool.active is not NO_TOOL:
+                        self.engine.set_pose(np.zeros(3))
+                    continue
+                shown = self.snapshot().tools[k]
+                self._change_tool(k, NO_TOOL, shown.position, shown.quaternion)
 
     def tick(self) -> None:
         """Pause if the machine slept or the program was stopped; to be called several times a second."""
@@ -352,27 +386,50 @@ class Session:
             if running:
                 self.engine.resume()
 
+    def _checked(self, index: int) -> int:
+        """Return the index of a tool; raise InputError for one that this body does not have."""
+        if index >= self.max_tools:
+            raise InputError(f"index must be below {self.max_tools} for this body, got {index}; use another")
+        return index
+
+    def _pin_tool(self, message: Message) -> None:
+        """Let a tool stay where it is, or free it."""
+        with self._lock:
+            tool = self.tools[self._checked(message["index"])]
+            if tool.active is NO_TOOL:
+                raise InputError(
+                    f"pin: index must be of a tool that is put down, got {message['index']}; send 'tool' first"
+                )
+            tool.pinned = message["pinned"]
+
     def _move_tool(self, message: Message) -> None:
-        self._last_pose = time.monotonic()
+        index = self._checked(message["index"])
         position = self._workspace.nearest_position(np.array(message["position"]))
         quaternion = np.array(message["quaternion"])
         with self._lock:
-            if self.tool is NO_TOOL and not self._restore_tool(position, quaternion):
+            tool = self.tools[index]
+            if tool.pinned:
+                raise InputError(f"pose: index must be of a tool that is not pinned, got {index}; unpin it first")
+            tool.last_pose = time.monotonic()
+            if tool.active is NO_TOOL and not self._restore_tool(index, position, quaternion):
                 return
-            rotation = compose_rotations(self._tool_rotation, quaternion, invert_first=True)
-            self.engine.set_pose(position - self._tool_origin, rotation, message["sequence"])
+            rotation = compose_rotations(tool.rotation, quaternion, invert_first=True)
+            self.engine.set_pose(position - tool.origin, rotation, message["sequence"], index)
 
-    def _restore_tool(self, position: Floats, quaternion: Floats) -> bool:
-        """Put the selected tool down again if it is outside the body; return whether it was."""
-        shape = self.selected_tool.shape
-        if shape is None or isinstance(shape, Forceps):
+    def _restore_tool(self, index: int, position: Floats, quaternion: Floats) -> bool:
+        """Put the selected tool down again if it is clear of body and tools there; return whether it was."""
+        tool = self.tools[index].selected
+        if tool.shape is None or isinstance(tool.shape, Forceps):
             return False
-        if not self._workspace.is_outside(self._displacements(), shape, np.concatenate([position, quaternion])):
+        try:
+            self._check_place(index, tool.shape, position, quaternion)
+        except InputError:
             return False
-        self._change_tool(self.selected_tool, position, quaternion)
+        self._change_tool(index, tool, position, quaternion)
         return True
 
     def _select_tool(self, message: Message) -> None:
+        index = self._checked(message["index"])
         if not self.tool_kinds:
             raise InputError("tool must be the model's prescribed group, got another tool; use a model with contact")
         if message["kind"] not in self.tool_kinds:
@@ -381,40 +438,82 @@ class Session:
         position = self._workspace.nearest_position(np.array(message["position"]))
         quaternion = np.array(message["quaternion"])
         shape: Tool
-        if message["kind"] == "grasp":
-            shape, position = make_forceps(self.surface, self._displacements(), position, message["radius"])
-        else:
-            shape = make_tool(message["kind"], message)
-            if not self._workspace.is_outside(self._displacements(), shape, np.concatenate([position, quaternion])):
+        with self._lock:
+            if message["kind"] == "grasp":
+                displacements = self.snapshot().displacements(self.surface).astype(float)
+                shape, position = make_forceps(self.surface, displacements, position, message["radius"])
+            else:
+                shape = make_tool(message["kind"], message)
+            self._check_place(index, shape, position, quaternion)
+            parameters = {name: message[name] for name in tool_parameters()}
+            selected = SelectedTool(message["kind"], shape, message["friction"], message["stiffness"], parameters)
+            self._change_tool(index, selected, position, quaternion, message["sequence"])
+            self.tools[index].selected = selected
+
+    def _check_place(self, index: int, shape: Tool, position: Floats, quaternion: Floats) -> None:
+        """Raise InputError where a tool is inside the body or another tool, or is a second blade."""
+        pose, snapshot = np.concatenate([position, quaternion]), self.snapshot()
+        if not isinstance(shape, Forceps):
+            displacements = snapshot.displacements(self.surface).astype(float)
+            if not self._workspace.is_outside(displacements, shape, pose):
                 raise InputError("tool must be outside the body, got a position inside; put it down outside")
-        parameters = {name: message[name] for name in tool_parameters()}
-        self.selected_tool = SelectedTool(message["kind"], shape, message["friction"], message["stiffness"], parameters)
-        self._change_tool(self.selected_tool, position, quaternion, message["sequence"])
+        for k, (tool, shown) in enumerate(zip(self.tools, snapshot.tools, strict=True)):
+            if k != index and tool.active.shape is not None:
+                check_clear(self.model.cloud.points, shape, pose, k, tool.active.shape, shown)
+
+    def follow_device(self, position: Floats, quaternion: Floats, sequence: int, index: int = 0) -> None:
+        """Move a tool to the pose of a haptic device, in the frame of the body."""
+        self._move_tool({"position": position, "quaternion": quaternion, "sequence": sequence, "index": index})
+
+    def tool_contact(self, index: int = 0) -> dict[str, Any]:
+        """Return what a haptic device needs of a tool: pose, force of the body, contact stiffness, and their age.
+
+        With a virtual coupling the force is that of its spring, and the stiffness that of spring and body in series.
+        """
+        with self._lock:
+            reading, state = self.engine.read(), self.tools[index]
+            tool, each = state.active, reading.tools[index]
+            force: Floats = each.force
+            stiffness: Floats = each.stiffness
+            if tool.stiffness is not None:
+                force = self._observable.observe().device_forces[index]
+                spring = tool.stiffness * np.eye(3)
+                stiffness = np.asarray(tool.stiffness * np.linalg.solve(spring + stiffness, stiffness), dtype=float)
+            return {
+                "steps": reading.steps, "running": reading.state == "running" and tool is not NO_TOOL,
+                "epoch": state.epoch, "force": force.tolist(), "stiffness": stiffness.ravel().tolist(),
+                "position": (state.origin + each.position).tolist(), "sequence": each.sequence,
+                "quaternion": compose_rotations(state.rotation, each.quaternion).tolist(),
+                "selected": state.selected.shape is not None or not self.tool_kinds,
+                "bonded": tool.shape is None or isinstance(tool.shape, Forceps | Blade),
+            }  # fmt: skip
 
     def put_down(self, contact: Contact) -> None:
-        """Put a tool down at its first pose, to which the poses of `palpate.Engine.set_pose` are then relative."""
+        """Put the first tool down at its first pose, to which the poses of `palpate.Engine.set_pose` are relative."""
         pose = contact.poses(np.zeros(1))[0]
-        self.selected_tool = selected_tool(contact)
-        self._change_tool(self.selected_tool, pose[:3], pose[3:])
-
-    def _displacements(self) -> Floats:
-        return self.snapshot().displacements(self.surface).astype(float)
+        self.tools[0].selected = selected_tool(contact)
+        self._change_tool(0, self.tools[0].selected, pose[:3], pose[3:])
 
     def _change_tool(
-        self, tool: SelectedTool, position: Floats, quaternion: Floats, sequence: int | None = None
+        self, index: int, tool: SelectedTool, position: Floats, quaternion: Floats, sequence: int | None = None
     ) -> None:
-        """Replace the tool; the body continues from its present state."""
+        """Replace the tool of an index; the body and the other tools continue from their present state."""
         with self._lock, self._pause_engine():
-            self._set_tool(tool, position, quaternion, self.engine.read().sequence if sequence is None else sequence)
+            sequence = self.engine.read().tools[index].sequence if sequence is None else sequence
+            self._set_tool(index, tool, position, quaternion, sequence)
 
-    def _set_tool(self, tool: SelectedTool, position: Floats, quaternion: Floats, sequence: int = 0) -> None:
+    def _set_tool(
+        self, index: int, tool: SelectedTool, position: Floats, quaternion: Floats, sequence: int = 0
+    ) -> None:
         grasps = isinstance(tool.shape, Forceps)  # forceps rotate the nodes they grasp as much as they are rotated
         rotation = NO_ROTATION if grasps else quaternion
-        self.body.change_tool(tool, np.concatenate([position, rotation]))
-        self._observable.set_coupling(tool.stiffness, HAND_FORCE)
-        self._observable.set_state(self.engine.read().coordinates, np.zeros(3))
-        self.engine.place_tool(np.zeros(3), NO_ROTATION, sequence)
-        self.tool, self._tool_origin, self._tool_rotation = tool, np.array(position), np.array(quaternion)
+        self.body.change_tool(tool, np.concatenate([position, rotation]), index)
+        self._observable.set_coupling(tool.stiffness, HAND_FORCE, index)
+        self._observable.place_tool(index, np.zeros(3))
+        self.engine.place_tool(np.zeros(3), NO_ROTATION, sequence, index)
+        state = self.tools[index]
+        state.active, state.origin, state.rotation = tool, np.array(position), np.array(quaternion)
+        state.since, state.pinned, state.epoch = self.engine.read().steps, False, state.epoch + 1
 
 
 def material_sliders(model: ReducedModel | EnergySolid, ratio: float) -> list[dict[str, Any]]:

@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from palpate.app.common.rotations import compose_rotations
+from palpate.app.recordings.snapshot import ToolSnapshot
 from palpate.arrays import Floats
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import compute_gaps
+from palpate.dynamics.contact.overlap import tools_overlap
 from palpate.dynamics.contact.shapes import TOOLS, Forceps, Sphere, Tool, make_tool, tool_parameters
 from palpate.dynamics.contact.tools import Contact
 from palpate.faults import InputError
 from palpate.realtime.bodies.display_surface import DisplaySurface, fixed_nodes
+from palpate.realtime.record import ToolReading
 
 PAGE_SHAPES = ("sphere", "capsule", "grasp", "scalpel")  # which page/src/toolGlyphs.js draws
 WORKSPACE_MARGIN = 0.3  # [m] around the body
 POINT_RADIUS = 1e-6  # [m] of the point of a blade
+DRAWN_FORCEPS_SHARE = 0.3  # of the radius within which forceps hold nodes: of the ball as which they are drawn
 MAX_PENETRATION = 0.25  # of a vertex into a tool that is put down, as a fraction of the spacing
 NO_ROTATION = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -47,23 +54,40 @@ class SelectedTool:
 NO_TOOL = SelectedTool("none", None)
 
 
+@dataclass
+class ToolState:
+    """The tool of one index: the selected one, the one in the engine, and where that was put down."""
+
+    selected: SelectedTool
+    active: SelectedTool  # `NO_TOOL` while it is put away
+    origin: Floats  # (3,) array [m], to which the engine's displacements are relative
+    rotation: Floats  # (4,) array, to which its rotations are relative
+    since: int = 0  # periods of the engine when it was put down or put away
+    pinned: bool = False  # whether it stays where it is
+    last_pose: float = -math.inf  # [s]: time of the last pose of its user
+    epoch: int = 0  # how often it was put down or away: poses of a device are for one of these times
+
+    def describe(self, position: Floats, quaternion: Floats) -> dict[str, Any]:
+        """Return the description for the protocol; see `SelectedTool.describe`."""
+        active = self.active is self.selected and self.active is not NO_TOOL
+        return {**self.selected.describe(position, quaternion, active), "pinned": self.pinned}
+
+    def snapshot(self, acts: bool, reading: ToolReading, displacement: Floats, device_force: Floats) -> ToolSnapshot:
+        """Return the snapshot of a tool of the engine, without a force where it does not act on the body yet."""
+        force, moment, stiffness = (float(acts) * each for each in (reading.force, reading.moment, reading.stiffness))
+        return ToolSnapshot(
+            force=force, moment=moment, stiffness=stiffness, position=self.origin + displacement,
+            quaternion=compose_rotations(self.rotation, reading.quaternion), sequence=reading.sequence,
+            device_force=float(acts) * device_force, kind=self.active.kind, pinned=self.pinned,
+        )  # fmt: skip
+
+
 def drawn_outline(tool: Mapping[str, Any]) -> list[list[float]] | None:
     """Return the outline of the tool of a message, or none where the page has the shape of its kind."""
     if tool["kind"] not in TOOLS or tool["kind"] in PAGE_SHAPES:
         return None
     outline: list[list[float]] = make_tool(tool["kind"], tool).outline.tolist()
     return outline
-
-
-def compose_rotations(first: Floats, second: Floats, invert_first: bool = False) -> Floats:
-    """Return the quaternion (4,), w x y z, of the second rotation after the first one or its inverse."""
-    a, b, c, d = (-first if invert_first else first).tolist()
-    a = -a if invert_first else a
-    w, x, y, z = second.tolist()
-    return np.array(
-        [w * a - x * b - y * c - z * d, w * b + x * a + y * d - z * c,
-         w * c - x * d + y * a + z * b, w * d + x * c - y * b + z * a]
-    )  # fmt: skip
 
 
 def selected_tool(contact: Contact) -> SelectedTool:
@@ -102,6 +126,36 @@ def make_forceps(
     if fixed_nodes(model)[near].any():
         raise InputError("position of a grasp must be away from the support, got fixed nodes; choose another place")
     return Forceps(radius, tuple(point), np.inf), vertices[vertex].astype(float)
+
+
+def check_clear(points: Floats, tool: Tool, pose: Floats, index: int, other: Tool, shown: ToolSnapshot) -> None:
+    """Raise InputError if a tool in a pose (7,) would be in another one of an index, or a second blade."""
+    if isinstance(tool, Blade) and isinstance(other, Blade):
+        raise InputError(f"tool must be the only scalpel, got a second one; release tool {index} first")
+    if _clash(points, tool, pose, other, np.concatenate([shown.position, shown.quaternion])):
+        raise InputError(f"tool must be clear of tool {index}, got a position inside it; put it down elsewhere")
+
+
+def _clash(points: Floats, tool: Tool, pose: Floats, other: Tool, other_pose: Floats) -> bool:
+    """Return whether two tools in poses (7,) overlap, or are forceps that hold the same of a body's nodes (n, 3) [m].
+
+    Forceps count as the ball as which they are drawn, and a blade as the points of its edge.
+    """
+    if isinstance(tool, Forceps) and isinstance(other, Forceps):
+        held = [np.linalg.norm(points - each.point, axis=1) <= each.radius for each in (tool, other)]
+        if np.any(held[0] & held[1]):
+            return True
+    if isinstance(other, Blade):
+        tool, pose, other, other_pose = other, other_pose, tool, pose
+    first, second = (
+        Sphere(DRAWN_FORCEPS_SHARE * each.radius) if isinstance(each, Forceps) else each for each in (tool, other)
+    )
+    if isinstance(first, Blade):
+        edge = pose[:3] + Rotation.from_quat(pose[3:], scalar_first=True).apply(np.asarray(first.edge, dtype=float))
+        gaps = np.zeros(len(edge))
+        compute_gaps(second.kind, np.array(second.sizes), other_pose, edge, gaps)
+        return bool(gaps.min() < 0)
+    return tools_overlap(first, pose, second, other_pose)
 
 
 class ToolWorkspace:

@@ -16,6 +16,7 @@ from palpate.app.train.campaign import MODEL_FILE, Round
 from palpate.app.train.coverage import coverage, draw_coverage
 from palpate.app.train.folder import HELD_OUT, RECORDED, TRAINED, Folder, Job
 from palpate.app.train.paths import path_of
+from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.run.trajectory import StoredTrajectory
 from palpate.faults import InputError
 from palpate.files import plain
@@ -202,8 +203,10 @@ def _by_load(report: dict[str, Any]) -> dict[str, str]:
     loads_of_runs = [run["loads"] for run in report["runs"] if run["kind"] == HELD_OUT and not run["failed"]]
     errors_by_load: dict[str, list[float]] = {}
     for loads, run in zip(loads_of_runs, report["model"]["held_out"]["runs"], strict=True):
-        for load in dict.fromkeys(loads) if not run["failed"] else ():
-            errors_by_load.setdefault(load, []).append(run["reaction"])
+        tools = [load for load in loads if load in (Contact.__name__, Grasp.__name__)]
+        kinds = ["pair of tools"] if len(tools) > 1 else dict.fromkeys(loads)
+        for kind in kinds if not run["failed"] else ():
+            errors_by_load.setdefault(kind, []).append(run["reaction"])
     return {
         f"error of reaction on the {len(errors)} held-out paths with a {load}, mean; 95 % below": (
             f"{percent(float(np.mean(errors)))}; {percent(float(np.quantile(errors, ERROR_QUANTILE)))}"

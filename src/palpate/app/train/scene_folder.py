@@ -5,12 +5,11 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from platformdirs import user_cache_path
-
 from palpate import __version__
 from palpate.faults import InputError
 from palpate.scenes.names import SceneKind, kind_of
 from palpate.scenes.organ_scene import OrganScene
+from palpate.working_folder import cache_folder
 
 FOLDER_SUFFIX = ".palpate"  # of the folder next to a scene file
 
@@ -18,7 +17,10 @@ FOLDER_SUFFIX = ".palpate"  # of the folder next to a scene file
 def training_folder(scene: OrganScene) -> Path:
     """Return the path of a scene's campaign, which may be missing; a changed scene has another folder."""
     if scene.kind is SceneKind.PACKAGE:
-        return user_cache_path("palpate") / f"{scene.name}-{__version__}-{scene.digest[:8]}"
+        folder = cache_folder()
+        if folder is None:
+            raise InputError("the user must have a home folder, got none; set XDG_CACHE_HOME to a folder of yours")
+        return folder / f"{scene.name}-{__version__}-{scene.digest[:8]}"
     return folder_of_file(Path(scene.name)) / scene.digest[:8]
 
 

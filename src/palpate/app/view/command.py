@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from palpate.app.common.arguments import parse_settings
 from palpate.app.common.console import Console
 from palpate.app.common.exit_status import DONE, FAILED, INTERRUPTED
+from palpate.app.device.options import DeviceOptions, take_device
 from palpate.app.models.subject import Subject, open_subject
 from palpate.app.session.opening import MakeSession, check_record, exit_on_signals, running_session
 from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK, open_listener
@@ -51,14 +52,15 @@ def view(
     The full body of a surface file or a scene file is shown, and the reduced model of a scene of the package or of a
     file. `record` is the file of a recording of the whole session, written when it ends, also by SIGTERM or SIGHUP.
     With `compare` the full model of the reduced model's training scene is stepped, too; `scene`, ``"module:function"``,
-    is the user's own, which the model must name. `shape` has the options of a surface file.
+    is the user's own, which the model must name. `shape` has the options of a surface file, and those of a device
+    (`palpate.app.device.options`).
 
     Returns
     -------
     int
         0; 1 if a recording, or its file for ParaView, was not written.
     """
-    port = integer_in_range("port", port, 1, 65535)
+    port, device = integer_in_range("port", port, 1, 65535), take_device(shape)
     require("websockets", "a page in the browser")
     open_listener(host, port).close()  # refuses a wrong address before a model is trained
     if record is not None:
@@ -80,7 +82,7 @@ def view(
             )
         make = partial(_make_session, title=subject.title, compare=compare, scene=scene)
         name = _durations_name(subject, full, compare)
-        return FAILED if _show(subject, full, make, name, record, place, refine) else DONE
+        return FAILED if _show(subject, full, make, name, record, place, refine, device) else DONE
 
     with exit_on_signals():
         if is_label_map(what) and not shape.get("part"):
@@ -130,12 +132,15 @@ def _show(
     record: Path | None,
     place: Host | tuple[int, str, bool],
     refine: bool,
+    device: DeviceOptions | None,
 ) -> list[str]:
     """Show a body on a page until interrupted, first its surface; return failures of recordings."""
-    from palpate.app.view.compile_ahead import compile_ahead
+    from palpate.app.common.compile_ahead import compile_ahead
+    from palpate.app.view.compile_engine import compile_engine
     from palpate.app.view.server.host import Host, serve
     from palpate.app.view.server.preparation import Preparation
     from palpate.app.view.surroundings import show_surroundings
+    from palpate.parameters import written_section
 
     preparation = Preparation(subject.title, durations_name, _first_surface(subject, full))
     console = Console(preparation.begin)
@@ -150,9 +155,12 @@ def _show(
         try:
             with _end_after_interrupt(patience):
                 tissue = None if scene is None or preparation.code_is_compiled else scene.description.tissue
-                ahead = contextlib.nullcontext() if tissue is None else compile_ahead(tissue)
-                with ahead as wait:
+                with contextlib.ExitStack() as ahead:
+                    wait = None
+                    if tissue is not None:
+                        wait = ahead.enter_context(compile_ahead(compile_engine, written_section(tissue)))
                     session = stack.enter_context(running_session(subject, full, make, console, record, wait))
+                from palpate.app.device.driver import driving
                 from palpate.app.view.refinement import Refinement
 
                 preparation.end()
@@ -166,6 +174,7 @@ def _show(
             refinement = stack.enter_context(contextlib.closing(Refinement(scene, session, console)))
             if refine:
                 refinement.handle("start")
+        stack.enter_context(driving(session, device, console.say))
         host.show(session, refinement)
         try:
             host.wait()

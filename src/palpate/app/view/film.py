@@ -14,6 +14,7 @@ from palpate.app.common.rendering import camera_axes, check_drawing, off_screen,
 from palpate.app.common.shading import (
     INK,
     QUIET,
+    TOOL_COLOURS,
     RefinedSurface,
     colour_map,
     round_up,
@@ -24,6 +25,7 @@ from palpate.app.common.shading import (
 from palpate.app.recordings.cut_surfaces import CutSurfaces
 from palpate.app.recordings.recording import Recording
 from palpate.app.recordings.snapshot import FIELD_UNITS
+from palpate.app.session.tool_control import DRAWN_FORCEPS_SHARE
 from palpate.app.view.server.frames import colour_range
 from palpate.arrays import Floats, Singles
 from palpate.dynamics.contact.blade import Scalpel
@@ -67,10 +69,10 @@ def check_movie(path: Path) -> None:
 
 
 def write_picture(path: Path, recording: Recording, draw: Draw) -> None:
-    """Draw the snapshot of the largest force on the tool, with the full model as a wireframe if it was run."""
+    """Draw the snapshot of the largest force on a tool, with the full model as a wireframe if it was run."""
     import imageio.v3 as imageio
 
-    forces = [float(np.linalg.norm(snapshot.force)) for snapshot in recording.snapshots]
+    forces = [snapshot.largest_force for snapshot in recording.snapshots]
     with whole_file(path) as partial:
         imageio.imwrite(partial, draw(int(np.argmax(forces))))
 
@@ -83,7 +85,7 @@ def write_movie(
     with whole_file(path) as partial, movie_writer(partial) as add:
         for index in range(count):
             at = index / FRAME_RATE
-            add(draw(int(np.searchsorted(recording.times, at, side="right")) - 1))
+            add(draw(max(0, int(np.searchsorted(recording.times, at, side="right")) - 1)))
             if progress is not None:
                 progress(at, at)
 
@@ -180,7 +182,8 @@ class RecordingPlotter:
             shadow(drawn.update(present, displacements, values, self.axes))
             full_model(frame)
             tools(frame)
-            return caption.over(screenshot(plotter), f"Force {np.linalg.norm(snapshot.force):.2f} N")
+            forces = [float(np.linalg.norm(tool.force)) for tool in snapshot.tools if tool.kind != "none"] or [0.0]
+            return caption.over(screenshot(plotter), f"Force {', '.join(f'{force:.2f}' for force in forces)} N")
 
         return draw
 
@@ -190,7 +193,8 @@ class RecordingPlotter:
     def _view(self, rest: Floats) -> tuple[Floats, float]:
         """Return the middle [m] and the width [m] of a view of the body, and of tools that touch it."""
         seen = [rest, *(rest + snapshot.displacements(self.surface) for snapshot in self.sample)]
-        seen += [snapshot.position[None] for snapshot in self.sample if np.any(snapshot.force)]
+        tools = [tool for snapshot in self.sample for tool in snapshot.tools]
+        seen += [tool.position[None] for tool in tools if np.any(tool.force)]
         points = np.concatenate(seen) @ self.axes.T
         low, high = points.min(axis=0), points.max(axis=0)
         across, up, _ = VIEW_MARGIN * (high - low)
@@ -219,34 +223,31 @@ class RecordingPlotter:
         return update
 
     def _add_tools(self, plotter: Any, pyvista: Any) -> Callable[[int], None]:
-        """Add the tools; return a function that shows the tool of a frame."""
-        starts = [tool["start"] for tool in self.recording.tools]
-        meshes: list[tuple[Any, Any, Any, Any] | None] = []
+        """Add the tools; return a function that shows those of a frame."""
+        drawn = []
         for tool in self.recording.tools:
             if tool["kind"] not in TOOLS:
-                meshes.append(None)
                 continue
             if tool["kind"] == "scalpel":
                 solid, normals = scalpel_solid(pyvista, tool["length"])
             else:
-                shown = Sphere(0.3 * tool["radius"]) if tool["kind"] == "grasp" else make_tool(tool["kind"], tool)
-                solid, normals = revolved_solid(pyvista, shown.outline)
+                grasps = tool["kind"] == "grasp"
+                shape = Sphere(DRAWN_FORCEPS_SHARE * tool["radius"]) if grasps else make_tool(tool["kind"], tool)
+                solid, normals = revolved_solid(pyvista, shape.outline)
             solid["colour"] = np.zeros((solid.n_points, 3), dtype=np.uint8)
             actor = plotter.add_mesh(solid, scalars="colour", rgb=True, lighting=False)
-            meshes.append((actor, np.array(solid.points), normals, solid))
+            drawn.append((tool, actor, np.array(solid.points), normals, solid))
 
         def update(frame: int) -> None:
-            snapshot, present = self.recording.snapshots[frame], int(np.searchsorted(starts, frame, side="right")) - 1
-            for index, parts in enumerate(meshes):
-                if parts is None:
-                    continue
-                actor, points, normals, solid = parts
-                actor.visibility = index == present and snapshot.tool != "none"
+            for tool, actor, points, normals, solid in drawn:
+                index = tool["index"]
+                shown = self.recording.snapshots[frame].tools[index]
+                actor.visibility = shown.kind != "none" and self.recording.tool_at(frame, index) is tool
                 if not actor.visibility:
                     continue
-                rotation = Rotation.from_quat(snapshot.quaternion, scalar_first=True)
-                solid.points = snapshot.position + rotation.apply(points)
-                solid["colour"] = shade_tool(rotation.apply(normals), self.axes)
+                rotation = Rotation.from_quat(shown.quaternion, scalar_first=True)
+                solid.points = shown.position + rotation.apply(points)
+                solid["colour"] = shade_tool(rotation.apply(normals), self.axes, TOOL_COLOURS[index])
 
         return update
 

@@ -14,6 +14,7 @@ from palpate.app.common.arguments import (
     whole,
 )
 from palpate.app.common.surface_options import add_surface_options
+from palpate.app.device.options import add_device
 from palpate.scenes.description import Body
 from palpate.scenes.names import listed_scenes
 from palpate.surface.formats.names import listed_formats
@@ -50,6 +51,7 @@ def add_view(commands: Any) -> None:
     _add_address(view)
     text = "record the session, and write it to this file when the session ends"
     add("--record", type=path, metavar="FILE.h5", help=text)
+    add_device(view)
     script = "palpate run SCENE|FILE --script FILE --seconds S, with --full for the full body of a scene file"
     view.moved = dict.fromkeys(("--headless", "--seconds", "--script", "--json"), script)
 

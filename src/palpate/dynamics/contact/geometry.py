@@ -43,7 +43,7 @@ class HeldNodes(NamedTuple):
     reach: NDArray[np.bool_]  # (t, h) bool array: whether a tool acts on a node
     forces: Floats  # (h, 3) array [N]: mean forces in the last step
     impulses: Floats  # (h, 3) array [N s]: their impulses since the start of a call
-    energy: Floats  # (1,) array [J]: of the tissue over the supports after the last step
+    energy: Floats  # (t,) array [J]: of the tissue over the supports under each tool after the last step
 
 
 class Contacts(NamedTuple):
@@ -137,7 +137,7 @@ def held_nodes(nodes: Ints, points: Floats, masses: Floats, rate: float, reach: 
         reach=np.ascontiguousarray(reach),
         forces=np.zeros((len(nodes), 3)),
         impulses=np.zeros((len(nodes), 3)),
-        energy=np.zeros(1),
+        energy=np.zeros(len(reach)),
     )
 
 

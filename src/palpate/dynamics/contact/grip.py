@@ -21,18 +21,24 @@ COUNT, FRESH = range(2)  # entries of `Grip.numbers`
 
 
 class Grip(NamedTuple):
-    """Nodes that forceps hold."""
+    """Nodes that forceps hold, for each of t tools."""
 
-    numbers: Ints  # (2,) array: number of nodes, and 1 until the first period has set their places
-    node: Ints  # (n,) array
-    place: Floats  # (n, 3) array [m]: positions in the tool's frame
-    before: Floats  # (n, 3) array [m/s]: velocities before the kick
-    impulse: Floats  # (n, 3) array [N s]: of the tool on the nodes in the last step
+    numbers: Ints  # (t, 2) array: number of nodes, and 1 until the first period has set their places
+    node: Ints  # (t, n) array
+    place: Floats  # (t, n, 3) array [m]: positions in the tool's frame
+    before: Floats  # (t, n, 3) array [m/s]: velocities before the kick
+    impulse: Floats  # (t, n, 3) array [N s]: of the tool on the nodes in the last step
 
 
-def empty_grip(nodes: int) -> Grip:
-    """Return a grip that holds nothing, of a body with a number of nodes."""
-    return Grip(np.zeros(2, dtype=np.int64), np.zeros(nodes, dtype=np.int64), *np.zeros((3, nodes, 3)))
+def empty_grip(tools: int, nodes: int) -> Grip:
+    """Return a grip of tools that hold nothing, of a body with a number of nodes."""
+    numbers, node = np.zeros((tools, 2), dtype=np.int64), np.zeros((tools, nodes), dtype=np.int64)
+    return Grip(numbers, node, *np.zeros((3, tools, nodes, 3)))
+
+
+def nodes_in_grip(grip: Grip) -> Ints:
+    """Return the nodes that any forceps hold."""
+    return np.concatenate([node[:count] for node, (count, _) in zip(grip.node, grip.numbers, strict=True)])
 
 
 def grasped_nodes(cloud: Cloud, forceps: Forceps, free: Ints) -> Ints:
@@ -57,65 +63,98 @@ def grasped_nodes(cloud: Cloud, forceps: Forceps, free: Ints) -> Ints:
     return nodes
 
 
-def set_grip(grip: Grip, nodes: Ints) -> None:
-    """Hold nodes from the next period on, in the places that they have then."""
-    grip.numbers[:] = len(nodes), 1
-    grip.node[: len(nodes)] = nodes
+def set_grip(grip: Grip, tool: int, nodes: Ints) -> None:
+    """Hold nodes with a tool from the next period on, in the places that they have then."""
+    grip.numbers[tool] = len(nodes), 1
+    grip.node[tool, : len(nodes)] = nodes
 
 
 @kernel_njit(inner=True)
-def begin_grip(grip, points, u, frame):  # type: ignore[no-untyped-def]
-    """Set the places of nodes that were just grasped, for the present frame (3, 4) of the tool."""
-    if grip.numbers[FRESH] == 0:
-        return
-    grip.numbers[FRESH] = 0
-    for k in range(grip.numbers[COUNT]):
-        i = grip.node[k]
-        for c in range(3):
-            grip.place[k, c] = 0.0
-            for d in range(3):
-                grip.place[k, c] += frame[d, c] * (points[i, d] + u[i, d] - frame[d, 3])
+def begin_grip(grip, points, u, frames):  # type: ignore[no-untyped-def]
+    """Set the places of nodes that were just grasped, for the present frames (t, 2, 3, 4) of the tools."""
+    for t in range(grip.numbers.shape[0]):
+        if grip.numbers[t, FRESH] == 0:
+            continue
+        grip.numbers[t, FRESH], frame, place = 0, frames[t, 1], grip.place[t]
+        for k in range(grip.numbers[t, COUNT]):
+            i = grip.node[t, k]
+            for c in range(3):
+                place[k, c] = 0.0
+                for d in range(3):
+                    place[k, c] += frame[d, c] * (points[i, d] + u[i, d] - frame[d, 3])
 
 
 @kernel_njit(inner=True)
 def store_velocities(grip, velocity):  # type: ignore[no-untyped-def]
     """Copy the velocities of the nodes before the kick."""
-    for k in range(grip.numbers[COUNT]):
-        for c in range(3):
-            grip.before[k, c] = velocity[grip.node[k], c]
+    for t in range(grip.numbers.shape[0]):
+        for k in range(grip.numbers[t, COUNT]):
+            for c in range(3):
+                grip.before[t, k, c] = velocity[grip.node[t, k], c]
 
 
 @kernel_njit(inner=True)
 def hold_nodes(grip, contacts, nodes, surface, alpha, step, u, velocity):  # type: ignore[no-untyped-def]
     """Give the nodes the velocities that bring them to their places after their kick.
 
-    Adds the impulse and its moment about the tool's origin to `contacts.tool_impulses`, and sets the nodes' impulses in
-    this step.
+    Adds the impulses and their moments about the tools' origins to `contacts.tool_impulses`, and sets the nodes'
+    impulses in this step to zero, so that those of other tools are added next.
 
     Returns
     -------
     work, lost : float [J]
-        Work of the tool, and changes of the work of surface loads and of the loss by alpha M, which the kick counted
+        Work of the tools, and changes of the work of surface loads and of the loss by alpha M, which the kick counted
         with its own velocities.
     """
-    work, lost, frame, points, sums = 0.0, 0.0, contacts.frames[0, 1], contacts.points, contacts.tool_impulses
-    for k in range(grip.numbers[COUNT]):
-        i = grip.node[k]
-        for c in range(3):
-            arm = frame[c, 0] * grip.place[k, 0] + frame[c, 1] * grip.place[k, 1] + frame[c, 2] * grip.place[k, 2]
-            wanted = (arm + frame[c, 3] - points[i, c] - u[i, c]) / step
-            push = nodes.mass[i] * (1.0 + 0.5 * alpha * step) * (wanted - velocity[i, c])
-            # means of the velocities before the kick, and after it or after all impulses
-            kicked, mean = 0.5 * (grip.before[k, c] + velocity[i, c]), 0.5 * (grip.before[k, c] + wanted)
-            work += push * mean + step * nodes.volumes[i] * surface[i, c] * (mean - kicked)
-            lost += alpha * step * nodes.mass[i] * (mean + kicked) * (mean - kicked)
-            velocity[i, c] = wanted
-            grip.impulse[k, c] = push
-            contacts.step_impulses[i, c] = push
-            sums[0, c] += push
-        for c in range(3):
-            a, b = (c + 1) % 3, (c + 2) % 3
-            arm_a = points[i, a] + u[i, a] + step * velocity[i, a] - frame[a, 3]
-            arm_b = points[i, b] + u[i, b] + step * velocity[i, b] - frame[b, 3]
-            sums[0, 3 + c] += arm_a * grip.impulse[k, b] - arm_b * grip.impulse[k, a]
+    work, lost, points = 0.0, 0.0, contacts.points
+    for t in range(grip.numbers.shape[0]):
+        frame, sums, place, before = contacts.frames[t, 1], contacts.tool_impulses[t], grip.place[t], grip.before[t]
+        impulse = grip.impulse[t]
+        for k in range(grip.numbers[t, COUNT]):
+            i = grip.node[t, k]
+            for c in range(3):
+                arm = frame[c, 0] * place[k, 0] + frame[c, 1] * place[k, 1] + frame[c, 2] * place[k, 2]
+                wanted = (arm + frame[c, 3] - points[i, c] - u[i, c]) / step
+                push = nodes.mass[i] * (1.0 + 0.5 * alpha * step) * (wanted - velocity[i, c])
+                # means of the velocities before the kick, and after it or after all impulses
+                kicked, mean = 0.5 * (before[k, c] + velocity[i, c]), 0.5 * (before[k, c] + wanted)
+                work += push * mean + step * nodes.volumes[i] * surface[i, c] * (mean - kicked)
+                lost += alpha * step * nodes.mass[i] * (mean + kicked) * (mean - kicked)
+                velocity[i, c] = wanted
+                impulse[k, c] = push
+                contacts.step_impulses[i, c] = 0.0
+                sums[c] += push
+            for c in range(3):
+                a, b = (c + 1) % 3, (c + 2) % 3
+                arm_a = points[i, a] + u[i, a] + step * velocity[i, a] - frame[a, 3]
+                arm_b = points[i, b] + u[i, b] + step * velocity[i, b] - frame[b, 3]
+                sums[3 + c] += arm_a * impulse[k, b] - arm_b * impulse[k, a]
     return work, lost
+
+
+@kernel_njit(inner=True)
+def bear_impulses(grip, contacts, step, u, velocity):  # type: ignore[no-untyped-def]
+    """Let the forceps bear what other tools push on their nodes, and set the nodes' impulses in this step.
+
+    Returns
+    -------
+    work : float [J]
+        Of the forceps.
+    """
+    work, points, pushes = 0.0, contacts.points, contacts.step_impulses
+    for t in range(grip.numbers.shape[0]):
+        frame, sums = contacts.frames[t, 1], contacts.tool_impulses[t]
+        for k in range(grip.numbers[t, COUNT]):
+            i = grip.node[t, k]
+            for c in range(3):
+                a, b = (c + 1) % 3, (c + 2) % 3
+                arm_a = points[i, a] + u[i, a] + step * velocity[i, a] - frame[a, 3]
+                arm_b = points[i, b] + u[i, b] + step * velocity[i, b] - frame[b, 3]
+                sums[c] -= pushes[i, c]
+                sums[3 + c] -= arm_a * pushes[i, b] - arm_b * pushes[i, a]
+                work -= pushes[i, c] * velocity[i, c]
+            for c in range(3):
+                together = grip.impulse[t, k, c]
+                grip.impulse[t, k, c] -= pushes[i, c]
+                pushes[i, c] = together
+    return work

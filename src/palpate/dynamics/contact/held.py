@@ -43,9 +43,9 @@ def press_held_nodes(held, kinds, sizes, friction, frames, step, kick, tool_impu
     """
     work, lost = 0.0, 0.0
     held.forces[:] = 0.0
-    held.energy[0] = 0.0
+    held.energy[:] = 0.0
     for t in range(kinds.shape[0]):
-        if kinds[t] == BONDED or kinds[t] == BLADE:
+        if kinds[t] == BONDED or kinds[t] == BLADE or sizes[t, 0] == -np.inf:  # the last are absent tools
             continue
         before, after, origin = frames[t, 0], frames[t, 1], frames[t, 1, :, 3]
         far = sizes[t, 0] + sizes[t, 1] if kinds[t] == CAPSULE else np.inf
@@ -61,7 +61,7 @@ def press_held_nodes(held, kinds, sizes, friction, frames, step, kick, tool_impu
             if last == 0.0:
                 nx, ny, nz = mx, my, mz
             size = 0.5 * held.stiffness[k] * (first + last)
-            held.energy[0] += 0.5 * held.stiffness[k] * last**2
+            held.energy[t] += 0.5 * held.stiffness[k] * last**2
             if size == 0.0:
                 continue
             speed, push = material_velocity(before, after, step, x, y, z), held.forces[k]

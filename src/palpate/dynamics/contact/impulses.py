@@ -26,6 +26,7 @@ import numpy as np
 from numba import prange
 
 from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.dynamics.compiled.reference import reference
 from palpate.dynamics.contact.blade_impulses import clear_sites, push_sites, site_works
 from palpate.dynamics.contact.geometry import chord_depth, coulomb, gap, material_velocity, patch, project, rotation
 from palpate.dynamics.contact.held import press_held_nodes
@@ -84,6 +85,9 @@ def list_near(contacts, margin, u):  # type: ignore[no-untyped-def]
     impulses, near = contacts.patch_impulses, contacts.near
     for t in range(contacts.kind.shape[0]):
         first = contacts.start[t]
+        contacts.near_count[t] = 0
+        if contacts.sizes[t, 0] == -np.inf:  # an absent tool
+            continue
         _mark_near(contacts, t, margin, u, near)
         count = first
         for k in range(first, contacts.start[t + 1]):
@@ -330,7 +334,7 @@ def push_patches(contacts, ends, times, ratio, u, velocity, data):  # type: igno
             works = _add_patch_impulse(contacts, k, ahead, step, kick, u, velocity, (nodes, scratch, gravity, drag))
             tools, lost, loads = tools + works[0], lost + works[1], loads + works[2]
     held = press_held_nodes(
-        contacts.held, contacts.kind, contacts.sizes, contacts.friction, contacts.frames, step, kick,
+        reference(contacts.held), contacts.kind, contacts.sizes, contacts.friction, contacts.frames, step, kick,
         contacts.tool_impulses,
     )  # fmt: skip
     return tools + held[0], lost + held[1], loads

@@ -142,7 +142,7 @@ def kick_nodes(sites, constrained, nodes, scratch, gravity, kick, velocity, alph
     shares = (1.0 - half) / (1.0 + half), kick / (1.0 + half)
     for i in range(sites.kind.shape[0]):
         if sites.kind[i] == FREE:
-            sums = kick_node(i, -1, sites.slide, nodes, scratch, gravity, shares, velocity)
+            sums = kick_node(i, np.int64(-1), sites.slide, nodes, scratch, gravity, shares, velocity)
             work, square = work + sums[0], square + sums[1]
     for i in sites.sliding:
         if sites.kind[i] == SLIDING:

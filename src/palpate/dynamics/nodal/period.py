@@ -6,7 +6,7 @@ costs one evaluation of the force:
 
     v_{n+1/2} = v_{n-1/2} + dt a(u_n + beta v_{n-1/2}),      u_{n+1} = u_n + dt v_{n+1/2}.
 
-The tool moves evenly to its target during a period. The force on it is the mean over the steps of the period. The
+Tools move evenly to their targets during a period. The force on one is the mean over the steps of the period. The
 stable step follows from a power iteration on the present tangent, one iteration every `ESTIMATE_PERIODS`; it is at
 most that at rest. A period in which a node moves too far, or after which the body has more kinetic energy than the
 tool has done work, is repeated: with shorter steps, then with the tool at rest, at last with a body that has lost its
@@ -28,12 +28,20 @@ from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.passes import Formulation, internal_force
 from palpate.dynamics.compiled.reference import reference
 from palpate.dynamics.contact.geometry import Contacts, project
-from palpate.dynamics.contact.grip import COUNT, FRESH, Grip, begin_grip, hold_nodes, store_velocities
+from palpate.dynamics.contact.grip import (
+    COUNT,
+    FRESH,
+    Grip,
+    bear_impulses,
+    begin_grip,
+    hold_nodes,
+    store_velocities,
+)
 from palpate.dynamics.contact.impulses import list_near, push_patches
 from palpate.dynamics.contact.penetration import SLOW_DEPTH, deepest_triangle, way_above_surface
 from palpate.dynamics.loads.prepared import LoadSites
 from palpate.dynamics.loads.supports import FIXED
-from palpate.dynamics.material.relaxation import HistoryCopy, copy_history, copy_values, reset_history
+from palpate.dynamics.material.relaxation import HistoryCopy, copy_field, copy_history, copy_values, reset_history
 from palpate.dynamics.nodal.central_difference import (
     Damping,
     NodalData,
@@ -51,7 +59,7 @@ from palpate.dynamics.nodal.tool_path import (
     frame_way,
     limit_path,
     limit_to_cut,
-    place_tool,
+    place_tools,
     set_path,
     write_place,
 )
@@ -74,13 +82,15 @@ BLOCK_NODES = 256  # nodes of a sum
 
 # entries of `NodalPeriodData.clock`
 BEHIND, STEP, FREQUENCY, UNTIL_ESTIMATE, WORK, LOST, KINETIC_ENERGY, GIVEN, NEXT_BEHIND = range(9)
-REPEATED, GAINED, HELD, ESTIMATE, RESTED, NEAR_MARGIN, CLEAR_WAY, BASE_FREQUENCY = range(9, 17)
+REPEATED, GAINED, HELD, ESTIMATE, RESTED, NEAR_MARGIN, BASE_FREQUENCY = range(9, 16)
+NO_BLADE = -1
 
 
 class ContactReport(NamedTuple):
     """Forces on the patches in contact, as means over the last period."""
 
     node: Ints  # (k,) array: nodes of the patches; one can be there several times
+    tool: Ints  # (k,) array: tools that touch them
     push: Floats  # (k, 3) array [N]
     numbers: Ints  # (3,) array: the first is the number of patches in contact
 
@@ -95,26 +105,29 @@ class NodalPeriodData(NamedTuple):
     sites : LoadSites
         Of supports and foundations.
     contacts : Contacts
-        With one tool.
+        With t tools.
     grip : Grip
         Nodes that forceps hold.
-    clock : (17,) array
+    clock : (16,) array
         Time [s] by which the body is behind, step [s], highest frequency [rad/s], periods until its next
         estimate, work and dissipation since rest, kinetic energy, energy of a state that was given [J], the
         time by which the body will be behind, number of periods that were repeated with shorter steps, gains
         of energy that shorter steps did not cure [J], number of periods in which the tool was held, the last
         estimate of the frequency [rad/s], 1 if the last period left the body at rest, the margin [m] of the
-        list of candidates near the tool, negative without a list, the way [m] of nodes and tool after which the
-        surface can be so deep in the tool that the tool is slowed, and the highest frequency at rest that the
+        list of candidates near the tools, negative without a list, and the highest frequency at rest that the
         present one is based on [rad/s].
+    clear_way : (t,) array [m]
+        Distance that nodes and a tool may move before the surface can be so deep in the tool that it is slowed.
+    late : (t,) array
+        1 for tools that do not reach their target in the present period.
     sums : (b, 5) array
         Sums of every block of nodes.
-    secant : (5, 3) array
-        Contact stiffness [N/m], and position and force of the tool at its last update.
-    tool_force : (12,) array
-        Forces on the tool's coordinates in the last period with a step.
-    path : (6, 3, 4) array
-        Frames of the tool at the start and the end of a period, at zero displacement, before the first
+    secant : (3 t + 3, 3 t) array
+        Contact stiffness [N/m], positions and forces of the tools at its last update, and scratch.
+    tool_force : (12 t,) array
+        Forces on the tools' coordinates in the last period with a step.
+    path : (t, 6, 3, 4) array
+        Frames of each tool at the start and the end of a period, at zero displacement, before the first
         step, where it cut the body last, and where the candidates near it were listed last.
     resting_frequency : float [rad/s]
         Highest frequency at rest, with the tailored mass and foundations.
@@ -122,14 +135,16 @@ class NodalPeriodData(NamedTuple):
         Of the power iteration.
     amplitude : float [m]
         Displacement of its difference quotient.
-    reach, tool_reach, cut_reach : float [m]
-        Largest ways of a node and of the tool in a step, and of the tool from its last cut.
+    reach, tool_reach, blade_reach, cut_reach : float [m]
+        Largest displacements of a node, of a tool and of a blade in a step, and of the blade since its last cut.
+    blade : int
+        Number of the tool that is a blade, or NO_BLADE.
     triangles : (t, 3) array
         Of the surface.
     surface_depth : float [m]
-        Depth of the surface in the tool beyond which the tool is held.
+        Depth of the surface in a tool beyond which the tool is held.
     listed : (n, 3) array [m]
-        Displacements for which the candidates near the tool were listed last.
+        Displacements for which the candidates near the tools were listed last.
     saved : (3, n, 3) array
         Displacements, velocities and the last internal forces at the start of the period.
     saved_work : (2,) array [J]
@@ -147,6 +162,8 @@ class NodalPeriodData(NamedTuple):
     grip: Grip
     scratch: StepScratch
     clock: Floats
+    clear_way: Floats
+    late: Ints
     sums: Floats
     secant: Floats
     tool_force: Floats
@@ -158,7 +175,9 @@ class NodalPeriodData(NamedTuple):
     amplitude: float
     reach: float
     tool_reach: float
+    blade_reach: float
     cut_reach: float
+    blade: int
     triangles: Ints
     surface_depth: float
     listed: Floats
@@ -169,24 +188,30 @@ class NodalPeriodData(NamedTuple):
 
 
 @kernel_njit(inner=True)
-def _pushes(data):  # type: ignore[no-untyped-def]
-    """Return True if the tool moves along its last force on the body."""
+def is_absent(contacts, t):  # type: ignore[no-untyped-def]
+    """Return True for a tool that no point can be in: a place without a tool, or forceps, which hold nodes."""
+    return contacts.sizes[t, 0] == -np.inf
+
+
+@kernel_njit(inner=True)
+def _pushes(data, t):  # type: ignore[no-untyped-def]
+    """Return True if a tool moves along its last force on the body."""
     work = 0.0
     for i in range(3):
-        work += data.tool_force[i] * (data.path[END, i, 3] - data.path[START, i, 3])
+        work += data.tool_force[12 * t + i] * (data.path[t, END, i, 3] - data.path[t, START, i, 3])
     return work > 0.0
 
 
 @kernel_njit(inner=True)
-def _crushes(data):  # type: ignore[no-untyped-def]
-    """Return True if the tool would move on into tissue that is stiff already."""
+def _crushes(data, t):  # type: ignore[no-untyped-def]
+    """Return True if a tool would move on into tissue that is stiff already."""
     if data.clock[ESTIMATE] < MAX_MOVING_RATIO * data.resting_frequency:
         return False
-    return _pushes(data)
+    return _pushes(data, t)
 
 
 @kernel_njit(inner=True)
-def _hold_above_surface(data, u):  # type: ignore[no-untyped-def]
+def _hold_above_surface(data, t, u):  # type: ignore[no-untyped-def]
     """Hold a tool that pushes on where the surface is so deep in it that it would pass between nodes; slow it before.
 
     Returns
@@ -197,35 +222,55 @@ def _hold_above_surface(data, u):  # type: ignore[no-untyped-def]
         Depth of the surface over that where the tool is held; 0 where it is far less.
     """
     contacts, limit = data.contacts, data.surface_depth
-    if contacts.active_count[0] == 0 or data.clock[CLEAR_WAY] > 0.0:
+    if contacts.active_count[0] == 0 or data.clear_way[t] > 0.0 or is_absent(contacts, t):
         return False, 0.0
     least = SLOW_DEPTH * limit
-    depth = deepest_triangle(contacts, 0, data.path[START], data.triangles, u, 0.0)[0]
-    data.clock[CLEAR_WAY] = (least - depth) / contacts.patch_gain
+    depth = deepest_triangle(contacts, t, data.path[t, START], data.triangles, u, 0.0)[0]
+    data.clear_way[t] = (least - depth) / contacts.patch_gain
     if depth <= least:
         return False, 0.0
-    return _pushes(data) and limit_path(data.path, way_above_surface(depth, limit)), depth / limit
+    return _pushes(data, t) and limit_path(data.path[t], way_above_surface(depth, limit)), depth / limit
+
+
+@kernel_njit(inner=True)
+def _choose_paths(data, u, period):  # type: ignore[no-untyped-def]
+    """Mark the tools that are late, and shorten their paths; return the largest depth of `_hold_above_surface`."""
+    deepest = 0.0
+    for t in range(data.path.shape[0]):
+        reach = data.blade_reach if t == data.blade else data.tool_reach
+        late = limit_path(data.path[t], reach * max(1.0, period / data.clock[STEP]))
+        if t == data.blade:
+            late = limit_to_cut(data.path[t], data.cut_reach) or late
+        if _crushes(data, t):
+            copy_values(data.path[t, START], data.path[t, END])
+            late = True
+        held, depth = _hold_above_surface(data, t, u)
+        data.late[t] = 1 if held or late else 0
+        deepest = max(deepest, depth)
+    return deepest
 
 
 @kernel_njit(inner=True)
 def _report_contact(data, duration, report):  # type: ignore[no-untyped-def]
-    """Write the mean force of the tool over a time [s] and those on the patches.
+    """Write the mean forces of the tools over a time [s] and those on the patches.
 
     The forces conjugate to the entries of R - I are G = S R with S the moment's cross product; see
     `palpate.reduction.contact.gauss_seidel.press`.
     """
-    contacts, contact, turned = data.contacts, data.contact_work, data.path[END]
-    for i in range(3):
-        k, m = (i + 1) % 3, (i + 2) % 3
-        report[FORCES + i] = contacts.tool_impulses[0, i] / duration
-        half = 0.5 * contacts.tool_impulses[0, 3 + i] / duration
-        for j in range(3):
-            turn_k, turn_m = 0.0, 0.0  # of R = frame home'
-            for c in range(3):
-                turn_k += turned[k, c] * data.path[HOME, j, c]
-                turn_m += turned[m, c] * data.path[HOME, j, c]
-            report[FORCES + 3 + 3 * m + j] += half * turn_k
-            report[FORCES + 3 + 3 * k + j] -= half * turn_m
+    contacts, contact = data.contacts, data.contact_work
+    for t in range(data.path.shape[0]):
+        first, turned = FORCES + 12 * t, data.path[t, END]
+        for i in range(3):
+            k, m = (i + 1) % 3, (i + 2) % 3
+            report[first + i] = contacts.tool_impulses[t, i] / duration
+            half = 0.5 * contacts.tool_impulses[t, 3 + i] / duration
+            for j in range(3):
+                turn_k, turn_m = 0.0, 0.0  # of R = frame home'
+                for c in range(3):
+                    turn_k += turned[k, c] * data.path[t, HOME, j, c]
+                    turn_m += turned[m, c] * data.path[t, HOME, j, c]
+                report[first + 3 + 3 * m + j] += half * turn_k
+                report[first + 3 + 3 * k + j] -= half * turn_m
     count = 0
     for a in range(contacts.active_count[0]):
         k = contacts.active[a]
@@ -234,15 +279,16 @@ def _report_contact(data, duration, report):  # type: ignore[no-untyped-def]
             ends = contacts.ends[contacts.nodes[k]]
             for e in range(1 if ends[0] == ends[1] else 2):  # half of the push on a middle at each end
                 share = 1.0 if ends[0] == ends[1] else 0.5
-                contact.node[count] = ends[e]
+                contact.node[count], contact.tool[count] = ends[e], contacts.tool[k]
                 for c in range(3):
                     contact.push[count, c] = share * push[c] / data.clock[STEP]
                 count += 1
-    for k in range(data.grip.numbers[COUNT]):
-        contact.node[count] = data.grip.node[k]
-        for c in range(3):
-            contact.push[count, c] = data.grip.impulse[k, c] / data.clock[STEP]
-        count += 1
+    for t in range(data.path.shape[0]):
+        for k in range(data.grip.numbers[t, COUNT]):
+            contact.node[count], contact.tool[count] = data.grip.node[t, k], t
+            for c in range(3):
+                contact.push[count, c] = data.grip.impulse[t, k, c] / data.clock[STEP]
+            count += 1
     contact.numbers[0] = count
 
 
@@ -300,44 +346,71 @@ def _drift_blocks(kind, nodes, damped, surface, step, beta, u, velocity, sums): 
 
 
 @kernel_njit(inner=True)
-def _copy_field(source, target):  # type: ignore[no-untyped-def]
-    """Copy a field (n, 3), in a fifth of the time of `copy_values`."""
-    for i in range(source.shape[0]):
-        for c in range(3):
-            target[i, c] = source[i, c]
-
-
-@kernel_njit(inner=True)
 def _save(data, u, velocity):  # type: ignore[no-untyped-def]
     """Copy the state at the start of a period."""
-    _copy_field(u, data.saved[0])
-    _copy_field(velocity, data.saved[1])
-    _copy_field(data.scratch.previous, data.saved[2])
+    copy_field(u, data.saved[0])
+    copy_field(velocity, data.saved[1])
+    copy_field(data.scratch.previous, data.saved[2])
     copy_history(data.passes[1].history, data.saved_history)
-    copy_values(data.contacts.frames[0, 1], data.path[SAVED])
+    for t in range(data.path.shape[0]):
+        copy_values(data.contacts.frames[t, 1], data.path[t, SAVED])
     data.saved_work[0], data.saved_work[1] = data.clock[WORK], data.clock[LOST]
 
 
 @kernel_njit(inner=True)
 def _restore(data, u, velocity):  # type: ignore[no-untyped-def]
     """Set the state to that at the start of the period; the contact starts from zero impulses."""
-    _copy_field(data.saved[0], u)
-    _copy_field(data.saved[1], velocity)
-    _copy_field(data.saved[2], data.scratch.previous)
+    copy_field(data.saved[0], u)
+    copy_field(data.saved[1], velocity)
+    copy_field(data.saved[2], data.scratch.previous)
     copy_history(data.saved_history, data.passes[1].history)
-    copy_values(data.path[SAVED], data.contacts.frames[0, 1])
+    for t in range(data.path.shape[0]):
+        copy_values(data.path[t, SAVED], data.contacts.frames[t, 1])
     data.contacts.patch_impulses[:], data.contacts.step_impulses[:] = 0.0, 0.0
     data.clock[WORK], data.clock[LOST] = data.saved_work[0], data.saved_work[1]
 
 
 @kernel_njit(inner=True)
-def _way_since_list(data, u, reach):  # type: ignore[no-untyped-def]
-    """Return a bound of the way [m] of a node and a point of the tool since the candidates near it were listed."""
+def _reach(data, t):  # type: ignore[no-untyped-def]
+    """Return the distance [m] from the origin of a tool up to which its way counts for the list of candidates."""
+    contacts = data.contacts
+    return contacts.tool_radius[t] + contacts.search_gap + contacts.patch_radius + max(data.clock[NEAR_MARGIN], 0.0)
+
+
+@kernel_njit(inner=True)
+def _way_since_list(data, u):  # type: ignore[no-untyped-def]
+    """Return a bound of the way [m] of a node and a point of a tool since the candidates were listed."""
     before, largest = data.listed, 0.0
     for i in range(u.shape[0]):
         square = (u[i, 0] - before[i, 0]) ** 2 + (u[i, 1] - before[i, 1]) ** 2 + (u[i, 2] - before[i, 2]) ** 2
         largest = max(largest, square)
-    return np.sqrt(largest) + frame_way(data.path[LISTED_AT], data.contacts.frames[0, 1], reach)
+    farthest = 0.0
+    for t in range(data.path.shape[0]):
+        if not is_absent(data.contacts, t):
+            way = frame_way(data.path[t, LISTED_AT], data.contacts.frames[t, 1], _reach(data, t))
+            farthest = max(farthest, way)
+    return np.sqrt(largest) + farthest
+
+
+@kernel_njit(inner=True)
+def _tool_way(data):  # type: ignore[no-untyped-def]
+    """Return the largest way [m] of a point of a tool in the present step, and note it for each tool."""
+    farthest = 0.0
+    for t in range(data.path.shape[0]):
+        if not is_absent(data.contacts, t):
+            way = frame_way(data.contacts.frames[t, 0], data.contacts.frames[t, 1], _reach(data, t))
+            data.clear_way[t] -= way
+            farthest = max(farthest, way)
+    return farthest
+
+
+@kernel_njit(inner=True)
+def _held_count(grip):  # type: ignore[no-untyped-def]
+    """Return the number of nodes that forceps hold."""
+    count = 0
+    for t in range(grip.numbers.shape[0]):
+        count += grip.numbers[t, COUNT]
+    return count
 
 
 @kernel_njit(inner=True)
@@ -377,8 +450,8 @@ def nodal_period(formulation: Formulation) -> Any:
     -------
     function
         ``advance(data, q, v, target, period, report)`` advances displacements and velocities (3 n,) by about a
-        period [s] while the tool moves evenly to `target` (12,). A tool that is held or late does not reach it:
-        then `target` gets where it is. The entries of the `report` (20,) are those of
+        period [s] while the tools move evenly to `target` (12 t,). A tool that is held or late does not reach it:
+        then `target` gets where it is. The entries of the `report` (8 + 12 t,) are those of
         `palpate.dynamics.run.period_report`. The state is unchanged if the period fails.
     """
     digest = law_digest(__name__, formulation.digest)
@@ -393,7 +466,7 @@ def nodal_period(formulation: Formulation) -> Any:
             for c in range(3):
                 largest = max(largest, abs(vector[i, c]))
         if not 0.0 < largest < np.inf:
-            _copy_field(noise, vector)
+            copy_field(noise, vector)
             largest = 1.0
         moved, largest_moved = scratch.surface, 0.0
         for i in range(u.shape[0]):
@@ -463,7 +536,7 @@ def nodal_period(formulation: Formulation) -> Any:
         """Take the steps of a period; return their number, or -1 if a node moves too far in one."""
         clock, scratch, sites, contacts, path = data.clock, data.scratch, data.sites, data.contacts, data.path
         (body, work), grip, nodes, damping = data.passes, data.grip, data.nodes, data.damping
-        begin_grip(grip, contacts.points, u, contacts.frames[0, 1])
+        begin_grip(grip, contacts.points, u, contacts.frames)
         step, behind = clock[STEP], clock[BEHIND]
         count = int((behind + period) / step * (1.0 + 1e-12))
         if count > MAX_STEPS:
@@ -473,14 +546,11 @@ def nodal_period(formulation: Formulation) -> Any:
             clock[KINETIC_ENERGY], clock[NEXT_BEHIND] = kinetic_energy(nodes, velocity), behind + period
             return 0
         _drift_blocks(sites.kind, nodes, scratch.damped, scratch.surface, 0.0, damping.beta, u, velocity, data.sums)
-        reach = contacts.tool_radius[0] + contacts.search_gap + contacts.patch_radius
-        way = _way_since_list(data, u, reach + max(clock[NEAR_MARGIN], 0.0))
+        way = _way_since_list(data, u)
         for s in range(count):
             share = min(1.0, ((s + 1) * step - behind) / period)
-            place_tool(path, share, contacts.frames[0])
-            moved = frame_way(contacts.frames[0, 0], contacts.frames[0, 1], reach + max(clock[NEAR_MARGIN], 0.0))
-            clock[CLEAR_WAY] -= moved
-            way += moved
+            place_tools(path, share, contacts.frames)
+            way += _tool_way(data)
             after(work, step)
             step_force(scratch.damped, body, work, scratch.force)
             foundation_force(sites, u, velocity, nodes.volumes, scratch.surface)
@@ -495,23 +565,28 @@ def nodal_period(formulation: Formulation) -> Any:
             clock[LOST] += _total(data.sums, 1) + works[1]
             ahead = step * np.sqrt(_largest(data.sums, 4))
             if not way + ahead <= clock[NEAR_MARGIN]:
-                clock[NEAR_MARGIN], clock[CLEAR_WAY], way = data.reach + ahead, 0.0, 0.0
+                clock[NEAR_MARGIN], way = data.reach + ahead, 0.0
                 list_near(contacts, clock[NEAR_MARGIN], u)
-                _copy_field(u, data.listed)
-                copy_values(contacts.frames[0, 1], path[LISTED_AT])
+                copy_field(u, data.listed)
+                for t in range(path.shape[0]):
+                    data.clear_way[t] = 0.0
+                    copy_values(contacts.frames[t, 1], path[t, LISTED_AT])
             works = push_patches(
                 contacts, False, (step, step, step, 0.0), 1.0, u, velocity,
                 (nodes, scratch, damping.alpha, (0.0, 0.0, 0.0)),
             )  # fmt: skip
             clock[WORK] += works[0]
             clock[LOST] += works[1]
+            if _held_count(grip) > 0:
+                clock[WORK] += bear_impulses(grip, contacts, step, u, velocity)
             _drift_blocks(
                 sites.kind, nodes, scratch.damped, scratch.surface, step, damping.beta, u, velocity, data.sums
             )
             moved = step * np.sqrt(_largest(data.sums, 3))
             if not moved < data.reach:
                 return -1
-            clock[CLEAR_WAY] -= moved
+            for t in range(path.shape[0]):
+                data.clear_way[t] -= moved
             way += moved
         clock[KINETIC_ENERGY] = _total(data.sums, 2)
         clock[NEXT_BEHIND] = behind + period - count * step
@@ -536,24 +611,19 @@ def nodal_period(formulation: Formulation) -> Any:
             clock[FREQUENCY], clock[UNTIL_ESTIMATE] = data.resting_frequency, ESTIMATE_PERIODS
             clock[ESTIMATE], clock[NEAR_MARGIN] = data.resting_frequency, -1.0
             contacts.patch_impulses[:], contacts.step_impulses[:] = 0.0, 0.0
-        holds = data.grip.numbers[COUNT] > 0
-        set_path(data.path, target, at_rest and not holds)
-        if at_rest:
-            if holds:  # the nodes as they are at rest
-                copy_values(data.path[HOME], data.path[START])
-                data.grip.numbers[FRESH] = 1
-            copy_values(data.path[START], contacts.frames[0, 1])
+        for t in range(data.path.shape[0]):
+            path, holds = data.path[t], data.grip.numbers[t, COUNT] > 0
+            set_path(path, target[12 * t : 12 * (t + 1)], at_rest and not holds)
+            if at_rest:
+                if holds:  # the nodes as they are at rest
+                    copy_values(path[HOME], path[START])
+                    data.grip.numbers[t, FRESH] = 1
+                copy_values(path[START], contacts.frames[t, 1])
         kinetic = kinetic_energy(data.nodes, velocity)
         clock[GIVEN] += kinetic - clock[KINETIC_ENERGY]  # of velocities that were set
         excess_before = kinetic - (clock[GIVEN] + clock[WORK] - clock[LOST])
         choose_step(data, u)
-        late = limit_path(data.path, data.tool_reach * max(1.0, period / clock[STEP]))
-        late = limit_to_cut(data.path, data.cut_reach) or late
-        if _crushes(data):
-            copy_values(data.path[START], data.path[END])
-            late = True
-        held, depth = _hold_above_surface(data, u)
-        late = held or late
+        depth = _choose_paths(data, u, period)
         _save(data, u, velocity)
         count, frequency_before = -1, clock[FREQUENCY]
         for attempt in range(MAX_ATTEMPTS):
@@ -563,8 +633,9 @@ def nodal_period(formulation: Formulation) -> Any:
                 clock[REPEATED] += 1.0 if attempt == 1 else 0.0
                 set_step(data)
                 if attempt >= HELD_ATTEMPT:
-                    copy_values(data.path[START], data.path[END])
-                    late = True
+                    for t in range(data.path.shape[0]):
+                        copy_values(data.path[t, START], data.path[t, END])
+                        data.late[t] = 1
                 if attempt >= STOPPED_ATTEMPT:
                     clock[LOST] += kinetic_energy(data.nodes, velocity)
                     for i in range(n):
@@ -590,9 +661,12 @@ def nodal_period(formulation: Formulation) -> Any:
             report[STATUS] = 1.0
             return
         clock[BEHIND] = clock[NEXT_BEHIND]
-        if late:
-            clock[HELD] += 1.0
-            write_place(data.path, target)
+        held = False
+        for t in range(data.path.shape[0]):
+            if data.late[t] == 1:
+                held = True
+                write_place(data.path[t], target[12 * t : 12 * (t + 1)])
+        clock[HELD] += 1.0 if held else 0.0
         if count > 0:
             for k in range(FORCES, report.shape[0]):
                 report[k] = 0.0

@@ -162,7 +162,7 @@ def next_contact_state(
             forces=forces,
             impulses=before.impulses + contacts.tool_impulses,
             nodal_impulses=nodal_impulses,
-            held_energy=float(held_record.energy[0]),
+            held_energy=float(held_record.energy.sum()),
         )
     if not len(before.constraint_impulses):
         return after

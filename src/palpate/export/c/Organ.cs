@@ -18,7 +18,8 @@ namespace Palpate
         [DllImport(Library)] static extern long @NAME@_memory_size();
         [DllImport(Library)] static extern long @NAME@_file_size();
 
-        const int Trust = @TRUST_INDEX@, ForceIndex = @FORCE_INDEX@, PositionIndex = @POSITION_INDEX@;
+        const int Trust = @TRUST_INDEX@, HeaderSize = @HEADER_SIZE@, ToolSize = @TOOL_SIZE@;
+        const int ToolForce = @FORCE_INDEX@, ToolPosition = @POSITION_INDEX@;
         IntPtr block, memory;
         readonly double[] numbers = new double[7];
 
@@ -50,16 +51,21 @@ namespace Palpate
 
         ~Organ() { Dispose(); }
 
-        // Take a period of 1 ms towards a pose relative to the tool at rest; returns the status of palpate.h.
-        public int Step(double x, double y, double z, double w = 1, double i = 0, double j = 0, double k = 0)
+        // Request a pose of a tool, from 0, relative to the tool at rest.
+        public void SetPose(int tool, double x, double y, double z, double w = 1, double i = 0, double j = 0, double k = 0)
         {
-            Write("pose", x, y, z, w, i, j, k);
-            return @NAME@_step(memory);
+            var found = Find("pose");
+            if (tool < 0 || tool >= found.rows) throw new ArgumentOutOfRangeException("tool");
+            Marshal.Copy(new double[] { x, y, z, w, i, j, k }, 0, new IntPtr(found.place.ToInt64() + 56 * tool), 7);
         }
 
-        // Put a ball of a radius at a place; later poses are displacements from it.
-        public int SetBall(double radius, double x, double y, double z, double friction = 0)
+        // Take a period of 1 ms towards the requested poses; returns the status of palpate.h.
+        public int Step() { return @NAME@_step(memory); }
+
+        // Put a ball of a radius at a place in place of a tool; later poses are displacements from it.
+        public int SetBall(int tool, double radius, double x, double y, double z, double friction = 0)
         {
+            Marshal.WriteInt64(Find("tool_index").place, tool);
             Marshal.WriteInt64(Find("tool_kind").place, 0);
             Write("tool_sizes", radius, 0, 0);
             Write("tool_friction", friction);
@@ -68,10 +74,10 @@ namespace Palpate
         }
 
         public int Reset() { return @NAME@_reset(memory); }
-        public double[] Force { get { return Read("record", ForceIndex, 3); } }
-        public double[] Position { get { return Read("record", PositionIndex, 3); } }
+        public double[] Force(int tool) { return Read("record", HeaderSize + ToolSize * tool + ToolForce, 3); }
+        public double[] Position(int tool) { return Read("record", HeaderSize + ToolSize * tool + ToolPosition, 3); }
         public double TrustNumber { get { return Read("record", Trust, 1)[0]; } }
-        public double ForceBound { get { return Read("force_bound", 0, 1)[0]; } }
+        public double ForceBound(int tool) { return Read("force_bound", tool, 1)[0]; }
 
         // Positions of the surface, three numbers a vertex.
         public float[] Vertices()

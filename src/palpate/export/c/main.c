@@ -55,7 +55,7 @@ int main(int argc, char **argv) {
     const double radius = @RADIUS@, depth = @DEPTH@, clearance = 0.002, period = 1e-3;
     const char *path = argc > 1 ? argv[1] : "@NAME@.palpate";
     const int count = (int)((argc > 2 ? atof(argv[2]) : 5.0) / period);
-    double *pose, *record, *bound, *tool_pose, *sizes, *computing, *lateness, began, start;
+    double pose[7] = {0, 0, 0, 1, 0, 0, 0}, *record, *bound, *tool_pose, *sizes, *computing, *lateness, began, start;
     int64_t *kind;
     int k, i, missed = 0, status;
     void *block, *memory;
@@ -65,7 +65,6 @@ int main(int argc, char **argv) {
         fprintf(stderr, "%s: %s\n", path, status == PALPATE_BAD_FILE ? "damaged, or of another library" : "no such file");
         return 1;
     }
-    pose = (double *)palpate_array(memory, "pose");
     record = (double *)palpate_array(memory, "record");
     bound = (double *)palpate_array(memory, "force_bound");
     kind = (int64_t *)palpate_array(memory, "tool_kind");
@@ -88,6 +87,7 @@ int main(int argc, char **argv) {
         wait_until(deadline);
         began = now();
         for (i = 0; i < 3; i++) pose[i] = (depth + clearance) * share * share * inward[i];
+        palpate_set_pose(memory, 0, pose);
         status = @NAME@_step(memory);
         if (status) {
             fprintf(stderr, "status %d after %d periods\n", status, k);

@@ -9,8 +9,8 @@ extern "C" {
 #endif
 
 int32_t @NAME@_step(void *memory);     /* take a period towards "pose", and write "record" and "force_bound" */
-int32_t @NAME@_reset(void *memory);    /* body and tool to rest */
-int32_t @NAME@_set_tool(void *memory); /* another tool, from the arrays "tool_..." */
+int32_t @NAME@_reset(void *memory);    /* body and tools to rest */
+int32_t @NAME@_set_tool(void *memory); /* another tool in place of one, from the arrays "tool_..." */
 int32_t @NAME@_vertices(void *memory); /* write "vertices" */
 int32_t @NAME@_check(void *memory);    /* 0 if the memory has the content of this model's file */
 int64_t @NAME@_memory_size(void);

@@ -11,11 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sparse
+from numpy.typing import NDArray
 
 from palpate.arrays import Floats, Ints, Singles
 from palpate.dynamics.solid.model import EnergySolid
+from palpate.meshfree.cut.crossings import first_crossings
 from palpate.meshfree.cut.points import SIGHT_DISTANCE, point_weights
-from palpate.meshfree.cut.surface import first_crossings
 from palpate.realtime.bodies.display_surface import fixed_nodes
 from palpate.realtime.bodies.full_surface import FullSurface
 from palpate.surface.nesting import inside_points
@@ -62,12 +63,14 @@ class CutFullSurface(FullSurface):
         self.fixed = np.concatenate([fixed_nodes(model)[uncut.nodes], np.zeros(len(points), dtype=np.bool_)])
         self._patches = sparse.vstack([model.patches[uncut.nodes], new], format="csr").astype(np.float32)
 
-    def displacements(self, coordinates: Floats, nodes: Ints, forces: Floats, bonded: bool = False) -> Singles:
+    def displacements(
+        self, coordinates: Floats, nodes: Ints, forces: Floats, bonded: NDArray[np.bool_], tools: Ints
+    ) -> Singles:
         """Return the displacements (n, 3) [m] of the vertices; see `FullSurface.displacements`."""
-        result = super().displacements(coordinates, nodes, forces)
-        if bonded:
-            moved = coordinates.reshape(-1, 3).astype(np.float32)
-            result[: self._kept_vertices] = moved[self.nodes[: self._kept_vertices]]
+        moved, kept = coordinates.reshape(-1, 3).astype(np.float32), self._kept_vertices
+        result: Singles = np.ascontiguousarray(self._patches @ moved)
+        held = np.isin(self.nodes[:kept], nodes[bonded]) | (len(bonded) > 0 and bonded.all())
+        result[:kept][held] = moved[self.nodes[:kept][held]]
         return result
 
 

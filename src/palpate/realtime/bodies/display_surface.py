@@ -53,8 +53,10 @@ class DisplaySurface(Protocol):
     def scalars(self) -> tuple[str, ...]:
         """Names of the scalars."""
 
-    def displacements(self, coordinates: Floats, nodes: Ints, forces: Floats, bonded: bool = False) -> Singles:
-        """Return the displacements (n, 3) [m] of the vertices."""
+    def displacements(
+        self, coordinates: Floats, nodes: Ints, forces: Floats, bonded: NDArray[np.bool_], tools: Ints
+    ) -> Singles:
+        """Return the displacements (n, 3) [m] of the vertices; see `Surface.displacements`."""
 
     def scalar(self, name: str, coordinates: Floats, displacements: Singles) -> Singles:
         """Return a number (n,) for every vertex."""
@@ -120,7 +122,9 @@ class Surface:
             None if single or not self._visible.all() else sparse.csr_array(shares, shape=(len(compliance.nodes),) * 2)
         )
 
-    def displacements(self, coordinates: Floats, nodes: Ints, forces: Floats, bonded: bool = False) -> Singles:
+    def displacements(
+        self, coordinates: Floats, nodes: Ints, forces: Floats, bonded: NDArray[np.bool_], tools: Ints
+    ) -> Singles:
         """Return the displacements (n, 3) [m] of the vertices.
 
         Parameters
@@ -130,15 +134,25 @@ class Surface:
             Numbers of the nodes in contact, in the model's contact surface.
         forces : (e, 3) array [N]
             On the patches of surface there, or on the nodes themselves where they are bonded.
-        bonded : bool
-            Whether a tool holds nodes. Otherwise the displacements are those of `patch_displacements`.
+        bonded : (e,) bool array
+            Whether a tool holds the nodes, which are then drawn themselves. Other vertices have the displacements of
+            `patch_displacements`, unless all nodes are held.
+        tools : (e,) int array
+            The tools of the forces.
         """
         displacements = (self._columns @ coordinates.astype(np.float32)).reshape(-1, 3)
-        if len(nodes) and self._contact_displacements is not None:
-            displacements[self._vertex[self._visible]] += self._contact_displacement(nodes, forces, bonded)[
-                self._visible
-            ]
-        return displacements if bonded else self.patch_displacements(displacements)
+        if not len(nodes) or self._contact_displacements is None:
+            return self.patch_displacements(displacements)
+        for tool in np.unique(tools):
+            of_tool = tools == tool
+            moved = self._contact_displacement(nodes[of_tool], forces[of_tool], bool(bonded[of_tool].all()))
+            displacements[self._vertex[self._visible]] += moved[self._visible]
+        if bonded.all():
+            return displacements
+        result = self.patch_displacements(displacements)
+        held = self._vertex[self._compliance_rows[nodes[bonded]]]
+        result[held] = displacements[held]
+        return result
 
     def patch_displacements(self, displacements: Singles) -> Singles:
         """Return the displacements (n, 3) [m] of the patches that tools meet, for those of the vertices."""

@@ -20,10 +20,11 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.blade_sites import AWAY_TOOL, EDGE_SITE, NO_TOOL
+from palpate.dynamics.contact.grip import nodes_in_grip
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.supports import FREE
 from palpate.dynamics.nodal.mass_tailoring import without_nodes
-from palpate.dynamics.nodal.period import LOST, NodalPeriodData
+from palpate.dynamics.nodal.period import LOST, NO_BLADE, NodalPeriodData
 from palpate.dynamics.nodal.tool_path import END, HOME, LAST_CUT
 from palpate.dynamics.run.model import State
 from palpate.dynamics.solid.cutting.blade_cut import advance_blade
@@ -49,6 +50,8 @@ class BladeCutter:
     ----------
     model : EnergySolid
         The body as it is cut now.
+    blade : int
+        Number of the tool that is a blade, or NO_BLADE.
     incision : Incision or None
         Of the present blade.
     cuts : int
@@ -62,12 +65,12 @@ class BladeCutter:
     """
 
     def __init__(self, model: EnergySolid, data: NodalPeriodData) -> None:
-        self.whole_model, self.model, self.data = model, model, data
+        self.whole_model, self.model, self.data, self.blade = model, model, data, NO_BLADE
         self.incision: Incision | None = None
         self.cuts, self.failure, self.wrap = 0, "", lambda data: data
         self.lock = threading.RLock()
         self._contact: Contact | None = None
-        self.seconds, self._tool_reach = FIRST_SECONDS, data.tool_reach
+        self.seconds = FIRST_SECONDS
         self._whole = data.tailoring, data.resting_frequency  # of the body without cuts
         self._is_due, self._is_compiled, self._turned = False, False, 0.0
 
@@ -85,14 +88,17 @@ class BladeCutter:
         edge = (sites.kind == EDGE_SITE) & (sites.tool >= 0)
         return float(sites.limits[edge] @ np.abs(sites.directions[edge, 2]))
 
-    def set_blade(self, blade: Blade | None, pose: Floats) -> None:
-        """Set the tool in a pose (7,): a blade, or None for one that does not cut. The engine must be paused."""
+    def set_blade(self, blade: Blade | None, pose: Floats, tool: int = 0) -> None:
+        """Set a tool in a pose (7,): a blade, or None for one that does not cut. The engine must be paused."""
+        if blade is None and tool != self.blade:
+            return
         with self.lock:
             if blade is not None and not self._is_compiled:
                 self._compile(blade)
             tools = self.data.contacts.sites.tool
             tools[tools != NO_TOOL] = AWAY_TOOL  # the sites of the blade before
             self._contact = None if blade is None else Contact(blade, (pose[:3], pose[3:]), name="blade")
+            self.blade = NO_BLADE if blade is None else tool
             self.incision, self.failure, self._is_due = None, "", True
 
     def _compile(self, blade: Blade) -> None:
@@ -109,13 +115,13 @@ class BladeCutter:
                 frame[2, 3] -= depth * spacing
                 model, incision, sites, _ = advance_blade(model, state, contact, frame.copy(), no_nodes)
                 state = replace(state, incision=incision)
-            turn_pairs(sites, model.cut_state, state.coordinates, points[model.cloud.triangles])
+            turn_pairs(sites, model.cut_state, state.coordinates)
         self._is_compiled = True
 
     def restore(self) -> None:
         """Return to the whole body; the engine must be paused."""
         with self.lock:
-            self.set_blade(None, np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
+            self.set_blade(None, np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), self.blade)
             self.model, self.cuts = self.whole_model, 0
 
     def update(self, coordinates: Floats) -> Any:
@@ -136,9 +142,7 @@ class BladeCutter:
                 if sites is None and not self._is_due:
                     return None
             if sites is None:
-                cloud = self.model.cloud
-                corners = cloud.points[cloud.triangles]
-                sites = face_pairs(self.model.cut_state, coordinates.reshape(-1, 3), corners)
+                sites = face_pairs(self.model.cut_state, coordinates.reshape(-1, 3))
             self._is_due = False
             is_blade = self._contact is not None
             if self.incision is not None:
@@ -152,8 +156,9 @@ class BladeCutter:
                 passes=(self.model.step_body, self.data.passes[1]),
                 taut_passes=(self.model.taut_step_body, self.data.taut_passes[1]),
                 contacts=self.data.contacts._replace(sites=sites),
-                tool_reach=self._reach(),
+                blade_reach=self._reach(),
                 cut_reach=MAX_DISTANCE_OF_A_CUT * self.model.cloud.spacing if is_blade else np.inf,
+                blade=self.blade,
             )
             return self.wrap(self.data)
 
@@ -161,28 +166,25 @@ class BladeCutter:
         """Turn the normals along which the faces of the cut touch each other, now and then."""
         sites, now = self.data.contacts.sites, perf_counter()
         if len(sites.kind) and now - self._turned > TURN_INTERVAL:
-            self._turned, cloud = now, self.model.cloud
-            corners = cloud.points[cloud.triangles]
-            sites.directions[:] = turn_pairs(
-                sites, self.model.cut_state, coordinates.reshape(-1, 3), corners
-            ).directions
+            self._turned = now
+            sites.directions[:] = turn_pairs(sites, self.model.cut_state, coordinates.reshape(-1, 3)).directions
 
     def _reach(self) -> float:
-        """Return the largest displacement [m] of the tool in a step."""
+        """Return the largest displacement [m] of the blade in a step."""
         if self.incision is None or self.incision.hold is None or not len(self.incision.hold.pieces):
-            return self._tool_reach
+            return self.data.tool_reach
         step = self.whole_model.stability.step
-        return min(self._tool_reach, MAX_DISTANCE_OF_A_CUT * self.model.cloud.spacing * step / self.seconds)
+        return min(self.data.tool_reach, MAX_DISTANCE_OF_A_CUT * self.model.cloud.spacing * step / self.seconds)
 
     def _advance(self, contact: Contact, coordinates: Floats) -> tuple[Any, float]:
         """Cut up to the blade; return its new sites or None, and the released energy [J]."""
         u = coordinates.reshape(-1, 3)
         state = State(u, np.zeros_like(u), incision=_constant(self.incision))
-        held = np.flatnonzero(self.data.sites.kind != FREE)
-        before, path = self.model, self.data.path
+        held = np.union1d(np.flatnonzero(self.data.sites.kind != FREE), nodes_in_grip(self.data.grip))
+        before, path = self.model, self.data.path[self.blade]
         frame = path[HOME if self.incision is None else END].copy()
         try:
-            model, incision, sites, released = advance_blade(before, state, contact, frame, held)
+            model, incision, sites, released = advance_blade(before, state, contact, frame, held, self.blade)
         except (CloudError, DivergenceError, InputError) as error:
             self.failure = str(error)
             if self.incision is None:  # cuts nothing, and moves freely

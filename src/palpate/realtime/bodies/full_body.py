@@ -1,4 +1,4 @@
-"""A full body for the engine, with one tool in contact, and the change of that tool."""
+"""A full body for the engine, with tools in contact, and the change of a tool."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import curvatures, rotation
-from palpate.dynamics.contact.grip import empty_grip, grasped_nodes, set_grip
+from palpate.dynamics.contact.grip import COUNT, empty_grip, grasped_nodes, nodes_in_grip, set_grip
 from palpate.dynamics.contact.kinds import CAPSULE, PLANE
 from palpate.dynamics.contact.penetration import MAX_SURFACE_DEPTH
 from palpate.dynamics.contact.tools import Contact, Forceps, Grasp, Sphere, Tool
 from palpate.dynamics.loads.foundation import Foundation
-from palpate.dynamics.loads.supports import FREE
+from palpate.dynamics.loads.supports import FIXED, FREE
 from palpate.dynamics.material.relaxation import history_copy
 from palpate.dynamics.nodal.central_difference import Damping
 from palpate.dynamics.nodal.mass_tailoring import MAX_MODES, PROBE, default_modes, tailored_mass
@@ -27,6 +27,7 @@ from palpate.dynamics.nodal.period import (
     HELD,
     LOST,
     NEAR_MARGIN,
+    NO_BLADE,
     REPEATED,
     STEP,
     ContactReport,
@@ -43,7 +44,10 @@ AWAY_DISTANCE = 1e3  # [m] beyond the body, where a tool stays while forceps hol
 
 
 def full_period(
-    model: NodalModel, contact: Contact | Grasp, foundations: Sequence[Foundation], tailored_modes: int | None
+    model: NodalModel,
+    tools: Sequence[Contact | Grasp],
+    foundations: Sequence[Foundation],
+    tailored_modes: int | None,
 ) -> tuple[object, NodalPeriodData]:
     """Return the compiled period of a full body and its data.
 
@@ -51,10 +55,12 @@ def full_period(
     """
     if not model.conservative:
         raise InputError("model must have the energy form for the engine, got the strong form; leave form= out")
-    tool = contact
-    if isinstance(contact, Grasp) or isinstance(contact.tool, Blade):
-        tool = Contact(Sphere(2 * model.cloud.spacing), np.full(3, model.cloud.points.max() + AWAY_DISTANCE))
-    prepared, work = model.prepare([tool, *foundations]), model.workspace()
+    away = Sphere(2 * model.cloud.spacing), np.full(3, model.cloud.points.max() + AWAY_DISTANCE)
+    touching = [
+        Contact(*away, name=tool.name) if isinstance(tool, Grasp) or isinstance(tool.tool, Blade) else tool
+        for tool in tools
+    ]
+    prepared, work = model.prepare([*touching, *foundations]), model.workspace()
     model.state(prepared)  # refuses a tool inside the body
     sites, contacts = prepared.with_scratch()
     n = len(model.cloud)
@@ -68,10 +74,13 @@ def full_period(
         springs = np.sqrt(np.bincount(sites.foundation_node, sites.foundation_spring * response, minlength=n).max())
         frequency = float(np.hypot(frequency, springs))
         tailoring = tailoring._replace(plain_frequency=float(np.hypot(tailoring.plain_frequency, springs)))
-    path = np.zeros((6, 3, 4))
-    rotation(prepared.schedule(np.zeros(1)).poses[0, 0], path[HOME])
-    path[START], path[END], contacts.frames[0, 1] = path[HOME], path[HOME], path[HOME]
-    entries = 2 * len(contacts.points)  # two for each middle of an edge, and one for each node that forceps hold
+    count = len(tools)
+    path = np.zeros((count, 6, 3, 4))
+    for t, pose in enumerate(prepared.schedule(np.zeros(1)).poses[0]):
+        rotation(pose, path[t, HOME])
+    path[:, START], path[:, END], contacts.frames[:, 1] = path[:, HOME], path[:, HOME], path[:, HOME]
+    # two for each middle of an edge, and one for each node that forceps hold
+    entries = 2 * count * len(contacts.points)
     noise = model.supported.project(np.random.default_rng(0).standard_normal((n, 3)))
     data = NodalPeriodData(
         passes=(model.step_body, work.step_passes),
@@ -80,12 +89,14 @@ def full_period(
         damping=Damping(model.mass_damping, model.stiffness_damping, model.wave_speed),
         sites=sites,
         contacts=contacts,
-        grip=empty_grip(n),
+        grip=empty_grip(count, n),
         scratch=work.step,
         clock=_clock_at_rest(model.stability.step, frequency),
+        clear_way=np.zeros(count),
+        late=np.zeros(count, dtype=np.int64),
         sums=np.zeros((-(-n // BLOCK_NODES), 5)),
-        secant=np.zeros((5, 3)),
-        tool_force=np.zeros(12),
+        secant=np.zeros((3 * count + 3, 3 * count)),
+        tool_force=np.zeros(12 * count),
         path=path,
         tailoring=tailoring,
         resting_frequency=frequency,
@@ -94,7 +105,9 @@ def full_period(
         amplitude=PROBE * model.cloud.spacing,
         reach=MAX_WAY * model.cloud.spacing,
         tool_reach=MAX_TOOL_WAY * model.cloud.spacing,
+        blade_reach=MAX_TOOL_WAY * model.cloud.spacing,
         cut_reach=np.inf,
+        blade=NO_BLADE,
         triangles=np.ascontiguousarray(model.cloud.triangles, dtype=np.int64),
         surface_depth=MAX_SURFACE_DEPTH * model.cloud.spacing,
         listed=np.zeros((n, 3)),
@@ -102,12 +115,16 @@ def full_period(
         saved_work=np.zeros(2),
         saved_history=history_copy(work.passes.history),
         contact_work=ContactReport(
-            np.zeros(entries, dtype=np.int64), np.zeros((entries, 3)), np.zeros(3, dtype=np.int64)
+            node=np.zeros(entries, dtype=np.int64),
+            tool=np.zeros(entries, dtype=np.int64),
+            push=np.zeros((entries, 3)),
+            numbers=np.zeros(3, dtype=np.int64),
         ),
     )  # fmt: skip
-    if isinstance(contact, Grasp):
-        forceps = Forceps(contact.radius, contact.point, contact.until)
-        change_full_tool(model, data, None, forceps, contact.poses(np.zeros(1))[0], 0.0)
+    for t, tool in enumerate(tools):
+        if isinstance(tool, Grasp):
+            forceps = Forceps(tool.radius, tool.point, tool.until)
+            change_full_tool(model, data, None, forceps, tool.poses(np.zeros(1))[0], 0.0, t)
     return nodal_period(model.formulation), data
 
 
@@ -148,8 +165,9 @@ def change_full_tool(
     tool: Tool | None,
     pose: Floats,
     friction: float,
+    index: int = 0,
 ) -> None:
-    """Replace the tool of a full body, as `palpate.realtime.bodies.change_tool.change_tool`."""
+    """Replace a tool of a full body, as `palpate.realtime.bodies.change_tool.change_tool`."""
     contacts, spacing, nodes = data.contacts, model.cloud.spacing, np.zeros(0, dtype=np.int64)
     blade = None
     if isinstance(tool, Blade):
@@ -157,32 +175,45 @@ def change_full_tool(
             raise InputError(
                 "tool must be another than a Blade, got a Blade for a sheet or a body with planes of symmetry"
             )
+        if cutter.blade not in (NO_BLADE, index):
+            raise InputError(
+                f"tools must have one Blade at most, got tool {cutter.blade} as another; put it away first"
+            )
         blade, tool = tool, None
     if isinstance(tool, Forceps):
         if tool.until < np.inf:
             raise InputError(f"until of forceps must be infinite in the engine, got {tool.until:g} s; change the tool")
         nodes, tool = grasped_nodes(model.cloud, tool, data.sites.kind == FREE), None
+        others = [data.grip.node[t, :count] for t, (count, _) in enumerate(data.grip.numbers) if t != index]
+        if np.isin(nodes, np.concatenate([nodes[:0], *others])).any():
+            raise InputError(
+                "point of forceps must be away from other forceps, got nodes that they hold; move the point"
+            )
     if tool is not None and tool.kind != PLANE and tool.sizes[0] < spacing:
         raise InputError(
             f"radius of the tool must be at least the spacing of the body, {1e3 * spacing:.3g} mm, got "
             f"{1e3 * tool.sizes[0]:.3g} mm; use a larger tool or a finer body"
         )
-    set_grip(data.grip, nodes)
-    contacts.kind[0] = CAPSULE if tool is None else tool.kind
-    contacts.sizes[0] = (-np.inf, 0.0, 0.0) if tool is None else tool.sizes  # every point is outside
-    contacts.curvature[0] = curvatures(contacts.kind, contacts.sizes)[0]
-    contacts.tool_radius[0] = 0.0 if tool is None else np.inf
+    contacts.step_impulses[data.grip.node[index, : data.grip.numbers[index, COUNT]]] = 0.0
+    set_grip(data.grip, index, nodes)
+    held = np.isin(contacts.ends, nodes_in_grip(data.grip)).any(axis=1)  # bears what other tools push on it
+    supported = (data.sites.kind[contacts.ends] == FIXED).any(axis=1)
+    contacts.prescribed_until[:] = np.where(held | supported, np.inf, -np.inf)
+    contacts.kind[index] = CAPSULE if tool is None else tool.kind
+    contacts.sizes[index] = (-np.inf, 0.0, 0.0) if tool is None else tool.sizes  # every point is outside
+    contacts.curvature[index] = curvatures(contacts.kind, contacts.sizes)[index]
+    contacts.tool_radius[index] = 0.0 if tool is None else np.inf
     if tool is not None and tool.kind == CAPSULE:
-        contacts.tool_radius[0] = tool.sizes[0] + tool.sizes[1]
-    contacts.friction[0] = friction
-    contacts.patch_impulses[:], contacts.step_impulses[:], contacts.active_count[0] = 0.0, 0.0, 0
-    data.secant[:], data.tool_force[:] = 0.0, 0.0
-    data.clock[LOST] += contacts.held.energy[0]  # of the tissue over supports, which springs back
-    contacts.held.energy[0], contacts.held.forces[:] = 0.0, 0.0
+        contacts.tool_radius[index] = tool.sizes[0] + tool.sizes[1]
+    contacts.friction[index] = friction
+    contacts.patch_impulses[contacts.start[index] : contacts.start[index + 1]] = 0.0
+    data.secant[:], data.tool_force[12 * index : 12 * (index + 1)] = 0.0, 0.0
+    data.clock[LOST] += contacts.held.energy[index]  # of the tissue over supports, which springs back
+    contacts.held.energy[index] = 0.0
     data.contact_work.numbers[:], data.clock[NEAR_MARGIN] = 0, -1.0
-    rotation(pose, data.path[HOME])
+    rotation(pose, data.path[index, HOME])
     if cutter is not None:
-        cutter.set_blade(blade, pose)
+        cutter.set_blade(blade, pose, index)
     for frame in (START, END, LAST_CUT):
-        data.path[frame] = data.path[HOME]
-    contacts.frames[0, 1] = data.path[HOME]
+        data.path[index, frame] = data.path[index, HOME]
+    contacts.frames[index, 1] = data.path[index, HOME]

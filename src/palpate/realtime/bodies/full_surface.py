@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from palpate.arrays import Floats, Ints, Singles
 from palpate.dynamics.solid.model import EnergySolid
@@ -47,13 +48,20 @@ class FullSurface:
         self.fixed = fixed_nodes(model)[self.nodes]
         self._patches = model.patches[self.nodes].astype(np.float32)
 
-    def displacements(self, coordinates: Floats, nodes: Ints, forces: Floats, bonded: bool = False) -> Singles:
+    def displacements(
+        self, coordinates: Floats, nodes: Ints, forces: Floats, bonded: NDArray[np.bool_], tools: Ints
+    ) -> Singles:
         """Return the displacements (n, 3) [m] of the vertices for nodal displacements (3 n,).
 
-        Forceps hold nodes, so under them the vertices are drawn at the nodes (`bonded`).
+        Forceps hold nodes, so these are drawn themselves (`bonded`, as of `Surface.displacements`).
         """
         moved = coordinates.reshape(-1, 3).astype(np.float32)
-        return np.ascontiguousarray(moved[self.nodes] if bonded else self._patches @ moved)
+        if len(bonded) and bonded.all():
+            return np.ascontiguousarray(moved[self.nodes])
+        result: Singles = np.ascontiguousarray(self._patches @ moved)
+        held = np.flatnonzero(np.isin(self.nodes, nodes[bonded]))
+        result[held] = moved[self.nodes[held]]
+        return result
 
     @cached_property
     def _workspace(self) -> Any:

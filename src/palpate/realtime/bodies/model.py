@@ -1,9 +1,10 @@
-"""Real-time models for `palpate.Engine`, with one tool, prescribed or in contact, and springs."""
+"""Real-time models for `palpate.Engine`, with a prescribed group or tools in contact, and springs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import combinations
 from typing import Any, NamedTuple, overload
 
 import numpy as np
@@ -12,14 +13,15 @@ from palpate.arrays import Floats
 from palpate.dynamics.compiled.lanes import LANES
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import rotation
-from palpate.dynamics.contact.tools import Contact, Grasp, Sphere, Tool
+from palpate.dynamics.contact.overlap import tools_overlap
+from palpate.dynamics.contact.tools import Contact, Grasp, Sphere
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.prepared import check_kinds, prepare_loads
 from palpate.dynamics.material.relaxation import history_copy
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.nodal.tool_path import contact_stiffness as nodal_stiffness
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.faults import InputError, number_in_range
+from palpate.faults import InputError, brief, number_in_range
 from palpate.realtime.bodies.change_tool import change_tool
 from palpate.realtime.bodies.full_blade import BladeCutter
 from palpate.realtime.bodies.full_body import change_full_tool, full_period
@@ -33,6 +35,7 @@ from palpate.realtime.bodies.period import (
     period_functions,
     probes,
 )
+from palpate.realtime.contract import MAX_TOOLS
 from palpate.reduction.contact.surface import contact_scratch, rigid_tools
 from palpate.reduction.contact.tangent import contact_stiffness, contact_system
 from palpate.reduction.contact.tools import ContactTools
@@ -59,22 +62,24 @@ class RealtimeModel(NamedTuple):
     data : PeriodData or NodalPeriodData
     rest : (m,) array
         Coordinates at rest.
-    tool : (l, 12) array
+    tool : (l, 12) array, or (t, 12, 12) of t tools in contact
         Map from a rigid pose to the tool coordinates, see `palpate.reduction.hyper.reactions.tool_map`.
     force_bound : function, optional
-        ``force_bound(trust, size)`` returns the error bound [N] of the tool's force, by the largest trust number so
+        ``force_bound(trust, size)`` returns the error bound [N] of a tool's force, by the largest trust number so
         far and the present force [N]. None without held-out runs with tools.
     catch_up : int
         Number of periods by which the engine may be late and still take them all.
     change_tool : function, optional
-        ``change_tool(tool, pose, friction)`` replaces the tool in contact between two periods; the body keeps its state
-        and nothing is compiled. `tool` is a Sphere, Capsule, Plane, Punch, Forceps or None, `pose` (7,) its position
-        [m] and unit quaternion, to which later displacements and rotations are relative. The engine must be paused.
-        A full body also takes a Blade.
+        ``change_tool(tool, pose, friction, index=0)`` replaces a tool in contact between two periods; the body keeps
+        its state, other tools go on, and nothing is compiled. `tool` is a Sphere, Capsule, Plane, Punch, Forceps or
+        None, `pose` (7,) its position [m] and unit quaternion, to which later displacements and rotations are relative.
+        The engine must be paused. A full body also takes a Blade, one at a time.
     cutter : BladeCutter, optional
         Of a solid, which the engine cuts with a blade.
     relaxes : bool
         The tissue has relaxation times; `palpate.Engine` cannot change its moduli.
+    tool_names : tuple of str
+        Names of the tools in contact.
 
     Examples
     --------
@@ -95,9 +100,10 @@ class RealtimeModel(NamedTuple):
     tool: Floats
     force_bound: Callable[[float, float], float] | None = None
     catch_up: int = 0
-    change_tool: Callable[[Tool | None, Floats, float], None] | None = None
+    change_tool: Callable[..., None] | None = None
     cutter: BladeCutter | None = None
     relaxes: bool = False
+    tool_names: tuple[str, ...] = ()
 
 
 @overload
@@ -105,7 +111,7 @@ def realtime_model(
     model: ReducedModel,
     *,
     longest: float = ...,
-    contact: Contact | Grasp | None = ...,
+    contact: Contact | Grasp | Sequence[Contact | Grasp] | None = ...,
     foundations: Sequence[Foundation] = ...,
 ) -> RealtimeModel: ...
 
@@ -114,7 +120,7 @@ def realtime_model(
 def realtime_model(
     model: NodalModel | ReducedModel,
     *,
-    contact: Contact | Grasp | None,
+    contact: Contact | Grasp | Sequence[Contact | Grasp] | None,
     foundations: Sequence[Foundation] = ...,
     tailored_modes: int | None = ...,
 ) -> RealtimeModel: ...
@@ -128,12 +134,12 @@ def realtime_model(
     model: ReducedModel | LinearModel | NodalModel,
     *,
     longest: float = 0.02,
-    contact: Contact | Grasp | None = None,
+    contact: Contact | Grasp | Sequence[Contact | Grasp] | None = None,
     foundations: Sequence[Foundation] = (),
     period: float = 1e-3,
     tailored_modes: int | None = None,
 ) -> RealtimeModel | LinearRealtime:
-    """Return a model for `palpate.Engine`, with one tool that holds the prescribed group or touches the body.
+    """Return a model for `palpate.Engine`, with a tool that holds the prescribed group, or tools that touch the body.
 
     Parameters
     ----------
@@ -141,10 +147,10 @@ def realtime_model(
         A full body has no trust number. Its contact stiffness follows from the tool's displacement and force.
     longest : float [s]
         Longest period that the engine may request.
-    contact : Contact or Grasp, optional
-        The tool in contact. The engine's poses are displacements and rotations from its pose at time 0,
-        the rotations about its position. The trust number then counts the distance from the
-        training states, the displacement of the surface compliance, the speed, and the nearness of the tool to
+    contact : Contact or Grasp, or sequence of up to four, optional
+        The tools in contact, of different names; one Blade at most. The engine's poses are displacements and rotations
+        from a tool's pose at time 0, the rotations about its position. The trust number then counts the distance from
+        the training states, the displacement of the surface compliance, the speed, and the nearness of the tools to
         supports, each over its scale.
     foundations : sequence of Foundation
         Springs between the body and the ground. Other loads are not supported in real time.
@@ -159,7 +165,8 @@ def realtime_model(
     ------
     InputError
         The model was not trained with exactly one prescribed group, or with contact; a load is not a
-        `Foundation`. A linear system does not have exactly one tool, or has other loads.
+        `Foundation`. Tools begin in the body or in each other, have one name, or are more than four. A linear
+        system does not have exactly one tool, or has other loads.
 
     Examples
     --------
@@ -181,64 +188,97 @@ def realtime_model(
                 "linearise the body with one PrescribedMotion or Grasp"
             )
         return linear_realtime(model, period)
+    tools = _tools_in_contact(contact)
     if isinstance(model, NodalModel):
-        return _full_body(model, contact, foundations, tailored_modes)
+        return _full_body(model, tools, foundations, tailored_modes)
     if tailored_modes is not None:
         raise InputError(f"tailored_modes must be left out for a reduced model, got {tailored_modes!r}")
-    return _reduced_body(model, longest, contact, foundations)
+    return _reduced_body(model, longest, tools, foundations)
 
 
-def idle_model(model: ReducedModel | NodalModel, foundations: Sequence[Foundation] = ()) -> RealtimeModel:
-    """Return a model for the engine that takes tools by `RealtimeModel.change_tool`, and has none yet.
+def _tools_in_contact(contact: Contact | Grasp | Sequence[Contact | Grasp] | None) -> tuple[Contact | Grasp, ...]:
+    """Return the tools; raise `InputError` for too many, for two of one name, and for some that begin in each other."""
+    given = () if contact is None else (contact,) if isinstance(contact, Contact | Grasp) else contact
+    if not isinstance(given, Sequence):
+        raise InputError(f"contact must be a Contact or a Grasp, or a list of these, got {brief(contact)}")
+    tools = tuple(given)
+    check_kinds(tools, (Contact, Grasp), "contact")
+    if len(tools) > MAX_TOOLS:
+        raise InputError(f"contact must have at most {MAX_TOOLS} tools, got {len(tools)}; leave out some")
+    names = [tool.name for tool in tools]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"name of every tool must be unique, got {name!r} twice; give one of them name=")
+    blades = [tool.name for tool in tools if isinstance(tool, Contact) and isinstance(tool.tool, Blade)]
+    if len(blades) > 1:
+        raise InputError(f"contact must have one Blade at most, got {', '.join(map(repr, blades))}; leave out one")
+    placed = [(tool, tool.poses(np.zeros(1))[0]) for tool in tools if isinstance(tool, Contact)]
+    for (tool, pose), (other, other_pose) in combinations(placed, 2):
+        if tools_overlap(tool.tool, pose, other.tool, other_pose):
+            raise InputError(f"tools must begin apart, got {tool.name!r} in {other.name!r}; move one of them")
+    return tools
+
+
+def idle_model(
+    model: ReducedModel | NodalModel, foundations: Sequence[Foundation] = (), tools: int = 1
+) -> RealtimeModel:
+    """Return a model for the engine that takes a number of tools by `RealtimeModel.change_tool`, and has none yet.
 
     A reduced model that was trained without tools has its prescribed group as the tool, and no `change_tool`.
     """
     takes_tools = not isinstance(model, ReducedModel) or (
         not model.data.prescribed and model.data.compliance is not None
     )
-    away = model.cloud.points.max(axis=0) + ABSENT_TOOL_DISTANCE
-    contact = Contact(Sphere(model.cloud.spacing), away) if takes_tools else None
-    ready = realtime_model(model, contact=contact, foundations=foundations)
-    if ready.change_tool is not None:
-        ready.change_tool(None, np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), 0.0)
+    away = np.pad(model.cloud.points.max(axis=0), (0, 3 - model.cloud.points.shape[1])) + ABSENT_TOOL_DISTANCE
+    sphere = Sphere(model.cloud.spacing)
+    absent = [Contact(sphere, away + 4 * t * sphere.radius, name=f"tool {t + 1}") for t in range(tools)]
+    ready = realtime_model(model, contact=absent if takes_tools else None, foundations=foundations)
+    for t in range(tools if ready.change_tool is not None else 0):
+        assert ready.change_tool is not None
+        ready.change_tool(None, np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), 0.0, t)
     return ready
 
 
 def _reduced_body(
-    model: ReducedModel, longest: float, contact: Contact | Grasp | None, foundations: Sequence[Foundation]
+    model: ReducedModel, longest: float, tools: tuple[Contact | Grasp, ...], foundations: Sequence[Foundation]
 ) -> RealtimeModel:
     """Return a reduced model for the engine, whose periods are at most `longest` [s]."""
-    check_kinds([] if contact is None else [contact], (Contact, Grasp), "contact")
-    if contact is None and len(model.data.prescribed) != 1:
+    if not tools and len(model.data.prescribed) != 1:
         raise InputError(
             f"model must have one prescribed group for the engine, got {len(model.data.prescribed)}; "
             "train it with prescribed='GROUP', or give a tool with contact="
         )
-    data = _period_data(model, longest, contact, _springs(model, foundations))
+    data = _period_data(model, longest, tools, _springs(model, foundations))
     advance, stiffness = period_functions(model.body.law, model.single)
     bound, relaxes = force_bound(model.data.report), model.material.prony is not None
-    if contact is None:
+    if not tools:
         tool = tool_map(model.body, model.data.prescribed[0])
         return RealtimeModel(advance, stiffness, data, np.zeros(model.count), tool, bound, relaxes=relaxes)
     return RealtimeModel(
-        advance, contact_stiffness, data, np.zeros(model.count), np.eye(12), bound,
-        change_tool=partial(change_tool, data), relaxes=relaxes,
+        advance, contact_stiffness, data, np.zeros(model.count), _pose_coordinates(tools), bound,
+        change_tool=partial(change_tool, data), relaxes=relaxes, tool_names=tuple(tool.name for tool in tools),
     )  # fmt: skip
 
 
+def _pose_coordinates(tools: Sequence[Any]) -> Floats:
+    """Return the map from poses of tools in contact to their coordinates, which are displacement and R - I."""
+    return np.eye(12) if len(tools) == 1 else np.tile(np.eye(12), (len(tools), 1, 1))
+
+
 def _period_data(
-    model: ReducedModel, longest: float, contact: Contact | Grasp | None, all_springs: Springs
+    model: ReducedModel, longest: float, contact: tuple[Contact | Grasp, ...], all_springs: Springs
 ) -> PeriodData:
     """Return the constants and work arrays of a period of a reduced model, with springs on all basis vectors."""
     reduced, count = model.data, model.count
-    surface, home = model.body.surface, np.eye(3, 4)
+    surface, home = model.body.surface, np.tile(np.eye(3, 4), (len(contact), 1, 1))
     tools, contact_work = rigid_tools(None, surface), contact_scratch(surface, 0)
-    if contact is not None:
-        contact_tools = ContactTools(surface, model.prepare([contact]))
+    if contact:
+        contact_tools = ContactTools(surface, model.prepare(list(contact)))
         contact_tools.initial_state(lambda: np.zeros((len(model.cloud), 3)), 0.0, model.cloud.spacing)
         tools, contact_work = contact_tools.tools, contact_tools.scratch
-        rotation(contact_tools.prepared.schedule(np.zeros(1)).poses[0, 0], home)
-        tools.path[:, :, 3] = home[:, 3]
+        for t, pose in enumerate(contact_tools.prepared.schedule(np.zeros(1)).poses[0]):
+            rotation(pose, home[t])
+        tools.path[:, :, :, 3] = home[:, None, :, 3]
     number_in_range("step", model.step or longest, longest / MAX_SUBSTEPS, unit="s")
     steps = int(np.ceil(longest / (model.step or longest)))
     springs = all_springs.of(np.arange(count))
@@ -283,7 +323,7 @@ def _period_data(
         tools=tools,
         home=home,
         system=contact_system(
-            surface.columns[:, :, modes], model.body.mass[modes, modes], len(contact_work.active.node)
+            surface.columns[:, :, modes], model.body.mass[modes, modes], len(contact_work.active.node), len(contact)
         ),
         start=PeriodStart(
             history=history_copy(points_scratch.history),
@@ -295,21 +335,25 @@ def _period_data(
 
 
 def _full_body(
-    model: NodalModel, contact: Contact | Grasp | None, foundations: Sequence[Foundation], tailored_modes: int | None
+    model: NodalModel,
+    tools: tuple[Contact | Grasp, ...],
+    foundations: Sequence[Foundation],
+    tailored_modes: int | None,
 ) -> RealtimeModel:
     """Return a full body for the engine."""
-    if contact is None:
+    if not tools:
         raise InputError("contact must be a Contact or a Grasp for a full body in the engine, got none; give contact=")
-    check_kinds([contact], (Contact, Grasp), "contact")
     _check_foundations(foundations)
-    advance, data = full_period(model, contact, foundations, tailored_modes)
+    advance, data = full_period(model, tools, foundations, tailored_modes)
     cutter = BladeCutter(model, data) if isinstance(model, EnergySolid) and not model.planes else None
     change = partial(change_full_tool, model, data, cutter)
-    if isinstance(contact, Contact) and isinstance(contact.tool, Blade):
-        change(contact.tool, contact.poses(np.zeros(1))[0], 0.0)
+    for t, tool in enumerate(tools):
+        if isinstance(tool, Contact) and isinstance(tool.tool, Blade):
+            change(tool.tool, tool.poses(np.zeros(1))[0], 0.0, t)
     return RealtimeModel(
-        advance, nodal_stiffness, data, np.zeros(3 * len(model.cloud)), np.eye(12),
+        advance, nodal_stiffness, data, np.zeros(3 * len(model.cloud)), _pose_coordinates(tools),
         catch_up=CATCH_UP, change_tool=change, cutter=cutter, relaxes=model.material.prony is not None,
+        tool_names=tuple(tool.name for tool in tools),
     )  # fmt: skip
 
 
@@ -330,6 +374,7 @@ def _indicator(model: ReducedModel, springs: Springs) -> IndicatorData:
         flexibility_scale=model.data.flexibility_scale,
         speed_scale=model.data.speed_scale,
         nearness_scale=model.data.nearness_scale,
+        trained_tools=model.data.trained_tools,
         nearness=nearness_to_supports(model.cloud, model.supports, model.body.surface.nodes),
         body_mass=float(model.masses.sum()),
         residual_fields=_residual_fields(model, springs),

@@ -17,27 +17,28 @@ from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.lanes import column_work
 from palpate.dynamics.contact.penetration import MAX_SURFACE_DEPTH
-from palpate.dynamics.material.relaxation import HistoryCopy, copy_history, copy_values, reset_history
+from palpate.dynamics.material.relaxation import HistoryCopy, copy_field, copy_history, copy_values, reset_history
 from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN, TRUST
 from palpate.reduction.contact.gauss_seidel import (
     approach_speed,
     compliance_energy,
     contact_nearness,
     press,
-    set_tool_path,
+    set_tool_paths,
+    tool_energy,
 )
 from palpate.reduction.contact.penetration import hold_above_surface, store_depths
 from palpate.reduction.contact.surface import PAIRS, ContactScratch, ContactSurface, RigidTools
 from palpate.reduction.contact.tangent import ContactSystem
 from palpate.reduction.galerkin.central_difference import drift, kick_coordinates, trial_coordinates
-from palpate.reduction.hyper.error_indicator import touch_speed
+from palpate.reduction.hyper.error_indicator import touch_speed, trust_of_tools
 from palpate.reduction.hyper.foundation import Springs, add_spring_forces
 from palpate.reduction.hyper.implicit import FORCE as NEWTON_FORCE
 from palpate.reduction.hyper.implicit import LOAD as NEWTON_LOAD
 from palpate.reduction.hyper.implicit import RATE as NEWTON_RATE
 from palpate.reduction.hyper.implicit import ImplicitData, cholesky_factor, cholesky_solve, implicit_step
 from palpate.reduction.hyper.material_point import MaterialPoint
-from palpate.reduction.hyper.sampled_energy import Scratch, collect_forces, sampled_energy, scratch
+from palpate.reduction.hyper.sampled_energy import ProbeScratches, collect_forces, sampled_energy, scratch
 
 STEP_SAFETY = 0.8  # explicit step over the stable one, whose frequency one power iteration a period estimates
 MAX_SUBSTEPS = 1000  # explicit steps in a period
@@ -80,6 +81,7 @@ class IndicatorData(NamedTuple):
     speed_scale: float  # [m/s]
     nearness_scale: float  # see `palpate.reduction.hyper.data.ReducedData`
     nearness: Floats  # (k,) array: of the surface nodes to supports
+    trained_tools: int  # largest number of tools in contact at once in the held-out runs
     body_mass: float  # [kg]
     residual_fields: ResidualFields
 
@@ -89,14 +91,14 @@ class Probes(NamedTuple):
 
     rows: Floats  # (2, m)
     forces: Floats  # (3, m)
-    scratches: tuple[Scratch, Scratch, Scratch]
+    scratches: ProbeScratches
 
 
 def probes(body: ImplicitData) -> Probes:
     """Return zeroed probes of a body; the first scratch is that of its steps."""
     count, points = len(body.mass), body.integration_points
     along_shape, along_column = (scratch(points, body.scratch.history) for _ in range(2))
-    return Probes(np.zeros((2, count)), np.zeros((3, count)), (body.scratch, along_shape, along_column))
+    return Probes(np.zeros((2, count)), np.zeros((3, count)), ProbeScratches(body.scratch, along_shape, along_column))
 
 
 class PeriodStart(NamedTuple):
@@ -128,12 +130,12 @@ class PeriodData(NamedTuple):
     path: Floats
     holds: NDArray[np.bool_]
     no_loads: Floats
-    # contact_surface, contact_work, tools: of a tool in contact (`palpate.reduction.contact.gauss_seidel`); empty for a
+    # contact_surface, contact_work, tools: of tools in contact (`palpate.reduction.contact.gauss_seidel`); empty for a
     # prescribed group
     contact_surface: ContactSurface
     contact_work: ContactScratch
     tools: RigidTools
-    home: Floats  # (3, 4) array [-], [m]: rotation and position of that tool at zero displacement
+    home: Floats  # (t, 3, 4) array [-], [m]: rotations and positions of those tools at zero displacement
     system: ContactSystem  # of the contact stiffness (`palpate.reduction.contact.tangent`)
     start: PeriodStart  # from which a period is repeated
 
@@ -149,8 +151,10 @@ def save_start(data):  # type: ignore[no-untyped-def]
     """Save history variables and contact at the start of a period."""
     contact, start = data.contact_work, data.start
     copy_history(data.body.scratch.history, start.history)
-    copy_values(contact.force, start.force)
-    copy_values(contact.place, start.place)
+    for t in range(data.tools.kind.shape[0]):
+        if data.tools.sizes[t, 0] != -np.inf:  # an absent tool has no forces
+            copy_field(contact.force[t], start.force[t])
+            copy_field(contact.place[t], start.place[t])
     copy_values(data.tools.frames, start.frames)
 
 
@@ -159,8 +163,10 @@ def restore_start(data):  # type: ignore[no-untyped-def]
     """Restore what `save_start` has saved."""
     contact, start = data.contact_work, data.start
     copy_history(start.history, data.body.scratch.history)
-    copy_values(start.force, contact.force)
-    copy_values(start.place, contact.place)
+    for t in range(data.tools.kind.shape[0]):
+        if data.tools.sizes[t, 0] != -np.inf:
+            copy_field(start.force[t], contact.force[t])
+            copy_field(start.place[t], contact.place[t])
     copy_values(start.frames, data.tools.frames)
     contact.busy[:] = True
 
@@ -436,7 +442,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             data.system.numbers[:] = 0
             data.tracking[ENERGY] = 0.0
         change_rates(data, q, v, target, period)
-        set_tool_path(data.tools, data.home, target, at_rest)
+        set_tool_paths(data.tools, data.home, target, at_rest)
         hold_above_surface(data.contact_surface, data.contact_work, data.tools, data.home, target)
         save_start(data)
         attempts = 1 if data.step > 0.0 else MAX_ATTEMPTS
@@ -454,7 +460,9 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             else:
                 taken = substeps(data, q, v, vectors[TOOL_RATES], period, report, refinement)
             flexible = compliance_energy(data.contact_surface, data.contact_work)
-            over_supports = data.tools.held.energy[0]
+            over_supports = 0.0
+            for energy in data.tools.held.energy:
+                over_supports += energy
             good = taken > 0 and finish(data, q, v, target, period, report, flexible + over_supports)
             if good or taken == MAX_SUBSTEPS:
                 break
@@ -468,18 +476,26 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         report[TRUST] = distance(data, q)
         if has_residual_fields(data):
             report[TRUST] = max(report[TRUST], residual_norm(data, q, v))
-        speed = np.sqrt(2.0 * report[KINETIC] / data.indicator.body_mass)
+        touching = np.sqrt(2.0 * report[KINETIC] / data.indicator.body_mass)
         between = 0.0  # depth of the surface between nodes, where the tool is not trusted
+        nearest, tools_in_contact = 0.0, 0
         if data.tools.kind.shape[0] > 0:
-            speed = approach_speed(data.tools, data.contact_work.force, period)
+            touching = 0.0
+            for t in range(data.tools.kind.shape[0]):
+                near, touches = contact_nearness(data.indicator.nearness, data.contact_work, t)
+                nearest, tools_in_contact = max(nearest, near), tools_in_contact + touches
+                speed = approach_speed(data.contact_work, data.tools.path[t], period, t)
+                energy = tool_energy(data.contact_surface, data.contact_work, t)
+                touching = max(touching, touch_speed(speed, energy, data.indicator.flexibility_scale))
             store_depths(data.contact_surface, data.contact_work, data.tools)
-            between = data.contact_work.depth[0] / (MAX_SURFACE_DEPTH * data.contact_surface.spacing)
-        nearness = contact_nearness(data.indicator.nearness, data.contact_work.force)
+            for depth in data.contact_work.depth:
+                between = max(between, depth / (MAX_SURFACE_DEPTH * data.contact_surface.spacing))
         report[TRUST] = max(
             report[TRUST],
             np.sqrt(flexible / data.indicator.flexibility_scale),
-            touch_speed(speed, flexible, data.indicator.flexibility_scale) / data.indicator.speed_scale,
-            nearness / data.indicator.nearness_scale,
+            touching / data.indicator.speed_scale,
+            nearest / data.indicator.nearness_scale,
+            trust_of_tools(tools_in_contact, data.indicator.trained_tools),
             between if between > 1.0 else 0.0,
         )
         report[STEPS] = taken

@@ -279,7 +279,7 @@ def energy_factor(stiffening, force):  # type: ignore[no-untyped-def]
 
 def contact_displacements(
     compliance: SurfaceCompliance, points: Floats, pushes: Floats, bonded: Sequence[bool]
-) -> tuple[Floats, float]:
+) -> tuple[Floats, Floats]:
     """Return the displacements of a body by its surface compliance, at the surface and in the interior.
 
     Parameters
@@ -294,10 +294,12 @@ def contact_displacements(
     Returns
     -------
     displacements : (n, 3) array [m]
-    energy : float [J]
+    energies : (tools,) array [J]
+        Under each tool; half of the energy that two tools share counts to either.
     """
-    result, energy = np.zeros_like(points), 0.0
-    for push, nodal in zip(pushes, bonded, strict=True):
+    result, at_surface = np.zeros_like(points), np.zeros((len(compliance.nodes), 3))
+    spread, shares = np.zeros_like(pushes), np.ones(len(pushes))
+    for t, (push, nodal) in enumerate(zip(pushes, bonded, strict=True)):
         forces = push
         if not nodal:
             forces = np.zeros_like(push)
@@ -308,15 +310,15 @@ def contact_displacements(
         displacement = static_displacements(compliance, forces[on], on, np.arange(len(forces)))
         total = float(np.linalg.norm(forces.sum(axis=0)))
         displacement *= compliance.bonded_scale if nodal else secant_factor(compliance.stiffening, total)
-        result[compliance.nodes] += displacement
+        at_surface += displacement
         if compliance.interior is not None:
             on_carriers = carrier_forces(compliance, forces[on], on)
             result[compliance.interior.nodes] += interior_displacements(
                 compliance.interior, on_carriers, flexible_displacements(compliance.flexibility, on_carriers)
             )
-        share = 1.0 if nodal else energy_factor(compliance.stiffening, total)
-        energy += 0.5 * share * float(np.sum(forces[on] * displacement[on]))
-    return result, energy
+        spread[t], shares[t] = forces, 1.0 if nodal else energy_factor(compliance.stiffening, total)
+    result[compliance.nodes] += at_surface
+    return result, 0.5 * shares * np.einsum("tkc,kc->t", spread, at_surface)
 
 
 def static_displacements(compliance: SurfaceCompliance, forces: Floats, on: Ints, there: Ints) -> Floats:

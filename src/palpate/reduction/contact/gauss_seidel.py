@@ -107,12 +107,14 @@ def _list_bonded(surface, contact, tools, t, a, v, step, count):  # type: ignore
 @kernel_njit(inner=True)
 def _detect(surface, contact, tools, a, v, step):  # type: ignore[no-untyped-def]
     """List the nodes whose modal position is inside a tool; return the deepest penetration [m]."""
-    count, deepest, depth, out = 0, 0.0, 0.0, contact.displacement
+    count, deepest, depth, out = np.int64(0), 0.0, 0.0, contact.displacement  # a literal 0 is another type
     for t in range(tools.kind.shape[0]):
         kind, sizes, frame = tools.kind[t], tools.sizes[t], tools.frames[t, 1]
         if kind == BONDED:
             count, depth = _list_bonded(surface, contact, tools, t, a, v, step, count)
             deepest = max(deepest, depth)
+            continue
+        if sizes[0] == -np.inf:  # an absent tool
             continue
         for c in range(surface.leader.shape[0]):
             i = surface.leader[c]
@@ -351,28 +353,27 @@ def _store(surface, contact, tools, step):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def set_tool_path(tools, home, target, at_rest):  # type: ignore[no-untyped-def]
-    """Set the path of a tool during a period to a target pose (12,): displacement and R - I, from home.
+def set_tool_paths(tools, home, target, at_rest):  # type: ignore[no-untyped-def]
+    """Set the paths of tools during a period to target poses (12 t,): displacement and R - I of each, from home.
 
     The path starts at the target if body and target are at rest, at the start of a run.
     """
-    if tools.kind.shape[0] == 0:
-        return
-    target_at_rest = True
-    for i in range(12):
-        target_at_rest = target_at_rest and target[i] == 0.0
-    for i in range(3):
-        for j in range(4):
-            tools.path[PATH_START, i, j] = tools.path[PATH_END, i, j]
-        for j in range(3):
-            tools.path[PATH_END, i, j] = target[3 + 3 * i + j] + (1.0 if i == j else 0.0)
-        tools.path[PATH_END, i, 3] = home[i, 3] + target[i]
-    if at_rest and target_at_rest:
+    for t in range(tools.kind.shape[0]):
+        path, first, target_at_rest = tools.path[t], 12 * t, True
+        for i in range(12):
+            target_at_rest = target_at_rest and target[first + i] == 0.0
         for i in range(3):
             for j in range(4):
-                tools.path[PATH_START, i, j] = tools.path[PATH_END, i, j]
-    if at_rest:
-        place_frame(tools.path[PATH_START], home, tools.frames[0, 1])
+                path[PATH_START, i, j] = path[PATH_END, i, j]
+            for j in range(3):
+                path[PATH_END, i, j] = target[first + 3 + 3 * i + j] + (1.0 if i == j else 0.0)
+            path[PATH_END, i, 3] = home[t, i, 3] + target[first + i]
+        if at_rest and target_at_rest:
+            for i in range(3):
+                for j in range(4):
+                    path[PATH_START, i, j] = path[PATH_END, i, j]
+        if at_rest:
+            place_frame(path[PATH_START], home[t], tools.frames[t, 1])
 
 
 @kernel_njit(inline="always")
@@ -396,7 +397,7 @@ def kick_by_load(v, step, response, load):  # type: ignore[no-untyped-def]
 
 @kernel_njit(inner=True)
 def press(data, q, v, at, step, period, share, tool_forces):  # type: ignore[no-untyped-def]
-    """Advance the tool to a fraction of its path in a period [s], and apply its forces in a step [s].
+    """Advance the tools to a fraction of their paths in a period [s], and apply their forces in a step [s].
 
     Parameters
     ----------
@@ -407,71 +408,81 @@ def press(data, q, v, at, step, period, share, tool_forces):  # type: ignore[no-
     step, period : float [s]
     share : float
         Fraction of the path at the end of the step.
-    tool_forces : (12,) array
-        Receives the means of the forces that are conjugate to the tool's displacement and to the
+    tool_forces : (12 t,) array
+        Receives the means of the forces that are conjugate to each tool's displacement and to the
         entries of its rotation R from home. For the latter they are G = S R, with S the moment's cross
         product.
     """
     tools, response = data.tools, data.constrained_inverse_mass
-    start, end, turned = tools.path[PATH_START], tools.path[PATH_END], tools.path[PATH_NOW]
-    for i in range(3):
-        for j in range(4):
-            tools.frames[0, 0, i, j] = tools.frames[0, 1, i, j]
-            turned[i, j] = start[i, j] + share * (end[i, j] - start[i, j])
-    place_frame(turned, data.home, tools.frames[0, 1])
+    for t in range(tools.kind.shape[0]):
+        path = tools.path[t]
+        for i in range(3):
+            for j in range(4):
+                tools.frames[t, 0, i, j] = tools.frames[t, 1, i, j]
+                path[PATH_NOW, i, j] = path[PATH_START, i, j] + share * (path[PATH_END, i, j] - path[PATH_START, i, j])
+        place_frame(path[PATH_NOW], data.home[t], tools.frames[t, 1])
     for m in range(q.shape[0]):
         at[m] = q[m] + step * v[m]
     tools.impulses[:] = 0.0
     solve_contact(data.contact_surface, data.contact_work, tools, at, v, step, response, q.shape[0])
     drag = 1.0 + 0.5 * data.body.mass_damping * step  # as that of the other forces in a kick
     kick_by_load(v, step / drag, response, tools.load)
-    for i in range(3):
-        k, m = (i + 1) % 3, (i + 2) % 3
-        tool_forces[i] += tools.impulses[0, i] / period
-        half = 0.5 * tools.impulses[0, 3 + i] / period
-        for j in range(3):
-            tool_forces[3 + 3 * m + j] += half * turned[k, j]
-            tool_forces[3 + 3 * k + j] -= half * turned[m, j]
+    for t in range(tools.kind.shape[0]):
+        first, turned = 12 * t, tools.path[t, PATH_NOW]
+        for i in range(3):
+            k, m = (i + 1) % 3, (i + 2) % 3
+            tool_forces[first + i] += tools.impulses[t, i] / period
+            half = 0.5 * tools.impulses[t, 3 + i] / period
+            for j in range(3):
+                tool_forces[first + 3 + 3 * m + j] += half * turned[k, j]
+                tool_forces[first + 3 + 3 * k + j] -= half * turned[m, j]
 
 
 @kernel_njit(inner=True)
-def approach_speed(tools, force, period):  # type: ignore[no-untyped-def]
-    """Return the speed [m/s] of the tool in a period [s] along its force (t, k, 3) on the body; 0 if it moves back."""
+def approach_speed(contact, path, period, t):  # type: ignore[no-untyped-def]
+    """Return the speed [m/s] of tool t on its path in a period [s] along its force on the body, at least 0."""
     square, power = 0.0, 0.0
     for d in range(3):
         total = 0.0
-        for i in range(force.shape[1]):
-            total += force[0, i, d]
+        for e in range(contact.numbers[PAIRS]):
+            if contact.tool[e] == t:
+                total += contact.push[e, d]
         square += total * total
-        power += total * (tools.path[PATH_END, d, 3] - tools.path[PATH_START, d, 3]) / period
+        power += total * (path[PATH_END, d, 3] - path[PATH_START, d, 3]) / period
     return max(power, 0.0) / np.sqrt(square) if square > 0.0 else 0.0
 
 
 @kernel_njit(inner=True)
-def contact_nearness(nearness, force):  # type: ignore[no-untyped-def]
-    """Return `palpate.reduction.hyper.error_indicator.support_nearness` of nodes under forces (t, k, 3) of tools."""
+def contact_nearness(nearness, contact, t):  # type: ignore[no-untyped-def]
+    """Return `palpate.reduction.hyper.error_indicator.support_nearness` of tool t, and 1 if it touches, or 0."""
     total, size = 0.0, 0.0
-    for t in range(force.shape[0]):
-        for i in range(force.shape[1]):
-            square = force[t, i, 0] ** 2 + force[t, i, 1] ** 2 + force[t, i, 2] ** 2
-            if square > 0.0:
-                size += np.sqrt(square)
-                total += np.sqrt(square) * nearness[i]
-    return total / size if size > 0.0 else 0.0
+    for e in range(contact.numbers[PAIRS]):
+        push = contact.push[e]
+        square = push[0] ** 2 + push[1] ** 2 + push[2] ** 2
+        if contact.tool[e] == t and square > 0.0:
+            size += np.sqrt(square)
+            total += np.sqrt(square) * nearness[contact.node[e]]
+    return (total / size, 1) if size > 0.0 else (0.0, 0)
+
+
+@kernel_njit(inner=True)
+def tool_energy(surface, contact, t):  # type: ignore[no-untyped-def]
+    """Return the energy [J] of the surface compliance under one tool."""
+    x, y, z, half, bonded = 0.0, 0.0, 0.0, 0.0, False
+    for e in range(contact.numbers[PAIRS]):
+        if contact.tool[e] != t:
+            continue
+        bonded = contact.point[e] >= surface.points.shape[0]
+        x, y, z = x + contact.push[e, 0], y + contact.push[e, 1], z + contact.push[e, 2]
+        for d in range(3):
+            half += 0.5 * contact.push[e, d] * (contact.now[e, d] - contact.modal[e, d])
+    return half if bonded else energy_factor(surface.compliance.stiffening, np.sqrt(x * x + y * y + z * z)) * half
 
 
 @kernel_njit(inner=True)
 def compliance_energy(surface, contact):  # type: ignore[no-untyped-def]
     """Return the energy [J] of the surface compliance."""
-    total, stiffening = 0.0, surface.compliance.stiffening
+    total = 0.0
     for t in range(contact.factor.shape[0]):
-        x, y, z, half, bonded = 0.0, 0.0, 0.0, 0.0, False
-        for e in range(contact.numbers[PAIRS]):
-            if contact.tool[e] != t:
-                continue
-            bonded = contact.point[e] >= surface.points.shape[0]
-            x, y, z = x + contact.push[e, 0], y + contact.push[e, 1], z + contact.push[e, 2]
-            for d in range(3):
-                half += 0.5 * contact.push[e, d] * (contact.now[e, d] - contact.modal[e, d])
-        total += half if bonded else energy_factor(stiffening, np.sqrt(x * x + y * y + z * z)) * half
-    return total
+        total += tool_energy(surface, contact, t)
+    return max(total, 0.0)

@@ -1,10 +1,12 @@
-"""Depth of the surface of a reduced body in rigid tools, and a tool in real time that stays above it, compiled.
+"""Depth of the surface of a reduced body in rigid tools, and tools in real time that stay above it, compiled.
 
 The nodes in contact stay outside a tool. What lies between them need not: a small tool that stretches the surface
 passes between the nodes, and the forces on them then point to the wrong side.
 """
 
 from __future__ import annotations
+
+import numpy as np
 
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.kinds import BONDED, PLANE
@@ -30,7 +32,7 @@ def store_depths(surface, contact, tools):  # type: ignore[no-untyped-def]
     pair_of, now = contact.pair_of, contact.now
     for t in range(tools.kind.shape[0]):
         contact.depth[t], kind, sizes, frame = 0.0, tools.kind[t], tools.sizes[t], tools.frames[t, 1]
-        if kind in (PLANE, BONDED) or contact.numbers[PAIRS] < 3:
+        if kind in (PLANE, BONDED) or sizes[0] == -np.inf or contact.numbers[PAIRS] < 3:
             continue
         for e in range(contact.numbers[PAIRS]):
             if contact.tool[e] == t:
@@ -49,22 +51,24 @@ def store_depths(surface, contact, tools):  # type: ignore[no-untyped-def]
 
 @kernel_njit(inner=True)
 def hold_above_surface(surface, contact, tools, home, target):  # type: ignore[no-untyped-def]
-    """Shorten the path of the tool in a period where it could pass between the nodes.
+    """Shorten the paths of tools in a period where they could pass between the nodes.
 
-    It is held where it pushes on and the surface is `MAX_DEPTH_BETWEEN_NODES` deep in it. The pose that it
-    reaches is then written into the target (12,).
+    A tool is held where it pushes on and the surface is `MAX_DEPTH_BETWEEN_NODES` deep in it. The pose that it
+    reaches is then written into its part of the target (12 t,).
     """
-    if tools.kind.shape[0] == 0 or tools.kind[0] == BONDED:
-        return
-    along, limit, path = 0.0, MAX_DEPTH_BETWEEN_NODES * surface.spacing, tools.path
-    for i in range(contact.force.shape[1]):
-        for d in range(3):
-            along += contact.force[0, i, d] * (path[END, d, 3] - path[START, d, 3])
-    most = (PRESSING_WAY if along > 0.0 else FREE_WAY) * surface.spacing
-    if along > 0.0:
-        most = min(most, way_above_surface(contact.depth[0], limit))
-    if limit_path(path, most):
-        for i in range(3):
-            target[i] = path[END, i, 3] - home[i, 3]
-            for j in range(3):
-                target[3 + 3 * i + j] = path[END, i, j] - (1.0 if i == j else 0.0)
+    limit = MAX_DEPTH_BETWEEN_NODES * surface.spacing
+    for t in range(tools.kind.shape[0]):
+        if tools.kind[t] == BONDED or tools.sizes[t, 0] == -np.inf:  # forceps, or an absent tool
+            continue
+        along, path, first = 0.0, tools.path[t], 12 * t
+        for i in range(contact.force.shape[1]):
+            for d in range(3):
+                along += contact.force[t, i, d] * (path[END, d, 3] - path[START, d, 3])
+        most = (PRESSING_WAY if along > 0.0 else FREE_WAY) * surface.spacing
+        if along > 0.0:
+            most = min(most, way_above_surface(contact.depth[t], limit))
+        if limit_path(path, most):
+            for i in range(3):
+                target[first + i] = path[END, i, 3] - home[t, i, 3]
+                for j in range(3):
+                    target[first + 3 + 3 * i + j] = path[END, i, j] - (1.0 if i == j else 0.0)

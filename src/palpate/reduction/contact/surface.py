@@ -52,7 +52,7 @@ class RigidTools(NamedTuple):
     impulses: Floats  # (t, 6) sums of impulses [N s] and moments about the origins [N m s] on the body
     nodal_impulses: Floats  # (k, 3) sums of impulses [N s] on the nodes
     held: HeldNodes
-    path: Floats  # (3, 3, 4) in real time: rotation from home and position before and after a period, and now
+    path: Floats  # (t, 3, 3, 4) in real time: rotation from home and position before and after a period, and now
 
 
 class ContactScratch(NamedTuple):
@@ -141,7 +141,7 @@ def rigid_tools(prepared: PreparedLoads | None, contact_surface: ContactSurface)
         impulses=np.zeros((len(kind), 6)),
         nodal_impulses=np.zeros((len(contact_surface.nodes), 3)),
         held=held_record,
-        path=np.tile(np.eye(3, 4), (3, 1, 1)),
+        path=np.tile(np.eye(3, 4), (len(kind), 3, 1, 1)),
     )
 
 

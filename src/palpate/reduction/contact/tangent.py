@@ -1,9 +1,9 @@
-"""Contact stiffness: derivative of the static force on a tool by its displacement, compiled.
+"""Contact stiffness: derivative of the static force on each tool by its displacement, compiled.
 
 With the modes' tangent K and mass matrix M, the basis vectors C of the patches in contact, directions E
 along which the forces on them can change, and the surface compliance h G
 (`palpate.reduction.contact.gauss_seidel`), forces f and coordinates a respond to a displacement d of
-the tool by
+a tool, while other tools rest, by
 
     E^T (h G - dt^2 C M^-1 C^T) E f + E^T C a = E^T d,    C^T E f - K a = 0.
 
@@ -14,9 +14,9 @@ dt^2 C M^-1 C^T f off the tool.
 A patch that sticks, or that forceps hold, moves with the tool: E has all three directions. A patch that
 slides keeps its friction, and E has the normal only. Where the tool has a curvature k, the normal force
 p turns with the normal, which acts like springs of stiffness -p k along the surface. The dependence of
-h on the total force is a term of rank one. One factorisation L D L^T solves for all three directions
-of d. The matrix is quasi-definite, so that pivoting is not necessary (Vanderbei, SIAM J. Optim. 5,
-1995). A call does a bounded part of the work, and the next one continues.
+h on the total force of a tool is a term of rank one. One factorisation L D L^T solves for all three
+directions of d of all tools. The matrix is quasi-definite, so that pivoting is not necessary (Vanderbei,
+SIAM J. Optim. 5, 1995). A call does a bounded part of the work, and the next one continues.
 """
 
 from __future__ import annotations
@@ -33,52 +33,56 @@ from palpate.dynamics.contact.kinds import BONDED
 from palpate.reduction.contact.compliance import refresh
 from palpate.reduction.contact.surface import PAIRS
 
-RIGHT_SIDES = 4  # a displacement along each axis, and the change of the secant factor
+RIGHT_SIDES = 4  # of a tool: a displacement along each axis, and the change of the secant factor
 CALL_WORK = 300_000  # multiplications per call, approximately
 PANEL_UNKNOWNS = 4  # unknowns per elimination
 STICK_LIMIT = 1.0 - 1e-6  # fraction of Coulomb's limit below which a patch sticks
 MIN_CURVATURE = 1e-3  # stiffness p k times a patch's compliance below which the tool counts as flat
 CURVATURE_STEP = 1e-4  # distance for difference quotients of the normal, in tool sizes
 FORCES, UNKNOWNS, NEXT_PIVOT = range(3)  # entries of `ContactSystem.numbers`
-SECANT = 3  # entry of `ContactSystem.pull` after the direction
+PULL_SIZE = 3  # entry of a row of `ContactSystem.pull` after the direction
 
 
 class ContactSystem(NamedTuple):
     """Linear system for forces and coordinates, with the progress of its solution."""
 
-    table: Floats  # (u, u + 4) upper triangle of a symmetric matrix of the first unknowns, then right-hand sides
+    table: Floats  # (u, u + 4 t) upper triangle of a symmetric matrix of the first unknowns, then right-hand sides
     direction: Floats  # (r, 3) of the forces
     entry: NDArray[np.int64]  # (r,) contact pair of each force
     point: NDArray[np.int64]  # (r,) its row in the compliance
+    factor: Floats  # (r,) secant factor of the compliance under its tool
     spring: Floats  # (r,) compliance of a curved tool along a direction [m/N]
     numbers: NDArray[np.int64]  # (3,) see FORCES, UNKNOWNS and NEXT_PIVOT
     columns: NDArray[np.float32]  # (k, 3, m) C M^-1/2 of all surface nodes
     swift: Floats  # (m, r) dt M^-1/2 C^T E
-    gram: Floats  # (4, 4) right-hand sides times solutions
-    pull: Floats  # (4,) direction of the total force, and h
+    gram: Floats  # (4 t, 4 t) right-hand sides times solutions
+    pull: Floats  # (t, 4) direction of the total force of each tool, and its size [N]
+    secants: Floats  # (t, t + 1) scratch: equations for the changes of the total forces
 
 
-def contact_system(columns: NDArray[np.float32], mass: Floats, patches: int) -> ContactSystem:
-    """Allocate for basis vectors (k, 3, m) of surface nodes, their mass matrix, and a number of patches in contact."""
-    rows, modes = 3 * patches, len(mass)
+def contact_system(columns: NDArray[np.float32], mass: Floats, patches: int, tools: int) -> ContactSystem:
+    """Allocate for basis vectors (k, 3, m) of surface nodes, their mass matrix, and numbers of patches and tools."""
+    rows, modes, sides = 3 * patches, len(mass), RIGHT_SIDES * tools
     swift = columns @ np.linalg.inv(np.linalg.cholesky(mass)).T if patches else np.zeros((0, 3, modes))
     return ContactSystem(
-        table=np.zeros((rows + modes, rows + modes + RIGHT_SIDES)),
+        table=np.zeros((rows + modes, rows + modes + sides)),
         direction=np.zeros((rows, 3)),
         entry=np.zeros(rows, dtype=np.int64),
         point=np.zeros(rows, dtype=np.int64),
+        factor=np.zeros(rows),
         spring=np.zeros(rows),
         numbers=np.zeros(3, dtype=np.int64),
         columns=np.ascontiguousarray(swift, dtype=np.float32),
         swift=np.zeros((modes, rows)),
-        gram=np.zeros((RIGHT_SIDES, RIGHT_SIDES)),
-        pull=np.zeros(4),
+        gram=np.zeros((sides, sides)),
+        pull=np.zeros((tools, 4)),
+        secants=np.zeros((tools, tools + 1)),
     )
 
 
 @kernel_njit()
 def contact_stiffness(data, q, out):  # type: ignore[no-untyped-def]
-    """Write derivatives of the force [N] on the body by the tool's displacement [m] into out (12, 12).
+    """Write derivatives of each tool's force [N] on the body by its displacement [m] into its part of out (12 t, 12).
 
     The work of a call is bounded. The call that completes a solution writes all derivatives at once. They
     are zero without contact, or with more patches than are stored
@@ -107,21 +111,48 @@ def contact_stiffness(data, q, out):  # type: ignore[no-untyped-def]
         numbers[NEXT_PIVOT] += min(PANEL_UNKNOWNS, remaining)
         work += PANEL_UNKNOWNS * (remaining * remaining // 2 + max(remaining - data.modes, 0) * data.modes)
     if numbers[NEXT_PIVOT] == size:
-        _write_derivatives(system.gram, system.pull, out)
+        for t in range(system.pull.shape[0]):
+            _write_derivatives(system, t, out)
 
 
 @kernel_njit(inner=True)
-def _write_derivatives(gram, pull, out):  # type: ignore[no-untyped-def]
-    """Write the derivatives, with the change of the secant factor as a rank-one update."""
-    softened = 1.0
-    for i in range(3):
-        softened += pull[i] * gram[i, 3]
+def _write_derivatives(system, t, out):  # type: ignore[no-untyped-def]
+    """Write the derivatives by the displacement of tool t.
+
+    Its own force f changes by g d - sum over tools u of s_u a_u, with the change a_u of the total force of tool u along
+    its direction and the response s_u to a change of its secant factor. The a_u are those of the same equation.
+    """
+    gram, pull, first = system.gram, system.pull, RIGHT_SIDES * t
     for j in range(3):
-        change = 0.0
+        _solve_total_changes(system, first + j)
         for i in range(3):
-            change += pull[i] * gram[i, j]
-        for i in range(3):
-            out[i, j] = gram[i, j] - gram[i, 3] * change / softened
+            value = gram[first + i, first + j]
+            for u in range(pull.shape[0]):
+                value -= gram[first + i, RIGHT_SIDES * u + 3] * system.secants[u, pull.shape[0]]
+            out[12 * t + i, j] = value
+
+
+@kernel_njit(inner=True)
+def _solve_total_changes(system, column):  # type: ignore[no-untyped-def]
+    """Write the changes of the total forces of the tools by a displacement into the last column of `secants`."""
+    gram, pull, table = system.gram, system.pull, system.secants
+    tools = pull.shape[0]
+    for u in range(tools):
+        for w in range(tools + 1):
+            side = column if w == tools else RIGHT_SIDES * w + 3
+            table[u, w] = 1.0 if u == w else 0.0
+            for i in range(3):
+                table[u, w] += pull[u, i] * gram[RIGHT_SIDES * u + i, side]
+    for u in range(tools):
+        for w in range(u + 1, tools):
+            factor = table[w, u] / table[u, u]
+            for k in range(u, tools + 1):
+                table[w, k] -= factor * table[u, k]
+    for back in range(tools):
+        u = tools - 1 - back
+        for w in range(u + 1, tools):
+            table[u, tools] -= table[u, w] * table[w, tools]
+        table[u, tools] /= table[u, u]
 
 
 @kernel_njit(inner=True, fastmath={"contract"})
@@ -129,7 +160,8 @@ def _eliminate(system, active, first, rows):  # type: ignore[no-untyped-def]
     """Eliminate a few unknowns; return False if a pivot is not valid."""
     table, gram = system.table, system.gram
     size, forces = system.numbers[UNKNOWNS], system.numbers[FORCES]
-    end = size + RIGHT_SIDES
+    sides = gram.shape[0]
+    end = size + sides
     for k in range(first, min(first + rows, forces)):
         if not _add_compliance(system, active, table, k):
             return False
@@ -141,8 +173,8 @@ def _eliminate(system, active, first, rows):  # type: ignore[no-untyped-def]
             factor = table[k, i] / pivot
             for j in range(i, end):
                 table[i, j] -= factor * table[k, j]
-        for i in range(RIGHT_SIDES):
-            for j in range(RIGHT_SIDES):
+        for i in range(sides):
+            for j in range(sides):
                 gram[i, j] += table[k, size + i] * table[k, size + j] / pivot
     if rows < PANEL_UNKNOWNS:  # the remaining unknowns
         return True
@@ -158,15 +190,15 @@ def _eliminate(system, active, first, rows):  # type: ignore[no-untyped-def]
 @kernel_njit(inner=True, fastmath={"contract"})
 def _add_compliance(system, active, table, k):  # type: ignore[no-untyped-def]
     """Add the surface compliance to a row; return False if it is not stored any more."""
-    s, h, direction = active.slot[system.point[k]], system.pull[SECANT], system.direction
-    x, y, z = h * direction[k, 0], h * direction[k, 1], h * direction[k, 2]
+    s, direction, factor = active.slot[system.point[k]], system.direction, system.factor
+    x, y, z = direction[k, 0], direction[k, 1], direction[k, 2]
     for j in range(k, system.numbers[FORCES]):
         r = active.slot[system.point[j]]
         if s < 0 or r < 0:
             return False
-        block = active.matrix[s, r]
+        block, h = active.matrix[s, r], 0.5 * (factor[k] + factor[j])  # between two tools the mean
         for d in range(3):
-            table[k, j] += (block[0, d] * x + block[1, d] * y + block[2, d] * z) * direction[j, d]
+            table[k, j] += h * (block[0, d] * x + block[1, d] * y + block[2, d] * z) * direction[j, d]
     for m in range(system.swift.shape[0]):
         pivot, others = system.swift[m, k], system.swift[m]
         for j in range(k, system.numbers[FORCES]):
@@ -185,32 +217,33 @@ def _assemble(data):  # type: ignore[no-untyped-def]
     pull[:] = 0.0
     for e in range(count):
         for d in range(3):
-            pull[d] += contact.push[e, d]
-    total = np.sqrt(pull[0] ** 2 + pull[1] ** 2 + pull[2] ** 2)
-    for d in range(3):
-        pull[d] /= max(total, 1e-300)
-    pull[SECANT] = contact.factor[0]
-    rows = 0
+            pull[contact.tool[e], d] += contact.push[e, d]
+    for t in range(pull.shape[0]):
+        pull[t, PULL_SIZE] = np.sqrt(pull[t, 0] ** 2 + pull[t, 1] ** 2 + pull[t, 2] ** 2)
+        for d in range(3):
+            pull[t, d] /= max(pull[t, PULL_SIZE], 1e-300)
+    rows = np.int64(0)  # a literal 0 is another type
     for e in range(count):
         rows = _add_directions(data, e, rows)
     numbers[FORCES], numbers[UNKNOWNS], numbers[NEXT_PIVOT] = rows, rows + modes, 0
-    size, softening = rows + modes, -compliance.stiffening[0] / (compliance.stiffening[1] + total)
-    if data.tools.kind[0] == BONDED:  # pulls do not stiffen the tissue
-        softening = 0.0
-    table = system.table
+    size, table = rows + modes, system.table
     for k in range(size):
-        for j in range(k, size + RIGHT_SIDES):
+        for j in range(k, size + system.gram.shape[0]):
             table[k, j] = 0.0
     system.gram[:] = 0.0
     for k in range(rows):
-        e, direction = system.entry[k], system.direction[k]
-        table[k, k], system.swift[:, k] = system.spring[k], 0.0
+        e, direction, t = system.entry[k], system.direction[k], contact.tool[system.entry[k]]
+        softening = 0.0  # pulls do not stiffen the tissue
+        if data.tools.kind[t] != BONDED:
+            softening = -compliance.stiffening[0] / (compliance.stiffening[1] + pull[t, PULL_SIZE])
+        table[k, k], system.swift[:, k], system.factor[k] = system.spring[k], 0.0, contact.factor[t]
+        side = size + RIGHT_SIDES * t
         for d in range(3):
             for m in range(modes if direction[d] != 0.0 else 0):
                 table[k, rows + m] += direction[d] * data.contact_surface.columns[contact.node[e], d, m]
                 system.swift[m, k] += data.substep[0] * direction[d] * system.columns[contact.node[e], d, m]
-            table[k, size + d] = direction[d]
-            table[k, size + 3] += softening * direction[d] * (contact.now[e, d] - contact.modal[e, d])
+            table[k, side + d] = direction[d]
+            table[k, side + 3] += softening * direction[d] * (contact.now[e, d] - contact.modal[e, d])
     for m in range(modes):
         for k in range(m, modes):
             table[rows + m, rows + k] = -0.5 * (data.tangent[m, k] + data.tangent[k, m])

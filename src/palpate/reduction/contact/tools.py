@@ -11,7 +11,6 @@ from palpate.dynamics.contact.tools import Forceps
 from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.run.contact_state import check_initial_penetration, check_tool_step, initial_contact_state
 from palpate.dynamics.run.model import ContactState
-from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import DivergenceError
 from palpate.reduction.contact.compliance import SurfaceCompliance, contact_displacements
 from palpate.reduction.contact.penetration import MAX_DEPTH_BETWEEN_NODES, store_depths
@@ -72,7 +71,8 @@ class ContactTools:
         nodal_impulses[pressed.nodes] += pressed.impulses
         return ContactState(
             forces, before.impulses + self.tools.impulses, before.start_time, nodal_impulses,
-            self.scratch.place.copy(), self.scratch.force.copy(), before.constraint_impulses, float(pressed.energy[0]),
+            self.scratch.place.copy(), self.scratch.force.copy(), before.constraint_impulses,
+            float(pressed.energy.sum()),
         )  # fmt: skip
 
 
@@ -82,10 +82,10 @@ def tool_displacements(
     contact_surface: ContactSurface,
     contact_state: ContactState | None,
     prepared: PreparedLoads,
-) -> tuple[Floats, float]:
-    """Return displacements (n, 3) [m] and energy [J] of the surface compliance under the tools of a state."""
+) -> tuple[Floats, Floats]:
+    """Return displacements (n, 3) [m] of the surface compliance, and its energies (t,) [J] under tools, of a state."""
     if contact_state is None or compliance is None:
-        return np.zeros((len(points), 3)), 0.0
+        return np.zeros((len(points), 3)), np.zeros(len(prepared.tools))
     pushes = np.zeros((len(contact_state.surface_forces), len(points), 3))
     pushes[:, contact_surface.nodes] = contact_state.surface_forces
     bonded = [isinstance(tool.tool, Forceps) for tool in prepared.tools]
@@ -98,13 +98,3 @@ def bonded_nodes(contact_surface: ContactSurface, contact_state: ContactState | 
         return contact_surface.nodes[:0]
     forceps = np.array([isinstance(tool.tool, Forceps) for tool in prepared.tools], dtype=bool)
     return np.asarray(contact_surface.nodes[contact_state.surface_forces[forceps].any(axis=(0, 2))])
-
-
-def contact_at_frame(run: Trajectory, frame: int, nodes: int) -> ContactState | None:
-    """Return the mean contact forces of a run since the previous frame; None without forces."""
-    rows = run.contact_forces[run.contact_forces[:, 0] == frame]
-    if not len(rows):
-        return None
-    contact_state = initial_contact_state(0, nodes, float(run.times[frame]))
-    contact_state.forces[rows[:, 1].astype(int)] = rows[:, 2:]
-    return contact_state

@@ -59,6 +59,7 @@ class ReducedData(Described):
     speed_scale: float = UNLIMITED_SCALE
     # nearness of tools to supports, as the spacing over their distance, at which the trust number is 1
     nearness_scale: float = UNLIMITED_SCALE
+    trained_tools: int = 1  # largest number of tools in contact at once in the held-out runs
     report: Mapping[str, Any] = field(default_factory=dict)  # figures measured in training
     kinematics: Kinematics = field(default_factory=Kinematics)  # kind of body, solid or membrane
     # [rad/s]: highest frequency of a membrane in its training states, because a slack region may become taut

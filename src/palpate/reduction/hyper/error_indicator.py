@@ -1,4 +1,4 @@
-"""The error indicator: six measures of a state, and the errors expected at a trust number.
+"""The error indicator: seven measures of a state, and the errors expected at a trust number.
 
 Each measure over its scale is a number, and the largest of them is the trust number of
 `palpate.hyper_reduce`:
@@ -9,7 +9,10 @@ Each measure over its scale is a number, and the largest of them is the trust nu
 - the displacement of the surface compliance under tools, by the square root of its energy,
 - the touch speed of tools, or the speed of a body without them: what is faster than training excites modes that are
   not there,
-- the nearness of tools to supports, where the body is stiffer than its smooth modes.
+- the nearness of tools to supports, where the body is stiffer than its smooth modes,
+- the number of tools in contact at once, where it is larger than in all held-out runs.
+
+Touch speed and nearness are those of the tool for which they are largest, so that no tool hides another.
 
 Errors expected at a trust number come from the held-out runs (`palpate.reduction.training.calibrate_indicator`).
 """
@@ -36,6 +39,60 @@ from palpate.reduction.hyper.data import ReducedData
 LEAST_DISTANCE = 0.25  # from a fixed node that counts, in spacings
 TOUCH_SHARE = 0.2  # of a typical force, which counts in addition to the force of a tool
 SPEED_INTERVAL = 1e-4  # [s] over which the speed of a tool is measured
+# Trust number with one tool more in contact than in all held-out runs, plus 1 for each further tool. Errors are
+# unknown from there on.
+TRUST_OF_MORE_TOOLS = 2.0
+LARGEST_KNOWN_TRUST = 1.999  # largest trust number with an expected error
+
+
+class Measures(NamedTuple):
+    """The measures of the error indicator in a state, or in the frames of a run (each with a first axis of frames)."""
+
+    # distances, residual_norms: () arrays [m]
+    distances: Floats
+    residual_norms: Floats
+    load_shares: Floats  # see `palpate.reduction.hyper.load_share`
+    # (t,) array [J]: energy of the surface compliance under each tool; negative where another one pushes it back
+    tool_energies: Floats
+    # (t,) array [m/s]: of each tool that moves into the body. Without a contact surface that of the body (1,), and as
+    # many energies of 0.
+    speeds: Floats
+    nearness: Floats  # of tools to supports
+    tools: Floats  # number of tools in contact
+
+
+class Scales(NamedTuple):
+    """Scales of the measures, at which the trust number is 1; see `palpate.ReducedModel`."""
+
+    distance_scale: float
+    residual_scale: float
+    load_scale: float
+    flexibility_scale: float
+    speed_scale: float
+    nearness_scale: float
+    trained_tools: int  # largest number of tools in contact at once in the held-out runs
+
+
+def trust_numbers(measures: Measures, scales: Scales | ReducedData) -> Floats:
+    """Return the trust number of a state, or those (f,) of the frames of a run."""
+    energies = measures.tool_energies
+    touching = touch_speed(measures.speeds, energies, scales.flexibility_scale).max(axis=-1, initial=0.0)
+    ratios = (
+        measures.distances / scales.distance_scale,
+        measures.residual_norms / scales.residual_scale,
+        measures.load_shares / scales.load_scale,
+        np.sqrt(np.maximum(energies.sum(axis=-1), 0.0) / scales.flexibility_scale),
+        touching / scales.speed_scale,
+        measures.nearness / scales.nearness_scale,
+        trust_of_tools(measures.tools, scales.trained_tools),
+    )
+    return np.asarray(np.max(ratios, axis=0))
+
+
+@register_jitable
+def trust_of_tools(tools, trained_tools):  # type: ignore[no-untyped-def]
+    """Return the part of the trust number by the number of tools in contact, and that of the held-out runs."""
+    return (TRUST_OF_MORE_TOOLS - 1.0 + tools - trained_tools) * (tools > trained_tools)
 
 
 class ExpectedError(NamedTuple):
@@ -53,7 +110,8 @@ class ExpectedError(NamedTuple):
         Bound that the errors of a run do not exceed in any frame, with the probability `level`.
     level : float
         0.95, or n / (n + 1) for less than 19 held-out runs n. It is the share of runs, of the kind of the
-        held-out runs, that keep the bound in all their frames, in the mean over campaigns.
+        held-out runs, that keep the bound in all their frames, in the mean over campaigns. Where these are runs
+        with one tool and with two, n is the smaller number of either, and each kind keeps the level.
     least_level : float
         Share of such runs that keep the bound of this campaign, with a confidence of 90 %.
     typical_size : float [m] or [N]
@@ -127,7 +185,7 @@ def touch_speed(speed, energy, scale):  # type: ignore[no-untyped-def]
     speed. It counts relative to the force of the tool, which is in proportion to the root of the energy, and to a small
     share of a typical force. So the touch speed is that of a tool without force that errs as much.
     """
-    return speed / np.sqrt(1.0 + np.sqrt(energy / scale) / TOUCH_SHARE)
+    return speed / np.sqrt(1.0 + np.sqrt(np.maximum(energy, 0.0) / scale) / TOUCH_SHARE)
 
 
 def nearness_to_supports(cloud: Cloud, supports: Sequence[Support], nodes: Ints) -> Floats:
@@ -140,10 +198,13 @@ def nearness_to_supports(cloud: Cloud, supports: Sequence[Support], nodes: Ints)
 
 
 def support_nearness(nearness: Floats, forces: Floats) -> float:
-    """Return the mean of the nearness (k,) of nodes under forces (k, 3), weighted by their magnitudes; 0 without."""
-    sizes = np.linalg.norm(forces, axis=1)
-    total = float(sizes.sum())
-    return float(sizes @ nearness) / total if total > 0.0 else 0.0
+    """Return the nearness to supports of the nearest tool; 0 without tools in contact.
+
+    That of a tool is the mean of the nearness (k,) of nodes under its forces, of (t, k, 3), weighted by magnitudes.
+    """
+    sizes = np.linalg.norm(forces, axis=2)
+    total = np.maximum(sizes.sum(axis=1), np.finfo(float).tiny)
+    return float(np.max(sizes @ nearness / total, initial=0.0))
 
 
 def residual_norm(data: ReducedData, forces: Floats) -> float:
@@ -175,15 +236,15 @@ def expected_error(report: Mapping[str, Any], trust: float, of: str = "displacem
             "of must be 'displacement' for a model whose held-out runs have no tool, got 'force'; "
             "train it with tools, or with prescribed="
         )
-    median, bound = (float(_errors(curves[of], name, np.array([number]))[0]) for name in ("median", "bound"))
+    median, bound = (float(curve_errors(curves[of], name, np.array([number]))[0]) for name in ("median", "bound"))
     return ExpectedError(median, bound, curves["level"], curves["least_level"], curves[of]["typical_size"])
 
 
 def error_bounds(data: ReducedData, run: Trajectory) -> tuple[Floats, Floats]:
     """Return the error bounds of a run's displacement (f,) [m] and tool forces (f,) [N], frame by frame.
 
-    The displacement's is the root mean square over the body, the forces' that of each tool. They are
-    infinite where the error is unknown, and empty without held-out runs.
+    The displacement's is the root mean square over the body. The forces' is that of the strongest tool, which is
+    the largest of all tools'. They are infinite where the error is unknown, and empty without held-out runs.
     """
     curves = _curves(data.report)
     result = []
@@ -191,7 +252,7 @@ def error_bounds(data: ReducedData, run: Trajectory) -> tuple[Floats, Floats]:
         if curves is None or quantity not in curves or not len(sizes) or len(run.trust) < len(run.times):
             result.append(np.zeros(0))
             continue
-        relative = _errors(curves[quantity], "bound", np.maximum.accumulate(run.trust))
+        relative = curve_errors(curves[quantity], "bound", np.maximum.accumulate(run.trust))
         result.append(relative * mean_size(sizes, curves[quantity]["typical_size"]))
     return result[0], result[1]
 
@@ -233,10 +294,17 @@ def curve_bound(curve, trust, size):  # type: ignore[no-untyped-def]
 def _curves(report: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return the curves of `palpate.reduction.training.calibrate_indicator`; None without held-out runs."""
     curves: dict[str, Any] | None = report.get("held_out", {}).get("expected_error")
-    return curves
+    if curves is None:
+        return None
+    return {  # older models have curves beyond the trust number of more tools
+        name: value | {"largest_trust": min(value["largest_trust"], LARGEST_KNOWN_TRUST)}
+        if isinstance(value, dict)
+        else value
+        for name, value in curves.items()
+    }
 
 
-def _errors(curve: dict[str, float], name: str, trust: Floats) -> Floats:
+def curve_errors(curve: Mapping[str, float], name: str, trust: Floats) -> Floats:
     """Return the relative errors of a curve at trust numbers (f,): ``"median"`` or ``"bound"``."""
     errors = curve[name] * np.maximum(trust, curve["least_trust"]) ** curve["exponent"]
     return np.where(trust <= curve["largest_trust"], errors, np.inf)

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import law_digest, law_njit
+from palpate.dynamics.compiled.reference import reference
 from palpate.dynamics.contact.geometry import rotation
 from palpate.reduction.contact.gauss_seidel import solve_contact
 from palpate.reduction.contact.surface import ContactScratch, ContactSurface, RigidTools
@@ -93,14 +94,10 @@ def explicit_step(law: MaterialPoint, single: bool) -> Any:
         total, lost, tool_work = 0.0, 0.0, 0.0
         at, result, previous = data.work[TRIAL], data.work[FORCE], data.work[PREVIOUS]
         rate, load, mean, alpha = data.work[RATE], data.work[LOAD], data.work[MEAN], data.mass_damping
-        # taken out of the loop: a member that is read in it costs two atomic operations for each of its arrays
-        mass, scratch, tools, points, springs = (
-            data.mass,
-            data.scratch,
-            contact.tools,
-            data.integration_points,
-            data.springs,
-        )
+        mass, springs = data.mass, reference(data.springs)
+        # by their addresses, as the engine passes them, so that both use the same compiled functions
+        points, scratch, tools = reference(data.integration_points), reference(data.scratch), reference(contact.tools)
+        surface, pairs = reference(contact.surface), reference(contact.scratch)
         beta, wave_speed, interval = data.stiffness_damping, data.wave_speed, data.scratch.history.interval
         constrained_inverse, inverse = data.constrained_inverse_mass, data.inverse_mass
         for s in range(steps + 1):
@@ -129,7 +126,7 @@ def explicit_step(law: MaterialPoint, single: bool) -> Any:
                     rotation(contact.poses[s + 1, t], tools.frames[t, 1])
                 for m in range(count):
                     at[m] = a[m] + step * v[m] if m < moving else lifting[s + 2, m - first]
-                works = solve_contact(contact.surface, contact.scratch, tools, at, v, step, response, moving)
+                works = solve_contact(surface, pairs, tools, at, v, step, response, moving)
                 total, lost = total + works[0], lost + works[1]
                 drag = 1.0 + 0.5 * alpha * kick  # as that of the other forces in `kick_coordinates`
                 for m in range(moving):

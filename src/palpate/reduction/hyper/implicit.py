@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
+from palpate.dynamics.compiled.reference import reference
 from palpate.dynamics.material.relaxation import copy_values
 from palpate.reduction.galerkin.central_difference import mass_damping_loss
 from palpate.reduction.hyper.foundation import Springs, add_spring_forces
@@ -127,8 +128,9 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
     force = sampled_energy(law, single).force
 
     @law_njit(digest, nogil=True, fastmath={"contract"})
-    def tangent(a, sizes, integration_points, scratch, vectors, count, matrix):  # type: ignore[no-untyped-def]
+    def tangent(a, sizes, given_points, given_scratch, vectors, count, matrix):  # type: ignore[no-untyped-def]
         """Write -df/da of the first `count` coordinates, by central differences of `sizes` [unit of a]."""
+        integration_points, scratch = reference(given_points), reference(given_scratch)
         probe, ahead, behind = vectors[PROBE], vectors[AHEAD], vectors[BEHIND]
         for m in range(count):
             copy_values(a, probe)
@@ -229,12 +231,12 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         return False
 
     @law_njit(digest, nogil=True, fastmath={"contract"})
-    def implicit(a, v, lifting, holds, step, loads, data):  # type: ignore[no-untyped-def]
+    def implicit(a, v, lifting, holds, step, loads, given):  # type: ignore[no-untyped-def]
         """Advance by the number of loads; return the work [J] of loads, the dissipation, the work of tools, and steps.
 
         The number of steps is less than that of the loads if a step did not converge.
         """
-        count, first = a.shape[0], a.shape[0] - lifting.shape[1]
+        data, count, first = reference(given), a.shape[0], a.shape[0] - lifting.shape[1]
         total, lost, tool_work = 0.0, 0.0, 0.0
         newton, mass, vectors = data.newton, data.mass, data.newton.vectors
         w, at, result, rate = vectors[MEAN_VELOCITY], vectors[TRIAL], vectors[FORCE], vectors[RATE]

@@ -30,6 +30,7 @@ from palpate.reduction.hyper.body import DIFFERENCE_STEP, ReducedWork, reduced_b
 from palpate.reduction.hyper.data import ReducedData
 from palpate.reduction.hyper.error_indicator import (
     ExpectedError,
+    Measures,
     approach_speeds,
     error_bounds,
     expected_error,
@@ -37,8 +38,8 @@ from palpate.reduction.hyper.error_indicator import (
     residual_norm,
     rms_speeds,
     support_nearness,
-    touch_speed,
     training_distance,
+    trust_numbers,
 )
 from palpate.reduction.hyper.explicit import ContactData, ExplicitData, explicit_step
 from palpate.reduction.hyper.implicit import FACTOR_STEP, ImplicitData, implicit_step
@@ -353,14 +354,14 @@ class ReducedModel(CoordinateModel):
         modal = super().displacement(state, prepared, nodes)
         return modal if state.contact_state is None else modal + self._tool_displacements(state, prepared)[0][nodes]
 
-    def _tool_displacements(self, state: State, prepared: PreparedLoads) -> tuple[Floats, float]:
-        """Return displacements (n, 3) [m] and energy [J] of the surface compliance."""
+    def _tool_displacements(self, state: State, prepared: PreparedLoads) -> tuple[Floats, Floats]:
+        """Return displacements (n, 3) [m] and energies (t,) [J] of the surface compliance."""
         surface, points = self.body.surface, self.cloud.points
         return tool_displacements(self.data.compliance, points, surface, state.contact_state, prepared)
 
     def outputs(self, state: State, prepared: PreparedLoads, work: ReducedWork | None = None) -> Outputs:
         forces, moments, contact_forces, _ = contact_outputs(state, prepared)
-        residual, residual_energy = self._tool_displacements(state, prepared)
+        residual, tool_energies = self._tool_displacements(state, prepared)
         constraints = constraint_forces(self.body, state, prepared, work)
         held_energy = state.contact_state.held_energy if state.contact_state is not None else 0.0
         bonded = bonded_nodes(self.body.surface, state.contact_state, prepared)
@@ -369,65 +370,64 @@ class ReducedModel(CoordinateModel):
             self.velocity(state, prepared),
             reactions(self.body, state, prepared, constraints) | forces,
             float(0.5 * state.velocities @ self.body.mass @ state.velocities),
-            self.body.energy(state.coordinates, state.history, work) + residual_energy + held_energy,
+            self.body.energy(state.coordinates, state.history, work) + float(tool_energies.sum()) + held_energy,
             state.external_work,
             state.dissipated,
             moments,
             contact_forces,
             np.isin(contact_forces[:, 0], bonded) if len(bonded) else np.zeros(len(contact_forces), dtype=bool),
-            self._trust(state, prepared, constraints, residual_energy),
+            float(trust_numbers(self._measures(state, prepared, constraints, tool_energies), self.data)),
         )
 
     def trust(self, state: State, prepared: PreparedLoads) -> float:
         """Return the trust number of a state: above 1 the state is outside the training data.
 
-        It is the largest of six numbers, each a measure of `palpate.reduction.hyper.error_indicator` over
+        It is the largest of seven numbers, each a measure of `palpate.reduction.hyper.error_indicator` over
         its scale: the distance to the nearest training state, the residual norm of the forces on test fields,
         the share of the loads' static response that the coordinates cannot represent, the displacement of the
-        surface compliance under tools, their touch speed, and the nearness of tools to supports. The scales make the
-        trust number at most 1 in all frames of 95 % of the held-out runs. Without such runs, they come from
-        the training data.
+        surface compliance under tools, their touch speed, the nearness of tools to supports, and more tools in
+        contact at once than in any held-out run. The scales make the trust number at most 1 in all frames of 95 %
+        of the held-out runs. Without such runs, they come from the training data.
         """
-        constraints, (_, energy) = (
-            constraint_forces(self.body, state, prepared),
-            self._tool_displacements(state, prepared),
+        _, energies = self._tool_displacements(state, prepared)
+        measures = self._measures(state, prepared, constraint_forces(self.body, state, prepared), energies)
+        return float(trust_numbers(measures, self.data))
+
+    def _measures(self, state: State, prepared: PreparedLoads, constraints: Floats, tool_energies: Floats) -> Measures:
+        """Return the measures of a state with constraint forces and energies (t,) [J] of the surface compliance."""
+        forces = np.zeros((0, 0, 3)) if state.contact_state is None else state.contact_state.surface_forces
+        return Measures(
+            np.array(training_distance(self.body, state)),
+            np.array(residual_norm(self.data, constraints)),
+            np.array(self.load_share(state, prepared)),
+            np.zeros(1) if self.data.compliance is None else tool_energies,
+            self.speeds(state, prepared),
+            np.array(self.support_nearness(state)),
+            np.array(float(np.count_nonzero(forces.any(axis=(1, 2))))),
         )
-        return self._trust(state, prepared, constraints, energy)
 
-    def _trust(self, state: State, prepared: PreparedLoads, constraints: Floats, energy: float) -> float:
-        """Return the trust number of a state with constraint forces and an energy [J] of the surface compliance."""
-        return max(
-            training_distance(self.body, state) / self.data.distance_scale,
-            residual_norm(self.data, constraints) / self.data.residual_scale,
-            self.load_share(state, prepared) / self.data.load_scale,
-            float(np.sqrt(energy / self.data.flexibility_scale)),
-            float(touch_speed(self.speed(state, prepared), energy, self.data.flexibility_scale))
-            / self.data.speed_scale,
-            self.support_nearness(state) / self.data.nearness_scale,
-        )
+    def speeds(self, state: State, prepared: PreparedLoads) -> Floats:
+        """Return the speeds (t,) [m/s] at which tools that touch the body move into it; 0 of others.
 
-    def speed(self, state: State, prepared: PreparedLoads) -> float:
-        """Return the largest speed [m/s] at which a tool that touches the body moves into it, or 0.
-
-        Without a contact surface it is the root mean square speed over the body.
+        Without a contact surface it is the root mean square speed over the body (1,).
         """
         if self.data.compliance is None:
-            return float(rms_speeds(self.body.trained[1], state.velocities[None])[0])
-        if state.contact_state is None or not prepared.tools:
-            return 0.0
+            return rms_speeds(self.body.trained[1], state.velocities[None])
+        if state.contact_state is None:
+            return np.zeros(len(prepared.tools))
         forces = state.contact_state.surface_forces.sum(axis=1)
-        return float(approach_speeds(prepared, np.array([state.time]), forces[None]).max()) if forces.any() else 0.0
+        return approach_speeds(prepared, np.array([state.time]), forces[None])[0]
 
     @cached_property
     def _nearness(self) -> Floats:
-        """Nearness to supports of all nodes (n,)."""
-        return nearness_to_supports(self.cloud, self.supports, np.arange(len(self.cloud)))
+        """Nearness to supports of the nodes (k,) of the contact surface."""
+        return nearness_to_supports(self.cloud, self.supports, self.body.surface.nodes)
 
     def support_nearness(self, state: State) -> float:
-        """Return the nearness of tools to supports: the mean of the spacing over the distance, weighted by forces."""
+        """Return the nearness to supports of the nearest tool: the spacing over its distance, weighted by forces."""
         if state.contact_state is None:
             return 0.0
-        return support_nearness(self._nearness, state.contact_state.forces)
+        return support_nearness(self._nearness, state.contact_state.surface_forces)
 
     def load_share(self, state: State, prepared: PreparedLoads) -> float:
         """Return the share of the loads' static response that the coordinates cannot represent, 0 to 1."""

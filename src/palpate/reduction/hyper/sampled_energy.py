@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.lanes import LANES, column_sums, column_sums_2, column_work, column_work_3
+from palpate.dynamics.compiled.reference import reference
 from palpate.dynamics.material.fibres import Families, lay_out_fibres
 from palpate.dynamics.material.material_fields import spread
 from palpate.dynamics.material.relaxation import HistoryVariables, Relaxation, history, overstress_alone, relax_volume
@@ -109,6 +110,14 @@ def integration_points(
     )  # fmt: skip
 
 
+class ProbeScratches(NamedTuple):
+    """Work arrays of a state and of two next to it, which share their history variables."""
+
+    here: Scratch
+    along: Scratch
+    aside: Scratch
+
+
 def scratch(points: IntegrationPoints, saved_history: HistoryVariables | None = None) -> Scratch:
     """Return work arrays for integration points, with their own history variables or given ones."""
     (blocks, columns, _, _), pressures = points.table.shape, points.pressure.shape[1]
@@ -177,7 +186,7 @@ class SampledEnergy(NamedTuple):
     probe : function
         ``probe(rows, column, change, integration_points, scratches, results)`` writes -dE/da (3, m) at two rows of
         coordinates (2, m), and at the first with one of them changed, and returns E [J] at the first. It reads the
-        table once for all. The `scratches` are a tuple of three, which share their history variables.
+        table once for all. The `scratches` are `ProbeScratches`.
     """
 
     force: Any
@@ -258,7 +267,8 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
         scratch.partial[:] = 0.0
 
     @law_njit(digest, fastmath={"contract"})
-    def force(columns, integration_points, scratch, result):  # type: ignore[no-untyped-def]
+    def force(columns, given_points, given_scratch, result):  # type: ignore[no-untyped-def]
+        integration_points, scratch = reference(given_points), reference(given_scratch)
         for b in range(integration_points.table.shape[0]):
             sums(integration_points.table[b].ctypes.data, columns.ctypes.data, scratch.stress[b].ctypes.data,
                  columns.shape[0])  # fmt: skip
@@ -306,7 +316,8 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
         return total
 
     @law_njit(digest)
-    def energy(columns, integration_points, scratch):  # type: ignore[no-untyped-def]
+    def energy(columns, given_points, given_scratch):  # type: ignore[no-untyped-def]
+        integration_points, scratch = reference(given_points), reference(given_scratch)
         total = 0.0
         for b in range(integration_points.table.shape[0]):
             sums(integration_points.table[b].ctypes.data, columns.ctypes.data, scratch.stress[b].ctypes.data,
@@ -320,7 +331,7 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
 
     @law_njit(digest, fastmath={"contract"})
     def probe(rows, column, change, integration_points, scratches, results):  # type: ignore[no-untyped-def]
-        here, along, aside = scratches
+        here, along, aside = scratches.here, scratches.along, scratches.aside
         total, table, count = 0.0, integration_points.table, rows.shape[1]
         for b in range(table.shape[0]):  # its part of the table stays in the fastest memory
             G, shifted, D = here.stress[b], aside.stress[b], table[b, column]

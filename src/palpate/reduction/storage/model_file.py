@@ -69,6 +69,7 @@ ATTRIBUTE_TYPES: dict[str, type] = BODY_ATTRIBUTES | {
     "sheet": bool, "prestretch": float, "relaxed": bool, "taut_frequency": float,
     "residual_fields": int, "residual_scale": float, "load_scale": float,
     "flexibility_scale": float, "speed_scale": float, "nearness_scale": float, "bonded_scale": float,
+    "trained_tools": int,
     "step": float, "single": bool,
 }  # fmt: skip
 
@@ -122,6 +123,7 @@ def _header(data: ReducedData) -> Header:
         "flexibility_scale": float(data.flexibility_scale),
         "speed_scale": float(data.speed_scale),
         "nearness_scale": float(data.nearness_scale),
+        "trained_tools": int(data.trained_tools),
         "sheet": data.kinematics.sheet,
         "prestretch": float(data.kinematics.prestretch),
         "relaxed": data.kinematics.relaxed,
@@ -148,6 +150,7 @@ def _arrays(data: ReducedData) -> Arrays:
 
 def model_of(header: Header, file: ArrayFile, prefix: str = "") -> ReducedModel:
     """Return the model of a header and of the arrays of a file whose names begin with a prefix."""
+    header = {"trained_tools": 1} | header  # older files lack it
     header = header if NEW_ATTRIBUTES & header.keys() else _converted(header)
     check_header(header, ATTRIBUTE_TYPES)
     declared = _declared(header, f"{prefix}interior/nodes" in file.arrays)
@@ -225,6 +228,7 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
         ),
         speed_scale=number_in_range("speed_scale", header["speed_scale"], 0.0, open_low=True, unit="m/s"),
         nearness_scale=number_in_range("nearness_scale", header["nearness_scale"], 0.0, open_low=True),
+        trained_tools=integer_in_range("trained_tools", header["trained_tools"], 1),
         report=_report(mapping_in("report", header["report"])),
         kinematics=Kinematics(
             header["sheet"], number_in_range("prestretch", header["prestretch"], 1.0), header["relaxed"]

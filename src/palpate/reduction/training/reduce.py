@@ -17,7 +17,6 @@ from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.nodal.energy_model import EnergyModel, Fields
 from palpate.dynamics.nodal.model import NodalModel
-from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import StoredTrajectory, Trajectory
 from palpate.dynamics.solid.model import EnergySolid, Solid, energy_solid
 from palpate.faults import DivergenceError, InputError, TrustWarning, integer_in_range, number_in_range
@@ -37,7 +36,7 @@ from palpate.reduction.hyper.error_indicator import (
 from palpate.reduction.hyper.model import ReducedData, ReducedModel
 from palpate.reduction.training.advice import advice
 from palpate.reduction.training.calibrate_contact import Trial, calibrate_contact
-from palpate.reduction.training.calibrate_indicator import Frames, calibrate_scales, error_curves, held_out_frames
+from palpate.reduction.training.calibrate_indicator import Frames, calibrate_scales, error_curves, repeat_run
 from palpate.reduction.training.ecsw import choose_integration_points, pressure_moments
 from palpate.reduction.training.errors import ContactErrors, Errors, contact_errors, relative_errors
 from palpate.reduction.training.fit_compliance import fit_compliance
@@ -438,15 +437,14 @@ def _test_run(model: ReducedModel, trial: Trial) -> tuple[dict[str, Any], Frames
     """
     loads, kept = trial
     run = kept if isinstance(kept, Trajectory) else Trajectory.load(kept)
-    every = float(run.times[1] - run.times[0])
     rest = run.displacements - np.tensordot(
         model.body.project(run.displacements), model.data.basis_vectors[: model.count], 1
     )
     squares = float(np.linalg.norm(rest)) ** 2, float(np.linalg.norm(run.displacements)) ** 2
     try:
-        reduced = rollout(model, loads, duration=float(run.times[-1]), every=every, progress=False)
+        reduced, frames = repeat_run(model, loads, run)
         errors = relative_errors(run, reduced).as_dict() | _contact_errors(model, loads, run, reduced)
-        return {"failed": False} | errors, held_out_frames(model, loads, reduced, run), squares
+        return {"failed": False} | errors, frames, squares
     except DivergenceError as error:
         return {"failed": True, "reason": str(error)}, None, squares
 
@@ -512,7 +510,7 @@ def _nearness_scale(body: EnergyModel, snapshots: Snapshots) -> float:
         if len(rows):
             frames, near = rows[:, 0], nearness[rows[:, 1].astype(int)]
             in_frames = (frames == frame for frame in np.unique(frames))
-            nearest.append(max(support_nearness(near[kept], rows[kept, 2:]) for kept in in_frames))
+            nearest.append(max(support_nearness(near[kept], rows[None, kept, 2:]) for kept in in_frames))
     return _of_most_runs(nearest)
 
 

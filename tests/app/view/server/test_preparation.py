@@ -197,7 +197,7 @@ def test_a_failure_of_the_preparation_reaches_the_viewer_and_the_exit_status(
     write_organ, monkeypatch, tmp_path, capsys, watched
 ):
     heard, seen = watched
-    monkeypatch.setattr("palpate.app.view.server.preparation.user_cache_path", lambda name: tmp_path)
+    monkeypatch.setattr("palpate.app.view.server.preparation.cache_folder", lambda: tmp_path)
 
     def refuse(scene, console, spacing=None):
         assert seen.wait(SECONDS)

@@ -7,8 +7,8 @@ import asyncio
 from palpate.app.view.server.queue import MAX_MESSAGES, MessageQueue
 
 
-def pose(number):
-    return {"type": "pose", "sequence": number}
+def pose(number, index=0):
+    return {"type": "pose", "sequence": number, "index": index}
 
 
 def emptied(*messages):
@@ -27,6 +27,11 @@ def emptied(*messages):
 
 def test_only_the_newest_of_queued_poses_is_kept():
     assert emptied(pose(1), pose(2), pose(3)) == [pose(3)]
+
+
+def test_alternating_poses_of_two_tools_are_kept_for_each():
+    said = [pose(1), pose(1, 1), pose(2), pose(2, 1), pose(3, 1), {"type": "release"}, pose(4, 1)]
+    assert emptied(*said) == [pose(2), pose(3, 1), {"type": "release"}, pose(4, 1)]
 
 
 def test_poses_do_not_overtake_other_messages():

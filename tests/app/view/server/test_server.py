@@ -5,6 +5,9 @@ from __future__ import annotations
 import asyncio
 import http.client
 import json
+import re
+import runpy
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -86,6 +89,7 @@ def test_a_client_without_hello_is_rejected(site, monkeypatch):
         ({"additional_headers": {"Host": "example.org"}}, 403),
         ({"subprotocols": None}, 400),
         ({"subprotocols": ["palpate.v9"]}, 400),
+        ({"subprotocols": ["palpate.v1"]}, 400),
     ],
 )
 def test_pages_of_other_origins_are_rejected(site, options, status):
@@ -278,6 +282,15 @@ def test_a_flood_of_poses_is_merged_and_the_last_one_counts(site, session, ball,
     assert set(answered) <= {0, *processed}
 
 
+def test_the_example_of_a_haptic_client_presses_by_version_2(site, capsys):
+    path = Path(__file__).parents[4] / "examples" / "haptic_client.py"
+    example = runpy.run_path(str(path))
+    asyncio.run(example["main"](site.address, 1.5))
+    told = capsys.readouterr().out
+    assert float(re.search(r"largest ([\d.e-]+) N", told)[1]) > 0.02
+    assert float(re.search(r"median ([\d.]+) ms", told)[1]) > 0.0
+
+
 # who drives, and what goes wrong
 
 
@@ -318,7 +331,7 @@ def test_the_tool_is_removed_when_its_driver_disconnects(site, session, ball, un
     asyncio.run(visit())
     until(lambda: session.pause_reason == "viewers left")
     assert session.status()["state"] == "paused"
-    assert session.snapshot().tool == "none"
+    assert session.snapshot().kind == "none"
 
     async def again():
         async with site.client() as client:

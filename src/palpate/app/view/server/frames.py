@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.app.recordings.snapshot import ENGINE_STATES, TOOL_KINDS, OverlayState, Snapshot
+from palpate.app.recordings.snapshot import ENGINE_STATES, TOOL_KINDS, OverlayState, Snapshot, ToolSnapshot
 from palpate.arrays import Singles
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from palpate.surface.surface import Surface
 
 
-GEOMETRY, STATE, OVERLAY, FORCE, PREVIEW, CUT_GEOMETRY, SURROUNDING_SHAPES = 1, 2, 3, 4, 5, 6, 7
+GEOMETRY, STATE, OVERLAY, FORCE, PREVIEW, CUT_GEOMETRY, SURROUNDING_SHAPES, TOOL_STATES = 1, 2, 3, 4, 5, 6, 7, 8
 FRAME_HEADER = struct.Struct("<4I")
 RANGE_PERCENTILE = 99.0  # of a scalar, at which its colour range ends; excludes peaks of single vertices at edges
 
@@ -66,7 +66,7 @@ def state_body(surface: DisplaySurface, snapshot: Snapshot, scalar: str) -> byte
         [
             snapshot.time, snapshot.trust, *snapshot.force, *snapshot.moment, *snapshot.position, *snapshot.quaternion,
             snapshot.kinetic, snapshot.strain, snapshot.computing, snapshot.lateness, snapshot.steps,
-            ENGINE_STATES.index(snapshot.state), TOOL_KINDS.index(snapshot.tool), low, high, snapshot.sequence,
+            ENGINE_STATES.index(snapshot.state), TOOL_KINDS.index(snapshot.kind), low, high, snapshot.sequence,
         ], dtype="<f8",
     )  # fmt: skip
     return numbers.tobytes() + (surface.rest + displacements).astype("<f4").tobytes() + values.tobytes()
@@ -83,12 +83,24 @@ def overlay_body(full: OverlayState) -> bytes:
     return full.positions.astype("<f4").tobytes() + full.force.astype("<f4").tobytes()
 
 
-def force_frame(snapshot: Snapshot, sequence: int) -> bytes:
-    """Return a force frame: 23 numbers for the program of a haptic device."""
+def tools_frame(tools: Sequence[ToolSnapshot], sequence: int) -> bytes:
+    """Return the frame of all tools by index, 16 numbers each, with the sequence of a state frame."""
+    numbers = [
+        [
+            TOOL_KINDS.index(tool.kind), float(tool.pinned), *tool.force, *tool.moment, *tool.position,
+            *tool.quaternion, tool.sequence,
+        ] for tool in tools
+    ]  # fmt: skip
+    return pack_frame(TOOL_STATES, sequence, len(tools), np.array(numbers, dtype="<f8").tobytes())
+
+
+def force_frame(snapshot: Snapshot, sequence: int, index: int = 0) -> bytes:
+    """Return the force frame of a tool: 23 numbers for the program of a haptic device."""
+    tool = snapshot.tools[index]
     numbers = np.array(
         [
-            snapshot.time, snapshot.trust, *snapshot.device_force, *snapshot.moment, *snapshot.stiffness.ravel(),
-            *snapshot.position, snapshot.steps, ENGINE_STATES.index(snapshot.state), snapshot.sequence,
+            snapshot.time, snapshot.trust, *tool.device_force, *tool.moment, *tool.stiffness.ravel(), *tool.position,
+            snapshot.steps, ENGINE_STATES.index(snapshot.state), tool.sequence,
         ], dtype="<f8",
     )  # fmt: skip
-    return pack_frame(FORCE, sequence, 0, numbers.tobytes())
+    return pack_frame(FORCE, sequence, index, numbers.tobytes())

@@ -12,13 +12,13 @@ from typing import Any
 
 import numba
 import numpy as np
-from numba.core import event
-from platformdirs import user_cache_path
 
 import palpate
+from palpate.app.common.compile_ahead import CompiledFunctions
 from palpate.faults import FileFormatError, InputError
 from palpate.files import read_json, write_json
 from palpate.surface.surface import Surface
+from palpate.working_folder import cache_folder
 
 MAX_PREVIEW_TRIANGLES = 60_000
 AREA_PER_TRIANGLE = 0.35  # of a triangle between vertices of a grid, over the square of its cells
@@ -55,7 +55,7 @@ class Preparation:
         self.title, self._body = title, body
         self.surface = None if surface is None else coarsen(surface, MAX_PREVIEW_TRIANGLES)
         self.space = "" if surface is None else surface.space
-        self._file = file or user_cache_path("palpate") / "preparation.json"
+        self._file = file or (cache_folder() or Path(os.devnull)) / "preparation.json"
         self._code = _code_digest()
         self._durations: Durations = {}
         self._phase, self._began = "", monotonic()
@@ -64,7 +64,7 @@ class Preparation:
         kept = self._kept.get(body, {})
         self.code_is_compiled = kept.get("code") == self._code
         self._expected: Durations = kept.get(COMPILED if self.code_is_compiled else COMPILING, {})
-        self._functions = _CompiledFunctions()
+        self._functions = CompiledFunctions()
 
     def begin(self, phase: str) -> None:
         """Begin a phase, which ends the one before."""
@@ -104,26 +104,6 @@ class Preparation:
             "fraction": fraction, "seconds_left": left, "functions_compiled": self._functions.count,
             "space": self.space,
         }  # fmt: skip
-
-
-class _CompiledFunctions(event.Listener):  # type: ignore[misc]
-    """Counts the functions that Numba compiles in this process."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        event.register("numba:compile", self)
-
-    def on_start(self, event: Any) -> None:
-        """Do nothing."""
-
-    def on_end(self, event: Any) -> None:
-        """Count a function."""
-        self.count += 1
-
-    def close(self) -> None:
-        """Stop counting."""
-        with suppress(ValueError):  # of an earlier call
-            event.unregister("numba:compile", self)
 
 
 def _code_digest() -> str:

@@ -11,10 +11,10 @@ MAX_MESSAGES = 64
 
 
 class MessageQueue:
-    """Messages of one client, in order. A new pose replaces a directly preceding, unprocessed one.
+    """Messages of one client, in order. A new pose of a tool replaces its unprocessed one among the last poses.
 
     A device may send poses faster than they can be processed. Coalescing them to the latest keeps the tool from lagging
-    behind the device.
+    behind the device. Poses of several tools may alternate.
     """
 
     def __init__(self) -> None:
@@ -24,14 +24,23 @@ class MessageQueue:
 
     async def put(self, message: Message) -> None:
         """Append a message; wait while the queue is full."""
-        if message["type"] == "pose" and self._messages and self._messages[-1]["type"] == "pose":
-            self._messages[-1] = message
+        if message["type"] == "pose" and self._replace_pose(message):
             return
         while len(self._messages) >= MAX_MESSAGES:
             self._has_room.clear()
             await self._has_room.wait()
         self._messages.append(message)
         self._changed.set()
+
+    def _replace_pose(self, message: Message) -> bool:
+        """Replace the pose of the same tool among the poses at the end; return whether there is one."""
+        for k in range(len(self._messages) - 1, -1, -1):
+            if self._messages[k]["type"] != "pose":
+                return False
+            if self._messages[k]["index"] == message["index"]:
+                self._messages[k] = message
+                return True
+        return False
 
     async def get(self) -> Message | None:
         """Wait for the oldest message and return it; return None after the last one of a closed queue."""

@@ -18,7 +18,14 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
-from palpate.app.session.messages import MAX_MESSAGE_BYTES, PROTOCOL_VERSION, Message, parse_message
+from palpate.app.session.messages import (
+    MAX_MESSAGE_BYTES,
+    NO_VIEWERS,
+    PROTOCOL_VERSIONS,
+    VIEWERS_LEFT,
+    Message,
+    parse_message,
+)
 from palpate.app.view.server import frames
 from palpate.app.view.server.connection import (
     CLOSE_TIMEOUT,
@@ -37,13 +44,13 @@ from palpate.faults import InputError
 from palpate.files import shortened
 from palpate.surface.surface import Surface
 
-SUBPROTOCOL = Subprotocol("palpate.v2")
+VERSIONS_BY_SUBPROTOCOL = {Subprotocol(f"palpate.v{version}"): version for version in reversed(PROTOCOL_VERSIONS)}
+DATA_OF_VERSION_3 = ("max_tools", "all_tools")  # of `hello` and `status`
 WRONG_TOKEN, TOO_MANY_VIEWERS = 4401, 4429  # closing codes; also those of a viewer
 GOING_AWAY, SERVER_ERROR = 1001, 1011
 HELLO_TIMEOUT = 5.0  # [s]
 PING_INTERVAL, PING_TIMEOUT = 5.0, 10.0  # [s]
 DRIVER_TIMEOUT = 10.0  # [s] without a message of the driver after which another viewer may drive
-NO_VIEWERS, VIEWERS_LEFT = "no viewers", "viewers left"  # reasons of a pause
 TICK_INTERVAL, STATISTICS_INTERVAL = 0.1, 0.5  # [s]
 MAX_VIEWERS = 16
 MAX_UNSENT_BYTES = 2**22  # of a connection, in addition to two geometry frames
@@ -51,7 +58,7 @@ BATCH_SIZE = 32  # messages read before other tasks run
 MAX_PINGS = 100  # of a connection between two ticks
 MAX_MESSAGE_RATE = 2000  # [1/s] of a viewer; further messages wait
 SERVER_LOG = logging.getLogger(__name__)
-DRIVER_MESSAGES = ("pose", "tool", "release", "control", "speed", "material", "record", "replay", "refine")
+DRIVER_MESSAGES = ("pose", "tool", "pin", "release", "control", "speed", "material", "record", "replay", "refine")
 
 
 class Server:
@@ -123,7 +130,7 @@ class Server:
                 viewer.scalar = "none"
         if self.driver is None and self.viewers:  # the driver has left
             self.driver, self.viewers[0].last_drive = self.viewers[0], time.monotonic()
-        if not self.viewers:
+        if not self.viewers and not source.devices:
             source.pause(NO_VIEWERS)
         self._prepared.set()
 
@@ -142,7 +149,7 @@ class Server:
         """Serve on a listening socket until cancelled; calls `ready` once clients are answered."""
         async with serve(
             self._serve_connection, sock=listening, process_request=self._answer_request,
-            subprotocols=[SUBPROTOCOL], compression=None, max_size=MAX_MESSAGE_BYTES, max_queue=32,
+            subprotocols=list(VERSIONS_BY_SUBPROTOCOL), compression=None, max_size=MAX_MESSAGE_BYTES, max_queue=32,
             server_header=None, close_timeout=CLOSE_TIMEOUT,
             ping_interval=PING_INTERVAL, ping_timeout=PING_TIMEOUT, logger=client_logger(),
             create_connection=partial(CountedConnection, counted=self._connections),  # type: ignore[arg-type]
@@ -204,8 +211,11 @@ class Server:
 
     def _broadcast_status(self) -> None:
         status = self.source.status()
-        tool = {name: value for name, value in status["tool"].items() if name not in ("position", "quaternion")}
-        text = repr(({**status, "tool": tool}, len(self.viewers), id(self.driver)))
+        tools = [
+            {name: value for name, value in tool.items() if name not in ("position", "quaternion")}
+            for tool in status["all_tools"]
+        ]
+        text = repr(({**status, "tool": tools[0], "all_tools": tools}, len(self.viewers), id(self.driver)))
         if text == self._last_status:
             return
         self._last_status = text
@@ -226,7 +236,7 @@ class Server:
 
     def _status_message(self, viewer: Viewer, status: dict[str, Any]) -> dict[str, Any]:
         properties = {"driver": viewer is self.driver, "viewers": len(self.viewers), "recording": False}
-        return {"type": "status", **properties, **status}
+        return {"type": "status", **properties, **_of_version(viewer, status)}
 
     def _ready_viewers(self) -> list[Viewer]:
         return [viewer for viewer in self.viewers if viewer.ready]
@@ -357,8 +367,9 @@ class Server:
         if hello["type"] != "hello" or not hmac.compare_digest(hello["token"].encode(), self._token.encode()):
             await close_connection(connection, WRONG_TOKEN, "wrong token; open the address that palpate view prints")
             return None
-        if hello["protocol"] != PROTOCOL_VERSION:
-            reason = f"protocol must be {PROTOCOL_VERSION}, got {hello['protocol']}; reload the page"
+        version = VERSIONS_BY_SUBPROTOCOL.get(connection.subprotocol or Subprotocol(""))
+        if version is None or hello["protocol"] != version:
+            reason = f"protocol must be {version} of {connection.subprotocol}, got {hello['protocol']}; reload the page"
             await close_connection(connection, INVALID_MESSAGES, reason)
             return None
         if len(self.viewers) >= MAX_VIEWERS:
@@ -366,7 +377,7 @@ class Server:
             return None
         if isinstance(connection, CountedConnection):
             connection.admitted = True
-        return Viewer(connection, hello["preparation"], hello["surroundings"])
+        return Viewer(connection, version, hello["preparation"], hello["surroundings"])
 
     def _add_viewer(self, viewer: Viewer) -> None:
         self.viewers.append(viewer)
@@ -390,16 +401,17 @@ class Server:
                 self.driver = None
                 self.source.release()
         finally:
-            if not self.viewers:
+            if not self.viewers and not self.source.devices:
                 self.source.pause(VIEWERS_LEFT)
 
     def _hello_message(self, viewer: Viewer) -> dict[str, Any]:
         surface = self.source.surface
         return {
-            "type": "hello", "protocol": PROTOCOL_VERSION, "title": self.source.title, "driver": viewer is self.driver,
+            "type": "hello", "protocol": viewer.version, "title": self.source.title, "driver": viewer is self.driver,
             "viewers": len(self.viewers), "mode": self.source.mode, "vertices": len(surface.rest),
             "triangles": len(surface.triangles), "spacing": surface.model.cloud.spacing, "space": self._space,
-            "bounds": [surface.rest.min(axis=0).tolist(), surface.rest.max(axis=0).tolist()], **self.source.hello(),
+            "bounds": [surface.rest.min(axis=0).tolist(), surface.rest.max(axis=0).tolist()],
+            **_of_version(viewer, self.source.hello()),
         }  # fmt: skip
 
     # messages of viewers
@@ -413,7 +425,7 @@ class Server:
                 await asyncio.sleep(max(0.0, batch_start + BATCH_SIZE / MAX_MESSAGE_RATE - time.monotonic()))
                 batch_start = time.monotonic()
             try:
-                message = parse_message(text)
+                message = parse_message(text, viewer.version)
             except InputError as error:
                 if viewer.count_invalid_message():
                     await close_connection(viewer.socket, INVALID_MESSAGES, "too many invalid messages")
@@ -447,7 +459,12 @@ class Server:
                 raise InputError(f"show: scalar must be one of {names}, got {message['scalar']!r}; choose one of these")
             viewer.scalar = message["scalar"]
         elif kind == "force":
-            viewer.set_force_rate(message["rate"])
+            if max(message["tools"]) >= self.source.max_tools:
+                raise InputError(
+                    f"force: tools must be below {self.source.max_tools} here, got {message['tools']}; "
+                    "see max_tools of hello"
+                )
+            viewer.set_force_rate(message["rate"], message["tools"])
         elif kind == "drive":
             self._grant_control(viewer)
         elif kind in DRIVER_MESSAGES:
@@ -473,6 +490,11 @@ class Server:
         if self.driver is not viewer:
             self.source.release()
         self.driver, viewer.last_drive = viewer, now
+
+
+def _of_version(viewer: Viewer, message: dict[str, Any]) -> dict[str, Any]:
+    """Return a message without what the protocol of a viewer does not have."""
+    return {name: value for name, value in message.items() if viewer.version > 2 or name not in DATA_OF_VERSION_3}
 
 
 def _to_json(message: dict[str, Any]) -> str:

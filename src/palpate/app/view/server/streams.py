@@ -7,6 +7,7 @@ import contextlib
 import time
 from typing import Any, NamedTuple
 
+from palpate.app.recordings.snapshot import ToolSnapshot
 from palpate.app.view.server import frames
 from palpate.app.view.server.view_source import ViewSource
 from palpate.app.view.server.viewer import Viewer
@@ -19,13 +20,14 @@ MAX_BACKLOG = 0.005  # [s] of force frames that are sent late; older ones are dr
 
 
 class _CachedState(NamedTuple):
-    """Body of a state frame, its key, its time of creation [s], the time of its snapshot [s], and its surface."""
+    """Body of a state frame, its key, its time of creation [s], time [s] and tools of its snapshot, and its surface."""
 
     key: Any
     created: float
     time: float
     body: bytes
     surface: Any
+    tools: tuple[ToolSnapshot, ...]
 
 
 class Streams:
@@ -52,6 +54,8 @@ class Streams:
             full = self.source.overlay(state.time)
             if full is not None:
                 await viewer.send(frames.pack_frame(frames.OVERLAY, sequence, vertices, frames.overlay_body(full)))
+            if viewer.version > 2:
+                await viewer.send(frames.tools_frame(state.tools, sequence))
             await viewer.send(frames.pack_frame(frames.STATE, sequence, vertices, state.body))
             await asyncio.sleep(max(0.0, start + STATE_INTERVAL - time.monotonic()))
 
@@ -59,12 +63,14 @@ class Streams:
         """Return the newest state with a scalar, shared between viewers for half a state interval."""
         snapshot = self.source.snapshot()
         surface = self.source.shown_surface
-        key = (scalar, id(surface), snapshot.steps, snapshot.time, snapshot.state, snapshot.tool, snapshot.sequence,
-               *snapshot.position)  # fmt: skip
+        tools = [(tool.kind, tool.pinned, tool.sequence, *tool.position) for tool in snapshot.tools]
+        key = (scalar, id(surface), snapshot.steps, snapshot.time, snapshot.state, *tools)
         cached = self._states.get(scalar)
         if cached is None or (cached.key != key and time.monotonic() - cached.created > 0.5 * STATE_INTERVAL):
             body = frames.state_body(surface, snapshot, scalar)
-            cached = self._states[scalar] = _CachedState(key, time.monotonic(), snapshot.time, body, surface)
+            cached = self._states[scalar] = _CachedState(
+                key, time.monotonic(), snapshot.time, body, surface, snapshot.tools
+            )
         return cached
 
     async def send_forces(self, viewer: Viewer) -> None:
@@ -83,7 +89,9 @@ class Streams:
             if snapshot.steps == steps and time.monotonic() - sent < UNCHANGED_INTERVAL:
                 continue
             steps, sent, sequence = snapshot.steps, time.monotonic(), sequence + 1
-            await viewer.send(frames.force_frame(snapshot, sequence))
+            for index in viewer.force_tools:
+                if index < len(snapshot.tools):
+                    await viewer.send(frames.force_frame(snapshot, sequence, index))
 
 
 async def _wait_for(event: asyncio.Event, seconds: float) -> bool:

@@ -23,6 +23,11 @@ class ViewSource(Protocol):
         """The surface that is drawn, which a cut changes."""
 
     pause_reason: str | None
+    devices: dict[int, str]  # haptic devices by the tool that they move: then the body moves without viewers, too
+
+    @property
+    def max_tools(self) -> int:
+        """Number of tools in each snapshot."""
 
     @property
     def notifications(self) -> list[dict[str, Any]]:
@@ -53,7 +58,7 @@ class ViewSource(Protocol):
         """Resume."""
 
     def release(self) -> None:
-        """Put the tool away."""
+        """Put all tools away."""
 
     def overlay(self, time: float) -> OverlayState | None:
         """Return the state of the full model at the time of a snapshot, or None."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import json
 import time
+from collections.abc import Sequence
 from typing import Any
 
 from websockets.asyncio.server import ServerConnection
@@ -31,6 +32,8 @@ class Viewer:
 
     Parameters
     ----------
+    version : int
+        Of the protocol; those of version 2 see and move the first tool only.
     follows_preparation : bool
         Whether it receives the progress before the session exists.
     shows_surroundings : bool
@@ -38,9 +41,13 @@ class Viewer:
     """
 
     def __init__(
-        self, socket: ServerConnection, follows_preparation: bool = False, shows_surroundings: bool = False
+        self,
+        socket: ServerConnection,
+        version: int,
+        follows_preparation: bool = False,
+        shows_surroundings: bool = False,
     ) -> None:
-        self.socket, self.scalar, self.queue = socket, "displacement", MessageQueue()
+        self.socket, self.version, self.scalar, self.queue = socket, version, "displacement", MessageQueue()
         self.follows_preparation, self.shows_surroundings = follows_preparation, shows_surroundings
         self.has_body = asyncio.Event()  # set once it has received a preview or a state frame
         self.sent, self.acknowledged, self.invalid_messages = 0, 0, 0
@@ -49,6 +56,7 @@ class Viewer:
         self.last_drive = 0.0  # [s]
         self.last_message = time.monotonic()  # [s]
         self.force_rate, self.force_rate_changed = 0.0, asyncio.Event()  # [Hz]
+        self.force_tools = [0]  # whose force frames are sent
         self.tasks: set[asyncio.Future[None]] = set()
         self.may_send_frame = asyncio.Event()
         self.may_send_frame.set()
@@ -76,9 +84,9 @@ class Viewer:
         else:
             self.may_send_frame.clear()
 
-    def set_force_rate(self, rate: float) -> None:
-        """Set the rate of force frames [Hz]."""
-        self.force_rate = rate
+    def set_force_rate(self, rate: float, tools: Sequence[int]) -> None:
+        """Set the rate of force frames [Hz], and the indices of their tools."""
+        self.force_rate, self.force_tools = rate, list(tools)
         self.force_rate_changed.set()
 
     @property

@@ -1,0 +1,1 @@
+"""Haptic devices that move the tools of a session; see docs/howto/haply.md."""

@@ -1,0 +1,125 @@
+"""The trust number and the error bounds of several tools at once, by numbers alone."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from palpate.reduction.contact.gauss_seidel import contact_nearness
+from palpate.reduction.hyper.error_indicator import (
+    Measures,
+    Scales,
+    curve_bound,
+    support_nearness,
+    touch_speed,
+    trust_numbers,
+)
+from palpate.reduction.training.calibrate_indicator import Frames, calibrate_scales, error_curves
+
+SCALES = Scales(1.0, 1.0, 1.0, 4.0, 0.1, 1.0, trained_tools=1)
+CURVE = ("bound", "least_trust", "exponent", "largest_trust", "typical_size")
+
+
+def measures(energies=(0.0,), speeds=(0.0,), tools=1) -> Measures:
+    return Measures(0.0, 0.0, 0.0, np.array(energies), np.array(speeds), 0.0, tools)
+
+
+def test_a_tool_that_presses_does_not_hide_the_speed_of_another():
+    alone = trust_numbers(measures((0.0,), (0.3,)), SCALES)
+    assert alone == pytest.approx(3.0)
+    for order in (slice(None), slice(None, None, -1)):
+        both = measures((1.0, 0.0)[order], (0.0, 0.3)[order])
+        assert trust_numbers(both, SCALES) == pytest.approx(alone)
+    assert touch_speed(0.3, 1.0, SCALES.flexibility_scale) < 0.2  # what it would be with the other's energy
+
+
+def test_energies_of_tools_add():
+    assert trust_numbers(measures((4.0, 12.0), (0.0, 0.0)), SCALES) == pytest.approx(2.0)
+
+
+def test_more_tools_than_in_held_out_runs_have_a_trust_number_of_two_or_more():
+    numbers = [float(trust_numbers(measures(tools=count), SCALES)) for count in range(5)]
+    assert numbers == [0.0, 0.0, 2.0, 3.0, 4.0]
+    both = SCALES._replace(trained_tools=2)
+    assert [float(trust_numbers(measures(tools=count), both)) for count in range(4)] == [0.0, 0.0, 0.0, 2.0]
+
+
+def test_the_nearness_to_supports_is_that_of_the_nearest_tool():
+    """A large force far from supports does not hide a small one next to them, in a run and in the engine."""
+    nearness, forces = np.array([0.1, 0.1, 2.0]), np.zeros((3, 3, 3))
+    forces[0, :2, 2], forces[2, 1:, 0] = 50.0, 0.01
+    expected = 0.5 * (0.1 + 2.0)
+    assert support_nearness(nearness, forces) == pytest.approx(expected)
+    tool, node = np.nonzero(forces.any(axis=2))
+    pairs = SimpleNamespace(numbers=[len(tool)], tool=tool, node=node, push=forces[tool, node])
+    engine = [contact_nearness.py_func(nearness, pairs, t) for t in range(3)]
+    assert [touches for _, touches in engine] == [1, 0, 1]
+    assert max(near for near, _ in engine) == pytest.approx(expected)
+    for some in (forces[:0], forces[1:2], 0.0 * forces):
+        assert support_nearness(nearness, some) == 0.0
+
+
+def drawn_run(random, tools: int) -> Frames:
+    """A run of 40 frames with a trust number of some 1 at the end; runs of two tools err three times as much."""
+    trust, zero = np.sort(random.uniform(0.2, 1.0, 40)), np.zeros(40)
+    size = np.full(40, 2.0)
+    error = (0.02 if tools == 1 else 0.06) * size * trust * np.exp(0.4 * random.standard_normal())
+    of_tools = np.zeros((40, tools))
+    counted = np.where(np.arange(40) < 10, 1, tools)
+    weak = np.full(tools, 0.5)  # tools of half the error and size, but for the first
+    weak[0] = 1.0
+    return Frames(
+        Measures(trust, zero, zero, of_tools, of_tools, zero, counted),
+        {"displacement": error, "force": error[:, None] * weak}, {"displacement": size, "force": size[:, None] * weak},
+    )  # fmt: skip
+
+
+def keeps(run: Frames, scales: Scales, curves) -> tuple[bool, bool]:
+    """Return whether a run keeps the bound of its force, and whether that is known in all frames."""
+    worst = np.maximum.accumulate(trust_numbers(run.measures, scales))
+    curve = np.array([curves["force"][name] for name in CURVE])
+    bounds = np.array(
+        [
+            [curve_bound(curve, trust, size) for size in sizes]
+            for trust, sizes in zip(worst, run.sizes["force"], strict=True)
+        ]
+    )
+    return bool(np.all(run.errors["force"] <= bounds)), bool(np.isfinite(bounds).all())
+
+
+def test_bounds_hold_for_runs_of_either_number_of_tools():
+    """Few runs with two tools among many with one, which a common factor would not cover."""
+    random = np.random.default_rng(0)
+    kept, common = [], []
+    for _ in range(40):
+        one, two = ([drawn_run(random, tools) for _ in range(count)] for tools, count in ((1, 60), (2, 19)))
+        scales = calibrate_scales([run.measures for run in one + two], 0.95)
+        assert scales.trained_tools == 2
+        curves = error_curves(one + two, scales)
+        assert curves["level"] == pytest.approx(0.95)
+        assert curves["least_level"] == pytest.approx(0.1 ** (1 / 19), abs=1e-3)  # of the 19
+        further = [drawn_run(random, 2) for _ in range(20)]
+        kept += [keeps(run, scales, curves)[0] for run in further]
+        pooled = np.quantile([np.max(run.errors["force"] / run.sizes["force"]) for run in one + two], 0.95)
+        common += [np.max(run.errors["force"] / run.sizes["force"]) <= pooled for run in further]
+    assert np.mean(kept) > 0.92
+    assert np.mean(common) < 0.88
+
+
+def test_few_runs_of_one_kind_have_a_lower_level():
+    random = np.random.default_rng(1)
+    runs = [drawn_run(random, 1) for _ in range(19)] + [drawn_run(random, 2)]
+    assert error_curves(runs, calibrate_scales([run.measures for run in runs], 0.95))["level"] == 0.5
+
+
+def test_the_bound_is_unknown_with_two_tools_where_held_out_runs_had_one():
+    random = np.random.default_rng(2)
+    runs = [drawn_run(random, 1) for _ in range(39)]
+    runs.append(runs[0]._replace(measures=runs[0].measures._replace(distances=30 * runs[0].measures.distances)))
+    scales = calibrate_scales([run.measures for run in runs], 0.95)  # one run is far above a trust number of 2
+    curves = error_curves(runs, scales)
+    assert trust_numbers(runs[-1].measures, scales).max() > 10
+    assert keeps(drawn_run(random, 1), scales, curves)[1]
+    assert keeps(drawn_run(random, 2), scales, curves) == (True, False)
