@@ -37,13 +37,14 @@ def timed(advance: Any, stiffness: Any) -> Any:
 
 def press(ready: Any, period: Any, hand: Any, periods: int, every: int) -> np.ndarray:
     """Step through presses; return times [ms] of the step and the stiffness, patches touched and whether asked."""
+    from palpate.realtime.contract import tool_maps
     from palpate.realtime.pose import tool_coordinates
 
     q, v, report, out = ready.rest.copy(), np.zeros_like(ready.rest), np.zeros(20), np.zeros((12, 12))
     target, times, rows = np.zeros(12), np.zeros(2), np.zeros((periods, 4))
     for k in range(periods):
         place, turn = hand((k + 1) * PERIOD)
-        tool_coordinates(ready.tool, np.concatenate([place, turn]), target)
+        tool_coordinates(tool_maps(ready.tool), np.concatenate([place, turn])[None], target)
         ask = every > 0 and k % every == 0
         period(ready.data, q, v, target, report, out, ask, times)
         rows[k] = 1e-6 * times[0], 1e-6 * times[1], ready.data.contact_work.numbers[0], ask

@@ -32,7 +32,7 @@ from palpate.reduction.training.calibrate_indicator import (
     Frames,
     calibrate_scales,
     error_curves,
-    held_out_frames,
+    repeat_run,
     trust_numbers,
 )
 from palpate.scenes.training import training_scene
@@ -42,6 +42,7 @@ DURATION, EVERY = 0.1, 0.005
 TISSUE = pt.materials.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=0.45)
 SKIN = pt.materials.NeoHookean(C1=10e3, density=1000.0, poisson=0.5)
 PATHS, HELD_OUT = 16, 100  # of the campaigns on organs
+ONE_TOOL = "pairs=0"  # two tools: `two_tools.py`
 COMMAND = "python validation/bounds.py"  # also of results that are made one by one
 CURVE = ("bound", "least_trust", "exponent", "largest_trust", "typical_size")
 
@@ -119,7 +120,7 @@ def frames_of_case(case: Case, runs: int) -> Iterator[tuple[int, list[Frames]]]:
     further = [(loads, rollout(case.body, loads)) for loads in (case.draw(random) for _ in range(runs))]
     for modes in case.modes:
         rom = pt.hyper_reduce(case.body, trained, modes=modes, prescribed=case.prescribed or ())
-        yield modes, [held_out_frames(rom, loads, rollout(rom, loads), full) for loads, full in further]
+        yield modes, [repeat_run(rom, loads, full)[1] for loads, full in further]
 
 
 def palpate(*words: Any) -> None:
@@ -137,17 +138,15 @@ def frames_of_organ(organ: Organ, folder: Path) -> list[Frames]:
             palpate("new", DATA / organ.file, "--spacing", organ.spacing, "--out", scene)
     else:
         campaign = campaign.with_name(f"{organ.scene}-{organ.settings[0].partition('=')[2]}")
+    settings = (*organ.settings, ONE_TOOL)
     if not (campaign / "model.rom").is_file():
-        options = ["--set", *organ.settings] if organ.settings else []
         numbers = ["--paths", PATHS, "--held-out", HELD_OUT, "--modes", organ.modes]
-        palpate("train", scene, *options, *numbers, "--out", campaign)
-    made, model, frames = training_scene(scene, parse_settings(organ.settings)), pt.load(campaign / "model.rom"), []
+        palpate("train", scene, "--set", *settings, *numbers, "--out", campaign)
+    made, model, frames = training_scene(scene, parse_settings(settings)), pt.load(campaign / "model.rom"), []
     for job in jobs(0, (), HELD_OUT):
         if (campaign / "runs" / f"{job.name}.h5").is_file():
             full = pt.Trajectory.load(campaign / "runs" / f"{job.name}.h5")
-            loads, duration = made.path(job.seed)
-            run = pt.rollout(model, loads, duration=duration, every=made.every, progress=False)
-            frames.append(held_out_frames(model, loads, run, full))
+            frames.append(repeat_run(model, made.path(job.seed)[0], full)[1])
     return frames
 
 
@@ -165,13 +164,18 @@ def judge(frames: list[Frames], calibrated: int, splits: int) -> dict[str, dict[
             curve = np.array([curves[of][name] for name in CURVE])
             errors = [run.errors[of] for run in others]
             bounds = [
-                np.array([curve_bound(curve, trust, size) for trust, size in zip(numbers, run.sizes[of], strict=True)])
+                np.array(
+                    [
+                        [curve_bound(curve, trust, size) for size in np.atleast_1d(sizes)]
+                        for trust, sizes in zip(numbers, run.sizes[of], strict=True)
+                    ]
+                ).reshape(run.sizes[of].shape)
                 for run, numbers in zip(others, worst, strict=True)
             ]
             kept = np.mean([np.all(error <= bound) for error, bound in zip(errors, bounds, strict=True)])
             known = np.array([np.isfinite(bound).all() for bound in bounds])
             wide, wrong = (np.array([each.max() for each in values]) for values in (bounds, errors))
-            here, there = np.concatenate(bounds), np.concatenate(errors)
+            here, there = (np.concatenate([part.ravel() for part in each]) for each in (bounds, errors))
             finite = np.isfinite(here)
             values.append((
                 kept, 1 - known.mean(), float(kept >= curves["least_level"]),

@@ -38,7 +38,7 @@ import result_files  # noqa: E402
 
 import palpate as pt  # noqa: E402
 from palpate.realtime.bodies.display_surface import Surface  # noqa: E402
-from palpate.realtime.record import HEADER_SIZE, field_offset  # noqa: E402
+from palpate.realtime.record import HEADER_SIZE, TOOL_DTYPE, TOOL_SIZE, field_offset  # noqa: E402
 from palpate.tissue.catalogue import LAWS  # noqa: E402
 
 SIZE, SPACING, BALL, DEPTH = (0.06, 0.06, 0.03), 0.0075, 0.015, 0.004
@@ -48,7 +48,7 @@ HEADER, ENTRY = 64, struct.Struct("<24sQIIII")
 TYPES = ("f8", "f4", "i8", "u4", "b1", "u1", "i4")
 PRONY = pt.materials.Prony(shares=(0.5, 0.2), times=(0.01, 0.1))
 FIBRES = pt.materials.Fibres(k1=2e3, k2=3.0, directions=(1.0, 0.0, 0.0))
-FORCE, STIFFNESS = field_offset("force"), field_offset("stiffness")
+FORCE, STIFFNESS, TOOL_FORCE = field_offset("force"), field_offset("stiffness"), field_offset("force", TOOL_DTYPE)
 
 
 class Library:
@@ -80,10 +80,10 @@ class Library:
 class Engine:
     """The functions of a library, compiled by Numba in this process."""
 
-    def __init__(self, model: pt.ReducedModel) -> None:
+    def __init__(self, model: pt.ReducedModel, tools: int = 2) -> None:
         from palpate.export.library import model_functions
 
-        self._functions, self.arrays = model_functions(model)
+        self._functions, self.arrays = model_functions(model, tools)
 
     def __call__(self, name: str) -> int:
         function, arguments = self._functions[name]
@@ -98,7 +98,7 @@ def step_through(model: Any, periods: int, touches: bool) -> tuple[np.ndarray, n
             set_tool(model, 0, (BALL, 0.0, 0.0), (0.024, 0.038, SIZE[2] + BALL + 0.001), 0.3)
         elif touches and k == periods // 2:
             set_tool(model, 3, (0.012, 0.0, 0.0), (0.03, 0.03, SIZE[2]), 0.0)
-        arrays["pose"][:] = pose_at((2.0 * k / periods) % 1.0, k < periods // 2)
+        arrays["pose"][0] = pose_at((2.0 * k / periods) % 1.0, k < periods // 2)
         began = perf_counter()
         status = model("step")
         times[k] = perf_counter() - began
@@ -109,12 +109,25 @@ def step_through(model: Any, periods: int, touches: bool) -> tuple[np.ndarray, n
     return np.array(records), arrays["vertices"].copy(), times
 
 
-def set_tool(model: Any, kind: int, sizes: tuple[float, ...], place: tuple[float, ...], friction: float) -> None:
+def coordinates_part(library: Library, count: int) -> slice:
+    """Return where a number of coordinates are in the record."""
+    first = HEADER_SIZE + TOOL_SIZE * len(np.atleast_2d(library.arrays["pose"]))
+    return slice(first, first + count)
+
+
+def set_tool(model: Any, kind: int, sizes: tuple[float, ...], place: Any, friction: float, index: int = 0) -> None:
     arrays = model.arrays
+    arrays["tool_index"][0] = index
     arrays["tool_kind"][0], arrays["tool_sizes"][:], arrays["tool_friction"][0] = kind, sizes, friction
     arrays["tool_pose"][:], arrays["tool_point"][:] = (*place, 1.0, 0.0, 0.0, 0.0), place
     if model("set_tool"):
         raise RuntimeError(f"tool of kind {kind} is refused")
+
+
+def tool_record(model: Any, index: int) -> np.ndarray:
+    """Return a copy of the part of a tool in the record."""
+    first = HEADER_SIZE + TOOL_SIZE * index
+    return np.array(model.arrays["record"][first : first + TOOL_SIZE])
 
 
 def pose_at(s: float, presses: bool) -> tuple[float, ...]:
@@ -205,7 +218,7 @@ def compare(case: str, folder: Path, periods: int) -> dict[str, Any]:
     shipped, shipped_vertices, _ = step_through(Engine(model), periods, touches)
     _, _, shipped_times = step_through(Engine(model), periods, touches)  # compiled by now
     moved = np.abs(shipped_vertices - Surface(model).rest).max()
-    coordinates = slice(HEADER_SIZE, HEADER_SIZE + model.count)
+    coordinates = coordinates_part(library, model.count)
     parts = {"force": slice(FORCE, FORCE + 3), "stiffness": slice(STIFFNESS, STIFFNESS + 9), "coordinates": coordinates}
     return {
         "case": case,
@@ -243,7 +256,7 @@ def measure_times(folder: Path, periods: int, rounds: int = 7) -> list[dict[str,
     models = {"engine (Numba)": engine, **libraries}
     for model in models.values():
         set_tool(model, 0, (BALL, 0.0, 0.0), (0.024, 0.038, SIZE[2] + BALL + 0.001), 0.3)
-        model.arrays["pose"][:] = pose_at(0.34, True)
+        model.arrays["pose"][0] = pose_at(0.34, True)
         for _ in range(200):
             model("step")
     repeat(*arguments, 1)

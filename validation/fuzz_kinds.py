@@ -24,9 +24,12 @@ import fuzz_labels
 import numpy as np
 
 import palpate as pt
+from palpate.app.device.hand_loop import HandLoop
+from palpate.app.device.options import DeviceOptions
+from palpate.app.device.service import force_message, parse_state
 from palpate.app.recordings import recording as recordings
 from palpate.app.recordings.recording_journal import RecordingJournal
-from palpate.app.recordings.snapshot import Snapshot
+from palpate.app.recordings.snapshot import Snapshot, ToolSnapshot
 from palpate.app.session.messages import parse_message
 from palpate.app.session.replay import Replay
 from palpate.dynamics.run import trajectory as trajectories
@@ -390,22 +393,36 @@ def journal_kind(folder: Path) -> Trial:
 
 
 def recording(full: bool = False) -> recordings.Recording:
-    """Return a recording of a few moments of a reduced model or a full body, as a session leaves it."""
+    """Return a recording of a few moments of a reduced model or a full body with two tools, as a session leaves it."""
     body, zero = bar() if full else model(), np.zeros(3)
     count, moments = 3 * len(body.cloud) if full else body.count, []
     for k in range(8):
         touched = np.arange(2 if k % 3 else 0)
+        tools = [
+            ToolSnapshot(
+                force=zero + k,
+                moment=zero,
+                stiffness=np.eye(3),
+                position=zero,
+                quaternion=np.array([1.0, 0, 0, 0]),
+                sequence=k,
+                device_force=zero,
+                kind=kind,
+                pinned=kind == "grasp",
+            )
+            for kind in ("sphere", "grasp" if k > 3 else "none")
+        ]
         moments.append(
-            Snapshot(
-                time=0.01 * k, steps=10 * k, force=zero + k, moment=zero, stiffness=np.eye(3), trust=0.1, position=zero,
-                quaternion=np.array([1.0, 0, 0, 0]), sequence=k, kinetic=0.0, strain=1e-6, computing=1e-4, lateness=0.0,
-                coordinates=1e-4 * k * np.ones(count, dtype=np.float32), state="running", device_force=zero,
-                contact_nodes=touched, contact_forces=np.ones((len(touched), 3)) * 1e-3, modulus_ratio=1.0,
-                tool="sphere",
+            Snapshot.from_tools(
+                tools, time=0.01 * k, steps=10 * k, trust=0.1, kinetic=0.0, strain=1e-6, computing=1e-4, lateness=0.0,
+                coordinates=1e-4 * k * np.ones(count, dtype=np.float32), state="running", contact_nodes=touched,
+                contact_forces=np.ones((len(touched), 3)) * 1e-3, contact_tools=touched, modulus_ratio=1.0,
             )
         )  # fmt: skip
-    tool = {"kind": "sphere", "radius": 0.008, "length": 0.04, "friction": 0.2, "stiffness": None, "start": 0}
-    return recordings.Recording("Bar", body, 0.01 * np.arange(8.0), moments, [tool], {})
+    sizes = {"radius": 0.008, "length": 0.04, "friction": 0.2, "stiffness": None}
+    placed = (("sphere", 0, 0), ("none", 1, 0), ("grasp", 1, 4))
+    tools_by_start = [{"kind": kind, **sizes, "index": index, "start": start} for kind, index, start in placed]
+    return recordings.Recording("Bar", body, 0.01 * np.arange(8.0), moments, tools_by_start, {})
 
 
 def use_recording(found: recordings.Recording) -> None:
@@ -419,7 +436,11 @@ def use_recording(found: recordings.Recording) -> None:
     for moment in found.snapshots[:3]:
         body = frames.state_body(show.surface, moment, "displacement")
         assert np.isfinite(np.frombuffer(body, "<f4")[44:]).all()
-        frames.force_frame(moment, 1)
+        numbers = np.frombuffer(frames.tools_frame(moment.tools, 1), "<f8", offset=16)
+        assert len(numbers) == 16 * show.max_tools
+        assert np.isfinite(numbers).all()
+        for index in range(show.max_tools):
+            frames.force_frame(moment, 1, index)
     with contextlib.suppress(InputError):
         tool_path(found)
 
@@ -441,7 +462,8 @@ def recording_journal_kind(folder: Path) -> Trial:
     path, sound = folder / "sound.h5", recording()
     journal = RecordingJournal(path, sound.title, sound.model)
     for k in range(0, len(sound.snapshots), 2):
-        journal.add(sound.times[k : k + 2], sound.snapshots[k : k + 2], sound.tools if k == 0 else [])
+        tools = [tool for tool in sound.tools if tool["start"] in (k, k + 1)]
+        journal.add(sound.times[k : k + 2], sound.snapshots[k : k + 2], tools)
     journal.close()
     data = path.read_bytes()
     known = [fingerprint(moment) for moment in recordings.load_recording(path).snapshots]
@@ -666,6 +688,8 @@ def message_kind(folder: Path) -> Trial:
         {"type": "hello", "protocol": 2, "token": "abc", "name": ""}, {"type": "pose", "position": [0.1, 0.0, 0.2]},
         {"type": "tool", "kind": "sphere", "radius": 0.01, "position": [0, 0, 0.1]}, {"type": "latency", "stamp": 1.5},
         {"type": "force", "rate": 100.0}, {"type": "material", "name": "shear modulus", "value": 5.0},
+        {"type": "pin", "index": 1, "pinned": True}, {"type": "pose", "position": [0.1, 0.0, 0.2], "index": 3},
+        {"type": "force", "rate": 100.0, "tools": [0, 2]}, {"type": "release", "index": 2},
     ]  # fmt: skip
 
     def trial(rng: Rng, folder: Path) -> str:
@@ -678,8 +702,34 @@ def message_kind(folder: Path) -> Trial:
             text = text.replace(
                 "1", str(rng.choice(["1e999", "NaN", "Infinity", "9" * 500, '"\\ud800"', "[" * 50_000]))
             )
-        message = parse_message(text)
+        version = int(rng.integers(2, 4))
+        message = parse_message(text, version)
         json.dumps(message, allow_nan=False).encode()
+        assert version > 2 or (message.get("index", 0), message.get("tools", [0])) == (0, [0])
+        return "accepted"
+
+    return trial
+
+
+def device_kind(folder: Path) -> Trial:
+    """Return trials of what the service of a haptic device says."""
+    cursor = {"cursor_position": {"x": 0.0, "y": -0.12, "z": 0.15}, "cursor_velocity": {"x": 0.0, "y": 0.0, "z": 0.0}}
+    grip = {"orientation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}, "buttons": {"a": False, "b": True, "c": False}}
+    sound = {
+        "inverse3": [
+            {"device_id": name, "config": {"handedness": "left"}, "state": cursor} for name in ("049D", "04BA")
+        ],
+        "wireless_verse_grip": [{"device_id": "61548", "state": grip}],
+    }
+    loop = HandLoop(DeviceOptions(), 2, lambda answer: None)
+
+    def trial(rng: Rng, folder: Path) -> str:
+        if rng.random() < 0.5:
+            text = damaged(rng, json.dumps(sound).encode()).decode("utf-8", "replace")
+        else:
+            text = json.dumps(lie(rng, sound))
+        forces = loop.forces(parse_state(text), float(rng.uniform(0, 1e3)))
+        force_message(forces)
         return "accepted"
 
     return trial
@@ -831,5 +881,5 @@ KINDS: dict[str, Callable[[Path], Trial]] = {
     **{suffix: surface_kind(suffix) for suffix in ("stl", "obj", "ply", "off", "glb", "vtk", "vtp", "trian", "stl.gz")},
     **{f"labels {suffix}": label_kind(suffix) for suffix in fuzz_labels.SUFFIXES},
     "material": material_kind, "scene": scene_kind, "curve": curve_kind, "message": message_kind,
-    "command": command_kind, "physics": physics_kind, "cost": cost_kind, "folder": folder_kind,
+    "device": device_kind, "command": command_kind, "physics": physics_kind, "cost": cost_kind, "folder": folder_kind,
 }  # fmt: skip

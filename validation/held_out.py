@@ -32,7 +32,7 @@ from scipy.stats import spearmanr
 import palpate as pt
 from palpate.reduction.hyper.cubature import sparse_nnls
 from palpate.reduction.hyper.error_indicator import mean_size
-from palpate.reduction.training.calibrate_indicator import Frames, Scales, held_out_frames, trust_numbers
+from palpate.reduction.training.calibrate_indicator import Frames, Scales, repeat_run, trust_numbers
 from palpate.reduction.training.reduce import hyper_reduce
 
 Floats = NDArray[np.float64]
@@ -147,8 +147,7 @@ def study_trust(model: pt.Solid, runs: dict[str, list[pt.Trajectory]]) -> list[A
 
 
 def _repeated(rom: pt.ReducedModel, loads: Any, full: pt.Trajectory) -> Frames:
-    own = pt.rollout(rom, loads, duration=DURATION, every=EVERY, progress=False)
-    return held_out_frames(rom, loads, own, full)
+    return repeat_run(rom, loads, full)[1]
 
 
 def _judged(rom: pt.ReducedModel, some: list[Frames]) -> dict[str, float]:

@@ -41,11 +41,11 @@ class Address:
 
     def hello(self, **other: Any) -> str:
         """Return the first message of a client that is let in."""
-        return json.dumps({"type": "hello", "protocol": 2, "token": self.token, **other})
+        return json.dumps({"type": "hello", "protocol": 3, "token": self.token, **other})
 
     def connect(self) -> Any:
         """Return a connection that opens."""
-        return connect(self.url, subprotocols=["palpate.v2"], max_size=None, compression=None, ping_interval=None)
+        return connect(self.url, subprotocols=["palpate.v3"], max_size=None, compression=None, ping_interval=None)
 
     async def raw(self, small: bool = True) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
         """Return a bare connection, which reads little at a time."""
@@ -62,7 +62,7 @@ class Address:
         writer.write(
             f"GET /session HTTP/1.1\r\nHost: {self.host}:{self.port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
             "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
-            "Sec-WebSocket-Protocol: palpate.v2\r\n\r\n".encode()
+            "Sec-WebSocket-Protocol: palpate.v3\r\n\r\n".encode()
         )
         await reader.readuntil(b"\r\n\r\n")
         writer.write(text(self.hello()))
@@ -218,7 +218,7 @@ async def lies(at: Address) -> None:
     for hello in (
         at.hello(token="guess"), at.hello(protocol=2), at.hello(protocol=-1), at.hello(name="x" * 201), "[" * 30_000,
         '{"type": "hello", "protocol": 2, "token": "\\ud800"}', ask(type="\U0001f9e0" * 60), ask(type="drive"), "",
-        at.hello()[:-1] + ', "protocol": 2}', '{"type": "hello", "protocol": ' + "9" * 5000 + "}",
+        at.hello()[:-1] + ', "protocol": 3}', '{"type": "hello", "protocol": ' + "9" * 5000 + "}",
     ):  # fmt: skip
         with contextlib.suppress(*FAULTS):
             async with at.connect() as client:
@@ -235,7 +235,9 @@ async def mistakes(at: Address) -> None:
             await client.send('{"type": "latency", "stamp": 1e999}')
             await client.send(ask(type="force", rate=(1, 1000)[k % 2]))
             await client.send(ask(type="ack", sequence=2**53))
-            await client.send(ask(type="tool", kind="sphere", position=[0, 0, 0]))
+            await client.send(ask(type="tool", kind="sphere", position=[0, 0, 0], index=k % 6))
+            await client.send(ask(type="pin", index=k % 4, pinned=k % 3 == 0))
+            await client.send(ask(type="force", rate=1000, tools=list(range(k % 17))))
             await client.send(b"\x00" * 100 if k % 10 == 0 else ask(type="drive"))
         reading.cancel()
 
@@ -311,7 +313,7 @@ class Honest:
         began, number = time.monotonic(), 0
         await client.send(ask(type="drive"))
         await client.send(ask(type="tool", kind="sphere", radius=RADIUS, position=FROM.tolist()))
-        await client.send(ask(type="force", rate=1000))
+        await client.send(ask(type="force", rate=1000, tools=[0, 3]))
         while True:
             number += 1
             place = FROM - [0.0, 0.0, DEEP * np.sin(np.pi * (time.monotonic() - began)) ** 2]

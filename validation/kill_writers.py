@@ -31,7 +31,7 @@ from palpate.app.common.vtkhdf import write_vtkhdf
 from palpate.app.recordings.recording import load_recording, save_recording
 from palpate.files import read_sealed_json, write_sealed_json
 from palpate.realtime.black_box import RingBuffer, append_record, write_black_box
-from palpate.realtime.record import HEADER_SIZE
+from palpate.realtime.record import record_size
 
 Writer = tuple[str, Callable[[Path, int], None], Callable[[Path], Any]]
 
@@ -51,8 +51,8 @@ def writers() -> dict[str, Writer]:
     def black_box(path: Path, k: int) -> None:
         ring = RingBuffer.empty(5, 4)
         for row in range(k + 2):
-            append_record(ring, np.full(HEADER_SIZE + 4, float(row)))
-        write_black_box(path, ring, {})
+            append_record(ring, np.full(record_size(4, 1), float(row)))
+        write_black_box(path, ring, 1, {})
 
     def paraview(path: Path, k: int) -> None:
         write_vtkhdf(path, run_cloud, np.arange(2.0), {"displacement": run.displacements[:2] * k})

@@ -128,7 +128,7 @@ MUTATIONS = (
     ),
     Mutation(
         "springs dropped in real time", "realtime/bodies/model.py",
-        "contact, _springs(model, foundations))", "contact, _springs(model, ()))",
+        "tools, _springs(model, foundations))", "tools, _springs(model, ()))",
         (f"{LOADS}::test_in_real_time_a_load_moves_a_sampled_model_or_is_refused_by_name[held-Foundation, springs]",),
     ),
     Mutation(
@@ -268,8 +268,8 @@ MUTATIONS = (
     ),
     # reduction
     Mutation(
-        "share of a load not counted", "reduction/hyper/model.py",
-        "self.load_share(state, prepared) / self.data.load_scale", "0.0 * self.load_share(state, prepared)",
+        "share of a load not counted", "reduction/hyper/error_indicator.py",
+        "measures.load_shares / scales.load_scale", "0.0 * measures.load_shares",
         ("tests/reduction/hyper/test_load_share.py::test_a_load_across_the_symmetry_of_the_training_is_not_trusted",),
     ),
     Mutation(
@@ -279,13 +279,13 @@ MUTATIONS = (
     ),
     Mutation(
         "bounds of frames, not of runs", "reduction/training/calibrate_indicator.py",
-        "float(np.max(errors / numbers ** _exponent(largest[kept], peaks[kept])))",
-        "float(np.median(errors / numbers ** _exponent(largest[kept], peaks[kept])))",
+        "np.max(errors / numbers ** _exponent(largest[kept], peaks[kept]))",
+        "np.median(errors / numbers ** _exponent(largest[kept], peaks[kept]))",
         ("tests/reduction/training/test_calibrate_indicator.py::test_error_bounds_hold_for_their_level_of_new_runs",),
     ),
     Mutation(
-        "tools next to supports trusted", "reduction/hyper/model.py",
-        "self.support_nearness(state) / self.data.nearness_scale", "0.0 * self.support_nearness(state)",
+        "tools next to supports trusted", "reduction/hyper/error_indicator.py",
+        "measures.nearness / scales.nearness_scale", "0.0 * measures.nearness",
         ("tests/reduction/contact/test_trust_of_tools.py::test_a_tool_next_to_a_support_is_not_trusted",),
     ),
     Mutation(

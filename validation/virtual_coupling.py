@@ -17,7 +17,8 @@ import numpy as np
 
 import palpate as pt
 from palpate.realtime.contract import KINETIC, STATUS, STRAIN
-from palpate.realtime.observable import DAMPING, DEVICE_FORCE, MASS, make_observable
+from palpate.realtime.loop import passed
+from palpate.realtime.observable import DAMPING, MASS, TOOLS, make_observable
 
 PERIOD, DURATION, RADIUS, DEPTH, GAP = 1e-3, 4.0, 0.02, 0.008, 0.002  # [s], [s], [m], [m], [m]
 
@@ -39,25 +40,26 @@ def balance(
     )
     body.set_coupling(stiffness, limit)
     data, coupling, q, v = body.data, body.data.coupling, body.rest.copy(), np.zeros_like(body.rest)
+    address = passed(body.advance, data)  # by which the engine hands the data on
     report, device, work = np.zeros(20), np.zeros(3), 0.0
     energies = {"work": [], "body": [], "coupling": [], "force": []}
     for k in range(round(DURATION / PERIOD)):
         time = (k + 1) * PERIOD
         wanted = -(depth + GAP) * np.sin(np.pi * (time + time**2)) ** 2 * normal
-        body.advance(data, q, v, np.concatenate([wanted, np.zeros(9)]), PERIOD, report)
+        body.advance(address, q, v, np.concatenate([wanted, np.zeros(9)]), PERIOD, report)
         if report[STATUS] != 0.0:
             raise SystemExit("the state diverged")
-        work -= data.values[DEVICE_FORCE : DEVICE_FORCE + 3] @ (wanted - device)  # of the device on the coupling
+        work -= data.values[TOOLS : TOOLS + 3] @ (wanted - device)  # of the device on the coupling
         device = wanted
-        length = np.linalg.norm(device - coupling.position)
+        length = np.linalg.norm(device - coupling.position[0])
         slack = max(length - limit / stiffness, 0.0)  # beyond which the spring has a constant force
         spring = 0.5 * stiffness * (length - slack) ** 2 + (limit * slack if slack else 0.0)
-        kinetic = 0.5 * coupling.parameters[MASS] * np.sum(coupling.velocity**2)
+        kinetic = 0.5 * coupling.parameters[0, MASS] * np.sum(coupling.velocity**2)
         stored = report[KINETIC] + report[STRAIN]
-        force = np.linalg.norm(data.values[DEVICE_FORCE : DEVICE_FORCE + 3])
+        force = np.linalg.norm(data.values[TOOLS : TOOLS + 3])
         for name, value in (("work", work), ("body", stored), ("coupling", spring + kinetic), ("force", force)):
             energies[name].append(value)
-    return {name: np.array(values) for name, values in energies.items()} | {"damping": coupling.parameters[DAMPING]}
+    return {name: np.array(values) for name, values in energies.items()} | {"damping": coupling.parameters[0, DAMPING]}
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from figure_tables import (
     examples,
     exported,
     frequencies,
+    haply,
     incompressible,
     laws,
     linear,
@@ -26,6 +27,7 @@ from figure_tables import (
 from figure_tables.cells import BLOCKS, Block
 
 __all__ = [
-    "BLOCKS", "Block", "bases", "contact", "cuts", "elements", "examples", "exported", "frequencies", "incompressible",
+    "BLOCKS", "Block", "bases", "contact", "cuts", "elements", "examples", "exported", "frequencies", "haply",
+    "incompressible",
     "laws", "linear", "membranes", "organs", "peers", "readme", "reduced_cuts", "sampled", "steps",
 ]  # fmt: skip

@@ -69,6 +69,19 @@ def contact_overhead(rows: list[Row]) -> str:
     return markdown(["nodes", "of the surface", "pushed", "step", "the ball adds", "share of the step"], [cells])
 
 
+@block("squeeze", command="python validation/squeeze.py")
+def two_balls(rows: list[Row]) -> str:
+    """Return the forces on two balls that squeeze a block, and their error against finite elements."""
+    lines = [
+        [
+            millimetres(row["depth"]), millimetres(row["spacing"]), *(f"{force:.4f} N" for force in row["forces"]),
+            f"{row['elements']:.4f} N", signed(row["error"]),
+        ]
+        for row in rows
+    ]  # fmt: skip
+    return markdown(["depth of each", "spacing", "first ball", "second ball", "finite elements", "error"], lines)
+
+
 PRESS_NAMES = {
     "force": "force on the tool against the full model's of the moment, median",
     "force_95": "the same, 95th percentile",

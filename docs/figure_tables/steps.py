@@ -85,6 +85,50 @@ def bounds(rows: list[Row]) -> str:
     return markdown(heads, lines)
 
 
+def _shares(row: Row, name: str) -> str:
+    """Return the share of runs that keep their bounds, and that of runs whose bounds are unknown."""
+    kept, known = row[name]
+    return f"{100 * kept:.1f} %; {100 * (1 - known):.0f} %"
+
+
+@block("two_tools", command="python validation/two_tools.py")
+def two_tools_bounds(rows: list[Row]) -> str:
+    """Return how many runs with one tool and with two keep their error bounds."""
+    names = ("one by one", "two by one, not counted", "two by one", "one by both", "two by both")
+    lines = [
+        [
+            f"{row['organ']}, {row['nodes']:,} nodes", row["training"], of,
+            *(_shares(row[of], name) for name in names), f"{row[of]['widening']:.1f}",
+        ]
+        for row in rows
+        for of in ("force", "displacement")
+    ]  # fmt: skip
+    heads = [
+        "organ", "trained on", "error of", "one tool, calibrated with one: kept; unknown",
+        "two, with one, if tools were not counted", "two, with one", "one, with both", "two, with both",
+        "bounds of runs with one tool, with both over with one",
+    ]  # fmt: skip
+    return markdown(heads, lines)
+
+
+@block("two_tools", command="python validation/two_tools.py")
+def two_tools_errors(rows: list[Row]) -> str:
+    """Return the errors of forces and surface on runs with one tool and with two."""
+    names = ("force", "force_95", "surface_95", "farthest_95", "worst force_95")
+    lines = [
+        [
+            row["organ"], row["training"], str(row["sampled nodes"]),
+            *("; ".join(percent(row[kind][name]) for kind in ("one tool", "two tools")) for name in names),
+        ]
+        for row in rows
+    ]  # fmt: skip
+    heads = [
+        "organ", "trained on", "sampled nodes", "force, median: one tool; two", "force, 95th percentile",
+        "surface, 95th percentile", "farthest node, 95th percentile", "force, 95th percentile of the worst run",
+    ]  # fmt: skip
+    return markdown(heads, lines)
+
+
 @block("blind", command="python validation/blind.py")
 def blind(found: Row) -> str:
     """Return how often a trust number below 1 hides a large error."""
