@@ -174,25 +174,31 @@ def test_frames_of_tools_have_16_numbers_each(recording):
 def test_a_replay_shows_all_tools_to_version_3_and_the_first_one_to_version_2(recording, site_of):
     last = float(recording.times[-1])
 
+    def statuses(client):
+        return [each for each in client.messages if each["type"] == "status"]
+
+    def at_last(client):
+        return client.states and client.states[-1][1][0] == last
+
+    def both_tools(client):  # of the frame that was received last: frames of tools come before the states
+        shown = [tool["kind"] for tool in statuses(client)[-1]["all_tools"]] == ["sphere", "grasp"]
+        return shown and client.tools[-1][0] == client.states[-1][0]
+
     async def visit():
         site = site_of(Replay(recording))
         async with site.client(version=3) as new, site.client() as old:
             await new.say(type="replay", action="pause")
             await new.say(type="replay", action="seek", time=last)
-            for client in (new, old):
-                await client.hear_until(lambda c: c.states and c.states[-1][1][0] == last)
-            await new.told("status", state="paused")
+            await new.hear_until(lambda c: at_last(c) and statuses(c) and both_tools(c))
+            await old.hear_until(at_last)
             return new, old
 
     new, old = asyncio.run(visit())
     hello = new.messages[0]
     assert (hello["protocol"], hello["max_tools"]) == (3, 2)
     assert [tool["kind"] for tool in hello["all_tools"]] == ["sphere", "none"]
-    status = [each for each in new.messages if each["type"] == "status"][-1]
-    assert [tool["kind"] for tool in status["all_tools"]] == ["sphere", "grasp"]
-    assert [tool["pinned"] for tool in status["all_tools"]] == [False, True]
-    sequence, numbers = new.tools[-1]
-    assert sequence == new.states[-1][0]
+    assert [tool["pinned"] for tool in statuses(new)[-1]["all_tools"]] == [False, True]
+    _, numbers = new.tools[-1]
     np.testing.assert_array_equal(numbers[1, 2:5], recording.snapshots[-1].others[0].force)
     assert old.messages[0]["protocol"] == 2
     assert not old.tools

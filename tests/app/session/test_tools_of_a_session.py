@@ -282,6 +282,7 @@ def test_a_client_of_version_3_moves_two_tools_and_one_of_version_2_sees_the_fir
             await client.say(type="pose", index=1, position=RIGHT.tolist())
             await client.told("error")
             await client.hear_until(lambda c: len(c.forces) > 20 and c.forces[-1][22] > 1)
+            await client.hear_until(lambda c: c.tools[-1][0] == c.states[-1][0])  # a state follows its tools
             await old.hear_until(lambda c: len(c.forces) > 5 and c.states and c.states[-1][1][4] > 0.02)
             return client, old
 

@@ -70,14 +70,23 @@ def hold_forceps(tab):
 
 
 def settled_force(tab, index):
-    """The force of a tool [N], once a fifth of a second has not changed it: the last poses have arrived."""
-    before, force = None, tab.evaluate(FORCE.format(index))
-    end = monotonic() + 20
-    while force != before:
-        assert monotonic() < end, f"tool {index} does not come to rest: {before} N, {force} N"
-        sleep(0.2)
-        before, force = force, tab.evaluate(FORCE.format(index))
-    return force
+    """The force of a tool [N], once no tool approaches and three more frames show the same force: all poses arrived."""
+    approaching = "palpate.controls.presses.some(({ approach }) => approach > 0)"
+    now = f"[palpate.session.state.sequence, {FORCE.format(index)}, {approaching}]"
+    since, force, end = None, None, monotonic() + 30
+    while True:
+        sequence, newtons, moves = tab.evaluate(now)
+        if moves or newtons != force or since is None:
+            since, force = sequence, newtons
+        elif sequence >= since + 3:
+            return force
+        assert monotonic() < end, f"tool {index} does not come to rest: {newtons} N, it approaches: {moves}"
+        sleep(0.1)
+
+
+def draw_frames(tab):
+    """Wait until what was done before is drawn: three more frames."""
+    tab.wait(f"palpate.session.state.sequence >= {tab.evaluate('palpate.session.state.sequence') + 3}")
 
 
 def told(session, kind):
@@ -218,7 +227,7 @@ def test_a_blade_stands_on_the_surface_and_turns_into_its_stroke(opened, synthet
     choose(tab, "scalpel")
     x, y = middle(tab)
     end = drag(tab, (x - 40, y - 60), (50, 70), steps=3)
-    sleep(0.8)  # the approach has ended
+    settled_force(tab, 0)
     pose = synthetic.poses[0]
     along, up = _frame(tab)
     place = np.array(pose["position"])
@@ -259,17 +268,17 @@ def test_a_tool_is_rolled_by_keys_and_wheel_while_it_hovers_and_presses(opened, 
     eye = tab.evaluate("palpate.scene.orbitCamera.goal.distance")
     before = np.array(tab.evaluate(ghost))
     roll()
-    sleep(0.3)
+    draw_frames(tab)
     after = np.array(tab.evaluate(ghost))
     np.testing.assert_allclose(after[8:11], before[8:11], atol=1e-6)  # upright as before
     assert turned(before[:3], after[:3], before[8:11]) == pytest.approx(-0.52, abs=0.02)
     tab.mouse("Pressed", x, y - 40)
     tab.wait("palpate.hands.state(0).kind === 'scalpel'")
-    sleep(0.5)
+    settled_force(tab, 0)
     pressed = _frame(tab)
     assert pressed[0] @ after[:3] > 0.999  # as it hovered
     roll()
-    sleep(0.3)
+    draw_frames(tab)
     along, up = _frame(tab)
     assert turned(pressed[0], along, up) == pytest.approx(-0.52, abs=0.02)
     assert tab.evaluate("palpate.scene.orbitCamera.goal.distance") == eye
