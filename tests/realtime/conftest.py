@@ -11,7 +11,7 @@ sys.path.append(str(Path(__file__).parent))
 
 from mass_spring import mass_spring
 
-from palpate.realtime import Engine
+from palpate.realtime.engine import Engine
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import time
 import numpy as np
 from numba import njit
 
-from palpate.realtime import Realtime
+from palpate.realtime.contract import Realtime
 
 MASS, DAMPING, GROUND, CONTACT, TURN, FAULT, LABOUR, TRUSTED = range(8)
 STEPS = 8

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.realtime import DummyDevice
+from palpate.realtime.device import DummyDevice
 
 
 def test_the_device_sends_its_path_and_reads_forces_of_springs(engine_of):

@@ -14,7 +14,7 @@ from mass_spring import CONTACT, FAILS, FAULT, NOT_FINITE, RAISES, labour_of, ma
 from numba import njit
 
 import palpate as pt
-from palpate.realtime import Engine
+from palpate.realtime.engine import Engine
 
 SECONDS = 20.0  # to wait for what takes a fraction of one on an idle machine
 

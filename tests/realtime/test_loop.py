@@ -32,7 +32,7 @@ OTHER_PROCESS = """
 import sys
 sys.path.append(sys.argv[1])
 from mass_spring import mass_spring
-from palpate.realtime import Engine
+from palpate.realtime.engine import Engine
 engine = Engine(mass_spring())
 engine.start()
 loop = engine._runner._loop.func

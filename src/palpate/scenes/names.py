@@ -12,6 +12,7 @@ from palpate.surface.formats.names import LABEL_FORMATS, SURFACE_FORMATS, format
 
 PACKAGE_SCENES = ("beam", "liver", "membrane")  # files in the folder data
 SCENE_SUFFIX = ".toml"
+TOOL_GROUP = "tool"  # of the nodes that a tool holds from the start
 
 
 class SceneKind(Enum):

@@ -8,7 +8,7 @@ from dataclasses import replace
 from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from palpate.faults import InputError, brief
 from palpate.files import json_of
@@ -16,8 +16,10 @@ from palpate.parameters import Fault, read_section, written_section
 from palpate.scenes.description import Description, chooses_runs, with_settings
 from palpate.scenes.names import PACKAGE_SCENES, SceneKind, kind_of
 from palpate.scenes.organ_scene import OrganScene
-from palpate.scenes.scene import TrainingScene
 from palpate.scenes.scene_text import parse_scene, read_scene
+
+if TYPE_CHECKING:  # mechanics take a second to import, before a page opens
+    from palpate.scenes.scene import TrainingScene
 
 # parameters of a training scene from a file: digest of what it depends on; its description where the file alone has
 # another one, or is a surface
@@ -100,6 +102,8 @@ def training_scene_of(scene: OrganScene, parameters: Mapping[str, Any]) -> Train
     parameters : mapping
         Settings with which the scene was opened. A digest among them must be that of the scene.
     """
+    from palpate.scenes.scene import TrainingScene
+
     given = dict(parameters)
     digest, text = given.pop(DIGEST_KEY, None), given.get(DESCRIPTION_KEY)
     for name, value in given.items():

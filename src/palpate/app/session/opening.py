@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 from palpate.app.common.console import Console
 from palpate.app.models.subject import Subject
 from palpate.app.train.scene_folder import recordings_folder
-from palpate.dynamics.loads.foundation import Foundation
 from palpate.faults import InputError
 from palpate.files import check_folder
 from palpate.scenes.names import SceneKind
@@ -21,8 +20,9 @@ from palpate.scenes.organ_scene import OrganScene
 
 if TYPE_CHECKING:  # it takes a second to import, before a page opens
     from palpate.app.session.session import Session
+    from palpate.dynamics.loads.foundation import Foundation
 
-MakeSession = Callable[[Any, tuple[Foundation, ...]], "Session"]
+MakeSession = Callable[[Any, "tuple[Foundation, ...]"], "Session"]
 
 MAX_REFILLS, LOAD_SECONDS = 3, 0.5  # of a body whose steps take another time than expected; of a measurement
 

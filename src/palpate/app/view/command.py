@@ -19,7 +19,6 @@ from palpate.app.device.options import DeviceOptions, take_device
 from palpate.app.models.subject import Subject, open_subject
 from palpate.app.session.opening import MakeSession, check_record, exit_on_signals, running_session
 from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK, open_listener
-from palpate.dynamics.loads.foundation import Foundation
 from palpate.extras import require
 from palpate.faults import InputError, integer_in_range
 from palpate.scenes.names import SceneKind
@@ -29,6 +28,7 @@ from palpate.surface.surface import Surface
 if TYPE_CHECKING:  # it takes a second to import, before the page opens
     from palpate.app.session.session import Session
     from palpate.app.view.server.host import Host
+    from palpate.dynamics.loads.foundation import Foundation
 
 STOP_SECONDS, TRAINING_STOP_SECONDS = 1.0, 10.0  # [s] after an interrupt; workers of a training are stopped in order
 

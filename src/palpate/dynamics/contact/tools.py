@@ -1,7 +1,7 @@
 """Rigid tools: motions, contact and grasps of the shapes in `palpate.dynamics.contact.shapes`.
 
 A pose is the position (3,) [m] of this frame and a
-unit quaternion (4,), w x y z, in one array (7,), as in `palpate.realtime`.
+unit quaternion (4,), w x y z, in one array (7,), as in `palpate.realtime.pose`.
 """
 
 from __future__ import annotations

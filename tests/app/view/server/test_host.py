@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import subprocess
+import sys
 import threading
 import urllib.request
 
@@ -82,3 +84,38 @@ def test_the_address_is_answered_until_interrupted(session, monkeypatch, capsys)
     monkeypatch.setattr(host.Host, "wait", interrupted)
     host.serve_source(session, Console(), 18970, LOOPBACK, False)  # ends without a word
     assert "Traceback" not in capsys.readouterr().err
+
+
+BOX = """OFF
+8 12 0
+0 0 0
+8 0 0
+8 6 0
+0 6 0
+0 0 4
+8 0 4
+8 6 4
+0 6 4
+""" + "".join(
+    f"3 {a} {b} {c}\n3 {a} {c} {d}\n"
+    for a, b, c, d in [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
+)
+
+OPENING = """
+import sys
+from palpate.app.view import command
+from palpate.app.view.server import host
+from palpate.app.view.server.preparation import Preparation
+
+subject = command.open_subject(sys.argv[1], units="cm")
+preparation = Preparation(subject.title, "box", command._first_surface(subject, True))
+mechanics = ("palpate.dynamics.solid", "palpate.dynamics.nodal", "palpate.reduction", "palpate.realtime.engine")
+print(len(preparation.surface.triangles), [name for name in sys.modules if name.startswith(mechanics)])
+"""
+
+
+def test_a_surface_is_shown_before_mechanics_are_imported(tmp_path):
+    (tmp_path / "box.off").write_text(BOX)
+    command = [sys.executable, "-c", OPENING, str(tmp_path / "box.off")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.stdout == "12 []\n", done.stderr
