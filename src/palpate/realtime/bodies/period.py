@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.lanes import column_work
+from palpate.dynamics.compiled.reference import reference
 from palpate.dynamics.contact.penetration import MAX_SURFACE_DEPTH
 from palpate.dynamics.material.relaxation import HistoryCopy, copy_field, copy_history, copy_values, reset_history
 from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN, TRUST
@@ -430,7 +431,8 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         return after - before - work <= MAX_GAIN * max(before, after, abs(work), LEAST_ENERGY)  # False for NaN
 
     @law_njit(digest, inline="always", fastmath={"contract"})
-    def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
+    def advance(given, q, v, target, period, report):  # type: ignore[no-untyped-def]
+        data = reference(given)  # functions for a caller that has a record are those of the engine
         count, vectors = q.shape[0], data.vectors
         saved_q, saved_v = vectors[SAVED_COORDINATES], vectors[SAVED_VELOCITIES]
         for m in range(count):
