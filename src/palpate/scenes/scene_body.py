@@ -28,8 +28,8 @@ from palpate.meshfree.cloud import BORDER_MARGIN, MOVED_MARGIN, Cloud, box
 from palpate.meshfree.filling import BODY_PREFIX, fill
 from palpate.meshfree.sheets import disc
 from palpate.scenes.names import TOOL_GROUP, SceneKind
-from palpate.scenes.organ_scene import OrganScene, group_name, naming
 from palpate.scenes.places import PlaceFinder, side_mask
+from palpate.scenes.scene_source import SceneSource, group_name, naming
 from palpate.scenes.tissue import fibres_of, material_of
 from palpate.tissue.materials import Material
 
@@ -37,7 +37,7 @@ DEFAULT_SIDE = "back"  # away from the first view of the page
 MIN_HELD, MAX_HELD_SHARE = 3, 0.6  # nodes of a body that supports hold
 
 
-def scene_cloud(scene: OrganScene) -> Cloud:
+def scene_cloud(scene: SceneSource) -> Cloud:
     """Return the nodes of the body, with groups of its supports, regions and loads; see `OrganScene.cloud`."""
     cloud = _filled(scene)
     finder = _finder(scene, cloud)
@@ -66,21 +66,31 @@ def scene_cloud(scene: OrganScene) -> Cloud:
     return cloud
 
 
-def scene_body(scene: OrganScene) -> tuple[Solid | Membrane, Floats | None]:
+def check_disc(scene: SceneSource) -> None:
+    """Raise `InputError` for what a disc cannot be, before it has nodes."""
+    about = scene.description
+    if about.surface.generated != "disc":
+        return
+    if about.body.under_loads:
+        raise InputError("under_loads of [body] must be false for a disc, got true; use prestretch")
+    if about.body.thickness is None:
+        raise InputError("thickness of [body] must be given for a disc, got none; give thickness = '0.1 mm'")
+    if about.body.form != "energy":
+        raise InputError(f"form of [body] must be energy for a disc, got {about.body.form}; leave form out")
+    if about.region:
+        raise InputError(f"region must be left out for a disc, got {len(about.region)}; give one tissue")
+
+
+def scene_body(
+    scene: SceneSource, cloud: Cloud, foundations: tuple[Foundation, ...]
+) -> tuple[Solid | Membrane, Floats | None]:
     """Return the full model of the body, and its displacements (n, 3) [m] at the start, under loads; None without."""
     about = scene.description
-    fixed = [each for each in (_support(scene, k) for k in range(len(about.support) or 1)) if each is not None]
+    fixed = [each for each in (_support(scene, cloud, k) for k in range(len(about.support) or 1)) if each is not None]
     if about.surface.generated == "disc":
-        if about.body.under_loads:
-            raise InputError("under_loads of [body] must be false for a disc, got true; use prestretch")
-        if about.body.thickness is None:
-            raise InputError("thickness of [body] must be given for a disc, got none; give thickness = '0.1 mm'")
-        if about.body.form != "energy":
-            raise InputError(f"form of [body] must be energy for a disc, got {about.body.form}; leave form out")
-        if about.region:
-            raise InputError(f"region must be left out for a disc, got {len(about.region)}; give one tissue")
+        assert about.body.thickness is not None  # `check_disc`
         membrane = Membrane(
-            scene.cloud, scene.material, about.body.thickness, fixed, prestretch=about.body.prestretch,
+            cloud, scene.material, about.body.thickness, fixed, prestretch=about.body.prestretch,
             mass_damping=about.tissue.mass_damping,
             fibres=None if about.tissue.fibres is None else fibres_of(about.tissue.fibres),
         )  # fmt: skip
@@ -91,19 +101,19 @@ def scene_body(scene: OrganScene) -> tuple[Solid | Membrane, Floats | None]:
             with naming(scene, "region", number):
                 materials[group_name(scene, "region", number)] = material_of(about.tissue, region.parameters)
     body = Solid(
-        scene.cloud, materials if len(materials) > 1 else scene.material, fixed, form=about.body.form,
-        mass_damping=about.tissue.mass_damping, stiffness=_stiffness_factors(scene, materials),
+        cloud, materials if len(materials) > 1 else scene.material, fixed, form=about.body.form,
+        mass_damping=about.tissue.mass_damping, stiffness=_stiffness_factors(scene, cloud, materials),
         fibres=None if about.tissue.fibres is None else fibres_of(about.tissue.fibres),
     )  # fmt: skip
-    motions = free_rigid_motions(scene.cloud.points, body.constrain(np.zeros(len(scene.cloud), dtype=bool)))
-    if motions and not scene.foundations:
+    motions = free_rigid_motions(cloud.points, body.constrain(np.zeros(len(cloud), dtype=bool)))
+    if motions and not foundations:
         raise InputError(
             f"supports must hold the body, got {motions} rigid motions left free; fix a part, or use springs"
         )
     if not about.body.under_loads:
         return body, None
     with naming(scene, "body", "under_loads"):
-        at_rest = unloaded(body, _loads_of_shape(scene))
+        at_rest = unloaded(body, _loads_of_shape(scene, foundations))
     sag = float(np.linalg.norm(at_rest.displacements, axis=1).max())
     scene.notes.append(
         f"body: its stress-free shape is up to {1e3 * sag:.3g} mm from the surface, which loads have deformed; "
@@ -112,7 +122,7 @@ def scene_body(scene: OrganScene) -> tuple[Solid | Membrane, Floats | None]:
     return at_rest.body, at_rest.displacements
 
 
-def scene_foundations(scene: OrganScene) -> tuple[Foundation, ...]:
+def scene_foundations(scene: SceneSource) -> tuple[Foundation, ...]:
     """Return the springs per area, which act in every run."""
     return tuple(
         Foundation(group_name(scene, "support", number), support.stiffness, support.damping)
@@ -121,12 +131,12 @@ def scene_foundations(scene: OrganScene) -> tuple[Foundation, ...]:
     )
 
 
-def scene_loads(scene: OrganScene) -> tuple[Load, ...]:
+def scene_loads(scene: SceneSource, foundations: tuple[Foundation, ...]) -> tuple[Load, ...]:
     """Return the loads of a single run, with the foundations."""
-    return (*scene.foundations, *(_load(scene, number) for number in range(len(scene.description.load))))
+    return (*foundations, *(_load(scene, number) for number in range(len(scene.description.load))))
 
 
-def _loads_of_shape(scene: OrganScene) -> tuple[Load, ...]:
+def _loads_of_shape(scene: SceneSource, foundations: tuple[Foundation, ...]) -> tuple[Load, ...]:
     """Return the loads at time 0 that have deformed the surface."""
     loads = scene.description.load
     if not any(np.interp(0.0, load.times, load.factors) for load in loads):
@@ -136,28 +146,28 @@ def _loads_of_shape(scene: OrganScene) -> tuple[Load, ...]:
         )
     if any(load.kind == "motion" for load in loads):
         raise InputError("under_loads must be false with a load of kind 'motion', got true; give a force")
-    return scene.loads
+    return scene_loads(scene, foundations)
 
 
-def _stiffness_factors(scene: OrganScene, materials: dict[str, Material]) -> Floats | None:
+def _stiffness_factors(scene: SceneSource, cloud: Cloud, materials: dict[str, Material]) -> Floats | None:
     """Return factors (n,) that give every node the mean compliance of its cell; None where all are 1.
 
     A node has the parameters of the region it lies in; its factor makes up for the part of its cell in others.
     """
     if not scene.description.region:
         return None
-    nodal = np.full(len(scene.cloud), scene.material.shear_modulus)
-    modulus, finder = nodal.copy(), _finder(scene, scene.cloud)
+    nodal = np.full(len(cloud), scene.material.shear_modulus)
+    modulus, finder = nodal.copy(), _finder(scene, cloud)
     for number, region in enumerate(scene.description.region):
         group = group_name(scene, "region", number)
         inside = materials.get(group, scene.material).shear_modulus
-        nodal[scene.cloud.group(group)] = inside
+        nodal[cloud.group(group)] = inside
         share = finder.fractions(region.place)
         modulus = 1.0 / ((1.0 - share) / modulus + share / (region.stiffness * inside))
     return None if np.allclose(modulus, nodal, rtol=1e-12) else modulus / nodal
 
 
-def _filled(scene: OrganScene) -> Cloud:
+def _filled(scene: SceneSource) -> Cloud:
     about = scene.description
     if not about.body.spacing:
         raise InputError("spacing of [body] must be given, got none; give one, such as spacing = '5 mm'")
@@ -178,7 +188,7 @@ def _filled(scene: OrganScene) -> Cloud:
     return cloud
 
 
-def _finder(scene: OrganScene, cloud: Cloud) -> PlaceFinder:
+def _finder(scene: SceneSource, cloud: Cloud) -> PlaceFinder:
     unit, space = (1.0, "") if scene.surface is None else (scene.surface.unit, scene.surface.space)
     return PlaceFinder(cloud, scene.description.surface, unit, scene.folder, space)
 
@@ -193,7 +203,7 @@ def _default_support(cloud: Cloud) -> NDArray[np.bool_]:
     return mask
 
 
-def _support(scene: OrganScene, number: int) -> BodySupport | None:
+def _support(scene: SceneSource, cloud: Cloud, number: int) -> BodySupport | None:
     """Return a support of the body; None for springs, which are a load."""
     group = group_name(scene, "support", number)
     if not scene.description.support:
@@ -201,17 +211,17 @@ def _support(scene: OrganScene, number: int) -> BodySupport | None:
     support = scene.description.support[number]
     with naming(scene, "support", number):
         if support.kind == "roller":
-            return _roller(scene, group, support.direction)
+            return _roller(cloud, group, support.direction)
         if support.kind == "rail":
             return Rail(group, support.direction)
     return Clamp(group) if support.kind == "fixed" else None
 
 
-def _roller(scene: OrganScene, group: str, direction: Sequence[float]) -> Roller:
+def _roller(cloud: Cloud, group: str, direction: Sequence[float]) -> Roller:
     roller = Roller(group, direction or None)
     if not direction:
         try:
-            roller.directions(scene.cloud)
+            roller.directions(cloud)
         except InputError as error:
             raise InputError(
                 f"direction must be given for a roller on {group!r}, whose nodes are not one face, got none; give "
@@ -220,7 +230,7 @@ def _roller(scene: OrganScene, group: str, direction: Sequence[float]) -> Roller
     return roller
 
 
-def _load(scene: OrganScene, number: int) -> Load:
+def _load(scene: SceneSource, number: int) -> Load:
     load, group = scene.description.load[number], group_name(scene, "load", number)
     times, factors = np.array(load.times), np.array(load.factors)
 
@@ -239,7 +249,7 @@ def _load(scene: OrganScene, number: int) -> Load:
     return PrescribedMotion(group, lambda points, time: factor(time) * np.array(load.displacement))
 
 
-def _check_supports(scene: OrganScene, cloud: Cloud) -> None:
+def _check_supports(scene: SceneSource, cloud: Cloud) -> None:
     """Raise `InputError` for supports that hold too little or too much of a body."""
     kinds = [each.kind for each in scene.description.support] or ["fixed"]
     groups = {kind: np.zeros(len(cloud), dtype=bool) for kind in ("fixed", "springs", "roller", "rail")}
