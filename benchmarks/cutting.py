@@ -31,7 +31,7 @@ SHARE = 0.25  # of the sub-steps that are early, and that are late
 
 
 @njit
-def _loop(values):  # type: ignore[no-untyped-def]
+def _loop(values):
     total = 0.0
     for _ in range(40):
         for i in range(values.size):
@@ -59,7 +59,7 @@ def cut_box(spacing: float) -> dict[str, object]:
     values, ratios, digest = np.random.default_rng(0).random(4000), [], hashlib.sha256()
     _loop(values)
     for height in np.arange(START, START - DEPTH, -0.1 * spacing):
-        path = cutter.data.path[cutter.blade]
+        path = cutter.data.tools.path[cutter.blade]
         path[END][2, 3], path[HOME][2, 3] = height, max(path[HOME][2, 3], height)
         cuts, loop = cutter.cuts, _loop_seconds(values)
         began = process_time()
@@ -67,7 +67,7 @@ def cut_box(spacing: float) -> dict[str, object]:
         seconds = process_time() - began
         if cutter.cuts > cuts:
             ratios.append(2 * seconds / (loop + _loop_seconds(values)))
-            sites, state = cutter.data.contacts.sites, cutter.model.cut_state
+            sites, state = cutter.data.tools.contacts.sites, cutter.model.cut_state
             for array in (sites.weights, sites.directions, sites.limits, cutter.totals, state.sums, state.checks):
                 digest.update(np.ascontiguousarray(array).tobytes())
     part = int(SHARE * len(ratios))

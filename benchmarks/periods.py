@@ -24,7 +24,7 @@ def timed(advance: Any, stiffness: Any) -> Any:
     from palpate.realtime.clock import thread_time
 
     @njit
-    def period(data, q, v, target, report, out, ask, times):  # type: ignore[no-untyped-def]
+    def period(data, q, v, target, report, out, ask, times):
         began = thread_time()
         advance(data, q, v, target, PERIOD, report)
         advanced = thread_time()

@@ -79,7 +79,7 @@ def _stepper(advance: Any) -> Any:
     """Compile the steps through periods: a call from Python for each would cost a tenth of a period."""
 
     @law_njit(law_digest(__name__, function_key(advance)), nogil=True)
-    def step(data, q, v, targets, seconds, reports):  # type: ignore[no-untyped-def]
+    def step(data, q, v, targets, seconds, reports):
         for k in range(targets.shape[0]):
             began = now()
             advance(data, q, v, targets[k], TIMED_PERIOD, reports[k])

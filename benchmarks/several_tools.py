@@ -23,7 +23,7 @@ def timed(advance: Any) -> Any:
     from palpate.realtime.clock import thread_time
 
     @njit
-    def step(data, q, v, targets, report, times):  # type: ignore[no-untyped-def]
+    def step(data, q, v, targets, report, times):
         for k in range(targets.shape[0]):
             began = thread_time()
             advance(data, q, v, targets[k].copy(), PERIOD, report)

@@ -36,7 +36,7 @@ def _repeated_force() -> Any:
     from numba import njit
 
     @njit
-    def repeat(force, columns, samples, scratch, result, count):  # type: ignore[no-untyped-def]
+    def repeat(force, columns, samples, scratch, result, count):
         for _ in range(count):
             force(columns, samples, scratch, result)
 
@@ -48,7 +48,7 @@ def _reader(parallel: bool) -> Any:
     from numba import njit, prange
 
     @njit(parallel=parallel, fastmath=True)
-    def read(table, count):  # type: ignore[no-untyped-def]
+    def read(table, count):
         parts, size = np.zeros(READING_PARTS, dtype=table.dtype), table.shape[0] // READING_PARTS
         for _ in range(count):
             for p in prange(READING_PARTS):

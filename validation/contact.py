@@ -121,12 +121,14 @@ def overhead(spacing: float = 0.0018, rounds: int = 12) -> list[dict]:
         for _ in range(20):
             velocity = zero.copy()
             began = perf_counter()
-            apply_contact_impulses(prepared.contacts, schedule, 0, 1e-4, 1e-4, u, velocity, (nodes, scratch))
+            apply_contact_impulses(
+                prepared.contacts, schedule, 0, 1e-4, 1e-4, u, velocity, (nodes, scratch, 0.0, (0.0, 0.0, 0.0))
+            )
             contact.append(perf_counter() - began)
     step, own = np.median(seconds[1:]), np.median(contact[20:])
     row = {
         "tool": "overhead", "form": "energy", "spacing": spacing, "nodes": len(model.cloud),
-        "surface": len(prepared.contacts.nodes), "touching": int(np.count_nonzero(velocity.any(axis=1))),
+        "surface": len(prepared.contacts.candidates.patch), "touching": int(np.count_nonzero(velocity.any(axis=1))),
         "step_ms": round(float(1e3 * step), 3), "contact_ms": round(float(1e3 * own), 4), "share": float(own / step),
     }  # fmt: skip
     print(row)

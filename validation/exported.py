@@ -249,7 +249,7 @@ def measure_times(folder: Path, periods: int, rounds: int = 7) -> list[dict[str,
     step, arguments = engine._functions["step"]
 
     @njit
-    def repeat(data, work, pose, options, curve, bound, count):  # type: ignore[no-untyped-def]
+    def repeat(data, work, pose, options, curve, bound, count):
         for _ in range(count):
             step(data, work, pose, options, curve, bound)
 

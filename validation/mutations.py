@@ -273,7 +273,7 @@ MUTATIONS = (
         ("tests/reduction/hyper/test_load_share.py::test_a_load_across_the_symmetry_of_the_training_is_not_trusted",),
     ),
     Mutation(
-        "energy of the surface compliance not counted", "realtime/bodies/period.py",
+        "energy of the surface compliance not counted", "realtime/bodies/trust_number.py",
         "np.sqrt(flexible / data.indicator.flexibility_scale)", "0.0 * np.sqrt(flexible)",
         ("tests/reduction/contact/test_trust_of_tools.py::test_the_engine_has_the_same_trust_number_as_a_run",),
     ),

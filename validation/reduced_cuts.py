@@ -183,7 +183,7 @@ def evaluation_time(model: pt.ReducedModel) -> float:
     work, force, points = model.workspace(), model.body.sampled_force, model.body.points
 
     @njit
-    def repeat(count, force, a, points, scratch, result):  # type: ignore[no-untyped-def]
+    def repeat(count, force, a, points, scratch, result):
         for _ in range(count):
             force(a, points, scratch, result)
 

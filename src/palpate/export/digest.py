@@ -28,12 +28,12 @@ INITIAL_STATE = np.array([math.isqrt(p << 64) & WORD_BITS for p in FIRST_PRIMES[
 
 
 @kernel_njit(inner=True)
-def _turn(word, count):  # type: ignore[no-untyped-def]
+def _turn(word, count):
     return ((word >> count) | (word << (32 - count))) & WORD_BITS
 
 
 @kernel_njit()
-def check_file(content, length, words, state, expected):  # type: ignore[no-untyped-def]
+def check_file(content, length, words, state, expected):
     """Return 0 if the content of a file of a length [B] has the expected digest (8 words), else 1.
 
     SHA-256 (FIPS 180-4) of the content, with zeros in place of the digest in the header. `words` (64,) and `state` (8,)

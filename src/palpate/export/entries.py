@@ -39,7 +39,7 @@ MIN_PERIOD, MAX_PERIOD = 5e-5, 0.02  # [s]
 
 
 @kernel_njit(inner=True)
-def _is_finite(values):  # type: ignore[no-untyped-def]
+def _is_finite(values):
     total = 0.0
     for i in range(values.shape[0]):
         total += 0.0 * values[i]  # 0, or not a number
@@ -61,7 +61,7 @@ def compile_step(advance: Any, stiffness: Any) -> Any:
     digest, _ = functions_digest(__name__, advance, stiffness)
 
     @law_njit(digest)
-    def step(data, work, pose, options, curve, bound):  # type: ignore[no-untyped-def]
+    def step(data, work, pose, options, curve, bound):
         if work.record[FAILED] != 0.0:
             return DIVERGED_STATUS
         if not MIN_PERIOD <= options[OPTION_PERIOD] <= MAX_PERIOD:
@@ -97,7 +97,7 @@ def compile_step(advance: Any, stiffness: Any) -> Any:
 
 
 @kernel_njit(inner=True)
-def _rest_tool(data, t):  # type: ignore[no-untyped-def]
+def _rest_tool(data, t):
     """Set the tool at the end of a coupling to rest at zero displacement."""
     coupling, tools = data.coupling, data.coupling.position.shape[0]
     for i in range(3):
@@ -107,7 +107,7 @@ def _rest_tool(data, t):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def reset_model(data, work, rest):  # type: ignore[no-untyped-def]
+def reset_model(data, work, rest):
     """Set body and tools to rest; the tools and the moduli stay."""
     reset_work(work, rest)
     for t in range(data.coupling.position.shape[0]):
@@ -116,7 +116,7 @@ def reset_model(data, work, rest):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _are_held(inner, t, radius, point):  # type: ignore[no-untyped-def]
+def _are_held(inner, t, radius, point):
     """Return whether other forceps hold a node within a radius of a point at rest."""
     tools, points = inner.tools, inner.contact_surface.points
     for i in range(points.shape[0]):
@@ -134,7 +134,7 @@ def _are_held(inner, t, radius, point):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def exchange_tool(data, work, index, kind, sizes, friction, point, pose):  # type: ignore[no-untyped-def]
+def exchange_tool(data, work, index, kind, sizes, friction, point, pose):
     """Replace a tool (1,) by one of a kind (1,) at a pose (7,), or by none if the kind is negative.
 
     Later displacements are relative to that pose. Returns 3, and changes nothing, if a number is out of range, or for
@@ -160,7 +160,7 @@ def exchange_tool(data, work, index, kind, sizes, friction, point, pose):  # typ
 
 
 @kernel_njit()
-def write_vertices(data, q, rest, columns, patch_columns, places, fields, vertices):  # type: ignore[no-untyped-def]
+def write_vertices(data, q, rest, columns, patch_columns, places, fields, vertices):
     """Write the positions (n, 3) [m] of the surface: of the modes and, at contact nodes, of the surface compliance.
 
     `columns` (n, 3, m) are displacements of vertices, `patch_columns` those of the patches that tools meet. `places`
@@ -194,7 +194,7 @@ def write_vertices(data, q, rest, columns, patch_columns, places, fields, vertic
 
 
 @kernel_njit(inner=True)
-def _spread_forces(compliance, contact, count, carriers, fields):  # type: ignore[no-untyped-def]
+def _spread_forces(compliance, contact, count, carriers, fields):
     """Distribute the forces of the pairs, times the secant factors of their tools, to carriers and nodes.
 
     Then write the displacements of the carriers.
@@ -220,7 +220,7 @@ def _spread_forces(compliance, contact, count, carriers, fields):  # type: ignor
 
 
 @kernel_njit(inner=True)
-def _compliance_displacement(compliance, row, carriers, fields):  # type: ignore[no-untyped-def]
+def _compliance_displacement(compliance, row, carriers, fields):
     """Return the displacement (3) [m] of a row under the spread forces, at the secant factor 1."""
     first = fields.shape[0] - carriers
     x, y, z = 0.0, 0.0, 0.0

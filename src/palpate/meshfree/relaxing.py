@@ -7,6 +7,7 @@ neighbours within 1.15 spacings. A node too close to the surface is moved back t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,7 +89,7 @@ def cubic_lattice(inside: DepthQuery, spacing: float) -> Floats:
     return lattice_inside(inside, spacing, LINE_SHIFT)
 
 
-def scattered_inside(inside: DepthQuery, min_spacing: float, spacing, seed: int) -> Floats:  # type: ignore[no-untyped-def]
+def scattered_inside(inside: DepthQuery, min_spacing: float, spacing: Callable[[Floats], Floats], seed: int) -> Floats:
     """Return Poisson-disc samples inside, with radius 0.85 of a spacing function of points (k, 3)."""
     random = np.random.default_rng(seed)
     points = lattice_inside(inside, 0.3 * min_spacing, LINE_SHIFT)
@@ -126,7 +127,7 @@ def relax(
 
 
 @cached_njit()
-def _repel(points, spacing, near, depth, away, sweeps):  # type: ignore[no-untyped-def]
+def _repel(points, spacing, near, depth, away, sweeps):
     n = len(near)
     origin = points[:n].copy()
     move = np.zeros((n, 3))
@@ -174,7 +175,7 @@ def voronoi_volumes(points: Floats, inside: DepthQuery, spacing: float) -> Float
 
 
 @cached_njit()
-def _sample_volumes(points, order, first, span, low, cell, places, start, height, step):  # type: ignore[no-untyped-def]
+def _sample_volumes(points, order, first, span, low, cell, places, start, height, step):
     result = np.zeros(len(points))
     for line in range(len(places)):
         x, y = places[line]
@@ -191,7 +192,7 @@ def _sample_volumes(points, order, first, span, low, cell, places, start, height
 
 
 @cached_njit()
-def _nearest_point(points, first, span, low, cell, x, y, z):  # type: ignore[no-untyped-def]
+def _nearest_point(points, first, span, low, cell, x, y, z):
     """Return the index of the point nearest to (x, y, z), by a search over rings of cells."""
     i, j, k = int(np.floor((x - low[0]) / cell)), int(np.floor((y - low[1]) / cell)), int(np.floor((z - low[2]) / cell))
     best, min_spacing = -1, np.inf

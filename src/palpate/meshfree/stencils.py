@@ -142,7 +142,7 @@ class Stencils(Described):
 
 
 @cached_njit(parallel=True)
-def _apply(neighbours, row, weights, diagonal, field):  # type: ignore[no-untyped-def]
+def _apply(neighbours, row, weights, diagonal, field):
     """Return weighted sums (n, c, w) of fields (n, c) over the neighbours."""
     n, k = neighbours.shape
     columns, width = field.shape[1], weights.shape[2]

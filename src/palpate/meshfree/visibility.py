@@ -81,7 +81,7 @@ def _facing(points: Floats, normals: Floats, surface: Ints, reach: float) -> Int
 
 
 @cached_njit(nogil=True)
-def _find_crossing(points, pairs, corners, centres, radii, start, of_node, crosses):  # type: ignore[no-untyped-def]
+def _find_crossing(points, pairs, corners, centres, radii, start, of_node, crosses):
     """Mark the pairs whose connection crosses a triangle; those near node i are `of_node[start[i] : start[i + 1]]`."""
     for p in range(pairs.shape[0]):
         i, j = pairs[p]
@@ -99,7 +99,7 @@ def _find_crossing(points, pairs, corners, centres, radii, start, of_node, cross
 
 
 @cached_njit(nogil=True)
-def _crosses(x, y, z, wx, wy, wz, corners):  # type: ignore[no-untyped-def]
+def _crosses(x, y, z, wx, wy, wz, corners):
     """Return whether a segment crosses a triangle (Moeller and Trumbore, J. Graphics Tools 2, 1997)."""
     ax, ay, az = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1], corners[1, 2] - corners[0, 2]
     bx, by, bz = corners[2, 0] - corners[0, 0], corners[2, 1] - corners[0, 1], corners[2, 2] - corners[0, 2]
@@ -130,7 +130,7 @@ def _has_no_detour(points: Floats, hidden: Ints, seen: Ints) -> Any:
 
 
 @cached_njit(nogil=True)
-def _shortest_detour(pairs, start, near, length, shortest):  # type: ignore[no-untyped-def]
+def _shortest_detour(pairs, start, near, length, shortest):
     """Write the shortest path by a common neighbour; neighbours are in ascending order."""
     for p in range(pairs.shape[0]):
         a, b = start[pairs[p, 0]], start[pairs[p, 1]]

@@ -34,7 +34,7 @@ class RingBuffer(NamedTuple):
 
 
 @kernel_njit()
-def append_record(buffer, record):  # type: ignore[no-untyped-def]
+def append_record(buffer, record):
     """Append the first numbers of a record, as many as the buffer stores."""
     written = get_flag(buffer.written, 0)
     row = written % buffer.records.shape[0]

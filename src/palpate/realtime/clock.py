@@ -44,10 +44,10 @@ def _emit_call(builder: Any, name: str, *args: Any) -> Any:
 
 
 @intrinsic
-def _read_clock(typingctx, clock):  # type: ignore[no-untyped-def]
+def _read_clock(typingctx, clock):
     """Return the time of a clock [ns]."""
 
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, signature, args):
         spec = cgutils.alloca_once(builder, TIMESPEC_TYPE)
         _emit_call(builder, "clock_gettime", args[0], spec)
         seconds, rest = (builder.load(cgutils.gep_inbounds(builder, spec, 0, k)) for k in (0, 1))
@@ -69,10 +69,10 @@ def _emit_timespec(builder: Any, nanoseconds: Any) -> Any:
 
 
 @intrinsic
-def _sleep_until(typingctx, instant):  # type: ignore[no-untyped-def]
+def _sleep_until(typingctx, instant):
     """Sleep until a time [ns] of CLOCK_MONOTONIC or until a signal."""
 
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, signature, args):
         nothing = ir.Constant(TIMESPEC_TYPE.as_pointer(), None)
         return _emit_call(
             builder,
@@ -87,10 +87,10 @@ def _sleep_until(typingctx, instant):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def _sleep_for(typingctx, duration):  # type: ignore[no-untyped-def]
+def _sleep_for(typingctx, duration):
     """Sleep for a duration [ns] or until a signal."""
 
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, signature, args):
         nothing = ir.Constant(TIMESPEC_TYPE.as_pointer(), None)
         return _emit_call(builder, "nanosleep", _emit_timespec(builder, args[0]), nothing)
 
@@ -103,12 +103,12 @@ if IS_WINDOWS:
 else:
 
     @kernel_njit()
-    def now():  # type: ignore[no-untyped-def]
+    def now():
         """Return a monotonic time [ns], int64."""
         return _read_clock(MONOTONIC_CLOCK)
 
     @kernel_njit()
-    def thread_time():  # type: ignore[no-untyped-def]
+    def thread_time():
         """Return the processor time [ns] of this thread, int64; on Windows the time of `now`."""
         return _read_clock(THREAD_CLOCK)
 
@@ -119,14 +119,14 @@ if IS_WINDOWS:
 elif HAS_ABSOLUTE_SLEEP:
 
     @kernel_njit()
-    def sleep_until(instant):  # type: ignore[no-untyped-def]
+    def sleep_until(instant):
         """Sleep until `now` reaches about `instant` [ns], or until a signal."""
         _sleep_until(instant)
 
 else:
 
     @kernel_njit()
-    def sleep_until(instant):  # type: ignore[no-untyped-def]
+    def sleep_until(instant):
         """Sleep until `now` reaches about `instant` [ns], or until a signal."""
         left = instant - now()
         if left > 0:

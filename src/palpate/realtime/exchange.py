@@ -24,8 +24,8 @@ FLAGS_LENGTH = 16  # int64 in an array of flags: fills its cache lines, so that 
 def _make_load(order: str) -> Any:
     """Make the intrinsic load(array, i), atomic with a memory order."""
 
-    def load(typingctx, array, i):  # type: ignore[no-untyped-def]
-        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+    def load(typingctx, array, i):
+        def codegen(context, builder, signature, args):
             address = builder.gep(context.make_array(signature.args[0])(context, builder, args[0]).data, [args[1]])
             return builder.load_atomic(address, order, ALIGNMENT_BYTES)
 
@@ -38,8 +38,8 @@ def _make_load(order: str) -> Any:
 def _make_store(order: str) -> Any:
     """Make the intrinsic store(array, i, value), atomic with a memory order."""
 
-    def store(typingctx, array, i, value):  # type: ignore[no-untyped-def]
-        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+    def store(typingctx, array, i, value):
+        def codegen(context, builder, signature, args):
             address = builder.gep(context.make_array(signature.args[0])(context, builder, args[0]).data, [args[1]])
             builder.store_atomic(args[2], address, order, ALIGNMENT_BYTES)
             return context.get_dummy_value()
@@ -53,8 +53,8 @@ def _make_store(order: str) -> Any:
 def _make_fence(order: str) -> Any:
     """Make the intrinsic fence() of a memory order."""
 
-    def fence(typingctx):  # type: ignore[no-untyped-def]
-        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+    def fence(typingctx):
+        def codegen(context, builder, signature, args):
             builder.fence(order)
             return context.get_dummy_value()
 
@@ -88,7 +88,7 @@ def make_flags() -> NDArray[np.int64]:
 
 
 @kernel_njit()
-def publish(slot, values):  # type: ignore[no-untyped-def]
+def publish(slot, values):
     """Write values to the front of a slot; never waits."""
     version = _load_relaxed(slot.version, 0)
     _store_relaxed(slot.version, 0, version + 1)
@@ -99,14 +99,14 @@ def publish(slot, values):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def stamp(slot, time, max_age):  # type: ignore[no-untyped-def]
+def stamp(slot, time, max_age):
     """Write the time of a slot's values and the age at which they are stale, both [ns], for other programs."""
     _store_relaxed(slot.version, 2, max_age)
     _store_relaxed(slot.version, 1, time)
 
 
 @kernel_njit()
-def fetch(slot, out):  # type: ignore[no-untyped-def]
+def fetch(slot, out):
     """Copy a slot to `out` once; return False if a write interfered, in which case `out` is invalid."""
     version = _load_acquire(slot.version, 0)
     if version & 1:
@@ -126,24 +126,24 @@ def snapshot(slot: Slot) -> NDArray[np.float64]:
 
 
 @kernel_njit()
-def set_flag(flags, i, value):  # type: ignore[no-untyped-def]
+def set_flag(flags, i, value):
     """Write a flag with release order: its readers see all earlier writes."""
     _store_release(flags, i, value)
 
 
 @kernel_njit()
-def get_flag(flags, i):  # type: ignore[no-untyped-def]
+def get_flag(flags, i):
     """Read a flag with acquire order: later reads see all writes before it was set."""
     return _load_acquire(flags, i)
 
 
 @kernel_njit()
-def acquire_fence():  # type: ignore[no-untyped-def]
+def acquire_fence():
     """Acquire fence."""
     _fence_acquire()
 
 
 @kernel_njit(inner=True)
-def release_fence():  # type: ignore[no-untyped-def]
+def release_fence():
     """Release fence."""
     _fence_release()

@@ -51,7 +51,7 @@ class Channels(NamedTuple):
 
 
 @kernel_njit(inner=True)
-def _wait(deadline, spin, command):  # type: ignore[no-untyped-def]
+def _wait(deadline, spin, command):
     """Sleep until shortly before the deadline [ns], then poll the clock; return whether to continue."""
     while get_flag(command, 0) == RUNNING:
         time = now()
@@ -64,7 +64,7 @@ def _wait(deadline, spin, command):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def _fetch_pose(work, t, slot):  # type: ignore[no-untyped-def]
+def _fetch_pose(work, t, slot):
     """Read the newest pose of a tool; another program may have written one that is not valid."""
     is_complete = fetch(slot, work.fetched)  # during a write, the next period reads it
     if is_complete and request_pose(work.wanted[t], work.fetched[:7]):
@@ -85,7 +85,7 @@ def compile_loop(advance: Any, stiffness: Any) -> Any:
     take_period = compile_period(advance, stiffness)
 
     @law_njit(digest, cached=cached, nogil=True)
-    def loop(data, work, channels, settings):  # type: ignore[no-untyped-def]
+    def loop(data, work, channels, settings):
         period, record = settings.period, work.record
         deadline = now() + period
         while _wait(deadline, settings.spin, channels.command):

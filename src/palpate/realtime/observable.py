@@ -200,7 +200,7 @@ def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
     digest = law_digest(__name__, function_key(inner_advance), inner_stiffness and function_key(inner_stiffness))
 
     @law_njit(digest, inner=True)
-    def move_coupled_tool(coupling, target, device_force, period):  # type: ignore[no-untyped-def]
+    def move_coupled_tool(coupling, target, device_force, period):
         """Advance a coupled tool by a period; write its position to `target`, and the device's force."""
         stiffness, damping = coupling.parameters[STIFFNESS], coupling.parameters[DAMPING]
         mass, limit = coupling.parameters[MASS], coupling.parameters[FORCE_LIMIT]
@@ -237,7 +237,7 @@ def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
             target[i] = coupling.position[i]
 
     @law_njit(digest, inner=True)
-    def stop_coupled_tool(coupling, moved, device_force, period):  # type: ignore[no-untyped-def]
+    def stop_coupled_tool(coupling, moved, device_force, period):
         """Set a coupled tool that the model has held to where it is; the device feels the spring."""
         held = False
         for i in range(3):
@@ -256,13 +256,13 @@ def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
             device_force[i] = -share * stiffness * (coupling.device[i] - moved[i])
 
     @law_njit(digest, inner=True)
-    def coupling_of(coupling, t):  # type: ignore[no-untyped-def]
+    def coupling_of(coupling, t):
         return VirtualCoupling(
             coupling.parameters[t], coupling.position[t], coupling.velocity[t], coupling.device[t], coupling.force[t]
         )
 
     @law_njit(digest, inline="always")
-    def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
+    def advance(data, q, v, target, period, report):
         moved, values, modulus_ratio = data.target, data.values, data.modulus_ratio
         tools = data.coupling.position.shape[0]
         count = target.shape[0] // tools
@@ -317,7 +317,7 @@ def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
         return advance, None
 
     @law_njit(digest, inline="always")
-    def stiffness(data, q, out):  # type: ignore[no-untyped-def]
+    def stiffness(data, q, out):
         inner_stiffness(data.inner, q, data.tangent)
         for i in range(out.shape[0]):
             for j in range(out.shape[1]):

@@ -115,26 +115,26 @@ class Work(NamedTuple):
 
 
 @kernel_njit()
-def copy_to(values, out, first):  # type: ignore[no-untyped-def]
+def copy_to(values, out, first):
     """Copy numbers; an assignment of slices would take seconds to compile."""
     for i in range(values.shape[0]):
         out[first + i] = values[i]
 
 
 @kernel_njit(inner=True)
-def _fill(array, value):  # type: ignore[no-untyped-def]
+def _fill(array, value):
     for i in range(array.size):
         array.flat[i] = value
 
 
 @kernel_njit(inner=True)
-def _coordinates_place(work):  # type: ignore[no-untyped-def]
+def _coordinates_place(work):
     """Return the index in the record at which the coordinates begin."""
     return HEADER_SIZE + TOOL_SIZE * work.tool.shape[0]
 
 
 @kernel_njit(inner=True)
-def _repeat_first(record):  # type: ignore[no-untyped-def]
+def _repeat_first(record):
     """Write the fields of the first tool into the header."""
     for i in range(STIFFNESS + 9):
         record[FIRST_POSE + i] = record[HEADER_SIZE + i]
@@ -143,7 +143,7 @@ def _repeat_first(record):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def reset_work(work, rest):  # type: ignore[no-untyped-def]
+def reset_work(work, rest):
     """Set body and tools to rest."""
     for array in (work.v, work.target, work.lost_at, work.report, work.record):
         _fill(array, 0.0)
@@ -158,7 +158,7 @@ def reset_work(work, rest):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def place_work(work, t):  # type: ignore[no-untyped-def]
+def place_work(work, t):
     """Start again from the present pose of a tool, with no force on it; others go on."""
     copy_to(work.pose[t], work.wanted[t], 0)
     for s in range(work.pose.shape[0]):
@@ -172,7 +172,7 @@ def place_work(work, t):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def move_tools(work, settings):  # type: ignore[no-untyped-def]
+def move_tools(work, settings):
     """Move the tools towards the requested poses, or clamped tools towards their last trusted poses."""
     goal = work.wanted
     if work.record[CLAMPED]:
@@ -187,7 +187,7 @@ def move_tools(work, settings):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _take_back(work):  # type: ignore[no-untyped-def]
+def _take_back(work):
     """Set the pose to that of a tool in contact that the model has held; it follows from there."""
     count = work.tool.shape[1]
     if count != POSE_COLUMNS:
@@ -200,7 +200,7 @@ def _take_back(work):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _is_beyond(work):  # type: ignore[no-untyped-def]
+def _is_beyond(work):
     """Return whether the requested poses are beyond the last trusted ones, in the direction that lost trust."""
     tool_coordinates(work.tool, work.wanted, work.wanted_coordinates)
     beyond = 0.0
@@ -210,7 +210,7 @@ def _is_beyond(work):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def clamp_tools(work, seconds):  # type: ignore[no-untyped-def]
+def clamp_tools(work, seconds):
     """After a period [s], store the trusted poses, or clamp the tools to the last ones."""
     if work.record[TRUSTED] > 1.0 and not work.record[CLAMPED]:
         work.record[CLAMPED], work.clock[WAITED] = 1.0, 0.0
@@ -228,7 +228,7 @@ def clamp_tools(work, seconds):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _retreat(work, seconds):  # type: ignore[no-untyped-def]
+def _retreat(work, seconds):
     """Move clamped tools back along their trail if trust does not return."""
     length = work.length[0]
     if length > 1 and _is_equal_pose(work.pose, work.trail[length - 1]):
@@ -241,7 +241,7 @@ def _retreat(work, seconds):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _is_equal(numbers, others):  # type: ignore[no-untyped-def]
+def _is_equal(numbers, others):
     different = 0
     for i in range(numbers.shape[0]):
         different += numbers[i] != others[i]
@@ -249,7 +249,7 @@ def _is_equal(numbers, others):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _is_equal_pose(poses, others):  # type: ignore[no-untyped-def]
+def _is_equal_pose(poses, others):
     different = 0
     for t in range(poses.shape[0]):
         for i in range(POSE_NUMBERS):
@@ -258,14 +258,14 @@ def _is_equal_pose(poses, others):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _copy_poses(poses, out):  # type: ignore[no-untyped-def]
+def _copy_poses(poses, out):
     for t in range(poses.shape[0]):
         for i in range(POSE_NUMBERS):
             out[t, i] = poses[t, i]
 
 
 @kernel_njit(inner=True)
-def _thin(trail):  # type: ignore[no-untyped-def]
+def _thin(trail):
     """Keep every second pose, including the first; return their number."""
     kept = (trail.shape[0] + 1) // 2
     for k in range(1, kept):
@@ -274,7 +274,7 @@ def _thin(trail):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _is_finite(array):  # type: ignore[no-untyped-def]
+def _is_finite(array):
     total = 0.0
     for i in range(array.size):
         total += 0.0 * array.flat[i]  # 0, or not a number
@@ -282,7 +282,7 @@ def _is_finite(array):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _forget_at_rest(work):  # type: ignore[no-untyped-def]
+def _forget_at_rest(work):
     """Forget the largest trust number and forces of a motion when the body is at rest again."""
     energy, clock = work.report[KINETIC] + work.report[STRAIN], work.clock
     clock[LARGEST_ENERGY] = max(clock[LARGEST_ENERGY], energy)
@@ -293,7 +293,7 @@ def _forget_at_rest(work):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def write_record(work, settings):  # type: ignore[no-untyped-def]
+def write_record(work, settings):
     """Write the model's report to the record; return whether the state is finite."""
     report, record = work.report, work.record
     valid = report[STATUS] == 0.0 and _is_finite(report) and _is_finite(work.q) and _is_finite(work.v)
@@ -317,7 +317,7 @@ def write_record(work, settings):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _write_tool(work, settings, t):  # type: ignore[no-untyped-def]
+def _write_tool(work, settings, t):
     """Write pose, force and moment of a tool to its part of the record."""
     at, count, record = HEADER_SIZE + TOOL_SIZE * t, work.tool.shape[1], work.record
     copy_to(work.pose[t], record, at + POSE)
@@ -334,7 +334,7 @@ def _write_tool(work, settings, t):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _write_stiffness(work):  # type: ignore[no-untyped-def]
+def _write_stiffness(work):
     """Write the contact stiffness (3, 3) of every tool to the record if it is finite."""
     count = work.tool.shape[1]
     if not _is_finite(work.tangent):
@@ -378,7 +378,7 @@ def compile_period(advance: Any, stiffness: Any) -> Any:
     digest, cached = functions_digest(__name__, advance, stiffness)
 
     @law_njit(digest, cached=cached, inline="always")
-    def take_period(data, work, settings):  # type: ignore[no-untyped-def]
+    def take_period(data, work, settings):
         seconds = 1e-9 * settings.period * work.clock[TIME_SCALE]
         move_tools(work, settings)
         advance(data, work.q, work.v, work.target, seconds, work.report)

@@ -54,7 +54,7 @@ def _finite_numbers(name: str, given: Any, count: int) -> Floats:
 
 
 @kernel_njit()
-def request_pose(wanted, pose):  # type: ignore[no-untyped-def]
+def request_pose(wanted, pose):
     """Take a pose (7,) with a unit quaternion as the wanted one; return False and keep it if the new is not valid.
 
     It is not valid if a number is not finite, the quaternion is zero, or the position is more than `MAX_JUMP` away.
@@ -79,7 +79,7 @@ def request_pose(wanted, pose):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def follow_pose(pose, target, max_distance, max_angle):  # type: ignore[no-untyped-def]
+def follow_pose(pose, target, max_distance, max_angle):
     """Move a pose towards a target in place, by at most a distance [m] and an angle [rad].
 
     The rotation follows the shortest great arc (K. Shoemake, Animating rotation with quaternion curves, 1985).
@@ -108,7 +108,7 @@ def follow_pose(pose, target, max_distance, max_angle):  # type: ignore[no-untyp
 
 
 @kernel_njit(inner=True)
-def _rotation(pose, i, j):  # type: ignore[no-untyped-def]
+def _rotation(pose, i, j):
     """Return entry (i, j) of the rotation matrix of a pose."""
     w, axis = pose[3], pose[4:]
     if i == j:
@@ -119,7 +119,7 @@ def _rotation(pose, i, j):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def tool_coordinates(tool, poses, out):  # type: ignore[no-untyped-def]
+def tool_coordinates(tool, poses, out):
     """Write the coordinates (t l,) of tools in poses (t, 7): tool @ concatenate([d, (R - I).ravel()]) of each."""
     count = tool.shape[1]
     for t in range(tool.shape[0]):
@@ -134,7 +134,7 @@ def tool_coordinates(tool, poses, out):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def pose_of_coordinates(coordinates, pose):  # type: ignore[no-untyped-def]
+def pose_of_coordinates(coordinates, pose):
     """Write the pose (7,) of tool coordinates (12,) that are displacement and R - I.
 
     The quaternion is from the largest of its components (S. W. Shepperd, J. Guidance and Control 1, 1978), and has the
@@ -163,7 +163,7 @@ def pose_of_coordinates(coordinates, pose):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def wrench(tool, pose, forces, force, moment):  # type: ignore[no-untyped-def]
+def wrench(tool, pose, forces, force, moment):
     """Write the force (3,) [N] and moment (3,) [N m] of the body on the tool, about the reference point.
 
     `forces` (l,) are the generalised forces of the tool on the body. A small rotation theta changes R by [theta]x R.

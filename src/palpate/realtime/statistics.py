@@ -45,7 +45,7 @@ class Histograms(NamedTuple):
 
 
 @kernel_njit()
-def count_step(histograms, computing, lateness, ended, deadline, period, catch_up):  # type: ignore[no-untyped-def]
+def count_step(histograms, computing, lateness, ended, deadline, period, catch_up):
     """Count a step and return the next deadline [ns].
 
     It is the first on the grid whose period is not over; or an earlier one, by up to `catch_up` periods, which then

@@ -31,8 +31,8 @@ def _emit_call(builder: Any, result: Any, name: str, *args: Any) -> Any:
 def _make_counter(name: str) -> Any:
     """Make the intrinsic that reads a 64-bit counter."""
 
-    def counter(typingctx):  # type: ignore[no-untyped-def]
-        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+    def counter(typingctx):
+        def codegen(context, builder, signature, args):
             value = cgutils.alloca_once(builder, LONG_TYPE)
             _emit_call(builder, INT_TYPE, name, value)
             return builder.load(value)
@@ -48,10 +48,10 @@ _performance_frequency = _make_counter("QueryPerformanceFrequency")
 
 
 @intrinsic
-def _sleep_for(typingctx, ticks):  # type: ignore[no-untyped-def]
+def _sleep_for(typingctx, ticks):
     """Sleep for a number of timer ticks."""
 
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, signature, args):
         nothing, access = ir.Constant(POINTER_TYPE, None), INT_TYPE(ALL_ACCESS)
         flags = INT_TYPE(HIGH_RESOLUTION_TIMER)
         timer = _emit_call(builder, POINTER_TYPE, "CreateWaitableTimerExW", nothing, nothing, flags, access)
@@ -67,7 +67,7 @@ def _sleep_for(typingctx, ticks):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def now():  # type: ignore[no-untyped-def]
+def now():
     """Return a monotonic time [ns], int64."""
     count, frequency = _performance_counter(), _performance_frequency()
     seconds = count // frequency
@@ -75,7 +75,7 @@ def now():  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def sleep_until(instant):  # type: ignore[no-untyped-def]
+def sleep_until(instant):
     """Sleep until `now` reaches about `instant` [ns]."""
     ticks = (instant - now()) // TIMER_TICK
     if ticks > 0:

@@ -9,7 +9,7 @@ from palpate.code_cache import cached_njit
 
 
 @cached_njit()
-def _crossings(corners, low, step, nx, ny, start, height, write):  # type: ignore[no-untyped-def]
+def _crossings(corners, low, step, nx, ny, start, height, write):
     """Count (or write) the heights at which vertical lines intersect triangles with corners (t, 3, 3)."""
     for t in range(corners.shape[0]):
         x0, y0, z0 = corners[t, 0]

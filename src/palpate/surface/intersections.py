@@ -84,7 +84,7 @@ def _remove_flat(vertices: Floats, triangles: Ints) -> tuple[Ints, Ints]:
 
 
 @cached_njit()
-def _have_area(corners):  # type: ignore[no-untyped-def]
+def _have_area(corners):
     have = np.empty(len(corners), dtype=np.bool_)
     for t in range(len(corners)):
         p = corners[t]
@@ -97,7 +97,7 @@ def _have_area(corners):  # type: ignore[no-untyped-def]
 
 
 @cached_njit()
-def _tree(middle, corners):  # type: ignore[no-untyped-def]
+def _tree(middle, corners):
     """Return triangles ordered by median splits along the longest direction, and the boxes of the tree."""
     n, depth = len(middle), 0
     while n >> depth > LEAF_TRIANGLES:
@@ -133,7 +133,7 @@ def _tree(middle, corners):  # type: ignore[no-untyped-def]
 
 
 @cached_njit()
-def _select(order, key, low, high, middle):  # type: ignore[no-untyped-def]
+def _select(order, key, low, high, middle):
     """Partially sort so that entry `middle` has its rank (quickselect, Hoare, 1961)."""
     turn = 12345
     while low < high:
@@ -158,7 +158,7 @@ def _select(order, key, low, high, middle):  # type: ignore[no-untyped-def]
 
 
 @cached_njit()
-def _search(corners, triangles, box, pairs, most):  # type: ignore[no-untyped-def]
+def _search(corners, triangles, box, pairs, most):
     """Write intersecting pairs of each leaf and later ones; return their number and that of box tests."""
     n, leaves = len(corners), (len(box) + 1) // 2
     depth = 0
@@ -203,14 +203,14 @@ def _search(corners, triangles, box, pairs, most):  # type: ignore[no-untyped-de
 
 
 @cached_njit()
-def _overlap(a, b):  # type: ignore[no-untyped-def]
+def _overlap(a, b):
     x = a[0, 0] <= b[1, 0] and b[0, 0] <= a[1, 0]
     y = a[0, 1] <= b[1, 1] and b[0, 1] <= a[1, 1]
     return x and y and a[0, 2] <= b[1, 2] and b[0, 2] <= a[1, 2]
 
 
 @cached_njit()
-def _touches_box(p, box):  # type: ignore[no-untyped-def]
+def _touches_box(p, box):
     for a in range(3):
         if min(p[0, a], p[1, a], p[2, a]) > box[1, a] or max(p[0, a], p[1, a], p[2, a]) < box[0, a]:
             return False
@@ -221,7 +221,7 @@ def _touches_box(p, box):  # type: ignore[no-untyped-def]
 
 
 @cached_njit()
-def _meet(p, q, i, j):  # type: ignore[no-untyped-def]
+def _meet(p, q, i, j):
     """Return whether triangles p and q (3, 3) of vertices i and j intersect beyond common vertices."""
     for a in range(3):
         low, high = min(p[0, a], p[1, a], p[2, a]), max(p[0, a], p[1, a], p[2, a])
@@ -246,7 +246,7 @@ def _meet(p, q, i, j):  # type: ignore[no-untyped-def]
 
 
 @cached_njit()
-def _are_separated(p, q, part):  # type: ignore[no-untyped-def]
+def _are_separated(p, q, part):
     """Return whether an axis separates parts of p and q: (first, count) corners, a triangle or an edge."""
     near = GAP_TOLERANCE * _extent(p, q)
     if _separates(_normal(p), p, q, part, near) or _separates(_normal(q), p, q, part, near):
@@ -267,7 +267,7 @@ def _are_separated(p, q, part):  # type: ignore[no-untyped-def]
 
 
 @cached_njit()
-def _extent(p, q):  # type: ignore[no-untyped-def]
+def _extent(p, q):
     extent = 0.0
     for a in range(3):
         low = min(p[0, a], p[1, a], p[2, a], q[0, a], q[1, a], q[2, a])
@@ -276,12 +276,12 @@ def _extent(p, q):  # type: ignore[no-untyped-def]
 
 
 @cached_njit()
-def _normal(p):  # type: ignore[no-untyped-def]
+def _normal(p):
     return _cross(_edge(p, 0), _edge(p, 1))
 
 
 @cached_njit()
-def _separates(axis, p, q, part, near):  # type: ignore[no-untyped-def]
+def _separates(axis, p, q, part, near):
     low_p, high_p, low_q, high_q = np.inf, -np.inf, np.inf, -np.inf
     for k in range(part[1]):
         c = (part[0] + k) % 3
@@ -296,7 +296,7 @@ def _separates(axis, p, q, part, near):  # type: ignore[no-untyped-def]
 
 
 @cached_njit()
-def _are_folded(p, q, apex_p, apex_q):  # type: ignore[no-untyped-def]
+def _are_folded(p, q, apex_p, apex_q):
     """Return whether two triangles with a common edge overlap."""
     e = _edge(p, apex_p + 1)
     u, v = _cross(e, _edge(p, apex_p)), _cross(e, _edge(q, apex_q))
@@ -305,16 +305,16 @@ def _are_folded(p, q, apex_p, apex_q):  # type: ignore[no-untyped-def]
 
 
 @cached_njit()
-def _edge(p, k):  # type: ignore[no-untyped-def]
+def _edge(p, k):
     a, b = k % 3, (k + 1) % 3
     return p[b, 0] - p[a, 0], p[b, 1] - p[a, 1], p[b, 2] - p[a, 2]
 
 
 @cached_njit()
-def _cross(a, b):  # type: ignore[no-untyped-def]
+def _cross(a, b):
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @cached_njit()
-def _square(a):  # type: ignore[no-untyped-def]
+def _square(a):
     return a[0] * a[0] + a[1] * a[1] + a[2] * a[2]

@@ -54,12 +54,12 @@ def body_numbers(enclosed: NDArray[np.bool_]) -> Ints:
 
 
 @cached_njit(nogil=True)
-def _difference(a, b):  # type: ignore[no-untyped-def]
+def _difference(a, b):
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 @cached_njit(nogil=True)
-def winding_number(corners, point):  # type: ignore[no-untyped-def]
+def winding_number(corners, point):
     """Return the winding number of triangles (t, 3, 3) of a closed surface about a point (3,): 1 inside, 0 outside.
 
     The solid angle of a triangle is that of van Oosterom and Strackee (IEEE Transactions on Biomedical
@@ -79,7 +79,7 @@ def winding_number(corners, point):  # type: ignore[no-untyped-def]
 
 
 @cached_njit(nogil=True)
-def _winding_numbers(corners, points, result):  # type: ignore[no-untyped-def]
+def _winding_numbers(corners, points, result):
     for k in range(points.shape[0]):
         result[k] = winding_number(corners, points[k])
 
@@ -92,7 +92,7 @@ def inside_points(points: Floats, corners: Floats) -> NDArray[np.bool_]:
 
 
 @cached_njit(nogil=True)
-def inside_shares(segments, corners, shares):  # type: ignore[no-untyped-def]
+def inside_shares(segments, corners, shares):
     """Write the shares of the lengths of segments (s, 2, 3) that are inside a closed surface (t, 3, 3)."""
     for k in range(segments.shape[0]):
         start = segments[k, 0]

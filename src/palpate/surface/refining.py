@@ -92,7 +92,7 @@ def poisson_discs(vertices: Floats, radius: Floats, order: Ints) -> Ints:
 
 
 @cached_njit()
-def _throw_discs(vertices, radius, order, cell, around):  # type: ignore[no-untyped-def]
+def _throw_discs(vertices, radius, order, cell, around):
     label = np.full(len(vertices), -1, dtype=np.int64)
     head = np.full(len(around), -1, dtype=np.int64)
     following = np.full(len(vertices), -1, dtype=np.int64)

@@ -104,7 +104,7 @@ def _neighbours(triangles: Ints, n: int) -> tuple[Ints, Ints]:
 
 
 @cached_njit()
-def _grow_clusters(vertices, label, start, near):  # type: ignore[no-untyped-def]
+def _grow_clusters(vertices, label, start, near):
     """Return for every vertex the label of its nearest labelled vertex along edges."""
     n = len(label)
     label = label.copy()
@@ -140,7 +140,7 @@ def _grow_clusters(vertices, label, start, near):  # type: ignore[no-untyped-def
 
 
 @cached_njit()
-def _minimise_energy(vertices, weights, edges, label, count, sweeps):  # type: ignore[no-untyped-def]
+def _minimise_energy(vertices, weights, edges, label, count, sweeps):
     """Return labels after moves between adjacent clusters that reduce the sum of squared distances to centroids."""
     label = label.copy()
     mass, moment, members = np.zeros(count), np.zeros((count, 3)), np.zeros(count, dtype=np.int64)
@@ -259,7 +259,7 @@ def _project_to_surface(vertices: Floats, triangles: Ints, start: Ints, label: I
 
 
 @cached_njit()
-def _nearest_surface_points(vertices, triangles, around, first, best, wished):  # type: ignore[no-untyped-def]
+def _nearest_surface_points(vertices, triangles, around, first, best, wished):
     result = np.empty_like(wished)
     for k in range(len(wished)):
         least = np.inf
@@ -274,7 +274,7 @@ def _nearest_surface_points(vertices, triangles, around, first, best, wished):  
 
 
 @cached_njit()
-def nearest_in_triangle(a, b, c, p):  # type: ignore[no-untyped-def]
+def nearest_in_triangle(a, b, c, p):
     """Return the point of a triangle nearest to p (Ericson, Real-Time Collision Detection, 2005, section 5.1.5)."""
     ab, ac, ap = b - a, c - a, p - a
     d1, d2 = np.sum(ab * ap), np.sum(ac * ap)

@@ -221,7 +221,7 @@ class Fibres(FibreLaw):
     dispersion: float = parameter("", 0.0, low=0.0, high=1 / 3)
 
     @staticmethod
-    def respond(C, a, c):  # type: ignore[no-untyped-def]
+    def respond(C, a, c):
         k1, k2, kappa = c[0], c[1], c[2]
         I1 = C[0] + C[1] + C[2]
         I4 = a[0] * a[0] * C[0] + a[1] * a[1] * C[1] + a[2] * a[2] * C[2]
@@ -280,7 +280,7 @@ class Guccione(FibreLaw):
     bfs: float = parameter(above=0.0)
 
     @staticmethod
-    def respond(C, a, c):  # type: ignore[no-untyped-def]
+    def respond(C, a, c):
         scale, bf, bt, bfs = c[0], c[1], c[2], c[3]
         E0, E1, E2 = 0.5 * (C[0] - 1.0), 0.5 * (C[1] - 1.0), 0.5 * (C[2] - 1.0)
         E3, E4, E5 = 0.5 * C[3], 0.5 * C[4], 0.5 * C[5]
@@ -329,13 +329,13 @@ class VolumeOnly(ShearLaw):
         return 0.0
 
     @staticmethod
-    def energy(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def energy(I1, I2, J, c):
         return 0.0 * I1
 
     @staticmethod
-    def first(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def first(I1, I2, J, c):
         return 0.0 * I1, 0.0, 0.0
 
     @staticmethod
-    def second(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def second(I1, I2, J, c):
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0

@@ -64,18 +64,18 @@ class Yeoh(Material):
         return 2 / 3 * self.shear_modulus
 
     @staticmethod
-    def energy(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def energy(I1, I2, J, c):
         x = I1 - 3.0 - 2.0 * np.log(J)
         return x * (c[0] + x * (c[1] + x * c[2]))
 
     @staticmethod
-    def first(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def first(I1, I2, J, c):
         x = I1 - 3.0 - 2.0 * np.log(J)
         f1 = c[0] + x * (2.0 * c[1] + x * 3.0 * c[2])
         return f1, 0.0, -2.0 * f1 / J
 
     @staticmethod
-    def second(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def second(I1, I2, J, c):
         x = I1 - 3.0 - 2.0 * np.log(J)
         f1 = c[0] + x * (2.0 * c[1] + x * 3.0 * c[2])
         f2 = 2.0 * c[1] + 6.0 * c[2] * x
@@ -111,7 +111,7 @@ class Gent(ShearLaw):
     Jm: float = parameter(above=0.0)
 
     @staticmethod
-    def energy(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def energy(I1, I2, J, c):
         y = (I1 - 3.0 - 2.0 * np.log(J)) * (1.0 / c[1])
         z = np.minimum(y, 0.95)
         r = 1.0 / (1.0 - z)
@@ -119,7 +119,7 @@ class Gent(ShearLaw):
         return 0.5 * c[0] * c[1] * (beyond * (1.0 + 0.5 * beyond) - np.log(1.0 - z))
 
     @staticmethod
-    def first(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def first(I1, I2, J, c):
         y = (I1 - 3.0 - 2.0 * np.log(J)) * (1.0 / c[1])
         z = np.minimum(y, 0.95)
         r = 1.0 / (1.0 - z)
@@ -127,7 +127,7 @@ class Gent(ShearLaw):
         return f1, 0.0, -2.0 * f1 / J
 
     @staticmethod
-    def second(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def second(I1, I2, J, c):
         y = (I1 - 3.0 - 2.0 * np.log(J)) * (1.0 / c[1])
         z = np.minimum(y, 0.95)
         r = 1.0 / (1.0 - z)
@@ -173,7 +173,7 @@ class ArrudaBoyce(Material):
         return 2 / 3 * self.shear_modulus
 
     @staticmethod
-    def energy(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def energy(I1, I2, J, c):
         a, n = I1 - 2.0 * np.log(J), 1.0 / c[1]
         # each term is a difference of powers of I and 3, with the factor I - 3
         s2, s3 = a + 3.0, a * a + 3.0 * a + 9.0
@@ -182,14 +182,14 @@ class ArrudaBoyce(Material):
         return c[0] * (a - 3.0) * (0.5 + n * (s2 / 20.0 + n * (11 / 1050 * s3 + n * series)))
 
     @staticmethod
-    def first(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def first(I1, I2, J, c):
         a, n = I1 - 2.0 * np.log(J), 1.0 / c[1]
         p = a * n
         f1 = c[0] * (0.5 + p * (1 / 10 + p * (11 / 350 + p * (19 / 1750 + p * (519 / 134750)))))
         return f1, 0.0, -2.0 * f1 / J
 
     @staticmethod
-    def second(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def second(I1, I2, J, c):
         a, n = I1 - 2.0 * np.log(J), 1.0 / c[1]
         p = a * n
         f1 = c[0] * (0.5 + p * (1 / 10 + p * (11 / 350 + p * (19 / 1750 + p * (519 / 134750)))))
@@ -225,20 +225,20 @@ class Fung(ShearLaw):
     b: float = parameter(above=0.0)
 
     @staticmethod
-    def energy(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def energy(I1, I2, J, c):
         y = c[1] * (I1 - 3.0 - 2.0 * np.log(J))
         z = np.minimum(y, 20.0)
         return 0.5 * c[0] / c[1] * (np.exp(z) * (1.0 + (y - z) * (1.0 + 0.5 * (y - z))) - 1.0)
 
     @staticmethod
-    def first(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def first(I1, I2, J, c):
         y = c[1] * (I1 - 3.0 - 2.0 * np.log(J))
         z = np.minimum(y, 20.0)
         f1 = 0.5 * c[0] * np.exp(z) * (1.0 + (y - z))
         return f1, 0.0, -2.0 * f1 / J
 
     @staticmethod
-    def second(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def second(I1, I2, J, c):
         y = c[1] * (I1 - 3.0 - 2.0 * np.log(J))
         z = np.minimum(y, 20.0)
         rise = 0.5 * c[0] * np.exp(z)
@@ -272,13 +272,13 @@ class StVenantKirchhoff(ShearLaw):
     """  # noqa: E501
 
     @staticmethod
-    def energy(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def energy(I1, I2, J, c):
         return 0.25 * c[0] * ((I1 - 3.0) * (I1 + 1.0) - 2.0 * (I2 - 3.0))
 
     @staticmethod
-    def first(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def first(I1, I2, J, c):
         return 0.5 * c[0] * (I1 - 1.0), -0.5 * c[0], 0.0
 
     @staticmethod
-    def second(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def second(I1, I2, J, c):
         return 0.5 * c[0], 0.0, 0.0, 0.0, 0.0, 0.0

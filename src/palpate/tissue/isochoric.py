@@ -41,17 +41,17 @@ def isochoric(law: type[Any]) -> type[Any]:
 
 
 def _of_invariants(energy_of: Any, first_of: Any, second_of: Any) -> tuple[Any, Any, Any]:
-    def energy(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def energy(I1, I2, J, c):
         a = 1.0 / np.cbrt(J * J)
         return energy_of(a * I1, a * a * I2, 1.0, c)
 
-    def first(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def first(I1, I2, J, c):
         a = 1.0 / np.cbrt(J * J)
         x, y = a * I1, a * a * I2
         V1, V2, _ = first_of(x, y, 1.0, c)
         return a * V1, a * a * V2, -(2.0 * x * V1 + 4.0 * y * V2) / (3.0 * J)
 
-    def second(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def second(I1, I2, J, c):
         a = 1.0 / np.cbrt(J * J)
         x, y = a * I1, a * a * I2
         V1, V2, _ = first_of(x, y, 1.0, c)
@@ -66,18 +66,18 @@ def _of_invariants(energy_of: Any, first_of: Any, second_of: Any) -> tuple[Any, 
 
 
 def _of_stretches(energy_of: Any, first_of: Any, second_of: Any) -> tuple[Any, Any, Any]:
-    def energy(l1, l2, l3, c):  # type: ignore[no-untyped-def]
+    def energy(l1, l2, l3, c):
         s = 1.0 / np.cbrt(l1 * l2 * l3)
         return energy_of(s * l1, s * l2, s * l3, c)
 
-    def first(l1, l2, l3, c):  # type: ignore[no-untyped-def]
+    def first(l1, l2, l3, c):
         s = 1.0 / np.cbrt(l1 * l2 * l3)
         w1, w2, w3 = first_of(s * l1, s * l2, s * l3, c)
         t1, t2, t3 = s * l1 * w1, s * l2 * w2, s * l3 * w3
         mean = (t1 + t2 + t3) / 3.0
         return (t1 - mean) / l1, (t2 - mean) / l2, (t3 - mean) / l3
 
-    def second(l1, l2, l3, c):  # type: ignore[no-untyped-def]
+    def second(l1, l2, l3, c):
         s = 1.0 / np.cbrt(l1 * l2 * l3)
         a, b, d = s * l1, s * l2, s * l3
         w1, w2, w3 = first_of(a, b, d, c)

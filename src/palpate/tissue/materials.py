@@ -346,15 +346,15 @@ class NeoHookean(Material):
         return 4 / 3 * self.C1
 
     @staticmethod
-    def energy(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def energy(I1, I2, J, c):
         return c[0] * (I1 - 3.0) - 2.0 * c[0] * np.log(J)
 
     @staticmethod
-    def first(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def first(I1, I2, J, c):
         return c[0], 0.0, -2.0 * c[0] / J
 
     @staticmethod
-    def second(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def second(I1, I2, J, c):
         return 0.0, 0.0, 0.0, 0.0, 0.0, 2.0 * c[0] / (J * J)
 
 
@@ -393,13 +393,13 @@ class MooneyRivlin(Material):
         return 2 / 3 * (self.C1 + self.C2) + 2 * self.C2
 
     @staticmethod
-    def energy(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def energy(I1, I2, J, c):
         return 0.5 * c[0] * (I1 - 3.0) + 0.5 * c[1] * (I2 - 3.0) - (c[0] + 2.0 * c[1]) * np.log(J)
 
     @staticmethod
-    def first(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def first(I1, I2, J, c):
         return 0.5 * c[0], 0.5 * c[1], -(c[0] + 2.0 * c[1]) / J
 
     @staticmethod
-    def second(I1, I2, J, c):  # type: ignore[no-untyped-def]
+    def second(I1, I2, J, c):
         return 0.0, 0.0, 0.0, 0.0, 0.0, (c[0] + 2.0 * c[1]) / (J * J)

@@ -39,16 +39,16 @@ class LinearElastic(ShearLaw):
     variables: ClassVar[str] = "small strain"
 
     @staticmethod
-    def energy(square, trace, volume, c):  # type: ignore[no-untyped-def]
+    def energy(square, trace, volume, c):
         """Return W_s of e : e; the other two arguments complete the signature."""
         return c[0] * square
 
     @staticmethod
-    def first(square, trace, volume, c):  # type: ignore[no-untyped-def]
+    def first(square, trace, volume, c):
         return c[0], 0.0, 0.0
 
     @staticmethod
-    def second(square, trace, volume, c):  # type: ignore[no-untyped-def]
+    def second(square, trace, volume, c):
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
 
     def shear_energy(self, F: NDArray[np.float64], coefficients: tuple[Any, ...] | None = None) -> NDArray[np.float64]:

@@ -117,7 +117,7 @@ class Ogden(StretchLaw):
         return tuple(number for term in zip(self.C, self.alpha, strict=True) for number in term)
 
     @staticmethod
-    def energy(l1, l2, l3, c):  # type: ignore[no-untyped-def]
+    def energy(l1, l2, l3, c):
         h1, h2, h3, total = np.log(l1), np.log(l2), np.log(l3), 0.0
         for k in range(0, len(c), 2):
             a = c[k + 1]
@@ -125,7 +125,7 @@ class Ogden(StretchLaw):
         return total
 
     @staticmethod
-    def first(l1, l2, l3, c):  # type: ignore[no-untyped-def]
+    def first(l1, l2, l3, c):
         h1, h2, h3, w1, w2, w3 = np.log(l1), np.log(l2), np.log(l3), 0.0, 0.0, 0.0
         for k in range(0, len(c), 2):
             C, a = c[k] * c[k + 1], c[k + 1]
@@ -135,7 +135,7 @@ class Ogden(StretchLaw):
         return w1 / l1, w2 / l2, w3 / l3
 
     @staticmethod
-    def second(l1, l2, l3, c):  # type: ignore[no-untyped-def]
+    def second(l1, l2, l3, c):
         h1, h2, h3, w1, w2, w3 = np.log(l1), np.log(l2), np.log(l3), 0.0, 0.0, 0.0
         for k in range(0, len(c), 2):
             C, a = c[k] * c[k + 1], c[k + 1]
@@ -198,7 +198,7 @@ class Exponential(_Stiffening):
     """
 
     @staticmethod
-    def energy(l1, l2, l3, c):  # type: ignore[no-untyped-def]
+    def energy(l1, l2, l3, c):
         a, b, h1, h2, h3 = c[3], c[4], np.log(l1), np.log(l2), np.log(l3)
         y = c[1] * (np.exp(a * h1) + np.exp(a * h2) + np.exp(a * h3) - 3.0 - a * (h1 + h2 + h3))
         z = np.minimum(y, 20.0)
@@ -206,7 +206,7 @@ class Exponential(_Stiffening):
         return c[0] * g + c[2] * (np.exp(b * h1) + np.exp(b * h2) + np.exp(b * h3) - 3.0 - b * (h1 + h2 + h3))
 
     @staticmethod
-    def first(l1, l2, l3, c):  # type: ignore[no-untyped-def]
+    def first(l1, l2, l3, c):
         a, b, h1, h2, h3 = c[3], c[4], np.log(l1), np.log(l2), np.log(l3)
         p1, p2, p3, r1, r2, r3 = (
             np.exp(a * h1), np.exp(a * h2), np.exp(a * h3), np.exp(b * h1), np.exp(b * h2), np.exp(b * h3)
@@ -221,7 +221,7 @@ class Exponential(_Stiffening):
         )
 
     @staticmethod
-    def second(l1, l2, l3, c):  # type: ignore[no-untyped-def]
+    def second(l1, l2, l3, c):
         a, b, h1, h2, h3 = c[3], c[4], np.log(l1), np.log(l2), np.log(l3)
         p1, p2, p3, r1, r2, r3 = (
             np.exp(a * h1), np.exp(a * h2), np.exp(a * h3), np.exp(b * h1), np.exp(b * h2), np.exp(b * h3)
@@ -275,7 +275,7 @@ class Logarithmic(_Stiffening):
     """
 
     @staticmethod
-    def energy(l1, l2, l3, c):  # type: ignore[no-untyped-def]
+    def energy(l1, l2, l3, c):
         a, b, h1, h2, h3 = c[3], c[4], np.log(l1), np.log(l2), np.log(l3)
         y = c[1] * (np.exp(a * h1) + np.exp(a * h2) + np.exp(a * h3) - 3.0 - a * (h1 + h2 + h3))
         z = np.minimum(y, 0.95)
@@ -284,7 +284,7 @@ class Logarithmic(_Stiffening):
         return c[0] * g + c[2] * (np.exp(b * h1) + np.exp(b * h2) + np.exp(b * h3) - 3.0 - b * (h1 + h2 + h3))
 
     @staticmethod
-    def first(l1, l2, l3, c):  # type: ignore[no-untyped-def]
+    def first(l1, l2, l3, c):
         a, b, h1, h2, h3 = c[3], c[4], np.log(l1), np.log(l2), np.log(l3)
         p1, p2, p3, r1, r2, r3 = (
             np.exp(a * h1), np.exp(a * h2), np.exp(a * h3), np.exp(b * h1), np.exp(b * h2), np.exp(b * h3)
@@ -300,7 +300,7 @@ class Logarithmic(_Stiffening):
         )
 
     @staticmethod
-    def second(l1, l2, l3, c):  # type: ignore[no-untyped-def]
+    def second(l1, l2, l3, c):
         a, b, h1, h2, h3 = c[3], c[4], np.log(l1), np.log(l2), np.log(l3)
         p1, p2, p3, r1, r2, r3 = (
             np.exp(a * h1), np.exp(a * h2), np.exp(a * h3), np.exp(b * h1), np.exp(b * h2), np.exp(b * h3)

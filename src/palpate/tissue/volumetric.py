@@ -36,25 +36,25 @@ class Volumetric:
     pressure: Any  # returns U'(J) / lame and U''(J) / lame for J - 1
 
 
-def _quadratic_measure(x):  # type: ignore[no-untyped-def]
+def _quadratic_measure(x):
     return x, 1.0
 
 
-def _quadratic_pressure(x):  # type: ignore[no-untyped-def]
+def _quadratic_pressure(x):
     return x, 1.0
 
 
-def _logarithmic_measure(x):  # type: ignore[no-untyped-def]
+def _logarithmic_measure(x):
     return np.log1p(x), 1.0 / (1.0 + x)
 
 
-def _logarithmic_pressure(x):  # type: ignore[no-untyped-def]
+def _logarithmic_pressure(x):
     r = 1.0 / (1.0 + x)
     g = np.log1p(x)
     return g * r, (1.0 - g) * r * r
 
 
-def _mixed_measure(x):  # type: ignore[no-untyped-def]
+def _mixed_measure(x):
     # g^2 = x^2 (1/2 + (x - ln(1 + x)) / x^2), with a series for the difference near rest
     series = 1 / 2 - x * (1 / 3 - x * (1 / 4 - x * (1 / 5 - x * (1 / 6 - x * (1 / 7 - x * (1 / 8 - x / 9))))))
     small = 1.0 * (np.abs(x) < 0.02)  # sums, because `np.where` allocates in compiled code
@@ -63,7 +63,7 @@ def _mixed_measure(x):  # type: ignore[no-untyped-def]
     return x * root, 0.5 * (2.0 + x) / ((1.0 + x) * root)
 
 
-def _mixed_pressure(x):  # type: ignore[no-untyped-def]
+def _mixed_pressure(x):
     r = 1.0 / (1.0 + x)
     return 0.5 * x * (2.0 + x) * r, 0.5 * (1.0 + r * r)
 

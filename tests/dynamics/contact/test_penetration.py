@@ -42,9 +42,9 @@ def test_the_depth_of_a_flat_surface_in_a_tool_is_found(block, tool):
 
 def test_middles_are_the_means_of_their_ends(block):
     contacts, n = contacts_of(block, pt.tools.Sphere(0.006), TOP + 0.1 * UP), len(block.cloud)
-    ends = contacts.ends[n:]
-    np.testing.assert_allclose(contacts.points[n:], block.cloud.points[ends].mean(axis=1))
-    weights = np.add.reduceat(contacts.patch_weights, contacts.patch_start[:-1])
+    ends = contacts.patches.ends[n:]
+    np.testing.assert_allclose(contacts.patches.points[n:], block.cloud.points[ends].mean(axis=1))
+    weights = np.add.reduceat(contacts.patches.weights, contacts.patches.start[:-1])
     np.testing.assert_allclose(weights, 1.0, atol=1e-12)
     assert len(ends) == len(block.cloud.triangles) * 3 // 2  # of a closed surface
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.dynamics.nodal.period import GIVEN
+from palpate.dynamics.nodal.period_data import GIVEN
 
 TISSUE = {"C1": 2e3, "C2": 0.0, "density": 1000.0, "poisson": 0.45}
 ALPHA = 4.0  # [1/s], far below the slowest vibration of 14 rad/s

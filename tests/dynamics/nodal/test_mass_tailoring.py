@@ -87,10 +87,10 @@ def test_local_shapes_add_the_mass_of_the_modes(block):
 def test_a_step_is_longer_and_an_equilibrium_the_same(block):
     ways = 0.004 * np.minimum(np.arange(1, 801) / 300, 1.0)
     plain, slowed = (pt.realtime_model(block, contact=ball(), tailored_modes=k) for k in (0, MODES))
-    assert slowed.data.resting_frequency < 0.9 * plain.data.resting_frequency
-    statistics, rest = step_statistics(slowed.data), plain.data.resting_frequency
+    assert slowed.data.body.resting_frequency < 0.9 * plain.data.body.resting_frequency
+    statistics, rest = step_statistics(slowed.data), plain.data.body.resting_frequency
     assert statistics["tailored_modes"] == MODES
-    assert statistics["step_gain"] == rest / slowed.data.resting_frequency
+    assert statistics["step_gain"] == rest / slowed.data.body.resting_frequency
     (force, u), (other, w) = press(plain, ways), press(slowed, ways)
     assert step_statistics(slowed.data)["repeated"] == 0
     assert force[-100:, 2].mean() < -0.1

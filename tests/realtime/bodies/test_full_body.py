@@ -12,7 +12,7 @@ import pytest
 
 import palpate as pt
 from palpate.dynamics.contact.tools import Forceps
-from palpate.dynamics.nodal import period as nodal
+from palpate.dynamics.nodal import period_data as nodal
 from palpate.realtime.loop import passed
 from palpate.realtime.observable import make_observable
 
@@ -276,7 +276,7 @@ def test_a_slow_grasp_has_force_and_moment_of_a_run(block):
     force, means = run.reactions["grasp"][1:], reports[:, 8:11].reshape(30, 10, 3).mean(axis=1)
     assert np.abs(force).max() > 0.05
     np.testing.assert_allclose(means, force, atol=0.02 * np.abs(force).max())
-    held = stepped.model.data.grip.node[0, : stepped.model.data.grip.numbers[0, 0]]
+    held = stepped.model.data.tools.grip.node[0, : stepped.model.data.tools.grip.numbers[0, 0]]
     at = block.cloud.points[held] + stepped.q.reshape(-1, 3)[held]
     share = 1 - stepped.model.data.clock[nodal.BEHIND] / PERIOD  # of the last way; the body is behind the clock
     time = 0.299 + share * PERIOD
@@ -322,7 +322,7 @@ def test_a_tool_slides_with_friction_over_a_support_where_nothing_else_moves():
         report = stepped.to([0.0, 0.0, -5e-5 * (k + 1)])
     assert report[10] < 0.0
     assert not stepped.q.any()
-    held = stepped.model.data.contacts.held
+    held = stepped.model.data.tools.contacts.held
     assert held.energy[0] > 0.0
     assert report[4] == pytest.approx(held.energy[0], rel=1e-6)
     slides = [stepped.to([3e-4 * (k + 1), 0.0, -2e-3])[8:11] for k in range(10)]
@@ -368,7 +368,7 @@ def test_forceps_take_hold_of_strained_tissue_without_a_tug(block):
     stepped.model.change_tool(Forceps(0.0051, CORNER, np.inf), np.array([*place, 1.0, 0, 0, 0]), 0.0)
     forces = [np.abs(stepped.to(np.zeros(3))[8:11]).max() for _ in range(3)]
     assert max(forces) < 0.1 * abs(held)
-    grip = stepped.model.data.grip
+    grip = stepped.model.data.tools.grip
     nodes = grip.node[0, : grip.numbers[0, 0]]
     moved = np.abs(stepped.q - before).reshape(-1, 3)
     assert moved[nodes].max() < 1e-9 < moved.max()
@@ -416,10 +416,10 @@ def test_sliding_nodes_count_in_the_stable_step():
     clock = stepped.model.data.clock
     stepped.press(0.1)
     data = stepped.model.data
-    sliding = data.sites.slide_of >= 0
-    assert np.abs(data.vector[sliding, :2]).max() > 0.0
-    assert not data.vector[sliding, 2].any()
-    assert clock[nodal.FREQUENCY] == pytest.approx(data.resting_frequency, rel=0.3)
+    sliding = data.body.sites.slide_of >= 0
+    assert np.abs(data.iteration.vector[sliding, :2]).max() > 0.0
+    assert not data.iteration.vector[sliding, 2].any()
+    assert clock[nodal.FREQUENCY] == pytest.approx(data.body.resting_frequency, rel=0.3)
 
 
 def test_an_engine_steps_a_full_body(block):

@@ -110,7 +110,7 @@ def test_forceps_hold_while_another_tool_is_changed(block):
         for k in range(20):
             after = lift(200 + k)
         assert after[2] == pytest.approx(held[2], rel=0.02)
-    nodes = model.data.grip.node[1, : model.data.grip.numbers[1, 0]]
+    nodes = model.data.tools.grip.node[1, : model.data.tools.grip.numbers[1, 0]]
     np.testing.assert_allclose(work.q.reshape(-1, 3)[nodes], [[0.0, 0.0, 4e-3]] * len(nodes), atol=1e-9)
 
 

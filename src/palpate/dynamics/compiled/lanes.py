@@ -180,10 +180,10 @@ def _lane_sums(fields: int, weights: int, name: str) -> Any:
     neighbours, and whether the weights have one number (k, weights) or one a lane (k, weights, LANES).
     """
 
-    def sums(typingctx, weight_at, field_at, out_at, count, shared):  # type: ignore[no-untyped-def]
+    def sums(typingctx, weight_at, field_at, out_at, count, shared):
         signature = types.void(types.intp, types.intp, types.intp, types.intp, types.boolean)
 
-        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        def codegen(context, builder, signature, args):
             with builder.if_else(builder.trunc(args[4], ir.IntType(1))) as (then, otherwise):
                 with then:
                     _emit_loop(builder, args[:4], fields, weights, broadcast=True)
@@ -244,7 +244,7 @@ def _emit_loop(builder: Any, args: list[Any], fields: int, weights: int, broadca
 
 
 @intrinsic
-def lane_gather(typingctx, weight_at, neighbours, begin, values, out_at, count, shared):  # type: ignore[no-untyped-def]
+def lane_gather(typingctx, weight_at, neighbours, begin, values, out_at, count, shared):
     """out[:] = sum over k of weight[k, :] * values[neighbours[begin + k, :]], for one block.
 
     Arguments are the address of the weights, the neighbours (t, LANES) with the first entry of the block, the
@@ -254,7 +254,7 @@ def lane_gather(typingctx, weight_at, neighbours, begin, values, out_at, count, 
     integers = (types.intp,) * 4
     signature = types.void(integers[0], neighbours, integers[1], values, integers[2], integers[3], types.boolean)
 
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, signature, args):
         near, field = (context.make_array(signature.args[k])(context, builder, args[k]).data for k in (1, 3))
         index = builder.gep(near, [builder.mul(args[2], ir.Constant(ir.IntType(64), LANES))])
         with builder.if_else(builder.trunc(args[6], ir.IntType(1))) as (then, otherwise):
@@ -310,18 +310,18 @@ def _column_pass(single: bool, back: bool, rows: int, name: str) -> Any:
     the products with every basis vector's derivatives are added. The last argument is the number of basis vectors.
     """
 
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, signature, args):
         given, out = args[1 : 1 + rows], args[1 + rows : 1 + 2 * rows]
         _emit_column_loop(builder, args[0], given, out, args[-1], single, back)
         return context.get_dummy_value()
 
-    def sums(typingctx, table_at, given_at, out_at, count):  # type: ignore[no-untyped-def]
+    def sums(typingctx, table_at, given_at, out_at, count):
         return types.void(*(types.intp,) * 4), codegen
 
-    def sums_2(typingctx, table_at, given_at, given_2_at, out_at, out_2_at, count):  # type: ignore[no-untyped-def]
+    def sums_2(typingctx, table_at, given_at, given_2_at, out_at, out_2_at, count):
         return types.void(*(types.intp,) * 6), codegen
 
-    def sums_3(typingctx, table_at, given_at, given_2_at, given_3_at, out_at, out_2_at, out_3_at, count):  # type: ignore[no-untyped-def]
+    def sums_3(typingctx, table_at, given_at, given_2_at, given_3_at, out_at, out_2_at, out_3_at, count):
         return types.void(*(types.intp,) * 8), codegen
 
     of_rows: Any = {1: sums, 2: sums_2, 3: sums_3}[rows]

@@ -6,7 +6,7 @@ from palpate.dynamics.compiled.cache import kernel_njit
 
 
 @kernel_njit(inner=True)
-def fill_vectors(u, mirror, out):  # type: ignore[no-untyped-def]
+def fill_vectors(u, mirror, out):
     """Write vectors (n, 3) and those of their images into out (n + g, 3)."""
     n = u.shape[0]
     for i in range(n):
@@ -23,7 +23,7 @@ def fill_vectors(u, mirror, out):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def fill_scalars(mirror, values):  # type: ignore[no-untyped-def]
+def fill_scalars(mirror, values):
     """Copy values (n + g,) of nodes to their images."""
     n = values.shape[0] - mirror.source.shape[0]
     for k in range(mirror.source.shape[0]):
@@ -31,7 +31,7 @@ def fill_scalars(mirror, values):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def fill_fluxes(mirror, flux):  # type: ignore[no-untyped-def]
+def fill_fluxes(mirror, flux):
     """Write the reflected forces R P N and R e of fluxes (n + h, 3, 4) behind those of the nodes."""
     n = flux.shape[0] - mirror.source.shape[0]
     for k in range(mirror.source.shape[0]):

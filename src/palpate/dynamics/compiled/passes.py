@@ -18,7 +18,7 @@ from palpate.dynamics.compiled.lanes import LANES, lane_gather
 
 
 @kernel_njit()
-def without_history(work, interval):  # type: ignore[no-untyped-def]
+def without_history(work, interval):
     """Do nothing: `Formulation.after` of a body without history variables."""
 
 
@@ -50,7 +50,7 @@ class Formulation(NamedTuple):
 
 
 @kernel_njit(inner=True, forceinline=True)
-def weights_address(weights, lanes, b):  # type: ignore[no-untyped-def]
+def weights_address(weights, lanes, b):
     """Return the address of the weights of block b."""
     if lanes.shared[b]:
         return weights.one[lanes.weight_start[b] :].ctypes.data
@@ -58,7 +58,7 @@ def weights_address(weights, lanes, b):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(forceinline=True)
-def differences(b, u, lanes, fields):  # type: ignore[no-untyped-def]
+def differences(b, u, lanes, fields):
     """Gather u_J - u_I of the neighbours J of the nodes I of a block; return the number of neighbours."""
     begin, end = lanes.start[b], lanes.stop[b]
     for k in range(begin, end):
@@ -70,7 +70,7 @@ def differences(b, u, lanes, fields):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True, fastmath={"contract"})
-def combine(b, columns, table, out):  # type: ignore[no-untyped-def]
+def combine(b, columns, table, out):
     """Compute the derivatives of one block from the coordinates of basis vectors."""
     for q in range(table.shape[2]):
         for lane in range(LANES):
@@ -82,7 +82,7 @@ def combine(b, columns, table, out):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(parallel=True, fastmath={"contract"})
-def smooth_field(lanes, value, diagonal, sums, values, smooth):  # type: ignore[no-untyped-def]
+def smooth_field(lanes, value, diagonal, sums, values, smooth):
     """Compute the fitted value of a nodal field (n,) at every node."""
     for b in prange(lanes.nodes.shape[0]):
         total = sums[get_thread_id()]
@@ -95,7 +95,7 @@ def smooth_field(lanes, value, diagonal, sums, values, smooth):  # type: ignore[
 
 
 @kernel_njit(inner=True)
-def add_blocks(partial, result):  # type: ignore[no-untyped-def]
+def add_blocks(partial, result):
     """Sum partial results (b, m) over the blocks, in an order independent of the number of threads."""
     result[:] = 0.0
     for b in range(partial.shape[0]):
@@ -116,20 +116,20 @@ def lift_passes(name: str, first_sums: Any, second_sums: Any, first_numbers: int
     digest = law_digest(__name__, "lift", name, first_numbers)
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"})
-    def lift(b, u, lanes, first, second, fields, out):  # type: ignore[no-untyped-def]
+    def lift(b, u, lanes, first, second, fields, out):
         count, shared = differences(b, u, lanes, fields), lanes.shared[b]
         rest = out[first_numbers:]
         first_sums(weights_address(first, lanes, b), fields.ctypes.data, out.ctypes.data, count, shared)
         second_sums(weights_address(second, lanes, b), fields.ctypes.data, rest.ctypes.data, count, shared)
 
     @law_njit(digest, inner=True, parallel=True)
-    def lift_columns(modes, lanes, first, second, fields, table):  # type: ignore[no-untyped-def]
+    def lift_columns(modes, lanes, first, second, fields, table):
         for b in prange(lanes.nodes.shape[0]):
             for m in range(modes.shape[0]):
                 lift(b, modes[m], lanes, first, second, fields[get_thread_id()], table[b, m])
 
     @law_njit(digest)
-    def differentiate(modes, body, work, table):  # type: ignore[no-untyped-def]
+    def differentiate(modes, body, work, table):
         lift_columns(modes, body.lanes, body.first, body.second, work.fields, table)
 
     return lift, differentiate
@@ -141,7 +141,7 @@ def internal_force(formulation: Formulation) -> Any:
     respond, finish = formulation.respond, formulation.finish
 
     @law_njit(formulation.digest)
-    def internal_force(u, body, work, force):  # type: ignore[no-untyped-def]
+    def internal_force(u, body, work, force):
         respond(u, body, work)
         finish(body, work, force)
 

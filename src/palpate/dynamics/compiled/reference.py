@@ -62,7 +62,7 @@ def _read_field(context: Any, builder: Any, kind: Reference, address: Any, name:
 
 
 @intrinsic
-def reference(typing_context, record):  # type: ignore[no-untyped-def]
+def reference(typing_context, record):
     """Return a reference of a named tuple, for calls from the present compiled function.
 
     The record is copied to the stack of that function, so that a reference must not outlive it. Arrays are not copied.
@@ -71,7 +71,7 @@ def reference(typing_context, record):  # type: ignore[no-untyped-def]
     if isinstance(record, Reference):
         return record(record), lambda context, builder, signature, arguments: arguments[0]
 
-    def copy_to_stack(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+    def copy_to_stack(context, builder, signature, arguments):
         return alloca_once_value(builder, arguments[0])
 
     return Reference(record)(record), copy_to_stack

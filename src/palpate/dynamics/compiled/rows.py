@@ -168,13 +168,13 @@ def _row_sums(width: int, name: str, of_differences: bool) -> Any:
     fluxes (`LINE_NUMBERS`) are then in single precision, too.
     """
 
-    def sums(typingctx, values, rows, node, out, place):  # type: ignore[no-untyped-def]
+    def sums(typingctx, values, rows, node, out, place):
         signature = types.void(values, rows, types.intp, out, types.intp)
         single = rows[rows.fields.index("weights")].dtype == types.float32
         if single != (values.dtype == types.float32):
             return None
 
-        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        def codegen(context, builder, signature, args):
             emit = (_SingleEmitter if single else _Emitter)(context, builder, width)
             values_at, out_at = emit.data(signature.args[0], args[0]), emit.data(signature.args[3], args[3])
             row = emit.row(signature.args[1], args[1], args[2])
@@ -417,7 +417,7 @@ def _gather(width: int) -> Any:
     flux_sums = _row_sums(width, f"flux_sums_{width}", of_differences=False)
 
     @law_njit(law_digest(__name__, "gather fluxes", width), parallel=True, fastmath={"contract"})
-    def gather(rows, flux, force):  # type: ignore[no-untyped-def]
+    def gather(rows, flux, force):
         """Compute the force [N/m^3], minus the transposed derivatives of the fluxes (n, 3, width)."""
         for i in prange(force.shape[0]):
             flux_sums(flux, rows, i, force, i)

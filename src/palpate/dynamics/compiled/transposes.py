@@ -70,10 +70,10 @@ class _Block:
 
 
 @intrinsic
-def nodes_to_lanes(typing_context, nodes, rows):  # type: ignore[no-untyped-def]
+def nodes_to_lanes(typing_context, nodes, rows):
     """Copy the numbers (LANES, 3, 4) of a block's nodes, in lines, to rows of lanes (12 * LANES,)."""
 
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, signature, args):
         block = _Block(context, builder, signature.args[0], args[0], signature.args[1], args[1])
         zero = ir.Constant(block.i64, 0)
         for component in range(COMPONENT_COUNT):
@@ -91,10 +91,10 @@ def nodes_to_lanes(typing_context, nodes, rows):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def lanes_to_nodes(typing_context, rows, nodes, first):  # type: ignore[no-untyped-def]
+def lanes_to_nodes(typing_context, rows, nodes, first):
     """Copy rows of lanes (12 * LANES,) to the numbers (n, 3, 4), in lines, of the LANES nodes from a first one on."""
 
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, signature, args):
         block = _Block(context, builder, signature.args[1], args[1], signature.args[0], args[0])
         for component in range(COMPONENT_COUNT):
             loaded = [builder.load(block.row(row), align=8) for row in _lane_rows(component)]

@@ -20,18 +20,18 @@ RECOVERY_TIME = 0.01  # [s] in which a face leaves a blade that it is in
 
 
 @kernel_njit(inner=True)
-def clear_sites(contacts, time, mass, drag):  # type: ignore[no-untyped-def]
+def clear_sites(contacts, time, mass, drag):
     """Prepare the nodes of the sites for the impulses of a step that ends at a time [s]."""
     sites = contacts.sites
     for e in range(sites.nodes.shape[0]):
         j = sites.nodes[e]
-        contacts.inverse_mass[j] = 1.0 / (drag * mass[j]) if time > contacts.prescribed_until[j] else 0.0
+        contacts.work.inverse_mass[j] = 1.0 / (drag * mass[j]) if time > contacts.patches.prescribed_until[j] else 0.0
         for c in range(3):
-            contacts.step_impulses[j, c] = 0.0
+            contacts.work.step_impulses[j, c] = 0.0
 
 
 @kernel_njit(inner=True)
-def _turned(frame, v):  # type: ignore[no-untyped-def]
+def _turned(frame, v):
     """Return a vector of the tool's frame in space."""
     return (
         frame[0, 0] * v[0] + frame[0, 1] * v[1] + frame[0, 2] * v[2],
@@ -41,7 +41,7 @@ def _turned(frame, v):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _tissue(sites, s, u, velocity, inverse_mass):  # type: ignore[no-untyped-def]
+def _tissue(sites, s, u, velocity, inverse_mass):
     """Return the position (3) and the velocity (3) of the tissue at a site, and the sum of w^2 / m."""
     x, y, z = sites.points[s, 0], sites.points[s, 1], sites.points[s, 2]
     vx, vy, vz, response = 0.0, 0.0, 0.0, 0.0
@@ -54,12 +54,12 @@ def _tissue(sites, s, u, velocity, inverse_mass):  # type: ignore[no-untyped-def
 
 
 @kernel_njit(inner=True)
-def _dot(a, b):  # type: ignore[no-untyped-def]
+def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @kernel_njit(inner=True)
-def _slip(sites, s, place, at, frame, normal):  # type: ignore[no-untyped-def]
+def _slip(sites, s, place, at, frame, normal):
     """Return how far [m] an edge at a point of its frame is beyond the tissue at its site."""
     return (
         (at[0] + frame[0, 3] - place[0] - sites.offsets[s, 0]) * normal[0]
@@ -69,7 +69,7 @@ def _slip(sites, s, place, at, frame, normal):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _edge_impulse(frame, direction, relative, response, most, before, clear):  # type: ignore[no-untyped-def]
+def _edge_impulse(frame, direction, relative, response, most, before, clear):
     """Return the impulse of the edge on the tissue, in place of the one before in this step, for a push at most `most`.
 
     The force opposes the velocity w of the tissue relative to the edge, and its power is that of the normal part times
@@ -95,7 +95,7 @@ def _edge_impulse(frame, direction, relative, response, most, before, clear):  #
 
 
 @kernel_njit(inner=True)
-def _face_impulse(normal, along, relative, response, needed, most, before):  # type: ignore[no-untyped-def]
+def _face_impulse(normal, along, relative, response, needed, most, before):
     """Return the impulse for a change `needed` [m/s] of a face's normal velocity, with its friction."""
     size = _dot(before, normal)
     pressed = max(size + needed / response, 0.0)
@@ -108,14 +108,14 @@ def _face_impulse(normal, along, relative, response, needed, most, before):  # t
 
 
 @kernel_njit(inner=True)
-def _push_pair(contacts, s, ends, step, u, velocity):  # type: ignore[no-untyped-def]
+def _push_pair(contacts, s, ends, step, u, velocity):
     """Push the faces of a cut apart that would enter each other; return the squared change and the squared impulse."""
     sites = contacts.sites
-    opening, speed, response = _tissue(sites, s, u, velocity, contacts.inverse_mass)
+    opening, speed, response = _tissue(sites, s, u, velocity, contacts.work.inverse_mass)
     normal = sites.directions[s]
     gap, along, old = _dot(opening, normal), _dot(speed, normal), _dot(sites.impulses[s], normal)
     if ends:  # moves no node
-        needed = -along if gap < contacts.contact_gap else -np.inf
+        needed = -along if gap < contacts.gaps.contact else -np.inf
     else:
         needed = (max(0.0, 1.0 - step / RECOVERY_TIME) * min(gap, 0.0) - gap) / step - along
     new = max(old + needed / response, 0.0) if response > 0.0 else 0.0
@@ -125,24 +125,24 @@ def _push_pair(contacts, s, ends, step, u, velocity):  # type: ignore[no-untyped
 
 
 @kernel_njit(inner=True)
-def _add_impulse(contacts, s, x, y, z, velocity):  # type: ignore[no-untyped-def]
+def _add_impulse(contacts, s, x, y, z, velocity):
     """Distribute an impulse (3) [N s] on a site to its nodes, and change their velocities."""
     sites = contacts.sites
     for e in range(sites.start[s], sites.start[s + 1]):
         j, w = sites.nodes[e], sites.weights[e]
-        free = project(contacts.slide, contacts.slide_of[j], x, y, z)
-        contacts.step_impulses[j, 0] += w * x
-        contacts.step_impulses[j, 1] += w * y
-        contacts.step_impulses[j, 2] += w * z
+        free = project(contacts.patches.slide, contacts.patches.slide_of[j], x, y, z)
+        contacts.work.step_impulses[j, 0] += w * x
+        contacts.work.step_impulses[j, 1] += w * y
+        contacts.work.step_impulses[j, 2] += w * z
         for c in range(3):
-            velocity[j, c] += w * contacts.inverse_mass[j] * free[c]
+            velocity[j, c] += w * contacts.work.inverse_mass[j] * free[c]
     sites.impulses[s, 0] += x
     sites.impulses[s, 1] += y
     sites.impulses[s, 2] += z
 
 
 @kernel_njit(inner=True)
-def push_sites(contacts, ends, step, kick, u, velocity):  # type: ignore[no-untyped-def]
+def push_sites(contacts, ends, step, kick, u, velocity):
     """Change the velocities of the nodes by the impulses of the sites in a step; see `push_patches`."""
     sites = contacts.sites
     sites.impulses[:] = 0.0
@@ -154,8 +154,8 @@ def push_sites(contacts, ends, step, kick, u, velocity):  # type: ignore[no-unty
                 changed, largest = max(changed, change), max(largest, size)
             if sites.tool[s] < 0:
                 continue
-            first, last = contacts.frames[sites.tool[s], 0], contacts.frames[sites.tool[s], 1]
-            place, speed, response = _tissue(sites, s, u, velocity, contacts.inverse_mass)
+            first, last = contacts.work.frames[sites.tool[s], 0], contacts.work.frames[sites.tool[s], 1]
+            place, speed, response = _tissue(sites, s, u, velocity, contacts.work.inverse_mass)
             if not response > 0.0:
                 continue
             start, end = _turned(first, sites.places[s]), _turned(last, sites.places[s])
@@ -170,7 +170,7 @@ def push_sites(contacts, ends, step, kick, u, velocity):  # type: ignore[no-unty
             if sites.kind[s] == EDGE_SITE:
                 if ends:  # moves no node
                     behind = sites.slips[s] - _slip(sites, s, place, end, last, normal)
-                    clear = 0.0 if behind < contacts.contact_gap else np.inf
+                    clear = 0.0 if behind < contacts.gaps.contact else np.inf
                 else:
                     clear = (sites.slips[s] - _slip(sites, s, place, start, first, normal)) / step
                 new = _edge_impulse(last, sites.directions[s], relative, response, sites.limits[s] * kick, old, clear)
@@ -179,7 +179,7 @@ def push_sites(contacts, ends, step, kick, u, velocity):  # type: ignore[no-unty
                 away = place[0] - at[0] - origin[0], place[1] - at[1] - origin[1], place[2] - at[2] - origin[2]
                 gap = _dot(away, normal)
                 if ends:  # moves no node
-                    needed = -along if gap < contacts.contact_gap else -np.inf
+                    needed = -along if gap < contacts.gaps.contact else -np.inf
                 else:
                     needed = (max(0.0, 1.0 - step / RECOVERY_TIME) * min(gap, 0.0) - gap) / step - along
                 new = _face_impulse(normal, along, relative, response, needed, sites.limits[s] * kick, old)
@@ -191,14 +191,14 @@ def push_sites(contacts, ends, step, kick, u, velocity):  # type: ignore[no-unty
 
 
 @kernel_njit(inner=True)
-def site_works(contacts, ends, step, kick, u, velocity, data):  # type: ignore[no-untyped-def]
+def site_works(contacts, ends, step, kick, u, velocity, data):
     """Add the impulses of the sites to the sums of the call; return energies as `apply_contact_impulses`."""
     nodes, scratch, gravity, drag = data
     sites, density = contacts.sites, nodes.density
     for s in range(sites.tool.shape[0]):
         if sites.kind[s] == EDGE_SITE and sites.tool[s] >= 0:
-            last = contacts.frames[sites.tool[s], 1]
-            place, speed, _ = _tissue(sites, s, u, velocity, contacts.inverse_mass)
+            last = contacts.work.frames[sites.tool[s], 1]
+            place, speed, _ = _tissue(sites, s, u, velocity, contacts.work.inverse_mass)
             ahead = 0.0 if ends else step
             end = place[0] + ahead * speed[0], place[1] + ahead * speed[1], place[2] + ahead * speed[2]
             normal, at = _turned(last, sites.directions[s]), _turned(last, sites.places[s])
@@ -211,12 +211,12 @@ def site_works(contacts, ends, step, kick, u, velocity, data):  # type: ignore[n
         power, on_nodes, rubbed = 0.0, 0.0, 0.0
         along = push[0], push[1], push[2]  # the face
         if t >= 0:
-            first, last = contacts.frames[t, 0], contacts.frames[t, 1]
+            first, last = contacts.work.frames[t, 0], contacts.work.frames[t, 1]
             start, end = _turned(first, sites.places[s]), _turned(last, sites.places[s])
             for d in range(3):
                 a, b = (d + 1) % 3, (d + 2) % 3
-                contacts.tool_impulses[t, d] += push[d]
-                contacts.tool_impulses[t, 3 + d] += end[a] * push[b] - end[b] * push[a]
+                contacts.work.tool_impulses[t, d] += push[d]
+                contacts.work.tool_impulses[t, 3 + d] += end[a] * push[b] - end[b] * push[a]
                 power += push[d] * (end[d] + last[d, 3] - start[d] - first[d, 3]) / step
             if sites.kind[s] == FACE_SITE:
                 normal = _turned(last, sites.directions[s])
@@ -226,14 +226,14 @@ def site_works(contacts, ends, step, kick, u, velocity, data):  # type: ignore[n
                     rubbed += along[d] * (end[d] + last[d, 3] - start[d] - first[d, 3]) / step
         for e in range(sites.start[s], sites.start[s + 1]):
             j, w = sites.nodes[e], sites.weights[e]
-            free = project(contacts.slide, contacts.slide_of[j], push[0], push[1], push[2])
-            inverse_mass = contacts.inverse_mass[j]
+            free = project(contacts.patches.slide, contacts.patches.slide_of[j], push[0], push[1], push[2])
+            inverse_mass = contacts.work.inverse_mass[j]
             for d in range(3):
-                contacts.nodal_impulses[j, d] += w * push[d]
+                contacts.work.nodal_impulses[j, d] += w * push[d]
                 mean, surface = velocity[j, d], scratch.surface[j, d]
                 if inverse_mass > 0.0:
                     kicked = kick * ((scratch.force[j, d] + nodes.half_cell * surface) / density + gravity[d])
-                    mean -= 0.5 * (kicked + contacts.step_impulses[j, d] * inverse_mass)
+                    mean -= 0.5 * (kicked + contacts.work.step_impulses[j, d] * inverse_mass)
                     loads += (
                         0.5 * kick * nodes.volumes[j] * (surface + density * gravity[d]) * w * free[d] * inverse_mass
                     )

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats, Ints
 from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.dynamics.compiled.reference import reference
 from palpate.dynamics.contact.blade_sites import BladeSites, no_sites
 from palpate.dynamics.contact.kinds import BLADE, BONDED, CAPSULE, PLANE, PUNCH
 from palpate.dynamics.contact.tools import Contact
@@ -46,43 +47,59 @@ class HeldNodes(NamedTuple):
     energy: Floats  # (t,) array [J]: of the tissue over the supports under each tool after the last step
 
 
-class Contacts(NamedTuple):
-    """Rigid tools and contact patches, for the compiled step.
-
-    A candidate is a pair of a tool and a patch that the tool can reach. The p patches are those of the n
-    nodes, and those of the middles of edges of the surface.
-    """
+class ToolShapes(NamedTuple):
+    """Shapes of t rigid tools."""
 
     kind: NDArray[np.int64]  # (t,) array: shape of every tool
     sizes: Floats  # (t, 3) array [m]
     friction: Floats  # (t,) array
-    start: NDArray[np.int64]  # (t + 1,) array: first candidate of every tool, and their number k
-    # nodes, tool: (k,) arrays: patch and tool of every candidate
-    nodes: NDArray[np.int64]
+    curvature: Floats  # (t,) array [1/m]: largest curvature of every tool
+    radius: Floats  # (t,) array [m]: radius about its origin that contains a tool
+
+
+class Patches(NamedTuple):
+    """Patches: p of the n nodes and of the middles of edges of the surface, as weighted means of nodes."""
+
     points: Floats  # (p, 3) array [m]: reference positions
     # (p, 2) array: nodes at the ends of every patch's edge; for the patch of a node twice the node
     ends: NDArray[np.int64]
     lengths: Floats  # (p,) array [m]: lengths of these edges at rest
-    curvature: Floats  # (t,) array [1/m]: largest curvature of every tool
-    patch_start: NDArray[np.int64]  # (p + 1,) array: first entry of every patch in the next two arrays
-    # patch_nodes, patch_weights: (c,) arrays: nodes of the patches and their weights
-    patch_nodes: NDArray[np.int64]
-    patch_weights: Floats
+    start: NDArray[np.int64]  # (p + 1,) array: first entry of every patch in the next two arrays
+    # nodes, weights: (c,) arrays: nodes of the patches and their weights
+    nodes: NDArray[np.int64]
+    weights: Floats
     prescribed_until: Floats  # (p,) array [s]: time until which a patch is constrained
     slide_of: NDArray[np.int64]  # (n,) array: index in `slide` of a node that slides on a support; -1 for others
     slide: Floats  # (r, 3, 3) array: projections on the directions in which sliding nodes are free
-    overlap: float  # [m]: depth of a patch in a tool beyond which it is not pushed out in a single step
-    contact_gap: float  # [m]: gap below which a patch is in contact at the end of a call
-    search_gap: float  # [m]: gap below which a patch is included in the sweeps
-    patch_radius: float  # [m]: largest distance of a patch from its node
-    patch_gain: float  # largest displacement of a patch over that of its nodes: the largest sum of absolute weights
-    frames: Floats  # (t, 2, 3, 4) array: rotations and positions of the tools before and after a step
-    tool_radius: Floats  # (t,) array [m]: radius about its origin that contains a tool
+    radius: float  # [m]: largest distance of a patch from its node
+    gain: float  # largest displacement of a patch over that of its nodes: the largest sum of absolute weights
+
+
+class Candidates(NamedTuple):
+    """Pairs of a tool and a patch that the tool can reach, k in all."""
+
+    start: NDArray[np.int64]  # (t + 1,) array: first candidate of every tool, and their number
+    # patch, tool: (k,) arrays: patch and tool of every candidate
+    patch: NDArray[np.int64]
     tool: NDArray[np.int64]
+
+
+class Gaps(NamedTuple):
+    """Gaps [m] between a tool and a patch."""
+
+    overlap: float  # depth of a patch in a tool beyond which it is not pushed out in a single step
+    contact: float  # gap below which a patch is in contact at the end of a call
+    search: float  # gap below which a patch is included in the sweeps
+
+
+class ContactWork(NamedTuple):
+    """What the steps of a call change."""
+
+    frames: Floats  # (t, 2, 3, 4) array: rotations and positions of the tools before and after a step
     # (t,) array: number of candidates of every tool that are near it, so that a step looks at them; by default all
     near_count: NDArray[np.int64]
     near: NDArray[np.int64]  # (k,) array: the near candidates of every tool in order, from its first candidate on
-    active_count: NDArray[np.int64]  # (1,) array: number of active candidates, within `search_gap`
+    active_count: NDArray[np.int64]  # (1,) array: number of active candidates, within `Gaps.search`
     active: NDArray[np.int64]  # (k,) array: the active candidates
     patch_impulses: Floats  # (k, 4) array: impulses of the candidates [N s] and 1 / m [1/kg]; zero unless active
     # (k, 4) array [m]: positions of the active candidates at the start of a step, and the gaps that they may keep in it
@@ -93,28 +110,47 @@ class Contacts(NamedTuple):
     # (t, 6) array [N s], [N m s]: impulse of every tool on the body and its moment about the tool's origin, since the
     # start of a call
     tool_impulses: Floats
+
+
+class Contacts(NamedTuple):
+    """Rigid tools and contact patches, for the compiled step."""
+
+    tools: ToolShapes
+    patches: Patches
+    candidates: Candidates
+    gaps: Gaps
+    work: ContactWork
     held: HeldNodes
     sites: BladeSites
 
 
-SCRATCH_FIELDS = (
-    "frames", "active_count", "active", "patch_impulses", "places", "inverse_mass", "step_impulses",
-    "nodal_impulses", "tool_impulses",
-)  # fmt: skip
 HELD_SCRATCH = ("forces", "impulses", "energy")
 
 
+def contact_work(candidates: Candidates, nodes: int) -> ContactWork:
+    """Return work arrays for the candidates of a body with a number of nodes."""
+    count, tools = len(candidates.patch), len(candidates.start) - 1
+    return ContactWork(
+        frames=np.zeros((tools, 2, 3, 4)),
+        near_count=np.diff(candidates.start),
+        near=np.arange(count),
+        active_count=np.zeros(1, dtype=np.int64),
+        active=np.zeros(count, dtype=np.int64),
+        patch_impulses=np.zeros((count, 4)),
+        places=np.zeros((count, 4)),
+        inverse_mass=np.zeros(nodes),
+        step_impulses=np.zeros((nodes, 3)),
+        nodal_impulses=np.zeros((nodes, 3)),
+        tool_impulses=np.zeros((tools, 6)),
+    )
+
+
 def with_scratch(contacts: Contacts) -> Contacts:
-    """Return the same tools and patches with new scratch arrays."""
+    """Return the same tools and patches with new work arrays."""
     held = contacts.held._replace(**{name: np.zeros_like(getattr(contacts.held, name)) for name in HELD_SCRATCH})
     sites = contacts.sites._replace(impulses=np.zeros_like(contacts.sites.impulses), works=np.zeros(2))
-    return contacts._replace(
-        near_count=np.diff(contacts.start),
-        near=np.arange(len(contacts.nodes)),
-        held=held,
-        sites=sites,
-        **{name: np.zeros_like(getattr(contacts, name)) for name in SCRATCH_FIELDS},
-    )
+    work = contact_work(contacts.candidates, len(contacts.work.inverse_mass))
+    return contacts._replace(work=work, held=held, sites=sites)
 
 
 def held_nodes(nodes: Ints, points: Floats, masses: Floats, rate: float, reach: NDArray[np.bool_]) -> HeldNodes:
@@ -142,7 +178,7 @@ def held_nodes(nodes: Ints, points: Floats, masses: Floats, rate: float, reach: 
 
 
 @kernel_njit(forceinline=True)
-def project(slide, k, x, y, z):  # type: ignore[no-untyped-def]
+def project(slide, k, x, y, z):
     """Return a vector projected on the free directions of sliding node k; for k = -1 the vector itself."""
     if k < 0:
         return x, y, z
@@ -154,7 +190,7 @@ def project(slide, k, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def signed_distance(kind, sizes, x, y, z):  # type: ignore[no-untyped-def]
+def signed_distance(kind, sizes, x, y, z):
     """Return the distance [m] of a point in the tool's frame to its surface, negative inside, and the outward normal.
 
     Returns
@@ -183,7 +219,7 @@ def signed_distance(kind, sizes, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def rotation(pose, frame):  # type: ignore[no-untyped-def]
+def rotation(pose, frame):
     """Write the rotation matrix and the position of a pose (7,) into a frame (3, 4)."""
     w, x, y, z = pose[3], pose[4], pose[5], pose[6]
     frame[0, 0], frame[0, 1], frame[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
@@ -193,7 +229,7 @@ def rotation(pose, frame):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def gap(kind, sizes, frame, x, y, z):  # type: ignore[no-untyped-def]
+def gap(kind, sizes, frame, x, y, z):
     """Return the signed distance [m] and outward normal of a point in space, as `signed_distance`."""
     x, y, z = x - frame[0, 3], y - frame[1, 3], z - frame[2, 3]
     g, a, b, c = signed_distance(
@@ -212,7 +248,7 @@ def gap(kind, sizes, frame, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def material_velocity(before, after, step, x, y, z):  # type: ignore[no-untyped-def]
+def material_velocity(before, after, step, x, y, z):
     """Return the mean velocity [m/s] of the tool's material point that ends a step at a point in space."""
     p = x - after[0, 3], y - after[1, 3], z - after[2, 3]
     a = after[0, 0] * p[0] + after[1, 0] * p[1] + after[2, 0] * p[2]
@@ -226,7 +262,7 @@ def material_velocity(before, after, step, x, y, z):  # type: ignore[no-untyped-
 
 
 @kernel_njit()
-def coulomb(normal, friction, wx, wy, wz, nx, ny, nz):  # type: ignore[no-untyped-def]
+def coulomb(normal, friction, wx, wy, wz, nx, ny, nz):
     """Return the tangential impulse (3) for a normal impulse by Coulomb's law.
 
     Parameters
@@ -248,29 +284,28 @@ def coulomb(normal, friction, wx, wy, wz, nx, ny, nz):  # type: ignore[no-untype
 
 
 @kernel_njit()
-def patch(points, patch_start, patch_nodes, patch_weights, i, ahead, u, velocity):  # type: ignore[no-untyped-def]
+def patch(patches, i, ahead, u, velocity):
     """Return the position (3) [m] of a patch after a time [s], and its velocity (3) [m/s]."""
-    x, y, z = points[i, 0], points[i, 1], points[i, 2]
+    x, y, z = patches.points[i, 0], patches.points[i, 1], patches.points[i, 2]
     vx, vy, vz = 0.0, 0.0, 0.0
-    for c in range(patch_start[i], patch_start[i + 1]):
-        j, w = patch_nodes[c], patch_weights[c]
+    for c in range(patches.start[i], patches.start[i + 1]):
+        j, w = patches.nodes[c], patches.weights[c]
         x, y, z = x + w * u[j, 0], y + w * u[j, 1], z + w * u[j, 2]
         vx, vy, vz = vx + w * velocity[j, 0], vy + w * velocity[j, 1], vz + w * velocity[j, 2]
     return x + ahead * vx, y + ahead * vy, z + ahead * vz, vx, vy, vz
 
 
 @kernel_njit()
-def compute_patch_positions(contacts, u, positions):  # type: ignore[no-untyped-def]
+def compute_patch_positions(contacts, u, positions):
     """Write the positions (k, 3) [m] of the first k patches for displacements u (n, 3) [m]."""
+    patches = reference(contacts.patches)
     for i in range(positions.shape[0]):
-        x, y, z, _, _, _ = patch(
-            contacts.points, contacts.patch_start, contacts.patch_nodes, contacts.patch_weights, i, 0.0, u, u
-        )
+        x, y, z, _, _, _ = patch(patches, i, 0.0, u, u)
         positions[i, 0], positions[i, 1], positions[i, 2] = x, y, z
 
 
 @kernel_njit(forceinline=True)
-def chord_depth(length, curvature):  # type: ignore[no-untyped-def]
+def chord_depth(length, curvature):
     """Return the depth [m] of the middle of an edge between two points on a tool; at most a quarter of the edge."""
     return min(0.125 * length * length * curvature, 0.25 * length)
 
@@ -283,7 +318,7 @@ def curvatures(kinds: Ints, sizes: Floats) -> Floats:
 
 
 @kernel_njit(allocates=True)
-def compute_gaps(kind, sizes, pose, positions, result):  # type: ignore[no-untyped-def]
+def compute_gaps(kind, sizes, pose, positions, result):
     """Write the signed distances [m] of positions (k, 3) to a tool in a pose (7,)."""
     frame = np.zeros((3, 4))
     rotation(pose, frame)
@@ -330,42 +365,41 @@ def contacts(
     nodes = [_candidates(load, cloud, pairs, removed) for load in loads]
     sizes = np.array([load.tool.sizes for load in loads]).reshape(-1, 3)
     kind = np.array([load.tool.kind for load in loads], dtype=np.int64)
-    tools, candidates = len(loads), [len(n) for n in nodes]
+    candidates = Candidates(
+        start=np.cumsum([0, *map(len, nodes)]),
+        patch=np.concatenate([np.zeros(0, dtype=np.int64), *nodes]),
+        tool=np.repeat(np.arange(len(loads)), [len(n) for n in nodes]),
+    )
+    none = np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0)
     return Contacts(
-        kind=kind,
-        sizes=sizes,
-        friction=np.array([float(load.friction) for load in loads]),
-        start=np.cumsum([0, *candidates]),
-        nodes=np.concatenate([np.zeros(0, dtype=np.int64), *nodes]),
-        points=points[ends].mean(axis=1),
-        ends=ends,
-        lengths=np.linalg.norm(points[ends[:, 1]] - points[ends[:, 0]], axis=1),
-        curvature=curvatures(kind, sizes),
-        patch_start=table.indptr.astype(np.int64),
-        patch_nodes=table.indices.astype(np.int64),
-        patch_weights=np.asarray(table.data, dtype=float),
-        prescribed_until=prescribed_until[ends].max(axis=1),
-        slide_of=sliding[0],
-        slide=sliding[1],
-        overlap=PATCH_OVERLAP * cloud.spacing,
-        contact_gap=CONTACT_GAP["nodes" if patches is None else "patches"] * cloud.spacing,
-        search_gap=SEARCH_GAP * cloud.spacing,
-        patch_radius=0.0 if patches is None else PATCH_RADIUS * cloud.spacing,
-        patch_gain=float(abs(table).sum(axis=1).max(initial=1.0)),
-        frames=np.zeros((tools, 2, 3, 4)),
-        tool_radius=np.where(kind == CAPSULE, sizes[:, 0] + sizes[:, 1], np.inf),
-        tool=np.repeat(np.arange(tools), candidates),
-        near_count=np.array(candidates, dtype=np.int64),
-        near=np.arange(sum(candidates)),
-        active_count=np.zeros(1, dtype=np.int64),
-        active=np.zeros(sum(candidates), dtype=np.int64),
-        patch_impulses=np.zeros((sum(candidates), 4)),
-        places=np.zeros((sum(candidates), 4)),
-        inverse_mass=np.zeros(count),
-        step_impulses=np.zeros((count, 3)),
-        nodal_impulses=np.zeros((count, 3)),
-        tool_impulses=np.zeros((tools, 6)),
-        held=held_nodes(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0), 0.0, np.zeros((tools, 0), bool)),
+        tools=ToolShapes(
+            kind=kind,
+            sizes=sizes,
+            friction=np.array([float(load.friction) for load in loads]),
+            curvature=curvatures(kind, sizes),
+            radius=np.where(kind == CAPSULE, sizes[:, 0] + sizes[:, 1], np.inf),
+        ),
+        patches=Patches(
+            points=points[ends].mean(axis=1),
+            ends=ends,
+            lengths=np.linalg.norm(points[ends[:, 1]] - points[ends[:, 0]], axis=1),
+            start=table.indptr.astype(np.int64),
+            nodes=table.indices.astype(np.int64),
+            weights=np.asarray(table.data, dtype=float),
+            prescribed_until=prescribed_until[ends].max(axis=1),
+            slide_of=sliding[0],
+            slide=sliding[1],
+            radius=0.0 if patches is None else PATCH_RADIUS * cloud.spacing,
+            gain=float(abs(table).sum(axis=1).max(initial=1.0)),
+        ),
+        candidates=candidates,
+        gaps=Gaps(
+            overlap=PATCH_OVERLAP * cloud.spacing,
+            contact=CONTACT_GAP["nodes" if patches is None else "patches"] * cloud.spacing,
+            search=SEARCH_GAP * cloud.spacing,
+        ),
+        work=contact_work(candidates, count),
+        held=held_nodes(*none, 0.0, np.zeros((len(loads), 0), bool)),
         sites=no_sites(),
     )
 

@@ -70,7 +70,7 @@ def set_grip(grip: Grip, tool: int, nodes: Ints) -> None:
 
 
 @kernel_njit(inner=True)
-def begin_grip(grip, points, u, frames):  # type: ignore[no-untyped-def]
+def begin_grip(grip, points, u, frames):
     """Set the places of nodes that were just grasped, for the present frames (t, 2, 3, 4) of the tools."""
     for t in range(grip.numbers.shape[0]):
         if grip.numbers[t, FRESH] == 0:
@@ -85,7 +85,7 @@ def begin_grip(grip, points, u, frames):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def store_velocities(grip, velocity):  # type: ignore[no-untyped-def]
+def store_velocities(grip, velocity):
     """Copy the velocities of the nodes before the kick."""
     for t in range(grip.numbers.shape[0]):
         for k in range(grip.numbers[t, COUNT]):
@@ -94,10 +94,10 @@ def store_velocities(grip, velocity):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def hold_nodes(grip, contacts, nodes, surface, alpha, step, u, velocity):  # type: ignore[no-untyped-def]
+def hold_nodes(grip, contacts, nodes, surface, alpha, step, u, velocity):
     """Give the nodes the velocities that bring them to their places after their kick.
 
-    Adds the impulses and their moments about the tools' origins to `contacts.tool_impulses`, and sets the nodes'
+    Adds the impulses and their moments about the tools' origins to `contacts.work.tool_impulses`, and sets the nodes'
     impulses in this step to zero, so that those of other tools are added next.
 
     Returns
@@ -106,9 +106,14 @@ def hold_nodes(grip, contacts, nodes, surface, alpha, step, u, velocity):  # typ
         Work of the tools, and changes of the work of surface loads and of the loss by alpha M, which the kick counted
         with its own velocities.
     """
-    work, lost, points = 0.0, 0.0, contacts.points
+    work, lost, points = 0.0, 0.0, contacts.patches.points
     for t in range(grip.numbers.shape[0]):
-        frame, sums, place, before = contacts.frames[t, 1], contacts.tool_impulses[t], grip.place[t], grip.before[t]
+        frame, sums, place, before = (
+            contacts.work.frames[t, 1],
+            contacts.work.tool_impulses[t],
+            grip.place[t],
+            grip.before[t],
+        )
         impulse = grip.impulse[t]
         for k in range(grip.numbers[t, COUNT]):
             i = grip.node[t, k]
@@ -122,7 +127,7 @@ def hold_nodes(grip, contacts, nodes, surface, alpha, step, u, velocity):  # typ
                 lost += alpha * step * nodes.mass[i] * (mean + kicked) * (mean - kicked)
                 velocity[i, c] = wanted
                 impulse[k, c] = push
-                contacts.step_impulses[i, c] = 0.0
+                contacts.work.step_impulses[i, c] = 0.0
                 sums[c] += push
             for c in range(3):
                 a, b = (c + 1) % 3, (c + 2) % 3
@@ -133,7 +138,7 @@ def hold_nodes(grip, contacts, nodes, surface, alpha, step, u, velocity):  # typ
 
 
 @kernel_njit(inner=True)
-def bear_impulses(grip, contacts, step, u, velocity):  # type: ignore[no-untyped-def]
+def bear_impulses(grip, contacts, step, u, velocity):
     """Let the forceps bear what other tools push on their nodes, and set the nodes' impulses in this step.
 
     Returns
@@ -141,9 +146,9 @@ def bear_impulses(grip, contacts, step, u, velocity):  # type: ignore[no-untyped
     work : float [J]
         Of the forceps.
     """
-    work, points, pushes = 0.0, contacts.points, contacts.step_impulses
+    work, points, pushes = 0.0, contacts.patches.points, contacts.work.step_impulses
     for t in range(grip.numbers.shape[0]):
-        frame, sums = contacts.frames[t, 1], contacts.tool_impulses[t]
+        frame, sums = contacts.work.frames[t, 1], contacts.work.tool_impulses[t]
         for k in range(grip.numbers[t, COUNT]):
             i = grip.node[t, k]
             for c in range(3):

@@ -24,7 +24,7 @@ from palpate.dynamics.contact.kinds import BLADE, BONDED, CAPSULE
 
 
 @kernel_njit()
-def press_held_nodes(held, kinds, sizes, friction, frames, step, kick, tool_impulses):  # type: ignore[no-untyped-def]
+def press_held_nodes(held, kinds, sizes, friction, frames, step, kick, tool_impulses):
     """Push held nodes with the tools that enter them in a step [s], for a time `kick` [s].
 
     Parameters

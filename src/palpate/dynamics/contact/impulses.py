@@ -39,86 +39,100 @@ SWEEP_TOLERANCE = 1e-2  # largest change of an impulse in the last sweep, relati
 
 
 @kernel_njit(inner=True)
-def _apply_to_patch(contacts, i, x, y, z, velocity):  # type: ignore[no-untyped-def]
+def _apply_to_patch(contacts, i, x, y, z, velocity):
     """Change the velocities of a patch's nodes by an impulse (3) [N s] on patch i."""
-    inverse_mass = contacts.inverse_mass
-    for c in range(contacts.patch_start[i], contacts.patch_start[i + 1]):
-        j, w = contacts.patch_nodes[c], contacts.patch_weights[c]
-        free_x, free_y, free_z = project(contacts.slide, contacts.slide_of[j], x, y, z)
+    inverse_mass = contacts.work.inverse_mass
+    for c in range(contacts.patches.start[i], contacts.patches.start[i + 1]):
+        j, w = contacts.patches.nodes[c], contacts.patches.weights[c]
+        free_x, free_y, free_z = project(contacts.patches.slide, contacts.patches.slide_of[j], x, y, z)
         velocity[j, 0] += w * inverse_mass[j] * free_x
         velocity[j, 1] += w * inverse_mass[j] * free_y
         velocity[j, 2] += w * inverse_mass[j] * free_z
 
 
 @kernel_njit(inner=True, parallel=True)
-def _mark_near(contacts, t, margin, u, marks):  # type: ignore[no-untyped-def]
+def _mark_near(contacts, t, margin, u, marks):
     """Write the candidates of a tool that are less than a margin [m] farther than active ones, and -1 for others."""
-    first, last = contacts.start[t], contacts.start[t + 1]
+    first, last = contacts.candidates.start[t], contacts.candidates.start[t + 1]
     for block in prange((last - first + BLOCK_CANDIDATES - 1) // BLOCK_CANDIDATES):
-        kind, sizes, frame = contacts.kind[t], contacts.sizes[t], contacts.frames[t, 1]
-        near = contacts.search_gap + contacts.patch_gain * margin
-        around = near + contacts.patch_radius
-        radius = contacts.tool_radius[t] + around
+        kind, sizes, frame = contacts.tools.kind[t], contacts.tools.sizes[t], contacts.work.frames[t, 1]
+        near = contacts.gaps.search + contacts.patches.gain * margin
+        around = near + contacts.patches.radius
+        radius = contacts.tools.radius[t] + around
         begin = first + np.int64(block) * BLOCK_CANDIDATES
         for k in range(begin, min(begin + BLOCK_CANDIDATES, last)):
-            i = contacts.nodes[k]
-            j = contacts.ends[i, 0]
-            x, y, z = contacts.points[i, 0] + u[j, 0], contacts.points[i, 1] + u[j, 1], contacts.points[i, 2] + u[j, 2]
+            i = contacts.candidates.patch[k]
+            j = contacts.patches.ends[i, 0]
+            x, y, z = (
+                contacts.patches.points[i, 0] + u[j, 0],
+                contacts.patches.points[i, 1] + u[j, 1],
+                contacts.patches.points[i, 2] + u[j, 2],
+            )
             square = (x - frame[0, 3]) ** 2 + (y - frame[1, 3]) ** 2 + (z - frame[2, 3]) ** 2
             marks[k] = -1
             if square < radius * radius and gap(kind, sizes, frame, x, y, z)[0] < around:  # then that of the patch
-                x, y, z, _, _, _ = patch(
-                    contacts.points, contacts.patch_start, contacts.patch_nodes, contacts.patch_weights, i, 0.0, u, u
-                )
-                depth = chord_depth(contacts.lengths[i], contacts.curvature[t])
+                x, y, z, _, _, _ = patch(contacts.patches, i, 0.0, u, u)
+                depth = chord_depth(contacts.patches.lengths[i], contacts.tools.curvature[t])
                 if gap(kind, sizes, frame, x, y, z)[0] + depth < near:
                     marks[k] = k
 
 
 @kernel_njit(inner=True)
-def list_near(contacts, margin, u):  # type: ignore[no-untyped-def]
+def list_near(contacts, margin, u):
     """List the candidates that are less than a margin [m] farther from their tool than those that a step needs.
 
     The list holds as long as no node and no point of a tool that may touch it has moved by more than the margin, both
     ways together.
     """
-    impulses, near = contacts.patch_impulses, contacts.near
-    for t in range(contacts.kind.shape[0]):
-        first = contacts.start[t]
-        contacts.near_count[t] = 0
-        if contacts.sizes[t, 0] == -np.inf:  # an absent tool
+    impulses, near = contacts.work.patch_impulses, contacts.work.near
+    for t in range(contacts.tools.kind.shape[0]):
+        first = contacts.candidates.start[t]
+        contacts.work.near_count[t] = 0
+        if contacts.tools.sizes[t, 0] == -np.inf:  # an absent tool
             continue
         _mark_near(contacts, t, margin, u, near)
         count = first
-        for k in range(first, contacts.start[t + 1]):
+        for k in range(first, contacts.candidates.start[t + 1]):
             if near[k] == k:
                 near[count] = k
                 count += 1
             elif impulses[k, 3] != 0.0:
                 impulses[k] = 0.0
-        contacts.near_count[t] = count - first
+        contacts.work.near_count[t] = count - first
 
 
 @kernel_njit(inner=True)
-def _find_active_patches(contacts, ahead, step, ratio, time, u, velocity, mass, drag):  # type: ignore[no-untyped-def]
+def _find_active_patches(contacts, ahead, step, ratio, time, u, velocity, mass, drag):
     """Find the patches near a tool, and apply `ratio` times their impulses of the previous step.
 
     A patch that was deep in the tool before the step keeps a part of that depth. Pushed out in a single step, it would
     gain energy that no work of the tool explains.
     """
-    points, start, near, weights = contacts.points, contacts.patch_start, contacts.patch_nodes, contacts.patch_weights
-    nodes, active, impulses, places = contacts.nodes, contacts.active, contacts.patch_impulses, contacts.places
-    prescribed_until, inverse_mass = contacts.prescribed_until, contacts.inverse_mass
-    for k in active[: contacts.active_count[0]]:
+    points, start, near, weights = (
+        contacts.patches.points,
+        contacts.patches.start,
+        contacts.patches.nodes,
+        contacts.patches.weights,
+    )
+    nodes, active, impulses, places = (
+        contacts.candidates.patch,
+        contacts.work.active,
+        contacts.work.patch_impulses,
+        contacts.work.places,
+    )
+    prescribed_until, inverse_mass = contacts.patches.prescribed_until, contacts.work.inverse_mass
+    for k in active[: contacts.work.active_count[0]]:
         for c in range(start[nodes[k]], start[nodes[k] + 1]):
-            contacts.step_impulses[near[c]] = 0.0
-    count, search, around = 0, contacts.search_gap, contacts.search_gap + contacts.patch_radius
-    for t in range(contacts.kind.shape[0]):
-        kind, sizes, frame = contacts.kind[t], contacts.sizes[t], contacts.frames[t, 1]
-        radius = contacts.tool_radius[t] + around
-        for k in contacts.near[contacts.start[t] : contacts.start[t] + contacts.near_count[t]]:
+            contacts.work.step_impulses[near[c]] = 0.0
+    count, search, around = 0, contacts.gaps.search, contacts.gaps.search + contacts.patches.radius
+    for t in range(contacts.tools.kind.shape[0]):
+        kind, sizes, frame = contacts.tools.kind[t], contacts.tools.sizes[t], contacts.work.frames[t, 1]
+        radius = contacts.tools.radius[t] + around
+        for k in contacts.work.near[
+            contacts.candidates.start[t] : contacts.candidates.start[t] + contacts.work.near_count[t]
+        ]:
             i = nodes[k]
-            j = contacts.ends[i, 0]
+            j = contacts.patches.ends[i, 0]
             x = points[i, 0] + u[j, 0] + ahead * velocity[j, 0]
             y = points[i, 1] + u[j, 1] + ahead * velocity[j, 1]
             z = points[i, 2] + u[j, 2] + ahead * velocity[j, 2]
@@ -126,20 +140,20 @@ def _find_active_patches(contacts, ahead, step, ratio, time, u, velocity, mass, 
             in_reach = (
                 square < radius * radius and time > prescribed_until[i] and gap(kind, sizes, frame, x, y, z)[0] < around
             )
-            depth = chord_depth(contacts.lengths[i], contacts.curvature[t])
+            depth = chord_depth(contacts.patches.lengths[i], contacts.tools.curvature[t])
             if in_reach:  # after the cheaper test of its node
-                x, y, z, vx, vy, vz = patch(points, start, near, weights, i, 0.0, u, velocity)
+                x, y, z, vx, vy, vz = patch(contacts.patches, i, 0.0, u, velocity)
                 places[k, 0], places[k, 1], places[k, 2] = x, y, z
                 distance, nx, ny, nz = gap(kind, sizes, frame, x + ahead * vx, y + ahead * vy, z + ahead * vz)
                 in_reach = distance + depth < search
-                if in_reach and contacts.slide_of[j] >= 0:
-                    nx, ny, nz = project(contacts.slide, contacts.slide_of[j], nx, ny, nz)
+                if in_reach and contacts.patches.slide_of[j] >= 0:
+                    nx, ny, nz = project(contacts.patches.slide, contacts.patches.slide_of[j], nx, ny, nz)
                     in_reach = nx * nx + ny * ny + nz * nz > MIN_FREEDOM
             if not in_reach:
                 if impulses[k, 3] != 0.0:
                     impulses[k] = 0.0
                 continue
-            kept = gap(kind, sizes, contacts.frames[t, 0], x, y, z)[0] + depth + contacts.overlap
+            kept = gap(kind, sizes, contacts.work.frames[t, 0], x, y, z)[0] + depth + contacts.gaps.overlap
             places[k, 3] = min(0.0, kept) * max(0.0, 1.0 - step / RECOVERY_TIME)
             response = 0.0
             for c in range(start[i], start[i + 1]):
@@ -152,34 +166,44 @@ def _find_active_patches(contacts, ahead, step, ratio, time, u, velocity, mass, 
             _apply_to_patch(contacts, i, impulses[k, 0], impulses[k, 1], impulses[k, 2], velocity)
             active[count] = k
             count += 1
-    contacts.active_count[0] = count
+    contacts.work.active_count[0] = count
 
 
 @kernel_njit(inner=True)
-def _velocity_change(contacts, i, response, x, y, z):  # type: ignore[no-untyped-def]
+def _velocity_change(contacts, i, response, x, y, z):
     """Return the change of a patch's velocity by an impulse on it; `response` is that of a patch without supports."""
-    if contacts.slide.shape[0] == 0:
+    if contacts.patches.slide.shape[0] == 0:
         return response * x, response * y, response * z
     change_x, change_y, change_z = 0.0, 0.0, 0.0
-    for c in range(contacts.patch_start[i], contacts.patch_start[i + 1]):
-        j = contacts.patch_nodes[c]
-        share = contacts.patch_weights[c] ** 2 * contacts.inverse_mass[j]
-        free_x, free_y, free_z = project(contacts.slide, contacts.slide_of[j], x, y, z)
+    for c in range(contacts.patches.start[i], contacts.patches.start[i + 1]):
+        j = contacts.patches.nodes[c]
+        share = contacts.patches.weights[c] ** 2 * contacts.work.inverse_mass[j]
+        free_x, free_y, free_z = project(contacts.patches.slide, contacts.patches.slide_of[j], x, y, z)
         change_x, change_y, change_z = change_x + share * free_x, change_y + share * free_y, change_z + share * free_z
     return change_x, change_y, change_z
 
 
 @kernel_njit(inner=True)
-def _sweep(contacts, ends, step, velocity):  # type: ignore[no-untyped-def]
+def _sweep(contacts, ends, step, velocity):
     """Update the impulse of every active patch; return the largest change and the largest impulse [m/s].
 
     With `ends` only patches in contact are pushed that move into the tool.
     """
-    start, near, weights, places = contacts.patch_start, contacts.patch_nodes, contacts.patch_weights, contacts.places
-    kind, sizes, friction, frames = contacts.kind, contacts.sizes, contacts.friction, contacts.frames
-    nodes, tool, impulses = contacts.nodes, contacts.tool, contacts.patch_impulses
-    changed, largest, ahead, tolerance = 0.0, 0.0, 0.0 if ends else step, contacts.contact_gap
-    for k in contacts.active[: contacts.active_count[0]]:
+    start, near, weights, places = (
+        contacts.patches.start,
+        contacts.patches.nodes,
+        contacts.patches.weights,
+        contacts.work.places,
+    )
+    kind, sizes, friction, frames = (
+        contacts.tools.kind,
+        contacts.tools.sizes,
+        contacts.tools.friction,
+        contacts.work.frames,
+    )
+    nodes, tool, impulses = contacts.candidates.patch, contacts.candidates.tool, contacts.work.patch_impulses
+    changed, largest, ahead, tolerance = 0.0, 0.0, 0.0 if ends else step, contacts.gaps.contact
+    for k in contacts.work.active[: contacts.work.active_count[0]]:
         i, t, response = nodes[k], tool[k], impulses[k, 3]
         ox, oy, oz = impulses[k, 0], impulses[k, 1], impulses[k, 2]
         vx, vy, vz = 0.0, 0.0, 0.0
@@ -188,12 +212,12 @@ def _sweep(contacts, ends, step, velocity):  # type: ignore[no-untyped-def]
             vx, vy, vz = vx + w * velocity[j, 0], vy + w * velocity[j, 1], vz + w * velocity[j, 2]
         x, y, z = places[k, 0] + ahead * vx, places[k, 1] + ahead * vy, places[k, 2] + ahead * vz
         g, nx, ny, nz = gap(kind[t], sizes[t], frames[t, 1], x, y, z)
-        g += chord_depth(contacts.lengths[i], contacts.curvature[t])
+        g += chord_depth(contacts.patches.lengths[i], contacts.tools.curvature[t])
         if not ends:  # the nearest place that the patch may take
             x, y, z = x - g * nx, y - g * ny, z - g * nz
         tx, ty, tz = material_velocity(frames[t, 0], frames[t, 1], step, x, y, z)
         own_x, own_y, own_z = _velocity_change(contacts, i, response, ox, oy, oz)
-        if contacts.slide.shape[0] > 0:
+        if contacts.patches.slide.shape[0] > 0:
             rx, ry, rz = _velocity_change(contacts, i, response, nx, ny, nz)
             response = rx * nx + ry * ny + rz * nz
         # relative to the tool, without the present impulse
@@ -217,51 +241,58 @@ def _sweep(contacts, ends, step, velocity):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _add_step_impulses(contacts):  # type: ignore[no-untyped-def]
+def _add_step_impulses(contacts):
     """Add the impulses of the active patches to those of their nodes in the present step."""
-    impulse = contacts.step_impulses
-    for k in contacts.active[: contacts.active_count[0]]:
-        i, push = contacts.nodes[k], contacts.patch_impulses[k]
-        for c in range(contacts.patch_start[i], contacts.patch_start[i + 1]):
+    impulse = contacts.work.step_impulses
+    for k in contacts.work.active[: contacts.work.active_count[0]]:
+        i, push = contacts.candidates.patch[k], contacts.work.patch_impulses[k]
+        for c in range(contacts.patches.start[i], contacts.patches.start[i + 1]):
             for d in range(3):
-                impulse[contacts.patch_nodes[c], d] += contacts.patch_weights[c] * push[d]
+                impulse[contacts.patches.nodes[c], d] += contacts.patches.weights[c] * push[d]
 
 
 @kernel_njit(inner=True)
-def _add_patch_impulse(contacts, k, ahead, step, kick, u, velocity, data):  # type: ignore[no-untyped-def]
+def _add_patch_impulse(contacts, k, ahead, step, kick, u, velocity, data):
     """Add a patch's impulse to the sums of the call; return energies as `apply_contact_impulses`.
 
     The work on a node is the impulse times the mean of its velocities before the kick and after all
     impulses, without the part that mass damping dissipates.
     """
-    i, t, push, inverse_mass = contacts.nodes[k], contacts.tool[k], contacts.patch_impulses[k], contacts.inverse_mass
+    i, t, push, inverse_mass = (
+        contacts.candidates.patch[k],
+        contacts.candidates.tool[k],
+        contacts.work.patch_impulses[k],
+        contacts.work.inverse_mass,
+    )
     nodes, scratch, gravity, drag = data
-    origin, density = contacts.frames[t, 1, :, 3], nodes.density
-    position = patch(
-        contacts.points, contacts.patch_start, contacts.patch_nodes, contacts.patch_weights, i, ahead, u, velocity
-    )[:3]
-    speed = material_velocity(contacts.frames[t, 0], contacts.frames[t, 1], step, position[0], position[1], position[2])
+    origin, density = contacts.work.frames[t, 1, :, 3], nodes.density
+    position = patch(contacts.patches, i, ahead, u, velocity)[:3]
+    speed = material_velocity(
+        contacts.work.frames[t, 0], contacts.work.frames[t, 1], step, position[0], position[1], position[2]
+    )
     tools, on_nodes, loads = 0.0, 0.0, 0.0
     for d in range(3):
         a, b = (d + 1) % 3, (d + 2) % 3
-        contacts.tool_impulses[t, d] += push[d]
-        contacts.tool_impulses[t, 3 + d] += (position[a] - origin[a]) * push[b] - (position[b] - origin[b]) * push[a]
+        contacts.work.tool_impulses[t, d] += push[d]
+        contacts.work.tool_impulses[t, 3 + d] += (position[a] - origin[a]) * push[b] - (position[b] - origin[b]) * push[
+            a
+        ]
         tools += push[d] * speed[d]
-    for c in range(contacts.patch_start[i], contacts.patch_start[i + 1]):
-        j, sliding = contacts.patch_nodes[c], contacts.slide_of[contacts.patch_nodes[c]]
+    for c in range(contacts.patches.start[i], contacts.patches.start[i + 1]):
+        j, sliding = contacts.patches.nodes[c], contacts.patches.slide_of[contacts.patches.nodes[c]]
         # the part of the impulse that a support leaves to the node
-        free = project(contacts.slide, sliding, push[0], push[1], push[2])
+        free = project(contacts.patches.slide, sliding, push[0], push[1], push[2])
         for d in range(3):
             share, moved, mean = (
-                contacts.patch_weights[c] * push[d],
-                contacts.patch_weights[c] * free[d],
+                contacts.patches.weights[c] * push[d],
+                contacts.patches.weights[c] * free[d],
                 velocity[j, d],
             )
-            contacts.nodal_impulses[j, d] += share
+            contacts.work.nodal_impulses[j, d] += share
             if inverse_mass[j] > 0.0:
                 surface = scratch.surface[j, d]
                 kicked = kick * ((scratch.force[j, d] + nodes.half_cell * surface) / density + gravity[d])
-                mean -= 0.5 * (kicked + contacts.step_impulses[j, d] * inverse_mass[j])
+                mean -= 0.5 * (kicked + contacts.work.step_impulses[j, d] * inverse_mass[j])
                 loads += 0.5 * kick * nodes.volumes[j] * (surface + density * gravity[d]) * moved * inverse_mass[j]
                 on_nodes += moved * mean / drag
             else:  # the constraint takes the impulse
@@ -271,11 +302,11 @@ def _add_patch_impulse(contacts, k, ahead, step, kick, u, velocity, data):  # ty
 
 
 @kernel_njit()
-def apply_contact_impulses(contacts, schedule, s, step, kick, u, velocity, data):  # type: ignore[no-untyped-def]
+def apply_contact_impulses(contacts, schedule, s, step, kick, u, velocity, data):
     """Apply the impulses of the tools after the kick of step s.
 
     The last time of the load history has no step after it. `data` are the nodal data, the scratch
-    arrays of the step (`palpate.dynamics.nodal.central_difference`), and alpha [1/s] of the damping.
+    arrays of the step (`palpate.dynamics.nodal.central_difference`), alpha [1/s] of the damping, and gravity.
 
     Returns
     -------
@@ -286,26 +317,24 @@ def apply_contact_impulses(contacts, schedule, s, step, kick, u, velocity, data)
     poses = schedule.poses
     ends = s == poses.shape[0] - 1
     first, ahead = (s - 1, 0.0) if ends else (s, step)
-    for t in range(contacts.kind.shape[0]):
-        rotation(poses[first, t], contacts.frames[t, 0])
-        rotation(poses[first + 1, t], contacts.frames[t, 1])
+    for t in range(contacts.tools.kind.shape[0]):
+        rotation(poses[first, t], contacts.work.frames[t, 0])
+        rotation(poses[first + 1, t], contacts.work.frames[t, 1])
     # the first kick of a call is half of the others, and starts from zero impulses
     ratio = 0.0 if s == 0 else kick / (0.5 * step if s == 1 else step)
     time = schedule.times[min(s + 1, poses.shape[0] - 1)]
-    return push_patches(contacts, ends, (ahead, step, kick, time), ratio, u, velocity, (*data, schedule.gravity[s]))
+    return push_patches(contacts, (ahead, step, kick, time), ratio, u, velocity, data)
 
 
 @kernel_njit(inner=True)
-def push_patches(contacts, ends, times, ratio, u, velocity, data):  # type: ignore[no-untyped-def]
+def push_patches(contacts, times, ratio, u, velocity, data):
     """Push the patches out of the tools, whose frames before and after the step are given.
 
     Parameters
     ----------
-    ends : bool
-        True for the half kick at the end of a call, which moves no node.
     times : tuple of float [s]
-        Time from the present positions to those of the patches, length of the step and of the kick, and
-        the time at the end of the step.
+        Time from the present positions to those of the patches, 0 for the half kick at the end of a call; length
+        of the step and of the kick, and the time at the end of the step.
     ratio : float
         Of the first impulses to those of the step before.
     u, velocity : (n, 3) arrays
@@ -317,6 +346,7 @@ def push_patches(contacts, ends, times, ratio, u, velocity, data):  # type: igno
     As `apply_contact_impulses`.
     """
     ahead, step, kick, time = times
+    ends = ahead == 0.0
     nodes, scratch, alpha, gravity = data
     drag = 1.0 + 0.5 * alpha * kick  # by which damping resists an impulse, as it resists the other forces of a kick
     clear_sites(contacts, time, nodes.mass, drag)
@@ -328,13 +358,20 @@ def push_patches(contacts, ends, times, ratio, u, velocity, data):  # type: igno
     _add_step_impulses(contacts)
     push_sites(contacts, ends, step, kick, u, velocity)
     tools, lost, loads = site_works(contacts, ends, step, kick, u, velocity, (nodes, scratch, gravity, drag))
-    impulses = contacts.patch_impulses
-    for k in contacts.active[: contacts.active_count[0]]:
+    impulses = contacts.work.patch_impulses
+    for k in contacts.work.active[: contacts.work.active_count[0]]:
         if impulses[k, 0] != 0.0 or impulses[k, 1] != 0.0 or impulses[k, 2] != 0.0:
             works = _add_patch_impulse(contacts, k, ahead, step, kick, u, velocity, (nodes, scratch, gravity, drag))
             tools, lost, loads = tools + works[0], lost + works[1], loads + works[2]
+    shapes, work = contacts.tools, contacts.work
     held = press_held_nodes(
-        reference(contacts.held), contacts.kind, contacts.sizes, contacts.friction, contacts.frames, step, kick,
-        contacts.tool_impulses,
-    )  # fmt: skip
+        reference(contacts.held),
+        shapes.kind,
+        shapes.sizes,
+        shapes.friction,
+        work.frames,
+        step,
+        kick,
+        work.tool_impulses,
+    )
     return tools + held[0], lost + held[1], loads

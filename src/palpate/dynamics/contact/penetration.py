@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.dynamics.compiled.reference import reference
 from palpate.dynamics.contact.geometry import gap, patch
 from palpate.dynamics.contact.kinds import BLADE, BONDED, PLANE
 
@@ -20,14 +21,14 @@ EDGE_PARTS = 4  # of the edges of a triangle, between the points whose depths ar
 
 
 @kernel_njit(inner=True)
-def way_above_surface(depth, limit):  # type: ignore[no-untyped-def]
+def way_above_surface(depth, limit):
     """Return how far [m] a pushing tool may move in a period: less from `SLOW_DEPTH` on, zero at the largest depth."""
     least = SLOW_DEPTH * limit
     return np.inf if depth <= least else max(0.0, limit - depth) / (limit - least) * SLOW_WAY * limit
 
 
 @kernel_njit(inner=True)
-def triangle_depth(kind, sizes, frame, a, b, c, least):  # type: ignore[no-untyped-def]
+def triangle_depth(kind, sizes, frame, a, b, c, least):
     """Return the largest depth [m] in a tool of a triangle with corners a, b, c (x, y, z); at least `least`."""
     ax, ay, az = a
     bx, by, bz = b
@@ -50,7 +51,7 @@ def triangle_depth(kind, sizes, frame, a, b, c, least):  # type: ignore[no-untyp
 
 
 @kernel_njit()
-def deepest_triangle(contacts, t, frame, triangles, u, least):  # type: ignore[no-untyped-def]
+def deepest_triangle(contacts, t, frame, triangles, u, least):
     """Return the largest depth [m] of surface triangles in tool t, and the triangle.
 
     They are `least` and -1 where none is deeper.
@@ -63,11 +64,11 @@ def deepest_triangle(contacts, t, frame, triangles, u, least):  # type: ignore[n
     least : float [m]
         Depths up to which triangles do not count.
     """
-    kind, sizes, worst, where = contacts.kind[t], contacts.sizes[t], least, -1
+    kind, sizes, worst, where = contacts.tools.kind[t], contacts.tools.sizes[t], least, -1
     if kind in (PLANE, BONDED, BLADE):  # the corners of a triangle are its deepest points in a plane
         return worst, where
-    points, start, near, weights = contacts.points, contacts.patch_start, contacts.patch_nodes, contacts.patch_weights
-    until, around = contacts.prescribed_until, contacts.tool_radius[t] + contacts.patch_radius
+    patches, points = reference(contacts.patches), contacts.patches.points
+    until, around = contacts.patches.prescribed_until, contacts.tools.radius[t] + contacts.patches.radius
     for k in range(triangles.shape[0]):
         i = triangles[k, 0]
         if max(until[i], until[triangles[k, 1]], until[triangles[k, 2]]) == np.inf:  # a tool presses over a support
@@ -77,9 +78,9 @@ def deepest_triangle(contacts, t, frame, triangles, u, least):  # type: ignore[n
             square += (points[i, c] + u[i, c] - frame[c, 3]) ** 2
         if not square < around * around:
             continue
-        ax, ay, az, _, _, _ = patch(points, start, near, weights, i, 0.0, u, u)
-        bx, by, bz, _, _, _ = patch(points, start, near, weights, triangles[k, 1], 0.0, u, u)
-        cx, cy, cz, _, _, _ = patch(points, start, near, weights, triangles[k, 2], 0.0, u, u)
+        ax, ay, az, _, _, _ = patch(patches, i, 0.0, u, u)
+        bx, by, bz, _, _, _ = patch(patches, triangles[k, 1], 0.0, u, u)
+        cx, cy, cz, _, _, _ = patch(patches, triangles[k, 2], 0.0, u, u)
         depth = triangle_depth(kind, sizes, frame, (ax, ay, az), (bx, by, bz), (cx, cy, cz), worst)
         if depth > worst:
             worst, where = depth, k

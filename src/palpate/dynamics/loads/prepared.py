@@ -358,9 +358,9 @@ def with_held_nodes(prepared: PreparedLoads, masses: Floats, rate: float) -> Pre
     contacts, nodes = prepared.contacts, np.flatnonzero(prepared.sites.kind == FIXED)
     if not prepared.tools or not len(nodes):
         return prepared
-    nodes_of_tools = [contacts.nodes[begin:end] for begin, end in pairwise(contacts.start)]
+    nodes_of_tools = [contacts.candidates.patch[begin:end] for begin, end in pairwise(contacts.candidates.start)]
     reach = np.array([np.isin(nodes, each) for each in nodes_of_tools])
-    records = held_nodes(nodes, contacts.points[nodes], masses[nodes], rate, reach)
+    records = held_nodes(nodes, contacts.patches.points[nodes], masses[nodes], rate, reach)
     return replace(prepared, contacts=contacts._replace(held=records))
 
 

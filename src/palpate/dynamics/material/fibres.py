@@ -63,12 +63,12 @@ def lay_out_fibres(fibres: FibreLaw | None, nodes: NDArray[np.integer[Any]]) -> 
 
 
 @register_jitable
-def _unchanged(value, d0, d1, d2, d3, d4, d5, d6, d7, d8, b, v, families):  # type: ignore[no-untyped-def]
+def _unchanged(value, d0, d1, d2, d3, d4, d5, d6, d7, d8, b, v, families):
     return value
 
 
 @register_jitable
-def _isochoric_strain(d0, d1, d2, d3, d4, d5, d6, d7, d8):  # type: ignore[no-untyped-def]
+def _isochoric_strain(d0, d1, d2, d3, d4, d5, d6, d7, d8):
     """Return F, cof F, C (00 11 22 01 02 12), and J^(-2/3) with its derivative."""
     F = (1.0 + d0, d1, d2, d3, 1.0 + d4, d5, d6, d7, 1.0 + d8)
     cofactor = (
@@ -106,7 +106,7 @@ def _compiled(law: type[FibreLaw], count: int) -> FibrePoints:
     respond = register_jitable(rename_for(digest, law.respond))
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def add_stress(P, d0, d1, d2, d3, d4, d5, d6, d7, d8, b, v, families):  # type: ignore[no-untyped-def]
+    def add_stress(P, d0, d1, d2, d3, d4, d5, d6, d7, d8, b, v, families):
         F, c, C, s, slope = _isochoric_strain(d0, d1, d2, d3, d4, d5, d6, d7, d8)
         isochoric = (s * C[0], s * C[1], s * C[2], s * C[3], s * C[4], s * C[5])
         S0, S1, S2, S3, S4, S5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -128,7 +128,7 @@ def _compiled(law: type[FibreLaw], count: int) -> FibrePoints:
         )
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def add_energy(W, d0, d1, d2, d3, d4, d5, d6, d7, d8, b, v, families):  # type: ignore[no-untyped-def]
+    def add_energy(W, d0, d1, d2, d3, d4, d5, d6, d7, d8, b, v, families):
         _, _, C, s, _ = _isochoric_strain(d0, d1, d2, d3, d4, d5, d6, d7, d8)
         isochoric = (s * C[0], s * C[1], s * C[2], s * C[3], s * C[4], s * C[5])
         for f in range(count):

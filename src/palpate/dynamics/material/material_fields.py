@@ -59,7 +59,7 @@ def spread(regions: Regions, nodes: NDArray[np.integer[Any]]) -> NDArray[np.floa
 
 
 @register_jitable
-def _everywhere(coefficients, b, v):  # type: ignore[no-untyped-def]
+def _everywhere(coefficients, b, v):
     return coefficients
 
 
@@ -71,13 +71,13 @@ def parameters_at(count: int) -> Any:
     digest = law_digest(__name__, "parameters at", count)
     if count == 1:
 
-        def first(coefficients, b, v):  # type: ignore[no-untyped-def]
+        def first(coefficients, b, v):
             return (coefficients[b, 0, v],)
 
         return register_jitable(rename_for(digest, first))
     fewer, last = parameters_at(count - 1), count - 1
 
-    def at(coefficients, b, v):  # type: ignore[no-untyped-def]
+    def at(coefficients, b, v):
         return fewer(coefficients, b, v) + (coefficients[b, last, v],)  # noqa: RUF005 - required by the compiler
 
     return register_jitable(rename_for(digest, at))

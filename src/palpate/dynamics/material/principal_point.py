@@ -44,7 +44,7 @@ def make_principal_point(
     regular_stress = make_principal_stress(digest, law_first)
 
     @law_njit(digest, cached=False, fastmath={"contract"})
-    def slopes(l1, l2, J, coefficients):  # type: ignore[no-untyped-def]
+    def slopes(l1, l2, J, coefficients):
         """Return dE/dl1, dE/dl2 and dE/dJ of a crushed point."""
         l3 = crushed / (l1 * l2)
         w1, w2, w3 = first_of(l1, l2, l3, coefficients)
@@ -56,7 +56,7 @@ def make_principal_point(
         return w1 - w3 * l3 / l1 + S1 * below, w2 - w3 * l3 / l2 + S2 * below, w3 / area + R * below
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"})
-    def crushed_stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
+    def crushed_stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):
         F = 1.0 + d0, d1, d2, d3, 1.0 + d4, d5, d6, d7, 1.0 + d8
         c = _cofactor(F)
         J = F[0] * c[0] + F[1] * c[1] + F[2] * c[2]
@@ -80,7 +80,7 @@ def make_principal_point(
         return P, c, J - 1.0
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
+    def stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):
         F = 1.0 + d0, d1, d2, d3, 1.0 + d4, d5, d6, d7, 1.0 + d8
         c = _cofactor(F)
         if F[0] * c[0] + F[1] * c[1] + F[2] * c[2] < crushed:
@@ -88,7 +88,7 @@ def make_principal_point(
         return regular_stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients)
 
     @law_njit(digest, cached=False, fastmath={"contract"})
-    def density(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
+    def density(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):
         F = 1.0 + d0, d1, d2, d3, 1.0 + d4, d5, d6, d7, 1.0 + d8
         c = _cofactor(F)
         J = F[0] * c[0] + F[1] * c[1] + F[2] * c[2]
@@ -105,7 +105,7 @@ def make_principal_point(
 
 
 @kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
-def _cofactor(F):  # type: ignore[no-untyped-def]
+def _cofactor(F):
     """Return cof(F), row by row."""
     return (
         F[4] * F[8] - F[5] * F[7], F[5] * F[6] - F[3] * F[8], F[3] * F[7] - F[4] * F[6],
@@ -115,7 +115,7 @@ def _cofactor(F):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
-def _two_largest(F):  # type: ignore[no-untyped-def]
+def _two_largest(F):
     """Return the two largest stretches, at least a thousandth, and their directions."""
     x, n = principal(
         F[0] * F[0] + F[3] * F[3] + F[6] * F[6],

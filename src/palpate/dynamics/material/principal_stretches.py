@@ -22,7 +22,7 @@ MIN_DIVISOR = 1e-300  # added to divisors that can vanish
 
 
 @kernel_njit(fastmath={"contract"}, forceinline=True)
-def principal(C00, C11, C22, C01, C02, C12):  # type: ignore[no-untyped-def]
+def principal(C00, C11, C22, C01, C02, C12):
     """Return the eigenvalues of a symmetric matrix, unordered, and the matrix of its eigenvectors row by row."""
     mean = (C00 + C11 + C22) / 3.0
     a, b, c = C00 - mean, C11 - mean, C22 - mean
@@ -79,7 +79,7 @@ def principal(C00, C11, C22, C01, C02, C12):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
-def _quotient(x, y, s, t, slope):  # type: ignore[no-untyped-def]
+def _quotient(x, y, s, t, slope):
     """Return (s - t) / (x - y), or its limit `slope` for equal x and y."""
     near = abs(x - y) <= EQUAL_STRETCH_TOLERANCE * (x + y)
     return slope if near else (s - t) / (1.0 if near else x - y)
@@ -90,7 +90,7 @@ def make_principal_stress(digest: str, law_first: Any) -> Any:
     first_of = inline(digest, law_first)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
+    def stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):
         F00, F01, F02, F10, F11, F12, F20, F21, F22 = 1.0 + d0, d1, d2, d3, 1.0 + d4, d5, d6, d7, 1.0 + d8
         c00, c01, c02 = F11 * F22 - F12 * F21, F12 * F20 - F10 * F22, F10 * F21 - F11 * F20
         c10, c11, c12 = F02 * F21 - F01 * F22, F00 * F22 - F02 * F20, F01 * F20 - F00 * F21
@@ -134,7 +134,7 @@ def make_principal_response(digest: str, law_first: Any, law_second: Any, volume
     slopes = _make_slopes(digest, law_first, law_second)
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
-    def respond(b, nodes, d, boundary, coefficients, lame, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
+    def respond(b, nodes, d, boundary, coefficients, lame, cofactor, shear, pressure):
         axes, squares = cofactor[b], shear[b]
         for v in range(LANES):
             _principal_axes(v, d, axes, squares)
@@ -151,7 +151,7 @@ def make_principal_response(digest: str, law_first: Any, law_second: Any, volume
 
 
 @kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
-def _principal_axes(v, d, axes, squares):  # type: ignore[no-untyped-def]
+def _principal_axes(v, d, axes, squares):
     """Write the principal axes (9) and squared stretches (3) of a lane."""
     F00, F01, F02 = 1.0 + d[0, v], d[1, v], d[2, v]
     F10, F11, F12 = d[3, v], 1.0 + d[4, v], d[5, v]
@@ -175,7 +175,7 @@ def _make_slopes(digest: str, law_first: Any, law_second: Any) -> Any:
     first_of, second_of = (inline(digest, f) for f in (law_first, law_second))
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def slopes(v, squares, d, coefficients):  # type: ignore[no-untyped-def]
+    def slopes(v, squares, d, coefficients):
         x0, x1, x2 = squares[0, v], squares[1, v], squares[2, v]
         l0, l1, l2 = np.sqrt(x0), np.sqrt(x1), np.sqrt(x2)
         w0, w1, w2 = first_of(l0, l1, l2, coefficients)
@@ -193,7 +193,7 @@ def _make_slopes(digest: str, law_first: Any, law_second: Any) -> Any:
 
 
 @kernel_njit(fastmath={"contract"}, forceinline=True)
-def _divergence(b, v, d, boundary, axes, force):  # type: ignore[no-untyped-def]
+def _divergence(b, v, d, boundary, axes, force):
     """Write Div P - P b of a lane from the results of `_principal_axes` and the slopes."""
     n00, n01, n02 = axes[0, v], axes[1, v], axes[2, v]
     n10, n11, n12 = axes[3, v], axes[4, v], axes[5, v]
@@ -225,7 +225,7 @@ def _divergence(b, v, d, boundary, axes, force):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
-def _in_principal_axes(c, v, d, axes):  # type: ignore[no-untyped-def]
+def _in_principal_axes(c, v, d, axes):
     """Return the second derivatives of component c of a lane in the principal axes, 00 11 22 01 02 12."""
     n00, n01, n02 = axes[0, v], axes[1, v], axes[2, v]
     n10, n11, n12 = axes[3, v], axes[4, v], axes[5, v]
@@ -242,7 +242,7 @@ def _in_principal_axes(c, v, d, axes):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
-def _cofactor(v, d, cofactor):  # type: ignore[no-untyped-def]
+def _cofactor(v, d, cofactor):
     """Write cof(F) of a lane, and return its J - 1."""
     F00, F01, F02 = 1.0 + d[0, v], d[1, v], d[2, v]
     F10, F11, F12 = d[3, v], 1.0 + d[4, v], d[5, v]

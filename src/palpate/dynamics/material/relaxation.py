@@ -149,7 +149,7 @@ def saved_history(variables: HistoryVariables) -> tuple[Floats, ...]:
 
 
 @kernel_njit()
-def prepare(relaxation, history):  # type: ignore[no-untyped-def]
+def prepare(relaxation, history):
     """Write the decay, response and dissipation factors of every branch for the interval."""
     interval = history.interval[0]
     for k in range(relaxation.times.shape[0]):
@@ -163,7 +163,7 @@ def prepare(relaxation, history):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True, forceinline=True)
-def _dissipation(a, change, factors):  # type: ignore[no-untyped-def]
+def _dissipation(a, change, factors):
     """Return the integral of A^2 / tau for a branch that starts at a and a linear strain change."""
     rate = change / factors[4]
     b = a - rate
@@ -171,7 +171,7 @@ def _dissipation(a, change, factors):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True, forceinline=True)
-def _isochoric(c):  # type: ignore[no-untyped-def]
+def _isochoric(c):
     """Return F, J, J^(-2/3) and C̄ from cof F (nine numbers, row by row)."""
     det = c[0] * (c[4] * c[8] - c[5] * c[7]) - c[1] * (c[3] * c[8] - c[5] * c[6]) + c[2] * (c[3] * c[7] - c[4] * c[6])
     J = np.sqrt(max(det, MIN_VOLUME_RATIO * MIN_VOLUME_RATIO))
@@ -191,7 +191,7 @@ def _isochoric(c):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True, forceinline=True)
-def update_history(relaxation, history, b, v, C):  # type: ignore[no-untyped-def]
+def update_history(relaxation, history, b, v, C):
     """Update the branches and the strain of one point."""
     for k in range(relaxation.times.shape[0]):
         factors, lost = history.factors[k], 0.0
@@ -205,7 +205,7 @@ def update_history(relaxation, history, b, v, C):  # type: ignore[no-untyped-def
 
 
 @kernel_njit(inner=True, forceinline=True)
-def even_change(history, b, k, q, v, now):  # type: ignore[no-untyped-def]
+def even_change(history, b, k, q, v, now):
     """Return component q of a point's branch k after a linear strain change over the interval."""
     return history.factors[k, 0] * history.branches[b, k, q, v] + history.factors[k, 1] * (
         now - history.strain[b, q, v]
@@ -213,13 +213,13 @@ def even_change(history, b, k, q, v, now):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def after(work, interval):  # type: ignore[no-untyped-def]
+def after(work, interval):
     """Set the interval [s] after which the next evaluation updates the history; 0 for no update."""
     work.history.interval[0] = interval
 
 
 @kernel_njit(inner=True, fastmath={"contract"})
-def _block_overstress(relaxation, history, cofactor, b, interval):  # type: ignore[no-untyped-def]
+def _block_overstress(relaxation, history, cofactor, b, interval):
     """Write the overstress of the points of one block."""
     old, strain, stress = history.branches[b], history.strain[b], history.stress[b]
     for v in range(LANES):
@@ -257,7 +257,7 @@ def _block_overstress(relaxation, history, cofactor, b, interval):  # type: igno
 
 
 @kernel_njit(inner=True)
-def overstress_alone(relaxation, history, cofactor):  # type: ignore[no-untyped-def]
+def overstress_alone(relaxation, history, cofactor):
     """Compute `overstress` on one thread."""
     prepare(relaxation, history)
     for b in range(cofactor.shape[0]):
@@ -265,7 +265,7 @@ def overstress_alone(relaxation, history, cofactor):  # type: ignore[no-untyped-
 
 
 @kernel_njit()
-def reset_history(history):  # type: ignore[no-untyped-def]
+def reset_history(history):
     """Reset the history variables to those of a body at rest."""
     for b in range(history.strain.shape[0]):
         for q in range(6):
@@ -278,7 +278,7 @@ def reset_history(history):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True, parallel=True)
-def overstress(relaxation, history, cofactor):  # type: ignore[no-untyped-def]
+def overstress(relaxation, history, cofactor):
     """Write the overstress of all points into `history.stress`; update the history unless the interval is 0.
 
     `cofactor` is cof F, (b, 9, LANES), row by row.
@@ -290,7 +290,7 @@ def overstress(relaxation, history, cofactor):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def relax_volume(relaxation, history, values):  # type: ignore[no-untyped-def]
+def relax_volume(relaxation, history, values):
     """Write volumetric measures (v,) plus their branches into `history.effective`."""
     interval = history.interval[0]
     for i in range(values.shape[0]):
@@ -313,14 +313,14 @@ def relax_volume(relaxation, history, values):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def copy_values(source, target):  # type: ignore[no-untyped-def]
+def copy_values(source, target):
     """Copy the numbers of an array; an assignment of slices would take seconds to compile."""
     for i in range(source.size):
         target.flat[i] = source.flat[i]
 
 
 @kernel_njit(inner=True)
-def copy_field(source, target):  # type: ignore[no-untyped-def]
+def copy_field(source, target):
     """Copy a field (n, 3), in a fifth of the time of `copy_values`."""
     for i in range(source.shape[0]):
         for c in range(3):
@@ -328,7 +328,7 @@ def copy_field(source, target):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def copy_history(source, target):  # type: ignore[no-untyped-def]
+def copy_history(source, target):
     """Copy the interval and the persistent arrays of history variables, as `HistoryVariables` or `HistoryCopy`."""
     copy_values(source.interval, target.interval)
     copy_values(source.strain, target.strain)

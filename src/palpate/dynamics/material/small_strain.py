@@ -16,7 +16,7 @@ def make_linear_stress(digest: str) -> Any:
     """Compile the shear stress of one point, as `energy_form.make_stress`."""
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
+    def stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):
         mu = coefficients[0]
         a, b, c = mu * (d1 + d3), mu * (d2 + d6), mu * (d5 + d7)
         P = (2.0 * mu * d0, a, b, a, 2.0 * mu * d4, c, b, c, 2.0 * mu * d8)
@@ -29,7 +29,7 @@ def make_linear_response(digest: str, law_first: Any, law_second: Any, volume: A
     """Compile the response of one block, mu (lap u + grad div u) - P b, as in `strong_form`."""
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
-    def respond(b, nodes, d, boundary, coefficients, lame, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
+    def respond(b, nodes, d, boundary, coefficients, lame, cofactor, shear, pressure):
         mu = coefficients[0]
         for v in range(LANES):
             b0, b1, b2 = boundary[b, 0, v], boundary[b, 1, v], boundary[b, 2, v]

@@ -45,7 +45,7 @@ class AdditionalStressData(NamedTuple):
 
 
 @kernel_njit()
-def flatten_additional(families, relaxation, history):  # type: ignore[no-untyped-def]
+def flatten_additional(families, relaxation, history):
     """Return the arrays in one flat tuple; parallel loops do not support nested tuples."""
     return AdditionalStressData(
         families.coefficients, families.directions, relaxation.moduli, relaxation.times,
@@ -80,7 +80,7 @@ def _compiled(law: type[FibreLaw] | None, count: int, relaxing: bool, relaxed: b
     respond = inline(digest, respond_of)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def response(C00, C11, C01, b, point, v, extras):  # type: ignore[no-untyped-def]
+    def response(C00, C11, C01, b, point, v, extras):
         D = C00 * C11 - C01 * C01
         E = (C00, C11, 1.0 / D, C01, 0.0, 0.0)
         c1, c2, w, p, q = 1.0, 1.0, 0.0, 1.0, 0.0
@@ -113,12 +113,12 @@ def _compiled(law: type[FibreLaw] | None, count: int, relaxing: bool, relaxed: b
     return AdditionalStress(digest, response)
 
 
-def _no_fibres(C, a, c):  # type: ignore[no-untyped-def]
+def _no_fibres(C, a, c):
     return 0.0, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @kernel_njit(inner=True, fastmath={"contract"})
-def _overstress(E, point, v, extras):  # type: ignore[no-untyped-def]
+def _overstress(E, point, v, extras):
     """Return the energy of a point's branches and Q (00 11 33 01); update the history unless the interval is 0."""
     stored, Q0, Q1, Q2, Q3 = 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(extras.times.shape[0]):

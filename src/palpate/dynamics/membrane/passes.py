@@ -86,7 +86,7 @@ _gather_fluxes = gather_fluxes[FLUX_WIDTH]
 
 
 @kernel_njit(inner=True, parallel=True, fastmath={"contract"})
-def _virtual_work(table, nodes, flux, volumes, partial):  # type: ignore[no-untyped-def]
+def _virtual_work(table, nodes, flux, volumes, partial):
     """Write minus the work [J] of every block's fluxes on the derivatives of every vector, (b, m)."""
     for b in prange(table.shape[0]):
         for m in range(table.shape[1]):
@@ -105,13 +105,13 @@ def _virtual_work(table, nodes, flux, volumes, partial):  # type: ignore[no-unty
 
 
 @kernel_njit()
-def _project(table, body, work, volumes, partial, result):  # type: ignore[no-untyped-def]
+def _project(table, body, work, volumes, partial, result):
     _virtual_work(table, body.lanes.nodes, work.flux, volumes, partial)
     add_blocks(partial, result)
 
 
 @kernel_njit(forceinline=True)
-def _principal(C00, C11, C01):  # type: ignore[no-untyped-def]
+def _principal(C00, C11, C01):
     """Return the eigenvalues of C, and the squared lateral stretch in simple tension."""
     mean, radius = 0.5 * (C00 + C11), np.sqrt(0.25 * (C00 - C11) ** 2 + C01 * C01)
     return mean + radius, mean - radius, 1.0 / np.sqrt(max(mean + radius, 1.0))
@@ -130,7 +130,7 @@ def make_moduli(
     energy, first_of = (inline(digest, f) for f in (energy_of, law_first))
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def moduli(C00, C11, C01, coefficients):  # type: ignore[no-untyped-def]
+    def moduli(C00, C11, C01, coefficients):
         """Return the energy, a and g; the relaxed energy of a wrinkled state is that of simple tension."""
         t, D = C00 + C11, C00 * C11 - C01 * C01
         if relaxed:
@@ -153,7 +153,7 @@ def _make_response(digest: str, moduli: Any, added: Any) -> Any:
     has_additional = added is not None
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
-    def node_response(b, nodes, d, radius, coefficients, prestretch, extras, cofactor, flux, energy):  # type: ignore[no-untyped-def]
+    def node_response(b, nodes, d, radius, coefficients, prestretch, extras, cofactor, flux, energy):
         for v in range(LANES):
             i = nodes[b, v]
             total = 0.0
@@ -202,7 +202,7 @@ def _make_response(digest: str, moduli: Any, added: Any) -> Any:
 
 
 @kernel_njit(forceinline=True)
-def _normal(b, v, d, prestretch, cofactor):  # type: ignore[no-untyped-def]
+def _normal(b, v, d, prestretch, cofactor):
     """Write the deformed normal times the ratio of areas into `cofactor`, for `surface_force`."""
     F00, F01, F10 = prestretch + d[0, v], d[1, v], d[2, v]
     F11, F20, F21 = prestretch + d[3, v], d[4, v], d[5, v]
@@ -230,7 +230,7 @@ def sheet(law: type[Material], relaxed: bool, added: AdditionalStress = NO_ADDIT
     node_response = _make_response(digest, moduli, added.response)
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
-    def each(  # type: ignore[no-untyped-def]
+    def each(
         u, lanes, first, second, radius, coefficients, prestretch, extras, fields, derivatives,
         cofactor, flux, energy,
     ):  # fmt: skip
@@ -241,7 +241,7 @@ def sheet(law: type[Material], relaxed: bool, added: AdditionalStress = NO_ADDIT
             node_response(b, lanes.nodes, out, radius, coefficients, prestretch, extras, cofactor, flux, energy)
 
     @law_njit(digest, inner=True)
-    def respond(u, body, work):  # type: ignore[no-untyped-def]
+    def respond(u, body, work):
         if has_additional:
             prepare(body.relaxation, work.history)
         each(u, body.lanes, body.first, body.second, body.radius, body.coefficients, body.prestretch,
@@ -249,7 +249,7 @@ def sheet(law: type[Material], relaxed: bool, added: AdditionalStress = NO_ADDIT
              work.fields, work.derivatives, work.cofactor, work.flux, work.energy)  # fmt: skip
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
-    def each_column(  # type: ignore[no-untyped-def]
+    def each_column(
         columns, table, lanes, radius, coefficients, prestretch, extras, derivatives, cofactor, flux, energy,
     ):  # fmt: skip
         for block in prange(table.shape[0]):
@@ -259,7 +259,7 @@ def sheet(law: type[Material], relaxed: bool, added: AdditionalStress = NO_ADDIT
             node_response(b, lanes.nodes, out, radius, coefficients, prestretch, extras, cofactor, flux, energy)
 
     @law_njit(digest, inner=True)
-    def respond_to_columns(columns, table, body, work):  # type: ignore[no-untyped-def]
+    def respond_to_columns(columns, table, body, work):
         if has_additional:
             prepare(body.relaxation, work.history)
         each_column(columns, table, body.lanes, body.radius, body.coefficients, body.prestretch,
@@ -267,7 +267,7 @@ def sheet(law: type[Material], relaxed: bool, added: AdditionalStress = NO_ADDIT
                     work.derivatives, work.cofactor, work.flux, work.energy)  # fmt: skip
 
     @law_njit(digest, inner=True)
-    def finish(body, work, force):  # type: ignore[no-untyped-def]
+    def finish(body, work, force):
         _gather_fluxes(body.transposed, work.flux, force)
 
     return Formulation(digest, NODE_DERIVATIVES, respond, respond_to_columns, _differentiate, finish, _project, after)

@@ -26,7 +26,7 @@ def make_principal_moduli(digest: str, energy_of: Any, law_first: Any, law_secon
     plane = _make_slopes(digest, law_first, law_second)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def moduli(C00, C11, C01, coefficients):  # type: ignore[no-untyped-def]
+    def moduli(C00, C11, C01, coefficients):
         mean, radius = 0.5 * (C00 + C11), np.sqrt(0.25 * (C00 - C11) ** 2 + C01 * C01)
         x1, x2 = mean + radius, mean - radius
         if relaxed:
@@ -55,7 +55,7 @@ def _make_slopes(digest: str, law_first: Any, law_second: Any) -> Any:
     first_of, second_of = (inline(digest, f) for f in (law_first, law_second))
 
     @law_njit(digest, cached=False, fastmath={"contract"})
-    def plane(l1, l2, coefficients):  # type: ignore[no-untyped-def]
+    def plane(l1, l2, coefficients):
         """Return s1, s2, then ds1/dx1, ds2/dx2, ds1/dx2."""
         l3 = 1.0 / (l1 * l2)
         w1, w2, w3 = first_of(l1, l2, l3, coefficients)
@@ -71,7 +71,7 @@ def _make_slopes(digest: str, law_first: Any, law_second: Any) -> Any:
 
 
 @kernel_njit(forceinline=True)
-def axes(C00, C11, C01):  # type: ignore[no-untyped-def]
+def axes(C00, C11, C01):
     """Return the eigenvalues of C, the larger first, and the direction (p, q) of the larger one."""
     mean, gap = 0.5 * (C00 + C11), 0.5 * (C00 - C11)
     radius = np.sqrt(gap * gap + C01 * C01)

@@ -24,6 +24,7 @@ from palpate.arrays import Floats, Ints
 from palpate.dynamics.compiled.cache import kernel_njit, law_njit
 from palpate.dynamics.compiled.lanes import LANES
 from palpate.dynamics.compiled.passes import Formulation, internal_force
+from palpate.dynamics.compiled.reference import reference
 from palpate.dynamics.contact.geometry import project
 from palpate.dynamics.contact.impulses import apply_contact_impulses
 from palpate.dynamics.loads.supports import FIXED, FREE, SLIDING
@@ -63,7 +64,7 @@ def step_scratch(nodes: int) -> StepScratch:
 
 
 @kernel_njit()
-def surface_force(sites, schedule, s, volumes, slot, cofactor, surface):  # type: ignore[no-untyped-def]
+def surface_force(sites, schedule, s, volumes, slot, cofactor, surface):
     """Write the surface loads of step s per nodal volume [N/m^3] into `surface`, at the loaded nodes."""
     for k in range(sites.dead_node.shape[0]):
         surface[sites.dead_node[k]] = 0.0
@@ -91,7 +92,7 @@ def surface_force(sites, schedule, s, volumes, slot, cofactor, surface):  # type
 
 
 @kernel_njit()
-def foundation_force(sites, u, velocity, volumes, surface):  # type: ignore[no-untyped-def]
+def foundation_force(sites, u, velocity, volumes, surface):
     """Add the forces of elastic foundations per nodal volume [N/m^3] to `surface`."""
     for k in range(sites.foundation_node.shape[0]):
         i = sites.foundation_node[k]
@@ -101,7 +102,7 @@ def foundation_force(sites, u, velocity, volumes, surface):  # type: ignore[no-u
 
 
 @kernel_njit(inner=True, forceinline=True)
-def kick_node(i, k, slide, nodes, scratch, gravity, kick, velocity):  # type: ignore[no-untyped-def]
+def kick_node(i, k, slide, nodes, scratch, gravity, kick, velocity):
     """Accelerate a node by a kick: the share of its velocity that remains, and the time of the force.
 
     Node k of the sliding ones moves along its support; k is -1 for others.
@@ -130,7 +131,7 @@ def kick_node(i, k, slide, nodes, scratch, gravity, kick, velocity):  # type: ig
 
 
 @kernel_njit(inner=True)
-def kick_nodes(sites, constrained, nodes, scratch, gravity, kick, velocity, alpha):  # type: ignore[no-untyped-def]
+def kick_nodes(sites, constrained, nodes, scratch, gravity, kick, velocity, alpha):
     """Accelerate the nodes that can move over the time `kick`.
 
     Returns
@@ -157,7 +158,7 @@ def kick_nodes(sites, constrained, nodes, scratch, gravity, kick, velocity, alph
 
 
 @kernel_njit(inner=True)
-def damping_work(volumes, u, scratch):  # type: ignore[no-untyped-def]
+def damping_work(volumes, u, scratch):
     """Return sum of V (beta v) . (previous - force) [J], and copy the force to the previous one.
 
     Between two evaluations the internal force changes by -K v dt. So this sum is the energy that
@@ -172,7 +173,7 @@ def damping_work(volumes, u, scratch):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _limit_prescribed_velocity(prescribed, constrained, u, velocity, damping, damped):  # type: ignore[no-untyped-def]
+def _limit_prescribed_velocity(prescribed, constrained, u, velocity, damping, damped):
     """Limit prescribed velocities to `wave_speed` in the damping forces.
 
     Those of a jump would grow as 1 / step.
@@ -188,7 +189,7 @@ def _limit_prescribed_velocity(prescribed, constrained, u, velocity, damping, da
 
 
 @kernel_njit(inner=True)
-def _set_prescribed_velocity(sites, constrained, target, step, u, velocity, nodes, loads):  # type: ignore[no-untyped-def]
+def _set_prescribed_velocity(sites, constrained, target, step, u, velocity, nodes, loads):
     """Set the velocities that bring prescribed nodes to `target` after a step.
 
     The force of a tool is the node's inertia and damping minus the other forces. `loads` are the scratch
@@ -218,7 +219,7 @@ def _set_prescribed_velocity(sites, constrained, target, step, u, velocity, node
 
 
 @kernel_njit(inner=True)
-def _add_constraint_impulses(sites, constrained, nodes, scratch, gravity, kick):  # type: ignore[no-untyped-def]
+def _add_constraint_impulses(sites, constrained, nodes, scratch, gravity, kick):
     """Subtract the impulses of the other forces on constrained nodes over the time `kick`."""
     for k in range(sites.prescribed.shape[0]):
         if constrained[k]:
@@ -229,7 +230,7 @@ def _add_constraint_impulses(sites, constrained, nodes, scratch, gravity, kick):
 
 
 @kernel_njit(inner=True)
-def drift_nodes(sites, constrained, target, step, u, velocity):  # type: ignore[no-untyped-def]
+def drift_nodes(sites, constrained, target, step, u, velocity):
     """Advance the displacements by a step; prescribed nodes are at their target exactly."""
     for i in range(u.shape[0]):
         if sites.kind[i] != FIXED:
@@ -258,11 +259,16 @@ def full_step(formulation: Formulation) -> Any:
     force_of, after = internal_force(formulation), formulation.after
 
     @law_njit(formulation.digest)
-    def advance(u, velocity, step, damping, passes, loads, nodes, scratch):  # type: ignore[no-untyped-def]
+    def advance(u, velocity, step, damping, passes, loads, given_nodes, given_scratch):
         body, work = passes
-        sites, contacts, schedule = loads
+        # by their addresses, as the engine passes them, so that both use the same compiled functions
+        sites, contacts, schedule = reference(loads[0]), reference(loads[1]), reference(loads[2])
+        nodes, scratch = reference(given_nodes), reference(given_scratch)
         total, lost, tools = 0.0, 0.0, 0.0
-        steps, in_contact = schedule.motion.shape[0] - 1, contacts.kind.shape[0] + contacts.sites.kind.shape[0] > 0
+        steps, in_contact = (
+            schedule.motion.shape[0] - 1,
+            contacts.tools.kind.shape[0] + contacts.sites.kind.shape[0] > 0,
+        )
         for s in range(steps + 1):
             for i in range(u.shape[0]):
                 for c in range(3):
@@ -276,7 +282,8 @@ def full_step(formulation: Formulation) -> Any:
             surface_force(sites, schedule, s, nodes.volumes, nodes.slot, work.cofactor, scratch.surface)
             foundation_force(sites, u, velocity, nodes.volumes, scratch.surface)
             kick = 0.5 * step if s in (0, steps) else step
-            gravity, target = schedule.gravity[s], schedule.motion[min(s + 1, steps)]
+            field, target = schedule.gravity[s], schedule.motion[min(s + 1, steps)]
+            gravity = field[0], field[1], field[2]
             constrained = schedule.constrained[min(s + 1, steps)]
             works = kick_nodes(sites, constrained, nodes, scratch, gravity, kick, velocity, damping.alpha)
             total, lost = total + works[0], lost + works[1]
@@ -287,7 +294,7 @@ def full_step(formulation: Formulation) -> Any:
                 tools, lost = tools + works[0], lost + works[1]
             _add_constraint_impulses(sites, constrained, nodes, scratch, gravity, kick)
             if in_contact:
-                data = nodes, scratch, damping.alpha
+                data = nodes, scratch, damping.alpha, gravity
                 works = apply_contact_impulses(contacts, schedule, s, step, kick, u, velocity, data)
                 total, lost = total + works[0] + works[2], lost + works[1]
             if s == steps:

@@ -157,9 +157,7 @@ def without_nodes(tailoring: MassTailoring, nodes: NDArray[np.bool_]) -> tuple[M
 
 
 @kernel_njit()
-def subtract_inertia(  # type: ignore[no-untyped-def]
-    tailoring, volumes, density, factor, other, force, rate, impulses, result
-):
+def subtract_inertia(tailoring, volumes, density, factor, other, force, rate, impulses, result):
     """Subtract from `result` (n, 3) the forces of the additional mass per nodal volume [N/m^3].
 
     They follow from the forces ``force + factor other`` [N/m^3] and ``rate impulses`` [N].

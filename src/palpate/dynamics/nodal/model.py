@@ -403,7 +403,7 @@ class NodalModel(Model):
             new = replace(new, incision=new.incision.with_works(float(edge), float(friction)))
         at_ends = (state, new), lambda at: self._fields(at, prepared, work)
         tools = self.tool_work(tools, step * steps, prepared, *at_ends)
-        report = StepReport(done + tools, lost, float(least.min(initial=0.0)), contacts.tool_impulses)
+        report = StepReport(done + tools, lost, float(least.min(initial=0.0)), contacts.work.tool_impulses)
         return replace(new, external_work=new.external_work + tools), report
 
     def most_steps(self, state: State, prepared: PreparedLoads, step: float) -> int:

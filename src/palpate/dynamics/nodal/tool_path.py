@@ -12,12 +12,12 @@ from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.material.relaxation import copy_values
 
 START, END, HOME, SAVED, LAST_CUT, LISTED_AT = range(6)  # frames of a path
-LAST_POSITIONS, LAST_FORCES, EXCESS_FORCES = range(3)  # rows of `NodalPeriodData.secant` after those of the matrix
+LAST_POSITIONS, LAST_FORCES, EXCESS_FORCES = range(3)  # rows of `MovingTools.secant` after those of the matrix
 LEAST_WAY = 1e-4  # [m] of the tool between two updates of the contact stiffness
 
 
 @kernel_njit(inner=True)
-def set_path(path, target, at_rest):  # type: ignore[no-untyped-def]
+def set_path(path, target, at_rest):
     """Set the frames of the tool for a period that ends at a target (12,): displacement and R - I, from home."""
     copy_values(path[END], path[START])
     for i in range(3):
@@ -32,7 +32,7 @@ def set_path(path, target, at_rest):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def limit_path(path, most):  # type: ignore[no-untyped-def]
+def limit_path(path, most):
     """Shorten the way of the tool to `most` [m]; return True if it was longer."""
     square = 0.0
     for i in range(3):
@@ -59,7 +59,7 @@ def limit_path(path, most):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def limit_to_cut(path, most):  # type: ignore[no-untyped-def]
+def limit_to_cut(path, most):
     """Shorten a way of the tool that leads beyond `most` [m] from its last cut; return True if it did."""
     before, after = 0.0, 0.0
     for i in range(3):
@@ -71,7 +71,7 @@ def limit_to_cut(path, most):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def place_tools(paths, share, frames):  # type: ignore[no-untyped-def]
+def place_tools(paths, share, frames):
     """Move the frames of the tools to a share of their paths; the last ones become those before the step."""
     for t in range(paths.shape[0]):
         for i in range(3):
@@ -81,7 +81,7 @@ def place_tools(paths, share, frames):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def frame_way(before, after, reach):  # type: ignore[no-untyped-def]
+def frame_way(before, after, reach):
     """Return a bound of the way [m] of a tool's points up to a distance `reach` [m] from its origin.
 
     It is infinite for a tool of infinite reach that turns.
@@ -95,7 +95,7 @@ def frame_way(before, after, reach):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def write_place(path, target):  # type: ignore[no-untyped-def]
+def write_place(path, target):
     """Write displacement and R - I of the end of the path, from home, into a target (12,)."""
     for i in range(3):
         target[i] = path[END, i, 3] - path[HOME, i, 3]
@@ -107,14 +107,14 @@ def write_place(path, target):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def contact_stiffness(data, q, out):  # type: ignore[no-untyped-def]
+def contact_stiffness(data, q, out):
     """Write the contact stiffness of each tool into the first three rows and columns of its part of (12 t, 12).
 
     It follows from changes of forces and positions between calls, by Powell's symmetric Broyden update (in Nonlinear
     Programming, Academic Press 1970): the matrix of all tools nearest to the last one that has the observed secant. It
     is zero without contact, and holds along the directions in which the tools have moved.
     """
-    secant, path, forces = data.secant, data.path, data.tool_force
+    secant, path, forces = data.tools.secant, data.tools.path, data.tools.force
     tools = path.shape[0]
     count, touches, same, square, along = 3 * tools, False, True, 0.0, 0.0
     for t in range(tools):
@@ -153,13 +153,13 @@ def contact_stiffness(data, q, out):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _touches(forces, t):  # type: ignore[no-untyped-def]
+def _touches(forces, t):
     """Return whether a tool has a force on the body."""
     return forces[12 * t] != 0.0 or forces[12 * t + 1] != 0.0 or forces[12 * t + 2] != 0.0
 
 
 @kernel_njit(inner=True)
-def _way(secant, path, forces, i):  # type: ignore[no-untyped-def]
+def _way(secant, path, forces, i):
     """Return component i of the displacements of the tools since the last update; zero for those that do not touch."""
     if not _touches(forces, i // 3):
         return 0.0

@@ -30,11 +30,14 @@ def check_initial_penetration(
     for t, tool in enumerate(prepared.tools):
         if tool.tool.kind in (BONDED, BLADE):
             continue
-        compute_gaps(contacts.kind[t], contacts.sizes[t], schedule.poses[0, t], positions, depth)
-        free = schedule.times[0] > contacts.prescribed_until[: len(depth)]
+        compute_gaps(contacts.tools.kind[t], contacts.tools.sizes[t], schedule.poses[0, t], positions, depth)
+        free = schedule.times[0] > contacts.patches.prescribed_until[: len(depth)]
         free[contacts.held.nodes] = True
         if tool.group is not None:  # other nodes may be inside on purpose
-            free &= np.isin(np.arange(len(free)), contacts.nodes[contacts.start[t] : contacts.start[t + 1]])
+            free &= np.isin(
+                np.arange(len(free)),
+                contacts.candidates.patch[contacts.candidates.start[t] : contacts.candidates.start[t + 1]],
+            )
         inside = np.flatnonzero(free & (depth < -MAX_INITIAL_DEPTH * spacing))
         if inside.size:
             raise InputError(
@@ -84,8 +87,11 @@ def check_penetration(
     for t, tool in enumerate(prepared.tools):
         if tool.group is not None or tool.tool.kind in (BLADE, PLANE):
             continue
-        of_tool = slice(contacts.start[t], contacts.start[t + 1])
-        nodes, impulses = contacts.nodes[of_tool], np.linalg.norm(contacts.patch_impulses[of_tool, :3], axis=1)
+        of_tool = slice(contacts.candidates.start[t], contacts.candidates.start[t + 1])
+        nodes, impulses = (
+            contacts.candidates.patch[of_tool],
+            np.linalg.norm(contacts.work.patch_impulses[of_tool, :3], axis=1),
+        )
         below = ~np.isin(nodes, surface[0]) & (nodes < len(displacements))
         borne = float(np.linalg.norm(contacts.held.forces, axis=1).sum()) * step
         through = impulses[below].sum() > MAX_INTERIOR_SHARE * (impulses.sum() + borne)
@@ -154,17 +160,17 @@ def next_contact_state(
     """
     (sites, contacts), after = after_steps, before
     if prepared.tools:
-        held_record, forces = contacts.held, contacts.step_impulses / kick
-        nodal_impulses = before.nodal_impulses + contacts.nodal_impulses
+        held_record, forces = contacts.held, contacts.work.step_impulses / kick
+        nodal_impulses = before.nodal_impulses + contacts.work.nodal_impulses
         forces[held_record.nodes] += held_record.forces
         nodal_impulses[held_record.nodes] += held_record.impulses
         after = before._replace(
             forces=forces,
-            impulses=before.impulses + contacts.tool_impulses,
+            impulses=before.impulses + contacts.work.tool_impulses,
             nodal_impulses=nodal_impulses,
             held_energy=float(held_record.energy.sum()),
         )
     if not len(before.constraint_impulses):
         return after
-    on_constraint = contacts.nodal_impulses[sites.prescribed] * constrained[:, None] if prepared.tools else 0.0
+    on_constraint = contacts.work.nodal_impulses[sites.prescribed] * constrained[:, None] if prepared.tools else 0.0
     return after._replace(constraint_impulses=before.constraint_impulses + sites.impulses - on_constraint)

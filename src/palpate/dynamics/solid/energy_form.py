@@ -150,7 +150,7 @@ _gather_fluxes = gather_fluxes[WEIGHT_WIDTH]
 
 
 @kernel_njit(inner=True, cached=False)
-def _lift(b, u, rows, sums, response):  # type: ignore[no-untyped-def]
+def _lift(b, u, rows, sums, response):
     """Write the derivatives and residuals at the nodes of one block into the first rows of `response`."""
     for lane in range(LANES):
         difference_sums(u, rows, rows.nodes[b, lane], sums, lane)
@@ -158,7 +158,7 @@ def _lift(b, u, rows, sums, response):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True, parallel=True)
-def _lift_columns(modes, rows, sums, response, table):  # type: ignore[no-untyped-def]
+def _lift_columns(modes, rows, sums, response, table):
     for block in prange(rows.nodes.shape[0]):
         b = np.int64(block)
         derivatives = response[b]
@@ -170,12 +170,12 @@ def _lift_columns(modes, rows, sums, response, table):  # type: ignore[no-untype
 
 
 @kernel_njit()
-def _differentiate(modes, body, work, table):  # type: ignore[no-untyped-def]
+def _differentiate(modes, body, work, table):
     _lift_columns(modes, body.lanes, work.sums, work.response, table)
 
 
 @kernel_njit(inner=True, fastmath={"contract"})
-def _anchor(u, body, frame, anchored):  # type: ignore[no-untyped-def]
+def _anchor(u, body, frame, anchored):
     """Write the displacements of nodes and images from the affine motion of the anchors, and its gradient."""
     places, anchors, inverse, first = body.places, body.anchors, body.inverse, body.anchors[0]
     x, y, z = u[first, 0], u[first, 1], u[first, 2]
@@ -194,7 +194,7 @@ def _anchor(u, body, frame, anchored):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True, parallel=True, fastmath={"contract"})
-def _add_pressure(lanes, value, diagonal, lame, theta, slope, stiffness, overstress, sums, response, pressure, flux):  # type: ignore[no-untyped-def]
+def _add_pressure(lanes, value, diagonal, lame, theta, slope, stiffness, overstress, sums, response, pressure, flux):
     """Compute p, g' times the transposed smoothing of theta, and the fluxes: shear, overstress and lame p cof(F).
 
     The overstresses (b, 9, LANES) scale like the shear modulus. Blocks of the smoothing have all nodes in order, as
@@ -224,7 +224,7 @@ def _add_pressure(lanes, value, diagonal, lame, theta, slope, stiffness, overstr
 
 
 @kernel_njit(inner=True, cached=False, fastmath={"contract"}, forceinline=True)
-def _sum_stresses(r):  # type: ignore[no-untyped-def]
+def _sum_stresses(r):
     """Write the stresses and residual forces of a block, times their stiffness factors, into its first rows."""
     for v in range(LANES):
         p, law, shear = r[LANES * PRESSURE_ROW + v], r[LANES * FACTOR_ROWS + v], r[LANES * (FACTOR_ROWS + 1) + v]
@@ -243,14 +243,14 @@ def _sum_stresses(r):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _scale_by_stiffness(stiffness, theta, scaled):  # type: ignore[no-untyped-def]
+def _scale_by_stiffness(stiffness, theta, scaled):
     """Multiply theta of every node by its stiffness factor."""
     for i in range(stiffness.shape[0]):
         scaled[i] = stiffness[i, 2] * theta[i]
 
 
 @kernel_njit(inner=True)
-def _update_least(values, least):  # type: ignore[no-untyped-def]
+def _update_least(values, least):
     """Update the least value; NaN counts as -inf."""
     for value in values:
         if not value >= least[0]:
@@ -258,7 +258,7 @@ def _update_least(values, least):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _complete(body, work):  # type: ignore[no-untyped-def]
+def _complete(body, work):
     """Compute the total stresses from the results of the deformation pass."""
     _update_least(work.dilatation, work.least)
     smooth_field(body.smoothing, body.value, body.smoothing_own, work.derivatives, work.dilatation, work.smooth)
@@ -276,7 +276,7 @@ def _complete(body, work):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True, parallel=True, fastmath={"contract"})
-def _virtual_work(table, nodes, flux, volumes, partial):  # type: ignore[no-untyped-def]
+def _virtual_work(table, nodes, flux, volumes, partial):
     """Write minus the work [J] of every block's fluxes on the derivatives of every vector, (b, m)."""
     for b in prange(table.shape[0]):
         for m in range(table.shape[1]):
@@ -295,14 +295,14 @@ def _virtual_work(table, nodes, flux, volumes, partial):  # type: ignore[no-unty
 
 
 @kernel_njit()
-def _project(table, body, work, volumes, partial, result):  # type: ignore[no-untyped-def]
+def _project(table, body, work, volumes, partial, result):
     _complete(body, work)
     _virtual_work(table, body.lanes.nodes, work.flux, volumes, partial)
     add_blocks(partial, result)
 
 
 @kernel_njit(inner=True, cached=False, forceinline=True)
-def _store_row_major(values, response, row, v):  # type: ignore[no-untyped-def]
+def _store_row_major(values, response, row, v):
     """Store nine numbers in nine rows of a lane."""
     response[LANES * row + v] = values[0]
     response[LANES * (row + 1) + v] = values[1]
@@ -338,7 +338,7 @@ def make_stress(digest: str, law_first: Any, variables: str = "invariants") -> A
     first_of = inline(digest, law_first)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
+    def stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):
         F00, F01, F02, F10, F11, F12, F20, F21, F22 = 1.0 + d0, d1, d2, d3, 1.0 + d4, d5, d6, d7, 1.0 + d8
         c00, c01, c02 = F11 * F22 - F12 * F21, F12 * F20 - F10 * F22, F10 * F21 - F11 * F20
         c10, c11, c12 = F02 * F21 - F01 * F22, F00 * F22 - F02 * F20, F01 * F20 - F00 * F21
@@ -392,7 +392,7 @@ def solid_energy(
     measure = inline(digest, measure_of)
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
-    def node_response(b, nodes, r, coefficients, hourglass, families, cofactor, dilatation, slope):  # type: ignore[no-untyped-def]
+    def node_response(b, nodes, r, coefficients, hourglass, families, cofactor, dilatation, slope):
         for v in range(LANES):
             d0, d1, d2 = r[v], r[LANES + v], r[2 * LANES + v]
             d3, d4, d5 = r[3 * LANES + v], r[4 * LANES + v], r[5 * LANES + v]
@@ -415,9 +415,7 @@ def solid_energy(
                 dilatation[i] = r[LANES * DILATATION + v]
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
-    def each(  # type: ignore[no-untyped-def]
-        u, rows, frame, law, hourglass, families, sums, response, cofactor, dilatation, slope
-    ):
+    def each(u, rows, frame, law, hourglass, families, sums, response, cofactor, dilatation, slope):
         for block in prange(rows.nodes.shape[0]):
             b = np.int64(block)
             out = response[b]
@@ -428,7 +426,7 @@ def solid_energy(
             node_response(b, rows.nodes, out, law, hourglass, families, cofactor, dilatation, slope)
 
     @law_njit(digest, inner=True)
-    def respond(u, body, work):  # type: ignore[no-untyped-def]
+    def respond(u, body, work):
         field = u
         if body.mirror.source.shape[0] > 0:
             fill_vectors(u, body.mirror, work.reflected)
@@ -437,7 +435,7 @@ def solid_energy(
              work.sums, work.response, work.cofactor, work.dilatation, work.slope)  # fmt: skip
 
     @law_njit(digest, inner=True)
-    def respond_in_single(u, body, work):  # type: ignore[no-untyped-def]
+    def respond_in_single(u, body, work):
         field = u
         if body.mirror.source.shape[0] > 0:
             fill_vectors(u, body.mirror, work.reflected)
@@ -447,7 +445,7 @@ def solid_energy(
              work.sums, work.response, work.cofactor, work.dilatation, work.slope)  # fmt: skip
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
-    def each_column(  # type: ignore[no-untyped-def]
+    def each_column(
         columns, table, nodes, law, hourglass, families, derivatives, response, cofactor, dilatation, slope
     ):
         for block in prange(table.shape[0]):
@@ -460,12 +458,12 @@ def solid_energy(
             node_response(b, nodes, out, law, hourglass, families, cofactor, dilatation, slope)
 
     @law_njit(digest, inner=True)
-    def respond_to_columns(columns, table, body, work):  # type: ignore[no-untyped-def]
+    def respond_to_columns(columns, table, body, work):
         each_column(columns, table, body.lanes.nodes, body.coefficients, body.hourglass, body.families,
                     work.derivatives, work.response, work.cofactor, work.dilatation, work.slope)  # fmt: skip
 
     @law_njit(digest, inner=True)
-    def finish(body, work, force):  # type: ignore[no-untyped-def]
+    def finish(body, work, force):
         _complete(body, work)
         fill_fluxes(body.flux_mirror, work.flux)
         _gather_fluxes(body.transposed, work.flux, force)

@@ -78,7 +78,7 @@ _lift, _differentiate = lift_passes("solid", lane_sums_3x3, lane_sums_3x6, 9)
 
 
 @kernel_njit(inner=True, parallel=True, fastmath={"contract"})
-def _add_pressure(lanes, first, boundary, fields, derivatives, cofactor, shear, smooth, force):  # type: ignore[no-untyped-def]
+def _add_pressure(lanes, first, boundary, fields, derivatives, cofactor, shear, smooth, force):
     """Write shear + cof(F) (grad p - p b) with the smoothed pressure p into `force`."""
     for b in prange(lanes.nodes.shape[0]):
         field = fields[get_thread_id()].reshape(-1, LANES)
@@ -100,7 +100,7 @@ def _add_pressure(lanes, first, boundary, fields, derivatives, cofactor, shear, 
 
 
 @kernel_njit(inner=True)
-def _finish(body, work, force):  # type: ignore[no-untyped-def]
+def _finish(body, work, force):
     """Smooth the pressure of the deformation pass, and write the force by node."""
     smooth_field(body.smoothing, body.value, body.own, work.derivatives, work.pressure, work.smooth)
     fill_scalars(body.mirror, work.smooth)
@@ -116,7 +116,7 @@ def _make_response(digest: str, law_first: Any, law_second: Any, volume: Any) ->
     first_of, second_of = (inline(digest, f) for f in (law_first, law_second))
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
-    def respond(b, nodes, d, boundary, coefficients, lame, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
+    def respond(b, nodes, d, boundary, coefficients, lame, cofactor, shear, pressure):
         for v in range(LANES):
             F00, F01, F02 = 1.0 + d[0, v], d[1, v], d[2, v]
             F10, F11, F12 = d[3, v], 1.0 + d[4, v], d[5, v]
@@ -229,7 +229,7 @@ def solid(law: type[Material], volumetric: str = QUADRATIC) -> Formulation:
     node_response = make(digest, law.first, law.second, volume)
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
-    def each(u, lanes, first, second, boundary, coefficients, lame, fields, derivatives, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
+    def each(u, lanes, first, second, boundary, coefficients, lame, fields, derivatives, cofactor, shear, pressure):
         for block in prange(lanes.nodes.shape[0]):
             b = np.int64(block)
             out = derivatives[get_thread_id()]
@@ -237,7 +237,7 @@ def solid(law: type[Material], volumetric: str = QUADRATIC) -> Formulation:
             node_response(b, lanes.nodes, out, boundary, coefficients, lame, cofactor, shear, pressure)
 
     @law_njit(digest, inner=True)
-    def respond(u, body, work):  # type: ignore[no-untyped-def]
+    def respond(u, body, work):
         field = u
         if body.mirror.source.shape[0] > 0:
             fill_vectors(u, body.mirror, work.reflected)
@@ -246,7 +246,7 @@ def solid(law: type[Material], volumetric: str = QUADRATIC) -> Formulation:
              work.fields, work.derivatives, work.cofactor, work.shear, work.pressure)  # fmt: skip
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
-    def each_column(columns, table, lanes, boundary, coefficients, lame, derivatives, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
+    def each_column(columns, table, lanes, boundary, coefficients, lame, derivatives, cofactor, shear, pressure):
         for block in prange(table.shape[0]):
             b = np.int64(block)
             out = derivatives[get_thread_id()]
@@ -254,12 +254,12 @@ def solid(law: type[Material], volumetric: str = QUADRATIC) -> Formulation:
             node_response(b, lanes.nodes, out, boundary, coefficients, lame, cofactor, shear, pressure)
 
     @law_njit(digest, inner=True)
-    def respond_to_columns(columns, table, body, work):  # type: ignore[no-untyped-def]
+    def respond_to_columns(columns, table, body, work):
         each_column(columns, table, body.lanes, body.boundary, body.coefficients, body.lame,
                     work.derivatives, work.cofactor, work.shear, work.pressure)  # fmt: skip
 
     @law_njit(digest, inner=True)
-    def finish(body, work, force):  # type: ignore[no-untyped-def]
+    def finish(body, work, force):
         _finish(body, work, force)
 
     return Formulation(digest, 27, respond, respond_to_columns, _differentiate, finish)

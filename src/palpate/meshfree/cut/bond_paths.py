@@ -15,7 +15,7 @@ MAX_WAY = 1.6 * 2.3  # longest way round a front, in spacings
 
 
 @cached_njit(nogil=True, error_model="numpy")
-def _near_fronts(fronts, ax, ay, az, most, close, table):  # type: ignore[no-untyped-def]
+def _near_fronts(fronts, ax, ay, az, most, close, table):
     """Write the numbers of fronts (e, 2, 3) near A, and what their ways depend on, (12, e); return how many they are.
 
     The rows are the beginning, the unit vector, the length, and of A the place along the front, the distance off its
@@ -45,7 +45,7 @@ def _near_fronts(fronts, ax, ay, az, most, close, table):  # type: ignore[no-unt
 
 
 @cached_njit(nogil=True, error_model="numpy")
-def _ways_round(dx, dy, dz, count, table, ways, feet):  # type: ignore[no-untyped-def]
+def _ways_round(dx, dy, dz, count, table, ways, feet):
     """Write the lengths of the shortest ways from A to A + d that touch each near front, and the places along them."""
     for q in range(count):  # without branches, for vector registers
         ex, ey, ez, length = table[3, q], table[4, q], table[5, q], table[6, q]
@@ -61,7 +61,7 @@ def _ways_round(dx, dy, dz, count, table, ways, feet):  # type: ignore[no-untype
 
 
 @cached_njit(nogil=True, error_model="numpy")
-def _shortest_free(ax, ay, az, bx, by, bz, near, front_components, most, tree):  # type: ignore[no-untyped-def]
+def _shortest_free(ax, ay, az, bx, by, bz, near, front_components, most, tree):
     """Return the length of the shortest way from A to B round a near front that crosses nothing, or infinity."""
     edges, table, ways, feet, count = near
     while count > 0:
@@ -82,7 +82,7 @@ def _shortest_free(ax, ay, az, bx, by, bz, near, front_components, most, tree): 
 
 
 @cached_njit(nogil=True, error_model="numpy")
-def bond_paths(points, nodes, start, near, tree, fronts, front_components, paths):  # type: ignore[no-untyped-def]
+def bond_paths(points, nodes, start, near, tree, fronts, front_components, paths):
     """Write the lengths of bonds round the fronts of a cut; infinite for severed ones.
 
     Parameters

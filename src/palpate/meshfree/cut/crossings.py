@@ -46,7 +46,7 @@ def triangle_tree(triangles: Floats, components: Ints, spacing: float) -> Triang
 
 
 @cached_njit(nogil=True)
-def _divide(triangles, margin, order, boxes, skip, within):  # type: ignore[no-untyped-def]
+def _divide(triangles, margin, order, boxes, skip, within):
     """Divide triangles into boxes at the medians of their longest sides; return how many boxes they are."""
     middles = np.empty((triangles.shape[0], 3))
     for t in range(triangles.shape[0]):
@@ -82,7 +82,7 @@ def _divide(triangles, margin, order, boxes, skip, within):  # type: ignore[no-u
 
 
 @cached_njit(nogil=True, error_model="numpy")
-def _meets_box(boxes, b, ax, ay, az, bx, by, bz):  # type: ignore[no-untyped-def]
+def _meets_box(boxes, b, ax, ay, az, bx, by, bz):
     """Return whether the line from A to B meets box b, by the axes that separate them."""
     dx, dy, dz = 0.5 * (bx - ax), 0.5 * (by - ay), 0.5 * (bz - az)
     cx, cy, cz = ax + dx - boxes[b, 0], ay + dy - boxes[b, 1], az + dz - boxes[b, 2]
@@ -98,7 +98,7 @@ def _meets_box(boxes, b, ax, ay, az, bx, by, bz):  # type: ignore[no-untyped-def
 
 
 @cached_njit(nogil=True, error_model="numpy")
-def crosses(tree, ax, ay, az, bx, by, bz, component):  # type: ignore[no-untyped-def]
+def crosses(tree, ax, ay, az, bx, by, bz, component):
     """Return whether the line from A to B crosses a triangle.
 
     For a line to a place B on a front, triangles of the front's component do not count where B is near their planes.
@@ -126,7 +126,7 @@ def crosses(tree, ax, ay, az, bx, by, bz, component):  # type: ignore[no-untyped
 
 
 @cached_njit(nogil=True)
-def _planes(triangles, planes, radii):  # type: ignore[no-untyped-def]
+def _planes(triangles, planes, radii):
     """Write the functions n . x - d, s(x) and t(x) of triangles as coefficients (t, 3, 4), and the radii (t,).
 
     The first is the distance from the plane, the others are the coordinates of its points along two sides.
@@ -149,24 +149,24 @@ def _planes(triangles, planes, radii):  # type: ignore[no-untyped-def]
 
 
 @cached_njit(nogil=True, error_model="numpy")
-def _value(planes, q, k, x, y, z):  # type: ignore[no-untyped-def]
+def _value(planes, q, k, x, y, z):
     return planes[q, k, 0] * x + planes[q, k, 1] * y + planes[q, k, 2] * z + planes[q, k, 3]
 
 
 @cached_njit(nogil=True)
-def difference(a, b):  # type: ignore[no-untyped-def]
+def difference(a, b):
     """Return the components of a - b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 @cached_njit(nogil=True)
-def norm(x, y, z):  # type: ignore[no-untyped-def]
+def norm(x, y, z):
     """Return the length of a vector."""
     return np.sqrt(x * x + y * y + z * z)
 
 
 @cached_njit(nogil=True)
-def sphere(corners):  # type: ignore[no-untyped-def]
+def sphere(corners):
     """Return the mean of a triangle's corners, and the radius of the sphere about it that holds them."""
     x = (corners[0, 0] + corners[1, 0] + corners[2, 0]) / 3.0
     y = (corners[0, 1] + corners[1, 1] + corners[2, 1]) / 3.0
@@ -178,7 +178,7 @@ def sphere(corners):  # type: ignore[no-untyped-def]
 
 
 @cached_njit(nogil=True)
-def normal(corners):  # type: ignore[no-untyped-def]
+def normal(corners):
     """Return the unit normal of a triangle, whose largest component is positive.
 
     It does not depend on the order of the corners: the rule for nodes on a plane is one for the whole plane.
@@ -198,7 +198,7 @@ def normal(corners):  # type: ignore[no-untyped-def]
 
 
 @cached_njit(nogil=True)
-def first_crossings(segments, triangles, shares):  # type: ignore[no-untyped-def]
+def first_crossings(segments, triangles, shares):
     """Write the shares of segments (s, 2, 3) at which they first cross triangles (t, 3, 3); infinite without one."""
     planes = np.empty((triangles.shape[0], 3, 4))
     _planes(triangles, planes, np.empty(triangles.shape[0]))

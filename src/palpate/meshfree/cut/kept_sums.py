@@ -65,7 +65,7 @@ def keep_uniform_stress(uncut: UncutStencils, surface: CutSurface, rows: FittedR
 
 
 @cached_njit(nogil=True)
-def _across(normals, field):  # type: ignore[no-untyped-def]
+def _across(normals, field):
     """Remove the components of vectors (l, 3) along unit normals."""
     for k in range(field.shape[0]):
         along = field[k, 0] * normals[k, 0] + field[k, 1] * normals[k, 1] + field[k, 2] * normals[k, 2]
@@ -74,7 +74,7 @@ def _across(normals, field):  # type: ignore[no-untyped-def]
 
 
 @cached_njit(nogil=True)
-def _change(m, start, freedom, size, center, other, offset, inverse, field, block):  # type: ignore[no-untyped-def]
+def _change(m, start, freedom, size, center, other, offset, inverse, field, block):
     """Write the changes (k, 3) of the weights of row m for multipliers (l, 3) into `block`."""
     begin, i = start[m], center[m]
     fx, fy, fz = field[i, 0], field[i, 1], field[i, 2]
@@ -98,7 +98,7 @@ def _change(m, start, freedom, size, center, other, offset, inverse, field, bloc
 
 
 @cached_njit(nogil=True)
-def _times(inverse, m, x, y, z):  # type: ignore[no-untyped-def]
+def _times(inverse, m, x, y, z):
     """Return a vector times the inverse matrix of row m."""
     return (
         x * inverse[m, 0, 0] + y * inverse[m, 1, 0] + z * inverse[m, 2, 0],
@@ -108,7 +108,7 @@ def _times(inverse, m, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @cached_njit(nogil=True)
-def _apply(rows, field, image, block):  # type: ignore[no-untyped-def]
+def _apply(rows, field, image, block):
     """Write the changes of the sums (l, 3) that multipliers (l, 3) cause."""
     start, freedom, sizes, center, other, offset, inverse = rows
     image[:] = 0.0
@@ -127,7 +127,7 @@ def _apply(rows, field, image, block):  # type: ignore[no-untyped-def]
 
 
 @cached_njit(nogil=True)
-def _apply_scaled(rows, normals, scale, regularization, field, image, block):  # type: ignore[no-untyped-def]
+def _apply_scaled(rows, normals, scale, regularization, field, image, block):
     """Write the changes of the scaled sums across the normals that scaled multipliers cause, regularized."""
     for k in range(field.shape[0]):
         for c in range(3):
@@ -141,7 +141,7 @@ def _apply_scaled(rows, normals, scale, regularization, field, image, block):  #
 
 
 @cached_njit(nogil=True)
-def _inverse_moments(start, freedom, offset, inverse):  # type: ignore[no-untyped-def]
+def _inverse_moments(start, freedom, offset, inverse):
     """Write the inverse of sum of f x x' of every row; zero for a row without bonds."""
     for m in range(start.shape[0] - 1):
         moment = np.zeros((3, 3))
@@ -154,7 +154,7 @@ def _inverse_moments(start, freedom, offset, inverse):  # type: ignore[no-untype
 
 
 @cached_njit(nogil=True)
-def _balance(points, nodes, start, near, freedom, volumes, center, other, normals, right, spacing, limit, first):  # type: ignore[no-untyped-def]
+def _balance(points, nodes, start, near, freedom, volumes, center, other, normals, right, spacing, limit, first):
     """Solve for the least change, and add it to `first`; return the largest residual.
 
     The method of conjugate residuals has the least residual after every iteration. A piece that is cut off has nodal
@@ -209,7 +209,7 @@ def _balance(points, nodes, start, near, freedom, volumes, center, other, normal
 
 
 @cached_njit(nogil=True)
-def _solve_regularized(rows, normals, scale, regularization, right, solution, image, block):  # type: ignore[no-untyped-def]
+def _solve_regularized(rows, normals, scale, regularization, right, solution, image, block):
     """Write the multipliers for which the sums change by `right`; those of nodes with a regularization change less."""
     count = right.shape[0]
     residual = np.zeros((count, 3))
@@ -246,7 +246,7 @@ def _solve_regularized(rows, normals, scale, regularization, right, solution, im
 
 
 @cached_njit(nogil=True)
-def _square_change(m, start, block):  # type: ignore[no-untyped-def]
+def _square_change(m, start, block):
     """Return the size q of the changes (k, 3) of row m."""
     square = 0.0
     for c in range(3):
@@ -259,7 +259,7 @@ def _square_change(m, start, block):  # type: ignore[no-untyped-def]
 
 
 @cached_njit(nogil=True)
-def _largest_share(m, start, limit, spacing, first, block):  # type: ignore[no-untyped-def]
+def _largest_share(m, start, limit, spacing, first, block):
     """Return the share of the changes (k, 3) of row m, at most 1, for which its size q is below the limit.
 
     q is a + 2 b x + c x^2 for a share x.
@@ -300,7 +300,7 @@ def conserve_integrals(uncut: UncutStencils, rows: FittedRows, missing: Floats) 
 
 
 @cached_njit(nogil=True)
-def _share_scaled(start, center, other, sizes, used, scale, field, image):  # type: ignore[no-untyped-def]
+def _share_scaled(start, center, other, sizes, used, scale, field, image):
     """Write the changes of the scaled sums that scaled multipliers cause."""
     image[:] = 0.0
     for m in range(center.shape[0]):
@@ -316,7 +316,7 @@ def _share_scaled(start, center, other, sizes, used, scale, field, image):  # ty
 
 
 @cached_njit(nogil=True)
-def _share(start, center, other, sizes, right, weights):  # type: ignore[no-untyped-def]
+def _share(start, center, other, sizes, right, weights):
     """Solve for the least change of the weights that are not zero, and add it; return the largest residual."""
     count = right.shape[0]
     used, scale = weights != 0.0, np.zeros(count)

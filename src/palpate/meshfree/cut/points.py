@@ -67,7 +67,7 @@ def point_weights(uncut: UncutStencils, surface: CutSurface, points: Floats, see
 
 
 @cached_njit(nogil=True)
-def _weigh(nodes, near, points, lengths, radius, weighted, moments):  # type: ignore[no-untyped-def]
+def _weigh(nodes, near, points, lengths, radius, weighted, moments):
     """Write monomials 1, x, y, z of nodes in the fits at points times weights (p, k, 4), and the moments (p, 4, 4)."""
     monomial = np.ones(4)
     for p in range(points.shape[0]):
@@ -85,7 +85,7 @@ def _weigh(nodes, near, points, lengths, radius, weighted, moments):  # type: ig
 
 
 @cached_njit(nogil=True)
-def _fit(weighted, inverse, radius, values, slopes):  # type: ignore[no-untyped-def]
+def _fit(weighted, inverse, radius, values, slopes):
     """Write the weights (p, k) of the fitted values, and those of their derivatives (p, k, 3)."""
     for p in range(weighted.shape[0]):
         for k in range(weighted.shape[1]):

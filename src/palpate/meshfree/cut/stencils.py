@@ -109,7 +109,7 @@ def _bonds(uncut: UncutStencils, surface: CutSurface, nodes: Ints) -> tuple[Ints
 
 
 @cached_njit(nogil=True)
-def _examine(points, nodes, start, near, paths, radius, widest, checks, touched):  # type: ignore[no-untyped-def]
+def _examine(points, nodes, start, near, paths, radius, widest, checks, touched):
     """Write the checks of nodes, and whether a bond within the radius of a node is longer than its distance."""
     for m in range(nodes.shape[0]):
         i, is_longer, total = nodes[m], False, 0.0
@@ -126,13 +126,13 @@ def _examine(points, nodes, start, near, paths, radius, widest, checks, touched)
 
 
 @cached_njit(nogil=True)
-def _spline(q):  # type: ignore[no-untyped-def]
+def _spline(q):
     """Return the quartic spline (13)."""
     return 1.0 + q * q * (-6.0 + q * (8.0 - 3.0 * q)) if q < 1.0 else 0.0
 
 
 @cached_njit(nogil=True)
-def _summed_reach(distance, path, reach, most):  # type: ignore[no-untyped-def]
+def _summed_reach(distance, path, reach, most):
     """Return the reach for which the sum of the weights is that of the uncut node, at most `most`."""
     goal = 0.0
     for k in range(distance.shape[0]):
@@ -150,7 +150,7 @@ def _summed_reach(distance, path, reach, most):  # type: ignore[no-untyped-def]
 
 
 @cached_njit(nogil=True)
-def _cubic_damping(distance, path, radius):  # type: ignore[no-untyped-def]
+def _cubic_damping(distance, path, radius):
     """Return the damping of cubic terms: that of the uncut node, increased with the weight that a cut takes away."""
     before, now = 0.0, 0.0
     for k in range(path.shape[0]):
@@ -160,7 +160,7 @@ def _cubic_damping(distance, path, radius):  # type: ignore[no-untyped-def]
 
 
 @cached_njit(nogil=True)
-def _monomials(x, y, z, out, last):  # type: ignore[no-untyped-def]
+def _monomials(x, y, z, out, last):
     """Write 1, the coordinates, their products of two and, if monomial `last` is asked for, those of three."""
     out[0], out[1], out[2], out[3] = 1.0, x, y, z
     out[4], out[5], out[6], out[7], out[8], out[9] = x * x, y * y, z * z, x * y, x * z, y * z
@@ -170,7 +170,7 @@ def _monomials(x, y, z, out, last):  # type: ignore[no-untyped-def]
 
 
 @cached_njit(nogil=True)
-def _factor(matrix, size):  # type: ignore[no-untyped-def]
+def _factor(matrix, size):
     """Replace a symmetric matrix by its Cholesky factor; return False if a pivot is too small."""
     for j in range(size):
         diagonal = matrix[j, j]
@@ -189,7 +189,7 @@ def _factor(matrix, size):  # type: ignore[no-untyped-def]
 
 
 @cached_njit(nogil=True)
-def _solve(factor, size, right):  # type: ignore[no-untyped-def]
+def _solve(factor, size, right):
     """Solve a factored system in place."""
     for i in range(size):
         for k in range(i):
@@ -202,7 +202,7 @@ def _solve(factor, size, right):  # type: ignore[no-untyped-def]
 
 
 @cached_njit(nogil=True)
-def _moments(offset, weight, first, size, itself, matrix, monomial):  # type: ignore[no-untyped-def]
+def _moments(offset, weight, first, size, itself, matrix, monomial):
     """Write the moment matrix of `size` monomials from number `first` on; `itself` is the weight of the node itself."""
     for i in range(size):
         for j in range(size):
@@ -218,7 +218,7 @@ def _moments(offset, weight, first, size, itself, matrix, monomial):  # type: ig
 
 
 @cached_njit(nogil=True)
-def _fit_first(offset, weight, size, damping, scale, spacing, matrix, monomial, right, out):  # type: ignore[no-untyped-def]
+def _fit_first(offset, weight, size, damping, scale, spacing, matrix, monomial, right, out):
     """Write the weights of the first derivatives of an interpolating fit; return its size q, or infinity.
 
     The fit has `size` monomials, 3, 9 or 19; the coefficients of the cubic ones are damped.
@@ -248,7 +248,7 @@ def _fit_first(offset, weight, size, damping, scale, spacing, matrix, monomial, 
 
 
 @cached_njit(nogil=True)
-def _fit_value(offset, weight, size, matrix, monomial, right, sign, out):  # type: ignore[no-untyped-def]
+def _fit_value(offset, weight, size, matrix, monomial, right, sign, out):
     """Write the weights of the fitted value at the node, times a sign; the node itself has weight 1 in the fit."""
     _moments(offset, weight, 0, size, 1.0, matrix, monomial)
     if _factor(matrix, size):
@@ -279,9 +279,7 @@ def _fit_value(offset, weight, size, matrix, monomial, right, sign, out):  # typ
 
 
 @cached_njit(nogil=True)
-def _fit_all(  # type: ignore[no-untyped-def]
-    points, nodes, start, near, paths, spacing, reach, smoothing_reach, limit, cubic, tables, kind
-):
+def _fit_all(points, nodes, start, near, paths, spacing, reach, smoothing_reach, limit, cubic, tables, kind):
     """Fit the rows of all nodes; see `fit_rows`."""
     first, residual, smoothing, freedom = tables
     matrix, monomial, right = np.zeros((20, 20)), np.zeros(20), np.zeros(20)

@@ -246,7 +246,7 @@ def _inside(
 
 
 @cached_njit(nogil=True)
-def nearest_on_cut(points, triangles, projections, distance, over):  # type: ignore[no-untyped-def]
+def nearest_on_cut(points, triangles, projections, distance, over):
     """Write the projections (p, 3) of points on their nearest triangles, and the distances (p,) [m].
 
     `over` is True for a point whose projection is inside a triangle, False for one beyond the edges of all.
@@ -290,7 +290,7 @@ def _leads(edges: Any, normals: Floats, count: int) -> Floats:
 
 
 @cached_njit(nogil=True)
-def nodes_near(points, triangles, reach, near):  # type: ignore[no-untyped-def]
+def nodes_near(points, triangles, reach, near):
     """Set entries of `near` (n,) to True for points (n, 3) within a distance [m] of spheres about triangles."""
     for t in range(triangles.shape[0]):
         x, y, z, radius = sphere(triangles[t])
@@ -302,7 +302,7 @@ def nodes_near(points, triangles, reach, near):  # type: ignore[no-untyped-def]
 
 
 @cached_njit(nogil=True)
-def nearest_normals(points, triangles, normals):  # type: ignore[no-untyped-def]
+def nearest_normals(points, triangles, normals):
     """Write the unit normals (p, 3) of the triangles nearest to points (p, 3)."""
     spheres = np.empty((triangles.shape[0], 4))
     for t in range(triangles.shape[0]):
@@ -321,7 +321,7 @@ def nearest_normals(points, triangles, normals):  # type: ignore[no-untyped-def]
 
 
 @cached_njit(nogil=True)
-def _square_distance(point, corners):  # type: ignore[no-untyped-def]
+def _square_distance(point, corners):
     """Return the squared distance of a point from a triangle (Ericson, Real-Time Collision Detection, 2005)."""
     ax, ay, az = corners[0, 0], corners[0, 1], corners[0, 2]
     ux, uy, uz = corners[1, 0] - ax, corners[1, 1] - ay, corners[1, 2] - az

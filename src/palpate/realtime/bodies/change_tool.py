@@ -15,7 +15,7 @@ from palpate.dynamics.contact.geometry import rotation
 from palpate.dynamics.contact.kinds import BONDED, CAPSULE
 from palpate.dynamics.contact.tools import Forceps, Tool
 from palpate.faults import InputError
-from palpate.realtime.bodies.period import PeriodData
+from palpate.realtime.bodies.period_data import PeriodData
 from palpate.reduction.contact.surface import PAIRS
 
 
@@ -46,7 +46,7 @@ def _refuse_held_nodes(data: PeriodData, forceps: Forceps, index: int) -> None:
 
 
 @kernel_njit()
-def replace_tool(data, t, kind, sizes, friction, point, pose):  # type: ignore[no-untyped-def]
+def replace_tool(data, t, kind, sizes, friction, point, pose):
     """Replace tool t by one of a kind at a pose (7,), or by none if the kind is negative.
 
     `sizes` (3,) [m] are those of its shape, and `point` (3,) [m] the origin of forceps on the body at rest.

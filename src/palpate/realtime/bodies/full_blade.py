@@ -24,7 +24,7 @@ from palpate.dynamics.contact.grip import nodes_in_grip
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.supports import FREE
 from palpate.dynamics.nodal.mass_tailoring import without_nodes
-from palpate.dynamics.nodal.period import LOST, NO_BLADE, NodalPeriodData
+from palpate.dynamics.nodal.period_data import LOST, NO_BLADE, NodalPeriodData
 from palpate.dynamics.nodal.tool_path import END, HOME, LAST_CUT
 from palpate.dynamics.run.model import State
 from palpate.dynamics.solid.cutting.blade_cut import advance_blade
@@ -71,7 +71,7 @@ class BladeCutter:
         self.lock = threading.RLock()
         self._contact: Contact | None = None
         self.seconds = FIRST_SECONDS
-        self._whole = data.tailoring, data.resting_frequency  # of the body without cuts
+        self._whole = data.body.tailoring, data.body.resting_frequency  # of the body without cuts
         self._is_due, self._is_compiled, self._turned = False, False, 0.0
 
     wrap: Callable[[Any], Any]
@@ -84,7 +84,7 @@ class BladeCutter:
     @property
     def cutting_force(self) -> float:
         """Force [N] with which a push of the blade along its axis cuts: of the pieces of its edge that hold tissue."""
-        sites = self.data.contacts.sites
+        sites = self.data.tools.contacts.sites
         edge = (sites.kind == EDGE_SITE) & (sites.tool >= 0)
         return float(sites.limits[edge] @ np.abs(sites.directions[edge, 2]))
 
@@ -95,7 +95,7 @@ class BladeCutter:
         with self.lock:
             if blade is not None and not self._is_compiled:
                 self._compile(blade)
-            tools = self.data.contacts.sites.tool
+            tools = self.data.tools.contacts.sites.tool
             tools[tools != NO_TOOL] = AWAY_TOOL  # the sites of the blade before
             self._contact = None if blade is None else Contact(blade, (pose[:3], pose[3:]), name="blade")
             self.blade = NO_BLADE if blade is None else tool
@@ -146,25 +146,29 @@ class BladeCutter:
             self._is_due = False
             is_blade = self._contact is not None
             if self.incision is not None:
-                self.incision = self.incision.with_works(*map(float, self.data.contacts.sites.works))
+                self.incision = self.incision.with_works(*map(float, self.data.tools.contacts.sites.works))
             self.seconds += (perf_counter() - began - self.seconds) / MEAN_CUTS
             self.data.clock[LOST] += released
             tailoring, lost = without_nodes(self._whole[0], self.model.cut_state.touched)
+            body, tools = self.data.body, self.data.tools
             self.data = self.data._replace(
-                tailoring=tailoring,
-                resting_frequency=max(lost, self._whole[1]),
-                passes=(self.model.step_body, self.data.passes[1]),
-                taut_passes=(self.model.taut_step_body, self.data.taut_passes[1]),
-                contacts=self.data.contacts._replace(sites=sites),
-                blade_reach=self._reach(),
-                cut_reach=MAX_DISTANCE_OF_A_CUT * self.model.cloud.spacing if is_blade else np.inf,
-                blade=self.blade,
+                body=body._replace(
+                    tailoring=tailoring,
+                    resting_frequency=max(lost, self._whole[1]),
+                    passes=(self.model.step_body, body.passes[1]),
+                    taut_passes=(self.model.taut_step_body, body.taut_passes[1]),
+                ),
+                tools=tools._replace(contacts=tools.contacts._replace(sites=sites), blade=self.blade),
+                limits=self.data.limits._replace(
+                    blade=self._reach(),
+                    cut=MAX_DISTANCE_OF_A_CUT * self.model.cloud.spacing if is_blade else np.inf,
+                ),
             )
             return self.wrap(self.data)
 
     def _turn_pairs(self, coordinates: Floats) -> None:
         """Turn the normals along which the faces of the cut touch each other, now and then."""
-        sites, now = self.data.contacts.sites, perf_counter()
+        sites, now = self.data.tools.contacts.sites, perf_counter()
         if len(sites.kind) and now - self._turned > TURN_INTERVAL:
             self._turned = now
             sites.directions[:] = turn_pairs(sites, self.model.cut_state, coordinates.reshape(-1, 3)).directions
@@ -172,16 +176,16 @@ class BladeCutter:
     def _reach(self) -> float:
         """Return the largest displacement [m] of the blade in a step."""
         if self.incision is None or self.incision.hold is None or not len(self.incision.hold.pieces):
-            return self.data.tool_reach
+            return self.data.limits.tool
         step = self.whole_model.stability.step
-        return min(self.data.tool_reach, MAX_DISTANCE_OF_A_CUT * self.model.cloud.spacing * step / self.seconds)
+        return min(self.data.limits.tool, MAX_DISTANCE_OF_A_CUT * self.model.cloud.spacing * step / self.seconds)
 
     def _advance(self, contact: Contact, coordinates: Floats) -> tuple[Any, float]:
         """Cut up to the blade; return its new sites or None, and the released energy [J]."""
         u = coordinates.reshape(-1, 3)
         state = State(u, np.zeros_like(u), incision=_constant(self.incision))
-        held = np.union1d(np.flatnonzero(self.data.sites.kind != FREE), nodes_in_grip(self.data.grip))
-        before, path = self.model, self.data.path[self.blade]
+        held = np.union1d(np.flatnonzero(self.data.body.sites.kind != FREE), nodes_in_grip(self.data.tools.grip))
+        before, path = self.model, self.data.tools.path[self.blade]
         frame = path[HOME if self.incision is None else END].copy()
         try:
             model, incision, sites, released = advance_blade(before, state, contact, frame, held, self.blade)

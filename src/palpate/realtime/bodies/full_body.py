@@ -19,20 +19,27 @@ from palpate.dynamics.material.relaxation import history_copy
 from palpate.dynamics.nodal.central_difference import Damping
 from palpate.dynamics.nodal.mass_tailoring import MAX_MODES, PROBE, default_modes, tailored_mass
 from palpate.dynamics.nodal.model import NodalModel, nodal_data
-from palpate.dynamics.nodal.period import (
+from palpate.dynamics.nodal.period import nodal_period
+from palpate.dynamics.nodal.period_data import (
     BASE_FREQUENCY,
     BLOCK_NODES,
+    CLOCK_SIZE,
     FREQUENCY,
     GAINED,
     HELD,
+    KICK_SQUARE,
     LOST,
     NEAR_MARGIN,
     NO_BLADE,
     REPEATED,
     STEP,
     ContactReport,
+    MovingTools,
     NodalPeriodData,
-    nodal_period,
+    PeriodCopy,
+    PowerIteration,
+    SteppedBody,
+    WayLimits,
 )
 from palpate.dynamics.nodal.tool_path import END, HOME, LAST_CUT, START
 from palpate.dynamics.solid.base import Solid
@@ -78,49 +85,52 @@ def full_period(
     path = np.zeros((count, 6, 3, 4))
     for t, pose in enumerate(prepared.schedule(np.zeros(1)).poses[0]):
         rotation(pose, path[t, HOME])
-    path[:, START], path[:, END], contacts.frames[:, 1] = path[:, HOME], path[:, HOME], path[:, HOME]
+    path[:, START], path[:, END], contacts.work.frames[:, 1] = path[:, HOME], path[:, HOME], path[:, HOME]
     # two for each middle of an edge, and one for each node that forceps hold
-    entries = 2 * count * len(contacts.points)
+    entries = 2 * count * len(contacts.patches.points)
     noise = model.supported.project(np.random.default_rng(0).standard_normal((n, 3)))
+    passes, taut_passes = (model.step_body, work.step_passes), (model.taut_step_body, work.step_passes)
     data = NodalPeriodData(
-        passes=(model.step_body, work.step_passes),
-        taut_passes=(model.taut_step_body, work.step_passes),
-        nodes=nodal_data(model),
-        damping=Damping(model.mass_damping, model.stiffness_damping, model.wave_speed),
-        sites=sites,
-        contacts=contacts,
-        grip=empty_grip(count, n),
+        body=SteppedBody(
+            passes=passes,
+            taut_passes=taut_passes,
+            nodes=nodal_data(model),
+            damping=Damping(model.mass_damping, model.stiffness_damping, model.wave_speed),
+            sites=sites,
+            tailoring=tailoring,
+            resting_frequency=frequency,
+            triangles=np.ascontiguousarray(model.cloud.triangles, dtype=np.int64),
+        ),
+        tools=MovingTools(
+            contacts=contacts,
+            grip=empty_grip(count, n),
+            blade=NO_BLADE,
+            path=path,
+            late=np.zeros(count, dtype=np.int64),
+            clear_way=np.zeros(count),
+            listed=np.zeros((n, 3)),
+            force=np.zeros(12 * count),
+            secant=np.zeros((3 * count + 3, 3 * count)),
+        ),
+        limits=WayLimits(
+            node=MAX_WAY * model.cloud.spacing,
+            tool=MAX_TOOL_WAY * model.cloud.spacing,
+            blade=MAX_TOOL_WAY * model.cloud.spacing,
+            cut=np.inf,
+            surface_depth=MAX_SURFACE_DEPTH * model.cloud.spacing,
+        ),
+        iteration=PowerIteration(noise.copy(), noise, amplitude=PROBE * model.cloud.spacing),
+        start=PeriodCopy(np.zeros((3, n, 3)), np.zeros(2), history_copy(work.passes.history)),
         scratch=work.step,
+        sums=np.zeros((-(-n // BLOCK_NODES), KICK_SQUARE + 1)),
         clock=_clock_at_rest(model.stability.step, frequency),
-        clear_way=np.zeros(count),
-        late=np.zeros(count, dtype=np.int64),
-        sums=np.zeros((-(-n // BLOCK_NODES), 5)),
-        secant=np.zeros((3 * count + 3, 3 * count)),
-        tool_force=np.zeros(12 * count),
-        path=path,
-        tailoring=tailoring,
-        resting_frequency=frequency,
-        vector=noise.copy(),
-        noise=noise,
-        amplitude=PROBE * model.cloud.spacing,
-        reach=MAX_WAY * model.cloud.spacing,
-        tool_reach=MAX_TOOL_WAY * model.cloud.spacing,
-        blade_reach=MAX_TOOL_WAY * model.cloud.spacing,
-        cut_reach=np.inf,
-        blade=NO_BLADE,
-        triangles=np.ascontiguousarray(model.cloud.triangles, dtype=np.int64),
-        surface_depth=MAX_SURFACE_DEPTH * model.cloud.spacing,
-        listed=np.zeros((n, 3)),
-        saved=np.zeros((3, n, 3)),
-        saved_work=np.zeros(2),
-        saved_history=history_copy(work.passes.history),
         contact_work=ContactReport(
             node=np.zeros(entries, dtype=np.int64),
             tool=np.zeros(entries, dtype=np.int64),
             push=np.zeros((entries, 3)),
             numbers=np.zeros(3, dtype=np.int64),
         ),
-    )  # fmt: skip
+    )
     for t, tool in enumerate(tools):
         if isinstance(tool, Grasp):
             forceps = Forceps(tool.radius, tool.point, tool.until)
@@ -130,7 +140,7 @@ def full_period(
 
 def _clock_at_rest(step: float, frequency: float) -> Floats:
     """Return `NodalPeriodData.clock` for a step [s] and the highest frequency [rad/s] at rest."""
-    clock = np.zeros(BASE_FREQUENCY + 1)
+    clock = np.zeros(CLOCK_SIZE)
     clock[STEP], clock[FREQUENCY], clock[BASE_FREQUENCY] = step, frequency, frequency
     clock[NEAR_MARGIN] = -1.0
     return clock
@@ -149,9 +159,9 @@ def step_statistics(data: NodalPeriodData) -> dict[str, float]:
     """
     clock = data.clock
     return {
-        "step_share": float(data.resting_frequency / clock[FREQUENCY]),
-        "tailored_modes": int(np.count_nonzero(data.tailoring.used)),
-        "step_gain": float(data.tailoring.plain_frequency / data.resting_frequency),
+        "step_share": float(data.body.resting_frequency / clock[FREQUENCY]),
+        "tailored_modes": int(np.count_nonzero(data.body.tailoring.used)),
+        "step_gain": float(data.body.tailoring.plain_frequency / data.body.resting_frequency),
         "repeated": int(clock[REPEATED]),
         "held": int(clock[HELD]),
         "energy_gained": float(clock[GAINED]),
@@ -168,7 +178,7 @@ def change_full_tool(
     index: int = 0,
 ) -> None:
     """Replace a tool of a full body, as `palpate.realtime.bodies.change_tool.change_tool`."""
-    contacts, spacing, nodes = data.contacts, model.cloud.spacing, np.zeros(0, dtype=np.int64)
+    contacts, spacing, nodes = data.tools.contacts, model.cloud.spacing, np.zeros(0, dtype=np.int64)
     blade = None
     if isinstance(tool, Blade):
         if cutter is None:
@@ -183,8 +193,8 @@ def change_full_tool(
     if isinstance(tool, Forceps):
         if tool.until < np.inf:
             raise InputError(f"until of forceps must be infinite in the engine, got {tool.until:g} s; change the tool")
-        nodes, tool = grasped_nodes(model.cloud, tool, data.sites.kind == FREE), None
-        others = [data.grip.node[t, :count] for t, (count, _) in enumerate(data.grip.numbers) if t != index]
+        nodes, tool = grasped_nodes(model.cloud, tool, data.body.sites.kind == FREE), None
+        others = [data.tools.grip.node[t, :count] for t, (count, _) in enumerate(data.tools.grip.numbers) if t != index]
         if np.isin(nodes, np.concatenate([nodes[:0], *others])).any():
             raise InputError(
                 "point of forceps must be away from other forceps, got nodes that they hold; move the point"
@@ -194,26 +204,28 @@ def change_full_tool(
             f"radius of the tool must be at least the spacing of the body, {1e3 * spacing:.3g} mm, got "
             f"{1e3 * tool.sizes[0]:.3g} mm; use a larger tool or a finer body"
         )
-    contacts.step_impulses[data.grip.node[index, : data.grip.numbers[index, COUNT]]] = 0.0
-    set_grip(data.grip, index, nodes)
-    held = np.isin(contacts.ends, nodes_in_grip(data.grip)).any(axis=1)  # bears what other tools push on it
-    supported = (data.sites.kind[contacts.ends] == FIXED).any(axis=1)
-    contacts.prescribed_until[:] = np.where(held | supported, np.inf, -np.inf)
-    contacts.kind[index] = CAPSULE if tool is None else tool.kind
-    contacts.sizes[index] = (-np.inf, 0.0, 0.0) if tool is None else tool.sizes  # every point is outside
-    contacts.curvature[index] = curvatures(contacts.kind, contacts.sizes)[index]
-    contacts.tool_radius[index] = 0.0 if tool is None else np.inf
+    contacts.work.step_impulses[data.tools.grip.node[index, : data.tools.grip.numbers[index, COUNT]]] = 0.0
+    set_grip(data.tools.grip, index, nodes)
+    held = np.isin(contacts.patches.ends, nodes_in_grip(data.tools.grip)).any(
+        axis=1
+    )  # bears what other tools push on it
+    supported = (data.body.sites.kind[contacts.patches.ends] == FIXED).any(axis=1)
+    contacts.patches.prescribed_until[:] = np.where(held | supported, np.inf, -np.inf)
+    contacts.tools.kind[index] = CAPSULE if tool is None else tool.kind
+    contacts.tools.sizes[index] = (-np.inf, 0.0, 0.0) if tool is None else tool.sizes  # every point is outside
+    contacts.tools.curvature[index] = curvatures(contacts.tools.kind, contacts.tools.sizes)[index]
+    contacts.tools.radius[index] = 0.0 if tool is None else np.inf
     if tool is not None and tool.kind == CAPSULE:
-        contacts.tool_radius[index] = tool.sizes[0] + tool.sizes[1]
-    contacts.friction[index] = friction
-    contacts.patch_impulses[contacts.start[index] : contacts.start[index + 1]] = 0.0
-    data.secant[:], data.tool_force[12 * index : 12 * (index + 1)] = 0.0, 0.0
+        contacts.tools.radius[index] = tool.sizes[0] + tool.sizes[1]
+    contacts.tools.friction[index] = friction
+    contacts.work.patch_impulses[contacts.candidates.start[index] : contacts.candidates.start[index + 1]] = 0.0
+    data.tools.secant[:], data.tools.force[12 * index : 12 * (index + 1)] = 0.0, 0.0
     data.clock[LOST] += contacts.held.energy[index]  # of the tissue over supports, which springs back
     contacts.held.energy[index] = 0.0
     data.contact_work.numbers[:], data.clock[NEAR_MARGIN] = 0, -1.0
-    rotation(pose, data.path[index, HOME])
+    rotation(pose, data.tools.path[index, HOME])
     if cutter is not None:
         cutter.set_blade(blade, pose, index)
     for frame in (START, END, LAST_CUT):
-        data.path[index, frame] = data.path[index, HOME]
-    contacts.frames[index, 1] = data.path[index, HOME]
+        data.tools.path[index, frame] = data.tools.path[index, HOME]
+    contacts.work.frames[index, 1] = data.tools.path[index, HOME]

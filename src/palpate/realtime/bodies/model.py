@@ -25,16 +25,16 @@ from palpate.faults import InputError, brief, number_in_range
 from palpate.realtime.bodies.change_tool import change_tool
 from palpate.realtime.bodies.full_blade import BladeCutter
 from palpate.realtime.bodies.full_body import change_full_tool, full_period
-from palpate.realtime.bodies.period import (
-    MAX_SUBSTEPS,
+from palpate.realtime.bodies.period import period_functions
+from palpate.realtime.bodies.period_data import (
     POWER_SHAPE,
     IndicatorData,
     PeriodData,
     PeriodStart,
     ResidualFields,
-    period_functions,
     probes,
 )
+from palpate.realtime.bodies.reduced_steps import MAX_SUBSTEPS
 from palpate.realtime.contract import MAX_TOOLS
 from palpate.reduction.contact.surface import contact_scratch, rigid_tools
 from palpate.reduction.contact.tangent import contact_stiffness, contact_system

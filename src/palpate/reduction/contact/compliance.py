@@ -142,7 +142,7 @@ def active_compliance(table: ComplianceTable, tools: int) -> ActiveCompliance:
 
 
 @kernel_njit(fastmath={"contract"})
-def pair(compliance, i, j, block):  # type: ignore[no-untyped-def]
+def pair(compliance, i, j, block):
     """Write the compliance block (3, 3) [m/N] from a force on row j to row i."""
     block[:] = 0.0
     for a in range(compliance.carriers.shape[1]):
@@ -163,7 +163,7 @@ def pair(compliance, i, j, block):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def refresh(compliance, active, points, count):  # type: ignore[no-untyped-def]
+def refresh(compliance, active, points, count):
     """Store the compliance between the rows in contact, points[:count]; return False if there are too many.
 
     Rows that have left contact stay until their slots are needed. If there are too many rows, nothing
@@ -194,14 +194,14 @@ def refresh(compliance, active, points, count):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _clear(active):  # type: ignore[no-untyped-def]
+def _clear(active):
     for s in range(active.used[0]):
         active.slot[active.node[s]] = -1
     active.used[0] = 0
 
 
 @kernel_njit(inner=True, fastmath={"contract"})
-def _row(compliance, i, row, near_row):  # type: ignore[no-untyped-def]
+def _row(compliance, i, row, near_row):
     """Write the compliances (3, 3 c) from all carriers to row i, and its near-field corrections (3, 3 k) [m/N]."""
     row[:] = 0.0
     near_row[:] = 0.0
@@ -221,7 +221,7 @@ def _row(compliance, i, row, near_row):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True, fastmath={"contract"})
-def _block(compliance, i, j, active, block):  # type: ignore[no-untyped-def]
+def _block(compliance, i, j, active, block):
     """Write the compliance block (3, 3) [m/N] from a force on row j to row i, after `_row` of i."""
     row, near_row = active.row, active.near_row
     for c in range(3):
@@ -235,13 +235,13 @@ def _block(compliance, i, j, active, block):  # type: ignore[no-untyped-def]
 
 
 @register_jitable
-def secant_factor(stiffening, force):  # type: ignore[no-untyped-def]
+def secant_factor(stiffening, force):
     """Return the secant factor h under a tool's force [N], or under those of an array."""
     return (1.0 + force / stiffening[1]) ** -stiffening[0]
 
 
 @kernel_njit()
-def stiffened_force(stiffening, product, inertia):  # type: ignore[no-untyped-def]
+def stiffened_force(stiffening, product, inertia):
     """Return the secant factor h of a tool's force f, and its share of the force that h f = product asks for.
 
     Parameters
@@ -268,7 +268,7 @@ def stiffened_force(stiffening, product, inertia):  # type: ignore[no-untyped-de
 
 
 @kernel_njit()
-def energy_factor(stiffening, force):  # type: ignore[no-untyped-def]
+def energy_factor(stiffening, force):
     """Return the energy of a stiffening compliance over half the product of its forces and displacements."""
     gamma, s = stiffening[0], 1.0 + force / stiffening[1]
     if gamma == 0.0 or s - 1.0 < 1e-6:

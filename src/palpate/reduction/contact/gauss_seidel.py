@@ -34,7 +34,7 @@ PATH_START, PATH_END, PATH_NOW = range(3)  # entries of `RigidTools.path`
 
 
 @kernel_njit(inner=True, fastmath={"contract", "reassoc"})
-def _modal_displacement(surface, i, coordinates, out):  # type: ignore[no-untyped-def]
+def _modal_displacement(surface, i, coordinates, out):
     """Write the displacement of a node by the coordinates."""
     x, y, z = 0.0, 0.0, 0.0
     for m in range(coordinates.shape[0]):
@@ -45,7 +45,7 @@ def _modal_displacement(surface, i, coordinates, out):  # type: ignore[no-untype
 
 
 @kernel_njit(inner=True)
-def _list_node(surface, contact, tools, t, i, x, y, z, v, step, count):  # type: ignore[no-untyped-def]
+def _list_node(surface, contact, tools, t, i, x, y, z, v, step, count):
     """List a node at its modal position as a contact pair; return the number of pairs."""
     new, out = True, contact.displacement
     for d in range(3):
@@ -62,7 +62,7 @@ def _list_node(surface, contact, tools, t, i, x, y, z, v, step, count):  # type:
 
 
 @kernel_njit(inline="always")
-def _bonded_position(surface, tools, t, i):  # type: ignore[no-untyped-def]
+def _bonded_position(surface, tools, t, i):
     """Return the position of a node bonded to forceps."""
     frame, origin = tools.frames[t, 1], tools.origins[t]
     point = surface.points[i]
@@ -75,7 +75,7 @@ def _bonded_position(surface, tools, t, i):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _list_bonded(surface, contact, tools, t, a, v, step, count):  # type: ignore[no-untyped-def]
+def _list_bonded(surface, contact, tools, t, a, v, step, count):
     """List the nodes that forceps hold; return the number of pairs and the largest displacement to the tool [m]."""
     origin, radius = tools.origins[t], tools.sizes[t, 0] * (1.0 + 1e-9) + MOVED_MARGIN * surface.spacing
     farthest, out = 0.0, contact.displacement
@@ -105,7 +105,7 @@ def _list_bonded(surface, contact, tools, t, a, v, step, count):  # type: ignore
 
 
 @kernel_njit(inner=True)
-def _detect(surface, contact, tools, a, v, step):  # type: ignore[no-untyped-def]
+def _detect(surface, contact, tools, a, v, step):
     """List the nodes whose modal position is inside a tool; return the deepest penetration [m]."""
     count, deepest, depth, out = np.int64(0), 0.0, 0.0, contact.displacement  # a literal 0 is another type
     for t in range(tools.kind.shape[0]):
@@ -143,7 +143,7 @@ def _detect(surface, contact, tools, a, v, step):  # type: ignore[no-untyped-def
 
 
 @kernel_njit(inline="always")
-def _propagate(surface, contact, cached, e, x, y, z):  # type: ignore[no-untyped-def]
+def _propagate(surface, contact, cached, e, x, y, z):
     """Move all nodes in contact by the change (x, y, z) of one force."""
     i, h = contact.point[e], contact.factor[contact.tool[e]]
     now, node = contact.now, contact.point
@@ -164,7 +164,7 @@ def _propagate(surface, contact, cached, e, x, y, z):  # type: ignore[no-untyped
 
 
 @kernel_njit(inline="always")
-def _own_compliance(surface, contact, cached, e, nx, ny, nz):  # type: ignore[no-untyped-def]
+def _own_compliance(surface, contact, cached, e, nx, ny, nz):
     """Return a node's own compliance along a normal, and an upper bound of that across it [m/N]."""
     block, matrix = contact.active.block, contact.active.matrix
     i, h = contact.point[e], contact.factor[contact.tool[e]]
@@ -181,7 +181,7 @@ def _own_compliance(surface, contact, cached, e, nx, ny, nz):  # type: ignore[no
 
 
 @kernel_njit(inline="always")
-def _set_force(surface, contact, cached, e, fx, fy, fz):  # type: ignore[no-untyped-def]
+def _set_force(surface, contact, cached, e, fx, fy, fz):
     """Set the force on a node and move all nodes; return the largest change of a component [N]."""
     push = contact.push
     x, y, z = fx - push[e, 0], fy - push[e, 1], fz - push[e, 2]
@@ -192,7 +192,7 @@ def _set_force(surface, contact, cached, e, fx, fy, fz):  # type: ignore[no-unty
 
 
 @kernel_njit(inline="always")
-def relax(surface, contact, tools, cached, step, e):  # type: ignore[no-untyped-def]
+def relax(surface, contact, tools, cached, step, e):
     """Update the force on one node by its contact law; return a bound of the node's displacement [m]."""
     t = contact.tool[e]
     x, y, z = contact.now[e, 0], contact.now[e, 1], contact.now[e, 2]
@@ -224,7 +224,7 @@ def relax(surface, contact, tools, cached, step, e):  # type: ignore[no-untyped-
 
 
 @kernel_njit(inner=True)
-def _tool_force(contact, t):  # type: ignore[no-untyped-def]
+def _tool_force(contact, t):
     """Return the size [N] of the sum of a tool's forces on the nodes."""
     x, y, z = 0.0, 0.0, 0.0
     for e in range(contact.numbers[PAIRS]):
@@ -234,7 +234,7 @@ def _tool_force(contact, t):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _start_factors(surface, contact, tools):  # type: ignore[no-untyped-def]
+def _start_factors(surface, contact, tools):
     """Set the secant factors of the compliance by the tools' last forces; forceps have the bonded scale."""
     for t in range(contact.factor.shape[0]):
         if tools.kind[t] == BONDED:
@@ -244,7 +244,7 @@ def _start_factors(surface, contact, tools):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _scale_forces(surface, contact, tools, step, response, moving):  # type: ignore[no-untyped-def]
+def _scale_forces(surface, contact, tools, step, response, moving):
     """Scale the forces of every tool by `stiffened_force`, and add up their forces on the coordinates.
 
     The sweeps solve for the product of forces and secant factor, on which the positions depend. A factor
@@ -279,7 +279,7 @@ def _scale_forces(surface, contact, tools, step, response, moving):  # type: ign
 
 
 @kernel_njit()
-def solve_contact(surface, contact, tools, a, v, step, response, moving):  # type: ignore[no-untyped-def]
+def solve_contact(surface, contact, tools, a, v, step, response, moving):
     """Solve for the forces of the tools at the end of a step.
 
     Parameters
@@ -333,7 +333,7 @@ def solve_contact(surface, contact, tools, a, v, step, response, moving):  # typ
 
 
 @kernel_njit(inner=True)
-def _store(surface, contact, tools, step):  # type: ignore[no-untyped-def]
+def _store(surface, contact, tools, step):
     """Store forces and positions for the next step, and add up the impulses; return the work as `solve_contact`."""
     work, lost = 0.0, 0.0
     for e in range(contact.numbers[PAIRS]):
@@ -353,7 +353,7 @@ def _store(surface, contact, tools, step):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def set_tool_paths(tools, home, target, at_rest):  # type: ignore[no-untyped-def]
+def set_tool_paths(tools, home, target, at_rest):
     """Set the paths of tools during a period to target poses (12 t,): displacement and R - I of each, from home.
 
     The path starts at the target if body and target are at rest, at the start of a run.
@@ -377,7 +377,7 @@ def set_tool_paths(tools, home, target, at_rest):  # type: ignore[no-untyped-def
 
 
 @kernel_njit(inline="always")
-def place_frame(turned, home, frame):  # type: ignore[no-untyped-def]
+def place_frame(turned, home, frame):
     """Write the frame (3, 4) of a tool at home that is turned and then placed by another."""
     for i in range(3):
         for j in range(3):
@@ -386,7 +386,7 @@ def place_frame(turned, home, frame):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True, fastmath={"contract", "reassoc"})
-def kick_by_load(v, step, response, load):  # type: ignore[no-untyped-def]
+def kick_by_load(v, step, response, load):
     """Accelerate coordinates (m,) by a load on them during a step [s]."""
     for m in range(v.shape[0]):
         value = 0.0
@@ -396,7 +396,7 @@ def kick_by_load(v, step, response, load):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def press(data, q, v, at, step, period, share, tool_forces):  # type: ignore[no-untyped-def]
+def press(data, q, v, at, step, period, share, tool_forces):
     """Advance the tools to a fraction of their paths in a period [s], and apply their forces in a step [s].
 
     Parameters
@@ -439,7 +439,7 @@ def press(data, q, v, at, step, period, share, tool_forces):  # type: ignore[no-
 
 
 @kernel_njit(inner=True)
-def approach_speed(contact, path, period, t):  # type: ignore[no-untyped-def]
+def approach_speed(contact, path, period, t):
     """Return the speed [m/s] of tool t on its path in a period [s] along its force on the body, at least 0."""
     square, power = 0.0, 0.0
     for d in range(3):
@@ -453,7 +453,7 @@ def approach_speed(contact, path, period, t):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def contact_nearness(nearness, contact, t):  # type: ignore[no-untyped-def]
+def contact_nearness(nearness, contact, t):
     """Return `palpate.reduction.hyper.error_indicator.support_nearness` of tool t, and 1 if it touches, or 0."""
     total, size = 0.0, 0.0
     for e in range(contact.numbers[PAIRS]):
@@ -466,7 +466,7 @@ def contact_nearness(nearness, contact, t):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def tool_energy(surface, contact, t):  # type: ignore[no-untyped-def]
+def tool_energy(surface, contact, t):
     """Return the energy [J] of the surface compliance under one tool."""
     x, y, z, half, bonded = 0.0, 0.0, 0.0, 0.0, False
     for e in range(contact.numbers[PAIRS]):
@@ -480,7 +480,7 @@ def tool_energy(surface, contact, t):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def compliance_energy(surface, contact):  # type: ignore[no-untyped-def]
+def compliance_energy(surface, contact):
     """Return the energy [J] of the surface compliance."""
     total = 0.0
     for t in range(contact.factor.shape[0]):

@@ -21,7 +21,7 @@ FREE_WAY, PRESSING_WAY = 1.0, 0.25  # how far a tool may move in a period, in sp
 
 
 @kernel_njit()
-def store_depths(surface, contact, tools):  # type: ignore[no-untyped-def]
+def store_depths(surface, contact, tools):
     """Write the largest depths of triangles whose three nodes were in contact in the last step.
 
     Parameters
@@ -50,7 +50,7 @@ def store_depths(surface, contact, tools):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def hold_above_surface(surface, contact, tools, home, target):  # type: ignore[no-untyped-def]
+def hold_above_surface(surface, contact, tools, home, target):
     """Shorten the paths of tools in a period where they could pass between the nodes.
 
     A tool is held where it pushes on and the surface is `MAX_DEPTH_BETWEEN_NODES` deep in it. The pose that it

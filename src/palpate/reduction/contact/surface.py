@@ -127,7 +127,11 @@ def rigid_tools(prepared: PreparedLoads | None, contact_surface: ContactSurface)
     held_record = held_nodes(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0), 0.0, np.zeros((0, 0), bool))
     if prepared is not None:
         held_record = with_scratch(prepared.contacts).held
-        kind, sizes, friction = prepared.contacts.kind, prepared.contacts.sizes, prepared.contacts.friction
+        kind, sizes, friction = (
+            prepared.contacts.tools.kind,
+            prepared.contacts.tools.sizes,
+            prepared.contacts.tools.friction,
+        )
         shapes = [load.tool for load in prepared.tools]
         origins = np.array([s.point if isinstance(s, Forceps) else np.zeros(3) for s in shapes]).reshape(-1, 3)
     return RigidTools(

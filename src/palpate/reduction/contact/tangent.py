@@ -81,7 +81,7 @@ def contact_system(columns: NDArray[np.float32], mass: Floats, patches: int, too
 
 
 @kernel_njit()
-def contact_stiffness(data, q, out):  # type: ignore[no-untyped-def]
+def contact_stiffness(data, q, out):
     """Write derivatives of each tool's force [N] on the body by its displacement [m] into its part of out (12 t, 12).
 
     The work of a call is bounded. The call that completes a solution writes all derivatives at once. They
@@ -116,7 +116,7 @@ def contact_stiffness(data, q, out):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _write_derivatives(system, t, out):  # type: ignore[no-untyped-def]
+def _write_derivatives(system, t, out):
     """Write the derivatives by the displacement of tool t.
 
     Its own force f changes by g d - sum over tools u of s_u a_u, with the change a_u of the total force of tool u along
@@ -133,7 +133,7 @@ def _write_derivatives(system, t, out):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _solve_total_changes(system, column):  # type: ignore[no-untyped-def]
+def _solve_total_changes(system, column):
     """Write the changes of the total forces of the tools by a displacement into the last column of `secants`."""
     gram, pull, table = system.gram, system.pull, system.secants
     tools = pull.shape[0]
@@ -156,7 +156,7 @@ def _solve_total_changes(system, column):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True, fastmath={"contract"})
-def _eliminate(system, active, first, rows):  # type: ignore[no-untyped-def]
+def _eliminate(system, active, first, rows):
     """Eliminate a few unknowns; return False if a pivot is not valid."""
     table, gram = system.table, system.gram
     size, forces = system.numbers[UNKNOWNS], system.numbers[FORCES]
@@ -188,7 +188,7 @@ def _eliminate(system, active, first, rows):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True, fastmath={"contract"})
-def _add_compliance(system, active, table, k):  # type: ignore[no-untyped-def]
+def _add_compliance(system, active, table, k):
     """Add the surface compliance to a row; return False if it is not stored any more."""
     s, direction, factor = active.slot[system.point[k]], system.direction, system.factor
     x, y, z = direction[k, 0], direction[k, 1], direction[k, 2]
@@ -207,7 +207,7 @@ def _add_compliance(system, active, table, k):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _assemble(data):  # type: ignore[no-untyped-def]
+def _assemble(data):
     """Set up the equations except the surface compliance; return False if there is no room for them."""
     contact, system, modes = data.contact_work, data.system, data.modes
     compliance = data.contact_surface.compliance
@@ -251,7 +251,7 @@ def _assemble(data):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _add_directions(data, e, rows):  # type: ignore[no-untyped-def]
+def _add_directions(data, e, rows):
     """Append the directions along which the force of a contact pair can change; return the number of rows."""
     contact, tools, system = data.contact_work, data.tools, data.system
     t, push, place = contact.tool[e], contact.push[e], contact.now[e]
@@ -276,21 +276,21 @@ def _add_directions(data, e, rows):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _add_axes(contact, system, e, rows):  # type: ignore[no-untyped-def]
+def _add_axes(contact, system, e, rows):
     rows = _add_row(contact, system, e, rows, 1.0, 0.0, 0.0, 0.0)
     rows = _add_row(contact, system, e, rows, 0.0, 1.0, 0.0, 0.0)
     return _add_row(contact, system, e, rows, 0.0, 0.0, 1.0, 0.0)
 
 
 @kernel_njit(inner=True)
-def _add_row(contact, system, e, rows, x, y, z, spring):  # type: ignore[no-untyped-def]
+def _add_row(contact, system, e, rows, x, y, z, spring):
     system.direction[rows, 0], system.direction[rows, 1], system.direction[rows, 2] = x, y, z
     system.entry[rows], system.point[rows], system.spring[rows] = e, contact.point[e], spring
     return rows + 1
 
 
 @kernel_njit(inner=True)
-def _curvatures(kind, sizes, frame, place, nx, ny, nz):  # type: ignore[no-untyped-def]
+def _curvatures(kind, sizes, frame, place, nx, ny, nz):
     """Return a tool's two principal curvatures [1/m] at a point, each with its direction."""
     ax, ay, az = (0.0, -nz, ny) if abs(nx) < 0.6 else (nz, 0.0, -nx)  # across the normal and an axis
     size = np.sqrt(ax * ax + ay * ay + az * az)
@@ -311,7 +311,7 @@ def _curvatures(kind, sizes, frame, place, nx, ny, nz):  # type: ignore[no-untyp
 
 
 @kernel_njit(inner=True)
-def _normal_derivative(kind, sizes, frame, place, x, y, z, distance):  # type: ignore[no-untyped-def]
+def _normal_derivative(kind, sizes, frame, place, x, y, z, distance):
     """Return the derivative of a tool's normal along a direction (3) [1/m]."""
     x, y, z = distance * x, distance * y, distance * z
     _, p, q, r = gap(kind, sizes, frame, place[0] + x, place[1] + y, place[2] + z)

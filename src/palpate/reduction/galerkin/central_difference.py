@@ -19,7 +19,7 @@ from palpate.dynamics.compiled.cache import kernel_njit
 
 
 @kernel_njit(inline="always", fastmath={"contract"})
-def prescribe(a, v, lifting, s, step):  # type: ignore[no-untyped-def]
+def prescribe(a, v, lifting, s, step):
     """Set the prescribed coordinates of step s, and their mean velocities in the step before."""
     first = a.shape[0] - lifting.shape[1]
     for j in range(first, a.shape[0]):
@@ -28,7 +28,7 @@ def prescribe(a, v, lifting, s, step):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inline="always", fastmath={"contract"})
-def trial_coordinates(a, v, beta, wave_speed, prescribed, at):  # type: ignore[no-untyped-def]
+def trial_coordinates(a, v, beta, wave_speed, prescribed, at):
     """Write a + beta v, at which the forces are evaluated.
 
     Prescribed velocities are limited to `wave_speed` (l,) there. Those of a jump would grow as 1 / step.
@@ -43,7 +43,7 @@ def trial_coordinates(a, v, beta, wave_speed, prescribed, at):  # type: ignore[n
 
 
 @kernel_njit(inline="always", fastmath={"contract"})
-def damping_work(at, a, force, previous):  # type: ignore[no-untyped-def]
+def damping_work(at, a, force, previous):
     """Return the energy beta v . (previous - force) that damping dissipates in a step, and copy the force."""
     work = 0.0
     for m in range(a.shape[0]):
@@ -53,7 +53,7 @@ def damping_work(at, a, force, previous):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inline="always", fastmath={"contract"})
-def kick_coordinates(v, rate, loads, lifting, s, step, kick, prescribed, mass, response, alpha, mean):  # type: ignore[no-untyped-def]
+def kick_coordinates(v, rate, loads, lifting, s, step, kick, prescribed, mass, response, alpha, mean):
     """Accelerate the coordinates that obey the equations of motion over a time `kick`; return the loads' work.
 
     `rate` (m + l,) are the generalised forces. Those of prescribed coordinates are what the tools leave to be
@@ -87,7 +87,7 @@ def kick_coordinates(v, rate, loads, lifting, s, step, kick, prescribed, mass, r
 
 
 @kernel_njit(inline="always", fastmath={"contract"})
-def mass_damping_loss(alpha, mass, mean, kick):  # type: ignore[no-untyped-def]
+def mass_damping_loss(alpha, mass, mean, kick):
     """Return the energy [J] that the damping alpha m dissipates at the mean velocities of a time `kick`."""
     lost = 0.0
     if alpha > 0.0:
@@ -98,7 +98,7 @@ def mass_damping_loss(alpha, mass, mean, kick):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inline="always", fastmath={"contract"})
-def prescribed_work(rate, loads, lifting, s, step, kick, scale):  # type: ignore[no-untyped-def]
+def prescribed_work(rate, loads, lifting, s, step, kick, scale):
     """Return the work of loads on prescribed coordinates over a time `kick`, and of their tools over a step.
 
     `scale` turns the entries of `rate` into generalised forces in the units of the loads.
@@ -112,7 +112,7 @@ def prescribed_work(rate, loads, lifting, s, step, kick, scale):  # type: ignore
 
 
 @kernel_njit(inline="always", fastmath={"contract"})
-def drift(a, v, moving, step):  # type: ignore[no-untyped-def]
+def drift(a, v, moving, step):
     """Advance the first coordinates by a step."""
     for m in range(moving):
         a[m] += step * v[m]

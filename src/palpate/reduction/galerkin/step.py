@@ -68,7 +68,7 @@ class GalerkinWork(NamedTuple):
 
 
 @kernel_njit(parallel=True, fastmath={"contract", "reassoc"})
-def _project(test, force, result):  # type: ignore[no-untyped-def]
+def _project(test, force, result):
     """Write the sum over the nodes of test[m] . force for every m, each by one thread, in one order."""
     flat = force.reshape(-1)
     for m in prange(test.shape[0]):
@@ -80,7 +80,7 @@ def _project(test, force, result):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True)
-def _add_surface_forces(sites, body, basis, work):  # type: ignore[no-untyped-def]
+def _add_surface_forces(sites, body, basis, work):
     """Add the surface forces to the projected force, and their power on each coordinate to `work.power`."""
     surface, power, result, vectors, test = work.surface, work.power, work.result, basis.vectors, basis.test
     for nodes in (sites.dead_node, sites.pressure_node):
@@ -114,7 +114,7 @@ def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
     if project is None:
 
         @law_njit(digest)
-        def projected_force(coordinates, body, basis, work):  # type: ignore[no-untyped-def]
+        def projected_force(coordinates, body, basis, work):
             respond(coordinates, basis.table, body.body, work.full.passes)
             finish(body.body, work.full.passes, work.force)
             _project(basis.test, work.force, work.result)
@@ -122,12 +122,12 @@ def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
     else:
 
         @law_njit(digest)
-        def projected_force(coordinates, body, basis, work):  # type: ignore[no-untyped-def]
+        def projected_force(coordinates, body, basis, work):
             respond(coordinates, basis.table, body.body, work.full.passes)
             project(basis.table, body.body, work.full.passes, body.volumes, work.partial, work.result)
 
     @law_njit(digest)
-    def advance(a, velocity, lifting, holds, step, loads, responses, body, basis, work):  # type: ignore[no-untyped-def]
+    def advance(a, velocity, lifting, holds, step, loads, responses, body, basis, work):
         beta, density, result, power = body.stiffness_damping, body.density, work.result, work.power
         sites, schedule = loads
         alpha, kinetic = body.mass_damping, basis.kinetic

@@ -90,7 +90,7 @@ def trust_numbers(measures: Measures, scales: Scales | ReducedData) -> Floats:
 
 
 @register_jitable
-def trust_of_tools(tools, trained_tools):  # type: ignore[no-untyped-def]
+def trust_of_tools(tools, trained_tools):
     """Return the part of the trust number by the number of tools in contact, and that of the held-out runs."""
     return (TRUST_OF_MORE_TOOLS - 1.0 + tools - trained_tools) * (tools > trained_tools)
 
@@ -178,7 +178,7 @@ def approach_speeds(prepared: PreparedLoads, times: Floats, forces: Floats) -> F
 
 
 @register_jitable
-def touch_speed(speed, energy, scale):  # type: ignore[no-untyped-def]
+def touch_speed(speed, energy, scale):
     """Return the touch speed [m/s] of a tool of a speed [m/s], by the energy of the surface compliance and its scale.
 
     The tissue under a tool has inertia, which the static compliance lacks: a force in proportion to the square of the
@@ -277,13 +277,13 @@ def bound_curve(report: Mapping[str, Any]) -> Floats:
 
 
 @register_jitable
-def mean_size(size, typical_size):  # type: ignore[no-untyped-def]
+def mean_size(size, typical_size):
     """Return the mean of the present and the typical size, to which errors are relative."""
     return 0.5 * (size + typical_size)
 
 
 @register_jitable
-def curve_bound(curve, trust, size):  # type: ignore[no-untyped-def]
+def curve_bound(curve, trust, size):
     """Return the error bound [N] by the largest trust number so far and the force [N]; infinite where not known."""
     error, least_trust, exponent, largest_trust, typical_size = curve[0], curve[1], curve[2], curve[3], curve[4]
     if not (error > 0.0 and trust <= largest_trust):

@@ -82,7 +82,7 @@ def explicit_step(law: MaterialPoint, single: bool) -> Any:
     force = sampled_energy(law, single).force
 
     @law_njit(digest, nogil=True, fastmath={"contract"})
-    def explicit(a, v, lifting, holds, step, loads, data, contact):  # type: ignore[no-untyped-def]
+    def explicit(a, v, lifting, holds, step, loads, data, contact):
         """Advance by one step less than there are loads; return three energies [J].
 
         They are the work of the loads, the dissipation, and the work of prescribed tools.

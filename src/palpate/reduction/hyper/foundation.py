@@ -56,7 +56,7 @@ def project_springs(sites: LoadSites, basis_vectors: Floats, mass: Floats) -> Sp
 
 
 @kernel_njit(fastmath={"contract"})
-def add_spring_forces(springs, a, v, forces):  # type: ignore[no-untyped-def]
+def add_spring_forces(springs, a, v, forces):
     """Add the forces of the springs at coordinates a and velocities v to `forces`."""
     if springs.stiffness.shape[0] == 0:
         return

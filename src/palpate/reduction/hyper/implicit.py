@@ -71,7 +71,7 @@ def newton_scratch(coordinates: int) -> NewtonScratch:
 
 
 @kernel_njit(fastmath={"contract"})
-def cholesky_factor(matrix, count):  # type: ignore[no-untyped-def]
+def cholesky_factor(matrix, count):
     """Factorise the symmetric part of the leading block in place; return True if it is positive definite."""
     for j in range(count):
         for i in range(j, count):
@@ -93,7 +93,7 @@ def cholesky_factor(matrix, count):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(fastmath={"contract"})
-def cholesky_solve(factor, count, vector):  # type: ignore[no-untyped-def]
+def cholesky_solve(factor, count, vector):
     """Solve in place with a Cholesky factor."""
     for i in range(count):
         value = vector[i]
@@ -128,7 +128,7 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
     force = sampled_energy(law, single).force
 
     @law_njit(digest, nogil=True, fastmath={"contract"})
-    def tangent(a, sizes, given_points, given_scratch, vectors, count, matrix):  # type: ignore[no-untyped-def]
+    def tangent(a, sizes, given_points, given_scratch, vectors, count, matrix):
         """Write -df/da of the first `count` coordinates, by central differences of `sizes` [unit of a]."""
         integration_points, scratch = reference(given_points), reference(given_scratch)
         probe, ahead, behind = vectors[PROBE], vectors[AHEAD], vectors[BEHIND]
@@ -142,7 +142,7 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
                 matrix[k, m] = (behind[k] - ahead[k]) / (2.0 * sizes[m])
 
     @law_njit(digest, inner=True)
-    def add_springs(step, springs, matrix, moving):  # type: ignore[no-untyped-def]
+    def add_springs(step, springs, matrix, moving):
         """Add the springs to the matrix of the system for the mean velocities."""
         if springs.stiffness.shape[0] > 0:
             for i in range(moving):
@@ -150,7 +150,7 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
                     matrix[i, k] += 0.5 * step * springs.stiffness[i, k] + springs.damping[i, k]
 
     @law_njit(digest, inner=True)
-    def mean_loads(a, w, step, external, springs, at, load):  # type: ignore[no-untyped-def]
+    def mean_loads(a, w, step, external, springs, at, load):
         """Write the mean external and spring forces of a step with the mean velocities w."""
         for j in range(a.shape[0]):
             at[j] = a[j] + 0.5 * step * w[j]
@@ -158,7 +158,7 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         add_spring_forces(springs, at, w, load)
 
     @law_njit(digest, inner=True, fastmath={"contract"})
-    def refactor(a, step, data, moving):  # type: ignore[no-untyped-def]
+    def refactor(a, step, data, moving):
         """Update the tangent and factorise (2 / dt + alpha) m + (dt / 2 + beta) K.
 
         The factor is that of the mass part where the matrix is indefinite.
@@ -182,7 +182,7 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         newton.factored[FACTOR_STEP], newton.factored[FACTOR_SIZE] = step, moving
 
     @law_njit(digest, inner=True, fastmath={"contract"})
-    def mean_force(a, w, step, beta, data, at, other, result):  # type: ignore[no-untyped-def]
+    def mean_force(a, w, step, beta, data, at, other, result):
         """Write the mean internal force over a step with the mean velocities w."""
         for j in range(a.shape[0]):
             at[j] = a[j] + (GAUSS_POINTS[0] * step + beta) * w[j]
@@ -194,7 +194,7 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             result[j] = 0.5 * (result[j] + other[j])
 
     @law_njit(digest, inner=True, fastmath={"contract"})
-    def solve(a, v, step, external, data, moving):  # type: ignore[no-untyped-def]
+    def solve(a, v, step, external, data, moving):
         """Solve for the first `moving` mean velocities w of one step; the others and their rates are prescribed.
 
         A rate is that of a velocity, plus alpha times its mean.
@@ -231,7 +231,7 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         return False
 
     @law_njit(digest, nogil=True, fastmath={"contract"})
-    def implicit(a, v, lifting, holds, step, loads, given):  # type: ignore[no-untyped-def]
+    def implicit(a, v, lifting, holds, step, loads, given):
         """Advance by the number of loads; return the work [J] of loads, the dissipation, the work of tools, and steps.
 
         The number of steps is less than that of the loads if a step did not converge.

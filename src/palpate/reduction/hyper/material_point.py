@@ -102,7 +102,7 @@ def _with_volume_measure(law: MaterialPoint, volumetric: str) -> MaterialPoint:
     measure_below_limit = inline(digest, measure_of)
 
     @law_njit(digest, cached=False)
-    def measure(x):  # type: ignore[no-untyped-def]
+    def measure(x):
         value, slope = measure_below_limit(max(x, MIN_VOLUME_RATIO - 1.0))
         return value + slope * min(x - (MIN_VOLUME_RATIO - 1.0), 0.0), slope
 
@@ -117,7 +117,7 @@ def _solid_point(energy_of: Any, first_of: Any, second_of: Any) -> MaterialPoint
         inline(digest, f) for f in (energy_of, first_of, second_of)
     )
 
-    def extended(I1, I2, J, coefficients):  # type: ignore[no-untyped-def]
+    def extended(I1, I2, J, coefficients):
         """Return the law's first derivatives, continued below MIN_VOLUME_RATIO."""
         W1, W2, WJ = first_derivatives(I1, I2, max(J, MIN_VOLUME_RATIO), coefficients)
         if J < MIN_VOLUME_RATIO:
@@ -128,7 +128,7 @@ def _solid_point(energy_of: Any, first_of: Any, second_of: Any) -> MaterialPoint
         return W1 + 0.0, W2 + 0.0, WJ + 0.0
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def density(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
+    def density(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):
         F00, F01, F02, F10, F11, F12, F20, F21, F22 = 1.0 + d0, d1, d2, d3, 1.0 + d4, d5, d6, d7, 1.0 + d8
         J = F00 * (F11 * F22 - F12 * F21) + F01 * (F12 * F20 - F10 * F22) + F02 * (F10 * F21 - F11 * F20)
         C00, C11 = F00 * F00 + F10 * F10 + F20 * F20, F01 * F01 + F11 * F11 + F21 * F21
@@ -160,7 +160,7 @@ def _sheet_point(law: type[Material], relaxed: bool) -> MaterialPoint:
     moduli = make_moduli(digest, law.energy, law.first, law.second, relaxed, law.variables)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
+    def stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):
         F00, F01, F10, F11, F20, F21 = coefficients[0] + d0, d1, d3, coefficients[0] + d4, d6, d7
         C00, C11 = F00 * F00 + F10 * F10 + F20 * F20, F01 * F01 + F11 * F11 + F21 * F21
         C01 = F00 * F01 + F10 * F11 + F20 * F21
@@ -174,7 +174,7 @@ def _sheet_point(law: type[Material], relaxed: bool) -> MaterialPoint:
         return P, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def density(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
+    def density(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):
         F00, F01, F10, F11, F20, F21 = coefficients[0] + d0, d1, d3, coefficients[0] + d4, d6, d7
         C00, C11 = F00 * F00 + F10 * F10 + F20 * F20, F01 * F01 + F11 * F11 + F21 * F21
         W, _, _ = moduli(C00, C11, F00 * F01 + F10 * F11 + F20 * F21, coefficients[1:])

@@ -130,7 +130,7 @@ def scratch(points: IntegrationPoints, saved_history: HistoryVariables | None = 
 
 
 @kernel_njit(inner=True, fastmath={"contract", "reassoc"})
-def _moments(pressure, dilatation, moments):  # type: ignore[no-untyped-def]
+def _moments(pressure, dilatation, moments):
     for k in range(pressure.shape[1]):
         total = 0.0
         for b in range(pressure.shape[0]):
@@ -140,7 +140,7 @@ def _moments(pressure, dilatation, moments):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True, fastmath={"contract", "reassoc"})
-def _add_pressure(integration_points, moments, scratch, curved):  # type: ignore[no-untyped-def]
+def _add_pressure(integration_points, moments, scratch, curved):
     """Multiply the stresses by their weights and add the pressure times its volume."""
     weights, pressure, stress = integration_points.weights, integration_points.pressure, scratch.stress
     cofactor, dilatation, slope = scratch.cofactor, scratch.dilatation, scratch.slope
@@ -158,7 +158,7 @@ def _add_pressure(integration_points, moments, scratch, curved):  # type: ignore
 
 
 @kernel_njit(inner=True, fastmath={"contract", "reassoc"})
-def collect_forces(partial, constant, columns, force):  # type: ignore[no-untyped-def]
+def collect_forces(partial, constant, columns, force):
     """Write forces (w,) by their work in lanes (w, LANES) and a constant stiffness (w, m) of coordinates (m,)."""
     for m in range(partial.shape[0]):
         total = 0.0
@@ -215,7 +215,7 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
     )
 
     @law_njit(digest)
-    def measure(scratch):  # type: ignore[no-untyped-def]
+    def measure(scratch):
         """Replace J - 1 at the points by g, and write g'."""
         if curved:
             for b in range(scratch.dilatation.shape[0]):
@@ -223,7 +223,7 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
                     scratch.dilatation[b, v], scratch.slope[b, v] = measure_of(scratch.dilatation[b, v])
 
     @law_njit(digest)
-    def relax(integration_points, scratch):  # type: ignore[no-untyped-def]
+    def relax(integration_points, scratch):
         """Add the overstresses to the stresses, and update the branches of the moments."""
         overstress_alone(integration_points.relaxation, scratch.history, scratch.cofactor)
         for b in range(scratch.stress.shape[0]):
@@ -234,7 +234,7 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
         relax_volume(integration_points.relaxation, scratch.history, scratch.moments)
 
     @law_njit(digest, inner=True, fastmath={"contract"})
-    def stress_block(integration_points, scratch, b):  # type: ignore[no-untyped-def]
+    def stress_block(integration_points, scratch, b):
         """Replace the displacement gradients of a block by stresses; write cofactors and volumetric measures."""
         P, c = scratch.stress[b], scratch.cofactor[b]
         for v in range(LANES):
@@ -255,7 +255,7 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
             scratch.dilatation[b, v] = volume
 
     @law_njit(digest, inner=True)
-    def add_volume_stress(integration_points, scratch):  # type: ignore[no-untyped-def]
+    def add_volume_stress(integration_points, scratch):
         """Compute the moments, and add overstress and pressure to the stresses."""
         measure(scratch)
         _moments(integration_points.pressure, scratch.dilatation, scratch.moments)
@@ -267,7 +267,7 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
         scratch.partial[:] = 0.0
 
     @law_njit(digest, fastmath={"contract"})
-    def force(columns, given_points, given_scratch, result):  # type: ignore[no-untyped-def]
+    def force(columns, given_points, given_scratch, result):
         integration_points, scratch = reference(given_points), reference(given_scratch)
         for b in range(integration_points.table.shape[0]):
             sums(integration_points.table[b].ctypes.data, columns.ctypes.data, scratch.stress[b].ctypes.data,
@@ -280,7 +280,7 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
         collect_forces(scratch.partial, integration_points.constant, columns, result)
 
     @law_njit(digest, inner=True)
-    def density_block(integration_points, scratch, b):  # type: ignore[no-untyped-def]
+    def density_block(integration_points, scratch, b):
         """Return the energy [J] of the points of a block by their displacement gradients; write volumetric measures."""
         total, d = 0.0, scratch.stress[b]
         for v in range(LANES):
@@ -296,7 +296,7 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
         return total
 
     @law_njit(digest, inner=True, fastmath={"contract", "reassoc"})
-    def volume_energy(columns, integration_points, scratch):  # type: ignore[no-untyped-def]
+    def volume_energy(columns, integration_points, scratch):
         """Return the energy [J] of moments and hourglass residual, and of the branches after a force."""
         total = 0.0
         for k in range(scratch.moments.shape[0]):
@@ -316,7 +316,7 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
         return total
 
     @law_njit(digest)
-    def energy(columns, given_points, given_scratch):  # type: ignore[no-untyped-def]
+    def energy(columns, given_points, given_scratch):
         integration_points, scratch = reference(given_points), reference(given_scratch)
         total = 0.0
         for b in range(integration_points.table.shape[0]):
@@ -330,7 +330,7 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
         return total + volume_energy(columns, integration_points, scratch)
 
     @law_njit(digest, fastmath={"contract"})
-    def probe(rows, column, change, integration_points, scratches, results):  # type: ignore[no-untyped-def]
+    def probe(rows, column, change, integration_points, scratches, results):
         here, along, aside = scratches.here, scratches.along, scratches.aside
         total, table, count = 0.0, integration_points.table, rows.shape[1]
         for b in range(table.shape[0]):  # its part of the table stays in the fastest memory

@@ -246,7 +246,7 @@ class LinearModel(CoordinateModel):
 
 
 @kernel_njit(allocates=True, fastmath={"contract", "reassoc"})
-def propagate(x, E, G0, G1, impulse, f, kicks, history):  # type: ignore[no-untyped-def]
+def propagate(x, E, G0, G1, impulse, f, kicks, history):
     """Advance x (N,) in place by t - 1 steps with inputs f (t, p), and write the states (t, N).
 
     Impulses `kicks` (t, l) act half before and half after the states that are written.

@@ -176,7 +176,7 @@ def linear_range(model: LinearModel) -> Floats:
 
 
 @kernel_njit(inner=True)
-def _exponential(data, period):  # type: ignore[no-untyped-def]
+def _exponential(data, period):
     """Compute exp(A T) in place by scaling and squaring of its series."""
     n, scaled = data.matrix.shape[0], data.scratch[0]
     norm = 0.0
@@ -210,7 +210,7 @@ def _exponential(data, period):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inner=True, fastmath={"contract"})
-def _multiply(a, b, result):  # type: ignore[no-untyped-def]
+def _multiply(a, b, result):
     n = a.shape[0]
     for i in range(n):
         for j in range(n):
@@ -222,7 +222,7 @@ def _multiply(a, b, result):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(fastmath={"contract", "reassoc"})
-def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
+def advance(data, q, v, target, period, report):
     """Advance coordinates and velocities (m,) by a period [s], with constant velocity of the tool to `target` (l,)."""
     count, m, n = data.modes, q.shape[0], data.matrix.shape[0]
     before, x, new = data.vectors[0], data.vectors[1], data.vectors[2]
@@ -282,7 +282,7 @@ def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def stiffness(data, q, out):  # type: ignore[no-untyped-def]
+def stiffness(data, q, out):
     """Write the derivatives (l, l) of the tool's static forces with respect to its coordinates."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):

@@ -10,7 +10,7 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.blade_sites import BladeSites
-from palpate.dynamics.contact.geometry import rotation
+from palpate.dynamics.contact.geometry import contact_work, rotation
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.loads.supports import FREE
@@ -84,13 +84,9 @@ def with_turned_pairs(body: Any, u: Floats, prepared: PreparedLoads) -> Prepared
 
 def with_pairs(body: Any, prepared: PreparedLoads) -> PreparedLoads:
     """Return the loads of a cut body, whose faces touch each other."""
-    count = len(body.cloud)
-    u = np.zeros((count, 3))
-    contacts = prepared.contacts._replace(
-        sites=face_pairs(body.cut_state, u), inverse_mass=np.zeros(count),
-        step_impulses=np.zeros((count, 3)), nodal_impulses=np.zeros((count, 3)),
-    )  # fmt: skip
-    return replace(prepared, contacts=contacts)
+    count, contacts = len(body.cloud), prepared.contacts
+    sites, work = face_pairs(body.cut_state, np.zeros((count, 3))), contact_work(contacts.candidates, count)
+    return replace(prepared, contacts=contacts._replace(sites=sites, work=work))
 
 
 def advance_blade(

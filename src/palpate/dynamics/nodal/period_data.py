@@ -1,0 +1,118 @@
+"""Records of the compiled period of a full body: its constants, its tools, and the state that a period changes."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from palpate.arrays import Floats, Ints
+from palpate.dynamics.contact.geometry import Contacts
+from palpate.dynamics.contact.grip import Grip
+from palpate.dynamics.loads.prepared import LoadSites
+from palpate.dynamics.material.relaxation import HistoryCopy
+from palpate.dynamics.nodal.central_difference import Damping, NodalData, StepScratch
+from palpate.dynamics.nodal.mass_tailoring import MassTailoring
+
+# entries of `NodalPeriodData.clock`
+BEHIND, STEP, FREQUENCY, UNTIL_ESTIMATE, WORK, LOST, KINETIC_ENERGY, GIVEN, NEXT_BEHIND = range(9)
+REPEATED, GAINED, HELD, ESTIMATE, RESTED, NEAR_MARGIN, BASE_FREQUENCY = range(9, 16)
+CLOCK_SIZE = 16
+# columns of `NodalPeriodData.sums`
+WORK_SUM, LOST_SUM, KINETIC_SUM, DRIFT_SQUARE, KICK_SQUARE = range(5)
+BLOCK_NODES = 256  # nodes of a sum
+NO_BLADE = -1
+
+
+class ContactReport(NamedTuple):
+    """Forces on the patches in contact, as means over the last period."""
+
+    node: Ints  # (k,) array: nodes of the patches; one can be there several times
+    tool: Ints  # (k,) array: tools that touch them
+    push: Floats  # (k, 3) array [N]
+    numbers: Ints  # (3,) array: the first is the number of patches in contact
+
+
+class SteppedBody(NamedTuple):
+    """Constants of a body of n nodes, which a cut replaces."""
+
+    passes: Any  # tuple: body and work arrays of the steps
+    taut_passes: Any  # tuple: the same with fibres that carry compression, for the frequency
+    nodes: NodalData
+    damping: Damping
+    sites: LoadSites  # of supports and foundations
+    tailoring: MassTailoring
+    resting_frequency: float  # [rad/s]: highest frequency at rest, with the tailored mass and foundations
+    triangles: Ints  # (s, 3) array: of the surface
+
+
+class MovingTools(NamedTuple):
+    """The t tools: contact, forceps, ways in a period, and their last forces."""
+
+    contacts: Contacts
+    grip: Grip  # nodes that forceps hold
+    blade: int  # number of the tool that is a blade, or NO_BLADE
+    path: Floats  # (t, 6, 3, 4) array: frames, see `palpate.dynamics.nodal.tool_path`
+    late: Ints  # (t,) array: 1 for tools that do not reach their target in the present period
+    # (t,) array [m]: distance that nodes and a tool may move before the surface can be so deep in it that it is slowed
+    clear_way: Floats
+    listed: Floats  # (n, 3) array [m]: displacements for which the candidates near the tools were listed last
+    force: Floats  # (12 t,) array: forces on the tools' coordinates in the last period with a step
+    # (3 t + 3, 3 t) array: contact stiffness [N/m], positions and forces of the tools at its last update, and scratch
+    secant: Floats
+
+
+class WayLimits(NamedTuple):
+    """Largest ways [m] in a step of a node, a tool and a blade; of the blade from its last cut; depth of the surface.
+
+    A tool is held where the surface is deeper in it.
+    """
+
+    node: float
+    tool: float
+    blade: float
+    cut: float
+    surface_depth: float
+
+
+class PowerIteration(NamedTuple):
+    """State of the power iteration for the highest frequency."""
+
+    vector: Floats  # (n, 3) array: last image
+    noise: Floats  # (n, 3) array
+    amplitude: float  # [m]: displacement of the difference quotient
+
+
+class PeriodCopy(NamedTuple):
+    """State at the start of a period, from which it is repeated."""
+
+    fields: Floats  # (3, n, 3) array: displacements, velocities and the last internal forces
+    works: Floats  # (2,) array [J]: work and dissipation
+    history: HistoryCopy
+
+
+class NodalPeriodData(NamedTuple):
+    """Constants and state of the compiled period of a full body.
+
+    Parameters
+    ----------
+    clock : (16,) array
+        Time [s] by which the body is behind, step [s], highest frequency [rad/s], periods until its next
+        estimate, work and dissipation since rest, kinetic energy, energy of a state that was given [J], the
+        time by which the body will be behind, number of periods that were repeated with shorter steps, gains
+        of energy that shorter steps did not cure [J], number of periods in which the tool was held, the last
+        estimate of the frequency [rad/s], 1 if the last period left the body at rest, the margin [m] of the
+        list of candidates near the tools, negative without a list, and the highest frequency at rest that the
+        present one is based on [rad/s].
+    sums : (b, 5) array
+        Of every block of nodes: work and dissipation of a kick, kinetic energy [J], and the largest squared
+        velocities [m^2/s^2] of a drift and of a kick.
+    """
+
+    body: SteppedBody
+    tools: MovingTools
+    limits: WayLimits
+    iteration: PowerIteration
+    start: PeriodCopy
+    scratch: StepScratch
+    sums: Floats
+    clock: Floats
+    contact_work: ContactReport
