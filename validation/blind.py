@@ -29,7 +29,7 @@ import palpate as pt
 from palpate.app.common.arguments import parse_settings
 from palpate.app.train.folder import jobs
 from palpate.reduction.hyper.error_indicator import force_sizes, rms_sizes
-from palpate.scenes.training import training_scene
+from palpate.scenes.training import open_training
 
 LARGE_ERROR, LEAST_SHARE = 0.3, 0.2  # relative; of the typical size
 SETTINGS = ["spacing=0.012", "radius=0.026"]
@@ -76,7 +76,7 @@ def organ_runs(folder: Path, cases: int) -> Iterator[Outcome]:
         numbers = ["--paths", str(PATHS), "--held-out", str(HELD_OUT), "--modes", str(MODES)]
         command = [sys.executable, "-m", "palpate", "train", "liver", "--set", *SETTINGS, *numbers, "--out", campaign]
         subprocess.run(command, check=True)
-    scene, model = training_scene("liver", parse_settings(SETTINGS)), pt.load(campaign / "model.rom")
+    scene, model = open_training("liver", parse_settings(SETTINGS)), pt.load(campaign / "model.rom")
     paths, random = scene.path, np.random.default_rng(0)
     surface, ball = paths.surface, pt.tools.Sphere(paths.radius)
     distances = cKDTree(surface.fixed_points).query(surface.points)[0]

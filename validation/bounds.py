@@ -35,7 +35,7 @@ from palpate.reduction.training.calibrate_indicator import (
     repeat_run,
     trust_numbers,
 )
-from palpate.scenes.training import training_scene
+from palpate.scenes.training import open_training
 
 TRAINED = 8
 DURATION, EVERY = 0.1, 0.005
@@ -142,7 +142,7 @@ def frames_of_organ(organ: Organ, folder: Path) -> list[Frames]:
     if not (campaign / "model.rom").is_file():
         numbers = ["--paths", PATHS, "--held-out", HELD_OUT, "--modes", organ.modes]
         palpate("train", scene, "--set", *settings, *numbers, "--out", campaign)
-    made, model, frames = training_scene(scene, parse_settings(settings)), pt.load(campaign / "model.rom"), []
+    made, model, frames = open_training(scene, parse_settings(settings)), pt.load(campaign / "model.rom"), []
     for job in jobs(0, (), HELD_OUT):
         if (campaign / "runs" / f"{job.name}.h5").is_file():
             full = pt.Trajectory.load(campaign / "runs" / f"{job.name}.h5")

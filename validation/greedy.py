@@ -22,7 +22,7 @@ from palpate.app.train.campaign import Campaign
 from palpate.app.train.choose import FIRST_RUNS
 from palpate.app.train.folder import manifest_of, open_campaign
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.scenes.training import training_scene
+from palpate.scenes.training import open_training
 
 NAMES = ("displacement", "velocity", "reaction")
 CONTACT_NAMES = ("force", "force_95", "surface_95")
@@ -49,7 +49,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, help="folder of the campaign; by default a temporary one")
     args = parser.parse_args()
-    scene = training_scene(args.scene, dict(pair.split("=", 1) for pair in args.given))
+    scene = open_training(args.scene, dict(pair.split("=", 1) for pair in args.given))
     with TemporaryDirectory() as temporary:
         folder = args.out or Path(temporary)
         with open_campaign(folder, manifest_of(args.scene, scene, args.seed)) as own:

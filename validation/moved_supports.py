@@ -16,7 +16,7 @@ import numpy as np
 
 import palpate as pt
 from palpate.reduction.contact.support_sensitivity import moved_borders, select_presses, support_sensitivity
-from palpate.scenes.training import training_scene
+from palpate.scenes.training import open_training
 
 PRESSED = 0.3  # of the largest force: frames that count
 
@@ -26,7 +26,7 @@ def main() -> None:
     parser.add_argument("--set", nargs="+", default=[], dest="given", metavar="NAME=X")
     parser.add_argument("--paths", type=int, default=11)
     args = parser.parse_args()
-    scene = training_scene("liver", dict(pair.split("=") for pair in args.given))
+    scene = open_training("liver", dict(pair.split("=") for pair in args.given))
     body, found = scene.model, []
     cloud = body.cloud
     outer, inner, distance = moved_borders(cloud, body.supports)

@@ -29,7 +29,7 @@ import palpate as pt
 from palpate.app.train.folder import jobs
 from palpate.app.train.scene_folder import training_folder
 from palpate.reduction.training.errors import contact_errors
-from palpate.scenes.open_scene import training_scene_of
+from palpate.scenes.training import training_of
 
 PATHS, HELD_OUT = 32, 10
 PRESS_SECONDS, DEPTH = 1.0, 0.2  # [s] of the script; depth of its press over the radius of the ball
@@ -84,7 +84,7 @@ def scene_file(name: str, folder: Path) -> Path:
 def held_out_errors(file: Path) -> list[dict[str, float]]:
     """Return the largest force [N] of each held-out path, and the errors of its force."""
     opened = pt.open_scene(file)
-    scene, folder = training_scene_of(opened, {}), training_folder(opened)
+    scene, folder = training_of(opened, {}), training_folder(opened)
     model, found = pt.load(folder / "model.rom"), []
     for job in jobs(opened.description.training.seed, (), HELD_OUT):
         full = pt.Trajectory.load(folder / "runs" / f"{job.name}.h5")

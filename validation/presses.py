@@ -28,7 +28,7 @@ from palpate.app.train.folder import HELD_OUT, jobs
 from palpate.reduction.basis.linear_modes import interpolated_modes
 from palpate.reduction.contact.coarse_body import coarse_body
 from palpate.reduction.contact.residual_flexibility import MAX_NODES
-from palpate.scenes.training import training_scene
+from palpate.scenes.training import open_training
 
 MOST = 1000  # runs of either kind that are looked for
 MEANS = ("force", "force_95", "surface_95", "farthest_95")
@@ -70,7 +70,7 @@ def main() -> None:
     parser.add_argument("--cubature", type=float)
     args = parser.parse_args()
     manifest = json.loads((args.folder / "campaign.json").read_text())
-    scene = training_scene(manifest["scene"], manifest["parameters"])
+    scene = open_training(manifest["scene"], manifest["parameters"])
     found = [(job, args.folder / "runs" / f"{job.name}.h5") for job in jobs(manifest["seed"], range(MOST), MOST)]
     found = [(job, path) for job, path in found if path.exists()]
     model = pt.load(args.folder / "model.rom")

@@ -30,9 +30,9 @@ import palpate as pt
 from palpate.reduction.hyper.error_indicator import Scales, curve_errors, mean_size, trust_numbers
 from palpate.reduction.training.calibrate_indicator import Frames, calibrate_scales, error_curves, repeat_run
 from palpate.reduction.training.errors import contact_errors
-from palpate.scenes.scene import TRAINING_SEEDS
+from palpate.scenes.load_case import TRAINING_SEEDS
 from palpate.scenes.tool_paths import ToolPaths
-from palpate.scenes.training import training_scene
+from palpate.scenes.training import open_training
 
 COMMAND = "python validation/two_tools.py"  # also of results that are made one by one
 TRAINED, FURTHER, CALIBRATED, MODES = 16, 32, 20, 32
@@ -71,7 +71,7 @@ def scene_of(name: str, folder: Path) -> Any:
         part = ["--part", organ.part] if organ.part else []
         words = ["new", DATA / organ.file, *part, "--spacing", organ.spacing, "--out", file]
         subprocess.run([sys.executable, "-m", "palpate", *map(str, words)], check=True)
-    return training_scene(str(file), {})
+    return open_training(str(file), {})
 
 
 def trials(scene: Any, folder: Path, kind: str, count: int) -> list[Trial]:

@@ -77,7 +77,7 @@ _HOME = {
     "InputError": "faults",
     "TrustWarning": "faults",
     "Statistics": "realtime.statistics",
-    "TrainingScene": "scenes.scene",
+    "TrainingScene": "scenes.load_case",
     "open_scene": "scenes.open_scene",
 }
 _MODULES = ("io", "lti", "materials", "tools", "typing")

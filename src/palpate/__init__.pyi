@@ -52,9 +52,9 @@ from palpate.reduction.training.errors import Errors as Errors
 from palpate.reduction.training.errors import relative_errors as relative_errors
 from palpate.reduction.training.reduce import hyper_reduce as hyper_reduce
 from palpate.reduction.training.select_step import select_time_step as select_time_step
+from palpate.scenes.load_case import TrainingScene as TrainingScene
 from palpate.scenes.open_scene import open_scene as open_scene
 from palpate.scenes.organ import liver_surface as liver_surface
-from palpate.scenes.scene import TrainingScene as TrainingScene
 from palpate.surface.surface import Surface as Surface
 
 __all__: list[str]

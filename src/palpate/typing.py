@@ -20,7 +20,9 @@ from palpate.realtime.statistics import Distribution
 from palpate.reduction.hyper.body import ReducedBody
 from palpate.reduction.hyper.error_indicator import ExpectedError
 from palpate.reduction.lti.realtime import LinearRealtime
-from palpate.scenes.organ_scene import OrganScene
+from palpate.scenes.scene import Scene
+
+OrganScene = Scene  # the name of `Scene` before version 0.2
 
 __all__ = [
     "CutSurface",
@@ -35,12 +37,12 @@ __all__ = [
     "Model",
     "Motion",
     "NodalModel",
-    "OrganScene",
     "Outputs",
     "PreparedLoads",
     "Reading",
     "RealtimeModel",
     "ReducedBody",
+    "Scene",
     "StabilityReport",
     "StepReport",
     "Support",

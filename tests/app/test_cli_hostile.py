@@ -35,8 +35,8 @@ def idle(monkeypatch, tmp_path):
         raise Reached("nothing is computed here")
 
     for place in (
-        "palpate.scenes.beam.Solid", "palpate.scenes.scene_body.Solid", "palpate.scenes.scene_body.Membrane",
-        "palpate.scenes.membrane.Membrane", "palpate.scenes.scene_body.fill",
+        "palpate.scenes.beam.Solid", "palpate.scenes.body.Solid", "palpate.scenes.body.Membrane",
+        "palpate.scenes.membrane.Membrane", "palpate.scenes.body.fill",
         "palpate.app.fit.command.fit",
         "palpate.app.run.realtime.running_session", "palpate.app.train.command.open_campaign",
         "palpate.app.view.command._show",

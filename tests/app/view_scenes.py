@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import palpate as pt
-from palpate.scenes.scene import TrainingScene
+from palpate.scenes.load_case import TrainingScene
 
 SIZE, SPACING, BALL, DEPTH = (0.048, 0.048, 0.024), 0.006, 0.015, 0.004
 MIDDLE = np.array([0.024, 0.024, SIZE[2]])

@@ -12,7 +12,7 @@ COARSE = 0.02 / 3
 
 
 @pytest.fixture(scope="module")
-def scene():
+def case():
     return beam(spacing=COARSE, load=2.0)
 
 
@@ -27,19 +27,19 @@ def test_the_pull_is_zero_outside_the_run():
     assert pull(1.1) == 0.0
 
 
-def test_the_body_has_the_size_mass_and_stiffness_printed(scene):
-    np.testing.assert_allclose(np.ptp(scene.model.cloud.points, axis=0), (0.2, 0.02, 0.02))
-    assert scene.model.masses.sum() == pytest.approx(1120 * 0.2 * 0.02**2)
-    assert scene.model.material.shear_modulus == pytest.approx(61.2e3)
-    assert scene.model.fixed == ("x-",)
-    assert (scene.duration, scene.every) == (1.0, 0.01)
+def test_the_body_has_the_size_mass_and_stiffness_printed(case):
+    np.testing.assert_allclose(np.ptp(case.model.cloud.points, axis=0), (0.2, 0.02, 0.02))
+    assert case.model.masses.sum() == pytest.approx(1120 * 0.2 * 0.02**2)
+    assert case.model.material.shear_modulus == pytest.approx(61.2e3)
+    assert case.model.fixed == ("x-",)
+    assert (case.duration, case.every) == (1.0, 0.01)
 
 
-def test_the_load_pulls_on_the_free_end_along_the_axis(scene):
-    prepared = scene.model.prepare(scene.loads)
+def test_the_load_pulls_on_the_free_end_along_the_axis(case):
+    prepared = case.model.prepare(case.loads)
     half = prepared.schedule(np.array([0.25])).amplitudes[0, 0]
     np.testing.assert_allclose(half, (1.0, 0.0, 0.0))
-    assert scene.loads[0].group == "x+"
+    assert case.loads[0].group == "x+"
 
 
 @pytest.mark.parametrize(

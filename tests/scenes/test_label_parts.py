@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from palpate.scenes.surface_scene import surface_scene
+from palpate.scenes.open_surface import open_surface
 from palpate.surface.labels.writers import write_labels
 
 EDGE = 0.003  # [m] of the voxels
@@ -24,7 +24,7 @@ def trunk(tmp_path_factory):
 
 
 def test_an_organ_that_is_opened_has_no_hole_where_a_tumour_lies(trunk):
-    scene = surface_scene(trunk, part=["liver"], spacing=0.009)
+    scene = open_surface(trunk, part=["liver"], spacing=0.009)
     assert scene.description.surface.parts == ("liver", "tumour", "small_tumour")
     assert scene.surface.volume == pytest.approx(24 * 24 * 18 * EDGE**3, rel=0.005)
     (region,) = scene.description.region
@@ -34,7 +34,7 @@ def test_an_organ_that_is_opened_has_no_hole_where_a_tumour_lies(trunk):
 
 
 def test_an_organ_with_nothing_inside_is_opened_as_it_is(trunk):
-    scene = surface_scene(trunk, part=["spleen"], spacing=0.009)
+    scene = open_surface(trunk, part=["spleen"], spacing=0.009)
     assert scene.description.surface.parts == ("spleen",)
     assert scene.description.region == ()
     assert scene.notes == []

@@ -10,9 +10,9 @@ import pytest
 
 import palpate as pt
 from palpate.app.cli import main
-from palpate.scenes.open_scene import described_scene, text_of_scene
+from palpate.scenes.open_scene import json_of_scene, open_description
+from palpate.scenes.open_surface import complete_for_training, open_surface
 from palpate.scenes.places import side_mask
-from palpate.scenes.surface_scene import named_scene
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "surface" / "labels"))
 from label_files import caret, nifti
@@ -87,15 +87,19 @@ def test_sides_of_a_patient_follow_the_frame_and_require_one():
 
 
 def test_a_label_map_is_a_scene_by_itself_with_a_spacing_for_training(folder):
-    scene = named_scene(str(folder / "trunk.nii"), {"poisson": 0.4}, ["liver", "tumour"])
+    opened = open_surface(str(folder / "trunk.nii"), part=("liver", "tumour"), settings={"poisson": 0.4})
+    scene = complete_for_training(opened)
     assert scene.description.tissue.poisson == 0.4
     assert 1.45 * scene.surface.volume / scene.description.body.spacing**3 == pytest.approx(4500, rel=0.02)
-    again = described_scene(scene.name, text_of_scene(scene))  # as workers of a campaign open it
+    again = open_description(scene.name, json_of_scene(scene))  # as workers of a campaign open it
     assert again.digest == scene.digest
     assert again.surface.volume == scene.surface.volume
-    for options in ({"part": ["liver"]}, {"labels": folder / "names.json"}):
-        with pytest.raises(pt.InputError, match="must be left out unless a surface file is given, got 'beam'"):
-            named_scene("beam", **options)
+
+
+@pytest.mark.parametrize("option", ["part", "labels"])
+def test_a_training_of_a_scene_refuses_options_of_a_surface_file(option, folder, capsys):
+    assert main(["train", "beam", f"--{option}", str(folder / "trunk.nii")]) == 2
+    assert f"{option} must be left out unless a surface file is given, got 'beam'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["check", "new -o new.toml", "train", "run", "export --c out"])

@@ -9,7 +9,7 @@ import palpate as pt
 from palpate.meshfree.cloud import BORDER_MARGIN
 from palpate.reduction.basis.linear_modes import interpolated_modes
 from palpate.scenes.open_scene import open_scene
-from palpate.scenes.training import training_scene
+from palpate.scenes.training import open_training
 
 pytestmark = pytest.mark.slow
 
@@ -18,7 +18,7 @@ COARSE = {"spacing": 0.012, "tool.radius": 0.03, "depth": 0.02}
 
 @pytest.fixture(scope="module")
 def scene():
-    return training_scene("liver", COARSE)
+    return open_training("liver", COARSE)
 
 
 def ball(scene, seed):
@@ -75,6 +75,6 @@ def test_modes_are_zero_at_the_back_and_nearly_orthogonal(scene):
 
 def test_bad_parameters_are_refused_by_name():
     with pytest.raises(pt.InputError, match="radius"):
-        training_scene("liver", {"spacing": 0.012, "tool.radius": 0.02})
+        open_training("liver", {"spacing": 0.012, "tool.radius": 0.02})
     with pytest.raises(pt.InputError, match="poisson"):
-        training_scene("liver", {"poisson": 0.5})
+        open_training("liver", {"poisson": 0.5})

@@ -12,7 +12,7 @@ COARSE = 0.02
 
 
 @pytest.fixture(scope="module")
-def scene():
+def case():
     return membrane(spacing=COARSE)
 
 
@@ -35,19 +35,19 @@ def test_the_tool_tip_does_not_move_before_the_run():
     assert tool_tip(-0.1) == 0.0
 
 
-def test_the_sheet_has_the_size_mass_and_stiffness_printed(scene):
-    model = scene.model
+def test_the_sheet_has_the_size_mass_and_stiffness_printed(case):
+    model = case.model
     assert np.linalg.norm(model.cloud.points, axis=1).max() == pytest.approx(0.1)
     assert model.masses.sum() == pytest.approx(1200 * np.pi * 0.1**2 * 1e-5)
     assert model.material.shear_modulus == pytest.approx(2 * 0.17e6)
     assert model.fixed == ("rim",)
-    assert (scene.duration, scene.every) == (0.2, 0.002)
+    assert (case.duration, case.every) == (0.2, 0.002)
 
 
-def test_the_tool_moves_the_central_node_across_the_sheet(scene):
-    cloud = scene.model.cloud
+def test_the_tool_moves_the_central_node_across_the_sheet(case):
+    cloud = case.model.cloud
     np.testing.assert_array_equal(cloud.group("tool"), cloud.group("centre"))
-    prepared = scene.model.prepare(scene.loads)
+    prepared = case.model.prepare(case.loads)
     schedule = prepared.schedule(np.array([0.05, 0.2]))
     np.testing.assert_allclose(schedule.motion[:, 0], [(0.0, 0.0, 0.005), (0.0, 0.0, 0.0)])
     assert schedule.constrained.all()
@@ -61,16 +61,16 @@ def test_a_wide_tool_moves_all_nodes_within_its_radius():
 
 
 def test_a_tool_lets_go_after_a_tenth_of_a_second():
-    scene = membrane(spacing=COARSE, after="release")
-    holds = scene.model.prepare(scene.loads).schedule(np.array([0.1, 0.1001])).constrained[:, 0]
+    case = membrane(spacing=COARSE, after="release")
+    holds = case.model.prepare(case.loads).schedule(np.array([0.1, 0.1001])).constrained[:, 0]
     np.testing.assert_array_equal(holds, [True, False])
 
 
 def test_the_scene_has_its_parameters():
-    scene = membrane(spacing=COARSE, tool_radius=0.02, prestretch=1.2, layout="hexagonal", jitter=0.1, seed=3)
+    case = membrane(spacing=COARSE, tool_radius=0.02, prestretch=1.2, layout="hexagonal", jitter=0.1, seed=3)
     expected = {"spacing": COARSE, "tool_radius": 0.02, "prestretch": 1.2, "jitter": 0.1, "seed": 3}
     expected |= {"after": "return", "layout": "hexagonal"}
-    assert scene.parameters == expected
+    assert case.parameters == expected
 
 
 @pytest.mark.parametrize(

@@ -9,12 +9,12 @@ import pytest
 import palpate as pt
 from palpate.app.cli import main
 from palpate.scenes.names import PACKAGE_SCENES, SceneKind, kind_of, listed_scenes
-from palpate.scenes.training import training_scene
+from palpate.scenes.training import open_training
 
 
 @pytest.mark.parametrize("name", [pytest.param("liver", marks=pytest.mark.slow), "beam", "membrane"])
 def test_every_name_is_of_a_scene_to_train_on(name):
-    scene = training_scene(name, {})
+    scene = open_training(name, {})
     assert scene.title == name.capitalize()
     loads, duration = scene.path(0)
     scene.model.prepare(loads)
@@ -36,7 +36,7 @@ def test_a_name_has_the_kind_of_its_scene(name, kind):
 
 def test_a_near_name_is_suggested():
     with pytest.raises(pt.InputError, match="did you mean liver"):
-        training_scene("livr", {})
+        open_training("livr", {})
 
 
 @pytest.mark.parametrize("command", ["train", "view", "run"])

@@ -31,9 +31,9 @@ from palpate.scenes.description import (
     with_settings,
 )
 from palpate.scenes.names import PACKAGE_SCENES, listed_scenes
-from palpate.scenes.open_scene import open_scene, training_scene_of
-from palpate.scenes.scene_text import parse_scene
-from palpate.scenes.training import training_scene
+from palpate.scenes.open_scene import open_scene
+from palpate.scenes.scene_text import parse_description
+from palpate.scenes.training import open_training, training_of
 
 BOX = """
 [surface]
@@ -226,7 +226,7 @@ def test_every_key_reads_a_value_of_its_declaration_and_writes_it(section):
 
 
 def test_a_file_with_most_keys_round_trips():
-    about = parse_scene(FULL, "full")
+    about = parse_description(FULL, "full")
     assert read_section(Description, written_section(about)) == about
     assert about.training == Training(
         paths=7, held_out=2, modes=13, tolerance=0.05, cubature=0.02, seed=11, depth=0.009, slide=0.01, grasps=0.5,
@@ -237,12 +237,12 @@ def test_a_file_with_most_keys_round_trips():
 
 def test_lengths_in_millimetres_are_those_in_metres_to_the_last_bit():
     for k in range(1, 200):
-        assert parse_scene(BOX.replace("10 mm", f"{k / 10} mm"), "box").body.spacing == float(f"{k / 10}e-3")
-    assert parse_scene(BOX.replace("10 mm", "1e-300 mm"), "box").body.spacing == 1e-303
+        assert parse_description(BOX.replace("10 mm", f"{k / 10} mm"), "box").body.spacing == float(f"{k / 10}e-3")
+    assert parse_description(BOX.replace("10 mm", "1e-300 mm"), "box").body.spacing == 1e-303
 
 
 def test_texts_with_units_are_read_in_si_units():
-    about = parse_scene(FULL, "full")
+    about = parse_description(FULL, "full")
     assert about.body.spacing == pytest.approx(0.0045)
     assert about.tissue.density == pytest.approx(1050.0)
     assert about.tissue.poisson == pytest.approx(0.49)
@@ -799,7 +799,7 @@ def test_the_digest_changes_with_what_a_model_depends_on_only(organ):
 
 
 def test_settings_replace_values_of_the_file():
-    about = parse_scene(BOX, "box")
+    about = parse_description(BOX, "box")
     changed = with_settings(about, {"spacing": "5 mm", "tissue.poisson": 0.3, "C1": "2 kPa", "training.every": 0.02})
     assert changed.body.spacing == pytest.approx(0.005)
     assert changed.tissue == dataclasses.replace(about.tissue, poisson=0.3, parameters={"C1": "2 kPa"})
@@ -824,26 +824,26 @@ def test_settings_replace_values_of_the_file():
 )
 def test_wrong_settings_are_refused_by_key(settings, said):
     with pytest.raises(pt.InputError, match=said):
-        with_settings(parse_scene(BOX, "box"), settings)
+        with_settings(parse_description(BOX, "box"), settings)
 
 
 def test_a_scene_of_a_campaign_is_opened_again_with_its_settings(write):
     path = write(BOX + "[tool]\nholds = 'x+'\n[training]\nhigh = ['1 mm', 0, 0]\n")
     scene = open_scene(path, {"spacing": "7.5 mm", "training.duration": 0.2})
-    made = training_scene_of(scene, scene.settings)
-    again = training_scene(str(path), made.parameters)
+    made = training_of(scene, scene.settings)
+    again = open_training(str(path), made.parameters)
     np.testing.assert_array_equal(again.model.cloud.points, made.model.cloud.points)
     assert again.path(0)[1] == made.path(0)[1] == 0.2
     assert again.tools == ("x+",)
     finer = scene.with_body(spacing=0.006)
     assert finer.settings == {"body.spacing": 0.006, "training.duration": 0.2}
-    again = training_scene(str(path), training_scene_of(finer, finer.settings).parameters)
+    again = open_training(str(path), training_of(finer, finer.settings).parameters)
     np.testing.assert_array_equal(again.model.cloud.points, finer.cloud.points)
     path.write_text(path.read_text().replace("1 mm", "2 mm"))
     with pytest.raises(pt.InputError, match="or a file that it names, has changed; open the changed scene in another"):
-        training_scene(str(path), made.parameters)
+        open_training(str(path), made.parameters)
     with pytest.raises(pt.InputError, match="low must be a number or a text to train with, got"):
-        training_scene(str(path), {"low": [0, 0, 0]})
+        open_training(str(path), {"low": [0, 0, 0]})
 
 
 def test_a_scene_without_supports_says_what_is_held(tmp_path):

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.scenes.open_scene import open_scene, training_scene_of
+from palpate.scenes.open_scene import open_scene
 from palpate.scenes.scene_paths import SWINGS_PER_MOTION
+from palpate.scenes.training import training_of
 
 DEPTH, TANGENTIAL, RADIUS = 0.02, 0.004, 0.02  # [m] of the membrane's file
 
@@ -45,7 +46,7 @@ def test_equal_seeds_are_equal_paths_and_others_are_not(membrane):
 
 
 def test_the_sheet_is_taut_and_its_middle_is_prescribed(membrane):
-    scene = training_scene_of(membrane, {"prestretch": 1.2})
+    scene = training_of(membrane, {"prestretch": 1.2})
     model = scene.model
     assert scene.tools == ("tool",)
     held = np.linalg.norm(model.cloud.points[model.cloud.group("tool")], axis=1)

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from tool_bodies import Body, bean, filled, hollow, lobes, together
 
 import palpate as pt
-from palpate.scenes.scene import TRAINING_SEEDS
+from palpate.scenes.load_case import TRAINING_SEEDS
 from palpate.scenes.tool_paths import ToolPaths
 from palpate.surface.nesting import winding_number
 

@@ -14,8 +14,8 @@ from palpate.dynamics.loads.surface_force import SurfaceForce
 from palpate.dynamics.solid.model import Solid
 from palpate.faults import number_in_range
 from palpate.meshfree.cloud import box
+from palpate.scenes.load_case import LoadCase
 from palpate.scenes.open_scene import open_scene
-from palpate.scenes.scene import Scene
 
 BEAM_SCENE = open_scene("beam")
 BEAM_SIZE = BEAM_SCENE.description.surface.size  # [m]
@@ -30,7 +30,7 @@ def pull(time: float, load: float = 100.0) -> float:
     return load * float(np.interp(time, force.times, force.factors))
 
 
-def beam(spacing: float = 0.005, load: float = 100.0, poisson: float = 0.49) -> Scene:
+def beam(spacing: float = 0.005, load: float = 100.0, poisson: float = 0.49) -> LoadCase:
     """Return the paper's beam: 200 mm by 20 mm by 20 mm, one end fixed, the other pulled along the axis.
 
     Mooney-Rivlin with C1 = 60 kPa and C2 = 1.2 kPa, density 1120 kg/m^3. The pull is spread over
@@ -52,4 +52,4 @@ def beam(spacing: float = 0.005, load: float = 100.0, poisson: float = 0.49) -> 
     model = Solid(box(BEAM_SIZE, spacing=spacing), material, form="strong", fixed="x-")
     traction = SurfaceForce("x+", force=lambda time: (pull(time, load), 0.0, 0.0))
     parameters = {"spacing": spacing, "load": load, "poisson": float(poisson)}
-    return Scene(model, (traction,), DURATION, EVERY, f"Beam under traction, {load:g} N", parameters)
+    return LoadCase(model, (traction,), DURATION, EVERY, f"Beam under traction, {load:g} N", parameters)

@@ -339,6 +339,14 @@ class Description:
     run: Run = parameter("", Run(), "single run of the full body")
     training: Training = parameter("", Training(), "training of a reduced model")
 
+    def group_name(self, kind: str, number: int) -> str:
+        """Return the name of the group of a support, a region or a load by its number from 0."""
+        entries = getattr(self, kind)
+        if not entries:
+            return f"{kind} {number + 1}"
+        place, generated = entries[number].place, self.surface.generated
+        return entries[number].name or (place.group if place and generated else "") or f"{kind} {number + 1}"
+
 
 def with_settings(description: Description, given: Mapping[str, Any]) -> Description:
     """Return a description with other values of its settings.

@@ -10,8 +10,8 @@ from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.membrane.model import Membrane
 from palpate.faults import InputError, brief, number_in_range
 from palpate.meshfree.sheets import disc
+from palpate.scenes.load_case import LoadCase
 from palpate.scenes.open_scene import open_scene
-from palpate.scenes.scene import Scene
 
 MEMBRANE_SCENE = open_scene("membrane")
 RADIUS = MEMBRANE_SCENE.description.surface.disc_radius  # [m]
@@ -40,7 +40,7 @@ def membrane(
     jitter: float = 0.0,
     seed: int = 0,
     relaxed: bool = True,
-) -> Scene:
+) -> LoadCase:
     """Return the paper's membrane: a disc, 0.2 m across and 0.01 mm thick, its rim fixed, its centre pushed by a tool.
 
     Neo-Hookean with C1 = 0.17 MPa, density 1200 kg/m^3. The tool's group is ``"tool"``. A snapshot
@@ -90,4 +90,4 @@ def membrane(
         "after": after,
         "layout": layout,
     }
-    return Scene(model, (tool,), DURATION, EVERY, f"Membrane under a tool tip, then {after}", parameters)
+    return LoadCase(model, (tool,), DURATION, EVERY, f"Membrane under a tool tip, then {after}", parameters)

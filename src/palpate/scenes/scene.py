@@ -1,80 +1,345 @@
-"""Results of scene functions: a single run, or runs by seed."""
+"""A scene: a description with its files, and the surface, body, loads and tool paths that come of them.
+
+Files are read and bodies are made when they are first used. What needs mechanics is made by functions of
+`palpate.scenes.body`, which take a description and no scene.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from palpate.arrays import Floats
-from palpate.dynamics.loads.prepared import Load
-from palpate.dynamics.membrane.model import Membrane
-from palpate.dynamics.nodal.model import NodalModel
-from palpate.dynamics.solid.model import Solid
+from palpate.describe import Described, Fact
+from palpate.faults import InputError
+from palpate.files import digest_of, read_bytes
+from palpate.parameters import Fault
+from palpate.scenes.description import CHOICES_OF_RUNS, Description
+from palpate.scenes.names import TOOL_GROUP, SceneKind, kind_of
+from palpate.scenes.organ import liver_surface
+from palpate.scenes.scene_text import at_entry, line_of_file, words_of
+from palpate.scenes.tissue import material_of
+from palpate.surface.checks import SurfaceReport, check_surface, shape_problems
+from palpate.surface.files import read_surface
+from palpate.surface.labels.reading import is_label_map
+from palpate.surface.repair import repair_surface
+from palpate.surface.surface import Surface, scaled
+from palpate.tissue.materials import Material
 
-CAMPAIGN_SEEDS = 1_000_000  # seeds of a campaign of `palpate train`
-TRAINING_SEEDS = 500_000  # the first of these, for training; the others are for held-out runs
+if TYPE_CHECKING:  # mechanics take a second to import, before a page opens
+    from palpate.dynamics.loads.foundation import Foundation
+    from palpate.dynamics.loads.prepared import Load
+    from palpate.dynamics.membrane.model import Membrane
+    from palpate.dynamics.solid.model import Solid
+    from palpate.meshfree.cloud import Cloud
+    from palpate.scenes.scene_paths import HeldMotion
+    from palpate.scenes.tool_paths import ToolPaths
 
 
-@dataclass(frozen=True)
-class Scene:
-    """Body with loads for `palpate.rollout`."""
-
-    model: NodalModel
-    loads: tuple[Load, ...]
-    # duration, every: float [s]: length of the run, and time between snapshots
-    duration: float
-    every: float
-    title: str
-    parameters: Mapping[str, float | str]  # parameters of the scene, in SI units
-    displacement: Floats | None = None  # (n, 3) array, optional [m]: displacements at the start; zero by default
-
-
-@dataclass(frozen=True)
-class TrainingScene:
-    """Body with random tool paths for a training campaign.
-
-    Equal parameters give equal bodies, and equal seeds equal paths, in every process.
+class Scene(Described):
+    """A body with its loads and tool paths, from a scene file.
 
     Parameters
     ----------
-    model : Solid or Membrane
-    path : function
-        Function of a seed, an integer from 0, that returns the loads of a run and its duration [s].
-        Of the seeds of a campaign, `CAMPAIGN_SEEDS`, the first `TRAINING_SEEDS` are for training.
-    every : float [s]
-        Time between snapshots.
-    title : str
-    parameters : mapping of str to number or text
-        Parameters of the scene, in SI units.
-    tools : tuple of str
-        Groups that rigid tools hold and move (`palpate.PrescribedMotion`), as `prescribed` of
-        `palpate.hyper_reduce`.
-    coarse : function, optional
-        Returns a coarser model of the same body, as `coarse` of `palpate.hyper_reduce`, for tools that
-        may touch a large body anywhere. By default its surface is filled again.
-    cubature : float, optional
-        Largest relative error of the sampled forces, as for `palpate.hyper_reduce`.
+    description : Description
+    folder : path
+        Folder of relative file names.
+    name : str
+        Name of the scene in messages and reports: of a scene of the package, or the path of a file.
+    settings : mapping, optional
+        Settings that replaced values of the file; workers of a campaign open the scene with them.
+
+    Attributes
+    ----------
+    kind : SceneKind or None
+        Where it comes from, by its name.
+    notes : list of str
+        What was guessed or repaired so far.
 
     Examples
     --------
     >>> import palpate as pt
-    >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
-    >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
-    >>> bar = pt.Solid(cloud, tissue, fixed="x-")
-    >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
-    >>> scene = pt.TrainingScene(
-    ...     bar, path=lambda seed: ((pull,), 0.03), every=0.001, title="Bar", parameters={"spacing": 0.005}
-    ... )
-    >>> loads, duration = scene.path(0)
-    >>> duration
-    0.03
+    >>> scene = pt.open_scene("beam", {"spacing": "6.6 mm"})
+    >>> scene.duration, scene.every, len(scene.loads)
+    (1.0, 0.01, 1)
     """
 
-    model: Solid | Membrane
-    path: Callable[[int], tuple[tuple[Load, ...], float]]
-    every: float
-    title: str
-    parameters: Mapping[str, float | int | str]
-    tools: tuple[str, ...] = ()
-    coarse: Callable[[], Solid] | None = None
-    cubature: float | None = None
+    def __init__(
+        self, description: Description, folder: Path, name: str, settings: Mapping[str, Any] | None = None
+    ) -> None:
+        self.description, self.folder, self.name, self.kind = description, folder, name, kind_of(name)
+        self.settings = dict(settings or {})
+        self.notes: list[str] = []
+
+    def _facts(self) -> list[Fact]:
+        about = self.description
+        return [
+            ("name", self.name, ""),
+            ("surface", about.surface.file or about.surface.generated, ""),
+            ("spacing", about.body.spacing or None, "m"),
+            ("law", "text" if about.tissue.energy else about.tissue.law, ""),
+            ("regions", len(about.region) or None, ""),
+            ("supports", len(about.support) or None, ""),
+        ]
+
+    @property
+    def title(self) -> str:
+        """Title of the scene."""
+        from palpate.surface.formats.names import LABEL_FORMATS, format_of
+        from palpate.surface.parts import names_text
+
+        file = Path(self.description.surface.file)
+        if self.description.title or not self.description.surface.file:
+            return self.description.title or Path(self.name).stem.capitalize()
+        stem = Path(file.stem).stem if format_of(file)[1] else file.stem
+        parts = self.description.surface.parts if format_of(file)[0] in LABEL_FORMATS else ()
+        words = f"{names_text(parts, 3)} ({stem})" if parts else stem
+        words = words.replace("_", " ")
+        return words[:1].upper() + words[1:]
+
+    def with_body(self, **changes: Any) -> Scene:
+        """Return the scene with other settings of its body, such as ``spacing=0.005``."""
+        about = replace(self.description, body=replace(self.description.body, **changes))
+        settings = {key: value for key, value in self.settings.items() if key.removeprefix("body.") not in changes}
+        settings |= {f"body.{name}": value for name, value in changes.items()}
+        scene = Scene(about, self.folder, self.name, settings)
+        if "surface" in vars(self):
+            vars(scene)["surface"] = self.surface
+        return scene
+
+    @cached_property
+    def surface(self) -> Surface | None:
+        """Closed surface of the body, repaired where it is not closed as it is; None for a box or a disc.
+
+        Raises
+        ------
+        InputError, FileFormatError, FileNotFoundError
+            The file cannot be read, or holds no closed surface.
+        """
+        shape = self.description.surface
+        if shape.generated:
+            return scaled(liver_surface(), shape.scale) if shape.generated == "liver" else None
+        path = self.folder / shape.file
+        chosen: Any = {"part": list(shape.parts) or None, "units": shape.units or None, "scale": shape.scale}
+        if shape.labels:
+            chosen["labels"] = self.folder / shape.labels
+        if is_label_map(path):
+            return read_surface(path, **chosen)
+        with contextlib.suppress(InputError):  # parts that are closed after a repair alone
+            surface = read_surface(path, **chosen)
+            if not shape.repair or not any(problem.kind == "error" for problem in shape_problems(surface)):
+                return surface
+        surface = read_surface(path, **chosen, repair=shape.repair)
+        _check_closed(surface)
+        return surface
+
+    @cached_property
+    def repaired_surface(self) -> Surface | None:
+        """The surface as it is filled."""
+        if self.surface is None or self.description.surface.generated:
+            return self.surface
+        shape = self.description.surface
+        surface = repair_surface(self.surface) if shape.repair and not is_label_map(shape.file) else self.surface
+        report = _check_closed(surface)
+        self.notes += [f"surface: {line}" for line in surface.warnings]
+        self.notes += [f"surface, {problem.kind}: {problem.what}" for problem in report.problems]
+        return surface
+
+    @cached_property
+    def material(self) -> Material:
+        """Material outside all regions."""
+        return material_of(self.description.tissue)
+
+    @cached_property
+    def cloud(self) -> Cloud:
+        """Nodes of the body, with groups of its supports, regions and loads.
+
+        Raises
+        ------
+        InputError
+            The surface cannot be filled, or a place holds no node, too few or too many.
+        CloudError
+            The body is too thin for the spacing.
+        """
+        from palpate.scenes.body import DEFAULT_SIDE, make_cloud
+
+        about = self.description
+        with self._placing_faults():
+            cloud, notes = make_cloud(about, lambda: self.repaired_surface, self.folder)
+        self.notes += notes
+        if not about.support and self.kind is SceneKind.SCENE_FILE:
+            self.notes.append(
+                f"support: the scene has none, so the side {DEFAULT_SIDE!r} of the body is held; give [[support]]"
+            )
+        return cloud
+
+    @cached_property
+    def body(self) -> Solid | Membrane:
+        """Full model of the body.
+
+        Raises
+        ------
+        InputError, CloudError
+            As `cloud`, or the tissue does not suit the body.
+        """
+        return self._body_and_start[0]
+
+    @property
+    def start(self) -> Floats | None:
+        """Displacements (n, 3) [m] of the body at the start of a run: those of a shape under loads, or None."""
+        return self._body_and_start[1]
+
+    @cached_property
+    def _body_and_start(self) -> tuple[Solid | Membrane, Floats | None]:
+        from palpate.scenes.body import check_disc, make_body
+
+        check_disc(self.description)
+        cloud = self.cloud
+        with self._placing_faults():
+            body, start = make_body(self.description, self.material, cloud, self.surface, self.folder)
+        if start is not None:
+            sag = float(np.linalg.norm(start, axis=1).max())
+            self.notes.append(
+                f"body: its stress-free shape is up to {1e3 * sag:.3g} mm from the surface, which loads have deformed; "
+                "runs begin in that shape, a view and training in the stress-free one"
+            )
+        return body, start
+
+    @cached_property
+    def foundations(self) -> tuple[Foundation, ...]:
+        """Springs per area, which act in every run."""
+        from palpate.scenes.body import foundations_of
+
+        return foundations_of(self.description)
+
+    @cached_property
+    def loads(self) -> tuple[Load, ...]:
+        """Loads of a single run, with the foundations."""
+        from palpate.scenes.body import loads_of
+
+        return loads_of(self.description)
+
+    @property
+    def duration(self) -> float:
+        """Length [s] of a single run."""
+        return self.description.run.duration
+
+    @property
+    def every(self) -> float:
+        """Time [s] between two frames of a single run."""
+        return self.description.run.every
+
+    @cached_property
+    def paths(self) -> Callable[[int], tuple[tuple[Load, ...], float]]:
+        """Function of a seed, from 0, that returns the loads of a random tool path and its duration [s]."""
+        if not self.held_group:
+            return self.tool_paths()
+        duration = self.description.training.duration
+        self.held_motion(0, duration)  # raises an error at once
+
+        def path(seed: int) -> tuple[tuple[Load, ...], float]:
+            load = self.held_motion(seed, duration).load(self.body.cloud, self.held_group)
+            return (*self.foundations, load), duration
+
+        return path
+
+    def tool_paths(self) -> ToolPaths:
+        """Return the paths of the tool on the free surface of the body."""
+        from palpate.scenes.scene_paths import touching_paths
+        from palpate.scenes.tool_paths import check_radius
+
+        about = self.description
+        if about.tool.radius is not None and about.body.spacing is not None:  # before the body is filled
+            with self._placing_faults(), at_entry("tool", "radius"):
+                check_radius(about.tool.radius, about.body.spacing)
+        return touching_paths(about.tool, about.training, self.body, self.foundations)
+
+    def held_motion(self, seed: int, duration: float) -> HeldMotion:
+        """Return a motion of the tool that holds a group, over a time [s]."""
+        from palpate.scenes.scene_paths import held_motion
+
+        return held_motion(self.description.training, seed, duration)
+
+    @property
+    def region_groups(self) -> list[str]:
+        """Groups of the regions."""
+        about = self.description
+        return [about.group_name("region", number) for number in range(len(about.region))]
+
+    @property
+    def held_group(self) -> str:
+        """Group that the tool holds; empty for a tool that touches the body."""
+        tool = self.description.tool
+        return TOOL_GROUP if tool.hold_radius else tool.holds
+
+    @cached_property
+    def identity(self) -> dict[str, Any]:
+        """Dependencies of the bodies and paths of this scene: its sections, and digests of the files in them.
+
+        Raises
+        ------
+        FileNotFoundError, FileFormatError
+            A file cannot be read.
+        """
+        from hashlib import sha256
+
+        about = asdict(self.description)
+        for name in CHOICES_OF_RUNS:
+            about["training"].pop(name)
+        about.pop("title"), about.pop("run"), about.pop("load"), about.pop("cut")
+        if not about["surface"]["labels"]:
+            about["surface"].pop("labels")  # scenes without it keep their digests
+        digests = {file: sha256(read_bytes(self.folder / file, "file")).hexdigest() for file in sorted(_files(about))}
+        return {"sections": about, "files": digests}
+
+    @property
+    def digest(self) -> str:
+        """Digest of `identity`."""
+        return digest_of(self.identity)[:16]
+
+    @contextlib.contextmanager
+    def _placing_faults(self) -> Iterator[None]:
+        """Name the file, the line and the keys of an entry in errors."""
+        try:
+            yield
+        except Fault as fault:
+            error = fault.__cause__
+            assert error is not None  # `at_entry`
+            raise type(error)(f"{self._place_of(fault.path)}: {fault.message}") from error
+
+    def _place_of(self, keys: tuple[str | int, ...]) -> str:
+        """Return the file, the line and the keys of an entry; for a surface the argument that gives supports."""
+        if keys[0] == "support" and self.kind is SceneKind.SURFACE_FILE:
+            return "fixed"
+        words = ".".join(words_of(keys))
+        is_set = any(words == key or words.endswith(f".{key}") for key in self.settings)
+        if is_set or self.kind is not SceneKind.SCENE_FILE:
+            return words
+        return f"{self.name}, line {line_of_file(Path(self.name), keys)}: {words}"
+
+
+def _files(sections_: Any) -> set[str]:
+    """Return the names of files in nested sections."""
+    if isinstance(sections_, Mapping):
+        names = {sections_[key] for key in ("file", "labels") if sections_.get(key)}
+        return names.union(*(_files(each) for each in sections_.values()))
+    if isinstance(sections_, list | tuple):
+        return set().union(*(_files(each) for each in sections_))
+    return set()
+
+
+def _check_closed(surface: Surface) -> SurfaceReport:
+    """Return the report of a surface; raise InputError if it cannot be filled."""
+    report = check_surface(surface)
+    if report.errors:
+        raise InputError(
+            f"{surface.name} must hold a closed surface, got one that is not: {report.errors[0].what}; run palpate "
+            "check for pictures"
+        )
+    return report

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 from palpate.faults import FileFormatError, InputError
@@ -18,12 +20,7 @@ LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\
 SECTION_PATTERN = re.compile(r"\[(\[?)([^\[\],=]+)\]\]?\s*(?:#.*)?")
 
 
-def read_scene(path: Path) -> Description:
-    """Return the description in a scene file."""
-    return parse_scene(read_text(path, "scene file", MAX_BYTES), str(path))
-
-
-def parse_scene(text: str, name: str) -> Description:
+def parse_description(text: str, name: str) -> Description:
     """Return the description in the text of a scene file; `name` stands for it in messages."""
     long = LONG_KEY.search(text)
     if long:
@@ -44,6 +41,17 @@ def parse_scene(text: str, name: str) -> Description:
         keys = ".".join(words_of(fault.path)) or "the file"
         raise InputError(f"{name}, line {line}: {keys} {fault.message}") from fault
     return description
+
+
+@contextlib.contextmanager
+def at_entry(*keys: str | int) -> Iterator[None]:
+    """Raise an `InputError` about an entry of a description as a `Fault` at its keys; errors of files stay."""
+    try:
+        yield
+    except FileFormatError:
+        raise
+    except InputError as error:
+        raise Fault(keys, str(error)) from error
 
 
 def words_of(path: tuple[str | int, ...]) -> list[str]:

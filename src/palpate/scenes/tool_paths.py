@@ -30,7 +30,7 @@ from palpate.dynamics.solid.model import Solid
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.scenes.free_surface import FreeSurface
-from palpate.scenes.scene import CAMPAIGN_SEEDS, TRAINING_SEEDS
+from palpate.scenes.load_case import CAMPAIGN_SEEDS, TRAINING_SEEDS
 
 MIN_RADIUS = 2.0  # [spacings] of the ball, so that nodes resolve the surface under it
 CLEARANCE_RADII = 0.2  # [radii] between ball and body near a press; twice that before and after

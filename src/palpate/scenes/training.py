@@ -7,22 +7,29 @@ import math
 import os
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from difflib import get_close_matches
 from importlib import import_module
 from typing import Any
 
 from palpate.faults import InputError, brief
+from palpate.scenes.description import chooses_runs
+from palpate.scenes.load_case import TrainingScene
 from palpate.scenes.names import PACKAGE_SCENES, SceneKind, kind_of
-from palpate.scenes.open_scene import DESCRIPTION_KEY, DIGEST_KEY, described_scene, open_scene, training_scene_of
-from palpate.scenes.scene import TrainingScene
+from palpate.scenes.open_scene import json_of_scene, open_description, open_scene
+from palpate.scenes.scene import Scene
+
+# parameters of a training scene from a file: digest of what it depends on; its description where the file alone has
+# another one, or is a surface
+DIGEST_KEY, DESCRIPTION_KEY = "digest", "description"
 
 SCENE_NAMES = f"{', '.join(map(repr, PACKAGE_SCENES))}, a scene file, or 'module:function' of your own"
 PARAMETER_TYPES = (bool, int, float, str)  # of parameters
 MAX_TEXT_CHARACTERS = 200  # characters of a text
 
 
-def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
-    """Build a scene.
+def open_training(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
+    """Open a scene for a campaign: its body, and paths by seed.
 
     Parameters
     ----------
@@ -33,15 +40,43 @@ def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
         Settings of the scene (`palpate.open_scene`), or arguments of the function; others have their defaults.
     """
     if DESCRIPTION_KEY in parameters:
-        return training_scene_of(described_scene(name, str(parameters[DESCRIPTION_KEY])), parameters)
+        return training_of(open_description(name, str(parameters[DESCRIPTION_KEY])), parameters)
     if kind_of(name) in (SceneKind.PACKAGE, SceneKind.SCENE_FILE):
         settings = {key: value for key, value in parameters.items() if key != DIGEST_KEY}
-        return training_scene_of(open_scene(name, settings), parameters)
+        return training_of(open_scene(name, settings), parameters)
     function, arguments = _user_function(name), _arguments(name, parameters)
     made = _own(name, "failed", lambda: function(**arguments))
     if not isinstance(made, TrainingScene):
         raise InputError(f"scene {name!r} must return a TrainingScene, got a {type(made).__name__}")
     return made
+
+
+def training_of(scene: Scene, parameters: Mapping[str, Any]) -> TrainingScene:
+    """Return the body and the paths of a scene for a campaign.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Settings with which the scene was opened. A digest among them must be that of the scene.
+    """
+    given = dict(parameters)
+    digest, text = given.pop(DIGEST_KEY, None), given.get(DESCRIPTION_KEY)
+    for name, value in given.items():
+        if not isinstance(value, str | int | float):  # as a campaign and a model file keep it
+            raise InputError(f"{name} must be a number or a text to train with, got {brief(value)}; change the file")
+    if text is not None and text != json_of_scene(scene):
+        raise InputError(f"{DESCRIPTION_KEY} must be that of the scene, got another one; open the scene by it")
+    if digest not in (None, scene.digest):
+        raise InputError(
+            f"{scene.name}, or a file that it names, has changed; open the changed scene in another folder"
+        )
+    training = scene.description.training
+    tools = (scene.held_group,) if scene.held_group else ()
+    # a campaign continues with other numbers of paths and modes
+    kept = {key: given[key] for key in given if key == DESCRIPTION_KEY or not chooses_runs(scene.description, key)}
+    kept[DIGEST_KEY] = scene.digest
+    made = TrainingScene(scene.body, scene.paths, training.every, scene.title, kept, tools)
+    return made if training.cubature is None else replace(made, cubature=training.cubature)
 
 
 def _arguments(name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
@@ -96,7 +131,7 @@ def _converted(key: str, given: Any, default: Any) -> Any:
 
 
 def _user_function(name: str) -> Callable[..., Any]:
-    """Return the function of a user's scene; see `training_scene`."""
+    """Return the function of a user's scene; see `open_training`."""
     module, _, function = name.partition(":")
     if not (function.isidentifier() and all(part.isidentifier() for part in module.split("."))):
         near = get_close_matches(name[:60], PACKAGE_SCENES, 1)

@@ -9,9 +9,9 @@ import pytest
 
 import palpate as pt
 from palpate.app.common.console import Console
-from palpate.app.models.touch import open_touched
+from palpate.app.models.full_body import prepare_full_body
+from palpate.scenes.open_surface import open_surface
 from palpate.scenes.places import CAMERA_SIDE
-from palpate.scenes.surface_scene import surface_scene
 
 DATA = Path(__file__).parents[4] / "shared" / "data"
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not DATA.is_dir(), reason="the organ surfaces are not at hand")]
@@ -50,8 +50,8 @@ def test_the_list_has_every_surface_file():
 
 @pytest.mark.parametrize("name", SOLIDS)
 def test_every_solid_is_touched_with_defaults(name, monkeypatch):
-    monkeypatch.setattr("palpate.app.models.touch._seconds_per_node", lambda material: 1.5e-6)  # of a slow machine
-    model = open_touched(surface_scene(DATA / name), Console()).body
+    monkeypatch.setattr("palpate.app.models.spacing._seconds_per_node", lambda material: 1.5e-6)  # of a slow machine
+    model = prepare_full_body(open_surface(DATA / name), Console()).body
     assert 1e3 * model.cloud.volumes.sum() == pytest.approx(SOLIDS[name], rel=0.01)
     force = press(model)
     assert np.isfinite(force).all()
@@ -62,6 +62,6 @@ def test_every_solid_is_touched_with_defaults(name, monkeypatch):
 
 def test_other_files_are_refused_with_what_they_are():
     with pytest.raises(pt.InputError, match=r"a hollow shell, watertight as it is: it encloses 0\.0744 litres"):
-        _ = surface_scene(DATA / "hra/VH_M_Liver.glb", part=("*capsule",)).surface
+        _ = open_surface(DATA / "hra/VH_M_Liver.glb", part=("*capsule",)).surface
     with pytest.raises(pt.FileFormatError, match="is a Gmsh file of version 1 of a volume mesh; export its surface"):
-        _ = surface_scene(DATA / "sofa/liver.msh").surface
+        _ = open_surface(DATA / "sofa/liver.msh").surface

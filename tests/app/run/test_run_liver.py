@@ -15,7 +15,7 @@ from palpate.app.run import tool_motion
 from palpate.app.train import scene_folder
 from palpate.reduction.training.errors import contact_errors
 from palpate.scenes.open_scene import open_scene
-from palpate.scenes.training import training_scene
+from palpate.scenes.training import open_training
 
 pytestmark = pytest.mark.slow
 
@@ -68,7 +68,7 @@ def test_a_campaign_on_the_liver_reports_its_sampled_nodes_and_the_tolerance(tra
 @pytest.mark.slow
 def test_the_report_has_the_changes_of_the_force_by_the_supports(trained):
     report, text = json.loads((trained / "report.json").read_text()), (trained / "report.md").read_text()
-    found, scene = report["supports"], training_scene("liver", COARSE)
+    found, scene = report["supports"], open_training("liver", COARSE)
     assert (found["springs"], found["nodes"]) == (None, len(scene.model.cloud))
     assert 0.008 < found["border"]["distance"] < 0.014
     assert found["border"]["inward"]["largest"] < 0 < found["border"]["outward"]["largest"] < 1
@@ -80,7 +80,7 @@ def test_the_report_has_the_changes_of_the_force_by_the_supports(trained):
 
 @pytest.mark.slow
 def test_the_report_has_the_errors_of_the_tool_force_and_the_surface(trained):
-    report, scene = json.loads((trained / "report.json").read_text()), training_scene("liver", COARSE)
+    report, scene = json.loads((trained / "report.json").read_text()), open_training("liver", COARSE)
     model, found = pt.load(trained / "model.rom"), report["model"]["held_out"]
     loads, duration = scene.path(next(run["seed"] for run in report["runs"] if run["kind"] == "held_out"))
     full = pt.Trajectory.load(trained / "runs" / "held_out_000000.h5")
@@ -194,7 +194,7 @@ def test_the_first_start_trains_and_caches_a_model_and_resumes_after_an_interrup
     def refused(*_):
         raise pt.InputError("it was trained again")
 
-    monkeypatch.setattr(trained_models, "training_scene_of", refused)
+    monkeypatch.setattr(trained_models, "training_of", refused)
     assert main(command) == 0
     capsys.readouterr()
     (cache / "model.rom").write_bytes((cache / "model.rom").read_bytes()[:-1])

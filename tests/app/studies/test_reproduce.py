@@ -403,9 +403,9 @@ def test_a_machine_that_cannot_draw_raises_with_the_packages_to_install(monkeypa
 
 
 def test_figures_are_drawn_when_every_reduced_run_failed(tmp_path):
-    scene = membrane(spacing=0.05)
+    case = membrane(spacing=0.05)
     (make,) = PAPER_EXAMPLES["membrane"].studies.values()
-    study: Study = make(scene)
+    study: Study = make(case)
     draw = PAPER_EXAMPLES["membrane"].figures["figure7_error.png"]
     assert draw.func is draw_errors
     draw([study], tmp_path / "error.png")

@@ -29,15 +29,15 @@ def recorded(self, signature, context):
 
 
 CodeCache.load_overload = recorded
-example, scene = PAPER_EXAMPLES[{name!r}], PAPER_EXAMPLES[{name!r}].scene(**{options})
+example, case = PAPER_EXAMPLES[{name!r}], PAPER_EXAMPLES[{name!r}].case(**{options})
 for make in example.studies.values():
-    study = make(scene)
+    study = make(case)
     compile_study(study, study.series)
     assert asked
     asked.clear()
-    run = rollout(study.scene.model, scene.loads, duration=12 * scene.every, every=scene.every, progress=False)
+    run = rollout(study.case.model, case.loads, duration=12 * case.every, every=case.every, progress=False)
     for train in study.series.values():
-        rollout(train(study.scene.model, run, 4), scene.loads, duration=scene.every, every=scene.every, progress=False)
+        rollout(train(study.case.model, run, 4), case.loads, duration=case.every, every=case.every, progress=False)
     assert not asked, asked
     asked.append("of the study before")
 """

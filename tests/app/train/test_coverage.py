@@ -13,7 +13,7 @@ from palpate.app.train import choose as choosing
 from palpate.app.train.coverage import Coverage, coverage, draw_coverage
 from palpate.app.train.folder import TRAINED, Folder, Job
 from palpate.app.train.report import MODEL_ROWS
-from palpate.scenes.scene import TrainingScene
+from palpate.scenes.load_case import TrainingScene
 from palpate.scenes.tool_paths import ToolPaths
 
 TISSUE = pt.materials.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=0.45)

@@ -30,7 +30,7 @@ from palpate.app.train.choose import choose
 from palpate.app.train.report import _by_load
 from palpate.dynamics.run.trajectory import FORMAT, VERSION
 from palpate.files import read_sealed_json, write_sealed_json
-from palpate.scenes.training import training_scene
+from palpate.scenes.training import open_training
 from palpate.sealed import open_sealed
 
 SCENE = "training_scenes:bar"
@@ -106,7 +106,7 @@ def test_a_campaign_writes_its_runs_a_model_and_a_report(whole, assert_drawn):
     assert report["model"]["training_runs"] == 4
     assert report["model"]["snapshots"] == 44
     model = pt.load(whole / "model.rom")
-    held, scene = report["model"]["held_out"]["runs"], training_scene(SCENE, {})
+    held, scene = report["model"]["held_out"]["runs"], open_training(SCENE, {})
     loads, duration = scene.path(folders.MAX_PATHS)
     again = pt.rollout(model, loads, duration=duration, every=scene.every)
     expected = pt.relative_errors(pt.Trajectory.load(whole / "runs" / RUNS[-1]), again)
@@ -322,7 +322,7 @@ def test_more_modes_are_tried_on_the_same_runs(monkeypatch, tolerance, expected)
 
 def test_chosen_paths_differ_from_the_training_and_each_other(whole):
     """Of four candidates, one of the training and two that are the same: the two others."""
-    model, scene = pt.load(whole / "model.rom"), training_scene(SCENE, {})
+    model, scene = pt.load(whole / "model.rom"), open_training(SCENE, {})
     far = [np.zeros(3), np.array([0.0, 0.006, 0.0]), np.array([0.0, 0.0061, 0.0]), np.array([0.0, 0.0, 0.005])]
 
     def path(seed):

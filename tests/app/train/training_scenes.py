@@ -11,7 +11,7 @@ from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.solid.model import Solid
 from palpate.meshfree.cloud import box
-from palpate.scenes.scene import TrainingScene
+from palpate.scenes.load_case import TrainingScene
 from palpate.tissue.materials import MooneyRivlin
 
 EVERY = 0.001

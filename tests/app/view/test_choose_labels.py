@@ -12,7 +12,7 @@ from palpate.app.view.choose_labels import choose_on_page
 from palpate.app.view.server.address import LOOPBACK
 from palpate.app.view.server.host import Host
 from palpate.app.view.server.label_choice import LabelChoice
-from palpate.scenes.surface_scene import surface_scene
+from palpate.scenes.open_surface import open_surface
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "surface" / "labels"))
 from label_files import caret, nifti
@@ -45,7 +45,7 @@ def test_a_choice_that_makes_no_body_is_reported_and_the_next_is_yielded(tmp_pat
 
     def read(parts):
         listed.append(parts)
-        return surface_scene(file, part=parts).surface
+        return open_surface(file, part=parts).surface
 
     with choose_on_page(file, None, read, ADDRESS) as (host, surface):
         assert isinstance(host, Host)

@@ -30,9 +30,9 @@ from palpate.app.view.server.frames import STATE
 from palpate.app.view.training_process import LEAST_SHARE, Progress, TrainingProcess
 from palpate.faults import InputError
 from palpate.reduction.storage.models import save
-from palpate.scenes.open_scene import described_scene, open_scene, text_of_scene
-from palpate.scenes.surface_scene import refined_scene, surface_scene
-from palpate.scenes.training import training_scene
+from palpate.scenes.open_scene import json_of_scene, open_description, open_scene
+from palpate.scenes.open_surface import complete_for_training, open_surface
+from palpate.scenes.training import open_training
 
 GOOD, BAD = {"force": 0.07, "surface": 0.02}, {"force": 0.14, "surface": 0.02}
 SCENE = """
@@ -295,19 +295,19 @@ def test_a_surface_has_one_folder_from_wherever_it_is_opened(tmp_path, monkeypat
                                               "1 3 7", "1 7 5", "2 6 8", "2 8 4"))
     )  # fmt: skip
     monkeypatch.chdir(tmp_path)
-    near, far = (refined_scene(surface_scene(name)) for name in ("organ.obj", tmp_path / "organ.obj"))
+    near, far = (complete_for_training(open_surface(name)) for name in ("organ.obj", tmp_path / "organ.obj"))
     assert training_folder(near) == training_folder(far)
     assert training_folder(near).parent == tmp_path / "organ.palpate"
     assert 3000 < 1e-3 * 1.45 / near.description.body.spacing**3 < 5000
-    parameters = {"description": text_of_scene(near)}
-    assert described_scene(near.name, parameters["description"]).digest == near.digest
+    parameters = {"description": json_of_scene(near)}
+    assert open_description(near.name, parameters["description"]).digest == near.digest
 
 
 def test_a_scene_of_a_description_is_opened_by_workers(scene):
     changed = scene.with_body(spacing=0.008)
-    made = training_scene(changed.name, {"description": text_of_scene(changed)})
+    made = open_training(changed.name, {"description": json_of_scene(changed)})
     assert made.model.cloud.spacing == pytest.approx(0.008, rel=0.05)
-    assert made.parameters["description"] == text_of_scene(changed)
+    assert made.parameters["description"] == json_of_scene(changed)
 
 
 def run(process):
@@ -317,7 +317,7 @@ def run(process):
 @pytest.mark.slow
 def test_a_box_is_trained_in_a_process_and_at_once_the_second_time(scene):
     for _ in range(2):
-        process = TrainingProcess(refined_scene(scene))
+        process = TrainingProcess(complete_for_training(scene))
         events = run(process)
         process.stop()
         assert "trained" in events[-1], events[-1]
@@ -327,10 +327,10 @@ def test_a_box_is_trained_in_a_process_and_at_once_the_second_time(scene):
 
 @pytest.mark.slow
 def test_a_folder_in_use_is_a_message(scene):
-    scene = refined_scene(scene)
+    scene = complete_for_training(scene)
     manifest = manifest_of(
         name_in_folder(scene.name, training_folder(scene)),
-        training_scene(scene.name, {}),
+        open_training(scene.name, {}),
         scene.description.training.seed,
     )
     with open_campaign(training_folder(scene), manifest):

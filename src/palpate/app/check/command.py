@@ -24,8 +24,9 @@ from palpate.meshfree.filling import fill
 from palpate.meshfree.gate import nearest_spacing
 from palpate.scenes.label_parts import whole_body
 from palpate.scenes.names import SceneKind, kind_of
-from palpate.scenes.open_scene import open_scene, training_scene_of
-from palpate.scenes.organ_scene import OrganScene
+from palpate.scenes.open_scene import open_scene
+from palpate.scenes.scene import Scene
+from palpate.scenes.training import training_of
 from palpate.surface.checks import SurfaceReport, check_surface
 from palpate.surface.files import read_surface
 from palpate.surface.labels.reading import is_label_map
@@ -143,7 +144,7 @@ def check(
         if cloud is not None:
             draw_cloud(cloud, out / "cloud.png")
         if scene is not None and "reached" in report.get("scene", {}):
-            draw_coverage(Coverage(training_scene_of(scene, {}), ()), out / "tool.png")
+            draw_coverage(Coverage(training_of(scene, {}), ()), out / "tool.png")
     except DrawingError as error:
         console.say(f"no pictures: {error}")
     report = plain(report)
@@ -159,14 +160,14 @@ def _filling(surface: Surface, spacing: float, seed: int) -> Callable[[], Cloud]
     return lambda: fill(surface, spacing, seed=seed)
 
 
-def _scene_surface(scene: OrganScene) -> Surface:
+def _scene_surface(scene: Scene) -> Surface:
     """Return the surface of a scene, as it is filled."""
     if scene.surface is None:
         raise InputError(f"{scene.name} must have a surface to check, got a {scene.description.surface.generated}")
     return repair_surface(scene.surface) if scene.description.surface.repair else scene.surface
 
 
-def _scene_entry(scene: OrganScene, console: Console) -> dict[str, Any]:
+def _scene_entry(scene: Scene, console: Console) -> dict[str, Any]:
     """Return the supported nodes and the reachable surface of a scene."""
     with console.status("preparing the body, and finding where a tool reaches"):
         body = scene.body

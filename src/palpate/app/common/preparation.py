@@ -7,18 +7,18 @@ from pathlib import Path
 
 from palpate.app.common.console import Console
 from palpate.files import check_folder, check_space
-from palpate.scenes.scene import Scene
+from palpate.scenes.load_case import LoadCase
 
 FIGURES_SIZE = 5_000_000  # [bytes] of all figures of a study, about
 
 
-def prepare(build: Callable[[], Scene], out: Path, doubles: int, console: Console) -> Scene:
-    """Build a scene, check that its results can be written, and make their folder.
+def prepare(build: Callable[[], LoadCase], out: Path, doubles: int, console: Console) -> LoadCase:
+    """Build a load case, check that its results can be written, and make their folder.
 
     Parameters
     ----------
     build : function
-        Returns the scene.
+        Returns the load case.
     out : path
         Folder.
     doubles : int
@@ -26,9 +26,9 @@ def prepare(build: Callable[[], Scene], out: Path, doubles: int, console: Consol
     """
     check_folder(out)
     with console.status("making the model ready (the first run on a machine compiles it: a minute or two)"):
-        scene = build()
-    frames, nodes = round(scene.duration / scene.every) + 1, len(scene.model.cloud)
+        case = build()
+    frames, nodes = round(case.duration / case.every) + 1, len(case.model.cloud)
     check_space(out, doubles * frames * nodes * 8 + FIGURES_SIZE)
     out.mkdir(parents=True, exist_ok=True)
-    console.say(f"{scene.title}: {nodes} nodes; {scene.model.stability.step:.3g} s is stable at rest")
-    return scene
+    console.say(f"{case.title}: {nodes} nodes; {case.model.stability.step:.3g} s is stable at rest")
+    return case

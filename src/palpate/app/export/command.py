@@ -48,7 +48,7 @@ def export(
         if name is not None or targets or relaxed:
             raise InputError("web must be alone, got an option of a library; leave name, target and relaxed out")
         check_new(web)
-        subject = open_subject(model, part=part, labels=labels)
+        subject = open_subject(model, for_training=True, part=part, labels=labels)
         reduced = subject.reduced(console)
         with console.status("compiling the step of the model (about a minute)"):
             written = export_web(reduced, web, subject.title, tools)
@@ -58,7 +58,7 @@ def export(
         return 0
     assert folder is not None  # the parser requires one
     check_new(folder)
-    subject = open_subject(model, part=part, labels=labels)
+    subject = open_subject(model, for_training=True, part=part, labels=labels)
     reduced = subject.reduced(console)
     chosen = identifier(Path(model).stem) if name is None else name
     with console.status("compiling the step of the model (about a minute)"):

@@ -14,9 +14,9 @@ from palpate.app.common.exit_status import one_line
 from palpate.faults import InputError
 from palpate.scenes.names import PACKAGE_SCENES, SceneKind, kind_of
 from palpate.scenes.open_scene import open_scene
-from palpate.scenes.organ_scene import OrganScene
+from palpate.scenes.open_surface import complete_for_training, open_surface
 from palpate.scenes.places import side_mask
-from palpate.scenes.surface_scene import refined_scene, surface_scene
+from palpate.scenes.scene import Scene
 
 if TYPE_CHECKING:  # it takes a second to import, before a page opens
     from palpate.reduction.hyper.model import ReducedModel
@@ -28,7 +28,7 @@ class Subject:
 
     name: str
     title: str
-    scene: OrganScene | None = None
+    scene: Scene | None = None
     model: ReducedModel | None = None
 
     def reduced(self, console: Console) -> ReducedModel:
@@ -38,9 +38,7 @@ class Subject:
             from palpate.app.models.trained import trained_model
 
             assert self.scene is not None
-            model = trained_model(
-                refined_scene(self.scene) if self.scene.kind is SceneKind.SURFACE_FILE else self.scene, console
-            )
+            model = trained_model(self.scene, console)
         if "advice" in model.report:
             console.say(f"warning: {one_line(model.report['advice'])}")
         return model
@@ -50,22 +48,27 @@ SUBJECT_NAMES = f"{', '.join(PACKAGE_SCENES)}, a scene file, or a file of palpat
 
 
 def open_subject(
-    name: str, settings: Mapping[str, Any] | None = None, spacing: float | None = None, **shape: Any
+    name: str,
+    settings: Mapping[str, Any] | None = None,
+    spacing: float | None = None,
+    for_training: bool = False,
+    **shape: Any,
 ) -> Subject:
     """Open a scene of the package, a scene file, a surface file, or the file of a reduced model.
 
     `settings` and `spacing` [m] are of a scene (`palpate.open_scene`), `shape` are further options of a surface file
-    (`palpate.scenes.surface_scene.surface_scene`): None, 1, or empty where the user gave none.
+    (`palpate.scenes.open_surface.open_surface`): None, 1, or empty where the user gave none. With `for_training` the
+    scene of a surface file has all that a reduced model requires (`palpate.scenes.open_surface.complete_for_training`).
     """
     shape = {option: value for option, value in shape.items() if value not in (None, 1.0, [], ())}
     kind, settings = kind_of(name), dict(settings or {})
     if kind is SceneKind.SURFACE_FILE:
-        scene = surface_scene(name, spacing=spacing, settings=settings, **shape)
+        scene = open_surface(name, spacing=spacing, settings=settings, **shape)
         assert scene.surface is not None
         for support in scene.description.support:
             if support.place.side:
                 side_mask(scene.surface.vertices, support.place.side, space=scene.surface.space)
-        return Subject(name, scene.title, scene)
+        return Subject(name, scene.title, complete_for_training(scene) if for_training else scene)
     if kind is None and not (shape or settings or spacing is not None):
         return _model_of_file(name)
     if kind is None or (shape and kind is SceneKind.PACKAGE):

@@ -18,20 +18,21 @@ from palpate.files import check_folder
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import load
 from palpate.scenes.names import SceneKind
-from palpate.scenes.open_scene import DESCRIPTION_KEY, open_scene, text_of_scene, training_scene_of
-from palpate.scenes.organ_scene import OrganScene
+from palpate.scenes.open_scene import json_of_scene, open_scene
+from palpate.scenes.scene import Scene
+from palpate.scenes.training import DESCRIPTION_KEY, training_of
 
 __all__ = ["held_out_means", "model_file", "trained_model", "training_folder"]
 
 MAX_WORKERS = 4
 
 
-def model_file(scene: OrganScene) -> Path:
+def model_file(scene: Scene) -> Path:
     """Return the path of a scene's trained model, which may be missing."""
     return training_folder(scene) / MODEL_FILE
 
 
-def trained_model(scene: OrganScene, console: Console, workers: int | None = None) -> ReducedModel:
+def trained_model(scene: Scene, console: Console, workers: int | None = None) -> ReducedModel:
     """Return the reduced model of a scene from its folder; train a missing one.
 
     An existing model stays, also one of another number of paths or modes, such as of ``palpate train --paths 32``.
@@ -61,7 +62,7 @@ def trained_model(scene: OrganScene, console: Console, workers: int | None = Non
     except InputError as error:
         raise InputError(f"{error}, or train a model elsewhere: palpate train {scene.name} --out FOLDER") from error
     with console.status("preparing the full model (the first run on a machine compiles it: a minute or two)"):
-        made = training_scene_of(scene, _parameters(scene))
+        made = training_of(scene, _parameters(scene))
     console.say(f"a reduced model is trained, once, and kept in {folder}")
     default = min(os.cpu_count() or 1, MAX_WORKERS)
     with open_campaign(folder, manifest_of(name_in_folder(scene.name, folder), made, training.seed)) as campaign_folder:
@@ -74,7 +75,7 @@ def trained_model(scene: OrganScene, console: Console, workers: int | None = Non
     return model
 
 
-def _other_sizes(scene: OrganScene, model: ReducedModel) -> dict[str, Any]:
+def _other_sizes(scene: Scene, model: ReducedModel) -> dict[str, Any]:
     """Return the numbers of paths and modes of a model that differ from those of its scene, by name."""
     training = scene.description.training
     sizes = {"modes": model.report.get("modes")}
@@ -83,11 +84,11 @@ def _other_sizes(scene: OrganScene, model: ReducedModel) -> dict[str, Any]:
     return {name: size for name, size in sizes.items() if size != getattr(training, name)}
 
 
-def _parameters(scene: OrganScene) -> dict[str, Any]:
+def _parameters(scene: Scene) -> dict[str, Any]:
     """Return the parameters with which a worker opens the scene: its settings, or its own description."""
     if scene.kind is not SceneKind.SURFACE_FILE and open_scene(scene.name, scene.settings).digest == scene.digest:
         return scene.settings
-    return {DESCRIPTION_KEY: text_of_scene(scene)}
+    return {DESCRIPTION_KEY: json_of_scene(scene)}
 
 
 def held_out_means(model: ReducedModel) -> dict[str, float]:

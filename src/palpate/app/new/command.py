@@ -12,17 +12,18 @@ import numpy as np
 
 from palpate.app.common.arguments import option_names
 from palpate.app.common.console import Console, count_nodes
-from palpate.app.models.touch import TRAINED_NODES, fitting_scene, spacing_for
+from palpate.app.models.full_body import fill_scene
+from palpate.app.models.spacing import NEW_NODES, spacing_for
 from palpate.app.new.proposals import Proposals, propose
-from palpate.app.new.text import scene_text
+from palpate.app.new.text import commented_text
 from palpate.faults import InputError
 from palpate.files import check_folder, whole_file, write_json
 from palpate.scenes.description import Support
 from palpate.scenes.names import SceneKind, kind_of
 from palpate.scenes.open_scene import open_scene
-from palpate.scenes.organ_scene import OrganScene
+from palpate.scenes.open_surface import open_surface
+from palpate.scenes.scene import Scene
 from palpate.scenes.schema import scene_schema
-from palpate.scenes.surface_scene import surface_scene
 from palpate.surface.checks import METRES_BY_UNIT
 from palpate.surface.labels.label_map import choose_segments, segments_mask
 from palpate.surface.labels.listing import choice_of_labels
@@ -52,7 +53,7 @@ def new(
     out : path
         Scene file; must not exist.
     part, labels, units, scale, spacing, law, fixed
-        As for `palpate.scenes.surface_scene.surface_scene`.
+        As for `palpate.scenes.open_surface.open_surface`.
 
     Returns
     -------
@@ -67,7 +68,7 @@ def new(
         raise InputError(f"file must be a surface, got {str(file)!r}; palpate new --help lists the formats")
     check_folder(out.parent)
     console = Console()
-    scene = surface_scene(
+    scene = open_surface(
         file, units=units, scale=scale, part=tuple(part or ()), spacing=spacing, law=law, fixed=tuple(fixed),
         labels=labels,
     )  # fmt: skip
@@ -82,7 +83,7 @@ def new(
             guesses["support"] = "by what touches the organ in the label map"
     notes = [option_names(note) for note in scene.notes if "does not state its units" not in note]
     alternatives = [(_placed_support(each, out), why) for each, why in proposals.alternatives] if proposals else []
-    text = scene_text(_placed(scene, out), guesses, notes, _schema(out), alternatives)
+    text = commented_text(_placed(scene, out), guesses, notes, _schema(out), alternatives)
     _schema(out).parent.mkdir(exist_ok=True)
     write_json(_schema(out), scene_schema())
     with whole_file(out) as partial:
@@ -97,14 +98,14 @@ def new(
     return 0
 
 
-def _fitted(scene: OrganScene, spacing: float | None, console: Console) -> tuple[OrganScene, dict[str, Any]]:
+def _fitted(scene: Scene, spacing: float | None, console: Console) -> tuple[Scene, dict[str, Any]]:
     """Return the scene with spacing, unit, tool and depth filled in, and words about the guesses."""
     with console.status("checking the surface"):
         surface = scene.repaired_surface
     assert surface is not None
     volume, about = abs(surface.volume), scene.description
-    target_spacing = spacing_for(TRAINED_NODES, volume) if spacing is None else spacing
-    fitted = fitting_scene(scene, target_spacing, spacing is not None, console)
+    target_spacing = spacing_for(NEW_NODES, volume) if spacing is None else spacing
+    fitted = fill_scene(scene, target_spacing, spacing is not None, console)
     with console.status("finding where a tool reaches"):
         paths = fitted.tool_paths()
     unit = min(METRES_BY_UNIT, key=lambda name: abs(np.log(METRES_BY_UNIT[name] * about.surface.scale / surface.unit)))
@@ -129,15 +130,15 @@ def _fitted(scene: OrganScene, spacing: float | None, console: Console) -> tuple
         "support": "given" if about.support else "guessed: the side away from the first view of the page",
         "reach": f"a ball of {1e3 * paths.radius:.3g} mm reaches {reach:.0%} of the surface, {held_share:.0%} is held",
     }
-    made = OrganScene(description, fitted.folder, fitted.name, fitted.kind)
+    made = Scene(description, fitted.folder, fitted.name)
     vars(made).update({name: vars(fitted)[name] for name in ("surface", "cloud", "body") if name in vars(fitted)})
     made.notes += [*dict.fromkeys([*scene.notes, *fitted.notes])]
     return made, guesses
 
 
 def _with_proposals(
-    scene: OrganScene, part: tuple[str, ...], spacing: float | None, console: Console
-) -> tuple[OrganScene, Proposals]:
+    scene: Scene, part: tuple[str, ...], spacing: float | None, console: Console
+) -> tuple[Scene, Proposals]:
     """Return the scene of an organ with what lies in it, and held by what touches it, and all proposals."""
     about = scene.description
     with console.status("searching the label map"):
@@ -145,13 +146,13 @@ def _with_proposals(
         if not part and len(labels.segments) > 1:
             raise choice_of_labels(labels)
         organ = segments_mask(labels, choose_segments(labels, part or None))
-        target_spacing = spacing or spacing_for(TRAINED_NODES, organ.volume)
+        target_spacing = spacing or spacing_for(NEW_NODES, organ.volume)
         proposals = propose(labels, Path(about.surface.file), part, target_spacing)
     regions = tuple(region for region, _ in proposals.regions)
     supports = about.support or tuple(support for support, _ in proposals.supports)
     shape = replace(about.surface, parts=proposals.parts)
     about = replace(about, title=proposals.title, surface=shape, region=regions, support=supports)
-    return OrganScene(about, scene.folder, scene.name, scene.kind), proposals
+    return Scene(about, scene.folder, scene.name), proposals
 
 
 def _round(length: float) -> float:
@@ -159,13 +160,13 @@ def _round(length: float) -> float:
     return float(f"{length:.2g}")
 
 
-def _placed(scene: OrganScene, out: Path) -> OrganScene:
+def _placed(scene: Scene, out: Path) -> Scene:
     """Return the scene with files relative to the folder of its scene file, if possible."""
     about = scene.description
     names = _relative(about.surface.labels, out) if about.surface.labels else ""
     surface = replace(about.surface, file=_relative(about.surface.file, out), labels=names)
     about = replace(about, surface=surface, support=tuple(_placed_support(each, out) for each in about.support))
-    return OrganScene(about, out.parent, str(out), SceneKind.SCENE_FILE)
+    return Scene(about, out.parent, str(out))
 
 
 def _placed_support(support: Support, out: Path) -> Support:

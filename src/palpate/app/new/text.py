@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from palpate.scenes.description import Painted, Place, Region, Support
-from palpate.scenes.organ_scene import OrganScene
+from palpate.scenes.scene import Scene
 from palpate.tissue.liver import SHEAR_MODULUS
 
 LIVER_SOURCE = "mean of healthy livers: Yin et al., Clin. Gastroenterol. Hepatol. 5, 2007"
 
 
-def scene_text(
-    scene: OrganScene,
+def commented_text(
+    scene: Scene,
     guesses: Mapping[str, Any],
     notes: Sequence[str],
     schema: Path,
@@ -25,7 +25,7 @@ def scene_text(
 
     Parameters
     ----------
-    scene : OrganScene
+    scene : Scene
         With all values in use.
     guesses : mapping
         ``"units"``, ``"size"``, ``"nodes"``, ``"support"`` and ``"reach"`` in words; ``"reasons"`` for regions and
@@ -139,7 +139,7 @@ def _painted(paint: Painted) -> str:
     return f"file = {_text(paint.file)}" + (f", field = {_text(paint.field)}" if paint.field else "")
 
 
-def _parameters(scene: OrganScene) -> str:
+def _parameters(scene: Scene) -> str:
     """Return the parameters of the law in use as an inline table."""
     from palpate.tissue.catalogue import LAWS
 
@@ -154,7 +154,7 @@ def _parameters(scene: OrganScene) -> str:
     return "{ " + ", ".join(words) + " }"
 
 
-def _is_liver(scene: OrganScene) -> bool:
+def _is_liver(scene: Scene) -> bool:
     return scene.description.tissue.law == "NeoHookean" and scene.material.shear_modulus == SHEAR_MODULUS
 
 

@@ -33,9 +33,7 @@ from palpate.reduction.storage.models import load as load_model
 from palpate.reduction.training.errors import relative_errors
 from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.beam import DURATION, EVERY, beam
-from palpate.scenes.names import SceneKind
-from palpate.scenes.scene import Scene
-from palpate.scenes.surface_scene import refined_scene
+from palpate.scenes.load_case import LoadCase
 
 FILES = (*REPORTS, "full.h5", "reduced.h5")
 PRESS_SEED = 500_000  # of the path of a scene without loads: the first held-out one
@@ -98,15 +96,13 @@ def run(
     if record is not None:
         check_record(record, what)
     spacing = words.pop("spacing", None)
-    subject = open_subject(what, words | parse_settings(given), spacing, **shape)
+    subject = open_subject(what, words | parse_settings(given), spacing, for_training=not (full or cut), **shape)
     if model is not None:
         subject = replace(subject, name=str(model), model=load_model(model))
     if (full or cut) and subject.scene is None:
         raise InputError(f"full and cut must be left out for the model of a file, got one of them for {what!r:.60}")
-    full = full or cut
-    if subject.scene is not None and subject.scene.kind is SceneKind.SURFACE_FILE and not full:
-        subject = replace(subject, scene=refined_scene(subject.scene))
     limits = {name: value for name, value in (("seconds", seconds), ("rate", rate)) if value is not None}
+    full = full or cut
     return run_realtime(
         subject, full=full, cut=cut, script=script, record=record, device=device, out=out, as_json=as_json, **limits
     )  # fmt: skip
@@ -138,7 +134,7 @@ def run_once(
         raise InputError(f"load must be left out of {what}, got {load:g}; change the loads in its file")
     console = Console()
     doubles = 6 if modes is None else 12
-    made = prepare(lambda: _scene(what, settings, modes is not None, shape), out, doubles, console)
+    made = prepare(lambda: _load_case(what, settings, modes is not None, shape), out, doubles, console)
     for name in FILES:  # of an earlier run: all files of a folder belong together
         (out / name).unlink(missing_ok=True)
     runs, reduced = {"full": _run(made, made.model, console, out / "full.h5")}, None
@@ -154,24 +150,22 @@ def run_once(
     return 0
 
 
-def _scene(name: str, settings: dict[str, Any], energy: bool, shape: Mapping[str, Any]) -> Scene:
-    """Return a scene for a single run, its model in the energy form if asked."""
+def _load_case(name: str, settings: dict[str, Any], energy: bool, shape: Mapping[str, Any]) -> LoadCase:
+    """Return a body and its loads for a single run, the body in the energy form if asked."""
     if name == PAPER_SCENE:
-        scene = beam(**{key: _paper_value(key, value) for key, value in settings.items()})
-        body = scene.model
-        return replace(scene, model=Solid(body.cloud, body.material, body.supports, form="energy")) if energy else scene
-    opened = open_subject(name, settings, **shape).scene
-    if opened is None:
+        case = beam(**{key: _paper_value(key, value) for key, value in settings.items()})
+        body = case.model
+        return replace(case, model=Solid(body.cloud, body.material, body.supports, form="energy")) if energy else case
+    scene = open_subject(name, settings, for_training=True, **shape).scene
+    if scene is None:
         raise InputError(
             f"what must be a scene or a surface file for a single run, got the model {name!r:.60}; add --script"
         )
-    if opened.kind is SceneKind.SURFACE_FILE:
-        opened = refined_scene(opened)
-    loads, duration, every = opened.loads, opened.duration, opened.every
-    if not opened.description.load:
-        (loads, duration), every = opened.paths(PRESS_SEED), opened.description.training.every
-    parameters = {"spacing": opened.body.cloud.spacing}
-    return Scene(opened.body, loads, duration, every, opened.title, parameters, opened.start)
+    loads, duration, every = scene.loads, scene.duration, scene.every
+    if not scene.description.load:
+        (loads, duration), every = scene.paths(PRESS_SEED), scene.description.training.every
+    parameters = {"spacing": scene.body.cloud.spacing}
+    return LoadCase(scene.body, loads, duration, every, scene.title, parameters, scene.start)
 
 
 def _paper_value(key: str, value: Any) -> float:
@@ -186,14 +180,14 @@ def _paper_value(key: str, value: Any) -> float:
         raise InputError(f"{key} {error}") from None
 
 
-def _report(scene: Scene, runs: dict[str, Trajectory], model: ReducedModel | None) -> dict[str, Any]:
+def _report(case: LoadCase, runs: dict[str, Trajectory], model: ReducedModel | None) -> dict[str, Any]:
     report: dict[str, Any] = {
-        "title": scene.title,
-        "parameters": dict(scene.parameters),
-        "form": cast(Solid, scene.model).form,
+        "title": case.title,
+        "parameters": dict(case.parameters),
+        "form": cast(Solid, case.model).form,
         "machine": machine(),
         "model": model and model.report,
-        "runs": {name: _run_entry(run, scene) for name, run in runs.items()},
+        "runs": {name: _run_entry(run, case) for name, run in runs.items()},
     }
     if len(runs) == 2:
         report["errors"] = relative_errors(runs["full"], runs["reduced"]).as_dict()
@@ -201,16 +195,16 @@ def _report(scene: Scene, runs: dict[str, Trajectory], model: ReducedModel | Non
     return {name: plain(value) for name, value in report.items()}
 
 
-def _run(scene: Scene, model: Model, console: Console, file: Path | None = None) -> Trajectory:
+def _run(case: LoadCase, model: Model, console: Console, file: Path | None = None) -> Trajectory:
     """Run a model; write the frames of a long run to a file, if there is one."""
-    prepared = model.prepare(scene.loads)
+    prepared = model.prepare(case.loads)
     kept = f"; the frames until then are kept in {file}" if file else ""
     try:
-        step = min(scene.every, model.stable_step(model.state(prepared), prepared)[0])
+        step = min(case.every, model.stable_step(model.state(prepared), prepared)[0])
         with warnings.catch_warnings(action="ignore", category=TrustWarning):  # a line below has the number
-            begin: Any = {"displacement": scene.displacement}
-            rollout(model, scene.loads, duration=step, every=step, progress=False, **begin)  # compiles the rest
-            run = rollout(model, scene.loads, duration=scene.duration, every=scene.every, file=file, **begin)
+            begin: Any = {"displacement": case.displacement}
+            rollout(model, case.loads, duration=step, every=step, progress=False, **begin)  # compiles the rest
+            run = rollout(model, case.loads, duration=case.duration, every=case.every, file=file, **begin)
     except DivergenceError as error:
         raise RunError(f"the {model.name} model diverged: {error}{kept}") from error
     except KeyboardInterrupt:
@@ -222,12 +216,12 @@ def _run(scene: Scene, model: Model, console: Console, file: Path | None = None)
     return run
 
 
-def _run_entry(run: Trajectory, scene: Scene) -> dict[str, Any]:
+def _run_entry(run: Trajectory, case: LoadCase) -> dict[str, Any]:
     peaks = {name: float(np.linalg.norm(force, axis=1).max()) for name, force in run.reactions.items()}
     return {
         "nodes": len(run.points),
         "wall_seconds": run.wall_seconds,
-        "real_time_factor": scene.duration / run.wall_seconds,
+        "real_time_factor": case.duration / run.wall_seconds,
         "steps": int(run.steps[-1]),
         "seconds_per_step": run.wall_seconds / float(run.steps[-1]),
         "stiffness_damping": run.stiffness_damping,

@@ -15,7 +15,7 @@ from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.scenes.description import Cut
-from palpate.scenes.organ_scene import OrganScene
+from palpate.scenes.scene import Scene
 from palpate.scenes.scene_paths import MIN_RADIUS, touching_paths
 
 UNTRAINED_SEED = 1_500_000  # of a path that was not trained on
@@ -79,7 +79,7 @@ def cutting_scalpel(body: Any, cut: Cut) -> tuple[Poses, Contact]:
     return poses, Contact(blade, (tuple(first), rotation), name="scalpel")
 
 
-def pressing_ball(scene: OrganScene, body: Any, name: str = "") -> tuple[Poses, Contact]:
+def pressing_ball(scene: Scene, body: Any, name: str = "") -> tuple[Poses, Contact]:
     """Return the poses of a ball that presses a body repeatedly, and the ball at its first pose."""
     if isinstance(body, ReducedModel) and body.data.compliance is None:
         raise InputError(

@@ -23,7 +23,7 @@ from palpate.files import shortened
 from palpate.realtime.bodies.display_surface import Surface
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.scenes.names import PACKAGE_SCENES
-from palpate.scenes.training import search_current_folder, training_scene
+from palpate.scenes.training import open_training, search_current_folder
 
 MAX_INITIAL_DISPLACEMENT = 0.02  # of the body when the tool comes, as a fraction of the spacing
 POINT_TOLERANCE = 1e-6  # between equal points of two bodies, as a fraction of the spacing
@@ -58,7 +58,7 @@ def full_model(reduced: ReducedModel, trusted_scene: str | None = None) -> Model
         )
     if trusted_scene is not None:
         search_current_folder()
-    model = training_scene(scene, parameters).model
+    model = open_training(scene, parameters).model
     points, tolerance = model.cloud.points, POINT_TOLERANCE * cloud.spacing
     if points.shape != cloud.points.shape or not np.allclose(points, cloud.points, atol=tolerance):
         raise InputError(

@@ -16,7 +16,7 @@ from palpate.app.train.scene_folder import recordings_folder
 from palpate.faults import InputError
 from palpate.files import check_folder
 from palpate.scenes.names import SceneKind
-from palpate.scenes.organ_scene import OrganScene
+from palpate.scenes.scene import Scene
 
 if TYPE_CHECKING:  # it takes a second to import, before a page opens
     from palpate.app.session.session import Session
@@ -44,27 +44,27 @@ def running_session(
     springs; before that, `wait` is called. `record` is the file of a recording of the whole session.
     """
     console.begin_phase("importing")
+    from palpate.app.models.full_body import is_guessed, prepare_full_body
     from palpate.app.models.learned_spacings import learned_spacing
-    from palpate.app.models.touch import is_guessed, open_touched
 
-    scene, touched = subject.scene, None
+    scene, fitted = subject.scene, None
     if scene is not None and full and exact and scene.description.body.spacing is not None:
         with console.status("filling the surface with nodes (the first time on a machine compiles it)"):
-            touched, _ = scene, scene.body
+            fitted, _ = scene, scene.body
     elif scene is not None and full:
         learned = None
         with contextlib.suppress(OSError, InputError):  # of a missing file, which the body then names
             learned = learned_spacing(scene.digest)
-        touched = open_touched(scene, console, learned)
-    body: Any = subject.reduced(console) if touched is None else touched.body
+        fitted = prepare_full_body(scene, console, learned)
+    body: Any = subject.reduced(console) if fitted is None else fitted.body
     with console.status("preparing the engine (the first run on a machine compiles it, in about a minute)"):
         if wait is not None:
             wait()
         session = make(body, () if scene is None else scene.foundations)
     session.start()
     try:
-        if scene is not None and touched is not None and is_guessed(scene, touched):
-            session = _in_real_time(session, scene, touched, make, console)
+        if scene is not None and fitted is not None and is_guessed(scene, fitted):
+            session = _in_real_time(session, scene, fitted, make, console)
         if scene is not None and scene.kind is SceneKind.SCENE_FILE:
             session.recordings.folder = recordings_folder(Path(scene.name))
         if record is not None:
@@ -80,25 +80,24 @@ def running_session(
                 )
 
 
-def _in_real_time(
-    session: Session, scene: OrganScene, touched: OrganScene, make: MakeSession, console: Console
-) -> Session:
+def _in_real_time(session: Session, scene: Scene, fitted: Scene, make: MakeSession, console: Console) -> Session:
     """Return the running session, or one of the same surface filled again, whose body keeps real time."""
+    from palpate.app.models.full_body import prepare_full_body
     from palpate.app.models.learned_spacings import keep_spacing
-    from palpate.app.models.touch import better_spacing, open_touched
+    from palpate.app.models.spacing import better_spacing
 
     for _ in range(MAX_REFILLS):
-        spacing = better_spacing(touched, session.load(LOAD_SECONDS))
+        spacing = better_spacing(fitted.body.cloud, session.load(LOAD_SECONDS))
         if spacing is None:
             break
         session.close()
         console.say("the body is filled again, since its steps take another time than expected")
-        before, touched = touched.body.cloud.spacing, open_touched(scene, console, spacing)
-        session = make(touched.body, touched.foundations)
+        before, fitted = fitted.body.cloud.spacing, prepare_full_body(scene, console, spacing)
+        session = make(fitted.body, fitted.foundations)
         session.start()
-        if touched.body.cloud.spacing == before:  # thin tissue has no coarser one
+        if fitted.body.cloud.spacing == before:  # thin tissue has no coarser one
             break
-    keep_spacing(scene.digest, touched.body.cloud.spacing)
+    keep_spacing(scene.digest, fitted.body.cloud.spacing)
     return session
 
 

@@ -38,24 +38,24 @@ from palpate.dynamics.solid.model import Solid
 from palpate.reduction.galerkin.model import galerkin
 from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.beam import DURATION, EVERY, beam
-from palpate.scenes.scene import Scene
+from palpate.scenes.load_case import LoadCase
 
 MIN_SHARE_LEFT = 0.5  # of the error with 8 modes; with less than that left, the decrease is not slight
 NEARLY_LINEAR = 0.9  # coefficient of determination
 MAX_TIME_RATIO = 1.5  # at most this many times the printed ratio of times still is its "almost" or "around"
 
 
-def _strong_form(scene: Scene) -> Study:
+def _strong_form(case: LoadCase) -> Study:
     series = {PROJECTED: lambda model, run, size: galerkin(model, run, modes=size)}
-    return Study(scene, (Phase("full", 0.0, DURATION),), series, "strong form")
+    return Study(case, (Phase("full", 0.0, DURATION),), series, "strong form")
 
 
-def _energy_form(scene: Scene) -> Study:
-    body = cast(Solid, scene.model)
-    scene = replace(scene, model=Solid(body.cloud, body.material, body.supports, form="energy"))
+def _energy_form(case: LoadCase) -> Study:
+    body = cast(Solid, case.model)
+    case = replace(case, model=Solid(body.cloud, body.material, body.supports, form="energy"))
     series = {HYPER_REDUCED: lambda model, run, size: hyper_reduce(cast(Solid, model), run, modes=size)}
     name = "full_energy_form"
-    return Study(scene, (Phase(name, 0.0, DURATION),), series, "energy form", f"{name}.h5")
+    return Study(case, (Phase(name, 0.0, DURATION),), series, "energy form", f"{name}.h5")
 
 
 def von_mises(model: NodalModel, displacements: Floats) -> dict[str, Floats]:
@@ -70,15 +70,15 @@ def von_mises(model: NodalModel, displacements: Floats) -> dict[str, Floats]:
 
 def _tip(study: Study, run: Trajectory) -> Floats:
     """Return the mean axial displacement [m] of the pulled end over a run, shape (f,)."""
-    nodes = study.scene.model.cloud.group("x+")
+    nodes = study.case.model.cloud.group("x+")
     return np.asarray(run.displacements[:, nodes, 0].mean(axis=1))
 
 
 def _quantities(study: Study, _number: int) -> dict[str, Any]:
-    scene, full = study.scene, study.full
+    case, full = study.case, study.full
     tip = _tip(study, full)
-    peak, middle = int(np.argmax(np.abs(tip))), int(np.argmin(np.abs(full.times - scene.duration / 2)))
-    force = scene.loads[0].force  # type: ignore[union-attr]
+    peak, middle = int(np.argmax(np.abs(tip))), int(np.argmin(np.abs(full.times - case.duration / 2)))
+    force = case.loads[0].force  # type: ignore[union-attr]
     return {
         **cost_of(full),
         "peak_tip_displacement": float(tip[peak]),
@@ -133,8 +133,8 @@ PAPER_CLAIMS = (
 
 def _draw_tip(studies: Sequence[Study], path: Path) -> None:
     """Draw the displacement of the pulled end, and the support force against the load, over time."""
-    scene, full = studies[0].scene, studies[0].full
-    force: Any = scene.loads[0].force  # type: ignore[union-attr]
+    case, full = studies[0].case, studies[0].full
+    force: Any = case.loads[0].force  # type: ignore[union-attr]
     runs = []
     for study, (full_colour, reduced_colour) in zip(studies, ((BLUE, ORANGE), (GREY, GREEN)), strict=False):
         runs.append((study.title, study.full, {"ls": "-", "color": full_colour, "lw": 2.0}))

@@ -52,7 +52,7 @@ def draw_beam(studies: Sequence[Study], path: Path) -> None:
     """Draw the beam at rest, at a quarter of its run and at its largest displacement, coloured by von Mises stress."""
     check_drawing()
     study = studies[0]
-    cloud, run, stress = study.scene.model.cloud, study.full, study.fields["von_mises"]
+    cloud, run, stress = study.case.model.cloud, study.full, study.fields["von_mises"]
     peak = int(np.argmax(np.abs(run.displacements[:, :, 0]).max(axis=1)))
     frames = {"At rest": 0, "At a quarter of the run": len(run.times) // 4, "At the largest displacement": peak}
     shown = list(frames.values())

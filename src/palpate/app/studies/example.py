@@ -1,4 +1,4 @@
-"""What sets an example of the paper apart: its scene, models, quantities, claims and figures."""
+"""What sets an example of the paper apart: its case, models, quantities, claims and figures."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from palpate.app.studies.report import Claim
 from palpate.app.studies.study import Study
 from palpate.arrays import Floats
 from palpate.dynamics.nodal.model import NodalModel
-from palpate.scenes.scene import Scene
+from palpate.scenes.load_case import LoadCase
 
 Draw = Callable[[Sequence[Study], Path], None]  # draws a figure of an example's studies into a file
 
@@ -23,9 +23,9 @@ class Example:
     """An example of the paper for `palpate.app.studies.reproduce.reproduce`."""
 
     name: str  # of the command, and of the file for ParaView
-    scene: Callable[..., Scene]  # of the options of the command
+    case: Callable[..., LoadCase]  # of the options of the command
     snapshots: int  # of a phase, that move: the first shows the body at rest
-    studies: Mapping[str, Callable[[Scene], Study]]  # by name in the report; runs of all but the first may diverge
+    studies: Mapping[str, Callable[[LoadCase], Study]]  # by name in the report; runs of all but the first may diverge
     fields: Callable[[NodalModel, Floats], dict[str, Floats]]  # stresses and states (f, n) of displacements (f, n, d)
     doubles: int  # numbers that files of runs and the export hold for every node and time
     quantities: Callable[[Study, int], dict[str, Any]]  # of a full run, by the number of its phase, for the report

@@ -48,8 +48,8 @@ from palpate.meshfree.cloud import Cloud
 from palpate.reduction.galerkin.model import GalerkinModel, galerkin
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.reduce import hyper_reduce
+from palpate.scenes.load_case import LoadCase
 from palpate.scenes.membrane import DURATION, EVERY, PUSH_TIME, RADIUS, membrane
-from palpate.scenes.scene import Scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -68,13 +68,13 @@ MAX_ERROR_CHANGE = 0.01  # change of the displacement error
 MAX_TIME_SHARE = 0.1  # of the full model's
 
 
-def _study(scene: Scene) -> Study:
-    after = AFTERWARDS[str(scene.parameters["after"])]
+def _study(case: LoadCase) -> Study:
+    after = AFTERWARDS[str(case.parameters["after"])]
     phases = (
         Phase("push", 0.0, PUSH_TIME, STEP, "Tool pushes"),
         Phase("after", PUSH_TIME, DURATION - PUSH_TIME, title=after),
     )
-    return Study(scene, phases, {PROJECTED: _train, HYPER_REDUCED: _train_sampled})
+    return Study(case, phases, {PROJECTED: _train, HYPER_REDUCED: _train_sampled})
 
 
 def _train(model: NodalModel, run: Trajectory, modes: int) -> GalerkinModel:
@@ -96,7 +96,7 @@ def _stresses(model: NodalModel, displacements: Floats) -> dict[str, Floats]:
 
 
 def _quantities(study: Study, number: int) -> dict[str, Any]:
-    cloud, run = study.scene.model.cloud, study.parts[number]
+    cloud, run = study.case.model.cloud, study.parts[number]
     begin = sum(len(part.times) - 1 for part in study.parts[:number])
     wrinkled = (study.fields["tension"][begin : begin + len(run.times)] == WRINKLED_STATE) @ cloud.volumes
     force, deflection = run.reactions["tool"], run.displacements[-1, :, 2]
@@ -201,7 +201,7 @@ def _plot_deflections(axes: Axes, cloud: Cloud, run: Trajectory, style: str, lab
 def _draw_tool_force(studies: Sequence[Study], path: Path) -> None:
     """Draw the force of the tool, and the deflection at some radii, over time, the force of each phase to its scale."""
     study = studies[0]
-    cloud = study.scene.model.cloud
+    cloud = study.case.model.cloud
     with figure(path, (10.5, 6.4)) as drawn:
         heading(drawn, "Force of the tool on the sheet, and deflection (mean over a ring), at the snapshots")
         upper, lower = drawn.subplots(2, 2, sharex="col")
@@ -227,7 +227,7 @@ def _draw_tool_force(studies: Sequence[Study], path: Path) -> None:
 def _draw_tension(studies: Sequence[Study], path: Path) -> None:
     """Draw how much of the sheet is slack, wrinkled or taut over time, and where, when most of it is wrinkled."""
     study = studies[0]
-    cloud, times, states = study.scene.model.cloud, study.full.times, study.fields["tension"]
+    cloud, times, states = study.case.model.cloud, study.full.times, study.fields["tension"]
     shares = np.stack([(states == k) @ cloud.volumes for k in range(len(STATES))]) / cloud.volumes.sum()
     begin = int(np.argmin(np.abs(times - study.phases[1].start)))
     shown = {"until": slice(1, begin + 1), "after": slice(begin + 1, None)}

@@ -40,7 +40,7 @@ def draw_deflection(studies: Sequence[Study], path: Path) -> None:
     """Draw the deflected membrane when the tool has pushed, full and reduced, and its profile over the radius."""
     check_drawing()
     study = studies[0]
-    cloud, run = study.scene.model.cloud, study.parts[0]
+    cloud, run = study.case.model.cloud, study.parts[0]
     drawn_ones = {FULL: run.displacements[-1]}
     shown = study.shown.get(PROJECTED)
     if shown is not None:

@@ -99,13 +99,13 @@ def build_report(
         Time of the decomposition of the snapshots.
     """
     complete = [study for study in studies.values() if study]
-    first, scene = complete[0], complete[0].scene
+    first, case = complete[0], complete[0].case
     report: dict[str, Any] = {
-        "title": scene.title,
-        "parameters": dict(scene.parameters) | {"duration": scene.duration, "every": scene.every},
-        "nodes": len(scene.model.cloud),
+        "title": case.title,
+        "parameters": dict(case.parameters) | {"duration": case.duration, "every": case.every},
+        "nodes": len(case.model.cloud),
         "machine": machine(),
-        "stability": asdict(scene.model.stability),
+        "stability": asdict(case.model.stability),
     }
     for key, study in studies.items():
         numbers = range(len(study.phases)) if study else ()
@@ -144,7 +144,7 @@ def _of_phases(study: Study, entry: dict[str, Any]) -> dict[str, Any]:
 
 def _distances(first: Study, other: Study) -> dict[str, Any]:
     """Return the errors of a full run against another one, and (34) until the body is back at rest."""
-    full, until = first.full, BACK_AT_REST * first.scene.duration
+    full, until = first.full, BACK_AT_REST * first.case.duration
     apart, size = (
         np.linalg.norm(field, axis=2).sum(axis=1)
         for field in (other.full.displacements - full.displacements, full.displacements)

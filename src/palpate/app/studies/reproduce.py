@@ -29,7 +29,7 @@ from palpate.extras import require
 from palpate.faults import integer_in_range
 from palpate.processes import Answer, Receive
 from palpate.reduction.galerkin.model import GalerkinModel
-from palpate.scenes.scene import Scene
+from palpate.scenes.load_case import LoadCase
 
 PAPER_EXAMPLES = {example.name: example for example in (BEAM_EXAMPLE, MEMBRANE_EXAMPLE)}
 
@@ -48,7 +48,7 @@ def reproduce(*, example: str, modes: Sequence[int], out: Path, as_json: bool = 
     as_json : bool
         Print the report as JSON instead of tables.
     options : mapping
-        Of the example's scene.
+        Of the example's case.
 
     Returns
     -------
@@ -61,14 +61,14 @@ def reproduce(*, example: str, modes: Sequence[int], out: Path, as_json: bool = 
     console = Console()
     (key, make), *others = chosen.studies.items()
     with compile_ahead(compile_rest, [example, options]) as wait, closing(CompiledFunctions()) as compiled:
-        scene = prepare(lambda: chosen.scene(**options), out, chosen.doubles, console)
-        study = make(scene)
+        case = prepare(lambda: chosen.case(**options), out, chosen.doubles, console)
+        study = make(case)
         with console.status("compiling what is not compiled yet"):
             compile_study(study, [PROJECTED])
             if compiled.count:  # otherwise the other process finds all compiled, too
                 wait()
     run_full(study, out, chosen.files, console)
-    study.fields = chosen.fields(scene.model, study.full.displacements)
+    study.fields = chosen.fields(case.model, study.full.displacements)
     start = perf_counter()
     study.singular_values = [_singular_values(study, number) for number in range(len(study.phases))]
     pod_seconds = perf_counter() - start
@@ -78,7 +78,7 @@ def reproduce(*, example: str, modes: Sequence[int], out: Path, as_json: bool = 
     with console.status("writing the figures and the file for ParaView"):
         full = study.full
         fields = {"displacement": full.displacements, "velocity": full.velocities, **study.fields}
-        write_vtkhdf(out / f"{example}.vtkhdf", scene.model.cloud, full.times, fields)
+        write_vtkhdf(out / f"{example}.vtkhdf", case.model.cloud, full.times, fields)
         report["missing"] = _draw(chosen, [each for each in studies.values() if each], out, console)
     deliver(report, tables(report, studies, chosen.rows), out, chosen.files, as_json)
     return 1 if all(entry["failed"] for entry in report["reduced"]) else 0
@@ -88,9 +88,9 @@ def compile_rest(receive: Receive, _answer: Answer) -> None:
     """Compile all of an example but its first full and projected models; its name and options are received."""
     example, options = receive()
     chosen = PAPER_EXAMPLES[example]
-    scene = chosen.scene(**options)
+    case = chosen.case(**options)
     for number, make in enumerate(chosen.studies.values()):
-        study = make(scene)
+        study = make(case)
         series = [name for name in study.series if number > 0 or name != PROJECTED]
         if series:
             compile_study(study, series)
@@ -98,16 +98,16 @@ def compile_rest(receive: Receive, _answer: Answer) -> None:
 
 def _singular_values(study: Study, number: int) -> Any:
     """Return the singular values (r,) that the modes of a phase belong to."""
-    model = cast(GalerkinModel, study.series[PROJECTED](study.scene.model, study.parts[number], 1))
+    model = cast(GalerkinModel, study.series[PROJECTED](study.case.model, study.parts[number], 1))
     return model.basis.singular_values
 
 
 def _run_other(
-    make: Callable[[Scene], Study], first: Study, sizes: Sequence[int], out: Path, console: Console
+    make: Callable[[LoadCase], Study], first: Study, sizes: Sequence[int], out: Path, console: Console
 ) -> Study | None:
     """Run another form of the same body and its reduced models; return None if the full run diverges."""
     with console.status("making the other form of the model ready"):
-        study = make(first.scene)
+        study = make(first.case)
     try:
         run_full(study, out, [], console)
     except RunError as error:

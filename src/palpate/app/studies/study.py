@@ -24,7 +24,7 @@ from palpate.faults import DivergenceError, InputError, TrustWarning
 from palpate.files import flush_and_rename
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.errors import relative_errors
-from palpate.scenes.scene import Scene
+from palpate.scenes.load_case import LoadCase
 
 Train = Callable[[NodalModel, Trajectory, int], Model]  # of a full model, its run over a phase and a number of modes
 
@@ -57,8 +57,8 @@ class Shown:
 class Study:
     """Models to run, and their results."""
 
-    scene: Scene
-    phases: Sequence[Phase]  # one after the other; together they are the scene's whole run
+    case: LoadCase
+    phases: Sequence[Phase]  # one after the other; together they are the case's whole run
     series: Mapping[str, Train]  # kinds of reduced models by name
     form: str = ""  # of the equations, of an example that has several
     file: str = "full.h5"  # of the full run
@@ -96,12 +96,12 @@ class Study:
 
 def compile_study(study: Study, series: Iterable[str]) -> None:
     """Compile what a full model calls, and the reduced models of some series: a few steps of each."""
-    scene, step = study.scene, study.scene.model.stability.step
+    case, step = study.case, study.case.model.stability.step
     short: dict[str, Any] = {"duration": COMPILED_STEPS * step, "every": step, "progress": False}
     with suppress(DivergenceError, InputError), warnings.catch_warnings(action="ignore"):  # the runs themselves say so
-        run = rollout(scene.model, scene.loads, **short)
+        run = rollout(case.model, case.loads, **short)
         for name in series:
-            rollout(study.series[name](scene.model, run, 1), scene.loads, **short)
+            rollout(study.series[name](case.model, run, 1), case.loads, **short)
 
 
 def run_full(study: Study, out: Path, files: Sequence[str], console: Console) -> None:
@@ -114,18 +114,18 @@ def run_full(study: Study, out: Path, files: Sequence[str], console: Console) ->
     files : sequence of str
         Names of files of an earlier study; removed once the run is complete.
     """
-    scene, step = study.scene, study.scene.model.stability.step
+    case, step = study.case, study.case.model.stability.step
     begun: list[Path] = []
     try:
-        rollout(scene.model, scene.loads, duration=step, every=step, progress=False)  # compiles the rest
-        console.say(f"{study.title}: {scene.duration:g} s, {round(scene.duration / scene.every)} snapshots ...")
+        rollout(case.model, case.loads, duration=step, every=step, progress=False)  # compiles the rest
+        console.say(f"{study.title}: {case.duration:g} s, {round(case.duration / case.every)} snapshots ...")
         for phase in study.phases:
             (out / _partial_name(phase)).unlink(missing_ok=True)  # of an earlier run that was stopped
         for phase in study.phases:
             begun.append(out / _partial_name(phase))
             begin: dict[str, Any] = {"start": phase.start, "file": begun[-1]}
             begin |= _last(study.parts[-1] if study.parts else None)
-            study.parts.append(rollout(scene.model, scene.loads, duration=phase.duration, every=scene.every, **begin))
+            study.parts.append(rollout(case.model, case.loads, duration=phase.duration, every=case.every, **begin))
     except DivergenceError as error:
         raise RunError(f"the {study.title} diverged: {error}; {_kept_frames(begun)}") from error
     except KeyboardInterrupt:
@@ -212,22 +212,22 @@ def _run_phase(
     study: Study, phase: Phase, full: Trajectory, name: str, size: int, before: Trajectory | None
 ) -> tuple[dict[str, Any], Trajectory | None]:
     """Train and run a reduced model over a phase; return its entry in the report, and its run if it was finished."""
-    scene, begin = study.scene, {"start": phase.start} | _last(before)
+    case, begin = study.case, {"start": phase.start} | _last(before)
     try:
         start = perf_counter()
-        model = study.series[name](scene.model, full, size)
+        model = study.series[name](case.model, full, size)
         training = perf_counter() - start
-        step = scene.model.stability.step
+        step = case.model.stability.step
         fixed_step = phase.step if name == PROJECTED else None
         with warnings.catch_warnings(action="ignore", category=TrustWarning):  # the report has the number
-            rollout(model, scene.loads, duration=step, every=step, progress=False, **begin)  # compiles
-            run = rollout(model, scene.loads, duration=phase.duration, every=scene.every, step=fixed_step, **begin)
+            rollout(model, case.loads, duration=step, every=step, progress=False, **begin)  # compiles
+            run = rollout(model, case.loads, duration=phase.duration, every=case.every, step=fixed_step, **begin)
     except (DivergenceError, InputError) as error:
         return {"failed": True, "reason": " ".join(str(error).split())}, None
     measured = {
         "failed": False,
         "nodes": len(model.data.cubature.nodes) if isinstance(model, ReducedModel) else len(model.cloud),
-        "projection_error": relative_errors(full, _projection(model, scene, full)).displacement,
+        "projection_error": relative_errors(full, _projection(model, case, full)).displacement,
         "training_seconds": training,
         "real_time_factor": phase.duration / run.wall_seconds,
         "largest_trust": float(run.trust.max()) if len(run.trust) else None,
@@ -253,9 +253,9 @@ def _error_at_end(full: Trajectory, run: Trajectory) -> float:
     return float(missed / np.linalg.norm(full.displacements[-1], axis=1).sum())
 
 
-def _projection(model: Model, scene: Scene, run: Trajectory) -> Trajectory:
+def _projection(model: Model, case: LoadCase, run: Trajectory) -> Trajectory:
     """Return a run projected onto the displacements that a model can represent."""
-    prepared = model.prepare(scene.loads)
+    prepared = model.prepare(case.loads)
     frames = zip(run.times, run.displacements, strict=True)
     states = (model.state(prepared, displacement, time=float(time)) for time, displacement in frames)
     return replace(run, displacements=np.stack([model.displacement(state, prepared) for state in states]))

@@ -35,7 +35,7 @@ from palpate.reduction.contact.support_sensitivity import select_presses, suppor
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import save
 from palpate.reduction.training.reduce import hyper_reduce
-from palpate.scenes.scene import TrainingScene
+from palpate.scenes.load_case import TrainingScene
 
 MODEL_FILE = "model.rom"
 # Where tools touch the body anywhere. Every fourth path of a liver is a grasp, and trust numbers compare runs.

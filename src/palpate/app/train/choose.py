@@ -25,7 +25,7 @@ from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import DivergenceError, TrustWarning
 from palpate.reduction.hyper.error_indicator import distances_to_nearest, expected_error
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.scenes.scene import TrainingScene
+from palpate.scenes.load_case import TrainingScene
 
 FIRST_RUNS = 4  # before the first model
 ROUND_GROWTH = 0.5  # further runs of a round, over those before

@@ -20,9 +20,9 @@ from palpate.faults import InputError, integer_in_range
 from palpate.files import check_folder
 from palpate.scenes.description import Training
 from palpate.scenes.names import SceneKind, kind_of
-from palpate.scenes.open_scene import DESCRIPTION_KEY, text_of_scene
-from palpate.scenes.surface_scene import named_scene
-from palpate.scenes.training import search_current_folder, training_scene
+from palpate.scenes.open_scene import json_of_scene, open_scene
+from palpate.scenes.open_surface import complete_for_training, open_surface
+from palpate.scenes.training import DESCRIPTION_KEY, open_training, search_current_folder, training_of
 
 DEFAULT_OUT = Path("out/train")
 USER_DEFAULTS = Training(paths=64, held_out=8, modes=24)  # of a scene that is a user's function
@@ -52,7 +52,7 @@ def train(
     Parameters
     ----------
     scene : str
-        As for `palpate.scenes.training.training_scene`; a module is looked for in the current folder, too. Or a
+        As for `palpate.scenes.training.open_training`; a module is looked for in the current folder, too. Or a
         surface file.
     part, labels
         Of a surface file, as for `palpate.io.read_surface`.
@@ -85,14 +85,21 @@ def train(
     int
         0, also if some runs failed; 3 if the errors on the held-out runs are too large to use the model.
     """
-    if kind_of(scene) is not None:
+    kind, opened = kind_of(scene), None
+    if kind is not None:
         settings = parse_settings(given)
-        opened = named_scene(scene, settings, part, labels)
+        if kind is SceneKind.SURFACE_FILE:
+            parts = tuple(part or ())
+            opened = complete_for_training(open_surface(scene, part=parts, labels=labels, settings=settings))
+            scene, settings = opened.name, {DESCRIPTION_KEY: json_of_scene(opened)}  # with which workers open it
+        else:
+            for name, value in (("part", part), ("labels", labels)):
+                if value:
+                    raise InputError(f"{name} must be left out unless a surface file is given, got {scene!r:.60}")
+            opened = open_scene(scene, settings)
         defaults = opened.description.training
         if out is None:
-            out = DEFAULT_OUT if opened.kind is SceneKind.PACKAGE else training_folder(opened)
-        if opened.kind is SceneKind.SURFACE_FILE:  # workers open it by its description
-            scene, settings = opened.name, {DESCRIPTION_KEY: text_of_scene(opened)}
+            out = DEFAULT_OUT if kind is SceneKind.PACKAGE else training_folder(opened)
     else:
         settings = split_settings(given)  # converted to the types of the function's defaults
         defaults, out = USER_DEFAULTS, DEFAULT_OUT if out is None else out
@@ -113,7 +120,7 @@ def train(
     with console.status("making the model ready (the first run on a machine compiles it: a minute or two)"):
         if ":" in scene:
             search_current_folder()
-        made = training_scene(scene, settings)
+        made = open_training(scene, settings) if opened is None else training_of(opened, settings)
     with open_campaign(out, manifest_of(name_in_folder(scene, out), made, chosen.seed)) as campaign_folder:
         for recording in more:
             add_recording(campaign_folder, made, recording)

@@ -18,7 +18,7 @@ from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.solid.model import Solid
 from palpate.scenes.free_surface import FreeSurface
-from palpate.scenes.scene import TrainingScene
+from palpate.scenes.load_case import TrainingScene
 from palpate.scenes.tool_paths import ToolPaths
 
 Run = tuple[Sequence[Load], float]  # loads of a run and its duration [s]

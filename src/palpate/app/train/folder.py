@@ -22,7 +22,7 @@ from palpate import __version__
 from palpate.dynamics.run.trajectory import StoredTrajectory
 from palpate.faults import FileFormatError, InputError
 from palpate.files import digest_of, read_sealed_json, regular_file, write_sealed_json
-from palpate.scenes.scene import CAMPAIGN_SEEDS, TRAINING_SEEDS, TrainingScene
+from palpate.scenes.load_case import CAMPAIGN_SEEDS, TRAINING_SEEDS, TrainingScene
 from palpate.sealed import loading
 
 FORMAT, VERSION = "palpate campaign", 2

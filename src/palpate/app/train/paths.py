@@ -15,7 +15,7 @@ from palpate.dynamics.loads.prepared import Load
 from palpate.faults import InputError
 from palpate.files import read_bytes, whole_file
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.scenes.scene import TrainingScene
+from palpate.scenes.load_case import TrainingScene
 
 SEEDS_PER_RECORDING = 100_000  # seeds of one recording
 SAME_POINT = 1e-6  # distance between points of one body, over the spacing

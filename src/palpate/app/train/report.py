@@ -23,7 +23,7 @@ from palpate.files import plain
 from palpate.reduction.hyper.error_indicator import expected_error
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.reduce import ERROR_QUANTILE
-from palpate.scenes.scene import TrainingScene
+from palpate.scenes.load_case import TrainingScene
 
 ERRORS_FIGURE, COVERAGE_FIGURE = "errors.png", "coverage.png"
 FILES = (MODEL_FILE, *REPORTS, ERRORS_FIGURE, COVERAGE_FIGURE, "campaign.json", "runs")

@@ -8,13 +8,13 @@ from pathlib import Path
 from palpate import __version__
 from palpate.faults import InputError
 from palpate.scenes.names import SceneKind, kind_of
-from palpate.scenes.organ_scene import OrganScene
+from palpate.scenes.scene import Scene
 from palpate.working_folder import cache_folder
 
 FOLDER_SUFFIX = ".palpate"  # of the folder next to a scene file
 
 
-def training_folder(scene: OrganScene) -> Path:
+def training_folder(scene: Scene) -> Path:
     """Return the path of a scene's campaign, which may be missing; a changed scene has another folder."""
     if scene.kind is SceneKind.PACKAGE:
         folder = cache_folder()

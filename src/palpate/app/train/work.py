@@ -20,8 +20,8 @@ from palpate.app.train.scene_folder import scene_in_folder
 from palpate.dynamics.run.rollout import rollout
 from palpate.faults import DivergenceError, InputError
 from palpate.files import flush_and_rename, write_sealed_json
-from palpate.scenes.scene import TrainingScene
-from palpate.scenes.training import training_scene
+from palpate.scenes.load_case import TrainingScene
+from palpate.scenes.training import open_training
 
 Outcome = dict[str, Any]  # "job", "seconds", and if it failed "failed" with the reason
 Watch = Callable[[Job, float], None]  # takes a run and the simulated time that it has reached [s]
@@ -31,7 +31,7 @@ _one_at_a_time = Lock()  # a model is stepped in place
 
 @lru_cache(maxsize=1)
 def _scene(name: str, parameters: str) -> TrainingScene:
-    return training_scene(name, json.loads(parameters))
+    return open_training(name, json.loads(parameters))
 
 
 def perform(folder: str, manifest: Mapping[str, Any], job: tuple[str, int, int], watch: Watch | None = None) -> Outcome:

@@ -14,8 +14,8 @@ from palpate.app.session.session import Session
 from palpate.app.view.training_process import TrainingProcess
 from palpate.faults import InputError
 from palpate.reduction.storage.models import load
-from palpate.scenes.organ_scene import OrganScene
-from palpate.scenes.surface_scene import refined_scene
+from palpate.scenes.open_surface import complete_for_training
+from palpate.scenes.scene import Scene
 
 MAX_FORCE_ERROR, MAX_SURFACE_ERROR = 0.1, 0.1  # mean on held-out runs, up to which a model is used without a question
 OFFERED, TRAINING, READY, USED, FAILED = "offered", "training", "ready", "used", "failed"
@@ -44,8 +44,8 @@ class Refinement:
     """
 
     def __init__(
-        self, scene: OrganScene, session: Session, console: Console,
-        train: Callable[[OrganScene], Trainer] = TrainingProcess,
+        self, scene: Scene, session: Session, console: Console,
+        train: Callable[[Scene], Trainer] = TrainingProcess,
     ) -> None:  # fmt: skip
         self._scene, self._session, self._console, self._train = scene, session, console, train
         self._lock = threading.Lock()
@@ -106,7 +106,7 @@ class Refinement:
         if before is not None:
             before.join()
         try:
-            scene = refined_scene(self._scene)
+            scene = complete_for_training(self._scene)
             with self._lock:
                 if not self._is_followed:
                     return
@@ -135,7 +135,7 @@ class Refinement:
     def _load(self, event: dict[str, Any]) -> None:
         """Make the session of a trained model."""
         model = load(Path(event["trained"]))
-        foundations = refined_scene(self._scene).foundations
+        foundations = complete_for_training(self._scene).foundations
         session = Session(model, self._session.title, foundations=foundations)
         with self._lock:
             if not self._is_followed:

@@ -10,11 +10,11 @@ from palpate.surface.labels.surroundings import surrounding_surfaces
 
 if TYPE_CHECKING:
     from palpate.app.view.server.host import Host
-    from palpate.scenes.organ_scene import OrganScene
+    from palpate.scenes.scene import Scene
     from palpate.surface.surface import Surface
 
 
-def surroundings_of(scene: OrganScene) -> tuple[Surface, ...]:
+def surroundings_of(scene: Scene) -> tuple[Surface, ...]:
     """Return the surfaces around the body of a scene, in its frame; none unless its surface is of a label map."""
     shape = scene.description.surface
     if not shape.file or not is_label_map(shape.file):
@@ -24,7 +24,7 @@ def surroundings_of(scene: OrganScene) -> tuple[Surface, ...]:
     return surrounding_surfaces(labels, list(shape.parts) or None)
 
 
-def show_surroundings(host: Host, scene: OrganScene) -> None:
+def show_surroundings(host: Host, scene: Scene) -> None:
     """Show the surroundings of a body on the page as soon as they are made, without waiting for them."""
 
     def show() -> None:

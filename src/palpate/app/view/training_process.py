@@ -17,8 +17,8 @@ from palpate.app.models.trained import MAX_WORKERS, held_out_means, model_file, 
 from palpate.app.train.local import THREAD_VARIABLES
 from palpate.faults import DivergenceError, InputError
 from palpate.processes import Answer, Child, Receive
-from palpate.scenes.open_scene import described_scene, text_of_scene
-from palpate.scenes.organ_scene import OrganScene
+from palpate.scenes.open_scene import json_of_scene, open_description
+from palpate.scenes.scene import Scene
 
 TRAINING_SHARE = 1.3  # time of the training over that of all its runs: 1.3 on a liver of 4,500 nodes
 LEAST_SHARE = 0.02  # of the runs, from which their time is estimated
@@ -30,14 +30,14 @@ class TrainingProcess:
 
     Parameters
     ----------
-    scene : OrganScene
-        As of `refined_scene`.
+    scene : Scene
+        As of `complete_for_training`.
     """
 
-    def __init__(self, scene: OrganScene) -> None:
+    def __init__(self, scene: Scene) -> None:
         workers = max(min((os.cpu_count() or 1) - 1, MAX_WORKERS), 1)  # the engine keeps a processor
         threads = dict.fromkeys(THREAD_VARIABLES, str(workers))
-        given = {"name": scene.name, "description": text_of_scene(scene), "workers": workers}
+        given = {"name": scene.name, "description": json_of_scene(scene), "workers": workers}
         self._child = Child(train_in_process, given, environment=threads, idle=True)
 
     def events(self) -> Iterator[dict[str, Any]]:
@@ -95,7 +95,7 @@ def train_in_process(receive: Receive, answer: Answer) -> None:
     """Train the scene of a description."""
     given, progress = receive(), Progress(answer)
     try:
-        scene = described_scene(given["name"], given["description"])
+        scene = open_description(given["name"], given["description"])
         model = trained_model(scene, Console(progress.phase, progress.runs), given["workers"])
         progress.phase("compiling the engine")
         _compile_engine(model, scene)
@@ -106,7 +106,7 @@ def train_in_process(receive: Receive, answer: Answer) -> None:
         answer({"failed": f"{type(error).__name__}: {error}"})
 
 
-def _compile_engine(model: Any, scene: OrganScene) -> None:
+def _compile_engine(model: Any, scene: Scene) -> None:
     """Run the model's engine for a moment, so that its code is in the cache of compiled functions."""
     from palpate.app.session.session import Session
 

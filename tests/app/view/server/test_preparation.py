@@ -203,7 +203,7 @@ def test_a_failure_of_the_preparation_reaches_the_viewer_and_the_exit_status(
         assert seen.wait(SECONDS)
         raise pt.InputError("spacing must be larger")
 
-    monkeypatch.setattr("palpate.app.models.touch.open_touched", refuse)
+    monkeypatch.setattr("palpate.app.models.full_body.prepare_full_body", refuse)
     path = write_organ(SURFACE)
     assert main(["view", str(path), "--units", "mm", "--no-browser", "--port", "18620"]) == 2
     assert "spacing must be larger" in capsys.readouterr().err
@@ -226,7 +226,7 @@ def test_what_cannot_be_read_opens_no_page(tmp_path, assert_refused, monkeypatch
 
 PREPARES_FOREVER = """
 import hashlib, signal, sys
-import palpate.app.models.touch as touch
+import palpate.app.models.full_body as full_body
 signal.signal(signal.SIGINT, signal.default_int_handler)  # which programs in the background ignore
 from palpate.app.cli import main
 def in_python(*arguments):
@@ -234,7 +234,7 @@ def in_python(*arguments):
         pass
 def in_a_library(*arguments):  # returns to Python after minutes, as a compiler does after seconds
     hashlib.pbkdf2_hmac("sha256", b"", b"", 10**9)
-touch.open_touched = in_python if sys.argv[2] == "python" else in_a_library
+full_body.prepare_full_body = in_python if sys.argv[2] == "python" else in_a_library
 sys.exit(main(["view", sys.argv[1], "--units", "mm", "--no-browser", "--port", "18640"]))
 """
 

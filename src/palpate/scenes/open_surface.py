@@ -1,4 +1,4 @@
-"""The scene of a surface file alone: liver tissue, held at the side away from the first view."""
+"""Opening of a surface file alone: liver tissue, held at the side away from the first view."""
 
 from __future__ import annotations
 
@@ -13,17 +13,16 @@ from palpate.faults import InputError
 from palpate.parameters import check_number, fields_of
 from palpate.scenes.description import Body, Description, Region, Shape, Support, Tissue, with_settings
 from palpate.scenes.label_parts import whole_body
-from palpate.scenes.names import SceneKind, kind_of
-from palpate.scenes.open_scene import open_scene
-from palpate.scenes.organ_scene import OrganScene
+from palpate.scenes.names import SceneKind
 from palpate.scenes.places import place_of_text
+from palpate.scenes.scene import Scene
 from palpate.surface.labels.reading import is_label_map
 
 NODES_PER_CELL = 1.45  # nodes over volume / spacing^3 in a filled organ
-REFINED_NODES = 4500  # of a body without a spacing; statics of training take 5,000 at most
+TRAINED_NODES = 4500  # of a body without a spacing; statics of training take 5,000 at most
 
 
-def surface_scene(
+def open_surface(
     file: str | Path,
     *,
     units: str | None = None,
@@ -34,8 +33,8 @@ def surface_scene(
     settings: Mapping[str, Any] | None = None,
     fixed: Sequence[str] = (),
     labels: str | Path | None = None,
-) -> OrganScene:
-    """Return the scene of a surface file or a label map.
+) -> Scene:
+    """Open a surface file or a label map.
 
     Parameters
     ----------
@@ -79,14 +78,14 @@ def surface_scene(
         region=regions,
         support=tuple(Support(place=place_of_text(text)) for text in fixed),
     )
-    scene = OrganScene(with_settings(description, settings or {}), Path(), str(file), SceneKind.SURFACE_FILE, settings)
+    scene = Scene(with_settings(description, settings or {}), Path(), str(file), settings)
     _ = scene.material  # raises for a wrong law or parameter
     scene.notes += [f"label map: {note}" for note in notes]
     return scene
 
 
-def refined_scene(scene: OrganScene) -> OrganScene:
-    """Return the scene of the reduced model: with its own spacing, or with one that gives about `REFINED_NODES`.
+def complete_for_training(scene: Scene) -> Scene:
+    """Return a scene with what training requires: its own spacing, or one that gives about `TRAINED_NODES`.
 
     That of a surface file depends on the file, and not on the folder from which it was opened.
     """
@@ -101,28 +100,8 @@ def refined_scene(scene: OrganScene) -> OrganScene:
         )  # fmt: skip
         names = str(Path(about.surface.labels).absolute()) if about.surface.labels else ""
         about = replace(about, surface=replace(about.surface, file=file.name, labels=names), support=support)
-        scene = OrganScene(about, file.parent, str(file), scene.kind)
+        scene = Scene(about, file.parent, str(file))
     if about.body.spacing or scene.surface is None:
         return scene
-    spacing = np.cbrt(NODES_PER_CELL * abs(scene.surface.volume) / REFINED_NODES)
+    spacing = np.cbrt(NODES_PER_CELL * abs(scene.surface.volume) / TRAINED_NODES)
     return scene.with_body(spacing=float(f"{spacing:.3g}"))
-
-
-def named_scene(
-    what: str, settings: Mapping[str, Any] | None = None, part: Sequence[str] | None = None, labels: Path | None = None
-) -> OrganScene:
-    """Return a scene of the package, of a scene file, or of a surface file as `refined_scene`.
-
-    Parameters
-    ----------
-    settings : mapping, optional
-        As for `palpate.open_scene`.
-    part, labels
-        Of a surface file, as for `surface_scene`.
-    """
-    if kind_of(what) is SceneKind.SURFACE_FILE:
-        return refined_scene(surface_scene(what, part=tuple(part or ()), labels=labels, settings=settings))
-    for name, value in (("part", part), ("labels", labels)):
-        if value:
-            raise InputError(f"{name} must be left out unless a surface file is given, got {what!r:.60}")
-    return open_scene(what, settings)

@@ -1,12 +1,14 @@
-"""The body of a scene and its loads: nodes, groups, supports and regions, made from its `Description`.
+"""The body of a `Description` and its loads: nodes, groups, supports and regions.
 
-`palpate.scenes.organ_scene` imports this module when a body is first used, since mechanics take a second to import.
+`palpate.scenes.scene` imports this module when a body is first used, since mechanics take a second to import. Errors of
+an entry are a `Fault`, whose place in a file the scene adds.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,48 +29,53 @@ from palpate.faults import InputError
 from palpate.meshfree.cloud import BORDER_MARGIN, MOVED_MARGIN, Cloud, box
 from palpate.meshfree.filling import BODY_PREFIX, fill
 from palpate.meshfree.sheets import disc
-from palpate.scenes.names import TOOL_GROUP, SceneKind
+from palpate.scenes.description import Description
+from palpate.scenes.names import TOOL_GROUP
 from palpate.scenes.places import PlaceFinder, side_mask
-from palpate.scenes.scene_source import SceneSource, group_name, naming
+from palpate.scenes.scene_text import at_entry
 from palpate.scenes.tissue import fibres_of, material_of
+from palpate.surface.surface import Surface
 from palpate.tissue.materials import Material
 
 DEFAULT_SIDE = "back"  # away from the first view of the page
 MIN_HELD, MAX_HELD_SHARE = 3, 0.6  # nodes of a body that supports hold
 
 
-def scene_cloud(scene: SceneSource) -> Cloud:
-    """Return the nodes of the body, with groups of its supports, regions and loads; see `OrganScene.cloud`."""
-    cloud = _filled(scene)
-    finder = _finder(scene, cloud)
-    for number, region in enumerate(scene.description.region):
-        with naming(scene, "region", number):
-            cloud = _with_group(cloud, group_name(scene, "region", number), finder.mask(region.place))
-    for number, support in enumerate(scene.description.support):
-        with naming(scene, "support", number):
-            mask = finder.mask(support.place, margin=0.0 if support.kind == "springs" else BORDER_MARGIN)
+def make_cloud(about: Description, read_surface: Callable[[], Surface | None], folder: Path) -> tuple[Cloud, list[str]]:
+    """Return the nodes of the body, with groups of its supports, regions and loads, and notes about its surface.
+
+    Parameters
+    ----------
+    read_surface : function
+        Returns the surface to fill; None for a box or a disc.
+    folder : path
+        Folder of relative file names.
+    """
+    cloud, surface, notes = _fill(about, read_surface)
+    places = _places(about, cloud, surface, folder)
+    for number, region in enumerate(about.region):
+        with at_entry("region", number):
+            cloud = _with_group(cloud, about.group_name("region", number), places.mask(region.place))
+    for number, support in enumerate(about.support):
+        with at_entry("support", number):
+            mask = places.mask(support.place, margin=0.0 if support.kind == "springs" else BORDER_MARGIN)
             if support.surface_only or support.kind == "springs":
                 mask = _on_surface(cloud, mask)
-            cloud = _with_group(cloud, group_name(scene, "support", number), mask)
-    if not scene.description.support:
-        cloud = cloud.with_group(group_name(scene, "support", 0), _default_support(cloud))
-        if scene.kind is SceneKind.SCENE_FILE:
-            scene.notes.append(
-                f"support: the scene has none, so the side {DEFAULT_SIDE!r} of the body is held; give [[support]]"
-            )
-    for number, load in enumerate(scene.description.load):
+            cloud = _with_group(cloud, about.group_name("support", number), mask)
+    if not about.support:
+        cloud = cloud.with_group(about.group_name("support", 0), _default_support(cloud))
+    for number, load in enumerate(about.load):
         if load.place is not None:
-            with naming(scene, "load", number):
-                mask = finder.mask(load.place, margin=MOVED_MARGIN if load.kind == "motion" else 0.0)
+            with at_entry("load", number):
+                mask = places.mask(load.place, margin=MOVED_MARGIN if load.kind == "motion" else 0.0)
                 mask = mask if load.kind == "motion" else _on_surface(cloud, mask)
-                cloud = _with_group(cloud, group_name(scene, "load", number), mask)
-    _check_supports(scene, cloud)
-    return cloud
+                cloud = _with_group(cloud, about.group_name("load", number), mask)
+    _check_supports(about, cloud)
+    return cloud, notes
 
 
-def check_disc(scene: SceneSource) -> None:
+def check_disc(about: Description) -> None:
     """Raise `InputError` for what a disc cannot be, before it has nodes."""
-    about = scene.description
     if about.surface.generated != "disc":
         return
     if about.body.under_loads:
@@ -81,64 +88,67 @@ def check_disc(scene: SceneSource) -> None:
         raise InputError(f"region must be left out for a disc, got {len(about.region)}; give one tissue")
 
 
-def scene_body(
-    scene: SceneSource, cloud: Cloud, foundations: tuple[Foundation, ...]
+def make_body(
+    about: Description, material: Material, cloud: Cloud, surface: Surface | None, folder: Path
 ) -> tuple[Solid | Membrane, Floats | None]:
-    """Return the full model of the body, and its displacements (n, 3) [m] at the start, under loads; None without."""
-    about = scene.description
-    fixed = [each for each in (_support(scene, cloud, k) for k in range(len(about.support) or 1)) if each is not None]
+    """Return the full model of the body, and its displacements (n, 3) [m] at the start, under loads; None without.
+
+    Parameters
+    ----------
+    material : Material
+        Outside all regions.
+    cloud : Cloud
+        Of `make_cloud`.
+    """
+    fixed = [each for each in (_support(about, cloud, k) for k in range(len(about.support) or 1)) if each is not None]
     if about.surface.generated == "disc":
         assert about.body.thickness is not None  # `check_disc`
         membrane = Membrane(
-            cloud, scene.material, about.body.thickness, fixed, prestretch=about.body.prestretch,
+            cloud, material, about.body.thickness, fixed, prestretch=about.body.prestretch,
             mass_damping=about.tissue.mass_damping,
             fibres=None if about.tissue.fibres is None else fibres_of(about.tissue.fibres),
         )  # fmt: skip
         return membrane, None
-    materials: dict[str, Material] = {"": scene.material}
+    materials: dict[str, Material] = {"": material}
     for number, region in enumerate(about.region):
         if region.parameters:
-            with naming(scene, "region", number):
-                materials[group_name(scene, "region", number)] = material_of(about.tissue, region.parameters)
+            with at_entry("region", number):
+                materials[about.group_name("region", number)] = material_of(about.tissue, region.parameters)
     body = Solid(
-        cloud, materials if len(materials) > 1 else scene.material, fixed, form=about.body.form,
-        mass_damping=about.tissue.mass_damping, stiffness=_stiffness_factors(scene, cloud, materials),
+        cloud, materials if len(materials) > 1 else material, fixed, form=about.body.form,
+        mass_damping=about.tissue.mass_damping,
+        stiffness=_stiffness_factors(about, materials, _places(about, cloud, surface, folder)),
         fibres=None if about.tissue.fibres is None else fibres_of(about.tissue.fibres),
     )  # fmt: skip
     motions = free_rigid_motions(cloud.points, body.constrain(np.zeros(len(cloud), dtype=bool)))
-    if motions and not foundations:
+    if motions and not foundations_of(about):
         raise InputError(
             f"supports must hold the body, got {motions} rigid motions left free; fix a part, or use springs"
         )
     if not about.body.under_loads:
         return body, None
-    with naming(scene, "body", "under_loads"):
-        at_rest = unloaded(body, _loads_of_shape(scene, foundations))
-    sag = float(np.linalg.norm(at_rest.displacements, axis=1).max())
-    scene.notes.append(
-        f"body: its stress-free shape is up to {1e3 * sag:.3g} mm from the surface, which loads have deformed; "
-        "runs begin in that shape, a view and training in the stress-free one"
-    )
+    with at_entry("body", "under_loads"):
+        at_rest = unloaded(body, _loads_of_shape(about))
     return at_rest.body, at_rest.displacements
 
 
-def scene_foundations(scene: SceneSource) -> tuple[Foundation, ...]:
+def foundations_of(about: Description) -> tuple[Foundation, ...]:
     """Return the springs per area, which act in every run."""
     return tuple(
-        Foundation(group_name(scene, "support", number), support.stiffness, support.damping)
-        for number, support in enumerate(scene.description.support)
+        Foundation(about.group_name("support", number), support.stiffness, support.damping)
+        for number, support in enumerate(about.support)
         if support.kind == "springs"
     )
 
 
-def scene_loads(scene: SceneSource, foundations: tuple[Foundation, ...]) -> tuple[Load, ...]:
+def loads_of(about: Description) -> tuple[Load, ...]:
     """Return the loads of a single run, with the foundations."""
-    return (*foundations, *(_load(scene, number) for number in range(len(scene.description.load))))
+    return (*foundations_of(about), *(_load(about, number) for number in range(len(about.load))))
 
 
-def _loads_of_shape(scene: SceneSource, foundations: tuple[Foundation, ...]) -> tuple[Load, ...]:
+def _loads_of_shape(about: Description) -> tuple[Load, ...]:
     """Return the loads at time 0 that have deformed the surface."""
-    loads = scene.description.load
+    loads = about.load
     if not any(np.interp(0.0, load.times, load.factors) for load in loads):
         raise InputError(
             "under_loads must be false without loads at time 0, got true; give a [[load]] of kind = 'gravity' "
@@ -146,51 +156,50 @@ def _loads_of_shape(scene: SceneSource, foundations: tuple[Foundation, ...]) -> 
         )
     if any(load.kind == "motion" for load in loads):
         raise InputError("under_loads must be false with a load of kind 'motion', got true; give a force")
-    return scene_loads(scene, foundations)
+    return loads_of(about)
 
 
-def _stiffness_factors(scene: SceneSource, cloud: Cloud, materials: dict[str, Material]) -> Floats | None:
+def _stiffness_factors(about: Description, materials: dict[str, Material], places: PlaceFinder) -> Floats | None:
     """Return factors (n,) that give every node the mean compliance of its cell; None where all are 1.
 
     A node has the parameters of the region it lies in; its factor makes up for the part of its cell in others.
     """
-    if not scene.description.region:
+    if not about.region:
         return None
-    nodal = np.full(len(cloud), scene.material.shear_modulus)
-    modulus, finder = nodal.copy(), _finder(scene, cloud)
-    for number, region in enumerate(scene.description.region):
-        group = group_name(scene, "region", number)
-        inside = materials.get(group, scene.material).shear_modulus
-        nodal[cloud.group(group)] = inside
-        share = finder.fractions(region.place)
+    nodal = np.full(len(places.cloud), materials[""].shear_modulus)
+    modulus = nodal.copy()
+    for number, region in enumerate(about.region):
+        group = about.group_name("region", number)
+        inside = materials.get(group, materials[""]).shear_modulus
+        nodal[places.cloud.group(group)] = inside
+        share = places.fractions(region.place)
         modulus = 1.0 / ((1.0 - share) / modulus + share / (region.stiffness * inside))
     return None if np.allclose(modulus, nodal, rtol=1e-12) else modulus / nodal
 
 
-def _filled(scene: SceneSource) -> Cloud:
-    about = scene.description
+def _fill(about: Description, read_surface: Callable[[], Surface | None]) -> tuple[Cloud, Surface | None, list[str]]:
+    """Return nodes without groups, the surface in which they are, if there is one, and notes about it."""
     if not about.body.spacing:
         raise InputError("spacing of [body] must be given, got none; give one, such as spacing = '5 mm'")
     if about.surface.generated == "box":
         size = [about.surface.scale * edge for edge in about.surface.size]
-        return box(size, about.body.spacing)
+        return box(size, about.body.spacing), None, []
     if about.surface.generated == "disc":
         cloud = disc(about.surface.scale * about.surface.disc_radius, about.body.spacing)
         radius = about.tool.hold_radius
-        return cloud.within(TOOL_GROUP, (0.0, 0.0), radius, margin=0.0) if radius else cloud
+        return (cloud.within(TOOL_GROUP, (0.0, 0.0), radius, margin=0.0) if radius else cloud), None, []
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        surface = scene.repaired_surface
+        surface = read_surface()
         assert surface is not None
         cloud = fill(surface, about.body.spacing, seed=about.body.seed)
     noted = {*surface.warnings, *(repair.what for repair in surface.repairs)}
-    scene.notes += [f"surface: {line}" for line in sorted({str(each.message) for each in caught} - noted)]
-    return cloud
+    return cloud, surface, [f"surface: {line}" for line in sorted({str(each.message) for each in caught} - noted)]
 
 
-def _finder(scene: SceneSource, cloud: Cloud) -> PlaceFinder:
-    unit, space = (1.0, "") if scene.surface is None else (scene.surface.unit, scene.surface.space)
-    return PlaceFinder(cloud, scene.description.surface, unit, scene.folder, space)
+def _places(about: Description, cloud: Cloud, surface: Surface | None, folder: Path) -> PlaceFinder:
+    unit, space = (1.0, "") if surface is None else (surface.unit, surface.space)
+    return PlaceFinder(cloud, about.surface, unit, folder, space)
 
 
 def _default_support(cloud: Cloud) -> NDArray[np.bool_]:
@@ -203,13 +212,13 @@ def _default_support(cloud: Cloud) -> NDArray[np.bool_]:
     return mask
 
 
-def _support(scene: SceneSource, cloud: Cloud, number: int) -> BodySupport | None:
+def _support(about: Description, cloud: Cloud, number: int) -> BodySupport | None:
     """Return a support of the body; None for springs, which are a load."""
-    group = group_name(scene, "support", number)
-    if not scene.description.support:
+    group = about.group_name("support", number)
+    if not about.support:
         return Clamp(group)
-    support = scene.description.support[number]
-    with naming(scene, "support", number):
+    support = about.support[number]
+    with at_entry("support", number):
         if support.kind == "roller":
             return _roller(cloud, group, support.direction)
         if support.kind == "rail":
@@ -230,8 +239,8 @@ def _roller(cloud: Cloud, group: str, direction: Sequence[float]) -> Roller:
     return roller
 
 
-def _load(scene: SceneSource, number: int) -> Load:
-    load, group = scene.description.load[number], group_name(scene, "load", number)
+def _load(about: Description, number: int) -> Load:
+    load, group = about.load[number], about.group_name("load", number)
     times, factors = np.array(load.times), np.array(load.factors)
 
     def factor(time: float) -> float:
@@ -249,12 +258,12 @@ def _load(scene: SceneSource, number: int) -> Load:
     return PrescribedMotion(group, lambda points, time: factor(time) * np.array(load.displacement))
 
 
-def _check_supports(scene: SceneSource, cloud: Cloud) -> None:
+def _check_supports(about: Description, cloud: Cloud) -> None:
     """Raise `InputError` for supports that hold too little or too much of a body."""
-    kinds = [each.kind for each in scene.description.support] or ["fixed"]
+    kinds = [each.kind for each in about.support] or ["fixed"]
     groups = {kind: np.zeros(len(cloud), dtype=bool) for kind in ("fixed", "springs", "roller", "rail")}
     for number, kind in enumerate(kinds):
-        groups[kind][cloud.group(group_name(scene, "support", number))] = True
+        groups[kind][cloud.group(about.group_name("support", number))] = True
     fixed, springs = groups["fixed"], groups["springs"]
     sliding = groups["roller"] | groups["rail"]
     bodies = _bodies(cloud)

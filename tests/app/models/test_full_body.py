@@ -11,22 +11,16 @@ import pytest
 
 import palpate as pt
 from palpate.app.common.console import Console
-from palpate.app.models.touch import (
-    FINER_NODES,
-    FORCE_ERRORS,
-    MOST_NODES,
-    better_spacing,
-    open_touched,
-    realtime_spacing,
-)
+from palpate.app.models.full_body import FINER_NODES, FORCE_ERRORS, prepare_full_body
+from palpate.app.models.spacing import MOST_NODES, better_spacing, realtime_spacing
 from palpate.app.session.messages import validate_message
 from palpate.app.session.session import Session
 from palpate.meshfree.cloud import BORDER_MARGIN
 from palpate.scenes.description import Shape
 from palpate.scenes.open_scene import open_scene
+from palpate.scenes.open_surface import open_surface
 from palpate.scenes.organ import liver_surface
 from palpate.scenes.places import PlaceFinder, place_of_text, side_mask
-from palpate.scenes.surface_scene import surface_scene
 
 POINTS = np.random.default_rng(0).uniform(-1.0, 1.0, (500, 3))
 CLOUD = pt.Cloud(
@@ -49,7 +43,7 @@ def organ(tmp_path_factory):
 
 def opened(path, **options):
     """Return the full body of a surface file."""
-    return open_touched(surface_scene(path, **options), Console()).body
+    return prepare_full_body(open_surface(path, **options), Console()).body
 
 
 def mask(text, unit=1.0):
@@ -100,7 +94,7 @@ def test_a_slower_machine_steps_a_coarser_body(monkeypatch):
     material = pt.materials.NeoHookean(C1=1.1e3, density=1060.0, poisson=0.45)
     spacings = []
     for seconds in (1e-7, 2e-7, 1e-6):
-        monkeypatch.setattr("palpate.app.models.touch._seconds_per_node", lambda m, s=seconds: s)
+        monkeypatch.setattr("palpate.app.models.spacing._seconds_per_node", lambda m, s=seconds: s)
         spacings.append(realtime_spacing(1.5e-3, material))
     assert spacings[0] < spacings[1] < spacings[2]
     # nodes times steps a second: the fourth power of the spacing
@@ -111,15 +105,21 @@ def test_a_slower_machine_steps_a_coarser_body(monkeypatch):
 def test_the_spacing_follows_the_measured_load():
     scene = open_scene("liver", {"spacing": 0.016})
     spacing, count = scene.body.cloud.spacing, len(scene.body.cloud)
-    assert better_spacing(scene, 0.6) is None
-    assert better_spacing(scene, 0.6 / 0.92) is None
-    assert better_spacing(scene, 0.6 / 1.25) is None
-    assert better_spacing(scene, 0.3) == pytest.approx(spacing * 0.5**0.25, rel=0.05)  # the fourth power of the spacing
+    assert better_spacing(scene.body.cloud, 0.6) is None
+    assert better_spacing(scene.body.cloud, 0.6 / 0.92) is None
+    assert better_spacing(scene.body.cloud, 0.6 / 1.25) is None
+    assert better_spacing(scene.body.cloud, 0.3) == pytest.approx(
+        spacing * 0.5**0.25, rel=0.05
+    )  # the fourth power of the spacing
     least = spacing * np.cbrt(count / 600)  # nodes
-    assert better_spacing(scene, 0.8) == pytest.approx(min(least, spacing * (0.8 / 0.6) ** 0.25), rel=0.05)
-    assert better_spacing(scene, 60.0) == better_spacing(scene, np.inf) == pytest.approx(least, rel=0.05)
-    coarsest = open_scene("liver", {"spacing": better_spacing(scene, np.inf)})
-    assert better_spacing(coarsest, 2.0) is None  # a coarser body keeps no more time
+    assert better_spacing(scene.body.cloud, 0.8) == pytest.approx(min(least, spacing * (0.8 / 0.6) ** 0.25), rel=0.05)
+    assert (
+        better_spacing(scene.body.cloud, 60.0)
+        == better_spacing(scene.body.cloud, np.inf)
+        == pytest.approx(least, rel=0.05)
+    )
+    coarsest = open_scene("liver", {"spacing": better_spacing(scene.body.cloud, np.inf)})
+    assert better_spacing(coarsest.body.cloud, 2.0) is None  # a coarser body keeps no more time
 
 
 def tool_message(position):
@@ -202,7 +202,7 @@ def test_bad_options_are_refused_by_name(organ, options, message):
 
 @pytest.mark.slow
 def test_a_surface_that_intersects_itself_is_refused_by_its_name(organ, tmp_path):
-    surface = surface_scene(organ, units="mm").surface
+    surface = open_surface(organ, units="mm").surface
     vertices = surface.vertices.copy()
     right = vertices[:, 0] > np.median(vertices[:, 0])
     vertices[right] -= [0.6 * np.ptp(vertices[:, 0]), 0.0, 0.0]  # one half inside the other
@@ -218,7 +218,7 @@ def test_a_surface_that_is_open_is_refused(organ, tmp_path):
     path = tmp_path / "sheet.off"
     path.write_text("\n".join(["OFF", f"{vertices} {triangles // 2} 0", *lines[2 : 2 + vertices + triangles // 2]]))
     with pytest.raises(pt.InputError, match="must hold a closed surface"):
-        _ = surface_scene(path, units="mm").surface
+        _ = open_surface(path, units="mm").surface
 
 
 def off(path, surface, unit=1.0):
@@ -279,7 +279,7 @@ def test_a_guessed_spacing_is_refined_where_tissue_is_thin(tmp_path, monkeypatch
         np.concatenate([outer.triangles, inner.triangles[:, ::-1] + len(outer.vertices)]),
     )
     off(tmp_path / "hollow.off", shell)
-    monkeypatch.setattr("palpate.app.models.touch._seconds_per_node", lambda material: 1e-5)
+    monkeypatch.setattr("palpate.app.models.spacing._seconds_per_node", lambda material: 1e-5)
     model = opened(tmp_path / "hollow.off", units="m")
     assert model.cloud.spacing < 0.8 * realtime_spacing(shell.volume, model.material)
 

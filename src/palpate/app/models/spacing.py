@@ -1,0 +1,75 @@
+"""Choice of a spacing: the nodes that a body of a volume has, and the finest that a machine steps in real time."""
+
+from __future__ import annotations
+
+from time import perf_counter
+
+import numpy as np
+
+from palpate.dynamics.solid.model import EnergySolid
+from palpate.meshfree.cloud import Cloud, box
+from palpate.scenes.open_surface import NODES_PER_CELL
+from palpate.tissue.materials import Material
+
+NEW_NODES = 5000  # of the body of a new scene file without a given spacing
+LEAST_NODES, MOST_NODES = 600, 40_000
+STEP_PER_WAVE = 0.42  # stable step over the time of a pressure wave over a spacing: 0.35 to 0.47 on organs
+STEP_OVER_FORCE = 1.6  # time of a step over that of its force evaluation
+BUSY_SHARE = 0.6  # of the time, which the steps of a body in real time may take
+LEAST_GAIN, MOST_GAIN = 0.9, 1.3  # speed of a body over that which it needs, within which its spacing stays
+COARSEST_SHARE = 1.1  # of the least nodes, at which a body is not made coarser
+SAMPLE_SECONDS = 0.3  # of the measurement of this machine
+
+
+def better_spacing(cloud: Cloud, load: float) -> float | None:
+    """Return the spacing [m] of two digits with which the body of a cloud keeps real time, or None if its own does.
+
+    Parameters
+    ----------
+    load : float
+        Computing time of the body at rest over the time that passes.
+    """
+    spacing, is_coarsest = cloud.spacing, len(cloud) <= COARSEST_SHARE * LEAST_NODES
+    if LEAST_GAIN <= BUSY_SHARE / load <= MOST_GAIN or (load > BUSY_SHARE and is_coarsest):
+        return None
+    finest, coarsest = spacing * np.cbrt(len(cloud) / np.array([MOST_NODES, LEAST_NODES]))
+    better = float(np.clip(spacing * (load / BUSY_SHARE) ** 0.25, finest, coarsest))
+    rounded = float(f"{1.005 * better:.2g}")
+    return rounded if rounded != spacing else None
+
+
+def spacing_for(nodes: int, volume: float) -> float:
+    """Return the spacing [m], of two digits, of a body of a volume [m^3] with about so many nodes."""
+    return float(f"{np.cbrt(NODES_PER_CELL * volume / nodes):.2g}")
+
+
+def realtime_spacing(volume: float, material: Material) -> float:
+    """Return the finest spacing [m] of a body of a volume [m^3] that this machine steps in real time.
+
+    The cost of a step is measured on a small block for some tenths of a second.
+    """
+    seconds = _seconds_per_node(material)
+    wave_speed = np.sqrt((material.lame + 2 * material.shear_modulus) / material.density)
+
+    def busy(spacing: float) -> float:
+        nodes, step = NODES_PER_CELL * volume / spacing**3, STEP_PER_WAVE * spacing / wave_speed
+        return float(nodes * seconds / step)
+
+    coarse, fine = np.cbrt(NODES_PER_CELL * volume / np.array([LEAST_NODES, MOST_NODES]))
+    for _ in range(40):
+        middle = np.sqrt(coarse * fine)
+        coarse, fine = (middle, fine) if busy(middle) <= BUSY_SHARE else (coarse, middle)
+    return float(f"{1.005 * coarse:.2g}")
+
+
+def _seconds_per_node(material: Material) -> float:
+    """Return the time [s] of a step per node, from the faster force evaluations in some tenths of a second."""
+    body = EnergySolid(box((0.1, 0.1, 0.1), 0.0083, jitter=0.2), material, "z-")
+    u, work, durations = np.zeros((len(body.cloud), 3)), body.workspace(), list[float]()
+    body.step_force(u, work)  # compiles
+    end = perf_counter() + SAMPLE_SECONDS
+    while perf_counter() < end or not durations:
+        began = perf_counter()
+        body.step_force(u, work)
+        durations.append(perf_counter() - began)
+    return STEP_OVER_FORCE * float(np.quantile(durations, 0.2)) / len(body.cloud)
