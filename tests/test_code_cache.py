@@ -94,6 +94,68 @@ def test_code_is_not_read_from_a_folder_of_others(own_folder):
     assert not [each for each in own_folder.rglob("*") if each.is_file()]
 
 
+@pytest.fixture
+def lock(own_folder, monkeypatch):
+    """A function that makes the folder read-only, for root as well, for whom modes do not count."""
+
+    def refuse(*_, **__):
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    def lock_folder():
+        access = os.access
+        monkeypatch.setattr(os, "access", lambda path, mode, **rest: not mode & os.W_OK and access(path, mode, **rest))
+        for holder, name in ((os, "utime"), (Path, "touch"), (Path, "write_bytes"), (Path, "unlink")):
+            monkeypatch.setattr(holder, name, refuse)
+        code_cache._checked.cache_clear()  # as in a new process
+
+    return lock_folder
+
+
+def test_code_is_read_where_it_cannot_be_written_and_one_warning_says_that_new_code_is_not_kept(own_folder, lock):
+    assert cached_njit()(double)(2.0) == 4.0
+    (file,) = code_files()
+    os.utime(file.path, (1.0, 1.0))  # the time of the last use cannot be noted
+    lock()
+    again = cached_njit()(double)
+    assert again(2.0) == 4.0  # warnings are errors in tests
+    assert hits(again) == 1
+    with pytest.warns(RuntimeWarning, match="newly compiled code is not kept.*Read-only file system") as found:
+        assert [again(2), again(2.0 + 0.0j)] == [4, 4]  # other signatures
+    assert len(found) == 1
+    assert [each.path for each in code_files()] == [file.path]
+
+
+def test_damaged_code_that_cannot_be_replaced_is_named_once(own_folder, lock):
+    assert cached_njit()(double)(2.0) == 4.0
+    code_files()[0].path.write_bytes(b"damaged")
+    lock()
+    with pytest.warns(RuntimeWarning, match="Read-only file system"):
+        assert cached_njit()(double)(2.0) == 4.0
+
+
+def test_a_folder_that_cannot_be_emptied_is_shown_with_what_was_removed(own_folder, lock, capsys):
+    assert cached_njit()(double)(2.0) == 4.0
+    lock()
+    assert main(["--cache", "empty"]) == 0
+    assert "removed 0 compiled functions" in capsys.readouterr().out
+    assert len(code_files()) == 1
+
+
+@pytest.mark.skipif(os.name != "posix", reason="permissions are POSIX's")
+def test_a_file_that_others_can_write_is_not_read_and_none_is_written(own_folder):
+    umask = os.umask(0)
+    try:
+        assert cached_njit()(double)(2.0) == 4.0
+        (file,) = code_files()
+        assert file.path.stat().st_mode & 0o022 == 0
+        file.path.chmod(0o664)
+        again, third = cached_njit()(double), cached_njit()(double)
+        assert [again(2.0), third(2.0)] == [4.0, 4.0]
+        assert [hits(again), hits(third)] == [0, 1]
+    finally:
+        os.umask(umask)
+
+
 def test_a_full_disk_stops_no_function(own_folder, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -22,13 +24,80 @@ def run_python(program, folder, **environment):
 
 @posix
 @pytest.mark.parametrize(
-    ("mode", "fine"), [(0o700, True), (0o755, True), (0o777, False), (0o1777, False), (0o770, False)]
+    ("mode", "fine"), [(0o700, True), (0o755, True), (0o1755, True), (0o777, False), (0o770, False)]
 )
 def test_a_cache_folder_of_others_is_refused(tmp_path, mode, fine):
     tmp_path.chmod(mode)
     done = run_python("import palpate", tmp_path, NUMBA_CACHE_DIR=str(tmp_path))
     assert (done.returncode == 0) == fine
     assert fine or "others can write" in done.stderr
+    assert not list(tmp_path.glob("palpate-*"))
+
+
+FOLDERS = """
+import os, numba, palpate
+made = os.path.isdir(os.environ["NUMBA_CACHE_DIR"])  # before another user makes it
+from palpate.code_cache import code_folder
+print(made, os.environ["NUMBA_CACHE_DIR"], numba.config.CACHE_DIR, code_folder())
+"""
+
+
+@posix
+def test_a_shared_folder_with_the_sticky_bit_gets_a_private_one_for_all_compiled_code(tmp_path):
+    tmp_path.chmod(0o1777)
+    private = tmp_path / f"palpate-{os.getuid()}"
+    for folder in (tmp_path, tmp_path, private):  # the last as a process that this one starts
+        done = run_python(FOLDERS, tmp_path, NUMBA_CACHE_DIR=str(folder))
+        assert done.stdout.split() == ["True", str(private), str(private), str(private / "palpate-code")], done.stderr
+    status = private.lstat()
+    assert (status.st_mode & 0o7777, status.st_uid) == (0o700, os.getuid())
+    assert [each.name for each in tmp_path.iterdir()] == [private.name]
+
+
+@posix
+@pytest.mark.parametrize("prepared", ["open folder", "link to an open folder", "folder of another", "link of another"])
+def test_a_private_folder_that_others_have_prepared_is_refused(tmp_path, prepared):
+    tmp_path.chmod(0o1777)
+    private, target = tmp_path / f"palpate-{os.getuid()}", tmp_path / "target"
+    target.mkdir(mode=0o700)
+    private.symlink_to(target) if "link" in prepared else private.mkdir(mode=0o700)
+    if "open" in prepared:
+        private.chmod(0o777)  # that of the target of a link
+    elif os.getuid() == 0:
+        os.lchown(private, 12345, 12345)
+    else:
+        pytest.skip("only root can give a folder away")
+    done = run_python("import palpate", tmp_path, NUMBA_CACHE_DIR=str(tmp_path))
+    assert done.returncode != 0
+    assert "another user" in done.stderr if "another" in prepared else "others can write" in done.stderr
+
+
+ROOT, USER, OTHER, NOBODY = 0, 1000, 1001, 65534  # the last stands for root and for others in some containers
+
+
+@posix
+@pytest.mark.parametrize(
+    ("owners", "foreign"),
+    [
+        ((ROOT, ROOT, ROOT, ROOT), None),  # an image that root has filled
+        ((ROOT, ROOT, USER, USER), None),
+        ((ROOT, USER, USER, ROOT), None),
+        ((NOBODY, NOBODY, USER, USER), None),
+        ((ROOT, OTHER, USER, USER), "/home"),
+        ((ROOT, ROOT, OTHER, OTHER), "/home/cache"),
+        ((ROOT, ROOT, USER, OTHER), "/home/cache/a.code"),
+        ((ROOT, NOBODY, USER, USER), "/home"),
+        ((NOBODY, NOBODY, USER, NOBODY), "/home/cache/a.code"),
+    ],
+)
+def test_code_belongs_to_root_or_the_user_also_where_nobody_can_write(monkeypatch, owners, foreign):
+    paths = dict(zip(("/", "/home", "/home/cache", "/home/cache/a.code"), owners, strict=True))
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "getuid", lambda: USER)
+        patch.setattr(os, "stat", lambda path: SimpleNamespace(st_uid=paths[path]))
+        patch.setattr(Path, "lstat", lambda path: SimpleNamespace(st_uid=paths[str(path)], st_mode=0o40555))
+        found = foreign_writer("/home/cache/a.code")
+    assert found == (f"{foreign} belongs to another user" if foreign else "")
 
 
 @posix

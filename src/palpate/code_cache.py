@@ -2,9 +2,10 @@
 
 A file belongs to one function, signature, processor and version of Python, Numba and NumPy, and to a digest of all code
 that the function uses (`palpate.code_digest`). So every clone and environment of a user finds what another has
-compiled, and nothing has to be discarded. The files hold machine code, so a folder that others can write is not used.
-Files are written under another name and renamed, and start with a digest of their content: what a power cut or another
-program has damaged counts as missing. The folder keeps at most `MAX_BYTES`; what was not used for longest goes first.
+compiled, and nothing has to be discarded. The files hold machine code, so nothing is read that others than root and the
+user can write. A folder that this process cannot write is read, and new code is not kept. Files are written under
+another name and renamed, and start with a digest of their content: what a power cut or another program has damaged
+counts as missing. The folder keeps at most `MAX_BYTES`; what was not used for longest goes first.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ SAVES_BETWEEN_CHECKS = 50
 FILE_SUFFIX, DIGEST_BYTES = ".code", 32  # of files, and of the digest of their content, which comes first
 DAY_SECONDS = 86_400.0  # [s] from which on the time of the last use is written again, and a partial file removed
 ENTRY_FORMAT = "1"  # of the content of a file
+FILE_MODE = 0o644  # only its owner writes it, whatever the umask
 ANNOTATION_PLACE = 6  # place of a text in a reduced compile result, which holds paths
 SERIAL_KEY = () if loops_share_threads() else ("serial",)  # of code that was compiled without parallel loops
 
@@ -57,7 +59,7 @@ class _Reasons:
     def warn(self, reason: str) -> None:
         if not self._warned:
             self._warned = True
-            message = f"compiled code is not kept, so every start compiles it again: {reason}"
+            message = f"newly compiled code is not kept, so every start compiles it again: {reason}"
             warnings.warn(f"{message}; set NUMBA_CACHE_DIR to a folder of yours", RuntimeWarning, stacklevel=4)
 
 
@@ -73,7 +75,7 @@ class CodeFile(NamedTuple):
 
 
 def code_folder() -> Path | None:
-    """Return the folder of compiled functions, or None if there is none that only its owner can write.
+    """Return the folder of compiled functions, or None if there is none that others cannot write.
 
     It is ``palpate/code`` in the cache of the user, or in the folder that ``NUMBA_CACHE_DIR`` names.
     """
@@ -95,9 +97,10 @@ def _checked(folder: Path) -> tuple[Path, str]:
     """Create a folder, and return it and why it cannot be used."""
     try:
         make_private(folder)
+        os.scandir(folder).close()
     except OSError as error:
         return folder, f"{folder}: {error.strerror or error}"
-    return folder, foreign_writer(folder) if os.access(folder, os.W_OK | os.X_OK) else f"{folder} cannot be written"
+    return folder, foreign_writer(folder)
 
 
 def code_files() -> list[CodeFile]:
@@ -135,12 +138,13 @@ def _save(folder: Path, name: str, content: bytes) -> None:
     global _saves
     partial = folder / f"{name}.{os.getpid()}.{os.urandom(4).hex()}.partial"
     try:
+        partial.touch(FILE_MODE)
         partial.write_bytes(content)
         partial.replace(folder / name)
     except OSError:
         with suppress(OSError):
             partial.unlink()
-        if not (folder / name).is_file():  # another process has written it, and reads it
+        if _load(folder, name) is None:  # else another process has written it, and reads it
             raise
     if _saves % SAVES_BETWEEN_CHECKS == 0:
         _limit(folder)
@@ -148,14 +152,17 @@ def _save(folder: Path, name: str, content: bytes) -> None:
 
 
 def _load(folder: Path, name: str) -> bytes | None:
-    """Return the content of a file; None if there is none, or it is damaged."""
+    """Return the content of a file; None if there is none, or others can write it, or it is damaged."""
     path = folder / name
     try:
-        content = path.read_bytes()
-        if time.time() - path.stat().st_mtime > DAY_SECONDS:
-            os.utime(path)
+        content, used = path.read_bytes(), path.stat().st_mtime
     except OSError:
         return None
+    if foreign_writer(path):
+        return None
+    if time.time() - used > DAY_SECONDS:
+        with suppress(OSError):  # the folder cannot be written
+            os.utime(path)
     code = content[DIGEST_BYTES:]
     return code if hashlib.sha256(code).digest() == content[:DIGEST_BYTES] else None
 
@@ -227,7 +234,7 @@ class CodeCache:
         if content is None:
             return None
         try:
-            # of folders that only their owner can write
+            # which only root and the user can write
             return CompileResult._rebuild(target_context, *pickle.loads(zlib.decompress(content)))  # noqa: S301
         except Exception:  # a class that has changed raises errors of any type; the code is compiled and saved again
             return None

@@ -2,7 +2,7 @@
 
 Numba reads its configuration, pyMOR a program and matplotlib its style from the folder in which a
 person works. This folder may hold downloaded files, so palpate prevents all three. Compiled code is
-read from folders only that nobody else can write (`foreign_writer`).
+read only where nobody but root and the user can write (`foreign_writer`).
 
 This module imports the standard library only, because `palpate/__init__.py` imports it.
 """
@@ -26,6 +26,7 @@ NUMBA_CONFIGURATION = "numba.core.config"
 MATPLOTLIB_STYLE = "matplotlibrc"
 PYMOR_DEFAULTS = "PYMOR_DEFAULTS"
 MAX_LINKS = 40  # of one path, as of Linux
+OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
 Guard = Callable[[ModuleType], contextlib.AbstractContextManager[None]]
 
@@ -44,37 +45,39 @@ def cache_folder() -> Path | None:
     return folder if folder.is_absolute() else None
 
 
-def foreign_writer(folder: str | Path) -> str:
-    """Return the reason for which others can replace the content of a folder; empty if only owner and root can.
+def foreign_writer(place: str | Path) -> str:
+    """Return the reason for which others can replace a folder or file; empty if only root and the user can.
 
-    All parents and links count. A parent with the sticky bit may be writable by others, because they
-    cannot rename there what is not theirs.
+    It belongs to one of them, also where this process cannot write it. All parents and links count. A
+    parent with the sticky bit may be writable by others, because they cannot rename there what is not
+    theirs. A parent may belong to the owner of ``/``, as whom a container may show root.
 
     Parameters
     ----------
-    folder : path
+    place : path
         Of any kind; missing parts of the path are ignored.
     """
     if os.name != "posix":
         return ""
-    path = Path(os.path.abspath(folder))
+    path, owners = Path(os.path.abspath(place)), (0, os.getuid())
+    parents_owners = (*owners, os.stat("/").st_uid)
     for _ in range(MAX_LINKS):
         for part in (*reversed(path.parents), path):
             try:
                 status = part.lstat()
             except OSError:
                 return ""  # missing, as are all below it
-            if status.st_uid not in (0, os.getuid(), os.stat("/").st_uid):
+            if status.st_uid not in (owners if part == path else parents_owners):
                 return f"{part} belongs to another user"
             if stat.S_ISLNK(status.st_mode):
                 target = Path(os.path.abspath(part.parent / os.readlink(part)))
                 path = target / path.relative_to(part)
                 break
-            if status.st_mode & 0o022 and (part == path or not status.st_mode & stat.S_ISVTX):
+            if status.st_mode & OTHERS_WRITE and (part == path or not status.st_mode & stat.S_ISVTX):
                 return f"others can write to {part}"
         else:
             return ""
-    return f"{folder} has more than {MAX_LINKS} links"
+    return f"{place} has more than {MAX_LINKS} links"
 
 
 def make_private(folder: str | Path) -> None:
@@ -87,7 +90,10 @@ def make_private(folder: str | Path) -> None:
 
 
 def check_cache_folder() -> None:
-    """Refuse a folder for compiled code that others can write, because this code is run."""
+    """Refuse a folder for compiled code that others can write, because this code is run.
+
+    In a folder with the sticky bit, such as ``/tmp``, ``NUMBA_CACHE_DIR`` becomes a private folder of the user.
+    """
     folder = os.environ.get("NUMBA_CACHE_DIR")
     if not folder:
         return
@@ -97,9 +103,13 @@ def check_cache_folder() -> None:
         )
     with contextlib.suppress(OSError):  # a folder that cannot be created is not used
         make_private(folder)
+        mode = os.stat(folder).st_mode
+        if mode & stat.S_ISVTX and mode & OTHERS_WRITE:
+            folder = os.environ["NUMBA_CACHE_DIR"] = os.path.join(folder, f"palpate-{os.getuid()}")
+            make_private(folder)
     if why := foreign_writer(folder):
         raise ImportError(
-            f"NUMBA_CACHE_DIR must be a folder that only its owner can write, got {folder!r}, but {why}; choose "
+            f"NUMBA_CACHE_DIR must be a folder that only you or root can write, got {folder!r}, but {why}; choose "
             "another folder, make it yours alone (chmod go-w), or unset the variable"
         )
 

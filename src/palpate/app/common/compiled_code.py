@@ -39,8 +39,9 @@ def _show_cache(what: str) -> None:
     folder, files = code_folder(), code_files()
     if what == "empty":
         for each in files:
-            with suppress(OSError):  # removed by another process
+            with suppress(OSError):  # removed by another process, or the folder cannot be written
                 each.path.unlink()
+        files = [each for each in files if not each.path.exists()]
     triple, _, features = machine_processor()
     packs = {family: len(pack) for family, pack in installed_packs(triple, features)}
     size = sum(each.size for each in files)
