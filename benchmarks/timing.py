@@ -106,14 +106,14 @@ def step_seconds(*runs: tuple[ReducedModel, PreparedLoads, State], steps: int = 
 def _compile_loop(model: ReducedModel, prepared: PreparedLoads, state: State, steps: int) -> Call:
     """Return a call of the compiled steps, with the arguments of `ReducedModel.advance`."""
     (step, _), given = model.stable_step(state, prepared), []
-    explicit = model._explicit
+    explicit = model._explicit(len(prepared.tools) > 0)
 
     def record(*arguments: Any) -> Any:
         given.append(arguments)
         return explicit(*arguments)
 
     watched = copy(model)
-    vars(watched)["_explicit"] = record
+    vars(watched)["_explicit"] = lambda touched: record
     watched.advance(state, prepared, step, steps)
     _, _, *others = given[0]
     return lambda: explicit(state.coordinates.copy(), state.velocities.copy(), *others)

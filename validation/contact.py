@@ -23,8 +23,9 @@ import result_files
 from contact_elements import Block, punch, sphere
 
 import palpate as pt
-from palpate.dynamics.contact.impulses import apply_contact_impulses
+from palpate.dynamics.contact.impulses import TOUCHED, contact_impulses
 from palpate.dynamics.nodal.central_difference import step_scratch
+from palpate.dynamics.nodal.model import nodal_data
 
 HERE = Path(__file__).parent
 PICTURE = HERE.parent / "docs" / "images" / "contact.png"
@@ -111,7 +112,7 @@ def overhead(spacing: float = 0.0018, rounds: int = 12) -> list[dict]:
     schedule, zero, state = prepared.schedule(np.array([0.0, 1e-4])), np.zeros((len(model.cloud), 3)), model.state(free)
     u, top = zero.copy(), model.cloud.group("z+")
     u[top, 2] = 5e-4 * np.exp(-np.sum((model.cloud.points[top, :2] - WIDTH / 2) ** 2, axis=1) / 0.006**2)
-    nodes, scratch = model._nodal_data(), step_scratch(len(model.cloud))
+    nodes, scratch = nodal_data(model), step_scratch(len(model.cloud))
     work = model.workspace()
     seconds, contact = [], []
     for _ in range(rounds):
@@ -121,7 +122,7 @@ def overhead(spacing: float = 0.0018, rounds: int = 12) -> list[dict]:
         for _ in range(20):
             velocity = zero.copy()
             began = perf_counter()
-            apply_contact_impulses(
+            contact_impulses(TOUCHED)(
                 prepared.contacts, schedule, 0, 1e-4, 1e-4, u, velocity, (nodes, scratch, 0.0, (0.0, 0.0, 0.0))
             )
             contact.append(perf_counter() - began)

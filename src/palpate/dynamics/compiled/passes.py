@@ -17,7 +17,7 @@ from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.lanes import LANES, lane_gather
 
 
-@kernel_njit()
+@kernel_njit(inline="always")
 def without_history(work, interval):
     """Do nothing: `Formulation.after` of a body without history variables."""
 

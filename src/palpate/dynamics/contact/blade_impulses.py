@@ -192,7 +192,7 @@ def push_sites(contacts, ends, step, kick, u, velocity):
 
 @kernel_njit(inner=True)
 def site_works(contacts, ends, step, kick, u, velocity, data):
-    """Add the impulses of the sites to the sums of the call; return energies as `apply_contact_impulses`."""
+    """Add the impulses of the sites to the sums of the call; return energies as `contact_impulses`."""
     nodes, scratch, gravity, drag = data
     sites, density = contacts.sites, nodes.density
     for s in range(sites.tool.shape[0]):

@@ -22,20 +22,43 @@ not move into the tool with their half kick; the same law holds for velocities.
 
 from __future__ import annotations
 
+from functools import cache
+from typing import Any
+
 import numpy as np
 from numba import prange
 
-from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.reference import reference
 from palpate.dynamics.contact.blade_impulses import clear_sites, push_sites, site_works
-from palpate.dynamics.contact.geometry import chord_depth, coulomb, gap, material_velocity, patch, project, rotation
+from palpate.dynamics.contact.geometry import (
+    Contacts,
+    chord_depth,
+    coulomb,
+    gap,
+    material_velocity,
+    patch,
+    project,
+    rotation,
+)
 from palpate.dynamics.contact.held import press_held_nodes
+from palpate.dynamics.contact.kinds import BLADE
+
+# what touches a body, by which its steps are compiled: no tool, tools, or tools with a blade among them
+UNTOUCHED, TOUCHED, CUT = range(3)
 
 MAX_SWEEPS = 30
 MIN_FREEDOM = 0.01  # of a sliding node: least squared part of a tool's normal along its free directions
 RECOVERY_TIME = 0.01  # [s] in which a patch leaves a tool that was put down in it
 BLOCK_CANDIDATES = 512  # of a part of the search
 SWEEP_TOLERANCE = 1e-2  # largest change of an impulse in the last sweep, relative to the largest impulse
+
+
+def touch_of(contacts: Contacts) -> int:
+    """Return what touches a body: UNTOUCHED, TOUCHED, or CUT by a blade."""
+    if len(contacts.sites.kind) or BLADE in contacts.tools.kind:
+        return CUT
+    return TOUCHED if len(contacts.tools.kind) else UNTOUCHED
 
 
 @kernel_njit(inner=True)
@@ -253,7 +276,7 @@ def _add_step_impulses(contacts):
 
 @kernel_njit(inner=True)
 def _add_patch_impulse(contacts, k, ahead, step, kick, u, velocity, data):
-    """Add a patch's impulse to the sums of the call; return energies as `apply_contact_impulses`.
+    """Add a patch's impulse to the sums of the call; return energies as `contact_impulses`.
 
     The work on a node is the impulse times the mean of its velocities before the kick and after all
     impulses, without the part that mass damping dissipates.
@@ -274,9 +297,8 @@ def _add_patch_impulse(contacts, k, ahead, step, kick, u, velocity, data):
     for d in range(3):
         a, b = (d + 1) % 3, (d + 2) % 3
         contacts.work.tool_impulses[t, d] += push[d]
-        contacts.work.tool_impulses[t, 3 + d] += (position[a] - origin[a]) * push[b] - (position[b] - origin[b]) * push[
-            a
-        ]
+        turn = (position[a] - origin[a]) * push[b] - (position[b] - origin[b]) * push[a]
+        contacts.work.tool_impulses[t, 3 + d] += turn
         tools += push[d] * speed[d]
     for c in range(contacts.patches.start[i], contacts.patches.start[i + 1]):
         j, sliding = contacts.patches.nodes[c], contacts.patches.slide_of[contacts.patches.nodes[c]]
@@ -301,77 +323,93 @@ def _add_patch_impulse(contacts, k, ahead, step, kick, u, velocity, data):
     return tools, tools - on_nodes, loads
 
 
-@kernel_njit()
-def apply_contact_impulses(contacts, schedule, s, step, kick, u, velocity, data):
-    """Apply the impulses of the tools after the kick of step s.
-
-    The last time of the load history has no step after it. `data` are the nodal data, the scratch
-    arrays of the step (`palpate.dynamics.nodal.central_difference`), alpha [1/s] of the damping, and gravity.
+@cache
+def push_patches(touch: int) -> Any:
+    """Compile the impulses of the tools in a step, without those of a blade unless it is one of them.
 
     Returns
     -------
-    tools, lost, loads : float [J]
-        Work of the tools, energy dissipated by friction and impact, and change of the work of loads
-        and constraints.
+    function
+        ``push(contacts, times, ratio, u, velocity, data)`` pushes the patches out of the tools, whose frames before
+        and after the step are given. `times` are the time [s] from the present positions to those of the patches, 0
+        for the half kick at the end of a call; the lengths of the step and of the kick; the time at the end of the
+        step. `ratio` is that of the first impulses to those of the step before. `data` are the nodal data, the scratch
+        arrays of the step, alpha [1/s] of the damping alpha M, and gravity. It returns as `contact_impulses`.
     """
-    poses = schedule.poses
-    ends = s == poses.shape[0] - 1
-    first, ahead = (s - 1, 0.0) if ends else (s, step)
-    for t in range(contacts.tools.kind.shape[0]):
-        rotation(poses[first, t], contacts.work.frames[t, 0])
-        rotation(poses[first + 1, t], contacts.work.frames[t, 1])
-    # the first kick of a call is half of the others, and starts from zero impulses
-    ratio = 0.0 if s == 0 else kick / (0.5 * step if s == 1 else step)
-    time = schedule.times[min(s + 1, poses.shape[0] - 1)]
-    return push_patches(contacts, (ahead, step, kick, time), ratio, u, velocity, data)
+    cuts = touch == CUT
+
+    @law_njit(law_digest(__name__, "push", cuts), inner=True)
+    def push(contacts, times, ratio, u, velocity, data):
+        ahead, step, kick, time = times
+        ends = ahead == 0.0
+        nodes, scratch, alpha, gravity = data
+        drag = 1.0 + 0.5 * alpha * kick  # by which damping resists an impulse, as it resists the other forces of a kick
+        if cuts:
+            clear_sites(contacts, time, nodes.mass, drag)
+        _find_active_patches(contacts, ahead, step, ratio, time, u, velocity, nodes.mass, drag)
+        for _ in range(MAX_SWEEPS):
+            changed, largest = _sweep(contacts, ends, step, velocity)
+            if changed <= SWEEP_TOLERANCE * largest:
+                break
+        _add_step_impulses(contacts)
+        tools, lost, loads = 0.0, 0.0, 0.0
+        if cuts:
+            push_sites(contacts, ends, step, kick, u, velocity)
+            tools, lost, loads = site_works(contacts, ends, step, kick, u, velocity, (nodes, scratch, gravity, drag))
+        work, shapes = contacts.work, contacts.tools
+        for k in work.active[: work.active_count[0]]:
+            impulse = work.patch_impulses[k]
+            if impulse[0] != 0.0 or impulse[1] != 0.0 or impulse[2] != 0.0:
+                works = _add_patch_impulse(contacts, k, ahead, step, kick, u, velocity, (nodes, scratch, gravity, drag))
+                tools, lost, loads = tools + works[0], lost + works[1], loads + works[2]
+        held = press_held_nodes(
+            reference(contacts.held), shapes.kind, shapes.sizes, shapes.friction, work.frames, step, kick,
+            work.tool_impulses,
+        )  # fmt: skip
+        return tools + held[0], lost + held[1], loads
+
+    return push
 
 
-@kernel_njit(inner=True)
-def push_patches(contacts, times, ratio, u, velocity, data):
-    """Push the patches out of the tools, whose frames before and after the step are given.
+@cache
+def contact_impulses(touch: int) -> Any:
+    """Compile the impulses of the tools of a run.
 
     Parameters
     ----------
-    times : tuple of float [s]
-        Time from the present positions to those of the patches, 0 for the half kick at the end of a call; length
-        of the step and of the kick, and the time at the end of the step.
-    ratio : float
-        Of the first impulses to those of the step before.
-    u, velocity : (n, 3) arrays
-    data : tuple
-        Nodal data, scratch arrays of the step, alpha [1/s] of the damping alpha M, and gravity.
+    touch : int
+        What touches the body; see `touch_of`. Of an untouched body the function does nothing.
 
     Returns
     -------
-    As `apply_contact_impulses`.
+    function
+        ``apply(contacts, schedule, s, step, kick, u, velocity, data)`` applies the impulses after the kick of step s.
+        The last time of the load history has no step after it. `data` are the nodal data, the scratch arrays of the
+        step (`palpate.dynamics.nodal.central_difference`), alpha [1/s] of the damping, and gravity. It returns three
+        energies [J]: work of the tools; energy dissipated by friction and impact; change of the work of loads and
+        constraints.
     """
-    ahead, step, kick, time = times
-    ends = ahead == 0.0
-    nodes, scratch, alpha, gravity = data
-    drag = 1.0 + 0.5 * alpha * kick  # by which damping resists an impulse, as it resists the other forces of a kick
-    clear_sites(contacts, time, nodes.mass, drag)
-    _find_active_patches(contacts, ahead, step, ratio, time, u, velocity, nodes.mass, drag)
-    for _ in range(MAX_SWEEPS):
-        changed, largest = _sweep(contacts, ends, step, velocity)
-        if changed <= SWEEP_TOLERANCE * largest:
-            break
-    _add_step_impulses(contacts)
-    push_sites(contacts, ends, step, kick, u, velocity)
-    tools, lost, loads = site_works(contacts, ends, step, kick, u, velocity, (nodes, scratch, gravity, drag))
-    impulses = contacts.work.patch_impulses
-    for k in contacts.work.active[: contacts.work.active_count[0]]:
-        if impulses[k, 0] != 0.0 or impulses[k, 1] != 0.0 or impulses[k, 2] != 0.0:
-            works = _add_patch_impulse(contacts, k, ahead, step, kick, u, velocity, (nodes, scratch, gravity, drag))
-            tools, lost, loads = tools + works[0], lost + works[1], loads + works[2]
-    shapes, work = contacts.tools, contacts.work
-    held = press_held_nodes(
-        reference(contacts.held),
-        shapes.kind,
-        shapes.sizes,
-        shapes.friction,
-        work.frames,
-        step,
-        kick,
-        work.tool_impulses,
-    )
-    return tools + held[0], lost + held[1], loads
+    if touch == UNTOUCHED:
+        return _no_impulses
+    push = push_patches(touch)
+
+    @law_njit(law_digest(__name__, "impulses", touch))
+    def apply(contacts, schedule, s, step, kick, u, velocity, data):
+        poses = schedule.poses
+        ends = s == poses.shape[0] - 1
+        first, ahead = (s - 1, 0.0) if ends else (s, step)
+        for t in range(contacts.tools.kind.shape[0]):
+            rotation(poses[first, t], contacts.work.frames[t, 0])
+            rotation(poses[first + 1, t], contacts.work.frames[t, 1])
+        # the first kick of a call is half of the others, and starts from zero impulses
+        ratio = 0.0 if s == 0 else kick / (0.5 * step if s == 1 else step)
+        time = schedule.times[min(s + 1, poses.shape[0] - 1)]
+        return push(contacts, (ahead, step, kick, time), ratio, u, velocity, data)
+
+    return apply
+
+
+@kernel_njit(inline="always")
+def _no_impulses(contacts, schedule, s, step, kick, u, velocity, data):
+    """Do nothing; return as `contact_impulses`."""
+    return 0.0, 0.0, 0.0

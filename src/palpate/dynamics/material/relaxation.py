@@ -212,7 +212,7 @@ def even_change(history, b, k, q, v, now):
     )
 
 
-@kernel_njit()
+@kernel_njit(inline="always")
 def after(work, interval):
     """Set the interval [s] after which the next evaluation updates the history; 0 for no update."""
     work.history.interval[0] = interval

@@ -21,12 +21,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from palpate.arrays import Floats, Ints
-from palpate.dynamics.compiled.cache import kernel_njit, law_njit
+from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.lanes import LANES
 from palpate.dynamics.compiled.passes import Formulation, internal_force
 from palpate.dynamics.compiled.reference import reference
 from palpate.dynamics.contact.geometry import project
-from palpate.dynamics.contact.impulses import apply_contact_impulses
+from palpate.dynamics.contact.impulses import contact_impulses
 from palpate.dynamics.loads.supports import FIXED, FREE, SLIDING
 
 
@@ -243,8 +243,14 @@ def drift_nodes(sites, constrained, target, step, u, velocity):
 
 
 @cache
-def full_step(formulation: Formulation) -> Any:
+def full_step(formulation: Formulation, touch: int) -> Any:
     """Compile the steps of a body whose unknowns are nodal displacements.
+
+    Parameters
+    ----------
+    formulation : Formulation
+    touch : int
+        What touches the body (`palpate.dynamics.contact.impulses`): the steps of an untouched one have no contact.
 
     Returns
     -------
@@ -257,18 +263,16 @@ def full_step(formulation: Formulation) -> Any:
         prescribed nodes.
     """
     force_of, after = internal_force(formulation), formulation.after
+    apply_contact_impulses = contact_impulses(touch)
 
-    @law_njit(formulation.digest)
+    @law_njit(law_digest(__name__, formulation.digest, touch))
     def advance(u, velocity, step, damping, passes, loads, given_nodes, given_scratch):
         body, work = passes
         # by their addresses, as the engine passes them, so that both use the same compiled functions
         sites, contacts, schedule = reference(loads[0]), reference(loads[1]), reference(loads[2])
         nodes, scratch = reference(given_nodes), reference(given_scratch)
         total, lost, tools = 0.0, 0.0, 0.0
-        steps, in_contact = (
-            schedule.motion.shape[0] - 1,
-            contacts.tools.kind.shape[0] + contacts.sites.kind.shape[0] > 0,
-        )
+        steps = schedule.motion.shape[0] - 1
         for s in range(steps + 1):
             for i in range(u.shape[0]):
                 for c in range(3):
@@ -293,10 +297,9 @@ def full_step(formulation: Formulation) -> Any:
                 )
                 tools, lost = tools + works[0], lost + works[1]
             _add_constraint_impulses(sites, constrained, nodes, scratch, gravity, kick)
-            if in_contact:
-                data = nodes, scratch, damping.alpha, gravity
-                works = apply_contact_impulses(contacts, schedule, s, step, kick, u, velocity, data)
-                total, lost = total + works[0] + works[2], lost + works[1]
+            data = nodes, scratch, damping.alpha, gravity
+            works = apply_contact_impulses(contacts, schedule, s, step, kick, u, velocity, data)
+            total, lost = total + works[0] + works[2], lost + works[1]
             if s == steps:
                 break
             drift_nodes(sites, constrained, target, step, u, velocity)

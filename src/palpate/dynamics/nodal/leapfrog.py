@@ -98,7 +98,7 @@ def _drift_blocks(kind, nodes, damped, surface, step, beta, u, velocity, sums):
         sums[b, KINETIC_SUM], sums[b, DRIFT_SQUARE] = energy, largest
 
 
-@kernel_njit(inner=True)
+@kernel_njit(inline="always")
 def _total(sums, k):
     """Return the sum over the blocks, equal for any number of threads."""
     total = 0.0
@@ -107,7 +107,7 @@ def _total(sums, k):
     return total
 
 
-@kernel_njit(inner=True)
+@kernel_njit(inline="always")
 def _largest(sums, k):
     """Return the largest number of all blocks."""
     largest = 0.0
@@ -208,18 +208,6 @@ def _list_candidates(data, step, way, u):
 
 
 @kernel_njit(inline="always")
-def _push(data, step, u, velocity):
-    """Apply the impulses of the tools, projected on Coulomb's cone; forceps bear those on their nodes."""
-    tools, clock = data.tools, data.clock
-    loads = data.body.nodes, data.scratch, data.body.damping.alpha, (0.0, 0.0, 0.0)
-    works = push_patches(tools.contacts, (step, step, step, 0.0), 1.0, u, velocity, loads)
-    clock[WORK] += works[0]
-    clock[LOST] += works[1]
-    if _held_count(tools.grip) > 0:
-        clock[WORK] += bear_impulses(tools.grip, tools.contacts, step, u, velocity)
-
-
-@kernel_njit(inline="always")
 def _drift(data, step, u, velocity):
     """Move the nodes, u += dt v; return the largest way [m]."""
     body, scratch = data.body, data.scratch
@@ -230,22 +218,32 @@ def _drift(data, step, u, velocity):
 
 
 @cache
-def leapfrog(formulation: Formulation) -> Any:
-    """Compile the steps of a period.
+def leapfrog(formulation: Formulation, touch: int) -> Any:
+    """Compile the steps of a period, of a body that tools touch, or a blade among them cuts.
 
     Returns
     -------
     function
         ``take_steps(data, u, velocity, period)`` returns the number of steps, or -1 if a node moves too far in one.
     """
-    digest = law_digest(__name__, formulation.digest)
-    after, step_force = formulation.after, internal_force(formulation.of_steps)
+    digest = law_digest(__name__, formulation.digest, touch)
+    after, step_force, push_tools = formulation.after, internal_force(formulation.of_steps), push_patches(touch)
 
     @law_njit(digest, inline="always")
-    def write_forces(data, step, u, velocity):
+    def push(data, step, u, velocity):
+        """Apply the impulses of the tools, projected on Coulomb's cone; forceps bear those on their nodes."""
+        tools, clock = data.tools, data.clock
+        loads = data.body.nodes, data.scratch, data.body.damping.alpha, (0.0, 0.0, 0.0)
+        works = push_tools(tools.contacts, (step, step, step, 0.0), 1.0, u, velocity, loads)
+        clock[WORK] += works[0]
+        clock[LOST] += works[1]
+        if _held_count(tools.grip) > 0:
+            clock[WORK] += bear_impulses(tools.grip, tools.contacts, step, u, velocity)
+
+    @law_njit(digest, inline="always")
+    def write_forces(data, constants, work, step, u, velocity):
         """Write the force densities f(u + beta v) and of foundations, less the inertia of the additional mass."""
         body, scratch, nodes = data.body, data.scratch, data.body.nodes
-        constants, work = body.passes
         after(work, step)
         step_force(scratch.damped, constants, work, scratch.force)
         foundation_force(body.sites, u, velocity, nodes.volumes, scratch.surface)
@@ -264,13 +262,14 @@ def leapfrog(formulation: Formulation) -> Any:
             return 0
         _drift(data, 0.0, u, velocity)
         way = _way_since_list(data, u)
+        constants, work = data.body.passes
         for s in range(count):
             place_tools(tools.path, min(1.0, ((s + 1) * step - behind) / period), tools.contacts.work.frames)
             way += _tool_way(data)
-            write_forces(data, step, u, velocity)
+            write_forces(data, constants, work, step, u, velocity)
             _kick(data, step, u, velocity)
             way = _list_candidates(data, step, way, u)
-            _push(data, step, u, velocity)
+            push(data, step, u, velocity)
             moved = _drift(data, step, u, velocity)
             if not moved < data.limits.node:
                 return -1

@@ -15,6 +15,7 @@ from palpate.arrays import Floats, Ints, sum_of_products
 from palpate.dynamics.compiled.lanes import Lanes
 from palpate.dynamics.compiled.passes import Formulation, internal_force
 from palpate.dynamics.compiled.rows import Rows
+from palpate.dynamics.contact.impulses import touch_of
 from palpate.dynamics.contact.tools import surface_nodes
 from palpate.dynamics.loads.prepared import LoadHistory, PreparedLoads, with_held_nodes
 from palpate.dynamics.loads.supports import FIXED, SupportedNodes, free_directions, supported_nodes
@@ -126,7 +127,7 @@ class NodalModel(Model):
         """Set the compiled passes and their constants; requires the cloud, the volumes and the supports."""
         self.formulation, self.body, self._allocate = formulation, body, allocate
         self.taut_body = body if self.fibres is None else body._replace(families=always_taut(body.families))
-        self._internal_force, self._advance = internal_force(formulation), full_step(formulation.of_steps)
+        self._internal_force = internal_force(formulation)
         self.slot = np.zeros(len(self.cloud), dtype=np.int64)
         self.slot[lanes.nodes.ravel()] = np.arange(lanes.nodes.size)
         self.wave_speed = np.inf
@@ -372,7 +373,7 @@ class NodalModel(Model):
         work.step.surface[:] = 0.0  # of another run's loads
         least = self._least_dilatation(work)
         least[:] = 0.0
-        done, lost, tools = self._advance(
+        done, lost, tools = full_step(self.formulation.of_steps, touch_of(contacts))(
             u,
             v,
             step,

@@ -224,8 +224,14 @@ def _report_forces(data, count, report):
 
 
 @cache
-def nodal_period(formulation: Formulation) -> Any:
+def nodal_period(formulation: Formulation, touch: int) -> Any:
     """Compile the period of a full body.
+
+    Parameters
+    ----------
+    formulation : Formulation
+    touch : int
+        CUT for a body that a blade can cut, TOUCHED for others (`palpate.dynamics.contact.impulses`).
 
     Returns
     -------
@@ -235,8 +241,8 @@ def nodal_period(formulation: Formulation) -> Any:
         then `target` gets where it is. The entries of the `report` (8 + 12 t,) are those of
         `palpate.dynamics.run.period_report`. The state is unchanged if the period fails.
     """
-    digest = law_digest(__name__, formulation.digest)
-    choose_step, take_steps = step_control(formulation), leapfrog(formulation)
+    digest = law_digest(__name__, formulation.digest, touch)
+    choose_step, take_steps = step_control(formulation), leapfrog(formulation, touch)
 
     @law_njit(digest, inner=True)
     def run_period(data, q, v, target, period, report):

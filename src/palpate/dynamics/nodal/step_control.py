@@ -105,7 +105,7 @@ def step_control(formulation: Formulation) -> Any:
     digest = law_digest(__name__, formulation.digest)
     after, step_force = formulation.after, internal_force(formulation.of_steps)
 
-    @law_njit(digest, inner=True)
+    @law_njit(digest, inline="always")
     def estimate(data, u):
         """Do one power iteration; return the highest frequency [rad/s]."""
         body, scratch, density = data.body, data.scratch, data.body.nodes.density

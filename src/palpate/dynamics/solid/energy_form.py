@@ -40,7 +40,14 @@ from numpy.typing import NDArray
 from palpate.dynamics.compiled.cache import inline, kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.lanes import LANES, Lanes, Weights, lane_gather
 from palpate.dynamics.compiled.mirror import fill_fluxes, fill_vectors
-from palpate.dynamics.compiled.passes import Formulation, add_blocks, combine, smooth_field, weights_address
+from palpate.dynamics.compiled.passes import (
+    Formulation,
+    add_blocks,
+    combine,
+    smooth_field,
+    weights_address,
+    without_history,
+)
 from palpate.dynamics.compiled.rows import Rows, aligned_zeros, difference_sums, gather_fluxes, rows_in_single
 from palpate.dynamics.compiled.transposes import lanes_to_nodes, nodes_to_lanes
 from palpate.dynamics.material.fibres import NO_FIBRES, Families, FibrePoints
@@ -257,22 +264,27 @@ def _update_least(values, least):
             least[0] = value if value == value else -np.inf
 
 
-@kernel_njit(inner=True)
-def _complete(body, work):
-    """Compute the total stresses from the results of the deformation pass."""
-    _update_least(work.dilatation, work.least)
-    smooth_field(body.smoothing, body.value, body.smoothing_own, work.derivatives, work.dilatation, work.smooth)
-    effective = work.smooth
-    if body.relaxation.times.shape[0] > 0:
-        overstress(body.relaxation, work.history, work.cofactor)
-        relax_volume(body.relaxation, work.history, work.smooth)
-        effective = work.history.effective
-    if body.stiffness.shape[0] > 0:
-        _scale_by_stiffness(body.stiffness, effective, work.scaled)
-        effective = work.scaled
-    _add_pressure(body.transposed_smoothing, body.transposed_value, body.smoothing_own, body.lame, effective,
-                  work.slope, body.stiffness, work.history.stress, work.derivatives, work.response, work.pressure,
-                  work.flux)  # fmt: skip
+@cache
+def _completion(relaxing: bool) -> Any:
+    """Compile ``complete(body, work)``: the total stresses from the results of the deformation pass."""
+
+    @law_njit(law_digest(__name__, "completion", relaxing), inline="always")
+    def complete(body, work):
+        _update_least(work.dilatation, work.least)
+        smooth_field(body.smoothing, body.value, body.smoothing_own, work.derivatives, work.dilatation, work.smooth)
+        effective = work.smooth
+        if relaxing:
+            overstress(body.relaxation, work.history, work.cofactor)
+            relax_volume(body.relaxation, work.history, work.smooth)
+            effective = work.history.effective
+        if body.stiffness.shape[0] > 0:
+            _scale_by_stiffness(body.stiffness, effective, work.scaled)
+            effective = work.scaled
+        _add_pressure(body.transposed_smoothing, body.transposed_value, body.smoothing_own, body.lame, effective,
+                      work.slope, body.stiffness, work.history.stress, work.derivatives, work.response, work.pressure,
+                      work.flux)  # fmt: skip
+
+    return complete
 
 
 @kernel_njit(inner=True, parallel=True, fastmath={"contract"})
@@ -294,11 +306,18 @@ def _virtual_work(table, nodes, flux, volumes, partial):
             partial[b, m] = total
 
 
-@kernel_njit()
-def _project(table, body, work, volumes, partial, result):
-    _complete(body, work)
-    _virtual_work(table, body.lanes.nodes, work.flux, volumes, partial)
-    add_blocks(partial, result)
+@cache
+def _projection(relaxing: bool) -> Any:
+    """Compile `Formulation.project`."""
+    complete = _completion(relaxing)
+
+    @law_njit(law_digest(__name__, "projection", relaxing))
+    def project(table, body, work, volumes, partial, result):
+        complete(body, work)
+        _virtual_work(table, body.lanes.nodes, work.flux, volumes, partial)
+        add_blocks(partial, result)
+
+    return project
 
 
 @kernel_njit(inner=True, cached=False, forceinline=True)
@@ -373,7 +392,11 @@ def make_stress(digest: str, law_first: Any, variables: str = "invariants") -> A
 
 @cache
 def solid_energy(
-    law: type[Material], volumetric: str = QUADRATIC, fibres: FibrePoints = NO_FIBRES, varied: int = NO_FIELDS
+    law: type[Material],
+    volumetric: str = QUADRATIC,
+    fibres: FibrePoints = NO_FIBRES,
+    varied: int = NO_FIELDS,
+    relaxing: bool = False,
 ) -> Formulation:
     """Compile the passes of a solid.
 
@@ -385,11 +408,14 @@ def solid_energy(
         Form of U(J).
     varied : int
         Number of parameters that differ from node to node.
+    relaxing : bool
+        True for tissue with a Prony series. The passes of other tissue compute no history variables.
     """
     measure_of, curved = volumetric_form(volumetric).measure, volumetric != QUADRATIC
-    digest = law_digest(__name__, "solid energy", law.variables, law.first, measure_of, fibres.digest, varied)
+    digest = law_digest(__name__, "solid energy", law.variables, law.first, measure_of, fibres.digest, varied, relaxing)
     stress, add_stress, at = make_stress(digest, law.first, law.variables), fibres.add_stress, parameters_at(varied)
-    measure = inline(digest, measure_of)
+    measure, complete = inline(digest, measure_of), _completion(relaxing)
+    following = after if relaxing else without_history
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
     def node_response(b, nodes, r, coefficients, hourglass, families, cofactor, dilatation, slope):
@@ -425,7 +451,7 @@ def solid_energy(
                     out[LANES * q + v] += frame[q]
             node_response(b, rows.nodes, out, law, hourglass, families, cofactor, dilatation, slope)
 
-    @law_njit(digest, inner=True)
+    @law_njit(digest, inline="always")
     def respond(u, body, work):
         field = u
         if body.mirror.source.shape[0] > 0:
@@ -434,7 +460,7 @@ def solid_energy(
         each(field, body.lanes, work.frame, body.coefficients, body.hourglass, body.families,
              work.sums, work.response, work.cofactor, work.dilatation, work.slope)  # fmt: skip
 
-    @law_njit(digest, inner=True)
+    @law_njit(digest, inline="always")
     def respond_in_single(u, body, work):
         field = u
         if body.mirror.source.shape[0] > 0:
@@ -457,19 +483,20 @@ def solid_energy(
                     out[LANES * q + v] = gradient[q, v]
             node_response(b, nodes, out, law, hourglass, families, cofactor, dilatation, slope)
 
-    @law_njit(digest, inner=True)
+    @law_njit(digest, inline="always")
     def respond_to_columns(columns, table, body, work):
         each_column(columns, table, body.lanes.nodes, body.coefficients, body.hourglass, body.families,
                     work.derivatives, work.response, work.cofactor, work.dilatation, work.slope)  # fmt: skip
 
-    @law_njit(digest, inner=True)
+    @law_njit(digest, inline="always")
     def finish(body, work, force):
-        _complete(body, work)
+        complete(body, work)
         fill_fluxes(body.flux_mirror, work.flux)
         _gather_fluxes(body.transposed, work.flux, force)
 
     of_steps = law_digest(__name__, digest, "in single precision")
-    single = Formulation(of_steps, NODE_NUMBERS, respond_in_single, None, None, finish, None, after)
+    single = Formulation(of_steps, NODE_NUMBERS, respond_in_single, None, None, finish, None, following)
     return Formulation(
-        digest, NODE_NUMBERS, respond, respond_to_columns, _differentiate, finish, _project, after, single
-    )
+        digest, NODE_NUMBERS, respond, respond_to_columns, _differentiate, finish, _projection(relaxing), following,
+        single,
+    )  # fmt: skip

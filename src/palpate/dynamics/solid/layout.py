@@ -126,7 +126,7 @@ def energy_passes(
         energy_work, n, len(lanes.nodes), threads, branches, form, (len(mirror.source), len(flux_mirror.source))
     )
     varied = NO_FIELDS if regions is None else len(material.coefficients)
-    formulation = solid_energy(material.law, form, fibre_points(tissue.fibres), varied)
+    formulation = solid_energy(material.law, form, fibre_points(tissue.fibres), varied, branches > 0)
     return CompiledForm(formulation, body, allocate, lanes), own_stencils
 
 

@@ -37,6 +37,12 @@ class TriangleTree(NamedTuple):
 
 def triangle_tree(triangles: Floats, components: Ints, spacing: float) -> TriangleTree:
     """Return the tree of triangles (t, 3, 3) with the numbers (t,) of their components."""
+    if not len(triangles):  # without compiling: every body is made with the tree of no cut
+        no_numbers = np.zeros(0, np.int64)
+        return TriangleTree(
+            np.zeros((0, 6)), no_numbers, np.zeros((0, 2), np.int64), np.zeros((0, 3, 4)), np.zeros(0),
+            components[no_numbers], float(spacing),
+        )  # fmt: skip
     order, count = np.arange(len(triangles)), 2 * len(triangles)
     boxes, skip, within = np.empty((count, 6)), np.empty(count, np.int64), np.zeros((count, 2), np.int64)
     used = _divide(triangles, BOX_MARGIN * spacing, order, boxes, skip, within)

@@ -10,6 +10,7 @@ from palpate.arrays import Floats
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import curvatures, rotation
 from palpate.dynamics.contact.grip import COUNT, empty_grip, grasped_nodes, nodes_in_grip, set_grip
+from palpate.dynamics.contact.impulses import CUT, TOUCHED
 from palpate.dynamics.contact.kinds import CAPSULE, PLANE
 from palpate.dynamics.contact.penetration import MAX_SURFACE_DEPTH
 from palpate.dynamics.contact.tools import Contact, Forceps, Grasp, Sphere, Tool
@@ -43,6 +44,7 @@ from palpate.dynamics.nodal.period_data import (
 )
 from palpate.dynamics.nodal.tool_path import END, HOME, LAST_CUT, START
 from palpate.dynamics.solid.base import Solid
+from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError, integer_in_range
 from palpate.realtime.bodies.full_blade import BladeCutter
 
@@ -135,7 +137,8 @@ def full_period(
         if isinstance(tool, Grasp):
             forceps = Forceps(tool.radius, tool.point, tool.until)
             change_full_tool(model, data, None, forceps, tool.poses(np.zeros(1))[0], 0.0, t)
-    return nodal_period(model.formulation), data
+    can_be_cut = isinstance(model, EnergySolid) and not model.planes
+    return nodal_period(model.formulation, CUT if can_be_cut else TOUCHED), data
 
 
 def _clock_at_rest(step: float, frequency: float) -> Floats:
@@ -206,11 +209,10 @@ def change_full_tool(
         )
     contacts.work.step_impulses[data.tools.grip.node[index, : data.tools.grip.numbers[index, COUNT]]] = 0.0
     set_grip(data.tools.grip, index, nodes)
-    held = np.isin(contacts.patches.ends, nodes_in_grip(data.tools.grip)).any(
-        axis=1
-    )  # bears what other tools push on it
-    supported = (data.body.sites.kind[contacts.patches.ends] == FIXED).any(axis=1)
-    contacts.patches.prescribed_until[:] = np.where(held | supported, np.inf, -np.inf)
+    patches, gripped = contacts.patches, nodes_in_grip(data.tools.grip)
+    held = np.isin(patches.ends, gripped).any(axis=1)  # bears what other tools push on it
+    supported = (data.body.sites.kind[patches.ends] == FIXED).any(axis=1)
+    patches.prescribed_until[:] = np.where(held | supported, np.inf, -np.inf)
     contacts.tools.kind[index] = CAPSULE if tool is None else tool.kind
     contacts.tools.sizes[index] = (-np.inf, 0.0, 0.0) if tool is None else tool.sizes  # every point is outside
     contacts.tools.curvature[index] = curvatures(contacts.tools.kind, contacts.tools.sizes)[index]

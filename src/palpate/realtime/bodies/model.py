@@ -249,7 +249,7 @@ def _reduced_body(
             "train it with prescribed='GROUP', or give a tool with contact="
         )
     data = _period_data(model, longest, tools, _springs(model, foundations))
-    advance, stiffness = period_functions(model.body.law, model.single)
+    advance, stiffness = period_functions(model.body.law, model.single, model.step is not None, len(tools) > 0)
     bound, relaxes = force_bound(model.data.report), model.material.prony is not None
     if not tools:
         tool = tool_map(model.body, model.data.prescribed[0])

@@ -24,9 +24,9 @@ from palpate.realtime.bodies.period_data import (
     TOOL_RATES,
     VELOCITY_CHANGE,
 )
-from palpate.realtime.bodies.reduced_steps import MAX_SUBSTEPS, reduced_steps
+from palpate.realtime.bodies.reduced_steps import MAX_SUBSTEPS, explicit_steps, implicit_steps
 from palpate.realtime.bodies.tangent_columns import probe_function, static_stiffness, update_tangent
-from palpate.realtime.bodies.trust_number import trust_functions
+from palpate.realtime.bodies.trust_number import trust_function
 from palpate.reduction.contact.gauss_seidel import compliance_energy, set_tool_paths
 from palpate.reduction.contact.penetration import hold_above_surface
 from palpate.reduction.hyper.material_point import MaterialPoint
@@ -124,8 +124,15 @@ def _begin(data, q, v, period, report):
 
 
 @cache
-def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
+def period_functions(law: MaterialPoint, single: bool, implicit: bool, touched: bool) -> tuple[Any, Any]:
     """Compile the period of a law.
+
+    Parameters
+    ----------
+    implicit : bool
+        True for implicit steps.
+    touched : bool
+        False for a body without tools in contact, whose period does not contain contact.
 
     Returns
     -------
@@ -136,9 +143,10 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         forces in the report are means over the period. ``stiffness(data, q, out)`` writes the derivatives
         (l, l) of the static forces by the tool's coordinates, from the tangents of the last m periods.
     """
-    digest = law_digest(__name__, "period", law.digest, single)
-    probe, trust_number = probe_function(law, single), trust_functions(law, single).trust_number
-    explicit, implicit = reduced_steps(law, single)
+    digest = law_digest(__name__, "period", law.digest, single, implicit, touched)
+    probe, trust_number = probe_function(law, single), trust_function(law, single, implicit, touched)
+    step = implicit_steps(law, single) if implicit else explicit_steps(law, single, touched)
+    attempts = 1 if implicit else MAX_ATTEMPTS
 
     @law_njit(digest, inner=True, fastmath={"contract", "reassoc"})
     def finish(data, q, v, target, period, report, flexible):
@@ -160,7 +168,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         report[KINETIC] = kinetic
         report[STRAIN] = probe(data, q) + flexible
         before, after = data.tracking[ENERGY], report[KINETIC] + report[STRAIN]
-        if data.step > 0.0 or data.tools.kind.shape[0] > 0:
+        if implicit or touched:
             return np.isfinite(after)
         return after - before - work <= MAX_GAIN * max(before, after, abs(work), LEAST_ENERGY)  # False for NaN
 
@@ -176,17 +184,16 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             Energy of the surface compliance.
         """
         refinement, flexible = 1, 0.0
-        for attempt in range(1 if data.step > 0.0 else MAX_ATTEMPTS):
+        for attempt in range(attempts):
             if attempt > 0:
                 restore_start(data)
                 refinement *= REFINEMENT_FACTOR
             _begin(data, q, v, period, report)
-            if data.step > 0.0:
-                taken = implicit(data, q, v, period, report)
-            else:
-                taken = explicit(data, q, v, period, report, refinement)
-            flexible = compliance_energy(data.contact_surface, data.contact_work)
-            static = flexible + _energy_over_supports(data.tools)
+            taken = step(data, q, v, period, report, refinement)
+            static = 0.0
+            if touched:
+                flexible = compliance_energy(data.contact_surface, data.contact_work)
+                static = flexible + _energy_over_supports(data.tools)
             if taken > 0 and finish(data, q, v, target, period, report, static):
                 return taken, flexible
             if taken == MAX_SUBSTEPS:
@@ -201,8 +208,9 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         if at_rest:  # the start of a run, or a reset
             _reset(data)
         _change_rates(data, q, v, target, period)
-        set_tool_paths(data.tools, data.home, target, at_rest)
-        hold_above_surface(data.contact_surface, data.contact_work, data.tools, data.home, target)
+        if touched:
+            set_tool_paths(data.tools, data.home, target, at_rest)
+            hold_above_surface(data.contact_surface, data.contact_work, data.tools, data.home, target)
         save_start(data)
         taken, flexible = take_steps(data, q, v, target, period, report)
         if taken == 0:

@@ -27,7 +27,7 @@ from palpate.realtime.bodies.period_data import (
     WORK,
     has_residual_fields,
 )
-from palpate.realtime.bodies.trust_number import trust_functions
+from palpate.realtime.bodies.trust_number import residual_force_function
 from palpate.reduction.contact.gauss_seidel import press
 from palpate.reduction.galerkin.central_difference import drift, kick_coordinates, trial_coordinates
 from palpate.reduction.hyper.foundation import add_spring_forces
@@ -55,7 +55,7 @@ def _step_count(data, period, refinement):
     return MAX_SUBSTEPS
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inline="always", fastmath={"contract", "reassoc"})
 def _set_even_path(data, step):
     """Write the path of the tool about a step [s]: it moves evenly."""
     even, speeds = data.path[:3], data.vectors[TOOL_RATES]
@@ -75,19 +75,22 @@ def _kick(data, v, step):
 
 
 @cache
-def reduced_steps(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
-    """Compile the steps of a period.
+def explicit_steps(law: MaterialPoint, single: bool, touched: bool) -> Any:
+    """Compile the explicit steps of a period.
+
+    Parameters
+    ----------
+    touched : bool
+        False for a body without tools in contact.
 
     Returns
     -------
-    explicit, implicit : functions
+    function
         ``explicit(data, q, v, period, report, refinement)`` returns the number of steps, which are shorter than stable
-        ones by a factor, and ``implicit(data, q, v, period, report)`` that or -1 if a step did not converge. Both add
-        the mean forces of the tools to the report.
+        ones by a factor. It adds the mean forces of the tools to the report.
     """
-    digest = law_digest(__name__, law.digest, single)
-    force, residual_forces = sampled_energy(law, single).force, trust_functions(law, single).residual_forces
-    average, _ = implicit_step(law, single)
+    digest = law_digest(__name__, law.digest, single, touched)
+    force, residual_forces = sampled_energy(law, single).force, residual_force_function(law, single)
 
     @law_njit(digest, inline="always", fastmath={"contract", "reassoc"})
     def write_forces(data, q, v, step):
@@ -113,17 +116,32 @@ def reduced_steps(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             _kick(data, v, step)
             for j in range(modes, count):
                 report[FORCES + j - modes] -= data.vectors[FORCE, j] / steps
-            if data.tools.kind.shape[0] > 0:
+            if touched:
                 press(data, q, v, at, step, period, (s + 1.0) / steps, report[FORCES:])
             drift(q, v, modes, step)
             for j in range(modes, count):
                 q[j] += step * speeds[j]
         return steps
 
-    @law_njit(digest, inner=True, fastmath={"contract"})
-    def implicit(data, q, v, period, report):
-        """Take implicit steps over a period; return their number, or -1 if one did not converge."""
-        steps, count = max(1, int(np.round(period / data.step))), q.shape[0]
+    return explicit
+
+
+@cache
+def implicit_steps(law: MaterialPoint, single: bool) -> Any:
+    """Compile the implicit steps of a period.
+
+    Returns
+    -------
+    function
+        ``implicit(data, q, v, period, report, refinement)`` returns the number of steps, or -1 if one did not converge.
+        It adds the mean forces of the tools to the report. The refinement has no effect.
+    """
+    average, _ = implicit_step(law, single)
+
+    @law_njit(law_digest(__name__, law.digest, single, "implicit"), inner=True, fastmath={"contract"})
+    def implicit(data, q, v, period, report, refinement):
+        most = data.no_loads.shape[0]  # of the longest period; in a longer one they are longer
+        steps, count = min(max(1, int(np.round(period / data.step))), most), q.shape[0]
         step, lifting, holds, loads = period / steps, data.path, data.holds, data.no_loads
         for j in range(data.modes, count):
             for s in range(steps + 3):
@@ -141,4 +159,4 @@ def reduced_steps(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
                 report[FORCES + j - data.modes] += value / steps
         return steps
 
-    return explicit, implicit
+    return implicit

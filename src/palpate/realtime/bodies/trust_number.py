@@ -7,7 +7,7 @@ step.
 from __future__ import annotations
 
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -66,37 +66,48 @@ def _depth_between(data):
     return between if between > 1.0 else 0.0
 
 
-class TrustFunctions(NamedTuple):
-    """Compiled functions of a law.
-
-    Parameters
-    ----------
-    residual_forces : function
-        ``residual_forces(data, at, q, v)`` writes the forces on the residual fields at the last evaluation.
-    trust_number : function
-        ``trust_number(data, q, v, period, kinetic, flexible)`` returns the trust number at the end of a period [s], by
-        the kinetic energy and that of the surface compliance [J].
-    """
-
-    residual_forces: Any
-    trust_number: Any
-
-
 @cache
-def trust_functions(law: MaterialPoint, single: bool) -> TrustFunctions:
-    """Compile the trust number of a law."""
-    digest = law_digest(__name__, law.digest, single)
-    force, work = sampled_energy(law, single).force, column_work[single]
+def residual_force_function(law: MaterialPoint, single: bool) -> Any:
+    """Compile the forces on the residual fields.
 
-    @law_njit(digest, inner=True)
+    Returns
+    -------
+    function
+        ``residual_forces(data, at, q, v)`` writes those of springs, and of the stresses of the last force at `at`.
+    """
+    work = column_work[single]
+
+    @law_njit(law_digest(__name__, law.digest, single), inner=True)
     def residual_forces(data, at, q, v):
-        """Write the forces on the residual fields of springs, and of the stresses of the last force at `at`."""
         fields, stress = data.indicator.residual_fields, data.body.scratch.stress
         fields.partial[:] = 0.0
         for b in range(fields.table.shape[0]):
             work(fields.table[b].ctypes.data, stress[b].ctypes.data, fields.partial.ctypes.data, fields.forces.shape[0])
         collect_forces(fields.partial, fields.constant, at, fields.forces)
         add_spring_forces(fields.springs, q, v, fields.forces)
+
+    return residual_forces
+
+
+@cache
+def trust_function(law: MaterialPoint, single: bool, implicit: bool, touched: bool) -> Any:
+    """Compile the trust number.
+
+    Parameters
+    ----------
+    implicit : bool
+        True for a body with implicit steps.
+    touched : bool
+        False for a body without tools in contact.
+
+    Returns
+    -------
+    function
+        ``trust_number(data, q, v, period, kinetic, flexible)`` returns the trust number at the end of a period [s], by
+        the kinetic energy and that of the surface compliance [J].
+    """
+    digest = law_digest(__name__, law.digest, single, implicit, touched)
+    force, residual_forces = sampled_energy(law, single).force, residual_force_function(law, single)
 
     @law_njit(digest, inner=True, fastmath={"contract", "reassoc"})
     def residual_norm(data, q, v):
@@ -111,7 +122,7 @@ def trust_functions(law: MaterialPoint, single: bool) -> TrustFunctions:
             data.vectors[WORK],
         )
         count, total = q.shape[0], 0.0
-        if data.step > 0.0:
+        if implicit:
             trial_coordinates(q, v, data.body.stiffness_damping, v[data.modes :], False, rate)
             force(rate, data.body.integration_points, data.body.scratch, result)
             add_spring_forces(data.body.springs, q, v, result)
@@ -144,7 +155,7 @@ def trust_functions(law: MaterialPoint, single: bool) -> TrustFunctions:
         if has_residual_fields(data):
             trust = max(trust, residual_norm(data, q, v))
         touching, nearest, tools_in_contact = np.sqrt(2.0 * kinetic / indicator.body_mass), 0.0, 0
-        if data.tools.kind.shape[0] > 0:
+        if touched:
             touching, nearest, tools_in_contact = _touch_of_tools(data, period)
             between = _depth_between(data)
         return max(
@@ -156,4 +167,4 @@ def trust_functions(law: MaterialPoint, single: bool) -> TrustFunctions:
             between,
         )
 
-    return TrustFunctions(residual_forces, trust_number)
+    return trust_number

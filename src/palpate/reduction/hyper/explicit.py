@@ -16,7 +16,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 from palpate.arrays import Floats
-from palpate.dynamics.compiled.cache import law_digest, law_njit
+from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.reference import reference
 from palpate.dynamics.contact.geometry import rotation
 from palpate.reduction.contact.gauss_seidel import solve_contact
@@ -61,14 +61,22 @@ class ContactData(NamedTuple):
     tools: RigidTools
 
 
+@kernel_njit(inline="always")
+def _no_contact(surface, pairs, tools, at, v, step, response, moving):
+    """Do nothing; return as `palpate.reduction.contact.gauss_seidel.solve_contact`."""
+    return 0.0, 0.0
+
+
 @cache
-def explicit_step(law: MaterialPoint, single: bool) -> Any:
+def explicit_step(law: MaterialPoint, single: bool, touched: bool) -> Any:
     """Compile the explicit step of sampled models of a law.
 
     Parameters
     ----------
     law, single
         As for `palpate.reduction.hyper.sampled_energy.sampled_energy`.
+    touched : bool
+        False for runs without tools in contact, whose steps do not contain contact.
 
     Returns
     -------
@@ -78,8 +86,8 @@ def explicit_step(law: MaterialPoint, single: bool) -> Any:
         loads (s, m + l), and `holds` (s,) is True while tools prescribe the lifting coordinates. `data`
         is an `ExplicitData`, `contact` a `ContactData`.
     """
-    digest = law_digest(__name__, "explicit step", law.digest, single)
-    force = sampled_energy(law, single).force
+    digest = law_digest(__name__, "explicit step", law.digest, single, touched)
+    force, solve = sampled_energy(law, single).force, solve_contact if touched else _no_contact
 
     @law_njit(digest, nogil=True, fastmath={"contract"})
     def explicit(a, v, lifting, holds, step, loads, data, contact):
@@ -120,13 +128,13 @@ def explicit_step(law: MaterialPoint, single: bool) -> Any:
             response = constrained_inverse if prescribed else inverse
             total += kick_coordinates(v, rate, load, lifting, s, step, kick, prescribed, mass, response, alpha, mean)
             lost += mass_damping_loss(alpha, mass, mean, kick)
-            if s < steps and tools.kind.shape[0] > 0:
+            if touched and s < steps:
                 for t in range(tools.kind.shape[0]):
                     rotation(contact.poses[s, t], tools.frames[t, 0])
                     rotation(contact.poses[s + 1, t], tools.frames[t, 1])
                 for m in range(count):
                     at[m] = a[m] + step * v[m] if m < moving else lifting[s + 2, m - first]
-                works = solve_contact(surface, pairs, tools, at, v, step, response, moving)
+                works = solve(surface, pairs, tools, at, v, step, response, moving)
                 total, lost = total + works[0], lost + works[1]
                 drag = 1.0 + 0.5 * alpha * kick  # as that of the other forces in `kick_coordinates`
                 for m in range(moving):

@@ -42,6 +42,7 @@ class MaterialPoint:
     measure: Any = None
     fibres: FibrePoints = NO_FIBRES  # stress and energy of the fibres
     parameter_count: int = NO_FIELDS  # number of the law's parameters if they differ from point to point
+    relaxing: bool = False  # True for tissue with a Prony series; other points have no history variables
 
     @property
     def at(self) -> Any:
@@ -57,6 +58,8 @@ def material_point(
     With `by_point` the parameters may differ from point to point.
     """
     compiled, coefficients = _law_without_fibres(material, kinematics)
+    if material.prony is not None:
+        compiled = replace(compiled, digest=law_digest(__name__, compiled.digest, "relaxing"), relaxing=True)
     if by_point:
         count = len(coefficients)
         compiled = replace(

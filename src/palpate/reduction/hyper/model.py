@@ -113,8 +113,6 @@ class ReducedModel(CoordinateModel):
         self.body = reduced_body(data, single)
         self.count, self.columns = self.body.count, self.body.vectors
         self._least_energy = float(self.material.shear_modulus * self.volumes.sum() * ROUNDING_STRAIN**2)  # [J]
-        self._explicit = explicit_step(self.body.law, single)
-        self._implicit, _ = implicit_step(self.body.law, single)
 
     def _own_facts(self) -> list[Fact]:
         data, error = self.data, self.report.get("held_out", {}).get("mean", {}).get("displacement")
@@ -241,6 +239,10 @@ class ReducedModel(CoordinateModel):
         )
         return new, StepReport(done + tool_work, lost, tool_impulses=contact.tools.impulses.copy())
 
+    def _explicit(self, touched: bool) -> Any:
+        """Return the compiled explicit step, with or without contact."""
+        return explicit_step(self.body.law, self.single, touched)
+
     def _explicit_steps(
         self,
         a: Floats,
@@ -273,7 +275,8 @@ class ReducedModel(CoordinateModel):
         )
         loads = np.ascontiguousarray(ready.forces(times[1:-1])[:, : self.count] + added_forces)
         lifting, holds = lifting_coordinates(self.data, prepared, times), prepared.is_prescribed(times[1:-1])
-        done, lost, tool_work = self._explicit(a, v, lifting, holds, step, loads, explicit_data, contact_data)
+        explicit = self._explicit(len(contact.tools.kind) > 0)
+        done, lost, tool_work = explicit(a, v, lifting, holds, step, loads, explicit_data, contact_data)
         return done, lost, tool_work
 
     def _implicit_steps(
@@ -304,7 +307,8 @@ class ReducedModel(CoordinateModel):
             factor[:], factored[:] = estimate
         loads = np.ascontiguousarray(ready.forces(times[1:-2] + 0.5 * step)[:, : self.count])
         lifting, holds = lifting_coordinates(self.data, prepared, times), prepared.is_prescribed(times[2:-1])
-        done, lost, tool_work, taken = self._implicit(a, v, lifting, holds, step, loads, implicit_data)
+        implicit, _ = implicit_step(body.law, self.single)
+        done, lost, tool_work, taken = implicit(a, v, lifting, holds, step, loads, implicit_data)
         if taken < len(loads):
             a[:] = np.nan
         return done, lost, tool_work, (factor.copy(), factored.copy())

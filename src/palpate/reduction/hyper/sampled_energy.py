@@ -206,7 +206,7 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
     digest = law_digest(__name__, "sampled energy", law.digest, single)
     sums, work, stress_of, density_of = column_sums[single], column_work[single], law.stress, law.density
     two_sums, three_works = column_sums_2[single], column_work_3[single]
-    measure_of, curved = law.measure, law.measure is not None
+    measure_of, curved, relaxing = law.measure, law.measure is not None, law.relaxing
     add_stress, add_energy, at, parameter_count = (
         law.fibres.add_stress,
         law.fibres.add_energy,
@@ -260,7 +260,7 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
         measure(scratch)
         _moments(integration_points.pressure, scratch.dilatation, scratch.moments)
         effective = scratch.moments
-        if integration_points.relaxation.times.shape[0] > 0:
+        if relaxing:
             relax(integration_points, scratch)
             effective = scratch.history.effective
         _add_pressure(integration_points, effective, scratch, curved)
@@ -301,7 +301,7 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
         total = 0.0
         for k in range(scratch.moments.shape[0]):
             total += 0.5 * scratch.moments[k] * scratch.moments[k]
-        if integration_points.relaxation.times.shape[0] > 0:
+        if relaxing:
             for b in range(integration_points.weights.shape[0]):
                 for v in range(LANES):
                     ratio = integration_points.coefficients[b, parameter_count, v] if parameter_count else 1.0
@@ -325,7 +325,7 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
             total += density_block(integration_points, scratch, b)
         measure(scratch)
         _moments(integration_points.pressure, scratch.dilatation, scratch.moments)
-        if integration_points.relaxation.times.shape[0] > 0:
+        if relaxing:
             force(columns, integration_points, scratch, scratch.spare)
         return total + volume_energy(columns, integration_points, scratch)
 
