@@ -100,7 +100,8 @@ def complete_for_training(scene: Scene) -> Scene:
         )  # fmt: skip
         names = str(Path(about.surface.labels).absolute()) if about.surface.labels else ""
         about = replace(about, surface=replace(about.surface, file=file.name, labels=names), support=support)
-        scene = Scene(about, file.parent, str(file))
+        opened, scene = scene, Scene(about, file.parent, str(file))
+        scene.take_surface(opened)
     if about.body.spacing or scene.surface is None:
         return scene
     spacing = np.cbrt(NODES_PER_CELL * abs(scene.surface.volume) / TRAINED_NODES)

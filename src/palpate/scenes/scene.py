@@ -43,7 +43,7 @@ if TYPE_CHECKING:  # mechanics take a second to import, before a page opens
 
 
 class Scene(Described):
-    """A body with its loads and tool paths, from a scene file.
+    """A body with its loads and tool paths, of a scene file, a surface file or a scene of the package.
 
     Parameters
     ----------
@@ -109,9 +109,13 @@ class Scene(Described):
         settings = {key: value for key, value in self.settings.items() if key.removeprefix("body.") not in changes}
         settings |= {f"body.{name}": value for name, value in changes.items()}
         scene = Scene(about, self.folder, self.name, settings)
-        if "surface" in vars(self):
-            vars(scene)["surface"] = self.surface
+        scene.take_surface(self)
         return scene
+
+    def take_surface(self, other: Scene) -> None:
+        """Take the surface of a scene with the same file, if that scene has read it, so that it is read once."""
+        if "surface" in vars(other):
+            vars(self)["surface"] = other.surface
 
     @cached_property
     def surface(self) -> Surface | None:

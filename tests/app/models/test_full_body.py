@@ -13,6 +13,7 @@ import palpate as pt
 from palpate.app.common.console import Console
 from palpate.app.models.full_body import FINER_NODES, FORCE_ERRORS, prepare_full_body
 from palpate.app.models.spacing import MOST_NODES, better_spacing, realtime_spacing
+from palpate.app.models.subject import open_subject
 from palpate.app.session.messages import validate_message
 from palpate.app.session.session import Session
 from palpate.meshfree.cloud import BORDER_MARGIN
@@ -21,6 +22,7 @@ from palpate.scenes.open_scene import open_scene
 from palpate.scenes.open_surface import open_surface
 from palpate.scenes.organ import liver_surface
 from palpate.scenes.places import PlaceFinder, place_of_text, side_mask
+from palpate.surface.files import read_surface
 
 POINTS = np.random.default_rng(0).uniform(-1.0, 1.0, (500, 3))
 CLOUD = pt.Cloud(
@@ -90,6 +92,19 @@ def test_other_texts_of_supports_are_refused(text):
         mask(text)
 
 
+def test_a_surface_is_read_once_for_training(organ, monkeypatch):
+    read = []
+    monkeypatch.setattr(
+        "palpate.scenes.scene.read_surface", lambda path, **chosen: read.append(path) or read_surface(path, **chosen)
+    )
+    monkeypatch.chdir(organ.parent)
+    scene = open_subject(organ.name, for_training=True, units="mm").scene
+    assert scene.name == str(organ)
+    assert scene.surface.name == organ.name
+    assert scene.surface is scene.with_body(spacing=0.006).surface
+    assert read == [Path(organ.name)]
+
+
 def test_a_slower_machine_steps_a_coarser_body(monkeypatch):
     material = pt.materials.NeoHookean(C1=1.1e3, density=1060.0, poisson=0.45)
     spacings = []
@@ -103,22 +118,16 @@ def test_a_slower_machine_steps_a_coarser_body(monkeypatch):
 
 @pytest.mark.slow
 def test_the_spacing_follows_the_measured_load():
-    scene = open_scene("liver", {"spacing": 0.016})
-    spacing, count = scene.body.cloud.spacing, len(scene.body.cloud)
-    assert better_spacing(scene.body.cloud, 0.6) is None
-    assert better_spacing(scene.body.cloud, 0.6 / 0.92) is None
-    assert better_spacing(scene.body.cloud, 0.6 / 1.25) is None
-    assert better_spacing(scene.body.cloud, 0.3) == pytest.approx(
-        spacing * 0.5**0.25, rel=0.05
-    )  # the fourth power of the spacing
+    cloud = open_scene("liver", {"spacing": 0.016}).body.cloud
+    spacing, count = cloud.spacing, len(cloud)
+    assert better_spacing(cloud, 0.6) is None
+    assert better_spacing(cloud, 0.6 / 0.92) is None
+    assert better_spacing(cloud, 0.6 / 1.25) is None
+    assert better_spacing(cloud, 0.3) == pytest.approx(spacing * 0.5**0.25, rel=0.05)  # the fourth power of the spacing
     least = spacing * np.cbrt(count / 600)  # nodes
-    assert better_spacing(scene.body.cloud, 0.8) == pytest.approx(min(least, spacing * (0.8 / 0.6) ** 0.25), rel=0.05)
-    assert (
-        better_spacing(scene.body.cloud, 60.0)
-        == better_spacing(scene.body.cloud, np.inf)
-        == pytest.approx(least, rel=0.05)
-    )
-    coarsest = open_scene("liver", {"spacing": better_spacing(scene.body.cloud, np.inf)})
+    assert better_spacing(cloud, 0.8) == pytest.approx(min(least, spacing * (0.8 / 0.6) ** 0.25), rel=0.05)
+    assert better_spacing(cloud, 60.0) == better_spacing(cloud, np.inf) == pytest.approx(least, rel=0.05)
+    coarsest = open_scene("liver", {"spacing": better_spacing(cloud, np.inf)})
     assert better_spacing(coarsest.body.cloud, 2.0) is None  # a coarser body keeps no more time
 
 
