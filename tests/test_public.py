@@ -73,6 +73,16 @@ def test_every_public_name_has_one_place():
         pt.nonsense  # noqa: B018
 
 
+def test_an_earlier_name_is_the_same_object_with_a_warning():
+    with pytest.warns(DeprecationWarning, match=r"use the new name") as warned:
+        from palpate.typing import OrganScene
+    assert OrganScene is pt.typing.Scene
+    assert [each.filename for each in warned] == [__file__]
+    assert "OrganScene" not in pt.typing.__all__
+    with pytest.raises(AttributeError, match=r"^module 'palpate.typing' has no attribute 'nonsense'$"):
+        pt.typing.nonsense  # noqa: B018
+
+
 def test_the_import_loads_no_numerics_and_submodules_are_attributes():
     code = (
         "import palpate, sys; print({'numpy', 'scipy', 'numba', 'rich'} & {*sys.modules}, palpate.tools.Sphere(0.01))"

@@ -3,6 +3,9 @@
 Functions return and take these objects; a program need not make one itself.
 """
 
+import warnings
+from typing import TYPE_CHECKING, Any
+
 from palpate.dynamics.contact.tools import Motion, Tool
 from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
@@ -21,8 +24,6 @@ from palpate.reduction.hyper.body import ReducedBody
 from palpate.reduction.hyper.error_indicator import ExpectedError
 from palpate.reduction.lti.realtime import LinearRealtime
 from palpate.scenes.scene import Scene
-
-OrganScene = Scene  # the name of `Scene` before version 0.2
 
 __all__ = [
     "CutSurface",
@@ -50,3 +51,14 @@ __all__ = [
     "ToolReading",
     "UnloadedBody",
 ]
+
+if TYPE_CHECKING:
+    OrganScene = Scene
+else:  # a type checker would take every name of this module
+
+    def __getattr__(name: str) -> Any:
+        if name != "OrganScene":
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        message = "palpate.typing.OrganScene is palpate.typing.Scene since version 0.2; use the new name"
+        warnings.warn(message, DeprecationWarning, stacklevel=2)
+        return Scene
