@@ -41,21 +41,21 @@ FACE_LOADS = (((8.0, 0.0, 0.0), 0.0), ((0.0, 3.0, 1.0), 0.0), ((-2.0, 1.0, -3.0)
 
 def beam_case(spacing: float, repeats: int, forms: Sequence[str], console: Console) -> dict[str, Any]:
     """Measure the paper's pull of the beam [m]: forms of the full model, and the hyper-reduced one."""
-    scene = beam(spacing=spacing)
-    strong = cast(Solid, scene.model)
+    case = beam(spacing=spacing)
+    strong = cast(Solid, case.model)
     bodies = {"strong": strong, "energy": Solid(strong.cloud, strong.material, strong.supports, form="energy")}
     seconds: dict[str, list[float]] = {form: [] for form in (*forms, "reduced")}
     steps: dict[str, int] = {}
 
     def pull(name: str, model: Model) -> Trajectory:
         if name not in steps:  # compiles
-            rollout(model, scene.loads, duration=1e-3, every=1e-3, progress=False)
+            rollout(model, case.loads, duration=1e-3, every=1e-3, progress=False)
         with warnings.catch_warnings(action="ignore", category=TrustWarning):  # speed counts here
-            run = rollout(model, scene.loads, duration=scene.duration, every=scene.every)
+            run = rollout(model, case.loads, duration=case.duration, every=case.every)
         seconds[name].append(run.wall_seconds)
         steps[name] = int(run.steps[-1])
         at = f"beam, {1e3 * spacing:g} mm, round {len(seconds[name])} of {repeats}"
-        console.say(f"{at}: {name}, {run.wall_seconds:.3g} s for {scene.duration:g} s, {steps[name]} steps")
+        console.say(f"{at}: {name}, {run.wall_seconds:.3g} s for {case.duration:g} s, {steps[name]} steps")
         return run
 
     fast: ReducedModel | None = None
@@ -64,8 +64,8 @@ def beam_case(spacing: float, repeats: int, forms: Sequence[str], console: Conso
         fast = fast or hyper_reduce(bodies[forms[0]], runs[0], modes=BEAM_MODES)
         pull("reduced", fast)
     assert fast is not None
-    prepared = fast.prepare(scene.loads)
-    measured = {name: _pull(walls, steps[name], scene.duration) for name, walls in seconds.items()}
+    prepared = fast.prepare(case.loads)
+    measured = {name: _pull(walls, steps[name], case.duration) for name, walls in seconds.items()}
     reduced_run = measured.pop("reduced")
     return {
         "spacing": spacing,

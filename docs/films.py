@@ -181,10 +181,10 @@ def draw_cut(path: Path, body: Any, run: Any, tools: Cutting) -> None:
             add(caption.over(screenshot(plotter), f"{time:.1f} s"))
 
 
-def run_film(path: Path, scene: Any, view: View, duration: float) -> None:
+def run_film(path: Path, case: Any, view: View, duration: float) -> None:
     """Film the run of a full model, coloured by its displacements, over `FILM_SECONDS`."""
-    run = pt.rollout(scene.model, scene.loads, duration=duration, every=duration / FRAMES, progress=False)
-    cloud, axes = scene.model.cloud, camera_axes(np.array(view.towards))
+    run = pt.rollout(case.model, case.loads, duration=duration, every=duration / FRAMES, progress=False)
+    cloud, axes = case.model.cloud, camera_axes(np.array(view.towards))
     rest = np.zeros((len(cloud), 3))
     rest[:, : cloud.points.shape[1]] = cloud.points
     seen = np.concatenate([rest + view.scale * u for u in run.displacements]) @ axes.T

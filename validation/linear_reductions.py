@@ -64,12 +64,12 @@ class Body(NamedTuple):
 
 def pulled_beam(spacing: float = 0.005, poisson: float = 0.49) -> Body:
     """Return the paper's beam, pulled by up to 0.1 N and up to 100 N."""
-    scene = beam(spacing=spacing, poisson=poisson)
+    case = beam(spacing=spacing, poisson=poisson)
     return Body(
-        f"The paper's beam, {1e3 * spacing:g} mm", scene.model,
+        f"The paper's beam, {1e3 * spacing:g} mm", case.model,
         lambda size: (pt.SurfaceForce("x+", force=lambda time: (pull(time, size), 0.0, 0.0)),),
-        (0.1, 100.0), "N", ("x+",), scene.duration, scene.every,
-        lambda run, modes: pt.galerkin(scene.model, run, modes=modes), "POD of the nonlinear run",
+        (0.1, 100.0), "N", ("x+",), case.duration, case.every,
+        lambda run, modes: pt.galerkin(case.model, run, modes=modes), "POD of the nonlinear run",
     )  # fmt: skip
 
 

@@ -33,10 +33,10 @@ def phase(model, loads, start, before=None, **options):
     return pt.rollout(model, loads, duration=PHASE, every=EVERY, start=start, progress=False, **options)
 
 
-def both(scene, models):
+def both(case, models):
     """Run the two phases with one model each, the second from where the first ended."""
-    push = phase(models[0], scene.loads, 0.0, step=EVERY / 5)
-    return push, phase(models[1], scene.loads, PHASE, push)
+    push = phase(models[0], case.loads, 0.0, step=EVERY / 5)
+    return push, phase(models[1], case.loads, PHASE, push)
 
 
 def projection(model, run):
@@ -55,17 +55,17 @@ def main() -> None:
     """Compute and print the table."""
     rows = []
     for after in ("hold", "release", "return"):
-        scene = membrane(0.005, after)
-        full = [phase(scene.model, scene.loads, 0.0)]
-        full.append(phase(scene.model, scene.loads, PHASE, full[0]))
+        case = membrane(0.005, after)
+        full = [phase(case.model, case.loads, 0.0)]
+        full.append(phase(case.model, case.loads, PHASE, full[0]))
         for (name, training), apart, modes in product(TRAININGS.items(), (False, True), (4, 8, 12, 20, 40)):
             if apart and name != "local lifting, relative snapshots":
                 continue
             data = full if apart else [full[0].concatenate(full[1])] * 2
-            models = [pt.galerkin(scene.model, run, modes=modes, prescribed=["tool"], **training) for run in data]
+            models = [pt.galerkin(case.model, run, modes=modes, prescribed=["tool"], **training) for run in data]
             row = {"then": after, "training": name, "basis": "a phase" if apart else "one", "modes": modes}
             try:
-                found = both(scene, models)
+                found = both(case, models)
             except pt.DivergenceError as error:
                 row["failed"] = str(error).split(";")[0]
                 found = ()

@@ -138,19 +138,19 @@ def stability():
     for (spacing, layout, jitter, seed), after in product(clouds, ("return", "hold", "release")):
         if spacing < SPACINGS[-1] and after != "return":
             continue  # the harshest alone at 20,000 nodes
-        scene = membrane(spacing, after, layout=layout, jitter=jitter, seed=seed)
-        run = pt.rollout(scene.model, scene.loads, duration=scene.duration, every=scene.every, progress=False)
+        case = membrane(spacing, after, layout=layout, jitter=jitter, seed=seed)
+        run = pt.rollout(case.model, case.loads, duration=case.duration, every=case.every, progress=False)
         total = run.kinetic + run.strain
         pushed = run.times <= 0.1 + 1e-9
         rows.append({
             "spacing": spacing, "layout": layout, "jitter": jitter, "seed": seed, "after": after,
-            "nodes": len(scene.model.cloud), "steps": int(run.steps[-1]), "seconds": run.wall_seconds,
+            "nodes": len(case.model.cloud), "steps": int(run.steps[-1]), "seconds": run.wall_seconds,
             "miss_pushing": float(np.abs(run.balance[pushed]).max() / run.external[pushed].max()),
             "energy_pushed": float(total[pushed][-1]), "energy_end": float(total[-1]),
             # what is there once the tool has jumped can only fall
             "growth_after": float(total[~pushed].max() / total[~pushed][0] - 1),
-            "largest_wrinkled_share": max(scene.model.wrinkled_area(u) for u in run.displacements[::5])
-            / float(scene.model.cloud.volumes.sum()),
+            "largest_wrinkled_share": max(case.model.wrinkled_area(u) for u in run.displacements[::5])
+            / float(case.model.cloud.volumes.sum()),
         })  # fmt: skip
         show(rows[-1])
     return rows
@@ -160,9 +160,9 @@ def layouts():
     """The paper's run, with its node and with a tool of 10 mm, on every layout: deflections and tool force compared."""
     rows = []
     for tool_radius, spacing, (layout, jitter) in product((0.0, 0.01), SPACINGS, (*LAYOUTS, ("hexagonal", 0.1))):
-        scene = membrane(spacing, "hold", tool_radius=tool_radius, layout=layout, jitter=jitter, seed=1)
-        run = pt.rollout(scene.model, scene.loads, duration=0.1, every=scene.every, progress=False)
-        share = scene.model.volumes / scene.model.volumes.sum()
+        case = membrane(spacing, "hold", tool_radius=tool_radius, layout=layout, jitter=jitter, seed=1)
+        run = pt.rollout(case.model, case.loads, duration=0.1, every=case.every, progress=False)
+        share = case.model.volumes / case.model.volumes.sum()
         rows.append({
             "tool_radius": tool_radius, "spacing": spacing, "layout": layout, "jitter": jitter,
             "mean_deflection": float(run.displacements[-1, :, 2] @ share),
