@@ -1,7 +1,7 @@
 """The trust number of a reduced model in the engine: the largest of some measures, each over its scale, compiled.
 
 It is that of a run (`palpate.reduction.hyper.error_indicator`), with the residual norm at the beginning of the last
-step.
+explicit step, or at the end of the period with implicit steps.
 """
 
 from __future__ import annotations
@@ -113,7 +113,8 @@ def trust_function(law: MaterialPoint, single: bool, implicit: bool, touched: bo
     def residual_norm(data, q, v):
         """Return the norm of the unbalanced forces on the residual fields, divided by its scale.
 
-        It is that at the beginning of the last explicit step, whose forces are known.
+        It is that at the beginning of the last explicit step, whose forces are known, or at the end of the period with
+        implicit steps.
         """
         fields, contact, result, rate = (
             data.indicator.residual_fields,
