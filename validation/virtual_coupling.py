@@ -16,8 +16,8 @@ import sys
 import numpy as np
 
 import palpate as pt
+from palpate.dynamics.compiled.reference import StoredRecord
 from palpate.realtime.contract import KINETIC, STATUS, STRAIN
-from palpate.realtime.loop import passed
 from palpate.realtime.observable import DAMPING, MASS, TOOLS, make_observable
 
 PERIOD, DURATION, RADIUS, DEPTH, GAP = 1e-3, 4.0, 0.02, 0.008, 0.002  # [s], [s], [m], [m], [m]
@@ -40,7 +40,7 @@ def balance(
     )
     body.set_coupling(stiffness, limit)
     data, coupling, q, v = body.data, body.data.coupling, body.rest.copy(), np.zeros_like(body.rest)
-    address = passed(body.advance, data)  # by which the engine hands the data on
+    address = StoredRecord(data)  # by which the engine hands the data on
     report, device, work = np.zeros(20), np.zeros(3), 0.0
     energies = {"work": [], "body": [], "coupling": [], "force": []}
     for k in range(round(DURATION / PERIOD)):

@@ -25,10 +25,10 @@ from contract_models import (
 )
 
 import palpate as pt
+from palpate.dynamics.compiled.reference import StoredRecord
 from palpate.dynamics.loads import prepared as prepared_loads
 from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.prepared import Load
-from palpate.realtime.loop import passed
 
 pytestmark = pytest.mark.quick(kind=QUICK)
 
@@ -154,7 +154,7 @@ def test_a_new_kind_of_load_is_refused_until_a_model_has_forces_for_it(kind, mon
 def periods(ready, motion, count=12):
     """Return the coordinates after some periods of 1 ms in which the tool goes by a displacement (3,) [m]."""
     q, v, report = ready.rest.copy(), np.zeros_like(ready.rest), np.zeros(8 + len(ready.tool))
-    data = passed(ready.advance, ready.data)  # by address as in the engine, which has compiled that
+    data = StoredRecord(ready.data)  # by address as in the engine, which has compiled that
     for k in range(count):
         pose = np.concatenate([(k + 1) / count * np.asarray(motion), np.zeros(9)])
         ready.advance(data, q, v, ready.tool @ pose, 1e-3, report)

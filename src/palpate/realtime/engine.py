@@ -25,7 +25,7 @@ from palpate.realtime.channel import SharedSlots
 from palpate.realtime.clock import HAS_CLOCKS
 from palpate.realtime.contract import check_contract
 from palpate.realtime.exchange import publish, snapshot
-from palpate.realtime.loop import DIVERGED, PAUSED, RUNNING, STOPPED, Channels, compile_loop, passed
+from palpate.realtime.loop import DIVERGED, PAUSED, RUNNING, STOPPED, Channels, compile_loop, loop_arguments
 from palpate.realtime.observable import ObservableModel, make_observable
 from palpate.realtime.period import (
     CLAMP,
@@ -195,10 +195,11 @@ class Engine(Described):
         attributes = {"period": self.period, "coordinates": len(model.rest), "on_distrust": on_distrust}
         buffer = self._channels.ring_buffer
         self._write = partial(write_black_box, buffer=buffer, tools=tools, attributes=attributes)
-        self._loop = compile_loop(model.advance, model.stiffness)
+        advance, stiffness, data = loop_arguments(model.advance, model.stiffness, model.data)
+        self._loop = compile_loop(advance, stiffness)
         self._exchanges = False  # while the loop stops for an exchange
         self._runner = Runner(
-            partial(self._loop, passed(model.advance, model.data), self._work, self._channels, self._settings),
+            partial(self._loop, data, self._work, self._channels, self._settings),
             self._channels.command,
             partial(self._write, black_box) if black_box is not None else None,
         )
@@ -299,7 +300,7 @@ class Engine(Described):
             self._exchanges = self._runner.state == RUNNING
             if self._exchanges:
                 self._runner.stop(PAUSED)
-            stored = passed(self._model.advance, data)
+            _, _, stored = loop_arguments(self._model.advance, self._model.stiffness, data)
             self._runner.exchange(partial(self._loop, stored, self._work, self._channels, self._settings))
             if self._exchanges and self._runner.state == PAUSED:
                 self._runner.start()

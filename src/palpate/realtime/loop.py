@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from palpate.dynamics.compiled.cache import kernel_njit, law_njit
 from palpate.dynamics.compiled.reference import StoredRecord
 from palpate.realtime.black_box import RingBuffer, append_record
+from palpate.realtime.calls import call_advance, call_stiffness, model_calls
 from palpate.realtime.channel import POSE_NUMBERS, SharedSlots
 from palpate.realtime.clock import now, sleep_until, thread_time
 from palpate.realtime.exchange import FLAGS_LENGTH, Slot, fetch, get_flag, make_flags, publish, stamp
@@ -113,9 +114,13 @@ def compile_loop(advance: Any, stiffness: Any) -> Any:
     return loop
 
 
-def passed(advance: Any, data: Any) -> Any:
-    """Return the data of a model as the loop takes them: by their address, unless the model is a user's.
+def loop_arguments(advance: Any, stiffness: Any, data: Any) -> tuple[Any, Any, Any]:
+    """Return functions and data of a model as the loop takes them: by their addresses, unless they are a user's.
 
-    The functions of another model may index their data, or take a tuple apart.
+    A loop that calls functions by their addresses is compiled once for all models. The functions of a user may index
+    their data, or take a tuple apart.
     """
-    return StoredRecord(data) if advance.py_func.__module__.startswith("palpate.") else data
+    if not advance.py_func.__module__.startswith("palpate."):
+        return advance, stiffness, data
+    called = model_calls(advance, stiffness, data)
+    return call_advance, None if stiffness is None else call_stiffness, StoredRecord(called)

@@ -26,19 +26,19 @@ modulus ratio therefore changes slowly compared with vibrations.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.dynamics.compiled.cache import law_digest, law_njit
+from palpate.arrays import Floats, Ints
+from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.dynamics.compiled.reference import reference
 from palpate.faults import number_in_range
 from palpate.realtime.bodies.model import RealtimeModel
+from palpate.realtime.calls import ModelCalls, call_advance, call_stiffness, model_calls
 from palpate.realtime.contract import FORCES, KINETIC, STATUS, STRAIN, tool_maps
 from palpate.realtime.exchange import Slot, publish, snapshot
-from palpate.realtime.period import function_key
 from palpate.reduction.contact.surface import PAIRS
 
 MAX_CONTACT_NODES = 4096  # contact nodes published in a period
@@ -63,10 +63,20 @@ class VirtualCoupling(NamedTuple):
     force: Floats  # (t, 3) array [N]: forces of the body on the tools
 
 
+class PublishedContact(NamedTuple):
+    """Forces on nodes in contact, where the model inside writes them."""
+
+    node: Ints  # (k,) array
+    tool: Ints  # (k,) array: tools that touch them
+    push: Floats  # (k, 3) array [N]
+    numbers: Ints  # array: the first is the number of nodes in contact
+
+
 class ObservableData(NamedTuple):
     """Data of an observable model."""
 
-    inner: Any  # data of the model inside
+    inner: ModelCalls  # of the model inside
+    contact: PublishedContact  # of the model inside
     slot: Slot  # published values
     values: Floats  # array: values to be published next
     coupling: VirtualCoupling
@@ -171,12 +181,13 @@ class ObservableModel(NamedTuple):
 
 def make_observable(model: RealtimeModel) -> ObservableModel:
     """Return an observable model that shares the data of a real-time model."""
-    advance, stiffness = _compile(model.advance, model.stiffness)
-    contacts = min(MAX_CONTACT_NODES, len(model.data.contact_work.node))
+    contact = PublishedContact(*(getattr(model.data.contact_work, name) for name in PublishedContact._fields))
+    contacts = min(MAX_CONTACT_NODES, len(contact.node))
     tools, count = tool_maps(model.tool).shape[:2]
     values = np.zeros(TOOLS + 6 * tools + len(model.rest) + CONTACT_SIZE * contacts)
     data = ObservableData(
-        inner=model.data,
+        inner=model_calls(model.advance, model.stiffness, model.data),
+        contact=contact,
         slot=Slot.zeros(len(values)),
         values=values,
         coupling=VirtualCoupling(np.zeros((tools, 4)), *np.zeros((4, tools, 3))),
@@ -185,142 +196,142 @@ def make_observable(model: RealtimeModel) -> ObservableModel:
         modulus_ratio=np.ones(2),
     )
     if model.cutter is not None:
-        model.cutter.wrap = lambda inner: data._replace(inner=inner)
+        model.cutter.wrap = lambda inner: data._replace(inner=model_calls(model.advance, model.stiffness, inner))
+    stiffness = None if model.stiffness is None else _stiffness
     observable = ObservableModel(
-        advance, stiffness, data, model.rest, model.tool, model.force_bound, model.catch_up, model.cutter,
+        _advance, stiffness, data, model.rest, model.tool, model.force_bound, model.catch_up, model.cutter,
         model.tool_names,
     )  # fmt: skip
     observable.set_state(model.rest, np.zeros((tools, 3)))
     return observable
 
 
-@cache
-def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
-    """Compile the functions of an observable model."""
-    digest = law_digest(__name__, function_key(inner_advance), inner_stiffness and function_key(inner_stiffness))
-
-    @law_njit(digest, inner=True)
-    def move_coupled_tool(coupling, target, device_force, period):
-        """Advance a coupled tool by a period; write its position to `target`, and the device's force."""
-        stiffness, damping = coupling.parameters[STIFFNESS], coupling.parameters[DAMPING]
-        mass, limit = coupling.parameters[MASS], coupling.parameters[FORCE_LIMIT]
-        effective_mass = mass + period * damping + period * period * stiffness
-        # squared lengths of the spring after the period: with its force, and saturated but for the pull
-        slow, square, apart = mass + period * damping, 0.0, 0.0
-        for i in range(3):
-            rate = (target[i] - coupling.device[i]) / period
-            force = stiffness * (target[i] - coupling.position[i]) + damping * rate + coupling.force[i]
-            after = coupling.position[i] + period * (mass * coupling.velocity[i] + period * force) / effective_mass
-            square += (target[i] - after) ** 2
-            free = coupling.position[i] + period * (mass * coupling.velocity[i] + period * coupling.force[i]) / slow
-            apart += (target[i] - free) ** 2
-        if stiffness * np.sqrt(square) > limit and stiffness * np.sqrt(apart) > limit:
-            for i in range(3):
-                wanted = target[i]
-                momentum = mass * coupling.velocity[i] + period * coupling.force[i]
-                pull = limit * (wanted - coupling.position[i] - period * momentum / slow) / np.sqrt(apart)
-                coupling.velocity[i] = (momentum + period * pull) / slow
-                coupling.position[i] += period * coupling.velocity[i]
-                device_force[i] = -pull
-                coupling.device[i] = wanted
-                target[i] = coupling.position[i]
-            return
+@kernel_njit(inner=True)
+def _move_coupled_tool(coupling, target, device_force, period):
+    """Advance a coupled tool by a period; write its position to `target`, and the device's force."""
+    stiffness, damping = coupling.parameters[STIFFNESS], coupling.parameters[DAMPING]
+    mass, limit = coupling.parameters[MASS], coupling.parameters[FORCE_LIMIT]
+    effective_mass = mass + period * damping + period * period * stiffness
+    # squared lengths of the spring after the period: with its force, and saturated but for the pull
+    slow, square, apart = mass + period * damping, 0.0, 0.0
+    for i in range(3):
+        rate = (target[i] - coupling.device[i]) / period
+        force = stiffness * (target[i] - coupling.position[i]) + damping * rate + coupling.force[i]
+        after = coupling.position[i] + period * (mass * coupling.velocity[i] + period * force) / effective_mass
+        square += (target[i] - after) ** 2
+        free = coupling.position[i] + period * (mass * coupling.velocity[i] + period * coupling.force[i]) / slow
+        apart += (target[i] - free) ** 2
+    if stiffness * np.sqrt(square) > limit and stiffness * np.sqrt(apart) > limit:
         for i in range(3):
             wanted = target[i]
-            rate = (wanted - coupling.device[i]) / period
-            force = stiffness * (wanted - coupling.position[i]) + damping * rate + coupling.force[i]
-            coupling.velocity[i] = (mass * coupling.velocity[i] + period * force) / effective_mass
+            momentum = mass * coupling.velocity[i] + period * coupling.force[i]
+            pull = limit * (wanted - coupling.position[i] - period * momentum / slow) / np.sqrt(apart)
+            coupling.velocity[i] = (momentum + period * pull) / slow
             coupling.position[i] += period * coupling.velocity[i]
-            spring = stiffness * (wanted - coupling.position[i]) + damping * (rate - coupling.velocity[i])
-            device_force[i] = -spring
+            device_force[i] = -pull
             coupling.device[i] = wanted
             target[i] = coupling.position[i]
+        return
+    for i in range(3):
+        wanted = target[i]
+        rate = (wanted - coupling.device[i]) / period
+        force = stiffness * (wanted - coupling.position[i]) + damping * rate + coupling.force[i]
+        coupling.velocity[i] = (mass * coupling.velocity[i] + period * force) / effective_mass
+        coupling.position[i] += period * coupling.velocity[i]
+        spring = stiffness * (wanted - coupling.position[i]) + damping * (rate - coupling.velocity[i])
+        device_force[i] = -spring
+        coupling.device[i] = wanted
+        target[i] = coupling.position[i]
 
-    @law_njit(digest, inner=True)
-    def stop_coupled_tool(coupling, moved, device_force, period):
-        """Set a coupled tool that the model has held to where it is; the device feels the spring."""
-        held = False
+
+@kernel_njit(inner=True)
+def _stop_coupled_tool(coupling, moved, device_force, period):
+    """Set a coupled tool that the model has held to where it is; the device feels the spring."""
+    held = False
+    for i in range(3):
+        held = held or coupling.position[i] != moved[i]
+    if not held:
+        return
+    square = 0.0
+    for i in range(3):
+        before = coupling.position[i] - period * coupling.velocity[i]
+        coupling.velocity[i] = (moved[i] - before) / period
+        coupling.position[i] = moved[i]
+        square += (coupling.device[i] - moved[i]) ** 2
+    stiffness, limit = coupling.parameters[STIFFNESS], coupling.parameters[FORCE_LIMIT]
+    share = min(1.0, limit / (stiffness * np.sqrt(square))) if square > 0.0 else 1.0
+    for i in range(3):
+        device_force[i] = -share * stiffness * (coupling.device[i] - moved[i])
+
+
+@kernel_njit(inline="always")
+def _coupling_of(coupling, t):
+    """Return the coupling of a tool."""
+    return VirtualCoupling(
+        coupling.parameters[t], coupling.position[t], coupling.velocity[t], coupling.device[t], coupling.force[t]
+    )
+
+
+@kernel_njit()
+def _advance(given, q, v, target, period, report):
+    """Advance the model inside, with the springs of the devices and the present moduli; publish the result."""
+    data = reference(given)
+    moved, values, modulus_ratio = data.target, data.values, data.modulus_ratio
+    tools = data.coupling.position.shape[0]
+    count = target.shape[0] // tools
+    for k in range(target.shape[0]):
+        moved[k] = target[k]
+    for t in range(tools):
+        coupling = _coupling_of(data.coupling, t)
+        if coupling.parameters[STIFFNESS] > 0.0:
+            _move_coupled_tool(coupling, moved[count * t : count * t + 3], values[TOOLS + 3 * t :], period)
+    before, most = modulus_ratio[PRESENT], np.exp(MAX_RATIO_RATE * period)
+    ratio = min(max(modulus_ratio[TARGET], before / most), before * most)
+    if ratio != before:
+        for m in range(v.shape[0]):
+            v[m] *= np.sqrt(before / ratio)
+        modulus_ratio[PRESENT] = ratio
+    call_advance(data.inner, q, v, moved, period * np.sqrt(ratio), report)
+    if report[STATUS] != 0.0:
+        return
+    report[KINETIC] *= ratio
+    report[STRAIN] *= ratio
+    for k in range(FORCES, report.shape[0]):
+        report[k] *= ratio
+    for t in range(tools):
+        coupling, first = _coupling_of(data.coupling, t), count * t
+        device_force, position = values[TOOLS + 3 * t :], values[TOOLS + 3 * (tools + t) :]
+        coupled = coupling.parameters[STIFFNESS] > 0.0
+        if coupled:
+            _stop_coupled_tool(coupling, moved[first : first + 3], device_force, period)
+        else:
+            for k in range(count):
+                target[first + k] = moved[first + k]
+        for i in range(min(3, count)):
+            coupling.force[i] = -report[FORCES + first + i]
+            position[i] = moved[first + i]  # where the tool is, which may be held
+            if not coupled:
+                device_force[i] = coupling.force[i]
+    at = TOOLS + 6 * tools
+    for m in range(q.shape[0]):
+        values[at + m] = q[m]
+    at += q.shape[0]
+    contact = data.contact
+    pairs = min(contact.numbers[PAIRS], (values.shape[0] - at) // CONTACT_SIZE)
+    values[CONTACT_COUNT], values[MODULUS_RATIO] = pairs, ratio
+    for e in range(pairs):
+        values[at], values[at + 1] = contact.node[e], contact.tool[e]
         for i in range(3):
-            held = held or coupling.position[i] != moved[i]
-        if not held:
-            return
-        square = 0.0
-        for i in range(3):
-            before = coupling.position[i] - period * coupling.velocity[i]
-            coupling.velocity[i] = (moved[i] - before) / period
-            coupling.position[i] = moved[i]
-            square += (coupling.device[i] - moved[i]) ** 2
-        stiffness, limit = coupling.parameters[STIFFNESS], coupling.parameters[FORCE_LIMIT]
-        share = min(1.0, limit / (stiffness * np.sqrt(square))) if square > 0.0 else 1.0
-        for i in range(3):
-            device_force[i] = -share * stiffness * (coupling.device[i] - moved[i])
+            values[at + 2 + i] = contact.push[e, i]  # for the model's own moduli
+        at += CONTACT_SIZE
+    publish(data.slot, values[:at])
 
-    @law_njit(digest, inner=True)
-    def coupling_of(coupling, t):
-        return VirtualCoupling(
-            coupling.parameters[t], coupling.position[t], coupling.velocity[t], coupling.device[t], coupling.force[t]
-        )
 
-    @law_njit(digest, inline="always")
-    def advance(data, q, v, target, period, report):
-        moved, values, modulus_ratio = data.target, data.values, data.modulus_ratio
-        tools = data.coupling.position.shape[0]
-        count = target.shape[0] // tools
-        for k in range(target.shape[0]):
-            moved[k] = target[k]
-        for t in range(tools):
-            coupling = coupling_of(data.coupling, t)
-            if coupling.parameters[STIFFNESS] > 0.0:
-                move_coupled_tool(coupling, moved[count * t : count * t + 3], values[TOOLS + 3 * t :], period)
-        before, most = modulus_ratio[PRESENT], np.exp(MAX_RATIO_RATE * period)
-        ratio = min(max(modulus_ratio[TARGET], before / most), before * most)
-        if ratio != before:
-            for m in range(v.shape[0]):
-                v[m] *= np.sqrt(before / ratio)
-            modulus_ratio[PRESENT] = ratio
-        inner_advance(data.inner, q, v, moved, period * np.sqrt(ratio), report)
-        if report[STATUS] != 0.0:
-            return
-        report[KINETIC] *= ratio
-        report[STRAIN] *= ratio
-        for k in range(FORCES, report.shape[0]):
-            report[k] *= ratio
-        for t in range(tools):
-            coupling, first = coupling_of(data.coupling, t), count * t
-            device_force, position = values[TOOLS + 3 * t :], values[TOOLS + 3 * (tools + t) :]
-            coupled = coupling.parameters[STIFFNESS] > 0.0
-            if coupled:
-                stop_coupled_tool(coupling, moved[first : first + 3], device_force, period)
-            else:
-                for k in range(count):
-                    target[first + k] = moved[first + k]
-            for i in range(min(3, count)):
-                coupling.force[i] = -report[FORCES + first + i]
-                position[i] = moved[first + i]  # where the tool is, which may be held
-                if not coupled:
-                    device_force[i] = coupling.force[i]
-        at = TOOLS + 6 * tools
-        for m in range(q.shape[0]):
-            values[at + m] = q[m]
-        at += q.shape[0]
-        contact = data.inner.contact_work
-        pairs = min(contact.numbers[PAIRS], (values.shape[0] - at) // CONTACT_SIZE)
-        values[CONTACT_COUNT], values[MODULUS_RATIO] = pairs, ratio
-        for e in range(pairs):
-            values[at], values[at + 1] = contact.node[e], contact.tool[e]
-            for i in range(3):
-                values[at + 2 + i] = contact.push[e, i]  # for the model's own moduli
-            at += CONTACT_SIZE
-        publish(data.slot, values[:at])
-
-    if inner_stiffness is None:
-        return advance, None
-
-    @law_njit(digest, inline="always")
-    def stiffness(data, q, out):
-        inner_stiffness(data.inner, q, data.tangent)
-        for i in range(out.shape[0]):
-            for j in range(out.shape[1]):
-                out[i, j] = data.modulus_ratio[PRESENT] * data.tangent[i, j]
-
-    return advance, stiffness
+@kernel_njit()
+def _stiffness(given, q, out):
+    """Write the contact stiffness of the model inside, with the present moduli."""
+    data = reference(given)
+    call_stiffness(data.inner, q, data.tangent)
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = data.modulus_ratio[PRESENT] * data.tangent[i, j]

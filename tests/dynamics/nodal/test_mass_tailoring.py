@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.dynamics.compiled.reference import StoredRecord
 from palpate.dynamics.contact.tools import Forceps
 from palpate.dynamics.nodal.mass_tailoring import default_modes, tailored_mass, without_nodes
 from palpate.dynamics.nodal.stability import stiffness
 from palpate.realtime.bodies.full_body import step_statistics
-from palpate.realtime.loop import passed
 
 SIZE, SPACING, BALL, PERIOD = (0.03, 0.03, 0.02), 0.005, 0.012, 1e-3  # [m], [s]
 HOME = np.array([0.015, 0.015, SIZE[2] + BALL + 0.0005])
@@ -38,7 +38,7 @@ def held_force(body, u) -> np.ndarray:
 def press(model, ways) -> tuple[np.ndarray, np.ndarray]:
     """Return forces (p, 3) and displacements of a body under a ball that moves down by the ways [m]."""
     q, v, report, forces = *np.zeros((2, len(model.rest))), np.zeros(20), []
-    data = passed(model.advance, model.data)
+    data = StoredRecord(model.data)
     for way in ways:
         target = np.zeros(12)
         target[2] = -way

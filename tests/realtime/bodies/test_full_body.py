@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.dynamics.compiled.reference import StoredRecord
 from palpate.dynamics.contact.tools import Forceps
 from palpate.dynamics.nodal import period_data as nodal
-from palpate.realtime.loop import passed
 from palpate.realtime.observable import make_observable
 
 SIZE, SPACING, BALL = (0.03, 0.03, 0.02), 0.005, 0.012  # [m]
@@ -44,7 +44,7 @@ class Stepped:
     def __init__(self, body, contact=None, **options):
         self.model: Any = pt.realtime_model(body, contact=contact or ball(tuple(HOME)), **options)
         self.q, self.v = np.zeros((2, len(self.model.rest)))
-        self.report, self.data = np.zeros(20), passed(self.model.advance, self.model.data)
+        self.report, self.data = np.zeros(20), StoredRecord(self.model.data)
 
     def to(self, displacement, turn=None):
         rotation = np.zeros(9) if turn is None else (turn - np.eye(3)).ravel()

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.dynamics.compiled.reference import StoredRecord
 from palpate.dynamics.contact.shapes import Capsule, Forceps, Punch, Sphere
 from palpate.realtime.bodies.model import idle_model
-from palpate.realtime.loop import passed
 from palpate.realtime.observable import make_observable
 from palpate.realtime.period import Work
 
@@ -41,7 +41,7 @@ def drag(t):
 
 def steps(model, *motions, periods=200):
     """Advance a model by periods while its tools move; return coordinates and the mean forces (periods, t, 3)."""
-    work, forces, data = Work.at_rest(model.rest, model.tool), [], passed(model.advance, model.data)
+    work, forces, data = Work.at_rest(model.rest, model.tool), [], StoredRecord(model.data)
     for k in range(periods):
         for t, motion in enumerate(motions):
             work.target[12 * t : 12 * t + 3] = motion((k + 1) * PERIOD)
@@ -93,7 +93,7 @@ def test_forceps_hold_while_another_tool_is_changed(block):
     model = idle_model(block, tools=3)
     point = np.array([0.045, 0.015, TOP])
     model.change_tool(Forceps(0.006, tuple(point)), np.array([*point, 1, 0, 0, 0]), 0.0, 1)
-    work, data = Work.at_rest(model.rest, model.tool), passed(model.advance, model.data)
+    work, data = Work.at_rest(model.rest, model.tool), StoredRecord(model.data)
 
     def lift(k):
         work.target[12:15] = (0.0, 0.0, 2e-5 * min(k, 200))
@@ -124,7 +124,7 @@ def test_momentum_of_a_free_body_between_two_tools_is_that_of_their_impulses():
     model.change_tool(Forceps(0.006, tuple(point)), np.array([*point, 1, 0, 0, 0]), 0.0, 0)
     model.change_tool(Sphere(RADIUS), np.array([0.014, 0.015, TOP + RADIUS + 2e-4, 1, 0, 0, 0]), 0.0, 1)
     work, masses = Work.at_rest(model.rest, model.tool), free.volumes * free.material.density
-    impulse, data = np.zeros(3), passed(model.advance, model.data)
+    impulse, data = np.zeros(3), StoredRecord(model.data)
     for k in range(120):
         work.target[:3] = (0.0, 0.0, 1e-5 * k)
         work.target[12:15] = (0.0, 0.0, -2e-5 * k)
@@ -188,7 +188,7 @@ def test_bad_lists_of_tools_are_refused_in_a_line(block):
 def test_couplings_of_two_tools_are_their_own(block):
     model = make_observable(pt.realtime_model(block, contact=[ball(0.015, "left"), ball(0.045, "right")]))
     model.set_coupling(200.0, index=1)
-    work, data = Work.at_rest(model.rest, model.tool), passed(model.advance, model.data)
+    work, data = Work.at_rest(model.rest, model.tool), StoredRecord(model.data)
     for k in range(300):
         for t in range(2):
             work.target[12 * t : 12 * t + 3] = (0.0, 0.0, -2e-5 * min(k, 200))

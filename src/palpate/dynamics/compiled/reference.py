@@ -77,6 +77,12 @@ def reference(typing_context, record):
     return Reference(record)(record), copy_to_stack
 
 
+class _Memory(bytearray):
+    """Bytes that keep the arrays to which they have addresses."""
+
+    record: Any
+
+
 class StoredRecord:
     """A named tuple that Python passes to compiled code by its address.
 
@@ -86,18 +92,24 @@ class StoredRecord:
     ----------
     record : NamedTuple
         Of arrays, numbers and tuples of these.
+
+    Attributes
+    ----------
+    memory : (b,) array of bytes
+        The record in the layout of compiled code.
     """
 
     def __init__(self, record: Any) -> None:
         self.record, self.kind = record, numba.typeof(record)
-        memory = bytearray()
+        memory = _Memory()
+        memory.record = record
         context = cpu_target.target_context
         _append(memory, context, self.kind, record)
         expected = context.get_abi_sizeof(context.get_value_type(self.kind))
         if not isinstance(self.kind, BaseNamedTuple) or len(memory) != expected:
             raise TypeError(f"record must be a named tuple of {expected} bytes, got {self.kind} of {len(memory)} bytes")
-        self._memory = np.frombuffer(memory, dtype=np.uint8)
-        self.address = self._memory.ctypes.data
+        self.memory = np.frombuffer(memory, dtype=np.uint8)
+        self.address, self.numba_type = self.memory.ctypes.data, Reference(self.kind)
 
 
 def _append(memory: bytearray, context: Any, kind: Any, value: Any) -> None:
@@ -123,7 +135,7 @@ def _append(memory: bytearray, context: Any, kind: Any, value: Any) -> None:
 
 @typeof_impl.register(StoredRecord)
 def _type_of_record(value: StoredRecord, context: Any) -> Reference:
-    return Reference(value.kind)
+    return value.numba_type
 
 
 @unbox(Reference)

@@ -252,7 +252,7 @@ def leapfrog(formulation: Formulation, touch: int) -> Any:
             data.tools.contacts.work.step_impulses, scratch.surface,
         )  # fmt: skip
 
-    @law_njit(digest, inner=True)
+    @law_njit(digest, inline="always")
     def take_steps(data, u, velocity, period):
         clock, tools, step = data.clock, data.tools, data.clock[STEP]
         begin_grip(tools.grip, tools.contacts.patches.points, u, tools.contacts.work.frames)

@@ -244,8 +244,9 @@ def nodal_period(formulation: Formulation, touch: int) -> Any:
     digest = law_digest(__name__, formulation.digest, touch)
     choose_step, take_steps = step_control(formulation), leapfrog(formulation, touch)
 
-    @law_njit(digest, inner=True)
-    def run_period(data, q, v, target, period, report):
+    @law_njit(digest)
+    def advance(given, q, v, target, period, report):
+        data = reference(given)
         n, clock, tools = data.body.nodes.volumes.shape[0], data.clock, data.tools
         u, velocity = q.reshape((n, 3)), v.reshape((n, 3))
         for k in range(FORCES):
@@ -283,9 +284,5 @@ def nodal_period(formulation: Formulation, touch: int) -> Any:
         clock[RESTED] = 0.0 if q.any() or v.any() else 1.0
         report[STEPS], report[TRUST], report[KINETIC] = count, depth, clock[KINETIC_ENERGY]
         report[STRAIN] = max(0.0, _energy_left(clock) - report[KINETIC])
-
-    @law_njit(digest, inline="always")
-    def advance(data, q, v, target, period, report):
-        run_period(reference(data), q, v, target, period, report)
 
     return advance

@@ -121,7 +121,7 @@ def step_control(formulation: Formulation) -> Any:
         grown = _write_image(data.iteration.vector, body.sites, density, scratch.force, moved)
         return np.sqrt(np.sqrt(grown / size))
 
-    @law_njit(digest, inner=True)
+    @law_njit(digest, inline="always")
     def choose_step(data, u):
         """Update the stable step, every few periods by an estimate."""
         clock, resting = data.clock, data.body.resting_frequency

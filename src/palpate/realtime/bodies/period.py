@@ -200,7 +200,7 @@ def period_functions(law: MaterialPoint, single: bool, implicit: bool, touched: 
                 break
         return 0, flexible
 
-    @law_njit(digest, inline="always", fastmath={"contract"})
+    @law_njit(digest, fastmath={"contract"})
     def advance(given, q, v, target, period, report):
         data = reference(given)  # functions for a caller that has a record are those of the engine
         _store_state(data, q, v)
