@@ -202,14 +202,14 @@ def _search(corners, triangles, box, pairs, most):
     return count, visits
 
 
-@cached_njit()
+@cached_njit(inline="always")
 def _overlap(a, b):
     x = a[0, 0] <= b[1, 0] and b[0, 0] <= a[1, 0]
     y = a[0, 1] <= b[1, 1] and b[0, 1] <= a[1, 1]
     return x and y and a[0, 2] <= b[1, 2] and b[0, 2] <= a[1, 2]
 
 
-@cached_njit()
+@cached_njit(inline="always")
 def _touches_box(p, box):
     for a in range(3):
         if min(p[0, a], p[1, a], p[2, a]) > box[1, a] or max(p[0, a], p[1, a], p[2, a]) < box[0, a]:
@@ -218,6 +218,9 @@ def _touches_box(p, box):
 
 
 # ---- two triangles
+
+# first corner and number of corners of parts of two triangles; literal integers would compile functions for each value
+TRIANGLES, EDGE = (0, 3, 0, 3), (0, 2)
 
 
 @cached_njit()
@@ -235,9 +238,10 @@ def _meet(p, q, i, j):
                 sum_i += a
                 sum_j += b
     if shared == 0:
-        return not _are_separated(p, q, (0, 3, 0, 3))
+        return not _are_separated(p, q, TRIANGLES)
     if shared == 1:  # an intersection reaches an edge opposite to the vertex
-        edge_p, edge_q = (sum_i + 1, 2, 0, 3), (0, 3, sum_j + 1, 2)
+        edge_p = sum_i + 1, EDGE[1], TRIANGLES[2], TRIANGLES[3]
+        edge_q = TRIANGLES[0], TRIANGLES[1], sum_j + 1, EDGE[1]
         near = GAP_TOLERANCE * _extent(p, q)
         if _separates(_normal(q), p, q, edge_p, near) or _separates(_normal(p), p, q, edge_q, near):
             return False
@@ -266,7 +270,7 @@ def _are_separated(p, q, part):
     return False
 
 
-@cached_njit()
+@cached_njit(inline="always")
 def _extent(p, q):
     extent = 0.0
     for a in range(3):
@@ -275,7 +279,7 @@ def _extent(p, q):
     return extent
 
 
-@cached_njit()
+@cached_njit(inline="always")
 def _normal(p):
     return _cross(_edge(p, 0), _edge(p, 1))
 
@@ -304,17 +308,17 @@ def _are_folded(p, q, apex_p, apex_q):
     return across > 0 and _square(_cross(u, v)) <= FLAT_TOLERANCE**2 * _square(u) * _square(v)
 
 
-@cached_njit()
+@cached_njit(inline="always")
 def _edge(p, k):
     a, b = k % 3, (k + 1) % 3
     return p[b, 0] - p[a, 0], p[b, 1] - p[a, 1], p[b, 2] - p[a, 2]
 
 
-@cached_njit()
+@cached_njit(inline="always")
 def _cross(a, b):
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@cached_njit()
+@cached_njit(inline="always")
 def _square(a):
     return a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
