@@ -30,7 +30,7 @@ def pull(time: float, load: float = 100.0) -> float:
     return load * float(np.interp(time, force.times, force.factors))
 
 
-def beam(spacing: float = 0.005, load: float = 100.0, poisson: float = 0.49) -> LoadCase:
+def beam(spacing: float = 0.005, load: float = 100.0, poisson: float = 0.49, form: str = "strong") -> LoadCase:
     """Return the paper's beam: 200 mm by 20 mm by 20 mm, one end fixed, the other pulled along the axis.
 
     Mooney-Rivlin with C1 = 60 kPa and C2 = 1.2 kPa, density 1120 kg/m^3. The pull is spread over
@@ -45,11 +45,13 @@ def beam(spacing: float = 0.005, load: float = 100.0, poisson: float = 0.49) -> 
         Largest force, in (0, 1000]; the paper's is 100 N.
     poisson : float
         Poisson's ratio at rest, in [0, 0.499]; the paper does not state it.
+    form : str
+        Form of the equations, as that of `palpate.Solid`; the paper's is ``"strong"``.
     """
     spacing = number_in_range("spacing", spacing, MIN_SPACING, MAX_SPACING, unit="m")
     load = number_in_range("load", load, 0.0, MAX_LOAD, open_low=True, unit="N")
     material = replace(BEAM_SCENE.material, poisson=poisson, bulk=None)
-    model = Solid(box(BEAM_SIZE, spacing=spacing), material, form="strong", fixed="x-")
+    model = Solid(box(BEAM_SIZE, spacing=spacing), material, form=form, fixed="x-")
     traction = SurfaceForce("x+", force=lambda time: (pull(time, load), 0.0, 0.0))
     parameters = {"spacing": spacing, "load": load, "poisson": float(poisson)}
     return LoadCase(model, (traction,), DURATION, EVERY, f"Beam under traction, {load:g} N", parameters)

@@ -16,6 +16,19 @@ from palpate.processes import Child, Function
 
 
 @contextlib.contextmanager
+def second_process(function: Function, given: Any) -> Iterator[Child | None]:
+    """Call a function in another process within a context; yield None in place of it on a single processor."""
+    if _processors() < 2:
+        yield None
+        return
+    child = Child(function, given)
+    try:
+        yield child
+    finally:
+        child.stop()
+
+
+@contextlib.contextmanager
 def compile_ahead(function: Function, given: Any) -> Iterator[Callable[[], object]]:
     """Call a function that compiles in another process within a context, if there is a second processor.
 
@@ -24,14 +37,8 @@ def compile_ahead(function: Function, given: Any) -> Iterator[Callable[[], objec
     function
         Waits until that process has ended. What it has not compiled is compiled when it is called.
     """
-    if _processors() < 2:
-        yield lambda: None
-        return
-    child = Child(function, given)
-    try:
-        yield child.wait
-    finally:
-        child.stop()
+    with second_process(function, given) as child:
+        yield (lambda: None) if child is None else child.wait
 
 
 def _processors() -> int:

@@ -153,9 +153,8 @@ def run_once(
 def _load_case(name: str, settings: dict[str, Any], energy: bool, shape: Mapping[str, Any]) -> LoadCase:
     """Return a body and its loads for a single run, the body in the energy form if asked."""
     if name == PAPER_SCENE:
-        case = beam(**{key: _paper_value(key, value) for key, value in settings.items()})
-        body = case.model
-        return replace(case, model=Solid(body.cloud, body.material, body.supports, form="energy")) if energy else case
+        values: dict[str, Any] = {key: _paper_value(key, value) for key, value in settings.items()}
+        return beam(**values, form="energy" if energy else "strong")
     scene = open_subject(name, settings, for_training=True, **shape).scene
     if scene is None:
         raise InputError(

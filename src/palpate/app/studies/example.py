@@ -33,6 +33,9 @@ class Example:
     claims: Sequence[Claim]
     figures: Mapping[str, Draw]  # by name of their files
     runs: Sequence[str] = ("full.h5",)  # files of the full runs
+    # of two studies, the case of the second one, which a second process makes without the first one's body
+    second_case: Callable[..., LoadCase] | None = None
+    pictures: Sequence[str] = ()  # figures of the first full run alone
 
     @property
     def files(self) -> tuple[str, ...]:

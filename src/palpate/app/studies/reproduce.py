@@ -7,29 +7,29 @@ with that run.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import closing
+from collections.abc import Sequence
+from contextlib import ExitStack, closing
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import perf_counter
 from typing import Any, cast
 
-from palpate.app.common.compile_ahead import CompiledFunctions, compile_ahead
+import numba
+
+from palpate.app.common.compile_ahead import CompiledFunctions, second_process
 from palpate.app.common.console import Console
-from palpate.app.common.exit_status import RunError
 from palpate.app.common.preparation import prepare
-from palpate.app.common.rendering import DrawingError
 from palpate.app.common.report import deliver
 from palpate.app.common.vtkhdf import write_vtkhdf
 from palpate.app.studies.beam import BEAM_EXAMPLE
-from palpate.app.studies.example import Example
 from palpate.app.studies.membrane import MEMBRANE_EXAMPLE
-from palpate.app.studies.report import build_report, difference_of_forms, tables
+from palpate.app.studies.report import build_report, tables
+from palpate.app.studies.second_form import SecondForm, assist_example, draw_figures
 from palpate.app.studies.study import PROJECTED, Study, compile_study, run_full, run_reduced
 from palpate.extras import require
 from palpate.faults import integer_in_range
 from palpate.processes import Answer, Receive
 from palpate.reduction.galerkin.model import GalerkinModel
-from palpate.scenes.load_case import LoadCase
 
 PAPER_EXAMPLES = {example.name: example for example in (BEAM_EXAMPLE, MEMBRANE_EXAMPLE)}
 
@@ -59,72 +59,54 @@ def reproduce(*, example: str, modes: Sequence[int], out: Path, as_json: bool = 
     sizes = sorted({integer_in_range("modes", m, 1, chosen.snapshots) for m in modes})
     require("matplotlib", f"palpate reproduce {example}")
     console = Console()
-    (key, make), *others = chosen.studies.items()
-    with compile_ahead(compile_rest, [example, options]) as wait, closing(CompiledFunctions()) as compiled:
+    key, make = next(iter(chosen.studies.items()))
+    with ExitStack() as stack:
+        shown = stack.enter_context(TemporaryDirectory(prefix="palpate-"))
+        given = [example, options, sizes, str(out), shown]
+        other = SecondForm(chosen, stack.enter_context(second_process(assist, given)))
+        compiled = stack.enter_context(closing(CompiledFunctions()))
         case = prepare(lambda: chosen.case(**options), out, chosen.doubles, console)
+        other.start()
         study = make(case)
         with console.status("compiling what is not compiled yet"):
             compile_study(study, [PROJECTED])
             if compiled.count:  # otherwise the other process finds all compiled, too
-                wait()
-    run_full(study, out, chosen.files, console)
-    study.fields = chosen.fields(case.model, study.full.displacements)
-    start = perf_counter()
-    study.singular_values = [_singular_values(study, number) for number in range(len(study.phases))]
-    pod_seconds = perf_counter() - start
-    run_reduced(study, sizes, console)
-    studies = {key: study} | {name: _run_other(make, study, sizes, out, console) for name, make in others}
-    report = build_report(studies, chosen.quantities, chosen.claims, pod_seconds)
-    with console.status("writing the figures and the file for ParaView"):
-        full = study.full
-        fields = {"displacement": full.displacements, "velocity": full.velocities, **study.fields}
-        write_vtkhdf(out / f"{example}.vtkhdf", case.model.cloud, full.times, fields)
-        report["missing"] = _draw(chosen, [each for each in studies.values() if each], out, console)
-    deliver(report, tables(report, studies, chosen.rows), out, chosen.files, as_json)
+                other.wait_until_compiled()
+        if other.runs:  # each process has one processor, so that the times of all runs compare
+            stack.callback(numba.set_num_threads, numba.get_num_threads())
+            numba.set_num_threads(1)
+        run_full(study, out, chosen.files, console)
+        other.draw()
+        study.fields = chosen.fields(case.model, study.full.displacements)
+        start = perf_counter()
+        study.singular_values = [_singular_values(study, number) for number in range(len(study.phases))]
+        pod_seconds = perf_counter() - start
+        run_reduced(study, sizes, console)
+        studies = {key: study} | other.finish(study, sizes, out, console)
+        report = build_report(studies, chosen.quantities, chosen.claims, pod_seconds)
+        with console.status("writing the figures and the file for ParaView"):
+            full = study.full
+            fields = {"displacement": full.displacements, "velocity": full.velocities, **study.fields}
+            write_vtkhdf(out / f"{example}.vtkhdf", case.model.cloud, full.times, fields)
+            drawn = [name for name in chosen.figures if name not in other.pictures]
+            missing = draw_figures(chosen, drawn, [each for each in studies.values() if each], out)
+            report["missing"] = missing | other.wait_for_pictures()
+            for name, text in report["missing"].items():
+                console.say(f"{name} is missing: {text}")
+        deliver(report, tables(report, studies, chosen.rows), out, chosen.files, as_json)
     return 1 if all(entry["failed"] for entry in report["reduced"]) else 0
 
 
-def compile_rest(receive: Receive, _answer: Answer) -> None:
-    """Compile all of an example but its first full and projected models; its name and options are received."""
-    example, options = receive()
-    chosen = PAPER_EXAMPLES[example]
-    case = chosen.case(**options)
-    for number, make in enumerate(chosen.studies.values()):
-        study = make(case)
-        series = [name for name in study.series if number > 0 or name != PROJECTED]
-        if series:
-            compile_study(study, series)
+def assist(receive: Receive, answer: Answer) -> None:
+    """Take over what does not wait for the first full and projected runs of an example, in a second process.
+
+    It receives name and options of the example, the numbers of modes, the folder, and one for runs that figures show.
+    """
+    example, options, sizes, folder, shown = receive()
+    assist_example(PAPER_EXAMPLES[example], options, (sizes, Path(folder), Path(shown)), receive, answer)
 
 
 def _singular_values(study: Study, number: int) -> Any:
     """Return the singular values (r,) that the modes of a phase belong to."""
     model = cast(GalerkinModel, study.series[PROJECTED](study.case.model, study.parts[number], 1))
     return model.basis.singular_values
-
-
-def _run_other(
-    make: Callable[[LoadCase], Study], first: Study, sizes: Sequence[int], out: Path, console: Console
-) -> Study | None:
-    """Run another form of the same body and its reduced models; return None if the full run diverges."""
-    with console.status("making the other form of the model ready"):
-        study = make(first.case)
-    try:
-        run_full(study, out, [], console)
-    except RunError as error:
-        console.say(str(error))
-        return None
-    console.say(difference_of_forms(first, study))
-    run_reduced(study, sizes, console)
-    return study
-
-
-def _draw(example: Example, studies: Sequence[Study], out: Path, console: Console) -> dict[str, str]:
-    """Draw the figures; return why those that are missing could not be drawn."""
-    missing = {}
-    for name, draw in example.figures.items():
-        try:
-            draw(studies, out / name)
-        except DrawingError as error:
-            missing[name] = str(error)
-            console.say(f"{name} is missing: {error}")
-    return missing
