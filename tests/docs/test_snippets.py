@@ -85,12 +85,14 @@ def test_the_snippets_of_a_page_run_as_they_stand(path, tmp_path):
     assert done.returncode == 0, f"{page_name(path)}, by its line numbers:\n{done.stderr[-3000:]}"
 
 
+@pytest.mark.lint
 def test_every_python_fence_is_found():
     for path in PAGES:
         text = path.read_text(encoding="utf-8")
         assert len(snippets(text)) == len(re.findall(r"^```python", text, re.MULTILINE)), page_name(path)
 
 
+@pytest.mark.lint
 def test_a_snippet_runs_at_its_line_and_a_marked_one_is_left_out():
     text = "# Page\n\n```python\na = 1\n```\n\n<!-- not run: needs a file -->\n```python\na = open('x')\n```\n"
     assert program(text).split("\n")[3] == "a = 1"
