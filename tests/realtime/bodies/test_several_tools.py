@@ -143,12 +143,17 @@ def test_momentum_of_a_free_body_between_two_tools_is_that_of_their_impulses():
 @pytest.mark.quick
 def test_each_tool_has_its_own_force_stiffness_and_name(block):
     model = pt.realtime_model(block, contact=[ball(0.015, "left"), ball(0.045, "right")])
+    until = time.monotonic() + 300.0  # compiles, and on a machine with other work
     with pt.Engine(model) as engine:
         for k in range(60):
             engine.set_pose((0.0, 0.0, -1e-4 * k), tool="left", sequence=k)
             engine.set_pose((0.0, 0.0, -5e-5 * k), tool=1, sequence=2 * k)
+            steps = engine.read().steps
+            while engine.read().steps < steps + 10 and time.monotonic() < until:
+                time.sleep(0.001)
+        arrived = engine.read().steps
+        while engine.read().steps < arrived + 300 and time.monotonic() < until:
             time.sleep(0.01)
-        time.sleep(0.3)
         reading = engine.read()
     left, right = reading.tools
     assert left.force[2] > 1.3 * right.force[2] > 0.0
