@@ -12,14 +12,19 @@ import palpate as pt
 from palpate.code_cache import code_folder
 from palpate.sealed import open_sealed, write_sealed
 
-ORDER = ("app", "dynamics", "meshfree", "tissue", "scenes", "realtime", "validation", "reduction", "contracts")
+SESSIONS = ("app/device", "app/session", "app/recordings", "app/view", "app/train", "app/new")
+ORDER = (
+    *SESSIONS, "surface", "tissue", "meshfree", "scenes", "app", "dynamics/run", "reduction/galerkin", "dynamics",
+    "realtime", "validation", "reduction", "contracts",
+)  # fmt: skip
 QUICK = "not slow and not lint"  # the tests of `make test`
 MARKED_MODULE = re.compile(r"^pytestmark = \[?\s*pytest\.mark\.(slow|lint)\b", re.MULTILINE)
 
 
-def folder_of(nodeid):
-    """Return the folder in ``tests`` of a test, or its file there."""
-    return nodeid.split("::", 1)[0].removeprefix("tests/").split("/", 1)[0]
+def place_of(nodeid):
+    """Return the place in `ORDER` of the folder of a test; files in ``tests`` itself are the last."""
+    file = nodeid.split("::", 1)[0].removeprefix("tests/")
+    return next((place for place, folder in enumerate(ORDER) if file.startswith(f"{folder}/")), len(ORDER))
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -67,24 +72,24 @@ def pytest_collection_modifyitems(items):
         node.own_markers = [mark for mark in node.own_markers if mark.name != "slow"]
     for item in slow:
         item.add_marker(pytest.mark.slow)
-    items.sort(key=lambda item: ORDER.index(folder_of(item.nodeid)) if folder_of(item.nodeid) in ORDER else len(ORDER))
+    items.sort(key=lambda item: place_of(item.nodeid))
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """Return a scheduler that keeps the quick tests of ``app`` on one worker, and those of any other file together.
+    """Return a scheduler that keeps the quick tests of sessions on one worker, and those of any other file together.
 
-    Two workers that begin with the same folder compile the same kernels at the same time. One begins with the
-    programs, the other with the folders of `ORDER`; the last of them use what both have compiled. The slow tests
-    come after the quick ones, so their kernels are there, and one worker would have all programs left at the end.
+    Two workers that begin with the same kind of body compile the same kernels at the same time. One begins with the
+    sessions, which need most kernels. The other goes through `ORDER`: what compiles little, then the strong form, and
+    last what uses the kernels of sessions.
     """
-    if config.getvalue("dist") != "loadfile" or config.getvalue("markexpr") == "slow":
+    if config.getvalue("dist") != "loadfile" or config.getvalue("markexpr") != QUICK:
         return None
     from xdist.scheduler import LoadFileScheduling
 
     class Scheduler(LoadFileScheduling):
         def _split_scope(self, nodeid):
-            return "app" if folder_of(nodeid) == "app" else super()._split_scope(nodeid)
+            return "sessions" if place_of(nodeid) < len(SESSIONS) else super()._split_scope(nodeid)
 
     return Scheduler(config, log)
 
