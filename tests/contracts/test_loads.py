@@ -165,8 +165,8 @@ def periods(ready, motion, count=12):
 WAY = np.array([1e-4, -1e-3, -1e-3])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WAYS)
-@pytest.mark.quick(make=[hyper_touched])
 @pytest.mark.parametrize("make", [hyper_with_tool, hyper_touched], ids=["held", "touched"])
 def test_in_real_time_a_load_moves_a_sampled_model_or_is_refused_by_name(make, name):
     model, way = make(), name.split(", ")[1]
