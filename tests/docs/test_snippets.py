@@ -20,7 +20,6 @@ PAGES = sorted(
     path for path in (ROOT / "docs").rglob("*.md") if path.parent.name != "tutorials" and path.name != "package.md"
 )
 FRAGMENTS = {"docs/extending.md"}  # pieces of files, which test_extending.py applies
-QUICK = {"docs/howto/loads.md", "docs/supports.md"}
 PACKAGES = {"pandas": "pandas", "websockets": "websockets", "pyvista": "pyvista", "pymor": "pymor"}
 FENCE = re.compile(
     r"^(?:<!-- not run: (?P<reason>[^\n]+?) -->\n+)?^```python\n(?P<code>.*?)^```$", re.MULTILINE | re.DOTALL
@@ -63,7 +62,7 @@ def cases():
     for path in PAGES:
         name = page_name(path)
         if name not in FRAGMENTS and program(path.read_text(encoding="utf-8")).strip():
-            yield pytest.param(path, id=name, marks=[] if name in QUICK else pytest.mark.slow)
+            yield pytest.param(path, id=name)
 
 
 def required_packages(code):
@@ -72,6 +71,7 @@ def required_packages(code):
     return sorted(imported & PACKAGES.keys())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", list(cases()))
 def test_the_snippets_of_a_page_run_as_they_stand(path, tmp_path):
     code = program(path.read_text(encoding="utf-8"))

@@ -526,7 +526,6 @@ def test_two_tools_of_the_engine_are_those_of_a_run(pressed):
         np.testing.assert_allclose(means, pushed, atol=0.03 * np.abs(pushed).max())
 
 
-@pytest.mark.quick
 def test_an_engine_presses_and_releases(pressed):
     _, _, model = pressed
     home = (0.03, 0.03, SIZE[2] + BALL + 0.001)
