@@ -11,7 +11,7 @@ from contract_models import FIBRES, MODES, RELAXING, block, lean, membrane, mirr
 import palpate as pt
 from palpate.dynamics.nodal.energy_model import EnergyModel
 
-QUICK = ["solid", "strong", "mirrored", "membrane"]
+QUICK = ["solid", "strong"]
 pytestmark = pytest.mark.quick(name=QUICK)
 
 

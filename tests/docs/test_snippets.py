@@ -20,7 +20,6 @@ PAGES = sorted(
     path for path in (ROOT / "docs").rglob("*.md") if path.parent.name != "tutorials" and path.name != "package.md"
 )
 FRAGMENTS = {"docs/extending.md"}  # pieces of files, which test_extending.py applies
-QUICK = {"docs/howto/loads.md", "docs/supports.md"}
 PACKAGES = {"pandas": "pandas", "websockets": "websockets", "pyvista": "pyvista", "pymor": "pymor"}
 FENCE = re.compile(
     r"^(?:<!-- not run: (?P<reason>[^\n]+?) -->\n+)?^```python\n(?P<code>.*?)^```$", re.MULTILINE | re.DOTALL
@@ -63,7 +62,7 @@ def cases():
     for path in PAGES:
         name = page_name(path)
         if name not in FRAGMENTS and program(path.read_text(encoding="utf-8")).strip():
-            yield pytest.param(path, id=name, marks=[] if name in QUICK else pytest.mark.slow)
+            yield pytest.param(path, id=name)
 
 
 def required_packages(code):
@@ -72,6 +71,7 @@ def required_packages(code):
     return sorted(imported & PACKAGES.keys())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", list(cases()))
 def test_the_snippets_of_a_page_run_as_they_stand(path, tmp_path):
     code = program(path.read_text(encoding="utf-8"))
@@ -85,12 +85,14 @@ def test_the_snippets_of_a_page_run_as_they_stand(path, tmp_path):
     assert done.returncode == 0, f"{page_name(path)}, by its line numbers:\n{done.stderr[-3000:]}"
 
 
+@pytest.mark.lint
 def test_every_python_fence_is_found():
     for path in PAGES:
         text = path.read_text(encoding="utf-8")
         assert len(snippets(text)) == len(re.findall(r"^```python", text, re.MULTILINE)), page_name(path)
 
 
+@pytest.mark.lint
 def test_a_snippet_runs_at_its_line_and_a_marked_one_is_left_out():
     text = "# Page\n\n```python\na = 1\n```\n\n<!-- not run: needs a file -->\n```python\na = open('x')\n```\n"
     assert program(text).split("\n")[3] == "a = 1"
