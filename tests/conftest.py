@@ -44,6 +44,43 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: ORDER.index(folder_of(item.nodeid)) if folder_of(item.nodeid) in ORDER else len(ORDER))
 
 
+@pytest.hookimpl(specname="pytest_collection_modifyitems", tryfirst=True)
+def pytest_leave_to_release(items):
+    """Mark what an ``each_kind`` mark leaves out, and what has the mark ``release``, for neither `make test` nor CI."""
+    for item in items:
+        parameters = item.callspec.params if hasattr(item, "callspec") else {}
+        for mark in item.iter_markers("each_kind"):
+            if any(name in parameters and parameters[name] not in kept for name, kept in mark.kwargs.items()):
+                item.add_marker(pytest.mark.release)
+        if item.get_closest_marker("release"):
+            item.add_marker(pytest.mark.slow)
+
+
+SLOW = "@slow"  # ends the names of slow tests between a worker and the scheduler, which sees no marks
+
+
+@pytest.hookimpl(specname="pytest_collection_modifyitems", wrapper=True, tryfirst=True)
+def pytest_quick_tests_first(config, items):
+    """Sort the slow tests of a session behind the quick ones; the scheduler gives them to workers apart from these."""
+    yield
+    items.sort(key=is_slow)
+    if hasattr(config, "workerinput"):
+        for item in filter(is_slow, items):
+            item._nodeid += SLOW
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport():
+    """Report a slow test by its own name."""
+    report = yield
+    report.nodeid = report.nodeid.removesuffix(SLOW)
+    return report
+
+
+def is_slow(item):
+    return item.get_closest_marker("slow") is not None
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
     """Return a scheduler that keeps the quick tests of ``app`` on one worker, and those of any other file together.
@@ -52,12 +89,14 @@ def pytest_xdist_make_scheduler(config, log):
     programs, the other with the folders of `ORDER`; the last of them use what both have compiled. The slow tests
     come after the quick ones, so their kernels are there, and one worker would have all programs left at the end.
     """
-    if config.getvalue("dist") != "loadfile" or config.getvalue("markexpr") == "slow":
+    if config.getvalue("dist") != "loadfile":
         return None
     from xdist.scheduler import LoadFileScheduling
 
     class Scheduler(LoadFileScheduling):
         def _split_scope(self, nodeid):
+            if nodeid.endswith(SLOW):
+                return super()._split_scope(nodeid) + SLOW
             return "app" if folder_of(nodeid) == "app" else super()._split_scope(nodeid)
 
     return Scheduler(config, log)
