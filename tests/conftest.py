@@ -46,14 +46,12 @@ def pytest_collection_modifyitems(items):
 
 @pytest.hookimpl(specname="pytest_collection_modifyitems", tryfirst=True)
 def pytest_leave_to_release(items):
-    """Mark what an ``each_kind`` mark leaves out, and what has the mark ``release``, for neither `make test` nor CI."""
+    """Mark for a release what an ``each_kind`` mark of a test, a class or a module leaves out."""
     for item in items:
-        parameters = item.callspec.params if hasattr(item, "callspec") else {}
+        values = item.callspec.params if hasattr(item, "callspec") else {}
         for mark in item.iter_markers("each_kind"):
-            if any(name in parameters and parameters[name] not in kept for name, kept in mark.kwargs.items()):
+            if any(values.get(name, kept[0]) not in kept for name, kept in mark.kwargs.items()):
                 item.add_marker(pytest.mark.release)
-        if item.get_closest_marker("release"):
-            item.add_marker(pytest.mark.slow)
 
 
 SLOW = "@slow"  # ends the names of slow tests between a worker and the scheduler, which sees no marks
@@ -61,11 +59,12 @@ SLOW = "@slow"  # ends the names of slow tests between a worker and the schedule
 
 @pytest.hookimpl(specname="pytest_collection_modifyitems", wrapper=True, tryfirst=True)
 def pytest_quick_tests_first(config, items):
-    """Sort the slow tests of a session behind the quick ones; the scheduler gives them to workers apart from these."""
+    """Sort the slow tests of a session behind the quick ones; the scheduler gives both parts of a file to workers."""
     yield
-    items.sort(key=is_slow)
+    slow = [item for item in items if item.get_closest_marker("slow")]
+    items[:] = [item for item in items if not item.get_closest_marker("slow")] + slow
     if hasattr(config, "workerinput"):
-        for item in filter(is_slow, items):
+        for item in slow:
             item._nodeid += SLOW
 
 
@@ -75,10 +74,6 @@ def pytest_runtest_makereport():
     report = yield
     report.nodeid = report.nodeid.removesuffix(SLOW)
     return report
-
-
-def is_slow(item):
-    return item.get_closest_marker("slow") is not None
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -1,4 +1,4 @@
-"""Every snippet of the docs runs as it stands, page by page in one namespace.
+"""Every snippet of the docs runs as it stands: a page in a namespace and a folder of its own, all in this process.
 
 `tests/test_public.py` runs that of the README, of which package.md has a part. The build of the site runs the
 tutorials.
@@ -6,13 +6,14 @@ tutorials.
 
 from __future__ import annotations
 
-import os
+import random
 import re
-import subprocess
 import sys
+import warnings
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -25,7 +26,6 @@ PACKAGES = {"pandas": "pandas", "websockets": "websockets", "pyvista": "pyvista"
 FENCE = re.compile(
     r"^(?:<!-- not run: (?P<reason>[^\n]+?) -->\n+)?^```python\n(?P<code>.*?)^```$", re.MULTILINE | re.DOTALL
 )
-SECONDS = 280  # [s] for a page, compilation included
 
 
 class Snippet(NamedTuple):
@@ -72,17 +72,44 @@ def required_packages(code):
     return sorted(imported & PACKAGES.keys())
 
 
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """Run a program in an empty folder and a new namespace; what it changes in this process is restored."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    monkeypatch.setenv("PYTHONSAFEPATH", "1")  # of programs that a page starts
+    monkeypatch.setattr(sys, "argv", ["page.py"])
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    modules, states = set(sys.modules), (random.getstate(), np.random.get_state())
+
+    def run(code, name):
+        namespace = {"__name__": "__main__"}
+        with warnings.catch_warnings():
+            warnings.simplefilter("default")
+            exec(compile(code, name, "exec"), namespace)
+        return namespace
+
+    yield run
+    random.setstate(states[0])
+    np.random.set_state(states[1])
+    for name in set(sys.modules) - modules:
+        if str(getattr(sys.modules[name], "__file__", None) or "").startswith(str(tmp_path)):
+            del sys.modules[name]
+
+
 @pytest.mark.parametrize("path", list(cases()))
-def test_the_snippets_of_a_page_run_as_they_stand(path, tmp_path):
+def test_the_snippets_of_a_page_run_as_they_stand(path, run):
     code = program(path.read_text(encoding="utf-8"))
     for package in required_packages(code):
         pytest.importorskip(package)
-    (tmp_path / "page.py").write_text(code, encoding="utf-8")
-    environment = os.environ | {"MPLBACKEND": "Agg", "PYTHONSAFEPATH": "1"}
-    done = subprocess.run(
-        [sys.executable, "page.py"], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=SECONDS
-    )
-    assert done.returncode == 0, f"{page_name(path)}, by its line numbers:\n{done.stderr[-3000:]}"
+    run(code, str(path))  # an error names its line of the page
+
+
+def test_a_page_leaves_no_name_and_no_filter_of_warnings_to_the_next(run):
+    filters = list(warnings.filters)
+    run("import warnings\nwarnings.simplefilter('ignore')\nleft = 1", "a page")
+    assert "left" not in run("", "the next page")
+    assert warnings.filters == filters
 
 
 def test_every_python_fence_is_found():

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 
 import palpate as pt
 
-pytestmark = [pytest.mark.quick(name=["by node"]), pytest.mark.slow]
+pytestmark = [pytest.mark.quick(name=["by node"]), pytest.mark.slow, pytest.mark.each_kind(name=["by node", "the heart"])]
 
 REST = {"density": 1000.0, "poisson": 0.45}
 TISSUE = pt.materials.MooneyRivlin(C1=10e3, C2=0, **REST)

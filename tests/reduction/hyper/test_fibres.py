@@ -9,7 +9,7 @@ import pytest
 
 import palpate as pt
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.each_kind(body=["one"])]
 
 REST = {"density": 1000.0, "poisson": 0.45}
 X = np.array([1.0, 0.0, 0.0])

@@ -19,6 +19,7 @@ pytestmark = pytest.mark.slow
 REST = {"density": 1000.0, "poisson": 0.45}
 SOLID = [law for law in LAWS if law.kind.variables != "small strain"]
 COMPILED = ("NeoHookean", "Yeoh", "Gent", "Ogden", "Logarithmic")  # of each kind one or two: compiling takes long
+INVARIANT, STRETCH = (next(law for law in SOLID if law.name == name) for name in ("NeoHookean", "Ogden"))
 SERIES = pt.materials.Prony(shares=(0.6, 0.3), times=(2e-3, 2e-2))
 
 
@@ -52,7 +53,7 @@ def shaped(body, count=6):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.each_kind(law=[INVARIANT, STRETCH])
 @pytest.mark.parametrize("law", [law for law in SOLID if law.name in COMPILED], ids=lambda law: law.name)
 def test_stress_is_the_derivative_of_the_energy_of_a_point_crushed_or_not(law):
     material = law.kind(**law.example, **REST)
@@ -79,7 +80,7 @@ def test_stress_is_the_derivative_of_the_energy_of_a_point_crushed_or_not(law):
     assert crushed > 2
 
 
-@pytest.mark.slow
+@pytest.mark.each_kind(law=[STRETCH])
 @pytest.mark.parametrize("law", [law for law in SOLID if law.name in ("Gent", "Ogden")], ids=lambda law: law.name)
 def test_all_nodes_are_the_galerkin_model(law):
     check_galerkin(block(law.kind(**law.example, **REST)))
@@ -98,7 +99,7 @@ def check_galerkin(body, share=1e-6):
         assert model.body.energy(a) == pytest.approx(body.strain_energy(u), rel=share)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize(("name", "form"), [("Gent", "mixed"), ("Ogden", "logarithmic")])
 def test_all_nodes_are_the_galerkin_model_in_every_form_of_the_volumetric_part(name, form):
     # the pressures of the states span those of their projections but for what g has of higher order
@@ -106,7 +107,7 @@ def test_all_nodes_are_the_galerkin_model_in_every_form_of_the_volumetric_part(n
     check_galerkin(block(law.kind(**law.example, **REST, volumetric=form)), 5e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.each_kind(form=["mixed"])
 @pytest.mark.parametrize("form", ["logarithmic", "mixed"])
 def test_a_sampled_body_in_another_form_has_the_slope_of_its_energy_crushed_or_not(form):
     body = block(pt.materials.NeoHookean(C1=5e3, **REST, volumetric=form))
@@ -123,7 +124,6 @@ def test_a_sampled_body_in_another_form_has_the_slope_of_its_energy_crushed_or_n
         np.testing.assert_allclose(model.body.force(a), -np.array(slopes), atol=1e-5 * np.abs(slopes).max())
 
 
-@pytest.mark.slow
 def test_a_reduced_model_in_another_form_reproduces_the_full_run_and_is_stored(tmp_path):
     body = block(pt.materials.NeoHookean(C1=5e3, **REST, volumetric="mixed"))
     run = rollout(body, step=2.5e-5)
@@ -148,7 +148,7 @@ def test_every_law_is_restored_from_its_description(law):
         assert back == material
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_symbolic_law_is_stored_as_text(tmp_path):
     law = pt.materials.Hyperelastic("C1*(I1bar - 3) + C2*(exp(I1bar - 3) - 1)", C1=4e3, C2=1e3, prony=SERIES, **REST)
     body = block(law)
@@ -161,7 +161,7 @@ def test_a_symbolic_law_is_stored_as_text(tmp_path):
     np.testing.assert_array_equal(loaded.body.force(a), model.body.force(a))
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_hyper_reduced_sheet_supports_laws_of_the_stretches():
     cloud = pt.disc(0.1, 0.0125).within("tool", (0.0, 0.0), 1e-6)
     law = pt.materials.Ogden(C=(0.05e6, 0.02e6), alpha=(2.0, 4.0), density=1200.0, poisson=0.5)
@@ -187,7 +187,6 @@ def relaxing():
     return body, run, pt.hyper_reduce(body, run, modes=12)
 
 
-@pytest.mark.slow
 def test_a_relaxing_reduced_model_reproduces_the_full_run(relaxing):
     body, run, model = relaxing
     again = rollout(model)
@@ -203,7 +202,6 @@ def test_a_relaxing_reduced_model_reproduces_the_full_run(relaxing):
     assert pt.relative_errors(run, rollout(easy)).displacement > 0.2
 
 
-@pytest.mark.slow
 def test_with_all_nodes_the_branches_have_the_energy_of_the_full_model(relaxing):
     body, run, _ = relaxing
     whole = pt.ReducedModel(pt.hyper_reduce(body, run, modes=8, cubature=0.0, pressures=1000).data, single=False)
@@ -225,7 +223,6 @@ def test_with_all_nodes_the_branches_have_the_energy_of_the_full_model(relaxing)
     assert np.abs(v).max() > 0
 
 
-@pytest.mark.slow
 def test_the_engine_updates_the_history_and_a_reset_clears_it():
     body = block(pt.materials.NeoHookean(C1=5e3, prony=pt.materials.Prony(shares=0.5, times=0.1), **REST))
     grasp = [pt.PrescribedMotion("x+", lambda points, t: (2e-3 * course(t), 0.0, 0.0))]
@@ -250,7 +247,6 @@ def test_the_engine_updates_the_history_and_a_reset_clears_it():
     np.testing.assert_allclose(held(800), first, rtol=1e-6, atol=1e-6 * np.abs(first).max())
 
 
-@pytest.mark.slow
 def test_trust_and_forces_of_a_state_are_those_of_its_history(relaxing):
     body, run, _ = relaxing
     model = pt.hyper_reduce(body, run, modes=12, held_out=[(PULL, run)])
@@ -267,7 +263,6 @@ def test_trust_and_forces_of_a_state_are_those_of_its_history(relaxing):
     assert again.data.residual_scale == model.data.residual_scale
 
 
-@pytest.mark.slow
 def test_step_selection_for_relaxing_tissue_has_explicit_steps(relaxing):
     _, _, model = relaxing
     chosen = pt.select_time_step(model, PULL, duration=0.004, tolerance=0.5)
@@ -275,7 +270,6 @@ def test_step_selection_for_relaxing_tissue_has_explicit_steps(relaxing):
     assert [rule["step"] for rule in chosen.report["stepping"]["rules"]] == [None]
 
 
-@pytest.mark.slow
 def test_unsupported_relaxation_is_refused(relaxing):
     body, run, model = relaxing
     with pytest.raises(pt.InputError, match="stepped explicitly"):
