@@ -177,6 +177,7 @@ def start(**variables: str) -> subprocess.Popen[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_another_clone_and_another_processor_find_their_code_and_equal_forces(tmp_path):
     """A clone at another path compiles nothing; code of another processor is kept next to it."""
     clone = tmp_path / "clone" / "palpate"

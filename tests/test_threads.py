@@ -33,6 +33,7 @@ print(loops_share_threads(), pt.equilibrium(block, [pt.Gravity((0, 0, -9.81))]).
 
 
 @pytest.mark.slow
+@pytest.mark.release  # compiles all again for another threading layer
 def test_without_openmp_an_engine_and_a_run_work_together():
     """Numba's layer workqueue would end the process."""
     environment = {**os.environ, "NUMBA_THREADING_LAYER": "workqueue"}
