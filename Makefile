@@ -25,7 +25,8 @@ export VTK_DEFAULT_OPENGL_WINDOW ?= vtkEGLRenderWindow
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help demo docs films links test test-all test-slow release programs test-release fuzz wheels check-wheels lint style types layers clean
+.PHONY: help demo docs films links test test-all test-slow release programs test-release fuzz wheels check-wheels
+.PHONY: lint style types layers words clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
@@ -43,7 +44,7 @@ films: $(VENV)/.installed-demo ## make the films of the docs, in some minutes
 	$(BIN)/python docs/films.py
 
 test: $(VENV)/.installed-test ## run the quick tests; the first time compiles for some minutes
-	$(BIN)/python -m pytest -m "not slow" $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m "not slow and not lint" $(PYTEST_ARGS)
 
 test-all: $(VENV)/.installed-test ## run the tests of a change: the quick ones, then the slow ones
 	$(BIN)/python -m pytest -m "not release and not lint" $(PYTEST_ARGS)
@@ -86,7 +87,7 @@ wheels: $(VENV)/.installed-demo ## build the wheels of palpate and its compiled 
 check-wheels: ## start from the wheels in dist, in a new environment, without compiling
 	$(BIN)/python kernels/check.py dist
 
-lint: style types layers ## check style, formatting, types and import layers
+lint: style types layers words ## check style, formatting, types, import layers, names, words and pages of docs
 
 style: $(VENV)/.installed-dev
 	$(BIN)/ruff check
@@ -97,6 +98,9 @@ types: $(VENV)/.installed-dev
 
 layers: $(VENV)/.installed-dev
 	$(BIN)/lint-imports
+
+words: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -m lint
 
 clean: ## remove results, builds and caches, but not .venv
 	rm -rf out build dist .mypy_cache .pytest_cache .ruff_cache .import_linter_cache

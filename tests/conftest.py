@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,8 @@ from palpate.code_cache import code_folder
 from palpate.sealed import open_sealed, write_sealed
 
 ORDER = ("app", "dynamics", "meshfree", "tissue", "scenes", "realtime", "validation", "reduction", "contracts")
+QUICK = "not slow and not lint"  # the tests of `make test`
+MARKED_MODULE = re.compile(r"^pytestmark = \[?\s*pytest\.mark\.(slow|lint)\b", re.MULTILINE)
 
 
 def folder_of(nodeid):
@@ -31,16 +34,39 @@ def _own_cache_folder(tmp_path_factory):
         yield
 
 
+def pytest_ignore_collect(collection_path, config):
+    """Import no module of which an expression of the Makefile runs no test: reading all takes half a minute."""
+    if not collection_path.match("test_*.py"):
+        return None
+    text, expression = collection_path.read_text(encoding="utf-8"), config.getoption("markexpr")
+    if expression == "lint":
+        return "mark.lint" not in text or None
+    if expression == QUICK:
+        return bool(MARKED_MODULE.search(text) and "mark.quick" not in text) or None
+    return None
+
+
+def is_slow(item):
+    """Return whether a test is slow: by its nearest mark ``slow`` or ``quick``, or by the values of a ``quick``."""
+    nearest, values = None, item.callspec.params if hasattr(item, "callspec") else {}
+    slow = False
+    for node, mark in item.iter_markers_with_node():
+        if mark.name == "quick":
+            slow |= any(values.get(name, allowed[0]) not in allowed for name, allowed in mark.kwargs.items())
+        if mark.name in ("slow", "quick"):
+            nearest = nearest or node
+            slow |= mark.name == "slow" and node is nearest
+    return slow
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Mark as slow what a ``quick`` mark of a test, a class or a module leaves out, and sort the folders."""
-    for item in items:
-        values = getattr(item, "callspec", None)
-        for mark in item.iter_markers("quick"):
-            if values and any(
-                values.params.get(name, allowed[0]) not in allowed for name, allowed in mark.kwargs.items()
-            ):
-                item.add_marker(pytest.mark.slow)
+    """Leave the mark ``slow`` on slow tests alone, and sort the folders."""
+    slow = [item for item in items if is_slow(item)]
+    for node in {node for item in items for node in item.listchain()}:
+        node.own_markers = [mark for mark in node.own_markers if mark.name != "slow"]
+    for item in slow:
+        item.add_marker(pytest.mark.slow)
     items.sort(key=lambda item: ORDER.index(folder_of(item.nodeid)) if folder_of(item.nodeid) in ORDER else len(ORDER))
 
 

@@ -6,7 +6,11 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 import palpate
+
+pytestmark = pytest.mark.lint
 
 SOURCES = Path(palpate.__file__).parent
 COMPILED = {"cached_njit", "intrinsic", "kernel_njit", "law_njit", "register_jitable", "staticmethod"}

@@ -5,7 +5,11 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import pytest
+
 import palpate
+
+pytestmark = pytest.mark.lint
 
 ROOT = Path(palpate.__file__).parent
 IMPORT = re.compile(r"^\s*from (palpate[\w.]*) import (\([^)]*\)|[^\n(]+)", re.MULTILINE)

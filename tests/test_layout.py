@@ -9,6 +9,8 @@ import pytest
 
 import palpate
 
+pytestmark = pytest.mark.lint
+
 TESTS, SOURCES = Path(__file__).parent, Path(palpate.__file__).parent
 SECTION = "## Where a module is tested"
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 import palpate
+
+pytestmark = pytest.mark.lint
 
 SOURCES = Path(palpate.__file__).parent
 VAGUE = {"own", "found", "whole", "of"}
@@ -41,10 +44,11 @@ SHARED = """
 SINGLE_WORDS = {"TOOLS", *STATES.split(), *ENTRIES.split(), *PICTURES.split(), *SHARED.split()}
 
 
-def modules() -> Iterator[tuple[str, ast.Module]]:
-    """Yield the path below src/palpate and the syntax tree of every module."""
-    for path in sorted(SOURCES.rglob("*.py")):
-        yield path.relative_to(SOURCES).as_posix(), ast.parse(path.read_text(encoding="utf-8"))
+@pytest.fixture(scope="module")
+def modules() -> dict[str, ast.Module]:
+    """Return the syntax tree of every module by its path below src/palpate."""
+    paths = sorted(SOURCES.rglob("*.py"))
+    return {path.relative_to(SOURCES).as_posix(): ast.parse(path.read_text(encoding="utf-8")) for path in paths}
 
 
 def parameters(function: ast.AST) -> list[str]:
@@ -80,15 +84,15 @@ def module_constants(tree: ast.Module) -> set[str]:
     }
 
 
-def test_no_local_or_parameter_is_called_own_found_whole_or_of():
-    places = [place for path, tree in modules() for place in vague_names(path, tree)]
+def test_no_local_or_parameter_is_called_own_found_whole_or_of(modules):
+    places = [place for path, tree in modules.items() for place in vague_names(path, tree)]
     assert not places, f"name what it holds, such as own_file or matches: {places}"
 
 
-def test_new_module_constants_have_more_than_one_word():
+def test_new_module_constants_have_more_than_one_word(modules):
     single = {
         f"{path}: {name}"
-        for path, tree in modules()
+        for path, tree in modules.items()
         for name in module_constants(tree)
         if re.fullmatch(r"_?[A-Z][A-Z0-9]*", name) and name not in SINGLE_WORDS
     }

@@ -5,8 +5,12 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import pytest
+
 from palpate.app.cli import main
 from palpate.app.documentation import documentation
+
+pytestmark = pytest.mark.lint
 
 SOURCES = Path(__file__).parents[2] / "src" / "palpate"
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import palpate as pt
 
-pytestmark = pytest.mark.filterwarnings("ignore::palpate.faults.UnitWarning")
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::palpate.faults.UnitWarning")]
 
 DURATION, FRAMES, STEP = 0.06, 4, 5e-4
 TURN = Rotation.from_euler("zyx", (30, 40, 50), degrees=True).as_matrix()
@@ -128,7 +128,6 @@ def test_a_full_body_sags_equally(name, cloud, full_runs):
     check(got, cloud, change, full_runs[False], ROUNDING, ROUNDING)
 
 
-@pytest.mark.quick(name=["all"])
 @pytest.mark.parametrize("name", CHANGES)
 def test_a_pressed_body_its_reduced_model_and_their_forces_are_equal(name, cloud, full_runs, reduced_run):
     change = CHANGES[name]
@@ -139,7 +138,6 @@ def test_a_pressed_body_its_reduced_model_and_their_forces_are_equal(name, cloud
     check(reduced, cloud, change, reduced_run, SAMPLING, 2 * SAMPLING)
 
 
-@pytest.mark.quick(name=["all"])
 @pytest.mark.parametrize("name", CHANGES)
 def test_the_stable_step_is_equal(name, cloud):
     change = CHANGES[name]

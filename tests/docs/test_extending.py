@@ -60,6 +60,7 @@ def copy(tmp_path):
 MAX_FILES = {"A law": 5, "A load": 5, "A tool": 4, "A scene": 2, "A key of a scene file": 2}
 
 
+@pytest.mark.lint
 def test_the_page_has_examples_of_all_kinds_that_touch_few_files():
     assert [heading.split(":")[0] for heading in sections()] == list(MAX_FILES)
     for heading, text in sections().items():
@@ -69,6 +70,7 @@ def test_the_page_has_examples_of_all_kinds_that_touch_few_files():
         assert len(STEP.findall(text)) == text.count("\n```") / 2
 
 
+@pytest.mark.lint
 def test_every_source_that_the_page_names_exists_or_is_created():
     text = PAGE.read_text(encoding="utf-8")
     created = {step["created"] for step in STEP.finditer(text)}

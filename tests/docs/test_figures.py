@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.lint
+
 ROOT = Path(__file__).parents[2]
 sys.path.append(str(ROOT / "docs"))
 figures = __import__("figures")
@@ -23,11 +25,11 @@ def names(page):
     return [match[2] for match in figures.BLOCK.finditer(page.read_text(encoding="utf-8"))]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_every_block_of_a_page_is_what_its_result_files_make(page):
-    text = page.read_text(encoding="utf-8")
-    assert figures.rewritten(page) == text, "stale figures; run: python docs/figures.py"
-    assert len(names(page)) == text.count("<!-- figures: "), "a block has no end"
+def test_every_block_of_a_page_is_what_its_result_files_make():
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        assert figures.rewritten(page) == text, f"stale figures in {page.name}; run: python docs/figures.py"
+        assert len(names(page)) == text.count("<!-- figures: "), f"a block of {page.name} has no end"
 
 
 def test_every_block_and_every_result_file_is_on_a_page():
@@ -37,14 +39,14 @@ def test_every_block_and_every_result_file_is_on_a_page():
     assert shown == {path.stem for path in FILES}
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_result_files_name_what_made_them(path):
-    content = json.loads(path.read_text(encoding="utf-8"))
-    assert set(content) == {"made", "results"}
-    for entry in content["made"]:
-        assert re.fullmatch(r"[0-9a-f]{7,}\+?", entry["commit"])
-        assert re.fullmatch(r"\d{4}-\d\d-\d\d", entry["date"])
-    assert path.read_text(encoding="utf-8") == result_files.text(content)
+def test_result_files_name_what_made_them():
+    for path in FILES:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        assert set(content) == {"made", "results"}, path.name
+        for entry in content["made"]:
+            assert re.fullmatch(r"[0-9a-f]{7,}\+?", entry["commit"]), path.name
+            assert re.fullmatch(r"\d{4}-\d\d-\d\d", entry["date"]), path.name
+        assert path.read_text(encoding="utf-8") == result_files.text(content), path.name
 
 
 def test_a_changed_result_changes_its_block(monkeypatch):
@@ -92,6 +94,6 @@ def test_written_results_are_read_again_with_their_origin(tmp_path, monkeypatch)
 SHARES = {0.0: "0 %", 3e-8: "< 0.001 %", 0.00123: "0.12 %", 0.0999: "10 %", 0.236: "24 %", 1.0316: "103 %"}
 
 
-@pytest.mark.parametrize(("value", "text"), SHARES.items())
-def test_shares_have_two_significant_digits(value, text):
-    assert sys.modules["figure_tables.cells"].percent(value) == text
+def test_shares_have_two_significant_digits():
+    percent = sys.modules["figure_tables.cells"].percent
+    assert {value: percent(value) for value in SHARES} == SHARES

@@ -112,12 +112,14 @@ def test_a_page_leaves_no_name_and_no_filter_of_warnings_to_the_next(run):
     assert warnings.filters == filters
 
 
+@pytest.mark.lint
 def test_every_python_fence_is_found():
     for path in PAGES:
         text = path.read_text(encoding="utf-8")
         assert len(snippets(text)) == len(re.findall(r"^```python", text, re.MULTILINE)), page_name(path)
 
 
+@pytest.mark.lint
 def test_a_snippet_runs_at_its_line_and_a_marked_one_is_left_out():
     text = "# Page\n\n```python\na = 1\n```\n\n<!-- not run: needs a file -->\n```python\na = open('x')\n```\n"
     assert program(text).split("\n")[3] == "a = 1"

@@ -14,6 +14,8 @@ from palpate.meshfree.mirror import MirrorPlane, mirror_images
 from palpate.reduction.basis.linear_modes import rest_stiffness
 from palpate.reduction.lti.stiffness import nodal_stiffness
 
+pytestmark = pytest.mark.slow
+
 TURN = Rotation.from_rotvec([0.4, -0.3, 0.7]).as_matrix()
 SOFT = pt.materials.MooneyRivlin(C1=1000.0, C2=0, density=1000.0, poisson=0.45)
 H, SIZE = 0.005, np.array([0.04, 0.015, 0.02])
@@ -71,7 +73,6 @@ def test_a_quarter_of_a_bar_moves_as_the_whole_bar(form):
     np.testing.assert_allclose(4 * small.reactions["x-"][:, 0], clamped[:, 0], atol=100 * error * np.abs(clamped).max())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("sides", ["--", "++", "+-"])
 @pytest.mark.parametrize(
@@ -102,7 +103,6 @@ def test_a_quarter_has_the_accelerations_and_pressures_of_the_whole(size, spacin
     np.testing.assert_allclose(small.recovered_pressure(u), recovered, atol=1e-12 * np.abs(recovered).max())
 
 
-@pytest.mark.slow
 def test_tissue_may_differ_from_node_to_node():
     """Relaxation, regions, stiffness factors and fibres of two families, whose images are reflected."""
     part, body = quarter(), whole()
@@ -165,7 +165,6 @@ def test_the_motion_of_a_turned_part_is_the_turned_motion():
         np.testing.assert_allclose(two.reactions[name], force @ TURN.T, atol=1e-8 * np.abs(one.reactions["x-"]).max())
 
 
-@pytest.mark.slow
 def test_the_stiffness_is_the_slope_of_the_forces_and_has_the_frequencies_of_the_whole_bar():
     part, body = quarter(), whole()
     oblique = replace(part, points=part.points @ TURN.T, face_normals=part.face_normals @ TURN.T)
@@ -214,6 +213,7 @@ def test_a_linear_system_has_the_forces_of_the_planes():
     np.testing.assert_allclose(response[3:], [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-9)
 
 
+@pytest.mark.quick
 def test_images_have_the_volume_faces_and_stencils_of_the_whole():
     part, body = quarter(), whole()
     nodes = same_nodes(part, body)
@@ -231,6 +231,7 @@ def test_images_have_the_volume_faces_and_stencils_of_the_whole():
     assert np.sum(extended * w) == pytest.approx(np.sum(u * mirror.fold(w)))
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize(
     ("fixed", "message"),
     [
@@ -247,6 +248,7 @@ def test_planes_that_do_not_bound_the_body_are_refused(fixed, message):
         pt.Solid(cloud, SOFT, fixed)
 
 
+@pytest.mark.quick
 def test_planes_must_be_at_right_angles_and_belong_to_a_solid():
     corners = np.array([[0.0, 0.0], [0.02, 0.0], [0.02, 0.02], [0.0, 0.02]])
     sheet = pt.sheet(corners, 0.004)

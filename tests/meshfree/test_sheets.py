@@ -9,6 +9,8 @@ from scipy.spatial import ConvexHull, Voronoi, cKDTree
 
 import palpate as pt
 
+pytestmark = pytest.mark.slow
+
 RADIUS = 0.1
 LAYOUTS = ("rings", "hexagonal")
 TURN = np.arange(10) * np.pi / 5 + np.pi / 2
@@ -74,6 +76,7 @@ def shape(request):
     return np.array(OUTLINES[name]), pt.sheet(OUTLINES[name], SPACING, jitter, seed=3)
 
 
+@pytest.mark.quick
 def test_areas_of_a_disc_sum_to_its_area(plate):
     assert plate.volumes.sum() == pytest.approx(np.pi * RADIUS**2, rel=1e-13)
 
@@ -150,7 +153,6 @@ def test_a_disc_whose_radius_is_not_a_multiple_of_the_spacing_is_evenly_spread(l
         assert 0.7 < distance.min() <= distance.max() < 1.25
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("count", [10, 20, 40, 80])
 def test_jitter_keeps_neighbours_apart(layout, count):
@@ -249,6 +251,7 @@ def test_jitter_moves_inner_nodes_by_at_most_its_share_of_the_distance_to_their_
         np.testing.assert_array_equal(share[still.group("rim")], 0)
 
 
+@pytest.mark.quick
 def test_areas_of_a_sheet_sum_to_its_area(shape):
     outline, cloud = shape
     assert cloud.volumes.sum() == pytest.approx(abs(shoelace(outline)), rel=1e-12)
@@ -296,7 +299,6 @@ def test_triangles_tile_a_sheet_and_stay_in_it(shape):
     np.testing.assert_array_equal(np.unique(cloud.triangles), np.arange(len(cloud)))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", OUTLINES)
 @pytest.mark.parametrize("spacing", [0.02, 0.0123, 0.004])
 def test_nodes_of_a_sheet_are_evenly_spread(name, spacing):
@@ -311,7 +313,6 @@ def test_stencils_on_a_sheet_are_exact_and_well_conditioned(shape):
     assert_quadratics_are_exact(shape[1], 4000)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_accepted_outlines_have_accurate_stencils(seed):
     """Random outlines: each is refused, or gives a cloud that tiles it and carries quadratics, jittered or not."""
@@ -373,6 +374,7 @@ def test_a_sheet_of_equilateral_triangles_is_a_lattice_throughout():
     np.testing.assert_allclose(cells, np.repeat(list(counts), list(counts.values())), rtol=1e-9)
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -400,6 +402,7 @@ SPIKE = [(1.148, 2.101), (0.982, 2.141), (0.612, 2.638), (0.777, 2.721), (0.391,
          (1.237, 3.052), (1.536, 3.359)]  # fmt: skip
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -8,6 +8,8 @@ import pytest
 import palpate as pt
 from palpate.meshfree.visibility import is_pair
 
+pytestmark = pytest.mark.slow
+
 SPACING, ARM = 0.006, 0.018
 # mean displacement [mm] of the lower arm's end where the upper one's moves by 3 mm: linear elasticity, hexahedra of
 # order 2 with edges of 3 mm
@@ -64,6 +66,7 @@ def test_one_arm_hardly_moves_the_other_as_in_finite_elements(gap, error):
     assert moved_arm(gap * SPACING) == pytest.approx(MOVED[gap], abs=error)
 
 
+@pytest.mark.quick
 def test_no_stencil_crosses_a_cleft():
     gap = SPACING
     cloud = pt.fill(pt.Surface(*c_shape(gap)), spacing=SPACING)
@@ -101,12 +104,14 @@ def test_a_slit_opens_a_ring():
     assert is_pair(cloud.hidden, *pairs[close].T).all()
 
 
+@pytest.mark.quick
 def test_pairs_are_hidden_both_ways_and_in_mirror_images():
     cloud = pt.fill(pt.Surface(*c_shape(SPACING)), spacing=SPACING)
     assert (cloud.hidden != cloud.hidden.T).nnz == 0
     assert cloud.hidden.nnz > 1000
 
 
+@pytest.mark.quick
 def test_all_nodes_of_a_convex_body_see_each_other():
     assert pt.box((0.03, 0.02, 0.02), spacing=0.005).hidden.nnz == 0
     assert pt.sheet(0.02 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]), 0.004).hidden.nnz == 0
@@ -122,6 +127,7 @@ def test_a_right_angle_keeps_most_of_its_stencils():
     assert hidden.nnz < 0.05 * near.sum() ** 2
 
 
+@pytest.mark.quick
 def test_pairs_of_other_points_are_refused():
     cloud = pt.box((0.03, 0.02, 0.02), spacing=0.005)
     with pytest.raises(pt.InputError, match=r"hidden must have shape \(4, 4\)"):

@@ -70,6 +70,7 @@ int main(int argc, char **argv) {
 """
 
 
+@pytest.mark.quick(end=["pause"])
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
 @pytest.mark.parametrize("end", ["pause", signal.SIGSTOP, signal.SIGKILL])
 def test_the_force_of_an_engine_that_no_longer_steps_is_zero(tmp_path, end):

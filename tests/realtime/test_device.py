@@ -9,6 +9,7 @@ import palpate as pt
 from palpate.realtime.device import DummyDevice
 
 
+@pytest.mark.slow
 def test_the_device_sends_its_path_and_reads_forces_of_springs(engine_of):
     engine = engine_of(rate=500.0, damping=8.0)
     device = DummyDevice(lambda t: ((0.0, 0.0, -0.01 * np.sin(20 * t) ** 2), (1.0, 0.0, 0.0, 0.0)))

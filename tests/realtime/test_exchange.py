@@ -61,6 +61,7 @@ def watch_flagged(flag, value, count):
     return old
 
 
+@pytest.mark.slow
 def test_compiled_reads_never_mix_writes():
     slot, told = Slot.zeros(SIZE), make_flags()
     writer = threading.Thread(target=write_until_told, args=(slot, told))

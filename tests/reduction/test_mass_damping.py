@@ -12,6 +12,8 @@ import palpate as pt
 from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS
 from palpate.sealed import open_sealed
 
+pytestmark = pytest.mark.slow
+
 ALPHA, BETA = 12.0, 6e-4  # [1/s], [s]
 SPEED = 0.02  # [m/s] of a tool
 PERIOD = 1e-3
@@ -63,7 +65,6 @@ def pull() -> pt.SurfaceForce:
 KINDS = ["explicit", "implicit", "Galerkin", "linear"]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_vibration_decays_as_its_damping_ratio_says(kind):
     """The energy decays as exp(-2 zeta omega t) with zeta = alpha / (2 omega) + beta omega / 2."""
@@ -174,7 +175,6 @@ def periods(made, steps: int, speed: float):
     return np.array(forces)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("step", [None, PERIOD], ids=["explicit", "implicit"])
 def test_the_engines_force_is_that_of_a_run(grasped, step):
     model = grasped.with_step(step)

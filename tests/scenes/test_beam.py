@@ -27,6 +27,7 @@ def test_the_pull_is_zero_outside_the_run():
     assert pull(1.1) == 0.0
 
 
+@pytest.mark.slow
 def test_the_body_has_the_size_mass_and_stiffness_printed(case):
     np.testing.assert_allclose(np.ptp(case.model.cloud.points, axis=0), (0.2, 0.02, 0.02))
     assert case.model.masses.sum() == pytest.approx(1120 * 0.2 * 0.02**2)

@@ -8,6 +8,8 @@ import pytest
 import palpate as pt
 from palpate.scenes.membrane import AFTER, membrane, tool_tip
 
+pytestmark = pytest.mark.slow
+
 COARSE = 0.02
 
 

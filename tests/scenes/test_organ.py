@@ -29,6 +29,7 @@ def test_the_liver_is_one_closed_solid_of_the_given_volume(liver):
     assert pt.liver_surface(0.004, volume=2e-3).volume == pytest.approx(2e-3, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_smaller_liver_has_the_same_shape(liver):
     smaller = pt.liver_surface(0.002, volume=1.5e-3 / 8)
     np.testing.assert_allclose(np.ptp(smaller.vertices, axis=0), np.ptp(liver.vertices, axis=0) / 2, rtol=1e-3)
@@ -45,6 +46,7 @@ def test_the_liver_has_human_proportions(liver):
     assert 0.6 < cloud.volumes[cloud.points[:, 0] < middle].sum() / 1.5e-3 < 0.85
 
 
+@pytest.mark.slow
 def test_the_area_of_the_liver_converges_with_the_resolution(liver):
     areas = [pt.liver_surface(h).area for h in (0.008, 0.002)]
     assert abs(liver.area - areas[1]) < 0.5 * abs(areas[0] - areas[1])

@@ -6,13 +6,14 @@ import os
 
 import numpy as np
 import pytest
-import pyvista
 
 import palpate as pt
 
 
 @pytest.mark.parametrize("suffix", [".vtp", ".vtk"])
 def test_painted_vertices_mark_the_nearest_nodes_of_the_body(tmp_path, small_cloud, suffix):
+    import pyvista
+
     mesh = pyvista.Box((0, 0.015, 0, 0.015, 0, 0.015), level=5).clean()
     mesh["ligament"] = (mesh.points[:, 2] < 1e-6).astype(float)
     mesh.save(tmp_path / f"painted{suffix}")
@@ -21,6 +22,8 @@ def test_painted_vertices_mark_the_nearest_nodes_of_the_body(tmp_path, small_clo
 
 
 def test_meshes_without_the_painted_field_are_refused(tmp_path):
+    import pyvista
+
     with pytest.raises(FileNotFoundError, match="no painted mesh at"):
         pt.io.read_painted(tmp_path / "none.ply", "ligament")
     (tmp_path / "text.txt").write_text("0 0 0")

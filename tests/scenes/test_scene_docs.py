@@ -15,6 +15,8 @@ from palpate.scenes import description as sections
 from palpate.scenes.names import PACKAGE_SCENES
 from palpate.scenes.schema import scene_schema
 
+pytestmark = pytest.mark.lint
+
 ROOT = Path(__file__).parents[2]
 sys.path.append(str(ROOT / "docs"))
 key_tables = __import__("key_tables")

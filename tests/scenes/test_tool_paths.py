@@ -14,6 +14,8 @@ from palpate.scenes.load_case import TRAINING_SEEDS
 from palpate.scenes.tool_paths import ToolPaths
 from palpate.surface.nesting import winding_number
 
+pytestmark = pytest.mark.slow
+
 ORGANS = Path(__file__).parents[3] / "shared" / "data"
 HELD_OUT = 500_000  # first seed of held-out runs
 TIMES = np.linspace(0.0, 0.6, 61)
@@ -58,7 +60,6 @@ def signed_distance(cloud, places):
     return np.where(inside, -distance, distance)
 
 
-@pytest.mark.slow
 def test_the_ball_comes_from_outside_along_the_normal_and_only_indents_the_body(paths):
     cloud, radius = paths.surface.cloud, paths.radius
     for seed in (*range(6), *range(HELD_OUT, HELD_OUT + 6)):
@@ -97,7 +98,6 @@ def inner_walls(surface, gap):
     return (np.abs(np.abs(x) - gap / 2) < 1e-3) & (z > 0.0) & (z < 0.02) & (np.abs(y) < 0.015)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("gap", "reached"), [(0.008, False), (0.03, True)])
 def test_between_lobes_only_a_ball_that_fits_reaches(gap, reached):
     paths = ToolPaths(Body(lobes(gap)), 0.011, 0.012, 0.2, 0.01)
@@ -145,6 +145,7 @@ def test_depths_are_limited_by_the_thickness_and_by_fixed_nodes_below():
     assert depths[0.04] == pytest.approx(0.4 * 0.02, abs=1e-3)
 
 
+@pytest.mark.quick
 def test_slides_do_not_cross_supports():
     cloud = pt.box((0.2, 0.08, 0.04), 0.01)
     strip = np.flatnonzero((np.abs(cloud.points[:, 0] - 0.1) < 0.011) & (cloud.points[:, 2] > 0.039))
@@ -288,7 +289,6 @@ def test_what_cannot_be_reached_is_refused_by_name():
             ToolPaths(*arguments)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "units"),
     [
@@ -311,7 +311,6 @@ def test_presses_on_organs_come_from_outside(file, units):
     test_the_ball_comes_from_outside_along_the_normal_and_only_indents_the_body(paths)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("share", "count"), [(0.0, 0), (0.25, 10), (0.5, 20), (1.0, 40)])
 def test_pairs_are_a_share_of_the_held_out_paths(share, count):
     paths = ToolPaths(Body(pt.box((0.2, 0.2, 0.05), 0.01)), 0.025, 0.01, 0.2, 0.01, pairs=share)

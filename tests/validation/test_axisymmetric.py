@@ -9,6 +9,8 @@ from axisymmetric_elements import minimise
 from axisymmetric_table import hencky, komaragiri, point_load_small_strain
 from scipy.optimize import brentq
 
+pytestmark = pytest.mark.slow
+
 RADIUS, THICKNESS, C1 = 0.1, 1e-5, 0.17e6
 YOUNG = 6 * C1  # of each of the laws below
 LAWS = {"neo-hookean": neo_hookean(C1), "mooney-rivlin": mooney_rivlin(1.5 * C1, 0.5 * C1)}

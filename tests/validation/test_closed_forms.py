@@ -8,6 +8,8 @@ import pytest
 
 import palpate as pt
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def tissue():
@@ -52,7 +54,6 @@ def test_the_clouds_have_their_bodys_volume_and_a_closed_surface(cloud, volume):
     np.testing.assert_allclose(areas.sum(axis=0), 0, atol=0.02 * cloud.face_areas.sum())
 
 
-@pytest.mark.slow
 def test_torsion_and_inflation_of_the_full_model_follow_the_law(tissue):
     """At four rings and layers; docs/laws.md has the errors over the spacing, which fall by its square."""
     for case, count, allowed in (("torsion", 4, 0.035), ("sphere", 4, 0.04)):

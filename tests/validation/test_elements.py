@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 import result_files
 
+pytestmark = pytest.mark.slow
+
 SCALE = 1.26  # of the spacing of 3,000 nodes
 BOUNDS = {  # of the frequencies, sag, patch and smooth pressure
     "generated": (0.025, 0.05, 0.05, 0.09),
@@ -31,7 +33,6 @@ def case(name):
         pytest.skip(str(error))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", BOUNDS)
 def test_linear_responses_agree_with_finite_elements(name, truths):
     case(name)

@@ -38,6 +38,7 @@ def test_a_good_surface_is_filled_and_drawn(liver, run_study, tmp_path, assert_d
         assert_drawn(out / name)
 
 
+@pytest.mark.slow
 def test_an_open_surface_is_reported_not_filled(liver, tmp_path, capsys):
     trimesh = pytest.importorskip("trimesh")
     body = pt.io.read_surface(liver, units="mm")

@@ -14,6 +14,8 @@ from palpate.app.device.driver import driving
 from palpate.app.device.options import DeviceOptions
 from palpate.app.session.messages import NO_VIEWERS, validate_message
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def said():
@@ -28,6 +30,7 @@ def held(service_of, session, said):
         yield service, driver
 
 
+@pytest.mark.quick
 def test_a_hand_presses_the_body_of_a_session(held, session, said, until):
     service, _ = held
     device = service.devices[0]
@@ -55,6 +58,7 @@ def test_a_hand_presses_the_body_of_a_session(held, session, said, until):
     assert session.status()["devices"] == [[0, "049D"]]
 
 
+@pytest.mark.quick
 def test_a_page_moves_no_tool_of_a_device_until_it_is_gone(held, session, until):
     service, _ = held
     until(lambda: session.devices == {0: "049D"} and session.tools[0].active.kind == "sphere")
@@ -85,6 +89,7 @@ def test_another_tool_of_the_page_is_moved_on_from_where_it_is(held, session, ba
     until(is_pulled)
 
 
+@pytest.mark.quick
 def test_a_paused_or_reset_session_gives_no_force_and_a_device_resumes_an_unwatched_one(held, session, until):
     service, _ = held
     device = service.devices[0]

@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.slow
+
 START, STIFFNESS, HAND_STIFFNESS = 0.004, 300.0, 200.0  # [m], [N/m] of the wall and the hand, as in emulated_hand.py
 
 
@@ -35,6 +37,7 @@ def pressed(service, wall, until, down=0.014, k=0):
     return whole
 
 
+@pytest.mark.quick
 def test_a_hand_moves_the_tool_and_feels_the_wall(service_of, wall_of, until):
     service = service_of("049D")
     wall = wall_of(service)
@@ -62,6 +65,7 @@ def test_displacements_and_forces_are_scaled_and_turned(service_of, wall_of, unt
     until(lambda: wall.poses[0][0][0] == pytest.approx(-0.006, abs=1e-4))
 
 
+@pytest.mark.quick
 def test_the_force_has_a_limit(service_of, wall_of, until):
     service = service_of("049D")
     wall = wall_of(service, device_limit=0.8)
@@ -101,6 +105,7 @@ def test_the_grip_turns_the_tool(service_of, wall_of, until):
     until(lambda: np.allclose(wall.poses[0][1], expected, atol=1e-9), lambda: wall.poses[0][1])
 
 
+@pytest.mark.quick(silent=[True])
 @pytest.mark.parametrize("silent", [False, True])
 def test_an_engine_that_stalls_lets_the_hand_go(service_of, wall_of, until, silent):
     service = service_of("049D")
@@ -127,6 +132,7 @@ def test_a_socket_that_closes_is_opened_again(service_of, wall_of, until):
     assert wall.said[-1] == "049D moves the first tool again"
 
 
+@pytest.mark.quick
 def test_a_service_that_does_not_answer_gets_no_force(service_of, wall_of, until):
     service = service_of("049D")
     wall = wall_of(service)
@@ -150,6 +156,7 @@ def test_a_killed_adapter_leaves_no_force(service_of, wall_of, until):
 RIG = Path(__file__).parents[3] / "validation" / "emulated_hand.py"
 
 
+@pytest.mark.quick
 def test_a_killed_session_leaves_no_force(service_of, until):
     service = service_of("049D")
     with subprocess.Popen([sys.executable, str(RIG), str(service.port)]) as parent:
@@ -231,7 +238,6 @@ DAMAGES = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", DAMAGES)
 def test_damaged_messages_take_the_force_away_and_are_named_in_a_line(service_of, wall_of, until, name):
     service = service_of("049D")

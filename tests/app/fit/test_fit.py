@@ -60,6 +60,7 @@ def test_a_law_that_stiffens_less_than_the_tissue_is_reported_to_miss(left):
     ]
 
 
+@pytest.mark.slow
 def test_the_printed_report_has_parameters_curves_and_stability(tmp_path, capsys):
     assert main(["fit", "NeoHookean", RUBBER, "--out", str(tmp_path), "--poisson", "0.49"]) == 0
     said = " ".join(capsys.readouterr().out.split())
@@ -67,6 +68,7 @@ def test_the_printed_report_has_parameters_curves_and_stability(tmp_path, capsys
         assert part in said
 
 
+@pytest.mark.slow
 def test_options_reach_the_fit(tmp_path, capsys):
     options = ["--fix", "C2=500", "--start", "C1=2e3", "--bounds", "C1=1e3,3e3", "--starts", "2", "--density", "1100"]
     assert main(["fit", "MooneyRivlin", UNIAXIAL, *options, "--out", str(tmp_path), "--json"]) == 0

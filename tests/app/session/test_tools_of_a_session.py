@@ -55,7 +55,13 @@ def two(session, until):
     ball(session, 2, RIGHT)
     press(session, 0, LEFT - DEPTH)
     press(session, 2, RIGHT - 1.5 * DEPTH)
-    until(lambda: min(forces(session)[[0, 2], 2]) > 0.02 and calm(session))
+
+    def pressed():
+        tools = session.snapshot().tools
+        ends = (tools[0].position, LEFT - DEPTH), (tools[2].position, RIGHT - 1.5 * DEPTH)
+        return all(np.allclose(place, end, atol=1e-6) for place, end in ends)
+
+    until(lambda: pressed() and min(forces(session)[[0, 2], 2]) > 0.02 and calm(session))
     return session
 
 

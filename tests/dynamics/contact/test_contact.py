@@ -94,6 +94,7 @@ def test_friction_sticks_inside_coulombs_cone_and_slides_on_it():
 # momentum and energy
 
 
+@pytest.mark.quick(form=["energy"])
 @pytest.mark.parametrize("form", ["energy", "strong"])
 def test_the_tools_impulse_is_the_momentum_that_a_free_body_gains(small_cloud, tissue, form):
     stiffness_damping = {"energy": None, "strong": 6e-5}[form]
@@ -128,6 +129,7 @@ def test_the_energy_balance_closes_with_the_work_of_tools_and_friction(cube, fri
     assert np.sum(forces * way) == pytest.approx(trajectory.external[-1], rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("until", [np.inf, 0.015])
 def test_the_energy_balance_closes_with_a_tool_next_to_forceps(cube, until):
     grasp = pt.tools.Grasp((0.0, 0.0, SIDE), 0.004, lambda t: np.array([-0.05 * t, 0.0, SIDE + 0.05 * t]), until=until)
@@ -157,6 +159,7 @@ def test_a_balls_force_is_that_of_hertz(tissue):
     assert -trajectory.reactions["tool"][-3:, 2].mean() == pytest.approx(hertz, rel=0.08)
 
 
+@pytest.mark.slow
 def test_friction_dissipates_energy_and_frictionless_contact_does_not(cube):
     slide = lambda t: press(0.002)(t) + np.array([0.1 * max(t - 0.02, 0.0), 0.0, 0.0])  # noqa: E731
     lost = [run(cube, pt.tools.Contact(BALL, slide, mu), duration=0.05).dissipated for mu in (0.0, 0.3)]
@@ -195,6 +198,7 @@ def places_of_patches(model, displacements):
     return places
 
 
+@pytest.mark.slow
 def test_no_patch_enters_a_small_fast_tool(tissue):
     thin = pt.box((0.03, 0.03, 0.006), spacing=0.002)
     model = pt.Solid(thin, tissue, fixed="x-", form="energy")
@@ -233,6 +237,7 @@ def test_two_tools_pinch_and_their_forces_add_up(loose):
     assert np.allclose(below[:, 2], -above[:, 2], rtol=0.01, atol=1e-3 * abs(above).max())
 
 
+@pytest.mark.slow
 def test_patches_between_two_planes_enter_neither(loose):
     turned = np.array([0.0, np.pi / 2, 0.0])  # its normal is +x
     start = np.tile([-0.1, 0.0, -0.1], (len(loose.cloud), 1))
@@ -245,6 +250,7 @@ def test_patches_between_two_planes_enter_neither(loose):
     assert np.einsum("n,nc->c", loose.masses, trajectory.velocities[-1])[[0, 2]].min() > 0  # thrown back by both
 
 
+@pytest.mark.slow
 def test_equal_runs_are_equal_to_the_bit(cube):
     runs = [run(cube, pt.tools.Contact(BALL, press(0.002), friction=0.2), duration=0.01) for _ in range(2)]
     assert np.array_equal(runs[0].displacements, runs[1].displacements)
@@ -254,6 +260,7 @@ def test_equal_runs_are_equal_to_the_bit(cube):
 # friction
 
 
+@pytest.mark.slow
 def test_a_block_slides_down_a_slope_as_coulomb_says(loose):
     mu, down, normal, before = 0.3, 4.0, 9.0, 0.2
     start = np.tile([before, 0.0, 0.0], (len(loose.cloud), 1))
@@ -276,6 +283,7 @@ def test_a_block_that_friction_can_hold_stays(loose):
     assert ratio < 0.8
 
 
+@pytest.mark.slow
 def test_a_plane_dragged_over_the_body_has_forces_on_coulombs_cone(cube):
     mu, turned = 0.25, np.array([0.0, 1.0, 0.0, 0.0])  # a plane that faces down
     drag = lambda t: ([0.3 * max(t - 0.02, 0.0), 0, SIDE - 0.001 * min(t / 0.02, 1)], turned)  # noqa: E731
@@ -287,6 +295,7 @@ def test_a_plane_dragged_over_the_body_has_forces_on_coulombs_cone(cube):
     assert force[:, 0].min() > 0
 
 
+@pytest.mark.slow
 def test_a_turning_tool_turns_sticking_tissue(cube):
     def twist(t):
         return [SIDE / 2, SIDE / 2, SIDE - 0.001 * min(t / 0.02, 1)], [0.0, 0.0, 5.0 * max(t - 0.02, 0.0)]
@@ -329,6 +338,7 @@ def test_a_ball_presses_a_membrane_from_either_side():
 # motions, files, bad input
 
 
+@pytest.mark.slow
 def test_sampled_and_computed_motions_are_the_same(cube):
     times = np.array([0.0, 0.02, 0.03])
     samples = times, np.array([press(0.002)(t) for t in times])
@@ -360,6 +370,7 @@ def test_forceps_hold_turn_and_release_tissue(cube):
     assert np.abs(trajectory.displacements[-1, near] - turned).max() > 5e-4
 
 
+@pytest.mark.slow
 def test_a_tool_touches_nodes_that_forceps_have_released(cube):
     grasp = pt.tools.Grasp(TOP, 0.004, lambda t: TOP + np.array([0, 0, -0.002 * min(t / 0.01, 1)]), until=0.012)
     roof = pt.tools.Contact(pt.tools.Plane(), ([0, 0, SIDE - 0.0005], [0.0, 1.0, 0, 0]), group="grasp")

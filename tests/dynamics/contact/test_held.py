@@ -11,6 +11,8 @@ import palpate as pt
 from palpate.dynamics.run.period_report import FORCES, STATUS
 from palpate.realtime.loop import passed
 
+pytestmark = pytest.mark.slow
+
 SPACING, RADIUS, DEPTH, TIME = 0.005, 0.015, 2e-3, 0.1
 MIDDLE = np.array([0.015, 0.015, 0.0075])
 LAW = pt.materials.MooneyRivlin(C1=2e3, C2=0.0, density=1000.0, poisson=0.45)
@@ -59,6 +61,7 @@ def test_tissue_over_a_support_is_at_least_as_stiff_as_free_tissue():
     assert np.all(lower_press().reactions["tool"][5:, 2] >= free[5:])
 
 
+@pytest.mark.quick(form=["energy"])
 @pytest.mark.parametrize("form", ["energy", pytest.param("strong", marks=pytest.mark.slow)])
 def test_the_support_bears_the_force(form):
     found = lower_press() if form == "energy" else run(block(form), press(-1))
@@ -100,6 +103,7 @@ def test_the_moment_on_the_tool_is_that_of_its_forces():
     np.testing.assert_allclose(found.moments["tool"][20], moment, atol=0.02 * size)
 
 
+@pytest.mark.quick
 def test_a_tool_must_start_outside_held_nodes_too():
     with pytest.raises(pt.InputError, match="must start outside the body"):
         run(block(), pt.tools.Contact(pt.tools.Sphere(RADIUS), press(-1).motion(TIME)))
@@ -113,8 +117,6 @@ def test_a_reduced_model_has_the_same_force():
     np.testing.assert_allclose(tool[1:-1] + tool[2:], -2 * support[1:-1], atol=0.06 * np.abs(tool).max())
 
 
-@pytest.mark.slow
-@pytest.mark.quick(make=[block])  # the other compiles the engine of a law for two minutes
 @pytest.mark.parametrize("make", [block, reduced], ids=["full", "reduced"])
 def test_the_engine_has_the_same_force(make):
     tool = press(-1)

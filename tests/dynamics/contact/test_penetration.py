@@ -49,6 +49,7 @@ def test_middles_are_the_means_of_their_ends(block):
     assert len(ends) == len(block.cloud.triangles) * 3 // 2  # of a closed surface
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [1.1, 1.5])
 def test_the_force_of_a_small_ball_grows_to_a_depth_of_its_radius(block, ratio):
     """Its force was 0.19 N where finite elements have 1.37 N, when nodes alone were kept out of tools."""

@@ -11,6 +11,8 @@ import palpate as pt
 from palpate.dynamics.loads.dead_load import DeadLoad, ForcePattern
 from palpate.reduction.lti.system import force_inputs
 
+pytestmark = pytest.mark.slow
+
 
 @dataclass(frozen=True)
 class Pinch(DeadLoad):
@@ -57,8 +59,6 @@ def test_a_user_dead_load_does_the_work_of_its_forces_on_the_full_model(body, ru
     assert np.abs(balance).max() < 1e-2 * run.external[-1]
 
 
-@pytest.mark.slow
-@pytest.mark.quick(reduce=[pt.galerkin])
 @pytest.mark.parametrize("reduce", [pt.galerkin, pt.hyper_reduce])
 def test_a_user_dead_load_acts_on_reduced_models(body, run, reduce):
     own = pt.rollout(reduce(body, run, modes=8), [Pinch("x+", 0.05)], duration=4e-3, every=4e-4, progress=False)

@@ -9,6 +9,8 @@ import pytest
 
 import palpate as pt
 
+pytestmark = pytest.mark.slow
+
 SIDE = 0.015
 
 

@@ -55,6 +55,7 @@ def test_nodal_forces_sum_to_the_tool_forces_and_the_momentum_of_a_free_body(sma
     np.testing.assert_allclose(np.cumsum(of_tools, axis=0) * EVERY, momentum, atol=1e-6 * size * EVERY)
 
 
+@pytest.mark.slow
 def test_at_rest_the_force_on_every_bonded_node_is_its_internal_force(small_cloud, tissue, forceps):
     model = pt.Solid(small_cloud, tissue, "z-", form="energy", stiffness_damping=1e-4)
     trajectory = run(model, forceps, duration=0.2)  # ten periods, after which it rests
@@ -65,6 +66,7 @@ def test_at_rest_the_force_on_every_bonded_node_is_its_internal_force(small_clou
     np.testing.assert_allclose(last[:, 2:], own, atol=1e-4 * np.abs(own).max())
 
 
+@pytest.mark.slow
 def test_forceps_that_release_within_a_frame_give_the_momentum_until_then(small_cloud, tissue, forceps):
     model = pt.Solid(small_cloud, tissue, form="energy")
     until = 0.0074
@@ -77,6 +79,7 @@ def test_forceps_that_release_within_a_frame_give_the_momentum_until_then(small_
     np.testing.assert_allclose(np.cumsum(force, axis=0) * EVERY, momentum, atol=1e-6 * np.abs(momentum).max())
 
 
+@pytest.mark.slow
 def test_forces_on_nodes_are_those_of_a_grasp_in_the_energy_form_alone(small_cloud, tissue, forceps):
     """A strong form's residuals are not the forces of what holds it; and other motions train lifting columns."""
     cloud = forceps.with_group(small_cloud)

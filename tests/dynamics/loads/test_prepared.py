@@ -139,6 +139,7 @@ def test_a_moment_on_nodes_in_one_line_is_refused_by_name(bar, tissue, group):
     model.prepare([pt.SurfaceForce("line", force=(1, 0, 0))])
 
 
+@pytest.mark.slow
 def test_a_moment_on_a_sheet_acts_on_its_face_and_not_on_its_edge():
     cloud = pt.sheet([(0, 0), (0.1, 0), (0.1, 0.1), (0, 0.1)], spacing=0.02)
     cloud = replace(cloud, groups={**cloud.groups, "face": np.arange(len(cloud))})
@@ -176,6 +177,7 @@ def twist_rate(cells, tissue, moment, width=0.015):
     return (turns[1] - turns[0]) / (2 * width / cells)
 
 
+@pytest.mark.slow
 def test_a_square_bar_twists_by_saint_venants_formula(tissue):
     """G J per turn with J = 0.1406 width^4 [Timoshenko and Goodier, Theory of Elasticity, section 109]."""
     moment = 1e-6

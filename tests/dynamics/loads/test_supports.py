@@ -13,6 +13,8 @@ from palpate.dynamics.loads.supports import supported_nodes
 from palpate.reduction.contact.near_field import _Piece
 from palpate.reduction.contact.residual_flexibility import residual_flexibility
 
+pytestmark = pytest.mark.slow
+
 TURN = Rotation.from_rotvec([0.4, -0.3, 0.7]).as_matrix()
 SOFT = pt.materials.MooneyRivlin(C1=500.0, C2=0.0, density=1000.0, poisson=0.3)
 SIDES = ("y-", "y+", "z-", "z+")
@@ -35,6 +37,7 @@ def pull(size: float = 0.02, turn: np.ndarray | None = None) -> pt.SurfaceForce:
     return pt.SurfaceForce("x+", force=size * (axis if turn is None else turn @ axis))
 
 
+@pytest.mark.quick
 def test_a_pulled_bar_on_rollers_has_the_stretch_of_the_law():
     """The state is homogeneous: the closed form of uniaxial tension, with lateral faces free of stress."""
     model, size = on_rollers(bar()), 0.02
@@ -89,6 +92,7 @@ def test_a_linear_model_has_the_static_response_of_the_full_one():
     assert response[names.index("force y of x-"), 0] == 0.0
 
 
+@pytest.mark.quick
 def test_shared_nodes_obey_all_their_supports():
     cloud = bar()
     fixed = [pt.Roller("x-"), pt.Roller("y-", (1.0, 1.0, 0.0)), pt.Roller("z-")]
@@ -188,6 +192,7 @@ def test_a_rail_is_two_rollers():
         pt.Rail("x+", "x")
 
 
+@pytest.mark.quick
 def test_invalid_supports_are_refused():
     cloud = bar()
     with pytest.raises(

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 
 import palpate as pt
 
-pytestmark = [pytest.mark.quick(name=["by node"]), pytest.mark.slow, pytest.mark.each_kind(name=["by node", "the heart"])]
+pytestmark = [pytest.mark.slow, pytest.mark.each_kind(name=["by node", "the heart"])]
 
 REST = {"density": 1000.0, "poisson": 0.45}
 TISSUE = pt.materials.MooneyRivlin(C1=10e3, C2=0, **REST)
@@ -50,7 +50,6 @@ def test_a_uniform_deformation_has_the_stress_of_the_laws(name):
     assert body.strain_energy(u) == pytest.approx(float(body.volumes @ energy), rel=1e-9)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", KINDS)
 def test_forces_are_minus_the_slope_of_the_energy(name):
     body, random = block(KINDS[name]), np.random.default_rng(0)
@@ -62,7 +61,6 @@ def test_forces_are_minus_the_slope_of_the_energy(name):
         assert -work == pytest.approx(slope, rel=1e-6, abs=1e-9 * np.abs(body.force(u)).max())
 
 
-@pytest.mark.slow
 def test_fibres_squeezed_along_their_direction_have_no_force():
     F = np.diag([0.8, 0.8**-0.5, 0.8**-0.5])
     with_, without = block(pt.materials.Fibres(**{**HGO, "dispersion": 0.0}, directions=X)), block(None)
@@ -70,7 +68,6 @@ def test_fibres_squeezed_along_their_direction_have_no_force():
     np.testing.assert_array_equal(with_.force(u), without.force(u))
 
 
-@pytest.mark.slow
 def test_a_pulled_bar_stretches_as_its_laws_say():
     tissue, (k1, k2) = pt.materials.NeoHookean(C1=5e3, density=1000.0, poisson=0.49), (20e3, 3.0)
     bar = pt.Solid(
@@ -93,7 +90,6 @@ def test_a_pulled_bar_stretches_as_its_laws_say():
     assert found - 1 == pytest.approx(stretch - 1, rel=0.02)
 
 
-@pytest.mark.slow
 def test_energy_is_conserved_while_fibres_become_taut_and_slack():
     cloud = pt.box((0.03, 0.01, 0.01), 0.0025)
     bar = pt.Solid(
@@ -108,7 +104,6 @@ def test_energy_is_conserved_while_fibres_become_taut_and_slack():
     assert run.kinetic.max() > 0.5 * whole[0]
 
 
-@pytest.mark.slow
 def test_the_stable_step_accounts_for_slack_fibres():
     """At rest half of all small motions leave them slack; a step for that half lets stiff fibres blow up."""
     tight = block(pt.materials.Fibres(k1=2e6, k2=1.0, directions=X))
@@ -118,7 +113,6 @@ def test_the_stable_step_accounts_for_slack_fibres():
     assert block(None).highest_frequency(squeezed, tight.fixed_mask)[0] < 0.5 * both
 
 
-@pytest.mark.slow
 def test_galerkin_models_have_the_fibres():
     body = block(KINDS["two"], fixed="x-", stiffness_damping=1e-5)
     push = [pt.SurfaceForce("x+", force=lambda t: (0.3 * np.sin(200 * t), 0.1, 0.0))]

@@ -7,7 +7,7 @@ import pytest
 
 import palpate as pt
 
-pytestmark = [pytest.mark.quick(step=[0.05]), pytest.mark.slow]
+pytestmark = pytest.mark.slow
 
 SERIES = pt.materials.Prony(shares=(0.5, 0.3), times=(0.02, 0.3))
 MU = 10e3
@@ -46,7 +46,6 @@ def test_a_held_shear_relaxes_as_the_series_says(body):
     np.testing.assert_allclose(stresses[1:, 0, 1], MU * amount * SERIES.relaxation(times[1:]), rtol=1e-6)
 
 
-@pytest.mark.slow
 def test_a_large_held_stretch_relaxes_to_the_law_from_all_branches(body):
     times = np.array([0.0, 1e-9, 10.0])
     F = np.diag([1.5, 0.8, 0.9])
@@ -85,7 +84,6 @@ def test_a_linear_change_is_integrated_exactly_at_any_step(body, step):
     assert Q[0, 0] == pytest.approx(A, rel=1e-6)
 
 
-@pytest.mark.slow
 def test_an_oscillation_has_the_storage_and_loss_of_the_complex_modulus(body):
     amount = 1e-3
     for frequency in (5.0, 50.0, 300.0):
@@ -103,7 +101,6 @@ def test_an_oscillation_has_the_storage_and_loss_of_the_complex_modulus(body):
         assert lost[-1] - lost[last][0] == pytest.approx(cycle, rel=2e-3)
 
 
-@pytest.mark.slow
 def test_work_is_stored_or_dissipated(body):
     random = np.random.default_rng(0)
     knots = np.array([np.eye(3), *(np.eye(3) + random.uniform(-0.25, 0.25, (12, 3, 3)))])
@@ -123,7 +120,6 @@ def test_work_is_stored_or_dissipated(body):
     np.testing.assert_allclose(work, stored + lost, atol=2e-3 * work.max())
 
 
-@pytest.mark.slow
 def test_the_volume_relaxes_with_bulk_shares():
     prony = pt.materials.Prony(shares=0.5, times=0.02, bulk_shares=0.4)
     material = tissue(prony)
@@ -138,7 +134,6 @@ def test_the_volume_relaxes_with_bulk_shares():
     assert stored[1] - stored[-1] == pytest.approx(work, rel=1e-3)
 
 
-@pytest.mark.slow
 def test_a_block_creeps_under_a_step_of_force_as_the_standard_solid():
     """One branch: strain = F/G (1 - s/(1 + s) exp(-t / ((1 + s) tau)))."""
     prony = pt.materials.Prony(shares=1.0, times=0.05)
@@ -164,7 +159,6 @@ def test_a_block_creeps_under_a_step_of_force_as_the_standard_solid():
     np.testing.assert_allclose(smooth[late], expected[late], rtol=0.03)
 
 
-@pytest.mark.slow
 def test_a_divided_run_equals_the_whole_run_and_a_new_run_starts_relaxed():
     cloud = pt.box((0.03, 0.01, 0.01), 0.0025)
     bar = pt.Solid(cloud, tissue(), "x-", form="energy", stiffness_damping=2e-5)

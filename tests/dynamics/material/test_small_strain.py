@@ -8,6 +8,8 @@ import pytest
 import palpate as pt
 from palpate.dynamics.nodal.stability import stiffness
 
+pytestmark = pytest.mark.slow
+
 SIDE, MU, GIVEN = 0.02, 20e3, {"density": 1000.0, "poisson": 0.4}
 LAW = pt.materials.LinearElastic(mu=MU, **GIVEN)
 FORMS = ("strong", "energy")
@@ -22,7 +24,6 @@ def body(cloud, law, form, fixed=()):
     return pt.Solid(cloud, law, fixed, form=form, stiffness_damping=0.0)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 def test_forces_are_linear_in_the_displacements(cloud, form):
     model, random = body(cloud, LAW, form), np.random.default_rng(0)
@@ -31,7 +32,6 @@ def test_forces_are_linear_in_the_displacements(cloud, form):
     np.testing.assert_allclose(model.force(u - 3 * w), sum_of_forces, atol=1e-11 * np.abs(sum_of_forces).max())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 def test_small_strain_is_the_tangent_of_neo_hookean_at_rest(form):
     cloud = pt.box((SIDE,) * 3, spacing=SIDE / 3, jitter=0.1)
@@ -39,7 +39,6 @@ def test_small_strain_is_the_tangent_of_neo_hookean_at_rest(form):
     np.testing.assert_allclose(one, other, atol=1e-5 * np.abs(one).max())
 
 
-@pytest.mark.slow
 def test_quadratic_displacements_have_naviers_force(cloud):
     """Inside: mu lap u + (mu + lame) grad div u."""
     B = np.random.default_rng(1).normal(size=(3, 3, 3))
@@ -51,7 +50,6 @@ def test_quadratic_displacements_have_naviers_force(cloud):
     np.testing.assert_allclose(force[inside], np.broadcast_to(expected, (len(inside), 3)), rtol=1e-8)
 
 
-@pytest.mark.slow
 def test_forces_of_the_energy_form_are_the_slope_of_the_energy(cloud):
     model, random = body(cloud, LAW, "energy"), np.random.default_rng(2)
     u, direction = 0.1 * SIDE * random.normal(size=(2, len(cloud), 3))
@@ -59,7 +57,6 @@ def test_forces_of_the_energy_form_are_the_slope_of_the_energy(cloud):
     assert -np.sum(model.volumes[:, None] * model.force(u) * direction) == pytest.approx(slope, rel=1e-10)
 
 
-@pytest.mark.slow
 def test_uniform_strain_has_hookes_stress(cloud):
     H = 0.3 * np.random.default_rng(3).normal(size=(3, 3))
     expected = MU * (H + H.T) + LAW.lame * np.trace(H) * np.eye(3)

@@ -14,7 +14,7 @@ from scipy.special import jn_zeros
 import palpate as pt
 from palpate.meshfree.consistent import consistent_gradient
 
-pytestmark = [pytest.mark.quick(law=["NeoHookean"]), pytest.mark.slow, pytest.mark.each_kind(law=["NeoHookean", "Ogden"])]
+pytestmark = [pytest.mark.slow, pytest.mark.each_kind(law=["NeoHookean", "Ogden"])]
 
 RADIUS, THICKNESS, C1 = 0.1, 1e-5, 0.17e6
 
@@ -115,7 +115,6 @@ def test_stress_is_the_slope_of_the_energy(law, F, relaxed):
     assert model.strain_energy(u) == pytest.approx(density * model.volumes.sum(), rel=1e-9, abs=1e-15)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("F", [STRETCHED, NARROWED], ids=["taut", "wrinkled"])
 @pytest.mark.parametrize("cloud", CLOUDS)
 def test_uniform_stress_moves_no_inner_node(cloud, F):
@@ -141,7 +140,6 @@ def test_forces_are_the_slope_of_the_energy(law, relaxed):
     assert work == pytest.approx(slope, rel=2e-6)
 
 
-@pytest.mark.slow
 def test_a_turned_sheet_has_turned_forces(rotation):
     model = sheet("jittered", "MooneyRivlin")
     X = np.column_stack([model.cloud.points, np.zeros(len(model.cloud))])
@@ -195,7 +193,6 @@ def test_tension_states_and_the_wrinkled_area_are_those_of_the_stretches():
     assert 0.4 * area < model.wrinkled_area(half) < 0.7 * area
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("prestretch", [1.0, 1.01, 1.5])
 def test_prestretch_tightens_a_sheet_of_the_same_mass(prestretch):
     model = sheet(law="MooneyRivlin", prestretch=prestretch)
@@ -206,7 +203,6 @@ def test_prestretch_tightens_a_sheet_of_the_same_mass(prestretch):
     assert np.abs(model.force(rest)[inside(model)]).max() < 1e-9 * 0.3e6 / model.cloud.spacing
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("cloud", ["rings", "hexagonal", "jittered"])
 def test_a_taut_sheet_vibrates_at_the_zeros_of_bessel(cloud):
     prestretch = 1.05
@@ -239,7 +235,6 @@ def axisymmetric(pytestconfig):
     return importlib.import_module("axisymmetric")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("layout", ["rings", "hexagonal"])
 def test_a_pushed_sheet_takes_the_axisymmetric_shape(layout, axisymmetric):
     expected = axisymmetric.poke(RADIUS, THICKNESS, axisymmetric.neo_hookean(C1), 0.01, 0.02)
@@ -256,7 +251,6 @@ def test_a_pushed_sheet_takes_the_axisymmetric_shape(layout, axisymmetric):
     np.testing.assert_allclose(force["tool"] + force["rim"], 0, atol=0.01 * force["tool"][2])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("cloud", ["rings", "hexagonal", "jittered"])
 def test_an_inflated_sheet_rises_as_high_as_the_axisymmetric_one(cloud, axisymmetric):
     expected = axisymmetric.inflate(RADIUS, THICKNESS, axisymmetric.neo_hookean(C1), 10.0).height
@@ -289,7 +283,6 @@ def run(cloud="rings", after="return", duration=0.15, **options):
     return model, pt.rollout(model, [tool], duration=duration, every=0.0025, progress=False)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("after", ["return", "hold", "release"])
 @pytest.mark.parametrize("cloud", ["rings", "hexagonal", "jittered"])
 def test_a_slack_sheet_keeps_its_energy_under_every_motion_of_the_tool(cloud, after):
@@ -301,7 +294,6 @@ def test_a_slack_sheet_keeps_its_energy_under_every_motion_of_the_tool(cloud, af
     assert after_jump[-1] > 0.1 * after_jump[0]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_jittered_sheets_are_stable(seed):
     _, found = run(pt.disc(RADIUS, 0.01, jitter=0.25, seed=seed), "return", prestretch=1.0)
@@ -321,7 +313,6 @@ def test_the_sheet_keeps_the_symmetry_of_its_rings():
     np.testing.assert_allclose(u[pushed][:, image, :2], u[pushed][:, :, :2] @ turn.T, atol=1e-9)
 
 
-@pytest.mark.slow
 def test_all_layouts_have_nearly_the_same_deflection():
     means = []
     for layout, jitter in (("rings", 0.0), ("hexagonal", 0.0), ("rings", 0.1)):
@@ -344,7 +335,6 @@ def test_a_released_tool_has_no_force_and_the_sheet_moves_freely():
     assert np.abs(let.displacements[-1, centre, 2] - 0.01) > 1e-3
 
 
-@pytest.mark.slow
 def test_any_number_of_threads_gives_the_same_bits():
     one, threads = None, get_num_threads()
     try:

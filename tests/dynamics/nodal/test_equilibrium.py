@@ -39,6 +39,7 @@ def unbalanced(model, loads, displacements, time=0.0):
     return np.linalg.norm(inertia) / np.linalg.norm(model.external_force(state, prepared))
 
 
+@pytest.mark.quick(form=["energy"])
 @pytest.mark.parametrize("form", ["strong", "energy"])
 def test_no_free_node_accelerates_and_the_support_bears_the_load(form, bar, tissue):
     model = pt.Solid(bar, tissue, fixed="x-", form=form, stiffness_damping=1e-5)
@@ -66,6 +67,7 @@ def test_a_damped_run_ends_at_the_equilibrium_and_a_run_from_it_stays(body, pull
     np.testing.assert_allclose(run.displacements[-1], pulled.displacements, atol=1e-5 * largest)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["strong", "energy"])
 def test_a_bar_between_two_grips_has_the_stretch_and_stress_of_a_testing_machine(form, bar, tissue):
     model = pt.Solid(bar, tissue, form=form, stiffness_damping=1e-5)
@@ -117,6 +119,7 @@ def test_prescribed_nodes_are_at_their_displacement_of_the_time_until_their_rele
     assert not released.displacements.any()
 
 
+@pytest.mark.slow
 def test_a_mirrored_load_has_the_mirrored_equilibrium(body, bar):
     up, down = (pt.equilibrium(body, [pt.SurfaceForce("x+", force=(0.4, 0, z))]) for z in (0.1, -0.1))
     flipped = bar.points * [1, 1, -1] + [0, 0, 0.015]
@@ -130,6 +133,7 @@ def test_the_solution_of_half_the_load_is_a_valid_start(body, pulled):
     np.testing.assert_allclose(settled.displacements, pulled.displacements, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_taut_sheet_sags_under_pressure_as_a_paraboloid():
     cloud = pt.disc(0.1, 0.01)
     tissue = pt.materials.NeoHookean(C1=5e3, density=1000.0, poisson=0.5)
@@ -142,6 +146,7 @@ def test_a_taut_sheet_sags_under_pressure_as_a_paraboloid():
     np.testing.assert_allclose(np.abs(settled.displacements[:, 2]), expected, atol=0.02 * expected.max())
 
 
+@pytest.mark.slow
 def test_a_slack_sheet_raises_with_the_converged_part_of_the_load():
     tissue = pt.materials.NeoHookean(C1=5e3, density=1000.0, poisson=0.5)
     sheet = pt.Membrane(pt.disc(0.1, 0.02), tissue, 1e-3, "rim")
@@ -177,6 +182,7 @@ def test_the_beam_of_the_paper_agrees_with_finite_elements(kind, force):
 # the parts
 
 
+@pytest.mark.slow
 def test_the_preconditioner_is_symmetric_and_positive_and_a_good_inverse(body, pulled):
     u = pulled.displacements
     balance = StaticBalance(body, body.prepare([]), 0.0, np.zeros_like(u))

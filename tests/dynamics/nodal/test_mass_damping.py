@@ -10,6 +10,8 @@ import pytest
 import palpate as pt
 from palpate.dynamics.nodal.period_data import GIVEN
 
+pytestmark = pytest.mark.slow
+
 TISSUE = {"C1": 2e3, "C2": 0.0, "density": 1000.0, "poisson": 0.45}
 ALPHA = 4.0  # [1/s], far below the slowest vibration of 14 rad/s
 
@@ -29,7 +31,6 @@ def free_run(model, shape, **options):
     return pt.rollout(model, displacement=shape, duration=1.0, every=0.005, progress=False, **options)
 
 
-@pytest.mark.slow
 def test_a_free_vibration_decays_with_half_of_alpha(shape):
     damped, free = (free_run(bar(alpha, stiffness_damping=0.0), shape) for alpha in (ALPHA, 0.0))
     energy = damped.kinetic + damped.strain
@@ -49,13 +50,11 @@ def test_the_stable_step_does_not_change():
     assert bar(ALPHA).stability.step == bar(0.0).stability.step
 
 
-@pytest.mark.slow
 def test_bits_without_damping_are_those_of_before(shape):
     runs = [free_run(bar(0.0), shape, step=2e-4) for _ in range(2)]
     np.testing.assert_array_equal(runs[0].displacements, runs[1].displacements)
 
 
-@pytest.mark.slow
 def test_reactions_include_the_damping_forces():
     """The forces of support and tool are the change of momentum and alpha times the momentum."""
     body, strong = bar(50.0), 50.0
@@ -68,7 +67,6 @@ def test_reactions_include_the_damping_forces():
     assert np.abs(missed[2:-2]).max() < 0.1 * np.abs(strong * momentum).max()
 
 
-@pytest.mark.slow
 def test_a_static_load_is_borne_without_change():
     load = [pt.SurfaceForce("x+", force=(0.01, 0.0, 0.0))]
     settled = pt.rollout(bar(ALPHA), load, duration=4.0, every=0.5, progress=False)
@@ -77,7 +75,6 @@ def test_a_static_load_is_borne_without_change():
     np.testing.assert_allclose(settled.displacements[-1], still.displacements, atol=2e-3 * scale)
 
 
-@pytest.mark.slow
 def test_the_engine_damps_as_a_run_does(shape):
     body = bar(ALPHA)
     away = tuple(body.cloud.points.max(axis=0) + 0.1)
@@ -92,6 +89,7 @@ def test_the_engine_damps_as_a_run_does(shape):
     assert np.mean(energies[900:]) == pytest.approx(start * np.exp(-ALPHA * times[900:]).mean(), rel=0.1)
 
 
+@pytest.mark.quick
 def test_a_negative_damping_is_refused():
     with pytest.raises(pt.InputError, match="mass_damping must be"):
         bar(-1.0)
@@ -108,7 +106,6 @@ def test_stiffness_damping_that_shortens_the_step_tenfold_is_warned_of_once():
     assert caught[0].filename == __file__
 
 
-@pytest.mark.slow
 def test_the_loss_to_mass_damping_of_moved_nodes_is_counted():
     """A tool that shakes one end does work on the mass of its nodes, too."""
     shaken = [pt.PrescribedMotion("x+", lambda X, t: (1e-4 * np.sin(60 * t) ** 2, 0.0, 0.0))]

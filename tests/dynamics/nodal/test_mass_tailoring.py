@@ -15,6 +15,8 @@ from palpate.dynamics.nodal.stability import stiffness
 from palpate.realtime.bodies.full_body import step_statistics
 from palpate.realtime.loop import passed
 
+pytestmark = pytest.mark.slow
+
 SIZE, SPACING, BALL, PERIOD = (0.03, 0.03, 0.02), 0.005, 0.012, 1e-3  # [m], [s]
 HOME = np.array([0.015, 0.015, SIZE[2] + BALL + 0.0005])
 MODES = 8
@@ -75,6 +77,7 @@ def test_the_fastest_modes_are_slower_and_no_other(block):
     np.testing.assert_allclose(after[:40], before[:40], rtol=1e-4)
 
 
+@pytest.mark.quick
 def test_local_shapes_add_the_mass_of_the_modes(block):
     tailoring, highest = tailored_mass(block, block.fixed_mask, MODES)
     shapes, shares = dense_shapes(block, tailoring), 1.0 - (highest / tailoring.frequencies) ** 2
@@ -147,7 +150,6 @@ def vibration_energies(body, modes) -> np.ndarray:
     return np.reshape(energies[50:], (6, 100)).mean(axis=1)
 
 
-@pytest.mark.slow
 def test_a_free_vibration_decays_as_without_modes(block):
     free = pt.Solid(block.cloud, block.material, "z-")
     expected, found = (vibration_energies(free, modes) for modes in (0, MODES))
@@ -166,6 +168,7 @@ def test_bits_are_those_of_one_thread(block):
         np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.quick
 def test_small_bodies_keep_their_mass_by_default(block):
     assert step_statistics(pt.realtime_model(block, contact=ball()).data)["tailored_modes"] == 0
     assert not len(tailored_mass(block, block.fixed_mask, 0)[0].used)
@@ -177,6 +180,7 @@ def test_bodies_with_and_without_modes_share_compiled_code(block):
     assert len(kinds) == 1
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize("modes", [-1, 2.5, 201])
 def test_a_wrong_number_of_modes_is_refused(block, modes):
     with pytest.raises(pt.InputError, match="tailored_modes"):

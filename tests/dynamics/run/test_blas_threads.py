@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 # counts how often the system switched to a thread of BLAS, which sleeps unless a call wakes it
 SCRIPT = """
 import os, sys, time

@@ -69,6 +69,7 @@ def test_a_fixed_step_is_used(held):
     np.testing.assert_array_equal(run.steps, [0, 50, 100])
 
 
+@pytest.mark.slow
 def test_halving_the_step_changes_little(held, pull):
     ends = [pt.rollout(held, [pull], duration=0.005, every=0.005, step=h).displacements[-1] for h in (4e-5, 2e-5, 1e-5)]
     assert np.abs(ends[1] - ends[2]).max() < 0.6 * np.abs(ends[0] - ends[1]).max()
@@ -112,6 +113,7 @@ def test_a_body_turned_inside_out_is_stopped(held):
         pt.rollout(held, displacement=u, duration=1e-6, every=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spacing", [6e-3, 4e-3])
 def test_a_plane_that_crushes_a_block_ends_the_run_while_its_force_still_rises(spacing):
     tissue = pt.materials.MooneyRivlin(C1=2.2e3, C2=0, density=1060, poisson=0.45)

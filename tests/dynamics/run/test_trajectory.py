@@ -293,6 +293,7 @@ def test_a_full_disk_leaves_only_the_old_file(run, path, disk):
     assert pt.Trajectory.load(path).model == "old"
 
 
+@pytest.mark.slow
 def test_a_disk_that_fills_up_during_a_run_is_named_and_keeps_frames(tmp_path):
     """Files of this process cannot grow beyond a limit, as on a full disk."""
     path = tmp_path / "run.h5"

@@ -242,6 +242,7 @@ def test_the_lowest_vibrations_are_those_of_finite_elements(poisson, jitter):
     np.testing.assert_allclose(found[6:], (torsion2, third), rtol=0.08)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poisson", [0.3, 0.49])
 def test_a_beam_five_nodes_across_bends_as_far_as_in_closed_form(poisson):
     """The clamp holds the sections' width, too: finite elements bend by 2.7 % less at 0.49."""
@@ -319,6 +320,7 @@ def test_energy_balances_up_to_the_square_of_the_step(tissue, pull, jitter):
     assert missed[1] < missed[0] / 12
 
 
+@pytest.mark.slow
 def test_a_free_vibration_keeps_its_energy_without_damping_and_loses_it_with(bar, tissue):
     u = np.zeros_like(bar.points)
     u[:, 2] = 5 * bar.points[:, 0] ** 2

@@ -8,6 +8,8 @@ import pytest
 from palpate.meshfree.cut.clipping import CLIP_MARGIN, clipped
 from palpate.meshfree.cut.surface import triangle_areas
 
+pytestmark = pytest.mark.slow
+
 SPACING = 0.1
 CORNERS = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
 WIDTH = 1.0 + 2 * CLIP_MARGIN * SPACING

@@ -8,6 +8,8 @@ import pytest
 from palpate.code_cache import cached_njit
 from palpate.meshfree.cut.crossings import ANY_COMPONENT, crosses, first_crossings, triangle_tree
 
+pytestmark = pytest.mark.slow
+
 SPACING = 0.1
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 import palpate as pt
 from palpate.dynamics.contact.geometry import rotation
@@ -10,6 +11,8 @@ from palpate.dynamics.run.model import State
 from palpate.dynamics.solid.cutting.blade_cut import advance_blade
 from palpate.meshfree.cut.face_points import face_points, no_face_points
 from palpate.meshfree.cut.surface import changed_spheres, swept
+
+pytestmark = pytest.mark.slow
 
 SPACING = 4e-3
 SIZE = (0.03, 0.03, 0.02)

@@ -13,6 +13,8 @@ import palpate as pt
 from palpate.meshfree.cut.points import inside_body, shares_inside
 from palpate.surface.nesting import inside_points, inside_shares
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module", params=["box", "ball"])
 def cloud(request):

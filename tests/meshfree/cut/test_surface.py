@@ -12,6 +12,8 @@ from palpate.meshfree.cut.bond_paths import bond_paths
 from palpate.meshfree.cut.surface import NO_CUT, changed_spheres, cut_surface, swept
 from palpate.surface.nesting import inside_points
 
+pytestmark = pytest.mark.slow
+
 SPACING = 0.1
 BODY = pt.box((1.0, 1.0, 1.0), SPACING)
 IS_INSIDE = partial(inside_points, corners=BODY.points[BODY.triangles])

@@ -16,6 +16,8 @@ from palpate.dynamics.nodal import period_data as nodal
 from palpate.realtime.loop import passed
 from palpate.realtime.observable import make_observable
 
+pytestmark = pytest.mark.slow
+
 SIZE, SPACING, BALL = (0.03, 0.03, 0.02), 0.005, 0.012  # [m]
 HOME = np.array([0.015, 0.015, SIZE[2] + BALL + 0.0005])
 PERIOD = 1e-3  # [s]
@@ -56,6 +58,7 @@ class Stepped:
         return np.array([self.to([0.0, 0.0, -path((k + 1) * PERIOD)]) for k in range(round(duration / PERIOD))])
 
 
+@pytest.mark.quick
 def test_the_force_of_a_slow_press_is_that_of_a_run(block):
     stepped = Stepped(block)
     reports = stepped.press(0.3)
@@ -88,7 +91,6 @@ def test_a_body_at_rest_is_touched_in_periods_shorter_than_its_step(block):
     np.testing.assert_allclose(means, slower, atol=0.02 * np.abs(slower).max())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("tool", "height"),
     [
@@ -115,7 +117,6 @@ def test_the_force_of_other_tools_is_that_of_a_run(block, tool, height):
     np.testing.assert_allclose(means, force, atol=0.02 * np.abs(force).max())
 
 
-@pytest.mark.slow
 def test_the_force_on_a_membrane_is_that_of_a_run():
     rubber = pt.materials.NeoHookean(C1=0.17e6, density=1200.0, poisson=0.5)
     sheet = pt.Membrane(pt.disc(0.05, 0.005), rubber, 1e-3, "rim", prestretch=1.05)
@@ -129,6 +130,7 @@ def test_the_force_on_a_membrane_is_that_of_a_run():
     np.testing.assert_allclose(means, force, atol=0.01 * np.abs(force).max())
 
 
+@pytest.mark.quick
 def test_energies_are_those_of_the_body(block):
     stepped = Stepped(block)
     report = stepped.press(0.15)[-1]
@@ -137,6 +139,7 @@ def test_energies_are_those_of_the_body(block):
     assert report[4] == pytest.approx(block.strain_energy(u), rel=0.02)
 
 
+@pytest.mark.quick
 def test_a_body_at_rest_stays_at_rest_and_returns_to_it(block):
     stepped = Stepped(block)
     stepped.press(0.02, lambda t: 0.0)
@@ -171,7 +174,6 @@ def test_equal_motions_give_equal_bits_for_any_number_of_threads(block):
     assert results[0] == results[1]
 
 
-@pytest.mark.slow
 def test_storms_of_poses_leave_a_finite_body(block):
     stepped, rng = Stepped(block), np.random.default_rng(0)
     pose, aim = np.zeros(3), np.zeros(3)
@@ -199,7 +201,6 @@ def test_a_period_with_too_long_steps_is_repeated_with_shorter_ones(block):
     assert np.abs(stepped.q).max() < SIZE[2]
 
 
-@pytest.mark.slow
 def test_a_drift_of_the_sums_of_work_stops_no_body(block):
     stepped, same = Stepped(block), Stepped(block)
     stepped.press(0.15)
@@ -214,7 +215,6 @@ def test_a_drift_of_the_sums_of_work_stops_no_body(block):
     np.testing.assert_allclose(drifted[[0, 1, -1], 10], still[[0, 1, -1], 10], rtol=0.03)
 
 
-@pytest.mark.slow
 def test_a_force_without_a_step_is_that_of_the_last_one(block):
     """With half the modulus the body's time is slower, and some periods have no step."""
     made = make_observable(pt.realtime_model(block, contact=ball(tuple(HOME))))
@@ -231,7 +231,6 @@ def test_a_force_without_a_step_is_that_of_the_last_one(block):
     assert late.min() > 0.7 * late.max()
 
 
-@pytest.mark.slow
 def test_relaxing_tissue_and_foundations_are_stepped():
     prony = pt.materials.Prony(shares=[1.0], times=[0.02])
     body = pt.Solid(pt.box(SIZE, SPACING), law(prony=prony), "z-")
@@ -245,6 +244,7 @@ def test_relaxing_tissue_and_foundations_are_stepped():
     np.testing.assert_allclose(held.reshape(20, 20).mean(axis=1), force, atol=0.015 * np.abs(force).max())
 
 
+@pytest.mark.quick
 def test_another_tool_takes_the_place_of_the_first(block):
     stepped = Stepped(block)
     stepped.press(0.15)
@@ -266,6 +266,7 @@ def turned(angle):
     return np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
 
 
+@pytest.mark.quick
 def test_a_slow_grasp_has_force_and_moment_of_a_run(block):
     lift, angle = lambda t: depth(t) * np.array([0.7, 0.0, 0.7]), lambda t: 40 * depth(t)
     stepped = Stepped(block, GRASP)
@@ -378,6 +379,7 @@ def test_forceps_take_hold_of_strained_tissue_without_a_tug(block):
     assert np.abs(stepped.q - before).reshape(-1, 3)[nodes].max() > 1e-5
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize(
     ("forceps", "message"),
     [
@@ -391,6 +393,7 @@ def test_forceps_that_cannot_hold_are_refused(block, forceps, message):
         pt.realtime_model(block, contact=forceps)
 
 
+@pytest.mark.quick
 def test_contact_stiffness_is_the_slope_of_the_force(block):
     stepped, out, slopes = Stepped(block), np.zeros((12, 12)), []
     for k in range(500):
@@ -422,6 +425,7 @@ def test_sliding_nodes_count_in_the_stable_step():
     assert clock[nodal.FREQUENCY] == pytest.approx(data.body.resting_frequency, rel=0.3)
 
 
+@pytest.mark.quick
 def test_an_engine_steps_a_full_body(block):
     engine = pt.Engine(pt.realtime_model(block, contact=ball(tuple(HOME))), on_distrust="ignore", max_speed=0.2)
     engine.set_pose((0.0, 0.0, -0.003))
@@ -466,7 +470,6 @@ def test_moduli_of_tissue_that_relaxes_and_of_other_engines_are_not_changed(bloc
         pt.Engine(pt.realtime_model(block, contact=ball(tuple(HOME)))).set_modulus_ratio(2.0)
 
 
-@pytest.mark.slow
 def test_the_example_prints_a_growing_force(capsys):
     runpy.run_path(str(Path(__file__).parents[3] / "examples" / "engine.py"))
     lines = capsys.readouterr().out.splitlines()
@@ -476,6 +479,7 @@ def test_the_example_prints_a_growing_force(capsys):
     assert forces[-1] > forces[10]
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize(
     ("make", "message"),
     [

@@ -37,6 +37,7 @@ def sag(body):
     return float(body.masses @ moved.reshape(-1, 3)[:, 0] / body.masses.sum())
 
 
+@pytest.mark.slow
 def test_a_coarse_body_has_the_shape_and_the_statics_of_the_fine_one(body, coarse):
     assert 100 < len(coarse.cloud) < 0.7 * len(body.cloud)
     assert coarse.cloud.volumes.sum() == pytest.approx(np.prod(SIZE), rel=1e-6)

@@ -19,6 +19,8 @@ from palpate.reduction.contact.gauss_seidel import solve_contact, tool_energy
 from palpate.reduction.contact.surface import PAIRS, RigidTools, contact_scratch, contact_surface, rigid_tools
 from palpate.reduction.training.round_compliance import MAX_STEP
 
+pytestmark = pytest.mark.slow
+
 SPACING, RADIUS = 0.002, 0.008
 HELD = np.zeros((3, 3))  # an inverse mass matrix of modes that do not respond
 SIZE, BALL = (0.06, 0.06, 0.03), 0.015
@@ -68,6 +70,7 @@ def gaps(contact, tools):
     )
 
 
+@pytest.mark.quick
 def test_no_node_is_inside_the_tool_and_no_force_pulls():
     of = flat_skin()
     contact, tools = contact_scratch(of, 1), ball(of)
@@ -156,6 +159,7 @@ def test_energies_of_tools_have_what_they_share_and_are_those_of_a_run():
     )
 
 
+@pytest.mark.quick
 def test_contact_displacements_are_the_compliance_times_the_forces():
     points = np.random.default_rng(1).random((30, 3))
     compliance = falling(points, np.arange(5, 30), [0.1, 0.4], [2.0, 3.0], 1.0)
@@ -192,7 +196,6 @@ def pressed():
     return body, runs, model
 
 
-@pytest.mark.slow
 def test_contact_forces_of_a_run_sum_to_the_reactions_and_are_stored(pressed, tmp_path):
     _, (run, *_), _ = pressed
     pushes = np.zeros((len(run.times), 3))
@@ -202,6 +205,7 @@ def test_contact_forces_of_a_run_sum_to_the_reactions_and_are_stored(pressed, tm
     np.testing.assert_array_equal(pt.Trajectory.load(tmp_path / "run.h5").contact_forces, run.contact_forces)
 
 
+@pytest.mark.quick
 def test_force_and_surface_of_a_press_it_was_not_trained_on(pressed):
     body, runs, model = pressed
     run = pt.rollout(model, press(0.024, 0.038), duration=0.2, every=0.005)
@@ -217,7 +221,6 @@ def test_force_and_surface_of_a_press_it_was_not_trained_on(pressed):
     assert np.abs(run.balance).max() < 0.05 * run.external.max()
 
 
-@pytest.mark.slow
 def test_rounding_of_the_compliance_adds_little_error_to_a_press_it_was_not_trained_on(pressed, monkeypatch):
     body, runs, model = pressed
     monkeypatch.setattr("palpate.reduction.training.reduce.round_compliance", lambda compliance: compliance)
@@ -257,7 +260,6 @@ def test_interior_nodes_follow_the_contact_displacements(pressed):
     assert pt.relative_errors(runs[-1], own).displacement < pt.relative_errors(runs[-1], bare).displacement
 
 
-@pytest.mark.slow
 def test_calibration_matches_the_forces_of_full_runs(pressed):
     body, runs, model = pressed
     trials = [(press(0.021, 0.027), runs[0])]
@@ -278,7 +280,6 @@ def force_error(body_run, run) -> float:
     return float(np.median(np.abs(mine[pressing] / full[pressing] - 1)))
 
 
-@pytest.mark.slow
 def test_runs_with_tools_are_reduced_to_vibrations_by_default(pressed):
     body, runs, _ = pressed
     model = pt.hyper_reduce(body, runs[:-1], modes=24)
@@ -293,6 +294,7 @@ def test_runs_with_tools_are_reduced_to_vibrations_by_default(pressed):
     assert force_error(runs[-1], other) > 2 * force_error(runs[-1], run)
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -306,7 +308,6 @@ def test_a_basis_that_does_not_exist_is_refused(pressed, options, message):
         pt.hyper_reduce(body, runs[:-1], modes=4, **options)
 
 
-@pytest.mark.slow
 def test_a_large_body_with_tools_has_a_coarse_one_made_of_its_surface(pressed, monkeypatch):
     body, runs, _ = pressed
     most = len(body.cloud) - 1
@@ -326,7 +327,6 @@ def test_a_large_body_with_tools_has_a_coarse_one_made_of_its_surface(pressed, m
         pt.hyper_reduce(open_body, runs[:-1], modes=12)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("longer", [0.0, 1e9, -1.0])
 def test_training_runs_that_no_model_can_follow_are_refused(pressed, longer):
     body, runs, _ = pressed
@@ -376,6 +376,7 @@ def run_without(run):
     return replace(run, contact_forces=np.zeros((0, 5)))
 
 
+@pytest.mark.quick
 def test_the_engine_has_the_tool_force_of_a_run(pressed):
     """Periods of the compiled step of the engine and `rollout`: equal paths of a ball give equal forces."""
     _, _, model = pressed
@@ -428,7 +429,6 @@ def test_the_engine_turns_a_tool_from_its_pose_at_the_start(pressed):
     np.testing.assert_allclose(means, run.reactions["tool"][1:], atol=0.05 * peak)
 
 
-@pytest.mark.slow
 @pytest.mark.xfail(
     reason="contact of a model of one press misses 0.1 to 7 of the tool's work on filled and jittered clouds, and on "
     "lattices since their patches are as narrow"
@@ -486,6 +486,7 @@ def test_a_grasp_is_released_and_acts_together_with_a_ball(pressed):
     np.testing.assert_allclose(pushes, run.reactions["grasp"] + run.reactions["ball"], atol=1e-9)
 
 
+@pytest.mark.quick
 def test_a_grasp_of_fixed_nodes_or_of_no_nodes_is_refused(pressed):
     _, _, model = pressed
     with pytest.raises(pt.InputError, match="fixed nodes within"):
@@ -527,6 +528,7 @@ def test_two_tools_of_the_engine_are_those_of_a_run(pressed):
         np.testing.assert_allclose(means, pushed, atol=0.03 * np.abs(pushed).max())
 
 
+@pytest.mark.quick
 def test_an_engine_presses_and_releases(pressed):
     _, _, model = pressed
     home = (0.03, 0.03, SIZE[2] + BALL + 0.001)

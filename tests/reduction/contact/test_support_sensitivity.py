@@ -12,6 +12,8 @@ from palpate.reduction.basis.linear_modes import rest_stiffness
 from palpate.reduction.contact.coarse_body import coarse_body
 from palpate.reduction.contact.support_sensitivity import Press, select_presses, support_sensitivity
 
+pytestmark = pytest.mark.slow
+
 TISSUE = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1000, poisson=0.4)
 SIZE = (0.04, 0.04, 0.02)
 
@@ -67,7 +69,6 @@ def test_the_force_is_proportional_to_springs_that_are_much_softer_than_the_body
     np.testing.assert_allclose(changes["springs"]["doubled"]["place"], [0.02, 0.02, SIZE[2]], atol=1e-9)
 
 
-@pytest.mark.slow
 def test_median_and_largest_change_are_those_of_the_presses(cloud):
     body = pt.Solid(cloud, TISSUE, "x-")
     presses = [press(cloud, x, 0.02) for x in (0.012, 0.025, 0.035)]

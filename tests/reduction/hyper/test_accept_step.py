@@ -9,6 +9,8 @@ import palpate as pt
 from palpate.dynamics.run.model import Model
 from palpate.reduction.hyper.model import MAX_ENERGY_ERROR
 
+pytestmark = pytest.mark.slow
+
 SOFT = {"C1": 6e3, "C2": 0.0, "density": 1000.0, "poisson": 0.45}
 MAX_STEPS = 1.2  # steps of a run over those without the check
 END = 0.1  # [s] of the pull
@@ -46,15 +48,12 @@ def energy_error(run) -> float:
     return float(np.abs(run.balance).max() / max(run.external.max(), (run.kinetic + run.strain).max()))
 
 
-@pytest.mark.slow
-@pytest.mark.quick(every=[0.001])
 @pytest.mark.parametrize("every", [0.001, 0.002, 0.005, 0.01])
 def test_good_steps_of_a_pull_and_its_release_are_accepted(trained, every, monkeypatch):
     checked, free = checked_and_unchecked(trained, pull(0.5), monkeypatch, duration=0.3, every=every)
     assert checked.steps[-1] <= MAX_STEPS * free.steps[-1]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("every", [0.001, 0.01])
 def test_steps_under_a_force_that_the_modes_cannot_feel_are_accepted(trained, every, monkeypatch):
     """The energy is that of rounding."""
@@ -62,7 +61,6 @@ def test_steps_under_a_force_that_the_modes_cannot_feel_are_accepted(trained, ev
     assert checked.steps[-1] <= MAX_STEPS * free.steps[-1]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("every", [0.001, 0.01])
 def test_steps_far_beyond_training_are_repeated_only_where_they_gain_energy(trained, every, monkeypatch):
     """A force for a stretch of four, forty times that of the training."""
@@ -71,7 +69,6 @@ def test_steps_far_beyond_training_are_repeated_only_where_they_gain_energy(trai
     assert checked.steps[-1] <= MAX_STEPS * free.steps[-1] or energy_error(free) > MAX_ENERGY_ERROR
 
 
-@pytest.mark.slow
 def test_a_body_that_comes_to_rest_keeps_its_steps(monkeypatch):
     full = bar(1e-3)
     short = pull(0.5, end=0.01)

@@ -14,6 +14,8 @@ from palpate.reduction.hyper.data import ReducedData
 from palpate.reduction.hyper.load_share import MAX_LOAD_SCALE, MIN_LOAD_SCALE, static_response
 from palpate.reduction.training.calibrate_indicator import Measures, calibrate_scales, trust_numbers
 
+pytestmark = pytest.mark.slow
+
 SOFT = pt.materials.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=0.45)
 DURATION, EVERY = 0.1, 0.01
 
@@ -83,6 +85,7 @@ def test_a_load_across_the_symmetry_of_the_training_is_not_trusted(pulled, loads
     assert all(pulled.trust(state, prepared) > 1 for state in states(pulled, own)[1:])
 
 
+@pytest.mark.quick
 def test_the_trained_load_has_a_small_share(pulled, beam):
     loads = [end_force((4.0, 0.0, 0.0))]
     prepared = pulled.prepare(loads)
@@ -156,6 +159,7 @@ def beam_data(beam: pt.Solid) -> ReducedData:
     return pt.hyper_reduce(beam, run(beam, [end_force((1.0, 0.0, 0.0))]), modes=1).data
 
 
+@pytest.mark.quick
 def test_a_trajectory_holds_trust_and_warns_once(pulled, tmp_path):
     side = [end_force((0.0, 1.0, 0.0))]
     with pytest.warns(pt.TrustWarning, match=r"reached 3.33 at t = .* s, above 1.*full model") as told:
@@ -195,7 +199,6 @@ def test_the_training_motion_itself_is_trusted_without_held_out_runs(beam, modes
     assert own.trust.max() <= 1
 
 
-@pytest.mark.slow
 def test_wrong_predictions_under_untrained_loads_are_not_trusted():
     """Random symmetric bars, each trained on a symmetric load, under random loads outside the span."""
     random, wrong = np.random.default_rng(0), 0
@@ -242,7 +245,6 @@ def test_a_shaken_face_is_not_trusted_by_modes_of_its_pull():
     assert np.quantile(shares, 0.75) > 0.8
 
 
-@pytest.mark.slow
 def test_a_sheet_moved_in_its_plane_is_not_trusted_by_modes_of_its_deflection():
     cloud = pt.disc(0.1, 0.01)
     cloud = cloud.within("tool", (0.0, 0.0), 0.015)

@@ -75,6 +75,7 @@ def random_state(model, rng, size=2e-3):
     return size * rng.standard_normal(model.count) / model.body.sizes / np.sqrt(model.count)
 
 
+@pytest.mark.slow
 def test_all_nodes_with_their_volumes_are_the_galerkin_model(body, whole):
     rng, columns = np.random.default_rng(0), whole.data.basis_vectors[: whole.count]
     precise = pt.ReducedModel(whole.data, single=False)
@@ -126,6 +127,7 @@ def test_a_trained_motion_is_reproduced(rom, runs):
     assert errors.energy < 0.01
 
 
+@pytest.mark.slow
 def test_untrained_motions_are_reproduced_better_with_more_modes(body, runs):
     loads = pull(5.0, 0.2, -1.5e-3, rate=260.0)
     full = rollout(body, loads)
@@ -148,6 +150,7 @@ def test_runs_far_beyond_training_remain_bounded(body, runs, modes):
         assert np.abs(run.balance).max() < 0.05 * largest
 
 
+@pytest.mark.slow
 def test_implicit_and_small_explicit_steps_agree(rom):
     fine = rollout(rom, pull(), step=2e-6)
     coarse = rollout(rom.with_step(5e-5), pull())
@@ -158,6 +161,7 @@ def test_implicit_and_small_explicit_steps_agree(rom):
     assert missed[0] / missed[1] == pytest.approx(4.0, rel=0.35)  # second order
 
 
+@pytest.mark.slow
 def test_implicit_steps_keep_the_energy_of_a_free_body(body, runs):
     data = replace(pt.hyper_reduce(body, runs, modes=8).data, stiffness_damping=0.0)
     model = pt.ReducedModel(data, step=2e-4)
@@ -167,6 +171,7 @@ def test_implicit_steps_keep_the_energy_of_a_free_body(body, runs):
     assert np.abs(energy / energy[0] - 1).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_the_force_of_a_tool_is_that_of_the_full_model(grasped):
     loads, full, rom = grasped
     run = rollout(rom, loads)
@@ -175,6 +180,7 @@ def test_the_force_of_a_tool_is_that_of_the_full_model(grasped):
     assert errors.reaction < 0.08
 
 
+@pytest.mark.slow
 def test_the_force_of_a_tool_at_rest_is_the_derivative_of_the_energy(grasped):
     """Hold the tool still until the body rests; move it a little: the work is the energy."""
     _, _, rom = grasped
@@ -189,6 +195,7 @@ def test_the_force_of_a_tool_at_rest_is_the_derivative_of_the_energy(grasped):
     assert force == pytest.approx((above - below) / 0.2e-3, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_after_release_the_body_moves_freely(grasped):
     loads, _, rom = grasped
     freed = [pt.PrescribedMotion("x+", loads[0].displacement, until=0.006)]
@@ -199,6 +206,7 @@ def test_after_release_the_body_moves_freely(grasped):
     assert late[-1] <= 1.001 * late[0]
 
 
+@pytest.mark.slow
 def test_in_the_engine_a_resting_tool_has_the_static_force(grasped):
     _, _, rom = grasped
     model = pt.ReducedModel(replace(rom.data, stiffness_damping=2e-3))
@@ -220,6 +228,7 @@ def test_in_the_engine_a_resting_tool_has_the_static_force(grasped):
     np.testing.assert_allclose(around[:, 0], (moved - expected) / 1e-5, atol=0.03 * np.abs(around[0, 0]))
 
 
+@pytest.mark.slow
 def test_a_diverging_period_does_not_change_the_state(grasped):
     rom = pt.realtime_model(grasped[2])
     q, v, report = np.zeros(len(rom.rest)), np.zeros(len(rom.rest)), np.zeros(8 + rom.tool.shape[0])
@@ -241,6 +250,7 @@ def test_trust_is_small_in_training_and_large_far_from_it(body, runs, rom):
     assert inside < 1 < outside
 
 
+@pytest.mark.slow
 def test_held_out_runs_calibrate_trust_and_are_reported(body, runs):
     loads = pull(5.0, 0.2, -1.5e-3)
     full = rollout(body, loads)
@@ -271,6 +281,7 @@ def test_a_tolerance_selects_the_fewest_modes_that_meet_it(body, runs):
         pt.hyper_reduce(body, runs[:1], tolerance=1e-9, held_out=held)
 
 
+@pytest.mark.slow
 def test_a_strong_form_is_reduced_in_the_energy_form(body, runs):
     strong = pt.Solid(body.cloud, body.material, "x-", form="strong", stiffness_damping=6e-5)
     slow = pull(8.0, 0.0, 0.0, rate=60.0)
@@ -280,6 +291,7 @@ def test_a_strong_form_is_reduced_in_the_energy_form(body, runs):
     assert pt.relative_errors(run, rollout(rom, slow)).displacement < 0.12
 
 
+@pytest.mark.slow
 def test_modes_of_strain_are_orthonormal_and_optimal_for_strain(body, runs):
     snapshots = np.concatenate([run.displacements for run in runs])
     modes, lost = main_modes(body, snapshots, 8)

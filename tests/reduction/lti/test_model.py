@@ -17,6 +17,8 @@ from palpate.reduction.lti.storage import FORMAT, VERSION
 from palpate.reduction.storage.model_file import FORMAT as REDUCED
 from palpate.sealed import write_sealed
 
+pytestmark = pytest.mark.slow
+
 HOLD = {"duration": 0.02, "every": 0.0005, "progress": False}
 
 
@@ -49,7 +51,6 @@ def test_with_all_modes_the_linear_model_equals_the_full_model_under_small_loads
     assert own.model == "linear"
 
 
-@pytest.mark.slow
 def test_with_all_modes_the_linear_model_equals_the_strong_form_under_small_loads(strong_system, strong, soft_pull):
     whole = LinearModel(strong_system, project(strong_system, np.diag(1 / np.sqrt(strong_system.mass.diagonal()))))
     full, own = (pt.rollout(model, [soft_pull], **HOLD) for model in (strong, whole))
@@ -113,6 +114,7 @@ def test_forces_energy_and_stress_are_those_of_the_linear_body(whole, energetic)
     np.testing.assert_allclose(linear_stress(energetic, 1e3 * u), 1e3 * stress, rtol=1e-6)  # linear, however far
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize(
     ("loads", "message"),
     [
@@ -212,6 +214,7 @@ def test_the_linear_range_ends_where_the_force_is_nonlinear_by_a_tenth(tool_syst
     assert worst[0] < 0.1 < worst[1] < 0.12
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize("method", ["modal", "hankel"])
 def test_a_loaded_model_equals_the_saved_one(method, system, tool_system, soft_pull, tmp_path):
     model = pt.lti.reduce_linear(system, method, 5, condense=40)
@@ -236,6 +239,7 @@ def test_the_header_of_a_file_selects_the_kind_of_model(system, tmp_path):
         pt.load(tmp_path / "bar.rom")
 
 
+@pytest.mark.quick
 def test_files_that_are_not_a_linear_model_are_refused(system, tmp_path):
     with pytest.raises(FileNotFoundError):
         pt.load(tmp_path / "none.lti", system)

@@ -11,6 +11,8 @@ from palpate.dynamics.nodal.stability import stiffness
 from palpate.reduction.basis.linear_modes import rest_stiffness
 from palpate.reduction.lti.stiffness import coupling, independent_groups, nodal_stiffness
 
+pytestmark = pytest.mark.slow
+
 MOTION = (0.0, 0.0, 0.0)
 
 
@@ -26,7 +28,6 @@ def test_the_stiffness_is_the_slope_of_the_nonlinear_force(form, request):
     assert system.symmetric == (form == "system")
 
 
-@pytest.mark.slow
 def test_the_stiffness_at_a_deformed_state_is_the_derivative_of_the_force(energetic):
     u = 4e-4 * np.sin(200 * energetic.cloud.points)
     u[energetic.fixed_mask] = 0.0
@@ -46,7 +47,6 @@ def test_differences_and_stencils_give_the_same_stiffness(energetic):
     np.testing.assert_allclose(by_differences.toarray(), assembled.toarray(), atol=1e-8 * np.abs(assembled.data).max())
 
 
-@pytest.mark.slow
 def test_the_linearised_sheet_has_the_stiffness_of_its_force():
     cloud = pt.sheet([(0.0, 0.0), (0.04, 0.0), (0.04, 0.03), (0.0, 0.03)], spacing=0.005)
     material = pt.materials.NeoHookean(C1=17e3, density=1000.0, poisson=0.5)
@@ -58,7 +58,6 @@ def test_the_linearised_sheet_has_the_stiffness_of_its_force():
     np.testing.assert_allclose(-found, slope, atol=1e-7 * np.abs(slope).max())
 
 
-@pytest.mark.slow
 def test_groups_of_columns_share_no_row():
     cloud = pt.box((0.2, 0.02, 0.02), spacing=0.005)
     model = pt.Solid(cloud, pt.materials.NeoHookean(C1=5e3, density=1000.0, poisson=0.45), "x-", form="energy")

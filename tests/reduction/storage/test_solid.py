@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 import palpate as pt
 from palpate.reduction.storage.solid import body_contents, body_in
 from palpate.sealed import open_sealed, write_sealed
+
+pytestmark = pytest.mark.slow
 
 LAW = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1000.0, poisson=0.45)
 STIFF = pt.materials.MooneyRivlin(C1=8e3, C2=1e3, density=1000.0, poisson=0.45)

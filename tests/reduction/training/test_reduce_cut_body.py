@@ -8,6 +8,8 @@ import pytest
 import palpate as pt
 from palpate.reduction.contact.coarse_body import coarse_body
 
+pytestmark = pytest.mark.slow
+
 A, B, C, D = (0.0155, -0.01, 0.0075), (0.0155, 0.04, 0.0075), (0.0155, 0.04, 0.025), (0.0155, -0.01, 0.025)
 TRIANGLES = [(A, B, C), (A, C, D)]  # half through a block, from above
 RUN = {"duration": 0.2, "every": 0.01, "progress": False}
@@ -36,7 +38,6 @@ def model(opened, runs):
     return pt.hyper_reduce(opened, runs, modes=8)
 
 
-@pytest.mark.slow
 def test_runs_agree_with_the_full_model_of_the_cut(opened, model):
     both = pt.SurfaceForce("x+", force=lambda t: (0.7 * min(t, 0.1), 0, -0.15 * min(t, 0.1)))
     exact = pt.rollout(opened, [both], **RUN)
@@ -66,7 +67,6 @@ def test_the_surface_of_a_cut_body_is_not_filled_again(opened):
         coarse_body(opened)
 
 
-@pytest.mark.slow
 def test_the_engine_steps_a_cut_model_under_a_tool():
     opened = pt.cut(block("z-"), TRIANGLES)
     ball = pt.tools.Contact(pt.tools.Sphere(radius=0.008), lambda t: (0.009, 0.015, 0.0232 - 0.03 * min(t, 0.1)))

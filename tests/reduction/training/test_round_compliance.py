@@ -15,6 +15,8 @@ from palpate.reduction.contact.residual_flexibility import carriers, residual_fl
 from palpate.reduction.training.fit_compliance import _free_interior, _free_surface
 from palpate.reduction.training.round_compliance import MAX_INTERIOR_STEP, MAX_STEP, round_compliance
 
+pytestmark = pytest.mark.slow
+
 SIZE, FACTOR = (0.06, 0.06, 0.03), 1.37
 
 
@@ -70,7 +72,6 @@ def matrix(compliance):
     return whole.reshape(3 * count, 3 * count)
 
 
-@pytest.mark.slow
 def test_all_values_are_multiples_of_a_power_of_two_and_err_by_half_of_it(exact, rounded):
     typical = np.median(np.diagonal(exact.flexibility))
     for limit, before, after in (

@@ -8,6 +8,8 @@ from scipy.spatial.transform import Rotation
 
 import palpate as pt
 
+pytestmark = pytest.mark.slow
+
 SPACING, THICKNESS, TOUGHNESS = 2e-3, 6e-3, 5.0
 SIZE = (32e-3, 20e-3, THICKNESS)
 # the edge along z of the sheet, cutting towards x
@@ -52,7 +54,6 @@ def test_the_energy_balance_of_a_blade_closes(steady_cut):
     assert np.abs(run.released_energy).max() <= 0.05 * run.external[-1]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("speed", [1.0, 2.0])
 def test_the_force_of_a_fast_blade_is_that_of_a_slow_one(speed):
     blade = pt.tools.Blade(EDGE, toughness=TOUGHNESS)
@@ -79,7 +80,6 @@ def test_cuts_and_their_energies_are_stored(steady_cut, tmp_path):
     assert len(again.cuts)
 
 
-@pytest.mark.slow
 def test_out_and_in_again_costs_the_toughness_of_the_new_area_only():
     def motion(t):  # in, out, in again a little further
         return float(np.interp(t, [0.0, 0.15, 0.3, 0.45, 0.5], [-3e-3, 12e-3, -3e-3, 12e-3, 15e-3]))
@@ -94,7 +94,6 @@ def test_out_and_in_again_costs_the_toughness_of_the_new_area_only():
     assert work[9] - work[3] <= 0.12 * work[3]
 
 
-@pytest.mark.slow
 def test_a_curved_blade_that_is_drawn_out_along_its_edge_cuts_nothing():
     tissue = pt.materials.MooneyRivlin(C1=1500.0, C2=0, density=1060.0, poisson=0.45)
     body = pt.Solid(pt.box((0.06, 0.03, 0.02), 5e-3, jitter=0.2), tissue, fixed="z-")
@@ -115,7 +114,6 @@ def test_a_curved_blade_that_is_drawn_out_along_its_edge_cuts_nothing():
     assert work[10] - work[5] == pytest.approx(5.0 * (area[10] - area[5]), rel=0.03)
 
 
-@pytest.mark.slow
 def test_friction_adds_the_shear_stress_on_both_sides():
     runs = [
         pt.rollout(
@@ -129,7 +127,6 @@ def test_friction_adds_the_shear_stress_on_both_sides():
     assert np.abs(runs[1].balance).max() <= 5e-3 * runs[1].external[-1]
 
 
-@pytest.mark.slow
 def test_the_thickness_of_a_blade_wedges_the_cut_apart():
     """Without a thickness the faces stay together; the balance of the run closes all the same."""
     wedge = 1.5e-3
@@ -169,7 +166,6 @@ def test_a_blade_that_begins_inside_is_refused():
         pt.rollout(sheet(), [blade], duration=0.01, every=0.01, progress=False)
 
 
-@pytest.mark.slow
 def test_a_blade_that_reaches_a_support_ends_the_run_with_its_frames():
     blade = knife(pt.tools.Blade(EDGE, toughness=0.0), lambda t: -2e-3 + 1.2 * t)
     with pytest.raises(pt.DivergenceError, match="which a support or a tool holds") as error:

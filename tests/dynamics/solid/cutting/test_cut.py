@@ -9,6 +9,8 @@ from scipy.spatial.transform import Rotation
 import palpate as pt
 from palpate.meshfree.cut.surface import swept
 
+pytestmark = pytest.mark.slow
+
 SPACING = 1e-3
 SIZE = np.array([12, 11, 13]) * SPACING
 TISSUE = pt.materials.MooneyRivlin(C1=500.0, C2=0.0, poisson=0.45, density=1000.0)
@@ -228,7 +230,6 @@ def test_a_huge_triangle_cuts_as_one_of_the_size_of_the_body(block):
     np.testing.assert_allclose(far.force(u), near.force(u), rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.slow
 def test_statics_names_a_piece_that_nothing_holds(block):
     held = pt.Solid(block.cloud, TISSUE, fixed="z-")
     body = pt.cut(held, rectangle(0.5 * SIZE + (0.0, 0.0, 0.3 * SPACING), (0, 0, 1), 1.0))

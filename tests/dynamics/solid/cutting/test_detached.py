@@ -9,6 +9,8 @@ import palpate as pt
 from palpate.realtime.bodies.cut_display import CutFullSurface
 from palpate.realtime.bodies.full_surface import FullSurface
 
+pytestmark = pytest.mark.slow
+
 SPACING = 1e-3
 SIZE = np.array([9, 8, 10]) * SPACING
 TISSUE = pt.materials.MooneyRivlin(C1=500.0, C2=0.0, poisson=0.45, density=1000.0)
@@ -88,7 +90,6 @@ def test_a_tool_touches_no_removed_piece(halves, piece):
     assert deeper.reactions["tool"][-1, 2] < 0  # the rest
 
 
-@pytest.mark.slow
 def test_a_blade_meets_the_rest_only(halves):
     rest, across = halves[1], (0.0, 0.0, 0.5 * np.pi)
     motion = lambda t: ((4.4e-3, 0.5 * SIZE[1], SIZE[2] + 0.6e-3 - 0.4 * t), across)  # noqa: E731
