@@ -6,14 +6,12 @@ tutorials.
 
 from __future__ import annotations
 
-import random
 import re
 import sys
 import warnings
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -80,7 +78,7 @@ def run(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONSAFEPATH", "1")  # of programs that a page starts
     monkeypatch.setattr(sys, "argv", ["page.py"])
     monkeypatch.setattr(sys, "path", list(sys.path))
-    modules, states = set(sys.modules), (random.getstate(), np.random.get_state())
+    modules = set(sys.modules)
 
     def run(code, name):
         namespace = {"__name__": "__main__"}
@@ -90,8 +88,6 @@ def run(tmp_path, monkeypatch):
         return namespace
 
     yield run
-    random.setstate(states[0])
-    np.random.set_state(states[1])
     for name in set(sys.modules) - modules:
         if str(getattr(sys.modules[name], "__file__", None) or "").startswith(str(tmp_path)):
             del sys.modules[name]

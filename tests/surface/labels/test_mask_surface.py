@@ -21,7 +21,8 @@ from palpate.surface.labels.reading import is_label_map, read_label_map
 DATA = Path(__file__).parents[4] / "shared" / "data" / "labels"
 REFUSED = re.compile(r"x_|liver_cut_short" if find_spec("pydicom") else r"x_|liver_cut_short|.*\.dcm")
 EXAMPLE = Path(__file__).parents[3] / "examples" / "trunk.nii.gz"
-READABLE = [each for each in sorted(DATA.glob("*")) if is_label_map(each) and not REFUSED.match(each.name)]  # none in a clone alone
+# none in a clone alone
+READABLE = [each for each in sorted(DATA.glob("*")) if is_label_map(each) and not REFUSED.match(each.name)]
 MILLIMETRES = np.diag([2.0, 2.0, 2.0, 1.0])
 
 
