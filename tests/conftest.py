@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -80,26 +81,22 @@ def pytest_leave_to_release(items):
                 item.add_marker(pytest.mark.release)
 
 
-SLOW = "@slow"  # ends the names of slow tests between a worker and the scheduler, which sees no marks
-
-
 @pytest.hookimpl(specname="pytest_collection_modifyitems", wrapper=True, tryfirst=True)
-def pytest_quick_tests_first(config, items):
-    """Sort the slow tests of a session behind the quick ones; the scheduler gives both parts of a file to workers."""
+def pytest_quick_tests_first(items):
+    """Sort the slow tests of a session behind the quick ones."""
     yield
-    slow = [item for item in items if item.get_closest_marker("slow")]
-    items[:] = [item for item in items if not item.get_closest_marker("slow")] + slow
-    if hasattr(config, "workerinput"):
-        for item in slow:
-            item._nodeid += SLOW
+    items.sort(key=lambda item: item.get_closest_marker("slow") is not None)
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport():
-    """Report a slow test by its own name."""
-    report = yield
-    report.nodeid = report.nodeid.removesuffix(SLOW)
-    return report
+def units(nodeids, keep_app):
+    """Return the unit of a worker to which each test belongs: tests of a file in a row, or the first ones of ``app``."""
+    found, count, before, in_app = {}, Counter(), None, keep_app
+    for nodeid in nodeids:
+        file = nodeid.split("::", 1)[0]
+        in_app = in_app and folder_of(nodeid) == "app"
+        count[file] += file != before
+        found[nodeid], before = "app" if in_app else f"{file} {count[file]}", file
+    return found
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -115,10 +112,12 @@ def pytest_xdist_make_scheduler(config, log):
     from xdist.scheduler import LoadFileScheduling
 
     class Scheduler(LoadFileScheduling):
+        def add_node_collection(self, node, collection):
+            self.units = units(collection, config.getvalue("markexpr").split(" ")[0] not in ("slow", "release"))
+            super().add_node_collection(node, collection)
+
         def _split_scope(self, nodeid):
-            if nodeid.endswith(SLOW):
-                return super()._split_scope(nodeid) + SLOW
-            return "app" if folder_of(nodeid) == "app" else super()._split_scope(nodeid)
+            return self.units[nodeid]
 
     return Scheduler(config, log)
 
