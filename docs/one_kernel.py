@@ -13,8 +13,8 @@ from nbclient import NotebookClient
 from nbformat import NotebookNode
 
 BEGIN = """
+__import__("os").chdir({folder!r})  # first, because the folder of the page before is gone
 get_ipython().run_line_magic("reset", "-f")
-__import__("os").chdir({folder!r})
 """
 
 

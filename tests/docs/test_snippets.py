@@ -20,6 +20,7 @@ PAGES = sorted(
 )
 FRAGMENTS = {"docs/extending.md"}  # pieces of files, which test_extending.py applies
 QUICK = {"docs/howto/loads.md", "docs/supports.md"}
+RELEASE = {"docs/laws.md"}  # compiles six laws
 PACKAGES = {"pandas": "pandas", "websockets": "websockets", "pyvista": "pyvista", "pymor": "pymor"}
 FENCE = re.compile(
     r"^(?:<!-- not run: (?P<reason>[^\n]+?) -->\n+)?^```python\n(?P<code>.*?)^```$", re.MULTILINE | re.DOTALL
@@ -61,7 +62,8 @@ def cases():
     for path in PAGES:
         name = page_name(path)
         if name not in FRAGMENTS and program(path.read_text(encoding="utf-8")).strip():
-            yield pytest.param(path, id=name, marks=[] if name in QUICK else pytest.mark.slow)
+            marks = [] if name in QUICK else [pytest.mark.slow]
+            yield pytest.param(path, id=name, marks=marks + [pytest.mark.release] * (name in RELEASE))
 
 
 def required_packages(code):

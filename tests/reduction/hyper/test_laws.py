@@ -107,7 +107,7 @@ def test_all_nodes_are_the_galerkin_model_in_every_form_of_the_volumetric_part(n
     check_galerkin(block(law.kind(**law.example, **REST, volumetric=form)), 5e-6)
 
 
-@pytest.mark.each_kind(form=["mixed"])
+@pytest.mark.release
 @pytest.mark.parametrize("form", ["logarithmic", "mixed"])
 def test_a_sampled_body_in_another_form_has_the_slope_of_its_energy_crushed_or_not(form):
     body = block(pt.materials.NeoHookean(C1=5e3, **REST, volumetric=form))
