@@ -13,14 +13,19 @@ import palpate as pt
 from palpate.code_cache import code_folder
 from palpate.sealed import open_sealed, write_sealed
 
-ORDER = ("app", "dynamics", "meshfree", "tissue", "scenes", "realtime", "validation", "reduction", "contracts")
+SESSIONS = ("app/device", "app/session", "app/recordings", "app/view", "app/train", "app/new")
+ORDER = (
+    *SESSIONS, "surface", "tissue", "meshfree", "scenes", "app", "dynamics/run", "reduction/galerkin", "dynamics",
+    "realtime", "validation", "reduction", "contracts",
+)  # fmt: skip
 QUICK = "not slow and not lint"  # the tests of `make test`
 MARKED_MODULE = re.compile(r"^pytestmark = \[?\s*pytest\.mark\.(slow|lint)\b", re.MULTILINE)
 
 
-def folder_of(nodeid):
-    """Return the folder in ``tests`` of a test, or its file there."""
-    return nodeid.split("::", 1)[0].removeprefix("tests/").split("/", 1)[0]
+def place_of(nodeid):
+    """Return the place in `ORDER` of the folder of a test; files in ``tests`` itself are the last."""
+    file = nodeid.split("::", 1)[0].removeprefix("tests/")
+    return next((place for place, folder in enumerate(ORDER) if file.startswith(f"{folder}/")), len(ORDER))
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -68,7 +73,7 @@ def pytest_collection_modifyitems(items):
         node.own_markers = [mark for mark in node.own_markers if mark.name != "slow"]
     for item in slow:
         item.add_marker(pytest.mark.slow)
-    items.sort(key=lambda item: ORDER.index(folder_of(item.nodeid)) if folder_of(item.nodeid) in ORDER else len(ORDER))
+    items.sort(key=lambda item: place_of(item.nodeid))
 
 
 @pytest.hookimpl(specname="pytest_collection_modifyitems", tryfirst=True)
@@ -88,24 +93,24 @@ def pytest_quick_tests_first(items):
     items.sort(key=lambda item: item.get_closest_marker("slow") is not None)
 
 
-def units(nodeids, keep_app):
-    """Return the unit of a worker to which each test belongs: tests of a file in a row, or the first ones of ``app``."""
-    found, count, before, in_app = {}, Counter(), None, keep_app
+def units(nodeids, sessions_first):
+    """Return the unit of a worker to which each test belongs: tests of a file in a row, or the first of `SESSIONS`."""
+    found, count, before, in_sessions = {}, Counter(), None, sessions_first
     for nodeid in nodeids:
         file = nodeid.split("::", 1)[0]
-        in_app = in_app and folder_of(nodeid) == "app"
+        in_sessions = in_sessions and place_of(nodeid) < len(SESSIONS)
         count[file] += file != before
-        found[nodeid], before = "app" if in_app else f"{file} {count[file]}", file
+        found[nodeid], before = "sessions" if in_sessions else f"{file} {count[file]}", file
     return found
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """Return a scheduler that keeps the quick tests of ``app`` on one worker, and those of any other file together.
+    """Return a scheduler that keeps the quick tests of sessions on one worker, and those of any other file together.
 
-    Two workers that begin with the same folder compile the same kernels at the same time. One begins with the
-    programs, the other with the folders of `ORDER`; the last of them use what both have compiled. The slow tests
-    come after the quick ones, so their kernels are there, and one worker would have all programs left at the end.
+    Two workers that begin with the same kind of body compile the same kernels at the same time. One begins with the
+    sessions, which need most kernels. The other goes through `ORDER`: what compiles little, then the strong form, and
+    last what uses the kernels of sessions. Slow tests come later, when these kernels are there, file by file.
     """
     if config.getvalue("dist") != "loadfile":
         return None

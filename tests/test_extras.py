@@ -63,7 +63,6 @@ def python(code: str, folder: Path, *words: str) -> subprocess.CompletedProcess[
     )  # fmt: skip
 
 
-@pytest.mark.slow
 def test_models_can_be_run_reduced_stored_and_stepped_in_real_time_without_extras(tmp_path):
     done = python(SESSION, tmp_path)
     assert done.returncode == 0, done.stderr

@@ -178,6 +178,7 @@ def test_the_example_prints_the_errors_that_the_readme_shows(capsys):
     assert f"{len(namespace['rom'].data.cubature.nodes)} sampled nodes of 1,025" in text
 
 
+@pytest.mark.lint
 def test_the_example_of_the_readme_passes_mypy(tmp_path):
     pytest.importorskip("mypy")
     source = example()

@@ -226,7 +226,7 @@ class Site:
 
     @contextlib.asynccontextmanager
     async def client(self, *, token=TOKEN, draws=True, greet=True, more=None, version=2, **options):
-        options = {"subprotocols": [f"palpate.v{version}"], "max_size": None, **options}
+        options = {"subprotocols": [f"palpate.v{version}"], "max_size": None, "close_timeout": 1.0, **options}
         async with connect(f"ws://{LOOPBACK}:{self.port}/session", **options) as socket:
             own = Client(socket, draws)
             await own.say(type="hello", protocol=version, token=token, **(more or {}))

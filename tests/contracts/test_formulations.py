@@ -11,10 +11,10 @@ from contract_models import FIBRES, MODES, RELAXING, block, lean, membrane, mirr
 import palpate as pt
 from palpate.dynamics.nodal.energy_model import EnergyModel
 
-QUICK = ["solid", "strong", "mirrored", "membrane"]
+QUICK = ["solid", "strong"]
 pytestmark = [
     pytest.mark.quick(name=QUICK),
-    pytest.mark.each_kind(name=[*QUICK, "relaxing", "fibres", "membrane at rest"]),
+    pytest.mark.each_kind(name=[*QUICK, "mirrored", "membrane", "relaxing", "fibres", "membrane at rest"]),
 ]
 
 

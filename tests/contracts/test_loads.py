@@ -166,8 +166,8 @@ def periods(ready, motion, count=12):
 WAY = np.array([1e-4, -1e-3, -1e-3])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WAYS)
-@pytest.mark.quick(make=[hyper_touched])
 @pytest.mark.parametrize("make", [hyper_with_tool, hyper_touched], ids=["held", "touched"])
 def test_in_real_time_a_load_moves_a_sampled_model_or_is_refused_by_name(make, name):
     model, way = make(), name.split(", ")[1]
@@ -187,6 +187,7 @@ def test_in_real_time_a_load_moves_a_sampled_model_or_is_refused_by_name(make, n
         assert len(acted) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WAYS)
 def test_in_real_time_a_load_moves_a_linear_model_or_is_refused_by_name(name):
     full, way = solid("energy"), name.split(", ")[1]
@@ -202,6 +203,7 @@ def test_in_real_time_a_load_moves_a_linear_model_or_is_refused_by_name(name):
         assert np.abs(periods(ready(), WAY * 1e-2)).max() > 0
 
 
+@pytest.mark.slow
 def test_a_linear_model_in_real_time_requires_one_tool():
     assert np.abs(periods(pt.realtime_model(linear_with_tool()), 1e-2 * WAY)).max() > 0
     with pytest.raises(pt.InputError, match="one PrescribedMotion or Grasp"):

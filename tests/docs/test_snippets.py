@@ -19,7 +19,6 @@ PAGES = sorted(
     path for path in (ROOT / "docs").rglob("*.md") if path.parent.name != "tutorials" and path.name != "package.md"
 )
 FRAGMENTS = {"docs/extending.md"}  # pieces of files, which test_extending.py applies
-QUICK = {"docs/howto/loads.md", "docs/supports.md"}
 RELEASE = {"docs/laws.md"}  # compiles six laws
 PACKAGES = {"pandas": "pandas", "websockets": "websockets", "pyvista": "pyvista", "pymor": "pymor"}
 FENCE = re.compile(
@@ -62,8 +61,7 @@ def cases():
     for path in PAGES:
         name = page_name(path)
         if name not in FRAGMENTS and program(path.read_text(encoding="utf-8")).strip():
-            marks = [] if name in QUICK else [pytest.mark.slow]
-            yield pytest.param(path, id=name, marks=marks + [pytest.mark.release] * (name in RELEASE))
+            yield pytest.param(path, id=name, marks=[pytest.mark.release] * (name in RELEASE))
 
 
 def required_packages(code):
@@ -95,6 +93,7 @@ def run(tmp_path, monkeypatch):
             del sys.modules[name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", list(cases()))
 def test_the_snippets_of_a_page_run_as_they_stand(path, run):
     code = program(path.read_text(encoding="utf-8"))

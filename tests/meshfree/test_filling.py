@@ -129,6 +129,7 @@ def test_surfaces_that_cannot_be_filled_are_refused_with_the_reason(surface, sai
         pt.fill(surface(), 0.01)
 
 
+@pytest.mark.slow
 def test_bodies_one_spacing_apart_do_not_share_stencils():
     cloud = pt.fill(joined(ball(), ball(centre=(0.11, 0, 0))), 0.01)
     number = np.zeros(len(cloud))

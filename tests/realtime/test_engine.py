@@ -342,6 +342,7 @@ def test_a_black_box_that_cannot_be_written_is_reported(tmp_path):
         engine.read()
 
 
+@pytest.mark.slow
 def test_contact_stiffness_is_computed_at_the_given_interval(engine_of):
     never = engine_of(options={"stiffness_every": 0})
     run_steps(never, 5)

@@ -62,6 +62,7 @@ def test_bones_hold_the_organ_and_soft_neighbours_can_be_chosen(trunk):
     assert found.alternatives[0][0].kind == "springs"
 
 
+@pytest.mark.slow
 def test_a_face_at_the_edge_of_the_image_can_be_held(tmp_path):
     numbers = np.zeros((30, 30, 20), dtype=int)
     numbers[3:27, 3:27, 2:] = 1
@@ -112,6 +113,7 @@ def test_the_distance_of_a_label_map_has_a_default_and_that_of_a_surface_has_non
         finder.mask(Place(near=Near(file="bone.stl")))
 
 
+@pytest.mark.slow
 def test_supports_that_are_given_replace_those_that_are_proposed(trunk, tmp_path):
     path = tmp_path / "organ.toml"
     command = ["new", str(trunk), "--part", "liver", "--out", str(path), "--spacing", "0.009", "--fixed", "left"]

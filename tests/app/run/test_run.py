@@ -63,6 +63,7 @@ def test_a_trained_model_moves_the_prescribed_end_with_the_hand(grasped):
     assert np.abs(expected).max() > 1e-3
 
 
+@pytest.mark.quick(modes=[4])
 @pytest.mark.parametrize("modes", [None, 4])
 def test_a_run_writes_trajectories_and_a_report(tmp_path, capsys, monkeypatch, modes):
     monkeypatch.setattr("palpate.app.run.command.beam", lambda **given: replace(beam(**given), duration=0.05))

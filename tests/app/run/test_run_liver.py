@@ -48,7 +48,6 @@ def cache(tmp_path, monkeypatch):
     return scene_folder.training_folder(open_scene("liver", SMALL))
 
 
-@pytest.mark.slow
 def test_a_campaign_on_the_liver_reports_its_sampled_nodes_and_the_tolerance(trained):
     report = json.loads((trained / "report.json").read_text())
     model = pt.load(trained / "model.rom")
@@ -65,7 +64,6 @@ def test_a_campaign_on_the_liver_reports_its_sampled_nodes_and_the_tolerance(tra
     assert np.linalg.norm(run.reactions["tool"], axis=1).max() > 0.05
 
 
-@pytest.mark.slow
 def test_the_report_has_the_changes_of_the_force_by_the_supports(trained):
     report, text = json.loads((trained / "report.json").read_text()), (trained / "report.md").read_text()
     found, scene = report["supports"], open_training("liver", COARSE)
@@ -78,7 +76,6 @@ def test_the_report_has_the_changes_of_the_force_by_the_supports(trained):
     assert report["seconds"]["supports"] > 0
 
 
-@pytest.mark.slow
 def test_the_report_has_the_errors_of_the_tool_force_and_the_surface(trained):
     report, scene = json.loads((trained / "report.json").read_text()), open_training("liver", COARSE)
     model, found = pt.load(trained / "model.rom"), report["model"]["held_out"]
@@ -91,7 +88,6 @@ def test_the_report_has_the_errors_of_the_tool_force_and_the_surface(trained):
     assert f"{expected['force_95']:.2%}" in (trained / "report.md").read_text()
 
 
-@pytest.mark.slow
 def test_the_ball_starts_outside_presses_to_the_trained_depth_and_leaves(trained):
     model = pt.load(trained / "model.rom")
     poses, ball = tool_motion.pressing_ball(open_scene("liver", COARSE), model)
@@ -106,7 +102,6 @@ def test_the_ball_starts_outside_presses_to_the_trained_depth_and_leaves(trained
     assert 2 / 3 * 0.012 - 1e-9 <= depth.max() <= 0.0125
 
 
-@pytest.mark.slow
 def test_the_full_liver_is_pressed_without_training(cache, tmp_path, capsys):
     options = ["--full", "--spacing", "0.012", "--seconds", "1", "--out", str(tmp_path)]
     assert main([*REALTIME[:3], *options]) == 0
@@ -147,7 +142,6 @@ def test_the_liver_is_cut_in_real_time(cache, tmp_path, capsys):
     assert not cache.exists()
 
 
-@pytest.mark.slow
 def test_a_model_from_a_file_is_pressed_and_the_force_is_reported(trained, swift, tmp_path, capsys):
     file = trained / "model.rom"
     assert main([*REALTIME, "--model", str(file), "--out", str(tmp_path)]) == 0
@@ -167,7 +161,6 @@ def test_a_model_from_a_file_is_pressed_and_the_force_is_reported(trained, swift
     assert 0.5 * expected < force.max() < 1.5 * expected  # periods that a busy machine drops make the tool jump
 
 
-@pytest.mark.slow
 def test_the_first_start_trains_and_caches_a_model_and_resumes_after_an_interrupt(
     cache, swift, tmp_path, capsys, monkeypatch
 ):

@@ -61,6 +61,7 @@ def moved(body, way):
     return pt.Solid(cloud, SOFT, body.supports, mass_damping=8.0)
 
 
+@pytest.mark.slow
 def test_a_body_far_from_the_origin_is_pressed_as_one_there(body, until):
     forces = []
     for way in (np.zeros(3), np.array([100.0, -200.0, 50.0])):

@@ -402,6 +402,7 @@ def test_a_machine_that_cannot_draw_raises_with_the_packages_to_install(monkeypa
         check_drawing()
 
 
+@pytest.mark.slow
 def test_figures_are_drawn_when_every_reduced_run_failed(tmp_path):
     case = membrane(spacing=0.05)
     (make,) = PAPER_EXAMPLES["membrane"].studies.values()

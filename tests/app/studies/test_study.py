@@ -51,6 +51,7 @@ def test_runs_call_nothing_that_is_not_compiled_before(name):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_the_second_process_compiles_all_but_what_the_first_does(monkeypatch):
     compiled = []
     monkeypatch.setattr(reproduce, "compile_study", lambda study, series: compiled.append((study.form, list(series))))

@@ -30,7 +30,6 @@ def bent(points):
     return 4e-4 * np.sin(150 * points + np.array([0.0, 1.0, 2.0])) * (points[:, :1] / 0.04)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("prony", [None, pt.materials.Prony(shares=0.5, times=0.02)])
 def test_away_from_the_interface_each_part_answers_as_its_own_material(prony):
     soft, firm = replace_prony(SOFT, prony), replace_prony(FIRM, prony)
@@ -54,7 +53,6 @@ def replace_prony(material, prony):
     return replace(material, bulk=None, prony=prony)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("prony", [None, pt.materials.Prony(shares=0.5, times=0.02)])
 def test_forces_are_the_slope_of_the_energy(prony):
     material = {"": replace_prony(SOFT, prony), "far": replace_prony(FIRM, prony)}
@@ -67,7 +65,6 @@ def test_forces_are_the_slope_of_the_energy(prony):
         assert -work == pytest.approx(slope, rel=1e-5)
 
 
-@pytest.mark.slow
 def test_materials_that_are_multiples_equal_stiffness_factors():
     stiff = pt.materials.Gent(mu=3 * SOFT.mu, Jm=SOFT.Jm, **GIVEN)
     one = body({"": SOFT, "far": stiff})
@@ -79,7 +76,6 @@ def test_materials_that_are_multiples_equal_stiffness_factors():
     np.testing.assert_allclose(rest_stiffness(one).toarray(), rest_stiffness(other).toarray(), atol=1e-6)
 
 
-@pytest.mark.slow
 def test_the_stiffness_at_rest_is_that_of_the_forces():
     model = body({"": SOFT, "far": FIRM})
     matrix, rng = rest_stiffness(model), np.random.default_rng(1)
@@ -88,7 +84,6 @@ def test_the_stiffness_at_rest_is_that_of_the_forces():
     np.testing.assert_allclose(matrix @ direction.ravel(), change.ravel(), atol=1e-5 * np.abs(change).max())
 
 
-@pytest.mark.slow
 def test_materials_by_node_equal_materials_by_group():
     cloud = cloud_of()
     far = np.isin(np.arange(len(cloud)), cloud.group("far"))
@@ -99,7 +94,6 @@ def test_materials_by_node_equal_materials_by_group():
     assert body({"": FIRM, "x-": SOFT}).material == FIRM
 
 
-@pytest.mark.slow
 def test_a_reduced_model_has_the_materials_of_the_parts(tmp_path):
     prony = pt.materials.Prony(shares=0.5, times=0.02)
     model = body({"": replace_prony(SOFT, prony), "far": replace_prony(FIRM, prony)})

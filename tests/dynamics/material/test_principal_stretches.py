@@ -44,7 +44,6 @@ def test_axes_are_orthonormal_and_diagonalise(turned):
             np.testing.assert_allclose(np.sort(found), np.linalg.eigvalsh(C), atol=size)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("stretches", [(1, 1, 1), (1.2, 1.2, 1.2), (1.3, 1.3, 0.7), (1.1, 0.8, 0.8)], ids=str)
 @pytest.mark.parametrize("apart", [0.0, 1e-12, 1e-6, 1e-4])
 def test_the_strong_form_is_the_divergence_of_the_stress_where_stretches_meet(stretches, apart, rotation):
@@ -65,7 +64,6 @@ def test_the_strong_form_is_the_divergence_of_the_stress_where_stretches_meet(st
     np.testing.assert_allclose(force, expected, atol=1e-6 * np.abs(expected).max())
 
 
-@pytest.mark.quick(form=["energy"])
 @pytest.mark.parametrize("form", ["strong", "energy"])
 def test_rest_has_no_force(form):
     model = pt.Solid(pt.box((SIDE,) * 3, SIDE / 4, jitter=0.2), OGDEN, form=form, stiffness_damping=0.0)
@@ -73,7 +71,6 @@ def test_rest_has_no_force(form):
     assert np.abs(model.force(np.zeros_like(model.cloud.points))).max() < 1e-12 * scale
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("form", ["strong", "energy"])
 def test_ogden_with_the_exponent_2_moves_as_neo_hookean(form):
     """The one law by principal axes, the other by invariants."""
@@ -85,7 +82,6 @@ def test_ogden_with_the_exponent_2_moves_as_neo_hookean(form):
     np.testing.assert_allclose(one, other, atol=1e-11 * np.abs(other).max())
 
 
-@pytest.mark.slow
 def test_membranes_of_ogden_and_neo_hookean_are_the_same():
     given = {"density": 1000.0, "poisson": 0.5}
     cloud = pt.disc(0.05, 0.01)
@@ -111,7 +107,6 @@ def point(request):
     return law, *make_principal_point(digest, law.energy, law.first, law.second, 0.1)
 
 
-@pytest.mark.slow
 def test_a_point_that_is_not_crushed_has_the_energy_and_stress_of_the_law(point):
     law, stress, density = point
     for seed in range(20):
@@ -123,7 +118,6 @@ def test_a_point_that_is_not_crushed_has_the_energy_and_stress_of_the_law(point)
         assert density(*(F - np.eye(3)).ravel(), law.coefficients)[0] == pytest.approx(law.shear_energy(F), rel=1e-10)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("smallest", [0.3, 0.1, 0.02, 0.0, -0.1, -0.5])
 def test_the_stress_of_a_crushed_point_is_the_slope_of_its_energy(point, smallest):
     law, stress, density = point
@@ -139,7 +133,6 @@ def test_the_stress_of_a_crushed_point_is_the_slope_of_its_energy(point, smalles
     np.testing.assert_allclose(found, slope, atol=1e-6 * np.abs(slope).max())
 
 
-@pytest.mark.slow
 def test_energy_and_stress_have_no_jump_where_a_point_counts_as_crushed(point):
     law, stress, density = point
     near = [np.diag([1.2, 0.8, (0.1 + change) / 0.96]) - np.eye(3) for change in (-1e-9, 1e-9)]
@@ -148,7 +141,6 @@ def test_energy_and_stress_have_no_jump_where_a_point_counts_as_crushed(point):
         np.testing.assert_allclose(one, other, atol=1e-6 * np.abs(one).max())
 
 
-@pytest.mark.slow
 def test_a_point_of_zero_volume_has_finite_energy_and_stress(point):
     law, stress, density = point
     crushed = (-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0)

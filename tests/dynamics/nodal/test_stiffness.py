@@ -39,7 +39,6 @@ def stretch(ratio, force, middle=LENGTH / 2):
     return force / (2 * 1e4 * WIDE**2) * (middle + (LENGTH - middle) / ratio)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.25, 5.0])
 @pytest.mark.parametrize("cells", [8, 11])
 def test_a_bar_of_two_parts_stretches_as_the_closed_form_says(ratio, cells):
@@ -53,7 +52,6 @@ def test_a_bar_of_two_parts_stretches_as_the_closed_form_says(ratio, cells):
     assert support[0] == pytest.approx(force, rel=1e-3)
 
 
-@pytest.mark.slow
 def test_a_uniform_stiffness_factor_equals_a_stiffer_law():
     cloud = pt.box((0.03, 0.01, 0.01), 0.0025)
     u = 5e-4 * np.sin(150 * cloud.points)
@@ -67,7 +65,6 @@ def test_a_uniform_stiffness_factor_equals_a_stiffer_law():
     assert other.stability.highest_frequency == pytest.approx(one.stability.highest_frequency, rel=1e-6)
 
 
-@pytest.mark.slow
 def test_forces_are_the_slope_of_the_energy_at_an_interface():
     model = bar(0.005, 7.0)
     rng = np.random.default_rng(0)
@@ -79,7 +76,6 @@ def test_forces_are_the_slope_of_the_energy_at_an_interface():
         assert -work == pytest.approx(slope, rel=1e-5)
 
 
-@pytest.mark.slow
 def test_a_reduced_model_has_the_stiffer_part(tmp_path):
     model = bar(0.005, 5.0, stiffness_damping=2e-5)
     loads = [pt.SurfaceForce("x+", force=lambda t: np.sin(150 * t) ** 2 * np.array([0.05, 0.01, 0.0]))]
@@ -103,7 +99,6 @@ def test_a_reduced_model_has_the_stiffer_part(tmp_path):
     np.testing.assert_allclose(ratio[far], 5.0)
 
 
-@pytest.mark.slow
 def test_vibration_modes_are_those_of_the_stiffer_body():
     cloud = pt.box((LENGTH, WIDE, WIDE), 0.01)
     soft, stiff = (pt.Solid(cloud, TISSUE, "x-", form="energy", stiffness=np.full(len(cloud), k)) for k in (1.0, 9.0))

@@ -53,7 +53,6 @@ def test_the_centre_of_mass_follows_an_axial_force(small_cloud, tissue):
     assert centre_error(small_cloud, tissue, (0.5, 0.0, 0.0)) < 3e-3
 
 
-@pytest.mark.slow
 def test_the_centre_of_mass_follows_a_shearing_force_the_finer_the_better(tissue):
     # a shear that ends at an edge is not a smooth stress, so the balance there is one of first order
     coarse, fine = (
@@ -108,7 +107,6 @@ def test_a_symmetric_pull_stays_symmetric(held):
     np.testing.assert_allclose(u.transpose(0, 2, 1, 3)[..., [0, 2, 1]], u, atol=bound)
 
 
-@pytest.mark.slow
 def test_a_bar_without_contraction_vibrates_at_its_axial_frequency():
     cloud = pt.box((0.06, 0.015, 0.015), spacing=0.005)
     material = pt.materials.MooneyRivlin(C1=40e3, C2=0, density=1000, poisson=0.0)
@@ -144,7 +142,6 @@ def test_a_free_vibration_only_loses_energy(held):
     assert run.kinetic.max() > 0.3 * total[0]
 
 
-@pytest.mark.slow
 def test_energy_balances_the_finer_the_better(tissue, pull):
     missed = []
     for spacing in (0.005, 0.0025):
@@ -212,7 +209,6 @@ def test_the_work_of_a_tool_goes_into_the_body(prescribed):
     assert np.abs(prescribed.balance).max() < 0.1 * prescribed.external.max()
 
 
-@pytest.mark.slow
 def test_a_tool_pulls_as_hard_as_the_support_when_nothing_moves():
     bar = pt.box((0.03, 0.015, 0.015), spacing=0.00375)
     material = pt.materials.MooneyRivlin(C1=40e3, C2=0, density=1000, poisson=0.0)
@@ -243,7 +239,6 @@ def test_a_prescribed_motion_is_called_with_the_points_of_its_nodes(bar, held):
     np.testing.assert_allclose(run.displacements[-1, bar.group("x+"), 1:], 0.01 * np.stack([-Z, Y], axis=1), atol=1e-15)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("jitter", [0.0, 0.2], ids=["lattice", "jitter"])
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.45, 0.49, 0.499])
 def test_a_poked_body_comes_to_rest(poisson, jitter):

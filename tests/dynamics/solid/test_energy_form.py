@@ -173,6 +173,7 @@ def test_uniform_stress_moves_no_inner_node(name, law):
     np.testing.assert_allclose(force * model.volumes[:, None], expected, atol=0.1 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("cells", "limits"), [(3, (0.025, 0.07, 0.005)), (5, (0.006, 0.022, 0.003))])
 def test_the_lowest_frequencies_of_a_beam_near_those_of_finite_elements(cells, limits):
     errors = beam_errors(cells)
@@ -307,6 +308,7 @@ def test_the_centre_of_mass_follows_the_forces_exactly(cloud, tissue):
     np.testing.assert_allclose(rate, (1000 * cloud.volumes.sum(), 0.1, -0.2), atol=1e-12 * size)
 
 
+@pytest.mark.quick(jitter=[0.0])
 @pytest.mark.parametrize("jitter", [0.0, 0.2], ids=["lattice", "jitter"])
 def test_energy_balances_up_to_the_square_of_the_step(tissue, pull, jitter):
     model = energy_form(pt.box((0.03, 0.015, 0.015), 0.005, jitter), tissue, "x-", stiffness_damping=0.0)
@@ -359,6 +361,7 @@ def test_the_reaction_of_a_tool_is_the_slope_of_the_energy_by_its_motion(bar, ti
             )
 
 
+@pytest.mark.quick(jitter=[0.0])
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="this machine has one core")
 @pytest.mark.parametrize("jitter", [0.0, 0.2], ids=["lattice", "jitter"])
 def test_any_number_of_threads_gives_the_same_bits(tissue, pull, jitter):

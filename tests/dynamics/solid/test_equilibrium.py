@@ -21,7 +21,6 @@ def uniaxial(material, stretch):
     return lateral, material.stress(np.diag([stretch, lateral, lateral]))[0, 0]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("jitter", [0.0, 0.2], ids=["lattice", "jitter"])
 @pytest.mark.parametrize("stretch", [0.7, 1.5])
 @pytest.mark.parametrize("poisson", [0.45, 0.49])
@@ -38,7 +37,6 @@ def test_the_closed_form_of_a_pulled_bar_is_an_exact_equilibrium(poisson, stretc
     np.testing.assert_allclose(rates, 0, atol=1e-8 * abs(nominal) / (1000 * cloud.spacing))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("stretch", [0.85, 1.4])
 @pytest.mark.parametrize("poisson", [0.45, 0.49])
 def test_a_slowly_pulled_bar_comes_to_the_closed_form(poisson, stretch):
@@ -116,7 +114,6 @@ def test_tractions_and_gravity_do_their_true_virtual_work_in_the_inner_product(s
     assert work == pytest.approx(expected, rel=1e-12)
 
 
-@pytest.mark.slow
 def test_a_uniformly_accelerated_bar_has_the_acceleration_of_its_mass(small_cloud):
     """Without lateral contraction a linear stress, quadratic in displacement, pulls every node with F / m."""
     material = pt.materials.MooneyRivlin(C1=40e3, C2=0, density=1000, poisson=0.0)

@@ -196,7 +196,6 @@ def test_bad_lists_of_tools_are_refused_in_a_line(block):
         model.change_tool(Forceps(0.006, (0.034, 0.015, TOP)), np.array([0.034, 0.015, TOP, 1, 0, 0, 0]), 0.0, 1)
 
 
-@pytest.mark.quick
 def test_couplings_of_two_tools_are_their_own(block):
     model = make_observable(pt.realtime_model(block, contact=[ball(0.015, "left"), ball(0.045, "right")]))
     model.set_coupling(200.0, index=1)

@@ -70,7 +70,6 @@ def gaps(contact, tools):
     )
 
 
-@pytest.mark.quick
 def test_no_node_is_inside_the_tool_and_no_force_pulls():
     of = flat_skin()
     contact, tools = contact_scratch(of, 1), ball(of)
@@ -376,7 +375,6 @@ def run_without(run):
     return replace(run, contact_forces=np.zeros((0, 5)))
 
 
-@pytest.mark.quick
 def test_the_engine_has_the_tool_force_of_a_run(pressed):
     """Periods of the compiled step of the engine and `rollout`: equal paths of a ball give equal forces."""
     _, _, model = pressed
@@ -528,7 +526,6 @@ def test_two_tools_of_the_engine_are_those_of_a_run(pressed):
         np.testing.assert_allclose(means, pushed, atol=0.03 * np.abs(pushed).max())
 
 
-@pytest.mark.quick
 def test_an_engine_presses_and_releases(pressed):
     _, _, model = pressed
     home = (0.03, 0.03, SIZE[2] + BALL + 0.001)

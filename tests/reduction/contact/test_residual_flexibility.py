@@ -82,7 +82,6 @@ def test_residual_flexibility_is_positive_definite_and_decreases_with_more_modes
     assert np.linalg.eigvalsh(fewer - rest)[0] > -1e-9 * values[-1]
 
 
-@pytest.mark.slow
 def test_residual_flexibility_of_a_coarser_model_agrees_with_that_of_the_finer():
     """The displacement under a patch of uniform pressure, by a coarser model and by the body's own statics."""
     coarse, fine = block(0.005), block(0.04 / 12)

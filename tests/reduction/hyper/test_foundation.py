@@ -78,7 +78,6 @@ def test_explicit_and_implicit_steps_agree_on_springs(rom):
     assert pt.relative_errors(explicit, implicit).displacement < 5e-3
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("load", [pt.Foundation("z-", 1e11), pt.Foundation("z-", 1e6, 1e7)])
 def test_the_step_is_short_enough_for_stiff_springs(rom, load):
     prepared, free = rom.prepare([load]), rom.prepare(())
@@ -89,7 +88,6 @@ def test_the_step_is_short_enough_for_stiff_springs(rom, load):
     assert energy.max() < 1.02 * run.kinetic[0]
 
 
-@pytest.mark.slow
 def test_an_unsupported_block_on_springs_oscillates_as_a_mass():
     cloud = pt.box((0.015, 0.015, 0.015), 0.005)
     loose = pt.Solid(cloud, TISSUE, form="energy")
@@ -118,7 +116,6 @@ def grasped(beam):
     return loads, run, pt.hyper_reduce(beam, run, modes=12, prescribed="x+")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("step", [None, 1e-4])
 def test_the_force_of_a_tool_includes_the_springs(grasped, step):
     loads, full, rom = grasped
@@ -129,7 +126,6 @@ def test_the_force_of_a_tool_includes_the_springs(grasped, step):
     assert np.abs(own.balance).max() < 0.02 * np.abs(own.external).max()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("step", [None, 2e-4])
 def test_the_force_of_a_tool_in_real_time_includes_the_springs(grasped, step):
     rom = grasped[2].with_step(step)

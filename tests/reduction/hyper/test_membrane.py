@@ -51,7 +51,6 @@ def shapes(sheet, count, seed=0):
     return pt.pod(fields, sheet.weights, modes=count), column
 
 
-@pytest.mark.slow
 def test_the_projected_force_is_the_projection_of_the_nodal_force(sheet):
     basis, column = shapes(sheet, 5)
     rom = GalerkinModel(sheet, basis, column)
@@ -61,7 +60,6 @@ def test_the_projected_force_is_the_projection_of_the_nodal_force(sheet):
     np.testing.assert_allclose(rom.force(coordinates), expected, atol=1e-11 * np.abs(expected).max())
 
 
-@pytest.mark.slow
 def test_the_reduced_tangent_of_a_pushed_sheet_is_symmetric(sheet, push):
     rom = pt.galerkin(sheet, push, modes=8, prescribed=["tool"], lifting="local")
     state = rom.state(rom.prepare([PUSH]), push.displacements[-1], push.velocities[-1], 0.1)
@@ -70,7 +68,6 @@ def test_the_reduced_tangent_of_a_pushed_sheet_is_symmetric(sheet, push):
     assert np.linalg.eigvalsh(tangent + tangent.T).min() > 0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("modes", "displacement", "force"), [(8, 0.15, 0.1), (20, 0.01, 0.02), (39, 1e-3, 1e-2)])
 def test_more_modes_reduce_the_error_of_the_push(sheet, push, modes, displacement, force):
     rom = pt.galerkin(sheet, push, modes=modes, prescribed=["tool"], lifting="local", relative=True)
@@ -79,7 +76,6 @@ def test_more_modes_reduce_the_error_of_the_push(sheet, push, modes, displacemen
     assert errors.reaction < force
 
 
-@pytest.mark.slow
 def test_local_lifting_and_relative_snapshots_each_reduce_the_error(sheet, push):
     errors = []
     for lifting, relative in (("fitted", False), ("local", False), ("local", True)):
@@ -99,7 +95,6 @@ def test_a_local_column_moves_the_tool_alone(sheet, push):
     np.testing.assert_allclose(run.displacements[:, tool[0], 2], 0.1 * run.times, atol=1e-12)
 
 
-@pytest.mark.slow
 def test_the_tool_of_a_reduced_sheet_does_the_work_of_the_full_one(sheet, push):
     rom = pt.galerkin(sheet, push, modes=20, prescribed=["tool"], lifting="local", relative=True)
     run = pt.rollout(rom, [PUSH], duration=0.1, every=0.0025, progress=False)
@@ -107,7 +102,6 @@ def test_the_tool_of_a_reduced_sheet_does_the_work_of_the_full_one(sheet, push):
     assert np.abs(run.balance).max() < 0.02 * push.external.max()
 
 
-@pytest.mark.slow
 def test_a_released_tool_of_a_galerkin_model_has_no_force(sheet, freed):
     rom = pt.galerkin(sheet, freed, modes=40, prescribed=["tool"], lifting="local")
     run = pt.rollout(rom, [LET_GO], duration=0.15, every=0.0025, progress=False)
@@ -121,7 +115,6 @@ def test_a_released_tool_of_a_galerkin_model_has_no_force(sheet, freed):
     np.testing.assert_allclose(work, work[0], rtol=1e-9)  # nothing pushes then
 
 
-@pytest.mark.slow
 def test_a_reduced_run_can_start_after_the_release(sheet, freed):
     start = 44  # 0.11 s
     u, v = freed.displacements[start], freed.velocities[start]
@@ -134,7 +127,6 @@ def test_a_reduced_run_can_start_after_the_release(sheet, freed):
     assert np.abs(run.displacements - expected).max() < 0.1 * np.abs(expected).max()
 
 
-@pytest.mark.slow
 def test_tools_released_at_different_times_are_refused(sheet, push):
     cloud = sheet.cloud.within("other", (0.05, 0.0), 0.007)
     model = pt.Membrane(cloud, sheet.material, 1e-5, "rim")
@@ -153,7 +145,6 @@ def test_bad_training_is_refused(sheet, push):
         pt.galerkin(sheet, still, modes=2, relative=True)
 
 
-@pytest.mark.slow
 def test_tools_other_than_those_of_the_training_are_refused(sheet, push):
     cloud = sheet.cloud.within("other", (0.05, 0.0), 0.007)
     model = pt.Membrane(cloud, sheet.material, 1e-5, "rim")
@@ -164,7 +155,6 @@ def test_tools_other_than_those_of_the_training_are_refused(sheet, push):
         rom.prepare([])
 
 
-@pytest.mark.slow
 def test_a_tool_may_be_released_between_snapshots(sheet):
     tool = pt.PrescribedMotion("tool", tip, until=0.03)
     full = pt.rollout(sheet, [tool], duration=0.06, every=0.002, progress=False)
@@ -176,7 +166,6 @@ def test_a_tool_may_be_released_between_snapshots(sheet):
         assert energy[-1] == pytest.approx((full.kinetic + full.strain)[-1], rel=0.3)
 
 
-@pytest.mark.slow
 def test_consecutive_runs_equal_one_run(sheet, push):
     half = pt.rollout(sheet, [PUSH], duration=0.05, every=0.0025, progress=False)
     rest = pt.rollout(
@@ -223,7 +212,6 @@ def test_a_hyper_reduced_sheet_has_few_points_and_reproduces_the_push(sheet, pus
     np.testing.assert_allclose(moved, [0.0, 0.0, 0.01], atol=1e-9)
 
 
-@pytest.mark.slow
 def test_few_points_of_a_taut_sheet_give_the_tool_force_of_all_points(sheet, push, tmp_path):
     """At rest the stresses of a taut sheet do work on every mode, which sums to nothing."""
     taut = pt.Membrane(sheet.cloud, sheet.material, 1e-5, "rim", prestretch=1.05)
@@ -238,7 +226,6 @@ def test_few_points_of_a_taut_sheet_give_the_tool_force_of_all_points(sheet, pus
         assert len(pt.load(tmp_path / "taut.rom").data.cubature.nodes) == len(model.data.cubature.nodes)
 
 
-@pytest.mark.slow
 def test_few_points_give_the_tool_force_of_all_points(sheet, push):
     few = pt.hyper_reduce(sheet, push, modes=6, prescribed="tool")
     runs = [
@@ -248,7 +235,6 @@ def test_few_points_give_the_tool_force_of_all_points(sheet, push):
     assert pt.relative_errors(runs[1], runs[0]).reaction < 0.05  # 40 % where the weights do not know the tool's force
 
 
-@pytest.mark.slow
 def test_the_tool_of_a_hyper_reduced_sheet_may_be_released(sheet, freed):
     model = pt.hyper_reduce(sheet, freed, modes=16, prescribed="tool")
     run = pt.rollout(model, [LET_GO], duration=0.15, every=0.0025, progress=False)
@@ -257,7 +243,6 @@ def test_the_tool_of_a_hyper_reduced_sheet_may_be_released(sheet, freed):
     assert np.all(run.reactions["tool"][after] == 0)
 
 
-@pytest.mark.slow
 def test_the_step_of_a_slack_sheet_is_that_of_its_taut_states(sampled):
     prepared = sampled.prepare([PUSH])
     assert sampled.data.taut_frequency > 1.2 * sampled.body.frequencies()[-1]
@@ -281,7 +266,6 @@ def test_a_hyper_reduced_sheet_refuses_nodal_stress_and_pressures(sampled):
         sampled.prepare([PUSH, pt.Pressure("face", lambda t: 1.0)])
 
 
-@pytest.mark.slow
 def test_a_sampled_sheet_is_trusted_near_its_training(sheet, push, sampled):
     prepared = sampled.prepare([PUSH])
     near, far = (

@@ -213,7 +213,6 @@ def test_errors_of_every_method_decrease_with_more_modes(form, request, soft_pul
         assert many < 0.3, method
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("modes", [6, 8])  # with 4 it does not converge
 def test_irka_meets_the_slowest_resonance(modes, reduction):
     """It interpolates at the mirror images of its poles."""
@@ -237,7 +236,6 @@ def test_condensation_preserves_poles_and_the_static_response(system):
     )
 
 
-@pytest.mark.slow
 def test_without_condensing_the_whole_body_is_balanced(system, training):
     pytest.importorskip("pymor", reason=WHY)
     own = Reduction(system, condense=0, training=training)

@@ -17,6 +17,7 @@ import pytest
 
 import palpate as pt
 from palpate.dynamics.loads.supports import supports_of
+from palpate.dynamics.material.fibres import prepare_fibres
 from palpate.dynamics.material.tissue import Tissue
 from palpate.realtime.bodies.display_surface import Surface
 from palpate.reduction.contact.compliance import SurfaceCompliance
@@ -80,9 +81,8 @@ def push():
 
 @pytest.fixture(scope="module")
 def trained(bar, tissue, push):
-    """A bar that a tool moves, trained and tried on one run."""
-    slanted = pt.materials.Fibres(k1=5e3, k2=2.0, dispersion=0.1, directions=(0.6, 0.8, 0.0))
-    full = pt.Solid(bar, tissue, fixed="x-", form="energy", fibres=slanted)
+    """A bar that a tool moves, trained and tried on one run; fibres are added to its file, which no step needs."""
+    full = pt.Solid(bar, tissue, fixed="x-", form="energy")
     run = pt.rollout(full, push, duration=0.01, every=0.0005)
     model = pt.hyper_reduce(full, run, modes=4, prescribed="tip", held_out=[(push, run)])
     touched, made_up = np.unique(bar.face_nodes), np.random.default_rng(0)
@@ -98,7 +98,9 @@ def trained(bar, tissue, push):
             0.7,
         ),
     )  # fmt: skip
-    return pt.ReducedModel(replace(model.data, compliance=compliance))
+    slanted = pt.materials.Fibres(k1=5e3, k2=2.0, dispersion=0.1, directions=(0.6, 0.8, 0.0))
+    fibres = prepare_fibres(slanted, tissue, "energy", bar.points)
+    return pt.ReducedModel(replace(model.data, compliance=compliance, tissue=replace(model.data.tissue, fibres=fibres)))
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +135,7 @@ def test_a_loaded_model_has_the_arrays_of_the_saved_one(trained, saved):
     assert os.listdir(saved.parent) == ["bar.rom"]
 
 
-@pytest.mark.quick(single=[True], step=[None])
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [None, 2.5e-4])
 @pytest.mark.parametrize("single", [True, False])
 def test_a_model_is_loaded_with_its_step_rule_and_precision(trained, path, push, step, single):
@@ -153,6 +155,7 @@ def test_invalid_steps_are_not_saved(trained, path, step):
     assert not path.exists()
 
 
+@pytest.mark.slow
 def test_the_trust_of_a_loaded_model_is_that_of_the_saved_one(trained, saved, push):
     assert trained.data.residual_fields > 0
     loaded, prepared = pt.load(saved), trained.prepare(push)
@@ -230,6 +233,7 @@ def test_a_file_of_a_loaded_model_is_the_same_file(saved, path):
     assert path.read_bytes() == saved.read_bytes()
 
 
+@pytest.mark.slow
 def test_a_loaded_model_runs_as_the_saved_one_to_the_last_bit(trained, saved, push):
     models = ReducedModel(rounded(trained.data)), pt.load(saved)
     for step in (None, 2e-4):
@@ -241,6 +245,7 @@ def test_a_loaded_model_runs_as_the_saved_one_to_the_last_bit(trained, saved, pu
             np.testing.assert_array_equal(found.reactions[name], force)
 
 
+@pytest.mark.slow
 def test_single_precision_of_the_columns_changes_forces_and_displacements_negligibly(trained, saved, push):
     loaded = pt.load(saved)
     state, prepared = trained.state(trained.prepare(push), time=0.004), trained.prepare(push)

@@ -99,7 +99,6 @@ def test_the_residual_norm_is_the_displacement_that_the_residual_fields_would_ad
     assert unbalanced(model, pt.State(kept, np.zeros(modes)), prepared) == pytest.approx(expected, rel=0.02)
 
 
-@pytest.mark.slow
 def test_the_integration_points_give_the_residual_norm_of_all_nodes(body, runs, rom, held):
     every = pt.hyper_reduce(body, runs, modes=10, cubature=0.0)
     loads, full = held[0]

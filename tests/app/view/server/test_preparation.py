@@ -80,7 +80,7 @@ def test_the_surface_comes_before_the_session_and_the_progress_ends_with_it(prep
             kinds = []
             while len(kinds) < 2 or not isinstance(kinds[-1], bytes):
                 kinds.append(await received(page))
-            late = [await received(page) for _ in range(20)]
+            late = [await received(page) for _ in range(4)]
             return first, frame, kinds, late, await received(program), await received(program)
 
     with host.serving():
