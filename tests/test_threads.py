@@ -59,7 +59,7 @@ def press(_=0):
 def test_a_forked_child_says_why_it_cannot_run():
     press()
     with multiprocessing.get_context("fork").Pool(1) as pool, pytest.raises(pt.InputError, match="spawn"):
-        pool.map_async(press, [0]).get(60)
+        pool.map_async(press, [0]).get(300)
 
 
 @pytest.mark.slow
