@@ -13,8 +13,9 @@ from nbclient import NotebookClient
 from nbformat import NotebookNode
 
 BEGIN = """
-__import__("os").chdir({folder!r})  # first, because the folder of the page before is gone
-get_ipython().run_line_magic("reset", "-f")
+__import__("os").chdir({folder!r})
+for _name in [each for each in globals() if each[0] != "_" and each not in get_ipython().user_ns_hidden]:
+    del globals()[_name]
 """
 
 
