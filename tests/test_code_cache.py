@@ -194,6 +194,7 @@ def test_another_clone_and_another_processor_find_their_code_and_equal_forces(tm
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_starts_at_once_and_killed_ones_leave_sound_code(tmp_path):
     home = {"XDG_CACHE_HOME": str(tmp_path), "HOME": str(tmp_path)}
     for delay in (3.0, 8.0):

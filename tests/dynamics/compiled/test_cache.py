@@ -94,6 +94,7 @@ for kind in sys.argv[1:]:
 """
 
 
+@pytest.mark.release
 def test_a_third_process_does_not_mix_up_code_of_two_others(tmp_path):
     def forces(*kinds):
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
