@@ -13,7 +13,7 @@ import palpate as pt
 from palpate.code_cache import code_folder
 from palpate.sealed import open_sealed, write_sealed
 
-SESSIONS = ("app/device", "app/session", "app/recordings", "app/view", "app/train", "app/new")
+SESSIONS = ("app/device", "app/session", "app/recordings", "app/view")
 ORDER = (
     *SESSIONS, "surface", "tissue", "meshfree", "scenes", "app", "dynamics/run", "reduction/galerkin", "dynamics",
     "realtime", "validation", "reduction", "contracts",

@@ -12,7 +12,8 @@ from palpate.scenes.names import PACKAGE_SCENES, SceneKind, kind_of, listed_scen
 from palpate.scenes.training import open_training
 
 
-@pytest.mark.parametrize("name", [pytest.param("liver", marks=pytest.mark.slow), "beam", "membrane"])
+@pytest.mark.quick(name=["beam"])
+@pytest.mark.parametrize("name", ["liver", "beam", "membrane"])
 def test_every_name_is_of_a_scene_to_train_on(name):
     scene = open_training(name, {})
     assert scene.title == name.capitalize()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 
 import numpy as np
 import pytest
@@ -39,20 +38,25 @@ def test_a_hand_presses_the_body_of_a_session(held, session, said, until):
     until(lambda: session.snapshot().position[2] == pytest.approx(top + 0.015 + 0.01, abs=1e-6))
     depths = [0.0]
 
-    def is_pressed():  # slowly: on a loaded machine an adapter may be late and begin again from where the hand is
-        depths.append(min(depths[-1] + 1e-4, 0.1))
+    def move_by(way):
+        """Move the hand down by some millimetres, and wait until the engine has seen it."""
+        depths.append(depths[-1] + way)
         service.move(depths[-1])
+        steps = session.snapshot().steps
+        until(lambda: session.snapshot().steps > steps + 30)
+
+    def is_pressed():  # slowly: on a loaded machine an adapter may be late and begin again from where the hand is
+        move_by(2e-4)
         return device.force[2] > 0.05
 
-    def distance():
-        return session.snapshot().position[2] - device.position[2]
+    def follows():  # by as much as the hand moves, there and back; again where an adapter was late
+        tool, hand = session.snapshot().position[2], device.position[2]
+        move_by(0.001 if len(depths) % 2 else -0.001)
+        until(lambda: abs(session.snapshot().position[2] - tool) > 0.0008)
+        return session.snapshot().position[2] - tool == pytest.approx(device.position[2] - hand, abs=2e-4)
 
     until(is_pressed, lambda: (session.snapshot(), said))
-    time.sleep(0.2)
-    before, height = distance(), device.position[2]
-    service.move(depths[-1] + 0.002)
-    until(lambda: device.position[2] < height - 0.0019)
-    until(lambda: distance() == pytest.approx(before, abs=2e-4))  # the tool follows the hand
+    until(follows, lambda: (session.snapshot(), said))
     until(lambda: device.force[2] == pytest.approx(session.snapshot().force[2], rel=0.05))
     assert said == ["haply: 049D moves the first tool"]
     assert session.status()["devices"] == [[0, "049D"]]

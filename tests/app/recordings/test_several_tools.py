@@ -88,6 +88,7 @@ def test_a_journal_keeps_all_tools(recording, tmp_path):
     assert loaded.tools == TOOLS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["version3.h5", "version3-journal.h5"])
 def test_a_recording_of_version_3_is_loaded(tmp_path, name):
     """They were written by the program before recordings had several tools; the values are those of its maker."""

@@ -393,7 +393,6 @@ def test_forceps_that_cannot_hold_are_refused(block, forceps, message):
         pt.realtime_model(block, contact=forceps)
 
 
-@pytest.mark.quick
 def test_contact_stiffness_is_the_slope_of_the_force(block):
     stepped, out, slopes = Stepped(block), np.zeros((12, 12)), []
     for k in range(500):

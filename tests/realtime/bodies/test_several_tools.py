@@ -187,6 +187,10 @@ def test_bad_lists_of_tools_are_refused_in_a_line(block):
     ):
         with pytest.raises(pt.InputError, match=message):
             pt.realtime_model(block, contact=tools)
+
+
+def test_a_second_blade_and_forceps_on_nodes_of_others_are_refused(block):
+    blade = pt.tools.Blade(edge=[(-0.02, 0, 0), (0.02, 0, 0)], toughness=1.0)
     model = idle_model(block, tools=2)
     model.change_tool(blade, np.array([0.03, 0.015, 0.06, 1, 0, 0, 0]), 0.0, 0)
     with pytest.raises(pt.InputError, match="one Blade at most, got tool 0 as another"):

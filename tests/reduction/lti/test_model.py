@@ -214,7 +214,6 @@ def test_the_linear_range_ends_where_the_force_is_nonlinear_by_a_tenth(tool_syst
     assert worst[0] < 0.1 < worst[1] < 0.12
 
 
-@pytest.mark.quick
 @pytest.mark.parametrize("method", ["modal", "hankel"])
 def test_a_loaded_model_equals_the_saved_one(method, system, tool_system, soft_pull, tmp_path):
     model = pt.lti.reduce_linear(system, method, 5, condense=40)
