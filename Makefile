@@ -5,6 +5,7 @@ PYTHON ?= python3
 OUT ?= out/beam
 SITE ?= out/site
 KERNELS ?=
+FUZZ_SECONDS ?= 10
 PYTEST_ARGS ?= -n auto --dist loadfile --no-loadscope-reorder
 
 VENV := .venv
@@ -17,14 +18,15 @@ export PYVISTA_OFF_SCREEN ?= true
 export MPLBACKEND ?= Agg
 # The tests run side by side already; threads of linear algebra beside them only wait for each other, and
 # threads of one test that spin longer stall those of another.
-docs test test-all test-slow: export OPENBLAS_NUM_THREADS ?= 1
-docs test test-all test-slow: export GOMP_SPINCOUNT ?= 1000
+docs fuzz test test-all test-slow test-release: export OPENBLAS_NUM_THREADS ?= 1
+docs fuzz test test-all test-slow test-release: export GOMP_SPINCOUNT ?= 1000
 ifeq ($(shell uname -s),Linux)
 export VTK_DEFAULT_OPENGL_WINDOW ?= vtkEGLRenderWindow
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help demo docs films links test test-all test-slow wheels check-wheels lint style types layers words clean
+.PHONY: help demo docs films links test test-all test-slow release programs test-release fuzz wheels check-wheels
+.PHONY: lint style types layers words clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
@@ -44,11 +46,29 @@ films: $(VENV)/.installed-demo ## make the films of the docs, in some minutes
 test: $(VENV)/.installed-test ## run the quick tests; the first time compiles for some minutes
 	$(BIN)/python -m pytest -m "not slow and not lint" $(PYTEST_ARGS)
 
-test-all: $(VENV)/.installed-test ## run all tests
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+test-all: $(VENV)/.installed-test ## run the tests of a change: the quick ones, then the slow ones
+	$(BIN)/python -m pytest -m "not release and not lint" $(PYTEST_ARGS)
 
-test-slow: $(VENV)/.installed-test ## run the tests that make test leaves out
-	$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
+test-slow: $(VENV)/.installed-test ## run the tests of a change that make test leaves out
+	$(BIN)/python -m pytest -m "slow and not release and not lint" $(PYTEST_ARGS)
+
+# One after the other, also with -j: each keeps all cores busy, and check-wheels needs what wheels has built.
+release: $(VENV)/.installed-dev programs ## check what a version needs beyond .ci/run: other processors, all laws, wheels
+	@failed=; for step in test-release fuzz wheels check-wheels; do \
+	  echo "== make $$step"; $(MAKE) $$step || failed="$$failed $$step"; done; \
+	[ -z "$$failed" ] || { echo "failed:$$failed"; exit 1; } >&2
+
+test-release: $(VENV)/.installed-test
+	$(BIN)/python -m pytest -m release $(PYTEST_ARGS)
+
+fuzz: $(VENV)/.installed-test
+	$(BIN)/python validation/fuzz.py all --seconds $(FUZZ_SECONDS) --seed $$(date +%j)
+
+PROGRAMS := aarch64-linux-gnu-gcc clang cmake g++ mcs mono qemu-aarch64
+programs:
+	@missing=; for program in $(PROGRAMS); do command -v $$program >/dev/null || missing="$$missing $$program"; done; \
+	[ -z "$$missing" ] || { echo "make release needs$$missing. On Debian or Ubuntu: apt-get install clang cmake g++" \
+	  "gcc-aarch64-linux-gnu libc6-dev-arm64-cross mono-mcs mono-runtime qemu-user"; exit 1; } >&2
 
 docs: $(VENV)/.installed-docs ## build the site into out/site, with its tutorials executed; warnings are errors
 	$(SPHINX) -b html docs $(SITE)
@@ -90,10 +110,11 @@ $(VENV)/.installed-demo: EXTRAS := [film,view]
 $(VENV)/.installed-docs: EXTRAS := [docs]
 $(VENV)/.installed-test: EXTRAS := [test]
 $(VENV)/.installed-dev: EXTRAS := [dev]
+$(VENV)/.installed-dev: ALSO := $(addprefix $(VENV)/.installed-,demo docs test)
 $(VENV)/.installed-%: pyproject.toml $(PAGE) | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --editable '.$(EXTRAS)'
 	@$(check_drawing)
-	@touch $@
+	@touch $@ $(ALSO)
 
 $(BIN)/python:
 	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) not found: install Python 3.11 or newer,"; \

@@ -22,6 +22,7 @@ sys.path.insert(0, str(ROOT / "docs"))
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
 
 import generated_parts  # noqa: E402
+import one_kernel  # noqa: E402
 
 project = "palpate"
 author = "The palpate authors"
@@ -167,6 +168,7 @@ def draw_equation(translator: Any, node: Any) -> None:
 
 def setup(app: Sphinx) -> None:
     """Connect what changes pages and docstrings before they are parsed."""
+    one_kernel.use()
     app.add_html_math_renderer("mathml", (draw_inline_math, None), (draw_equation, None))
     app.connect("source-read", show_root_file)
     app.connect("source-read", fill_generated_parts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -75,21 +76,53 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: place_of(item.nodeid))
 
 
+@pytest.hookimpl(specname="pytest_collection_modifyitems", tryfirst=True)
+def pytest_leave_to_release(items):
+    """Mark for a release what an ``each_kind`` mark of a test, a class or a module leaves out."""
+    for item in items:
+        values = item.callspec.params if hasattr(item, "callspec") else {}
+        for mark in item.iter_markers("each_kind"):
+            if any(values.get(name, kept[0]) not in kept for name, kept in mark.kwargs.items()):
+                item.add_marker(pytest.mark.release)
+
+
+@pytest.hookimpl(specname="pytest_collection_modifyitems", wrapper=True, tryfirst=True)
+def pytest_quick_tests_first(items):
+    """Sort the slow tests of a session behind the quick ones."""
+    yield
+    items.sort(key=lambda item: item.get_closest_marker("slow") is not None)
+
+
+def units(nodeids, sessions_first):
+    """Return the unit of a worker to which each test belongs: tests of a file in a row, or the first of `SESSIONS`."""
+    found, count, before, in_sessions = {}, Counter(), None, sessions_first
+    for nodeid in nodeids:
+        file = nodeid.split("::", 1)[0]
+        in_sessions = in_sessions and place_of(nodeid) < len(SESSIONS)
+        count[file] += file != before
+        found[nodeid], before = "sessions" if in_sessions else f"{file} {count[file]}", file
+    return found
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
     """Return a scheduler that keeps the quick tests of sessions on one worker, and those of any other file together.
 
     Two workers that begin with the same kind of body compile the same kernels at the same time. One begins with the
     sessions, which need most kernels. The other goes through `ORDER`: what compiles little, then the strong form, and
-    last what uses the kernels of sessions.
+    last what uses the kernels of sessions. Slow tests come later, when these kernels are there, file by file.
     """
-    if config.getvalue("dist") != "loadfile" or config.getvalue("markexpr") != QUICK:
+    if config.getvalue("dist") != "loadfile":
         return None
     from xdist.scheduler import LoadFileScheduling
 
     class Scheduler(LoadFileScheduling):
+        def add_node_collection(self, node, collection):
+            self.units = units(collection, config.getvalue("markexpr").split(" ")[0] not in ("slow", "release"))
+            super().add_node_collection(node, collection)
+
         def _split_scope(self, nodeid):
-            return "sessions" if place_of(nodeid) < len(SESSIONS) else super()._split_scope(nodeid)
+            return self.units[nodeid]
 
     return Scheduler(config, log)
 

@@ -239,6 +239,7 @@ def start(**variables: str) -> subprocess.Popen[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_another_clone_and_another_processor_find_their_code_and_equal_forces(tmp_path):
     """A clone at another path compiles nothing; code of another processor is kept next to it."""
     clone = tmp_path / "clone" / "palpate"
@@ -255,6 +256,7 @@ def test_another_clone_and_another_processor_find_their_code_and_equal_forces(tm
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_starts_at_once_and_killed_ones_leave_sound_code(tmp_path):
     home = {"XDG_CACHE_HOME": str(tmp_path), "HOME": str(tmp_path)}
     for delay in (3.0, 8.0):

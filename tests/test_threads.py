@@ -33,6 +33,7 @@ print(loops_share_threads(), pt.equilibrium(block, [pt.Gravity((0, 0, -9.81))]).
 
 
 @pytest.mark.slow
+@pytest.mark.release  # compiles all again for another threading layer
 def test_without_openmp_an_engine_and_a_run_work_together():
     """Numba's layer workqueue would end the process."""
     environment = {**os.environ, "NUMBA_THREADING_LAYER": "workqueue"}
@@ -58,7 +59,7 @@ def press(_=0):
 def test_a_forked_child_says_why_it_cannot_run():
     press()
     with multiprocessing.get_context("fork").Pool(1) as pool, pytest.raises(pt.InputError, match="spawn"):
-        pool.map_async(press, [0]).get(60)
+        pool.map_async(press, [0]).get(300)
 
 
 @pytest.mark.slow

@@ -197,7 +197,7 @@ def test_an_interrupt_while_modules_are_imported_is_one_line(swallows, tmp_path)
     ) as process:  # fmt: skip
         assert process.stdout.readline() == "importing\n"
         process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=60)
+        _, said = process.communicate(timeout=300)
     assert process.returncode == 130
     assert said == "palpate: interrupted\n"
     assert not (tmp_path / "out").exists()

@@ -78,6 +78,7 @@ def small(monkeypatch):
     monkeypatch.setattr("pressed_liver.PRESS_SECONDS", 0.1)
 
 
+@pytest.mark.release
 def test_the_report_and_the_table_hold_every_ratio_of_one_run(small, tmp_path, capsys, monkeypatch):
     out = tmp_path / "results" / "bench"
     monkeypatch.setattr("sys.argv", ["speed.py", "--repeats", "2", "--out", str(out)])

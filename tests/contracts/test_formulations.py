@@ -12,7 +12,10 @@ import palpate as pt
 from palpate.dynamics.nodal.energy_model import EnergyModel
 
 QUICK = ["solid", "strong"]
-pytestmark = pytest.mark.quick(name=QUICK)
+pytestmark = [
+    pytest.mark.quick(name=QUICK),
+    pytest.mark.each_kind(name=[*QUICK, "mirrored", "membrane", "relaxing", "fibres", "membrane at rest"]),
+]
 
 
 def everything() -> pt.Solid:

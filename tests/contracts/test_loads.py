@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from contract_models import (
     BALL,
+    EACH_KIND,
     EVERY,
     KINDS,
     QUICK,
@@ -30,7 +31,7 @@ from palpate.dynamics.loads import prepared as prepared_loads
 from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.prepared import Load
 
-pytestmark = pytest.mark.quick(kind=QUICK)
+pytestmark = [pytest.mark.quick(kind=QUICK), pytest.mark.each_kind(kind=EACH_KIND)]
 
 TOP = (0.02, 0.0075, 0.015)  # of the free end of the block
 ASIDE = np.array([0.3, 0.0, 1.0])

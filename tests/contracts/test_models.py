@@ -10,11 +10,11 @@ from dataclasses import fields, is_dataclass, replace
 import numba
 import numpy as np
 import pytest
-from contract_models import EVERY, KINDS, QUICK, run
+from contract_models import EACH_KIND, EVERY, KINDS, QUICK, run
 
 import palpate as pt
 
-pytestmark = pytest.mark.quick(kind=QUICK, name=QUICK)
+pytestmark = [pytest.mark.quick(kind=QUICK, name=QUICK), pytest.mark.each_kind(kind=EACH_KIND)]
 
 STEPS = 24
 
@@ -339,6 +339,7 @@ def test_only_reduced_and_linear_models_can_be_saved(kind, model, tmp_path):
     assert not (tmp_path / "model").exists()
 
 
+@pytest.mark.each_kind(name=EACH_KIND)
 @pytest.mark.parametrize("name", SAVED)
 def test_a_loaded_model_has_the_same_run(name, tmp_path):
     own, loads = KINDS[name].make(), KINDS[name].loads()

@@ -79,6 +79,7 @@ def test_every_source_that_the_page_names_exists_or_is_created():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("heading", sections())
 def test_an_example_applied_to_the_sources_passes_its_tests(copy, heading):
     for step in STEP.finditer(sections()[heading]):

@@ -1,4 +1,4 @@
-"""Every snippet of the docs runs as it stands, page by page in one namespace.
+"""Every snippet of the docs runs as it stands: a page in a namespace and a folder of its own, all in this process.
 
 `tests/test_public.py` runs that of the README, of which package.md has a part. The build of the site runs the
 tutorials.
@@ -6,10 +6,9 @@ tutorials.
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
 import sys
+import warnings
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,11 +19,11 @@ PAGES = sorted(
     path for path in (ROOT / "docs").rglob("*.md") if path.parent.name != "tutorials" and path.name != "package.md"
 )
 FRAGMENTS = {"docs/extending.md"}  # pieces of files, which test_extending.py applies
+RELEASE = {"docs/laws.md"}  # compiles six laws
 PACKAGES = {"pandas": "pandas", "websockets": "websockets", "pyvista": "pyvista", "pymor": "pymor"}
 FENCE = re.compile(
     r"^(?:<!-- not run: (?P<reason>[^\n]+?) -->\n+)?^```python\n(?P<code>.*?)^```$", re.MULTILINE | re.DOTALL
 )
-SECONDS = 280  # [s] for a page, compilation included
 
 
 class Snippet(NamedTuple):
@@ -62,7 +61,7 @@ def cases():
     for path in PAGES:
         name = page_name(path)
         if name not in FRAGMENTS and program(path.read_text(encoding="utf-8")).strip():
-            yield pytest.param(path, id=name)
+            yield pytest.param(path, id=name, marks=[pytest.mark.release] * (name in RELEASE))
 
 
 def required_packages(code):
@@ -71,18 +70,43 @@ def required_packages(code):
     return sorted(imported & PACKAGES.keys())
 
 
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """Run a program in an empty folder and a new namespace; what it changes in this process is restored."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    monkeypatch.setenv("PYTHONSAFEPATH", "1")  # of programs that a page starts
+    monkeypatch.setattr(sys, "argv", ["page.py"])
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    modules = set(sys.modules)
+
+    def run(code, name):
+        namespace = {"__name__": "__main__"}
+        with warnings.catch_warnings():
+            warnings.simplefilter("default")
+            exec(compile(code, name, "exec"), namespace)
+        return namespace
+
+    yield run
+    for name in set(sys.modules) - modules:
+        if str(getattr(sys.modules[name], "__file__", None) or "").startswith(str(tmp_path)):
+            del sys.modules[name]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("path", list(cases()))
-def test_the_snippets_of_a_page_run_as_they_stand(path, tmp_path):
+def test_the_snippets_of_a_page_run_as_they_stand(path, run):
     code = program(path.read_text(encoding="utf-8"))
     for package in required_packages(code):
         pytest.importorskip(package)
-    (tmp_path / "page.py").write_text(code, encoding="utf-8")
-    environment = os.environ | {"MPLBACKEND": "Agg", "PYTHONSAFEPATH": "1"}
-    done = subprocess.run(
-        [sys.executable, "page.py"], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=SECONDS
-    )
-    assert done.returncode == 0, f"{page_name(path)}, by its line numbers:\n{done.stderr[-3000:]}"
+    run(code, str(path))  # an error names its line of the page
+
+
+def test_a_page_leaves_no_name_and_no_filter_of_warnings_to_the_next(run):
+    filters = list(warnings.filters)
+    run("import warnings\nwarnings.simplefilter('ignore')\nleft = 1", "a page")
+    assert "left" not in run("", "the next page")
+    assert warnings.filters == filters
 
 
 @pytest.mark.lint

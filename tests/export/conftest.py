@@ -23,5 +23,12 @@ def model_file(tmp_path_factory):
 def exported_folder(model_file):
     from exported import export
 
-    targets = ["--target", "host", "--target", "linux-aarch64"]
-    return export(model_file, *targets, "--c", str(model_file.parent / "organ"))
+    return export(model_file, "--c", str(model_file.parent / "organ"))
+
+
+@pytest.fixture(scope="session")
+def folder_for_arm(model_file):
+    """The library for a second processor, which compiles the step once more."""
+    from exported import export
+
+    return export(model_file, "--target", "linux-aarch64", "--c", str(model_file.parent / "arm"))

@@ -293,6 +293,7 @@ def poses(tmp_path):
     return path
 
 
+@pytest.mark.each_kind(compiler=["gcc"])
 @pytest.mark.parametrize("compiler", [pytest.param(name, marks=needs(name)) for name in ("gcc", "clang", "g++")])
 def test_a_c_program_takes_the_same_periods(library, exported_folder, poses, tmp_path, compiler):
     source, program = Path(__file__).with_name("steps.c"), tmp_path / "steps"
@@ -353,6 +354,7 @@ def test_damaged_files_are_refused_under_the_address_sanitizer(exported_folder, 
     assert output == b"210 of 210\n"
 
 
+@pytest.mark.release
 @needs("cmake")
 def test_the_cmake_file_builds_the_example(exported_folder, tmp_path):
     run("cmake", "-S", exported_folder, "-B", tmp_path / "build")
@@ -360,19 +362,21 @@ def test_the_cmake_file_builds_the_example(exported_folder, tmp_path):
     assert b"of 100 deadlines missed" in run("./press", "organ.palpate", "0.1", cwd=tmp_path / "build")
 
 
+@pytest.mark.release
 @needs("aarch64-linux-gnu-gcc")
 @needs("qemu-aarch64")
-def test_another_processor_computes_the_same(library, exported_folder, poses, tmp_path):
+def test_another_processor_computes_the_same(library, folder_for_arm, poses, tmp_path):
     source, program = Path(__file__).with_name("steps.c"), tmp_path / "steps"
-    objects = exported_folder / "organ.linux-aarch64.o"
-    run("aarch64-linux-gnu-gcc", "-static", f"-I{exported_folder}", source, objects, "-lm", "-o", program)
-    records = np.frombuffer(run("qemu-aarch64", program, exported_folder / "organ.palpate", poses)).reshape(200, -1)
+    objects = folder_for_arm / "organ.linux-aarch64.o"
+    run("aarch64-linux-gnu-gcc", "-static", f"-I{folder_for_arm}", source, objects, "-lm", "-o", program)
+    records = np.frombuffer(run("qemu-aarch64", program, folder_for_arm / "organ.palpate", poses)).reshape(200, -1)
     expected = np.array(press(library))
     scale = np.maximum(np.abs(expected).max(axis=0), 1e-30)
     finite = np.isfinite(expected).all(axis=0)
     assert np.abs((records - expected)[:, finite] / scale[finite]).max() < 1e-12
 
 
+@pytest.mark.release
 @needs("mcs")
 @needs("mono")
 def test_csharp_takes_the_same_periods(library, exported_folder, tmp_path):

@@ -114,7 +114,7 @@ def test_a_program_presses_through_the_channel(model, tmp_path, compiler):
     folder = f"-I{channel_header().parent}"
     subprocess.run([compiler, "-O2", *warnings, folder, source, "-x", "none", "-lrt", "-o", program], check=True)
     with pt.Engine(model, shared_memory=NAME) as engine:
-        done = subprocess.run([program, NAME, "300"], capture_output=True, text=True, check=True, timeout=60)
+        done = subprocess.run([program, NAME, "300"], capture_output=True, text=True, check=True, timeout=300)
         time.sleep(0.2)
         reading = engine.read()
         times, record = (np.array(line.split(), dtype=float) for line in done.stdout.splitlines())

@@ -290,12 +290,18 @@ def test_what_cannot_be_reached_is_refused_by_name():
 
 
 @pytest.mark.parametrize(
-    ("file", "units"), [("hra/VH_F_liver_solid_6k.ply", "m"), ("sofa/liver-smooth.obj", "cm"), ("sofa/liver.vtk", "mm")]
+    ("file", "units"),
+    [
+        ("", ""),
+        *(
+            pytest.param(*row, marks=pytest.mark.skipif(not ORGANS.is_dir(), reason="the organs are not at hand"))
+            for row in (("hra/VH_F_liver_solid_6k.ply", "m"), ("sofa/liver-smooth.obj", "cm"), ("sofa/liver.vtk", "mm"))
+        ),
+    ],
+    ids=lambda part: part or "generated",
 )
 def test_presses_on_organs_come_from_outside(file, units):
-    if not (ORGANS / file).exists():
-        pytest.skip("the organs are not here")
-    surface = pt.io.read_surface(ORGANS / file, units=units, repair=True)
+    surface = pt.io.read_surface(ORGANS / file, units=units, repair=True) if file else pt.liver_surface()
     spacing = float(np.cbrt(surface.volume / 2000))
     cloud = pt.fill(surface, spacing)
     low, high = cloud.points[:, 1].min(), cloud.points[:, 1].max()

@@ -233,12 +233,36 @@ def test_wrong_names_are_refused(tmp_path):
         pt.io.read_surface(tmp_path / "nowhere.stl", units="ell")
 
 
+def test_a_shell_around_the_shape_of_a_liver_is_refused_as_hollow():
+    body = pt.liver_surface()
+    middle = body.vertices.mean(axis=0)
+    inner = pt.Surface(middle + 0.95 * (body.vertices - middle), body.triangles)
+    shell = joined(body, inverted(inner))
+    assert "hollow" in names(shell)
+    with pytest.raises(pt.InputError, match="hollow shell"):
+        pt.fill(shell, 0.01)
+
+
 @needs_data
 def test_the_hollow_liver_is_refused_as_hollow():
     body = pt.io.read_surface(DATA / "hra" / "VH_M_Liver.glb", part="VH_M_liver_capsule")
     assert names(body) == {"hollow"}
     with pytest.raises(pt.InputError, match="hollow shell"):
         pt.fill(body, 0.01)
+
+
+def test_a_liver_with_a_hole_is_closed_on_request(tmp_path):
+    body = pt.liver_surface()
+    middles = body.vertices[body.triangles].mean(axis=1)
+    tip = middles[middles[:, 0].argmin()]
+    whole = np.linalg.norm(middles - tip, axis=1) > 0.015
+    lines = [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in body.vertices]
+    lines += [f"f {a} {b} {c}" for a, b, c in body.triangles[whole] + 1]
+    (tmp_path / "open.obj").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    assert names(pt.io.read_surface(tmp_path / "open.obj", units="m")) == {"open"}
+    closed = pt.io.read_surface(tmp_path / "open.obj", units="m", repair=True)
+    assert names(closed) == set()
+    assert closed.volume == pytest.approx(body.volume, rel=0.02)
 
 
 @needs_data

@@ -47,6 +47,7 @@ def test_a_symbolic_law_equals_the_built_in_law_of_the_same_energy(name, deforma
 
 
 @pytest.mark.slow
+@pytest.mark.each_kind(name=["mooney"])
 @pytest.mark.parametrize(("name", "form"), [("mooney", "strong"), ("ogden", "energy")])
 def test_a_body_of_a_symbolic_law_has_the_forces_of_the_built_in_law(name, form):
     text, parameters, built_in = TWINS[name]
@@ -123,6 +124,7 @@ def test_texts_that_are_not_an_energy_are_refused(case):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_another_process_finds_the_compiled_law_in_the_cache(tmp_path):
     script = """
 import sys, palpate as pt

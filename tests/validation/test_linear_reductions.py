@@ -11,7 +11,7 @@ import pytest
 
 import palpate as pt
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.release]
 
 RUN_SECONDS = 0.02
 

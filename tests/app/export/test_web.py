@@ -19,7 +19,7 @@ from exported import BALL, SIZE, TOOL_FORCE, Engine, export, pose_at, set_tool, 
 
 import palpate as pt
 
-pytestmark = [pytest.mark.slow, needs_chromium]
+pytestmark = [pytest.mark.slow, pytest.mark.release, needs_chromium]  # compiles the step for a browser
 SOURCES = Path(__file__).parents[3] / "page" / "src"
 PLACE, SMALL_BALL = (0.024, 0.038, SIZE[2] + BALL + 0.001), 0.006
 OTHER = (0.052, 0.012, SIZE[2] + SMALL_BALL + 0.001)

@@ -14,7 +14,8 @@ from palpate.scenes.open_surface import open_surface
 from palpate.scenes.places import CAMERA_SIDE
 
 DATA = Path(__file__).parents[4] / "shared" / "data"
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(not DATA.is_dir(), reason="the organ surfaces are not at hand")]
+pytestmark = pytest.mark.slow
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the organ surfaces are not at hand")
 SOLIDS = {  # volume [litres]
     "hra/VH_F_Liver.glb": 2.14, "hra/VH_M_Liver.glb": 1.64, "hra/VH_F_liver_solid_2k.ply": 1.99,
     "hra/VH_F_liver_solid_6k.ply": 1.99, "hra/VH_F_liver_solid_12k.ply": 1.99, "hra/VH_F_liver_solid_30k.ply": 1.99,
@@ -42,17 +43,31 @@ def press(model):
     return np.mean(forces[-20:], axis=0) / hertz
 
 
+@needs_data
 def test_the_list_has_every_surface_file():
     found = {path.relative_to(DATA).as_posix() for path in DATA.rglob("*.*")}
     surfaces = {name for name in found if name.rpartition(".")[2] in ("glb", "obj", "ply", "vtk", "msh")}
     assert surfaces == {*SOLIDS, "sofa/liver.msh"}
 
 
+def test_the_generated_liver_is_touched_with_defaults(tmp_path, monkeypatch):
+    surface = pt.liver_surface()
+    lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in 1e3 * surface.vertices]
+    lines += [f"f {a} {b} {c}" for a, b, c in surface.triangles + 1]
+    (tmp_path / "liver.obj").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    check_touch(tmp_path / "liver.obj", 1.5, monkeypatch)
+
+
+@needs_data
 @pytest.mark.parametrize("name", SOLIDS)
 def test_every_solid_is_touched_with_defaults(name, monkeypatch):
+    check_touch(DATA / name, SOLIDS[name], monkeypatch)
+
+
+def check_touch(path, litres, monkeypatch):
     monkeypatch.setattr("palpate.app.models.spacing._seconds_per_node", lambda material: 1.5e-6)  # of a slow machine
-    model = prepare_full_body(open_surface(DATA / name), Console()).body
-    assert 1e3 * model.cloud.volumes.sum() == pytest.approx(SOLIDS[name], rel=0.01)
+    model = prepare_full_body(open_surface(path), Console()).body
+    assert 1e3 * model.cloud.volumes.sum() == pytest.approx(litres, rel=0.01)
     force = press(model)
     assert np.isfinite(force).all()
     inwards = -force @ np.array(CAMERA_SIDE)
@@ -60,6 +75,7 @@ def test_every_solid_is_touched_with_defaults(name, monkeypatch):
     assert np.linalg.norm(force) < 1.5 * inwards
 
 
+@needs_data
 def test_other_files_are_refused_with_what_they_are():
     with pytest.raises(pt.InputError, match=r"a hollow shell, watertight as it is: it encloses 0\.0744 litres"):
         _ = open_surface(DATA / "hra/VH_M_Liver.glb", part=("*capsule",)).surface

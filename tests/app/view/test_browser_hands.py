@@ -73,7 +73,7 @@ def settled_force(tab, index):
     """The force of a tool [N], once no tool approaches and three more frames show the same force: all poses arrived."""
     approaching = "palpate.controls.presses.some(({ approach }) => approach > 0)"
     now = f"[palpate.session.state.sequence, {FORCE.format(index)}, {approaching}]"
-    since, force, end = None, None, monotonic() + 30
+    since, force, end = None, None, monotonic() + 300
     while True:
         sequence, newtons, moves = tab.evaluate(now)
         if moves or newtons != force or since is None:

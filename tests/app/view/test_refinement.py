@@ -407,7 +407,7 @@ def test_the_command_changes_over_and_ends_its_training_at_an_interrupt(scene, t
         full, last = asyncio.run(visit())
     finally:
         command.send_signal(signal.SIGINT)
-        code = command.wait(60)
+        code = command.wait(300)
         reading.join()
         command.stderr.close()
     assert last["state"] == "used", "".join(said)

@@ -47,6 +47,7 @@ def test_a_kernel_that_allocates_must_say_so():
         law_njit("test", cached=False)(doubled)(np.ones(2))
 
 
+@pytest.mark.each_kind(law=["MooneyRivlin(C1=20e3, C2=5e3, "])
 @pytest.mark.parametrize("law", ["MooneyRivlin(C1=20e3, C2=5e3, ", "Ogden(C=(5e3, 300.0), alpha=(1.3, 5.0), "])
 def test_a_second_process_compiles_nothing(law):
     made = f"pt.materials.{law}density=1000.0, poisson=0.45)"
@@ -93,6 +94,7 @@ for kind in sys.argv[1:]:
 """
 
 
+@pytest.mark.release
 def test_a_third_process_does_not_mix_up_code_of_two_others(tmp_path):
     def forces(*kinds):
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}

@@ -12,7 +12,7 @@ from palpate.dynamics.compiled.cache import law_digest
 from palpate.dynamics.material.principal_point import make_principal_point
 from palpate.dynamics.material.principal_stretches import principal
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.each_kind(point=["ogden"])]
 
 SIDE = 0.02
 OGDEN = pt.materials.Ogden(C=(5e3, 300.0, 500.0), alpha=(1.3, 5.0, -2.0), density=1000, poisson=0.4)

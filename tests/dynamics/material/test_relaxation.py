@@ -14,7 +14,7 @@ MU = 10e3
 
 
 def tissue(prony=SERIES, poisson=0.4):
-    return pt.materials.NeoHookean(C1=MU / 2, density=1000.0, poisson=poisson, prony=prony)
+    return pt.materials.MooneyRivlin(C1=MU, C2=0.0, density=1000.0, poisson=poisson, prony=prony)
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from scipy.special import jn_zeros
 import palpate as pt
 from palpate.meshfree.consistent import consistent_gradient
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.each_kind(law=["NeoHookean", "Ogden"])]
 
 RADIUS, THICKNESS, C1 = 0.1, 1e-5, 0.17e6
 

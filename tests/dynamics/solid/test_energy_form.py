@@ -15,7 +15,10 @@ import palpate as pt
 from palpate.dynamics.nodal.stability import stiffness
 from palpate.reduction.basis.linear_modes import rest_stiffness, vibration_modes
 
-pytestmark = pytest.mark.quick(model=["mooney-rivlin"], law=["mooney-rivlin"])
+pytestmark = [
+    pytest.mark.quick(model=["mooney-rivlin"], law=["mooney-rivlin"]),
+    pytest.mark.each_kind(model=["mooney-rivlin", "ogden"], law=["mooney-rivlin", "ogden"]),
+]
 
 SIDE = 0.02
 STRETCHED = np.eye(3) + np.array([[0.3, 0.2, -0.1], [0.0, -0.2, 0.1], [0.1, 0.0, 0.1]])

@@ -72,6 +72,7 @@ def test_a_block_bends_as_far_as_in_finite_elements(poisson):
     assert tip[2] == pytest.approx(expected[2], rel=0.05)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(("form", "error"), [("strong", 0.05), ("energy", 0.08)])
 def test_a_block_of_stiffening_tissue_bends_far_as_in_finite_elements(form, error):
     """By a quarter of its length; the law is one of the principal stretches, the errors those of the 3 mm."""

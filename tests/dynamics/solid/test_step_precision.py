@@ -41,7 +41,7 @@ BODIES = {
     "fibres": lambda: pt.Solid(cloud(), LAW, "x-", fibres=FIBRES),
     "Ogden": lambda: pt.Solid(cloud(), pt.materials.Ogden(C=2e3, alpha=4.0, density=1000.0, poisson=0.45), "x-"),
 }
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.each_kind(kind=["law", "cut", "relaxing", "fibres"])]
 
 
 @pytest.fixture(scope="module", params=BODIES)

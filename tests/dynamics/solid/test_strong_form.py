@@ -9,7 +9,10 @@ import pytest
 
 import palpate as pt
 
-pytestmark = pytest.mark.quick(material=["mooney-rivlin"], poisson=[0.45])
+pytestmark = [
+    pytest.mark.quick(material=["mooney-rivlin"], poisson=[0.45]),
+    pytest.mark.each_kind(material=["mooney-rivlin", "ogden"]),
+]
 
 LENGTH = 0.02
 

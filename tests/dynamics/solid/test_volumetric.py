@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 import palpate as pt
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.each_kind(material=[("neo-hookean", "mixed")])]
 
 SIDE = 0.02
 STRETCH = np.eye(3) + np.array([[0.3, 0.2, -0.1], [0.0, -0.2, 0.1], [0.1, 0.0, 0.1]])
@@ -67,6 +67,7 @@ def test_nodal_stresses_of_a_uniform_deformation_are_the_materials(cloud, materi
     np.testing.assert_allclose(stress, expected, atol=1e-6 * np.abs(expected).max())
 
 
+@pytest.mark.each_kind(form=["mixed"])
 @pytest.mark.parametrize("solid", ["energy", "strong"])
 def test_a_bar_under_the_closed_forms_stretch_is_at_rest_between_its_ends(form, solid):
     material = pt.materials.NeoHookean(C1=20e3, density=1000, poisson=0.45, volumetric=form)

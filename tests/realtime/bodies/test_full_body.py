@@ -349,7 +349,7 @@ def test_an_engine_reports_the_place_of_a_held_tool(block, monkeypatch):
     engine = pt.Engine(pt.realtime_model(block, contact=ball(tuple(HOME))), max_speed=1.0, on_distrust="ignore")
     engine.set_pose((0.0, 0.0, -0.019))  # nearly through the block
     with engine:
-        end = monotonic() + 60.0
+        end = monotonic() + 300.0
         while engine.read().time < 0.3 and monotonic() < end:
             sleep(0.01)
         reading = engine.read()
@@ -429,7 +429,7 @@ def test_an_engine_steps_a_full_body(block):
     engine = pt.Engine(pt.realtime_model(block, contact=ball(tuple(HOME))), on_distrust="ignore", max_speed=0.2)
     engine.set_pose((0.0, 0.0, -0.003))
     with engine:
-        end = monotonic() + 30.0
+        end = monotonic() + 300.0
         while engine.read().time < 0.1 and monotonic() < end:
             sleep(0.01)
     reading = engine.read()
@@ -446,7 +446,7 @@ def test_the_force_at_rest_grows_with_the_moduli():
     engine = pt.Engine(model, on_distrust="ignore", max_speed=0.2, adjustable=True)
 
     def step_to(time):
-        end = monotonic() + 60.0
+        end = monotonic() + 300.0
         while engine.read().time < time and monotonic() < end:
             sleep(0.01)
         return engine.read().force[2]

@@ -1,4 +1,4 @@
-"""Label maps from files: real and made ones of the shared data, hostile ones, names, and limits of size."""
+"""Label maps from files: the example's and those of the shared data, hostile ones, names, and limits of size."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from label_files import blocks, nifti
+from label_files import RAS_TO_LPS, blocks, metaimage, nifti, nrrd
 
 from palpate.faults import FileFormatError
 from palpate.surface.formats.names import LABEL_FORMATS, listed_formats
 from palpate.surface.labels.label_map import mask_of
 from palpate.surface.labels.reading import READER_BY_FORMAT, is_label_map, read_label_map
 
+EXAMPLE = Path(__file__).parents[3] / "examples" / "trunk.nii.gz"
 DATA = Path(__file__).parents[4] / "shared" / "data" / "labels"
 shared = pytest.mark.skipif(not DATA.is_dir(), reason="the data for developers are not here")
 
@@ -23,6 +24,49 @@ MADE = [
     "liver_sform_qform_conflict.nii.gz", "liver_metres.nii.gz", "liver_float_0988.nii.gz", "liver_4d_one.nii.gz",
     "liver_int16_big_endian.nii", "liver_sheared_layers.seg.nrrd", "liver_oblique.mha", "liver_deep_tumour.nii.gz",
 ]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def liver():
+    """The voxels 1 of the liver and 2 of its tumour in the example, and their grid (4, 4) [mm] in RAS and in LPS."""
+    labels = read_label_map(EXAMPLE)
+    organ, tumour = (mask_of(labels, name) for name in ("liver", "liver_tumor"))
+    voxels = np.zeros(organ.shape, "u1")
+    for value, mask in enumerate((organ, tumour), 1):
+        voxels[tuple(slice(k, k + n) for k, n in zip(mask.start, mask.voxels.shape, strict=True))][mask.voxels] = value
+    lps = np.diag([1e3, 1e3, 1e3, 1.0]) @ labels.affine
+    return voxels, RAS_TO_LPS @ lps, lps
+
+
+WRITTEN = {
+    "a.nii": lambda voxels, ras, lps: nifti(voxels.astype("i2"), sform=ras),
+    "big endian.nii": lambda voxels, ras, lps: nifti(voxels.astype("i2"), sform=ras, order=">"),
+    "floats.nii": lambda voxels, ras, lps: nifti(voxels.astype("f4"), sform=ras),
+    "metres.nii": lambda voxels, ras, lps: nifti(voxels, sform=np.diag([1e-3, 1e-3, 1e-3, 1.0]) @ ras, units=1),
+    "of 4 axes.nii": lambda voxels, ras, lps: nifti(voxels[..., None], sform=ras),
+    "mirrored.nii": lambda voxels, ras, lps: nifti(voxels[::-1], sform=ras @ mirror(voxels)),
+    "a.nrrd": lambda voxels, ras, lps: nrrd(voxels, affine=lps),
+    "a.mha": lambda voxels, ras, lps: metaimage(voxels, affine=lps),
+}
+
+
+def mirror(voxels):
+    """The map of voxels from those counted the other way along the first axis."""
+    map = np.diag([-1.0, 1.0, 1.0, 1.0])
+    map[0, 3] = len(voxels) - 1
+    return map
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_the_liver_of_the_example_has_its_volume_and_place_in_every_format(name, liver, tmp_path):
+    (tmp_path / name).write_bytes(WRITTEN[name](*liver))
+    expected = mask_of(read_label_map(EXAMPLE), ["liver", "liver_tumor"])
+    labels = read_label_map(tmp_path / name)
+    mask = mask_of(labels, ["1", "2"])
+    assert labels.space == "LPS"
+    assert mask.volume == pytest.approx(expected.volume, rel=1e-6)
+    middles = [each.positions(np.argwhere(each.voxels) + each.start).mean(axis=0) for each in (mask, expected)]
+    np.testing.assert_allclose(*middles, atol=1e-7)
 
 
 @shared
@@ -45,10 +89,9 @@ def test_the_bladder_of_an_old_slicer_lies_where_the_patient_has_it():
     assert np.allclose(positions.max(axis=0), [36.1, 59.6, -5.0], atol=2.6)
 
 
-@shared
 def test_names_of_a_trunk_come_from_its_header():
-    labels = read_label_map(DATA / "trunk_3mm_61_labels.nii.gz")
-    assert len(labels.segments) == 61
+    labels = read_label_map(EXAMPLE)
+    assert len(labels.segments) == 62
     assert next(each.name for each in labels.segments if each.number == 5) == "liver"
 
 

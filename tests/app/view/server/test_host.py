@@ -72,7 +72,7 @@ def test_the_address_is_answered_until_interrupted(session, monkeypatch, capsys)
         ready = asyncio.Event()
         serving = asyncio.create_task(own.run(ready.set))
         await ready.wait()
-        page = await asyncio.to_thread(lambda: urllib.request.urlopen(own.address, timeout=10).read())
+        page = await asyncio.to_thread(lambda: urllib.request.urlopen(own.address, timeout=300).read())
         serving.cancel()
         return page
 

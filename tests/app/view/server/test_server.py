@@ -27,7 +27,7 @@ def force(client):
 
 def get(site, path, **headers):
     """Return status, headers and body of a GET."""
-    line = http.client.HTTPConnection(LOOPBACK, site.port, timeout=10)
+    line = http.client.HTTPConnection(LOOPBACK, site.port, timeout=300)
     line.putrequest("GET", path, skip_host="Host" in headers)
     for name, value in headers.items():
         line.putheader(name, value)
