@@ -9,6 +9,8 @@ FUZZ_SECONDS ?= 10
 PYTEST_ARGS ?= -n auto --dist loadfile --no-loadscope-reorder
 
 VENV := .venv
+# Without byte code of all modules: a module is compiled when it is imported first.
+INSTALL = $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check
 PAGE := $(shell find page -name node_modules -prune -o -type f -print) hatch_build.py
 BIN := $(VENV)/bin
 SPHINX := $(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet --doctree-dir out/site-cache/doctrees
@@ -106,13 +108,27 @@ clean: ## remove results, builds and caches, but not .venv
 	rm -rf out build dist .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
 	find src tests validation benchmarks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
 
-$(VENV)/.installed-demo: EXTRAS := [film,view]
+# The demo's functions compile, in two processes, while the packages for pictures and the page install.
+$(VENV)/.installed-demo: pyproject.toml $(PAGE) | $(VENV)/.installed-base
+	@PYTHONPATH=src $(BIN)/python -P -m palpate.app.studies.compile beam >/dev/null 2>&1 & compiling=$$!; \
+	echo "installing, and compiling the demo's functions meanwhile: a minute or two the first time ..."; \
+	$(INSTALL) --editable '.[film,view]' || { kill $$compiling; exit 1; }; \
+	wait $$compiling || true  # what is missing, the demo compiles
+	@$(check_drawing)
+	@touch $@
+
+$(VENV)/.installed-base: pyproject.toml | $(BIN)/python
+	@$(BIN)/python -c "import tomllib; project = tomllib.load(open('pyproject.toml', 'rb'))['project']; \
+	  print(*project['dependencies'], sep='\n')" >$(VENV)/base.txt
+	$(INSTALL) --requirement $(VENV)/base.txt
+	@touch $@
+
 $(VENV)/.installed-docs: EXTRAS := [docs]
 $(VENV)/.installed-test: EXTRAS := [test]
 $(VENV)/.installed-dev: EXTRAS := [dev]
 $(VENV)/.installed-dev: ALSO := $(addprefix $(VENV)/.installed-,demo docs test)
 $(VENV)/.installed-%: pyproject.toml $(PAGE) | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --editable '.$(EXTRAS)'
+	$(INSTALL) --editable '.$(EXTRAS)'
 	@$(check_drawing)
 	@touch $@ $(ALSO)
 

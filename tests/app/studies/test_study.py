@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from contextlib import suppress
 
 import pytest
 
-from palpate.app.studies import reproduce
-from palpate.app.studies.reproduce import PAPER_EXAMPLES, compile_rest
+from palpate.app.studies import second_form
+from palpate.app.studies.reproduce import PAPER_EXAMPLES, assist
+from palpate.dynamics.solid.strong import StrongSolid
 
 OPTIONS = {"beam": {"spacing": 0.02 / 3, "load": 2.0}, "membrane": {"spacing": 0.0125}}
 COMPILED = """
@@ -53,8 +55,13 @@ def test_runs_call_nothing_that_is_not_compiled_before(name):
 
 @pytest.mark.slow
 def test_the_second_process_compiles_all_but_what_the_first_does(monkeypatch):
-    compiled = []
-    monkeypatch.setattr(reproduce, "compile_study", lambda study, series: compiled.append((study.form, list(series))))
+    compiled, answers = [], []
+    monkeypatch.setattr(second_form, "compile_study", lambda study, series: compiled.append((study.form, list(series))))
+    # a body in the strong form compiles what the second process does not run
+    monkeypatch.setattr(StrongSolid, "_build", lambda *arguments: pytest.fail("the strong form was made"))
     for name, options in OPTIONS.items():
-        compile_rest(lambda name=name, options=options: [name, options], None)
+        requests = iter([[name, options, [2], "", ""]])  # then it would wait for the first process
+        with suppress(StopIteration):
+            assist(lambda requests=requests: next(requests), answers.append)
     assert compiled == [("energy form", ["hyper-reduced"]), ("", ["hyper-reduced"])]
+    assert answers == [{"compiled": True}] * 2
