@@ -30,6 +30,9 @@ def use() -> None:
             client.kc.execute(BEGIN.format(folder=cwd), silent=True, store_history=False)
 
         client.on_notebook_start = begin
-        return client.execute()
+        try:
+            return client.execute()
+        finally:
+            client.kc.stop_channels()
 
     utils.executenb = execute
