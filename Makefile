@@ -9,7 +9,8 @@ FUZZ_SECONDS ?= 10
 PYTEST_ARGS ?= -n auto --dist loadfile --no-loadscope-reorder
 
 VENV := .venv
-# Without byte code of all modules: a module is compiled when it is imported first.
+# Without byte code of all modules: a module is compiled to it when it is imported first, and it is kept.
+unexport PYTHONDONTWRITEBYTECODE
 INSTALL = $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check
 PAGE := $(shell find page -name node_modules -prune -o -type f -print) hatch_build.py
 BIN := $(VENV)/bin
