@@ -22,6 +22,7 @@ from figure_tables import (
     readme,
     reduced_cuts,
     sampled,
+    starts,
     steps,
 )
 from figure_tables.cells import BLOCKS, Block
@@ -29,5 +30,5 @@ from figure_tables.cells import BLOCKS, Block
 __all__ = [
     "BLOCKS", "Block", "bases", "contact", "cuts", "elements", "examples", "exported", "frequencies", "haply",
     "incompressible",
-    "laws", "linear", "membranes", "organs", "peers", "readme", "reduced_cuts", "sampled", "steps",
+    "laws", "linear", "membranes", "organs", "peers", "readme", "reduced_cuts", "sampled", "starts", "steps",
 ]  # fmt: skip
