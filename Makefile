@@ -112,6 +112,7 @@ clean: ## remove results, builds and caches, but not .venv
 # The demo's functions compile, in two processes, while the packages for pictures and the page install.
 $(VENV)/.installed-demo: pyproject.toml $(PAGE) | $(VENV)/.installed-base
 	@PYTHONPATH=src $(BIN)/python -P -m palpate.app.studies.compile beam >/dev/null 2>&1 & compiling=$$!; \
+	trap 'kill $$compiling 2>/dev/null; exit 130' INT TERM; \
 	echo "installing, and compiling the demo's functions meanwhile: a minute or two the first time ..."; \
 	$(INSTALL) --editable '.[film,view]' || { kill $$compiling; exit 1; }; \
 	wait $$compiling || true  # what is missing, the demo compiles
@@ -127,7 +128,7 @@ $(VENV)/.installed-base: pyproject.toml | $(BIN)/python
 $(VENV)/.installed-docs: EXTRAS := [docs]
 $(VENV)/.installed-test: EXTRAS := [test]
 $(VENV)/.installed-dev: EXTRAS := [dev]
-$(VENV)/.installed-dev: ALSO := $(addprefix $(VENV)/.installed-,demo docs test)
+$(VENV)/.installed-dev: ALSO := $(addprefix $(VENV)/.installed-,base demo docs test)
 $(VENV)/.installed-%: pyproject.toml $(PAGE) | $(BIN)/python
 	$(INSTALL) --editable '.$(EXTRAS)'
 	@$(check_drawing)

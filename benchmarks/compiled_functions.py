@@ -81,12 +81,13 @@ for make in example.studies.values():
     compile_study(study, study.series)
 """
 RUN = """
-import contextlib, warnings
+import warnings
 from palpate.app.cli import main
 
 warnings.simplefilter("ignore")
-with contextlib.suppress(SystemExit):
-    main({words})
+status = main({words})
+if status:
+    sys.exit(status)
 """
 END = """
 Path(sys.argv[1]).write_text(json.dumps({"counts": counts, "seconds": seconds}))

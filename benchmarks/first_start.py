@@ -3,8 +3,8 @@
     python benchmarks/first_start.py [demo] [press] [test]
 
 Wall-clock time and processor time of each, both with all child processes. `demo` is `make demo`, `press` runs the full
-body of the generated liver in real time, `test` is `make test`. Packages come from the index or cache of pip. Run it
-with nothing else on the machine; it writes docs/validation/first_start.json.
+body of the generated liver in real time, `test` is `make test`. Packages are downloaded the first time. Run it with
+nothing else on the machine; it writes docs/validation/first_start.json.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ import result_files
 from contact_elements import Block, punch, sphere
 
 import palpate as pt
-from palpate.dynamics.contact.impulses import TOUCHED, contact_impulses
+from palpate.dynamics.contact.impulses import RIGID_TOOLS, contact_impulses
 from palpate.dynamics.nodal.central_difference import step_scratch
 from palpate.dynamics.nodal.model import nodal_data
 
@@ -122,7 +122,7 @@ def overhead(spacing: float = 0.0018, rounds: int = 12) -> list[dict]:
         for _ in range(20):
             velocity = zero.copy()
             began = perf_counter()
-            contact_impulses(TOUCHED)(
+            contact_impulses(RIGID_TOOLS)(
                 prepared.contacts, schedule, 0, 1e-4, 1e-4, u, velocity, (nodes, scratch, 0.0, (0.0, 0.0, 0.0))
             )
             contact.append(perf_counter() - began)

@@ -85,7 +85,7 @@ def model_functions(
 ) -> tuple[dict[str, tuple[Any, tuple[Any, ...]]], dict[str, NDArray[Any]]]:
     """Return the functions of a library with their arguments, and the arrays that a program uses by name."""
     ready = idle_model(model, tools=integer_in_range("tools", tools, 1, MAX_TOOLS))
-    observable = make_observable(ready)
+    observable = make_observable(ready, linked=True)
     surface, data = Surface(model), observable.data
     count = len(data.coupling.position)
     work = Work.at_rest(observable.rest, observable.tool)

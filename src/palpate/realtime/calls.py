@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import float64, intp, types
 from numba.core import cgutils
+from numba.core.errors import TypingError
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
@@ -19,10 +20,10 @@ from palpate.arrays import Ints
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.compiled.reference import StoredRecord
 
-VECTOR, MATRIX = float64[::1], float64[:, ::1]
-ADVANCE_TYPES = VECTOR, VECTOR, VECTOR, float64, VECTOR  # q, v, target, period, report
-STIFFNESS_TYPES = VECTOR, MATRIX  # q, out
-ADVANCE, STIFFNESS = range(2)  # entries of `ModelCalls.functions`
+FLOAT_VECTOR, FLOAT_MATRIX = float64[::1], float64[:, ::1]
+ADVANCE_TYPES = FLOAT_VECTOR, FLOAT_VECTOR, FLOAT_VECTOR, float64, FLOAT_VECTOR  # q, v, target, period, report
+STIFFNESS_TYPES = FLOAT_VECTOR, FLOAT_MATRIX  # q, out
+ADVANCE_PLACE, STIFFNESS_PLACE = range(2)  # entries of `ModelCalls.functions`
 
 
 class ModelCalls(NamedTuple):
@@ -43,7 +44,7 @@ def model_calls(advance: Any, stiffness: Any, data: Any) -> ModelCalls:
     stored = StoredRecord(data)
     addresses = [_address(advance, stored, ADVANCE_TYPES), 0]
     if stiffness is not None:
-        addresses[STIFFNESS] = _address(stiffness, stored, STIFFNESS_TYPES)
+        addresses[STIFFNESS_PLACE] = _address(stiffness, stored, STIFFNESS_TYPES)
     return ModelCalls(np.array(addresses), stored.memory)
 
 
@@ -52,12 +53,19 @@ def _address(function: Any, stored: StoredRecord, argument_types: tuple[Any, ...
     signature = (stored.numba_type, *argument_types)
     function.compile(signature)
     compiled = function.overloads[signature]
-    return int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
+    if compiled.signature.return_type != types.none:
+        raise TypeError(f"{function.py_func.__qualname__} must return nothing, got {compiled.signature.return_type}")
+    address = int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
+    if not address:
+        raise RuntimeError(f"{function.py_func.__qualname__} must have an address, got none from Numba")
+    return address
 
 
 @intrinsic
 def _call(typing_context, function, data, arguments):
     """Call the function at an address with the record at an address and a tuple of arguments; it returns nothing."""
+    if tuple(arguments.types) not in (ADVANCE_TYPES, STIFFNESS_TYPES):
+        raise TypingError(f"arguments must have the types of a model's functions, got {arguments}")
     argument_types = types.voidptr, *arguments.types
 
     def generate(context, builder, signature, values):
@@ -79,10 +87,10 @@ def _call(typing_context, function, data, arguments):
 @kernel_njit(inline="always")
 def call_advance(calls, q, v, target, period, report):
     """Call `advance` of a model; see `palpate.realtime.Realtime`."""
-    _call(calls.functions[ADVANCE], calls.memory.ctypes.data, (q, v, target, period, report))
+    _call(calls.functions[ADVANCE_PLACE], calls.memory.ctypes.data, (q, v, target, period, report))
 
 
 @kernel_njit(inline="always")
 def call_stiffness(calls, q, out):
     """Call `stiffness` of a model; see `palpate.realtime.Realtime`."""
-    _call(calls.functions[STIFFNESS], calls.memory.ctypes.data, (q, out))
+    _call(calls.functions[STIFFNESS_PLACE], calls.memory.ctypes.data, (q, out))

@@ -297,10 +297,13 @@ class Engine(Described):
             Of the same types as the data before.
         """
         with self._lock:
+            advance = self._model.advance
+            if self._cutter is not None and not isinstance(self._model, ObservableModel):
+                advance = self._cutter.advance  # with cuts from the first blade on
+            _, _, stored = loop_arguments(advance, self._model.stiffness, data)
             self._exchanges = self._runner.state == RUNNING
             if self._exchanges:
                 self._runner.stop(PAUSED)
-            _, _, stored = loop_arguments(self._model.advance, self._model.stiffness, data)
             self._runner.exchange(partial(self._loop, stored, self._work, self._channels, self._settings))
             if self._exchanges and self._runner.state == PAUSED:
                 self._runner.start()

@@ -120,7 +120,8 @@ def loop_arguments(advance: Any, stiffness: Any, data: Any) -> tuple[Any, Any, A
     A loop that calls functions by their addresses is compiled once for all models. The functions of a user may index
     their data, or take a tuple apart.
     """
-    if not advance.py_func.__module__.startswith("palpate."):
+    functions = [function for function in (advance, stiffness) if function is not None]
+    if not all(function.py_func.__module__.startswith("palpate.") for function in functions):
         return advance, stiffness, data
     called = model_calls(advance, stiffness, data)
     return call_advance, None if stiffness is None else call_stiffness, StoredRecord(called)

@@ -26,19 +26,21 @@ modulus ratio therefore changes slowly compared with vibrations.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats, Ints
-from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.reference import reference
 from palpate.faults import number_in_range
 from palpate.realtime.bodies.model import RealtimeModel
-from palpate.realtime.calls import ModelCalls, call_advance, call_stiffness, model_calls
+from palpate.realtime.calls import call_advance, call_stiffness, model_calls
 from palpate.realtime.contract import FORCES, KINETIC, STATUS, STRAIN, tool_maps
 from palpate.realtime.exchange import Slot, publish, snapshot
+from palpate.realtime.period import function_key
 from palpate.reduction.contact.surface import PAIRS
 
 MAX_CONTACT_NODES = 4096  # contact nodes published in a period
@@ -75,7 +77,7 @@ class PublishedContact(NamedTuple):
 class ObservableData(NamedTuple):
     """Data of an observable model."""
 
-    inner: ModelCalls  # of the model inside
+    inner: Any  # `ModelCalls` of the model inside, or its data if its functions are linked
     contact: PublishedContact  # of the model inside
     slot: Slot  # published values
     values: Floats  # array: values to be published next
@@ -179,14 +181,30 @@ class ObservableModel(NamedTuple):
         parameters[:] = stiffness, 2.0 * np.sqrt(stiffness * TOOL_MASS), TOOL_MASS, force_limit
 
 
-def make_observable(model: RealtimeModel) -> ObservableModel:
-    """Return an observable model that shares the data of a real-time model."""
+def make_observable(model: RealtimeModel, linked: bool = False) -> ObservableModel:
+    """Return an observable model that shares the data of a real-time model.
+
+    Parameters
+    ----------
+    linked : bool
+        True to link the functions of the model, for code that runs elsewhere. By default they are called by their
+        addresses, so that all models have the same functions.
+    """
+    cutter, called = model.cutter, (call_advance, None if model.stiffness is None else call_stiffness)
+    advance, stiffness = observable_functions(*((model.advance, model.stiffness) if linked else called))
+
+    def passed(inner: Any) -> Any:
+        """Return data of the model inside as the functions take them."""
+        if linked:
+            return inner
+        return model_calls(model.advance if cutter is None else cutter.advance, model.stiffness, inner)
+
     contact = PublishedContact(*(getattr(model.data.contact_work, name) for name in PublishedContact._fields))
     contacts = min(MAX_CONTACT_NODES, len(contact.node))
     tools, count = tool_maps(model.tool).shape[:2]
     values = np.zeros(TOOLS + 6 * tools + len(model.rest) + CONTACT_SIZE * contacts)
     data = ObservableData(
-        inner=model_calls(model.advance, model.stiffness, model.data),
+        inner=passed(model.data),
         contact=contact,
         slot=Slot.zeros(len(values)),
         values=values,
@@ -195,11 +213,10 @@ def make_observable(model: RealtimeModel) -> ObservableModel:
         tangent=np.zeros((tools * count, count)),
         modulus_ratio=np.ones(2),
     )
-    if model.cutter is not None:
-        model.cutter.wrap = lambda inner: data._replace(inner=model_calls(model.advance, model.stiffness, inner))
-    stiffness = None if model.stiffness is None else _stiffness
+    if cutter is not None:
+        cutter.wrap = lambda inner: data._replace(inner=passed(inner))
     observable = ObservableModel(
-        _advance, stiffness, data, model.rest, model.tool, model.force_bound, model.catch_up, model.cutter,
+        advance, stiffness, data, model.rest, model.tool, model.force_bound, model.catch_up, model.cutter,
         model.tool_names,
     )  # fmt: skip
     observable.set_state(model.rest, np.zeros((tools, 3)))
@@ -272,66 +289,75 @@ def _coupling_of(coupling, t):
     )
 
 
-@kernel_njit()
-def _advance(given, q, v, target, period, report):
-    """Advance the model inside, with the springs of the devices and the present moduli; publish the result."""
-    data = reference(given)
-    moved, values, modulus_ratio = data.target, data.values, data.modulus_ratio
-    tools = data.coupling.position.shape[0]
-    count = target.shape[0] // tools
-    for k in range(target.shape[0]):
-        moved[k] = target[k]
-    for t in range(tools):
-        coupling = _coupling_of(data.coupling, t)
-        if coupling.parameters[STIFFNESS] > 0.0:
-            _move_coupled_tool(coupling, moved[count * t : count * t + 3], values[TOOLS + 3 * t :], period)
-    before, most = modulus_ratio[PRESENT], np.exp(MAX_RATIO_RATE * period)
-    ratio = min(max(modulus_ratio[TARGET], before / most), before * most)
-    if ratio != before:
-        for m in range(v.shape[0]):
-            v[m] *= np.sqrt(before / ratio)
-        modulus_ratio[PRESENT] = ratio
-    call_advance(data.inner, q, v, moved, period * np.sqrt(ratio), report)
-    if report[STATUS] != 0.0:
-        return
-    report[KINETIC] *= ratio
-    report[STRAIN] *= ratio
-    for k in range(FORCES, report.shape[0]):
-        report[k] *= ratio
-    for t in range(tools):
-        coupling, first = _coupling_of(data.coupling, t), count * t
-        device_force, position = values[TOOLS + 3 * t :], values[TOOLS + 3 * (tools + t) :]
-        coupled = coupling.parameters[STIFFNESS] > 0.0
-        if coupled:
-            _stop_coupled_tool(coupling, moved[first : first + 3], device_force, period)
-        else:
-            for k in range(count):
-                target[first + k] = moved[first + k]
-        for i in range(min(3, count)):
-            coupling.force[i] = -report[FORCES + first + i]
-            position[i] = moved[first + i]  # where the tool is, which may be held
-            if not coupled:
-                device_force[i] = coupling.force[i]
-    at = TOOLS + 6 * tools
-    for m in range(q.shape[0]):
-        values[at + m] = q[m]
-    at += q.shape[0]
-    contact = data.contact
-    pairs = min(contact.numbers[PAIRS], (values.shape[0] - at) // CONTACT_SIZE)
-    values[CONTACT_COUNT], values[MODULUS_RATIO] = pairs, ratio
-    for e in range(pairs):
-        values[at], values[at + 1] = contact.node[e], contact.tool[e]
-        for i in range(3):
-            values[at + 2 + i] = contact.push[e, i]  # for the model's own moduli
-        at += CONTACT_SIZE
-    publish(data.slot, values[:at])
+@cache
+def observable_functions(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
+    """Compile the functions of an observable model around those of the model inside."""
+    digest = law_digest(__name__, function_key(inner_advance), inner_stiffness and function_key(inner_stiffness))
 
+    @law_njit(digest)
+    def advance(given, q, v, target, period, report):
+        """Advance the model inside, with the springs of the devices and the present moduli; publish the result."""
+        data = reference(given)
+        moved, values, modulus_ratio = data.target, data.values, data.modulus_ratio
+        tools = data.coupling.position.shape[0]
+        count = target.shape[0] // tools
+        for k in range(target.shape[0]):
+            moved[k] = target[k]
+        for t in range(tools):
+            coupling = _coupling_of(data.coupling, t)
+            if coupling.parameters[STIFFNESS] > 0.0:
+                _move_coupled_tool(coupling, moved[count * t : count * t + 3], values[TOOLS + 3 * t :], period)
+        before, most = modulus_ratio[PRESENT], np.exp(MAX_RATIO_RATE * period)
+        ratio = min(max(modulus_ratio[TARGET], before / most), before * most)
+        if ratio != before:
+            for m in range(v.shape[0]):
+                v[m] *= np.sqrt(before / ratio)
+            modulus_ratio[PRESENT] = ratio
+        inner_advance(data.inner, q, v, moved, period * np.sqrt(ratio), report)
+        if report[STATUS] != 0.0:
+            return
+        report[KINETIC] *= ratio
+        report[STRAIN] *= ratio
+        for k in range(FORCES, report.shape[0]):
+            report[k] *= ratio
+        for t in range(tools):
+            coupling, first = _coupling_of(data.coupling, t), count * t
+            device_force, position = values[TOOLS + 3 * t :], values[TOOLS + 3 * (tools + t) :]
+            coupled = coupling.parameters[STIFFNESS] > 0.0
+            if coupled:
+                _stop_coupled_tool(coupling, moved[first : first + 3], device_force, period)
+            else:
+                for k in range(count):
+                    target[first + k] = moved[first + k]
+            for i in range(min(3, count)):
+                coupling.force[i] = -report[FORCES + first + i]
+                position[i] = moved[first + i]  # where the tool is, which may be held
+                if not coupled:
+                    device_force[i] = coupling.force[i]
+        at = TOOLS + 6 * tools
+        for m in range(q.shape[0]):
+            values[at + m] = q[m]
+        at += q.shape[0]
+        contact = data.contact
+        pairs = min(contact.numbers[PAIRS], (values.shape[0] - at) // CONTACT_SIZE)
+        values[CONTACT_COUNT], values[MODULUS_RATIO] = pairs, ratio
+        for e in range(pairs):
+            values[at], values[at + 1] = contact.node[e], contact.tool[e]
+            for i in range(3):
+                values[at + 2 + i] = contact.push[e, i]  # for the model's own moduli
+            at += CONTACT_SIZE
+        publish(data.slot, values[:at])
 
-@kernel_njit()
-def _stiffness(given, q, out):
-    """Write the contact stiffness of the model inside, with the present moduli."""
-    data = reference(given)
-    call_stiffness(data.inner, q, data.tangent)
-    for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            out[i, j] = data.modulus_ratio[PRESENT] * data.tangent[i, j]
+    if inner_stiffness is None:
+        return advance, None
+
+    @law_njit(digest)
+    def stiffness(given, q, out):
+        """Write the contact stiffness of the model inside, with the present moduli."""
+        data = reference(given)
+        inner_stiffness(data.inner, q, data.tangent)
+        for i in range(out.shape[0]):
+            for j in range(out.shape[1]):
+                out[i, j] = data.modulus_ratio[PRESENT] * data.tangent[i, j]
+
+    return advance, stiffness

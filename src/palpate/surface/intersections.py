@@ -220,7 +220,7 @@ def _touches_box(p, box):
 # ---- two triangles
 
 # first corner and number of corners of parts of two triangles; literal integers would compile functions for each value
-TRIANGLES, EDGE = (0, 3, 0, 3), (0, 2)
+TWO_TRIANGLES, ONE_EDGE = (0, 3, 0, 3), (0, 2)
 
 
 @cached_njit()
@@ -238,10 +238,10 @@ def _meet(p, q, i, j):
                 sum_i += a
                 sum_j += b
     if shared == 0:
-        return not _are_separated(p, q, TRIANGLES)
+        return not _are_separated(p, q, TWO_TRIANGLES)
     if shared == 1:  # an intersection reaches an edge opposite to the vertex
-        edge_p = sum_i + 1, EDGE[1], TRIANGLES[2], TRIANGLES[3]
-        edge_q = TRIANGLES[0], TRIANGLES[1], sum_j + 1, EDGE[1]
+        edge_p = sum_i + 1, ONE_EDGE[1], TWO_TRIANGLES[2], TWO_TRIANGLES[3]
+        edge_q = TWO_TRIANGLES[0], TWO_TRIANGLES[1], sum_j + 1, ONE_EDGE[1]
         near = GAP_TOLERANCE * _extent(p, q)
         if _separates(_normal(q), p, q, edge_p, near) or _separates(_normal(p), p, q, edge_q, near):
             return False

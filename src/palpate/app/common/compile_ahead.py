@@ -35,10 +35,10 @@ def compile_ahead(function: Function, given: Any) -> Iterator[Callable[[], objec
     Yields
     ------
     function
-        Waits until that process has ended. What it has not compiled is compiled when it is called.
+        Waits until that process has answered, or ended. What it has not compiled is compiled when it is called.
     """
     with second_process(function, given) as child:
-        yield (lambda: None) if child is None else child.wait
+        yield lambda: None if child is None else next(child.answers(), None)
 
 
 def _processors() -> int:

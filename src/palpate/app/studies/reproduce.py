@@ -90,7 +90,7 @@ def reproduce(*, example: str, modes: Sequence[int], out: Path, as_json: bool = 
             write_vtkhdf(out / f"{example}.vtkhdf", case.model.cloud, full.times, fields)
             drawn = [name for name in chosen.figures if name not in other.pictures]
             missing = draw_figures(chosen, drawn, [each for each in studies.values() if each], out)
-            report["missing"] = missing | other.wait_for_pictures()
+            report["missing"] = missing | other.finish_pictures(study, out)
             for name, text in report["missing"].items():
                 console.say(f"{name} is missing: {text}")
         deliver(report, tables(report, studies, chosen.rows), out, chosen.files, as_json)

@@ -23,8 +23,8 @@ from palpate.dynamics.run.trajectory import Trajectory
 from palpate.files import flush_and_rename
 from palpate.processes import Answer, Child, Receive
 
-COMPILED, STUDY, PICTURES = "compiled", "study", "pictures"  # answers of the second process
-START, DRAW = "start", "draw"  # requests to it
+COMPILED_ANSWER, STUDY_ANSWER, PICTURES_ANSWER = "compiled", "study", "pictures"  # answers of the second process
+START_REQUEST, DRAW_REQUEST = "start", "draw"  # requests to it
 
 
 def assist_example(
@@ -43,20 +43,20 @@ def assist_example(
         (make,) = example.studies.values()
         study = make(example.case(**options))
         compile_study(study, [name for name in study.series if name != PROJECTED])
-        answer({COMPILED: True})
+        answer({COMPILED_ANSWER: True})
         return
     numba.set_num_threads(1)
     make_first, make = example.studies.values()
     study = make(example.second_case(**options))
     compile_study(study, study.series)
-    answer({COMPILED: True})
-    receive()  # START: the folder is there
-    answer({STUDY: _run_study(study, sizes, out, shown)})
-    receive()  # DRAW: the first full run is complete
+    answer({COMPILED_ANSWER: True})
+    receive()  # START_REQUEST: the folder is there
+    answer({STUDY_ANSWER: _run_study(study, sizes, out, shown)})
+    receive()  # DRAW_REQUEST: the first full run is complete
     first = make_first(example.case(**options))
     first.full = Trajectory.load(out / first.file)
     first.fields = example.fields(first.case.model, first.full.displacements)
-    answer({PICTURES: draw_figures(example, example.pictures, [first], out)})
+    answer({PICTURES_ANSWER: draw_figures(example, example.pictures, [first], out)})
 
 
 def _run_study(study: Study, sizes: Sequence[int], out: Path, shown: Path) -> dict[str, Any]:
@@ -114,11 +114,11 @@ class SecondForm:
 
     def start(self) -> None:
         """Allow it to write into the folder of the results."""
-        self._send(START)
+        self._send(START_REQUEST)
 
     def draw(self) -> None:
         """Let it draw the pictures of the first full run."""
-        self._send(DRAW)
+        self._send(DRAW_REQUEST)
 
     def _send(self, request: str) -> None:
         if self.runs and self._child is not None:
@@ -139,10 +139,10 @@ class SecondForm:
     def _finish(
         self, study: Study, first: Study, sizes: Sequence[int], out: Path, console: Console
     ) -> Study | None:  # fmt: skip
-        answer = next((each[STUDY] for each in self._answers if STUDY in each), None) if self.runs else None
+        answer = self._wait_for(STUDY_ANSWER, f"in the runs of the other form; those of the {first.title} are kept")
         try:
             if answer is None:
-                self.pictures = ()
+                (out / _waiting_name(study.file)).unlink(missing_ok=True)  # of a second process that has ended
                 run_full(study, out, [], console)
             else:
                 _read_study(study, answer, out)
@@ -157,12 +157,19 @@ class SecondForm:
             console.say(line)
         return study
 
-    def wait_for_pictures(self) -> dict[str, str]:
-        """Return why pictures of the first full run could not be drawn, by name."""
+    def _wait_for(self, key: str, interrupted: str) -> Any:
+        """Return an answer of the second process, or None if it does not run or has ended."""
+        try:
+            return next((each[key] for each in self._answers if key in each), None) if self.runs else None
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(interrupted) from None
+
+    def finish_pictures(self, first: Study, out: Path) -> dict[str, str]:
+        """Return why pictures of the first full run could not be drawn, by name; draw them if nobody has."""
         if not self.pictures:
             return {}
-        ended = dict.fromkeys(self.pictures, "the process that draws it has ended")
-        return next((each[PICTURES] for each in self._answers if PICTURES in each), ended)
+        missing = self._wait_for(PICTURES_ANSWER, "in the figures; the files of the runs are kept")
+        return draw_figures(self._example, self.pictures, [first], out) if missing is None else missing
 
 
 def _read_study(study: Study, answer: Mapping[str, Any], out: Path) -> None:

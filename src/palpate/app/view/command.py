@@ -155,11 +155,10 @@ def _show(
         try:
             with _end_after_interrupt(patience):
                 tissue = None if scene is None or preparation.code_is_compiled else scene.description.tissue
-                with contextlib.ExitStack() as ahead:
-                    wait = None
-                    if tissue is not None:
-                        wait = ahead.enter_context(compile_ahead(compile_engine, written_section(tissue)))
-                    session = stack.enter_context(running_session(subject, full, make, console, record, wait))
+                wait = None
+                if tissue is not None:
+                    wait = stack.enter_context(compile_ahead(compile_engine, written_section(tissue)))
+                session = stack.enter_context(running_session(subject, full, make, console, record, wait))
                 from palpate.app.device.driver import driving
                 from palpate.app.view.refinement import Refinement
 

@@ -45,7 +45,7 @@ from palpate.dynamics.contact.held import press_held_nodes
 from palpate.dynamics.contact.kinds import BLADE
 
 # what touches a body, by which its steps are compiled: no tool, tools, or tools with a blade among them
-UNTOUCHED, TOUCHED, CUT = range(3)
+NO_TOOLS, RIGID_TOOLS, WITH_BLADE = range(3)
 
 MAX_SWEEPS = 30
 MIN_FREEDOM = 0.01  # of a sliding node: least squared part of a tool's normal along its free directions
@@ -54,11 +54,11 @@ BLOCK_CANDIDATES = 512  # of a part of the search
 SWEEP_TOLERANCE = 1e-2  # largest change of an impulse in the last sweep, relative to the largest impulse
 
 
-def touch_of(contacts: Contacts) -> int:
-    """Return what touches a body: UNTOUCHED, TOUCHED, or CUT by a blade."""
+def contact_kind(contacts: Contacts) -> int:
+    """Return what touches a body: NO_TOOLS, RIGID_TOOLS, or WITH_BLADE where a blade or faces of a cut do."""
     if len(contacts.sites.kind) or BLADE in contacts.tools.kind:
-        return CUT
-    return TOUCHED if len(contacts.tools.kind) else UNTOUCHED
+        return WITH_BLADE
+    return RIGID_TOOLS if len(contacts.tools.kind) else NO_TOOLS
 
 
 @kernel_njit(inner=True)
@@ -336,7 +336,7 @@ def push_patches(touch: int) -> Any:
         step. `ratio` is that of the first impulses to those of the step before. `data` are the nodal data, the scratch
         arrays of the step, alpha [1/s] of the damping alpha M, and gravity. It returns as `contact_impulses`.
     """
-    cuts = touch == CUT
+    cuts = touch == WITH_BLADE
 
     @law_njit(law_digest(__name__, "push", cuts), inner=True)
     def push(contacts, times, ratio, u, velocity, data):
@@ -378,7 +378,7 @@ def contact_impulses(touch: int) -> Any:
     Parameters
     ----------
     touch : int
-        What touches the body; see `touch_of`. Of an untouched body the function does nothing.
+        What touches the body; see `contact_kind`. Of an untouched body the function does nothing.
 
     Returns
     -------
@@ -389,7 +389,7 @@ def contact_impulses(touch: int) -> Any:
         energies [J]: work of the tools; energy dissipated by friction and impact; change of the work of loads and
         constraints.
     """
-    if touch == UNTOUCHED:
+    if touch == NO_TOOLS:
         return _no_impulses
     push = push_patches(touch)
 

@@ -15,7 +15,7 @@ from palpate.arrays import Floats, Ints, sum_of_products
 from palpate.dynamics.compiled.lanes import Lanes
 from palpate.dynamics.compiled.passes import Formulation, internal_force
 from palpate.dynamics.compiled.rows import Rows
-from palpate.dynamics.contact.impulses import touch_of
+from palpate.dynamics.contact.impulses import contact_kind
 from palpate.dynamics.contact.tools import surface_nodes
 from palpate.dynamics.loads.prepared import LoadHistory, PreparedLoads, with_held_nodes
 from palpate.dynamics.loads.supports import FIXED, SupportedNodes, free_directions, supported_nodes
@@ -373,7 +373,7 @@ class NodalModel(Model):
         work.step.surface[:] = 0.0  # of another run's loads
         least = self._least_dilatation(work)
         least[:] = 0.0
-        done, lost, tools = full_step(self.formulation.of_steps, touch_of(contacts))(
+        done, lost, tools = full_step(self.formulation.of_steps, contact_kind(contacts))(
             u,
             v,
             step,

@@ -231,7 +231,7 @@ def nodal_period(formulation: Formulation, touch: int) -> Any:
     ----------
     formulation : Formulation
     touch : int
-        CUT for a body that a blade can cut, TOUCHED for others (`palpate.dynamics.contact.impulses`).
+        WITH_BLADE for a body that a blade can cut, RIGID_TOOLS for others (`palpate.dynamics.contact.impulses`).
 
     Returns
     -------

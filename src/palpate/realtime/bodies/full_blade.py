@@ -21,9 +21,11 @@ from palpate.arrays import Floats
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.blade_sites import AWAY_TOOL, EDGE_SITE, NO_TOOL
 from palpate.dynamics.contact.grip import nodes_in_grip
+from palpate.dynamics.contact.impulses import WITH_BLADE
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.supports import FREE
 from palpate.dynamics.nodal.mass_tailoring import without_nodes
+from palpate.dynamics.nodal.period import nodal_period
 from palpate.dynamics.nodal.period_data import LOST, NO_BLADE, NodalPeriodData
 from palpate.dynamics.nodal.tool_path import END, HOME, LAST_CUT
 from palpate.dynamics.run.model import State
@@ -32,6 +34,7 @@ from palpate.dynamics.solid.cutting.face_pairs import face_pairs, turn_pairs
 from palpate.dynamics.solid.cutting.incision import Incision
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import CloudError, DivergenceError, InputError
+from palpate.realtime.calls import model_calls
 
 MAX_DISTANCE_OF_A_CUT = 0.5  # largest distance of a blade from where it cut the body last, in spacings
 TURN_INTERVAL = 0.05  # [s] between turns of the normals of faces
@@ -60,11 +63,14 @@ class BladeCutter:
         Mean time of a cut.
     failure : str
         Why the last cut was not made; empty if it was.
+    advance : function
+        Compiled period of the body (`palpate.dynamics.nodal.period.nodal_period`), with cuts from the first blade on.
     wrap : function
         Makes the data of the engine's model from those of the period.
     """
 
-    def __init__(self, model: EnergySolid, data: NodalPeriodData) -> None:
+    def __init__(self, model: EnergySolid, advance: Any, data: NodalPeriodData) -> None:
+        self.advance = advance
         self.whole_model, self.model, self.data, self.blade = model, model, data, NO_BLADE
         self.incision: Incision | None = None
         self.cuts, self.failure, self.wrap = 0, "", lambda data: data
@@ -102,7 +108,9 @@ class BladeCutter:
             self.incision, self.failure, self._is_due = None, "", True
 
     def _compile(self, blade: Blade) -> None:
-        """Cut a copy of the body from above, so that no cut next to the loop compiles code while the blade waits."""
+        """Compile the period with cuts, and cut a copy of the body from above: nothing is compiled next to the loop."""
+        self.advance = nodal_period(self.whole_model.formulation, WITH_BLADE)
+        model_calls(self.advance, None, self.data)
         model, frame = self.whole_model, np.eye(3, 4)
         points, spacing = model.cloud.points, model.cloud.spacing
         away = np.linalg.norm((points - points.mean(axis=0))[:, :2], axis=1)

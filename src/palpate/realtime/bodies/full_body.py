@@ -10,7 +10,7 @@ from palpate.arrays import Floats
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import curvatures, rotation
 from palpate.dynamics.contact.grip import COUNT, empty_grip, grasped_nodes, nodes_in_grip, set_grip
-from palpate.dynamics.contact.impulses import CUT, TOUCHED
+from palpate.dynamics.contact.impulses import contact_kind
 from palpate.dynamics.contact.kinds import CAPSULE, PLANE
 from palpate.dynamics.contact.penetration import MAX_SURFACE_DEPTH
 from palpate.dynamics.contact.tools import Contact, Forceps, Grasp, Sphere, Tool
@@ -44,7 +44,6 @@ from palpate.dynamics.nodal.period_data import (
 )
 from palpate.dynamics.nodal.tool_path import END, HOME, LAST_CUT, START
 from palpate.dynamics.solid.base import Solid
-from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError, integer_in_range
 from palpate.realtime.bodies.full_blade import BladeCutter
 
@@ -137,8 +136,7 @@ def full_period(
         if isinstance(tool, Grasp):
             forceps = Forceps(tool.radius, tool.point, tool.until)
             change_full_tool(model, data, None, forceps, tool.poses(np.zeros(1))[0], 0.0, t)
-    can_be_cut = isinstance(model, EnergySolid) and not model.planes
-    return nodal_period(model.formulation, CUT if can_be_cut else TOUCHED), data
+    return nodal_period(model.formulation, contact_kind(contacts)), data
 
 
 def _clock_at_rest(step: float, frequency: float) -> Floats:

@@ -71,9 +71,9 @@ class RealtimeModel(NamedTuple):
         Number of periods by which the engine may be late and still take them all.
     change_tool : function, optional
         ``change_tool(tool, pose, friction, index=0)`` replaces a tool in contact between two periods; the body keeps
-        its state, other tools go on, and nothing is compiled. `tool` is a Sphere, Capsule, Plane, Punch, Forceps or
-        None, `pose` (7,) its position [m] and unit quaternion, to which later displacements and rotations are relative.
-        The engine must be paused. A full body also takes a Blade, one at a time.
+        its state, and other tools go on. `tool` is a Sphere, Capsule, Plane, Punch, Forceps or None, `pose` (7,) its
+        position [m] and unit quaternion, to which later displacements and rotations are relative. The engine must be
+        paused. A full body also takes a Blade, one at a time; only the first one compiles anything.
     cutter : BladeCutter, optional
         Of a solid, which the engine cuts with a blade.
     relaxes : bool
@@ -345,11 +345,13 @@ def _full_body(
         raise InputError("contact must be a Contact or a Grasp for a full body in the engine, got none; give contact=")
     _check_foundations(foundations)
     advance, data = full_period(model, tools, foundations, tailored_modes)
-    cutter = BladeCutter(model, data) if isinstance(model, EnergySolid) and not model.planes else None
+    cutter = BladeCutter(model, advance, data) if isinstance(model, EnergySolid) and not model.planes else None
     change = partial(change_full_tool, model, data, cutter)
     for t, tool in enumerate(tools):
         if isinstance(tool, Contact) and isinstance(tool.tool, Blade):
             change(tool.tool, tool.poses(np.zeros(1))[0], 0.0, t)
+    if cutter is not None:
+        advance = cutter.advance
     return RealtimeModel(
         advance, nodal_stiffness, data, np.zeros(3 * len(model.cloud)), _pose_coordinates(tools),
         catch_up=CATCH_UP, change_tool=change, cutter=cutter, relaxes=model.material.prony is not None,
