@@ -51,7 +51,7 @@ class Channels(NamedTuple):
         return self.pose if tool == 0 else Slot(self.more_poses.version[tool - 1], self.more_poses.values[tool - 1])
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _wait(deadline, spin, command):
     """Sleep until shortly before the deadline [ns], then poll the clock; return whether to continue."""
     while get_flag(command, 0) == RUNNING:

@@ -127,13 +127,13 @@ def _fill(array, value):
         array.flat[i] = value
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _coordinates_place(work):
     """Return the index in the record at which the coordinates begin."""
     return HEADER_SIZE + TOOL_SIZE * work.tool.shape[0]
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _repeat_first(record):
     """Write the fields of the first tool into the header."""
     for i in range(STIFFNESS + 9):
@@ -171,7 +171,7 @@ def place_work(work, t):
     _repeat_first(work.record)
 
 
-@kernel_njit(inline="always")
+@kernel_njit()
 def move_tools(work, settings):
     """Move the tools towards the requested poses, or clamped tools towards their last trusted poses."""
     goal = work.wanted
@@ -186,7 +186,7 @@ def move_tools(work, settings):
     tool_coordinates(work.tool, work.pose, work.target)
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _take_back(work):
     """Set the pose to that of a tool in contact that the model has held; it follows from there."""
     count = work.tool.shape[1]
@@ -199,7 +199,7 @@ def _take_back(work):
             pose_of_coordinates(reached, work.pose[t])
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _is_beyond(work):
     """Return whether the requested poses are beyond the last trusted ones, in the direction that lost trust."""
     tool_coordinates(work.tool, work.wanted, work.wanted_coordinates)
@@ -209,7 +209,7 @@ def _is_beyond(work):
     return beyond > 0.0
 
 
-@kernel_njit(inline="always")
+@kernel_njit()
 def clamp_tools(work, seconds):
     """After a period [s], store the trusted poses, or clamp the tools to the last ones."""
     if work.record[TRUSTED] > 1.0 and not work.record[CLAMPED]:
@@ -227,7 +227,7 @@ def clamp_tools(work, seconds):
         work.length[0] += 1
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _retreat(work, seconds):
     """Move clamped tools back along their trail if trust does not return."""
     length = work.length[0]
@@ -240,7 +240,7 @@ def _retreat(work, seconds):
                 tool_coordinates(work.tool, work.trail[work.length[0] - 1], work.last_trusted)
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _is_equal(numbers, others):
     different = 0
     for i in range(numbers.shape[0]):
@@ -248,7 +248,7 @@ def _is_equal(numbers, others):
     return different == 0
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _is_equal_pose(poses, others):
     different = 0
     for t in range(poses.shape[0]):
@@ -257,14 +257,14 @@ def _is_equal_pose(poses, others):
     return different == 0
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _copy_poses(poses, out):
     for t in range(poses.shape[0]):
         for i in range(POSE_NUMBERS):
             out[t, i] = poses[t, i]
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _thin(trail):
     """Keep every second pose, including the first; return their number."""
     kept = (trail.shape[0] + 1) // 2
@@ -281,7 +281,7 @@ def _is_finite(array):
     return total == 0.0
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _forget_at_rest(work):
     """Forget the largest trust number and forces of a motion when the body is at rest again."""
     energy, clock = work.report[KINETIC] + work.report[STRAIN], work.clock
@@ -292,7 +292,7 @@ def _forget_at_rest(work):
             work.record[HEADER_SIZE + TOOL_SIZE * t + LARGEST_FORCE] = 0.0
 
 
-@kernel_njit(inline="always")
+@kernel_njit()
 def write_record(work, settings):
     """Write the model's report to the record; return whether the state is finite."""
     report, record = work.report, work.record
@@ -316,7 +316,7 @@ def write_record(work, settings):
     return valid
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _write_tool(work, settings, t):
     """Write pose, force and moment of a tool to its part of the record."""
     at, count, record = HEADER_SIZE + TOOL_SIZE * t, work.tool.shape[1], work.record
@@ -333,7 +333,7 @@ def _write_tool(work, settings, t):
             moment[i] *= settings.force_limit / size
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _write_stiffness(work):
     """Write the contact stiffness (3, 3) of every tool to the record if it is finite."""
     count = work.tool.shape[1]

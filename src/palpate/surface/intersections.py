@@ -219,9 +219,6 @@ def _touches_box(p, box):
 
 # ---- two triangles
 
-# first corner and number of corners of parts of two triangles; literal integers would compile functions for each value
-TWO_TRIANGLES, ONE_EDGE = (0, 3, 0, 3), (0, 2)
-
 
 @cached_njit()
 def _meet(p, q, i, j):
@@ -237,11 +234,11 @@ def _meet(p, q, i, j):
                 shared += 1
                 sum_i += a
                 sum_j += b
+    first, two, three = np.int64(0), np.int64(2), np.int64(3)  # literals would compile functions for each value
     if shared == 0:
-        return not _are_separated(p, q, TWO_TRIANGLES)
+        return not _are_separated(p, q, (first, three, first, three))
     if shared == 1:  # an intersection reaches an edge opposite to the vertex
-        edge_p = sum_i + 1, ONE_EDGE[1], TWO_TRIANGLES[2], TWO_TRIANGLES[3]
-        edge_q = TWO_TRIANGLES[0], TWO_TRIANGLES[1], sum_j + 1, ONE_EDGE[1]
+        edge_p, edge_q = (sum_i + 1, two, first, three), (first, three, sum_j + 1, two)
         near = GAP_TOLERANCE * _extent(p, q)
         if _separates(_normal(q), p, q, edge_p, near) or _separates(_normal(p), p, q, edge_q, near):
             return False

@@ -19,7 +19,7 @@ MAX_SITE_SWEEPS, SITE_TOLERANCE = 30, 3e-2  # of the impulses in a step, and lar
 RECOVERY_TIME = 0.01  # [s] in which a face leaves a blade that it is in
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def clear_sites(contacts, time, mass, drag):
     """Prepare the nodes of the sites for the impulses of a step that ends at a time [s]."""
     sites = contacts.sites
@@ -30,7 +30,7 @@ def clear_sites(contacts, time, mass, drag):
             contacts.work.step_impulses[j, c] = 0.0
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _turned(frame, v):
     """Return a vector of the tool's frame in space."""
     return (
@@ -40,7 +40,7 @@ def _turned(frame, v):
     )
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _tissue(sites, s, u, velocity, inverse_mass):
     """Return the position (3) and the velocity (3) of the tissue at a site, and the sum of w^2 / m."""
     x, y, z = sites.points[s, 0], sites.points[s, 1], sites.points[s, 2]
@@ -53,12 +53,12 @@ def _tissue(sites, s, u, velocity, inverse_mass):
     return (x, y, z), (vx, vy, vz), response
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _slip(sites, s, place, at, frame, normal):
     """Return how far [m] an edge at a point of its frame is beyond the tissue at its site."""
     return (
@@ -68,7 +68,7 @@ def _slip(sites, s, place, at, frame, normal):
     )
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _edge_impulse(frame, direction, relative, response, most, before, clear):
     """Return the impulse of the edge on the tissue, in place of the one before in this step, for a push at most `most`.
 
@@ -94,7 +94,7 @@ def _edge_impulse(frame, direction, relative, response, most, before, clear):
     )
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _face_impulse(normal, along, relative, response, needed, most, before):
     """Return the impulse for a change `needed` [m/s] of a face's normal velocity, with its friction."""
     size = _dot(before, normal)
@@ -107,7 +107,7 @@ def _face_impulse(normal, along, relative, response, needed, most, before):
     return share * x + pressed * normal[0], share * y + pressed * normal[1], share * z + pressed * normal[2]
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _push_pair(contacts, s, ends, step, u, velocity):
     """Push the faces of a cut apart that would enter each other; return the squared change and the squared impulse."""
     sites = contacts.sites
@@ -124,7 +124,7 @@ def _push_pair(contacts, s, ends, step, u, velocity):
     return (new - old) ** 2, new**2
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _add_impulse(contacts, s, x, y, z, velocity):
     """Distribute an impulse (3) [N s] on a site to its nodes, and change their velocities."""
     sites = contacts.sites
@@ -141,7 +141,7 @@ def _add_impulse(contacts, s, x, y, z, velocity):
     sites.impulses[s, 2] += z
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def push_sites(contacts, ends, step, kick, u, velocity):
     """Change the velocities of the nodes by the impulses of the sites in a step; see `push_patches`."""
     sites = contacts.sites
@@ -190,7 +190,7 @@ def push_sites(contacts, ends, step, kick, u, velocity):
             break
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def site_works(contacts, ends, step, kick, u, velocity, data):
     """Add the impulses of the sites to the sums of the call; return energies as `contact_impulses`."""
     nodes, scratch, gravity, drag = data

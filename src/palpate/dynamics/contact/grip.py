@@ -69,7 +69,7 @@ def set_grip(grip: Grip, tool: int, nodes: Ints) -> None:
     grip.node[tool, : len(nodes)] = nodes
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def begin_grip(grip, points, u, frames):
     """Set the places of nodes that were just grasped, for the present frames (t, 2, 3, 4) of the tools."""
     for t in range(grip.numbers.shape[0]):
@@ -84,7 +84,7 @@ def begin_grip(grip, points, u, frames):
                     place[k, c] += frame[d, c] * (points[i, d] + u[i, d] - frame[d, 3])
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def store_velocities(grip, velocity):
     """Copy the velocities of the nodes before the kick."""
     for t in range(grip.numbers.shape[0]):
@@ -93,7 +93,7 @@ def store_velocities(grip, velocity):
                 grip.before[t, k, c] = velocity[grip.node[t, k], c]
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def hold_nodes(grip, contacts, nodes, surface, alpha, step, u, velocity):
     """Give the nodes the velocities that bring them to their places after their kick.
 
@@ -137,7 +137,7 @@ def hold_nodes(grip, contacts, nodes, surface, alpha, step, u, velocity):
     return work, lost
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def bear_impulses(grip, contacts, step, u, velocity):
     """Let the forceps bear what other tools push on their nodes, and set the nodes' impulses in this step.
 

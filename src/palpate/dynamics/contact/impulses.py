@@ -100,7 +100,7 @@ def _mark_near(contacts, t, margin, u, marks):
                     marks[k] = k
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def list_near(contacts, margin, u):
     """List the candidates that are less than a margin [m] farther from their tool than those that a step needs.
 
@@ -124,7 +124,7 @@ def list_near(contacts, margin, u):
         contacts.work.near_count[t] = count - first
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _find_active_patches(contacts, ahead, step, ratio, time, u, velocity, mass, drag):
     """Find the patches near a tool, and apply `ratio` times their impulses of the previous step.
 
@@ -192,7 +192,7 @@ def _find_active_patches(contacts, ahead, step, ratio, time, u, velocity, mass, 
     contacts.work.active_count[0] = count
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _velocity_change(contacts, i, response, x, y, z):
     """Return the change of a patch's velocity by an impulse on it; `response` is that of a patch without supports."""
     if contacts.patches.slide.shape[0] == 0:
@@ -206,7 +206,7 @@ def _velocity_change(contacts, i, response, x, y, z):
     return change_x, change_y, change_z
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _sweep(contacts, ends, step, velocity):
     """Update the impulse of every active patch; return the largest change and the largest impulse [m/s].
 
@@ -263,7 +263,7 @@ def _sweep(contacts, ends, step, velocity):
     return changed, largest
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _add_step_impulses(contacts):
     """Add the impulses of the active patches to those of their nodes in the present step."""
     impulse = contacts.work.step_impulses
@@ -274,7 +274,7 @@ def _add_step_impulses(contacts):
                 impulse[contacts.patches.nodes[c], d] += contacts.patches.weights[c] * push[d]
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _add_patch_impulse(contacts, k, ahead, step, kick, u, velocity, data):
     """Add a patch's impulse to the sums of the call; return energies as `contact_impulses`.
 

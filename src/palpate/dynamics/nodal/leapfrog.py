@@ -127,14 +127,14 @@ def kinetic_energy(nodes, velocity):
     return total
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _reach(data, t):
     """Return the distance [m] from the origin of a tool up to which its way counts for the list of candidates."""
     contacts = data.tools.contacts
     return contacts.tools.radius[t] + contacts.gaps.search + contacts.patches.radius + max(data.clock[NEAR_MARGIN], 0.0)
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _way_since_list(data, u):
     """Return a bound of the way [m] of a node and a point of a tool since the candidates were listed."""
     tools, before, largest = data.tools, data.tools.listed, 0.0
@@ -149,7 +149,7 @@ def _way_since_list(data, u):
     return np.sqrt(largest) + farthest
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _tool_way(data):
     """Return the largest way [m] of a point of a tool in the present step, and note it for each tool."""
     tools, frames, farthest = data.tools, data.tools.contacts.work.frames, 0.0

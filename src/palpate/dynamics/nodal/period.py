@@ -60,7 +60,7 @@ def _clear_impulses(contacts):
     contacts.work.patch_impulses[:], contacts.work.step_impulses[:] = 0.0, 0.0
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _save(data, u, velocity):
     """Copy the state at the start of a period."""
     tools, start = data.tools, data.start

@@ -33,7 +33,7 @@ STIFF_RATIO, STIFF_ESTIMATE = 1.5, 4  # frequency over that at rest from which o
 MAX_FREQUENCY_RATIO = 100.0  # of the estimate over the frequency at rest
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def set_step(data):
     """Set the step to a share of the stable one."""
     clock = data.clock

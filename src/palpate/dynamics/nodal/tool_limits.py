@@ -17,13 +17,13 @@ from palpate.dynamics.nodal.tool_path import END, START, limit_path, limit_to_cu
 MAX_MOVING_RATIO = 6.0  # largest frequency over that at rest at which the tool moves on
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def is_absent(contacts, t):
     """Return True for a tool that no point can be in: a place without a tool, or forceps, which hold nodes."""
     return contacts.tools.sizes[t, 0] == -np.inf
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _pushes(tools, t):
     """Return True if a tool moves along its last force on the body."""
     work = 0.0
@@ -32,7 +32,7 @@ def _pushes(tools, t):
     return work > 0.0
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _crushes(data, t):
     """Return True if a tool would move on into tissue that is stiff already."""
     if data.clock[ESTIMATE] < MAX_MOVING_RATIO * data.body.resting_frequency:
@@ -40,7 +40,7 @@ def _crushes(data, t):
     return _pushes(data.tools, t)
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _hold_above_surface(data, t, u):
     """Hold a tool that pushes on where the surface is so deep in it that it would pass between nodes; slow it before.
 
@@ -62,7 +62,7 @@ def _hold_above_surface(data, t, u):
     return _pushes(tools, t) and limit_path(tools.path[t], way_above_surface(depth, limit)), depth / limit
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def choose_paths(data, u, period):
     """Mark the tools that are late, and shorten their paths; return the largest depth of `_hold_above_surface`."""
     tools, limits, deepest = data.tools, data.limits, 0.0

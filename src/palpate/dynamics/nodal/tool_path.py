@@ -16,7 +16,7 @@ LAST_POSITIONS, LAST_FORCES, EXCESS_FORCES = range(3)  # rows of `MovingTools.se
 LEAST_WAY = 1e-4  # [m] of the tool between two updates of the contact stiffness
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def set_path(path, target, at_rest):
     """Set the frames of the tool for a period that ends at a target (12,): displacement and R - I, from home."""
     copy_values(path[END], path[START])
@@ -31,7 +31,7 @@ def set_path(path, target, at_rest):
         copy_values(path[END], path[START])
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def limit_path(path, most):
     """Shorten the way of the tool to `most` [m]; return True if it was longer."""
     square = 0.0
@@ -58,7 +58,7 @@ def limit_path(path, most):
     return True
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def limit_to_cut(path, most):
     """Shorten a way of the tool that leads beyond `most` [m] from its last cut; return True if it did."""
     before, after = 0.0, 0.0
@@ -70,7 +70,7 @@ def limit_to_cut(path, most):
     return limit_path(path, max(0.0, most - np.sqrt(before)))
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def place_tools(paths, share, frames):
     """Move the frames of the tools to a share of their paths; the last ones become those before the step."""
     for t in range(paths.shape[0]):
@@ -80,7 +80,7 @@ def place_tools(paths, share, frames):
                 frames[t, 1, i, j] = paths[t, START, i, j] + share * (paths[t, END, i, j] - paths[t, START, i, j])
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def frame_way(before, after, reach):
     """Return a bound of the way [m] of a tool's points up to a distance `reach` [m] from its origin.
 
@@ -94,7 +94,7 @@ def frame_way(before, after, reach):
     return np.sqrt(moved) + (np.sqrt(turned) * reach if turned > 0.0 else 0.0)
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def write_place(path, target):
     """Write displacement and R - I of the end of the path, from home, into a target (12,)."""
     for i in range(3):
@@ -152,13 +152,13 @@ def contact_stiffness(data, q, out):
             out[i, j] = secant[3 * t + row, 3 * t + j] if row < 3 and j < 3 else 0.0
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _touches(forces, t):
     """Return whether a tool has a force on the body."""
     return forces[12 * t] != 0.0 or forces[12 * t + 1] != 0.0 or forces[12 * t + 2] != 0.0
 
 
-@kernel_njit(inline="always")
+@kernel_njit(inner=True)
 def _way(secant, path, forces, i):
     """Return component i of the displacements of the tools since the last update; zero for those that do not touch."""
     if not _touches(forces, i // 3):
