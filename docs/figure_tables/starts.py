@@ -11,8 +11,7 @@ NAMES = {
 }
 
 
-@block("first_start", command="python benchmarks/first_start.py demo` and `python benchmarks/first_start.py press` and "
-       "`python benchmarks/first_start.py test")  # fmt: skip
+@block("first_start", command="python benchmarks/first_start.py demo` and `python benchmarks/first_start.py press")
 def first_start(times: Row) -> str:
     """Return the times of commands in a fresh clone, and again."""
     rows = [
@@ -27,7 +26,7 @@ def first_start(times: Row) -> str:
     return markdown(["command", "first time: wall; processor", "second time: wall; processor"], rows)
 
 
-@block("compiled_functions", command="python benchmarks/compiled_functions.py")
+@block("compiled_functions", command="python benchmarks/compiled_functions.py beam reduced touch")
 def compiled_functions(found: Row) -> str:
     """Return how many functions commands compile from an empty cache."""
     rows = [
