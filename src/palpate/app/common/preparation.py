@@ -25,7 +25,7 @@ def prepare(build: Callable[[], LoadCase], out: Path, doubles: int, console: Con
         Numbers that the snapshots and the export hold for every node and time.
     """
     check_folder(out)
-    with console.status("making the model ready (the first time on a machine compiles it, for half a minute)"):
+    with console.status("making the model ready (the first time on a machine compiles it, for about a minute)"):
         case = build()
     frames, nodes = round(case.duration / case.every) + 1, len(case.model.cloud)
     check_space(out, doubles * frames * nodes * 8 + FIGURES_SIZE)

@@ -61,7 +61,7 @@ def trained_model(scene: Scene, console: Console, workers: int | None = None) ->
         check_folder(folder, "cache" if scene.kind is SceneKind.PACKAGE else "folder")
     except InputError as error:
         raise InputError(f"{error}, or train a model elsewhere: palpate train {scene.name} --out FOLDER") from error
-    with console.status("preparing the full model (the first time on a machine compiles it, for half a minute)"):
+    with console.status("preparing the full model (the first time on a machine compiles it, for about a minute)"):
         made = training_of(scene, _parameters(scene))
     console.say(f"a reduced model is trained, once, and kept in {folder}")
     default = min(os.cpu_count() or 1, MAX_WORKERS)

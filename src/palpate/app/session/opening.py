@@ -57,7 +57,7 @@ def running_session(
             learned = learned_spacing(scene.digest)
         fitted = prepare_full_body(scene, console, learned)
     body: Any = subject.reduced(console) if fitted is None else fitted.body
-    with console.status("preparing the engine (the first time on a machine compiles it, for half a minute)"):
+    with console.status("preparing the engine (the first time on a machine compiles it, for about a minute)"):
         if wait is not None:
             wait()
         session = make(body, () if scene is None else scene.foundations)

@@ -117,7 +117,7 @@ def train(
     workers = integer_in_range("workers", 1 if workers is None else workers, 1, MAX_WORKERS)
     check_folder(out)
     console = Console()
-    with console.status("making the model ready (the first time on a machine compiles it, for half a minute)"):
+    with console.status("making the model ready (the first time on a machine compiles it, for about a minute)"):
         if ":" in scene:
             search_current_folder()
         made = open_training(scene, settings) if opened is None else training_of(opened, settings)

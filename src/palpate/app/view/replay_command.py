@@ -141,7 +141,7 @@ def _draw(recording: Recording, scalar: str, png: Path | None, movie: Path | Non
 
 def _replay_full(recording: Recording, scene: str | None, console: Console) -> dict[str, Any]:
     tool_path(recording)  # refuses unsuitable recordings before the model is made
-    with console.status("preparing the full model (the first time on a machine compiles it, for half a minute)"):
+    with console.status("preparing the full model (the first time on a machine compiles it, for about a minute)"):
         model = full_model(reduced_model(recording), scene)
     console.say(f"replaying the recorded path on {count_nodes(len(model.cloud))} of the full model ...")
     full = replay_on_full_model(recording, model)
