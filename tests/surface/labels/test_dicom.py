@@ -110,6 +110,17 @@ class TestWithPydicom:
         with pytest.raises(FileFormatError, match=message):
             read_dicom(dicom(np.ones((8 * places, 6, 6)), STRAIGHT * places, **{"thickness": 5.0} | changes))
 
+    def test_an_index_of_times_is_a_time_series(self):
+        from pydicom.dataset import Dataset
+
+        pointers = [Dataset(), Dataset()]
+        for each, tag in zip(pointers, (0x0062000B, 0x00209128), strict=True):
+            each.DimensionIndexPointer = tag
+        frames = {"numbers": [1] * 4 + [2] * 4, "names": {1: "systole", 2: "diastole"}, "thickness": 5.0}
+        data = dicom(np.ones((8, 6, 6)), STRAIGHT, **frames, DimensionIndexSequence=pointers)
+        with pytest.raises(FileFormatError, match=r"frames of 8 times or phases \(index 1; index 2\)"):
+            read_dicom(data)
+
     def test_one_frame_must_have_a_thickness(self):
         frame = np.ones((1, 6, 6))
         with pytest.raises(FileFormatError, match="one slice must have a thickness, got neither SliceThickness"):

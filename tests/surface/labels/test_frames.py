@@ -13,24 +13,24 @@ TURNED = np.array([0.6, 0.8, 0, 0, 0, -1])  # rows and columns of an oblique pla
 EDGES = np.array([0.7, 0.9])  # [mm] down and along
 
 
-def grid(heights, *, beside=(0.0, 0.0), turn=AXIAL, between=(), thickness=()):
-    """Return the grid of frames at heights [mm], each of them moved in its plane by `beside` for each millimetre."""
+def grid(heights, *, shift=(0.0, 0.0), turn=AXIAL, between=(), thickness=()):
+    """Return the grid of frames at heights [mm], each of them moved in its plane by `shift` for each millimetre."""
     along, down = turn[:3], turn[3:]
     heights = np.asarray(heights, dtype=float)[:, None]
-    places = [5.0, 6, 7] + heights * (np.cross(along, down) + beside[0] * along + beside[1] * down)
+    places = [5.0, 6, 7] + heights * (np.cross(along, down) + shift[0] * along + shift[1] * down)
     return places, grid_of_frames(turn, EDGES, places, (list(between), list(thickness)))
 
 
 @pytest.mark.parametrize("turn", [AXIAL, TURNED], ids=["axial", "oblique"])
-@pytest.mark.parametrize("beside", [(0.0, 0.0), (0.0, 0.4), (-0.3, 0.1)], ids=["straight", "tilted", "both"])
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.0, 0.4), (-0.3, 0.1)], ids=["straight", "tilted", "both"])
 @pytest.mark.parametrize("order", [1, -1])
-def test_the_first_pixel_of_every_frame_lies_where_the_file_places_it(turn, beside, order):
-    places, (affine, slices, count, notes) = grid(np.arange(6)[::order] * 2.5, beside=beside, turn=turn)
+def test_the_first_pixel_of_every_frame_lies_where_the_file_places_it(turn, shift, order):
+    places, (affine, slices, count, notes) = grid(np.arange(6)[::order] * 2.5, shift=shift, turn=turn)
     assert count == 6
     assert np.allclose(np.outer(slices, affine[:3, 2]) + affine[:3, 3], places)
     assert np.allclose(affine[:3, :2], np.column_stack([turn[:3] * EDGES[1], turn[3:] * EDGES[0]]))
-    sheared = [f"its slices are sheared by {np.degrees(np.arctan(np.hypot(*beside))):.3g} degrees"]
-    assert [note.partition(",")[0] for note in notes] == (sheared if any(beside) else [])
+    sheared = [f"its slices are sheared by {np.degrees(np.arctan(np.hypot(*shift))):.3g} degrees"]
+    assert [note.partition(",")[0] for note in notes] == (sheared if any(shift) else [])
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_frames_off_a_grid_and_a_slice_without_thickness_are_refused_by_their_re
     with pytest.raises(FileFormatError, match="one slice must have a thickness, got neither SliceThickness nor"):
         grid([3])
     places = np.array([[0, 0, 0], [0, 3, 5], [0, 0, 10.0]])
-    with pytest.raises(FileFormatError, match=r"straight line, got one 2\.4 mm beside it"):
+    with pytest.raises(FileFormatError, match=r"straight line, got one 2\.4 mm away from it"):
         grid_of_frames(AXIAL, EDGES, places, ([], []))
-    with pytest.raises(FileFormatError, match="straight line, got one 40 mm beside it"):  # tiles of one slice
+    with pytest.raises(FileFormatError, match="straight line, got one 40 mm away from it"):  # tiles of one slice
         grid_of_frames(AXIAL, EDGES, np.array([[0, 0, 0], [40, 0, 0.0]]), ([], [5.0]))

@@ -91,7 +91,7 @@ def test_what_a_qform_must_not_state_is_repaired_with_a_note(qform, words, turne
     assert words in note
 
 
-def test_a_quaternion_of_half_a_turn_in_single_precision_is_no_other():
+def test_a_quaternion_of_half_a_turn_may_be_rounded():
     axis = np.array([0.36, 0.48, 0.8])
     labels = read_nifti(nifti(blocks(), sform=None, qform=(EDGES, axis * (1 + 2e-6), OFFSET, 1)))
     expected = (2 * np.outer(axis, axis) - np.eye(3)) * EDGES

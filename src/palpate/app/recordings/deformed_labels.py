@@ -58,7 +58,8 @@ def write_deformed_labels(
     parts = choose_segments(labels, part) if part else body_segments(labels, cloud.points, cloud.triangles)
     displacements = nodal_displacements(recording, frame, display_surface(recording.model))
     field, distance = resampling_field(labels, cloud.points, displacements, cloud.spacing)
-    lines = [f"at {recording.times[frame]:.3g} s, of {', '.join(each.name for each in parts)}:"]
+    lines = [f"{labels.name}: {note}" for note in labels.notes]
+    lines.append(f"at {recording.times[frame]:.3g} s, of {', '.join(each.name for each in parts)}:")
     if out is not None:
         layers = deform(labels, parts, field, distance, cloud.spacing)
         segments = sorted(labels.segments, key=lambda each: each in parts)  # the body is on top in one layer

@@ -15,7 +15,7 @@ SEGMENTATION_CLASSES = ("1.2.840.10008.5.1.4.1.1.66.4", "1.2.840.10008.5.1.4.1.1
 GZIP_MAGIC = b"\x1f\x8b"
 HEAD_BYTES, MAX_LISTED = 4096, 1000  # of a file whose name does not state its format; files of a folder
 # suffix of a file that has bytes at a place
-MAGIC = (
+MAGIC_BYTES = (
     (".dcm", 128, b"DICM"), (".nrrd", 0, b"NRRD000"), (".nii", 344, b"n+1\0"), (".nii", 4, b"n+2\0"),
     (".mha", 0, b"ObjectType"),
 )  # fmt: skip
@@ -25,10 +25,11 @@ def refuse_misnamed(path: Path) -> None:
     """Raise `FileFormatError` for a label map whose name lacks its suffix, and for a folder of DICOM files."""
     if os.path.isdir(path):  # False also for a name that is too long
         files = sorted(each for each in islice(path.iterdir(), MAX_LISTED) if _suffix_of(each) == ".dcm")
-        found = [each.name for each in files if _states_segmentation(each)]
-        if found:
+        segmentations = [each.name for each in files if _states_segmentation(each)]
+        if segmentations:
+            name = shortened(segmentations[0])
             raise FileFormatError(
-                f"{path} is a folder: give its DICOM segmentation, {shortened(found[0])}, and let its name end in .dcm"
+                f"{path} is a folder: give its DICOM segmentation, {name}, and let its name end in .dcm"
             )
         if files:
             raise FileFormatError(f"{path} is a folder of DICOM images without a segmentation; segment them first")
@@ -44,7 +45,7 @@ def refuse_misnamed(path: Path) -> None:
 def _suffix_of(path: Path) -> str:
     """Return the suffix that the first bytes of a regular file ask for; empty for other files."""
     head, packed = _head(path)
-    suffix = next((suffix for suffix, at, magic in MAGIC if head[at : at + len(magic)] == magic), "")
+    suffix = next((suffix for suffix, at, magic in MAGIC_BYTES if head[at : at + len(magic)] == magic), "")
     return f"{suffix}.{GZIP_SUFFIX}" if packed and suffix == ".nii" else suffix
 
 

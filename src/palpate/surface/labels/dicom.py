@@ -28,7 +28,7 @@ RUN_LENGTH = "1.2.840.10008.1.2.5"
 DEFLATED_SYNTAX = b"1.2.840.10008.1.2.1.99"  # whole file, which pydicom would unpack without a limit
 HEAD_BYTES = 4096  # in which the file states its transfer syntax
 # functional groups and attributes of frames of a time series
-TIMES = (
+TIME_STATEMENTS = (
     ("FrameContentSequence", "TemporalPositionIndex"), ("TemporalPositionSequence", "TemporalPositionTimeOffset"),
     ("CardiacSynchronizationSequence", "NominalCardiacTriggerDelayTime"),
     ("CardiacSynchronizationSequence", "NominalPercentageOfCardiacPhase"),
@@ -67,7 +67,7 @@ def _label_map(file: Any, name: str) -> LabelMap:
         raise FileFormatError(f"it must describe each of its {frames} frames, got {len(groups)}")
     kind = str(file.SegmentationType)
     shared = file.SharedFunctionalGroupsSequence[0] if file.get("SharedFunctionalGroupsSequence") else None
-    _check_times(groups)
+    _check_times(file, groups)
     affine, slices, count, notes = grid_of_frames(*_places(groups, shared), _thicknesses(groups, shared))
     shape = checked_shape([columns, rows, count], "the box of its frames")
     pixels = _pixels(file, frames, rows, columns)
@@ -107,23 +107,29 @@ def _without_padding(pixels: NDArray[Any], file: Any, names: dict[int, str]) -> 
     if padding in (None, 0):
         return pixels
     if 0 in names and (pixels == 0).any():
-        raise FileFormatError("its segments must have numbers of at least 1, got 0 beside another value for outside")
+        raise FileFormatError("its segments must have numbers of at least 1, got 0 and another value for outside")
     return np.where(pixels == int(padding), pixels.dtype.type(0), pixels)
 
 
-def _times(group: Any) -> tuple[str, ...]:
-    """Return what states the time or phase of a frame."""
-    words = []
-    for sequence, word in TIMES:
+def _times(group: Any, indices: list[int]) -> tuple[str, ...]:
+    """Return what states the time or phase of a frame, also those of its indices of dimensions that are times."""
+    content = group.get("FrameContentSequence")
+    values = np.atleast_1d(content[0].get("DimensionIndexValues", [])).tolist() if content and indices else []
+    words = [f"index {values[k]}" for k in indices if k < len(values)]
+    for sequence, word in TIME_STATEMENTS:
         item = group.get(sequence)
         if item and word in item[0]:
             words.append(f"{word} {shortened(str(item[0][word].value), 20)}")
     return tuple(words)
 
 
-def _check_times(groups: Any) -> None:
+def _check_times(file: Any, groups: Any) -> None:
     """Raise `FileFormatError` for frames of several phases or times."""
-    times = dict.fromkeys(_times(group) for group in groups)
+    from pydicom.datadict import keyword_for_tag
+
+    dimensions = [str(keyword_for_tag(each.DimensionIndexPointer)) for each in file.get("DimensionIndexSequence", [])]
+    indices = [k for k, word in enumerate(dimensions) if word in {name for _, name in TIME_STATEMENTS}]
+    times = dict.fromkeys(_times(group, indices) for group in groups)
     if len(times) > 1:
         first, second = (" and ".join(each) or "none" for each in list(times)[:2])
         raise FileFormatError(

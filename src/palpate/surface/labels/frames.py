@@ -111,13 +111,13 @@ def _divided(heights: Floats, lengths: list[float], share: float) -> list[float]
 
 
 def _shift(offsets: Floats, slices: Ints, axes: Floats, edges: Floats) -> Floats:
-    """Return by how much (3,) [mm] each slice lies beside the one before, for offsets (n, 3) from the first."""
-    beside = offsets @ axes.T
-    slope = slices @ beside / max(1.0, float(slices @ slices))
-    off = np.linalg.norm(beside - np.outer(slices, slope), axis=1).max()
+    """Return how far (3,) [mm] each slice lies from the one before in its plane, for offsets (n, 3) from the first."""
+    in_plane = offsets @ axes.T
+    slope = slices @ in_plane / max(1.0, float(slices @ slices))
+    off = np.linalg.norm(in_plane - np.outer(slices, slope), axis=1).max()
     if off > OFF_GRID * edges.min():
         raise FileFormatError(
-            f"its frames must lie on a straight line, got one {off:.3g} mm beside it; resample it, such as with 3D "
+            f"its frames must lie on a straight line, got one {off:.3g} mm away from it; resample it, such as with 3D "
             "Slicer"
         )
     return np.asarray(slope @ axes)

@@ -184,9 +184,9 @@ def _matches(labels: LabelMap, text: str) -> list[int]:
     """Return the places of the segments that a name, a number or a pattern means."""
     same = [k for k, each in enumerate(labels.segments) if text in _words(each)]
     if len(same) > 1:
-        found = [labels.segments[k] for k in same]
-        numbers = " and ".join(str(each.number) for each in found)
-        if all(each.name == text for each in found):
+        matches = [labels.segments[k] for k in same]
+        numbers = " and ".join(str(each.number) for each in matches)
+        if all(each.name == text for each in matches):
             raise InputError(
                 f"part must name one label, got {shortened(repr(text))}, which {numbers} have; give a number"
             )

@@ -73,8 +73,8 @@ def _affine(fields: dict[str, str], shape: tuple[int, ...], axes: int) -> tuple[
     """
 
     def stated(words: tuple[str, ...], count: int, default: Floats) -> dict[str, Floats]:
-        found = {word: numbers_of(fields[word].encode(), count, f"its {word}") for word in words if word in fields}
-        return found or {words[0]: default}
+        values = {word: numbers_of(fields[word].encode(), count, f"its {word}") for word in words if word in fields}
+        return values or {words[0]: default}
 
     def placed(spacing: Floats, turn: Floats, origin: Floats) -> Floats:
         affine = np.eye(4)

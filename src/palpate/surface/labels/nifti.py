@@ -82,8 +82,8 @@ def read_nifti(data: bytes, name: str = "image.nii") -> LabelMap:
 def _scaled(values: NDArray[Any], slope: float, intercept: float) -> NDArray[Any]:
     """Return the values that a header scales; raise where that takes whole numbers to others."""
     scaled = values * np.float32(slope) + np.float32(intercept)
-    whole = float(slope).is_integer() and float(intercept).is_integer()
-    if values.dtype.kind != "f" and not whole and not (scaled.min() >= 0 and scaled.max() <= 1):
+    whole_numbers = float(slope).is_integer() and float(intercept).is_integer()
+    if values.dtype.kind != "f" and not whole_numbers and not (scaled.min() >= 0 and scaled.max() <= 1):
         raise FileFormatError(
             f"its scl_slope and scl_inter must take its whole numbers to labels, got {slope:g} and {intercept:g}; set "
             "them to 1 and 0 if its numbers are labels"

@@ -30,7 +30,7 @@ SIGNS_BY_SPACE = {  # of the axes of a frame, from which LPS comes
     "ras": (-1, -1, 1), "left-anterior-superior": (1, -1, 1), "las": (1, -1, 1),
 }  # fmt: skip
 METRES_BY_UNIT = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "um": 1e-6, "micron": 1e-6, "µm": 1e-6}
-ALIASES = {"centers": "centerings", "axismins": "axis mins", "axismaxs": "axis maxs", "lineskip": "line skip",
+OTHER_SPELLINGS = {"centers": "centerings", "axismins": "axis mins", "axismaxs": "axis maxs", "lineskip": "line skip",
            "byteskip": "byte skip", "datafile": "data file"}  # fmt: skip
 MAX_HEADER = 1 << 22  # bytes
 MAX_SEGMENTS = 10_000
@@ -95,7 +95,7 @@ def _header(data: bytes) -> tuple[dict[str, str], dict[str, str], int]:
             keys[key.strip()] = value.strip()
             continue
         key, _, value = line.partition(":")
-        key = ALIASES.get(key.strip().lower(), key.strip().lower())
+        key = OTHER_SPELLINGS.get(key.strip().lower(), key.strip().lower())
         if fields.setdefault(key, value.strip()) != value.strip():
             raise FileFormatError(f"its header must state {_word(key)} once, got two different ones; save it again")
     if "data file" in fields:
@@ -135,9 +135,9 @@ def _layer_axis(fields: dict[str, str], sizes: tuple[int, ...], old: bool) -> in
         return 3
     vectors = VECTOR_PATTERN.findall(fields.get("space directions", ""))
     words = kinds if "list" in kinds else vectors
-    beside = [a for a, word in enumerate(words[:4]) if word in ("list", "none")]
-    if len(beside) == 1:
-        return beside[0]
+    other_axes = [a for a, word in enumerate(words[:4]) if word in ("list", "none")]
+    if len(other_axes) == 1:
+        return other_axes[0]
     if sizes[3] == 1:
         return 3
     raise FileFormatError(f"it must be one volume, got axes of {' x '.join(map(str, sizes))}; save one volume")

@@ -77,17 +77,17 @@ def write_layers(path: Path, layers: Sequence[NDArray[Any]], affine: Floats, seg
     if len(layers) > 1 and path.name.lower().endswith(".nrrd"):
         kind = _integers(layers)
         values = np.stack([each.astype(kind) for each in layers])
-        own = [each if each.label is None else replace(each, number=each.label) for each in segments]
-        for each, of_file in zip(segments, own, strict=True):
-            values[each.layer][layers[each.layer] == each.number] = of_file.number
+        of_file = [each if each.label is None else replace(each, number=each.label) for each in segments]
+        for each, written in zip(segments, of_file, strict=True):
+            values[each.layer][layers[each.layer] == each.number] = written.number
         fields = {"dimension": "4", "kinds": "list domain domain domain"}
-        _write_nrrd(path, values, affine, _segment_fields(own) | NRRD_KINDS[kind] | fields)
+        _write_nrrd(path, values, affine, _segment_fields(of_file) | NRRD_KINDS[kind] | fields)
         return []
     numbers = np.zeros_like(layers[0])
     for each in segments:
         numbers[layers[each.layer] == each.number] = each.number
     write_labels(path, numbers, affine, {each.number: each.name for each in segments})
-    counts = [[np.count_nonzero(of == each.number) for of in (layers[each.layer], numbers)] for each in segments]
+    counts = [[np.count_nonzero(layer == each.number) for layer in (layers[each.layer], numbers)] for each in segments]
     return [
         f"{each.name} lost {before - after} of its {before} voxels to labels that overlap it: a name that ends in "
         ".seg.nrrd keeps all"
