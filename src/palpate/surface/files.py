@@ -148,8 +148,11 @@ def surface_of_labels(labels: LabelMap, part: str | Sequence[str] | None = None)
     """Return the surface of parts of a label map, with its notes as warnings; see `read_surface`."""
     if part is None and len(labels.segments) > 1:
         raise choice_of_labels(labels)
-    surface = label_surface(labels, part)
     notes = tuple(f"{labels.name}: {note}" for note in labels.notes)
+    try:
+        surface = label_surface(labels, part)
+    except InputError as error:
+        raise type(error)("; ".join([str(error), *notes])) from error
     scale = tuple(f"{surface.name}: {problem.what}" for problem in scale_problems(surface))
     return replace(surface, warnings=(*notes, *surface.warnings, *scale))
 

@@ -47,6 +47,8 @@ def test_the_first_pixel_of_every_frame_lies_where_the_file_places_it(turn, shif
         ([0, 4, 8], [5], [4], 4.0, ["SpacingBetweenSlices is 5 mm"]),
         ([0, 4, 8], [4, 5], [], 4.0, ["SpacingBetweenSlices is 5 mm"]),
         ([0, 2.5, 5], [2.5], [5], 2.5, []),  # slices that overlap
+        ([0, 10, 20], [0.001], [], 10.0, ["SpacingBetweenSlices is 0.001 mm"]),
+        ([0, 0.05, 5, 5.05, 10], [], [5], 5.0, []),  # two frames in each slice
         ([0, 1.2, 2.5, 3.8, 5], [], [], 1.25, []),  # places of one decimal
         ([0, 0, 0], [3], [4], 3.0, ["its slice is 3 mm thick, and also 4 mm"]),
         ([0], [], [4], 4.0, []),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from label_files import RAS_TO_LPS, blocks, metaimage, nifti, nrrd
 
-from palpate.faults import FileFormatError
+from palpate.faults import FileFormatError, InputError
 from palpate.surface.checks import check_surface
 from palpate.surface.files import read_surface
 from palpate.surface.formats.names import LABEL_FORMATS, listed_formats
@@ -180,8 +180,15 @@ def test_notes_and_a_size_that_no_organ_has_are_warnings_of_the_surface(tmp_path
         said = [each for each in surface.warnings if "is not that of an organ" in each and "scale=" in each]
         assert len(said) == warns
         assert not [each for each in check_surface(surface).problems if each.name == "scale"]  # it is said once
-    metres = read_surface(tmp_path / "a.nii", scale=0.1)
-    assert metres.warnings == ()
+    assert read_surface(tmp_path / "a.nii", scale=0.1).warnings == ()
+    voxels[12] = 0
+    (tmp_path / "a.nii").write_bytes(nifti(voxels, sform=np.diag([2.0, 2.0, 2.0, 1.0]), scl=[3, 0]))
+    for part, message in (
+        ("3", r"of 2 pieces, .*; a\.nii: its labels are its numbers times scl_slope 3"),
+        ("1", "must be one"),
+    ):
+        with pytest.raises(InputError, match=message):
+            read_surface(tmp_path / "a.nii", part=part)
 
 
 def test_unforeseen_errors_of_a_reader_become_one_line(tmp_path):

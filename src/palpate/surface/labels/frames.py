@@ -15,6 +15,7 @@ from palpate.surface.labels.agreement import LENGTH_SHARE, lengths_agree
 from palpate.surface.labels.voxels import MAX_VOXELS
 
 SAME_PLACE = 1e-3  # [mm] along the normal
+MAX_EMPTY = 10  # steps between the nearest frames, of a stated distance
 LEAST_SHEAR = 1e-3  # of a step, of which a note is made
 OFF_GRID = 0.1  # of a step, or of an edge of a pixel, by which slices may be off
 
@@ -76,8 +77,10 @@ def _step(heights: Floats, spacings: list[float], thicknesses: list[float]) -> t
             f"its slice is {lengths[0]:.4g} mm thick, and also {each:.4g} mm: the former was taken" for each in others
         ]
     nearest = float(gaps.min())
+    plausible = [each for each in spacings if nearest <= MAX_EMPTY * each]
+    thick = [each for each in thicknesses if nearest < OFF_GRID * each]  # frames at about the same place
     steps = (
-        _divided(heights, spacings, LENGTH_SHARE)
+        _divided(heights, [*plausible, *thick], LENGTH_SHARE)
         or _divided(heights, [nearest], OFF_GRID)
         or _divided(heights, thicknesses, LENGTH_SHARE)
     )
