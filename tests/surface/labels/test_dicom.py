@@ -93,6 +93,7 @@ class TestWithPydicom:
             (2, {"stacks": ["1"] * 8 + ["2"] * 8}, "or its 2 stacks; save one of them"),
             (2, {"kind": "LABELMAP"}, "2 frames of its label map at the same place"),
             (2, {"kind": "FRACTIONAL", "MaximumFractionalValue": 1}, "2 frames of liver at the same place"),
+            (1, {"places": [(0, 0, "nan"), *STRAIGHT[1:]]}, "at finite places"),
             (1, {"turns": {3: (0, 1, 0, -1, 0, 0)}}, "must be parallel"),
             (1, {"turn": (1, 0, 0, 0.5, 1, 0)}, "two unit vectors at right angles"),
             (1, {"spacings": [[1.0, 1.0]] * 7 + [[1.0, 2.0]]}, "pixels of one size, got 1 x 1 mm to 1 x 2 mm"),
@@ -107,8 +108,9 @@ class TestWithPydicom:
             for each in twice:
                 each.SegmentNumber, each.SegmentLabel = 1, "liver"
             changes = {"SegmentSequence": twice}
+        changes = {"thickness": 5.0, "places": STRAIGHT * places} | changes
         with pytest.raises(FileFormatError, match=message):
-            read_dicom(dicom(np.ones((8 * places, 6, 6)), STRAIGHT * places, **{"thickness": 5.0} | changes))
+            read_dicom(dicom(np.ones((8 * places, 6, 6)), **changes))
 
     def test_an_index_of_times_is_a_time_series(self):
         from pydicom.dataset import Dataset

@@ -118,6 +118,11 @@ def test_values_are_scaled_and_rounded_and_names_come_from_the_extension():
     assert [each.number for each in labels.segments] == [1, 7]
     assert labels.segments[0].name == "liver"
     assert labels.absent == ("spleen",)
+    twice = caret({1: "liver"}).replace(b"</LabelTable>", b'<Label Key="1"><![CDATA[lung]]></Label></LabelTable>')
+    twice = twice[:4] + struct.pack("<i", len(twice) - 4) + twice[8:]
+    labels = read_nifti(nifti(blocks(), extension=twice))
+    assert labels.segments[0].name == "liver"
+    assert labels.notes == ("its label 1 has two names, the first was taken: liver",)
     scaled = read_nifti(nifti(blocks(), scl=[2, 0]))
     assert [each.number for each in scaled.segments] == [2, 14]
     assert scaled.notes == ("its labels are its numbers times scl_slope 2 plus scl_inter 0",)

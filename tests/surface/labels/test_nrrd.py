@@ -109,6 +109,7 @@ def test_layers_without_numbers_of_their_own_are_one_for_each_segment_as_in_slic
         (lambda: layered(LAYERS, "vector domain domain domain"), "got vector"),
         (lambda: layered([*LAYERS[:6], "Segment2_Name:=b", "Segment2_Layer:=0", "Segment2_LabelValue:=7"]),
          "values of their own, got 'liver' and 'b' of value 7 in layer 0"),
+        (lambda: layered([*LAYERS, "Segment0_LabelValue:=7"]), "must state 'Segment0_LabelValue' once"),
         (lambda: nrrd(blocks(), kinds="domain domain time"), "got a time series"),
         (lambda: nrrd(blocks(), kinds="domain domain list"), "got a list of pictures"),
         (lambda: nrrd(blocks(), space="left-posterior-superior-time"), "got a time series"),

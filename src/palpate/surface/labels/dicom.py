@@ -176,16 +176,18 @@ def _places(groups: Any, shared: Any) -> tuple[Floats, Floats, Floats]:
             f"its frames must have pixels of one size, got {lengths_text(edges.min(axis=0))} to "
             f"{lengths_text(edges.max(axis=0))}; save a segmentation of one image"
         )
-    places = [_numbers(_first(g, shared, "PlanePositionSequence").ImagePositionPatient) for g in groups]
-    return turns[0], edges[0], np.array(places)
+    places = np.array([_numbers(_first(g, shared, "PlanePositionSequence").ImagePositionPatient) for g in groups])
+    if not np.isfinite(places).all():
+        raise FileFormatError("its frames must be at finite places, got others; correct its ImagePositionPatient")
+    return turns[0], edges[0], places
 
 
-def _thicknesses(groups: Any, shared: Any) -> tuple[list[float], list[float]]:
+def _thicknesses(groups: Any, shared: Any) -> list[list[float]]:
     """Return the different SpacingBetweenSlices and SliceThickness of frames [mm], those above zero."""
     measures = [_first(g, shared, "PixelMeasuresSequence") for g in groups]
     words = ("SpacingBetweenSlices", "SliceThickness")
-    spacings, thicknesses = ({abs(float(each.get(word) or 0.0)) for each in measures} - {0.0} for word in words)
-    return sorted(spacings), sorted(thicknesses)
+    spacings, thicknesses = ({abs(float(each.get(word) or 0.0)) for each in measures} for word in words)
+    return [sorted(each for each in lengths if 0.0 < each < np.inf) for lengths in (spacings, thicknesses)]
 
 
 def _numbers(values: Any) -> Floats:

@@ -7,6 +7,8 @@ image.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from palpate.arrays import Floats, Ints
@@ -21,7 +23,7 @@ OFF_GRID = 0.1  # of a step, or of an edge of a pixel, by which slices may be of
 
 
 def grid_of_frames(
-    turn: Floats, edges: Floats, places: Floats, stated: tuple[list[float], list[float]]
+    turn: Floats, edges: Floats, places: Floats, stated: Sequence[list[float]]
 ) -> tuple[Floats, Ints, int, list[str]]:
     """Return the map from indices to positions [mm], the slice of each frame, the number of slices, and notes.
 
@@ -33,8 +35,8 @@ def grid_of_frames(
         Distances of pixels down the columns and along the rows.
     places : (n, 3) array [mm]
         Middle of the first pixel of each frame.
-    stated : lists of float [mm]
-        The different distances of slices, and thicknesses, that the file states.
+    stated : two lists of float [mm]
+        The different distances of slices, and the thicknesses, that the file states.
 
     Raises
     ------

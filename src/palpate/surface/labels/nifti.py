@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats
 from palpate.faults import FileFormatError
+from palpate.files import shortened
 from palpate.surface.formats.first_bytes import GZIP_MAGIC
 from palpate.surface.labels.agreement import difference_of_maps, lengths_agree, lengths_text
 from palpate.surface.labels.label_map import RAS_TO_LPS, LabelMap, as_grid, in_metres
@@ -74,7 +75,11 @@ def read_nifti(data: bytes, name: str = "image.nii") -> LabelMap:
         values = _scaled(values, slope, intercept)
         notes.append(f"its labels are its numbers times scl_slope {slope:g} plus scl_inter {intercept:g}")
     values, more = label_values(values)
-    names = {int(key): text.decode("utf-8", "replace") for key, text in _names(extensions, order)}
+    names = dict[int, str]()
+    for key, text in _names(extensions, order):
+        word = text.decode("utf-8", "replace")
+        if names.setdefault(int(key), word) != word:
+            notes.append(f"its label {int(key)} has two names, the first was taken: {shortened(names[int(key)])}")
     layers, segments, absent = segments_of([values], {(0, key): (key, names[key]) for key in names})
     return LabelMap(name, layers, affine, segments, space, (*notes, *more), absent)
 

@@ -91,12 +91,11 @@ def _header(data: bytes) -> tuple[dict[str, str], dict[str, str], int]:
         if line.startswith("#"):
             continue
         key, sign, value = line.partition(":=")
-        if sign:
-            keys[key.strip()] = value.strip()
-            continue
-        key, _, value = line.partition(":")
-        key = OTHER_SPELLINGS.get(key.strip().lower(), key.strip().lower())
-        if fields.setdefault(key, value.strip()) != value.strip():
+        into, key = keys, key.strip()
+        if not sign:
+            key, _, value = line.partition(":")
+            into, key = fields, OTHER_SPELLINGS.get(key.strip().lower(), key.strip().lower())
+        if into.setdefault(key, value.strip()) != value.strip() and (not sign or SEGMENT_PATTERN.fullmatch(key)):
             raise FileFormatError(f"its header must state {_word(key)} once, got two different ones; save it again")
     if "data file" in fields:
         where = _word(fields["data file"])
