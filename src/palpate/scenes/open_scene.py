@@ -16,6 +16,7 @@ from palpate.scenes.description import Description, with_settings
 from palpate.scenes.names import PACKAGE_SCENES, SceneKind, kind_of
 from palpate.scenes.scene import Scene
 from palpate.scenes.scene_text import MAX_BYTES, parse_description
+from palpate.surface.formats.first_bytes import refuse_misnamed
 
 
 def open_scene(what: str | Path, settings: Mapping[str, Any] | None = None) -> Scene:
@@ -58,6 +59,7 @@ def open_scene(what: str | Path, settings: Mapping[str, Any] | None = None) -> S
         path = Path(what)
         description, folder = parse_description(read_text(path, "scene file", MAX_BYTES), str(path)), path.parent
     else:
+        refuse_misnamed(Path(str(what)))
         near = get_close_matches(str(what)[:60], PACKAGE_SCENES, 1)
         remedy = f"; did you mean {near[0]}?" if near else ""
         raise InputError(

@@ -94,7 +94,7 @@ def check_surface(surface: Surface) -> SurfaceReport:
     """
     edges, _ = directed_edges(surface.triangles)
     undirected = len(np.unique(np.sort(edges, axis=1), axis=0))
-    problems = [*shape_problems(surface), *_crossing_problems(surface), *_scale_problems(surface), *surface.repairs]
+    problems = [*shape_problems(surface), *_crossing_problems(surface), *scale_problems(surface), *surface.repairs]
     return SurfaceReport(
         len(surface.vertices), len(surface.triangles), int(components(surface).max()) + 1,
         len(surface.vertices) - undirected + len(surface.triangles),
@@ -267,7 +267,8 @@ def _crossing_problems(surface: Surface) -> list[SurfaceProblem]:
     ]  # fmt: skip
 
 
-def _scale_problems(surface: Surface) -> list[SurfaceProblem]:
+def scale_problems(surface: Surface) -> list[SurfaceProblem]:
+    """Return the problem of a volume that is not that of an organ, unless a warning of the surface says it."""
     volume = abs(surface.volume)
     low, high = PLAUSIBLE_VOLUMES
     if low <= volume <= high:
@@ -281,4 +282,6 @@ def _scale_problems(surface: Surface) -> list[SurfaceProblem]:
             if factor
             else (f"; scale={np.cbrt(TYPICAL_VOLUME / volume):.2g} would make it {1e3 * TYPICAL_VOLUME:g} litres")
         )
+    if any(warning.endswith(what + remedy) for warning in surface.warnings):
+        return []
     return [SurfaceProblem("note", "scale", what + remedy)]

@@ -11,8 +11,9 @@ import numpy as np
 
 from palpate.faults import FileFormatError, InputError, brief, number_in_range
 from palpate.files import read_bytes, regular_file, shortened, unpack_gzip
-from palpate.surface.checks import METRES_BY_UNIT, guessed_units
+from palpate.surface.checks import METRES_BY_UNIT, guessed_units, scale_problems
 from palpate.surface.formats.common import Parts, triangle_count_error
+from palpate.surface.formats.first_bytes import refuse_misnamed
 from palpate.surface.formats.gltf import read_glb, read_gltf
 from palpate.surface.formats.names import (
     FORMATS_WITH_PARTS,
@@ -113,6 +114,7 @@ def read_surface(
     if units is not None and units not in METRES_BY_UNIT:
         raise InputError(f"units must be one of {', '.join(map(repr, METRES_BY_UNIT))}, got {brief(units)}")
     scale = number_in_range("scale", scale, 1e-6, 1e6, open_low=True)
+    refuse_misnamed(path)
     regular_file(path, "surface file")
     kind, packed = format_of(path)
     if kind in LABEL_FORMATS:
@@ -146,9 +148,13 @@ def surface_of_labels(labels: LabelMap, part: str | Sequence[str] | None = None)
     """Return the surface of parts of a label map, with its notes as warnings; see `read_surface`."""
     if part is None and len(labels.segments) > 1:
         raise choice_of_labels(labels)
-    surface = label_surface(labels, part)
     notes = tuple(f"{labels.name}: {note}" for note in labels.notes)
-    return replace(surface, warnings=(*notes, *surface.warnings))
+    try:
+        surface = label_surface(labels, part)
+    except InputError as error:
+        raise type(error)("; ".join([str(error), *notes])) from error
+    scale = tuple(f"{surface.name}: {problem.what}" for problem in scale_problems(surface))
+    return replace(surface, warnings=(*notes, *surface.warnings, *scale))
 
 
 def _gmsh_version(path: Path) -> str:

@@ -13,8 +13,9 @@ from palpate.app.recordings.deformed_labels import nodal_displacements, write_de
 from palpate.app.recordings.recording import Cut, Recording
 from palpate.app.recordings.snapshot import Snapshot
 from palpate.faults import InputError
+from palpate.surface.labels.label_map import Segment
 from palpate.surface.labels.reading import read_label_map
-from palpate.surface.labels.writers import write_labels
+from palpate.surface.labels.writers import write_labels, write_layers
 
 EDGE = 0.002  # [m] of the voxels
 SPACING = 0.006
@@ -75,6 +76,25 @@ def test_a_frame_at_rest_has_the_map_of_rest(recording, labels_file, tmp_path):
     write_deformed_labels(recording, labels_file, out=out, field_out=None, time=0.05)
     before, after = read_label_map(labels_file), read_label_map(out)
     assert np.array_equal(before.layers[0], after.layers[0])
+
+
+def test_overlapping_labels_stay_in_layers_and_what_nifti_loses_is_said(recording, tmp_path):
+    block, vessel = np.zeros((2, 40, 40, 40), dtype=int)
+    block[10:30, 10:30, 10:30], vessel[15:20, 10:30, 15:20] = 1, 2
+    segments = [Segment(1, "block", 0, 1, 8000), Segment(2, "vessel", 1, 2, 500)]
+    affine = np.diag([EDGE, EDGE, EDGE, 1.0])
+    affine[0, 2] = 2e-4 * EDGE  # sheared, as of a tilted gantry
+    write_layers(tmp_path / "rest.seg.nrrd", [block, vessel], affine, segments)
+    counts = {}
+    for name in ("a.seg.nrrd", "a.nii"):
+        lines = write_deformed_labels(
+            recording, tmp_path / "rest.seg.nrrd", out=tmp_path / name, field_out=None, time=0.0
+        )
+        counts[name] = {each.name: each.count for each in read_label_map(tmp_path / name).segments}
+    assert counts["a.seg.nrrd"] == {"block": 8000, "vessel": 500}
+    assert counts["a.nii"] == {"block": 7500, "vessel": 500}
+    assert "block lost 500 of its 8000 voxels to labels that overlap it" in lines[2]
+    assert "sheared, and so are those of a.nii: ITK refuses them in NIfTI" in lines[3]
 
 
 def test_a_part_can_be_chosen(recording, labels_file, tmp_path):

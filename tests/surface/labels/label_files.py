@@ -48,7 +48,8 @@ def caret(names):
 def nifti(values, *, sform=AFFINE, qform=None, units=2, order="<", wide=False, extension=b"\0\0\0\0", **changes):
     """Return a NIfTI file; `qform` is (voxel edges, quaternion b c d, offset, qfac); `changes` are by field."""
     code = {"u1": 2, "i2": 4, "i4": 8, "f4": 16, "f8": 64, "i1": 256, "u2": 512, "u4": 768}[values.dtype.str[1:]]
-    edges, turn, offset, factor = qform or ((1, 1, 1), (0, 0, 0), (0, 0, 0), 1)
+    sizes = (1, 1, 1) if sform is None else np.linalg.norm(sform[:3, :3], axis=0)
+    edges, turn, offset, factor = qform or (sizes, (0, 0, 0), (0, 0, 0), 1)
     at = WIDE_FIELDS if wide else FIELDS
     size = 540 if wide else 348
     shape = list(values.shape) + [1] * (7 - values.ndim)
@@ -70,6 +71,63 @@ def nifti(values, *, sform=AFFINE, qform=None, units=2, order="<", wide=False, e
     return bytes(head) + extension + values.astype(values.dtype.newbyteorder(order)).tobytes(order="F")
 
 
+def dicom(frames, places, numbers=None, names=None, *, kind="BINARY", turn=(1, 0, 0, 0, 1, 0), **changes):
+    """Return a DICOM SEG file (which needs pydicom).
+
+    Places are those of the frames [mm]; `changes` of measures (``thickness``, ``between``) are of all frames, or lists
+    of one for each, and those of ``times`` and ``stacks`` are for each. Other changes are attributes of the file.
+    """
+    from io import BytesIO
+
+    from pydicom.dataset import Dataset, FileMetaDataset
+
+    def item(**attributes):
+        made = Dataset()
+        for key, value in attributes.items():
+            setattr(made, key, value)
+        return made
+
+    each = {key: changes.pop(key, None) for key in ("times", "stacks", "turns", "spacings")}
+    measures = {word: changes.pop(key, None) for key, word in
+                (("thickness", "SliceThickness"), ("between", "SpacingBetweenSlices"))}  # fmt: skip
+    file, meta, bits = Dataset(), FileMetaDataset(), 1 if kind == "BINARY" else 8
+    meta.TransferSyntaxUID = "1.2.840.10008.1.2.1"
+    meta.MediaStorageSOPClassUID = "1.2.840.10008.5.1.4.1.1.66." + ("7" if kind == "LABELMAP" else "4")
+    meta.MediaStorageSOPInstanceUID = file.SOPInstanceUID = "1.2.3.4"
+    file.file_meta, file.SOPClassUID, file.Modality, file.SegmentationType = meta, meta[0x20002].value, "SEG", kind
+    file.NumberOfFrames, file.Rows, file.Columns = frames.shape
+    file.SamplesPerPixel, file.PhotometricInterpretation, file.PixelRepresentation = 1, "MONOCHROME2", 0
+    file.BitsAllocated, file.BitsStored, file.HighBit = bits, bits, bits - 1
+    groups = []
+    for k, place in enumerate(places):
+        lengths = {word: value[k] if isinstance(value, list) else value for word, value in measures.items()}
+        stated = {word: value for word, value in lengths.items() if value is not None}
+        content = {"TemporalPositionIndex": each["times"], "StackID": each["stacks"]}
+        content = {word: value[k] for word, value in content.items() if value is not None}
+        spacing = [1.0, 1.0] if each["spacings"] is None else each["spacings"][k]
+        group = {
+            "PixelMeasuresSequence": [item(PixelSpacing=spacing, **stated)],
+            "PlaneOrientationSequence": [item(ImageOrientationPatient=list((each["turns"] or {}).get(k, turn)))],
+            "PlanePositionSequence": [item(ImagePositionPatient=[float(x) for x in place])],
+            "FrameContentSequence": [item(DimensionIndexValues=[1, k + 1], **content)],
+        }
+        if kind != "LABELMAP":
+            number = numbers[k] if numbers else 1
+            group["SegmentIdentificationSequence"] = [item(ReferencedSegmentNumber=number)]
+        groups.append(item(**group))
+    file.PerFrameFunctionalGroupsSequence = groups
+    names = (names or {1: "liver"}).items()
+    file.SegmentSequence = [item(SegmentNumber=number, SegmentLabel=name) for number, name in names]
+    flat = frames.astype("u1").ravel()
+    data = (np.packbits(flat, bitorder="little") if bits == 1 else flat).tobytes()
+    file.PixelData = data + bytes(len(data) % 2)
+    for key, value in changes.items():
+        setattr(file, key, value)
+    into = BytesIO()
+    file.save_as(into, enforce_file_format=True)
+    return into.getvalue()
+
+
 def nrrd(values, *, space="left-posterior-superior", affine=AFFINE, kinds="", packed=True, lines=(), endian="little"):
     """Return an NRRD file; the axis of layers, if there is one, is the first."""
     kind = {"u1": "uchar", "i2": "short", "i4": "int", "f4": "float", "u4": "uint"}[values.dtype.str[1:]]
@@ -83,8 +141,8 @@ def nrrd(values, *, space="left-posterior-superior", affine=AFFINE, kinds="", pa
     return "\n".join(head).encode() + b"\n\n" + (gzip.compress(data) if packed else data)
 
 
-def metaimage(values, *, affine=AFFINE, packed=True, lines=(), data_file="LOCAL"):
-    """Return a MetaImage file."""
+def metaimage(values, *, affine=AFFINE, packed=True, lines=(), data_file="LOCAL", without=()):
+    """Return a MetaImage file, without some of its fields."""
     edges = np.linalg.norm(affine[:3, :3], axis=0)
     kind = {"u1": "MET_UCHAR", "i2": "MET_SHORT", "f4": "MET_FLOAT"}[values.dtype.str[1:]]
     data = values.tobytes(order="F")
@@ -96,5 +154,6 @@ def metaimage(values, *, affine=AFFINE, packed=True, lines=(), data_file="LOCAL"
         "Offset": " ".join(f"{x:.17g}" for x in affine[:3, 3]), "ElementSpacing": " ".join(f"{x:.17g}" for x in edges),
         "DimSize": " ".join(map(str, values.shape)), "ElementType": kind,
     }  # fmt: skip
-    text = [*(f"{key} = {value}" for key, value in rows.items()), *lines, f"ElementDataFile = {data_file}"]
+    text = [f"{key} = {value}" for key, value in rows.items() if key not in without]
+    text += [*lines, f"ElementDataFile = {data_file}"]
     return "\n".join(text).encode() + b"\n" + data

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -39,7 +41,7 @@ def deformed(gradient: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, np.nd
     middle = rest.mean(axis=0)
     motion = (rest - middle) @ gradient.T + middle + shift - rest
     field, distance = resampling_field(labels, rest, motion, SPACING)
-    return deform(labels, body_segments(labels, rest, triangles), field, distance, SPACING), field
+    return deform(labels, body_segments(labels, rest, triangles), field, distance, SPACING)[0], field
 
 
 def test_a_body_consists_of_the_labels_that_lie_in_it():
@@ -59,6 +61,23 @@ def test_a_body_at_rest_has_the_same_map_and_no_displacements():
     numbers, field = deformed(np.eye(3), np.zeros(3))
     assert np.array_equal(numbers, label_map().layers[0])
     assert not field.any()
+
+
+def test_segments_that_overlap_stay_in_their_layers():
+    labels, (rest, triangles) = label_map(), block()
+    over = np.zeros_like(labels.layers[0])
+    over[14:18, 8:26, 6:22] = 1
+    segments = (*labels.segments, Segment(4, "vessel", 1, 1, int(over.sum()), 1))
+    labels = replace(labels, layers=(*labels.layers, over), segments=segments)
+    motion = np.broadcast_to([0.0, 3 * EDGES[1], 0.0], rest.shape)
+    field, distance = resampling_field(labels, rest, motion, SPACING)
+    parts = body_segments(labels, rest, triangles)
+    assert [each.name for each in parts] == ["block", "inclusion", "vessel"]
+    numbers = deform(labels, parts, field, distance, SPACING)
+    for layer, number in ((0, 1), (0, 2), (1, 4)):
+        rest_value = 1 if layer else number
+        moved = np.roll(labels.layers[layer] == rest_value, 3, axis=1)
+        assert np.array_equal(numbers[layer] == number, moved)
 
 
 def test_a_shift_by_whole_voxels_moves_the_body_alone():

@@ -19,6 +19,55 @@ def test_values_and_positions_are_those_of_the_header(dtype, packed):
     assert labels.space == "LPS"
 
 
+UPRIGHT = np.array([[2.0, 0, 0, 10], [0, 2, 0, 20], [0, 0, 3, 30], [0, 0, 0, 1]])
+TURNED = "0 1 0 -1 0 0 0 0 1"
+
+
+@pytest.mark.parametrize(
+    ("lines", "without", "words"),
+    [
+        (["ElementSize = 2 2 3", f"Rotation = {'1 0 0 0 1 0 0 0 1'}", "Position = 10 20 30"], (), None),
+        (["AnatomicalOrientation = RAI", "CenterOfRotation = 0 0 0", "DistanceUnits = mm"], (), None),
+        (["AnatomicalOrientation = LPS", "ElementToIntensityFunctionSlope = 1"], (), None),  # of other writers
+        (["AnatomicalOrientation = ???"], (), None),
+        (["ElementSize = 2 2 5"], (), "ElementSpacing and ElementSize differ by up to 15 mm: ElementSpacing was taken"),
+        ([f"Rotation = {TURNED}"], (), "TransformMatrix and Rotation differ by up to"),
+        ([f"Orientation = {TURNED}", "Rotation = 1 0 0 0 1 0 0 0 1"], ("TransformMatrix",), "Rotation and Orientation"),
+        (["Position = 10 20 34"], (), "Offset and Position differ by up to 4 mm: Offset was taken"),
+        (["Origin = 10 20 30", "Position = 9 20 30"], ("Offset",), "Origin and Position differ by up to 1 mm"),
+        (["AnatomicalOrientation = LPI"], (), "AnatomicalOrientation LPI is not that of its matrix, RAI"),
+        (["DistanceUnits = cm"], (), "DistanceUnits 'cm' were not used: its lengths were taken as mm"),
+        (["CenterOfRotation = 5 5 5"], (), "CenterOfRotation was not used"),
+        (["ElementToIntensityFunctionOffset = 3"], (), "ElementToIntensityFunctionOffset was not used"),
+    ],
+)
+def test_a_note_says_which_of_two_statements_was_taken_as_by_itk(lines, without, words):
+    labels = read_metaimage(metaimage(blocks(), affine=UPRIGHT, lines=lines, without=without))
+    assert np.allclose(labels.affine, np.diag([1e-3, 1e-3, 1e-3, 1]) @ UPRIGHT)
+    assert len(labels.notes) == (words is not None)
+    assert all(words in note for note in labels.notes)
+
+
+def test_origin_counts_before_offset_and_negative_spacings_turn_an_axis_around_as_in_itk():
+    origin = read_metaimage(metaimage(blocks(), affine=UPRIGHT, lines=["Origin = 10 20 34"]))
+    assert np.allclose(origin.affine[:3, 3], [0.010, 0.020, 0.034])
+    assert "Origin and Offset differ by up to 4 mm: Origin was taken" in origin.notes[0]
+    spacing = ["ElementSpacing = -2 2 3"]
+    turned = read_metaimage(metaimage(blocks(), affine=UPRIGHT, lines=spacing, without=("ElementSpacing",)))
+    assert np.allclose(turned.affine[:3, :3], 1e-3 * np.diag([-2, 2, 3]))
+    assert "spacing of -2 x 2 x 3 mm turns an axis around" in turned.notes[0]
+    long = ["TransformMatrix = 2 0 0 0 1 0 0 0 1"]
+    scaled = read_metaimage(metaimage(blocks(), affine=UPRIGHT, lines=long, without=("TransformMatrix",)))
+    assert np.allclose(scaled.affine[:3, :3], 1e-3 * np.diag([4, 2, 3]))
+    assert "matrix makes voxels of 4 x 2 x 3 mm of its spacing of 2 x 2 x 3 mm" in scaled.notes[0]
+
+
+def test_a_field_that_is_given_twice_is_refused():
+    for lines in (["Offset = 1 2 3"], ["ElementByteOrderMSB = True"]):
+        with pytest.raises(FileFormatError, match=r"must state .* two different ones"):
+            read_metaimage(metaimage(blocks(), affine=UPRIGHT, lines=lines))
+
+
 @pytest.mark.parametrize(
     ("options", "change", "message"),
     [

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from label_files import AFFINE, blocks, nrrd
 
-from palpate.faults import FileFormatError
+from palpate.faults import FileFormatError, InputError
+from palpate.surface.labels.label_map import choose_segments, part_names
 from palpate.surface.labels.nrrd import read_nrrd
 
 METRES = np.diag([1e-3, 1e-3, 1e-3, 1.0])
@@ -46,12 +47,135 @@ def test_layers_hold_segments_that_overlap_with_their_names():
     ]  # fmt: skip
     data = nrrd(np.stack([blocks(), second]), kinds="list domain domain domain", lines=lines)
     labels = read_nrrd(data)
-    assert [(each.name, each.layer, each.value, each.count) for each in labels.segments] == [
-        ("liver", 0, 1, 80), ("stomach", 0, 7, 45), ("both", 1, 1, 125)
+    assert [(each.name, each.number, each.label, each.layer, each.value, each.count) for each in labels.segments] == [
+        ("stomach", 7, None, 0, 7, 45), ("liver", 8, 1, 0, 1, 80), ("both", 9, 1, 1, 1, 125)
     ]  # fmt: skip
-    assert len({each.number for each in labels.segments}) == 3
     assert labels.absent == ("spleen",)
     assert all(layer.flags.f_contiguous for layer in labels.layers)
+
+
+LAYERS = [
+    "Segment0_Name:=spleen", "Segment0_Layer:=0", "Segment0_LabelValue:=1",
+    "Segment1_Name:=liver", "Segment1_Layer:=0", "Segment1_LabelValue:=7",
+    "Segment2_Name:=tumour", "Segment2_Layer:=1", "Segment2_LabelValue:=1",
+]  # fmt: skip
+LIST = "list domain domain domain"
+
+
+def layered(lines=LAYERS, kinds=LIST):
+    return nrrd(np.stack([blocks(), (blocks() > 0).astype("u1")]), kinds=kinds, lines=lines)
+
+
+def test_a_label_value_finds_its_own_segment_and_one_of_several_is_refused_with_the_choices():
+    labels = read_nrrd(layered())
+    for part, name in (("7", "liver"), ("liver", "liver"), ("8", "spleen"), ("9", "tumour"), ("label 9", "tumour")):
+        assert [each.name for each in choose_segments(labels, part)] == [name]
+    with pytest.raises(InputError, match="got '1', which is of several: give spleen, tumour"):
+        choose_segments(labels, "1")
+    assert part_names(labels) == ["liver", "spleen", "tumour"]
+    unnamed = read_nrrd(layered([line for line in LAYERS if "Name" not in line]))
+    assert part_names(unnamed) == ["7", "8", "9"]
+    assert [each.name for each in unnamed.segments] == ["label 7", "label 1", "label 1"]
+    with pytest.raises(InputError, match="'label 1', which 8 and 9 have; give a number"):
+        choose_segments(unnamed, "label 1")
+    named = unnamed.with_names({7: "liver", 1: "spleen", 9: "tumour"})
+    assert [each.name for each in named.segments] == ["liver", "label 1", "tumour"]
+    assert named.absent == ()
+
+
+def test_a_name_that_is_the_number_of_another_is_refused_with_the_choices():
+    labels = read_nrrd(nrrd(blocks(), lines=["Segment0_Name:=7", "Segment0_LabelValue:=1", "Segment1_LabelValue:=7"]))
+    assert part_names(labels) == ["1", "label 7"]
+    assert [choose_segments(labels, part)[0].number for part in part_names(labels)] == [1, 7]
+    with pytest.raises(InputError, match="got '7', which is of several: give 1, label 7"):
+        choose_segments(labels, "7")
+
+
+def test_layers_without_numbers_of_their_own_are_one_for_each_segment_as_in_slicer():
+    labels = read_nrrd(
+        nrrd(np.stack([blocks(), blocks() // 7]), kinds=LIST, lines=["Segment0_Name:=a", "Segment1_Name:=b"])
+    )
+    assert [(each.name, each.layer, each.value) for each in labels.segments if each.name in "ab"] == [
+        ("a", 0, 1), ("b", 1, 1)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (lambda: layered([]), "segments in each of its 2 layers, got none in layer 0, as a time series has"),
+        (lambda: layered(LAYERS[:6]), "got none in layer 1"),
+        (lambda: layered(LAYERS, "time domain domain domain"), "got a time series"),
+        (lambda: layered(LAYERS, "vector domain domain domain"), "got vector"),
+        (lambda: layered([*LAYERS[:6], "Segment2_Name:=b", "Segment2_Layer:=0", "Segment2_LabelValue:=7"]),
+         "values of their own, got 'liver' and 'b' of value 7 in layer 0"),
+        (lambda: layered([*LAYERS, "Segment0_LabelValue:=7"]), "must state 'Segment0_LabelValue' once"),
+        (lambda: nrrd(blocks(), kinds="domain domain time"), "got a time series"),
+        (lambda: nrrd(blocks(), kinds="domain domain list"), "got a list of pictures"),
+        (lambda: nrrd(blocks(), space="left-posterior-superior-time"), "got a time series"),
+    ],
+)  # fmt: skip
+def test_series_colours_and_layers_without_segments_are_refused(data, message):
+    with pytest.raises(FileFormatError, match=message):
+        read_nrrd(data())
+
+
+CUBES = np.diag([2.0, 2.0, 3.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ([], []),
+        (["spacings: 2 2 3", "thicknesses: nan nan 3", "space dimension: 3"], []),
+        (
+            ["spacings: 2 2 5"],
+            ["spacings state 2 x 2 x 5 mm, its space directions 2 x 2 x 3 mm: the directions were taken"],
+        ),
+        (["thicknesses: nan nan 5"], ["thicknesses state 5 mm, its space directions 3 mm"]),
+        (["axis mins: 0 0 9", "centers: cell cell cell"], ["axis mins and maxs were not used"]),
+        (['space units: "mm" "parsec" "mm"'], ["parsec' is not known: taken as mm", "are mixed"]),
+    ],
+)
+def test_directions_win_and_notes_say_what_else_the_header_states(lines, words):
+    labels = read_nrrd(nrrd(blocks(), affine=CUBES, lines=lines))
+    assert np.allclose(labels.affine, METRES @ CUBES)
+    assert len(labels.notes) == len(words)
+    assert all(word in note for word, note in zip(words, labels.notes, strict=True))
+
+
+def test_each_axis_of_space_has_its_own_unit():
+    labels = read_nrrd(nrrd(blocks(), lines=['space units: "mm" "cm" "m"']))
+    assert np.allclose(labels.affine, np.diag([1e-3, 1e-2, 1.0, 1.0]) @ AFFINE)
+    assert labels.notes == ("its space units are mixed, 'mm', 'cm', 'm': each axis has its own",)
+    same = read_nrrd(nrrd(blocks(), lines=['space units: "cm" "cm" "cm"']))
+    assert np.allclose(same.affine, np.diag([1e-2, 1e-2, 1e-2, 1.0]) @ AFFINE)
+    assert same.notes == ()
+
+
+def spaced(*lines):
+    """Return a file whose header states no space."""
+    head, _, voxels = nrrd(blocks(), packed=False, lines=lines).partition(b"\n\n")
+    kept = [line for line in head.split(b"\n") if not line.startswith(b"space")]
+    return b"\n".join(kept) + b"\n\n" + voxels
+
+
+@pytest.mark.parametrize(
+    ("lines", "edges", "words"),
+    [
+        (["spacings: 2 2 3"], [2, 2, 3], []),
+        (["spacings: 0.2 0.2 0.3", 'units: "cm" "cm" "cm"'], [2, 2, 3], []),
+        (["spacings: -2 2 3"], [2, 2, 3], ["spacings are negative: their sizes were taken"]),
+        (["axis mins: 0 0 0", "axis maxs: 24 20 24"], [2, 2, 3], []),
+        (["axis mins: 0 0 0", "axis maxs: 22 18 21", "centerings: node node node"], [2, 2, 3], []),
+        ([], [1, 1, 1], ["it states no spacings: voxels of 1 mm are taken"]),
+    ],
+)
+def test_without_a_space_sizes_alone_are_used(lines, edges, words):
+    labels = read_nrrd(spaced(*lines))
+    assert np.allclose(labels.affine, 1e-3 * np.diag([*edges, 1e3]))
+    assert labels.space == ""
+    assert list(labels.notes[1:]) == [each if each.startswith("it ") else f"its {each}" for each in words]
 
 
 def test_an_old_slicer_wrote_ras_and_the_origin_of_the_uncropped_image():
@@ -85,6 +209,8 @@ def test_an_old_slicer_wrote_ras_and_the_origin_of_the_uncropped_image():
         ((b"# made by a test", b"byte skip: 9"), "byte skip must be 0"),
         ((b"(1.8999999999999999,", b"(nan,"), "orientation"),
         ((b"NRRD0005", b"NURD0005"), "begin with NRRD000"),
+        ((b"# made by a test", b"space dimension: 2"), "space dimension must be 3, as its vectors have, got '2'"),
+        ((b"# made by a test", b"sizes: 8 10 12"), "must state 'sizes' once"),
         ((b"\n\n", b"\n"), "blank line"),
     ],
 )
@@ -93,6 +219,13 @@ def test_headers_that_lie_are_refused_by_name(change, message):
     assert change[0] in data
     with pytest.raises(FileFormatError, match=message):
         read_nrrd(data.replace(*change, 1))
+
+
+def test_the_order_of_bytes_must_be_stated_where_it_matters():
+    for packed in (False, True):
+        with pytest.raises(FileFormatError, match=r"endian must be little or big, .*; add the line 'endian: little'"):
+            read_nrrd(nrrd(blocks("i2"), packed=packed).replace(b"endian: little\n", b""))
+        assert read_nrrd(nrrd(blocks(), packed=packed).replace(b"endian: little\n", b"")).notes == ()
 
 
 def test_colours_and_series_are_refused():

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import gzip
 from pathlib import Path
 
 import numpy as np
 import pytest
 from label_files import RAS_TO_LPS, blocks, metaimage, nifti, nrrd
 
-from palpate.faults import FileFormatError
+from palpate.faults import FileFormatError, InputError
+from palpate.surface.checks import check_surface
+from palpate.surface.files import read_surface
 from palpate.surface.formats.names import LABEL_FORMATS, listed_formats
 from palpate.surface.labels.label_map import mask_of
 from palpate.surface.labels.reading import READER_BY_FORMAT, is_label_map, read_label_map
@@ -139,6 +142,53 @@ def test_formats_are_told_by_their_suffixes(tmp_path):
         read_label_map(tmp_path / "a.nii.gz")
     with pytest.raises(FileNotFoundError):
         read_label_map(tmp_path / "nowhere.nii")
+
+
+@pytest.mark.parametrize("name", ["IM0001", "1.2.840.55", "volume.img"])
+def test_a_file_whose_name_lacks_its_suffix_is_refused_with_the_right_one(name, tmp_path):
+    heads = {
+        ".dcm": bytes(128) + b"DICM", ".nrrd": nrrd(blocks()), ".mha": metaimage(blocks()),
+        ".nii": nifti(blocks()), ".nii.gz": gzip.compress(nifti(blocks(), wide=True)),
+    }  # fmt: skip
+    for suffix, data in heads.items():
+        (tmp_path / name).write_bytes(data)
+        for read in (read_label_map, read_surface):
+            with pytest.raises(FileFormatError, match=rf"by its first bytes, .*: rename it to end in \{suffix}$"):
+                read(tmp_path / name)
+    (tmp_path / name).write_bytes(b"else")
+    with pytest.raises(FileFormatError, match="must be"):
+        read_surface(tmp_path / name)
+
+
+def test_of_a_folder_of_dicom_files_the_segmentation_is_named(tmp_path):
+    (tmp_path / "IM0001").write_bytes(bytes(128) + b"DICM" + b"1.2.840.10008.5.1.4.1.1.2")
+    with pytest.raises(FileFormatError, match="a folder of DICOM images without a segmentation"):
+        read_surface(tmp_path)
+    (tmp_path / "IM0002").write_bytes(bytes(128) + b"DICM" + b"1.2.840.10008.5.1.4.1.1.66.4")
+    with pytest.raises(FileFormatError, match=r"give its DICOM segmentation, IM0002, and let its name end in \.dcm"):
+        read_surface(tmp_path)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(FileFormatError, match="not a regular file"):
+        read_surface(tmp_path / "empty")
+
+
+def test_notes_and_a_size_that_no_organ_has_are_warnings_of_the_surface(tmp_path):
+    voxels = np.pad(np.ones((20, 20, 20), "u1"), 2)
+    for edge, warns in ((2.0, False), (0.2, True), (40.0, True)):
+        (tmp_path / "a.nii").write_bytes(nifti(voxels, sform=np.diag([edge, edge, edge, 1.0])))
+        surface = read_surface(tmp_path / "a.nii")
+        said = [each for each in surface.warnings if "is not that of an organ" in each and "scale=" in each]
+        assert len(said) == warns
+        assert not [each for each in check_surface(surface).problems if each.name == "scale"]  # it is said once
+    assert read_surface(tmp_path / "a.nii", scale=0.1).warnings == ()
+    voxels[12] = 0
+    (tmp_path / "a.nii").write_bytes(nifti(voxels, sform=np.diag([2.0, 2.0, 2.0, 1.0]), scl=[3, 0]))
+    for part, message in (
+        ("3", r"of 2 pieces, .*; a\.nii: its labels are its numbers times scl_slope 3"),
+        ("1", "must be one"),
+    ):
+        with pytest.raises(InputError, match=message):
+            read_surface(tmp_path / "a.nii", part=part)
 
 
 def test_unforeseen_errors_of_a_reader_become_one_line(tmp_path):

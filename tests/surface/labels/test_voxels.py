@@ -10,7 +10,7 @@ from palpate.surface.labels.voxels import label_values, segments_of
 
 
 def read(values):
-    return segments_of([label_values(np.asarray(values))], {})
+    return segments_of([label_values(np.asarray(values))[0]], {})
 
 
 def test_a_ct_is_refused_by_name():
@@ -38,7 +38,7 @@ def test_probabilities_and_infinite_values_are_refused_by_name():
 
 
 def test_values_near_whole_numbers_are_rounded():
-    assert np.array_equal(label_values(np.array([0.0, 0.988, 2.011])), [0, 1, 2])
+    assert np.array_equal(label_values(np.array([0.0, 0.988, 2.011]))[0], [0, 1, 2])
     with pytest.raises(FileFormatError, match="intensities"):
         label_values(np.array([0.0, 0.9, 2.0]))
 
@@ -47,6 +47,26 @@ def test_a_hundred_labels_are_not_an_image():
     organs = np.kron(np.arange(150, dtype="i2").reshape(5, 5, 6), np.ones((4, 4, 4), dtype="i2"))
     _, segments, _ = read(organs)
     assert len(segments) == 149
+
+
+@pytest.mark.parametrize(("outside", "dtype"), [(-1, "i1"), (-1, "f4"), (-9999, "i2")])
+def test_one_negative_number_is_outside_and_the_note_names_it(outside, dtype):
+    values, notes = label_values(np.array([outside, outside, 1, 3, 0], dtype=dtype))
+    assert values.tolist() == [0, 0, 1, 3, 0]
+    assert notes == (f"its voxels of {outside}, 40% of all, are taken as outside, as those of 0",)
+
+
+def test_other_negative_numbers_are_refused_by_name_and_a_ct_as_one():
+    with pytest.raises(FileFormatError, match=r"at least 0, got 2 negative ones from -106 to -56; .* more than 8 bits"):
+        read(np.array([[[-56, -106, 0, 1]]], dtype="i1"))
+    with pytest.raises(FileFormatError, match="a label of at least 1, got voxels of -1 and 0 alone"):
+        read(np.array([[[-1, 0]]]))
+    ct = np.random.default_rng(0).integers(-1000, 1500, (20, 20, 20), dtype="i2")
+    with pytest.raises(FileFormatError, match="image of intensities from -"):
+        read(ct)
+    ct[ct < 0] = -2000  # outside of the field of view
+    with pytest.raises(FileFormatError, match="image of intensities"):
+        read(ct)
 
 
 @pytest.mark.parametrize("dtype", ["u4", "i8", "f8"])

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from palpate.faults import InputError
+from palpate.surface.labels.label_map import Segment
 from palpate.surface.labels.reading import read_label_map
-from palpate.surface.labels.writers import check_volume_name, write_field, write_labels
+from palpate.surface.labels.writers import check_volume_name, write_field, write_labels, write_layers
 
 AFFINE = np.array([[1.9, 0.3, 0.1, -40], [-0.2, 1.4, 0.2, 12], [0.1, 0.1, 3, -7], [0, 0, 0, 1e3]]) * 1e-3  # LPS [m]
 NAMES = {1: "liver", 7: "mass a&b"}
@@ -33,6 +34,45 @@ def test_a_written_label_map_is_read_back(tmp_path, suffix, factor):
     assert {each.number: each.name for each in labels.segments} == {factor * k: name for k, name in NAMES.items()}
     for segment in labels.segments:
         assert np.array_equal(labels.layers[segment.layer] == segment.value, values == segment.number)
+
+
+def overlapping() -> tuple[list[np.ndarray], list[Segment]]:
+    """Return two layers, of spleen and liver, and of a tumour of the spleen's number that overlaps both."""
+    first, second = blocks(), np.zeros((12, 10, 8), dtype=np.uint32)
+    second[4:8, 3:8, 2:4] = 9
+    first[first == 1] = 8
+    return [first, second], [
+        Segment(7, "liver", 0, 7, 45), Segment(8, "spleen", 0, 1, 80, 1), Segment(9, "tumour", 1, 1, 40, 1)
+    ]  # fmt: skip
+
+
+def test_layers_of_nrrd_are_read_back_with_their_numbers(tmp_path):
+    layers, segments = overlapping()
+    assert write_layers(tmp_path / "map.seg.nrrd", layers, AFFINE, segments) == []
+    labels = read_label_map(tmp_path / "map.seg.nrrd")
+    assert [(each.name, each.number, each.label, each.count) for each in labels.segments] == [
+        ("liver", 7, None, 45), ("spleen", 8, 1, 80), ("tumour", 9, 1, 40)
+    ]  # fmt: skip
+    for segment, number in zip(labels.segments, (7, 8, 9), strict=True):
+        assert np.array_equal(labels.layers[segment.layer] == segment.value, layers[segment.layer] == number)
+
+
+def test_what_nifti_cannot_hold_is_said(tmp_path):
+    layers, segments = overlapping()
+    notes = write_layers(tmp_path / "map.nii", layers, AFFINE, segments)
+    assert notes == [
+        "liver lost 20 of its 45 voxels to labels that overlap it: a name that ends in .seg.nrrd keeps all",
+        "spleen lost 20 of its 80 voxels to labels that overlap it: a name that ends in .seg.nrrd keeps all",
+    ]
+    labels = read_label_map(tmp_path / "map.nii")
+    assert {each.name: each.count for each in labels.segments} == {"liver": 25, "spleen": 60, "tumour": 40}
+
+
+def test_a_layer_without_segments_is_not_written(tmp_path):
+    layers, segments = overlapping()
+    path = tmp_path / "map.nrrd"
+    assert write_layers(path, layers, AFFINE, segments[2:]) == []
+    assert {each.name: each.count for each in read_label_map(path).segments} == {"tumour": 40}
 
 
 def field() -> np.ndarray:

@@ -15,6 +15,8 @@ from typing import Any, NoReturn
 from unicodedata import category
 
 from palpate.app.common.exit_status import BAD_INPUT, one_line
+from palpate.faults import FileFormatError
+from palpate.surface.formats.first_bytes import refuse_misnamed
 
 COMMAND_KEY, PARSER_KEY = " command", " parser"  # names that no option has
 MAX_ARGUMENT_CHARACTERS, MAX_NAME_BYTES = 4095, 255  # characters; bytes of a name in a folder
@@ -217,6 +219,10 @@ def existing_file(text: str) -> Path:
         why = getattr(error, "strerror", None) or error
         raise argparse.ArgumentTypeError(f"must be a file that can be read, got {text!r} ({why})") from None
     if not stat.S_ISREG(kind):
+        try:
+            refuse_misnamed(file_path)
+        except FileFormatError as error:
+            raise argparse.ArgumentTypeError(f"must be a file: {error}") from None
         what = "a folder" if stat.S_ISDIR(kind) else "a pipe, socket or device"
         raise argparse.ArgumentTypeError(f"must be a regular file, got {text!r}, which is {what}")
     return file_path

@@ -17,6 +17,7 @@ from palpate.scenes.open_scene import open_scene
 from palpate.scenes.open_surface import complete_for_training, open_surface
 from palpate.scenes.places import side_mask
 from palpate.scenes.scene import Scene
+from palpate.surface.formats.first_bytes import refuse_misnamed
 
 if TYPE_CHECKING:  # it takes a second to import, before a page opens
     from palpate.reduction.hyper.model import ReducedModel
@@ -62,6 +63,8 @@ def open_subject(
     """
     shape = {option: value for option, value in shape.items() if value not in (None, 1.0, [], ())}
     kind, settings = kind_of(name), dict(settings or {})
+    if kind is None:
+        refuse_misnamed(Path(name))
     if kind is SceneKind.SURFACE_FILE:
         scene = open_surface(name, spacing=spacing, settings=settings, **shape)
         assert scene.surface is not None

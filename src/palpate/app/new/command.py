@@ -25,6 +25,7 @@ from palpate.scenes.open_surface import open_surface
 from palpate.scenes.scene import Scene
 from palpate.scenes.schema import scene_schema
 from palpate.surface.checks import METRES_BY_UNIT
+from palpate.surface.formats.first_bytes import refuse_misnamed
 from palpate.surface.labels.label_map import choose_segments, segments_mask
 from palpate.surface.labels.listing import choice_of_labels
 from palpate.surface.labels.reading import is_label_map, read_label_map
@@ -64,6 +65,7 @@ def new(
         raise InputError(f"out must end in .toml, got {str(out)!r}; name the scene file organ.toml")
     if out.exists():
         raise InputError(f"out must be a new file, got {str(out)!r}, which exists; choose another name, or remove it")
+    refuse_misnamed(file)
     if kind_of(file.name) is not SceneKind.SURFACE_FILE:
         raise InputError(f"file must be a surface, got {str(file)!r}; palpate new --help lists the formats")
     check_folder(out.parent)

@@ -13,10 +13,11 @@ from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError, number_in_range
 from palpate.realtime.bodies.display_surface import DisplaySurface
 from palpate.realtime.bodies.full_surface import display_surface
+from palpate.surface.labels.agreement import is_sheared
 from palpate.surface.labels.deformed import body_segments, deform, resampling_field
 from palpate.surface.labels.label_map import choose_segments
 from palpate.surface.labels.reading import read_label_map
-from palpate.surface.labels.writers import check_volume_name, write_field, write_labels
+from palpate.surface.labels.writers import check_volume_name, write_field, write_layers
 
 
 def write_deformed_labels(
@@ -57,15 +58,24 @@ def write_deformed_labels(
     parts = choose_segments(labels, part) if part else body_segments(labels, cloud.points, cloud.triangles)
     displacements = nodal_displacements(recording, frame, display_surface(recording.model))
     field, distance = resampling_field(labels, cloud.points, displacements, cloud.spacing)
-    lines = [f"at {recording.times[frame]:.3g} s, of {', '.join(each.name for each in parts)}:"]
+    lines = [f"{labels.name}: {note}" for note in labels.notes]
+    lines.append(f"at {recording.times[frame]:.3g} s, of {', '.join(each.name for each in parts)}:")
     if out is not None:
-        numbers = deform(labels, parts, field, distance, cloud.spacing)
-        write_labels(out, numbers, labels.affine, {each.number: each.name for each in labels.segments})
-        ratio = np.isin(numbers, [each.number for each in parts]).sum() / sum(each.count for each in parts)
-        lines.append(f"wrote {out}: the body's voxels have {ratio:.2%} of their volume at rest")
+        layers = deform(labels, parts, field, distance, cloud.spacing)
+        segments = sorted(labels.segments, key=lambda each: each in parts)  # the body is on top in one layer
+        notes = write_layers(out, layers, labels.affine, segments)
+        count = sum(np.count_nonzero(layers[each.layer] == each.number) for each in parts)
+        ratio = count / sum(each.count for each in parts)
+        lines += [f"wrote {out}: the body's voxels have {ratio:.2%} of their volume at rest", *notes]
     if field_out is not None:
         write_field(field_out, field, labels.affine)
         lines.append(f"wrote {field_out}: displacements of up to {1e3 * np.linalg.norm(field, axis=3).max():.3g} mm")
+    nifti = [each.name for each in (out, field_out) if each is not None and not each.name.lower().endswith(".nrrd")]
+    if nifti and is_sheared(labels.affine):
+        lines.append(
+            f"the axes of {labels.name} are sheared, and so are those of {' and '.join(nifti)}: ITK refuses them in "
+            "NIfTI, and reads names that end in .nrrd"
+        )
     return lines
 
 

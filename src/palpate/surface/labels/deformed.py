@@ -95,10 +95,10 @@ def resampling_field(labels: LabelMap, rest: Floats, displacements: Floats, spac
 
 def deform(
     labels: LabelMap, parts: Sequence[Segment], field: Singles, distance: Singles, spacing: float
-) -> NDArray[np.uint32]:
-    """Return the numbers (nx, ny, nz) of the segments in the voxels of the deformed body, 0 outside all.
+) -> list[NDArray[np.uint32]]:
+    """Return the numbers (nx, ny, nz) of the segments in the voxels of each layer of the deformed body, 0 outside all.
 
-    Segments that are not of the body stay where it is not. Of those that overlap, the last has the voxel.
+    Segments that are not of the body stay where segments of the body in the same layer are not.
 
     Parameters
     ----------
@@ -112,16 +112,15 @@ def deform(
     indices = np.rint(_positions(np.linalg.inv(labels.affine), sources)).astype(int)
     inside = np.all((indices >= 0) & (indices < labels.shape), axis=1)
     near, indices = near[inside], indices[inside]
-    numbers = np.zeros(labels.shape, dtype=np.uint32)
-    for moves in (False, True):
-        for segment in (each for each in labels.segments if (each in parts) is moves):
-            layer = labels.layers[segment.layer]
-            if moves:
-                there = layer[tuple(indices.T)] == segment.value
-                numbers[tuple(near[there].T)] = segment.number
-            else:
-                numbers[layer == segment.value] = segment.number
-    return numbers
+    layers = [np.zeros(labels.shape, dtype=np.uint32) for _ in labels.layers]
+    for segment in sorted(labels.segments, key=lambda each: each in parts):
+        layer, numbers = labels.layers[segment.layer], layers[segment.layer]
+        if segment in parts:
+            there = layer[tuple(indices.T)] == segment.value
+            numbers[tuple(near[there].T)] = segment.number
+        else:
+            numbers[layer == segment.value] = segment.number
+    return layers
 
 
 def _positions(affine: NDArray[Any], indices: NDArray[Any]) -> Floats:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import warnings
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -16,16 +17,24 @@ from palpate.arrays import Floats, Ints
 from palpate.extras import require
 from palpate.faults import FileFormatError, InputError
 from palpate.files import shortened
+from palpate.surface.formats.first_bytes import SEGMENTATION_CLASSES
+from palpate.surface.labels.agreement import lengths_agree, lengths_text
+from palpate.surface.labels.frames import grid_of_frames
 from palpate.surface.labels.label_map import LabelMap, in_metres
-from palpate.surface.labels.voxels import MAX_VOXELS, checked_shape, segments_of
+from palpate.surface.labels.voxels import checked_shape, segments_of
 
-SEGMENTATION_CLASSES = ("1.2.840.10008.5.1.4.1.1.66.4", "1.2.840.10008.5.1.4.1.1.66.7")  # SEG, and SEG of label maps
 PLAIN_SYNTAXES = ("1.2.840.10008.1.2", "1.2.840.10008.1.2.1", "1.2.840.10008.1.2.2")  # uncompressed
 RUN_LENGTH = "1.2.840.10008.1.2.5"
 DEFLATED_SYNTAX = b"1.2.840.10008.1.2.1.99"  # whole file, which pydicom would unpack without a limit
 HEAD_BYTES = 4096  # in which the file states its transfer syntax
-SAME_PLACE = 1e-3  # [mm] along the normal
-OFF_GRID = 0.1  # of a step, by which slices may be off
+# functional groups and attributes of frames of a time series
+TIME_STATEMENTS = (
+    ("FrameContentSequence", "TemporalPositionIndex"), ("TemporalPositionSequence", "TemporalPositionTimeOffset"),
+    ("CardiacSynchronizationSequence", "NominalCardiacTriggerDelayTime"),
+    ("CardiacSynchronizationSequence", "NominalPercentageOfCardiacPhase"),
+    ("RespiratorySynchronizationSequence", "NominalPercentageOfRespiratoryPhase"),
+)  # fmt: skip
+SAME_TURN, MAX_TURN_ERROR = 1e-3, 1e-2  # of the cosines of frames, and from two unit vectors at right angles
 MIN_FRACTION = 0.5  # of the maximum, from which a voxel belongs to a segment
 
 
@@ -58,12 +67,14 @@ def _label_map(file: Any, name: str) -> LabelMap:
         raise FileFormatError(f"it must describe each of its {frames} frames, got {len(groups)}")
     kind = str(file.SegmentationType)
     shared = file.SharedFunctionalGroupsSequence[0] if file.get("SharedFunctionalGroupsSequence") else None
-    affine, slices, count = _grid(groups, shared)
+    _check_times(file, groups)
+    affine, slices, count, notes = grid_of_frames(*_places(groups, shared), _thicknesses(groups, shared))
     shape = checked_shape([columns, rows, count], "the box of its frames")
     pixels = _pixels(file, frames, rows, columns)
-    names = {int(each.SegmentNumber): str(each.get("SegmentLabel", "")) for each in file.SegmentSequence}
-    notes: tuple[str, ...] = ()
+    names = _names(file)
     if kind == "LABELMAP":
+        _check_places(groups, slices, [0] * frames, names)
+        pixels = _without_padding(pixels, file, names)
         layers = [np.zeros(shape, dtype=pixels.dtype, order="F")]
         for frame, place in zip(pixels, slices, strict=True):
             layers[0][:, :, place] = frame.T
@@ -71,13 +82,71 @@ def _label_map(file: Any, name: str) -> LabelMap:
     else:
         if kind == "FRACTIONAL":
             pixels = pixels >= MIN_FRACTION * float(file.MaximumFractionalValue)
-            notes = ("its fractions were cut at one half",)
+            notes.append("its fractions were cut at one half")
         numbers = [int(_first(g, shared, "SegmentIdentificationSequence").ReferencedSegmentNumber) for g in groups]
+        _check_places(groups, slices, numbers, names)
         layers, places = _stacked(pixels, slices, numbers, shape)
         known = {(place, number): (number, names.get(number, "")) for number, place in places.items()}
         known |= {(0, number): (number, text) for number, text in names.items() if number not in places}
     kept, segments, absent = segments_of(layers, known)
-    return LabelMap(name, kept, in_metres(affine, 1e-3), segments, "LPS", notes, absent)
+    return LabelMap(name, kept, in_metres(affine, 1e-3), segments, "LPS", tuple(notes), absent)
+
+
+def _names(file: Any) -> dict[int, str]:
+    """Return the names of segments by number."""
+    pairs = [(int(each.SegmentNumber), str(each.get("SegmentLabel", ""))) for each in file.SegmentSequence]
+    for number, times in Counter(number for number, _ in pairs).items():
+        if times > 1:
+            raise FileFormatError(f"its segments must have numbers of their own, got {number} for {times} of them")
+    return dict(pairs)
+
+
+def _without_padding(pixels: NDArray[Any], file: Any, names: dict[int, str]) -> NDArray[Any]:
+    """Return the pixels of a label map, 0 where they have the value that stands for no segment."""
+    padding = file.get("PixelPaddingValue")
+    if padding in (None, 0):
+        return pixels
+    if 0 in names and (pixels == 0).any():
+        raise FileFormatError("its segments must have numbers of at least 1, got 0 and another value for outside")
+    return np.where(pixels == int(padding), pixels.dtype.type(0), pixels)
+
+
+def _times(group: Any, indices: list[int]) -> tuple[str, ...]:
+    """Return what states the time or phase of a frame, also those of its indices of dimensions that are times."""
+    content = group.get("FrameContentSequence")
+    values = np.atleast_1d(content[0].get("DimensionIndexValues", [])).tolist() if content and indices else []
+    words = [f"index {values[k]}" for k in indices if k < len(values)]
+    for sequence, word in TIME_STATEMENTS:
+        item = group.get(sequence)
+        if item and word in item[0]:
+            words.append(f"{word} {shortened(str(item[0][word].value), 20)}")
+    return tuple(words)
+
+
+def _check_times(file: Any, groups: Any) -> None:
+    """Raise `FileFormatError` for frames of several phases or times."""
+    from pydicom.datadict import keyword_for_tag
+
+    dimensions = [str(keyword_for_tag(each.DimensionIndexPointer)) for each in file.get("DimensionIndexSequence", [])]
+    indices = [k for k, word in enumerate(dimensions) if word in {name for _, name in TIME_STATEMENTS}]
+    times = dict.fromkeys(_times(group, indices) for group in groups)
+    if len(times) > 1:
+        first, second = (" and ".join(each) or "none" for each in list(times)[:2])
+        raise FileFormatError(
+            f"it must be one volume, got frames of {len(times)} times or phases ({first}; {second}); save one of them"
+        )
+
+
+def _check_places(groups: Any, slices: Ints, numbers: list[int], names: dict[int, str]) -> None:
+    """Raise `FileFormatError` for several frames of a segment at the same place."""
+    (place, number), times = Counter(zip(slices.tolist(), numbers, strict=True)).most_common(1)[0]
+    if times > 1:
+        stacks = {str(each[0].get("StackID", "")) for g in groups if (each := g.get("FrameContentSequence"))} - {""}
+        name = shortened(names.get(number) or f"segment {number}") if number else "its label map"
+        raise FileFormatError(
+            f"it must be one volume, got {times} frames of {name} at the same place (slice {place + 1}), as of phases, "
+            f"times or {f'its {len(stacks)} ' * (len(stacks) > 1)}stacks; save one of them"
+        )
 
 
 def _first(group: Any, shared: Any, key: str) -> Any:
@@ -88,33 +157,37 @@ def _first(group: Any, shared: Any, key: str) -> Any:
     return item[0]
 
 
-def _grid(groups: Any, shared: Any) -> tuple[Floats, Ints, int]:
-    """Return the map from indices to positions [mm], the slice of each frame, and the number of slices."""
+def _places(groups: Any, shared: Any) -> tuple[Floats, Floats, Floats]:
+    """Return orientation (6,), edges of pixels (2,) [mm] and the places (frames, 3) [mm] of frames."""
     turns = np.array([_numbers(_first(g, shared, "PlaneOrientationSequence").ImageOrientationPatient) for g in groups])
-    if np.ptp(turns, axis=0).max() > SAME_PLACE:
+    if np.ptp(turns, axis=0).max() > SAME_TURN:
         raise FileFormatError(
             "its frames must be parallel, got different orientations; save a segmentation of one image"
         )
-    along, down = turns[0, :3], turns[0, 3:]
-    normal = np.cross(along, down)
-    measures = _first(groups[0], shared, "PixelMeasuresSequence")
-    spacing = _numbers(measures.PixelSpacing)
-    corners = np.array([_numbers(_first(g, shared, "PlanePositionSequence").ImagePositionPatient) for g in groups])
-    heights = corners @ normal
-    steps = np.diff(np.sort(heights))
-    steps = steps[steps > SAME_PLACE]
-    step = float(measures.get("SpacingBetweenSlices") or measures.get("SliceThickness") or 0.0)
-    if len(steps):
-        step = float(np.ptp(heights) / np.rint(np.ptp(heights) / steps.min()))
-    slices = np.rint((heights - heights.min()) / step)
-    if not np.all(np.abs(heights - heights.min() - slices * step) <= OFF_GRID * step):
-        raise FileFormatError("its slices must have equal distances, got others; resample it, such as with 3D Slicer")
-    if slices.max() > MAX_VOXELS:
-        raise FileFormatError("its slices must be at most 2^29, got more")
-    affine = np.eye(4)
-    affine[:3, :3] = np.column_stack([along * spacing[1], down * spacing[0], normal * step])
-    affine[:3, 3] = corners[np.argmin(heights)]
-    return affine, slices.astype(np.int64), int(slices.max()) + 1
+    axes = turns[0].reshape(2, 3)
+    if np.abs(axes @ axes.T - np.eye(2)).max() > MAX_TURN_ERROR:
+        raise FileFormatError(
+            f"its ImageOrientationPatient must be two unit vectors at right angles, got {axes.round(3).tolist()}; "
+            "correct it"
+        )
+    edges = np.array([_numbers(_first(g, shared, "PixelMeasuresSequence").PixelSpacing) for g in groups])
+    if not lengths_agree(edges[0], edges):
+        raise FileFormatError(
+            f"its frames must have pixels of one size, got {lengths_text(edges.min(axis=0))} to "
+            f"{lengths_text(edges.max(axis=0))}; save a segmentation of one image"
+        )
+    places = np.array([_numbers(_first(g, shared, "PlanePositionSequence").ImagePositionPatient) for g in groups])
+    if not np.isfinite(places).all():
+        raise FileFormatError("its frames must be at finite places, got others; correct its ImagePositionPatient")
+    return turns[0], edges[0], places
+
+
+def _thicknesses(groups: Any, shared: Any) -> list[list[float]]:
+    """Return the different SpacingBetweenSlices and SliceThickness of frames [mm], those above zero."""
+    measures = [_first(g, shared, "PixelMeasuresSequence") for g in groups]
+    words = ("SpacingBetweenSlices", "SliceThickness")
+    spacings, thicknesses = ({abs(float(each.get(word) or 0.0)) for each in measures} for word in words)
+    return [sorted(each for each in lengths if 0.0 < each < np.inf) for lengths in (spacings, thicknesses)]
 
 
 def _numbers(values: Any) -> Floats:

@@ -32,11 +32,12 @@ Box = tuple[slice, slice, slice]
 class Segment:
     """Segment of a label map: an organ, or another region that has a number."""
 
-    number: int  # number in the file, by which it can be chosen
+    number: int  # number in the map, by which it can be chosen
     name: str  # name in the file; ``"label 5"`` without one
     layer: int  # layer of the map that holds it
     value: int  # value of its voxels there
     count: int  # number of its voxels
+    label: int | None = None  # number in the file, where a segment of another layer has the same
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ class LabelMap:
     def with_names(self, names: dict[int, str]) -> LabelMap:
         """Return the map with other names of segments, by their numbers."""
         segments = tuple(replace(each, name=names.get(each.number, each.name)) for each in self.segments)
-        present = {each.number for each in segments}
+        present = {number for each in segments for number in (each.number, each.label)}
         absent = tuple(name for number, name in names.items() if number and number not in present)
         return replace(self, segments=segments, absent=tuple(dict.fromkeys((*self.absent, *absent))))
 
@@ -181,16 +182,17 @@ def choose_segments(labels: LabelMap, part: str | Sequence[str] | None) -> tuple
 
 def _matches(labels: LabelMap, text: str) -> list[int]:
     """Return the places of the segments that a name, a number or a pattern means."""
-    names = [each.name for each in labels.segments]
-    same = [k for k, name in enumerate(names) if name == text]
+    same = [k for k, each in enumerate(labels.segments) if text in _words(each)]
     if len(same) > 1:
-        numbers = " and ".join(str(labels.segments[k].number) for k in same)
-        raise InputError(f"part must name one label, got {shortened(repr(text))}, which {numbers} have; give a number")
-    places = (
-        same
-        or [k for k, each in enumerate(labels.segments) if str(each.number) == text]
-        or [k for k, name in enumerate(names) if fnmatchcase(name, text)]
-    )
+        matches = [labels.segments[k] for k in same]
+        numbers = " and ".join(str(each.number) for each in matches)
+        if all(each.name == text for each in matches):
+            raise InputError(
+                f"part must name one label, got {shortened(repr(text))}, which {numbers} have; give a number"
+            )
+        choices = names_text([part_names(labels)[k] for k in same])
+        raise InputError(f"part must name one label, got {shortened(repr(text))}, which is of several: give {choices}")
+    places = same or [k for k, each in enumerate(labels.segments) if fnmatchcase(each.name, text)]
     if places:
         return places
     if text in labels.absent:
@@ -198,11 +200,22 @@ def _matches(labels: LabelMap, text: str) -> list[int]:
     raise InputError(f"part must be one of {names_text(part_names(labels))}, got {shortened(repr(text))}")
 
 
+def _words(segment: Segment) -> set[str]:
+    """Return the words that mean a segment: its name, its number, also after "label", and its number in the file."""
+    words = {segment.name, str(segment.number), f"label {segment.number}"}
+    return words if segment.label is None else words | {str(segment.label)}
+
+
 def part_names(labels: LabelMap) -> list[str]:
-    """Return what chooses each segment: its name, or its number where it has none, or shares it with others."""
-    count = Counter(each.name for each in labels.segments)
-    unnamed = {f"label {each.number}" for each in labels.segments}
-    return [str(each.number) if count[each.name] > 1 or each.name in unnamed else each.name for each in labels.segments]
+    """Return what chooses each segment alone: its name, or its number where it has none, or others share it."""
+    count = Counter(word for each in labels.segments for word in _words(each))
+    chosen = []
+    for each in labels.segments:
+        number = str(each.number)
+        unnamed = each.name in (f"label {number}", f"label {each.label}")
+        words = (number, each.name) if unnamed else (each.name, number)
+        chosen.append(next((word for word in words if count[word] == 1), f"label {number}"))
+    return chosen
 
 
 def mask_of(labels: LabelMap, part: str | Sequence[str] | None = None) -> Mask:

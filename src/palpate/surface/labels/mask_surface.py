@@ -21,7 +21,7 @@ from palpate.faults import InputError
 from palpate.files import shortened
 from palpate.surface.isosurface import zero_surface
 from palpate.surface.labels.label_map import LabelMap, Mask, mask_of
-from palpate.surface.labels.voxels import counts_of_values
+from palpate.surface.labels.voxels import counts_of_values, equal_share
 from palpate.surface.surface import Surface, part_volumes, select_triangles, vertex_components
 
 MAX_POINTS = 1 << 20  # of the grid
@@ -35,7 +35,8 @@ LEAST_VALUE = 1e-4  # distance of the field from the level: triangles have an ar
 SPECK_SHARE = 0.01  # of the volume: smaller pieces of the smoothed field are left out
 MIN_VOXELS, FEW_VOXELS = 30, 200  # of a body; below the second one the surface is coarse
 MIN_SHARE = 0.9  # of the voxels in the largest piece, which is taken without a choice
-MAX_PIECES = 100  # of a label; more are a texture, not an organ
+MANY_PIECES = 100  # of a label, which may be a texture: less than half of its voxels then have neighbours in it
+MIN_EQUAL_SHARE = 0.5
 LISTED_PIECES = 4
 EDGE_RANGE = (1e-6, 0.1)  # [m] of a voxel
 PIECE_PATTERN = re.compile(r"(.+)#(\d{1,6})", re.DOTALL)
@@ -106,7 +107,7 @@ def largest_piece(mask: Mask, number: int = 0) -> Mask:
     Raises
     ------
     InputError
-        There are too many pieces, the largest has less than 90 % of the voxels, or the piece has too few.
+        The largest piece has less than 90 % of the voxels, the mask is a texture, or the piece has too few voxels.
     """
     label, sizes = _pieces(mask.voxels)
     order = np.argsort(-sizes, kind="stable")
@@ -142,7 +143,7 @@ def largest_piece(mask: Mask, number: int = 0) -> Mask:
 def _check_pieces(mask: Mask, sizes: Ints) -> None:
     """Raise `InputError` unless the first of pieces plainly is the organ."""
     share = sizes[0] / sizes.sum()
-    if share >= MIN_SHARE and len(sizes) <= MAX_PIECES:
+    if share >= MIN_SHARE and (len(sizes) <= MANY_PIECES or equal_share(mask.voxels) >= MIN_EQUAL_SHARE):
         return
     part = mask.name.partition(", part ")[2] or "1"
     voxel = mask.volume / sizes.sum()

@@ -9,7 +9,7 @@ import scipy.ndimage as ndimage
 from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats
-from palpate.surface.labels.label_map import LabelMap, Mask, Segment, mask_of
+from palpate.surface.labels.label_map import LabelMap, Mask, Segment, segments_mask
 
 MIN_ENCLOSED_SHARE = 0.6  # of the voxels round a segment, which belong to the organ in which it lies
 CONTACT_EDGES = 1.5  # largest voxel edges between the boundary voxels of segments that touch
@@ -69,7 +69,7 @@ def touching_segments(
     for segment in labels.segments:
         if segment in without:
             continue
-        other = mask_of(labels, str(segment.number)).boundary()
+        other = segments_mask(labels, [segment]).boundary()
         other = other[np.all((other >= low) & (other <= high), axis=1)]
         if len(other):
             near = np.isfinite(cKDTree(other).query(surface, distance_upper_bound=distance * (1 + 1e-9))[0])

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from palpate.faults import FileFormatError, InputError
 from palpate.files import read_bytes, shortened
+from palpate.surface.formats.first_bytes import GZIP_MAGIC, refuse_misnamed
 from palpate.surface.formats.names import LABEL_FORMATS, format_of
 from palpate.surface.labels.dicom import read_dicom
 from palpate.surface.labels.label_map import LabelMap
@@ -13,7 +14,6 @@ from palpate.surface.labels.metaimage import read_metaimage
 from palpate.surface.labels.names import read_names
 from palpate.surface.labels.nifti import read_nifti
 from palpate.surface.labels.nrrd import read_nrrd
-from palpate.surface.labels.voxels import GZIP_MAGIC
 
 READER_BY_FORMAT = {
     "nii": read_nifti, "nrrd": read_nrrd, "mha": read_metaimage, "mhd": read_metaimage, "dcm": read_dicom,
@@ -52,6 +52,7 @@ def read_label_map(path: str | Path, names: str | Path | None = None) -> LabelMa
         The file is damaged, larger than 2^29 voxels, or an image of something else than labels.
     """
     path = Path(path)
+    refuse_misnamed(path)
     kind, packed = format_of(path)
     if kind not in LABEL_FORMATS or (packed and kind != "nii"):
         raise FileFormatError(f"{path} must be a label map of {', '.join(LABEL_FORMATS.values())}, got {path.suffix!r}")

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,11 +14,11 @@ from numpy.typing import NDArray
 
 from palpate.faults import FileFormatError
 from palpate.surface.formats.common import printable_word
+from palpate.surface.formats.first_bytes import GZIP_MAGIC
 from palpate.surface.labels.label_map import Segment
 
 MAX_VOXELS = 2**29  # of a file, stated in its header
 MAX_AXIS = 2**20  # voxels along an axis
-GZIP_MAGIC = b"\x1f\x8b"
 CHUNK_BYTES, CHUNK_VOXELS = 1 << 16, 1 << 22  # read or checked at a time
 MAX_EXPANSION = 1032  # of deflate, the most that it can do
 MAX_MEMBERS = 20_000  # of a gzip file
@@ -106,19 +108,47 @@ class Unpacker:
         return content
 
 
-def label_values(values: NDArray[Any]) -> NDArray[Any]:
-    """Return an array of whole numbers of at least 0; raise for images that are not of labels.
+def label_values(values: NDArray[Any]) -> tuple[NDArray[Any], tuple[str, ...]]:
+    """Return an array of whole numbers of at least 0, and notes; raise for images that are not of labels.
 
-    Values within 0.02 of a whole number are rounded.
+    Values within 0.02 of a whole number are rounded. One negative number is taken as outside.
     """
     if values.dtype.kind == "f":
         values = _rounded(values)
     elif not values.dtype.isnative:
         values = values.astype(values.dtype.newbyteorder("="))
-    low, high = int(values.min()), int(values.max())
-    if low < 0 or high > MAX_VALUE:
+    low, high, notes = int(values.min()), int(values.max()), tuple[str, ...]()
+    if high > MAX_VALUE:
         raise _intensities(low, high)
-    return values.astype(np.int32) if values.dtype.itemsize > 4 else values
+    if low < 0:
+        values, note = _without_negative(values, high)
+        notes = (note,)
+    return (values.astype(np.int32) if values.dtype.itemsize > 4 else values), notes
+
+
+def _without_negative(values: NDArray[Any], high: int) -> tuple[NDArray[Any], str]:
+    """Return values of which the only negative one is 0, and a note; raise for several ones."""
+    different = np.zeros(0, dtype=values.dtype)
+    for part in _chunks(values):
+        different = np.union1d(different, np.unique(part))
+        if len(different) > MAX_LABELS:
+            break
+    negative = different[different < 0]
+    if len(negative) > 1:
+        if len(different) > FEW_LABELS:
+            raise _intensities(int(different[0]), high)
+        raise FileFormatError(
+            f"its labels must be at least 0, got {len(negative)} negative ones from {negative[0]} to {negative[-1]}; "
+            "write 0 for what is outside, and numbers above 127 with more than 8 bits"
+        )
+    if high <= 0:
+        raise FileFormatError(
+            f"it must hold a label of at least 1, got voxels of {' and '.join(map(str, different))} alone; save the "
+            "segmentation again"
+        )
+    outside = values == negative[0]
+    note = f"its voxels of {negative[0]}, {outside.mean():.0%} of all, are taken as outside, as those of 0"
+    return np.where(outside, values.dtype.type(0), values), note
 
 
 def _chunks(values: NDArray[Any]) -> list[NDArray[Any]]:
@@ -136,7 +166,10 @@ def _rounded(values: NDArray[Any]) -> NDArray[Any]:
             far = np.abs(nearest) > MAX_VALUE
         if strange.any() or far.any():
             if not np.isfinite(part).all():
-                raise FileFormatError("its values must be finite, got others; write them again as nearest numbers")
+                count = np.count_nonzero(~np.isfinite(values))
+                raise FileFormatError(
+                    f"its values must be finite numbers of labels, got NaN or infinity in {count} voxels; write 0 there"
+                )
             low, high = float(np.min(values)), float(np.max(values))
             if low >= 0 and high <= 1:
                 raise FileFormatError(
@@ -165,12 +198,13 @@ def segments_of(
     layers : sequence of (nx, ny, nz) int array
         Large values come back as smaller ones.
     names : dict
-        Number and name by layer and value; others have their value and ``"label 5"``.
+        Number and name by layer and value; others have their value and ``"label 5"``. Numbers that several layers use
+        become new ones beyond all others.
     """
     smaller, segments, seen = [], list[Segment](), set[tuple[int, int]]()
     for number, layer in enumerate(layers):
         values, counts = _counted(layer)
-        if len(values) > FEW_LABELS and _equal_share(layer) < MIN_EQUAL_SHARE:
+        if len(values) > FEW_LABELS and equal_share(layer) < MIN_EQUAL_SHARE:
             raise _intensities(int(values[0]), int(values[-1]))
         marks = values
         if len(values) and values[-1] > 0xFFFF:
@@ -184,10 +218,20 @@ def segments_of(
                 seen.add((number, value))
     if not segments:
         raise FileFormatError("it must hold a label, got voxels of 0 alone; save the segmentation again")
-    if len({each.number for each in segments}) < len(segments):  # layers that count from 1 each
-        segments = [Segment(k + 1, each.name, each.layer, each.value, each.count) for k, each in enumerate(segments)]
+    segments = _renumbered(segments)
     absent = tuple(dict.fromkeys(name for key, (_, name) in names.items() if key not in seen and key[1] and name))
     return tuple(smaller), tuple(sorted(segments, key=lambda each: each.number)), absent
+
+
+def _renumbered(segments: list[Segment]) -> list[Segment]:
+    """Return segments of different numbers: those that share one between layers have new ones beyond all others."""
+    times, unused = Counter(each.number for each in segments), 1 + max(each.number for each in segments)
+    result = []
+    for each in segments:
+        if times[each.number] > 1:
+            each, unused = replace(each, number=unused, label=each.number), unused + 1
+        result.append(each)
+    return result
 
 
 def counts_of_values(layer: NDArray[Any]) -> NDArray[np.int64]:
@@ -217,7 +261,7 @@ def _counted(layer: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]
     return values, counts
 
 
-def _equal_share(layer: NDArray[Any]) -> float:
+def equal_share(layer: NDArray[Any]) -> float:
     """Return the share of neighbours in memory with equal values, of those in which one has a label."""
     same = total = 0
     for part in _chunks(layer):

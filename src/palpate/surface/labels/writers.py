@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import gzip
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -15,11 +16,16 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats, Singles
 from palpate.faults import InputError
 from palpate.files import whole_file
+from palpate.surface.labels.label_map import Segment
 
 VOLUME_SUFFIXES = (".nii", ".nii.gz", ".nrrd")
 LPS_TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
 METRES_TO_MILLIMETRES = np.diag([1e3, 1e3, 1e3, 1.0])  # of a metre
-NIFTI_INT16, NIFTI_INT32, NIFTI_FLOAT32 = 4, 8, 16  # NIfTI's codes of types
+NIFTI_KINDS = {"<i2": 4, "<i4": 8, "<f4": 16}  # codes of types
+NRRD_KINDS = {
+    kind: {"type": name, "dimension": "3", "kinds": "domain domain domain"}
+    for kind, name in (("<i2", "short"), ("<i4", "int"))
+}
 DISPLACEMENT_VECTORS, LABELS_INTENT = 1006, 1002  # NIfTI's intents
 HEADER_BYTES, MAX_AXIS = 348, 32767
 CHUNK_BYTES = 1 << 24
@@ -32,7 +38,7 @@ def check_volume_name(path: Path, name: str) -> None:
 
 
 def write_labels(path: Path, numbers: NDArray[Any], affine: Floats, names: Mapping[int, str]) -> None:
-    """Write a label map.
+    """Write a label map of one layer.
 
     Parameters
     ----------
@@ -42,19 +48,65 @@ def write_labels(path: Path, numbers: NDArray[Any], affine: Floats, names: Mappi
     names : mapping
         Names by number.
     """
-    wide = int(numbers.max(initial=0)) > np.iinfo(np.int16).max
-    values = numbers.astype("<i4" if wide else "<i2")
+    kind = _integers([numbers])
     if path.name.lower().endswith(".nrrd"):
-        fields = {"type": "int" if wide else "short", "dimension": "3", "kinds": "domain domain domain"}
-        for k, (number, name) in enumerate(names.items()):
-            fields |= {f"Segment{k}_ID:": f"Segment_{number}", f"Segment{k}_Name:": _line(name),
-                       f"Segment{k}_LabelValue:": str(number), f"Segment{k}_Layer:": "0"}  # fmt: skip
-        _write_nrrd(path, values, affine, fields)
+        segments = [Segment(number, name, 0, number, 0) for number, name in names.items()]
+        _write_nrrd(path, numbers.astype(kind), affine, _segment_fields(segments) | NRRD_KINDS[kind])
         return
     rows = "".join(f"<Label Key={quoteattr(str(k))}><![CDATA[{_line(v)}]]></Label>" for k, v in names.items())
     table = f"<?xml version='1.0' encoding='UTF-8'?><CaretExtension><VolumeInformation><LabelTable>{rows}"
     table += "</LabelTable></VolumeInformation></CaretExtension>"
-    _write_nifti(path, values, affine, NIFTI_INT32 if wide else NIFTI_INT16, LABELS_INTENT, table.encode())
+    _write_nifti(path, numbers.astype(kind), affine, NIFTI_KINDS[kind], LABELS_INTENT, table.encode())
+
+
+def write_layers(path: Path, layers: Sequence[NDArray[Any]], affine: Floats, segments: Sequence[Segment]) -> list[str]:
+    """Write a label map of one or several layers, and return what the file has lost.
+
+    NRRD has all layers, as 3D Slicer writes them. In NIfTI a voxel has one number: that of the last segment there.
+
+    Parameters
+    ----------
+    layers : sequence of (nx, ny, nz) int array
+        Numbers of segments.
+    affine : (4, 4) array [m]
+        Map from indices to the middles of the voxels, in LPS.
+    segments : sequence of Segment
+    """
+    used = sorted({each.layer for each in segments})
+    layers, segments = [layers[k] for k in used], [replace(each, layer=used.index(each.layer)) for each in segments]
+    if len(layers) > 1 and path.name.lower().endswith(".nrrd"):
+        kind = _integers(layers)
+        values = np.stack([each.astype(kind) for each in layers])
+        of_file = [each if each.label is None else replace(each, number=each.label) for each in segments]
+        for each, written in zip(segments, of_file, strict=True):
+            values[each.layer][layers[each.layer] == each.number] = written.number
+        fields = {"dimension": "4", "kinds": "list domain domain domain"}
+        _write_nrrd(path, values, affine, _segment_fields(of_file) | NRRD_KINDS[kind] | fields)
+        return []
+    numbers = np.zeros_like(layers[0])
+    for each in segments:
+        numbers[layers[each.layer] == each.number] = each.number
+    write_labels(path, numbers, affine, {each.number: each.name for each in segments})
+    counts = [[np.count_nonzero(layer == each.number) for layer in (layers[each.layer], numbers)] for each in segments]
+    return [
+        f"{each.name} lost {before - after} of its {before} voxels to labels that overlap it: a name that ends in "
+        ".seg.nrrd keeps all"
+        for each, (before, after) in zip(segments, counts, strict=True) if after < before
+    ]  # fmt: skip
+
+
+def _integers(layers: Sequence[NDArray[Any]]) -> str:
+    """Return the type of numbers of segments in a file."""
+    return "<i4" if max(int(each.max(initial=0)) for each in layers) > np.iinfo(np.int16).max else "<i2"
+
+
+def _segment_fields(segments: Sequence[Segment]) -> dict[str, str]:
+    """Return the fields by which 3D Slicer finds segments in a NRRD file."""
+    fields = dict[str, str]()
+    for k, each in enumerate(segments):
+        fields |= {f"Segment{k}_ID:": f"Segment_{each.layer}_{each.number}", f"Segment{k}_Name:": _line(each.name),
+                   f"Segment{k}_LabelValue:": str(each.number), f"Segment{k}_Layer:": str(each.layer)}  # fmt: skip
+    return fields
 
 
 def write_field(path: Path, field: Floats | Singles, affine: Floats) -> None:
@@ -68,7 +120,7 @@ def write_field(path: Path, field: Floats | Singles, affine: Floats) -> None:
         _write_nrrd(path, np.moveaxis(values, 3, 0), affine, {"type": "float", **kinds})
         return
     values[..., :2] *= -1
-    _write_nifti(path, values[:, :, :, None, :], affine, NIFTI_FLOAT32, DISPLACEMENT_VECTORS)
+    _write_nifti(path, values[:, :, :, None, :], affine, NIFTI_KINDS["<f4"], DISPLACEMENT_VECTORS)
 
 
 def _line(text: str) -> str:
