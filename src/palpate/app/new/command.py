@@ -26,7 +26,6 @@ from palpate.scenes.scene import Scene
 from palpate.scenes.schema import scene_schema
 from palpate.surface.checks import METRES_BY_UNIT
 from palpate.surface.labels.label_map import choose_segments, segments_mask
-from palpate.surface.labels.listing import choice_of_labels
 from palpate.surface.labels.reading import is_label_map, read_label_map
 
 SCHEMA_FILE = "scene.schema.json"
@@ -43,6 +42,7 @@ def new(
     spacing: float | None = None,
     law: str | None = None,
     fixed: Sequence[str] = (),
+    without: Sequence[str] = (),
 ) -> int:
     """Write a scene file for a surface, and open it as a check.
 
@@ -52,7 +52,7 @@ def new(
         A surface, as for `palpate.io.read_surface`.
     out : path
         Scene file; must not exist.
-    part, labels, units, scale, spacing, law, fixed
+    part, labels, units, scale, spacing, law, fixed, without
         As for `palpate.scenes.open_surface.open_surface`.
 
     Returns
@@ -70,11 +70,11 @@ def new(
     console = Console()
     scene = open_surface(
         file, units=units, scale=scale, part=tuple(part or ()), spacing=spacing, law=law, fixed=tuple(fixed),
-        labels=labels,
+        labels=labels, without=tuple(without),
     )  # fmt: skip
     proposals = None
     if is_label_map(file):
-        scene, proposals = _with_proposals(scene, tuple(part or ()), spacing, console)
+        scene, proposals = _with_proposals(scene, tuple(part or ()), tuple(without), spacing, console)
     scene, guesses = _fitted(scene, spacing, console)
     if proposals is not None:
         guesses["reasons"] = {region.name: why for region, why in proposals.regions}
@@ -137,22 +137,22 @@ def _fitted(scene: Scene, spacing: float | None, console: Console) -> tuple[Scen
 
 
 def _with_proposals(
-    scene: Scene, part: tuple[str, ...], spacing: float | None, console: Console
+    scene: Scene, part: tuple[str, ...], without: tuple[str, ...], spacing: float | None, console: Console
 ) -> tuple[Scene, Proposals]:
     """Return the scene of an organ with what lies in it, and held by what touches it, and all proposals."""
     about = scene.description
     with console.status("searching the label map"):
         labels = read_label_map(about.surface.file, about.surface.labels or None).scaled(about.surface.scale)
-        if not part and len(labels.segments) > 1:
-            raise choice_of_labels(labels)
         organ = segments_mask(labels, choose_segments(labels, part or None))
         target_spacing = spacing or spacing_for(NEW_NODES, organ.volume)
-        proposals = propose(labels, Path(about.surface.file), part, target_spacing)
+        proposals = propose(labels, Path(about.surface.file), part, target_spacing, without)
     regions = tuple(region for region, _ in proposals.regions)
     supports = about.support or tuple(support for support, _ in proposals.supports)
     shape = replace(about.surface, parts=proposals.parts)
     about = replace(about, title=proposals.title, surface=shape, region=regions, support=supports)
-    return Scene(about, scene.folder, scene.name), proposals
+    made = Scene(about, scene.folder, scene.name)
+    made.notes += scene.notes
+    return made, proposals
 
 
 def _round(length: float) -> float:

@@ -34,6 +34,7 @@ def train(
     scene: str,
     part: Sequence[str] | None = None,
     labels: Path | None = None,
+    without: Sequence[str] = (),
     given: Sequence[str] = (),
     paths: int | None = None,
     held_out: int | None = None,
@@ -54,8 +55,8 @@ def train(
     scene : str
         As for `palpate.scenes.training.open_training`; a module is looked for in the current folder, too. Or a
         surface file.
-    part, labels
-        Of a surface file, as for `palpate.io.read_surface`.
+    part, labels, without
+        Of a surface file, as for `palpate.scenes.open_surface.open_surface`.
     given : sequence of str
         Its parameters as ``"name=value"``.
     paths, held_out : int, optional
@@ -90,10 +91,12 @@ def train(
         settings = parse_settings(given)
         if kind is SceneKind.SURFACE_FILE:
             parts = tuple(part or ())
-            opened = complete_for_training(open_surface(scene, part=parts, labels=labels, settings=settings))
+            opened = complete_for_training(
+                open_surface(scene, part=parts, labels=labels, settings=settings, without=without)
+            )
             scene, settings = opened.name, {DESCRIPTION_KEY: json_of_scene(opened)}  # with which workers open it
         else:
-            for name, value in (("part", part), ("labels", labels)):
+            for name, value in (("part", part), ("labels", labels), ("without", without)):
                 if value:
                     raise InputError(f"{name} must be left out unless a surface file is given, got {scene!r:.60}")
             opened = open_scene(scene, settings)
