@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from palpate.faults import InputError
+from palpate.files import shortened
 from palpate.scenes.description import Place, Region
 from palpate.surface.labels.anatomy import is_stiff_lesion
 from palpate.surface.labels.inner import InnerLabel, inner_labels
 from palpate.surface.labels.label_map import LabelMap, Segment, choose_segments
-from palpate.surface.labels.listing import choice_of_labels, inner_text
+from palpate.surface.labels.listing import MAX_NAME, choice_of_labels, inner_lines, inner_text
 from palpate.surface.labels.mask_surface import is_piece
 from palpate.surface.labels.reading import read_label_map
 from palpate.surface.parts import names_text
@@ -68,8 +69,10 @@ def is_large(labels: LabelMap, segment: Segment, spacing: float | None) -> bool:
 
 def whole_body(
     file: Path, names: Path | None, part: Sequence[str], without: Sequence[str], scale: float, spacing: float | None
-) -> tuple[tuple[str, ...], tuple[Region, ...], list[str]]:
-    """Return the parts of a label map that are a body, regions of the lesions in it, and notes about what lies in it.
+) -> tuple[tuple[str, ...], tuple[Region, ...], list[str], str]:
+    """Return the parts of a label map that are a body, regions of the lesions in it, and what lies in it.
+
+    The latter is in notes, and in a line of names.
 
     A piece of a label is a body alone: nothing joins it.
 
@@ -84,7 +87,7 @@ def whole_body(
     if any(is_piece(labels, text) for text in part):
         if without:
             raise InputError(f"without must be left out with a piece of a label, got {without[0]!r:.60}")
-        return tuple(part), (), []
+        return tuple(part), (), [], ""
     chosen, inner = inner_labels_of(labels, part, without)
     regions, notes = list[Region](), list[str]()
     for each in inner:
@@ -93,12 +96,13 @@ def whole_body(
         if is_stiff and is_large(labels, each.segment, spacing):
             regions.append(region)
         notes.append(inner_note(each, region.stiffness if is_stiff else 1.0, region in regions, why))
-    return (*part, *(each.part for each in inner if each.joins)), tuple(regions), notes
+    parts = (*part, *(each.part for each in inner if each.joins))
+    return parts, tuple(regions), notes, "; ".join(inner_lines(inner, with_rules=False))
 
 
 def inner_note(inner: InnerLabel, stiffness: float, has_region: bool, why: str) -> str:
     """Return a line about a label that lies in an organ, with the option that changes what is made of it."""
-    name = inner.segment.name
+    name = shortened(inner.segment.name, MAX_NAME)
     if not inner.joins:
         return f"without {name} ({inner_text(inner)}), whose place is {inner.place}; add it with part={inner.part!r}"
     remedy = f"leave it out with without={inner.part!r}"

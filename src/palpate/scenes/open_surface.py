@@ -71,10 +71,10 @@ def open_surface(
                 check_number(value, fields_of(section)[name][0].metadata)
             except InputError as error:
                 raise InputError(f"{name} {error}") from None
-    parts, regions, notes = tuple(part), tuple[Region, ...](), list[str]()
+    parts, regions, notes, subtitle = tuple(part), tuple[Region, ...](), list[str](), ""
     if is_label_map(file):
         names = None if labels is None else Path(labels)
-        parts, regions, notes = whole_body(Path(file), names, parts, tuple(without), scale, spacing)
+        parts, regions, notes, subtitle = whole_body(Path(file), names, parts, tuple(without), scale, spacing)
     elif without:
         raise InputError(f"without must be left out unless a label map is given, got {str(file)!r:.60}")
     description = Description(
@@ -94,6 +94,7 @@ def open_surface(
     scene = Scene(with_settings(description, settings or {}), Path(), str(file), settings)
     _ = scene.material  # raises for a wrong law or parameter
     scene.notes += [f"label map: {note}" for note in notes]
+    scene.subtitle = subtitle
     return scene
 
 

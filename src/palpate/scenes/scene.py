@@ -61,6 +61,8 @@ class Scene(Described):
         Where it comes from, by its name.
     notes : list of str
         What was guessed or repaired so far.
+    subtitle : str
+        Names of the labels of a map that lie in the body, of those with it and those without; empty without any.
 
     Examples
     --------
@@ -76,6 +78,7 @@ class Scene(Described):
         self.description, self.folder, self.name, self.kind = description, folder, name, kind_of(name)
         self.settings = dict(settings or {})
         self.notes: list[str] = []
+        self.subtitle = ""
 
     def _facts(self) -> list[Fact]:
         about = self.description
@@ -102,6 +105,7 @@ class Scene(Described):
         settings = {key: value for key, value in self.settings.items() if key.removeprefix("body.") not in changes}
         settings |= {f"body.{name}": value for name, value in changes.items()}
         scene = Scene(about, self.folder, self.name, settings)
+        scene.subtitle = self.subtitle
         scene.take_surface(self)
         return scene
 

@@ -55,14 +55,16 @@ def _rank(name: str) -> int:
     return next((k for k, organ in enumerate(ORGAN_WORDS) if organ in words), len(ORGAN_WORDS))
 
 
-def inner_lines(inner: Sequence[InnerLabel]) -> list[str]:
+def inner_lines(inner: Sequence[InnerLabel], with_rules: bool = True) -> list[str]:
     """Return a line for the labels that join the body of an organ in which they lie, and one for those left out."""
     lines = []
     for joins, words in ((True, "with"), (False, "without")):
         listed = [each for each in inner if each.joins == joins]
-        texts = [f"{shortened(each.segment.name, MAX_NAME)} ({inner_text(each)})" for each in listed[:MAX_INNER]]
-        if texts:
-            lines.append(f"{words} {', '.join(texts)}" + ", ..." * (len(listed) > MAX_INNER))
+        names = [shortened(each.segment.name, MAX_NAME) for each in listed[:MAX_INNER]]
+        if with_rules:
+            names = [f"{name} ({inner_text(each)})" for name, each in zip(names, listed, strict=False)]
+        if names:
+            lines.append(f"{words} {', '.join(names)}" + ", ..." * (len(listed) > MAX_INNER))
     return lines
 
 
