@@ -72,13 +72,13 @@ def test_what_the_edge_of_the_image_cuts_never_joins(name):
     assert found(map_of([values], ["liver", name])) == {name: (False, "cut by the edge of the image")}
 
 
-def test_an_axis_of_one_voxel_is_no_edge():
+def test_an_axis_of_one_voxel_has_no_edge():
     values = np.zeros((20, 20, 1), dtype=np.uint8)
     values[4:16, 4:16], values[8:12, 8:12] = 1, 2
     assert found(map_of([values], ["liver", "tumour"]))["tumour"][0] is True
 
 
-def test_what_lies_beside_the_organ_or_half_in_it_is_not_in_it():
+def test_what_lies_next_to_the_organ_or_half_in_it_is_not_in_it():
     bump, half = (slice(26, 29), slice(10, 13), slice(10, 13)), (slice(24, 30), slice(14, 17), slice(14, 17))
     assert found(blocks("liver", ("tumour", bump), ("lesion", half))) == {}
 

@@ -115,7 +115,6 @@ def _fitted(scene: Scene, spacing: float | None, console: Console) -> tuple[Scen
         fitted.description,
         title=fitted.title,
         surface=about.surface if is_label_map(about.surface.file) else replace(about.surface, units=unit),
-        tool=replace(about.tool, radius=_round(paths.radius)),
         training=replace(about.training, depth=_round(paths.depth), slide=_round(paths.slide)),
         support=about.support,
     )
@@ -128,6 +127,7 @@ def _fitted(scene: Scene, spacing: float | None, console: Console) -> tuple[Scen
         "size": " x ".join(f"{1e3 * x:.0f}" for x in np.ptp(surface.vertices, axis=0)) + " mm",
         "nodes": len(fitted.cloud),
         "support": "given" if about.support else "guessed: the side away from the first view of the page",
+        "radius": paths.radius,
         "reach": f"a ball of {1e3 * paths.radius:.3g} mm reaches {reach:.0%} of the surface, {held_share:.0%} is held",
     }
     made = Scene(description, fitted.folder, fitted.name)

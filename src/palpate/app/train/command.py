@@ -10,9 +10,9 @@ from typing import Any
 from palpate.app.common.arguments import parse_settings, split_settings
 from palpate.app.common.console import Console
 from palpate.app.common.exit_status import DONE, UNTRUSTED, complain
-from palpate.app.train.campaign import Campaign, Round
+from palpate.app.train.campaign import Campaign, Round, check_sizes
 from palpate.app.train.cluster import check_dask
-from palpate.app.train.folder import manifest_of, open_campaign
+from palpate.app.train.folder import RECORDINGS_FOLDER, manifest_of, open_campaign
 from palpate.app.train.paths import add_recording
 from palpate.app.train.report import report_campaign
 from palpate.app.train.scene_folder import name_in_folder, training_folder
@@ -119,6 +119,8 @@ def train(
             raise InputError(f"workers must be left out with --cluster, got {workers}; a cluster has its own")
     workers = integer_in_range("workers", 1 if workers is None else workers, 1, MAX_WORKERS)
     check_folder(out)
+    if opened is not None:
+        check_sizes(opened, chosen, recorded=bool(more) or (out / RECORDINGS_FOLDER).is_dir())
     console = Console()
     with console.status("making the model ready (the first time on a machine compiles it, for about a minute)"):
         if ":" in scene:

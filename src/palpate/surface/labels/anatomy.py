@@ -59,7 +59,7 @@ ORGAN_BY_WORD = {
     **{word: organ for table in (ORGAN_WORDS, PART_WORDS) for organ, words in table.items() for word in words.split()},
     **{word: word for word in OTHER_WORDS.split()},
 }
-PARTS = frozenset(" ".join(PART_WORDS.values()).split())
+PART_NAMES = frozenset(" ".join(PART_WORDS.values()).split())
 LEAST_STEM = 5  # letters of an organ at the beginning of a longer word, such as "livertumor"
 TWO_WORDS = {
     "gall bladder": "gallbladder", "spinal cord": "spinalcord", "small intestine": "bowel", "large intestine": "colon",
@@ -101,18 +101,18 @@ def relation(inner: str, organ: str) -> Relation:
     >>> relation("KidneyCyst_L", "left kidney").name, relation("lung_right", "liver").name
     ('LESION', 'OTHER')
     """
-    own, named = _organs(organ), _organs(inner)
+    organs, other_organs = _organs(organ), _organs(inner)
     sides, other_sides = _sides(organ), _sides(inner)
-    if (own and named and not own & named) or (sides and other_sides and not sides & other_sides):
+    if (organs and other_organs and not organs & other_organs) or (sides and other_sides and not sides & other_sides):
         return Relation.OTHER
     if is_lesion(inner):
         return Relation.LESION
     if _is_vessel(inner):
         return Relation.VESSEL
     words = _words(organ)
-    if own and words <= _words(inner):
+    if organs and words <= _words(inner):
         return Relation.PART
-    return Relation.OTHER if named else Relation.UNKNOWN
+    return Relation.OTHER if other_organs else Relation.UNKNOWN
 
 
 def is_lesion(name: str) -> bool:
@@ -152,9 +152,9 @@ def _text(name: str) -> str:
 
 def _organ_of(word: str) -> str:
     """Return the organ of a word, also of a plural and of a longer word that begins with it; empty without one."""
-    found = ORGAN_BY_WORD.get(word) or ORGAN_BY_WORD.get(word.removesuffix("s"))
-    if found or word.startswith((*SOLID_STEMS, *SOFT_STEMS)):
-        return found or ""
+    known = ORGAN_BY_WORD.get(word) or ORGAN_BY_WORD.get(word.removesuffix("s"))
+    if known or word.startswith((*SOLID_STEMS, *SOFT_STEMS)):
+        return known or ""
     return next(
         (organ for stem, organ in ORGAN_BY_WORD.items() if len(stem) >= LEAST_STEM and word.startswith(stem)), ""
     )
@@ -171,4 +171,4 @@ def _sides(name: str) -> set[str]:
 def _words(name: str) -> set[str]:
     """Return the words that tell a name from others: one for all of an organ or a side, and those of parts."""
     words = set(_text(name).split()) - GENERAL_WORDS
-    return {_organ_of(word) or SIDE_BY_WORD.get(word, word) for word in words} | (words & PARTS)
+    return {_organ_of(word) or SIDE_BY_WORD.get(word, word) for word in words} | (words & PART_NAMES)

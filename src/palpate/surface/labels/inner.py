@@ -21,7 +21,7 @@ from palpate.surface.labels.mask_surface import SPECK_SHARE
 MIN_SHARE = 0.6  # of the voxels around a label, which belong to the organ in which it lies
 # of a label whose name states nothing: the share around it, and its volume over the organ's
 MIN_UNNAMED_SHARE, UNNAMED_VOLUMES = 0.9, (0.001, 0.5)
-RULES = {
+RULE_BY_RELATION = {
     Relation.LESION: "a lesion by its name",
     Relation.VESSEL: "a vessel or duct by its name",
     Relation.PART: "a part by its name",
@@ -65,18 +65,18 @@ def inner_labels(labels: LabelMap, chosen: Sequence[Segment], shells: Shells | N
     shells = {} if shells is None else shells
     body = list(chosen)
     while True:
-        found = _found(labels, chosen, body, shells)
-        joining = [each.segment for each in found if each.joins and each.segment not in body]
+        inside = _inside(labels, chosen, body, shells)
+        joining = [each.segment for each in inside if each.joins and each.segment not in body]
         if not joining:
-            return found
+            return inside
         body += joining
 
 
-def _found(labels: LabelMap, chosen: Sequence[Segment], body: Sequence[Segment], shells: Shells) -> list[InnerLabel]:
+def _inside(labels: LabelMap, chosen: Sequence[Segment], body: Sequence[Segment], shells: Shells) -> list[InnerLabel]:
     """Return the labels that lie in a body, which is an organ and what has joined it so far."""
     boxes = dict(zip(labels.segments, labels.boxes, strict=True))
     volume = sum(each.count for each in chosen)
-    found = []
+    inside = []
     for segment, part in zip(labels.segments, part_names(labels), strict=True):
         if segment in chosen or not any(_meet(boxes[segment], boxes[each]) for each in body):
             continue
@@ -94,8 +94,8 @@ def _found(labels: LabelMap, chosen: Sequence[Segment], body: Sequence[Segment],
             if not joins:
                 continue
             place = "of the organ in another layer"
-        found.append(InnerLabel(segment, part, segment.count * labels.voxel_volume, joins, why, place))
-    return found
+        inside.append(InnerLabel(segment, part, segment.count * labels.voxel_volume, joins, why, place))
+    return inside
 
 
 def _decision(
@@ -107,7 +107,7 @@ def _decision(
     relations = {relation(segment.name, each.name) for each in chosen}
     kind = next(each for each in Relation if each in relations)  # another organ is the last
     if kind is not Relation.UNKNOWN:
-        return kind is not Relation.OTHER, RULES[kind]
+        return kind is not Relation.OTHER, RULE_BY_RELATION[kind]
     least, most = UNNAMED_VOLUMES
     joins = share >= MIN_UNNAMED_SHARE and least <= volume_share <= most
     return joins, f"by its shares: {_percent(share)} of what is around it, {_percent(volume_share)} of the volume"
@@ -142,11 +142,11 @@ def _shell(labels: LabelMap, segment: Segment, box: Box) -> Shell:
 
 def _covered(labels: LabelMap, segment: Segment, box: Box, others: Sequence[Segment]) -> bool:
     """Return True if others, in other layers, have all voxels of a segment."""
-    own: NDArray[np.bool_] = labels.layers[segment.layer][box] == segment.value
+    left: NDArray[np.bool_] = labels.layers[segment.layer][box] == segment.value
     for each in others:
         if each.layer != segment.layer:
-            own = own & (labels.layers[each.layer][box] != each.value)
-    return not own.any()
+            left = left & (labels.layers[each.layer][box] != each.value)
+    return not left.any()
 
 
 def _at_edge(labels: LabelMap, box: Box) -> bool:
