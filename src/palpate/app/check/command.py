@@ -164,6 +164,8 @@ def _surface_of(
     scale: float, repair: bool,
 ) -> Surface:  # fmt: skip
     """Return the surface of a file; that of a label map has notes about what lies in the organ."""
+    if without and not is_label_map(file):
+        raise InputError(f"without must be left out unless a label map is given, got {str(file)!r:.60}")
     if not is_label_map(file) or units:
         return read_surface(file, part=part, units=units, scale=scale, repair=repair, labels=labels)
     opened = open_surface(file, part=tuple(part or ()), labels=labels, scale=scale, without=without)

@@ -38,6 +38,7 @@ from palpate.reduction.storage.models import save
 from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.description import Training
 from palpate.scenes.load_case import TrainingScene
+from palpate.scenes.names import kind_of
 from palpate.scenes.scene import Scene
 
 MODEL_FILE = "model.rom"
@@ -224,8 +225,11 @@ class Campaign:
             ) from None
 
     def _estimate(self, loads: Sequence[Load], durations: Collection[float]) -> str:
-        """Return about how long runs of some durations [s] take here, from the beginning of the first, as text."""
-        if self.cluster is not None:
+        """Return about how long runs of some durations [s] take here, from the beginning of the first, as text.
+
+        It is empty for a scene of a user's function: what its loads do is left to the processes of the runs.
+        """
+        if self.cluster is not None or kind_of(self.folder.manifest["scene"]) is None:
             return ""
         scene = self.scene
         sample = scene.every * max(1, round(min(SAMPLE_TIME, SAMPLE_SHARE * sum(durations)) / scene.every))
