@@ -77,9 +77,11 @@ def test_a_lesion_can_be_left_out_and_another_organ_added(sliver):
     assert any("without liver_tumor (5.8 ml, left out by choice)" in note for note in scene.notes)
     scene = open_surface(sliver, part=["liver", "lung_right"], spacing=0.009)
     assert scene.description.surface.parts == ("liver", "lung_right", "liver_tumor")
-    for wrong in ("stomach", "liver"):
+    for wrong in ("stomach", "liver", "nothing"):
         with pytest.raises(pt.InputError, match=f"without must be one of liver_tumor, got '{wrong}'"):
             open_surface(sliver, part=["liver"], without=[wrong])
+    with pytest.raises(pt.InputError, match="without must be left out, since nothing joins the organ, got 'liver'"):
+        open_surface(sliver, part=["stomach"], without=["liver"])
     with pytest.raises(pt.InputError, match="without must be left out unless a label map is given"):
         open_surface("organ.stl", without=["tumour"])
 

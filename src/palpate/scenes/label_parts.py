@@ -39,11 +39,15 @@ def inner_labels_of(
     chosen = choose_segments(labels, part or None)
     inner = inner_labels(labels, chosen)
     for text in without:
-        left_out = choose_segments(labels, text)
-        joining = [each.part for each in inner if each.joins]
-        if not any(each.joins and each.segment in left_out for each in inner):
-            known = f"one of {names_text(joining)}" if joining else "left out, since nothing joins the organ"
-            raise InputError(f"without must be {known}, got {text!r:.60}")
+        try:
+            left_out = choose_segments(labels, text)
+        except InputError:
+            left_out = ()
+        joining = [each for each in inner if each.joins]
+        if not any(each.segment in left_out for each in joining):
+            known = names_text([each.part for each in joining])
+            condition = f"one of {known}" if joining else "left out, since nothing joins the organ"
+            raise InputError(f"without must be {condition}, got {text!r:.60}")
         inner = [
             each._replace(joins=False, why="left out by choice") if each.segment in left_out else each for each in inner
         ]
