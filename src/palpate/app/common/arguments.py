@@ -190,7 +190,7 @@ def add_parts(parser: Any) -> None:
     )
     text += "closed one, if it is around all others); of a label map also a number, several are one body"
     parser.add_argument("--part", action="append", metavar="NAME", help=text)
-    text = "label that lies in the organ of a label map and would join it; may be repeated (palpate lists what joins)"
+    text = "leave out a label that lies in the organ of a label map and would join it; may be repeated"
     parser.add_argument("--without", action="append", default=[], metavar="NAME", help=text)
     text = "names that a label map lacks: JSON, a color table (.ctbl), or lines of a number and a name"
     parser.add_argument("--labels", type=existing_file, metavar="FILE", help=text)
