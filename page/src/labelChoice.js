@@ -2,6 +2,7 @@
 import { formatNumber } from "./widgets.js";
 
 const SHORT_LIST = 12; // labels that need no search
+const MOST_INNER = 6; // labels listed that lie in another one
 
 /** Volume in millilitres as text, of one in cubic metres. */
 export const millilitres = (volume) => {
@@ -21,7 +22,7 @@ const largestPiece = (part) => `${part}#1`;
 export class LabelChoice {
   /** `send(message)` sends the choice. */
   constructor(byId, send) {
-    Object.assign(this, { byId, send, ticked: new Set(), rows: [] });
+    Object.assign(this, { byId, send, ticked: new Set(), leftOut: new Map(), rows: [] });
     byId("choice-find").oninput = () => this.filter();
     byId("choice-start").onclick = () => this.choose([...this.ticked]);
     byId("choice-piece").onclick = () => this.choose([largestPiece(this.asked[0])]);
@@ -31,6 +32,7 @@ export class LabelChoice {
   show({ title, labels }) {
     const { byId } = this;
     this.ticked.clear();
+    this.leftOut.clear();
     document.title = `${title} · palpate`;
     this.open(true);
     byId("choice-title").textContent = title;
@@ -53,13 +55,40 @@ export class LabelChoice {
     box.onchange = () => this.tick(part, box.checked);
     const button = row.querySelector("button");
     button.textContent = name;
+    const inner = this.makeInner(label);
+    button.after(inner);
     [number, millilitres(volume), pieces, cut ? "yes" : ""].forEach((text, k) => (cells[k].textContent = text));
     row.onclick = ({ target }) => {
+      if (inner.contains(target)) return;
       if (tick.contains(target)) {
         if (target !== box) box.click();
       } else this.choose([part]);
     };
     return row;
+  }
+
+  /** Lines about what lies in a label: what joins it can be left out, the rest is named. */
+  makeInner({ part, inner = [] }) {
+    const lines = document.createElement("div");
+    lines.className = "inner";
+    const left = new Set();
+    this.leftOut.set(part, left);
+    const joiningFirst = inner.toSorted((one, other) => other.joins - one.joins);
+    for (const each of joiningFirst.slice(0, MOST_INNER)) {
+      const line = document.createElement(each.joins ? "label" : "p");
+      if (each.joins) {
+        const box = document.createElement("input");
+        Object.assign(box, { type: "checkbox", checked: true });
+        box.onchange = () => (box.checked ? left.delete(each.part) : left.add(each.part));
+        line.append(box);
+      }
+      const name = document.createElement("b");
+      name.textContent = `${each.joins ? "with" : "without"} ${each.name}`;
+      line.append(name, ` (${each.why})`);
+      lines.append(line);
+    }
+    if (inner.length > MOST_INNER) lines.append(`and ${inner.length - MOST_INNER} more`);
+    return lines;
   }
 
   tick(part, on) {
@@ -84,7 +113,8 @@ export class LabelChoice {
   choose(parts) {
     if (this.waiting || parts.length === 0) return;
     this.asked = parts;
-    this.send({ type: "choose", parts });
+    const without = parts.flatMap((part) => [...(this.leftOut.get(part) ?? [])]).filter((part) => !parts.includes(part));
+    this.send({ type: "choose", parts, without });
     this.wait(true);
   }
 

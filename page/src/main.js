@@ -1,5 +1,6 @@
 // The page: connects the session with the scene, the input controls and the panel.
 import "./style.css";
+import { showBody } from "./aboutBody.js";
 import { HandList } from "./handList.js";
 import { Hands } from "./hands.js";
 import { InputControls } from "./inputControls.js";
@@ -164,8 +165,7 @@ const answers = {
     offerDepth(message);
     hands.offer(message, initialTools(message));
     refinement.offer();
-    byId("title").textContent = message.title;
-    document.title = `${message.title} · palpate`;
+    showBody(byId, message);
     document.body.classList.toggle("replaying", replaying());
     const [low, high] = message.bounds;
     panel.offer(message, Math.hypot(...high.map((part, k) => part - low[k])));

@@ -1,4 +1,5 @@
 // Progress before the session exists: the phase, a bar, and the time left.
+import { showBody } from "./aboutBody.js";
 
 export const duration = (seconds) => (seconds < 90 ? `${Math.max(Math.round(seconds), 1)} s` : `${Math.round(seconds / 60)} min`);
 
@@ -21,8 +22,7 @@ export class Preparation {
 
   show(message) {
     this.active = true;
-    this.byId("title").textContent = message.title;
-    document.title = `${message.title} · palpate`;
+    showBody(this.byId, message);
     document.body.classList.add("preparing");
     const line = this.byId("message");
     line.hidden = false;

@@ -15,7 +15,7 @@ from palpate.scenes.description import Body, Description, Region, Shape, Support
 from palpate.scenes.label_parts import whole_body
 from palpate.scenes.names import SceneKind
 from palpate.scenes.places import place_of_text
-from palpate.scenes.scene import Scene
+from palpate.scenes.scene import Scene, title_of_file
 from palpate.surface.labels.reading import is_label_map
 
 NODES_PER_CELL = 1.45  # nodes over volume / spacing^3 in a filled organ
@@ -33,6 +33,7 @@ def open_surface(
     settings: Mapping[str, Any] | None = None,
     fixed: Sequence[str] = (),
     labels: str | Path | None = None,
+    without: Sequence[str] = (),
 ) -> Scene:
     """Open a surface file or a label map.
 
@@ -54,6 +55,15 @@ def open_surface(
         surface, with ``:FIELD`` where the file has several; by default ``back``, of each body.
     labels : path, optional
         File of names that a label map lacks.
+    without : sequence of str
+        Labels of a map that lie in the body and do not join it (`palpate.surface.labels.inner`).
+
+    Raises
+    ------
+    ChoiceError
+        A label map has several labels, and no part was chosen.
+    InputError
+        An argument is wrong, or no label of `without` joins the body.
     """
     for name, value, section in (("scale", scale, Shape), ("spacing", spacing, Body)):
         if value is not None:
@@ -61,11 +71,14 @@ def open_surface(
                 check_number(value, fields_of(section)[name][0].metadata)
             except InputError as error:
                 raise InputError(f"{name} {error}") from None
-    parts, regions, notes = tuple(part), tuple[Region, ...](), list[str]()
+    parts, regions, notes, subtitle = tuple(part), tuple[Region, ...](), list[str](), ""
     if is_label_map(file):
-        parts, regions, notes = whole_body(Path(file), None if labels is None else Path(labels), parts, scale, spacing)
+        names = None if labels is None else Path(labels)
+        parts, regions, notes, subtitle = whole_body(Path(file), names, parts, tuple(without), scale, spacing)
+    elif without:
+        raise InputError(f"without must be left out unless a label map is given, got {str(file)!r:.60}")
     description = Description(
-        title="",
+        title="" if len(parts) == len(part) else title_of_file(file, tuple(part)),
         surface=Shape(
             file=str(file),
             parts=parts,
@@ -81,6 +94,7 @@ def open_surface(
     scene = Scene(with_settings(description, settings or {}), Path(), str(file), settings)
     _ = scene.material  # raises for a wrong law or parameter
     scene.notes += [f"label map: {note}" for note in notes]
+    scene.subtitle = subtitle
     return scene
 
 

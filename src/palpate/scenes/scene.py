@@ -7,7 +7,7 @@ Files are read and bodies are made when they are first used. What needs mechanic
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
@@ -61,6 +61,8 @@ class Scene(Described):
         Where it comes from, by its name.
     notes : list of str
         What was guessed or repaired so far.
+    subtitle : str
+        Names of the labels of a map that lie in the body, of those with it and those without; empty without any.
 
     Examples
     --------
@@ -76,6 +78,7 @@ class Scene(Described):
         self.description, self.folder, self.name, self.kind = description, folder, name, kind_of(name)
         self.settings = dict(settings or {})
         self.notes: list[str] = []
+        self.subtitle = ""
 
     def _facts(self) -> list[Fact]:
         about = self.description
@@ -91,17 +94,10 @@ class Scene(Described):
     @property
     def title(self) -> str:
         """Title of the scene."""
-        from palpate.surface.formats.names import LABEL_FORMATS, format_of
-        from palpate.surface.parts import names_text
-
-        file = Path(self.description.surface.file)
-        if self.description.title or not self.description.surface.file:
-            return self.description.title or Path(self.name).stem.capitalize()
-        stem = Path(file.stem).stem if format_of(file)[1] else file.stem
-        parts = self.description.surface.parts if format_of(file)[0] in LABEL_FORMATS else ()
-        words = f"{names_text(parts, 3)} ({stem})" if parts else stem
-        words = words.replace("_", " ")
-        return words[:1].upper() + words[1:]
+        about = self.description
+        if about.title or not about.surface.file:
+            return about.title or Path(self.name).stem.capitalize()
+        return title_of_file(about.surface.file, about.surface.parts)
 
     def with_body(self, **changes: Any) -> Scene:
         """Return the scene with other settings of its body, such as ``spacing=0.005``."""
@@ -109,6 +105,7 @@ class Scene(Described):
         settings = {key: value for key, value in self.settings.items() if key.removeprefix("body.") not in changes}
         settings |= {f"body.{name}": value for name, value in changes.items()}
         scene = Scene(about, self.folder, self.name, settings)
+        scene.subtitle = self.subtitle
         scene.take_surface(self)
         return scene
 
@@ -134,7 +131,7 @@ class Scene(Described):
         if shape.labels:
             chosen["labels"] = self.folder / shape.labels
         if is_label_map(path):
-            return read_surface(path, **chosen)
+            return _with_title(read_surface(path, **chosen), self.description.title)
         with contextlib.suppress(InputError):  # parts that are closed after a repair alone
             surface = read_surface(path, **chosen)
             if not shape.repair or not any(problem.kind == "error" for problem in shape_problems(surface)):
@@ -326,6 +323,28 @@ class Scene(Described):
         if is_set or self.kind is not SceneKind.SCENE_FILE:
             return words
         return f"{self.name}, line {line_of_file(Path(self.name), keys)}: {words}"
+
+
+def title_of_file(file: str | Path, parts: Sequence[str]) -> str:
+    """Return the title of the body in a file: its name, or those of its parts of a label map."""
+    from palpate.surface.formats.names import LABEL_FORMATS, format_of
+    from palpate.surface.parts import names_text
+
+    path = Path(file)
+    kind, packed = format_of(path)
+    stem = Path(path.stem).stem if packed else path.stem
+    words = f"{names_text(parts, 3)} ({stem})" if parts and kind in LABEL_FORMATS else stem
+    words = words.replace("_", " ")
+    return words[:1].upper() + words[1:]
+
+
+def _with_title(surface: Surface, title: str) -> Surface:
+    """Return the surface of a label map with the title of its scene, also in its warnings, in place of its parts."""
+    if not title:
+        return surface
+    warnings = tuple(title + each.removeprefix(surface.name) if each.startswith(surface.name) else each
+                     for each in surface.warnings)  # fmt: skip
+    return replace(surface, name=title, warnings=warnings)
 
 
 def _files(sections_: Any) -> set[str]:

@@ -75,7 +75,8 @@ def training_of(scene: Scene, parameters: Mapping[str, Any]) -> TrainingScene:
     # a campaign continues with other numbers of paths and modes
     kept = {key: given[key] for key in given if key == DESCRIPTION_KEY or not chooses_runs(scene.description, key)}
     kept[DIGEST_KEY] = scene.digest
-    made = TrainingScene(scene.body, scene.paths, training.every, scene.title, kept, tools)
+    paths = scene.paths  # raises for a tool that is too small before the body is made
+    made = TrainingScene(scene.body, paths, training.every, scene.title, kept, tools)
     return made if training.cubature is None else replace(made, cubature=training.cubature)
 
 

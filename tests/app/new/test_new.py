@@ -53,9 +53,16 @@ def test_a_new_scene_works_as_it_is_and_has_what_was_guessed(organ, scene):
     assert len(opened.body.supports) == 1
     loads, duration = opened.paths(0)
     assert isinstance(loads[0], pt.tools.Contact)
-    assert loads[0].tool.radius == pytest.approx(opened.description.tool.radius)
+    assert opened.description.tool.radius is None
+    assert f'# radius = "{1e3 * loads[0].tool.radius:.6g} mm"' in text
     assert duration == pytest.approx(0.6)
     assert "reaches" in text
+
+
+def test_the_tool_of_a_new_scene_follows_the_spacing(scene):
+    coarse = pt.open_scene(scene, {"spacing": "7 mm"}).tool_paths()
+    assert coarse.radius >= 2 * 0.007
+    assert coarse.radius > pt.open_scene(scene).tool_paths().radius
 
 
 def test_the_schema_is_next_to_the_scene_and_named_by_its_first_line(scene):

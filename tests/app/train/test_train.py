@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -177,6 +178,17 @@ def test_an_interrupt_keeps_finished_runs(tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.slow
+def test_a_training_states_its_runs_and_their_time_before_it_begins(tmp_path, capsys, monkeypatch):
+    def refused(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("palpate.app.train.campaign.run_local", refused)
+    assert main(["train", "beam", "--set", "spacing=6.6mm", "--out", str(tmp_path / "beam")]) == 130
+    said = capsys.readouterr().err
+    assert re.search(r"runs; \d+ on 1 process, about \d+ (s|min) if nothing else runs here; Ctrl-C stops them", said)
+
+
+@pytest.mark.slow
 def test_failed_runs_are_recorded_and_the_others_continue(tmp_path, capsys):
     folder = tmp_path / "failing"
     options = ["--set", "diverging=1", "--set", "deadly=2"]
@@ -236,6 +248,19 @@ def test_sizes_from_which_no_model_can_be_trained_are_refused_before_the_runs(tm
     argv = ["train", f"training_scenes:{scene}", "--paths", "4", "--held-out", "1", "--modes", "8"]
     assert_stopped([*argv, *options, "--out", str(tmp_path / "new")], capsys, part)
     assert not list((tmp_path / "new" / "runs").glob("*"))
+
+
+@pytest.mark.parametrize(
+    ("options", "part"),
+    [
+        (["--paths", "3"], "--paths must be at least 4 where tools touch the body anywhere, got 3"),
+        (["--modes", "7"], "--modes must be at least 8 where tools touch the body anywhere, got 7"),
+        (["--set", "tool.radius=20mm", "spacing=15mm"], "radius of [tool] must be at least 2 spacings"),
+    ],
+)
+def test_sizes_of_a_scene_are_refused_before_its_body_is_made(tmp_path, capsys, monkeypatch, options, part):
+    monkeypatch.setattr("palpate.scenes.scene.Scene.cloud", None)
+    assert_stopped(["train", "liver", *options, "--out", str(tmp_path / "new")], capsys, part)
 
 
 @pytest.mark.slow

@@ -30,6 +30,8 @@ from palpate.app.session.session import Session
 from palpate.app.view.server.label_choice import LabelChoice
 from palpate.app.view.server.preparation import Preparation
 from palpate.scenes.open_scene import open_scene
+from palpate.surface.labels.inner import InnerLabel
+from palpate.surface.labels.label_map import Segment
 from palpate.surface.labels.listing import LabelRow
 from palpate.surface.surface import Surface
 
@@ -307,6 +309,38 @@ def test_shapes_around_a_body_are_named_by_a_click_and_hidden_by_a_key(browser, 
         assert tab.evaluate("palpate.statusLine.errors") == []
 
 
+def test_what_joins_a_label_is_listed_and_can_be_left_out(browser, site_of):
+    inner = [
+        InnerLabel(
+            Segment(4, "lung_right", 0, 4, 9), "lung_right", 1.6e-7, False, "another organ by its name", "empty"
+        ),
+        InnerLabel(Segment(2, "tumour", 0, 2, 9), "tumour", 2.4e-5, True, "a lesion by its name", "empty"),
+    ]
+    rows = [
+        LabelRow(1, "liver", "liver", 5e-4, 1, False, tuple(inner)),
+        LabelRow(2, "tumour", "tumour", 2e-5, 1, False),
+    ]
+    choice = LabelChoice("trunk.nii.gz", rows)
+    site = site_of(choice)
+    tab = browser.open(site.address, 1024, 640)
+    tab.wait("document.querySelectorAll('#choice-rows tr').length === 2")
+    lines = tab.evaluate("[...document.querySelector('#choice-rows .inner').children].map((line) => line.textContent)")
+    assert lines == [
+        "with tumour (24 ml, a lesion by its name)", "without lung_right (0.16 ml, another organ by its name)"
+    ]  # fmt: skip
+    tab.evaluate("document.querySelector('#choice-rows .inner input').click()")  # which starts nothing
+    tab.evaluate("document.querySelector('#choice-rows button').click()")
+    assert choice.wait() == (("liver",), ("tumour",))
+    site.loop.call_soon_threadsafe(site.server.refuse, "another")
+    tab.wait("document.getElementById('choice-error').textContent === 'another'")
+    tab.evaluate("document.querySelector('#choice-rows .inner input').click()")
+    tab.evaluate("document.querySelector('#choice-rows button').click()")
+    assert choice.wait() == (("liver",), ())
+    errors = tab.errors
+    tab.close()
+    assert not errors
+
+
 def test_a_body_is_chosen_in_the_list_of_labels(browser, site_of, session, tmp_path):
     rows = [LabelRow(k, f"organ_{k}", f"organ_{k}", 1e-4 * k, 1 + k % 2, k == 3) for k in range(1, 14)]
     choice = LabelChoice("trunk.nii.gz", rows)
@@ -322,16 +356,21 @@ def test_a_body_is_chosen_in_the_list_of_labels(browser, site_of, session, tmp_p
     tab.evaluate("{ const find = document.getElementById('choice-find'); find.value = 'organ 12'; find.oninput(); }")
     assert tab.evaluate("document.querySelectorAll('#choice-rows tr:not([hidden])').length") == 1
     tab.evaluate("document.querySelector('#choice-rows tr:not([hidden]) button').click()")
-    assert choice.wait() == ("organ_12",)
+    assert choice.wait().parts == ("organ_12",)
     site.loop.call_soon_threadsafe(site.server.refuse, "organ_12 must be closed")
     tab.wait("document.getElementById('choice-error').textContent === 'organ_12 must be closed'")
     tab.evaluate("{ const find = document.getElementById('choice-find'); find.value = ''; find.oninput(); }")
     for k in (1, 4):
         tab.evaluate(f"document.querySelectorAll('#choice-rows input')[{k}].click()")
     tab.evaluate("document.getElementById('choice-start').click()")
-    assert choice.wait() == ("organ_2", "organ_5")
-    with contextlib.closing(Preparation("Organ 2", "organ", None, tmp_path / "durations.json")) as preparation:
+    assert choice.wait() == (("organ_2", "organ_5"), ())
+    remarks = {"subtitle": "with tumour", "notes": ["the image cuts it: its face there is flat"]}
+    with contextlib.closing(
+        Preparation("Organ 2", "organ", None, tmp_path / "durations.json", **remarks)
+    ) as preparation:
         site.loop.call_soon_threadsafe(site.server.prepare, preparation)
+        tab.wait("document.getElementById('contents').textContent === 'with tumour'")
+        assert tab.evaluate("document.getElementById('notes').innerText") == remarks["notes"][0]
         site.loop.call_soon_threadsafe(site.server.show, session)
     tab.wait("window.palpate?.ready && document.getElementById('choice').hidden", 60)
     assert tab.evaluate("document.getElementById('panel').inert") is False

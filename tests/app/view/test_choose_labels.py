@@ -11,7 +11,7 @@ import pytest
 from palpate.app.view.choose_labels import choose_on_page
 from palpate.app.view.server.address import LOOPBACK
 from palpate.app.view.server.host import Host
-from palpate.app.view.server.label_choice import LabelChoice
+from palpate.app.view.server.label_choice import Chosen, LabelChoice
 from palpate.scenes.open_surface import open_surface
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "surface" / "labels"))
@@ -39,11 +39,12 @@ def reported(monkeypatch):
 
 def test_a_choice_that_makes_no_body_is_reported_and_the_next_is_yielded(tmp_path, monkeypatch, reported, capsys):
     file = write(tmp_path / "two.nii", {1: "liver", 2: "kidneys"})
-    choices = iter([("kidneys",), ("liver",)])
+    choices = iter([Chosen(("kidneys",)), Chosen(("liver",))])
     monkeypatch.setattr(LabelChoice, "wait", lambda self: next(choices))
     listed = []
 
-    def read(parts):
+    def read(parts, without):
+        assert without == ()
         listed.append(parts)
         return open_surface(file, part=parts).surface
 
@@ -60,6 +61,6 @@ def test_a_choice_that_makes_no_body_is_reported_and_the_next_is_yielded(tmp_pat
 
 def test_a_map_of_one_label_needs_no_choice(tmp_path, reported):
     file = write(tmp_path / "one.nii", {1: "liver"})
-    with choose_on_page(file, None, lambda parts: parts, ADDRESS) as (place, parts):
+    with choose_on_page(file, None, lambda parts, without: parts, ADDRESS) as (place, parts):
         assert (place, parts) == (ADDRESS, ())
     assert not reported

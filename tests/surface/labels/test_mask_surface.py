@@ -83,7 +83,7 @@ def test_specks_are_left_out_with_their_share_and_pores_are_filled():
     surface = surface_of(values)
     assert_sound(surface, np.count_nonzero(ball()) * 8e-9)
     assert any("has 2 pieces" in each for each in surface.warnings)
-    assert any("pores of 1 voxel in all filled" in each for each in surface.warnings)
+    assert any("small cavities of 1 voxel in all filled" in each for each in surface.warnings)
 
 
 def test_cavities_of_another_organ_stay():

@@ -1,4 +1,4 @@
-"""What lies in an organ and what touches it, of blocks whose contacts are counted by hand."""
+"""What touches an organ, of blocks whose contacts are counted by hand."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from palpate.surface.labels.label_map import LabelMap, Segment, mask_of
-from palpate.surface.labels.neighbours import contact_distance, cut_faces, enclosed_segments, touching_segments
+from palpate.surface.labels.neighbours import contact_distance, cut_faces, touching_segments
 
 EDGE = 0.002  # [m]
 NAMES = {1: "organ", 2: "nodule", 3: "floor", 4: "far", 5: "bump"}
@@ -22,31 +22,6 @@ def label_map() -> LabelMap:
     values[18:21, 10:13, 10:13] = 5
     segments = tuple(Segment(k, name, 0, k, int((values == k).sum())) for k, name in NAMES.items())
     return LabelMap("cube.nii", (values,), np.diag([EDGE, EDGE, EDGE, 1.0]), segments)
-
-
-def test_a_nodule_lies_in_the_organ_and_a_bump_does_not():
-    labels = label_map()
-    assert [each.name for each in enclosed_segments(labels, mask_of(labels, "organ"))] == ["nodule"]
-
-
-def test_a_nodule_just_under_the_surface_lies_in_the_organ():
-    labels = label_map()
-    labels.layers[0][9:12, 9:12, 14:18] = 2  # reaches the top face
-    assert [each.name for each in enclosed_segments(labels, mask_of(labels, "organ"))] == ["nodule"]
-
-
-def test_the_parts_of_the_organ_itself_are_not_enclosed():
-    labels = label_map()
-    assert enclosed_segments(labels, mask_of(labels, ["organ", "nodule"])) == []
-
-
-def test_an_organ_at_the_edge_of_the_image_is_searched_there_too():
-    labels = label_map()
-    values = np.zeros((12, 12, 12), dtype=np.uint8)
-    values[:, :, :8], values[4:7, 4:7, 0:3] = 1, 2
-    segments = tuple(Segment(k, NAMES[k], 0, k, int((values == k).sum())) for k in (1, 2))
-    cut = LabelMap("cut.nii", (values,), labels.affine, segments)
-    assert [each.name for each in enclosed_segments(cut, mask_of(cut, "organ"))] == ["nodule"]
 
 
 def test_segments_that_touch_have_the_share_of_the_boundary_that_is_near():

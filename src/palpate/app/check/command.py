@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -22,9 +23,9 @@ from palpate.files import check_folder, plain
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.filling import fill
 from palpate.meshfree.gate import nearest_spacing
-from palpate.scenes.label_parts import whole_body
 from palpate.scenes.names import SceneKind, kind_of
 from palpate.scenes.open_scene import open_scene
+from palpate.scenes.open_surface import open_surface
 from palpate.scenes.scene import Scene
 from palpate.scenes.training import training_of
 from palpate.surface.checks import SurfaceReport, check_surface
@@ -66,6 +67,7 @@ def check(
     spacing: float | None = None,
     part: Sequence[str] | None = None,
     labels: Path | None = None,
+    without: Sequence[str] = (),
     units: str | None = None,
     scale: float = 1.0,
     repair: bool = False,
@@ -84,6 +86,8 @@ def check(
         Between nodes; by default one that gives some 4,000.
     part, labels, units, scale, repair
         As for `palpate.io.read_surface`.
+    without : sequence of str
+        As for `palpate.scenes.open_surface.open_surface`.
     seed : int
         As for `palpate.fill`.
     out : path
@@ -103,6 +107,7 @@ def check(
         given = {
             "part": part,
             "labels": labels,
+            "without": without,
             "units": units,
             "spacing": spacing,
             "scale": scale != 1.0,
@@ -116,9 +121,7 @@ def check(
         surface, seed, repair = _scene_surface(scene), scene.description.body.seed, scene.description.surface.repair
         spacing = scene.description.body.spacing
     else:
-        if is_label_map(file):
-            part = list(whole_body(file, labels, tuple(part or ()), scale, spacing)[0]) or None
-        surface = read_surface(file, part=part, units=units, scale=scale, repair=repair, labels=labels)
+        surface = _surface_of(file, part, labels, without, units, scale, repair)
     with console.status("examining the surface"):
         surface_report = check_surface(surface)
     if spacing is None:
@@ -154,6 +157,20 @@ def check(
     table = quantities(report["title"], rows | TOOL_ROWS, {"value": report})
     deliver(report, [table, *_remarks(report)], out, FILES, as_json)
     return 0 if cloud is not None else 1
+
+
+def _surface_of(
+    file: Path, part: Sequence[str] | None, labels: Path | None, without: Sequence[str], units: str | None,
+    scale: float, repair: bool,
+) -> Surface:  # fmt: skip
+    """Return the surface of a file; that of a label map has notes about what lies in the organ."""
+    if without and not is_label_map(file):
+        raise InputError(f"without must be left out unless a label map is given, got {str(file)!r:.60}")
+    if not is_label_map(file) or units:
+        return read_surface(file, part=part, units=units, scale=scale, repair=repair, labels=labels)
+    opened = open_surface(file, part=tuple(part or ()), labels=labels, scale=scale, without=without)
+    assert opened.surface is not None
+    return replace(opened.surface, warnings=(*opened.notes, *opened.surface.warnings))
 
 
 def _filling(surface: Surface, spacing: float, seed: int) -> Callable[[], Cloud]:

@@ -192,6 +192,8 @@ def add_parts(parser: Any) -> None:
     )
     text += "closed one, if it is around all others); of a label map also a number, several are one body"
     parser.add_argument("--part", action="append", metavar="NAME", help=text)
+    text = "leave out a label that lies in the organ of a label map and would join it; may be repeated"
+    parser.add_argument("--without", action="append", default=[], metavar="NAME", help=text)
     text = "names that a label map lacks: JSON, a color table (.ctbl), or lines of a number and a name"
     parser.add_argument("--labels", type=existing_file, metavar="FILE", help=text)
 
@@ -282,7 +284,9 @@ def in_option_words(message: str, parser: Parser, options: Mapping[str, Any]) ->
 
 def option_names(message: str) -> str:
     """Return a note about a surface with its arguments as options: ``give units= to be sure``, ``scale=0.1``."""
-    return re.sub(r"\b(part|scale|units|labels)=(\S*)", lambda match: f"--{match[1]} {match[2]}".rstrip(), message)
+    return re.sub(
+        r"\b(part|without|scale|units|labels)=(\S*)", lambda match: f"--{match[1]} {match[2]}".rstrip(), message
+    )
 
 
 def _option_name(action: argparse.Action) -> str:

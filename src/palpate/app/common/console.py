@@ -115,6 +115,11 @@ def count_nodes(nodes: int) -> str:
     return f"{nodes} node{'' if nodes == 1 else 's'}"
 
 
+def duration_text(seconds: float) -> str:
+    """Return a duration as text, such as ``40 s`` or ``3 min``."""
+    return f"{max(seconds, 1.0):.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
+
+
 def percent(value: float) -> str:
     """Return a share in per cent."""
     return f"{value:.2%}" if value < 10 else "> 1000%"

@@ -18,6 +18,7 @@ def export(
     model: str,
     part: Sequence[str] | None = None,
     labels: Path | None = None,
+    without: Sequence[str] = (),
     folder: Path | None = None,
     web: Path | None = None,
     name: str | None = None,
@@ -31,8 +32,8 @@ def export(
     ----------
     model : str
         As for `palpate.app.models.subject.open_subject`.
-    part, labels
-        Of a surface file, as for `palpate.io.read_surface`.
+    part, labels, without
+        Of a surface file, as for `palpate.scenes.open_surface.open_surface`.
     folder, name, targets, relaxed, tools
         As for `palpate.export.folder.export_c`.
     web : path
@@ -48,7 +49,7 @@ def export(
         if name is not None or targets or relaxed:
             raise InputError("web must be alone, got an option of a library; leave name, target and relaxed out")
         check_new(web)
-        subject = open_subject(model, for_training=True, part=part, labels=labels)
+        subject = open_subject(model, for_training=True, part=part, labels=labels, without=without)
         reduced = subject.reduced(console)
         with console.status("compiling the step of the model (about a minute)"):
             written = export_web(reduced, web, subject.title, tools)
@@ -58,7 +59,7 @@ def export(
         return 0
     assert folder is not None  # the parser requires one
     check_new(folder)
-    subject = open_subject(model, for_training=True, part=part, labels=labels)
+    subject = open_subject(model, for_training=True, part=part, labels=labels, without=without)
     reduced = subject.reduced(console)
     chosen = identifier(Path(model).stem) if name is None else name
     with console.status("compiling the step of the model (about a minute)"):

@@ -6,6 +6,7 @@ import numpy as np
 
 from palpate.app.common.arguments import option_names
 from palpate.app.common.console import Console, count_nodes
+from palpate.app.models.force_error import force_error_text
 from palpate.app.models.spacing import BUSY_SHARE, MOST_NODES, realtime_spacing
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.solid.model import EnergySolid
@@ -15,9 +16,6 @@ from palpate.scenes.open_surface import NODES_PER_CELL
 from palpate.scenes.scene import Scene
 
 FINER_FACTOR, MAX_FINER_TRIALS = 0.8, 4  # factor of a guessed spacing that is too coarse for the tissue; how often
-# of a ball's force against finite elements: median and largest on bodies of 3,000 nodes, pressed by half of its radius
-# of 1.5 spacings or deeper (validation/elements.py)
-FORCE_ERRORS = 0.077, 0.199
 FINER_NODES = 6.7  # the nodes of half the spacing over those of the whole (validation/spacing_force.py)
 
 
@@ -42,8 +40,8 @@ def prepare_full_body(scene: Scene, console: Console, spacing: float | None = No
         coarsest = max(given or 0.0, spacing)
         fitted = fill_scene(scene, coarsest, coarsest == given, console)
     body, cloud = fitted.body, fitted.cloud
-    for line in dict.fromkeys([*scene.notes, *fitted.notes]):
-        console.say(option_names(line))
+    for line in notes_of(scene, fitted):
+        console.say(line)
     guessed = cloud.spacing != given
     console.say(
         f"body: {count_nodes(len(cloud))} {1e3 * cloud.spacing:.3g} mm apart"
@@ -51,7 +49,7 @@ def prepare_full_body(scene: Scene, console: Console, spacing: float | None = No
         + f", {1e3 * np.ptp(cloud.points, axis=0).max():.3g} mm long{_remedy(scene, '--spacing, --units, --scale')}"
     )
     if scene.description.surface.file:
-        console.say(_force_line(len(cloud), guessed))
+        console.say(f"{force_line(fitted)}; {_finer_text(len(cloud), guessed)}")
     material = body.material
     console.say(
         f"tissue: {type(material).__name__}, shear modulus {1e-3 * material.shear_modulus:.3g} kPa, Poisson's ratio "
@@ -111,16 +109,21 @@ def _prepared(scene: Scene, console: Console) -> Scene:
     return scene
 
 
-def _force_line(nodes: int, realtime: bool) -> str:
-    """Return the error of the force against finite elements, and the nodes and the time at half the spacing."""
-    median, largest = FORCE_ERRORS
+def notes_of(scene: Scene, fitted: Scene) -> list[str]:
+    """Return what was guessed, repaired, added or left out, with options in place of arguments."""
+    return [option_names(line) for line in dict.fromkeys([*scene.notes, *fitted.notes])]
+
+
+def force_line(fitted: Scene) -> str:
+    """Return a line about the error of the force against finite elements."""
+    return f"force against finite elements: its error is {force_error_text(len(fitted.body.cloud))}"
+
+
+def _finer_text(nodes: int, realtime: bool) -> str:
+    """Return the nodes and the time at half the spacing."""
     times = 2 * FINER_NODES  # twice the steps
     cost = f"some {1 / (BUSY_SHARE * times):.1g} of real time" if realtime else f"{times:.0f} times the time"
-    return (
-        f"force: that of finite elements to {median:.0%} in the median and {largest:.0%} at most, measured with balls "
-        "of 1.5 spacings in radius on bodies of 3,000 nodes; half the spacing here: about "
-        f"{FINER_NODES * nodes:,.0f} nodes, {cost}"
-    )
+    return f"half the spacing here: about {FINER_NODES * nodes:,.0f} nodes, {cost}"
 
 
 def is_guessed(scene: Scene, fitted: Scene) -> bool:

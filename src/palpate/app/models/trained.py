@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from palpate.app.common.console import Console, count_nodes, percent
-from palpate.app.train.campaign import MODEL_FILE, Campaign
-from palpate.app.train.folder import manifest_of, open_campaign
+from palpate.app.train.campaign import MODEL_FILE, Campaign, check_sizes
+from palpate.app.train.folder import RECORDINGS_FOLDER, manifest_of, open_campaign
 from palpate.app.train.scene_folder import name_in_folder, training_folder
 from palpate.faults import FileFormatError, InputError
 from palpate.files import check_folder
@@ -61,9 +61,12 @@ def trained_model(scene: Scene, console: Console, workers: int | None = None) ->
         check_folder(folder, "cache" if scene.kind is SceneKind.PACKAGE else "folder")
     except InputError as error:
         raise InputError(f"{error}, or train a model elsewhere: palpate train {scene.name} --out FOLDER") from error
+    check_sizes(scene, training, recorded=(folder / RECORDINGS_FOLDER).is_dir())
+    runs = f"{'at most ' if training.tolerance else ''}{training.paths + training.held_out} runs of its full body"
+    console.say(f"{scene.title} has no reduced model yet: {runs} are made now, and one is trained on them, once")
     with console.status("preparing the full model (the first time on a machine compiles it, for about a minute)"):
         made = training_of(scene, _parameters(scene))
-    console.say(f"a reduced model is trained, once, and kept in {folder}")
+    console.say(f"the runs and the model are kept in {folder}")
     default = min(os.cpu_count() or 1, MAX_WORKERS)
     with open_campaign(folder, manifest_of(name_in_folder(scene.name, folder), made, training.seed)) as campaign_folder:
         campaign = Campaign(campaign_folder, made, console, training.modes, workers=workers or default)

@@ -27,7 +27,6 @@ from palpate.scenes.schema import scene_schema
 from palpate.surface.checks import METRES_BY_UNIT
 from palpate.surface.formats.first_bytes import refuse_misnamed
 from palpate.surface.labels.label_map import choose_segments, segments_mask
-from palpate.surface.labels.listing import choice_of_labels
 from palpate.surface.labels.reading import is_label_map, read_label_map
 
 SCHEMA_FILE = "scene.schema.json"
@@ -44,6 +43,7 @@ def new(
     spacing: float | None = None,
     law: str | None = None,
     fixed: Sequence[str] = (),
+    without: Sequence[str] = (),
 ) -> int:
     """Write a scene file for a surface, and open it as a check.
 
@@ -53,7 +53,7 @@ def new(
         A surface, as for `palpate.io.read_surface`.
     out : path
         Scene file; must not exist.
-    part, labels, units, scale, spacing, law, fixed
+    part, labels, units, scale, spacing, law, fixed, without
         As for `palpate.scenes.open_surface.open_surface`.
 
     Returns
@@ -72,11 +72,11 @@ def new(
     console = Console()
     scene = open_surface(
         file, units=units, scale=scale, part=tuple(part or ()), spacing=spacing, law=law, fixed=tuple(fixed),
-        labels=labels,
+        labels=labels, without=tuple(without),
     )  # fmt: skip
     proposals = None
     if is_label_map(file):
-        scene, proposals = _with_proposals(scene, tuple(part or ()), spacing, console)
+        scene, proposals = _with_proposals(scene, tuple(part or ()), tuple(without), spacing, console)
     scene, guesses = _fitted(scene, spacing, console)
     if proposals is not None:
         guesses["reasons"] = {region.name: why for region, why in proposals.regions}
@@ -117,7 +117,6 @@ def _fitted(scene: Scene, spacing: float | None, console: Console) -> tuple[Scen
         fitted.description,
         title=fitted.title,
         surface=about.surface if is_label_map(about.surface.file) else replace(about.surface, units=unit),
-        tool=replace(about.tool, radius=_round(paths.radius)),
         training=replace(about.training, depth=_round(paths.depth), slide=_round(paths.slide)),
         support=about.support,
     )
@@ -130,6 +129,7 @@ def _fitted(scene: Scene, spacing: float | None, console: Console) -> tuple[Scen
         "size": " x ".join(f"{1e3 * x:.0f}" for x in np.ptp(surface.vertices, axis=0)) + " mm",
         "nodes": len(fitted.cloud),
         "support": "given" if about.support else "guessed: the side away from the first view of the page",
+        "radius": paths.radius,
         "reach": f"a ball of {1e3 * paths.radius:.3g} mm reaches {reach:.0%} of the surface, {held_share:.0%} is held",
     }
     made = Scene(description, fitted.folder, fitted.name)
@@ -139,22 +139,22 @@ def _fitted(scene: Scene, spacing: float | None, console: Console) -> tuple[Scen
 
 
 def _with_proposals(
-    scene: Scene, part: tuple[str, ...], spacing: float | None, console: Console
+    scene: Scene, part: tuple[str, ...], without: tuple[str, ...], spacing: float | None, console: Console
 ) -> tuple[Scene, Proposals]:
     """Return the scene of an organ with what lies in it, and held by what touches it, and all proposals."""
     about = scene.description
     with console.status("searching the label map"):
         labels = read_label_map(about.surface.file, about.surface.labels or None).scaled(about.surface.scale)
-        if not part and len(labels.segments) > 1:
-            raise choice_of_labels(labels)
         organ = segments_mask(labels, choose_segments(labels, part or None))
         target_spacing = spacing or spacing_for(NEW_NODES, organ.volume)
-        proposals = propose(labels, Path(about.surface.file), part, target_spacing)
+        proposals = propose(labels, Path(about.surface.file), part, target_spacing, without)
     regions = tuple(region for region, _ in proposals.regions)
     supports = about.support or tuple(support for support, _ in proposals.supports)
     shape = replace(about.surface, parts=proposals.parts)
     about = replace(about, title=proposals.title, surface=shape, region=regions, support=supports)
-    return Scene(about, scene.folder, scene.name), proposals
+    made = Scene(about, scene.folder, scene.name)
+    made.notes += scene.notes
+    return made, proposals
 
 
 def _round(length: float) -> float:

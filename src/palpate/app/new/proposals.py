@@ -8,7 +8,7 @@ from pathlib import Path
 
 from palpate.arrays import Floats
 from palpate.scenes.description import Near, Place, Plane, Region, Support
-from palpate.scenes.label_parts import body_segments_of, enclosed_region, is_large
+from palpate.scenes.label_parts import inner_labels_of, inner_region, is_large
 from palpate.surface.labels.label_map import LabelMap, Segment, part_names, segments_mask
 from palpate.surface.labels.neighbours import contact_distance, cut_faces, touching_segments
 
@@ -31,7 +31,9 @@ class Proposals:
     alternatives: tuple[tuple[Support, str], ...]  # supports that are not proposed, but can be chosen
 
 
-def propose(labels: LabelMap, file: Path, part: Sequence[str] | None, spacing: float) -> Proposals:
+def propose(
+    labels: LabelMap, file: Path, part: Sequence[str] | None, spacing: float, without: Sequence[str] = ()
+) -> Proposals:
     """Return what a label map proposes for the scene of an organ.
 
     Parameters
@@ -42,13 +44,16 @@ def propose(labels: LabelMap, file: Path, part: Sequence[str] | None, spacing: f
         Parts of the map that the user has chosen.
     spacing : float [m]
         Of the body's nodes.
+    without : sequence of str
+        Labels that lie in the organ and do not join it.
     """
-    chosen, enclosed = body_segments_of(labels, part)
+    chosen, inner = inner_labels_of(labels, part, without)
     names = dict(zip(labels.segments, part_names(labels), strict=True))
-    inner = (*chosen, *enclosed)
-    mask = segments_mask(labels, inner)
+    joining = [each for each in inner if each.joins]
+    body = (*chosen, *(each.segment for each in joining))
+    mask = segments_mask(labels, body)
     fixed, soft, held = [], [], 0.0
-    for segment, share in touching_segments(labels, mask, contact_distance(labels.voxel_edges, spacing), inner):
+    for segment, share in touching_segments(labels, mask, contact_distance(labels.voxel_edges, spacing), body):
         if share < MIN_CONTACT_SHARE:
             continue
         near = Place(near=Near(file=str(file), parts=(names[segment],)))
@@ -72,8 +77,8 @@ def propose(labels: LabelMap, file: Path, part: Sequence[str] | None, spacing: f
     parts = tuple(part or [names[each] for each in chosen])
     return Proposals(
         ", ".join(each.name for each in chosen).replace("_", " ").capitalize(),
-        (*parts, *(names[each] for each in enclosed)),
-        tuple(enclosed_region(labels, segment, chosen) for segment in enclosed if is_large(labels, segment, spacing)),
+        (*parts, *(each.part for each in joining)),
+        tuple(inner_region(each, chosen) for each in joining if is_large(labels, each.segment, spacing)),
         tuple(fixed), tuple(soft),
     )  # fmt: skip
 

@@ -28,8 +28,8 @@ def commented_text(
     scene : Scene
         With all values in use.
     guesses : mapping
-        ``"units"``, ``"size"``, ``"nodes"``, ``"support"`` and ``"reach"`` in words; ``"reasons"`` for regions and
-        supports by their names.
+        ``"units"``, ``"size"``, ``"nodes"``, ``"support"`` and ``"reach"`` in words; ``"radius"`` of the ball [m];
+        ``"reasons"`` for regions and supports by their names.
     notes : sequence of str
         Notes about the surface.
     schema : path
@@ -87,7 +87,7 @@ def commented_text(
         '# stiffness = "10 kPa/cm"',
         "",
         "[tool]",
-        f"radius = {_length(about.tool.radius)}  # of the ball: {guesses['reach']}",
+        f"# radius = {_length(guesses['radius'])}  # of the ball; left out, it follows the spacing: {guesses['reach']}",
         f"friction = {about.tool.friction:g}",
         "",
         "[training]  # of a reduced model: palpate train, or palpate view --refine",

@@ -61,6 +61,8 @@ def running_session(
         if wait is not None:
             wait()
         session = make(body, () if scene is None else scene.foundations)
+    if scene is not None and fitted is not None:
+        _describe(session, scene, fitted)
     session.start()
     try:
         if scene is not None and fitted is not None and is_guessed(scene, fitted):
@@ -80,6 +82,14 @@ def running_session(
                 )
 
 
+def _describe(session: Session, scene: Scene, fitted: Scene) -> None:
+    """Give a session of a surface the lines that were printed about its body, for its viewers."""
+    from palpate.app.models.full_body import force_line, notes_of
+
+    session.subtitle, notes = scene.subtitle, notes_of(scene, fitted)
+    session.notes = (*notes, force_line(fitted)) if scene.description.surface.file else tuple(notes)
+
+
 def _in_real_time(session: Session, scene: Scene, fitted: Scene, make: MakeSession, console: Console) -> Session:
     """Return the running session, or one of the same surface filled again, whose body keeps real time."""
     from palpate.app.models.full_body import prepare_full_body
@@ -94,6 +104,7 @@ def _in_real_time(session: Session, scene: Scene, fitted: Scene, make: MakeSessi
         console.say("the body is filled again, since its steps take another time than expected")
         before, fitted = fitted.body.cloud.spacing, prepare_full_body(scene, console, spacing)
         session = make(fitted.body, fitted.foundations)
+        _describe(session, scene, fitted)
         session.start()
         if fitted.body.cloud.spacing == before:  # thin tissue has no coarser one
             break

@@ -111,6 +111,7 @@ class Session:
         self.speed, self.modulus_ratio = 1.0, 1.0
         self.recordings = SessionRecordings(title, self.body, self._describe_recorded)
         self._paces: deque[tuple[float, int, int]] = deque()  # time [s], periods, dropped periods
+        self.subtitle, self.notes = "", tuple[str, ...]()  # what lies in the body, and lines about how it was made
         self.devices: dict[int, str] = {}  # haptic devices by the tool that they move
         self.successor: Session | None = None  # the session that has taken the place of this one
         self._lock, self._last_tick = threading.RLock(), (time.time(), time.monotonic())
@@ -162,6 +163,7 @@ class Session:
             "tools": self.tool_kinds, "tool": tools[0], "max_tools": self.max_tools, "all_tools": tools,
             "materials": self._materials(), "rate": self.rate, "scalars": scalar_descriptions(self.surface),
             "training_errors": training_errors(self.model), "overlay": False, "full": self.body.is_full,
+            "subtitle": self.subtitle, "notes": list(self.notes),
             **describe_tools(self.tool_kinds),
         }  # fmt: skip
 

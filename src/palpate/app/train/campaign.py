@@ -8,12 +8,12 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from palpate.app.common.console import Console, count_nodes, percent
+from palpate.app.common.console import Console, count_nodes, duration_text, percent
 from palpate.app.common.exit_status import RunError
 from palpate.app.train.bar import Bar
 from palpate.app.train.choose import CANDIDATES_PER_RUN, FIRST_RUNS, choose, next_count
@@ -26,16 +26,20 @@ from palpate.app.train.work import Outcome
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.prepared import Load
+from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import StoredTrajectory
 from palpate.dynamics.solid.model import Solid, energy_solid
-from palpate.faults import InputError, TrustWarning
+from palpate.faults import DivergenceError, InputError, TrustWarning
 from palpate.files import check_space
 from palpate.reduction.contact.coarse_body import statics_body
 from palpate.reduction.contact.support_sensitivity import select_presses, support_sensitivity
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import save
 from palpate.reduction.training.reduce import hyper_reduce
+from palpate.scenes.description import Training
 from palpate.scenes.load_case import TrainingScene
+from palpate.scenes.names import kind_of
+from palpate.scenes.scene import Scene
 
 MODEL_FILE = "model.rom"
 # Where tools touch the body anywhere. Every fourth path of a liver is a grasp, and trust numbers compare runs.
@@ -43,6 +47,8 @@ MODEL_FILE = "model.rom"
 # 12 mm).
 MIN_PATHS, MIN_MODES = 4, 8
 MODE_STEPS = (32, 48, 66, 96)  # numbers of modes that are tried where runs do not keep a tolerance
+# [s] of the first path, from which the time of all runs is estimated; that over the time of all, at most
+SAMPLE_TIME, SAMPLE_SHARE = 0.1, 0.02
 MAX_REPEATED = 32  # training runs in which tools touch or hold the body, by which their forces are measured
 
 
@@ -53,6 +59,29 @@ class Round(NamedTuple):
     modes: int
     error: float
     tolerance: float
+
+
+def check_sizes(scene: Scene, training: Training, recorded: bool = False) -> None:
+    """Raise `InputError` for too few paths or modes of a scene, before its body is made.
+
+    Parameters
+    ----------
+    training : Training
+        Its sizes.
+    recorded : bool
+        Whether it also trains on recordings, whose paths are not counted here.
+    """
+    if not scene.held_group and scene.description.surface.generated != "disc":  # tools touch the body
+        _check_least(MIN_PATHS if recorded else training.paths, training.modes)
+
+
+def _check_least(paths: int, modes: int) -> None:
+    """Raise `InputError` for too few paths or modes where tools touch the body anywhere."""
+    for name, given, least in (("paths", paths, MIN_PATHS), ("modes", modes, MIN_MODES)):
+        if given < least:
+            raise InputError(
+                f"{name} must be at least {least} where tools touch the body anywhere, got {given}; use {least} or more"
+            )
 
 
 @dataclass(frozen=True)
@@ -172,10 +201,11 @@ class Campaign:
         there = len(jobs) - len(left)
         processes = f"{self.workers} process{'es' if self.workers > 1 else ''}"
         where = f"the cluster at {self.cluster}" if self.cluster else processes
+        estimate = self._estimate(every[left[0]][0], paths.values()) if left else ""
         console.say(
             f"{scene.title}: {count_nodes(len(scene.model.cloud))}, {len(jobs)} runs"
             + (f", {there} of them done before" if there else "")
-            + (f"; {len(left)} on {where} ..." if left else "")
+            + (f"; {len(left)} on {where}{estimate} ..." if left else "")
         )
         if not left:
             return
@@ -194,6 +224,26 @@ class Campaign:
                 f"{done} of {len(jobs)} runs are kept; the same command continues from there"
             ) from None
 
+    def _estimate(self, loads: Sequence[Load], durations: Collection[float]) -> str:
+        """Return about how long runs of some durations [s] take here, from the beginning of the first, as text.
+
+        It is empty for a scene of a user's function: what its loads do is left to the processes of the runs.
+        """
+        if self.cluster is not None or kind_of(self.folder.manifest["scene"]) is None:
+            return ""
+        scene = self.scene
+        sample = scene.every * max(1, round(min(SAMPLE_TIME, SAMPLE_SHARE * sum(durations)) / scene.every))
+        try:
+            with self.console.status("measuring this machine (the first time on a machine compiles the runs)"):
+                rollout(scene.model, loads, duration=sample, every=scene.every, progress=False)  # compiles
+                began = process_time()
+                rollout(scene.model, loads, duration=sample, every=scene.every, progress=False)
+                seconds = (process_time() - began) * sum(durations) / sample
+        except (InputError, DivergenceError):  # the run itself reports it
+            return ""
+        text = duration_text(seconds / min(self.workers, len(durations)))
+        return f", about {text} if nothing else runs here; Ctrl-C stops them, and the same command continues"
+
     def _frames(self, duration: float) -> int:
         return round(duration / self.scene.every) + 1
 
@@ -209,12 +259,7 @@ class Campaign:
                     f"{self.modes}; use fewer modes or more paths"
                 )
             return
-        for name, given, least in (("paths", len(paths), MIN_PATHS), ("modes", self.modes, MIN_MODES)):
-            if given < least:
-                raise InputError(
-                    f"{name} must be at least {least} where tools touch the body anywhere, got {given}; use {least} or "
-                    "more"
-                )
+        _check_least(len(paths), self.modes)
         free = 3 * int(np.sum(~(self._statics or scene.model).fixed_mask))
         if self.modes > free // 2:
             raise InputError(

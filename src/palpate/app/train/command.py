@@ -10,9 +10,9 @@ from typing import Any
 from palpate.app.common.arguments import parse_settings, split_settings
 from palpate.app.common.console import Console
 from palpate.app.common.exit_status import DONE, UNTRUSTED, complain
-from palpate.app.train.campaign import Campaign, Round
+from palpate.app.train.campaign import Campaign, Round, check_sizes
 from palpate.app.train.cluster import check_dask
-from palpate.app.train.folder import manifest_of, open_campaign
+from palpate.app.train.folder import RECORDINGS_FOLDER, manifest_of, open_campaign
 from palpate.app.train.paths import add_recording
 from palpate.app.train.report import report_campaign
 from palpate.app.train.scene_folder import name_in_folder, training_folder
@@ -34,6 +34,7 @@ def train(
     scene: str,
     part: Sequence[str] | None = None,
     labels: Path | None = None,
+    without: Sequence[str] = (),
     given: Sequence[str] = (),
     paths: int | None = None,
     held_out: int | None = None,
@@ -54,8 +55,8 @@ def train(
     scene : str
         As for `palpate.scenes.training.open_training`; a module is looked for in the current folder, too. Or a
         surface file.
-    part, labels
-        Of a surface file, as for `palpate.io.read_surface`.
+    part, labels, without
+        Of a surface file, as for `palpate.scenes.open_surface.open_surface`.
     given : sequence of str
         Its parameters as ``"name=value"``.
     paths, held_out : int, optional
@@ -90,10 +91,12 @@ def train(
         settings = parse_settings(given)
         if kind is SceneKind.SURFACE_FILE:
             parts = tuple(part or ())
-            opened = complete_for_training(open_surface(scene, part=parts, labels=labels, settings=settings))
+            opened = complete_for_training(
+                open_surface(scene, part=parts, labels=labels, settings=settings, without=without)
+            )
             scene, settings = opened.name, {DESCRIPTION_KEY: json_of_scene(opened)}  # with which workers open it
         else:
-            for name, value in (("part", part), ("labels", labels)):
+            for name, value in (("part", part), ("labels", labels), ("without", without)):
                 if value:
                     raise InputError(f"{name} must be left out unless a surface file is given, got {scene!r:.60}")
             opened = open_scene(scene, settings)
@@ -116,6 +119,8 @@ def train(
             raise InputError(f"workers must be left out with --cluster, got {workers}; a cluster has its own")
     workers = integer_in_range("workers", 1 if workers is None else workers, 1, MAX_WORKERS)
     check_folder(out)
+    if opened is not None:
+        check_sizes(opened, chosen, recorded=bool(more) or (out / RECORDINGS_FOLDER).is_dir())
     console = Console()
     with console.status("making the model ready (the first time on a machine compiles it, for about a minute)"):
         if ":" in scene:

@@ -28,6 +28,7 @@ from palpate.sealed import loading
 FORMAT, VERSION = "palpate campaign", 2
 MAX_RECORD_BYTES = 1 << 20  # bytes of a manifest, or of the record of a failed run
 TRAINED, HELD_OUT, RECORDED = "train", "held_out", "recorded"
+RECORDINGS_FOLDER = "recordings"  # folder of the recordings in that of a campaign
 MAX_PATHS = TRAINING_SEEDS  # of either kind of run
 
 
@@ -139,7 +140,7 @@ class Folder:
     @property
     def recordings_folder(self) -> Path:
         """Folder of the recordings."""
-        return self.path / "recordings"
+        return self.path / RECORDINGS_FOLDER
 
     @property
     def recordings(self) -> list[Path]:

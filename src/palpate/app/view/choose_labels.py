@@ -21,10 +21,14 @@ Subject = TypeVar("Subject")
 
 @contextlib.contextmanager
 def choose_on_page(
-    file: str, names: Path | None, read: Callable[[Sequence[str]], Subject], address: tuple[int, str, bool]
+    file: str,
+    names: Path | None,
+    read: Callable[[Sequence[str], Sequence[str]], Subject],
+    address: tuple[int, str, bool],
 ) -> Iterator[tuple[Host | tuple[int, str, bool], Subject]]:
     """Yield what `read` returns for the labels of a map that are chosen on the page, and the host of the page.
 
+    `read` takes the labels, and those that lie in them and do not join.
     A choice that `read` refuses is reported on the page, where another can be made. A map of one label needs no choice,
     and has the address in place of a host.
 
@@ -35,7 +39,7 @@ def choose_on_page(
     """
     labels = read_label_map(file, names)
     if len(labels.segments) == 1:
-        yield address, read(())
+        yield address, read((), ())
         return
     choice, console = LabelChoice(labels.name, label_rows(labels)), Console()
     with serve(choice, console, *address) as host:
@@ -44,9 +48,9 @@ def choose_on_page(
             f"{len(choice.rows)} labels: choose on the page, or stop and add --part, such as --part {likeliest}"
         )
         while True:
-            parts = choice.wait()
+            parts, without = choice.wait()
             try:
-                subject = read(parts)
+                subject = read(parts, without)
             except InputError as error:
                 console.say(option_names(str(error)))
                 host.refuse(str(error))

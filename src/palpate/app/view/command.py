@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from palpate.app.common.arguments import parse_settings
+from palpate.app.common.arguments import option_names, parse_settings
 from palpate.app.common.console import Console
 from palpate.app.common.exit_status import DONE, FAILED, INTERRUPTED
 from palpate.app.device.options import DeviceOptions, take_device
@@ -69,8 +69,9 @@ def view(
         raise InputError(f"scene must be left out without --compare, got {scene!r:.60}; add --compare")
     settings, address = parse_settings(given), (port, host, browser)
 
-    def read(parts: Sequence[str]) -> Subject:
-        return open_subject(what, settings, spacing, **shape | {"part": list(parts)})
+    def read(parts: Sequence[str], without: Sequence[str] = ()) -> Subject:
+        left_out = [*(shape.get("without") or ()), *without]
+        return open_subject(what, settings, spacing, **shape | {"part": list(parts), "without": left_out})
 
     def show(subject: Subject, place: Host | tuple[int, str, bool]) -> int:
         full = subject.scene is not None and subject.scene.kind is not SceneKind.PACKAGE
@@ -142,9 +143,16 @@ def _show(
     from palpate.app.view.surroundings import show_surroundings
     from palpate.parameters import written_section
 
-    preparation = Preparation(subject.title, durations_name, _first_surface(subject, full))
-    console = Console(preparation.begin)
     scene = subject.scene if full else None
+    surface = _first_surface(subject, full)
+    notes = (
+        [] if scene is None else [*scene.notes, *(f"surface: {each}" for each in (surface.warnings if surface else ()))]
+    )
+    preparation = Preparation(
+        subject.title, durations_name, surface, subtitle="" if scene is None else scene.subtitle,
+        notes=[option_names(note) for note in notes],
+    )  # fmt: skip
+    console = Console(preparation.begin)
     patience = TRAINING_STOP_SECONDS if scene is None and subject.model is None else STOP_SECONDS
     serving = contextlib.nullcontext(place) if isinstance(place, Host) else serve(preparation, console, *place)
     with serving as host, contextlib.ExitStack() as stack:

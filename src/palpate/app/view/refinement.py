@@ -8,6 +8,7 @@ from pathlib import Path
 from time import monotonic
 from typing import Any, Protocol
 
+from palpate.app.common.arguments import option_names
 from palpate.app.common.console import Console, percent
 from palpate.app.models.trained import training_folder
 from palpate.app.session.session import Session
@@ -137,6 +138,8 @@ class Refinement:
         model = load(Path(event["trained"]))
         foundations = complete_for_training(self._scene).foundations
         session = Session(model, self._session.title, foundations=foundations)
+        session.subtitle = self._session.subtitle
+        session.notes = tuple(option_names(note) for note in self._scene.notes)
         with self._lock:
             if not self._is_followed:
                 return

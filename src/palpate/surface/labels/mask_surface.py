@@ -32,7 +32,7 @@ BLOCK_SLACK = 0.25  # of a voxel, by which a block may exceed a step
 COARSE_EDGE = 1.5  # steps of the grid, from which an edge is divided
 VOLUME_ERROR, MAX_SECANTS = 2e-4, 8
 LEAST_VALUE = 1e-4  # distance of the field from the level: triangles have an area
-SPECK_SHARE = 0.01  # of the volume: smaller pieces of the smoothed field are left out
+SPECK_SHARE = 0.01  # of the volume: smaller pieces and cavities of the smoothed field are left out
 MIN_VOXELS, FEW_VOXELS = 30, 200  # of a body; below the second one the surface is coarse
 MIN_SHARE = 0.9  # of the voxels in the largest piece, which is taken without a choice
 MANY_PIECES = 100  # of a label, which may be a texture: less than half of its voxels then have neighbours in it
@@ -75,14 +75,18 @@ def label_surface(labels: LabelMap, part: str | Sequence[str] | None = None) -> 
 def _split_piece(labels: LabelMap, part: str | Sequence[str] | None) -> tuple[str | Sequence[str] | None, int]:
     """Return the parts without the number of a piece, and that number; 0 where none is given."""
     parts = [part] if isinstance(part, str) else list(part or ())
-    names = {each.name for each in labels.segments}
     for text in parts:
-        match = PIECE_PATTERN.fullmatch(text)
-        if match and text not in names:
+        if is_piece(labels, text):
             if len(parts) > 1:
                 raise InputError(f"part must be one label where a piece is chosen, got {len(parts)} of them; give one")
-            return match[1], int(match[2])
+            label, _, number = text.rpartition("#")
+            return label, int(number)
     return part, 0
+
+
+def is_piece(labels: LabelMap, text: str) -> bool:
+    """Return True for a text that chooses a piece of a label, such as ``"liver#2"``."""
+    return PIECE_PATTERN.fullmatch(text) is not None and all(each.name != text for each in labels.segments)
 
 
 def piece_sizes(mask: Mask) -> Ints:
@@ -97,7 +101,7 @@ def _pieces(voxels: NDArray[np.bool_]) -> tuple[NDArray[np.int32], Ints]:
 
 
 def largest_piece(mask: Mask, number: int = 0) -> Mask:
-    """Return the largest piece of a mask with its pores filled, cropped to it.
+    """Return the largest piece of a mask with its small cavities filled, cropped to it.
 
     Parameters
     ----------
@@ -130,7 +134,7 @@ def largest_piece(mask: Mask, number: int = 0) -> Mask:
         )
     voxels, filled = _without_pores(voxels)
     if filled:
-        warnings.append(f"{mask.name}: pores of {filled} voxel{'s' * (filled > 1)} in all filled")
+        warnings.append(f"{mask.name}: small cavities of {filled} voxel{'s' * (filled > 1)} in all filled")
     start = mask.start + [side.start for side in box]
     piece = replace(mask, voxels=voxels, start=start, warnings=())
     if piece.at_edge:
@@ -156,12 +160,16 @@ def _check_pieces(mask: Mask, sizes: Ints) -> None:
 
 
 def _without_pores(voxels: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], int]:
-    """Return a piece without cavities that are one or two voxels thick everywhere, and how many voxels these have."""
+    """Return a piece without small cavities, and how many voxels these have.
+
+    Small ones have less than 1 % of the piece's volume, or are one or two voxels thick everywhere.
+    """
     number, count = ndimage.label(np.pad(~voxels, 1, constant_values=True).T)
     number, filled = number.T, voxels.copy(order="K")
+    small = SPECK_SHARE * np.count_nonzero(voxels)
     for k, box in enumerate(ndimage.find_objects(number.T)[1:] if count > 1 else [], 2):  # the first is around it
         cavity = number[box[::-1]] == k
-        if not ndimage.binary_erosion(cavity).any():
+        if np.count_nonzero(cavity) < small or not ndimage.binary_erosion(cavity).any():
             inner = tuple(slice(side.start - 1, side.stop - 1) for side in box[::-1])
             filled[inner] |= cavity
     return filled, int(np.count_nonzero(filled) - np.count_nonzero(voxels))

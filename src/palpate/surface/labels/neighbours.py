@@ -1,17 +1,15 @@
-"""What lies in an organ of a label map, and what touches it."""
+"""What touches an organ of a label map."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
-import scipy.ndimage as ndimage
 from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats
 from palpate.surface.labels.label_map import LabelMap, Mask, Segment, segments_mask
 
-MIN_ENCLOSED_SHARE = 0.6  # of the voxels round a segment, which belong to the organ in which it lies
 CONTACT_EDGES = 1.5  # largest voxel edges between the boundary voxels of segments that touch
 CONTACT_SPACINGS = 0.5  # or as many spacings, if that is more
 
@@ -34,23 +32,6 @@ class CutFace(NamedTuple):
 def contact_distance(voxel_edges: Floats, spacing: float) -> float:
     """Return the distance [m] up to which boundary voxels of two segments touch."""
     return float(max(CONTACT_SPACINGS * spacing, CONTACT_EDGES * np.max(voxel_edges)))
-
-
-def enclosed_segments(labels: LabelMap, organ: Mask) -> list[Segment]:
-    """Return the segments that lie in an organ: most of the voxels around them are its voxels."""
-    enclosed = []
-    for segment, box in zip(labels.segments, labels.boxes, strict=True):
-        grown = tuple(slice(max(0, each.start - 1), each.stop + 1) for each in box)
-        if not _meet(organ, grown):
-            continue
-        voxels = labels.layers[segment.layer][grown] == segment.value
-        around = ndimage.binary_dilation(voxels) & ~voxels
-        if not around.any():
-            continue
-        inside = _window(organ, grown)
-        if (voxels & inside).sum() < voxels.sum() and (around & inside).sum() >= MIN_ENCLOSED_SHARE * around.sum():
-            enclosed.append(segment)
-    return enclosed
 
 
 def touching_segments(
@@ -96,18 +77,3 @@ def cut_faces(organ: Mask) -> list[CutFace]:
             point = organ.positions(places + organ.start).mean(axis=0)
             faces.append(CutFace(point, normal, len(places) / surface))
     return sorted(faces, key=lambda face: -face.share)
-
-
-def _meet(organ: Mask, box: tuple[slice, ...]) -> bool:
-    ends = zip(organ.start, organ.start + organ.voxels.shape, box, strict=True)
-    return all(a < side.stop and side.start < b for a, b, side in ends)
-
-
-def _window(organ: Mask, box: tuple[slice, ...]) -> np.ndarray:
-    """Return the voxels of an organ in a box of the image, which may reach beyond them."""
-    window = np.zeros([min(side.stop, size) - side.start for side, size in zip(box, organ.shape, strict=True)], bool)
-    start = np.array([side.start for side in box])
-    low, high = np.maximum(start, organ.start), np.minimum(start + window.shape, organ.start + organ.voxels.shape)
-    into = tuple(slice(a, b) for a, b in zip(low - start, high - start, strict=True))
-    window[into] = organ.voxels[tuple(slice(a, b) for a, b in zip(low - organ.start, high - organ.start, strict=True))]
-    return window

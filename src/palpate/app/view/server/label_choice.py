@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import queue
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from palpate.app.session.messages import parse_message
 from palpate.app.view.server.connection import close_connection
@@ -17,6 +17,13 @@ if TYPE_CHECKING:
     from palpate.surface.labels.listing import LabelRow
 
 POLL_INTERVAL = 0.5  # [s]: a wait without an end cannot be interrupted everywhere
+
+
+class Chosen(NamedTuple):
+    """Labels of a body, and those that lie in them and do not join."""
+
+    parts: tuple[str, ...]
+    without: tuple[str, ...] = ()
 
 
 class LabelChoice:
@@ -40,32 +47,50 @@ class LabelChoice:
     def __init__(self, title: str, rows: Sequence[LabelRow]) -> None:
         self.title, self.rows = title, tuple(rows)
         self.made = asyncio.Event()
-        self._chosen: queue.Queue[tuple[str, ...]] = queue.Queue(maxsize=1)
+        self._chosen: queue.Queue[Chosen] = queue.Queue(maxsize=1)
 
     def message(self) -> dict[str, Any]:
         """Return the message ``labels`` of the protocol."""
+        from palpate.surface.labels.listing import inner_text
+
         labels = [
             {
                 "part": row.part, "number": row.number, "name": row.name, "volume": row.volume, "pieces": row.pieces,
                 "at_edge": row.at_edge,
+                "inner": [
+                    {"part": each.part, "name": each.segment.name, "joins": each.joins, "why": inner_text(each)}
+                    for each in row.inner
+                ],
             } for row in self.rows
         ]  # fmt: skip
         return {"type": "labels", "title": self.title, "labels": labels}
 
-    def choose(self, parts: Sequence[str]) -> None:
-        """Take a choice; raise `InputError` for other parts than those of the labels, or the largest piece of one."""
+    def choose(self, parts: Sequence[str], without: Sequence[str] = ()) -> None:
+        """Take a choice.
+
+        Raises
+        ------
+        InputError
+            A part is not of the labels, or the largest piece of one; or what is left out lies in none of them.
+        """
         known = {row.part for row in self.rows} | {f"{row.part}#1" for row in self.rows}
         for part in parts:
             if part not in known:
                 raise InputError(f"choose: parts must be of the list, got {shortened(repr(part))}; choose others")
         if not parts:
             raise InputError("choose: parts must be one or more, got none; choose a label")
+        joining = {each.part for row in self.rows if row.part in parts for each in row.inner if each.joins}
+        for part in without:
+            if part not in joining:
+                raise InputError(
+                    f"choose: without must be of what joins the parts, got {shortened(repr(part))}; leave it out"
+                )
         try:
-            self._chosen.put_nowait(tuple(dict.fromkeys(parts)))
+            self._chosen.put_nowait(Chosen(tuple(dict.fromkeys(parts)), tuple(dict.fromkeys(without))))
         except queue.Full:
             raise InputError("choose must wait for the choice before, got another one; try again later") from None
 
-    def wait(self) -> tuple[str, ...]:
+    def wait(self) -> Chosen:
         """Return the next choice, once there is one."""
         while True:
             try:
@@ -101,7 +126,7 @@ async def _take(viewer: Viewer, choice: LabelChoice, text: str | bytes) -> bool:
         message = parse_message(text)
         if message["type"] != "choose":
             raise InputError(f"type must be 'choose' until labels are chosen, got {message['type']!r}; choose labels")
-        choice.choose(message["parts"])
+        choice.choose(message["parts"], message["without"])
     except InputError as error:
         if viewer.count_invalid_message():
             await close_connection(viewer.socket, INVALID_MESSAGES, "too many invalid messages")

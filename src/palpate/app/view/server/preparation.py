@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from time import monotonic
@@ -42,6 +43,10 @@ class Preparation:
         Shown meanwhile, with fewer triangles if it has many.
     file : path, optional
         Of the durations; by default in the user's cache.
+    subtitle : str
+        What lies in the body.
+    notes : sequence of str
+        Lines about how it was made.
 
     Attributes
     ----------
@@ -51,8 +56,17 @@ class Preparation:
         Whether a run of the same body has ended since the sources or the cache of compiled functions changed.
     """
 
-    def __init__(self, title: str, body: str, surface: Surface | None = None, file: Path | None = None) -> None:
+    def __init__(
+        self,
+        title: str,
+        body: str,
+        surface: Surface | None = None,
+        file: Path | None = None,
+        subtitle: str = "",
+        notes: Sequence[str] = (),
+    ) -> None:
         self.title, self._body = title, body
+        self._about = {"subtitle": subtitle, "notes": list(notes)}
         self.surface = None if surface is None else coarsen(surface, MAX_PREVIEW_TRIANGLES)
         self.space = "" if surface is None else surface.space
         self._file = file or (cache_folder() or Path(os.devnull)) / "preparation.json"
@@ -102,7 +116,7 @@ class Preparation:
         return {
             "type": "preparing", "title": self.title, "phase": phase, "seconds": now - self._start,
             "fraction": fraction, "seconds_left": left, "functions_compiled": self._functions.count,
-            "space": self.space,
+            "space": self.space, **self._about,
         }  # fmt: skip
 
 

@@ -1,0 +1,50 @@
+"""Errors of a full body's force against finite elements, by its number of nodes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class ForceStudy(NamedTuple):
+    """Errors of a ball's force on bodies of about the same number of nodes, pressed by half of its radius or deeper."""
+
+    fewest: int  # nodes
+    most: int
+    radius: float  # of the ball, over the spacing
+    median: float
+    largest: float
+
+
+# on five organs, the same balls in all (validation/elements.py)
+FORCE_STUDIES = ForceStudy(1582, 1799, 1.2, 0.058, 0.334), ForceStudy(2962, 3224, 1.5, 0.077, 0.199)
+
+
+def force_error_text(nodes: int) -> str:
+    """Return what is known of the error of the force on a body of a number of nodes.
+
+    Between the studies it is interpolated over the logarithm of the nodes; beyond them it is not known.
+    """
+    few, many = FORCE_STUDIES
+    study = next((each for each in FORCE_STUDIES if each.fewest <= nodes <= each.most), None)
+    if study is not None:
+        bodies = f"five organs of {_range(study)} nodes, with balls of {study.radius:g} spacings in radius"
+        return f"{_errors(study.median, study.largest)}, measured on {bodies}"
+    if few.most < nodes < many.fewest:
+        share = float(np.log(nodes / few.most) / np.log(many.fewest / few.most))
+        median, largest = (a + share * (b - a) for a, b in ((few.median, many.median), (few.largest, many.largest)))
+        return (
+            f"about {_errors(median, largest)}, between those of five organs of {_range(few)} and {_range(many)} nodes"
+        )
+    nearest, word = (few, "fewest") if nodes < few.fewest else (many, "most")
+    errors = _errors(nearest.median, nearest.largest)
+    return f"not known for {nodes:,} nodes: {errors} on five organs of {_range(nearest)} nodes, the {word} measured"
+
+
+def _range(study: ForceStudy) -> str:
+    return f"{study.fewest:,} to {study.most:,}"
+
+
+def _errors(median: float, largest: float) -> str:
+    return f"{100 * median:.0f} % in the median and {100 * largest:.0f} % at most"
