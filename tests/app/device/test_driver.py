@@ -58,7 +58,7 @@ def test_a_hand_presses_the_body_of_a_session(held, session, said, until):
     until(is_pressed, lambda: (session.snapshot(), said))
     until(follows, lambda: (session.snapshot(), said))
     until(lambda: device.force[2] == pytest.approx(session.snapshot().force[2], rel=0.05))
-    assert said == ["haply: 049D moves the first tool"]
+    assert said == ["haply: 049D moves tool 1"]
     assert session.status()["devices"] == [[0, "049D"]]
 
 
