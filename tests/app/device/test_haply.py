@@ -30,8 +30,11 @@ def pressed(service, wall, until, down=0.014, k=0):
     """Press, and wait for the whole force: hand and wall are two springs."""
     index = next((int(i) for i, name in wall.devices.items() if name == service.devices[k].name), 0)
     until(lambda: index in wall.poses)  # the hand is where it was at first
-    service.move(down, k)
     device = service.devices[k]
+    for depth in np.linspace(0.0, down, 50):  # slowly: a step between two late messages would be a jump
+        service.move(depth, k)
+        messages = len(device.log) + 3
+        until(lambda: len(device.log) > messages)  # noqa: B023, it is called before the next round
     whole = (down - START) * STIFFNESS * HAND_STIFFNESS / (STIFFNESS + HAND_STIFFNESS)
     until(lambda: abs(size(device) - whole) < 0.02 * whole and rests(device), lambda: (device.force, wall.said))
     return whole
@@ -141,7 +144,13 @@ def test_a_service_that_does_not_answer_gets_no_force(service_of, wall_of, until
     service.emulator.muted = True
     until(lambda: size(device) == 0.0)
     service.emulator.muted = False
-    until(lambda: size(device) > 0.3)
+    depths = iter(np.arange(0.014, 0.1, 1e-5))
+
+    def is_pressed():  # deeper and deeper: without its force the hand has moved on, and continues from the tool
+        service.move(next(depths))
+        return size(device) > 0.3
+
+    until(is_pressed)
 
 
 def test_a_killed_adapter_leaves_no_force(service_of, wall_of, until):

@@ -24,13 +24,13 @@ from palpate.app.device.options import DeviceOptions, axes_rotation
 from palpate.app.device.service import Fault, Grip, ServiceState, assign_tools
 from palpate.app.device.statistics import (
     CLUTCH_PRESSED,
-    POSITION_JUMP,
     NO_ANSWER,
     NO_CONTACT,
+    NO_READING,
     NOT_LISTED,
     NOT_RUNNING,
     OLD_READING,
-    NO_READING,
+    POSITION_JUMP,
     HandStatistics,
     tool_name,
 )
@@ -45,7 +45,7 @@ SAME_LINE_SECONDS = 10.0  # [s] in which a line is not said again
 MAX_LINES, MAX_NAMES = 100, 64  # different lines that are said; devices that are remembered
 NO_FORCE = np.zeros(3)
 NO_GRIP = Grip(None, False)
-NOT_READ_YET = Fault("is new", "")  # of a device whose states were not read yet
+NOT_READ = Fault("is new", "")  # of a device whose states were not read yet
 
 
 @dataclass
@@ -317,9 +317,7 @@ class HandLoop:
         for name, index in assigned.items():
             if name not in self.hands:
                 statistics = HandStatistics(index)
-                self.hands[name] = Hand(
-                    index, Freshness(self.options.max_age), statistics, seen=now, fault=NOT_READ_YET
-                )
+                self.hands[name] = Hand(index, Freshness(self.options.max_age), statistics, seen=now, fault=NOT_READ)
             if name in listed:
                 self._note_fault(name, self.hands[name], state.faults.get(name), now)
         for name in list(self._assigned)[:-MAX_NAMES]:

@@ -21,8 +21,8 @@ Subject = TypeVar("Subject")
 
 @contextlib.contextmanager
 def choose_on_page(
-    file: str, names: Path | None, read: Callable[[Sequence[str]], Subject], address: tuple[int, str, bool]
-) -> Iterator[tuple[Host | tuple[int, str, bool], Subject]]:
+    file: str, names: Path | None, read: Callable[[Sequence[str]], Subject], address: tuple[int, str, bool, str | None]
+) -> Iterator[tuple[Host | tuple[int, str, bool, str | None], Subject]]:
     """Yield what `read` returns for the labels of a map that are chosen on the page, and the host of the page.
 
     A choice that `read` refuses is reported on the page, where another can be made. A map of one label needs no choice,

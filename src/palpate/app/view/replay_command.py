@@ -56,6 +56,7 @@ def replay(
     part: Sequence[str] | None = None,
     port: int = DEFAULT_PORT,
     host: str = LOOPBACK,
+    public_url: str | None = None,
     browser: bool = True,
 ) -> int:
     """Show a recording on a page, or export it.
@@ -75,7 +76,7 @@ def replay(
         Scalar that colours the pictures.
     labels, out, field, frame, part
         Write a deformed label map or a field instead; see `write_deformed_labels`.
-    port, host, browser
+    port, host, public_url, browser
         As for `palpate.app.view.command.view`.
 
     Returns
@@ -121,7 +122,7 @@ def replay(
     if not exports and not full:
         from palpate.app.view.server.host import serve_source
 
-        serve_source(Replay(recording), console, port, host, browser)
+        serve_source(Replay(recording), console, port, host, browser, public_url)
     return 0
 
 
