@@ -181,6 +181,7 @@ const answers = {
     const before = driver();
     Object.assign(session.status, message);
     hands.adopt(message.all_tools ?? [message.tool]);
+    if (message.devices) hands.devices = new Map(message.devices);
     panel.materials(message.materials);
     if (driver() && !before && scene.body?.count === session.hello.vertices) hands.start();
     showStatus();

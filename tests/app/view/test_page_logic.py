@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.app.device.statistics import tool_name
 from palpate.dynamics.contact.blade import Scalpel
 
 sys.path.append(str(Path(__file__).parent))
@@ -277,3 +278,8 @@ def test_a_blade_follows_the_surface_at_rest_and_not_its_wound(surface):
 )  # fmt: skip
 def test_the_socket_is_next_to_the_page_and_secure_where_the_page_is(page, socket):
     assert evaluate("protocol.js", f"m.socketAddress({json.dumps(page)})") == socket
+
+
+def test_a_tool_has_the_name_of_the_terminal_and_of_reports():
+    titles = evaluate("hands.js", "[0, 1, 3].map((index) => m.titleOf(index, 'grasp'))")
+    assert titles == [f"{tool_name(index).capitalize()}: forceps" for index in (0, 1, 3)]

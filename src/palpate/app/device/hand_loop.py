@@ -37,8 +37,8 @@ from palpate.app.device.statistics import (
 from palpate.arrays import Floats
 
 MAX_INTERVAL = 0.05  # [s] between two states from which a velocity is taken
-MAX_HAND_SPEED = 3.0  # [m/s]: through all of an arm's reach in 0.1 s
-MAX_HAND_STEP, MAX_STEP_AFTER_GAP = 0.02, 0.002  # [m] of a hand between two states; after a gap without answers
+MAX_HAND_SPEED = 2.0  # [m/s]: through all of an arm's reach in 0.15 s
+MAX_STEP_AFTER_GAP = 0.002  # [m] of a hand over a gap without answers
 GONE_SECONDS = 0.1  # [s] out of the messages after which a device is gone; its force is zero at once
 REPORT_SECONDS = 0.5  # [s] between two messages with statistics
 SAME_LINE_SECONDS = 10.0  # [s] in which a line is not said again
@@ -122,7 +122,7 @@ class HandLoop:
         self._lines: dict[str, float] = {}  # when each was said [s]
         self._grips: list[str] = []  # names of grips by the tool that they turn
         self._period, self._number, self._asked = 1e-3, 0, False
-        self._time, self._time_before, self._reported = -math.inf, -math.inf, -math.inf  # [s] of the last two states
+        self._time, self._interval, self._reported = -math.inf, math.inf, -math.inf  # [s] of the last state
         self._after_gap = False  # whether no state came for a time
 
     def receive(self, message: Mapping[str, Any], now: float) -> None:
@@ -157,9 +157,10 @@ class HandLoop:
         A device that is not in the state has no force, and is gone after a while; so has one that is not ready. After
         that, and after a step that no hand makes, a hand continues from where its tool is.
         """
-        interval, window = now - self._time, now - self._time_before
-        self._time_before, self._time = self._time, now
-        held = min(max(interval, 0.0), SAME_LINE_SECONDS) if math.isfinite(interval) else 0.0
+        interval = now - self._time
+        window = interval + min(self._interval, self.options.max_age)
+        self._time, self._interval = now, interval
+        held = max(interval, 0.0) if math.isfinite(interval) else 0.0
         for hand in self.hands.values():
             hand.note_time(held)
         self._note_devices(state, now)
@@ -199,8 +200,8 @@ class HandLoop:
         step = NO_FORCE if hand.position is None else position - hand.position
         hand.position = position
         late = self._after_gap or interval > self.options.max_age
-        limit = MAX_STEP_AFTER_GAP / max(self.options.device_scale, 1.0) if late else MAX_HAND_STEP
-        if hand.anchor is None or step @ step <= min(MAX_HAND_SPEED * window, limit) ** 2:
+        limit = MAX_STEP_AFTER_GAP / max(self.options.device_scale, 1.0) if late else MAX_HAND_SPEED * window
+        if hand.anchor is None or step @ step <= limit**2:
             return step
         hand.anchor = None
         hand.let_go(POSITION_JUMP)
@@ -281,7 +282,7 @@ class HandLoop:
     def close(self) -> None:
         """Take all devices away: the connection has ended."""
         self._report(math.inf)
-        self._time, self._time_before, self._reported = -math.inf, -math.inf, -math.inf
+        self._time, self._interval, self._reported = -math.inf, math.inf, -math.inf
         self._grips = []
         if self.hands:
             self.hands = {}

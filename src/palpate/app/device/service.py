@@ -147,22 +147,28 @@ def _position(name: str, state: Any) -> Vector:
 def _fault(entry: Mapping[str, Any]) -> Fault | None:
     """Return why a device is not ready; None if it is, or if the service does not state it."""
     faults: set[Fault] = set()
-    _note_faults(entry, faults, 1)
-    return next((each for each in FAULT_ORDER if each in faults), None) if faults else None
+    _note_faults(entry, faults, 0)
+    for name, depth in (("status", MAX_STATUS_DEPTH), ("state", 0)):
+        given = entry.get(name)
+        if isinstance(given, dict):
+            _note_faults(given, faults, depth)
+    return next(each for each in FAULT_ORDER if each in faults) if faults else None
 
 
 def _note_faults(given: Mapping[str, Any], faults: set[Fault], depth: int) -> None:
-    """Collect the faults that an entry states, in itself, its `status`, its `state`, and objects in these."""
+    """Collect the faults that an object of an entry states, also in objects in it down to a depth."""
     for key, value in given.items():
-        name = key.lower().removeprefix("is_")
+        if value is True and key in NEEDED_STATES:  # the usual one
+            continue
+        name = key.removeprefix("is_")
         if name in FORBIDDEN_STATES:
             if _has_error(value):
                 faults.add(FORBIDDEN_STATES[name])
         elif name in NEEDED_STATES:
             if not _holds(value):
                 faults.add(NEEDED_STATES[name])
-        elif isinstance(value, dict) and depth < MAX_STATUS_DEPTH and (depth > 1 or key in ("status", "state")):
-            _note_faults(value, faults, depth + 1)
+        elif depth and isinstance(value, dict):
+            _note_faults(value, faults, depth - 1)
 
 
 def _parts(value: Any) -> list[Any]:

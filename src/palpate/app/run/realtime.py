@@ -165,13 +165,13 @@ def _observations(black_box: Path, body: Any) -> dict[str, Any]:
 
 
 def _other_tools(black_box: Path, last_forces: list[float]) -> dict[str, dict[str, float]]:
-    """Return the forces on the tools after the first that touched the body, by their index."""
+    """Return the forces on the tools after the first that touched the body, by their names."""
     import h5py
 
     with h5py.File(black_box) as file:
         forces = np.linalg.norm(file["tools/force"][:], axis=2)
     return {
-        str(index): {"largest_force": float(forces[:, index].max()), "last_force": last}
+        tool_name(index): {"largest_force": float(forces[:, index].max()), "last_force": last}
         for index, last in enumerate(last_forces)
         if index > 0 and forces[:, index].any()
     }
@@ -250,7 +250,9 @@ TIMING_ROWS: Rows = {
 }
 TOOL_ROWS: Rows = {
     f"largest force on {tool_name(0)}": "{tool/largest_force:.3g N}",
-    **{f"largest force on {tool_name(k)}": f"{{tools/{k}/largest_force:.3g N}}" for k in range(1, MAX_TOOLS)},
+    **{
+        f"largest force on {tool_name(k)}": f"{{tools/{tool_name(k)}/largest_force:.3g N}}" for k in range(1, MAX_TOOLS)
+    },
     "farthest that the tool went": "{tool/largest_displacement:.3g mm}",
     "steps of the model in a period": "{tool/mean_steps_per_period:.2g}",
     "trust number, median; largest (above 1: not trained on)": "{tool/median_trust:.2f}; {tool/largest_trust:.2f}",
@@ -303,9 +305,16 @@ def _tables(report: dict[str, Any], statistics: Statistics) -> list[Table | str]
         quantities(f"{report['title']}, {timing['periods']} periods", TIMING_ROWS, kinds),
         quantities_table("Periods", ["computing", "lateness"], _histogram(statistics), "time", "left"),
         quantities("Tool", TOOL_ROWS, {"value": report}),
-        *([quantities("Hands", HAND_ROWS, report["hands"])] if report.get("hands") else []),
+        *_hands_table(report),
         *(f"{label}: {sentence}" for label, (sentence,) in rows_of(VERDICT_ROWS, values).items()),
     ]
+
+
+def _hands_table(report: Mapping[str, Any]) -> list[Table | str]:
+    """Return the statistics of hands; nothing without the option of a device."""
+    if "hands" not in report:
+        return []
+    return [quantities("Hands", HAND_ROWS, report["hands"])] if report["hands"] else ["Hands: no device moved a tool."]
 
 
 def _histogram(statistics: Statistics) -> dict[str, list[str]]:

@@ -23,7 +23,7 @@ from palpate.app.view.film import (
     write_movie,
     write_picture,
 )
-from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK
+from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK, public_address
 from palpate.dynamics.run.progress import progress_bar
 from palpate.extras import require
 from palpate.faults import InputError
@@ -94,6 +94,8 @@ def replay(
         raise InputError(f"png must end in .png, got {str(png)!r}; choose another name")
     if png is not None:
         check_picture()
+    if public_url is not None:
+        public_address(public_url)
     exports = png is not None or movie is not None or labels is not None
     if not exports and not full:
         require("websockets", "palpate replay")

@@ -14,7 +14,6 @@ from palpate.app.view.server.address import PublicAddress
 PAGE_FOLDER = Path(__file__).parents[1] / "page"
 SOCKET_PATH = "/session"
 PRINTED_HEADER = re.compile(r"[A-Za-z0-9.:/\[\]_-]{1,100}")  # of a request, which a refusal repeats
-WITH_PROXY = "for a forwarded port or a proxy start palpate with --public-url"
 CONTENT_TYPES = {
     ".html": "text/html; charset=utf-8", ".js": "text/javascript; charset=utf-8", ".css": "text/css; charset=utf-8",
     ".svg": "image/svg+xml", ".png": "image/png", ".ico": "image/x-icon", ".json": "application/json",
@@ -81,7 +80,8 @@ class Page:
             return self._response(HTTPStatus.SERVICE_UNAVAILABLE, CONTENT_TYPES[".html"], text, host)
         return self._plain(
             HTTPStatus.NOT_FOUND,
-            f"no such file; {WITH_PROXY} https://HOST/PREFIX/, where the page has a path there; see docs/view.md",
+            "no such file; behind a proxy where the page has a path, start palpate with --public-url "
+            "https://HOST/PREFIX/; see docs/view.md",
         )
 
     @staticmethod
@@ -98,8 +98,8 @@ class Page:
         url = "http://HOST:PORT" if printed is None else printed if "://" in printed else f"http://{printed}"
         return self._plain(
             HTTPStatus.FORBIDDEN,
-            f"{name} must be {allowed}, got {printed or 'another'}; forward the same port at both ends, or "
-            f"{WITH_PROXY} {url}/; see docs/view.md",
+            f"{name} must be {allowed}, got {printed or 'another'}; forward the same port at both ends, or start "
+            f"palpate with --public-url {url}/; see docs/view.md",
         )
 
     def _plain(self, status: HTTPStatus, text: str) -> Response:
