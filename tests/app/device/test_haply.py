@@ -302,7 +302,14 @@ def test_a_device_that_is_calibrated_after_the_start_moves_its_tool_then(service
 def test_the_statistics_of_a_hand_say_why_it_has_no_force(service_of, wall_of, until):
     service = service_of("049D")
     wall = wall_of(service)
-    pressed(service, wall, until)
+    until(lambda: 0 in wall.poses)
+    depths = iter(np.arange(0.0, 0.1, 1e-4))
+
+    def is_pressed():
+        service.move(next(depths))
+        return size(service.devices[0]) > 0.2
+
+    until(is_pressed)
     service.devices[0].buttons["b"] = True
     until(lambda: "049D" in wall.hands and wall.hands["049D"].without_force.get("clutch", 0.0) > 0.1)
     hand, log = wall.hands["049D"], service.devices[0].log

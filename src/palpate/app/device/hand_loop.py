@@ -78,6 +78,11 @@ class Hand:
         self.force, self.without = NO_FORCE, reason
         self.freshness.restart()
 
+    def give(self, force: Floats, is_damped: bool) -> None:
+        """Note the force (3,) [N] that is sent, and whether the energy account changed it."""
+        self.force, self.is_damped = force, is_damped
+        self.statistics.peak_force = max(self.statistics.peak_force, math.sqrt(force @ force))
+
     def block(self, fault: Fault) -> None:
         """Leave the tool: another hand may move it, so its pose is read again afterwards."""
         self.fault, self.anchor, self.pose, self.reading, self.epoch = fault, None, None, None, -1
@@ -86,9 +91,7 @@ class Hand:
     def note_time(self, interval: float) -> None:
         """Count a message, and a time [s] in which the last force was held."""
         told, size = self.statistics, math.sqrt(self.force @ self.force)
-        told.seconds, told.messages, told.peak_force = (
-            told.seconds + interval, told.messages + 1, max(told.peak_force, size)
-        )  # fmt: skip
+        told.seconds, told.messages = told.seconds + interval, told.messages + 1
         if size == 0.0:
             told.without_force[self.without] = told.without_force.get(self.without, 0.0) + interval
             told.interruptions += self.had_force and self.without not in (NO_CONTACT, CLUTCH_PRESSED)
@@ -186,7 +189,7 @@ class HandLoop:
         self.account.forget(math.fsum(stored) if all(map(math.isfinite, stored)) else math.inf)
         passive = self.account.passive_forces(wanted, velocities, interval)
         for hand, force, free in zip(moving, passive, wanted, strict=True):
-            hand.force, hand.is_damped = limited_force(force, self.options.device_limit), force is not free
+            hand.give(limited_force(force, self.options.device_limit), force is not free)
         self._send_poses()
         self._report(now)
         return {name: hand.force.tolist() for name, hand in self.hands.items()}
