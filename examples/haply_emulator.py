@@ -51,6 +51,7 @@ class Device:
         self.buttons = {"a": False, "b": False, "c": False}
         self.orientation = [1.0, 0.0, 0.0, 0.0]
         self.present = True
+        self.status = dict.fromkeys(("calibrated", "in_use", "power_supply", "ready", "started"), True)
         self.force, self.work, self.velocity = [0.0] * 3, 0.0, [0.0] * 3
         self.position = list(target(0.0))
         self.restart()
@@ -86,7 +87,7 @@ class Device:
         return {
             "device_id": self.name,
             "state": {"cursor_position": _vector(self.position), "cursor_velocity": _vector(self.velocity)},
-            "status": {"calibrated": True, "in_use": True, "power_supply": True, "ready": True, "started": True},
+            "status": dict(self.status),
         }
 
     def grip(self) -> dict[str, Any]:
@@ -139,6 +140,11 @@ class Emulator:
             if entry["device_id"] in by_name:
                 by_name[entry["device_id"]].set_force([command[name] for name in "xyz"])
 
+    def calibrate(self, done: bool = True) -> None:
+        """State that all devices are calibrated, or are not."""
+        for device in self.devices:
+            device.status |= {"calibrated": done, "ready": done}
+
     def _message(self, snapshot: bool = False) -> dict[str, Any]:
         present = [device for device in self.devices if device.present]
         for device in present:
@@ -157,10 +163,13 @@ async def emulate(emulator: Emulator, port: int, ready: Callable[[], None] = lam
         await asyncio.get_running_loop().create_future()
 
 
-async def main(port: int, count: int, depth: float) -> None:
+async def main(port: int, count: int, depth: float, calibrated_after: float) -> None:
     """Serve devices, and print once a second where they are and what they feel."""
     hands = ["right", "left"] if count > 1 else ["right"]
     emulator = Emulator([Device(f"E{k:03d}", hand, pressing(depth)) for k, hand in enumerate(hands)])
+    if calibrated_after > 0.0:
+        emulator.calibrate(False)
+        asyncio.get_running_loop().call_later(calibrated_after, emulator.calibrate)
     serving = asyncio.create_task(emulate(emulator, port))
     print(f"devices {', '.join(each.name for each in emulator.devices)} at ws://localhost:{port}; stop with Ctrl-C")
     while not serving.done():
@@ -178,6 +187,8 @@ if __name__ == "__main__":
     parser.add_argument("--port", type=int, default=PORT)
     parser.add_argument("--devices", type=int, choices=(1, 2), default=1)
     parser.add_argument("--depth", type=float, default=PRESS_DEPTH, help="depth of the press [m]")
+    text = "time after which the devices are calibrated [s]"
+    parser.add_argument("--calibrated-after", type=float, default=0.0, metavar="S", help=text)
     given = parser.parse_args()
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(main(given.port, given.devices, given.depth))
+        asyncio.run(main(given.port, given.devices, given.depth, given.calibrated_after))

@@ -18,6 +18,7 @@ import numpy as np
 
 from palpate.app.device.haply import serve_devices
 from palpate.app.device.options import DeviceOptions
+from palpate.app.device.statistics import add_statistics
 from palpate.processes import Child
 
 PATH = Path(__file__).parents[1] / "examples" / "haply_emulator.py"
@@ -91,7 +92,7 @@ class Wall:
     """
 
     def __init__(self, port: int, tools: int = 1, **options: object) -> None:
-        self.said, self.devices, self.poses = [], {}, {}
+        self.said, self.devices, self.poses, self.hands = [], {}, {}, {}
         self.steps, self.epoch, self.stalled, self.silent = 0, 1, False, False
         self.tools, self._starts = tools, [np.array([0.1 * k, 0.0, START]) for k in range(tools)]
         given = {"options": asdict(DeviceOptions(**options, port=port)), "tools": tools}
@@ -105,6 +106,8 @@ class Wall:
                 self.said.append(answer["say"])
             elif "devices" in answer:
                 self.devices = answer["devices"]
+            elif "hands" in answer:
+                add_statistics(self.hands, answer["hands"])
             else:
                 self._answer(answer["poses"])
 

@@ -10,30 +10,51 @@ const ARRAYS = [Float64Array, Float32Array, BigInt64Array, Uint32Array, Uint8Arr
 // a module of one function with a vector: valid where there is simd128
 const VECTORS = new Uint8Array([0, 97, 115, 109, 1, 0, 0, 0, 1, 5, 1, 96, 0, 1, 123, 3, 2, 1, 0, 10, 10, 1, 8, 0, 65, 0, 253, 15, 253, 98, 11]);
 
-async function fetched(url, kind) {
-  const response = await fetch(url).catch(() => null);
-  if (!response?.ok) throw new Error(`${url} cannot be read; open the page from a web server, such as python3 -m http.server`);
-  return response[kind]();
+const GZIP = [0x1f, 0x8b];
+const WASM = [0x00, 0x61, 0x73, 0x6d];
+const MAX_PACKINGS = 3; // of a file that a server or a cache has packed again
+const beginsWith = (bytes, mark) => mark.every((byte, k) => bytes[k] === byte);
+
+async function unpacked(bytes) {
+  const stream = new Response(bytes).body.pipeThrough(new DecompressionStream("gzip"));
+  return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-async function unpacked(url) {
-  const stream = (await fetched(url, "blob")).stream().pipeThrough(new DecompressionStream("gzip"));
-  return new Uint8Array(await new Response(stream).arrayBuffer());
+/**
+ * The bytes of a file, unpacked. What arrives decides and not its name: a server that declares "Content-Encoding: gzip"
+ * lets the browser unpack, and a cache may have packed a packed file again.
+ */
+async function fetched(url) {
+  const response = await fetch(url).catch(() => null);
+  let bytes = response?.ok ? await response.arrayBuffer().then((buffer) => new Uint8Array(buffer), () => null) : null;
+  if (!bytes) throw new Error(`${url} cannot be read; open the page from a web server, such as python3 -m http.server`);
+  for (let k = 0; k < MAX_PACKINGS && bytes && beginsWith(bytes, GZIP); k++) bytes = await unpacked(bytes).catch(() => null);
+  if (!bytes) throw new Error(`${url} is damaged: it cannot be unpacked. Export the page again.`);
+  return bytes;
+}
+
+/** As `fetched`; a server that answers with a page of its own is named. */
+async function fetchedAs(url, isRight) {
+  const bytes = await fetched(url);
+  if (!isRight(bytes)) throw new Error(`${url} is another file: the server must send it as it was exported.`);
+  return bytes;
 }
 
 /** Load a model from a folder; throws an error for people. */
 export async function openModel(folder) {
   if (typeof WebAssembly === "undefined") throw new Error("This browser has no WebAssembly, which the model needs. Update it.");
-  const about = await fetched(`${folder}model.json`, "json");
+  const isObject = (bytes) => new TextDecoder().decode(bytes.subarray(0, 1)) === "{";
+  const about = JSON.parse(new TextDecoder().decode(await fetchedAs(`${folder}model.json`, isObject)));
   const name = WebAssembly.validate(VECTORS) ? "simd" : "scalar";
-  const [code, content] = await Promise.all([fetched(`${folder}${name}.wasm`, "arrayBuffer"), unpacked(`${folder}model.gz`)]);
+  const code = fetchedAs(`${folder}${name}.wasm`, (bytes) => beginsWith(bytes, WASM));
+  const [module, content] = await Promise.all([code, fetched(`${folder}model.gz`)]);
   // the memory: constants of the code, the stack, and the model
   const stack = Math.ceil(about.data_end / MODEL_ALIGNMENT) * MODEL_ALIGNMENT + STACK_BYTES;
   const memory = new WebAssembly.Memory({ initial: Math.ceil((stack + about.memory_size) / PAGE_BYTES) });
   const pointer = new WebAssembly.Global({ value: "i32", mutable: true }, stack);
   const given = { __linear_memory: memory, __stack_pointer: pointer };
   const env = new Proxy(given, { get: (_, symbol) => given[symbol] ?? Math[symbol] });
-  const { instance } = await WebAssembly.instantiate(code, { env });
+  const { instance } = await WebAssembly.instantiate(module, { env });
   return new ExportedModel(about, instance.exports, memory.buffer, stack, content);
 }
 

@@ -1,6 +1,6 @@
 // The list of the tools in the panel, the labels of those that are held, and the button that holds one.
 import { plainForce } from "./forceText.js";
-import { nameOf } from "./hands.js";
+import { titleOf } from "./hands.js";
 
 const LABEL_GAP = 16; // [px] between a tool and its label
 const [LABEL_WIDTH, LABEL_HEIGHT] = [104, 30]; // [px], kept in view
@@ -42,10 +42,10 @@ export class HandList {
     const { hands, listed } = this;
     this.button.hidden = !hands.several || !driver;
     this.button.setAttribute("aria-pressed", hands.armed);
-    const key = JSON.stringify([driver, hands.several, listed.map(({ index, tool, pinned, inHand }) => [index, tool.kind, pinned, inHand])]);
+    const key = JSON.stringify([driver, hands.several, [...hands.devices], listed.map(({ index, tool, pinned, inHand }) => [index, tool.kind, pinned, inHand])]);
     if (key === this.key) return;
     this.key = key;
-    this.list.hidden = !hands.several || listed.length < 2;
+    this.list.hidden = !hands.several || (listed.length < 2 && !hands.devices.size);
     this.rows = listed.map((each) => this.row(each, driver));
     this.list.replaceChildren(...this.rows.map(({ row }) => row));
     const labelled = hands.several ? listed.filter(({ pinned, inHand }) => pinned || (!inHand && listed.length > 1)) : [];
@@ -54,25 +54,27 @@ export class HandList {
   }
 
   row({ index, tool, pinned, inHand }, driver) {
-    const name = nameOf(tool.kind);
+    const name = titleOf(index, tool.kind);
     const row = element("li", inHand ? "in-hand" : "");
     row.dataset.index = index;
     const force = element("output", "value");
-    const where = element("span", "where", pinned ? "held" : inHand ? "in hand" : "");
+    const device = this.hands.devices.get(index);
+    const where = element("span", "where", device ?? (pinned ? "held" : inHand ? "in hand" : ""));
+    if (device) where.title = `Moved by the device ${device}`;
     const title = pinned && driver ? button(name, `Take ${name} in hand`, () => this.actions.take(index)) : element("span", "", name);
     title.classList.add("name");
     row.append(element("i", `chip tool-${index}`), title, where, force);
-    if (driver && (pinned || !inHand)) row.append(button("×", `Release ${name}`, () => this.actions.release(index)));
+    if (driver && !device && (pinned || !inHand)) row.append(button("×", `Release ${name}`, () => this.actions.release(index)));
     return { row, force, index };
   }
 
   label({ index, tool }, driver) {
-    const name = nameOf(tool.kind);
+    const name = titleOf(index, tool.kind);
     const label = element("div", `held-label tool-${index}`);
     label.dataset.index = index;
     const force = element("span", "");
     label.append(element("i", `chip tool-${index}`), force);
-    if (driver) {
+    if (driver && !this.hands.devices.has(index)) {
       force.onclick = () => this.actions.take(index);
       label.append(button("×", `Release ${name}`, () => this.actions.release(index)));
     }

@@ -5,6 +5,8 @@ const AWAY = { kind: "none", pinned: false, force: [0, 0, 0], newtons: 0, positi
 
 export const NAMES = { sphere: "Sphere", capsule: "Capsule", grasp: "Forceps", scalpel: "Scalpel" };
 export const nameOf = (kind) => NAMES[kind] ?? kind[0].toUpperCase() + kind.slice(1);
+/** The name of a tool, as in the terminal and in reports, and its kind. */
+export const titleOf = (index, kind) => `Tool ${index + 1}: ${nameOf(kind).toLowerCase()}`;
 
 const emptySlot = () => ({ tool: null, pinned: false, asked: -Infinity, press: null, state: AWAY, sent: "" });
 
@@ -14,7 +16,7 @@ export class Hands {
    * changed() after another tool is in hand.
    */
   constructor(page) {
-    Object.assign(this, { page, max: 1, inHand: 0, slots: [emptySlot()], armed: false, kinds: [] });
+    Object.assign(this, { page, max: 1, inHand: 0, slots: [emptySlot()], armed: false, kinds: [], devices: new Map() });
   }
 
   /** Begin with the tools of a hello message, by kind {kind: settings}. */
@@ -178,7 +180,7 @@ export class Hands {
   pin(index, pinned) {
     Object.assign(this.slots[index], { pinned, asked: performance.now() });
     this.page.send({ type: "pin", index, pinned });
-    this.page.announce(`${nameOf(this.slots[index].tool.kind)} ${pinned ? "held" : "in hand"}`);
+    this.page.announce(`${titleOf(index, this.slots[index].tool.kind)} ${pinned ? "held" : "in hand"}`);
     this.page.changed();
   }
 

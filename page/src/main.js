@@ -13,7 +13,7 @@ import { StatusLine } from "./statusLine.js";
 import { Panel } from "./panel.js";
 import { Plots } from "./plots.js";
 import { Preparation } from "./preparation.js";
-import { Connection } from "./protocol.js";
+import { Connection, socketAddress } from "./protocol.js";
 import { Refinement } from "./refinement.js";
 import { Scene } from "./scene.js";
 import { Surroundings, SurroundingsPanel, shapeName } from "./surroundings.js";
@@ -125,7 +125,7 @@ function start() {
   else if (!token) {
     statusLine.setConnection("Not connected", "bad");
     statusLine.showMessage("Open the complete address that palpate view prints, including the part after #.");
-  } else connection = new Connection(`ws://${location.host}/session`, token, { message, frame, lost, ended });
+  } else connection = new Connection(socketAddress(location.href), token, { message, frame, lost, ended });
   let last = performance.now();
   requestAnimationFrame(function again(now) {
     requestAnimationFrame(again);
@@ -181,6 +181,7 @@ const answers = {
     const before = driver();
     Object.assign(session.status, message);
     hands.adopt(message.all_tools ?? [message.tool]);
+    if (message.devices) hands.devices = new Map(message.devices);
     panel.materials(message.materials);
     if (driver() && !before && scene.body?.count === session.hello.vertices) hands.start();
     showStatus();
@@ -233,13 +234,16 @@ function frame(received) {
   }
 }
 
-function lost(seconds) {
+function lost(seconds, opened) {
   choice.end();
   session.next = session.nextTools = null;
   controls.forget();
   session.status.driver = false;
   statusLine.setConnection("Not connected", "bad");
-  statusLine.showMessage(`Connection lost. Reconnecting ${seconds < 1 ? "now" : `in ${Math.round(seconds)} s`} …`);
+  const again = `Reconnecting ${seconds < 1 ? "now" : `in ${Math.round(seconds)} s`} …`;
+  const page = new URL(".", location.href).href;
+  const remedy = `palpate has ended, or lets no socket through: behind a proxy start it with --public-url ${page}`;
+  statusLine.showMessage(opened ? `Connection lost. ${again}` : `No connection: ${remedy}. ${again}`);
   byId("watching").hidden = true;
 }
 

@@ -89,10 +89,17 @@ const FIRST_RETRY_DELAY = 500; // [ms], doubled after each failure
 const MAX_RETRY_DELAY = 8000;
 const FINAL_CODES = { 4401: "token", 4400: "refused", 4429: "full" }; // closing codes without a retry
 
-/** A connection that reconnects. Calls on.message, on.frame, on.lost(seconds) and on.ended(reason). */
+/** The address of the session's socket: next to the page, also below a prefix, and secure where the page is. */
+export function socketAddress(page) {
+  const address = new URL("session", page);
+  address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
+  return address.href;
+}
+
+/** A connection that reconnects. Calls on.message, on.frame, on.lost(seconds, opened) and on.ended(reason). */
 export class Connection {
   constructor(url, token, on) {
-    Object.assign(this, { url, token, on, wait: FIRST_RETRY_DELAY, timer: 0 });
+    Object.assign(this, { url, token, on, wait: FIRST_RETRY_DELAY, timer: 0, opened: false });
     this.connect();
   }
 
@@ -101,7 +108,10 @@ export class Connection {
     const socket = new WebSocket(this.url, Object.keys(VERSIONS));
     this.socket = socket;
     socket.binaryType = "arraybuffer";
-    socket.onopen = () => this.send({ type: "hello", protocol: VERSIONS[socket.protocol], token: this.token, preparation: true, surroundings: true });
+    socket.onopen = () => {
+      this.opened = true;
+      this.send({ type: "hello", protocol: VERSIONS[socket.protocol], token: this.token, preparation: true, surroundings: true });
+    };
     socket.onmessage = ({ data }) => {
       if (socket !== this.socket) return;
       if (typeof data !== "string") return this.on.frame(decode(data));
@@ -113,7 +123,7 @@ export class Connection {
     socket.onclose = ({ code }) => {
       if (socket !== this.socket) return;
       if (FINAL_CODES[code]) return this.on.ended(FINAL_CODES[code]);
-      this.on.lost(this.wait / 1000);
+      this.on.lost(this.wait / 1000, this.opened);
       this.timer = setTimeout(() => this.connect(), this.wait);
       this.wait = Math.min(2 * this.wait, MAX_RETRY_DELAY);
     };

@@ -199,10 +199,10 @@ class Client:
 class Site:
     """A server in a thread of its own."""
 
-    def __init__(self, show, folder=None):
+    def __init__(self, show, folder=None, public=None):
         self.listener = open_listener(LOOPBACK, 18765)
         self.port = self.listener.getsockname()[1]
-        page = Page(allowed_hosts(LOOPBACK, self.port), *([folder] if folder else []))
+        page = Page(allowed_hosts(LOOPBACK, self.port), *([folder] if folder else []), public=public)
         self.server, self.loop, ready = Server(show, page, TOKEN), asyncio.new_event_loop(), threading.Event()
         self.thread = threading.Thread(target=self._run, args=(ready,), daemon=True)
         self.thread.start()
@@ -247,8 +247,8 @@ def site_of():
     """A function that serves any show."""
     made = []
 
-    def serve(show, folder=None):
-        made.append(Site(show, folder))
+    def serve(show, folder=None, public=None):
+        made.append(Site(show, folder, public))
         return made[-1]
 
     yield serve

@@ -1,4 +1,4 @@
-// Presses the model organ in C#, and prints the force of the last period.
+// Presses the model organ in C#, and prints the force of the last period, and which calls a disposed one refuses.
 using System;
 
 static class Steps
@@ -17,6 +17,20 @@ static class Steps
             Console.WriteLine("{0:R} {1:R} {2:R}", force[0], force[1], force[2]);
             Console.WriteLine("{0} {1}", organ.Vertices().Length, organ.Triangles().Length);
         }
+        var disposed = new Palpate.Organ(arguments[0]);
+        disposed.Dispose();
+        disposed.Dispose();
+        Action[] calls =
+        {
+            () => disposed.Step(), () => disposed.Reset(), () => disposed.SetPose(0, 0, 0, 0), () => disposed.Force(0),
+            () => disposed.SetBall(0, 0.01, 0, 0, 0), () => disposed.Position(0), () => disposed.Vertices(),
+            () => disposed.Triangles(), () => disposed.ForceBound(0), () => Console.WriteLine(disposed.TrustNumber)
+        };
+        int refused = 0;
+        foreach (var call in calls)
+            try { call(); }
+            catch (ObjectDisposedException error) { refused += error.Message.Contains("make a new Organ") ? 1 : 0; }
+        Console.WriteLine("{0} of {1}", refused, calls.Length);
         try { new Palpate.Organ(arguments[1]); }
         catch (System.IO.InvalidDataException error) { Console.WriteLine(error.Message.Contains("must be")); }
         return 0;

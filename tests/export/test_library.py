@@ -391,4 +391,5 @@ def test_csharp_takes_the_same_periods(library, exported_folder, tmp_path):
     np.testing.assert_array_equal([float(part) for part in lines[0].split()], record[FORCE : FORCE + 3])
     numbers = [3 * len(library.arrays["vertices"]), library.arrays["triangles"].size]
     assert lines[1].split() == [str(number) for number in numbers]
-    assert lines[2] == "True"
+    assert lines[2] == "10 of 10"  # calls after Dispose()
+    assert lines[3] == "True"

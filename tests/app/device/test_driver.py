@@ -58,7 +58,7 @@ def test_a_hand_presses_the_body_of_a_session(held, session, said, until):
     until(is_pressed, lambda: (session.snapshot(), said))
     until(follows, lambda: (session.snapshot(), said))
     until(lambda: device.force[2] == pytest.approx(session.snapshot().force[2], rel=0.05))
-    assert said == ["haply: 049D moves the first tool"]
+    assert said == ["haply: 049D moves tool 1"]
     assert session.status()["devices"] == [[0, "049D"]]
 
 
@@ -98,12 +98,17 @@ def test_a_paused_or_reset_session_gives_no_force_and_a_device_resumes_an_unwatc
     service, _ = held
     device = service.devices[0]
     until(lambda: session.tools[0].active.kind == "sphere")
-    service.move(0.02)
-    until(lambda: device.force[2] > 0.05)
+    depths = iter(np.arange(0.0, 0.1, 1e-4))
+
+    def is_pressed():  # deeper and deeper: after a pause the hand continues from where the tool is
+        service.move(next(depths))
+        return device.force[2] > 0.05
+
+    until(is_pressed)
     session.pause()
     until(lambda: device.force == [0.0, 0.0, 0.0])
     session.resume()
-    until(lambda: device.force[2] > 0.05)
+    until(is_pressed)
     session.reset()
     until(lambda: device.force == [0.0, 0.0, 0.0])
     service.move(-0.02)

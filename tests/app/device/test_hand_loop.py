@@ -33,6 +33,13 @@ class Rig:
                 self.answer(self.answers.pop(0))
         return self.force[2]
 
+    def move_to(self, height):
+        """Move the hand at 1 m/s."""
+        while abs(height - self.height) > 1e-9:
+            self.height += float(np.clip(height - self.height, -INTERVAL, INTERVAL))
+            self.step()
+        return self.step()
+
     def answer(self, message):
         for index, epoch, pose in message.get("poses", []):
             if index == 0 and pose is not None and epoch == self.epoch:
@@ -102,13 +109,11 @@ def test_a_clutch_frees_the_hand_and_leaves_the_tool():
 def test_another_tool_is_moved_from_where_it_is_and_poses_for_the_former_are_marked():
     rig = Rig()
     rig.step(600)
-    rig.height = -0.05
-    rig.step(5)
+    rig.move_to(-0.05)
     rig.epoch, rig.tool = 2, np.array([0.3, 0.0, 0.2])
     assert rig.step(5) == 0.0
     np.testing.assert_allclose(rig.tool, [0.3, 0.0, 0.2])
-    rig.height = -0.04
-    rig.step(5)
+    rig.move_to(-0.04)
     np.testing.assert_allclose(rig.tool, [0.3, 0.0, 0.21])
 
 

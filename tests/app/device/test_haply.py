@@ -30,8 +30,11 @@ def pressed(service, wall, until, down=0.014, k=0):
     """Press, and wait for the whole force: hand and wall are two springs."""
     index = next((int(i) for i, name in wall.devices.items() if name == service.devices[k].name), 0)
     until(lambda: index in wall.poses)  # the hand is where it was at first
-    service.move(down, k)
     device = service.devices[k]
+    for depth in np.linspace(0.0, down, 50):  # slowly: a step between two late messages would be a jump
+        service.move(depth, k)
+        messages = len(device.log) + 3
+        until(lambda: len(device.log) > messages)  # noqa: B023, it is called before the next round
     whole = (down - START) * STIFFNESS * HAND_STIFFNESS / (STIFFNESS + HAND_STIFFNESS)
     until(lambda: abs(size(device) - whole) < 0.02 * whole and rests(device), lambda: (device.force, wall.said))
     return whole
@@ -43,7 +46,7 @@ def test_a_hand_moves_the_tool_and_feels_the_wall(service_of, wall_of, until):
     wall = wall_of(service)
     pressed(service, wall, until)
     assert wall.devices == {"0": "049D"}
-    assert wall.said == ["049D moves the first tool"]
+    assert wall.said == ["049D moves tool 1"]
     device = service.devices[0]
     until(lambda: wall.poses[0][0][2] - START == pytest.approx(device.position[2] - 0.15, abs=5e-5))
     until(lambda: device.force[2] == pytest.approx(-STIFFNESS * wall.poses[0][0][2], rel=0.01))
@@ -129,7 +132,7 @@ def test_a_socket_that_closes_is_opened_again(service_of, wall_of, until):
     until(lambda: service.emulator.connections == 2 and "0" in wall.devices)
     until(lambda: abs(size(device) - whole) < 0.05 * whole)
     assert any(text.endswith("closed the connection (no close frame)") for text in wall.said)
-    assert wall.said[-1] == "049D moves the first tool again"
+    assert wall.said[-1] == "049D moves tool 1 again"
 
 
 @pytest.mark.quick
@@ -141,7 +144,13 @@ def test_a_service_that_does_not_answer_gets_no_force(service_of, wall_of, until
     service.emulator.muted = True
     until(lambda: size(device) == 0.0)
     service.emulator.muted = False
-    until(lambda: size(device) > 0.3)
+    depths = iter(np.arange(0.014, 0.1, 1e-5))
+
+    def is_pressed():  # deeper and deeper: without its force the hand has moved on, and continues from the tool
+        service.move(next(depths))
+        return size(device) > 0.3
+
+    until(is_pressed)
 
 
 def test_a_killed_adapter_leaves_no_force(service_of, wall_of, until):
@@ -177,7 +186,7 @@ def test_two_hands_have_a_tool_each(service_of, wall_of, until):
     assert size(service.devices[1]) == 0.0
     assert wall.poses[1][0][2] < 0.0 < wall.poses[0][0][2]
     assert wall.poses[1][0][0] == pytest.approx(0.1, abs=1e-9)
-    assert set(wall.said) == {"R002 moves the first tool", "L001 moves the second tool"}
+    assert set(wall.said) == {"R002 moves tool 1", "L001 moves tool 2"}
 
 
 def test_of_sixteen_devices_those_without_a_tool_are_named(service_of, wall_of, until):
@@ -195,11 +204,11 @@ def test_a_device_that_returns_has_its_tool_again(service_of, wall_of, until):
     gone, device = wall.poses[0][0].copy(), service.devices[0]
     device.present = False
     until(lambda: wall.devices == {"1": "L002"})
-    assert "R001 is gone: its tool stays where it is" in wall.said
+    assert "R001 is gone: tool 1 stays where it is" in wall.said
     device.set_force([0.0] * 3)
     device.present = True
     until(lambda: wall.devices == {"0": "R001", "1": "L002"})
-    assert "R001 moves the first tool again" in wall.said
+    assert "R001 moves tool 1 again" in wall.said
     until(lambda: size(device) > 0.3)
     assert wall.poses[0][0][2] <= gone[2] + 5e-3
     assert service.emulator.connections == 1
@@ -268,3 +277,44 @@ def test_without_a_service_a_line_says_so_once(wall_of, until):
     until(lambda: len(wall.said) == 1)
     assert wall.said[0].startswith("no service at ws://localhost:9 (")
     assert wall.said[0].endswith("start the Haply Inverse Service")
+
+
+def test_a_device_that_is_calibrated_after_the_start_moves_its_tool_then(service_of, wall_of, until):
+    service = service_of("049D")
+    device = service.devices[0]
+    service.emulator.calibrate(False)
+    device.target, device.position = service.hand([0.0, 0.0, 0.0]), [0.0, 0.0, 0.0]
+    wall = wall_of(service)
+    until(lambda: len(device.log) > 50)
+    assert wall.said == [
+        "049D is not calibrated: calibrate it, as Haply Hub shows; until then tool 1 stays, and the hand has no force"
+    ]
+    assert not wall.poses
+    assert not wall.devices
+    device.position, device.target = [0.0, -0.12, 0.15], service.hand([0.0, -0.12, 0.15])
+    service.emulator.calibrate()
+    until(lambda: 0 in wall.poses)
+    assert wall.poses[0][0] == pytest.approx([0.0, 0.0, START], abs=1e-3)
+    until(lambda: wall.said[-1] == "049D moves tool 1")
+    pressed(service, wall, until)
+
+
+def test_the_statistics_of_a_hand_say_why_it_has_no_force(service_of, wall_of, until):
+    service = service_of("049D")
+    wall = wall_of(service)
+    until(lambda: 0 in wall.poses)
+    depths = iter(np.arange(0.0, 0.1, 1e-4))
+
+    def is_pressed():
+        service.move(next(depths))
+        return size(service.devices[0]) > 0.2
+
+    until(is_pressed)
+    service.devices[0].buttons["b"] = True
+    until(lambda: "049D" in wall.hands and wall.hands["049D"].without_force.get("clutch", 0.0) > 0.1)
+    hand, log = wall.hands["049D"], service.devices[0].log
+    assert hand.clutches == 1
+    assert hand.peak_force == pytest.approx(max(math.hypot(*force) for _, force, _ in log), rel=1e-6)
+    assert 0 < hand.messages <= len(log) + 1
+    assert sum(hand.without_force.values()) < hand.seconds
+    assert 0.0 < hand.ramped < hand.seconds

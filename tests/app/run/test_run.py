@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -21,6 +23,15 @@ from palpate.scenes.open_scene import open_scene
 
 RUN = ["run", "beam"]
 REALTIME = [*RUN, "--realtime", "--seconds", "0.5", "--rate", "200"]
+
+
+def emulated_hand():
+    """Return the module with an emulated service and its devices."""
+    path = Path(__file__).parents[3] / "validation" / "emulated_hand.py"
+    spec = importlib.util.spec_from_file_location("emulated_hand", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 SHORT = {"paths": 2, "held_out": 1, "training.duration": 0.04, "training.every": 0.002}
@@ -94,6 +105,27 @@ def realtime(file, tmp_path_factory):
     out = tmp_path_factory.mktemp("realtime") / "results"
     assert main([*REALTIME, "--model", str(file), "--out", str(out)]) == 0
     return out, json.loads((out / "report.json").read_text())
+
+
+@pytest.mark.slow
+def test_the_report_has_the_statistics_of_a_hand(file, tmp_path, capsys):
+    service = emulated_hand().Service("R001")
+    try:
+        given = ["--seconds", "2.5", "--model", str(file), "--device", f"haply:{service.port}"]
+        assert main([*REALTIME, *given, "--out", str(tmp_path)]) == 0
+    finally:
+        service.close()
+    said = capsys.readouterr()
+    assert "haply: R001 moves tool 1" in said.err
+    assert "largest force on tool 1" in said.out
+    report = json.loads((tmp_path / "report.json").read_text())
+    (hand,) = report["hands"].values()
+    assert list(report["hands"]) == ["tool 1"]
+    assert hand["device"] == "R001"
+    assert 0.5 * hand["seconds"] <= hand["with_force"] + sum(hand["without_force"].values()) <= 1.001 * hand["seconds"]
+    assert hand["messages"] <= len(service.devices[0].log) + 1
+    assert hand["rate"] == pytest.approx(hand["messages"] / hand["seconds"])
+    assert "messages of the service" in said.out
 
 
 @pytest.mark.slow

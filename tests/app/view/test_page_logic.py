@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.app.device.statistics import tool_name
 from palpate.dynamics.contact.blade import Scalpel
 
 sys.path.append(str(Path(__file__).parent))
@@ -264,3 +265,21 @@ def test_a_blade_follows_the_surface_at_rest_and_not_its_wound(surface):
     heights = [each["height"] for each in found]
     assert np.ptp(heights) < 2e-4  # the same mean below each place of a ball
     assert -0.0015 < heights[0] < 0
+
+
+@pytest.mark.parametrize(
+    ("page", "socket"),
+    [
+        ("http://127.0.0.1:8765/#abc", "ws://127.0.0.1:8765/session"),
+        ("http://localhost:9000/index.html?still#abc", "ws://localhost:9000/session"),
+        ("https://lab.example.org/#abc", "wss://lab.example.org/session"),
+        ("https://hub.example.org:8443/user/a%40b/proxy/8765/#abc", "wss://hub.example.org:8443/user/a%40b/proxy/8765/session"),
+    ],
+)  # fmt: skip
+def test_the_socket_is_next_to_the_page_and_secure_where_the_page_is(page, socket):
+    assert evaluate("protocol.js", f"m.socketAddress({json.dumps(page)})") == socket
+
+
+def test_a_tool_has_the_name_of_the_terminal_and_of_reports():
+    titles = evaluate("hands.js", "[0, 1, 3].map((index) => m.titleOf(index, 'grasp'))")
+    assert titles == [f"{tool_name(index).capitalize()}: forceps" for index in (0, 1, 3)]

@@ -12,6 +12,7 @@ import numpy as np
 
 from palpate.app.device.haply import serve_devices
 from palpate.app.device.options import DeviceOptions, axes_rotation
+from palpate.app.device.statistics import HandStatistics, add_statistics
 from palpate.app.session.messages import NO_VIEWERS, VIEWERS_LEFT, validate_message
 from palpate.dynamics.contact.shapes import TOOLS
 from palpate.extras import require
@@ -38,6 +39,11 @@ class DeviceDriver:
     ----------
     say : function
         Shows a line to the person.
+
+    Attributes
+    ----------
+    hands : dict of HandStatistics
+        What happened at the devices so far, by their names; complete after `close`.
     """
 
     def __init__(self, session: Session, options: DeviceOptions, say: Say) -> None:
@@ -45,6 +51,7 @@ class DeviceDriver:
         self._tools = min(MAX_DEVICE_TOOLS, len(session.tools))
         self._closing = threading.Event()
         self._refused = ""
+        self.hands: dict[str, HandStatistics] = {}
         self._child = self._start()
         self._thread = threading.Thread(target=self._run, name="palpate device", daemon=True)
         self._thread.start()
@@ -80,6 +87,8 @@ class DeviceDriver:
         session = self._session()
         if "say" in answer:
             self._say(f"haply: {answer['say']}")
+        elif "hands" in answer:
+            add_statistics(self.hands, answer["hands"])
         elif "devices" in answer:
             session.devices = {int(index): name for index, name in answer["devices"].items()}
             if session.devices and session.pause_reason in (NO_VIEWERS, VIEWERS_LEFT):

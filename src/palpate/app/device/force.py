@@ -93,10 +93,17 @@ class Freshness:
         """Begin the ramp again: after a connection, a clutch, or another tool."""
         self._since = math.inf
 
+    def age(self, now: float) -> float:
+        """Return the age [s] of the newest reading at a time [s]."""
+        return now - self._changed
+
+    def is_old(self, now: float, period: float) -> bool:
+        """Return whether the newest reading of an engine of a period [s] gives no force at a time [s]."""
+        return self.age(now) > max(self._max_age, MAX_READING_PERIODS * period)
+
     def share(self, now: float, period: float, coupled: bool = True) -> float:
         """Return the share at a time [s] for an engine of a period [s]."""
-        age = now - self._changed
-        if not coupled or age > max(self._max_age, MAX_READING_PERIODS * period):
+        if not coupled or self.is_old(now, period):
             self.restart()
             return 0.0
         if self._since == math.inf:

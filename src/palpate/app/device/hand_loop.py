@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -21,16 +21,31 @@ from palpate.app.device.force import (
 )
 from palpate.app.device.hand import NO_TURN, Anchor, HandMap
 from palpate.app.device.options import DeviceOptions, axes_rotation
-from palpate.app.device.service import Grip, ServiceState, assign_tools
+from palpate.app.device.service import Fault, Grip, ServiceState, assign_tools
+from palpate.app.device.statistics import (
+    CLUTCH_PRESSED,
+    NO_ANSWER,
+    NO_CONTACT,
+    NO_READING,
+    NOT_LISTED,
+    NOT_RUNNING,
+    OLD_READING,
+    POSITION_JUMP,
+    HandStatistics,
+    tool_name,
+)
 from palpate.arrays import Floats
 
 MAX_INTERVAL = 0.05  # [s] between two states from which a velocity is taken
-TOOL_WORDS = ("first", "second", "third", "fourth")
+MAX_HAND_SPEED = 2.0  # [m/s]: through all of an arm's reach in 0.15 s
+MAX_STEP_AFTER_GAP = 0.002  # [m] of a hand over a gap without answers
 GONE_SECONDS = 0.1  # [s] out of the messages after which a device is gone; its force is zero at once
+REPORT_SECONDS = 0.5  # [s] between two messages with statistics
 SAME_LINE_SECONDS = 10.0  # [s] in which a line is not said again
 MAX_LINES, MAX_NAMES = 100, 64  # different lines that are said; devices that are remembered
 NO_FORCE = np.zeros(3)
 NO_GRIP = Grip(None, False)
+NOT_READ = Fault("is new", "")  # of a device whose states were not read yet
 
 
 @dataclass
@@ -38,8 +53,9 @@ class Hand:
     """A device with the tool that it moves."""
 
     index: int
-    position: Floats  # (3,) array [m], in the device's frame
     freshness: Freshness
+    statistics: HandStatistics
+    position: Floats | None = None  # (3,) array [m], in the device's frame
     force: Floats = field(default_factory=lambda: NO_FORCE)  # (3,) array [N]: the last one that was sent
     stiffness: Floats = field(default_factory=lambda: np.zeros((3, 3)))  # [N/m] at the hand
     anchor: Anchor | None = None
@@ -47,9 +63,45 @@ class Hand:
     epoch: int = -1  # of the tool: it is another one after a change
     reading: ToolForce | None = None
     given: tuple[float, ...] = ()  # contact stiffness of that reading, as it came
-    has_rotation: bool = False
+    grip: str | None = None  # name of the grip whose rotation belongs to the anchor
     has_clutch: bool = False
     seen: float = 0.0  # time [s] of the last message with it
+    fault: Fault | None = None  # why it moves nothing
+    without: str = NO_READING  # why it has no force
+    had_force: bool = False
+    share: float = 0.0  # of the force that a ramp lets pass
+    is_limited: bool = False
+    is_damped: bool = False
+
+    def let_go(self, reason: str) -> None:
+        """Take the force away; the ramp begins again."""
+        self.force, self.without = NO_FORCE, reason
+        self.freshness.restart()
+
+    def give(self, force: Floats, is_damped: bool) -> None:
+        """Note the force (3,) [N] that is sent, and whether the energy account changed it."""
+        self.force, self.is_damped = force, is_damped
+        self.statistics.peak_force = max(self.statistics.peak_force, math.sqrt(force @ force))
+
+    def block(self, fault: Fault) -> None:
+        """Leave the tool: another hand may move it, so its pose is read again afterwards."""
+        self.fault, self.anchor, self.pose, self.reading, self.epoch = fault, None, None, None, -1
+        self.let_go(fault.reason)
+
+    def note_time(self, interval: float) -> None:
+        """Count a message, and a time [s] in which the last force was held."""
+        told, size = self.statistics, math.sqrt(self.force @ self.force)
+        told.seconds, told.messages = told.seconds + interval, told.messages + 1
+        if size == 0.0:
+            told.without_force[self.without] = told.without_force.get(self.without, 0.0) + interval
+            told.interruptions += self.had_force and self.without not in (NO_CONTACT, CLUTCH_PRESSED)
+            self.had_force = False
+            return
+        self.had_force = True
+        told.impulse += interval * size
+        told.ramped += interval * (self.share < 1.0)
+        told.limited += interval * self.is_limited
+        told.damped += interval * self.is_damped
 
 
 class HandLoop:
@@ -60,7 +112,7 @@ class HandLoop:
     tools : int
         Tools that devices may move.
     answer : function
-        Sends a message to the session: ``poses``, ``devices`` or ``say``.
+        Sends a message to the session: ``poses``, ``devices``, ``hands`` (statistics) or ``say``.
     """
 
     def __init__(self, options: DeviceOptions, tools: int, answer: Callable[[dict[str, Any]], None]) -> None:
@@ -71,18 +123,21 @@ class HandLoop:
         self._assigned: dict[str, int] = {}  # also of devices that have gone
         self._refused: set[str] = set()
         self._lines: dict[str, float] = {}  # when each was said [s]
-        self._period, self._time, self._number, self._asked = 1e-3, -math.inf, 0, False
+        self._grips: list[str] = []  # names of grips by the tool that they turn
+        self._period, self._number, self._asked = 1e-3, 0, False
+        self._time, self._interval, self._reported = -math.inf, math.inf, -math.inf  # [s] of the last state
+        self._after_gap = False  # whether no state came for a time
 
     def receive(self, message: Mapping[str, Any], now: float) -> None:
         """Take the answer of the session to poses, which arrived at a time [s]."""
         self._asked, self._period = False, message["period"]
         for hand in self.hands.values():
-            if hand.index < len(message["tools"]):
+            if hand.index < len(message["tools"]) and hand.fault is None:
                 self._take_reading(hand, message["tools"][hand.index], now)
 
     def _take_reading(self, hand: Hand, given: Mapping[str, Any], now: float) -> None:
         position, quaternion = np.array(given["position"]), np.array(given["quaternion"])
-        if given["epoch"] != hand.epoch or hand.anchor is None:
+        if given["epoch"] != hand.epoch or hand.pose is None:
             hand.epoch, hand.pose, hand.anchor = given["epoch"], (position, quaternion), None
             hand.freshness.restart()
         if not given["running"]:
@@ -102,85 +157,143 @@ class HandLoop:
     def forces(self, state: ServiceState, now: float) -> dict[str, list[float]]:
         """Return the forces [N] on devices for their state at a time [s], and send the poses of their tools.
 
-        A device that is not in the state has no force, and is gone after a while.
+        A device that is not in the state has no force, and is gone after a while; so has one that is not ready. After
+        that, and after a step that no hand makes, a hand continues from where its tool is.
         """
-        self._note_devices(state, now)
         interval = now - self._time
-        self._time = now
+        window = interval + min(self._interval, self.options.max_age)
+        self._time, self._interval = now, interval
+        held = max(interval, 0.0) if math.isfinite(interval) else 0.0
+        for hand in self.hands.values():
+            hand.note_time(held)
+        self._note_devices(state, now)
+        grips = self._note_grips(state)
         moving: list[Hand] = []
         wanted, velocities, before, steps = [], [], [], []
         for name, hand in self.hands.items():
             if name not in state.positions:
-                hand.force = NO_FORCE
-                hand.freshness.restart()
+                hand.anchor = None
+                hand.let_go(NOT_LISTED if hand.fault is None else hand.fault.reason)
                 continue
-            position = np.array(state.positions[name])
-            step = position - hand.position
-            hand.position = position
             before.append(hand.force)
-            steps.append(step)
-            grip = state.grips[hand.index] if hand.index < len(state.grips) else NO_GRIP
-            force = self._wanted_force(hand, grip, now)
+            steps.append(self._follow(name, hand, np.array(state.positions[name]), interval, window))
+            force = self._wanted_force(hand, grips.get(hand.index, NO_GRIP), now)
             hand.force = NO_FORCE
             if force.any():
                 moving.append(hand)
                 wanted.append(force)
-                velocities.append(step / interval if 0.0 < interval < MAX_INTERVAL else NO_FORCE)
+                velocities.append(steps[-1] / interval if 0.0 < interval < MAX_INTERVAL else NO_FORCE)
+        self._after_gap = False
         self.account.note_motion(before, steps)
         stored = [stored_energy(force, hand.stiffness) for force, hand in zip(wanted, moving, strict=True)]
         self.account.forget(math.fsum(stored) if all(map(math.isfinite, stored)) else math.inf)
         passive = self.account.passive_forces(wanted, velocities, interval)
-        for hand, force in zip(moving, passive, strict=True):
-            hand.force = limited_force(force, self.options.device_limit)
+        for hand, force, free in zip(moving, passive, wanted, strict=True):
+            hand.give(limited_force(force, self.options.device_limit), force is not free)
         self._send_poses()
+        self._report(now)
         return {name: hand.force.tolist() for name, hand in self.hands.items()}
+
+    def _follow(self, name: str, hand: Hand, position: Floats, interval: float, window: float) -> Floats:
+        """Return the step (3,) [m] of a hand to a position; one that no hand makes is zero, and moves no tool.
+
+        The service takes a state between the last message to it and the arrival of its answer. So two states are at
+        most the window [s] of three arrivals apart, however late they are read.
+        """
+        step = NO_FORCE if hand.position is None else position - hand.position
+        hand.position = position
+        late = self._after_gap or interval > self.options.max_age
+        limit = MAX_STEP_AFTER_GAP / max(self.options.device_scale, 1.0) if late else MAX_HAND_SPEED * window
+        if hand.anchor is None or step @ step <= limit**2:
+            return step
+        hand.anchor = None
+        hand.let_go(POSITION_JUMP)
+        if not late and not hand.has_clutch:
+            tool = tool_name(hand.index)
+            self._say(f"{name} jumped, faster than a hand: {tool} stays, and follows it from there", self._time)
+        return NO_FORCE
 
     def _wanted_force(self, hand: Hand, grip: Grip, now: float) -> Floats:
         """Return the force (3,) [N] on a hand before passivity, and set the pose of its tool."""
         turn = NO_TURN if grip.rotation is None else np.array(grip.rotation)
-        has_rotation = grip.rotation is not None
-        released = hand.has_clutch and not grip.clutch
-        hand.has_clutch = grip.clutch
-        if hand.pose is None:
+        name = None if grip.rotation is None else grip.name
+        released, pressed = hand.has_clutch and not grip.clutch, grip.clutch and not hand.has_clutch
+        hand.has_clutch, hand.share = grip.clutch, 0.0
+        hand.statistics.clutches += pressed
+        if hand.pose is None or hand.position is None:
+            hand.without = NO_READING
             return NO_FORCE
-        if hand.anchor is None or released or has_rotation != hand.has_rotation:
-            hand.anchor, hand.has_rotation = Anchor(hand.position, turn, *hand.pose), has_rotation
+        if hand.anchor is None or released or name != hand.grip:
+            hand.anchor, hand.grip = Anchor(hand.position, turn, *hand.pose), name
         if grip.clutch:
-            hand.freshness.restart()
+            hand.let_go(CLUTCH_PRESSED)
+            return NO_FORCE
+        if hand.reading is None or hand.freshness.age(now) > max(self.options.max_age, GONE_SECONDS):
+            hand.anchor = None  # an engine that has stopped would find its tool far away
+            hand.let_go(NOT_RUNNING if hand.reading is None else OLD_READING)
             return NO_FORCE
         hand.pose = self.map.position(hand.anchor, hand.position), self.map.quaternion(hand.anchor, turn)
-        share = hand.freshness.share(now, self._period, hand.reading is not None)
-        if share == 0.0 or hand.reading is None:
+        hand.share = hand.freshness.share(now, self._period)
+        if hand.share == 0.0:
+            hand.without = OLD_READING if hand.freshness.is_old(now, self._period) else hand.without
             return NO_FORCE
         force = self.options.device_force * self.map.force_on_hand(contact_force(hand.reading, hand.pose[0]))
-        return share * limited_force(force, self.options.device_limit)
+        limited = limited_force(force, self.options.device_limit)
+        hand.is_limited, hand.without = limited is not force, NO_CONTACT
+        return hand.share * limited
+
+    def _note_grips(self, state: ServiceState) -> dict[int, Grip]:
+        """Return the grips by the tool that they turn: the order in which they came, also while others are away."""
+        present = {grip.name or str(k): grip for k, grip in enumerate(state.grips)}
+        for name in [each for each in present if each not in self._grips]:
+            free = [k for k, each in enumerate(self._grips) if each not in present]
+            if free:
+                self._grips[free[0]] = name
+            else:
+                self._grips.append(name)
+        return {k: present[name] for k, name in enumerate(self._grips) if name in present}
 
     def _send_poses(self) -> None:
         """Send the poses of all tools, unless the last ones are not answered yet."""
-        if self._asked or not self.hands:
-            return
-        self._asked, self._number = True, self._number + 1
         poses = [
             [hand.index, hand.epoch, None if hand.pose is None else [part.tolist() for part in hand.pose]]
             for hand in self.hands.values()
+            if hand.fault is None
         ]
+        if self._asked or not poses:
+            return
+        self._asked, self._number = True, self._number + 1
         self._answer({"poses": poses, "number": self._number})
+
+    def _report(self, now: float) -> None:
+        """Send the statistics since the last time, if there are some."""
+        if now - self._reported < REPORT_SECONDS:
+            return
+        self._reported = now
+        given = {name: asdict(hand.statistics) for name, hand in self.hands.items() if hand.statistics.messages}
+        for hand in self.hands.values():
+            hand.statistics = HandStatistics(hand.index)
+        if given:
+            self._answer({"hands": given})
 
     def silence(self) -> None:
         """Take all forces away, until new states have been read: the ramp begins again."""
+        self._after_gap = True
         for hand in self.hands.values():
-            hand.force = NO_FORCE
-            hand.freshness.restart()
+            hand.let_go(NO_ANSWER)
 
     def close(self) -> None:
         """Take all devices away: the connection has ended."""
+        self._report(math.inf)
+        self._time, self._interval, self._reported = -math.inf, math.inf, -math.inf
+        self._grips = []
         if self.hands:
             self.hands = {}
             self._answer({"devices": {}})
 
     def is_new(self, state: ServiceState) -> bool:
         """Return whether a device without a tool came after the snapshot, which alone says its handedness."""
-        unknown = state.positions.keys() - self._assigned.keys() - self._refused
+        unknown = set(state.devices) - self.hands.keys() - self._assigned.keys() - self._refused
         return bool(unknown) and not state.handedness
 
     def _say(self, text: str, now: float) -> None:
@@ -190,32 +303,61 @@ class HandLoop:
             self._answer({"say": text})
 
     def _note_devices(self, state: ServiceState, now: float) -> None:
-        """Begin with the devices that came, and end with those that went."""
-        for name in self.hands.keys() & state.positions.keys():
+        """Begin with the devices that came or are ready again, and end with those that went or are not."""
+        listed = state.devices
+        for name in self.hands.keys() & listed:
             self.hands[name].seen = now
-        if state.positions.keys() == self.hands.keys():
+        if self.hands.keys() == set(listed) and all(
+            hand.fault == state.faults.get(name) for name, hand in self.hands.items()
+        ):
             return
-        gone = [name for name, hand in self.hands.items() if now - hand.seen > GONE_SECONDS]
-        for name in gone:
-            del self.hands[name]
-            self._say(f"{name} is gone: its tool stays where it is", now)
+        before = self._moving()
+        for name in [name for name, hand in self.hands.items() if now - hand.seen > GONE_SECONDS]:
+            index = self._leave(name)
+            self._say(f"{name} is gone: {tool_name(index)} stays where it is", now)
         kept = {name: hand.index for name, hand in self.hands.items()}
         assigned = assign_tools(state, kept, self._assigned, self.tools)
-        for name in state.positions.keys() - assigned.keys() - self._refused:
-            if len(self._refused) < MAX_NAMES:
-                self._refused.add(name)
-            many = "one tool" if self.tools == 1 else f"{self.tools} tools"
-            self._say(f"{name} is left out: devices move {many} at most", now)
-        came = [name for name in assigned if name not in self.hands]
-        for name in came:
-            index = assigned[name]
-            self.hands[name] = Hand(index, np.array(state.positions[name]), Freshness(self.options.max_age), seen=now)
-            back = " again" if name in self._assigned else ""
-            self._say(f"{name} moves the {TOOL_WORDS[index]} tool{back}", now)
+        self._refuse(set(listed) - assigned.keys(), now)
         for name, index in assigned.items():
-            self._assigned.pop(name, None)
-            self._assigned[name] = index
+            if name not in self.hands:
+                statistics = HandStatistics(index)
+                self.hands[name] = Hand(index, Freshness(self.options.max_age), statistics, seen=now, fault=NOT_READ)
+            if name in listed:
+                self._note_fault(name, self.hands[name], state.faults.get(name), now)
         for name in list(self._assigned)[:-MAX_NAMES]:
             del self._assigned[name]
-        if gone or came:
-            self._answer({"devices": {str(hand.index): name for name, hand in self.hands.items()}})
+        if self._moving() != before:
+            self._answer({"devices": self._moving()})
+
+    def _moving(self) -> dict[str, str]:
+        """Return the devices that move a tool, by its index."""
+        return {str(hand.index): name for name, hand in self.hands.items() if hand.fault is None}
+
+    def _note_fault(self, name: str, hand: Hand, fault: Fault | None, now: float) -> None:
+        """Let a device that is ready move its tool, and one that is not leave it."""
+        if fault == hand.fault:
+            return
+        tool = tool_name(hand.index)
+        if fault is not None:
+            hand.block(fault)
+            self._say(f"{name} {fault.reason}: {fault.remedy}; until then {tool} stays, and the hand has no force", now)
+            return
+        hand.fault, hand.position, hand.without = None, None, NO_READING
+        self._say(f"{name} moves {tool}{' again' if name in self._assigned else ''}", now)
+        self._assigned.pop(name, None)  # the last one is the newest
+        self._assigned[name] = hand.index
+
+    def _leave(self, name: str) -> int:
+        """Remove a hand, and return the index of its tool."""
+        hand = self.hands.pop(name)
+        if hand.statistics.messages:
+            self._answer({"hands": {name: asdict(hand.statistics)}})
+        return hand.index
+
+    def _refuse(self, names: set[str], now: float) -> None:
+        """Name the devices for which there is no tool, each once."""
+        many = "one tool" if self.tools == 1 else f"{self.tools} tools"
+        for name in names - self._refused:
+            if len(self._refused) < MAX_NAMES:
+                self._refused.add(name)
+            self._say(f"{name} is left out: devices move {many} at most", now)

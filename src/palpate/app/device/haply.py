@@ -103,7 +103,7 @@ class Adapter:
 
     async def _serve(self, service: Any, mailbox: Mailbox, reader: asyncio.Task[None]) -> None:
         """Answer each state with forces, at a fixed rate."""
-        faults, heard, due = 0, time.monotonic(), time.monotonic()
+        faults, heard, due, has_snapshot = 0, time.monotonic(), time.monotonic(), False
         while not self.stopped:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(self.loop.options.max_age):
@@ -128,8 +128,9 @@ class Adapter:
                 self.loop.silence()
             else:
                 faults = 0
-                if self.loop.is_new(state):
+                if has_snapshot and self.loop.is_new(state):
                     raise ConnectionEnd("")
+                has_snapshot = True
                 self.loop.forces(state, now)
             await service.send(self._message())
             due = max(due + (MESSAGE_INTERVAL if self.loop.hands else IDLE_INTERVAL), now)

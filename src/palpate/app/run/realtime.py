@@ -15,6 +15,7 @@ from palpate.app.common.report import REPORTS, deliver, machine
 from palpate.app.common.rows import Rows, fill_template, quantities, rows_of
 from palpate.app.device.driver import driving
 from palpate.app.device.options import DeviceOptions
+from palpate.app.device.statistics import hand_reports, longest, tool_name
 from palpate.app.models.subject import Subject
 from palpate.app.models.trained import model_file
 from palpate.app.run.tool_motion import tool_motion
@@ -87,7 +88,7 @@ def run_realtime(
         console.say(f"{rate:g} Hz for {seconds:g} s ...")
         session.start()
         try:
-            with driving(session, device, console.say):
+            with driving(session, device, console.say) as driver:
                 play(session, path, seconds)
         except KeyboardInterrupt:
             raise KeyboardInterrupt("in real time") from None
@@ -110,6 +111,8 @@ def run_realtime(
     }
     if tools := _other_tools(black_box, last_forces):
         report["tools"] = tools
+    if driver is not None:
+        report["hands"] = hand_reports(driver.hands)
     if messages is not None:
         report["script"] = {"file": str(script), "messages": messages.done, "refused": messages.refused}
     if session.body.cutter is not None and session.body.cuts:
@@ -162,13 +165,13 @@ def _observations(black_box: Path, body: Any) -> dict[str, Any]:
 
 
 def _other_tools(black_box: Path, last_forces: list[float]) -> dict[str, dict[str, float]]:
-    """Return the forces on the tools after the first that touched the body, by their index."""
+    """Return the forces on the tools after the first that touched the body, by their names."""
     import h5py
 
     with h5py.File(black_box) as file:
         forces = np.linalg.norm(file["tools/force"][:], axis=2)
     return {
-        str(index): {"largest_force": float(forces[:, index].max()), "last_force": last}
+        tool_name(index): {"largest_force": float(forces[:, index].max()), "last_force": last}
         for index, last in enumerate(last_forces)
         if index > 0 and forces[:, index].any()
     }
@@ -246,8 +249,10 @@ TIMING_ROWS: Rows = {
     "largest": "{maximum: us}",
 }
 TOOL_ROWS: Rows = {
-    "largest force on the tool": "{tool/largest_force:.3g N}",
-    **{f"largest force on tool {k}": f"{{tools/{k}/largest_force:.3g N}}" for k in range(1, MAX_TOOLS)},
+    f"largest force on {tool_name(0)}": "{tool/largest_force:.3g N}",
+    **{
+        f"largest force on {tool_name(k)}": f"{{tools/{tool_name(k)}/largest_force:.3g N}}" for k in range(1, MAX_TOOLS)
+    },
     "farthest that the tool went": "{tool/largest_displacement:.3g mm}",
     "steps of the model in a period": "{tool/mean_steps_per_period:.2g}",
     "trust number, median; largest (above 1: not trained on)": "{tool/median_trust:.2f}; {tool/largest_trust:.2f}",
@@ -267,6 +272,16 @@ TOOL_ROWS: Rows = {
     "messages of the script; refused": lambda report: (
         f"{report['script']['messages']}; {len(report['script']['refused'])}"
     ),
+}
+HAND_ROWS: Rows = {
+    "device": "{device}",
+    "messages of the service": "{rate:.0f}/s in {seconds:.3g s}",
+    "force on the hand, mean while there was one; largest": "{mean_force:.3g N}; {peak_force:.3g N}",
+    "force taken away in contact": "{interruptions} times",
+    "time with force, of it in ramps of 0.5 s": "{with_force:.3g s}; {ramped:.3g s}",
+    "of it at the limit; changed by the energy account": "{limited:.3g s}; {damped:.3g s}",
+    "clutch": "{clutches} times, {clutch_seconds:.3g s}",
+    "time without force": lambda hand: "\n".join(longest(hand["without_force"])) or "none",
 }
 VERDICT_ROWS: Rows = {
     "Computation": "{median:.1%} of a period in the median, {most:.1%} at most; {missed_by_computing} of {periods} "
@@ -290,8 +305,16 @@ def _tables(report: dict[str, Any], statistics: Statistics) -> list[Table | str]
         quantities(f"{report['title']}, {timing['periods']} periods", TIMING_ROWS, kinds),
         quantities_table("Periods", ["computing", "lateness"], _histogram(statistics), "time", "left"),
         quantities("Tool", TOOL_ROWS, {"value": report}),
+        *_hands_table(report),
         *(f"{label}: {sentence}" for label, (sentence,) in rows_of(VERDICT_ROWS, values).items()),
     ]
+
+
+def _hands_table(report: Mapping[str, Any]) -> list[Table | str]:
+    """Return the statistics of hands; nothing without the option of a device."""
+    if "hands" not in report:
+        return []
+    return [quantities("Hands", HAND_ROWS, report["hands"])] if report["hands"] else ["Hands: no device moved a tool."]
 
 
 def _histogram(statistics: Statistics) -> dict[str, list[str]]:

@@ -24,8 +24,8 @@ def choose_on_page(
     file: str,
     names: Path | None,
     read: Callable[[Sequence[str], Sequence[str]], Subject],
-    address: tuple[int, str, bool],
-) -> Iterator[tuple[Host | tuple[int, str, bool], Subject]]:
+    address: tuple[int, str, bool, str | None],
+) -> Iterator[tuple[Host | tuple[int, str, bool, str | None], Subject]]:
     """Yield what `read` returns for the labels of a map that are chosen on the page, and the host of the page.
 
     `read` takes the labels, and those that lie in them and do not join.

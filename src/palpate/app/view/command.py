@@ -18,7 +18,7 @@ from palpate.app.common.exit_status import DONE, FAILED, INTERRUPTED
 from palpate.app.device.options import DeviceOptions, take_device
 from palpate.app.models.subject import Subject, open_subject
 from palpate.app.session.opening import MakeSession, check_record, exit_on_signals, running_session
-from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK, open_listener
+from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK, PORT_ATTEMPTS, open_listener, public_address
 from palpate.extras import require
 from palpate.faults import InputError, integer_in_range
 from palpate.scenes.names import SceneKind
@@ -38,6 +38,7 @@ def view(
     *,
     port: int = DEFAULT_PORT,
     host: str = LOOPBACK,
+    public_url: str | None = None,
     browser: bool = True,
     record: Path | None = None,
     spacing: float | None = None,
@@ -62,18 +63,22 @@ def view(
     """
     port, device = integer_in_range("port", port, 1, 65535), take_device(shape)
     require("websockets", "a page in the browser")
-    open_listener(host, port).close()  # refuses a wrong address before a model is trained
+    if public_url is not None:
+        public_address(public_url)
+    open_listener(
+        host, port, PORT_ATTEMPTS if public_url is None else 1
+    ).close()  # refuses a wrong address before a model is trained
     if record is not None:
         check_record(record, what)
     if scene is not None and not compare:
         raise InputError(f"scene must be left out without --compare, got {scene!r:.60}; add --compare")
-    settings, address = parse_settings(given), (port, host, browser)
+    settings, address = parse_settings(given), (port, host, browser, public_url)
 
     def read(parts: Sequence[str], without: Sequence[str] = ()) -> Subject:
         left_out = [*(shape.get("without") or ()), *without]
         return open_subject(what, settings, spacing, **shape | {"part": list(parts), "without": left_out})
 
-    def show(subject: Subject, place: Host | tuple[int, str, bool]) -> int:
+    def show(subject: Subject, place: Host | tuple[int, str, bool, str | None]) -> int:
         full = subject.scene is not None and subject.scene.kind is not SceneKind.PACKAGE
         if compare and full:
             raise InputError(f"compare must be left out for a full body, got {what!r:.60}; give a reduced model")
@@ -131,7 +136,7 @@ def _show(
     make: MakeSession,
     durations_name: str,
     record: Path | None,
-    place: Host | tuple[int, str, bool],
+    place: Host | tuple[int, str, bool, str | None],
     refine: bool,
     device: DeviceOptions | None,
 ) -> list[str]:

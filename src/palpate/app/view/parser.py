@@ -100,4 +100,6 @@ def _add_address(parser: Parser) -> None:
     add("--port", type=whole, default=8765, metavar="N", help="port of the page; the next free one if it is taken")
     text = "address of this machine to serve the page on; any other lets other machines connect"
     add("--host", default="127.0.0.1", metavar="ADDRESS", help=text)
+    text = "address of a forwarded port or a reverse proxy by which browsers reach the page; its host is allowed, too"
+    add("--public-url", metavar="https://HOST/PREFIX/", help=text)
     add("--no-browser", action="store_false", dest="browser", help="open no browser, only print the address")

@@ -23,7 +23,7 @@ from palpate.app.view.film import (
     write_movie,
     write_picture,
 )
-from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK
+from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK, public_address
 from palpate.dynamics.run.progress import progress_bar
 from palpate.extras import require
 from palpate.faults import InputError
@@ -56,6 +56,7 @@ def replay(
     part: Sequence[str] | None = None,
     port: int = DEFAULT_PORT,
     host: str = LOOPBACK,
+    public_url: str | None = None,
     browser: bool = True,
 ) -> int:
     """Show a recording on a page, or export it.
@@ -75,7 +76,7 @@ def replay(
         Scalar that colours the pictures.
     labels, out, field, frame, part
         Write a deformed label map or a field instead; see `write_deformed_labels`.
-    port, host, browser
+    port, host, public_url, browser
         As for `palpate.app.view.command.view`.
 
     Returns
@@ -93,6 +94,8 @@ def replay(
         raise InputError(f"png must end in .png, got {str(png)!r}; choose another name")
     if png is not None:
         check_picture()
+    if public_url is not None:
+        public_address(public_url)
     exports = png is not None or movie is not None or labels is not None
     if not exports and not full:
         require("websockets", "palpate replay")
@@ -121,7 +124,7 @@ def replay(
     if not exports and not full:
         from palpate.app.view.server.host import serve_source
 
-        serve_source(Replay(recording), console, port, host, browser)
+        serve_source(Replay(recording), console, port, host, browser, public_url)
     return 0
 
 

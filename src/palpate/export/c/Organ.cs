@@ -20,7 +20,7 @@ namespace Palpate
 
         const int Trust = @TRUST_INDEX@, HeaderSize = @HEADER_SIZE@, ToolSize = @TOOL_SIZE@;
         const int ToolForce = @FORCE_INDEX@, ToolPosition = @POSITION_INDEX@;
-        IntPtr block, memory;
+        IntPtr block, aligned;
         readonly double[] numbers = new double[7];
 
         public Organ(string path)
@@ -30,7 +30,7 @@ namespace Palpate
             if (content.LongLength != @NAME@_file_size())
                 throw new InvalidDataException(path + " must be the file of this library; export the model again");
             block = Marshal.AllocHGlobal(new IntPtr(size + 64));
-            memory = new IntPtr((block.ToInt64() + 63) & ~63L);
+            aligned = new IntPtr((block.ToInt64() + 63) & ~63L);
             byte[] zeros = new byte[65536];
             for (long at = content.LongLength; at < size; at += zeros.Length)
                 Marshal.Copy(zeros, 0, new IntPtr(memory.ToInt64() + at), (int)Math.Min(zeros.Length, size - at));
@@ -45,11 +45,22 @@ namespace Palpate
         public void Dispose()
         {
             if (block != IntPtr.Zero) Marshal.FreeHGlobal(block);
-            block = memory = IntPtr.Zero;
+            block = aligned = IntPtr.Zero;
             GC.SuppressFinalize(this);
         }
 
         ~Organ() { Dispose(); }
+
+        // The memory of the model; after Dispose() there is none, and a call would write into that of others.
+        IntPtr memory
+        {
+            get
+            {
+                if (block == IntPtr.Zero)
+                    throw new ObjectDisposedException("@NAME@", "the model must not be used after Dispose(); make a new Organ");
+                return aligned;
+            }
+        }
 
         // Request a pose of a tool, from 0, relative to the tool at rest.
         public void SetPose(int tool, double x, double y, double z, double w = 1, double i = 0, double j = 0, double k = 0)

@@ -61,7 +61,7 @@ def test_an_address_that_other_machines_reach_prints_a_warning(served, monkeypat
 
 
 def test_an_installation_without_the_page_prints_so(served, monkeypatch, tmp_path):
-    monkeypatch.setattr(host, "Page", lambda names: Page(names, tmp_path))
+    monkeypatch.setattr(host, "Page", lambda names, **given: Page(names, tmp_path, **given))
     assert served(browser=True)[0].startswith("the page was not built")
 
 

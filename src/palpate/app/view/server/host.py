@@ -16,6 +16,7 @@ from palpate.app.view.server.address import (
     is_loopback,
     open_browser,
     open_listener,
+    public_address,
 )
 from palpate.app.view.server.connection import CLOSE_TIMEOUT
 from palpate.app.view.server.label_choice import LabelChoice
@@ -36,24 +37,32 @@ class Host:
     host : str
         Address of this machine.
     port : int
-        Requested port; the next free one is used if it is busy.
+        Requested port; the next free one is used if it is busy, but not with a public address.
+    public_url : str, optional
+        Address of a forwarded port or a proxy, by which browsers reach the page.
 
     Attributes
     ----------
     port : int
         Port of the socket.
-    address : str
-        URL of the page, with a new token.
+    address, local_address : str
+        URL of the page, with a new token; and by which this machine reaches it.
     page : Page
     """
 
     def __init__(
-        self, source: ViewSource | Preparation | LabelChoice, host: str = LOOPBACK, port: int = DEFAULT_PORT
+        self,
+        source: ViewSource | Preparation | LabelChoice,
+        host: str = LOOPBACK,
+        port: int = DEFAULT_PORT,
+        public_url: str | None = None,
     ) -> None:
-        self._listener = open_listener(host, port)
+        self.public = None if public_url is None else public_address(public_url)
+        self._listener = open_listener(host, port) if self.public is None else open_listener(host, port, 1)
         self.port, token = self._listener.getsockname()[1], secrets.token_urlsafe(24)
         names = allowed_hosts(host, self.port)
-        self.page, self.address = Page(names), f"http://{names[0]}/#{token}"
+        self.page, self.local_address = Page(names, public=self.public), f"http://{names[0]}/#{token}"
+        self.address = self.local_address if self.public is None else f"{self.public.url}#{token}"
         self._server = Server(source, self.page, token)
 
     async def run(self, ready: Callable[[], None]) -> None:
@@ -124,24 +133,37 @@ class Host:
         self._loop.call_soon_threadsafe(function, *arguments)
 
 
-def serve_source(source: ViewSource, console: Console, port: int, host: str, browser: bool) -> None:
+def serve_source(
+    source: ViewSource, console: Console, port: int, host: str, browser: bool, public_url: str | None = None
+) -> None:
     """Serve a session or a replay until interrupted, print its address, and open it in a browser."""
-    with serve(source, console, port, host, browser) as server, contextlib.suppress(KeyboardInterrupt):
+    with serve(source, console, port, host, browser, public_url) as server, contextlib.suppress(KeyboardInterrupt):
         server.wait()
 
 
 @contextlib.contextmanager
 def serve(
-    source: ViewSource | Preparation | LabelChoice, console: Console, port: int, host: str, browser: bool
+    source: ViewSource | Preparation | LabelChoice,
+    console: Console,
+    port: int,
+    host: str,
+    browser: bool,
+    public_url: str | None = None,
 ) -> Iterator[Host]:
     """Serve within a context: print the address, and open it in a browser."""
-    server = Host(source, host, port)
+    server = Host(source, host, port, public_url)
     if server.port != port:
         console.say(f"port {port} is busy; using {server.port}")
     if not is_loopback(host):
         console.say(
             f"WARNING: other machines can reach {host}. Anyone with the address below can watch and control the "
             "session, and nothing is encrypted: use it only in networks that you trust"
+        )
+    elif server.public is not None and not server.public.is_loopback:
+        risk = "" if server.public.scheme == "https" else ", and nothing is encrypted up to the proxy"
+        console.say(
+            f"WARNING: whoever reaches {server.public.origin} with the address below can watch and control the "
+            f"session{risk}"
         )
     if not server.page.exists:
         console.say("the page was not built: programs can connect, browsers show no page (see docs/view.md)")
@@ -153,6 +175,8 @@ def serve(
     visitor = threading.Thread(target=visit, name="palpate browser", daemon=True)  # some take seconds to start
     with server.serving():
         console.say(f"open {server.address}  (stop with Ctrl-C)")
+        if server.public is not None:
+            console.say(f"on this machine also {server.local_address}")
         if browser and server.page.exists:
             visitor.start()
         yield server

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from http import HTTPStatus
 from pathlib import Path
 
 from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
 
+from palpate.app.view.server.address import PublicAddress
+
 PAGE_FOLDER = Path(__file__).parents[1] / "page"
 SOCKET_PATH = "/session"
+PRINTED_HEADER = re.compile(r"[A-Za-z0-9.:/\[\]_-]{1,100}")  # of a request, which a refusal repeats
 CONTENT_TYPES = {
     ".html": "text/html; charset=utf-8", ".js": "text/javascript; charset=utf-8", ".css": "text/css; charset=utf-8",
     ".svg": "image/svg+xml", ".png": "image/png", ".ico": "image/x-icon", ".json": "application/json",
@@ -32,10 +36,14 @@ class Page:
         Allowed ``Host`` headers, with the port.
     folder : path
         Folder of the page.
+    public : PublicAddress, optional
+        Address of a forwarded port or a proxy, whose host and origin are allowed, too.
     """
 
-    def __init__(self, hosts: list[str], folder: Path = PAGE_FOLDER) -> None:
-        self.hosts, self.folder = tuple(hosts), folder
+    def __init__(self, hosts: list[str], folder: Path = PAGE_FOLDER, public: PublicAddress | None = None) -> None:
+        self.hosts, self.folder, self.public = tuple(hosts), folder, public
+        self._allowed = {*hosts, *(public.hosts if public else ())}
+        self._origins = {f"http://{name}" for name in hosts} | ({public.origin} if public else set())
         self._files: dict[str, tuple[str, bytes]] = {}
         for path in sorted(folder.rglob("*")) if folder.is_dir() else ():
             if path.is_file() and path.suffix in CONTENT_TYPES:
@@ -51,13 +59,18 @@ class Page:
     def answer(self, request: Request) -> Response | None:
         """Return the response to a request, or None for a permitted request that opens the socket."""
         host = self._header(request.headers, "Host")
-        if host not in self.hosts:
-            return self._plain(HTTPStatus.FORBIDDEN, "Host must be the address of this server")
+        if host is None or host.lower() not in self._allowed:
+            names = [*self.hosts, *(self.public.hosts[:1] if self.public else ())]
+            return self._refuse("Host", f"{', '.join(names[:-1])} or {names[-1]}" if names[1:] else names[0], host)
         path = request.path.partition("?")[0]
+        if self.public is not None:
+            if path + "/" == self.public.prefix:  # the page's files are relative to its folder
+                return self._response(HTTPStatus.PERMANENT_REDIRECT, CONTENT_TYPES[".txt"], b"", host, path + "/")
+            path = self.public.local_path(path)
         if path == SOCKET_PATH:
             origin = self._header(request.headers, "Origin")
-            if origin is not None and origin not in {f"http://{name}" for name in self.hosts}:
-                return self._plain(HTTPStatus.FORBIDDEN, "Origin must be this page")
+            if origin is not None and origin not in self._origins:
+                return self._refuse("Origin", "this page", origin)
             return None
         if path in self._files:
             content_type, content = self._files[path]
@@ -65,7 +78,11 @@ class Page:
         if path == "/":
             text = NOT_BUILT.format(folder=self.folder).encode()
             return self._response(HTTPStatus.SERVICE_UNAVAILABLE, CONTENT_TYPES[".html"], text, host)
-        return self._plain(HTTPStatus.NOT_FOUND, "no such file")
+        return self._plain(
+            HTTPStatus.NOT_FOUND,
+            "no such file; behind a proxy where the page has a path, start palpate with --public-url "
+            "https://HOST/PREFIX/; see docs/view.md",
+        )
 
     @staticmethod
     def _header(headers: Headers, name: str) -> str | None:
@@ -75,14 +92,26 @@ class Page:
         except MultipleValuesError:
             return ""
 
+    def _refuse(self, name: str, allowed: str, given: str | None) -> Response:
+        """Return the refusal of a header, with the option that would allow it."""
+        printed = given if given and PRINTED_HEADER.fullmatch(given) else None
+        url = "http://HOST:PORT" if printed is None else printed if "://" in printed else f"http://{printed}"
+        return self._plain(
+            HTTPStatus.FORBIDDEN,
+            f"{name} must be {allowed}, got {printed or 'another'}; forward the same port at both ends, or start "
+            f"palpate with --public-url {url}/; see docs/view.md",
+        )
+
     def _plain(self, status: HTTPStatus, text: str) -> Response:
         return self._response(status, CONTENT_TYPES[".txt"], f"{text}\n".encode(), self.hosts[0])
 
-    @staticmethod
-    def _response(status: HTTPStatus, content_type: str, content: bytes, host: str) -> Response:
+    def _response(
+        self, status: HTTPStatus, content_type: str, content: bytes, host: str, location: str | None = None
+    ) -> Response:
+        sockets = f"ws://{host}" + (f" {self.public.socket_origin}" if self.public else "")
         policy = (
             "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
-            f"connect-src 'self' ws://{host}; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+            f"connect-src 'self' {sockets}; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
         )
         headers = Headers(
             {
@@ -91,4 +120,6 @@ class Page:
                 "Referrer-Policy": "no-referrer", "Cross-Origin-Resource-Policy": "same-origin", "Connection": "close",
             }
         )  # fmt: skip
+        if location is not None:
+            headers["Location"] = location
         return Response(status.value, status.phrase, headers, content)
