@@ -1,10 +1,10 @@
 """Cuts of a body against closed forms: forces along a cut, its opening and energy release, and its stability.
 
-    python validation/cuts.py [--parts patch halves penny strip trousers blade stability] [--bodies NAME ...]
+    python validation/cuts.py [--parts patch halves penny strip trousers taut blade stability] [--bodies NAME ...]
         [--count 50]
 
 writes docs/validation/cuts.json, which keeps the results of parts that were not asked for, and prints the figures.
-`cut_cracks.py`, `cut_strip.py`, `cut_trousers.py` and `cut_stability.py` say what each part measures.
+`cut_cracks.py`, `cut_strip.py`, `cut_trousers.py`, `cut_taut.py` and `cut_stability.py` say what each part measures.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 import cut_cracks
 import cut_stability
 import cut_strip
+import cut_taut
 import cut_trousers
 import numpy as np
 import result_files
@@ -82,7 +83,10 @@ def keep(part: str, found: list[dict[str, Any]]) -> None:
 
 def main() -> None:
     """Run the parts asked for, and keep their results."""
-    parts = {"patch": patch, "halves": halves, "penny": penny, "strip": strip, "trousers": trousers, "blade": blade}
+    parts = {
+        "patch": patch, "halves": halves, "penny": penny, "strip": strip, "trousers": trousers,
+        "taut": cut_taut.every_case, "blade": blade,
+    }  # fmt: skip
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--parts", nargs="+", choices=[*parts, "stability"], default=[*parts, "stability"])
     parser.add_argument("--bodies", nargs="+", choices=list(cut_stability.BODIES))

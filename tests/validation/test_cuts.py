@@ -5,6 +5,8 @@ from __future__ import annotations
 import cut_cracks
 import cut_stability
 import cut_strip
+import cut_taut
+import numpy as np
 import pytest
 
 MOST_SHORTER = 1.5  # times by which a cut may shorten the stable step
@@ -25,6 +27,17 @@ def test_a_strip_releases_its_energy_per_area():
     for step in ("0.25", "0.5", "1"):  # at fixed displacements a step of at most a spacing makes no energy
         change = row["changes"][step]
         assert -1.0 < change["low"] <= change["high"] < 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", [("strip", 0.05, 2e-3, 0.1), ("edge crack", 1200.0, 2e-3, 0.05)])
+def test_a_blade_in_taut_tissue_has_the_force_that_the_front_leaves_it(case):
+    row = cut_taut.compared(*case)
+    assert row["released"][1] > 0.2
+    assert len(row["force"]) > 2
+    assert np.abs(row["force"]).max() < 0.05
+    assert np.abs(row["cost"]).max() < 0.05
+    assert row["across"] < 0.05  # of a push that cuts
 
 
 @pytest.mark.slow

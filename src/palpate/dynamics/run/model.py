@@ -197,9 +197,9 @@ class Outputs(Described):
         True for the nodes bonded to a `Grasp`.
     trust : float, optional
         Trust number of a model with an error indicator.
-    blade : (4,) array
+    blade : (5,) array
         Cut area [m^2], released energy, and energies dissipated at a blade's edge and by friction on its sides [J]
-        since the start; empty without a blade.
+        since the start, and energy release rate [J/m^2]; empty without a blade.
     cut_triangles : (c, 3, 3) array [m]
         Triangles along which the body is cut.
 

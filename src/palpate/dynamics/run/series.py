@@ -55,6 +55,7 @@ SERIES = {
     "released_energy": _energy(WITH_BLADE),
     "edge_work": _energy(WITH_BLADE),
     "friction_work": _energy(WITH_BLADE),
+    "release_rate": Series(Array(("frames",), most=math.inf, unit="J/m^2"), WITH_BLADE),
 }
 FIELD_NAMES = tuple(name for name, each in SERIES.items() if len(each.array.shape) > 1)  # stored frame by frame
 NUMBER_NAMES = tuple(name for name, each in SERIES.items() if each.exists == EVERY_RUN and name not in FIELD_NAMES)

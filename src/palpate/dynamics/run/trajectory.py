@@ -78,8 +78,10 @@ class Trajectory(Described):
         Error bounds of the displacement, root mean square over the body, and of the tools' forces
         (`palpate.ReducedModel.error_bounds`); infinite where the error is unknown. Empty without them.
     cut_area, released_energy, edge_work, friction_work : (f,) arrays [m^2], [J]
-        Totals of a blade since the start: the area that it has cut, the strain energy that the front has released
-        at fixed displacements, and the energies dissipated at its edge and by friction on its sides. Empty
+        Totals of a blade since the start: the area that it has cut, the strain energy that the front has released,
+        and the energies dissipated at its edge and by friction on its sides. Empty without a blade.
+    release_rate : (f,) array [J/m^2]
+        Energy that the front releases per area. Above the toughness, tissue would tear ahead of the blade. Empty
         without a blade.
     cuts : (c, 10) array
         Frame from which on the body is cut along a triangle, and its corners [m] in the stress-free body. Triangles
@@ -130,6 +132,7 @@ class Trajectory(Described):
     released_energy: Floats = field(default_factory=lambda: np.zeros(0))
     edge_work: Floats = field(default_factory=lambda: np.zeros(0))
     friction_work: Floats = field(default_factory=lambda: np.zeros(0))
+    release_rate: Floats = field(default_factory=lambda: np.zeros(0))
     cuts: Floats = field(default_factory=lambda: np.zeros((0, 10)))
 
     def _facts(self) -> list[Fact]:

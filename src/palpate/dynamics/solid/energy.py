@@ -290,7 +290,8 @@ class EnergySolid(EnergyModel, Solid):
         result = super().outputs(state, prepared, work)
         if state.incision is None:
             return result
-        return replace(result, blade=state.incision.totals, cut_triangles=self.cut_surface.triangles)
+        blade = np.append(state.incision.totals, state.incision.release_rate)
+        return replace(result, blade=blade, cut_triangles=self.cut_surface.triangles)
 
     def most_steps(self, state: State, prepared: PreparedLoads, step: float) -> int:
         return min(super().most_steps(state, prepared, step), steps_of_blade(prepared, state, step, self.cloud.spacing))

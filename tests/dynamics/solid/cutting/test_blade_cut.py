@@ -75,7 +75,7 @@ def test_a_support_bears_the_force_of_the_blade(steady_cut):
 def test_cuts_and_their_energies_are_stored(steady_cut, tmp_path):
     steady_cut.save(tmp_path / "run.h5")
     again = pt.Trajectory.load(tmp_path / "run.h5")
-    for name in ("cut_area", "released_energy", "edge_work", "friction_work", "cuts"):
+    for name in ("cut_area", "released_energy", "edge_work", "friction_work", "release_rate", "cuts"):
         np.testing.assert_array_equal(getattr(again, name), getattr(steady_cut, name))
     assert len(again.cuts)
 
@@ -171,6 +171,18 @@ def test_a_blade_that_reaches_a_support_ends_the_run_with_its_frames():
     with pytest.raises(pt.DivergenceError, match="which a support or a tool holds") as error:
         pt.rollout(sheet(), [blade], duration=0.05, every=0.005, progress=False)
     assert len(error.value.trajectory.times) > 3
+
+
+def test_a_run_in_which_tissue_would_tear_ahead_of_the_blade_warns():
+    blade = knife(pt.tools.Blade(EDGE, toughness=0.2), lambda t: -3e-3 + SPEED * max(t - 0.06, 0.0))
+    pull = [
+        pt.SurfaceForce(side, lambda t, sign=sign: (0, sign * 0.3 * min(t / 0.05, 1.0), 0))
+        for side, sign in (("y+", 1), ("y-", -1))
+    ]
+    with pytest.warns(UserWarning, match="would tear ahead of Contact 'knife'"):
+        run = pt.rollout(sheet(), [blade, *pull], duration=0.16, every=0.01, progress=False)
+    assert run.release_rate[-1] > 0.2
+    assert np.abs(run.reactions["knife"][-1, 0]) < 0.02 * 0.2 * THICKNESS
 
 
 def test_only_solids_in_the_energy_form_are_cut():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -22,7 +23,9 @@ from palpate.dynamics.solid.cutting.incision import (
     advance_edge,
     after_cut,
     blade_sites,
+    edge_limits,
     edge_points,
+    front_release_rate,
     next_strip,
     start_incision,
 )
@@ -66,11 +69,23 @@ def cut_with_blade(body: Any, state: State, prepared: PreparedLoads) -> tuple[An
     number, tool = blade
     frame = _frame(tool, state.time)
     held = np.flatnonzero(prepared.sites.kind != FREE)
+    largest = 0.0 if state.incision is None else state.incision.largest_rate
     body, incision, sites, released = advance_blade(body, state, tool, frame, held, number)
+    if largest < tool.tool.toughness <= incision.largest_rate:  # type: ignore[union-attr]
+        _warn_of_tearing(tool, state.time)
     state = replace(state, incision=incision, dissipated=state.dissipated + released)
     if sites is not None:
         prepared = replace(prepared, contacts=prepared.contacts._replace(sites=sites))
     return body, state, prepared
+
+
+def _warn_of_tearing(tool: Contact, time: float) -> None:
+    warnings.warn(
+        f"the tissue would tear ahead of Contact {tool.name!r} from {time:.3g} s on: the front releases more energy "
+        "per area than the toughness, and the run cuts as far as the blade only; lower the tension, or use the frames "
+        "before",
+        stacklevel=2,
+    )
 
 
 def with_turned_pairs(body: Any, u: Floats, prepared: PreparedLoads) -> PreparedLoads:
@@ -98,26 +113,26 @@ def advance_blade(
     """
     blade: Any = tool.tool
     cloud, u, history = body.cloud, state.coordinates, state.history
-    cut_state, incision, released = body.cut_state, state.incision, 0.0
+    cut_state, incision = body.cut_state, state.incision
     corners = cloud.points[cloud.triangles]
-    is_new = incision is None
-    if is_new:
+    if incision is None:
         incision, sites = _start(body, u, tool, frame, number)
         return body, *_with_faces(incision, sites, face_pairs(cut_state, u)), 0.0
     cuts = advance_edge(cut_state, incision, blade, frame, u, corners)
-    energy = body.strain_energy(u, history) if cuts else 0.0
+    before = body.evaluate(u, history)
+    rate = front_release_rate(body, incision, u, before)
     for edge, pieces, area in cuts:
         strip, triangles, replaced = next_strip(incision.strip, incision.edge, edge, pieces, cloud.spacing)
-        lost = 0.0
         if len(triangles):
             _check_distance(tool, triangles, cloud.points, held, cloud.spacing)
             body = cut_from(body, len(body.cut_surface.triangles) - replaced, triangles)
-            before, energy = energy, body.strain_energy(u, history)
-            lost = before - energy
-        incision = after_cut(incision, edge, strip, area, lost, cloud.spacing)
-        released += lost
+        incision = after_cut(incision, edge, strip, area)
+    incision = replace(incision, release_rate=rate, largest_rate=max(rate, incision.largest_rate))
     if not cuts:
+        if incision.hold is not None:
+            incision.hold.limits[:] = edge_limits(blade, rate, incision.hold.areas)
         return body, incision, None, 0.0
+    released = float(body.volumes @ before.energy_density) - body.strain_energy(u, history)
     sites, incision, _ = blade_sites(body.cut_state, incision, blade, frame, u, corners, number)
     return body, *_with_faces(incision, sites, face_pairs(body.cut_state, u)), released
 
@@ -140,8 +155,11 @@ def _start(body: Any, u: Floats, tool: Contact, frame: Floats, number: int) -> t
 def _with_faces(incision: Incision, sites: BladeSites, pairs: BladeSites) -> tuple[Incision, BladeSites]:
     """Return the incision, and the sites of its blade followed by pairs of faces."""
     joined = joined_sites(sites, pairs)
-    if incision.hold is not None:  # the step writes the slips of the joined sites
-        incision = replace(incision, hold=incision.hold._replace(slips=joined.slips[: len(incision.hold.pieces)]))
+    if incision.hold is not None:  # the step writes the slips of the joined sites, and reads the limits
+        count = len(incision.hold.pieces)
+        incision = replace(
+            incision, hold=incision.hold._replace(slips=joined.slips[:count], limits=joined.limits[:count])
+        )
     return incision, joined
 
 

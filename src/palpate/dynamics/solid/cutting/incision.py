@@ -1,8 +1,9 @@
 """Advance of a cut with a blade: the path of its edge through the stress-free body, and its energy balance.
 
 After some steps the points of the edge have moved on through the tissue. The triangles between their places before and
-after, in the stress-free body, are cut at fixed displacements, a quarter of the spacing at a time. The body then loses
-the strain energy G dA that the front releases. The edge holds the tissue with at most (Gamma - G) l
+after, in the stress-free body, are cut at fixed displacements, a quarter of the spacing at a time. The front releases
+the strain energy G dA: a part at once, and the rest in the motion after it. G follows from the stress around the front
+before the cut (`palpate.dynamics.solid.cutting.energy_release`). The edge holds the tissue with at most (Gamma - G) l
 (`palpate.dynamics.contact.blade`), so the work of the blade is
 
     W = Gamma A + friction + work on the tissue - released energy.
@@ -24,6 +25,8 @@ from palpate.arrays import Floats, Ints
 from palpate.describe import Described, Fact
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.blade_sites import EDGE_SITE, FACE_SITE, BladeSites
+from palpate.dynamics.run.model import Evaluation
+from palpate.dynamics.solid.cutting.energy_release import release_rate
 from palpate.meshfree.cut.points import (
     LEAST_VOLUME,
     SIGHT_DISTANCE,
@@ -46,7 +49,6 @@ NEAR_FACE = 1.5  # distance of a point of the blade's flat from the nearest node
 LEAST_SHARE = 1e-3  # of a piece of the edge in the body, for it to hold tissue
 LONGEST_STRIP, MAX_BEND = 1.0, 0.01  # of a strip of triangles, and its distance from the way of the edge, in spacings
 LONGEST_RETREAT = 0.3  # of a piece of the edge behind the front, beyond which it holds no tissue, in spacings
-RELEASE_WAY = 1.0  # spacings over which the release is averaged
 
 
 class Strip(NamedTuple):
@@ -65,6 +67,10 @@ class HeldPieces(NamedTuple):
     weights: PointWeights  # of the nodes there
     offsets: Floats  # (m, 3) array [m]: from the tissue there to the blade that are not counted as an advance
     normals: Floats  # (m, 3) array: in which they advance, in the tool's frame
+    ahead: Floats  # (m, 3) array: the same in the stress-free body
+    lengths: Floats  # (m,) array [m]: in the body
+    areas: Floats  # (m,) array [m]: that they cut per advance
+    limits: Floats  # (m,) array [N]: largest forces, which the compiled step reads
     # (m,) array [m]: how far the front has advanced since the sites were made; the compiled step writes them
     slips: Floats
 
@@ -82,9 +88,9 @@ class Incision(Described):
     area : float [m^2]
         That the blade has cut.
     released : float [J]
-        Strain energy that fronts have released at fixed displacements.
-    release_rate : float [J/m^2]
-        Released energy per area, averaged over the last spacing.
+        Strain energy that the front has released.
+    release_rate, largest_rate : float [J/m^2]
+        That it releases per area, now and at most.
     edge_work, friction_work : float [J]
         Energies dissipated at the edge and by friction on the sides.
 
@@ -109,6 +115,7 @@ class Incision(Described):
     area: float = 0.0
     released: float = 0.0
     release_rate: float = 0.0
+    largest_rate: float = 0.0
     edge_work: float = 0.0
     friction_work: float = 0.0
 
@@ -302,20 +309,24 @@ def next_strip(strip: Strip, before: Floats, edge: Floats, pieces: NDArray[np.bo
     return Strip(start, pieces, len(triangles)), triangles, strip.triangles if goes_on else 0
 
 
-def after_cut(incision: Incision, edge: Floats, strip: Strip, area: float, released: float, spacing: float) -> Incision:
-    """Return the incision after a cut of an area [m^2] that released an energy [J]."""
-    rate, length = incision.release_rate, float(np.linalg.norm(np.diff(edge, axis=0), axis=1).sum())
-    if area > 0:
-        share = min(1.0, area / (RELEASE_WAY * spacing * length))
-        rate += share * (released / area - rate)
-    return replace(
-        incision,
-        edge=edge,
-        strip=strip,
-        area=incision.area + area,
-        released=incision.released + released,
-        release_rate=rate,
-    )
+def after_cut(incision: Incision, edge: Floats, strip: Strip, area: float) -> Incision:
+    """Return the incision after a cut of an area [m^2]."""
+    released = incision.released + incision.release_rate * area
+    return replace(incision, edge=edge, strip=strip, area=incision.area + area, released=released)
+
+
+def front_release_rate(body: Any, incision: Incision, u: Floats, evaluation: Evaluation) -> float:
+    """Return the energy release rate [J/m^2] of the pieces of an edge that hold tissue, at displacements (n, 3)."""
+    hold = incision.hold
+    if hold is None or not len(hold.pieces):
+        return 0.0
+    segments = np.stack([incision.edge[hold.pieces], incision.edge[hold.pieces + 1]], axis=1)
+    return release_rate(body, u, evaluation, segments, hold.ahead, hold.lengths)
+
+
+def edge_limits(blade: Blade, rate: float, areas: Floats) -> Floats:
+    """Return the largest forces (m,) [N] of pieces of an edge that cut areas (m,) [m] per advance."""
+    return max(blade.toughness - max(rate, 0.0), 0.0) * areas
 
 
 def blade_sites(
@@ -334,15 +345,16 @@ def blade_sites(
     held = np.flatnonzero((shares > LEAST_SHARE) & ~in_cut)
     edge_at, sights = segments.mean(axis=1)[held], seen[held]
     edge_weights = point_weights(state.uncut, state.surface, edge_at, edge_at + SIGHT_DISTANCE * spacing * sights)
-    hold = _held_pieces(state, incision, blade, frame, u, held, edge_at, edge_weights)
+    ways = segments[held, 1] - segments[held, 0]
+    inside = shares[held] * np.linalg.norm(ways, axis=1)
+    hold = _held_pieces(state, incision, blade, frame, u, held, edge_at, edge_weights, sights, inside)
+    areas = shares[held] * _area_rates(hold, ways, directions[held] @ frame[:, :3].T, u)
     faces, face_weights = _faces(state, blade, frame, u, points, incision.edge, corners)
     kinds = np.repeat([EDGE_SITE, FACE_SITE], [len(held), len(faces[0])])
     parts = zip([edge_at, sights, middles[held], directions[held], np.zeros(len(held))], faces, strict=True)
     at, _, places, normals, limits = (np.concatenate(each) for each in parts)
     weights = PointWeights(*(np.concatenate(each) for each in zip(edge_weights, face_weights, strict=True)))
-    strength = max(blade.toughness - max(incision.release_rate, 0.0), 0.0)
-    ways = segments[held, 1] - segments[held, 0]
-    limits[: len(held)] = strength * shares[held] * _area_rates(hold, ways, directions[held] @ frame[:, :3].T, u)
+    limits[: len(held)] = edge_limits(blade, incision.release_rate, areas)
     slips = np.zeros(len(kinds))
     used = weights.values != 0.0
     start = np.concatenate([[0], np.cumsum(used.sum(axis=1))]).astype(np.int64)
@@ -353,7 +365,7 @@ def blade_sites(
         limits=np.ascontiguousarray(limits), impulses=np.zeros((len(kinds), 3)), works=np.zeros(2),
         offsets=np.concatenate([hold.offsets, np.zeros((len(kinds) - len(held), 3))]), slips=slips,
     )  # fmt: skip
-    return sites, replace(incision, hold=hold), float(lengths.sum())
+    return sites, replace(incision, hold=hold._replace(areas=areas)), float(lengths.sum())
 
 
 def _area_rates(hold: HeldPieces, ways: Floats, normals: Floats, u: Floats) -> Floats:
@@ -378,10 +390,16 @@ def _held_pieces(
     pieces: Any,
     points: Floats,
     weights: PointWeights,
+    ahead: Floats,
+    lengths: Floats,
 ) -> HeldPieces:
     """Return the pieces (m,) that hold tissue, at points (m, 3); an edge behind the front stays behind it."""
     edge, count = edge_points(blade, state.uncut.spacing), len(pieces)
-    hold = HeldPieces(pieces, points, weights, np.zeros((count, 3)), cutting_directions(edge)[pieces], np.zeros(count))
+    none = np.zeros(count)
+    normals = cutting_directions(edge)[pieces]
+    hold = HeldPieces(
+        pieces, points, weights, np.zeros((count, 3)), normals, ahead, lengths, areas=none, limits=none, slips=none
+    )
     offsets, normals = _slips(hold, edge, frame, u)
     before = incision.hold
     if before is not None:
