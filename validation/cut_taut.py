@@ -31,7 +31,7 @@ STRIP, SHEET = (56e-3, 18e-3), (24e-3, 60e-3)  # length along the cut, and heigh
 TOUGHNESS = {"strip": 5.0, "edge crack": 4.0}  # [J/m^2]
 TENSIONS = {"strip": (0.03, 0.05, 0.07), "edge crack": (900.0, 1200.0, 1500.0)}  # strain; stress [Pa]
 SPACINGS = (2e-3, 1.5e-3)
-SPEEDS = {"strip": (0.05, 0.2), "edge crack": (0.025, 0.1)}  # [m/s]
+SPEEDS, ENGINE_SPEED = {"strip": (0.1, 0.3), "edge crack": (0.05, 0.1)}, 0.01  # [m/s]
 PLACE = 0.1  # of the cut above the middle, in spacings: between nodes
 PULL_TIME, REST = 0.08, 0.04  # [s] in which the tension grows, and until the blade moves
 FIRST_END = 6e-3  # [m] of the edge crack
@@ -147,17 +147,20 @@ def in_engine(tension: float, spacing: float, speed: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def every_case() -> list[dict[str, Any]]:
-    """Run all cases, and print each."""
-    rows = []
-    cases = [
-        (compared, (kind, *case))
-        for kind in TENSIONS
-        for case in product(TENSIONS[kind], SPACINGS, SPEEDS[kind])
-    ]  # fmt: skip
-    for function, case in [*cases, *((in_engine, (tension, SPACINGS[0], 0.01)) for tension in TENSIONS["strip"])]:
-        rows.append(function(*case))
-        row = rows[-1]
-        errors = {name: f"{min(row[name]):+.1%} to {max(row[name]):+.1%}" for name in ("force", "cost")}
-        print(*case, f"G/Gamma {row['released'][0]:.2f} to {row['released'][1]:.2f}", errors, f"{row['seconds']:.0f} s")
-    return rows
+def in_runs() -> list[dict[str, Any]]:
+    """Run all tensions, spacings and speeds, and print each."""
+    cases = [case for kind in TENSIONS for case in product([kind], TENSIONS[kind], SPACINGS, SPEEDS[kind])]
+    return [printed(compared(*case)) for case in cases]
+
+
+def in_engines() -> list[dict[str, Any]]:
+    """Run all tensions of the strip in the engine, and print each."""
+    return [printed(in_engine(tension, SPACINGS[0], ENGINE_SPEED)) for tension in TENSIONS["strip"]]
+
+
+def printed(row: dict[str, Any]) -> dict[str, Any]:
+    case = ", ".join(f"{name} {row[name]}" for name in ("kind", "tension", "spacing", "speed"))
+    errors = ", ".join(f"{name} {min(row[name]):+.1%} to {max(row[name]):+.1%}" for name in ("force", "cost"))
+    low, high = row["released"]
+    print(f"{case}: G/Gamma {low:.2f} to {high:.2f}, {errors}, {row['seconds']:.0f} s", flush=True)
+    return row

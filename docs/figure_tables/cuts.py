@@ -10,7 +10,7 @@ from figure_tables.cells import Row, block, distinct, markdown, signed
 CRACKS = "python validation/cuts.py --parts patch halves penny strip blade"
 STRIPS = "python validation/cuts.py --parts strip blade"
 TROUSERS = "python validation/cuts.py --parts trousers"
-TAUT = "python validation/cuts.py --parts taut"
+TAUT = "python validation/cuts.py --parts taut engine"
 RANDOM_CUTS = "python validation/cuts.py --parts stability --bodies"
 STABILITY = (
     f"{RANDOM_CUTS} box 'generated liver' 'HRA liver'` and `{RANDOM_CUTS} 'SOFA liver' --count 50` and "
@@ -89,7 +89,7 @@ def cuts_trousers(found: Row) -> str:
 def cuts_taut(found: Row) -> str:
     """Return errors of the force of a blade in taut tissue, and of what its cut costs."""
     lines = []
-    for row in found["taut"]:
+    for row in [*found["taut"], *found["engine"]]:
         unit = f"{row['tension']:g} Pa" if row["kind"] == "edge crack" else f"{1 + row['tension']:g}"
         low, high = row["released"]
         share = f"{low:.2f}" if high - low < 0.005 else f"{low:.2f} to {high:.2f}"
