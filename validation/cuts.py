@@ -1,8 +1,7 @@
 """Cuts of a body against closed forms: forces along a cut, its opening and energy release, and its stability.
 
-    python validation/cuts.py [--parts patch halves penny strip trousers taut engine blade
-        stability] [--bodies NAME ...]
-        [--count 50]
+    python validation/cuts.py [--parts patch halves penny strip trousers taut engine blade stability]
+        [--bodies NAME ...] [--count 50]
 
 writes docs/validation/cuts.json, which keeps the results of parts that were not asked for, and prints the figures.
 `cut_cracks.py`, `cut_strip.py`, `cut_trousers.py`, `cut_taut.py` and `cut_stability.py` say what each part measures.
