@@ -30,7 +30,7 @@ def test_suspension_counts_and_a_stall_does_not(clocks):
     assert suspended_time() == 3700.0
 
 
-def test_a_stall_between_the_readings_is_no_suspension(clocks, monkeypatch):
+def test_a_stall_between_the_readings_does_not_count(clocks, monkeypatch):
     readings = iter([0.0, 10.0, 10.0, 10.001])  # ten seconds pass during the first try
     monkeypatch.setattr(suspension, "uptime", lambda: next(readings))
     clocks.total = 15.0

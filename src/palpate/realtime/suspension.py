@@ -1,6 +1,6 @@
 """The time for which the machine was suspended: the difference of a clock that goes on meanwhile and one that stops.
 
-A program that gets no processor time stalls both clocks alike, so that a stall is no suspension.
+Both clocks go on alike while a program gets no processor time: such a stall does not count.
 """
 
 from __future__ import annotations
@@ -11,9 +11,11 @@ import time
 from typing import Any
 
 # names of a clock that goes on while the machine is suspended, and of one that stops: they differ by system
-CLOCKS = ("CLOCK_MONOTONIC", "CLOCK_UPTIME_RAW") if sys.platform == "darwin" else ("CLOCK_BOOTTIME", "CLOCK_MONOTONIC")
+CLOCK_NAMES = (
+    ("CLOCK_MONOTONIC", "CLOCK_UPTIME_RAW") if sys.platform == "darwin" else ("CLOCK_BOOTTIME", "CLOCK_MONOTONIC")
+)
 IS_WINDOWS = sys.platform == "win32"
-HAS_CLOCKS = IS_WINDOWS or all(hasattr(time, name) for name in CLOCKS)
+HAS_CLOCKS = IS_WINDOWS or all(hasattr(time, name) for name in CLOCK_NAMES)
 TICKS_PER_SECOND, MILLISECONDS_PER_SECOND = 1e7, 1e3  # of the clocks of Windows
 READING_TIME = 0.05  # [s] that a reading of both clocks takes without a stall
 
@@ -34,7 +36,7 @@ def suspended_time() -> float:
 def time_since_start() -> float:
     """Return a time [s] that goes on while the machine is suspended."""
     if not IS_WINDOWS:
-        return time.clock_gettime(getattr(time, CLOCKS[0]))
+        return time.clock_gettime(getattr(time, CLOCK_NAMES[0]))
     count = _kernel().GetTickCount64
     count.restype = ctypes.c_ulonglong
     return float(count()) / MILLISECONDS_PER_SECOND
@@ -43,7 +45,7 @@ def time_since_start() -> float:
 def uptime() -> float:
     """Return a time [s] that stops while the machine is suspended."""
     if not IS_WINDOWS:
-        return time.clock_gettime(getattr(time, CLOCKS[1]))
+        return time.clock_gettime(getattr(time, CLOCK_NAMES[1]))
     ticks = ctypes.c_ulonglong()
     _kernel().QueryUnbiasedInterruptTime(ctypes.byref(ticks))
     return ticks.value / TICKS_PER_SECOND
