@@ -1,5 +1,6 @@
 // The body mesh: positions are one array, shared by a buffer and a texture; the GPU computes normals.
 import * as three from "three";
+import { CutLine } from "./cutLine.js";
 import { RestSurface } from "./restSurface.js";
 import { bodyShader, normalsShader } from "./shaders.js";
 
@@ -28,9 +29,14 @@ export class BodyMesh {
     this.parts = this.smooth ? Math.min(Math.max(Math.floor(wanted), 1), MAX_SUBDIVISIONS) : 1;
     this.material = this.makeMaterial(fine);
     this.mesh = this.makeMesh();
+    this.texture = this.makeVectors(this.memory);
     if (this.smooth) this.makeNormals();
     if (this.parts > 1) this.refine();
     if (!fine && this.material.side === three.FrontSide) this.enableCulling();
+    if (geometry.line?.ends.length) {
+      this.line = new CutLine(geometry.line, this);
+      this.mesh.add(this.line.mesh);
+    }
     this.refresh();
   }
 
@@ -152,7 +158,6 @@ export class BodyMesh {
   }
 
   makeNormals() {
-    this.texture = this.makeVectors(this.memory);
     this.target = new three.WebGLRenderTarget(WIDTH, this.rows, {
       type: three.HalfFloatType,
       minFilter: three.NearestFilter,
@@ -191,8 +196,8 @@ export class BodyMesh {
 
   refresh() {
     this.place.needsUpdate = true;
-    if (!this.smooth) return;
     this.texture.needsUpdate = true;
+    if (!this.smooth) return;
     this.renderer.setRenderTarget(this.target);
     this.renderer.render(this.pass, this.flat);
     this.renderer.setRenderTarget(null);
@@ -241,7 +246,7 @@ export class BodyMesh {
 
   dispose() {
     const { rests, scalars } = this.material.uniforms;
-    const own = [this.mesh.geometry, this.shape, this.material, this.target, this.texture, rests.value, scalars.value];
+    const own = [this.line, this.mesh.geometry, this.shape, this.material, this.target, this.texture, rests.value, scalars.value];
     for (const each of own) each?.dispose();
   }
 }

@@ -69,9 +69,10 @@ export function paceText(pace) {
   return pace < 0.95 ? `${pace < 0.1 ? pace.toPrecision(1) : pace.toFixed(1)} of real time` : "";
 }
 
-/** The area [m^2] that a scalpel has cut, and the force [N] of a straight push with which it cuts. */
-export function cutText(area, needed) {
-  if (area === 0 && needed === 0) return "";
-  const cut = `Cut: ${(1e6 * area).toFixed(area < 1e-5 ? 1 : 0)} mm²`;
-  return needed > 0 ? `${cut}. The blade cuts at ${plainForce(needed)} N; below that the tissue moves with it.` : `${cut}.`;
+/** The size of the cut until a reset: length [m] on the surface, area [m^2] and depth [m]; and the force [N] that cuts. */
+export function cutText({ cut_length: length, cut_area: area, cut_depth: depth, cutting_force: needed }) {
+  const millimetres = (metres) => (1e3 * metres).toFixed(metres < 0.01 ? 1 : 0);
+  const size = area > 0 ? `Cut: ${(1e6 * area).toFixed(area < 1e-5 ? 1 : 0)} mm², ${millimetres(length)} mm long, ${millimetres(depth)} mm deep.` : "";
+  const force = needed > 0 ? `The blade cuts at ${plainForce(needed)} N; below that the tissue moves with it.` : "";
+  return [size, force].filter(Boolean).join(" ");
 }

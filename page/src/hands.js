@@ -1,4 +1,5 @@
 // The tools of a session by index: one is in hand, others are held where they are.
+import { withinEdge } from "./toolSettings.js";
 
 const ANSWER_TIME = 1000; // [ms] after a request in which the session's word on it may be an older one
 const AWAY = { kind: "none", pinned: false, force: [0, 0, 0], newtons: 0, position: [0, 0, 0], quaternion: [1, 0, 0, 0], pose: 0 };
@@ -119,7 +120,7 @@ export class Hands {
 
   /** Change settings of the tool in hand. */
   change(part) {
-    this.tool = { ...this.tool, ...part };
+    this.tool = withinEdge({ ...this.tool, ...part });
     this.settings[this.tool.kind] = this.tool;
     this.put(this.inHand);
   }

@@ -79,6 +79,7 @@ const hands = new Hands({
   changed: () => showStatus(),
 });
 
+let hasCut = false; // whether the scalpel was chosen before
 let scene, controls, handList, plots, panel, transport, refinement, surroundings, choice, connection;
 
 function start() {
@@ -291,6 +292,8 @@ function choose(kind) {
   if (kind === session.tool.kind || !driver()) return;
   controls.putAside();
   hands.choose(kind);
+  if (kind === "scalpel" && !hasCut) statusLine.showToast("Hold on the body and draw: the blade cuts along the stroke.");
+  hasCut ||= kind === "scalpel";
 }
 
 /** Mark a shape around the body; none for -1. */

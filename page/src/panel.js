@@ -95,7 +95,6 @@ export class Panel {
         if (names.includes(name) && name in tool) set(this.isLength(name) ? 1e3 * tool[name] : tool[name]);
       }
       this.byId("sizes").classList.toggle("two", names.length > 1 && names.every((name) => this.isLength(name)));
-      if (tool.kind !== "scalpel") this.write("cut", "");
       this.coupling.set(tool.stiffness ? Math.log10(tool.stiffness) : RIGID_EXPONENT);
     }
     const mine = driver && !replay;
@@ -159,9 +158,9 @@ export class Panel {
     return error ? `Mean force error on held-out runs: ${formatNumber(100 * error, 2)} %` : "";
   }
 
-  statistics({ median_ms: median, p99_ms: late, misses, periods, force_bound: bound, step_share: step, repeated, held, cut_area: area, cutting_force: needed }) {
+  statistics({ median_ms: median, p99_ms: late, misses, periods, force_bound: bound, step_share: step, repeated, held, ...cut }) {
     this.bound = bound;
-    this.write("cut", area === undefined ? "" : cutText(area, needed));
+    this.write("cut", cutText(cut));
     const parts = [`Median ${median.toFixed(2)} ms`, `99 % ${late.toFixed(2)} ms`];
     // a full body may be late by some periods: its pace counts
     if (!this.full) parts.push(misses ? `${formatNumber((100 * misses) / periods, 2)} % of the periods missed` : "none missed");

@@ -1,5 +1,6 @@
 // One press, from contact to release: the pose of the tool, and the messages to the server.
 import * as three from "three";
+import { deepestStroke } from "./bladeEdge.js";
 
 const APPROACH_GAP = 0.008; // [m] between surface and tool at the start, so that the tool is outside the body
 const APPROACH_TIME = 0.07; // [s], time constant
@@ -33,9 +34,10 @@ export class Press {
     this.offset = new three.Vector3(); // along the surface; for forceps in any direction
     this.normal = hit.normal.clone();
     this.depth = this.grasps ? 0 : this.cuts ? tool.depth : Math.min(0.35 * tool.radius, 0.02 * scene.size);
+    this.begin();
+    if (this.cuts) this.depth = Math.min(this.depth, this.deepest);
     this.approach = this.grasps ? 0 : this.depth + APPROACH_GAP;
     this.least = this.grasps ? -Infinity : 0; // [m] of the depth
-    this.begin();
     const { position, along } = Press.initialPose(scene, tool, hit, roll);
     this.along = along; // of the tool, on the surface
     this.way = 1; // in which a blade goes, along it
@@ -68,7 +70,7 @@ export class Press {
   /** Take the view's directions, for the motions of a pointer. */
   begin() {
     const { scene } = this;
-    this.deepest = 0.2 * scene.size;
+    this.deepest = this.cuts ? deepestStroke(this.tool.length) : 0.2 * scene.size;
     this.viewAxes = [0, 1].map((k) => new three.Vector3().setFromMatrixColumn(scene.camera.matrixWorld, k));
     this.scale = scene.metresPerPixel(this.hit.point);
   }

@@ -15,7 +15,8 @@ export function decode(buffer) {
     const positions = new Float32Array(buffer, HEADER_BYTES, 3 * vertices);
     const start = HEADER_BYTES + 12 * vertices;
     const fixed = new Uint8Array(buffer, start + 12 * triangles, vertices);
-    return { kind, sequence, positions, triangles: new Uint32Array(buffer, start, 3 * triangles), fixed };
+    const line = kind === 6 ? cutLine(buffer, 4 * Math.ceil((start + 12 * triangles + vertices) / 4), sequence) : null;
+    return { kind, sequence, positions, triangles: new Uint32Array(buffer, start, 3 * triangles), fixed, line };
   }
   if (kind === 7) return surroundings(buffer, sequence, vertices, triangles);
   if (kind === 2) return state(buffer, sequence, vertices);
@@ -25,6 +26,11 @@ export function decode(buffer) {
     return { kind, sequence, positions: new Float32Array(buffer, HEADER_BYTES, 3 * vertices), newtons: Math.hypot(...force) };
   }
   return { kind, sequence };
+}
+
+/** The line along which a cut opens a surface, of `count` pieces: corners of their triangles, and their ends there. */
+function cutLine(buffer, start, count) {
+  return { corners: new Uint32Array(buffer, start, 3 * count), ends: new Float32Array(buffer, start + 12 * count, 4 * count) };
 }
 
 /** Shapes around a body; `count` of them. */

@@ -67,6 +67,22 @@ const HATCH = `
     return 1.0 - 0.16 * smoothstep(0.4, 0.6, support) * step(0.6, fract((gl_FragCoord.x + gl_FragCoord.y) / 9.0));
   }`;
 
+/** A cubic patch over a triangle with given normals at its corners (Vlachos et al. 2001). */
+const PATCH = `
+  vec3 bent(vec3 p, vec3 n, vec3 to) { // control point at a third of an edge, in the tangent plane except at a crease
+    vec3 along = to - p;
+    float rise = dot(along, n);
+    float smoothly = 1.0 - smoothstep(0.4, 0.65, abs(rise) * inversesqrt(max(dot(along, along), 1e-30)));
+    return p + (along - smoothly * rise * n) / 3.0;
+  }
+  vec3 patched(vec3 w, vec3 a, vec3 b, vec3 c, vec3 na, vec3 nb, vec3 nc) {
+    vec3 ab = bent(a, na, b), ba = bent(b, nb, a), bc = bent(b, nb, c), cb = bent(c, nc, b);
+    vec3 ca = bent(c, nc, a), ac = bent(a, na, c);
+    vec3 edges = (ab + ba + bc + cb + ca + ac) / 6.0, centre = 1.5 * edges - (a + b + c) / 6.0;
+    return w.x * w.x * (w.x * a + 3.0 * (w.y * ab + w.z * ac)) + w.y * w.y * (w.y * b + 3.0 * (w.x * ba + w.z * bc))
+         + w.z * w.z * (w.z * c + 3.0 * (w.x * ca + w.y * cb)) + 6.0 * w.x * w.y * w.z * centre;
+  }`;
+
 /** The body. With LIT, for software rendering, colours are computed at vertices instead of pixels. */
 export const bodyShader = {
   vertex: `
@@ -80,23 +96,11 @@ export const bodyShader = {
     out float support;
     vec3 normalOf(int k) { return texelFetch(normals, ivec2(k % WIDTH, k / WIDTH), 0).xyz; }
     #ifdef REFINED
-      // a cubic patch over each triangle with given normals at its corners (Vlachos et al. 2001); position: u, v
+      // a curved patch over each triangle; position: u, v
       uniform sampler2D positions, rests, scalars;
       in vec3 corners;
       vec3 three(sampler2D numbers, int k) { return texelFetch(numbers, ivec2(k % WIDTH, k / WIDTH), 0).rgb; }
-      vec3 bent(vec3 p, vec3 n, vec3 to) { // control point at a third of an edge, in the tangent plane except at a crease
-        vec3 along = to - p;
-        float rise = dot(along, n);
-        float smoothly = 1.0 - smoothstep(0.4, 0.65, abs(rise) * inversesqrt(max(dot(along, along), 1e-30)));
-        return p + (along - smoothly * rise * n) / 3.0;
-      }
-      vec3 patched(vec3 w, vec3 a, vec3 b, vec3 c, vec3 na, vec3 nb, vec3 nc) {
-        vec3 ab = bent(a, na, b), ba = bent(b, nb, a), bc = bent(b, nb, c), cb = bent(c, nc, b);
-        vec3 ca = bent(c, nc, a), ac = bent(a, na, c);
-        vec3 edges = (ab + ba + bc + cb + ca + ac) / 6.0, centre = 1.5 * edges - (a + b + c) / 6.0;
-        return w.x * w.x * (w.x * a + 3.0 * (w.y * ab + w.z * ac)) + w.y * w.y * (w.y * b + 3.0 * (w.x * ba + w.z * bc))
-             + w.z * w.z * (w.z * c + 3.0 * (w.x * ca + w.y * cb)) + 6.0 * w.x * w.y * w.z * centre;
-      }
+      ${PATCH}
     #else
       in vec2 scalar; in vec3 rest; // scalar, and 1 where the surface is fixed
     #endif
@@ -184,6 +188,44 @@ export const bodyShader = {
         result = vec4(hatch(support) * shade(n, eye, value, support, mottled, wet), 1.0) * veil;
       }
     #endif`,
+};
+
+/** A line on the surface of the body: a strip of a width in pixels, a little nearer than the surface. */
+export const cutLineShader = {
+  vertex: `
+    const float NEARER = 0.996; // over the distance from the camera
+    uniform sampler2D positions, normals;
+    uniform vec2 window; uniform float width; // [px]
+    in vec3 corners; in vec4 ends; // shares of the second and third corner at both ends; position: along, side
+    vec3 three(sampler2D numbers, int k) { return texelFetch(numbers, ivec2(k % WIDTH, k / WIDTH), 0).rgb; }
+    ${PATCH}
+    vec4 at(float along) {
+      ivec3 k = ivec3(corners + 0.5);
+      vec2 uv = mix(ends.xy, ends.zw, along);
+      vec3 w = vec3(1.0 - uv.x - uv.y, uv);
+      vec3 a = three(positions, k.x), b = three(positions, k.y), c = three(positions, k.z);
+      #ifdef REFINED
+        vec3 here = patched(w, a, b, c, three(normals, k.x), three(normals, k.y), three(normals, k.z));
+      #else
+        vec3 here = w.x * a + w.y * b + w.z * c;
+      #endif
+      return modelViewMatrix * vec4(here, 1.0) * vec4(vec3(NEARER), 1.0);
+    }
+    void main() {
+      float step = 0.05;
+      vec4 here = projectionMatrix * at(position.x);
+      vec4 before = projectionMatrix * at(max(position.x - step, 0.0)), after = projectionMatrix * at(min(position.x + step, 1.0));
+      vec2 along = (after.xy / after.w - before.xy / before.w) * window;
+      along *= inversesqrt(max(dot(along, along), 1e-12));
+      float cap = position.x < step ? -0.3 : position.x > 1.0 - step ? 0.3 : 0.0; // closes the gaps at bends
+      vec2 aside = width * (0.5 * position.y * vec2(-along.y, along.x) + cap * along);
+      gl_Position = here + vec4(2.0 * here.w * aside / window, 0.0, 0.0);
+    }`,
+  fragment: `
+    precision highp float;
+    uniform vec3 colour;
+    out vec4 result;
+    void main() { result = vec4(colour, 1.0); }`,
 };
 
 /** Tool glyphs: opaque, or translucent for a preview. */

@@ -1,4 +1,5 @@
 // The settings with which each kind of tool begins.
+import { deepestStroke } from "./bladeEdge.js";
 
 const FRICTION = 0.2;
 const COUPLING_STIFFNESS = 300; // [N/m], smooths the motion of a mouse
@@ -25,4 +26,9 @@ export function initialTools({ bounds: [low, high], spacing, full, compare, tool
 export function offerDepth({ tool_parameters: parameters }) {
   const { scalpel } = parameters ?? {};
   if (scalpel && !scalpel.some(({ name }) => name === "depth")) scalpel.push({ name: "depth", unit: "m", low: 0, high: 1, usual: 0 });
+}
+
+/** A tool with a depth that its edge can cut; one without a depth as it is. */
+export function withinEdge(tool) {
+  return tool.depth === undefined ? tool : { ...tool, depth: Math.min(tool.depth, deepestStroke(tool.length)) };
 }

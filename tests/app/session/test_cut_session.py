@@ -12,6 +12,8 @@ from palpate.app.recordings.recording import load_recording
 from palpate.app.session.messages import validate_message
 from palpate.app.session.replay import Replay
 from palpate.app.session.session import Session
+from palpate.app.view import film
+from palpate.app.view.server.frames import FRAME_HEADER, cut_geometry_frame
 
 SIZE = (0.05, 0.04, 0.025)
 TOUGHNESS = 5.0
@@ -22,15 +24,24 @@ def send(session, **message):
     session.handle(validate_message(message))
 
 
-def lower(session, area, height=0.04, deadline=60.0, depth=0.012):
+def lower(session, area, height=0.04, deadline=60.0, depth=0.012, place=(0.025, 0.02)):
     """Lower the scalpel into the body until it has cut an area [m^2]; return the cutter and the scalpel's height."""
     cutter, end, sequence = session.body.cutter, time.monotonic() + deadline, int(1e4 * (0.04 - height))
     while cutter.totals[0] < area and time.monotonic() < end:
         height = max(height - 2e-4, SIZE[2] - depth)
         sequence += 1
-        send(session, type="pose", position=[0.025, 0.02, height], sequence=sequence)
+        send(session, type="pose", position=[*place, height], sequence=sequence)
         time.sleep(0.01)
     return cutter, height
+
+
+def drawn(session, deadline=30.0):
+    """Wait until the body is drawn as it is cut now, and return its surface."""
+    end = time.monotonic() + deadline
+    while session.shown_surface.model is not session.body.cutter.model and time.monotonic() < end:
+        time.sleep(0.02)
+    assert session.shown_surface.model is session.body.cutter.model
+    return session.shown_surface
 
 
 @pytest.fixture(scope="module")
@@ -45,8 +56,7 @@ def cut_session(tmp_path_factory):
     cutter, height = lower(session, 5e-5)
     entered = cutter.totals
     lower(session, 1.5e-4, height)
-    time.sleep(0.3)
-    shown = session.shown_surface
+    shown = drawn(session)
     session.recordings.finish(wait=True)
     yield session, cutter, shown, path, entered
     session.close()
@@ -69,8 +79,13 @@ def test_the_scalpel_cuts_the_body_and_costs_work(cut_session):
 
 def test_the_statistics_state_what_is_cut_and_the_force_that_cuts(cut_session):
     session, cutter, _, _, _ = cut_session
+    drawn(session)
     statistics = session.statistics()
     assert statistics["cut_area"] == pytest.approx(cutter.totals[0], rel=0.05)
+    depth = statistics["cut_depth"]
+    assert 4e-3 < depth < SIZE[2] - 0.005
+    belly = (0.03 / 0.97) * np.sqrt(1.0 - (1.0 - 2 * depth / 0.03) ** 2)  # of an edge at its ends, so deep
+    assert statistics["cut_length"] == pytest.approx(belly, rel=0.1)
     length = 0.03
     assert 0.2 * TOUGHNESS * length < statistics["cutting_force"] < 1.3 * TOUGHNESS * length
 
@@ -93,6 +108,38 @@ def test_the_cut_body_is_drawn_open_with_both_faces(cut_session):
     assert scalar.shape == (len(shown.rest),)
 
 
+def test_the_line_of_the_cut_is_drawn_on_the_surface(cut_session):
+    shown = cut_session[2]
+    corners, ends = shown.cut_line
+    shares = np.concatenate([1.0 - ends.reshape(-1, 2, 2).sum(axis=2, keepdims=True), ends.reshape(-1, 2, 2)], axis=2)
+    assert shares.min() > -1e-6
+    places = np.einsum("lek,lkc->lec", shares, shown.rest[corners])
+    step, along = 1e-5, np.sort(places[..., 0], axis=1)  # the blade is along x
+    is_drawn = np.array([np.any((along[:, 0] <= x) & (x < along[:, 1])) for x in np.arange(0.0, SIZE[0], step)])
+    assert is_drawn.sum() * step == pytest.approx(shown.cut_measures.length, rel=0.01)
+    np.testing.assert_allclose(places[..., 2], SIZE[2], atol=1e-6)
+    drawn_triangles = {tuple(corner) for corner in shown.triangles.tolist()}
+    assert {tuple(corner) for corner in corners.tolist()} <= drawn_triangles
+
+
+def test_the_frame_of_a_cut_holds_its_line_behind_the_mesh(cut_session):
+    shown = cut_session[2]
+    frame = cut_geometry_frame(shown)
+    kind, pieces, vertices, triangles = FRAME_HEADER.unpack_from(frame)
+    assert (kind, pieces, vertices, triangles) == (
+        6,
+        len(shown.cut_line.corners),
+        len(shown.rest),
+        len(shown.triangles),
+    )
+    start = FRAME_HEADER.size + 12 * vertices + 12 * triangles + vertices
+    start += -start % 4
+    assert len(frame) == start + 28 * pieces
+    np.testing.assert_array_equal(np.frombuffer(frame, "<u4", 3 * pieces, start), shown.cut_line.corners.ravel())
+    ends = np.frombuffer(frame, "<f4", 4 * pieces, start + 12 * pieces)
+    np.testing.assert_array_equal(ends, shown.cut_line.ends.ravel())
+
+
 def test_a_recording_holds_the_cut_and_its_replay_shows_it(cut_session):
     recording = load_recording(cut_session[3])
     assert recording.cuts
@@ -101,8 +148,44 @@ def test_a_recording_holds_the_cut_and_its_replay_shows_it(cut_session):
     replay.pause()
     replay._seek(0.0)
     whole = len(replay.shown_surface.rest)
+    assert "cut_area" not in replay.statistics()
     replay._seek(replay.duration)
     assert len(replay.shown_surface.rest) > whole == len(replay.surface.rest)
+    assert len(replay.shown_surface.cut_line.corners)
+    assert replay.statistics()["cut_area"] == pytest.approx(cut_session[2].cut_measures.area, rel=0.1)
+
+
+def test_a_picture_of_a_recording_has_the_line_of_the_cut(cut_session, monkeypatch):
+    pytest.importorskip("pyvista", reason="pip install 'palpate[film]'")
+    recording = load_recording(cut_session[3])
+    pictures = []
+    for add_line in (film.DrawnBody._add_line, lambda self, line: None):
+        monkeypatch.setattr(film.DrawnBody, "_add_line", add_line)
+        with film.RecordingPlotter(recording, "displacement", 640) as draw:
+            draw(0)  # without a cut
+            pictures.append(np.asarray(draw(len(recording.snapshots) - 1), dtype=float))
+    darker = pictures[1].sum(axis=2) - pictures[0].sum(axis=2)
+    assert np.sum(darker > 100.0) > 50
+    assert np.sum(darker < -100.0) == 0
+
+
+def test_the_size_of_the_cut_stays_without_a_scalpel_and_strokes_add(cut_session):
+    session = cut_session[0]
+    before = session.statistics()
+    session.release()
+    send(session, type="tool", kind="sphere", radius=0.01, position=[0.025, 0.02, 0.05])
+    after = session.statistics()
+    assert "cutting_force" not in after
+    assert {name: after[name] for name in after if name.startswith("cut_")} == {
+        name: before[name] for name in before if name.startswith("cut_")
+    }
+    send(session, type="tool", kind="scalpel", length=0.012, toughness=TOUGHNESS, position=[0.025, 0.033, 0.045])
+    lower(session, 1.5e-5, depth=0.006, place=(0.025, 0.033))
+    drawn(session)
+    added = session.statistics()
+    assert added["cut_area"] > before["cut_area"] + 1e-5
+    assert added["cut_length"] > before["cut_length"] + 5e-3
+    assert added["cut_depth"] >= before["cut_depth"] - 1e-6
 
 
 def test_a_reset_restores_the_whole_body(cut_session):
@@ -110,6 +193,7 @@ def test_a_reset_restores_the_whole_body(cut_session):
     session.reset()
     time.sleep(0.1)
     assert session.shown_surface is session.surface
+    assert not any(name.startswith("cut_") for name in session.statistics())
     assert cutter.model is cutter.whole_model
     assert session.engine.state == "running"
     assert not np.any(session.engine.read().force)

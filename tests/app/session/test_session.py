@@ -7,6 +7,7 @@ import runpy
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -134,7 +135,18 @@ def test_slow_motion_is_slow(session, until):
     assert last.time - first.time == pytest.approx(1e-4 * (last.steps - first.steps), rel=1e-6)
 
 
-def test_a_pause_stops_the_steps_and_a_suspended_machine_pauses(session, monkeypatch, until):
+@pytest.fixture
+def clocks(monkeypatch):
+    """The clocks of a machine [s] that a test sets."""
+    at = SimpleNamespace(total=1000.0, up=900.0)
+    monkeypatch.setattr("palpate.realtime.suspension.HAS_CLOCKS", True)
+    monkeypatch.setattr("palpate.realtime.suspension.time_since_start", lambda: at.total)
+    monkeypatch.setattr("palpate.realtime.suspension.uptime", lambda: at.up)
+    return at
+
+
+def test_a_pause_stops_the_steps_and_a_suspended_machine_pauses(clocks, session, until):
+    session.tick()
     session.handle(validate_message({"type": "control", "action": "pause"}))
     still = session.snapshot().steps
     time.sleep(0.05)
@@ -143,11 +155,37 @@ def test_a_pause_stops_the_steps_and_a_suspended_machine_pauses(session, monkeyp
     until(lambda: session.snapshot().steps > still)
     session.tick()
     assert session.status()["state"] == "running"
-    now = time.time()
-    monkeypatch.setattr("palpate.app.session.session.time.time", lambda: now + 3600.0)  # the lid was closed for an hour
+    clocks.total += 3600.0  # the lid was closed for an hour
     session.tick()
     assert session.status()["state"] == "paused"
     assert session.status()["pause_reason"] == "sleep"
+    session.handle(validate_message({"type": "control", "action": "resume"}))
+    session.tick()
+    assert session.status()["state"] == "running"
+    assert session.status()["pause_reason"] is None
+
+
+def test_a_suspended_machine_pauses_under_a_tool_that_presses(clocks, pressed):
+    pressed.tick()
+    clocks.total += 10.0
+    pressed.tick()
+    assert pressed.status()["pause_reason"] == "sleep"
+
+
+def test_a_stall_does_not_pause_a_driver_nor_a_session_without_one(clocks, session, ball, until):
+    session.tick()
+    for seconds in (3.5, 60.0):
+        clocks.total, clocks.up = clocks.total + seconds, clocks.up + seconds
+        session.tick()
+        assert session.status()["state"] == "running"
+    session.handle(validate_message(ball))
+    session.handle(pose(PRESSED))
+    until(lambda: session.snapshot().force[2] > 0.01)
+    for seconds in (3.5, 60.0):
+        clocks.total, clocks.up = clocks.total + seconds, clocks.up + seconds
+        session.tick()
+        assert session.status()["state"] == "running"
+        assert session.snapshot().force[2] > 0.01
 
 
 def test_twice_the_moduli_give_twice_the_force_at_the_same_depth(pressed, until):

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,9 @@ import pytest
 
 import palpate as pt
 from palpate.app.device.statistics import tool_name
+from palpate.app.view.server.frames import cut_geometry_frame
 from palpate.dynamics.contact.blade import Scalpel
+from palpate.realtime.bodies.display_surface import NO_CUT_LINE, CutLine
 
 sys.path.append(str(Path(__file__).parent))
 
@@ -224,6 +227,53 @@ def test_the_drawn_edge_is_that_of_the_session():
     of_session = Scalpel(length=0.03, toughness=5.0).edge
     np.testing.assert_allclose(edge, of_session[:, [0, 2]], atol=1e-12)
     assert edge[:, 1].min() == edge[6, 1] == 0.0  # the position is the deepest point
+
+
+def test_a_stroke_is_at_most_as_deep_as_the_edge_cuts():
+    height = Scalpel(length=0.03, toughness=5.0).edge[0, 2]
+    deepest = evaluate("bladeEdge.js", "m.deepestStroke(0.03)")
+    assert 0.8 * height < deepest < height
+    tools = '[{ kind: "scalpel", length: 0.03, depth: 0.02 }, { kind: "scalpel", length: 0.03, depth: 0.004 }]'
+    depths = evaluate("toolSettings.js", f"{tools}.map((tool) => m.withinEdge(tool).depth)")
+    assert depths == [pytest.approx(deepest), 0.004]
+    assert evaluate("toolSettings.js", 'm.withinEdge({ kind: "sphere", radius: 0.01 })') == {
+        "kind": "sphere", "radius": 0.01,
+    }  # fmt: skip
+
+
+def test_a_frame_of_a_cut_is_decoded_with_its_line():
+    points, triangles = np.arange(15.0).reshape(5, 3), np.array([[0, 1, 2], [0, 2, 3], [2, 3, 4]])
+    line = CutLine(np.array([[0, 2, 3]], dtype=np.uint32), np.array([[0.25, 0.5, 0.0, 1.0]], dtype=np.float32))
+    surface = SimpleNamespace(rest=points, triangles=triangles, fixed=np.array([1, 0, 0, 0, 1]), cut_line=line)
+    shown = "[g.kind, [...g.positions], [...g.triangles], [...g.fixed], [...g.line.corners], [...g.line.ends]]"
+    for frame, ends in (
+        (cut_geometry_frame(surface), line.ends.ravel().tolist()),
+        (cut_geometry_frame(SimpleNamespace(**vars(surface) | {"cut_line": NO_CUT_LINE})), []),
+    ):
+        found = evaluate("protocol.js", f"((g) => {shown})(m.decode(new Uint8Array({list(frame)}).buffer))")
+        assert found[:2] == [6, points.ravel().tolist()]
+        assert found[2:4] == [triangles.ravel().tolist(), [1, 0, 0, 0, 1]]
+        assert found[4:] == [[0, 2, 3] if ends else [], ends]
+
+
+@pytest.mark.parametrize(
+    ("statistics", "text"),
+    [
+        ("{}", ""),
+        ("{ cutting_force: 0 }", ""),
+        (
+            "{ cut_area: 1.82e-4, cut_length: 0.0341, cut_depth: 0.0064 }",
+            "Cut: 182 mm², 34 mm long, 6.4 mm deep.",
+        ),
+        (
+            "{ cut_area: 4.2e-6, cut_length: 0.0031, cut_depth: 0.0009, cutting_force: 0.61 }",
+            "Cut: 4.2 mm², 3.1 mm long, 0.9 mm deep. The blade cuts at 0.61 N; below that the tissue moves with it.",
+        ),
+        ("{ cutting_force: 0.61 }", "The blade cuts at 0.61 N; below that the tissue moves with it."),
+    ],
+)
+def test_the_size_of_a_cut_is_stated_with_and_without_a_scalpel(statistics, text):
+    assert evaluate("forceText.js", f"m.cutText({statistics})") == text
 
 
 def test_a_frame_of_all_tools_is_decoded():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Sequence
@@ -27,7 +26,8 @@ from palpate.realtime.contract import MAX_TOOLS
 from palpate.reduction.hyper.model import ReducedModel
 
 FULL_INTERVAL = 0.04  # [s] between snapshots of a full body: a minute of 3,000 nodes takes 54 MB
-REDRAW_INTERVAL = 0.1  # [s] between new surfaces of a body that is being cut
+REDRAW_INTERVAL = 0.1  # [s] from a new surface of a body that is being cut to the next one, at least
+REDRAW_REST = 2.0  # least rest after a new surface, over the time that it took
 
 
 class SessionBody:
@@ -97,7 +97,7 @@ class FullBody(SessionBody):
 
 
 class CuttableBody(FullBody):
-    """A full solid, which a scalpel cuts."""
+    """A full solid, which a scalpel cuts. A thread draws it again as the cut grows, so that no caller waits."""
 
     tool_kinds = tuple(TOOLS)
     cutter: BladeCutter
@@ -107,8 +107,9 @@ class CuttableBody(FullBody):
         assert realtime.cutter is not None
         self.cutter = realtime.cutter
         assert isinstance(self.surface, FullSurface)
-        self._uncut = self._opened = self.surface
-        self._shown, self._lock = (0, -math.inf), threading.Lock()  # number of cuts, and time [s]
+        self._uncut = self.surface
+        self._drawn: tuple[int, Any, DisplaySurface] = 0, self.cutter.whole_model, self.surface
+        self._is_drawing, self._lock = False, threading.Lock()
 
     @property
     def cuts(self) -> int:
@@ -120,22 +121,42 @@ class CuttableBody(FullBody):
 
     @property
     def shown_surface(self) -> DisplaySurface:
-        """The surface of the body as it is cut now."""
-        if not self.cuts:
+        """The surface of the body as it was cut when it was drawn last."""
+        model = self.cutter.model
+        restorations = self.cutter.restorations
+        if model is self.cutter.whole_model:
             return self.surface
         with self._lock:
-            is_old = time.monotonic() - self._shown[1] > REDRAW_INTERVAL
-            if self._shown[0] != self.cuts and is_old:
-                self._opened = CutFullSurface(self.cutter.model, self._uncut)
-                self._shown = self.cuts, time.monotonic()
-        return self._opened
+            drawn_restorations, drawn_model, drawn = self._drawn
+            if drawn_model is not model and not self._is_drawing:
+                self._is_drawing = True
+                name, arguments = "palpate cut surface", (restorations, model)
+                threading.Thread(target=self._draw, args=arguments, name=name, daemon=True).start()
+            return drawn if drawn_restorations == restorations else self.surface
+
+    def _draw(self, restorations: int, model: EnergySolid) -> None:
+        """Draw a cut body that was restored so many times before; then rest, for other threads."""
+        began = time.monotonic()
+        try:
+            surface = CutFullSurface(model, self._uncut)
+            with self._lock:
+                self._drawn = restorations, model, surface
+        finally:
+            time.sleep(max(REDRAW_INTERVAL, REDRAW_REST * (time.monotonic() - began)))
+            with self._lock:
+                self._is_drawing = False
 
     def statistics(self, kinds: Sequence[str]) -> dict[str, Any]:
-        """Return how the body was stepped, the area [m^2] that a scalpel has cut, and the force [N] of a cut."""
-        steps = super().statistics(kinds)
-        if "scalpel" not in kinds:
-            return steps
-        return {**steps, "cut_area": float(self.cutter.totals[0]), "cutting_force": self.cutter.cutting_force}
+        """Return how the body was stepped, the size of its cut, and the force [N] with which a scalpel cuts."""
+        cut = cut_statistics(self.shown_surface)
+        force = {"cutting_force": self.cutter.cutting_force} if "scalpel" in kinds else {}
+        return {**super().statistics(kinds), **cut, **force}
+
+
+def cut_statistics(surface: DisplaySurface) -> dict[str, float]:
+    """Return the length [m], area [m^2] and depth [m] of the cut in a surface; nothing of one without a cut."""
+    measures = surface.cut_measures
+    return {f"cut_{name}": value for name, value in measures._asdict().items()} if measures.area > 0.0 else {}
 
 
 def session_body(model: Any, foundations: Sequence[Foundation]) -> SessionBody:

@@ -11,6 +11,7 @@ import numpy as np
 from palpate.app.recordings.cut_surfaces import CutSurfaces
 from palpate.app.recordings.recording import Recording
 from palpate.app.recordings.snapshot import OverlayState, Snapshot, scalar_descriptions, training_errors
+from palpate.app.session.bodies import cut_statistics
 from palpate.app.session.messages import Message, describe_tools
 from palpate.app.session.tool_control import drawn_outline
 from palpate.dynamics.solid.model import EnergySolid
@@ -107,7 +108,7 @@ class Replay:
         computing = 1e3 * np.array([snapshot.computing for snapshot in self.recording.snapshots])
         return {
             "median_ms": float(np.median(computing)), "p99_ms": float(np.percentile(computing, 99)), "misses": 0,
-            "periods": len(computing),
+            "periods": len(computing), **cut_statistics(self.shown_surface),
         }  # fmt: skip
 
     def handle(self, message: Message) -> None:

@@ -48,6 +48,7 @@ from palpate.realtime.engine import Engine
 from palpate.realtime.observable import Observation, make_observable
 from palpate.realtime.record import Reading
 from palpate.realtime.statistics import Statistics
+from palpate.realtime.suspension import suspended_time
 from palpate.reduction.hyper.model import ReducedModel
 
 PERIODS_PER_SECOND = 1000.0  # [Hz]
@@ -56,7 +57,7 @@ HISTORY_SECONDS = 5.0
 MAX_READS = 1000  # attempts to read the engine and the model in the same period
 PACE_SECONDS = 3.0  # [s] over which the pace is taken
 HOLD_SECONDS = 1.0  # [s] after its last pose for which a tool counts as held
-SLEEP_TIME = 3.0  # [s] without a tick after which the machine is taken to have slept
+SLEEP_TIME = 3.0  # [s] of suspension between two ticks, after which a session pauses
 MODULUS_NAME = "shear modulus"
 HAND_FORCE = 3.3  # [N] of a coupled tool: the largest of a common haptic device (Touch, 3D Systems, data sheet)
 MIN_MODULUS_RATIO, MAX_MODULUS_RATIO = 0.25, 4.0  # to the model's own moduli
@@ -114,7 +115,7 @@ class Session:
         self.subtitle, self.notes = "", tuple[str, ...]()  # what lies in the body, and lines about how it was made
         self.devices: dict[int, str] = {}  # haptic devices by the tool that they move
         self.successor: Session | None = None  # the session that has taken the place of this one
-        self._lock, self._last_tick = threading.RLock(), (time.time(), time.monotonic())
+        self._lock, self._suspended = threading.RLock(), suspended_time()
 
     # queries
 
@@ -354,11 +355,9 @@ class Session:
                 self._change_tool(k, NO_TOOL, shown.position, shown.quaternion)
 
     def tick(self) -> None:
-        """Pause if the machine slept or the program was stopped; to be called several times a second."""
-        now = (time.time(), time.monotonic())
-        slept = max(now[0] - self._last_tick[0], now[1] - self._last_tick[1]) > SLEEP_TIME
-        self._last_tick = now
-        if slept and self.engine.state == "running":
+        """Pause if the machine slept since the last call; a stall of a busy machine does not pause."""
+        before, self._suspended = self._suspended, suspended_time()
+        if self._suspended - before > SLEEP_TIME and self.engine.state == "running":
             self.pause("sleep")
 
     def _set_modulus(self, name: str, modulus: float) -> None:

@@ -33,7 +33,7 @@ from palpate.dynamics.contact.shapes import TOOLS, Sphere, make_tool
 from palpate.extras import require
 from palpate.faults import InputError
 from palpate.files import whole_file
-from palpate.realtime.bodies.display_surface import DisplaySurface
+from palpate.realtime.bodies.display_surface import CutLine, DisplaySurface
 
 Draw = Callable[[int], Any]
 
@@ -48,6 +48,7 @@ LEGEND_SHARE = 0.16  # of the height, below the body
 VIEWED_SNAPSHOTS = 50  # of a recording, from which view and range are chosen
 FULL_MODEL_COLOUR = "#0b7285"
 REVOLUTION_POINTS = 97  # around a tool
+LINE_COLOUR, LINE_WIDTH, LINE_NEARER = "#26040a", 0.003, 0.01  # of a cut; over the picture's and the body's size
 BLADE_HEIGHT, BLADE_THICKNESS, HANDLE_LENGTH = 0.25, 0.02, 0.9  # of a scalpel, over the length of its edge
 SHADOW_CELLS, SHADOW_MARGIN, SHADOW_BLUR, SHADOW_STRENGTH = 128, 0.6, 0.1, 0.2  # margin and blur over the radius
 
@@ -264,7 +265,8 @@ class DrawnBody:
     def __init__(self, plotter: Any, size: float) -> None:
         self._plotter, self._size = plotter, size
         self._surface: DisplaySurface | None = None
-        self._actor: Any = None
+        self._actors: list[Any] = []
+        self._line: Any = None  # of the cut
 
     def update(self, surface: DisplaySurface, displacements: Singles, values: Any, axes: Floats) -> Floats:
         """Draw a surface with displacements (n, 3) [m] and shares of the colours (n,); return its points."""
@@ -272,6 +274,10 @@ class DrawnBody:
             self._exchange(surface)
         self._mesh.points, normals = self._refined.places(surface.rest + displacements)
         self._mesh["colour"] = shade(normals, axes, self._refined.values(values), self._fixed, self._mottling)
+        if self._line is not None:
+            corners = (surface.rest + displacements)[surface.cut_line.corners]
+            nearer = LINE_NEARER * self._size * axes[2]  # than the surface, which is curved between the corners
+            self._line.points = np.einsum("lek,lkc->lec", self._shares, corners).reshape(-1, 3) + nearer
         return np.asarray(self._mesh.points)
 
     def _exchange(self, surface: DisplaySurface) -> None:
@@ -280,9 +286,23 @@ class DrawnBody:
         self._fixed, self._mottling = self._refined.values(surface.fixed), self._refined.values(rest / self._size)
         self._mesh = triangle_mesh(self._refined.places(rest)[0], self._refined.triangles)
         self._mesh["colour"] = np.zeros((self._mesh.n_points, 3), dtype=np.uint8)
-        if self._actor is not None:
-            self._plotter.remove_actor(self._actor)
-        self._actor = self._plotter.add_mesh(self._mesh, scalars="colour", rgb=True, lighting=False)
+        for actor in self._actors:
+            self._plotter.remove_actor(actor)
+        self._actors = [self._plotter.add_mesh(self._mesh, scalars="colour", rgb=True, lighting=False)]
+        self._line = None
+        if len(surface.cut_line.corners):
+            self._add_line(surface.cut_line)
+
+    def _add_line(self, line: CutLine) -> None:
+        """Draw the line of a cut."""
+        import pyvista
+
+        ends = line.ends.reshape(-1, 2, 2).astype(float)
+        self._shares = np.concatenate([1.0 - ends.sum(axis=2, keepdims=True), ends], axis=2)
+        numbers = np.arange(2 * len(ends)).reshape(-1, 2)
+        self._line = pyvista.PolyData(np.zeros((numbers.size, 3)), lines=np.insert(numbers, 0, 2, axis=1).ravel())
+        width = LINE_WIDTH * self._plotter.window_size[0]
+        self._actors.append(self._plotter.add_mesh(self._line, color=LINE_COLOUR, line_width=width, lighting=False))
 
 
 def revolved_solid(pyvista: Any, outline: Floats) -> tuple[Any, Floats]:
@@ -310,7 +330,7 @@ def scalpel_solid(pyvista: Any, length: float) -> tuple[Any, Floats]:
     flat = pyvista.PolyData(outline - [0.0, 0.5 * thick, 0.0], np.concatenate([[count], np.arange(count)]))
     blade = flat.triangulate().extrude((0.0, thick, 0.0), capping=True)
     handle = pyvista.Box((-0.12 * length, 0.12 * length, -2 * thick, 2 * thick, top, top + HANDLE_LENGTH * length))
-    solid = blade.merge(handle.triangulate()).extract_surface().compute_normals(split_vertices=True)
+    solid = blade.merge(handle.triangulate()).compute_normals(split_vertices=True)
     return solid, np.asarray(solid.point_data["Normals"])
 
 

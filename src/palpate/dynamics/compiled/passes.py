@@ -128,7 +128,7 @@ def lift_passes(name: str, first_sums: Any, second_sums: Any, first_numbers: int
             for m in range(modes.shape[0]):
                 lift(b, modes[m], lanes, first, second, fields[get_thread_id()], table[b, m])
 
-    @law_njit(digest)
+    @law_njit(digest, nogil=True)
     def differentiate(modes, body, work, table):
         lift_columns(modes, body.lanes, body.first, body.second, work.fields, table)
 
@@ -140,7 +140,7 @@ def internal_force(formulation: Formulation) -> Any:
     """Compile ``internal_force(u, body, work, force)``, the force density [N/m^3] of displacements (n, 3)."""
     respond, finish = formulation.respond, formulation.finish
 
-    @law_njit(formulation.digest)
+    @law_njit(formulation.digest, nogil=True)
     def internal_force(u, body, work, force):
         respond(u, body, work)
         finish(body, work, force)

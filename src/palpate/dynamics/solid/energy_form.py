@@ -176,7 +176,7 @@ def _lift_columns(modes, rows, sums, response, table):
                     table[b, m, q, lane] = derivatives[LANES * q + lane]
 
 
-@kernel_njit()
+@kernel_njit(nogil=True)
 def _differentiate(modes, body, work, table):
     _lift_columns(modes, body.lanes, work.sums, work.response, table)
 

@@ -1,8 +1,9 @@
-"""Display surface of a cut body: its surface opened along the cut, and both faces of the cut.
+"""Display surface of a cut body: its surface opened along the cut, both faces of the cut, and the line of the opening.
 
 An edge of the surface that the cut crosses gets two new vertices, one for each side, and its triangles are divided.
 The faces are the triangles of the cut inside the body, once for each side. The displacement of a new vertex is a fit
-over the nodes that it sees from its side (`palpate.meshfree.cut.points`).
+over the nodes that it sees from its side (`palpate.meshfree.cut.points`). The line is drawn on the triangles, so that
+a cut that is closed is seen, too.
 """
 
 from __future__ import annotations
@@ -16,12 +17,14 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats, Ints, Singles
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.meshfree.cut.crossings import first_crossings
+from palpate.meshfree.cut.opening import Opening, cut_measures, cut_opening
 from palpate.meshfree.cut.points import SIGHT_DISTANCE, point_weights
-from palpate.realtime.bodies.display_surface import fixed_nodes
+from palpate.realtime.bodies.display_surface import CutLine, fixed_nodes
 from palpate.realtime.bodies.full_surface import FullSurface
 from palpate.surface.nesting import inside_points
 
 MERGED_DISTANCE = 1e-6  # of corners of the cut that are one vertex, in spacings
+ON_SIDE = 1e-3  # share of a triangle's height within which a line on one of its sides is drawn on it
 
 
 class NewVertices(NamedTuple):
@@ -45,7 +48,7 @@ class CutFullSurface(FullSurface):
 
     def __init__(self, model: Any, uncut: FullSurface) -> None:
         self.model, self._kept_vertices = model, len(uncut.nodes)
-        opened = _opened(model, uncut)
+        opened, parents = _opened(model, uncut)
         faces = _faces(model, len(uncut.nodes) + len(opened.points))
         points, sides = (np.concatenate(each) for each in zip(opened[:2], faces[:2], strict=True))
         state = model.cut_state
@@ -58,8 +61,14 @@ class CutFullSurface(FullSurface):
         self.nodes = np.concatenate([uncut.nodes, nearest])
         self.rest = np.concatenate([uncut.rest, points.astype(np.float32)])
         triangles = np.concatenate([opened.triangles, faces.triangles])
-        triangles = triangles[~state.removed[self.nodes][triangles].any(axis=1)]
-        self.triangles = np.ascontiguousarray(triangles, dtype=np.uint32)
+        is_there = ~state.removed[self.nodes][triangles].any(axis=1)
+        self.triangles = np.ascontiguousarray(triangles[is_there], dtype=np.uint32)
+        corners, places = uncut.rest.astype(float)[uncut.triangles], np.concatenate([uncut.rest, points])
+        opening = cut_opening(model.cut_surface.triangles, corners, model.cloud.spacing)
+        on_surface = is_there[: len(parents)]
+        self.cut_line = _line(opening, opened.triangles[on_surface], parents[on_surface], places)
+        first = faces.triangles[: len(faces.triangles) // 2]  # of both faces
+        self.cut_measures = cut_measures(opening, corners, places[first], model.cloud.spacing)
         self.fixed = np.concatenate([fixed_nodes(model)[uncut.nodes], np.zeros(len(points), dtype=np.bool_)])
         self._patches = sparse.vstack([model.patches[uncut.nodes], new], format="csr").astype(np.float32)
 
@@ -74,8 +83,11 @@ class CutFullSurface(FullSurface):
         return result
 
 
-def _opened(model: EnergySolid, uncut: FullSurface) -> NewVertices:
-    """Return the surface with its triangles divided where the cut crosses their edges, and the new vertices."""
+def _opened(model: EnergySolid, uncut: FullSurface) -> tuple[NewVertices, Ints]:
+    """Return the surface with its triangles divided where the cut crosses their edges, and the new vertices.
+
+    The second result (t,) has the numbers of the triangles that were divided.
+    """
     points, triangles = uncut.rest.astype(float), uncut.triangles.astype(np.int64)
     sides = triangles[:, [[0, 1], [1, 2], [2, 0]]]
     edges, which = np.unique(np.sort(sides.reshape(-1, 2), axis=1), axis=0, return_inverse=True)
@@ -102,11 +114,39 @@ def _opened(model: EnergySolid, uncut: FullSurface) -> NewVertices:
         return int(place[edge] + (edges[edge, 1] == corner))
 
     count = np.sum(place[number] >= 0, axis=1)
-    result = [triangles[count == 0]]
+    result, parents = [triangles[count == 0]], [np.flatnonzero(count == 0)]
     for t in np.flatnonzero(count > 0):
         corners, cut_sides = triangles[t], np.flatnonzero(place[number[t]] >= 0)
         result.append(np.array(_divided(int(t), corners, cut_sides, new_vertex)))
-    return NewVertices(new_points, new_sides, np.concatenate(result))
+        parents.append(np.full(len(result[-1]), t))
+    return NewVertices(new_points, new_sides, np.concatenate(result)), np.concatenate(parents)
+
+
+def _line(opening: Opening, triangles: Ints, parents: Ints, points: Floats) -> CutLine:
+    """Return an opening on triangles (t, 3) of points (n, 3), parts of the triangles with the numbers `parents` (t,).
+
+    A piece is drawn on the part that holds its middle, and on both if it is on their common side: then on both rims.
+    """
+    order = np.argsort(parents, kind="stable")
+    start, end = (np.searchsorted(parents[order], opening.triangles, side) for side in ("left", "right"))
+    counts = end - start
+    piece = np.repeat(np.arange(len(start)), counts)
+    part = order[np.arange(len(piece)) + np.repeat(start - np.cumsum(counts) + counts, counts)]
+    a, b, c = (points[triangles[part, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    square = np.maximum(np.sum(normals**2, axis=1, keepdims=True), np.finfo(float).tiny)
+    places = opening.pieces[piece] - a[:, None]
+    second = np.einsum("pec,pc->pe", places, np.cross(c - a, normals) / square)
+    third = np.einsum("pec,pc->pe", places, np.cross(normals, b - a) / square)
+    shares = np.stack([1.0 - second - third, second, third], axis=2)
+    within = shares.mean(axis=1).min(axis=1)
+    best = np.full(len(start), -np.inf)
+    np.maximum.at(best, piece, within)
+    kept = (within > -ON_SIDE) | (within == best[piece])
+    shares = np.maximum(shares[kept], 0.0)
+    shares /= shares.sum(axis=2, keepdims=True)
+    ends = shares[:, :, 1:].astype(np.float32)
+    return CutLine(triangles[part[kept]].astype(np.uint32), ends.reshape(-1, 4))
 
 
 def _divided(t: int, corners: Ints, cut_sides: Ints, vertex: Any) -> list[tuple[int, int, int]]:
@@ -165,7 +205,8 @@ def _clipped(vertices: Floats, triangles: Ints, inside: Any, corners: Floats) ->
             ends = vertices[np.stack([turned[:, 0], turned[:, k]], axis=1)]
             shares = np.empty(len(ends))
             first_crossings(np.ascontiguousarray(ends), corners, shares)
-            shares = np.where(np.isfinite(shares), shares, 0.5)
+            missed = np.flatnonzero(~np.isfinite(shares))  # one end is on the surface
+            shares[missed] = inside_points(ends[missed].mean(axis=1), corners) == alone[missed]
             points.append(ends[:, 0] + shares[:, None] * (ends[:, 1] - ends[:, 0]))
             crossings.append(total + np.arange(len(ends)))
             total += len(ends)

@@ -9,7 +9,7 @@ instantaneous stiffness.
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import scipy.sparse as sparse
@@ -18,10 +18,21 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats, Ints, Singles
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
+from palpate.meshfree.cut.opening import NO_MEASURES, CutMeasures
 from palpate.reduction.contact.compliance import secant_factor, static_displacements
 from palpate.reduction.hyper.model import ReducedModel
 
 SCALAR_NAMES = ("displacement", "stress", "pressure")
+
+
+class CutLine(NamedTuple):
+    """Pieces of the line along which a cut opens a surface."""
+
+    corners: NDArray[np.uint32]  # (l, 3) array: the corners of the triangles on which they are
+    ends: Singles  # (l, 4) array: shares of the second and third corner at the one end, and at the other
+
+
+NO_CUT_LINE = CutLine(np.zeros((0, 3), dtype=np.uint32), np.zeros((0, 4), dtype=np.float32))
 
 
 class DisplaySurface(Protocol):
@@ -40,6 +51,10 @@ class DisplaySurface(Protocol):
         Vertices of supports.
     local_indentation : bool
         Whether stresses include the indentation under a tool.
+    cut_line : CutLine
+        Where a cut opens the surface.
+    cut_measures : CutMeasures
+        Length, area and depth of the cut.
     """
 
     model: Any
@@ -48,6 +63,8 @@ class DisplaySurface(Protocol):
     rest: Singles
     fixed: NDArray[np.bool_]
     local_indentation: bool
+    cut_line: CutLine
+    cut_measures: CutMeasures
 
     @property
     def scalars(self) -> tuple[str, ...]:
@@ -84,6 +101,8 @@ class Surface:
     fixed : (n,) bool array
         Vertices of supports.
     """
+
+    cut_line, cut_measures = NO_CUT_LINE, NO_MEASURES
 
     def __init__(self, model: ReducedModel) -> None:
         cloud, data = model.cloud, model.data

@@ -59,6 +59,8 @@ class BladeCutter:
         Of the present blade.
     cuts : int
         Number of exchanges of the body since it was whole.
+    restorations : int
+        Number of times that the body was made whole again.
     seconds : float [s]
         Mean time of a cut.
     failure : str
@@ -73,7 +75,7 @@ class BladeCutter:
         self.advance = advance
         self.whole_model, self.model, self.data, self.blade = model, model, data, NO_BLADE
         self.incision: Incision | None = None
-        self.cuts, self.failure, self.wrap = 0, "", lambda data: data
+        self.cuts, self.restorations, self.failure, self.wrap = 0, 0, "", lambda data: data
         self.lock = threading.RLock()
         self._contact: Contact | None = None
         self.seconds = FIRST_SECONDS
@@ -131,6 +133,7 @@ class BladeCutter:
         with self.lock:
             self.set_blade(None, np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), self.blade)
             self.model, self.cuts = self.whole_model, 0
+            self.restorations += 1
 
     def update(self, coordinates: Floats) -> Any:
         """Return new data for the engine's loop, or None: the body cut up to where the blade is.

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats, Ints, Singles
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
-from palpate.realtime.bodies.display_surface import SCALAR_NAMES, DisplaySurface, Surface, fixed_nodes
+from palpate.meshfree.cut.opening import NO_MEASURES
+from palpate.realtime.bodies.display_surface import NO_CUT_LINE, SCALAR_NAMES, DisplaySurface, Surface, fixed_nodes
 from palpate.reduction.hyper.model import ReducedModel
 
 
@@ -35,6 +36,7 @@ class FullSurface:
 
     local_indentation = True  # stresses include the indentation under a tool
     scalars = SCALAR_NAMES
+    cut_line, cut_measures = NO_CUT_LINE, NO_MEASURES
 
     def __init__(self, model: EnergySolid) -> None:
         self.model = model

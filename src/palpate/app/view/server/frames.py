@@ -28,9 +28,16 @@ def pack_frame(kind: int, sequence: int, vertices: int, body: bytes, triangles: 
     return FRAME_HEADER.pack(kind, sequence % 2**32, vertices, triangles) + body
 
 
-def geometry_frame(surface: DisplaySurface, kind: int = GEOMETRY) -> bytes:
+def geometry_frame(surface: DisplaySurface) -> bytes:
     """Return the geometry frame of a surface: positions at rest, triangles, and which vertices are fixed."""
-    return _mesh_frame(kind, surface.rest, surface.triangles, surface.fixed)
+    return _mesh_frame(GEOMETRY, surface.rest, surface.triangles, surface.fixed)
+
+
+def cut_geometry_frame(surface: DisplaySurface) -> bytes:
+    """Return the geometry frame of a surface that is cut, and where the cut opens it."""
+    mesh, line = _mesh(surface.rest, surface.triangles, surface.fixed), surface.cut_line
+    body = mesh + bytes(-len(mesh) % 4) + line.corners.astype("<u4").tobytes() + line.ends.astype("<f4").tobytes()
+    return pack_frame(CUT_GEOMETRY, len(line.corners), len(surface.rest), body, len(surface.triangles))
 
 
 def preview_frame(surface: Surface) -> bytes:
@@ -51,8 +58,11 @@ def surroundings_frame(surfaces: Sequence[Surface]) -> bytes:
 
 
 def _mesh_frame(kind: int, points: NDArray[Any], triangles: NDArray[Any], fixed: NDArray[Any]) -> bytes:
-    body = points.astype("<f4").tobytes() + triangles.astype("<u4").tobytes() + fixed.astype("u1").tobytes()
-    return pack_frame(kind, 0, len(points), body, len(triangles))
+    return pack_frame(kind, 0, len(points), _mesh(points, triangles, fixed), len(triangles))
+
+
+def _mesh(points: NDArray[Any], triangles: NDArray[Any], fixed: NDArray[Any]) -> bytes:
+    return points.astype("<f4").tobytes() + triangles.astype("<u4").tobytes() + fixed.astype("u1").tobytes()
 
 
 def state_body(surface: DisplaySurface, snapshot: Snapshot, scalar: str) -> bytes:

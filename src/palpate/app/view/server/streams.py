@@ -49,7 +49,7 @@ class Streams:
                 continue
             if state.surface is not shown:
                 shown = state.surface
-                await viewer.send(frames.geometry_frame(shown, frames.CUT_GEOMETRY))
+                await viewer.send(frames.cut_geometry_frame(shown))
             sent_key, sequence, vertices = state.key, viewer.next_frame(), len(shown.rest)
             full = self.source.overlay(state.time)
             if full is not None:
