@@ -69,10 +69,12 @@ export function paceText(pace) {
   return pace < 0.95 ? `${pace < 0.1 ? pace.toPrecision(1) : pace.toFixed(1)} of real time` : "";
 }
 
-/** The size of the cut until a reset: length [m] on the surface, area [m^2] and depth [m]; and the force [N] that cuts. */
-export function cutText({ cut_length: length, cut_area: area, cut_depth: depth, cutting_force: needed }) {
+/** The size of the cut until a reset: length [m] on the surface, area [m^2] and depth [m]; and the force [N] that cuts,
+ * or that the tissue tears ahead of the blade. */
+export function cutText({ cut_length: length, cut_area: area, cut_depth: depth, cutting_force: needed, tears }) {
   const millimetres = (metres) => (1e3 * metres).toFixed(metres < 0.01 ? 1 : 0);
   const size = area > 0 ? `Cut: ${(1e6 * area).toFixed(area < 1e-5 ? 1 : 0)} mm², ${millimetres(length)} mm long, ${millimetres(depth)} mm deep.` : "";
+  if (tears) return `${size} The tissue here is so taut that it would tear by itself: the blade needs no force.`.trim();
   const force = needed > 0 ? `The blade cuts at ${plainForce(needed)} N; below that the tissue moves with it.` : "";
   return [size, force].filter(Boolean).join(" ");
 }

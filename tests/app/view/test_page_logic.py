@@ -270,6 +270,10 @@ def test_a_frame_of_a_cut_is_decoded_with_its_line():
             "Cut: 4.2 mm², 3.1 mm long, 0.9 mm deep. The blade cuts at 0.61 N; below that the tissue moves with it.",
         ),
         ("{ cutting_force: 0.61 }", "The blade cuts at 0.61 N; below that the tissue moves with it."),
+        (
+            "{ cutting_force: 0, tears: true }",
+            "The tissue here is so taut that it would tear by itself: the blade needs no force.",
+        ),
     ],
 )
 def test_the_size_of_a_cut_is_stated_with_and_without_a_scalpel(statistics, text):

@@ -189,6 +189,7 @@ def _cut_report(black_box: Path, cutter: BladeCutter, tool: int) -> dict[str, An
         "area": area, "released_energy": released, "edge_work": edge, "friction_work": friction,
         "cuts": cutter.cuts, "seconds_per_cut": cutter.seconds, "released_nodes": len(cutter.model.released_nodes),
         "failure": cutter.failure,
+        "largest_release_rate": 0.0 if cutter.incision is None else cutter.incision.largest_rate,
         "computing_before": float(np.median(computing[:first])) if first else None,
         "computing_after": float(np.median(computing[first:])) if first < len(computing) else None,
         "longest_after": float(computing[first:].max(initial=0.0)),
@@ -265,6 +266,9 @@ TOOL_ROWS: Rows = {
     "cut area": "{cut/area:.0f mm^2} in {cut/cuts} steps of {cut/seconds_per_cut:.0f ms}",
     "work at the edge; by friction; energy that fronts released": (
         "{cut/edge_work:.3g mJ}; {cut/friction_work:.3g mJ}; {cut/released_energy:.3g mJ}"
+    ),
+    "most energy released per area (above the toughness, tissue would tear ahead)": (
+        "{cut/largest_release_rate:.3g J/m^2}"
     ),
     "computing time while it is cut over that before": _slowdown,
     "longest period while it is cut": "{cut/longest_after: us}",

@@ -149,7 +149,9 @@ class CuttableBody(FullBody):
     def statistics(self, kinds: Sequence[str]) -> dict[str, Any]:
         """Return how the body was stepped, the size of its cut, and the force [N] with which a scalpel cuts."""
         cut = cut_statistics(self.shown_surface)
-        force = {"cutting_force": self.cutter.cutting_force} if "scalpel" in kinds else {}
+        force = {}
+        if "scalpel" in kinds:
+            force = {"cutting_force": self.cutter.cutting_force, "tears": self.cutter.tears}
         return {**super().statistics(kinds), **cut, **force}
 
 

@@ -96,6 +96,13 @@ class BladeCutter:
         edge = (sites.kind == EDGE_SITE) & (sites.tool >= 0)
         return float(sites.limits[edge] @ np.abs(sites.directions[edge, 2]))
 
+    @property
+    def tears(self) -> bool:
+        """Whether the front releases more energy per area than the toughness: tissue would tear ahead of the blade."""
+        if self.incision is None or self._contact is None:
+            return False
+        return self.incision.release_rate >= self._contact.tool.toughness > 0.0  # type: ignore[union-attr]
+
     def set_blade(self, blade: Blade | None, pose: Floats, tool: int = 0) -> None:
         """Set a tool in a pose (7,): a blade, or None for one that does not cut. The engine must be paused."""
         if blade is None and tool != self.blade:
