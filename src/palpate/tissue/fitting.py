@@ -242,7 +242,8 @@ def fit(
     Parameters
     ----------
     law : type of Material, or str
-        Law, such as `NeoHookean`, or its name, such as ``"yeoh"`` or ``"mooney-rivlin"``. Its fields, numbers or sequences of numbers, are the parameters.
+        Law, such as `NeoHookean`, or its name, such as ``"yeoh"`` or ``"mooney-rivlin"``. Its fields, numbers or
+        sequences of numbers, are the parameters.
     measurements : Measurement or sequence of them
     start : dict, optional
         Parameters of the first start; required for sequences, whose length they define. Parameters

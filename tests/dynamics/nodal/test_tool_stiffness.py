@@ -155,7 +155,7 @@ def test_no_stiffness_follows_where_a_force_falls_as_the_tool_moves_on(damped):
     pressed.press(0.003)
     secant, force = pressed.model.data.tools.secant, pressed.model.data.tools.force
     assert pressed.stiffness()[0, 2, 2] > 30.0
-    for k in range(500):  # to rest
+    for _ in range(500):  # to rest
         pressed.to((0.0, 0.0, -0.003))
     pressed.stiffness()
     secant.positions[2] += 3e-4  # as if it had moved down by 0.3 mm, and the force had halved
