@@ -368,7 +368,7 @@ def test_a_law_by_its_name_is_fitted_as_its_class(name):
         (pt.materials.Fibres, "law must be one of .*, got <class"),
     ],
 )
-def test_what_is_no_law_is_refused_with_the_list_of_laws(law, message):
+def test_another_object_than_a_law_is_refused_with_the_list_of_laws(law, message):
     with pytest.raises(pt.InputError, match=message):
         fit(law, curves(rubbery()))
 

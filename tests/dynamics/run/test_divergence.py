@@ -28,7 +28,7 @@ def spin(body, displacements, velocities):
     return body.masses @ np.cross(arms, moving)
 
 
-def test_a_rigid_motion_of_each_piece_is_no_deformation():
+def test_a_rigid_motion_of_each_piece_does_not_deform_it():
     points = pt.box(SIZE, SPACING).points
     pieces = (points[:, 0] > 0.016).astype(int)
     turned = Rotation.from_rotvec([1.0, 2.0, -0.5]).apply(points) - points + np.array([5.0, 0.0, -40.0])

@@ -32,10 +32,10 @@ from palpate.dynamics.nodal.period_data import (
     LOST,
     NEAR_MARGIN,
     NEXT_BEHIND,
+    RECENT_ENERGY,
     REPEATED,
     RESTED,
     STEP,
-    UNREST,
     UNTIL_ESTIMATE,
     WORK,
 )
@@ -100,7 +100,7 @@ def _begin_at_rest(data):
     clock[REPEATED], clock[GAINED], clock[HELD] = 0.0, 0.0, 0.0
     _clear(data.scratch.previous)
     clock[FREQUENCY], clock[UNTIL_ESTIMATE] = resting, ESTIMATE_PERIODS
-    clock[ESTIMATE], clock[NEAR_MARGIN], clock[UNREST] = resting, -1.0, 0.0
+    clock[ESTIMATE], clock[NEAR_MARGIN], clock[RECENT_ENERGY] = resting, -1.0, 0.0
     _clear_impulses(data.tools.contacts)
 
 
@@ -286,7 +286,7 @@ def nodal_period(formulation: Formulation, touch: int) -> Any:
             most = MAX_FREQUENCY_RATIO * data.body.resting_frequency
             clock[FREQUENCY] = min(STIFFENING_FACTOR * frequency_before, most)
         clock[RESTED] = 0.0 if q.any() or v.any() else 1.0
-        clock[UNREST] = max(clock[KINETIC_ENERGY], clock[UNREST] * np.exp(-period / UNREST_TIME))
+        clock[RECENT_ENERGY] = max(clock[KINETIC_ENERGY], clock[RECENT_ENERGY] * np.exp(-period / UNREST_TIME))
         report[STEPS], report[TRUST], report[KINETIC] = count, depth, clock[KINETIC_ENERGY]
         report[STRAIN] = max(0.0, _energy_left(clock) - report[KINETIC])
 

@@ -29,7 +29,7 @@ import numpy as np
 
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.stiffness import limit_stiffness
-from palpate.dynamics.nodal.period_data import ESTIMATE, UNREST
+from palpate.dynamics.nodal.period_data import ESTIMATE, RECENT_ENERGY
 
 LEAST_WAY = 0.02  # of the tools between two updates, in spacings
 NOISE_RATIO = 10.0  # least work of a change of force over the kinetic energy
@@ -49,7 +49,7 @@ def contact_stiffness(data, q, out):
         _write_way(data, t, touching)
         _write_bound(data, q.reshape((q.shape[0] // 3, 3)), t, touching)
     if not touches or not same or _follow(data):
-        secant.unrest[0] = data.clock[UNREST]
+        secant.unrest[0] = data.clock[RECENT_ENERGY]
         for i in range(3 * tools):
             secant.positions[i] = _place(data, i)
             secant.forces[i] = data.tools.force[12 * (i // 3) + i % 3]
@@ -130,15 +130,15 @@ def _follow(data):
     secant, forces = data.tools.secant, data.tools.force
     count, square, work, farthest = secant.way.shape[0], 0.0, 0.0, 0.0
     for t in range(count // 3):
-        own = 0.0
+        of_tool = 0.0
         for i in range(3 * t, 3 * t + 3):
-            own += secant.way[i] ** 2
+            of_tool += secant.way[i] ** 2
             work += 0.5 * secant.way[i] * (forces[12 * t + i - 3 * t] - secant.forces[i])
-        square, farthest = square + own, max(farthest, np.sqrt(own) / secant.radius[t])
-        secant.fade[t] = np.exp(-0.5 * np.sqrt(own) / secant.radius[t])
+        square, farthest = square + of_tool, max(farthest, np.sqrt(of_tool) / secant.radius[t])
+        secant.fade[t] = np.exp(-0.5 * np.sqrt(of_tool) / secant.radius[t])
     if not square > (LEAST_WAY * secant.spacing) ** 2:
         return False
-    noise = NOISE_RATIO * (secant.unrest[0] + data.clock[UNREST])
+    noise = NOISE_RATIO * (secant.unrest[0] + data.clock[RECENT_ENERGY])
     if not abs(work) > noise and not farthest > 1.0:
         return False
     for i in range(count):

@@ -23,10 +23,10 @@ from palpate.faults import DivergenceError
 
 LARGE_STRETCH = 2.0  # of the tissue, or inverse of one in compression, that is a reason
 LARGE_LOAD = 1.0  # of a load over the shear modulus and the area of its nodes, that is a reason
-FLAT = 0.8  # extent of a body along a force over that at rest, that is noted
-SMALL_SHARE = 0.1  # of the largest load: smaller ones are no reason
+FLAT_SHARE = 0.8  # extent of a body along a force over that at rest, that is noted
+SMALL_SHARE = 0.1  # of the largest load: a smaller one is not the reason
 REST_TIME = 1e-3  # [s] in which a tool that does not move counts as one that rests
-FAST = 0.3  # speed of a node over that of waves, that is a reason
+HIGH_SPEED = 0.3  # speed of a node over that of waves, that is a reason
 
 
 class Acting(NamedTuple):
@@ -61,8 +61,10 @@ def deformation_size(points: Floats, displacements: Floats, pieces: Ints) -> flo
     """
     largest, at_rest = 0.0, np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
     for piece in np.unique(pieces):
-        own = pieces == piece
-        before, after = (part - part.mean(axis=0) for part in (at_rest[own], at_rest[own] + displacements[own]))
+        inside = pieces == piece
+        before, after = (
+            part - part.mean(axis=0) for part in (at_rest[inside], at_rest[inside] + displacements[inside])
+        )
         if not np.isfinite(after).all():
             return np.inf
         scale = np.abs(after).max(initial=0.0) or 1.0
@@ -119,7 +121,7 @@ def _reason(model: Model, state: State, prepared: PreparedLoads) -> tuple[str, s
     waves = np.sqrt((model.material.bulk_modulus + 4 / 3 * model.material.shear_modulus) / model.material.density)
     moving = velocities - velocities.mean(axis=0)
     speed = float(np.linalg.norm(moving, axis=1).max())
-    if speed > FAST * waves:
+    if speed > HIGH_SPEED * waves:
         return f"nodes move at up to {speed:.3g} m/s, and waves in the tissue at {waves:.3g} m/s; ", (
             "Start from smaller velocities, or check their unit, m/s"
         )
@@ -143,7 +145,9 @@ def _flattened(model: Model, positions: Floats, force: Floats) -> str:
     """Return how much a force (3,) [N] has flattened the whole body, for a message; empty where it has not."""
     along = force[: model.cloud.points.shape[1]]
     before, after = np.ptp(model.cloud.points @ along), np.ptp(positions @ force)
-    return f", and the body to {after / before:.0%} of its extent along the force" if after < FLAT * before else ""
+    return (
+        f", and the body to {after / before:.0%} of its extent along the force" if after < FLAT_SHARE * before else ""
+    )
 
 
 def _worst_deformation(model: Model, displacements: Floats) -> Worst:
