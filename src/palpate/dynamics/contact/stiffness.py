@@ -19,22 +19,22 @@ def limit_stiffness(matrix, largest):
         for j in range(i):
             mean = 0.5 * (matrix[i, j] + matrix[j, i])
             matrix[i, j], matrix[j, i] = mean, mean
-    (a, b, c), n = principal(matrix[0, 0], matrix[1, 1], matrix[2, 2], matrix[0, 1], matrix[0, 2], matrix[1, 2])
-    _change_eigenvalue(matrix, a, largest, n[0], n[3], n[6])
-    _change_eigenvalue(matrix, b, largest, n[1], n[4], n[7])
-    _change_eigenvalue(matrix, c, largest, n[2], n[5], n[8])
+    values, n = principal(matrix[0, 0], matrix[1, 1], matrix[2, 2], matrix[0, 1], matrix[0, 2], matrix[1, 2])
+    if min(values) >= 0.0 and max(values) <= largest:
+        return
+    matrix[:] = 0.0
+    _add_eigenvalue(matrix, min(max(values[0], 0.0), largest), n[0], n[3], n[6])
+    _add_eigenvalue(matrix, min(max(values[1], 0.0), largest), n[1], n[4], n[7])
+    _add_eigenvalue(matrix, min(max(values[2], 0.0), largest), n[2], n[5], n[8])
 
 
 @kernel_njit(inner=True)
-def _change_eigenvalue(matrix, value, largest, x, y, z):
-    """Limit an eigenvalue of a symmetric matrix, with its eigenvector, to the interval from 0 to the largest."""
-    change = min(max(value, 0.0), largest) - value
-    if change == 0.0:
-        return
-    matrix[0, 0] += change * x * x
-    matrix[1, 1] += change * y * y
-    matrix[2, 2] += change * z * z
-    matrix[0, 1] += change * x * y
-    matrix[0, 2] += change * x * z
-    matrix[1, 2] += change * y * z
+def _add_eigenvalue(matrix, value, x, y, z):
+    """Add an eigenvalue with its eigenvector to a symmetric matrix."""
+    matrix[0, 0] += value * x * x
+    matrix[1, 1] += value * y * y
+    matrix[2, 2] += value * z * z
+    matrix[0, 1] += value * x * y
+    matrix[0, 2] += value * x * z
+    matrix[1, 2] += value * y * z
     matrix[1, 0], matrix[2, 0], matrix[2, 1] = matrix[0, 1], matrix[0, 2], matrix[1, 2]
