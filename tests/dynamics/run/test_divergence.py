@@ -187,3 +187,11 @@ def test_velocities_at_the_start_are_named():
     apart = 300.0 * np.random.default_rng(0).standard_normal((len(bar(fixed="z-").cloud), 3))
     with pytest.raises(pt.DivergenceError, match=r"Start from (a smaller displacement or velocity|smaller)"):
         pt.rollout(bar(fixed="z-"), velocity=apart, duration=0.01, every=0.005, progress=False)
+
+
+@pytest.mark.slow
+def test_a_sheet_under_a_pressure_far_too_large_names_it():
+    rubber = pt.materials.NeoHookean(C1=0.17e6, density=1200.0, poisson=0.5)
+    sheet = pt.Membrane(pt.disc(0.05, 0.01), rubber, 1e-3, "rim", prestretch=1.05)
+    with pytest.raises(pt.DivergenceError, match=r"^Pressure on 'face' .* the tissue.*check the units of both"):
+        pt.rollout(sheet, [pt.Pressure("face", pressure=1e7)], duration=0.02, every=0.002, progress=False)

@@ -167,10 +167,10 @@ def frame_states(
         for time in prepared.breakpoints(state.time, start + frame * every):
             try:
                 model, state, prepared, taken, last = _advance_to(model, state, prepared, time, control, work)
-            except (ArithmeticError, np.linalg.LinAlgError) as error:
+            except (ArithmeticError, np.linalg.LinAlgError, SystemError) as error:
                 if not _is_own(error):  # of a function that a person has given, such as a load's
                     raise
-                what = f"the equations of a step have no solution ({shortened(str(error))})"
+                what = f"the equations of a step have no solution ({shortened(str(error.__cause__ or error))})"
                 raise diverged(model, state, prepared, what, control.last) from error
             steps += taken
         yield model, state, prepared, steps, last
@@ -179,7 +179,12 @@ def frame_states(
 
 
 def _is_own(error: BaseException) -> bool:
-    """Return whether an error was raised by palpate, or by NumPy or compiled code that it called."""
+    """Return whether an error was raised by palpate, or by NumPy or compiled code that it called.
+
+    A parallel loop of compiled code that divides by zero ends in a `SystemError` that this caused.
+    """
+    if isinstance(error, SystemError) and not isinstance(error.__cause__, ArithmeticError):
+        return False
     frames = [frame.f_globals.get("__name__", "") for frame, _ in traceback.walk_tb(error.__traceback__)]
     return frames[-1].partition(".")[0] in ("palpate", "numpy", "scipy")
 
