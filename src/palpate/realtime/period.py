@@ -343,15 +343,15 @@ def _write_stiffness(work):
     for t in range(work.tool.shape[0]):
         tool, tangent = work.tool[t], work.tangent[count * t : count * (t + 1)]
         first = HEADER_SIZE + TOOL_SIZE * t + STIFFNESS
-        written = work.record[first : first + 9].reshape((3, 3))
+        rows = work.record[first : first + 3], work.record[first + 3 : first + 6], work.record[first + 6 : first + 9]
         for i in range(3):
             for j in range(3):
                 total = 0.0
                 for a in range(count):
                     for b in range(count):
                         total += tool[a, i] * tangent[a, b] * tool[b, j]
-                written[i, j] = total
-        limit_stiffness(written, np.inf)
+                rows[i][j] = total
+        limit_stiffness(rows, np.inf)
     _repeat_first(work.record)
 
 

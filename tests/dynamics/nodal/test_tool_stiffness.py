@@ -183,7 +183,7 @@ def test_the_stiffness_of_each_of_two_tools_is_limited_and_that_of_one_at_rest_i
 
 
 def test_a_stiffness_is_limited_to_eigenvalues_from_zero_to_the_largest():
-    limit = numba.njit(lambda matrix, largest: limit_stiffness(matrix, largest))
+    limit = numba.njit(lambda matrix, largest: limit_stiffness((matrix[0], matrix[1], matrix[2]), largest))
     random = np.random.default_rng(0)
     for _ in range(200):
         given = random.standard_normal((3, 3)) * 10.0 ** random.integers(-3, 4)

@@ -7,34 +7,34 @@ from palpate.dynamics.material.principal_stretches import principal
 
 
 @kernel_njit(inner=True)
-def limit_stiffness(matrix, largest):
-    """Replace a matrix (3, 3) [N/m] by its symmetric part with eigenvalues from 0 to the largest.
+def limited_stiffness(xx, yy, zz, xy, xz, yz, largest):
+    """Return the entries of a symmetric matrix [N/m] with eigenvalues from 0 to the largest.
 
-    A symmetric matrix within these limits is unchanged.
+    One within these limits is unchanged.
     """
     if largest == 0.0:
-        matrix[:] = 0.0
-        return
-    for i in range(3):
-        for j in range(i):
-            mean = 0.5 * (matrix[i, j] + matrix[j, i])
-            matrix[i, j], matrix[j, i] = mean, mean
-    values, n = principal(matrix[0, 0], matrix[1, 1], matrix[2, 2], matrix[0, 1], matrix[0, 2], matrix[1, 2])
-    if min(values) >= 0.0 and max(values) <= largest:
-        return
-    matrix[:] = 0.0
-    _add_eigenvalue(matrix, min(max(values[0], 0.0), largest), n[0], n[3], n[6])
-    _add_eigenvalue(matrix, min(max(values[1], 0.0), largest), n[1], n[4], n[7])
-    _add_eigenvalue(matrix, min(max(values[2], 0.0), largest), n[2], n[5], n[8])
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    (a, b, c), n = principal(xx, yy, zz, xy, xz, yz)
+    if min(a, b, c) >= 0.0 and max(a, b, c) <= largest:
+        return xx, yy, zz, xy, xz, yz
+    a, b, c = min(max(a, 0.0), largest), min(max(b, 0.0), largest), min(max(c, 0.0), largest)
+    return (
+        a * n[0] * n[0] + b * n[1] * n[1] + c * n[2] * n[2],
+        a * n[3] * n[3] + b * n[4] * n[4] + c * n[5] * n[5],
+        a * n[6] * n[6] + b * n[7] * n[7] + c * n[8] * n[8],
+        a * n[0] * n[3] + b * n[1] * n[4] + c * n[2] * n[5],
+        a * n[0] * n[6] + b * n[1] * n[7] + c * n[2] * n[8],
+        a * n[3] * n[6] + b * n[4] * n[7] + c * n[5] * n[8],
+    )
 
 
 @kernel_njit(inner=True)
-def _add_eigenvalue(matrix, value, x, y, z):
-    """Add an eigenvalue with its eigenvector to a symmetric matrix."""
-    matrix[0, 0] += value * x * x
-    matrix[1, 1] += value * y * y
-    matrix[2, 2] += value * z * z
-    matrix[0, 1] += value * x * y
-    matrix[0, 2] += value * x * z
-    matrix[1, 2] += value * y * z
-    matrix[1, 0], matrix[2, 0], matrix[2, 1] = matrix[0, 1], matrix[0, 2], matrix[1, 2]
+def limit_stiffness(rows, largest):
+    """Replace a matrix, by its rows (3,) [N/m], by its symmetric part with eigenvalues from 0 to the largest."""
+    x, y, z = rows
+    xx, yy, zz, xy, xz, yz = limited_stiffness(
+        x[0], y[1], z[2], 0.5 * (x[1] + y[0]), 0.5 * (x[2] + z[0]), 0.5 * (y[2] + z[1]), largest
+    )
+    x[0], x[1], x[2] = xx, xy, xz
+    y[0], y[1], y[2] = xy, yy, yz
+    z[0], z[1], z[2] = xz, yz, zz

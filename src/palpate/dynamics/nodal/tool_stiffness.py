@@ -170,7 +170,8 @@ def _limit(secant):
     """Limit the stiffness of each tool; between two tools it is at most the geometric mean of theirs."""
     matrix = secant.stiffness
     for t in range(secant.bound.shape[0]):
-        limit_stiffness(matrix[3 * t : 3 * t + 3, 3 * t : 3 * t + 3], secant.bound[t])
+        block = matrix[3 * t : 3 * t + 3, 3 * t : 3 * t + 3]
+        limit_stiffness((block[0], block[1], block[2]), secant.bound[t])
     for i in range(matrix.shape[0]):
         for j in range(matrix.shape[0]):
             if i // 3 != j // 3:
