@@ -358,6 +358,14 @@ def test_contact_stiffness_is_computed_at_the_given_interval(engine_of):
     assert not np.any(without.read().stiffness)
 
 
+@pytest.mark.slow
+def test_a_contact_stiffness_of_a_reading_has_no_negative_eigenvalue():
+    """Whatever the model writes: a hand that multiplies by it would be pushed on."""
+    engine = Engine(mass_spring(contact=-30.0))
+    run_steps(engine, 3)
+    np.testing.assert_array_equal(engine.read().stiffness, 0.0)
+
+
 def test_other_python_threads_run_while_the_engine_steps(engine_of):
     """The loop computes all the time, and does not return: with Python's lock it would stop everything."""
     engine = engine_of(rate=20_000.0, labour=labour_of(1e-3))

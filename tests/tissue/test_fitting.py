@@ -348,3 +348,31 @@ def test_a_sequence_without_a_length_and_too_few_points_are_refused():
     short = Measurement(kind="uniaxial", deformation=[1.0, 1.1], stress=[0.0, 1.0])
     with pytest.raises(pt.InputError, match="measurements must have more than 2 points, got 2; give more"):
         fit(pt.materials.MooneyRivlin, short)
+
+
+@pytest.mark.parametrize("name", ["MooneyRivlin", "mooneyrivlin", "mooney-rivlin", "Mooney_Rivlin", "MOONEY RIVLIN"])
+def test_a_law_by_its_name_is_fitted_as_its_class(name):
+    measured = curves(rubbery())
+    assert fit(name, measured).parameters == fit(pt.materials.MooneyRivlin, measured).parameters
+    assert type(fit(name, measured).material) is pt.materials.MooneyRivlin
+
+
+@pytest.mark.parametrize(
+    ("law", "message"),
+    [
+        ("yeho", "law must be one of ArrudaBoyce, .*, Yeoh, or its class, got 'yeho'; did you mean Yeoh"),
+        ("", "law must be one of ArrudaBoyce, .*, or its class, got ''$"),
+        (None, "law must be one of .*, got None$"),
+        (stiff(), "law must be one of .*, got "),
+        (pt.materials.Material, "law must be one of .*, got <class"),
+        (pt.materials.Fibres, "law must be one of .*, got <class"),
+    ],
+)
+def test_another_object_than_a_law_is_refused_with_the_list_of_laws(law, message):
+    with pytest.raises(pt.InputError, match=message):
+        fit(law, curves(rubbery()))
+
+
+def test_curves_of_another_type_are_refused():
+    with pytest.raises(pt.InputError, match="measurements must be Measurement objects, got array"):
+        fit("yeoh", [np.zeros((5, 2))])

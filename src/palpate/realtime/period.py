@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
+from palpate.dynamics.contact.stiffness import limit_stiffness
 from palpate.realtime.contract import FORCES, KINETIC, POSE_COLUMNS, STATUS, STEPS, STRAIN, TRUST, tool_maps
 from palpate.realtime.pose import IDENTITY_POSE, follow_pose, pose_of_coordinates, tool_coordinates, wrench
 from palpate.realtime.record import HEADER_SIZE, TOOL_DTYPE, TOOL_SIZE, field_offset, record_size
@@ -335,19 +336,22 @@ def _write_tool(work, settings, t):
 
 @kernel_njit(inner=True)
 def _write_stiffness(work):
-    """Write the contact stiffness (3, 3) of every tool to the record if it is finite."""
+    """Write the contact stiffness (3, 3) of every tool to the record if it is finite, without negative eigenvalues."""
     count = work.tool.shape[1]
     if not _is_finite(work.tangent):
         return
     for t in range(work.tool.shape[0]):
         tool, tangent = work.tool[t], work.tangent[count * t : count * (t + 1)]
+        first = HEADER_SIZE + TOOL_SIZE * t + STIFFNESS
+        rows = work.record[first : first + 3], work.record[first + 3 : first + 6], work.record[first + 6 : first + 9]
         for i in range(3):
             for j in range(3):
                 total = 0.0
                 for a in range(count):
                     for b in range(count):
                         total += tool[a, i] * tangent[a, b] * tool[b, j]
-                work.record[HEADER_SIZE + TOOL_SIZE * t + STIFFNESS + 3 * i + j] = total
+                rows[i][j] = total
+        limit_stiffness(rows, np.inf)
     _repeat_first(work.record)
 
 

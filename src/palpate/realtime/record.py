@@ -155,8 +155,10 @@ class Reading(PeriodRecord):
     force, moment : (3,) arrays [N], [N m]
         Force and moment of the body on the tool, about the tool's reference point.
     stiffness : (3, 3) array [N/m]
-        Contact stiffness: the derivative of the tool's force on the body by the tool's displacement. It is
-        updated every few periods, and is zero for a model without a stiffness function.
+        Contact stiffness: the derivative of the tool's force on the body by the tool's displacement, symmetric and
+        without negative eigenvalues. It is updated every few periods, and is zero for a model without a stiffness
+        function. That of a full body holds along the ways of the tool, and is zero until there is one above the
+        noise (`palpate.dynamics.nodal.tool_stiffness`).
     trust : float
         Trust number; above 1 the model was not trained on such states.
     position, quaternion : (3,) array [m] and (4,) array

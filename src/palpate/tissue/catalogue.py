@@ -5,12 +5,14 @@ Command line, files, tests and validation read the laws from this list only.
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import cached_property
 from typing import Any
 
-from palpate.faults import interval
+from palpate.faults import InputError, brief, interval
 from palpate.parameters import declared
 from palpate.tissue.fibres import FibreLaw, Fibres, Guccione
 from palpate.tissue.invariant_laws import ArrudaBoyce, Fung, Gent, StVenantKirchhoff, Yeoh
@@ -195,3 +197,24 @@ RELAXATION = CatalogueEntry(
     example={"shares": (0.5, 0.3), "times": (0.02, 0.3)},
     note="a share and a time for each branch; bulk_shares as many, or none",
 )
+
+
+def law_class(law: type[Material] | str) -> type[Material]:
+    """Return the class of a law, by itself or by its name, whatever the case, with or without hyphens.
+
+    Raises
+    ------
+    InputError
+        There is no law of that name, or it is another object.
+    """
+    if isinstance(law, type) and issubclass(law, Material) and not inspect.isabstract(law):
+        return law
+    classes, near = {each.name.lower(): each.kind for each in LAWS}, []
+    if isinstance(law, str):
+        name = law.replace("-", "").replace("_", "").replace(" ", "").lower()
+        if name in classes:
+            return classes[name]
+        near = get_close_matches(name[:60], classes, 1)
+    names = ", ".join(sorted(kind.__name__ for kind in classes.values()))
+    remedy = f"; did you mean {classes[near[0]].__name__}?" if near else ""
+    raise InputError(f"law must be one of {names}, or its class, got {brief(law)}{remedy}")

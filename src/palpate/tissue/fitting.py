@@ -6,14 +6,15 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
-from palpate.faults import InputError, UnitWarning, integer_in_range
+from palpate.faults import InputError, UnitWarning, brief, integer_in_range
 from palpate.plotting import plot_fit
+from palpate.tissue.catalogue import law_class
 from palpate.tissue.ellipticity import MaterialStability, material_stability
 from palpate.tissue.fit_problem import FitProblem
 from palpate.tissue.fit_starts import starting_points
@@ -220,7 +221,7 @@ class Fit(Described):
 
 
 def fit(
-    law: type[Material],
+    law: type[Material] | str,
     measurements: Measurement | Sequence[Measurement],
     *,
     start: Mapping[str, Any] | None = None,
@@ -240,8 +241,9 @@ def fit(
 
     Parameters
     ----------
-    law : type of Material
-        Law, such as `NeoHookean`. Its fields, numbers or sequences of numbers, are the parameters.
+    law : type of Material, or str
+        Law, such as `NeoHookean`, or its name, such as ``"yeoh"`` or ``"mooney-rivlin"``. Its fields, numbers or
+        sequences of numbers, are the parameters.
     measurements : Measurement or sequence of them
     start : dict, optional
         Parameters of the first start; required for sequences, whose length they define. Parameters
@@ -270,7 +272,7 @@ def fit(
     Raises
     ------
     InputError
-        A name is unknown, a start is invalid or out of bounds, there are too few points, no
+        The law or a name is unknown, a start is invalid or out of bounds, there are too few points, no
         parameter is free, or the stress of the law is not finite at a measured deformation.
 
     Examples
@@ -284,14 +286,17 @@ def fit(
     >>> round(result.parameters["C1"], 3)
     1100.0
     """
-    curves = (measurements,) if isinstance(measurements, Measurement) else tuple(measurements)
+    kind, curves = law_class(law), (measurements,) if isinstance(measurements, Measurement) else tuple(measurements)
+    for curve in curves:
+        if not isinstance(cast(object, curve), Measurement):
+            raise InputError(f"measurements must be Measurement objects, got {brief(curve)}; make one of each curve")
     if not curves:
         raise InputError("measurements must have at least one curve, got none")
     starts, seed = integer_in_range("starts", starts, 1), integer_in_range("seed", seed, 0)
     with np.errstate(all="ignore"), warnings.catch_warnings():
         # trial parameters may overflow, or be far from those of tissue; the trust region then shrinks
         warnings.simplefilter("ignore", UnitWarning)
-        problem = FitProblem(law, curves, start or {}, bounds or {}, fixed or {}, density, poisson)
+        problem = FitProblem(kind, curves, start or {}, bounds or {}, fixed or {}, density, poisson)
         solutions = [
             (first, _minimise(problem, better, COARSE_TOLERANCE))
             for first, better in starting_points(problem, starts, seed)

@@ -403,7 +403,8 @@ def test_contact_stiffness_is_the_slope_of_the_force(block):
     z, force, stiffness = np.array(slopes).T
     slope = np.gradient(force, -z)
     assert slope[-1] > 20.0
-    np.testing.assert_allclose(stiffness[4:], np.diff(force)[3:] / -np.diff(z)[3:], rtol=1e-6)
+    # ends of steps do not fall on those of periods: the ball is there by up to 2 % of its way later
+    np.testing.assert_allclose(stiffness[4:], np.diff(force)[3:] / -np.diff(z)[3:], rtol=0.02)
     np.testing.assert_array_equal(out, out.T)
     for _ in range(2):  # the first period begins in contact
         stepped.to([0.0, 0.0, 0.05])

@@ -226,3 +226,41 @@ def test_bounds_of_held_out_pairs_hold_for_the_force_on_each_tool(model, body):
         missed = np.linalg.norm(own.reactions[name] - full.reactions[name], axis=1)
         assert missed.max() > 0
         assert np.all(missed <= own.force_bounds)
+
+
+def lift(time: float) -> np.ndarray:
+    """A ball that presses the held lower face from below, by 1 mm in 0.05 s."""
+    return np.array([0.024, 0.024, -BALL - 0.0005 + 0.0015 * min(time / 0.05, 1.0)])
+
+
+def test_the_force_of_a_tool_on_held_nodes_alone_has_no_known_error(model, body):
+    """The coordinates do not move, and all other measures are zero: they say nothing of this force."""
+    loads = [pt.tools.Contact(pt.tools.Sphere(BALL), lift, name="ball")]
+    own = pt.rollout(model, loads, duration=0.06, every=0.005, progress=False)
+    pushed = np.linalg.norm(own.reactions["ball"], axis=1) > 0
+    assert pushed[-6:].all()
+    assert (own.trust[-6:] >= 2.0).all()
+    assert np.isinf(own.force_bounds[-6:]).all()
+    assert not own.trust[~pushed].any()
+    assert np.isfinite(own.force_bounds[0])
+
+
+def test_the_engine_says_that_the_error_on_held_nodes_is_not_known(model):
+    ready = pt.realtime_model(model, contact=pt.tools.Contact(pt.tools.Sphere(BALL), tuple(lift(0.0))))
+    q, v, report = np.zeros(model.count), np.zeros(model.count), np.zeros(20)
+    for period in range(1, 61):
+        ready.advance(ready.data, q, v, np.r_[lift(1e-3 * period) - lift(0.0), np.zeros(9)], 1e-3, report)
+        assert report[0] == 0.0
+        assert report[1] >= 2.0 or not report[8:11].any()
+    assert report[8:11].any()
+    assert ready.force_bound(report[1], 1.0) == np.inf
+
+
+def test_held_nodes_in_held_out_runs_are_trusted(body):
+    """The runs have such a tool, so that their errors count it."""
+    loads = [pt.tools.Contact(pt.tools.Sphere(BALL), lift, name="ball")]
+    top = [run(body, press(0.024, 0.024, depth)) for depth in (0.003, 0.005)]
+    below = pt.rollout(body, loads, duration=0.06, every=0.005, progress=False)
+    trained = pt.hyper_reduce(body, top, modes=6, held_out=[(loads, below), (press(0.024, 0.024, 0.004), run(
+        body, press(0.024, 0.024, 0.004)))])  # fmt: skip
+    assert pt.rollout(trained, loads, duration=0.06, every=0.005, progress=False).trust.max() <= 1.0

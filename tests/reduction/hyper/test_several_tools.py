@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from palpate.reduction.contact.gauss_seidel import contact_nearness
+from palpate.reduction.contact.surface import HELD_NEARNESS
 from palpate.reduction.hyper.error_indicator import (
     Measures,
     Scales,
@@ -59,6 +60,16 @@ def test_the_nearness_to_supports_is_that_of_the_nearest_tool():
     assert max(near for near, _ in engine) == pytest.approx(expected)
     for some in (forces[:0], forces[1:2], 0.0 * forces):
         assert support_nearness(nearness, some) == 0.0
+
+
+def test_a_tool_on_held_nodes_is_nearer_to_supports_than_any_other():
+    nearness, forces = np.array([0.1, 4.0]), np.zeros((2, 2, 3))
+    forces[0, 1, 2] = 3.0
+    held = np.array([0.0, 0.5])
+    assert support_nearness(nearness, forces, held) == HELD_NEARNESS > 2 * nearness.max()
+    pairs = SimpleNamespace(numbers=[1], tool=[0], node=[1], push=forces[0, 1:])
+    assert contact_nearness.py_func(nearness, pairs, 1, held[1]) == (HELD_NEARNESS, 1)
+    assert contact_nearness.py_func(nearness, pairs, 0, 3.0) == (0.5 * (4.0 + HELD_NEARNESS), 1)
 
 
 def drawn_run(random, tools: int) -> Frames:

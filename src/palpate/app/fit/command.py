@@ -7,14 +7,13 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from palpate.app.common.arguments import suggestion
 from palpate.app.common.console import Console, Table, quantities_table
 from palpate.app.common.report import REPORTS, deliver, machine
 from palpate.app.fit.figure import draw_fit
 from palpate.extras import require
 from palpate.faults import InputError, integer_in_range
 from palpate.files import check_folder, plain
-from palpate.tissue.catalogue import LAWS
+from palpate.tissue.catalogue import law_class
 from palpate.tissue.fitting import Fit, fit
 from palpate.tissue.materials import Material
 from palpate.tissue.measurement_files import read_measurements
@@ -61,7 +60,7 @@ def fit_law(
     int
         0.
     """
-    kind, starts = _law(law), integer_in_range("starts", starts, 1, MAX_STARTS)
+    kind, starts = law_class(law), integer_in_range("starts", starts, 1, MAX_STARTS)
     curves = [_with_file_name(curve, path, len(data)) for path in data for curve in read_measurements(path)]
     require("matplotlib", "palpate fit")
     check_folder(out)
@@ -82,16 +81,6 @@ def fit_law(
     draw_fit(fitted, out / "fit.png")
     deliver(report, _tables(fitted), out, FILES, as_json)
     return 0
-
-
-def _law(name: str) -> type[Material]:
-    searched_name = name.replace("-", "").replace("_", "").lower()
-    concrete = {law.name: law.kind for law in LAWS}
-    for law_name, law in concrete.items():
-        if law_name.lower() == searched_name:
-            return law
-    law_names = sorted(concrete)
-    raise InputError(f"law must be one of {', '.join(law_names)}, got {name!r}{suggestion(name, law_names)}")
 
 
 def _numbers(option: str, assignments: Sequence[str]) -> dict[str, list[float]]:

@@ -45,6 +45,7 @@ class HeldNodes(NamedTuple):
     forces: Floats  # (h, 3) array [N]: mean forces in the last step
     impulses: Floats  # (h, 3) array [N s]: their impulses since the start of a call
     energy: Floats  # (t,) array [J]: of the tissue over the supports under each tool after the last step
+    pushes: Floats  # (t,) array [N]: sums of the sizes of each tool's forces on held nodes in the last step
 
 
 class ToolShapes(NamedTuple):
@@ -124,7 +125,7 @@ class Contacts(NamedTuple):
     sites: BladeSites
 
 
-HELD_SCRATCH = ("forces", "impulses", "energy")
+HELD_SCRATCH = ("forces", "impulses", "energy", "pushes")
 
 
 def contact_work(candidates: Candidates, nodes: int) -> ContactWork:
@@ -174,6 +175,7 @@ def held_nodes(nodes: Ints, points: Floats, masses: Floats, rate: float, reach: 
         forces=np.zeros((len(nodes), 3)),
         impulses=np.zeros((len(nodes), 3)),
         energy=np.zeros(len(reach)),
+        pushes=np.zeros(len(reach)),
     )
 
 

@@ -44,6 +44,7 @@ def press_held_nodes(held, kinds, sizes, friction, frames, step, kick, tool_impu
     work, lost = 0.0, 0.0
     held.forces[:] = 0.0
     held.energy[:] = 0.0
+    held.pushes[:] = 0.0
     for t in range(kinds.shape[0]):
         if kinds[t] == BONDED or kinds[t] == BLADE or sizes[t, 0] == -np.inf:  # the last are absent tools
             continue
@@ -68,6 +69,7 @@ def press_held_nodes(held, kinds, sizes, friction, frames, step, kick, tool_impu
             c = held.impedance[k]
             px, py, pz = coulomb(size / c, friction[t], -speed[0], -speed[1], -speed[2], nx, ny, nz)
             force = c * px + size * nx, c * py + size * ny, c * pz + size * nz
+            held.pushes[t] += np.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
             power = force[0] * speed[0] + force[1] * speed[1] + force[2] * speed[2]
             work += kick * power
             lost += kick * (power - 0.5 * held.stiffness[k] * (last**2 - first**2) / step)

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints, sum_of_products
+from palpate.arrays import Floats, sum_of_products
 from palpate.dynamics.compiled.lanes import Lanes
 from palpate.dynamics.compiled.passes import Formulation, internal_force
 from palpate.dynamics.compiled.rows import Rows
@@ -490,11 +490,6 @@ class NodalModel(Model):
     def _bonded_nodes(self, prepared: PreparedLoads) -> int:
         """Return the number of prescribed nodes whose impulses are outputs, because a `Grasp` is among the loads."""
         return len(prepared.sites.prescribed) if prepared.grasps else 0
-
-    @property
-    def loose_nodes(self) -> Ints:
-        """Nodes (l,) of pieces that a cut has parted from all supports."""
-        return np.zeros(0, dtype=np.int64)
 
     def without_images(self, forces: Floats) -> Floats:
         """Return internal forces (n, 3) [N] without those that the images exert through planes of symmetry.

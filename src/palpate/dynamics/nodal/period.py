@@ -13,6 +13,8 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.passes import Formulation
 from palpate.dynamics.compiled.reference import reference
@@ -30,6 +32,7 @@ from palpate.dynamics.nodal.period_data import (
     LOST,
     NEAR_MARGIN,
     NEXT_BEHIND,
+    RECENT_ENERGY,
     REPEATED,
     RESTED,
     STEP,
@@ -45,6 +48,7 @@ MAX_ATTEMPTS, STIFFENING_FACTOR = 6, 1.6  # of a period, and factor of the frequ
 MAX_ENERGY_ATTEMPTS = 2  # repetitions after which a gain of energy is accepted that is not of this period
 HELD_ATTEMPT, STOPPED_ATTEMPT = 3, 5  # from which on the tool is held, and the body loses its velocities
 MAX_GAIN, LEAST_ENERGY = 0.05, 1e-9  # kinetic energy beyond the work, relative to all work; [J] that is rounding
+UNREST_TIME = 0.1  # [s] in which the largest kinetic energy is forgotten
 
 
 @kernel_njit(inline="always")
@@ -96,7 +100,7 @@ def _begin_at_rest(data):
     clock[REPEATED], clock[GAINED], clock[HELD] = 0.0, 0.0, 0.0
     _clear(data.scratch.previous)
     clock[FREQUENCY], clock[UNTIL_ESTIMATE] = resting, ESTIMATE_PERIODS
-    clock[ESTIMATE], clock[NEAR_MARGIN] = resting, -1.0
+    clock[ESTIMATE], clock[NEAR_MARGIN], clock[RECENT_ENERGY] = resting, -1.0, 0.0
     _clear_impulses(data.tools.contacts)
 
 
@@ -282,6 +286,7 @@ def nodal_period(formulation: Formulation, touch: int) -> Any:
             most = MAX_FREQUENCY_RATIO * data.body.resting_frequency
             clock[FREQUENCY] = min(STIFFENING_FACTOR * frequency_before, most)
         clock[RESTED] = 0.0 if q.any() or v.any() else 1.0
+        clock[RECENT_ENERGY] = max(clock[KINETIC_ENERGY], clock[RECENT_ENERGY] * np.exp(-period / UNREST_TIME))
         report[STEPS], report[TRUST], report[KINETIC] = count, depth, clock[KINETIC_ENERGY]
         report[STRAIN] = max(0.0, _energy_left(clock) - report[KINETIC])
 

@@ -14,8 +14,8 @@ from palpate.dynamics.nodal.mass_tailoring import MassTailoring
 
 # entries of `NodalPeriodData.clock`
 BEHIND, STEP, FREQUENCY, UNTIL_ESTIMATE, WORK, LOST, KINETIC_ENERGY, GIVEN, NEXT_BEHIND = range(9)
-REPEATED, GAINED, HELD, ESTIMATE, RESTED, NEAR_MARGIN, BASE_FREQUENCY = range(9, 16)
-CLOCK_SIZE = 16
+REPEATED, GAINED, HELD, ESTIMATE, RESTED, NEAR_MARGIN, BASE_FREQUENCY, RECENT_ENERGY = range(9, 17)
+CLOCK_SIZE = 17
 # columns of `NodalPeriodData.sums`
 WORK_SUM, LOST_SUM, KINETIC_SUM, DRIFT_SQUARE, KICK_SQUARE = range(5)
 BLOCK_NODES = 256  # nodes of a sum
@@ -44,6 +44,28 @@ class SteppedBody(NamedTuple):
     triangles: Ints  # (s, 3) array: of the surface
 
 
+class Secant(NamedTuple):
+    """Contact stiffness of the t tools, see `palpate.dynamics.nodal.tool_stiffness`."""
+
+    stiffness: Floats  # (3 t, 3 t) array [N/m]: derivatives of the forces on all tools by all their positions
+    # positions, forces, unrest: (3 t,), (3 t,), (1,) arrays: of the tools, and kinetic energy [J], at the last update
+    positions: Floats
+    forces: Floats
+    unrest: Floats
+    # radius, bound: (t,) arrays: of the present contact [m], and its largest stiffness [N/m]
+    radius: Floats
+    bound: Floats
+    # way, excess, fade: (3 t,), (3 t,), (t,) arrays: scratch
+    way: Floats
+    excess: Floats
+    fade: Floats
+    supports: Ints  # nodes that supports hold
+    # plane_modulus, uniaxial_modulus: E / (1 - nu^2) and that of uniaxial strain [Pa]
+    plane_modulus: float
+    uniaxial_modulus: float
+    spacing: float  # [m]
+
+
 class MovingTools(NamedTuple):
     """The t tools: contact, forceps, ways in a period, and their last forces."""
 
@@ -56,8 +78,7 @@ class MovingTools(NamedTuple):
     clear_way: Floats
     listed: Floats  # (n, 3) array [m]: displacements for which the candidates near the tools were listed last
     force: Floats  # (12 t,) array: forces on the tools' coordinates in the last period with a step
-    # (3 t + 3, 3 t) array: contact stiffness [N/m], positions and forces of the tools at its last update, and scratch
-    secant: Floats
+    secant: Secant
 
 
 class WayLimits(NamedTuple):
@@ -94,14 +115,14 @@ class NodalPeriodData(NamedTuple):
 
     Parameters
     ----------
-    clock : (16,) array
+    clock : (17,) array
         Time [s] by which the body is behind, step [s], highest frequency [rad/s], periods until its next
         estimate, work and dissipation since rest, kinetic energy, energy of a state that was given [J], the
         time by which the body will be behind, number of periods that were repeated with shorter steps, gains
         of energy that shorter steps did not cure [J], number of periods in which the tool was held, the last
         estimate of the frequency [rad/s], 1 if the last period left the body at rest, the margin [m] of the
-        list of candidates near the tools, negative without a list, and the highest frequency at rest that the
-        present one is based on [rad/s].
+        list of candidates near the tools, negative without a list, the highest frequency at rest that the
+        present one is based on [rad/s], and the largest kinetic energy of late [J] (`UNREST_TIME`).
     sums : (b, 5) array
         Of every block of nodes: work and dissipation of a kick, kinetic energy [J], and the largest squared
         velocities [m^2/s^2] of a drift and of a kick.

@@ -169,6 +169,7 @@ def next_contact_state(
             impulses=before.impulses + contacts.work.tool_impulses,
             nodal_impulses=nodal_impulses,
             held_energy=float(held_record.energy.sum()),
+            held_pushes=held_record.pushes,
         )
     if not len(before.constraint_impulses):
         return after

@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats
+from palpate.arrays import Floats, Ints
 from palpate.describe import Described, Fact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.loads.supports import Support
@@ -23,6 +24,7 @@ Nodes = NDArray[np.int64] | slice
 
 
 MANY_STEPS = 10**9  # more than a call of `Model.advance` takes
+NEAR_NODES = 13  # of a deformation gradient by least squares, with the node itself
 RESOLVED_STEP = 1e-4  # [s]: resolves motions of tools and loads at ten steps a period of 1 kHz
 
 
@@ -40,6 +42,8 @@ class ContactState(NamedTuple):
     # (p, 3) array [N s]: impulses on the prescribed nodes since `start_time`; empty without a `Grasp`
     constraint_impulses: Floats
     held_energy: float = 0.0  # [J]: energy of the tissue over supports that tools press
+    # (t,) array [N]: sums of the sizes of each tool's present forces on held nodes, or one 0 for all
+    held_pushes: Floats = np.zeros(1)
 
     def reset_impulses(self, time: float) -> ContactState:
         """Return the same forces with zero impulses, summed from a time [s] on."""
@@ -434,6 +438,25 @@ class Model(Described, metaclass=_Constant):
     def inverted_share(self, state: State) -> float:
         """Return the share of the cells between nodes that are turned inside out; zero for models without cells."""
         return 0.0
+
+    @property
+    def pieces(self) -> Ints:
+        """Number of every node's piece, shape (n,); several where a cut has parted the body."""
+        return np.zeros(len(self.cloud), dtype=np.int64)
+
+    @property
+    def loose_nodes(self) -> Ints:
+        """Nodes (l,) of pieces that a cut has parted from all supports."""
+        return np.zeros(0, dtype=np.int64)
+
+    def deformation_gradient(self, displacements: Floats) -> Floats:
+        """Return F = dx/dX (n, 3, d) of nodal displacements (n, 3) [m], by least squares over the nearest nodes."""
+        points = self.cloud.points
+        _, near = cKDTree(points).query(points, k=min(NEAR_NODES, len(points)))
+        at_rest = points[near] - points[:, None]
+        moved = displacements[near] - displacements[:, None]
+        moved[..., : points.shape[1]] += at_rest
+        return np.swapaxes(np.linalg.pinv(at_rest) @ moved, 1, 2)
 
     def after_steps(self, state: State, prepared: PreparedLoads) -> tuple[Model, State, PreparedLoads]:
         """Return the model, the state and the loads after some steps; other ones where a blade has cut the body."""

@@ -16,6 +16,7 @@ import numpy as np
 
 from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed
+from palpate.dynamics.run.divergence import deformation_size, diverged
 from palpate.dynamics.run.model import Model, Outputs, State
 from palpate.dynamics.run.progress import progress_bar
 from palpate.dynamics.run.recorder import Recorder
@@ -28,7 +29,7 @@ from palpate.threads import check_process
 MAX_OVERSTEP = 1.2  # longest step that is accepted, over the stable step after it
 STEPS_PER_ESTIMATE = 50  # steps between two estimates of the stable step
 MIN_RETRY_STEP = 1 / 256  # smallest retry step, as a fraction of the stable step
-MAX_DISPLACEMENT = 100.0  # largest displacement, in body sizes
+MAX_DEFORMATION = 100.0  # largest displacement but for rigid motions, in body sizes
 MAX_INVERTED = 0.03  # of the cells between nodes: beyond it forces of crushed bodies fall while tools go deeper
 MAX_STEP_RATIO = 100  # most steps to a snapshot, relative to their number at the run's first stable step
 MAX_FRAMES = 10**6
@@ -143,7 +144,7 @@ def rollout(
         if step is not None and step > stable:
             error.args = (
                 f"step must be at most {stable:.3g} s, the stable one at the start, got {step:.3g} s; omit it, or use "
-                f"a shorter one: {str(error).partition(';')[0]}",
+                "a shorter one",
             )
         raise
     except BaseException:
@@ -166,11 +167,11 @@ def frame_states(
         for time in prepared.breakpoints(state.time, start + frame * every):
             try:
                 model, state, prepared, taken, last = _advance_to(model, state, prepared, time, control, work)
-            except (ArithmeticError, np.linalg.LinAlgError) as error:
+            except (ArithmeticError, np.linalg.LinAlgError, SystemError) as error:
                 if not _is_own(error):  # of a function that a person has given, such as a load's
                     raise
-                what = f"the equations of a step have no solution ({shortened(str(error))})"
-                raise _divergence(model, state, prepared, what, control.last) from error
+                what = f"the equations of a step have no solution ({shortened(str(error.__cause__ or error))})"
+                raise diverged(model, state, prepared, what, control.last) from error
             steps += taken
         yield model, state, prepared, steps, last
         if state.contact_state is not None:  # contact forces are means over one frame
@@ -178,7 +179,12 @@ def frame_states(
 
 
 def _is_own(error: BaseException) -> bool:
-    """Return whether an error was raised by palpate, or by NumPy or compiled code that it called."""
+    """Return whether an error was raised by palpate, or by NumPy or compiled code that it called.
+
+    A parallel loop of compiled code that divides by zero ends in a `SystemError` that this caused.
+    """
+    if isinstance(error, SystemError) and not isinstance(error.__cause__, ArithmeticError):
+        return False
     frames = [frame.f_globals.get("__name__", "") for frame, _ in traceback.walk_tb(error.__traceback__)]
     return frames[-1].partition(".")[0] in ("palpate", "numpy", "scipy")
 
@@ -265,7 +271,7 @@ def _advance_to(
     while time - state.time > 1e-12 * abs(time):
         target = share * stable
         if not target > 0 or (time - state.time) / target > MAX_STEPS_PER_FRAME:
-            raise _divergence(model, state, prepared, "no step is stable", target)
+            raise diverged(model, state, prepared, "no step is stable", target)
         if target < MIN_STEP_ULPS * np.spacing(abs(time)):
             raise InputError(
                 f"start must be near 0 for steps of {target:.3g} s, got t = {time:g} s; start the run nearer to 0"
@@ -275,7 +281,7 @@ def _advance_to(
                 f"the stable step became too small: {taken} steps, {MAX_STEP_RATIO} times those of the first stable "
                 f"step, {control.first:.3g} s,"
             )
-            raise _divergence(model, state, prepared, what, target)
+            raise diverged(model, state, prepared, what, target)
         left = int(np.ceil((time - state.time) / target * (1 - 1e-9)))
         step = (time - state.time) / left
         count = min(left, STEPS_PER_ESTIMATE, model.most_steps(state, prepared, step))
@@ -290,7 +296,7 @@ def _advance_to(
             share /= 2  # the body is stiffer than at the estimate
             continue
         if not np.isfinite(new.coordinates).all():
-            raise _divergence(model, state, prepared, "the state became non-finite", step, new)
+            raise diverged(model, state, prepared, "the state became non-finite", step, new)
         share = 1.0 if after < stable else min(1.0, 2 * share)  # a smaller estimate has taken account of it
         stable, taken, used = after, taken + count, step
         model, state, prepared = model.after_steps(new, prepared)
@@ -299,15 +305,17 @@ def _advance_to(
 
 def _check_outputs(model: Model, state: State, prepared: PreparedLoads, outputs: Outputs, step: float) -> None:
     """Raise `DivergenceError` for outputs that are not finite or too large."""
-    size = np.ptp(model.cloud.points, axis=0).max()
-    if np.abs(outputs.displacements).max() > MAX_DISPLACEMENT * size:
-        raise _divergence(model, state, prepared, f"the body moved more than {MAX_DISPLACEMENT:g} times its size", step)
+    points, moved = model.cloud.points, outputs.displacements
+    most = MAX_DEFORMATION * np.ptp(points, axis=0).max()
+    if np.abs(moved).max() > most and deformation_size(points, moved, model.pieces) > most:
+        what = f"the body deformed by more than {MAX_DEFORMATION:g} times its size"
+        raise diverged(model, state, prepared, what, step)
     if np.isnan(outputs.strain):
-        raise _divergence(model, state, prepared, "the body turned inside out (J <= 0)", step)
+        raise diverged(model, state, prepared, "the body turned inside out (J <= 0)", step)
     share = model.inverted_share(state)
     if share > MAX_INVERTED:
-        what = f"{share:.1%} of the cells between nodes are turned inside out: the loads crush the tissue"
-        raise _divergence(model, state, prepared, what, step)
+        what = f"{share:.1%} of the cells between nodes are turned inside out"
+        raise diverged(model, state, prepared, what, step)
     forces = {f"force of {name!r}": force for name, force in outputs.reactions.items()}
     moments = {f"moment of {name!r}": moment for name, moment in outputs.moments.items()}
     energies = {f"{name} energy": getattr(outputs, name) for name in NUMBER_NAMES if SERIES[name].array.unit == "J"}
@@ -318,34 +326,4 @@ def _check_outputs(model: Model, state: State, prepared: PreparedLoads, outputs:
     }
     for name, values in {**fields, **energies, **forces, **moments}.items():
         if not np.isfinite(values).all():
-            raise _divergence(model, state, prepared, f"the {name} became non-finite", step)
-
-
-def _divergence(
-    model: Model, state: State, prepared: PreparedLoads, what: str, step: float, after: State | None = None
-) -> DivergenceError:
-    """Return the error of a run at a state; it names a node that is not finite in `after`."""
-    node, which = _worst_node(model, state if after is None else after, prepared)
-    if node is None:
-        node, which = _worst_node(model, state, prepared)
-    where = "all nodes at once"
-    if node is not None:
-        where = f"{which} node {node} at {np.array2string(model.cloud.points[node], precision=4)} m"
-    more_damping = 2 * max(model.stiffness_damping, 1e-5)
-    return DivergenceError(
-        f"{what} at t = {state.time:.5g} s; {where}, step {step:.3g} s, stiffness damping "
-        f"{model.stiffness_damping:.3g} s. Try more damping (stiffness_damping={more_damping:.2g}), smaller loads, or "
-        "a finer spacing"
-    )
-
-
-def _worst_node(model: Model, state: State, prepared: PreparedLoads) -> tuple[int | None, str]:
-    """Return the first non-finite node or else the fastest; None if all nodes are non-finite."""
-    velocity = model.velocity(state, prepared)
-    bad = ~np.isfinite(np.column_stack([model.displacement(state, prepared), velocity])).all(axis=1)
-    if bad.all():
-        return None, ""
-    if bad.any():
-        return int(np.argmax(bad)), "first non-finite"
-    speed = np.abs(velocity).max(axis=1)
-    return int(np.argmax(speed)), "fastest"
+            raise diverged(model, state, prepared, f"the {name} became non-finite", step)

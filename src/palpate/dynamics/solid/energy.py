@@ -22,7 +22,7 @@ from palpate.dynamics.nodal.stability import StabilityReport, resting_frequency,
 from palpate.dynamics.run.model import Evaluation, Model, Outputs, State, StepReport
 from palpate.dynamics.solid.base import STENCIL_SIZES, Choices, Solid
 from palpate.dynamics.solid.cutting.blade_cut import cut_with_blade, steps_of_blade, with_pairs
-from palpate.dynamics.solid.cutting.cut import detached_nodes, uncut_state
+from palpate.dynamics.solid.cutting.cut import detached_nodes, pieces_of, uncut_state
 from palpate.dynamics.solid.cutting.layout import smoothing_of, stencils_of
 from palpate.dynamics.solid.energy_form import NODE_NUMBERS, EnergyBody, body_in_single, work_in_single
 from palpate.dynamics.solid.layout import Smoothing, energy_passes
@@ -147,6 +147,10 @@ class EnergySolid(EnergyModel, Solid):
     def stability(self) -> StabilityReport:  # type: ignore[override]
         highest, damping = resting_frequency(self), self.stiffness_damping
         return StabilityReport("energy form", None, 0.0, damping, highest, stable_step(highest, damping))
+
+    @property
+    def pieces(self) -> Ints:
+        return super().pieces if self._cut is None else pieces_of(self)
 
     @property
     def loose_nodes(self) -> Ints:

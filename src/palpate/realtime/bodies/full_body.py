@@ -39,6 +39,7 @@ from palpate.dynamics.nodal.period_data import (
     NodalPeriodData,
     PeriodCopy,
     PowerIteration,
+    Secant,
     SteppedBody,
     WayLimits,
 )
@@ -111,7 +112,7 @@ def full_period(
             clear_way=np.zeros(count),
             listed=np.zeros((n, 3)),
             force=np.zeros(12 * count),
-            secant=np.zeros((3 * count + 3, 3 * count)),
+            secant=_secant(model, count),
         ),
         limits=WayLimits(
             node=MAX_WAY * model.cloud.spacing,
@@ -137,6 +138,37 @@ def full_period(
             forceps = Forceps(tool.radius, tool.point, tool.until)
             change_full_tool(model, data, None, forceps, tool.poses(np.zeros(1))[0], 0.0, t)
     return nodal_period(model.formulation, contact_kind(contacts)), data
+
+
+def _secant(model: NodalModel, tools: int) -> Secant:
+    """Return the contact stiffness of tools that do not touch, and the moduli of its bound, those of the stiffest part.
+
+    The fastest waves show what fibres add to the law.
+    """
+    factor = model.tissue.stiffness if len(model.tissue.stiffness) else 1.0
+    shear = float(np.max(factor * model.tissue.moduli("shear_modulus")))
+    bulk = float(np.max(factor * model.tissue.moduli("bulk_modulus")))
+    plane, uniaxial = 4.0 * shear, 4.0 * shear  # of an incompressible sheet
+    if bulk < np.inf:
+        plane, uniaxial = 4.0 * shear * (3.0 * bulk + shear) / (3.0 * bulk + 4.0 * shear), bulk + 4.0 / 3.0 * shear
+    if model.fibres is not None:
+        stiffest = max(1.0, model.material.density * model.wave_speed**2 / uniaxial)
+        plane, uniaxial = stiffest * plane, stiffest * uniaxial
+    return Secant(
+        stiffness=np.zeros((3 * tools, 3 * tools)),
+        positions=np.zeros(3 * tools),
+        forces=np.zeros(3 * tools),
+        unrest=np.zeros(1),
+        radius=np.zeros(tools),
+        bound=np.zeros(tools),
+        way=np.zeros(3 * tools),
+        excess=np.zeros(3 * tools),
+        fade=np.zeros(tools),
+        supports=np.flatnonzero(model.supported.kind != FREE),
+        plane_modulus=plane,
+        uniaxial_modulus=uniaxial,
+        spacing=model.cloud.spacing,
+    )
 
 
 def _clock_at_rest(step: float, frequency: float) -> Floats:
@@ -219,7 +251,8 @@ def change_full_tool(
         contacts.tools.radius[index] = tool.sizes[0] + tool.sizes[1]
     contacts.tools.friction[index] = friction
     contacts.work.patch_impulses[contacts.candidates.start[index] : contacts.candidates.start[index + 1]] = 0.0
-    data.tools.secant[:], data.tools.force[12 * index : 12 * (index + 1)] = 0.0, 0.0
+    data.tools.secant.stiffness[:], data.tools.secant.forces[:] = 0.0, 0.0
+    data.tools.force[12 * index : 12 * (index + 1)] = 0.0
     data.clock[LOST] += contacts.held.energy[index]  # of the tissue over supports, which springs back
     contacts.held.energy[index] = 0.0
     data.contact_work.numbers[:], data.clock[NEAR_MARGIN] = 0, -1.0

@@ -19,7 +19,7 @@ from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.prepared import check_kinds, prepare_loads
 from palpate.dynamics.material.relaxation import history_copy
 from palpate.dynamics.nodal.model import NodalModel
-from palpate.dynamics.nodal.tool_path import contact_stiffness as nodal_stiffness
+from palpate.dynamics.nodal.tool_stiffness import contact_stiffness as nodal_stiffness
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError, brief, number_in_range
 from palpate.realtime.bodies.change_tool import change_tool
@@ -144,7 +144,8 @@ def realtime_model(
     Parameters
     ----------
     model : ReducedModel, LinearModel, or Solid or Membrane in the energy form
-        A full body has no trust number. Its contact stiffness follows from the tool's displacement and force.
+        A full body has no trust number. Its contact stiffness follows from the tool's displacement and force
+        (`palpate.dynamics.nodal.tool_stiffness`).
     longest : float [s]
         Longest period that the engine may request.
     contact : Contact or Grasp, or sequence of up to four, optional

@@ -48,7 +48,7 @@ def _touch_of_tools(data, period):
     """Return the largest touch speed [m/s] of the tools, the nearness of the nearest to supports, and their number."""
     touching, nearest, count = 0.0, 0.0, 0
     for t in range(data.tools.kind.shape[0]):
-        near, touches = contact_nearness(data.indicator.nearness, data.contact_work, t)
+        near, touches = contact_nearness(data.indicator.nearness, data.contact_work, t, data.tools.held.pushes[t])
         nearest, count = max(nearest, near), count + touches
         speed = approach_speed(data.contact_work, data.tools.path[t], period, t)
         energy = tool_energy(data.contact_surface, data.contact_work, t)

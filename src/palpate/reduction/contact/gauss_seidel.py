@@ -25,7 +25,7 @@ from palpate.dynamics.contact.held import press_held_nodes
 from palpate.dynamics.contact.kinds import BONDED
 from palpate.meshfree.cloud import MOVED_MARGIN
 from palpate.reduction.contact.compliance import energy_factor, pair, refresh, secant_factor, stiffened_force
-from palpate.reduction.contact.surface import PAIRS, SWEEPS, UNCONVERGED
+from palpate.reduction.contact.surface import HELD_NEARNESS, PAIRS, SWEEPS, UNCONVERGED
 
 CLUSTER_STRETCH = 1.5  # largest extent of a cluster over that at rest
 MAX_SWEEPS = 60
@@ -453,9 +453,9 @@ def approach_speed(contact, path, period, t):
 
 
 @kernel_njit(inner=True)
-def contact_nearness(nearness, contact, t):
+def contact_nearness(nearness, contact, t, held=0.0):
     """Return `palpate.reduction.hyper.error_indicator.support_nearness` of tool t, and 1 if it touches, or 0."""
-    total, size = 0.0, 0.0
+    total, size = HELD_NEARNESS * held, held
     for e in range(contact.numbers[PAIRS]):
         push = contact.push[e]
         square = push[0] ** 2 + push[1] ** 2 + push[2] ** 2

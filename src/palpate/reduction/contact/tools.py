@@ -72,7 +72,7 @@ class ContactTools:
         return ContactState(
             forces, before.impulses + self.tools.impulses, before.start_time, nodal_impulses,
             self.scratch.place.copy(), self.scratch.force.copy(), before.constraint_impulses,
-            float(pressed.energy.sum()),
+            float(pressed.energy.sum()), pressed.pushes.copy(),
         )  # fmt: skip
 
 

@@ -33,6 +33,7 @@ from palpate.dynamics.run.model import State
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import InputError, number_in_range
 from palpate.meshfree.cloud import Cloud
+from palpate.reduction.contact.surface import HELD_NEARNESS
 from palpate.reduction.hyper.body import ReducedBody
 from palpate.reduction.hyper.data import ReducedData
 
@@ -189,22 +190,27 @@ def touch_speed(speed, energy, scale):
 
 
 def nearness_to_supports(cloud: Cloud, supports: Sequence[Support], nodes: Ints) -> Floats:
-    """Return the spacing over the distance to the nearest fixed node (k,) of some nodes; 0 without supports."""
+    """Return the spacing over the distance to the nearest fixed node (k,) of some nodes; 0 without supports.
+
+    That of a fixed node is `HELD_NEARNESS`.
+    """
     fixed = cloud.points[supported_nodes(cloud, supports).kind == FIXED]
     if not len(fixed) or not len(nodes):
         return np.zeros(len(nodes))
     distances = np.asarray(cKDTree(fixed).query(cloud.points[nodes])[0])
-    return np.asarray(cloud.spacing / np.maximum(distances, LEAST_DISTANCE * cloud.spacing))
+    near = cloud.spacing / np.maximum(distances, LEAST_DISTANCE * cloud.spacing)
+    return np.where(distances == 0.0, HELD_NEARNESS, near)
 
 
-def support_nearness(nearness: Floats, forces: Floats) -> float:
+def support_nearness(nearness: Floats, forces: Floats, held: Floats | float = 0.0) -> float:
     """Return the nearness to supports of the nearest tool; 0 without tools in contact.
 
     That of a tool is the mean of the nearness (k,) of nodes under its forces, of (t, k, 3), weighted by magnitudes.
+    `held` (t,) [N] are the sums of magnitudes of its forces on fixed nodes.
     """
     sizes = np.linalg.norm(forces, axis=2)
-    total = np.maximum(sizes.sum(axis=1), np.finfo(float).tiny)
-    return float(np.max(sizes @ nearness / total, initial=0.0))
+    total = np.maximum(sizes.sum(axis=1) + held, np.finfo(float).tiny)
+    return float(np.max((sizes @ nearness + HELD_NEARNESS * np.asarray(held)) / total, initial=0.0))
 
 
 def residual_norm(data: ReducedData, forces: Floats) -> float:

@@ -399,7 +399,9 @@ class ReducedModel(CoordinateModel):
 
     def _measures(self, state: State, prepared: PreparedLoads, constraints: Floats, tool_energies: Floats) -> Measures:
         """Return the measures of a state with constraint forces and energies (t,) [J] of the surface compliance."""
-        forces = np.zeros((0, 0, 3)) if state.contact_state is None else state.contact_state.surface_forces
+        forces, held = np.zeros((0, 0, 3)), np.zeros(0)
+        if state.contact_state is not None:
+            forces, held = state.contact_state.surface_forces, state.contact_state.held_pushes
         return Measures(
             np.array(training_distance(self.body, state)),
             np.array(residual_norm(self.data, constraints)),
@@ -407,7 +409,7 @@ class ReducedModel(CoordinateModel):
             np.zeros(1) if self.data.compliance is None else tool_energies,
             self.speeds(state, prepared),
             np.array(self.support_nearness(state)),
-            np.array(float(np.count_nonzero(forces.any(axis=(1, 2))))),
+            np.array(float(np.count_nonzero(forces.any(axis=(1, 2)) | (held > 0.0)))),
         )
 
     def speeds(self, state: State, prepared: PreparedLoads) -> Floats:
@@ -431,7 +433,7 @@ class ReducedModel(CoordinateModel):
         """Return the nearness to supports of the nearest tool: the spacing over its distance, weighted by forces."""
         if state.contact_state is None:
             return 0.0
-        return support_nearness(self._nearness, state.contact_state.surface_forces)
+        return support_nearness(self._nearness, state.contact_state.surface_forces, state.contact_state.held_pushes)
 
     def load_share(self, state: State, prepared: PreparedLoads) -> float:
         """Return the share of the loads' static response that the coordinates cannot represent, 0 to 1."""

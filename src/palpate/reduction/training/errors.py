@@ -147,7 +147,7 @@ def contact_errors(
     if not pressed.any():
         return None
     force, surface = np.concatenate(differences), full.displacements[:, nodes]
-    largest = np.linalg.norm(surface, axis=2).max()
+    largest = max(np.linalg.norm(surface, axis=2).max(), np.finfo(float).tiny)  # tools may press held nodes alone
     apart = np.linalg.norm(other.displacements[:, nodes] - surface, axis=2)[pressed] / largest
     return ContactErrors(
         force=float(np.median(force)),

@@ -227,7 +227,7 @@ def _exchange(
 
 def detached_nodes(body: Any) -> NDArray[np.bool_]:
     """Return True for nodes (n,) of pieces that no support holds; of a body without supports the largest one stays."""
-    pieces = _pieces(body.body, len(body.cloud))
+    pieces = pieces_of(body)
     anchors = [body.cloud.group(support.group) for support in body.supports]
     if not anchors:
         volumes = np.bincount(pieces, np.where(body.cut_state.removed, 0.0, body.volumes))
@@ -253,10 +253,11 @@ def without_detached(body: Any) -> Solid:
     return result
 
 
-def _pieces(body: Any, n: int) -> NDArray[np.int64]:
+def pieces_of(body: Any) -> NDArray[np.int64]:
     """Return the number of every node's piece, shape (n,)."""
+    constants, n = body.body, len(body.cloud)
     nodes = np.arange(n)
-    bonds = [row_entries(body.lanes, nodes), smoothing_entries(body.smoothing, body.value, nodes)]
+    bonds = [row_entries(constants.lanes, nodes), smoothing_entries(constants.smoothing, constants.value, nodes)]
     node, near = (np.concatenate([getattr(each, name) for each in bonds]) for name in ("node", "near"))
     used = np.concatenate([np.any(each.weights != 0.0, axis=1) for each in bonds])
     graph = sparse.coo_array((np.ones(int(used.sum())), (node[used], near[used])), shape=(n, n))

@@ -2,17 +2,23 @@
 
 At a point of the cut, the displacement of each face is a fit over the nodes of its side
 (`palpate.meshfree.cut.face_points`). Their difference along the normal is the opening, which must not be negative. One
-impulse pushes both faces apart, as those of blades do (`palpate.dynamics.contact.blade_sites`).
+impulse pushes both faces apart, as those of blades do (`palpate.dynamics.contact.blade_sites`). Where a face has slid
+off the other one, as of a piece that falls, it touches nothing: its normal is zero.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats
 from palpate.dynamics.contact.blade_sites import NO_TOOL, PAIR_SITE, BladeSites, no_sites
 from palpate.meshfree.cut.points import PointWeights
 from palpate.meshfree.cut.stencils import CutState
+
+OPPOSITE_REACH = 1.5  # of a point of a face along it to one of the other face, in the largest distances of points
 
 
 def face_pairs(state: CutState, u: Floats) -> BladeSites:
@@ -24,14 +30,21 @@ def face_pairs(state: CutState, u: Floats) -> BladeSites:
     weights = np.concatenate([faces.above.values, -faces.below.values], axis=1)
     used = weights != 0.0
     kept = ~np.any(used & state.removed[nodes], axis=1)
-    nodes, weights, used, normals = nodes[kept], weights[kept], used[kept], faces.normals[kept]
+    nodes, weights, used, normals, points = (
+        nodes[kept],
+        weights[kept],
+        used[kept],
+        faces.normals[kept],
+        faces.points[kept],
+    )
     above, below = (PointWeights(*(array[kept] for array in side)) for side in (faces.above, faces.below))
-    count = len(nodes)
+    count, directions = len(nodes), _turned(normals, above, below, u)
+    directions[~_are_opposite(points, directions, above, below, u)] = 0.0
     vectors = np.zeros((count, 3))
     return BladeSites(
         tool=np.full(count, NO_TOOL, dtype=np.int64), kind=np.full(count, PAIR_SITE, dtype=np.int64),
         start=np.concatenate([[0], np.cumsum(used.sum(axis=1))]).astype(np.int64), nodes=nodes[used],
-        weights=weights[used], points=vectors, places=vectors.copy(), directions=_turned(normals, above, below, u),
+        weights=weights[used], points=vectors, places=vectors.copy(), directions=directions,
         limits=np.zeros(count), offsets=normals, slips=np.zeros(count), impulses=vectors.copy(), works=np.zeros(2),
     )  # fmt: skip
 
@@ -45,6 +58,19 @@ def _turned(normals: Floats, above: PointWeights, below: PointWeights, u: Floats
         turned = np.einsum("pcd,pd->pc", cofactor, normals)
         total += turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), np.finfo(float).tiny)
     return np.ascontiguousarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), np.finfo(float).tiny))
+
+
+def _are_opposite(points: Floats, normals: Floats, above: PointWeights, below: PointWeights, u: Floats) -> Any:
+    """Return whether the faces at points (p,) of the deformed cut have a point of the other face opposite."""
+    first, second = (points + np.einsum("pk,pkc->pc", side.values, u[side.nodes]) for side in (above, below))
+    opening = np.einsum("pc,pc->p", first - second, normals)
+    slip = np.linalg.norm(first - second - opening[:, None] * normals, axis=1)
+    reach = OPPOSITE_REACH * cKDTree(points).query(points, k=2)[0][:, 1].max() if len(points) > 1 else np.inf
+    if not slip.max(initial=0.0) > reach:
+        return np.ones(len(points), dtype=np.bool_)
+    farthest = np.hypot(reach, opening)  # the faces may have opened, too
+    near = cKDTree(second).query(first)[0], cKDTree(first).query(second)[0]
+    return (slip <= reach) | ((near[0] <= farthest) & (near[1] <= farthest))
 
 
 def turn_pairs(sites: BladeSites, state: CutState, u: Floats) -> BladeSites:
