@@ -63,9 +63,9 @@ def trained_model(scene: Scene, console: Console, workers: int | None = None) ->
         raise InputError(f"{error}, or train a model elsewhere: palpate train {scene.name} --out FOLDER") from error
     check_sizes(scene, training, recorded=(folder / RECORDINGS_FOLDER).is_dir())
     runs = f"{'at most ' if training.tolerance else ''}{training.paths + training.held_out} runs of its full body"
-    console.say(f"{scene.title} has no reduced model yet: {runs} are made now, and one is trained on them, once")
     with console.status("preparing the full model (the first time on a machine compiles it, for about a minute)"):
         made = training_of(scene, _parameters(scene))
+    console.say(f"{scene.title} has no reduced model yet: {runs} are made now, and one is trained on them, once")
     console.say(f"the runs and the model are kept in {folder}")
     default = min(os.cpu_count() or 1, MAX_WORKERS)
     with open_campaign(folder, manifest_of(name_in_folder(scene.name, folder), made, training.seed)) as campaign_folder:
