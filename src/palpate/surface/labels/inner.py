@@ -50,7 +50,9 @@ class Shell(NamedTuple):
 Shells = dict[Segment, Shell]  # of segments, kept between calls
 
 
-def inner_labels(labels: LabelMap, chosen: Sequence[Segment], shells: Shells | None = None) -> list[InnerLabel]:
+def inner_labels(
+    labels: LabelMap, chosen: Sequence[Segment], shells: Shells | None = None, left_out: Sequence[Segment] = ()
+) -> list[InnerLabel]:
     """Return the labels that lie in the union of segments, in the order of the map.
 
     What lies in a label that joins lies in the organ, too.
@@ -61,11 +63,16 @@ def inner_labels(labels: LabelMap, chosen: Sequence[Segment], shells: Shells | N
         The organ.
     shells : dict, optional
         Filled with the surroundings of segments, for the next call on the same map.
+    left_out : sequence of Segment
+        Those that do not join by choice; what lies in them does not lie in the organ.
     """
     shells = {} if shells is None else shells
     body = list(chosen)
     while True:
-        inside = _inside(labels, chosen, body, shells)
+        inside = [
+            each._replace(joins=False, why="left out by choice") if each.joins and each.segment in left_out else each
+            for each in _inside(labels, chosen, body, shells)
+        ]
         joining = [each.segment for each in inside if each.joins and each.segment not in body]
         if not joining:
             return inside
