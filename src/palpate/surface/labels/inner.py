@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Ints
 from palpate.surface.labels.anatomy import Relation, relation
-from palpate.surface.labels.label_map import Box, LabelMap, Segment, part_names
-from palpate.surface.labels.mask_surface import SPECK_SHARE
+from palpate.surface.labels.label_map import Box, LabelMap, Segment, part_names, touches_edge
+from palpate.surface.labels.mask_surface import is_pore
 
 MIN_SHARE = 0.6  # of the voxels around a label, which belong to the organ in which it lies
 # of a label whose name states nothing: the share around it, and its volume over the organ's
@@ -93,10 +93,11 @@ def _inside(labels: LabelMap, chosen: Sequence[Segment], body: Sequence[Segment]
         share = _share(shells[segment], others)
         if share < MIN_SHARE:
             continue
-        at_edge = _at_edge(labels, boxes[segment])
+        at_edge = touches_edge(boxes[segment], labels.shape)
         joins, why = _decision(segment, chosen, at_edge, share, segment.count / volume)
-        is_small = not at_edge and share == 1.0 and segment.count < SPECK_SHARE * volume
-        place = "filled with the organ's tissue" if is_small else "left empty"
+        cavity = labels.layers[segment.layer][boxes[segment]] == segment.value
+        is_filled = not at_edge and share == 1.0 and is_pore(cavity, volume)
+        place = "filled with the organ's tissue" if is_filled else "left empty"
         if _covered(labels, segment, boxes[segment], others):
             if not joins:
                 continue
@@ -154,12 +155,6 @@ def _covered(labels: LabelMap, segment: Segment, box: Box, others: Sequence[Segm
         if each.layer != segment.layer:
             left = left & (labels.layers[each.layer][box] != each.value)
     return not left.any()
-
-
-def _at_edge(labels: LabelMap, box: Box) -> bool:
-    """Return True if a box ends at a face of the image; an axis of one voxel does not count."""
-    sides = zip(box, labels.shape, strict=True)
-    return any(size > 1 and (side.start == 0 or side.stop == size) for side, size in sides)
 
 
 def _meet(one: Box, other: Box) -> bool:
