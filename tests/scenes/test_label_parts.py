@@ -86,6 +86,19 @@ def test_a_lesion_can_be_left_out_and_another_organ_added(sliver):
         open_surface("organ.stl", without=["tumour"])
 
 
+def test_what_lies_in_a_label_that_is_left_out_does_not_join_and_a_lesion_has_its_organs_factor(tmp_path):
+    numbers = np.zeros((34, 34, 24), dtype=int)
+    numbers[3:31, 3:31, 2:22], numbers[8:24, 8:24, 4:20], numbers[12:18, 12:18, 8:14] = 1, 2, 3
+    path = tmp_path / "organ.nii.gz"
+    write_labels(path, numbers, np.diag([EDGE, EDGE, EDGE, 1.0]), {1: "Leber", 2: "Lebertumor", 3: "necrosis"})
+    scene = open_surface(path, part=["Leber"], spacing=0.009)
+    assert scene.description.surface.parts == ("Leber", "Lebertumor", "necrosis")
+    assert [each.stiffness for each in scene.description.region] == [4.4]
+    scene = open_surface(path, part=["Leber"], spacing=0.009, without=["Lebertumor", "necrosis", "Lebertumor"])
+    assert scene.description.surface.parts == ("Leber",)
+    assert open_surface(path, part=["Leber"], without=["2"]).description.surface.parts == ("Leber",)
+
+
 def test_a_piece_of_a_label_is_a_body_alone(sliver):
     assert open_surface(sliver, part=["liver#1"]).description.surface.parts == ("liver#1",)
     with pytest.raises(pt.InputError, match="without must be left out with a piece of a label"):

@@ -8,8 +8,8 @@ from pathlib import Path
 from palpate.faults import InputError
 from palpate.files import shortened
 from palpate.scenes.description import Place, Region
-from palpate.surface.labels.anatomy import is_stiff_lesion
-from palpate.surface.labels.inner import InnerLabel, inner_labels
+from palpate.surface.labels.anatomy import is_stiff_lesion, organs_of
+from palpate.surface.labels.inner import InnerLabel, Shells, inner_labels
 from palpate.surface.labels.label_map import LabelMap, Segment, choose_segments
 from palpate.surface.labels.listing import MAX_NAME, choice_of_labels, inner_lines, inner_text
 from palpate.surface.labels.mask_surface import is_piece
@@ -37,21 +37,20 @@ def inner_labels_of(
         Names, numbers or patterns of labels that do not join.
     """
     chosen = choose_segments(labels, part or None)
-    inner = inner_labels(labels, chosen)
+    shells, left_out = Shells(), list[Segment]()
+    inner = inner_labels(labels, chosen, shells)
+    joining = [each for each in inner if each.joins]
     for text in without:
         try:
-            left_out = choose_segments(labels, text)
+            matches = choose_segments(labels, text)
         except InputError:
-            left_out = ()
-        joining = [each for each in inner if each.joins]
-        if not any(each.segment in left_out for each in joining):
+            matches = ()
+        if not any(each.segment in matches for each in joining):
             known = names_text([each.part for each in joining])
             condition = f"one of {known}" if joining else "left out, since nothing joins the organ"
             raise InputError(f"without must be {condition}, got {text!r:.60}")
-        inner = [
-            each._replace(joins=False, why="left out by choice") if each.segment in left_out else each for each in inner
-        ]
-    return chosen, inner
+        left_out += matches
+    return chosen, inner_labels(labels, chosen, shells, left_out) if left_out else inner
 
 
 def inner_region(inner: InnerLabel, organ: Sequence[Segment]) -> tuple[Region, str]:
@@ -61,7 +60,7 @@ def inner_region(inner: InnerLabel, organ: Sequence[Segment]) -> tuple[Region, s
         return region, f"lies in the organ, {inner.why}; of the same tissue"
     factor, source = OTHER_FACTOR, "an example: set yours"
     for word, ratio, text in LESION_FACTORS:
-        if any(word in each.name.lower() for each in organ):
+        if any(word in organs_of(each.name) for each in organ):
             factor, source = ratio, text
     return Region(name=region.name, place=region.place, stiffness=factor), f"lies in the organ, {inner.why}; {source}"
 

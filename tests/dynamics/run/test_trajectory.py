@@ -196,7 +196,7 @@ def test_a_flipped_bit_is_refused_wherever_it_is(run, path, load):
 # journals
 
 
-def cut(path, run, label=""):
+def cut(path, run, label="", blade=()):
     """Leave the journal of a run that was stopped at once; return where its records end."""
     recorder, ends = Recorder(path, run.model, run.points, run.stiffness_damping, label), [0]
     for k in range(len(run.times)):
@@ -204,7 +204,8 @@ def cut(path, run, label=""):
         energies = {name: float(getattr(run, name)[k]) for name in ("kinetic", "strain", "external", "dissipated")}
         forces = {name: force[k] for name, force in run.reactions.items()}
         frame = Outputs(run.displacements[k], run.velocities[k], forces, **energies, moments={},
-                        contact_forces=run.contact_forces[own, 1:], bonded=run.bonded[own])  # fmt: skip
+                        contact_forces=run.contact_forces[own, 1:], bonded=run.bonded[own],
+                        blade=np.array(blade if k else ()))  # fmt: skip
         recorder.add(float(run.times[k]), int(run.steps[k]), frame)
         ends.append(path.stat().st_size)
     recorder._journal.close()
@@ -224,6 +225,15 @@ def test_a_truncated_run_keeps_its_frames(run, path):
         np.testing.assert_array_equal(pt.Trajectory.load(path).times, run.times[:5])
         assert len(StoredTrajectory(path).displacements) == 5
         cut(path, run, "mine")
+
+
+def test_a_journal_of_an_earlier_version_lacks_the_release_rate_of_a_blade(run, path):
+    cut(path, run, blade=[1.0, 2.0, 3.0, 4.0])
+    kept = pt.Trajectory.load(path)
+    np.testing.assert_array_equal(kept.friction_work, [0.0] + [4.0] * (len(run.times) - 1))
+    assert len(kept.release_rate) == 0
+    cut(path, run, blade=[1.0, 2.0, 3.0, 4.0, 5.0])
+    assert pt.Trajectory.load(path).release_rate[-1] == 5.0
 
 
 def test_a_damaged_journal_is_refused_and_not_truncated(run, path):

@@ -94,6 +94,13 @@ CASES = """
     liver | small_bowel | OTHER
     Segment_1 | Segment_10 | UNKNOWN
     liver | Vessel | VESSEL
+    liver | GTV1 | LESION
+    liver | GTVp | LESION
+    liver | HCC_2 | LESION
+    brain | met3 | LESION
+    liver | livercancer | LESION
+    liver | metal | UNKNOWN
+    spine | L1 | UNKNOWN
 """
 
 
@@ -106,6 +113,7 @@ def test_the_name_of_a_label_states_what_it_is_of_an_organ(line):
 @pytest.mark.parametrize(("name", "stiff"), [
     ("liver_tumour", True), ("Mass", True), ("Metastases", True), ("HCC", True), ("kidney_cyst_left", False),
     ("haemangioma", False), ("cystic tumour", False), ("liver_vessels", False), ("massive thing", False),
+    ("mass1", True), ("HCC2", True),
 ])  # fmt: skip
 def test_solid_lesions_are_stiff(name, stiff):
     assert is_stiff_lesion(name) is stiff

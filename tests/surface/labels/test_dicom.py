@@ -97,6 +97,8 @@ class TestWithPydicom:
             (1, {"turns": {3: (0, 1, 0, -1, 0, 0)}}, "must be parallel"),
             (1, {"turn": (1, 0, 0, 0.5, 1, 0)}, "two unit vectors at right angles"),
             (1, {"spacings": [[1.0, 1.0]] * 7 + [[1.0, 2.0]]}, "pixels of one size, got 1 x 1 mm to 1 x 2 mm"),
+            (1, {"spacings": [[-1.0, 1.0]] * 8}, "PixelSpacing must be above 0, got -1 x 1 mm"),
+            (1, {"kind": "FRACTIONAL", "MaximumFractionalValue": 0}, "MaximumFractionalValue must be at least 1"),
             (1, {"names": {1: "liver"}, "SegmentSequence": "twice"}, "numbers of their own, got 1 for 2 of them"),
         ],
     )

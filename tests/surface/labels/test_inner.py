@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from palpate.surface.labels.inner import inner_labels
-from palpate.surface.labels.label_map import LabelMap, Segment
+from palpate.surface.labels.label_map import LabelMap, Segment, segments_mask
+from palpate.surface.labels.mask_surface import largest_piece
 
 EDGE = 0.002  # [m]
 ORGAN = slice(6, 26)
@@ -53,6 +54,16 @@ def cube(at: int, size: int) -> tuple[slice, slice, slice]:
 ])  # fmt: skip
 def test_a_label_joins_by_its_name_or_by_its_shares_and_another_organ_never(organ, inner, joins, rule):
     assert found(blocks(organ, (inner, cube(12, 5)))) == {inner: (joins, rule)}
+
+
+def test_the_place_of_what_is_left_out_is_that_of_the_body():
+    flat, cubic = (slice(8, 24), slice(8, 24), slice(12, 14)), cube(16, 8)
+    for box, place in ((flat, "filled with the organ's tissue"), (cubic, "left empty")):
+        labels = blocks("liver", ("stomach", box))
+        (inner,) = inner_labels(labels, labels.segments[:1])
+        assert (inner.joins, inner.place) == (False, place)
+        organ = largest_piece(segments_mask(labels, labels.segments[:1])).voxels
+        assert bool(organ[tuple(slice(s.start - 6, s.stop - 6) for s in box)].all()) is place.startswith("filled")
 
 
 def test_a_tiny_label_without_a_telling_name_is_left_out_and_a_tiny_lesion_joins():

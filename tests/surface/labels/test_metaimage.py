@@ -62,6 +62,12 @@ def test_origin_counts_before_offset_and_negative_spacings_turn_an_axis_around_a
     assert "matrix makes voxels of 4 x 2 x 3 mm of its spacing of 2 x 2 x 3 mm" in scaled.notes[0]
 
 
+def test_without_a_spacing_voxels_are_of_a_millimetre_with_a_note():
+    labels = read_metaimage(metaimage(blocks(), affine=UPRIGHT, without=("ElementSpacing",)))
+    assert np.allclose(labels.voxel_edges, 1e-3)
+    assert labels.notes == ("it states no ElementSpacing: voxels of 1 mm are taken",)
+
+
 def test_a_field_that_is_given_twice_is_refused():
     for lines in (["Offset = 1 2 3"], ["ElementByteOrderMSB = True"]):
         with pytest.raises(FileFormatError, match=r"must state .* two different ones"):
@@ -80,6 +86,7 @@ def test_a_field_that_is_given_twice_is_refused():
         ({}, (b"DimSize = 12 10 8", b"DimSize = nan 1 1"), "whole numbers"),
         ({}, (b"NDims = 3", b"NDims = 4"), "2 or 3"),
         ({}, (b"ElementSpacing = ", b"ElementSpacing = x "), "ElementSpacing must be 3 numbers"),
+        ({"lines": ["ElementSize = nan 2 3"]}, (b"", b""), "ElementSize must be finite numbers, got 'nan 2 3'"),
         ({}, (b"TransformMatrix = ", b"Transformed = "), None),
         ({}, (b"ElementDataFile", b"Element"), "end with ElementDataFile"),
         ({}, (b"BinaryData = True", b"BinaryData = False"), "must be binary"),

@@ -91,6 +91,11 @@ def test_what_a_qform_must_not_state_is_repaired_with_a_note(qform, words, turne
     assert words in note
 
 
+def test_a_wrong_number_of_bits_is_named():
+    labels = read_nifti(nifti(blocks(), bitpix=[16]))
+    assert labels.notes == ("its bitpix states 16 bits a voxel, its data type 8, which were taken",)
+
+
 def test_a_quaternion_of_half_a_turn_may_be_rounded():
     axis = np.array([0.36, 0.48, 0.8])
     labels = read_nifti(nifti(blocks(), sform=None, qform=(EDGES, axis * (1 + 2e-6), OFFSET, 1)))

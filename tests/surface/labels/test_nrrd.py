@@ -169,6 +169,13 @@ def spaced(*lines):
         (["axis mins: 0 0 0", "axis maxs: 24 20 24"], [2, 2, 3], []),
         (["axis mins: 0 0 0", "axis maxs: 22 18 21", "centerings: node node node"], [2, 2, 3], []),
         ([], [1, 1, 1], ["it states no spacings: voxels of 1 mm are taken"]),
+        (["spacings: 2 2 3", "axis mins: 5 6 7", "axis maxs: 29 26 31"], [2, 2, 3], []),
+        (["spacings: 2 2 3", "axis mins: 0 0 0", "axis maxs: 22 18 21"], [2, 2, 3], []),  # between nodes
+        (
+            ["spacings: 2 2 3", "axis mins: 0 0 0", "axis maxs: 24 20 40"],
+            [2, 2, 3],
+            ["axis mins and maxs make voxels of 2 x 2 x 5 mm, its spacings 2 x 2 x 3 mm: the latter were taken"],
+        ),
     ],
 )
 def test_without_a_space_sizes_alone_are_used(lines, edges, words):
@@ -176,6 +183,20 @@ def test_without_a_space_sizes_alone_are_used(lines, edges, words):
     assert np.allclose(labels.affine, 1e-3 * np.diag([*edges, 1e3]))
     assert labels.space == ""
     assert list(labels.notes[1:]) == [each if each.startswith("it ") else f"its {each}" for each in words]
+
+
+def test_what_needs_space_directions_is_named_without_them_and_spacings_are_of_all_axes():
+    data = spaced("spacings: 2 2 3").replace(b"\n\n", b'\nspace origin: (1,2,3)\nspace units: "cm" "cm" "cm"\n\n', 1)
+    note = read_nrrd(data).notes[-1]
+    assert note == "what it states as space origin and space units was not used: it has no space directions"
+    with pytest.raises(FileFormatError, match="spacings must be one for each axis, got 2"):
+        read_nrrd(spaced("spacings: 2 2"))
+
+
+@pytest.mark.parametrize("line", ["Segment0_LabelValue:=x", "Segment0_LabelValue:=-1", "Segment0_Layer:=1.5"])
+def test_a_segment_whose_value_or_layer_is_not_a_whole_number_is_refused(line):
+    with pytest.raises(FileFormatError, match=r"Segment0_\w+ must be a whole number, got"):
+        read_nrrd(nrrd(blocks(), lines=["Segment0_Name:=liver", line]))
 
 
 def test_an_old_slicer_wrote_ras_and_the_origin_of_the_uncropped_image():

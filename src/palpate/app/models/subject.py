@@ -76,8 +76,8 @@ def open_subject(
         return _model_of_file(name)
     if kind is None or (shape and kind is SceneKind.PACKAGE):
         raise InputError(
-            "units, scale, part, labels, spacing, law, set and fixed must be left out unless a surface file is viewed, "
-            f"got {name!r:.60}"
+            "units, scale, part, labels, without, spacing, law, set and fixed must be left out unless a surface file "
+            f"is viewed, got {name!r:.60}"
         )
     if shape:
         raise InputError(f"{next(iter(shape))} must be left out with a scene file, got {name!r:.60}; change the file")

@@ -83,9 +83,10 @@ def joined_records(records: Sequence[Mapping[str, Any]], names: Mapping[str, Seq
         data |= {array_name(what, key): forces[:, k].copy() for k, key in enumerate(keys)}
     data |= dict.fromkeys(OPTIONAL_NAMES, np.zeros(0))
     data["trust"] = np.concatenate([np.zeros(0), *(each["trust"] for each in records)])
-    if any(len(each["blade"]) for each in records):  # zeros before it cuts
-        rows = np.array([each["blade"] if len(each["blade"]) else np.zeros(len(BLADE_NAMES)) for each in records])
-        data |= {name: rows[:, k].copy() for k, name in enumerate(BLADE_NAMES)}
+    width = max((len(each["blade"]) for each in records), default=0)  # files of earlier versions have fewer
+    if width:  # zeros before it cuts
+        rows = np.array([each["blade"] if len(each["blade"]) else np.zeros(width) for each in records])
+        data |= {name: rows[:, k].copy() for k, name in enumerate(BLADE_NAMES[:width])}
     numbered = [np.insert(each["contact_forces"], 0, k, axis=1) for k, each in enumerate(records)]
     data["contact_forces"] = np.concatenate([np.zeros((0, 5)), *numbered])
     data["cuts"] = np.concatenate([np.zeros((0, 10)), *(each["cuts"] for each in records)])

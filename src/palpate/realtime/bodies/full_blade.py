@@ -99,7 +99,9 @@ class BladeCutter:
     @property
     def tears(self) -> bool:
         """Whether the front releases more energy per area than the toughness: tissue would tear ahead of the blade."""
-        if self.incision is None or self._contact is None:
+        if self._contact is None or self.incision is None or self.incision.hold is None:
+            return False
+        if not self.incision.hold.is_front:
             return False
         return self.incision.release_rate >= self._contact.tool.toughness > 0.0  # type: ignore[union-attr]
 

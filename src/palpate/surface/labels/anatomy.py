@@ -71,9 +71,9 @@ SIDES = {
 }
 SIDE_BY_WORD = {word: side for side, words in SIDES.items() for word in words.split()}
 # of solid lesions, and of those that hold fluid or are as soft as the organ: parts of words, and whole words
-SOLID_STEMS = ("tumor", "tumour", "tumeur", "lesion", "lasion", "neoplas", "carcino", "metasta", "nodul", "sarcoma",
-               "melanoma", "blastoma", "lymphom")  # fmt: skip
-SOLID_WORDS = {"mass", "masses", "cancer", "met", "mets", "hcc", "gtv", "polyp", "polyps"}
+SOLID_STEMS = ("tumor", "tumour", "tumeur", "lesion", "lasion", "neoplas", "carcino", "cancer", "metasta", "nodul",
+               "sarcoma", "melanoma", "blastoma", "lymphom")  # fmt: skip
+SOLID_WORDS = {"mass", "masses", "met", "mets", "hcc", "gtv", "gtvp", "polyp", "polyps"}  # also with a number: "GTV1"
 SOFT_STEMS = ("cyst", "zyst", "kyst", "abscess", "abszess", "angiom", "adenoma", "hematoma", "haematoma")
 NO_CYSTS = ("cystic duct", "cystic artery", "cystic vein", "cholecyst")
 VESSEL_STEMS = ("vessel", "vascul", "arter", "vene")
@@ -101,7 +101,7 @@ def relation(inner: str, organ: str) -> Relation:
     >>> relation("KidneyCyst_L", "left kidney").name, relation("lung_right", "liver").name
     ('LESION', 'OTHER')
     """
-    organs, other_organs = _organs(organ), _organs(inner)
+    organs, other_organs = organs_of(organ), organs_of(inner)
     sides, other_sides = _sides(organ), _sides(inner)
     if (organs and other_organs and not organs & other_organs) or (sides and other_sides and not sides & other_sides):
         return Relation.OTHER
@@ -127,7 +127,8 @@ def is_stiff_lesion(name: str) -> bool:
 
 def _is_solid(name: str) -> bool:
     text = _text(name)
-    return any(stem in text for stem in SOLID_STEMS) or not SOLID_WORDS.isdisjoint(text.split())
+    words = {word.rstrip("0123456789") for word in text.split()}
+    return any(stem in text for stem in SOLID_STEMS) or not SOLID_WORDS.isdisjoint(words)
 
 
 def _is_soft(name: str) -> bool:
@@ -160,7 +161,8 @@ def _organ_of(word: str) -> str:
     )
 
 
-def _organs(name: str) -> set[str]:
+def organs_of(name: str) -> set[str]:
+    """Return the organs that a name states, such as ``{"liver"}``."""
     return {organ for word in _text(name).split() if (organ := _organ_of(word))}
 
 

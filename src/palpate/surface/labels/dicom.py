@@ -81,7 +81,10 @@ def _label_map(file: Any, name: str) -> LabelMap:
         known = {(0, number): (number, text) for number, text in names.items() if number}
     else:
         if kind == "FRACTIONAL":
-            pixels = pixels >= MIN_FRACTION * float(file.MaximumFractionalValue)
+            most = int(file.MaximumFractionalValue)
+            if most < 1:
+                raise FileFormatError(f"its MaximumFractionalValue must be at least 1, got {most}; correct it")
+            pixels = pixels >= MIN_FRACTION * most
             notes.append("its fractions were cut at one half")
         numbers = [int(_first(g, shared, "SegmentIdentificationSequence").ReferencedSegmentNumber) for g in groups]
         _check_places(groups, slices, numbers, names)
@@ -171,6 +174,8 @@ def _places(groups: Any, shared: Any) -> tuple[Floats, Floats, Floats]:
             "correct it"
         )
     edges = np.array([_numbers(_first(g, shared, "PixelMeasuresSequence").PixelSpacing) for g in groups])
+    if not (np.isfinite(edges).all() and (edges > 0).all()):
+        raise FileFormatError(f"its PixelSpacing must be above 0, got {lengths_text(edges.min(axis=0))}; correct it")
     if not lengths_agree(edges[0], edges):
         raise FileFormatError(
             f"its frames must have pixels of one size, got {lengths_text(edges.min(axis=0))} to "

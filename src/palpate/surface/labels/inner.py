@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Ints
 from palpate.surface.labels.anatomy import Relation, relation
-from palpate.surface.labels.label_map import Box, LabelMap, Segment, part_names
-from palpate.surface.labels.mask_surface import SPECK_SHARE
+from palpate.surface.labels.label_map import Box, LabelMap, Segment, part_names, touches_edge
+from palpate.surface.labels.mask_surface import is_pore
 
 MIN_SHARE = 0.6  # of the voxels around a label, which belong to the organ in which it lies
 # of a label whose name states nothing: the share around it, and its volume over the organ's
@@ -50,7 +50,9 @@ class Shell(NamedTuple):
 Shells = dict[Segment, Shell]  # of segments, kept between calls
 
 
-def inner_labels(labels: LabelMap, chosen: Sequence[Segment], shells: Shells | None = None) -> list[InnerLabel]:
+def inner_labels(
+    labels: LabelMap, chosen: Sequence[Segment], shells: Shells | None = None, left_out: Sequence[Segment] = ()
+) -> list[InnerLabel]:
     """Return the labels that lie in the union of segments, in the order of the map.
 
     What lies in a label that joins lies in the organ, too.
@@ -61,11 +63,16 @@ def inner_labels(labels: LabelMap, chosen: Sequence[Segment], shells: Shells | N
         The organ.
     shells : dict, optional
         Filled with the surroundings of segments, for the next call on the same map.
+    left_out : sequence of Segment
+        Those that do not join by choice; what lies in them does not lie in the organ.
     """
     shells = {} if shells is None else shells
     body = list(chosen)
     while True:
-        inside = _inside(labels, chosen, body, shells)
+        inside = [
+            each._replace(joins=False, why="left out by choice") if each.joins and each.segment in left_out else each
+            for each in _inside(labels, chosen, body, shells)
+        ]
         joining = [each.segment for each in inside if each.joins and each.segment not in body]
         if not joining:
             return inside
@@ -86,10 +93,11 @@ def _inside(labels: LabelMap, chosen: Sequence[Segment], body: Sequence[Segment]
         share = _share(shells[segment], others)
         if share < MIN_SHARE:
             continue
-        at_edge = _at_edge(labels, boxes[segment])
+        at_edge = touches_edge(boxes[segment], labels.shape)
         joins, why = _decision(segment, chosen, at_edge, share, segment.count / volume)
-        is_small = not at_edge and share == 1.0 and segment.count < SPECK_SHARE * volume
-        place = "filled with the organ's tissue" if is_small else "left empty"
+        cavity = labels.layers[segment.layer][boxes[segment]] == segment.value
+        is_filled = not at_edge and share == 1.0 and is_pore(cavity, volume)
+        place = "filled with the organ's tissue" if is_filled else "left empty"
         if _covered(labels, segment, boxes[segment], others):
             if not joins:
                 continue
@@ -147,12 +155,6 @@ def _covered(labels: LabelMap, segment: Segment, box: Box, others: Sequence[Segm
         if each.layer != segment.layer:
             left = left & (labels.layers[each.layer][box] != each.value)
     return not left.any()
-
-
-def _at_edge(labels: LabelMap, box: Box) -> bool:
-    """Return True if a box ends at a face of the image; an axis of one voxel does not count."""
-    sides = zip(box, labels.shape, strict=True)
-    return any(size > 1 and (side.start == 0 or side.stop == size) for side, size in sides)
 
 
 def _meet(one: Box, other: Box) -> bool:

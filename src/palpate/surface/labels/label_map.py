@@ -117,10 +117,9 @@ class Mask:
 
     @property
     def at_edge(self) -> bool:
-        """Whether the mask touches a face of the image, which may have cut it; an axis of one voxel does not count."""
-        ends = self.start + self.voxels.shape
-        inner = np.array(self.shape) > 1
-        return bool(((self.start == 0) | (ends == self.shape))[inner].any())
+        """Whether the mask touches a face of the image, which may have cut it."""
+        sides = zip(self.start, self.voxels.shape, strict=True)
+        return touches_edge([slice(start, start + size) for start, size in sides], self.shape)
 
     def positions(self, indices: Floats | Ints) -> Floats:
         """Return the positions (k, 3) [m] of indices (k, 3) of the image."""
@@ -138,6 +137,11 @@ class Mask:
         inside = np.all((indices >= 0) & (indices < self.voxels.shape), axis=1)
         inside[inside] = self.voxels[tuple(indices[inside].astype(np.int64).T)]
         return inside
+
+
+def touches_edge(box: Sequence[slice], shape: Sequence[int]) -> bool:
+    """Return True if a box ends at a face of an image; an axis of one voxel does not count."""
+    return any(size > 1 and (side.start == 0 or side.stop == size) for side, size in zip(box, shape, strict=True))
 
 
 def in_metres(affine: Floats, metres: float) -> Floats:

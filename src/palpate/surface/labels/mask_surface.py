@@ -160,19 +160,24 @@ def _check_pieces(mask: Mask, sizes: Ints) -> None:
 
 
 def _without_pores(voxels: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], int]:
-    """Return a piece without small cavities, and how many voxels these have.
-
-    Small ones have less than 1 % of the piece's volume, or are one or two voxels thick everywhere.
-    """
+    """Return a piece without small cavities, and how many voxels these have."""
     number, count = ndimage.label(np.pad(~voxels, 1, constant_values=True).T)
     number, filled = number.T, voxels.copy(order="K")
-    small = SPECK_SHARE * np.count_nonzero(voxels)
+    size = int(np.count_nonzero(voxels))
     for k, box in enumerate(ndimage.find_objects(number.T)[1:] if count > 1 else [], 2):  # the first is around it
         cavity = number[box[::-1]] == k
-        if np.count_nonzero(cavity) < small or not ndimage.binary_erosion(cavity).any():
+        if is_pore(cavity, size):
             inner = tuple(slice(side.start - 1, side.stop - 1) for side in box[::-1])
             filled[inner] |= cavity
-    return filled, int(np.count_nonzero(filled) - np.count_nonzero(voxels))
+    return filled, int(np.count_nonzero(filled)) - size
+
+
+def is_pore(cavity: NDArray[np.bool_], size: int) -> bool:
+    """Return True for a closed cavity that is filled in a piece of so many voxels.
+
+    It has less than 1 % of them, or is one or two voxels thick everywhere.
+    """
+    return bool(np.count_nonzero(cavity) < SPECK_SHARE * size or not ndimage.binary_erosion(cavity).any())
 
 
 def mask_surface(mask: Mask) -> Surface:

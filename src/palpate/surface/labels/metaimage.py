@@ -74,6 +74,9 @@ def _affine(fields: dict[str, str], shape: tuple[int, ...], axes: int) -> tuple[
 
     def stated(words: tuple[str, ...], count: int, default: Floats) -> dict[str, Floats]:
         values = {word: numbers_of(fields[word].encode(), count, f"its {word}") for word in words if word in fields}
+        for word, numbers in values.items():
+            if not np.isfinite(numbers).all():
+                raise FileFormatError(f"its {word} must be finite numbers, got {printable_word(fields[word].encode())}")
         return values or {words[0]: default}
 
     def placed(spacing: Floats, turn: Floats, origin: Floats) -> Floats:
@@ -99,6 +102,8 @@ def _affine(fields: dict[str, str], shape: tuple[int, ...], axes: int) -> tuple[
         for word, other in zip(names, maps, strict=True):
             apart = difference_of_maps(affine, other, shape)
             notes += [f"its {taken} and {word} differ by {apart}: {taken} was taken, as ITK does"] if apart else []
+    if not fields.keys() & {"ElementSpacing", "ElementSize"}:
+        notes.append("it states no ElementSpacing: voxels of 1 mm are taken")
     edges = np.linalg.norm(affine[:axes, :axes], axis=0)
     if not lengths_agree(edges, np.abs(spacing)):
         notes.append(

@@ -55,7 +55,7 @@ def read_nifti(data: bytes, name: str = "image.nii") -> LabelMap:
         return struct.unpack_from(order + form, head, at)
 
     dim = [int(each) for each in numbers("8q" if wide else "8h", 16 if wide else 40)]
-    code, _ = numbers("2h", 12 if wide else 70)
+    code, bits = numbers("2h", 12 if wide else 70)
     offset = numbers("q", 168)[0] if wide else numbers("f", 108)[0]
     slope, intercept = numbers("2d", 176) if wide else numbers("2f", 112)
     shape = _shape(dim)
@@ -68,6 +68,8 @@ def read_nifti(data: bytes, name: str = "image.nii") -> LabelMap:
     affine, space, notes = _affine(numbers, wide, shape)
     extensions = bytes(file.read(int(offset) - size))
     dtype = np.dtype(order + kind)
+    if bits != 8 * dtype.itemsize:
+        notes.append(f"its bitpix states {bits} bits a voxel, its data type {8 * dtype.itemsize}, which were taken")
     values = np.frombuffer(file.read(int(np.prod(shape)) * dtype.itemsize), dtype).reshape(shape, order="F")
     if not file.ends():
         notes.append("it holds more than its header states, which was left out")

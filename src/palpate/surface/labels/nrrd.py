@@ -202,6 +202,11 @@ def _spaced(fields: dict[str, str], axes: list[int], sizes: list[int]) -> tuple[
         notes.append("it states no spacings: voxels of 1 mm are taken")
     if (edges < 0).any():
         notes.append("its spacings are negative: their sizes were taken")
+    elif np.isfinite(high - low).all():
+        notes += _mins_notes(edges, np.abs(high - low), sizes)
+    unused = [key for key in ("space origin", "space units") if key in fields]
+    if unused:
+        notes.append(f"what it states as {' and '.join(unused)} was not used: it has no space directions")
     metres, more = _units(fields, "units", axes)
     affine = np.eye(4) * 1e-3
     affine[3, 3] = 1.0
@@ -211,11 +216,23 @@ def _spaced(fields: dict[str, str], axes: list[int], sizes: list[int]) -> tuple[
     return as_grid(affine), "", notes + more + [NO_THICKNESS.format(1.0)] * (len(axes) == 2)
 
 
+def _mins_notes(edges: Floats, lengths: Floats, sizes: list[int]) -> list[str]:
+    """Return in what lengths from the least to the largest position differ from edges of cells, or between nodes."""
+    for less in (0, 1):
+        if lengths_agree(np.abs(edges), lengths / np.maximum(np.array(sizes) - less, 1)):
+            return []
+    text = lengths_text(lengths / np.array(sizes))
+    return [f"its axis mins and maxs make voxels of {text}, its spacings {lengths_text(np.abs(edges))}: the latter "
+            "were taken"]  # fmt: skip
+
+
 def _along(fields: dict[str, str], key: str, axes: list[int]) -> Floats:
     """Return numbers of a field along axes, NaN where it states none."""
     words = fields.get(key, "").split()
-    if len(words) <= max(axes):
+    if not words:
         return np.full(len(axes), np.nan)
+    if len(words) <= max(axes):
+        raise FileFormatError(f"its {key} must be one for each axis, got {len(words)}; write them again")
     return numbers_of(" ".join(words[axis] for axis in axes).encode(), len(axes), f"its {key}")
 
 
@@ -273,8 +290,11 @@ def _names(keys: dict[str, str], old: bool, layers: int) -> dict[tuple[int, int]
     for place, about in sorted(segments.items()):
         layer = about.get("Layer", str(place if layers > 1 or old else 0))
         value = about.get("LabelValue", "1" if layers > 1 or old else str(place + 1))
-        if not re.fullmatch(r"\d{1,9}", layer) or not re.fullmatch(r"\d{1,9}", value):
-            continue
+        for word, text in (("Layer", layer), ("LabelValue", value)):
+            if not re.fullmatch(r"\d{1,9}", text):
+                raise FileFormatError(
+                    f"its Segment{place}_{word} must be a whole number, got {_word(text)}; save it again"
+                )
         at, name = (int(layer), int(value)), about.get("Name", "")
         if at in names:
             raise FileFormatError(

@@ -113,7 +113,7 @@ async def first_message(port, path, origin, token):
 
 @pytest.mark.parametrize("strips", [True, False])
 @pytest.mark.parametrize("passes_host", [True, False])
-@pytest.mark.parametrize("prefix", ["/", "/proxy/8765/", "/user/a%40b/p/"])
+@pytest.mark.parametrize("prefix", ["/", "/proxy/8765/", "/user/a%40b/p/", "/session/", "/assets/"])
 def test_page_and_socket_pass_through_a_proxy(session, site_of, proxy_of, folder, strips, passes_host, prefix):
     proxy = proxy_of(prefix=prefix, strips=strips, passes_host=passes_host)
     public = public_address(f"http://{LOOPBACK}:{proxy.port}{prefix}")
@@ -212,6 +212,7 @@ def test_refusals_name_the_option_that_allows_the_address(page, path, host, orig
         ("https://LAB.example.org:443/a/b", "https://lab.example.org", "/a/b/", "wss://lab.example.org"),
         ("http://localhost:9000/", "http://localhost:9000", "/", "ws://localhost:9000"),
         ("http://[::1]:9000/p/", "http://[::1]:9000", "/p/", "ws://[::1]:9000"),
+        ("http://[0:0:0:0:0:0:0:1]:9000/", "http://[::1]:9000", "/", "ws://[::1]:9000"),  # as browsers write it
         ("http://192.0.2.7:80", "http://192.0.2.7", "/", "ws://192.0.2.7"),
         ("https://hub.example.org/user/a%40b/proxy/8765/", "https://hub.example.org", "/user/a%40b/proxy/8765/", "wss://hub.example.org"),
         ("https://xn--bcher-kva.example:8443/", "https://xn--bcher-kva.example:8443", "/", "wss://xn--bcher-kva.example:8443"),

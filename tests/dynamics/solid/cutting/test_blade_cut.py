@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -171,6 +173,22 @@ def test_a_blade_that_reaches_a_support_ends_the_run_with_its_frames():
     with pytest.raises(pt.DivergenceError, match="which a support or a tool holds") as error:
         pt.rollout(sheet(), [blade], duration=0.05, every=0.005, progress=False)
     assert len(error.value.trajectory.times) > 3
+
+
+def test_a_blade_that_returns_to_its_taut_cut_does_not_warn_of_tearing():
+    pulls = [
+        pt.PrescribedMotion(side, lambda _, t, sign=sign: (0.0, sign * 0.45e-3 * min(t / 0.05, 1.0), 0.0))
+        for side, sign in (("y-", -1.0), ("y+", 1.0))
+    ]
+    way = lambda t: float(np.interp(t, [0.06, 0.12, 0.18, 0.3], [-3e-3, 8e-3, 2e-3, 14e-3]))  # noqa: E731
+    body = pt.Solid(pt.box((24e-3, 18e-3, THICKNESS), SPACING), sheet(16e3).material, (), mass_damping=100.0)
+    place = lambda t: ((way(t), 9.2e-3, 0.5 * THICKNESS), ACROSS)  # noqa: E731
+    blade = pt.tools.Contact(pt.tools.Blade(EDGE, toughness=TOUGHNESS), place, name="knife")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run = pt.rollout(body, [blade, *pulls], duration=0.23, every=0.01, progress=False)
+    assert run.release_rate[12] > 0.1
+    assert run.cut_area[-1] > 45e-6
 
 
 def test_a_run_in_which_tissue_would_tear_ahead_of_the_blade_warns():

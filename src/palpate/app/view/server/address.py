@@ -78,7 +78,9 @@ def public_address(url: str) -> PublicAddress:
     if problem:
         raise InputError(f"public_url must have {problem}, got {url!r:.80}; {URL_EXAMPLE}")
     parts = urlsplit(url)
-    host = f"[{parts.hostname}]" if ":" in str(parts.hostname) else str(parts.hostname)
+    host = str(parts.hostname)
+    if ":" in host:
+        host = f"[{ipaddress.IPv6Address(host).compressed}]"  # as browsers write it
     if parts.port not in (None, DEFAULT_PORTS[parts.scheme]):
         host += f":{parts.port}"
     return PublicAddress(parts.scheme, host, parts.path.rstrip("/") + "/")

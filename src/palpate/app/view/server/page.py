@@ -64,9 +64,10 @@ class Page:
             return self._refuse("Host", f"{', '.join(names[:-1])} or {names[-1]}" if names[1:] else names[0], host)
         path = request.path.partition("?")[0]
         if self.public is not None:
-            if path + "/" == self.public.prefix:  # the page's files are relative to its folder
+            is_socket = path == SOCKET_PATH and "Upgrade" in request.headers
+            if path + "/" == self.public.prefix and not is_socket:  # the page's files are relative to its folder
                 return self._response(HTTPStatus.PERMANENT_REDIRECT, CONTENT_TYPES[".txt"], b"", host, path + "/")
-            path = self.public.local_path(path)
+            path = path if is_socket or path in self._files else self.public.local_path(path)
         if path == SOCKET_PATH:
             origin = self._header(request.headers, "Origin")
             if origin is not None and origin not in self._origins:

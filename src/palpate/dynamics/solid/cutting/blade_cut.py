@@ -121,13 +121,15 @@ def advance_blade(
     cuts = advance_edge(cut_state, incision, blade, frame, u, corners)
     before = body.evaluate(u, history)
     rate = front_release_rate(body, incision, u, before)
+    is_front = incision.hold is not None and incision.hold.is_front
     for edge, pieces, area in cuts:
         strip, triangles, replaced = next_strip(incision.strip, incision.edge, edge, pieces, cloud.spacing)
         if len(triangles):
             _check_distance(tool, triangles, cloud.points, held, cloud.spacing)
             body = cut_from(body, len(body.cut_surface.triangles) - replaced, triangles)
         incision = after_cut(incision, edge, strip, area)
-    incision = replace(incision, release_rate=rate, largest_rate=max(rate, incision.largest_rate))
+    largest = max(rate, incision.largest_rate) if is_front else incision.largest_rate
+    incision = replace(incision, release_rate=rate, largest_rate=largest)
     if not cuts:
         if incision.hold is not None:
             incision.hold.limits[:] = edge_limits(blade, rate, incision.hold.areas)

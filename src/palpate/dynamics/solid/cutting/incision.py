@@ -48,6 +48,7 @@ NEW_DEPTH = 0.02  # of a face in the blade when its site is made, in spacings
 NEAR_FACE = 1.5  # distance of a point of the blade's flat from the nearest node, in spacings
 LEAST_SHARE = 1e-3  # of a piece of the edge in the body, for it to hold tissue
 LONGEST_STRIP, MAX_BEND = 1.0, 0.01  # of a strip of triangles, and its distance from the way of the edge, in spacings
+LEAST_HELD = 0.5  # of the edge in the body, which holds tissue, for it to be a front
 LONGEST_RETREAT = 0.3  # of a piece of the edge behind the front, beyond which it holds no tissue, in spacings
 
 
@@ -73,6 +74,12 @@ class HeldPieces(NamedTuple):
     limits: Floats  # (m,) array [N]: largest forces, which the compiled step reads
     # (m,) array [m]: how far the front has advanced since the sites were made; the compiled step writes them
     slips: Floats
+    edge_length: float = 0.0  # [m]: length of the edge in the body, also of pieces that hold no tissue
+
+    @property
+    def is_front(self) -> bool:
+        """Whether most of the edge in the body holds tissue; one that returns to its cut is not at the front."""
+        return float(self.lengths.sum()) >= LEAST_HELD * self.edge_length > 0.0
 
 
 @dataclass(frozen=True)
@@ -90,7 +97,7 @@ class Incision(Described):
     released : float [J]
         Strain energy that the front has released.
     release_rate, largest_rate : float [J/m^2]
-        That it releases per area, now and at most.
+        That it releases per area, now, and at most where most of the edge in the body is a front.
     edge_work, friction_work : float [J]
         Energies dissipated at the edge and by friction on the sides.
 
@@ -365,7 +372,8 @@ def blade_sites(
         limits=np.ascontiguousarray(limits), impulses=np.zeros((len(kinds), 3)), works=np.zeros(2),
         offsets=np.concatenate([hold.offsets, np.zeros((len(kinds) - len(held), 3))]), slips=slips,
     )  # fmt: skip
-    return sites, replace(incision, hold=hold._replace(areas=areas)), float(lengths.sum())
+    edge_length = float(shares @ np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1))
+    return sites, replace(incision, hold=hold._replace(areas=areas, edge_length=edge_length)), float(lengths.sum())
 
 
 def _area_rates(hold: HeldPieces, ways: Floats, normals: Floats, u: Floats) -> Floats:
