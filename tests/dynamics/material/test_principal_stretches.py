@@ -9,8 +9,8 @@ import pytest
 
 import palpate as pt
 from palpate.dynamics.compiled.cache import law_digest
+from palpate.dynamics.compiled.eigenvectors import principal
 from palpate.dynamics.material.principal_point import make_principal_point
-from palpate.dynamics.material.principal_stretches import principal
 
 pytestmark = [pytest.mark.slow, pytest.mark.each_kind(point=["ogden"])]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.dynamics.material.principal_stretches import principal
+from palpate.dynamics.compiled.eigenvectors import principal
 
 
 @kernel_njit(inner=True)
