@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 
 import h5py
 import numpy as np
@@ -172,10 +173,11 @@ def test_forceps_pull_a_full_body_on_a_session(body, until):
     session.handle(validate_message({"type": "pose", "position": pulled.tolist()}))
     until(lambda: session.snapshot().force[2] < -0.01)
     until(lambda: session.snapshot().displacements(session.surface)[:, 2].max() > 0.0025)
-    way = iter(range(10**9))
+    began = time.monotonic()
 
-    def stiffness_of_the_next_place():  # the contact stiffness follows from ways of a tool that is in contact
-        place = pulled + np.array([0.0, 0.0, 0.0005 * (next(way) % 2)])
+    def stiffness_of_the_next_place():  # the contact stiffness follows from slow ways of a tool that is in contact
+        height = 0.001 * np.sin(6.0 * (time.monotonic() - began))
+        place = pulled + np.array([0.0, 0.0, height])
         session.handle(validate_message({"type": "pose", "position": place.tolist()}))
         return bool(np.any(session.snapshot().stiffness))
 
