@@ -9,7 +9,7 @@ export const BEYOND = "Beyond what the model was trained on: no force can be giv
 export const THROUGH = "The tool slipped through the surface: let go.";
 export const FULL = "Full model: no error of reduction.";
 export const NOT_MEASURED = "The error of this model was not measured.";
-export const NOT_KNOWN = "Its error is not known after a state beyond training: reset the body.";
+export const NOT_KNOWN = "Its error is not known yet after a motion beyond training: hold still for a moment.";
 
 /** Whether a state is beyond training; `before` is the answer for the last state. */
 export function isBeyond(trust, before) {

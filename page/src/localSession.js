@@ -12,6 +12,7 @@ const MAX_RECORD_SECONDS = 120;
 const STATISTICS_INTERVAL = 500;
 const UNACKNOWLEDGED = 2; // state frames that wait for the page
 const SAMPLES = 4000; // computing times that the statistics are of
+const MAX_SPEED = 2; // in the options of a library (palpate.h)
 const MARGIN = 0.3; // [m] around the body in which a tool may be
 const STATES = { stopped: 0, running: 1, paused: 2, diverged: 3 };
 const DESCRIBED = ["kind", "active", "pinned", "radius", "length"]; // what a replay tells of a tool when it changes
@@ -30,6 +31,7 @@ export class LocalSession {
       const group = { ...NO_TOOL, kind: "group" };
       Object.assign(this.tools[0], { selected: group, active: group, origin: this.about.group_centre });
     }
+    this.arrays.options[MAX_SPEED] = this.about.tool_speed;
     this.sent = this.acknowledged = 0;
     this.computing = new Float64Array(SAMPLES);
     this.periods = this.dropped = this.counted = 0;
@@ -102,6 +104,7 @@ export class LocalSession {
     const began = performance.now();
     let [count, status] = [0, 0];
     while (now - this.last >= period && status !== 2 && performance.now() - began < FRAME_INTERVAL) {
+      for (const tool of this.tools) tool.follow();
       status = this.model.call("step");
       this.last += period;
       count++;

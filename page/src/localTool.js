@@ -42,13 +42,15 @@ export function overlap(first, second) {
   return false;
 }
 
+const LONGEST_WAY = 40; // [periods] in which a tool reaches a new pose, at most
+
 export class LocalTool {
   constructor({ about, arrays }, index) {
     const { start, size } = about.tool_record;
     const row = (array, columns, first = 0) => array.subarray(first + columns * index, first + columns * (index + 1));
     Object.assign(this, { index, fields: about.tool_record, selected: NO_TOOL, active: NO_TOOL, pinned: false, sequence: 0 });
     Object.assign(this, { origin: [0, 0, 0], rotation: IDENTITY, record: row(arrays.record, size, start) });
-    Object.assign(this, { pose: row(arrays.pose, 7), coupling: row(arrays.coupling, 4), moved: row(arrays.tool_position, 3) });
+    Object.assign(this, { left: 0, since: 0, pose: row(arrays.pose, 7), coupling: row(arrays.coupling, 4), moved: row(arrays.tool_position, 3) });
   }
 
   get position() {
@@ -79,15 +81,26 @@ export class LocalTool {
     return [TOOLS.indexOf(active.kind), Number(pinned), ...this.part("force", 3), ...this.part("moment", 3), ...position, ...quaternion, sequence];
   }
 
+  /** Request a pose, which the tool reaches evenly in the time since the one before: a pointer sends one a frame. */
   request(position, quaternion, sequence) {
-    this.sequence = sequence;
-    this.pose.set(position.map((part, k) => part - this.origin[k]));
-    this.pose.set(multiply(quaternion, inverse(this.rotation)), 3);
+    const goal = [...position.map((part, k) => part - this.origin[k]), ...multiply(quaternion, inverse(this.rotation))];
+    const turned = goal.slice(3).reduce((sum, part, k) => sum + part * this.pose[3 + k], 0) < 0; // the same rotation
+    this.goal = goal.map((part, k) => (k > 2 && turned ? -part : part));
+    Object.assign(this, { sequence, left: Math.min(Math.max(this.since, 1), LONGEST_WAY), since: 0 });
+  }
+
+  /** Move the requested pose on by a period; the model makes the length of the quaternion 1. */
+  follow() {
+    this.since += 1;
+    if (!(this.left > 0)) return;
+    this.goal.forEach((part, k) => (this.pose[k] += (part - this.pose[k]) / this.left));
+    this.left -= 1;
   }
 
   /** Let the pose be that in which the tool was put down. */
   home() {
     this.pose.set([0, 0, 0, ...IDENTITY]);
+    Object.assign(this, { left: 0, since: 0 });
   }
 
   /** Put a tool in place of this one; forceps hold the nodes near the point in `arrays.tool_point`. Returns whether it is in range. */

@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import palpate as pt
+from palpate.realtime.period import FARTHEST, IGNORE, LONGEST_WAY, Settings, Work, move_tools, take_pose
 from palpate.realtime.pose import IDENTITY_POSE, follow_pose, normalise_pose, tool_coordinates, wrench
 
 
@@ -53,7 +54,7 @@ def test_a_followed_pose_keeps_both_speed_limits_and_arrives(random):
     aim[3:] *= -1  # the same rotation
     path = [pose.copy()]
     while len(path) < 200 and not np.array_equal(pose, aim):
-        follow_pose(pose, aim, max_distance, max_angle)
+        follow_pose(pose, aim, max_distance, max_angle, 1.0)
         path.append(pose.copy())
     ways = np.linalg.norm(np.diff([p[:3] for p in path], axis=0), axis=1)
     angles = [(rotation_of(b) * rotation_of(a).inv()).magnitude() for a, b in pairwise(path)]
@@ -67,14 +68,47 @@ def test_a_followed_pose_keeps_both_speed_limits_and_arrives(random):
 def test_a_near_pose_is_reached_exactly_in_one_period(random):
     pose = IDENTITY_POSE.copy()
     aim = pose_of([1e-4, 0.0, -1e-4], Rotation.from_rotvec([1e-3, 0.0, 0.0]))
-    follow_pose(pose, aim, 0.002, 0.01)
+    follow_pose(pose, aim, 0.002, 0.01, 1.0)
     assert np.array_equal(pose, aim)
+
+
+def test_a_pose_is_reached_evenly_in_a_number_of_periods():
+    pose, aim = IDENTITY_POSE.copy(), pose_of([0.008, 0.0, -0.004], Rotation.from_rotvec([0.1, 0.0, 0.2]))
+    ways, angles = [], []
+    for left in (5.0, 4.0, 3.0, 2.0, 1.0):
+        before = pose.copy()
+        follow_pose(pose, aim, 1.0, 1.0, left)
+        ways.append(np.linalg.norm(pose[:3] - before[:3]))
+        angles.append((rotation_of(pose) * rotation_of(before).inv()).magnitude())
+    np.testing.assert_allclose(ways, np.linalg.norm(aim[:3]) / 5, rtol=1e-9)
+    np.testing.assert_allclose(angles, np.linalg.norm([0.1, 0.2]) / 5, rtol=1e-6)
+    assert np.array_equal(pose, aim)
+
+
+def test_a_tool_follows_a_pointer_as_fast_as_the_pointer_moves():
+    """Poses come every 17 periods; at the largest speed the tool would make each way in two periods, and wait."""
+    work = Work.at_rest(np.zeros(3), np.eye(3, 12))
+    work.follow[0, LONGEST_WAY] = 40.0
+    settings = Settings(1_000_000, 0, 5e-4, 0.01, np.inf, 0, IGNORE, 0)
+    ways = []
+    for period in range(340):
+        if period % 17 == 0:  # 50 mm/s
+            take_pose(work, 0, np.array([50e-6 * (period + 17), 0, 0, 1, 0, 0, 0]))
+        before = work.pose[0, 0]
+        move_tools(work, settings)
+        ways.append(work.pose[0, 0] - before)
+    assert np.ptp(ways[34:]) < 1e-12
+    assert ways[-1] == pytest.approx(50e-6)
+    work.follow[0, FARTHEST] = 30e-6  # slower than the pointer
+    take_pose(work, 0, np.array([0.0, 0, 0, 1, 0, 0, 0]))
+    move_tools(work, settings)
+    assert work.pose[0, 0] == pytest.approx(340 * 50e-6 - 30e-6)
 
 
 def test_a_half_turn_is_followed(random):
     pose, aim = IDENTITY_POSE.copy(), np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
     for _ in range(4):
-        follow_pose(pose, aim, 1.0, np.pi / 4)
+        follow_pose(pose, aim, 1.0, np.pi / 4, 1.0)
     assert abs(pose[3:] @ aim[3:]) == pytest.approx(1.0, abs=1e-12)
 
 

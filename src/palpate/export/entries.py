@@ -24,8 +24,8 @@ from palpate.realtime.period import (
     functions_digest,
     place_work,
     reset_work,
+    take_pose,
 )
-from palpate.realtime.pose import request_pose
 from palpate.realtime.record import HEADER_SIZE, TOOL_SIZE, field_offset
 from palpate.reduction.contact.surface import PAIRS
 from palpate.reduction.hyper.error_indicator import curve_bound
@@ -74,7 +74,7 @@ def compile_step(advance: Any, stiffness: Any) -> Any:
             return INVALID_STATUS
         tools, is_taken = pose.shape[0], True
         for t in range(tools):
-            is_taken = request_pose(work.wanted[t], pose[t]) and is_taken
+            is_taken = take_pose(work, t, pose[t]) and is_taken
         period = options[OPTION_PERIOD]
         settings = Settings(
             int(1e9 * period + 0.5), 0, period * options[MAX_SPEED], period * options[MAX_ANGULAR_SPEED],

@@ -20,7 +20,7 @@ from palpate.realtime.contract import MAX_TOOLS
 from palpate.realtime.observable import TOOLS, make_observable
 from palpate.realtime.period import IGNORE, Work
 from palpate.realtime.pose import IDENTITY_POSE
-from palpate.reduction.hyper.error_indicator import bound_curve
+from palpate.reduction.hyper.error_indicator import bound_curve, forgetting_rate
 from palpate.reduction.hyper.model import ReducedModel
 
 FUNCTION_NAMES = ("step", "reset", "set_tool", "vertices", "check", "memory_size", "file_size")  # of every library
@@ -88,7 +88,7 @@ def model_functions(
     observable = make_observable(ready, linked=True)
     surface, data = Surface(model), observable.data
     count = len(data.coupling.position)
-    work = Work.at_rest(observable.rest, observable.tool)
+    work = Work.at_rest(observable.rest, observable.tool, forgetting_rate(model.report))
     columns, patch_columns, places = surface.tables(ready.data.contact_surface.nodes)
     named: dict[str, NDArray[Any]] = {
         "pose": np.tile(IDENTITY_POSE, (count, 1)),

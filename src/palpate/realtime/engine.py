@@ -29,7 +29,9 @@ from palpate.realtime.loop import DIVERGED, PAUSED, RUNNING, STOPPED, Channels, 
 from palpate.realtime.observable import ObservableModel, make_observable
 from palpate.realtime.period import (
     CLAMP,
+    FARTHEST,
     IGNORE,
+    LONGEST_WAY,
     SEQUENCE,
     STOP,
     TIME_SCALE,
@@ -186,7 +188,8 @@ class Engine(Described):
             rate, force_limit, stiffness_every, on_distrust, max_speed, max_angular_speed, spin, catch_up
         )
         self.period = 1e-9 * self._settings.period
-        self._rest, self._work = model.rest, Work.at_rest(model.rest, model.tool)
+        forgetting = getattr(self._force_bound, "forgetting", 0.0)
+        self._rest, self._work = model.rest, Work.at_rest(model.rest, model.tool, forgetting)
         tools = len(model.tool)
         self._tool_names = tuple(tool_names) or tuple(map(str, range(tools)))
         self._shared_name = shared_memory
@@ -369,7 +372,7 @@ class Engine(Described):
         sequence: int = 0,
         tool: int | str = 0,
     ) -> None:
-        """Request a pose of a tool, which follows it at the engine's largest speeds.
+        """Request a pose of a tool, which follows it at the engine's largest speeds, or as `follow_evenly` states.
 
         Parameters
         ----------
@@ -423,6 +426,30 @@ class Engine(Described):
             self._work.record[field_offset("sequence")] = self._work.record[HEADER_SIZE + SEQUENCE]
             self._publish_pose(index, pose, sequence)
             publish(self._channels.record, self._work.record)
+
+    def follow_evenly(self, seconds: float, speed: float = math.inf, tool: int | str = 0) -> None:
+        """Move a tool to each new pose evenly, in the time since the pose before.
+
+        A pointer of a computer sends some 60 poses a second. A tool that reaches each at the largest speed moves in
+        jerks, which are faster than the hand.
+
+        Parameters
+        ----------
+        seconds : float [s]
+            Longest time in which it reaches a pose; 0 to reach it at the largest speed.
+        speed : float [m/s]
+            Largest speed of this tool, where it is less than the engine's `max_speed`.
+
+        Raises
+        ------
+        InputError
+            A number is out of range, or there is no such tool.
+        """
+        index, seconds = self._index_of(tool), number_in_range("seconds", seconds, 0.0, 1.0, unit="s")
+        if speed != math.inf:
+            speed = number_in_range("speed", speed, 0.0, open_low=True, unit="m/s")
+        follow = self._work.follow[index]
+        follow[LONGEST_WAY], follow[FARTHEST] = round(seconds / self.period), speed * self.period
 
     def slow_down(self, factor: float) -> None:
         """Slow model time and the speeds of the tool by a factor.

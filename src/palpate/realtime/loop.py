@@ -15,8 +15,7 @@ from palpate.realtime.calls import call_advance, call_stiffness, model_calls
 from palpate.realtime.channel import POSE_NUMBERS, SharedSlots
 from palpate.realtime.clock import now, sleep_until, thread_time
 from palpate.realtime.exchange import FLAGS_LENGTH, Slot, fetch, get_flag, make_flags, publish, stamp
-from palpate.realtime.period import SEQUENCE, STOP, TRUSTED, compile_period, functions_digest
-from palpate.realtime.pose import request_pose
+from palpate.realtime.period import SEQUENCE, STOP, TRUSTED, compile_period, functions_digest, take_pose
 from palpate.realtime.record import HEADER_SIZE, TOOL_SIZE, field_offset, record_size
 from palpate.realtime.statistics import Histograms, count_step
 
@@ -68,7 +67,7 @@ def _wait(deadline, spin, command):
 def _fetch_pose(work, t, slot):
     """Read the newest pose of a tool; another program may have written one that is not valid."""
     is_complete = fetch(slot, work.fetched)  # during a write, the next period reads it
-    if is_complete and request_pose(work.wanted[t], work.fetched[:7]):
+    if is_complete and take_pose(work, t, work.fetched[:7]):
         work.record[HEADER_SIZE + TOOL_SIZE * t + SEQUENCE] = work.fetched[7]
 
 

@@ -17,7 +17,14 @@ from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.contact.stiffness import limit_stiffness
 from palpate.realtime.contract import FORCES, KINETIC, POSE_COLUMNS, STATUS, STEPS, STRAIN, TRUST, tool_maps
-from palpate.realtime.pose import IDENTITY_POSE, follow_pose, pose_of_coordinates, tool_coordinates, wrench
+from palpate.realtime.pose import (
+    IDENTITY_POSE,
+    follow_pose,
+    pose_of_coordinates,
+    request_pose,
+    tool_coordinates,
+    wrench,
+)
 from palpate.realtime.record import HEADER_SIZE, TOOL_DTYPE, TOOL_SIZE, field_offset, record_size
 
 WARN, CLAMP, STOP, IGNORE = range(4)  # responses to a trust number above 1
@@ -25,7 +32,9 @@ MAX_TRAIL = 256  # stored trusted poses
 RETREAT_DIVISOR = 4  # the tool moves back by 1 / RETREAT_DIVISOR of its trail ...
 SETTLING_TIME = 0.05  # [s] ... if trust does not return within this time, in which vibrations decay
 REST_ENERGY = 1e-4  # energy of a body at rest, over the largest since it was at rest: 1 % of the amplitude
-MODEL_TIME, TIME_SCALE, WAITED, LARGEST_ENERGY, WORST_SINCE_RESET = range(5)  # indices in `Work.clock`
+MODEL_TIME, TIME_SCALE, WAITED, LARGEST_ENERGY, WORST_SINCE_RESET, FORGETTING = range(6)  # indices in `Work.clock`
+LONGEST_WAY, FARTHEST, SINCE, LEFT = range(4)  # indices in `Work.follow`
+SAME_POSE = 1e-12  # difference of numbers of poses below which they are the same
 
 TIME, PERIODS, FAILED, ITERATIONS = (field_offset(name) for name in ("time", "steps", "failed", "iterations"))
 TRUSTED, WORST_TRUST, CLAMPED, ENERGIES = (
@@ -71,6 +80,9 @@ class Work(NamedTuple):
     # were put down. A full trail keeps every second pose.
     trail: Floats
     length: NDArray[np.int64]
+    # (t, 4): most periods in which a tool reaches a new pose evenly, its largest way [m] in one, periods since its last
+    # new pose, and periods until it is there
+    follow: Floats
     fetched: Floats  # (8,): copy of the newest pose of a tool and its sequence number
     # target, lost_at, last_trusted, wanted_coordinates: (t l,): tool coordinates of `pose`, of the poses at which trust
     # was lost, of the last trusted poses, and of `wanted`
@@ -82,13 +94,14 @@ class Work(NamedTuple):
     report: Floats
     tangent: Floats
     record: Floats  # record of the present period
-    # (5,): model time [ns], model time per wall-clock time, the time [s] that clamped tools have waited for trust, the
-    # largest energy [J] since the body was at rest, and the largest trust number since the reset
+    # (6,): model time [ns], model time per wall-clock time, the time [s] that clamped tools have waited for trust, the
+    # largest energy [J] since the body was at rest, the largest trust number since the reset, and the rate [1/s] at
+    # which the largest one since rest decays
     clock: Floats
 
     @classmethod
-    def at_rest(cls, rest: Floats, tool: Floats) -> Work:
-        """Make the state at rest; `tool` as that of `Realtime`."""
+    def at_rest(cls, rest: Floats, tool: Floats, forgetting: float = 0.0) -> Work:
+        """Make the state at rest; `tool` as that of `Realtime`, and a rate [1/s] of forgetting trust numbers."""
         tool = tool_maps(tool)
         m, (tools, count, _) = len(rest), tool.shape
         poses = {name: np.zeros((tools, POSE_NUMBERS)) for name in ("pose", "wanted")}
@@ -96,10 +109,11 @@ class Work(NamedTuple):
         names = ("target", "lost_at", "last_trusted", "wanted_coordinates")
         coordinates = {name: np.zeros(tools * count) for name in names}
         report, tangent = np.zeros(FORCES + tools * count), np.zeros((tools * count, count))
-        clock = np.array([0.0, 1.0, 0.0, 0.0, 0.0])
+        clock = np.array([0.0, 1.0, 0.0, 0.0, 0.0, forgetting])
+        follow = np.tile([0.0, np.inf, 0.0, 1.0], (tools, 1))
         work = cls(
             np.zeros(m), np.zeros(m), tool, **poses, length=np.ones(1, dtype=np.int64),
-            fetched=np.zeros(POSE_NUMBERS + 1), **coordinates, report=report, tangent=tangent,
+            follow=follow, fetched=np.zeros(POSE_NUMBERS + 1), **coordinates, report=report, tangent=tangent,
             record=np.zeros(record_size(m, tools)), clock=clock,
         )  # fmt: skip
         work.reset(rest)
@@ -162,6 +176,7 @@ def reset_work(work, rest):
 def place_work(work, t):
     """Start again from the present pose of a tool, with no force on it; others go on."""
     copy_to(work.pose[t], work.wanted[t], 0)
+    work.follow[t, LEFT] = 1.0
     for s in range(work.pose.shape[0]):
         copy_to(work.pose[s], work.trail[0, s], 0)
     work.length[0], work.record[CLAMPED] = 1, 0.0
@@ -173,6 +188,19 @@ def place_work(work, t):
 
 
 @kernel_njit()
+def take_pose(work, t, pose):
+    """Request a pose (7,) of a tool as `request_pose`, to reach it evenly in the time since the one before it."""
+    different = 0
+    for i in range(POSE_NUMBERS):
+        different += abs(pose[i] - work.wanted[t, i]) > SAME_POSE
+    is_taken = request_pose(work.wanted[t], pose)
+    if is_taken and different > 0:
+        follow = work.follow[t]
+        follow[LEFT], follow[SINCE] = max(1.0, min(follow[SINCE], follow[LONGEST_WAY])), 0.0
+    return is_taken
+
+
+@kernel_njit()
 def move_tools(work, settings):
     """Move the tools towards the requested poses, or clamped tools towards their last trusted poses."""
     goal = work.wanted
@@ -181,9 +209,11 @@ def move_tools(work, settings):
             goal = work.trail[work.length[0] - 1]
         else:
             work.record[CLAMPED] = 0.0
-    time_scale = work.clock[TIME_SCALE]
+    time_scale, follow = work.clock[TIME_SCALE], work.follow
     for t in range(goal.shape[0]):
-        follow_pose(work.pose[t], goal[t], time_scale * settings.max_distance, time_scale * settings.max_angle)
+        way = time_scale * min(settings.max_distance, follow[t, FARTHEST])
+        follow_pose(work.pose[t], goal[t], way, time_scale * settings.max_angle, follow[t, LEFT])
+        follow[t, SINCE], follow[t, LEFT] = follow[t, SINCE] + 1.0, max(follow[t, LEFT] - 1.0, 1.0)
     tool_coordinates(work.tool, work.pose, work.target)
 
 
@@ -305,7 +335,9 @@ def write_record(work, settings):
     record[TIME] = 1e-9 * work.clock[MODEL_TIME]
     record[ITERATIONS], record[TRUSTED] = report[STEPS], report[TRUST]
     _forget_at_rest(work)
-    record[WORST_TRUST] = max(record[WORST_TRUST], report[TRUST])
+    seconds = 1e-9 * work.clock[TIME_SCALE] * settings.period
+    remembered = np.exp(-work.clock[FORGETTING] * seconds) * record[WORST_TRUST]
+    record[WORST_TRUST] = max(remembered, report[TRUST])
     work.clock[WORST_SINCE_RESET] = max(work.clock[WORST_SINCE_RESET], report[TRUST])
     record[ENERGIES], record[ENERGIES + 1] = report[KINETIC], report[STRAIN]
     for t in range(work.tool.shape[0]):

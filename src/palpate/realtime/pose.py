@@ -13,6 +13,7 @@ from palpate.faults import InputError
 from palpate.files import shortened
 
 IDENTITY_POSE = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+LEAST_ANGLE = 1e-9  # [rad] half of an angle below which a rotation is reached at once
 MAX_JUMP = 1.0  # [m] between consecutive poses; a larger one is a device error
 UNIT_TOLERANCE = 1e-12  # of the size of a quaternion that is kept as it is
 
@@ -79,24 +80,25 @@ def request_pose(wanted, pose):
 
 
 @kernel_njit()
-def follow_pose(pose, target, max_distance, max_angle):
-    """Move a pose towards a target in place, by at most a distance [m] and an angle [rad].
+def follow_pose(pose, target, max_distance, max_angle, periods):
+    """Move a pose towards a target in place, evenly in a number of periods, by at most a distance [m] and angle [rad].
 
     The rotation follows the shortest great arc (K. Shoemake, Animating rotation with quaternion curves, 1985).
     """
     distance = np.sqrt((target[0] - pose[0]) ** 2 + (target[1] - pose[1]) ** 2 + (target[2] - pose[2]) ** 2)
     share = 1.0 if distance <= max_distance else max_distance / distance
+    share = min(share, 1.0 / periods)
     for i in range(3):
         pose[i] = target[i] if share == 1.0 else pose[i] + share * (target[i] - pose[i])
     cosine = 0.0
     for i in range(3, 7):
         cosine += pose[i] * target[i]
     half = np.arccos(min(1.0, abs(cosine)))  # of the angle between them
-    if 2.0 * half <= max_angle:
+    if half <= LEAST_ANGLE or (2.0 * half <= max_angle and periods <= 1.0):
         for i in range(3, 7):
             pose[i] = target[i]
         return
-    share = max_angle / (2.0 * half)
+    share = min(max_angle / (2.0 * half), 1.0 / periods)
     here = np.sin((1.0 - share) * half) / np.sin(half)
     there = np.copysign(np.sin(share * half) / np.sin(half), cosine)
     square = 0.0

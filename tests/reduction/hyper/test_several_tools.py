@@ -82,7 +82,7 @@ def drawn_run(random, tools: int) -> Frames:
     weak = np.full(tools, 0.5)  # tools of half the error and size, but for the first
     weak[0] = 1.0
     return Frames(
-        Measures(trust, zero, zero, of_tools, of_tools, zero, counted),
+        Measures(trust, zero, zero, of_tools, of_tools, zero, counted), np.linspace(0.0, 0.4, 40),
         {"displacement": error, "force": error[:, None] * weak}, {"displacement": size, "force": size[:, None] * weak},
     )  # fmt: skip
 

@@ -12,6 +12,7 @@ from palpate.reduction.hyper.error_indicator import (
     curve_errors,
     expected_error,
     mean_size,
+    remembered_trust,
     residual_norm,
     training_distance,
 )
@@ -158,24 +159,32 @@ def drawn_run(random, spread=0.5) -> Frames:
     error = 0.03 * trust * np.exp(spread * random.standard_normal() + 0.2 * random.standard_normal(60))
     size = np.linspace(0.0, random.uniform(1.0, 3.0), 60)
     measures = Measures(trust, *np.zeros((2, 60)), *np.zeros((2, 60, 1)), *np.zeros((2, 60)))
-    return Frames(measures, {"displacement": error * (size + 2.0)}, {"displacement": size})
+    return Frames(measures, np.linspace(0.0, 0.6, 60), {"displacement": error * (size + 2.0)}, {"displacement": size})
 
 
 def keeps(run: Frames, scales: Scales, curves) -> bool:
-    worst = np.maximum.accumulate(trust_numbers(run.measures, scales))
+    worst = remembered_trust(trust_numbers(run.measures, scales), run.times, curves["forgetting"])
     bounds = curve_errors(curves["displacement"], "bound", worst)
     size = mean_size(run.sizes["displacement"], curves["displacement"]["typical_size"])
     return bool(np.all(run.errors["displacement"] <= bounds * size))
 
 
+def test_the_largest_trust_number_decays_as_vibrations_do():
+    times = np.array([0.0, 0.1, 0.2, 0.5, 10.0])
+    found = remembered_trust(np.array([0.0, 3.0, 0.5, 0.2, 0.1]), times, 4.0)
+    np.testing.assert_allclose(found, [0.0, 3.0, 3.0 * np.exp(-0.4), 3.0 * np.exp(-1.6), 0.1])
+    np.testing.assert_allclose(remembered_trust(np.array([0.3, 0.1, 0.2]), times[:3], 0.0), 0.3)
+
+
+@pytest.mark.parametrize("forgetting", [0.0, 4.0])
 @pytest.mark.parametrize(("count", "level"), [(4, 0.8), (19, 0.95), (39, 0.95)])
-def test_error_bounds_hold_for_their_level_of_new_runs(count, level):
+def test_error_bounds_hold_for_their_level_of_new_runs(count, level, forgetting):
     """Many calibrations on few runs each, judged on runs of the same kind."""
     random, kept = np.random.default_rng(0), []
     for _ in range(60):
         runs = [drawn_run(random) for _ in range(count)]
         scales = calibrate_scales([run.measures for run in runs], 0.95)
-        curves = error_curves(runs, scales)
+        curves = error_curves(runs, scales, forgetting)
         assert curves["level"] == pytest.approx(level)
         kept += [keeps(drawn_run(random), scales, curves) for _ in range(20)]
     assert level - 0.03 < np.mean(kept) < level + (0.03 if count > 4 else 0.1)  # few runs leave more unknown
@@ -229,7 +238,7 @@ def test_trust_numbers_are_at_most_1_in_most_calibration_runs():
 
 def test_runs_without_error_have_a_zero_bound_and_one_run_has_level_one_half():
     measures = Measures(*np.zeros((3, 5)), *np.zeros((2, 5, 1)), *np.zeros((2, 5)))
-    still = Frames(measures, {"displacement": np.zeros(5)}, {"displacement": np.zeros(5)})
+    still = Frames(measures, np.arange(5.0), {"displacement": np.zeros(5)}, {"displacement": np.zeros(5)})
     curves = error_curves([still], calibrate_scales([still.measures], 0.95))
     assert curves["level"] == 0.5
     assert curves["displacement"]["bound"] <= 1e-12

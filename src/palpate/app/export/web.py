@@ -12,7 +12,7 @@ import numpy as np
 
 from palpate.app.recordings.snapshot import scalar_descriptions, training_errors
 from palpate.app.session.messages import describe_tools
-from palpate.app.session.session import material_sliders
+from palpate.app.session.session import material_sliders, trained_speed
 from palpate.app.view.server.page import PAGE_FOLDER
 from palpate.export.folder import complete_folder
 from palpate.export.library import lower_model
@@ -65,7 +65,8 @@ def _describe(model: ReducedModel, title: str) -> dict[str, Any]:
         "bounds": [surface.rest.min(axis=0).tolist(), surface.rest.max(axis=0).tolist()],
         "tools": [] if prescribed else list(WEB_TOOLS), **describe_tools([] if prescribed else WEB_TOOLS),
         "scalars": [scalar for scalar in scalar_descriptions(surface) if scalar["name"] == "displacement"],
-        "materials": material_sliders(model, 1.0), "training_errors": training_errors(model),
+        "materials": material_sliders(model, 1.0), "tool_speed": trained_speed(model),
+        "training_errors": training_errors(model),
         "record": {name: field_offset(name) for name in HEADER_DTYPE.names or ()},
         "tool_record": {"start": HEADER_SIZE, "size": TOOL_SIZE} | {
             name: field_offset(name, TOOL_DTYPE) for name in TOOL_DTYPE.names or ()

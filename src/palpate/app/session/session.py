@@ -53,6 +53,8 @@ from palpate.reduction.hyper.model import ReducedModel
 
 PERIODS_PER_SECOND = 1000.0  # [Hz]
 MAX_TOOL_SPEED = 0.5  # [m/s]
+POINTER_TIME = 0.04  # [s] in which a tool reaches a pose of a pointer, at most; a screen has one in 0.017 s
+TRAINED_SHARE = 0.95  # of the largest speed of the training, for a tool that follows a pointer
 HISTORY_SECONDS = 5.0
 MAX_READS = 1000  # attempts to read the engine and the model in the same period
 PACE_SECONDS = 3.0  # [s] over which the pace is taken
@@ -108,6 +110,7 @@ class Session:
         self.engine = Engine(  # every frame has the trust number
             self._observable, rate, max_speed=MAX_TOOL_SPEED, on_distrust="ignore", history=history, black_box=black_box
         )
+        self._tool_speed = trained_speed(model)
         self.pause_reason: str | None = None
         self.speed, self.modulus_ratio = 1.0, 1.0
         self.recordings = SessionRecordings(title, self.body, self._describe_recorded)
@@ -258,7 +261,7 @@ class Session:
             if message["index"] in self.devices:
                 device = self.devices[message["index"]]
                 raise InputError(f"pose must be of a tool without device, got that of {device}; move another tool")
-            self._move_tool(message)
+            self._move_tool(message, POINTER_TIME, self._tool_speed)
         elif kind == "tool":
             self._select_tool(message)
         elif kind == "pin":
@@ -403,7 +406,8 @@ class Session:
                 )
             tool.pinned = message["pinned"]
 
-    def _move_tool(self, message: Message) -> None:
+    def _move_tool(self, message: Message, seconds: float, speed: float) -> None:
+        """Move a tool to a pose, evenly in at most a time [s], and at most at a speed [m/s]."""
         index = self._checked(message["index"])
         position = self._workspace.nearest_position(np.array(message["position"]))
         quaternion = np.array(message["quaternion"])
@@ -415,6 +419,7 @@ class Session:
             if tool.active is NO_TOOL and not self._restore_tool(index, position, quaternion):
                 return
             rotation = compose_rotations(tool.rotation, quaternion, invert_first=True)
+            self.engine.follow_evenly(seconds, speed, index)
             self.engine.set_pose(position - tool.origin, rotation, message["sequence"], index)
 
     def _restore_tool(self, index: int, position: Floats, quaternion: Floats) -> bool:
@@ -464,7 +469,8 @@ class Session:
 
     def follow_device(self, position: Floats, quaternion: Floats, sequence: int, index: int = 0) -> None:
         """Move a tool to the pose of a haptic device, in the frame of the body."""
-        self._move_tool({"position": position, "quaternion": quaternion, "sequence": sequence, "index": index})
+        message = {"position": position, "quaternion": quaternion, "sequence": sequence, "index": index}
+        self._move_tool(message, 0.0, MAX_TOOL_SPEED)
 
     def tool_contact(self, index: int = 0) -> dict[str, Any]:
         """Return what a haptic device needs of a tool: pose, force of the body, contact stiffness, and their age.
@@ -524,3 +530,10 @@ def material_sliders(model: ReducedModel | EnergySolid, ratio: float) -> list[di
     modulus = 1e-3 * float(model.material.shear_modulus)
     return [{"name": MODULUS_NAME, "unit": "kPa", "value": ratio * modulus, "low": MIN_MODULUS_RATIO * modulus,
              "high": MAX_MODULUS_RATIO * modulus, "live": True}]  # fmt: skip
+
+
+def trained_speed(model: ReducedModel | EnergySolid) -> float:
+    """Return the largest speed [m/s] of a tool that follows a pointer: that of the training of a reduced model."""
+    if not isinstance(model, ReducedModel) or model.data.compliance is None:
+        return MAX_TOOL_SPEED
+    return min(MAX_TOOL_SPEED, TRAINED_SHARE * model.data.speed_scale)

@@ -19,7 +19,8 @@ Errors expected at a trust number come from the held-out runs (`palpate.reductio
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -258,20 +259,42 @@ def error_bounds(data: ReducedData, run: Trajectory) -> tuple[Floats, Floats]:
         if curves is None or quantity not in curves or not len(sizes) or len(run.trust) < len(run.times):
             result.append(np.zeros(0))
             continue
-        relative = curve_errors(curves[quantity], "bound", np.maximum.accumulate(run.trust))
+        worst = remembered_trust(run.trust, run.times, curves.get("forgetting", 0.0))
+        relative = curve_errors(curves[quantity], "bound", worst)
         result.append(relative * mean_size(sizes, curves[quantity]["typical_size"]))
     return result[0], result[1]
 
 
-def force_bound(report: Mapping[str, Any]) -> Callable[[float, float], float] | None:
-    """Return the error bound [N] of tool forces, by the largest trust number so far and the force [N], as a function.
+def remembered_trust(trust: Floats, times: Floats, forgetting: float) -> Floats:
+    """Return the largest trust numbers (f,) so far at times (f,) [s], which decay at a rate [1/s].
 
-    It is None without held-out runs with tools.
+    An error once made goes on as a vibration of the body, which dies by its damping: with a mass damping c, every
+    vibration decays at least as exp(-c t / 2).
     """
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.exp(np.maximum.accumulate(np.log(trust) + forgetting * times) - forgetting * times))
+
+
+def forgetting_rate(report: Mapping[str, Any]) -> float:
+    """Return the rate [1/s] at which the largest trust number decays; 0 for a model that never forgets it."""
+    return float((_curves(report) or {}).get("forgetting", 0.0))
+
+
+@dataclass(frozen=True)
+class ForceBound:
+    """The error bound [N] of tool forces, by the largest trust number so far and the force [N]."""
+
+    curve: Floats  # (5,): as `bound_curve`
+    forgetting: float  # [1/s]: rate at which the largest trust number decays
+
+    def __call__(self, trust: float, size: float) -> float:
+        return float(curve_bound(self.curve, trust, size))
+
+
+def force_bound(report: Mapping[str, Any]) -> ForceBound | None:
+    """Return the error bound of tool forces; None without held-out runs with tools."""
     curve = bound_curve(report)
-    if not curve.any():
-        return None
-    return lambda trust, size: float(curve_bound(curve, trust, size))
+    return ForceBound(curve, forgetting_rate(report)) if curve.any() else None
 
 
 def bound_curve(report: Mapping[str, Any]) -> Floats:

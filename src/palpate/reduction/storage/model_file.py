@@ -261,11 +261,13 @@ def _report(report: dict[str, Any]) -> dict[str, Any]:
 def _check_curves(curves: Any) -> None:
     """Refuse curves of expected errors that the calibration does not write."""
     levels = {"level", "least_level"}
-    if not isinstance(curves, dict) or not levels < curves.keys() <= levels | {"displacement", "force"}:
+    known = levels | {"displacement", "force", "forgetting"}  # older files lack the last
+    if not isinstance(curves, dict) or not levels | {"displacement"} <= curves.keys() <= known:
         raise InputError("header report holds expected errors without levels and displacement")
     for name in sorted(levels):
         number_in_range(name, curves[name], 0.0, 1.0)
-    for quantity in curves.keys() - levels:
+    number_in_range("forgetting", curves.get("forgetting", 0.0), 0.0)
+    for quantity in curves.keys() & {"displacement", "force"}:
         if not isinstance(curves[quantity], dict) or curves[quantity].keys() != {*CURVE_KEYS}:
             raise InputError(f"header report holds an expected error of the {quantity} without {', '.join(CURVE_KEYS)}")
         for name in CURVE_KEYS:

@@ -33,6 +33,7 @@ from palpate.reduction.hyper.error_indicator import (
     Measures,
     Scales,
     mean_size,
+    remembered_trust,
     rms_sizes,
     tools_of,
     touch_speed,
@@ -55,6 +56,7 @@ class Frames(NamedTuple):
     """Frames of a held-out run of a reduced model."""
 
     measures: Measures
+    times: Floats  # (f,) [s]
     # mapping of quantity to array: of ``"displacement"``, (f,), the root mean square over the body [m], and with tools
     # of ``"force"``, (f, t), of each tool [N]
     errors: dict[str, Floats]
@@ -86,7 +88,7 @@ def repeat_run(model: ReducedModel, loads: Sequence[Load], full: Trajectory) -> 
     if tools:
         forces, expected = (np.stack([each.reactions[name] for name in tools], axis=1) for each in (run, full))
         errors["force"], sizes["force"] = np.linalg.norm(forces - expected, axis=2), np.linalg.norm(forces, axis=2)
-    return run, Frames(Measures(*map(np.array, zip(*rows, strict=True))), errors, sizes)
+    return run, Frames(Measures(*map(np.array, zip(*rows, strict=True))), run.times, errors, sizes)
 
 
 def calibrate_scales(runs: Sequence[Measures], share: float) -> Scales:
@@ -130,24 +132,26 @@ def _run_quantile(values: Sequence[float], share: float) -> float:
     return float(np.quantile(values, share, method="higher"))
 
 
-def error_curves(runs: Sequence[Frames], scales: Scales) -> dict[str, Any]:
-    """Return the curves of expected errors by trust number.
+def error_curves(runs: Sequence[Frames], scales: Scales, forgetting: float = 0.0) -> dict[str, Any]:
+    """Return the curves of expected errors by the largest trust number so far, which decays at a rate [1/s].
 
     Returns
     -------
     mapping
-        ``"level"``: the probability that a further run keeps the bounds; ``"least_level"``: the share of runs that keep
-        them with the confidence `CONFIDENCE_LEVEL`. Both are the least of runs with one tool and with several.
+        ``"forgetting"``: the rate [1/s]. ``"level"``: the probability that a further run keeps the bounds;
+        ``"least_level"``: the share of runs that keep them with the confidence `CONFIDENCE_LEVEL`. Both are the least
+        of runs with one tool and with several.
         ``"displacement"``, and with tools ``"force"``: a mapping.
         At a trust number T, the median and the bound of the errors, relative to the mean of the present and the
         typical size, are ``"median"`` and ``"bound"`` times T^``"exponent"``, with T at least ``"least_trust"``. Above
         ``"largest_trust"`` the error is unknown. ``"typical_size"`` [m] or [N] is the median of the runs' largest.
     """
-    worst = [np.maximum.accumulate(trust_numbers(run.measures, scales)) for run in runs]
+    worst = [remembered_trust(trust_numbers(run.measures, scales), run.times, forgetting) for run in runs]
     n, tools = len(runs), [max(int(run.measures.tools.max(initial=0)), 1) for run in runs]
     groups = [np.flatnonzero(np.equal(tools, number)) for number in sorted(set(tools))]
     ranks = [min(int(np.ceil(BOUND_PROBABILITY * (len(group) + 1))), len(group)) for group in groups]
     result: dict[str, Any] = {
+        "forgetting": forgetting,
         "level": min(min(BOUND_PROBABILITY, k / (len(group) + 1)) for k, group in zip(ranks, groups, strict=True)),
         "least_level": min(
             float(betaincinv(k, len(group) + 1 - k, 1 - CONFIDENCE_LEVEL))
@@ -164,7 +168,7 @@ def error_curves(runs: Sequence[Frames], scales: Scales) -> dict[str, Any]:
         ]
         trust = [np.maximum(numbers, least) for numbers in worst]
         peaks = np.array([run.errors[quantity].max() / mean_size(run.sizes[quantity].max(), typical) for run in runs])
-        largest = np.array([numbers[-1] for numbers in trust])
+        largest = np.array([numbers.max() for numbers in trust])
         exponent = _exponent(largest, peaks)
         others = [np.arange(n) != r if n > 1 else np.ones(1, dtype=bool) for r in range(n)]
         factors = np.array(
@@ -178,7 +182,7 @@ def error_curves(runs: Sequence[Frames], scales: Scales) -> dict[str, Any]:
             "typical_size": typical,
             "least_trust": least,
             "largest_trust": min(
-                REPEAT_MARGIN**2 * float(max(numbers[-1] for numbers in worst)),  # at least 1
+                REPEAT_MARGIN**2 * float(max(numbers.max() for numbers in worst)),  # at least 1
                 LARGEST_KNOWN_TRUST,
             ),
             "exponent": exponent,

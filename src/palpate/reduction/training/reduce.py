@@ -426,7 +426,7 @@ def _test(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
     if not frames:
         return model.with_report({"held_out": report})
     scales = calibrate_scales([run.measures for run in frames], ERROR_QUANTILE)
-    report["expected_error"] = error_curves(frames, scales)
+    report["expected_error"] = error_curves(frames, scales, 0.5 * model.data.mass_damping)
     return ReducedModel(replace(model.data, **scales._asdict())).with_report({"held_out": report})
 
 
