@@ -9,6 +9,8 @@ which the tools have moved. A pair s, y counts only where it is above the noise:
   `UNREST_TIME` keeps the largest. A vibration of that energy changes the force on a tool of stiffness k by at most
   sqrt(2 k E). So the error of the slope is at most R^-1/2 of it.
 
+Ways begin at a calmer place as soon as there is one: after a fast motion no later one would be above its noise.
+
 A force that falls as a tool moves on, beyond the noise, means no stiffness along that way. An update fades what was
 known before by exp(-|s| / a), with the radius a of the contact: a tool that has moved on touches other tissue.
 
@@ -33,6 +35,7 @@ from palpate.dynamics.nodal.period_data import ESTIMATE, RECENT_ENERGY
 
 LEAST_WAY = 0.02  # of the tools between two updates, in spacings
 NOISE_RATIO = 10.0  # least work of a change of force over the kinetic energy
+CALMER_SHARE = 0.5  # of the kinetic energy at the last place, below which the next ways begin at the present one
 
 
 @kernel_njit()
@@ -48,7 +51,8 @@ def contact_stiffness(data, q, out):
         touches, same = touches or touching, same and touching == touched
         _write_way(data, t, touching)
         _write_bound(data, q.reshape((q.shape[0] // 3, 3)), t, touching)
-    if not touches or not same or _follow(data):
+    calmer = data.clock[RECENT_ENERGY] < CALMER_SHARE * secant.unrest[0]
+    if not touches or not same or _follow(data) or calmer:
         secant.unrest[0] = data.clock[RECENT_ENERGY]
         for i in range(3 * tools):
             secant.positions[i] = _place(data, i)
