@@ -21,7 +21,7 @@ import result_files
 from scipy.interpolate import PchipInterpolator
 
 import palpate as pt
-from palpate.app.common.arguments import settings_of
+from palpate.app.common.arguments import parse_settings
 from palpate.app.common.console import Console
 from palpate.app.models.trained import trained_model
 from palpate.app.session.session import Session
@@ -87,7 +87,7 @@ def compared(scene: Any, table: Floats, radius: float) -> dict[str, float]:
     forces = np.stack([np.interp(full.times, times, table[:, 4 + k]) for k in range(3)], axis=1)
     # the force of a frame of the run is the mean since the one before
     means = 0.5 * (forces[1:] + forces[:-1])
-    errors = np.linalg.norm(means - full.reactions["tool"][1:], axis=1)
+    errors = np.linalg.norm(means + full.reactions["tool"][1:], axis=1)  # that on the hand, and on the body
     bounds = table[np.searchsorted(times, full.times[1:]).clip(max=len(times) - 1), 7]
     touching = np.linalg.norm(full.reactions["tool"][1:], axis=1) > LEAST_FORCE
     sizes = np.linalg.norm(table[:, 4:7], axis=1)
@@ -119,7 +119,10 @@ def study(name: str, scene: Any, model: pt.ReducedModel, count: int, seed: int) 
             kind = KINDS[k % len(KINDS)]
             table = press(session, touch, normal, along, radius, kind)
             rows.append({"kind": kind, **compared(scene, table, radius)})
-            print(", ".join(f"{key} {value:.3g}" if key != "kind" else value for key, value in rows[-1].items()), flush=True)
+            print(
+                ", ".join(f"{key} {value:.3g}" if key != "kind" else value for key, value in rows[-1].items()),
+                flush=True,
+            )
     finally:
         session.close()
     touched = [row for row in rows if row["in_contact"] > 0]
@@ -142,7 +145,7 @@ def main() -> None:
     parser.add_argument("--model", help="trained model of the scene; by default trained as for view")
     parser.add_argument("--keep", action="store_true")
     options = parser.parse_args()
-    scene = pt.open_scene(options.scene, settings_of(options.settings))
+    scene = pt.open_scene(options.scene, parse_settings(options.settings))
     model = pt.load(options.model) if options.model else trained_model(scene, Console())
     found = study(options.scene, scene, model, options.paths, options.seed)
     print(f"bound finite in {found['known']:.1%} of the time in contact; kept in {found['kept']:.1%} of the paths")

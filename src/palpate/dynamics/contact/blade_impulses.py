@@ -72,11 +72,11 @@ def _slip(sites, s, place, at, frame, normal):
 def _edge_impulse(frame, direction, relative, response, most, before, clear):
     """Return the impulse of the edge on the tissue, in place of the one before in this step, for a push at most `most`.
 
-    The force opposes the velocity w of the tissue relative to the edge, and its power is that of its part w_c normal to
-    the edge times the force of a straight push: F = F_push |w_c| w / |w|^2 (Atkins, Xu and Jeronimidis, Journal of
-    Materials Science 39, 2004). With the velocity after the impulse, w' = (1 - most |w_c| / (m |w|^2)) w; the tissue
-    stops where this is negative. `clear` is the speed at which the edge just reaches the front at the end of the step.
-    A blade that moves more across its flat than ahead takes the tissue with it.
+    The force opposes the velocity w of the tissue relative to the edge, and its power is that of the normal part times
+    the force of a straight push: F = F_push w_n w / |w|^2 (Atkins, Xu and Jeronimidis, Journal of Materials Science 39,
+    2004). With the velocity after the impulse, w' = (1 - most w_n / (m |w|^2)) w; the tissue stops where this is
+    negative. `clear` is the speed at which the edge just reaches the front at the end of the step. A blade that moves
+    more across its flat than ahead takes the tissue with it.
     """
     normal, tangent = _turned(frame, direction), _turned(frame, (-direction[2], 0.0, direction[0]))
     flat = _turned(frame, (0.0, 1.0, 0.0))
@@ -86,8 +86,8 @@ def _edge_impulse(frame, direction, relative, response, most, before, clear):
     push, pull, hold = 0.0, 0.0, -across / response
     if advance > 0.0:
         turned = across if abs(across) < advance else 0.0
-        square = advance * advance + turned * turned
-        share = min(1.0, most * response * np.sqrt(square) / (square + slide * slide)) / response
+        square = advance * advance + turned * turned + slide * slide
+        share = min(1.0, most * response * advance / square) / response
         push, pull = share * advance, -share * slide
         if turned != 0.0:
             hold = -share * across

@@ -128,8 +128,13 @@ class Incision(Described):
 
     @property
     def totals(self) -> Floats:
-        """Cut area [m^2], released energy, and energies dissipated at the edge and by friction [J], shape (4,)."""
-        return np.array([self.area, self.released, self.edge_work, self.friction_work])
+        """Cut area [m^2], released energy, and energies dissipated at the edge and by friction [J], shape (4,).
+
+        Area and release include those of the way of the front since the last cut, of which the work at the edge is.
+        """
+        since = 0.0 if self.hold is None else float(self.hold.slips @ self.hold.areas)
+        released = self.released + self.release_rate * since
+        return np.array([self.area + since, released, self.edge_work, self.friction_work])
 
     def with_works(self, edge: float, friction: float) -> Incision:
         """Return the incision with further energies [J] dissipated at the edge and by friction."""
@@ -137,8 +142,8 @@ class Incision(Described):
 
     def _facts(self) -> list[Fact]:
         return [
-            ("cut area", float(self.area), "m^2"),
-            ("released energy", float(self.released), "J"),
+            ("cut area", float(self.totals[0]), "m^2"),
+            ("released energy", float(self.totals[1]), "J"),
             ("energy dissipated at the edge", float(self.edge_work), "J"),
             ("energy dissipated by friction", float(self.friction_work), "J"),
         ]
