@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.compiled.reference import StoredRecord
 from palpate.dynamics.contact.stiffness import limit_stiffness
 
@@ -182,8 +182,13 @@ def test_the_stiffness_of_each_of_two_tools_is_limited_and_that_of_one_at_rest_i
     np.testing.assert_allclose(both[1], kept, atol=0.2 * kept[2, 2])
 
 
+@kernel_njit()
+def limit(matrix, largest):
+    """Limit a matrix (3, 3)."""
+    limit_stiffness((matrix[0], matrix[1], matrix[2]), largest)
+
+
 def test_a_stiffness_is_limited_to_eigenvalues_from_zero_to_the_largest():
-    limit = numba.njit(lambda matrix, largest: limit_stiffness((matrix[0], matrix[1], matrix[2]), largest))
     random = np.random.default_rng(0)
     for _ in range(200):
         given = random.standard_normal((3, 3)) * 10.0 ** random.integers(-3, 4)
