@@ -175,9 +175,9 @@ class Reading(PeriodRecord):
         ``"stopped"``, ``"running"``, ``"paused"`` or ``"diverged"``. After a divergence the other
         fields keep the last valid values.
     worst_trust : float
-        Largest trust number since the body was at rest, which decays as its vibrations do; `palpate.ReducedModel.expected_error` converts it to an
-        error. The body is at rest when its energy has fallen to 1e-4 of the largest of the motion: what is left
-        of an error is below 1 % of the amplitude.
+        Largest trust number since the body was at rest, which decays as its vibrations do;
+        `palpate.ReducedModel.expected_error` converts it to an error. The body is at rest when its energy has fallen
+        to 1e-4 of the largest of the motion: what is left of an error is below 1 % of the amplitude.
     largest_force : float [N]
         Largest force on the tool since the body was at rest.
     force_bound : float [N]
