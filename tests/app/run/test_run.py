@@ -157,7 +157,11 @@ def test_the_reported_force_and_trust_are_those_of_all_periods(realtime):
     assert tool["largest_force"] > 0
     assert tool["untrained_share"] == pytest.approx(np.mean(trust > 1))
     curves = report["model"]["held_out"]["expected_error"]
-    assert tool["expected_error"].keys() == curves.keys() - {"level", "least_level"} == {"displacement", "force"}
+    assert (
+        tool["expected_error"].keys()
+        == curves.keys() - {"level", "least_level", "forgetting"}
+        == {"displacement", "force"}
+    )
     for of, found in tool["expected_error"].items():
         expected = expected_error(report["model"], float(trust.max()), of)
         assert [found[name] or np.inf for name in expected._fields] == pytest.approx(list(expected))

@@ -262,7 +262,7 @@ def _check_curves(curves: Any) -> None:
     """Refuse curves of expected errors that the calibration does not write."""
     levels = {"level", "least_level"}
     known = levels | {"displacement", "force", "forgetting"}  # older files lack the last
-    if not isinstance(curves, dict) or not levels | {"displacement"} <= curves.keys() <= known:
+    if not isinstance(curves, dict) or not levels < curves.keys() <= known:
         raise InputError("header report holds expected errors without levels and displacement")
     for name in sorted(levels):
         number_in_range(name, curves[name], 0.0, 1.0)
