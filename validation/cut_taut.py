@@ -1,4 +1,4 @@
-"""A blade in taut tissue, in runs and in the engine, against other energy release rates; `cuts.py` runs it.
+"""A blade in taut tissue, against other energy release rates; `cuts.py` runs it.
 
 The edge crosses a sheet of thickness t, and moves along its middle. Its force is to be (Gamma - G) t in every frame.
 
@@ -31,14 +31,13 @@ STRIP, SHEET = (56e-3, 18e-3), (24e-3, 60e-3)  # length along the cut, and heigh
 TOUGHNESS = {"strip": 5.0, "edge crack": 4.0}  # [J/m^2]
 TENSIONS = {"strip": (0.03, 0.05, 0.07), "edge crack": (900.0, 1200.0, 1500.0)}  # strain; stress [Pa]
 SPACINGS = (2e-3, 1.5e-3)
-SPEEDS, ENGINE_SPEED = {"strip": (0.1, 0.3), "edge crack": (0.05, 0.1)}, 0.01  # [m/s]
+SPEEDS = {"strip": (0.1, 0.3), "edge crack": (0.05, 0.1)}  # [m/s]
 PLACE = 0.1  # of the cut above the middle, in spacings: between nodes
 PULL_TIME, REST = 0.08, 0.04  # [s] in which the tension grows, and until the blade moves
 FIRST_END = 6e-3  # [m] of the edge crack
 BEHIND = 3e-3  # [m] from the sheet where the blade begins
 MIDDLE = (0.4, 0.6)  # of the length of the strip, between which its energy is that of a long one
 MASS_DAMPING = 100.0  # [1/s]
-FAR = 1.0  # [m] from the side to the middle of the round part that forceps hold
 
 
 def energy_per_area(body: pt.Solid, loads: list[Any]) -> float:
@@ -110,52 +109,10 @@ def compared(kind: str, tension: float, spacing: float, speed: float) -> dict[st
     }  # fmt: skip
 
 
-def in_engine(tension: float, spacing: float, speed: float) -> dict[str, Any]:
-    """Return errors of the mean force of a blade in the engine and of its cost, in a strip that forceps stretch."""
-    began, toughness, (length, height) = time.perf_counter(), TOUGHNESS["strip"], STRIP
-    cloud = pt.box((length, height, THICKNESS), spacing)
-    body = pt.Solid(cloud, TISSUE, "y-", mass_damping=MASS_DAMPING)
-    pull, middle = tension * height, 0.5 * (1 + tension) * height + PLACE * spacing
-    density = energy_per_area(body, [pt.PrescribedMotion("y+", lambda _, t: (0.0, pull, 0.0))])
-    place = (0.5 * length, height + FAR, 0.5 * THICKNESS)
-    forceps = pt.tools.Grasp(place, FAR + 0.4 * spacing, place, name="forceps")
-    blade = pt.tools.Blade(edge=[(-THICKNESS, 0, 0), (THICKNESS, 0, 0)], toughness=toughness)
-    knife = pt.tools.Contact(blade, ((-BEHIND, middle, 0.5 * THICKNESS), ACROSS), name="knife")
-    model = pt.realtime_model(body, contact=[forceps, knife])
-    rows = []
-    with pt.Engine(model) as engine:
-        while model.cutter.incision is None:
-            time.sleep(0.01)
-        for k in range(101):
-            engine.set_pose((0.0, 0.01 * k * pull, 0.0), tool="forceps")
-            time.sleep(0.01)
-        start = time.monotonic()
-        while not rows or rows[-1][0] < length - height:
-            engine.set_pose((speed * (time.monotonic() - start), 0.0, 0.0), tool="knife")
-            time.sleep(2e-3)
-            reading, cut = engine.read(), model.cutter.totals
-            rows.append((cut[0] / THICKNESS, reading.tools[1].force[0] / THICKNESS, cut[1] + cut[2], cut[0]))
-            assert not model.cutter.failure, model.cutter.failure
-    ends, forces, costs, areas = np.array(rows).T
-    used = np.flatnonzero((ends > height) & (ends < length - height))
-    first, last, released = used[0], used[-1], density / toughness
-    return {
-        "kind": "engine", "tension": tension, "spacing": spacing, "speed": speed, "nodes": len(cloud),
-        "released": [released, released], "force": [forces[used].mean() / (toughness * (1 - released)) - 1],
-        "cost": [(costs[last] - costs[first]) / (toughness * (areas[last] - areas[first])) - 1],
-        "seconds_per_cut": model.cutter.seconds, "seconds": time.perf_counter() - began,
-    }  # fmt: skip
-
-
 def in_runs() -> list[dict[str, Any]]:
     """Run all tensions, spacings and speeds, and print each."""
     cases = [case for kind in TENSIONS for case in product([kind], TENSIONS[kind], SPACINGS, SPEEDS[kind])]
     return [printed(compared(*case)) for case in cases]
-
-
-def in_engines() -> list[dict[str, Any]]:
-    """Run all tensions of the strip in the engine, and print each."""
-    return [printed(in_engine(tension, SPACINGS[0], ENGINE_SPEED)) for tension in TENSIONS["strip"]]
 
 
 def printed(row: dict[str, Any]) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Cuts of a body against closed forms: forces along a cut, its opening and energy release, and its stability.
 
-    python validation/cuts.py [--parts patch halves penny strip trousers taut engine blade stability]
+    python validation/cuts.py [--parts patch halves penny strip trousers taut blade stability]
         [--bodies NAME ...] [--count 50]
 
 writes docs/validation/cuts.json, which keeps the results of parts that were not asked for, and prints the figures.
@@ -85,7 +85,7 @@ def main() -> None:
     """Run the parts asked for, and keep their results."""
     parts = {
         "patch": patch, "halves": halves, "penny": penny, "strip": strip, "trousers": trousers,
-        "taut": cut_taut.in_runs, "engine": cut_taut.in_engines, "blade": blade,
+        "taut": cut_taut.in_runs, "blade": blade,
     }  # fmt: skip
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--parts", nargs="+", choices=[*parts, "stability"], default=[*parts, "stability"])

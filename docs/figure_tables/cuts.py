@@ -10,7 +10,7 @@ from figure_tables.cells import Row, block, distinct, markdown, signed
 CRACKS = "python validation/cuts.py --parts patch halves penny strip blade"
 STRIPS = "python validation/cuts.py --parts strip blade"
 TROUSERS = "python validation/cuts.py --parts trousers"
-TAUT = "python validation/cuts.py --parts taut engine"
+TAUT = "python validation/cuts.py --parts taut"
 RANDOM_CUTS = "python validation/cuts.py --parts stability --bodies"
 STABILITY = (
     f"{RANDOM_CUTS} box 'generated liver' 'HRA liver'` and `{RANDOM_CUTS} 'SOFA liver' --count 50` and "
@@ -89,14 +89,11 @@ def cuts_trousers(found: Row) -> str:
 def cuts_taut(found: Row) -> str:
     """Return errors of the force of a blade in taut tissue, and of what its cut costs."""
     lines = []
-    for row in [*found["taut"], *found["engine"]]:
+    for row in found["taut"]:
         unit = f"{row['tension']:g} Pa" if row["kind"] == "edge crack" else f"{1 + row['tension']:g}"
         low, high = row["released"]
         share = f"{low:.2f}" if high - low < 0.005 else f"{low:.2f} to {high:.2f}"
-        errors = [
-            signed(row[name][0]) if len(row[name]) == 1 else f"{signed(min(row[name]))} to {signed(max(row[name]))}"
-            for name in ("force", "cost")
-        ]
+        errors = [f"{signed(min(row[name]))} to {signed(max(row[name]))}" for name in ("force", "cost")]
         head = [row["kind"], unit, f"{1e3 * row['spacing']:g} mm", f"{row['nodes']:,}", f"{row['speed']:g} m/s"]
         lines.append([*head, share, *errors])
     return markdown(["tissue", "stretch or stress", "h", "nodes", "blade", "G/Γ", "force", "cost"], lines)
