@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import palpate as pt
-from palpate.realtime.period import FARTHEST, IGNORE, LONGEST_WAY, Settings, Work, move_tools, take_pose
+from palpate.realtime.period import IGNORE, LARGEST_WAY, MOST_PERIODS, Settings, Work, move_tools, take_pose
 from palpate.realtime.pose import IDENTITY_POSE, follow_pose, normalise_pose, tool_coordinates, wrench
 
 
@@ -88,7 +88,7 @@ def test_a_pose_is_reached_evenly_in_a_number_of_periods():
 def test_a_tool_follows_a_pointer_as_fast_as_the_pointer_moves():
     """Poses come every 17 periods; at the largest speed the tool would make each way in two periods, and wait."""
     work = Work.at_rest(np.zeros(3), np.eye(3, 12))
-    work.follow[0, LONGEST_WAY] = 40.0
+    work.follow[0, MOST_PERIODS] = 40.0
     settings = Settings(1_000_000, 0, 5e-4, 0.01, np.inf, 0, IGNORE, 0)
     ways = []
     for period in range(340):
@@ -99,7 +99,7 @@ def test_a_tool_follows_a_pointer_as_fast_as_the_pointer_moves():
         ways.append(work.pose[0, 0] - before)
     assert np.ptp(ways[34:]) < 1e-12
     assert ways[-1] == pytest.approx(50e-6)
-    work.follow[0, FARTHEST] = 30e-6  # slower than the pointer
+    work.follow[0, LARGEST_WAY] = 30e-6  # slower than the pointer
     take_pose(work, 0, np.array([0.0, 0, 0, 1, 0, 0, 0]))
     move_tools(work, settings)
     assert work.pose[0, 0] == pytest.approx(340 * 50e-6 - 30e-6)

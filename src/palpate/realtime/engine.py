@@ -29,9 +29,9 @@ from palpate.realtime.loop import DIVERGED, PAUSED, RUNNING, STOPPED, Channels, 
 from palpate.realtime.observable import ObservableModel, make_observable
 from palpate.realtime.period import (
     CLAMP,
-    FARTHEST,
     IGNORE,
-    LONGEST_WAY,
+    LARGEST_WAY,
+    MOST_PERIODS,
     SEQUENCE,
     STOP,
     TIME_SCALE,
@@ -449,7 +449,7 @@ class Engine(Described):
         if speed != math.inf:
             speed = number_in_range("speed", speed, 0.0, open_low=True, unit="m/s")
         follow = self._work.follow[index]
-        follow[LONGEST_WAY], follow[FARTHEST] = round(seconds / self.period), speed * self.period
+        follow[MOST_PERIODS], follow[LARGEST_WAY] = round(seconds / self.period), speed * self.period
 
     def slow_down(self, factor: float) -> None:
         """Slow model time and the speeds of the tool by a factor.

@@ -32,8 +32,9 @@ MAX_TRAIL = 256  # stored trusted poses
 RETREAT_DIVISOR = 4  # the tool moves back by 1 / RETREAT_DIVISOR of its trail ...
 SETTLING_TIME = 0.05  # [s] ... if trust does not return within this time, in which vibrations decay
 REST_ENERGY = 1e-4  # energy of a body at rest, over the largest since it was at rest: 1 % of the amplitude
-MODEL_TIME, TIME_SCALE, WAITED, LARGEST_ENERGY, WORST_SINCE_RESET, FORGETTING = range(6)  # indices in `Work.clock`
-LONGEST_WAY, FARTHEST, SINCE, LEFT = range(4)  # indices in `Work.follow`
+# indices in `Work.clock` and in `Work.follow`
+MODEL_TIME, TIME_SCALE, WAITED, LARGEST_ENERGY, WORST_SINCE_RESET, FORGETTING_RATE = range(6)
+MOST_PERIODS, LARGEST_WAY, PERIODS_SINCE, PERIODS_LEFT = range(4)
 SAME_POSE = 1e-12  # difference of numbers of poses below which they are the same
 
 TIME, PERIODS, FAILED, ITERATIONS = (field_offset(name) for name in ("time", "steps", "failed", "iterations"))
@@ -176,7 +177,7 @@ def reset_work(work, rest):
 def place_work(work, t):
     """Start again from the present pose of a tool, with no force on it; others go on."""
     copy_to(work.pose[t], work.wanted[t], 0)
-    work.follow[t, LEFT] = 1.0
+    work.follow[t, PERIODS_LEFT] = 1.0
     for s in range(work.pose.shape[0]):
         copy_to(work.pose[s], work.trail[0, s], 0)
     work.length[0], work.record[CLAMPED] = 1, 0.0
@@ -196,7 +197,7 @@ def take_pose(work, t, pose):
     is_taken = request_pose(work.wanted[t], pose)
     if is_taken and different > 0:
         follow = work.follow[t]
-        follow[LEFT], follow[SINCE] = max(1.0, min(follow[SINCE], follow[LONGEST_WAY])), 0.0
+        follow[PERIODS_LEFT], follow[PERIODS_SINCE] = max(1.0, min(follow[PERIODS_SINCE], follow[MOST_PERIODS])), 0.0
     return is_taken
 
 
@@ -211,9 +212,12 @@ def move_tools(work, settings):
             work.record[CLAMPED] = 0.0
     time_scale, follow = work.clock[TIME_SCALE], work.follow
     for t in range(goal.shape[0]):
-        way = time_scale * min(settings.max_distance, follow[t, FARTHEST])
-        follow_pose(work.pose[t], goal[t], way, time_scale * settings.max_angle, follow[t, LEFT])
-        follow[t, SINCE], follow[t, LEFT] = follow[t, SINCE] + 1.0, max(follow[t, LEFT] - 1.0, 1.0)
+        way = time_scale * min(settings.max_distance, follow[t, LARGEST_WAY])
+        follow_pose(work.pose[t], goal[t], way, time_scale * settings.max_angle, follow[t, PERIODS_LEFT])
+        follow[t, PERIODS_SINCE], follow[t, PERIODS_LEFT] = (
+            follow[t, PERIODS_SINCE] + 1.0,
+            max(follow[t, PERIODS_LEFT] - 1.0, 1.0),
+        )
     tool_coordinates(work.tool, work.pose, work.target)
 
 
@@ -336,7 +340,7 @@ def write_record(work, settings):
     record[ITERATIONS], record[TRUSTED] = report[STEPS], report[TRUST]
     _forget_at_rest(work)
     seconds = 1e-9 * work.clock[TIME_SCALE] * settings.period
-    remembered = np.exp(-work.clock[FORGETTING] * seconds) * record[WORST_TRUST]
+    remembered = np.exp(-work.clock[FORGETTING_RATE] * seconds) * record[WORST_TRUST]
     record[WORST_TRUST] = max(remembered, report[TRUST])
     work.clock[WORST_SINCE_RESET] = max(work.clock[WORST_SINCE_RESET], report[TRUST])
     record[ENERGIES], record[ENERGIES + 1] = report[KINETIC], report[STRAIN]
