@@ -107,9 +107,10 @@ def with_pairs(body: Any, prepared: PreparedLoads) -> PreparedLoads:
 def advance_blade(
     body: Any, state: State, tool: Contact, frame: Floats, held: Any, number: int = 0
 ) -> tuple[Any, Incision, Any, float]:
-    """Return the body that a blade in a frame (3, 4) has cut, the incision, the new sites or None, and the release [J].
+    """Return the body that a blade in a frame (3, 4) has cut, the incision, the new sites or None, and a lost energy.
 
-    `held` are nodes (h,) that supports or other tools hold.
+    The energy [J] is what the body loses at fixed displacements. `held` are nodes (h,) that supports or other tools
+    hold.
     """
     blade: Any = tool.tool
     cloud, u, history = body.cloud, state.coordinates, state.history
@@ -119,6 +120,8 @@ def advance_blade(
         incision, sites = _start(body, u, tool, frame, number)
         return body, *_with_faces(incision, sites, face_pairs(cut_state, u)), 0.0
     cuts = advance_edge(cut_state, incision, blade, frame, u, corners)
+    if not cuts and (incision.hold is None or not len(incision.hold.pieces)):  # outside the tissue
+        return body, replace(incision, release_rate=0.0), None, 0.0
     before = body.evaluate(u, history)
     rate = front_release_rate(body, incision, u, before)
     is_front = incision.hold is not None and incision.hold.is_front

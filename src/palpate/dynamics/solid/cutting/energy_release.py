@@ -52,12 +52,12 @@ def release_rate(
     near = np.flatnonzero(np.all((points > low - reach) & (points < high + reach), axis=1))
     q[near] = _motion(points[near], segments, directions, spacing)
     density, volumes = evaluation.energy_density, body.volumes
-    carried = np.einsum("nik,nk->ni", body.deformation_gradient(u)[near] - np.eye(3), q[near])
+    gradients = body.deformation_gradient(u) - np.eye(3)
+    carried = np.einsum("nik,nk->ni", gradients[near], q[near])
     moved = -np.sum(volumes[near, None] * evaluation.force[near] * carried)
     slopes = body.deformation_gradient(q) - np.eye(3)
     used = np.flatnonzero(np.any(slopes != 0.0, axis=(1, 2)))
-    gradients = body.deformation_gradient(u)[used] - np.eye(3)
-    work = np.einsum("nij,nik,nkj->n", evaluation.stress[used], gradients, slopes[used])
+    work = np.einsum("nij,nik,nkj->n", evaluation.stress[used], gradients[used], slopes[used])
     inside = volumes[used] @ (work - density[used] * np.trace(slopes[used], axis1=1, axis2=2))
     areas = body.cloud.boundary_vectors() * body.cloud.volumes[:, None]
     outside = density[near] @ np.sum(q[near] * areas[near], axis=1)
