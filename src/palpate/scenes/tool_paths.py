@@ -41,8 +41,8 @@ CLEARANCE_RADII = 0.2  # [radii] between ball and body near a press; twice that 
 # [s] away, near, pressed, slid, near, away; of forceps: pulled, turned
 PHASE_TIMES = (0.0, 0.02, 0.25, 0.45, 0.58, 0.6)
 SLIDE_SHARES = (0.0, 0.0, 0.0, 1.0, 1.0, 1.0)  # share of the slide at these times
-# Of touches, held-out paths: length [s]; time constant of the approach [s], as page/src/press.js; clearance [radii] at the
-# start; time of the next motion [s]; speeds [m/s] by which the ball is drawn aside, flicked aside or let go
+# Of touches, held-out paths: length [s]; time constant of the approach [s], as page/src/press.js; clearance [radii] at
+# the start; time of the next motion [s]; speeds [m/s] by which the ball is drawn aside, flicked aside or let go
 TOUCH_SECONDS, TOUCH_TIME, TOUCH_CLEARANCE, NEXT_MOTION = 0.3, 0.07, 0.05, 0.14
 DRAW_SPEED, FLICK_SPEED, RELEASE_SPEED = 0.05, 0.2, 0.1
 TOUCH_MOTIONS = ("hold", "draw", "flick", "release")

@@ -110,14 +110,14 @@ class ExpectedError(NamedTuple):
     Parameters
     ----------
     median : float
-        Of the frames of the held-out runs. Infinite, as `bound`, where the error is unknown: above all trust
-        numbers of these runs.
+        Of the frames of the held-out runs. Infinite, as `bound`, where the error is unknown: at a trust number of 2
+        or more.
     bound : float
         Bound that the errors of a run do not exceed in any frame, with the probability `level`.
     level : float
         0.95, or n / (n + 1) for less than 19 held-out runs n. It is the share of runs, of the kind of the
         held-out runs, that keep the bound in all their frames, in the mean over campaigns. Where these are runs
-        with one tool and with two, n is the smaller number of either, and each kind keeps the level.
+        with one tool and with two, each kind keeps the level by itself if it has 19 runs.
     least_level : float
         Share of such runs that keep the bound of this campaign, with a confidence of 90 %.
     typical_size : float [m] or [N]
