@@ -243,10 +243,14 @@ class Scene(Described):
             return self.tool_paths()
         duration = self.description.training.duration
         self.held_motion(0, duration)  # raises an error at once
+        from palpate.scenes.scene_paths import HAND_DURATION, held_motion
+        from palpate.scenes.tool_paths import is_touch
 
         def path(seed: int) -> tuple[tuple[Load, ...], float]:
-            load = self.held_motion(seed, duration).load(self.body.cloud, self.held_group)
-            return (*self.foundations, load), duration
+            by_hand = is_touch(seed)
+            length = HAND_DURATION * duration if by_hand else duration
+            load = held_motion(self.description.training, seed, length, by_hand).load(self.body.cloud, self.held_group)
+            return (*self.foundations, load), length
 
         return path
 

@@ -17,20 +17,24 @@ from palpate.dynamics.membrane.model import Membrane
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 from palpate.scenes.description import Tool, Training
-from palpate.scenes.tool_paths import ToolPaths
+from palpate.scenes.tool_paths import DRAW_SPEED, TOUCH_MOTIONS, TOUCH_TIME, ToolPaths
 
 RADIUS_SHARE, DEPTH_SHARE, SLIDE_SHARE = 0.06, 0.07, 0.08  # of the body's length, where the scene gives none
 MIN_RADIUS = 2.5  # [spacings] of the ball
 MIN_DEPTH_RATIO = 0.3  # depth of the shallowest press over that of the deepest
 SWINGS_PER_MOTION = 3  # in a motion of a held group
+POSE_INTERVAL = 1 / 60  # [s] between poses of a pointer
+FAST_SPEED = 0.5  # [m/s] of a fast motion of a held group in a hand
+HAND_DURATION = 1.5  # of a motion by hand over that of a smooth one
+RETURN_TIME = 0.1  # [s] in which it returns, in the second half of its motion
 
 
-def held_motion(training: Training, seed: int, duration: float) -> HeldMotion:
-    """Return a motion of a tool that holds a group; raise `InputError` for swings of no size."""
+def held_motion(training: Training, seed: int, duration: float, by_hand: bool = False) -> HeldMotion:
+    """Return a motion of a tool that holds a group, smooth or by hand; raise `InputError` for swings of no size."""
     bounds = np.array([[*training.low, *training.low_turn], [*training.high, *training.high_turn]])
     if not np.all(bounds[0] <= bounds[1]) or not bounds.any():
         raise InputError("low of [training] must be at most high, and not all 0, for a tool that holds a group")
-    return HeldMotion(seed, duration, bounds)
+    return (HandMotion if by_hand else HeldMotion)(seed, duration, bounds)
 
 
 def touching_paths(
@@ -106,3 +110,36 @@ class HeldMotion:
             return np.asarray(moved + turned.apply(arms) - arms)
 
         return PrescribedMotion(group, displacement)
+
+
+@dataclass(frozen=True)
+class HandMotion(HeldMotion):
+    """Motion of a hand at a pointer that moves a tool to the end of one swing, as the touches of `ToolPaths`.
+
+    It goes there exponentially, at a slow or at a fast constant speed. In one of four motions it returns. The tool
+    has 60 poses a second, and moves evenly between them. Half of the motions rotate.
+    """
+
+    @cached_property
+    def shares(self) -> Floats:
+        """Shares of the swing at the poses, of which the last is after the end."""
+        random = np.random.default_rng([self.seed, SWINGS_PER_MOTION])
+        times = np.arange(0.0, self.duration + 2 * POSE_INTERVAL, POSE_INTERVAL)
+        kind, length = random.choice(TOUCH_MOTIONS), max(float(np.linalg.norm(self.sizes[0, :3])), 1e-9)
+        if kind in ("draw", "flick"):
+            return np.minimum((DRAW_SPEED if kind == "draw" else FAST_SPEED) * times / length, 1.0)
+        shares = 1.0 - np.exp(-times / TOUCH_TIME)
+        if kind == "release":
+            shares *= np.clip(1.0 - (times - 0.5 * self.duration) / RETURN_TIME, 0.0, 1.0)
+        return np.asarray(shares)
+
+    @cached_property
+    def swing(self) -> Floats:
+        """Displacement [m] and rotation vector [rad] of the swing (6,)."""
+        rotates = np.random.default_rng([self.seed, 6]).choice([0.0, 1.0])
+        return np.concatenate([self.sizes[0, :3], rotates * self.sizes[0, 3:]])
+
+    def pose(self, time: float) -> tuple[Floats, Rotation]:
+        """Return the displacement (3,) [m] of the tool's reference point and the rotation about it at a time [s]."""
+        moved = np.interp(time, POSE_INTERVAL * np.arange(len(self.shares)), self.shares) * self.swing
+        return moved[:3], Rotation.from_rotvec(moved[3:])

@@ -180,7 +180,7 @@ class ToolPaths:
             The last six digits are the number of the path in its campaign. Places of the numbers below 500,000 are
             spread over the surface together. Those of others, for held-out runs, are independent.
         """
-        is_pair = _is_touch(seed) and _is_pair(seed % TRAINING_SEEDS, self.pairs)
+        is_pair = is_touch(seed) and _is_pair(seed % TRAINING_SEEDS, self.pairs)
         return self.pair(seed) if is_pair else self.single(seed)
 
     def single(self, seed: int) -> tuple[tuple[Load, ...], float]:
@@ -266,7 +266,7 @@ class ToolPaths:
         times = np.linspace(0.0, duration + delay, PAIR_SAMPLES)
         least, chosen = np.inf, None
         for number in seeds.tolist():
-            second = _delayed(self._draw(number, _is_touch(seed))[0], delay)
+            second = _delayed(self._draw(number, is_touch(seed))[0], delay)
             distances = np.linalg.norm(_centres(first, times) - _centres(second, times), axis=1)
             apart = _size(first) + _size(second) + self.surface.cloud.spacing
             if distances.min() >= apart and (chosen is None or (near and distances.min() < least)):
@@ -277,7 +277,7 @@ class ToolPaths:
 
     def _draw(self, seed: int, touch: bool | None = None) -> tuple[Contact | Grasp, float]:
         """Return the press, the touch or the grasp of a path and its duration [s]."""
-        touch = _is_touch(seed) if touch is None else touch
+        touch = is_touch(seed) if touch is None else touch
         if _is_grasp(seed, self.grasps):
             (grasp,), duration = self.grasp(seed, TOUCH_PHASES if touch else PHASE_TIMES)
             return grasp, TOUCH_SECONDS if touch else duration
@@ -421,7 +421,7 @@ class ToolPaths:
             )
 
 
-def _is_touch(seed: int) -> bool:
+def is_touch(seed: int) -> bool:
     """Return whether a path is held out, and so a touch of a hand."""
     return seed % CAMPAIGN_SEEDS >= TRAINING_SEEDS
 
