@@ -28,6 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import result_files
 from organs import DATA
+from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import PchipInterpolator
 
 import palpate as pt
@@ -54,7 +55,7 @@ DURATION = {"click": 1.0, "drag": 1.4, "flick": 1.0, "tap": 0.5, "two tools": 1.
 DRAG_SPEED, FLICK_SPEED, WAY = 0.05, 0.5, 0.03  # [m/s]; [m] sideways, at most
 SECOND_DELAY = 0.2  # [s] of the second of two tools
 LEAST_FORCE = 1e-3  # [N] of a tool in contact
-DATA_INTERVAL = 2e-3  # [s] between frames of the full body
+DATA_INTERVAL = 5e-3  # [s] between frames of the full body
 WORKERS = 2  # processes that train
 FIRST_SEED = 1000  # of the paths; the campaign has seed 0
 
@@ -171,16 +172,18 @@ def compared(scene: Scene, model: pt.ReducedModel, table: Floats, radius: float)
     times, tools = table[:, 0] - table[0, 0], table[:, 2:].reshape(len(table), -1, 7)
     loads = [_load(scene, PchipInterpolator(times, tools[:, k, :3]), k, radius) for k in range(tools.shape[1])]
     every = [*loads, *scene.foundations]
-    full = pt.rollout(scene.body, every, duration=times[-1], every=DATA_INTERVAL, progress=False)
+    duration = DATA_INTERVAL * math.floor(times[-1] / DATA_INTERVAL)
+    full = pt.rollout(scene.body, every, duration=duration, every=DATA_INTERVAL, progress=False)
     so_far = remembered_trust(table[:, 1], times, forgetting_rate(model.report))
     worst, beyond, in_contact, known, sizes, bounds_of = 0.0, 0.0, [], [], [], []
     errors_of = [0.0]
     for k, load in enumerate(loads):
         name = load.group if scene.held_group else load.name
         on_body = full.reactions[name][1:]
-        forces = np.stack([np.interp(full.times, times, tools[:, k, 3 + axis]) for axis in range(3)], axis=1)
         # the force of a frame of the run is the mean since the one before; that on the hand, and on the body
-        errors = np.linalg.norm(0.5 * (forces[1:] + forces[:-1]) + on_body, axis=1)
+        impulses = cumulative_trapezoid(tools[:, k, 3:6], times, axis=0, initial=0.0)
+        means = np.diff(PchipInterpolator(times, impulses)(full.times), axis=0) / DATA_INTERVAL
+        errors = np.linalg.norm(means + on_body, axis=1)
         bounds = tools[np.searchsorted(times, full.times[1:]).clip(max=len(times) - 1), k, 6]
         touching = np.linalg.norm(on_body, axis=1) > LEAST_FORCE
         finite = touching & np.isfinite(bounds)
