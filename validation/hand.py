@@ -10,7 +10,7 @@ then follows the paths that the tools took. Places and depths are others than th
 
 Models and runs are kept in the folder, under the commit of the sources, so that a stopped command continues. With
 ``--keep`` each body is added to docs/validation/hand.json, and bodies of the same commit there are not measured again.
-`pt.rollout` of the full body is the yardstick: it shows the error of the reduction, not that of the nodes.
+`pt.rollout` of the full body is the yardstick, by means over frames of 5 or 10 ms as in calibration. It shows the error of the reduction, not that of the nodes.
 """
 
 from __future__ import annotations
@@ -55,7 +55,6 @@ DURATION = {"click": 1.0, "drag": 1.4, "flick": 1.0, "tap": 0.5, "two tools": 1.
 DRAG_SPEED, FLICK_SPEED, WAY = 0.05, 0.5, 0.03  # [m/s]; [m] sideways, at most
 SECOND_DELAY = 0.2  # [s] of the second of two tools
 LEAST_FORCE = 1e-3  # [N] of a tool in contact
-DATA_INTERVAL = 5e-3  # [s] between frames of the full body
 WORKERS = 2  # processes that train
 FIRST_SEED = 1000  # of the paths; the campaign has seed 0
 
@@ -172,8 +171,9 @@ def compared(scene: Scene, model: pt.ReducedModel, table: Floats, radius: float)
     times, tools = table[:, 0] - table[0, 0], table[:, 2:].reshape(len(table), -1, 7)
     loads = [_load(scene, PchipInterpolator(times, tools[:, k, :3]), k, radius) for k in range(tools.shape[1])]
     every = [*loads, *scene.foundations]
-    duration = DATA_INTERVAL * math.floor(times[-1] / DATA_INTERVAL)
-    full = pt.rollout(scene.body, every, duration=duration, every=DATA_INTERVAL, progress=False)
+    interval = scene.description.training.every
+    duration = interval * math.floor(times[-1] / interval)
+    full = pt.rollout(scene.body, every, duration=duration, every=interval, progress=False)
     so_far = remembered_trust(table[:, 1], times, forgetting_rate(model.report))
     worst, beyond, in_contact, known, sizes, bounds_of = 0.0, 0.0, [], [], [], []
     errors_of = [0.0]
@@ -182,7 +182,7 @@ def compared(scene: Scene, model: pt.ReducedModel, table: Floats, radius: float)
         on_body = full.reactions[name][1:]
         # the force of a frame of the run is the mean since the one before; that on the hand, and on the body
         impulses = cumulative_trapezoid(tools[:, k, 3:6], times, axis=0, initial=0.0)
-        means = np.diff(PchipInterpolator(times, impulses)(full.times), axis=0) / DATA_INTERVAL
+        means = np.diff(PchipInterpolator(times, impulses)(full.times), axis=0) / interval
         errors = np.linalg.norm(means + on_body, axis=1)
         bounds = tools[np.searchsorted(times, full.times[1:]).clip(max=len(times) - 1), k, 6]
         touching = np.linalg.norm(on_body, axis=1) > LEAST_FORCE
