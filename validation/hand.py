@@ -175,6 +175,7 @@ def compared(scene: Scene, model: pt.ReducedModel, table: Floats, radius: float)
     duration = interval * math.floor(times[-1] / interval)
     full = pt.rollout(scene.body, every, duration=duration, every=interval, progress=False)
     so_far = remembered_trust(table[:, 1], times, forgetting_rate(model.report))
+    worst_time = math.nan
     worst, beyond, in_contact, known, sizes, bounds_of = 0.0, 0.0, [], [], [], []
     errors_of = [0.0]
     for k, load in enumerate(loads):
@@ -187,9 +188,11 @@ def compared(scene: Scene, model: pt.ReducedModel, table: Floats, radius: float)
         bounds = tools[np.searchsorted(times, full.times[1:]).clip(max=len(times) - 1), k, 6]
         touching = np.linalg.norm(on_body, axis=1) > LEAST_FORCE
         finite = touching & np.isfinite(bounds)
-        worst = max(worst, float((errors[finite] / bounds[finite]).max(initial=0.0)))
+        ratios = np.where(finite, errors / bounds, 0.0)
+        if ratios.max(initial=0.0) > worst:
+            worst, worst_time = float(ratios.max()), float(full.times[1 + ratios.argmax()])
         outside = finite & (so_far[np.searchsorted(times, full.times[1:]).clip(max=len(times) - 1)] > 1.0)
-        beyond = max(beyond, float((errors[outside] / bounds[outside]).max(initial=0.0)))
+        beyond = max(beyond, float(ratios[outside].max(initial=0.0)))
         size = np.linalg.norm(tools[:, k, 3:6], axis=1)
         in_contact.append(size > LEAST_FORCE)
         known.append(np.isfinite(tools[:, k, 6]))
@@ -202,7 +205,7 @@ def compared(scene: Scene, model: pt.ReducedModel, table: Floats, radius: float)
     return {
         "in_contact": float(contact.mean() * times[-1]), "known": float(finite.mean()) if contact.any() else math.nan,
         "largest_trust": float(table[:, 1].max()), "largest_force": max(sizes), "largest_error": max(errors_of),
-        "over_bound": worst, "over_bound_beyond_1": beyond,
+        "over_bound": worst, "over_at": worst_time, "over_bound_beyond_1": beyond,
         "mean_bound": float(np.mean(bounds_of)) if bounds_of else math.nan,
         "unknown_by": causes,
     }  # fmt: skip
