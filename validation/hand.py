@@ -10,7 +10,8 @@ then follows the paths that the tools took. Places and depths are others than th
 
 Models and runs are kept in the folder, under the commit of the sources, so that a stopped command continues. With
 ``--keep`` each body is added to docs/validation/hand.json, and bodies of the same commit there are not measured again.
-`pt.rollout` of the full body is the yardstick, by means over frames of 5 or 10 ms as in calibration. It shows the error of the reduction, not that of the nodes.
+`pt.rollout` of the full body is the yardstick, by means over frames of 5 or 10 ms as in calibration. It shows the error
+of the reduction, not that of the nodes.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import h5py
 import numpy as np
 import result_files
 from organs import DATA
@@ -38,7 +40,13 @@ from palpate.app.session.session import Session
 from palpate.app.train.campaign import MODEL_FILE
 from palpate.arrays import Floats
 from palpate.dynamics.contact.shapes import tool_parameters
-from palpate.reduction.hyper.error_indicator import bound_curve, forgetting_rate, measure_ratios, remembered_trust
+from palpate.reduction.hyper.error_indicator import (
+    bound_curve,
+    force_bound,
+    forgetting_rate,
+    measure_ratios,
+    remembered_trust,
+)
 from palpate.reduction.training.calibrate_indicator import repeat_run
 from palpate.reduction.training.threads import in_threads
 from palpate.scenes.open_surface import open_surface
@@ -46,7 +54,7 @@ from palpate.scenes.scene import Scene
 
 GAP, APPROACH = 0.008, 0.07  # [m] above the surface, and time constant [s], as page/src/press.js
 FRICTION = 0.2  # as page/src/toolSettings.js
-FRAME, SAMPLE = 1 / 60, 2e-3  # [s] between poses, and between readings
+FRAME = 1 / 60  # [s] between poses
 DEPTH_SHARE = 0.35  # depth of a click over the radius of the ball, as page/src/press.js
 CLICK_SHARE = 0.02  # depth of a click over the diagonal of the body, at most
 DEPTHS = 0.5, 2.0  # of a press over that of a click: the wheel and motions to and fro change it
@@ -135,10 +143,10 @@ def _touch_way(kind: str, touch: Floats, along: Floats, normal: Floats, depth: f
     return np.asarray(touch + ball_way(kind, time, along, normal, depth))
 
 
-def press(session: Session, hands: list[Hand], radius: float, kind: str) -> Floats:
-    """Move tools in real time; return a row for each reading: time, trust, and of each tool 7 numbers.
+def press(session: Session, hands: list[Hand], radius: float, kind: str, file: Path) -> Floats:
+    """Move tools in real time; return a row for each period: time, trust, largest so far, and of each tool 6 numbers.
 
-    They are position [3], force [3] and its bound.
+    They are position [3] and force [3]. The black box of the engine is written to a file for that.
     """
     message = {"quaternion": [1, 0, 0, 0], "friction": FRICTION, "stiffness": None}
     sizes, held = dict.fromkeys(tool_parameters(), radius), not session.tool_kinds
@@ -146,35 +154,36 @@ def press(session: Session, hands: list[Hand], radius: float, kind: str) -> Floa
         first = {"position": list(hand.start), "sequence": 1, "index": index}
         session.handle({"type": "tool", "kind": "sphere", **sizes, **message, **first})
     origin = session.tools[0].origin if held else np.zeros(3)
-    began, sent, sequence, rows = time.monotonic(), 0.0, 1, []
-    first_time = session.engine.read().time
+    first_time, began, sequence = session.engine.read().time, time.monotonic(), 1
     while (now := time.monotonic() - began) < DURATION[kind]:
-        if now >= sent:
-            sent, sequence = sent + FRAME, sequence + 1
-            for index, hand in enumerate(hands):
-                position = origin + hand.way(max(now - hand.delay, 0.0))
-                pose = {"position": list(position), "sequence": sequence, "index": index}
-                session.handle({"type": "pose", **message, **pose})
-        reading = session.engine.read()
-        row = [reading.time - first_time, reading.trust]
-        for hand, tool in zip(hands, reading.tools, strict=False):
-            row += [*(hand.start + tool.position), *tool.force, tool.force_bound]
-        rows.append(row)
-        time.sleep(SAMPLE)
+        sequence += 1
+        for index, hand in enumerate(hands):
+            position = origin + hand.way(max(now - hand.delay, 0.0))
+            pose = {"position": list(position), "sequence": sequence, "index": index}
+            session.handle({"type": "pose", **message, **pose})
+        time.sleep(max(began + (sequence - 1) * FRAME - time.monotonic(), 0.0))
+    session.engine.dump(file)
     session.reset()
-    table = np.array(rows)
-    return table[np.concatenate([[True], np.diff(table[:, 0]) > 0])]
+    with h5py.File(file) as kept:
+        times, tools = kept["time"][:], range(len(hands))
+        columns = [kept["trust"][:].reshape(-1, 1), kept["worst_trust"][:].reshape(-1, 1)]
+        for k, hand in zip(tools, hands, strict=True):
+            columns += [hand.start + kept["tools/position"][:, k], kept["tools/force"][:, k]]
+    table = np.concatenate([times[:, None], *columns], axis=1)
+    begun = np.flatnonzero(np.diff(times) < 0)  # the last reset
+    table = table[begun[-1] + 1 if len(begun) else 0 :]
+    return table[table[:, 0] >= first_time]
 
 
 def compared(scene: Scene, model: pt.ReducedModel, table: Floats, radius: float) -> dict[str, Any]:
     """Return how the forces of the full body on the same path are in the bounds of a press."""
-    times, tools = table[:, 0] - table[0, 0], table[:, 2:].reshape(len(table), -1, 7)
+    times, tools = table[:, 0] - table[0, 0], table[:, 3:].reshape(len(table), -1, 6)
     loads = [_load(scene, PchipInterpolator(times, tools[:, k, :3]), k, radius) for k in range(tools.shape[1])]
-    every = [*loads, *scene.foundations]
+    every, bound_of = [*loads, *scene.foundations], force_bound(model.report)
     interval = scene.description.training.every
     duration = interval * math.floor(times[-1] / interval)
     full = pt.rollout(scene.body, every, duration=duration, every=interval, progress=False)
-    so_far = remembered_trust(table[:, 1], times, forgetting_rate(model.report))
+    ends = np.searchsorted(times, full.times[1:] - 1e-9).clip(max=len(times) - 1)
     worst_time = math.nan
     worst, beyond, in_contact, known, sizes, bounds_of = 0.0, 0.0, [], [], [], []
     errors_of = [0.0]
@@ -182,20 +191,19 @@ def compared(scene: Scene, model: pt.ReducedModel, table: Floats, radius: float)
         name = load.group if scene.held_group else load.name
         on_body = full.reactions[name][1:]
         # the force of a frame of the run is the mean since the one before; that on the hand, and on the body
-        impulses = cumulative_trapezoid(tools[:, k, 3:6], times, axis=0, initial=0.0)
+        impulses = cumulative_trapezoid(tools[:, k, 3:], times, axis=0, initial=0.0)
         means = np.diff(PchipInterpolator(times, impulses)(full.times), axis=0) / interval
-        errors = np.linalg.norm(means + on_body, axis=1)
-        bounds = tools[np.searchsorted(times, full.times[1:]).clip(max=len(times) - 1), k, 6]
+        errors, size = np.linalg.norm(means + on_body, axis=1), np.linalg.norm(tools[:, k, 3:], axis=1)
+        every_bound = np.array([bound_of(*each) for each in zip(table[:, 2], size, strict=True)])
+        bounds = every_bound[ends]
         touching = np.linalg.norm(on_body, axis=1) > LEAST_FORCE
         finite = touching & np.isfinite(bounds)
         ratios = np.where(finite, errors / bounds, 0.0)
         if ratios.max(initial=0.0) > worst:
             worst, worst_time = float(ratios.max()), float(full.times[1 + ratios.argmax()])
-        outside = finite & (so_far[np.searchsorted(times, full.times[1:]).clip(max=len(times) - 1)] > 1.0)
-        beyond = max(beyond, float(ratios[outside].max(initial=0.0)))
-        size = np.linalg.norm(tools[:, k, 3:6], axis=1)
+        beyond = max(beyond, float(ratios[finite & (table[ends, 2] > 1.0)].max(initial=0.0)))
         in_contact.append(size > LEAST_FORCE)
-        known.append(np.isfinite(tools[:, k, 6]))
+        known.append(np.isfinite(every_bound))
         sizes.append(float(size.max()))
         errors_of.append(float(errors[touching].max(initial=0.0)))
         bounds_of += bounds[finite].tolist()
@@ -233,7 +241,7 @@ def _largest_measures(model: pt.ReducedModel, frames: Any) -> dict[str, float]:
     return {name: count / len(frames.times) for name, count in causes.items()}
 
 
-def study(name: str, scene: Scene, model: pt.ReducedModel, count: int, seed: int) -> dict[str, Any]:
+def study(name: str, scene: Scene, model: pt.ReducedModel, folder: Path, count: int, seed: int) -> dict[str, Any]:
     """Press a model along paths; return the figures of each, and those of all."""
     radius = 0.0 if scene.held_group else scene.tool_paths().radius
     kinds = [kind for kind in KINDS if not (scene.held_group and kind == "two tools")]
@@ -242,7 +250,8 @@ def study(name: str, scene: Scene, model: pt.ReducedModel, count: int, seed: int
     session.start()
     try:
         for k, kind in enumerate(kinds):
-            tables.append(press(session, hands_of(scene, kind, radius, FIRST_SEED + seed + k), radius, kind))
+            hands = hands_of(scene, kind, radius, FIRST_SEED + seed + k)
+            tables.append(press(session, hands, radius, kind, folder / "path.h5"))
     finally:
         session.close()
     with warnings.catch_warnings(action="ignore", category=pt.TrustWarning):
@@ -304,9 +313,10 @@ def main() -> None:
             every.append(done)
             continue
         began, scene = time.perf_counter(), BODIES[name]()
-        model = trained(scene, options.folder / commit / name.replace(" ", "_"))
+        folder = options.folder / commit / name.replace(" ", "_")
+        model = trained(scene, folder)
         between = time.perf_counter()
-        found = {"commit": commit, **study(name, scene, model, options.paths, options.seed)}
+        found = {"commit": commit, **study(name, scene, model, folder, options.paths, options.seed)}
         found["seconds"] = [between - began, time.perf_counter() - between]
         print(f"{line(name, found)}; level {found['level']:.0%}; training {found['seconds'][0]:.0f} s, "
               f"measuring {found['seconds'][1]:.0f} s", flush=True)  # fmt: skip
