@@ -78,16 +78,17 @@ def test_the_path_of_the_beam_is_smooth_and_starts_and_ends_at_rest(beam):
 
 
 def test_held_out_motions_of_a_held_group_are_those_of_a_hand(beam):
-    """They start and move as 60 poses a second make them, within the swings, and are longer than smooth ones."""
+    """They have some 60 poses a second, are within the swings, and are longer than smooth ones."""
     training, ends = beam.description.training, []
     for seed in range(500_000, 500_020):
         (load,), duration = beam.paths(seed)
         assert duration == pytest.approx(0.6)
         hand = held_motion(training, seed, duration, by_hand=True)
-        moved = np.array([hand.pose(time)[0] for time in np.arange(0.0, 0.6, 1 / 240)])
-        speeds = np.linalg.norm(np.diff(moved, axis=0), axis=1) * 240
-        np.testing.assert_allclose(np.diff(speeds.reshape(-1, 1)[:4].T), 0.0, atol=1e-9)  # even until the second pose
-        assert 0.0 < speeds.max() <= max(0.5, speeds[0]) + 1e-9
+        times, _ = hand.knots
+        assert np.all(np.diff(times) >= 0.0)
+        assert times[-1] >= duration
+        assert 25 < len(np.unique(times)) / 2 < 45  # some 60 poses a second, each with a start and an end
+        moved = np.array([hand.pose(time)[0] for time in np.arange(0.0, duration, 1e-3)])
         assert np.all(moved >= np.minimum(training.low, 0.0) - 1e-12)
         assert np.all(moved <= np.maximum(training.high, 0.0) + 1e-12)
         ends.append(np.linalg.norm(moved[-1]) / np.linalg.norm(moved, axis=1).max())

@@ -23,7 +23,7 @@ RADIUS_SHARE, DEPTH_SHARE, SLIDE_SHARE = 0.06, 0.07, 0.08  # of the body's lengt
 MIN_RADIUS = 2.5  # [spacings] of the ball
 MIN_DEPTH_RATIO = 0.3  # depth of the shallowest press over that of the deepest
 SWINGS_PER_MOTION = 3  # in a motion of a held group
-POSE_INTERVAL = 1 / 60  # [s] between poses of a pointer
+POSE_INTERVALS = 0.015, 0.02  # [s] between poses of a pointer
 FAST_SPEED = 0.5  # [m/s] of a fast motion of a held group in a hand
 HAND_DURATION = 1.5  # of a motion by hand over that of a smooth one
 RETURN_TIME = 0.1  # [s] in which it returns, in the second half of its motion
@@ -116,22 +116,34 @@ class HeldMotion:
 class HandMotion(HeldMotion):
     """Motion of a hand at a pointer that moves a tool to the end of one swing, as the touches of `ToolPaths`.
 
-    It goes there exponentially, at a slow or at a fast constant speed. In one of four motions it returns. The tool
-    has 60 poses a second, and moves evenly between them. Half of the motions rotate.
+    It goes there exponentially, at a slow or at a fast constant speed. In one of four motions it returns. Half of the
+    motions rotate. A pointer sends some 60 poses a second at uneven times. The tool moves to each evenly, in the time
+    since the pose before, and waits there if the next one is late.
     """
 
     @cached_property
-    def shares(self) -> Floats:
-        """Shares of the swing at the poses, of which the last is after the end."""
+    def knots(self) -> tuple[Floats, Floats]:
+        """Times (k,) [s] between which the tool moves evenly, and the shares (k,) of the swing there."""
         random = np.random.default_rng([self.seed, SWINGS_PER_MOTION])
-        times = np.arange(0.0, self.duration + 2 * POSE_INTERVAL, POSE_INTERVAL)
-        kind, length = random.choice(TOUCH_MOTIONS), max(float(np.linalg.norm(self.sizes[0, :3])), 1e-9)
+        kind = random.choice(TOUCH_MOTIONS)
+        intervals = random.uniform(*POSE_INTERVALS, int(self.duration / POSE_INTERVALS[0]) + 2)
+        sent = np.cumsum(intervals) - random.uniform(0.0, intervals[0])
+        times, shares = [0.0], [0.0]
+        for before, now, after in zip(intervals, sent, sent[1:], strict=False):
+            wanted = self._share(kind, now)
+            reached = min(now + before, after)
+            last = shares[-1]
+            times += [now, reached]
+            shares += [last, last + (wanted - last) * (reached - now) / before]
+        return np.array(times), np.array(shares)
+
+    def _share(self, kind: str, time: float) -> float:
+        """Return the share of the swing at which the pointer is at a time [s]."""
         if kind in ("draw", "flick"):
-            return np.minimum((DRAW_SPEED if kind == "draw" else FAST_SPEED) * times / length, 1.0)
-        shares = 1.0 - np.exp(-times / TOUCH_TIME)
-        if kind == "release":
-            shares *= np.clip(1.0 - (times - 0.5 * self.duration) / RETURN_TIME, 0.0, 1.0)
-        return np.asarray(shares)
+            length = max(float(np.linalg.norm(self.sizes[0, :3])), 1e-9)
+            return min((DRAW_SPEED if kind == "draw" else FAST_SPEED) * time / length, 1.0)
+        back = max(time - 0.5 * self.duration, 0.0) / RETURN_TIME if kind == "release" else 0.0
+        return float((1.0 - np.exp(-time / TOUCH_TIME)) * max(1.0 - back, 0.0))
 
     @cached_property
     def swing(self) -> Floats:
@@ -141,5 +153,5 @@ class HandMotion(HeldMotion):
 
     def pose(self, time: float) -> tuple[Floats, Rotation]:
         """Return the displacement (3,) [m] of the tool's reference point and the rotation about it at a time [s]."""
-        moved = np.interp(time, POSE_INTERVAL * np.arange(len(self.shares)), self.shares) * self.swing
+        moved = np.interp(time, *self.knots) * self.swing
         return moved[:3], Rotation.from_rotvec(moved[3:])
