@@ -236,7 +236,7 @@ def test_held_out_paths_are_short_touches_of_a_hand(paths):
         np.testing.assert_allclose(across(way[:28] - way[0], normal), 0.0, atol=1e-12)
         assert 0.0 < depth <= paths.depths.max() + 1e-12
         assert signed_distance(paths.surface.cloud, way[:1])[0] > (1 - 0.01) * paths.radius
-        aside = np.linalg.norm(across(way[-1] - way[27], normal))
+        aside = float(np.linalg.norm(across(way[-1:] - way[27], normal)))
         rises = (way[-1] - way[27]) @ normal > 0.5 * 0.1 * 0.16
         kinds.add("release" if rises else "flick" if aside > 0.0081 else "draw" if aside > 1e-9 else "hold")
         assert aside <= paths.slide + 1e-12
