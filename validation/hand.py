@@ -184,7 +184,7 @@ def compared(scene: Scene, model: pt.ReducedModel, table: Floats, radius: float)
     duration = interval * math.floor(times[-1] / interval)
     full = pt.rollout(scene.body, every, duration=duration, every=interval, progress=False)
     ends = np.searchsorted(times, full.times[1:] - 1e-9).clip(max=len(times) - 1)
-    worst_time = math.nan
+    worst_time: float | None = None
     worst, beyond, in_contact, known, sizes, bounds_of = 0.0, 0.0, [], [], [], []
     errors_of = [0.0]
     for k, load in enumerate(loads):
@@ -211,10 +211,10 @@ def compared(scene: Scene, model: pt.ReducedModel, table: Floats, radius: float)
     finite = np.all(known, axis=0)[contact]
     causes = {} if finite.all() else _largest_measures(model, repeat_run(model, every, full)[1])
     return {
-        "in_contact": float(contact.mean() * times[-1]), "known": float(finite.mean()) if contact.any() else math.nan,
+        "in_contact": float(contact.mean() * times[-1]), "known": float(finite.mean()) if contact.any() else None,
         "largest_trust": float(table[:, 1].max()), "largest_force": max(sizes), "largest_error": max(errors_of),
         "over_bound": worst, "over_at": worst_time, "over_bound_beyond_1": beyond,
-        "mean_bound": float(np.mean(bounds_of)) if bounds_of else math.nan,
+        "mean_bound": float(np.mean(bounds_of)) if bounds_of else None,
         "unknown_by": causes,
     }  # fmt: skip
 
