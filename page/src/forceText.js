@@ -8,6 +8,8 @@ export const BEYOND = "Beyond what the model was trained on: no force can be giv
 export const THROUGH = "The tool slipped through the surface: let go.";
 export const FULL = "Full model: no error of reduction.";
 export const NOT_MEASURED = "The error of this model was not measured.";
+export const WITH_NODES = "With the error of the nodes.";
+export const NODES_NOT_KNOWN = "Without the error of the nodes, which is not known.";
 export const NOT_KNOWN = "Its error is not known yet after a motion beyond training: hold still for a moment.";
 
 /** Whether a trust number is above the largest with an error bound; `before` is the answer for the last state. */
@@ -60,9 +62,8 @@ export function forceReading({ newtons, bound, full, calibrated, beyond, through
   if (!calibrated) return plain(NOT_MEASURED);
   if (newtons === 0 || bound === undefined) return plain("");
   if (bound === null) return plain(NOT_KNOWN);
-  const reading = boundedForce(newtons, bound + (nodesError ?? 0) * newtons);
-  const words = nodesError == null ? "; the error of the nodes is not known" : " with the error of the nodes";
-  return { ...reading, range: reading.range + words, note: "" };
+  const note = nodesError == null ? NODES_NOT_KNOWN : WITH_NODES;
+  return { ...boundedForce(newtons, bound + (nodesError ?? 0) * newtons), note };
 }
 
 /** The forces [N] on the tool of a full and of a reduced model, and how they differ. */

@@ -131,7 +131,7 @@ export class Panel {
     const { lead, value, range, note } = this.force(state);
     this.write("force-lead", lead);
     this.write("force", value);
-    this.write("force-range", range && `(${range.replace(/^; /, "").trim()})`);
+    this.write("force-range", range && `(${range})`);
     this.write("force-note", note);
     this.write("force-comparison", Number.isFinite(fullNewtons) ? comparisonText(state.newtons, fullNewtons) : "");
     this.byId("force-section").classList.toggle("beyond", this.beyond || this.through);

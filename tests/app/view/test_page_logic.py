@@ -53,16 +53,16 @@ def test_a_force_has_the_digits_that_its_bound_supports(newtons, bound, value, b
 
 
 @pytest.mark.parametrize(
-    ("nodes_error", "between"),
+    ("nodes_error", "between", "note"),
     [
-        ("null", "0.3 to 0.5; the error of the nodes is not known"),
-        ("0.25", "0.2 to 0.6 with the error of the nodes"),
+        ("null", "0.3 to 0.5", "Without the error of the nodes, which is not known."),
+        ("0.25", "0.2 to 0.6", "With the error of the nodes."),
     ],
 )
-def test_the_range_of_a_force_has_the_error_of_the_nodes_or_says_that_it_is_not_known(nodes_error, between):
+def test_the_range_of_a_force_has_the_error_of_the_nodes_or_says_that_it_is_not_known(nodes_error, between, note):
     state = f"newtons: 0.4, bound: 0.1, calibrated: true, nodesError: {nodes_error}"
     reading = evaluate("forceText.js", f"m.forceReading({{{state}}})")
-    assert reading == {"lead": "about", "value": "0.4", "range": between, "note": ""}
+    assert reading == {"lead": "about", "value": "0.4", "range": between, "note": note}
 
 
 @pytest.mark.parametrize(
