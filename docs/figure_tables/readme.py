@@ -1,10 +1,11 @@
-"""The six figures of the README, the speed of models, and the paper's claims next to ours."""
+"""The seven figures of the README, the speed of models, and the paper's claims next to ours."""
 
 # ruff: noqa: RUF001  (Greek letters and the typographer's minus and dash are meant)
 from __future__ import annotations
 
 from figure_tables.cells import Row, block, find, markdown, microseconds, percent, significant
 from figure_tables.examples import BEAM_RUNS, MEMBRANE_RUN, error_cells, membrane_phase, projected, series_of
+from figure_tables.steps import hand_shares
 
 
 def displacements(rows: dict[int, Row], *sizes: int) -> str:
@@ -99,12 +100,14 @@ def bench_models(bench: Row) -> str:
 
 
 @block(
-    "elements", "organ_models", "bench", "reproduce_beam", "held_out",
-    command="python validation/elements.py`, `python validation/organ_models.py`, `python benchmarks/speed.py`, "
-    f"`{BEAM_RUNS}` and `python validation/held_out.py",
+    "elements", "organ_models", "hand", "bench", "reproduce_beam", "held_out",
+    command="python validation/elements.py`, `python validation/organ_models.py`, `python validation/hand.py --keep`, "
+    f"`python benchmarks/speed.py`, `{BEAM_RUNS}` and `python validation/held_out.py",
 )  # fmt: skip
-def readme_figures(elements: list[Row], organs: list[Row], bench: Row, beam: Row, studies: Row) -> str:
-    """Return the six figures of the README, each with the command that makes it."""
+def readme_figures(
+    elements: list[Row], organs: list[Row], hands: list[Row], bench: Row, beam: Row, studies: Row
+) -> str:
+    """Return the seven figures of the README, each with the command that makes it."""
     first, errors = ([select(organ) for organ in organs] for select in (_first_force, _small_model_force))
     full = max(bench["full_body"]["threads"], key=lambda run: run["nodes_in_real_time"])
     fine = [row for row in elements if row["scale"] == 1.0 and "frequencies" in row]
@@ -112,6 +115,7 @@ def readme_figures(elements: list[Row], organs: list[Row], bench: Row, beam: Row
     full_nodes = bench["full_body"]["nodes"]
     runs = [row[rule] for row in studies["stability"] for rule in ("explicit", "implicit")]
     six, eight = projected(beam)[6], find(beam["reduced"], series="hyper-reduced", modes=8)
+    _, known, kept, count = hand_shares([path for row in hands for path in row["rows"]])
     organ_command, bench_command = "`python validation/organ_models.py`", "`python benchmarks/speed.py`"
     rows = [
         [
@@ -131,6 +135,10 @@ def readme_figures(elements: list[Row], organs: list[Row], bench: Row, beam: Row
         [
             "force on the tool of organs trained with default choices, median error on unseen paths",
             f"{percent(min(errors))} to {percent(max(errors))}", organ_command,
+        ],
+        [
+            f"force under a mouse, {len(hands)} bodies, default choices: time with an error bound; paths that keep it",
+            f"{percent(known)}; {kept} of {count}", "`python validation/hand.py --keep`",
         ],
         [
             "the paper's beam: error (34) projected, 6 modes (paper: < 3 %); sampled, 8 modes, and its time",

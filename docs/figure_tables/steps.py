@@ -85,6 +85,46 @@ def bounds(rows: list[Row]) -> str:
     return markdown(heads, lines)
 
 
+@block("hand", command="python validation/hand.py --keep")
+def under_a_hand(rows: list[Row]) -> str:
+    """Return how long forces under a hand have a bound, and in how many paths the full body's force is in it."""
+    paths = [path for row in rows for path in row["rows"]]
+    groups = {f"{row['body']}, {row['nodes']:,} nodes": row["rows"] for row in rows}
+    groups |= {f"all: {kind}": [path for path in paths if path["kind"] == kind] for kind in hand_kinds(rows)}
+    levels = [f"{100 * row['level']:.0f} %" for row in rows] + [""] * (len(groups) - len(rows))
+    lines = [[name, *_hand_cells(each), level] for (name, each), level in zip(groups.items(), levels, strict=True)]
+    lines.append(["all", *_hand_cells(paths), ""])
+    heads = [
+        "body, or kind of path", "time in contact", "with a bound", "paths that keep it", "largest force",
+        "mean bound", "largest error", "stated level",
+    ]  # fmt: skip
+    return markdown(heads, lines)
+
+
+def hand_kinds(rows: list[Row]) -> list[str]:
+    """Return the kinds of paths under a hand, in their order."""
+    return list(dict.fromkeys(path["kind"] for row in rows for path in row["rows"]))
+
+
+def hand_shares(paths: list[Row]) -> tuple[float, float, int, int]:
+    """Return the time in contact [s], the share of it with a bound, and the paths that keep it, of how many."""
+    touched = [path for path in paths if path["in_contact"] > 0]
+    seconds = sum(path["in_contact"] for path in touched)
+    known = sum(path["in_contact"] * path["known"] for path in touched) / seconds
+    return seconds, known, sum(path["over_bound"] <= 1.0 for path in touched), len(touched)
+
+
+def _hand_cells(paths: list[Row]) -> list[str]:
+    """Return the cells of some paths under a hand."""
+    seconds, known, kept, count = hand_shares(paths)
+    bounds = [path["mean_bound"] for path in paths if path["mean_bound"] is not None]
+    largest = [max(path[name] for path in paths) for name in ("largest_force", "largest_error")]
+    return [
+        f"{seconds:.0f} s", f"{100 * known:.1f} %", f"{kept} of {count}", f"{significant(largest[0])} N",
+        f"{significant(mean(bounds))} N", f"{significant(largest[1])} N",
+    ]  # fmt: skip
+
+
 def _shares(row: Row, name: str) -> str:
     """Return the share of runs that keep their bounds, and that of runs whose bounds are unknown."""
     kept, known = row[name]

@@ -1,7 +1,6 @@
 // The force in words: as many digits as its error bound supports.
 
-const BEYOND_FROM = 1; // trust number above which a model was not trained on a state
-const BEYOND_UNTIL = 0.92; // at which the page returns to numbers
+const BEYOND_UNTIL = 0.92; // of the largest trust number with a bound, at which the page returns to numbers
 const SUPPORTED = 1.15; // largest step of the digits, in bounds
 const END_TOLERANCE = 0.25; // in steps, by which a rounded end may be inside the exact one
 
@@ -9,11 +8,20 @@ export const BEYOND = "Beyond what the model was trained on: no force can be giv
 export const THROUGH = "The tool slipped through the surface: let go.";
 export const FULL = "Full model: no error of reduction.";
 export const NOT_MEASURED = "The error of this model was not measured.";
+export const WITH_NODES = "With the error of the nodes.";
+export const NODES_NOT_KNOWN = "Without the error of the nodes, which is not known.";
 export const NOT_KNOWN = "Its error is not known yet after a motion beyond training: hold still for a moment.";
 
-/** Whether a state is beyond training; `before` is the answer for the last state. */
-export function isBeyond(trust, before) {
-  return trust > (before ? BEYOND_UNTIL : BEYOND_FROM);
+/** Whether a trust number is above the largest with an error bound; `before` is the answer for the last state. */
+export function isBeyond(trust, before, largest = 1) {
+  return trust > (before ? BEYOND_UNTIL : 1) * largest;
+}
+
+/** What Details say of a trust number: whether the state is like training, and its force has a bound. */
+export function trustText({ trust, beyond, bound }) {
+  if (beyond) return { text: "Beyond training", note: "The model was not trained on such a state." };
+  if (bound === null) return { text: "After a motion beyond training", note: "The error of that motion may persist, so the bound is not known." };
+  return trust > 1 ? { text: "Slightly beyond training", note: "The error bound is wider here." } : { text: "Within training", note: "" };
 }
 
 /** A force [N] without a bound: two significant digits, and no more than two decimals. */
@@ -42,17 +50,20 @@ export function boundedForce(newtons, bound) {
 /**
  * The reading of a force: `lead` is "about", "under" or empty, `value` [N], `range` and a `note`.
  *
+ * `nodesError` is the typical error of the force by the number of nodes, relative; null where it is not known. The range
+ * is that of the bound plus that error.
  * `bound` is undefined in a replay, and null where it is not known; `calibrated` says whether the error was measured,
  * `beyond` whether the state is beyond training, and `through` whether the tool is inside the body without a force.
  */
-export function forceReading({ newtons, bound, full, calibrated, beyond, through }) {
+export function forceReading({ newtons, bound, full, calibrated, beyond, through, nodesError }) {
   const plain = (note) => ({ lead: "", value: plainForce(newtons), range: "", note });
   if (through || beyond) return { lead: "", value: "", range: "", note: through ? THROUGH : BEYOND };
   if (full) return plain(FULL);
   if (!calibrated) return plain(NOT_MEASURED);
   if (newtons === 0 || bound === undefined) return plain("");
   if (bound === null) return plain(NOT_KNOWN);
-  return { ...boundedForce(newtons, bound), note: "" };
+  const note = nodesError == null ? NODES_NOT_KNOWN : WITH_NODES;
+  return { ...boundedForce(newtons, bound + (nodesError ?? 0) * newtons), note };
 }
 
 /** The forces [N] on the tool of a full and of a reduced model, and how they differ. */

@@ -1,7 +1,7 @@
 // The panel: readings of the session, and settings.
 import { nameOf } from "./hands.js";
 import { choice, slider, formatNumber } from "./widgets.js";
-import { comparisonText, cutText, forceReading, isBeyond } from "./forceText.js";
+import { comparisonText, cutText, forceReading, isBeyond, trustText } from "./forceText.js";
 
 const MIN_STIFFNESS_EXPONENT = 1.5; // power of ten of the coupling [N/m]
 const RIGID_EXPONENT = 4; // the end of the slider stands for a rigid coupling
@@ -28,6 +28,7 @@ export class Panel {
     this.offerSizes(size, hello.full || hello.compare ? 1e3 * hello.spacing : 0);
     this.offerMaterials(hello.materials ?? []);
     this.trainingErrors = hello.training_errors;
+    this.nodesError = hello.nodes_error;
     this.full = Boolean(hello.full);
     this.compare = Boolean(hello.compare);
     this.bound = undefined; // error bound of the force [N], null where it is not known
@@ -115,14 +116,14 @@ export class Panel {
 
   /** Take the trust number of a state; returns whether the state is beyond training. */
   judge({ trust }) {
-    this.beyond = Boolean(this.trainingErrors) && isBeyond(trust, this.beyond);
+    this.beyond = Boolean(this.trainingErrors) && isBeyond(trust, this.beyond, this.trainingErrors.largest_trust);
     return this.beyond;
   }
 
   /** The force of a state in words; see `forceReading`. */
   force({ newtons }) {
-    const { bound, full, beyond, through } = this;
-    return forceReading({ newtons, bound, full, beyond, through, calibrated: Boolean(this.trainingErrors) });
+    const { bound, full, beyond, through, nodesError } = this;
+    return forceReading({ newtons, bound, full, beyond, through, nodesError, calibrated: Boolean(this.trainingErrors) });
   }
 
   /** Show the readings of a state, with the force [N] of the full model if it is compared. */
@@ -142,18 +143,17 @@ export class Panel {
   trust(trust) {
     const known = Number.isFinite(trust) && this.trainingErrors;
     this.byId("trust").hidden = this.full;
-    this.write("trust-text", !known ? "Trust not calibrated" : this.beyond ? "Beyond training" : "Within training");
+    const { text, note } = trustText({ trust, beyond: this.beyond, bound: this.bound });
+    this.write("trust-text", known ? text : "Trust not calibrated");
     this.write("trust-number", known ? trust.toFixed(2) : "");
-    this.write("trust-note", this.trustNote(known));
+    this.write("trust-note", known ? note || this.meanError() : "Errors on held-out runs were not measured.");
     const { classList } = this.byId("trust");
     classList.toggle("beyond", this.beyond);
     classList.toggle("none", !known);
     if (known) this.byId("trust-mark").style.left = `${(100 * Math.min(trust, 2)) / 2}%`;
   }
 
-  trustNote(known) {
-    if (!known) return "Errors on held-out runs were not measured.";
-    if (this.beyond) return "The model was not trained on such a state.";
+  meanError() {
     const error = this.trainingErrors.force_error;
     return error ? `Mean force error on held-out runs: ${formatNumber(100 * error, 2)} %` : "";
   }

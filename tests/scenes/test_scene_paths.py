@@ -7,7 +7,7 @@ import pytest
 
 import palpate as pt
 from palpate.scenes.open_scene import open_scene
-from palpate.scenes.scene_paths import SWINGS_PER_MOTION
+from palpate.scenes.scene_paths import SWINGS_PER_MOTION, held_motion
 from palpate.scenes.training import training_of
 
 DEPTH, TANGENTIAL, RADIUS = 0.02, 0.004, 0.02  # [m] of the membrane's file
@@ -75,6 +75,29 @@ def test_the_path_of_the_beam_is_smooth_and_starts_and_ends_at_rest(beam):
     near = np.array([hand(1e-4)[0], hand(2e-4)[0]])
     np.testing.assert_allclose(near[1], 4 * near[0], rtol=1e-4)  # its speed is zero there
     assert np.linalg.norm(hand(0.13)[0]) > 1e-3
+
+
+def test_held_out_motions_of_a_held_group_are_those_of_a_hand(beam):
+    """They have some 60 poses a second, are within the swings, and are longer than smooth ones."""
+    training, ends = beam.description.training, []
+    for seed in range(500_000, 500_020):
+        (load,), duration = beam.paths(seed)
+        assert duration == pytest.approx(0.6)
+        hand = held_motion(training, seed, duration, by_hand=True)
+        times, _ = hand.knots
+        assert np.all(np.diff(times) >= 0.0)
+        assert times[-1] >= duration
+        assert 25 < len(np.unique(times)) / 2 < 45  # some 60 poses a second, each with a start and an end
+        moved = np.array([hand.pose(time)[0] for time in np.arange(0.0, duration, 1e-3)])
+        assert np.all(moved >= np.minimum(training.low, 0.0) - 1e-12)
+        assert np.all(moved <= np.maximum(training.high, 0.0) + 1e-12)
+        ends.append(np.linalg.norm(moved[-1]) / np.linalg.norm(moved, axis=1).max())
+        points = beam.cloud.points[beam.cloud.group("x+")]
+        centre = load.displacement(points, 0.1).mean(axis=0)
+        np.testing.assert_allclose(centre, hand.pose(0.1)[0], atol=1e-12)
+    assert 1 <= sum(end < 1e-9 for end in ends) <= 10  # some return
+    assert len(beam.paths(3)[0]) == 1
+    assert beam.paths(3)[1] == training.duration
 
 
 def test_the_load_of_a_held_group_is_the_rigid_motion_of_its_pose(beam, bar):

@@ -223,6 +223,27 @@ def test_equal_seeds_give_equal_paths_and_others_other_depths_and_slides():
     assert slides.max() <= 0.02 + 0.015 + 0.005
 
 
+def test_held_out_paths_are_short_touches_of_a_hand(paths):
+    """They come along the normal exponentially, keep outside of the body before, and move aside or away at most."""
+    kinds, times = set(), np.linspace(0.0, 0.3, 61)
+    for seed in range(HELD_OUT, HELD_OUT + 40):
+        (touch,), duration = paths.touch(seed)
+        assert duration == 0.3
+        way = touch.poses(times)[:, :3]
+        normal = way[0] - way[20]  # before 0.14 s it moves along the normal alone
+        depth = np.linalg.norm(normal) / (1 - np.exp(-0.1 / 0.07)) - 0.05 * paths.radius
+        normal /= np.linalg.norm(normal)
+        np.testing.assert_allclose(across(way[:28] - way[0], normal), 0.0, atol=1e-12)
+        assert 0.0 < depth <= paths.depths.max() + 1e-12
+        assert signed_distance(paths.surface.cloud, way[:1])[0] > (1 - 0.01) * paths.radius
+        aside = float(np.linalg.norm(across(way[-1:] - way[27], normal)))
+        rises = (way[-1] - way[27]) @ normal > 0.5 * 0.1 * 0.16
+        kinds.add("release" if rises else "flick" if aside > 0.0081 else "draw" if aside > 1e-9 else "hold")
+        assert aside <= paths.slide + 1e-12
+    assert {"hold", "release"} <= kinds
+    assert kinds & {"draw", "flick"}
+
+
 def forceps(paths, seed, times):
     (grasp,), duration = paths(seed)
     assert duration == 0.6
@@ -260,6 +281,9 @@ def test_every_fourth_path_is_a_pull_within_a_cone_that_turns_returns_and_releas
 def test_grasps_are_a_share_of_the_paths(share, count):
     paths = ToolPaths(Body(pt.box((0.1, 0.1, 0.04), 0.01)), 0.025, 0.01, 0.2, 0.0, grasps=share)
     assert sum(isinstance(paths(seed)[0][0], pt.tools.Grasp) for seed in range(40)) == count
+    held_out = [paths(seed) for seed in range(HELD_OUT, HELD_OUT + 40)]
+    assert sum(isinstance(loads[0], pt.tools.Grasp) for loads, _ in held_out) == count
+    assert {duration for _, duration in held_out} == {0.3}
 
 
 def test_two_bodies_in_one_cloud_are_both_pressed_and_block_each_other():

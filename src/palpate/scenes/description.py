@@ -296,7 +296,7 @@ class Training:
     """Random paths of the tool, and the reduced model that is trained on them."""
 
     paths: int = parameter("", 12, "runs to train on; with a tolerance, the most", low=1, high=100_000)
-    held_out: int = parameter("", 4, "further runs, on which errors are measured", low=0, high=100_000)
+    held_out: int = parameter("", 20, "further runs, on which errors are measured", low=0, high=100_000)
     modes: int = parameter("", 60, "modes of the reduced model", low=1, high=1000)
     tolerance: float | None = parameter("", None, "choose paths until the errors are at most this", above=0.0, high=1.0)
     cubature: float | None = parameter("", None, "largest relative error of the sampled forces", low=0.0, high=1.0)
@@ -312,7 +312,7 @@ class Training:
         "m", None, "longest slide of a press; what fits the body if it is left out", low=0.0, high=0.5
     )
     grasps: float = parameter("", 0.25, "share of the paths that are pulls of forceps", low=0.0, high=1.0)
-    pairs: float = parameter("", 0.5, "share of the held-out paths with two tools at once", low=0.0, high=1.0)
+    pairs: float = parameter("", 0.25, "share of the held-out paths with two tools at once", low=0.0, high=1.0)
     every: float = parameter("s", 0.01, "time between two frames", above=0.0, high=1.0)
     duration: float = parameter("s", 0.4, "length of a path of a tool that holds a group", above=0.0, high=10.0)
     low: Vector = parameter("m", (0.0, 0.0, 0.0), "smallest displacement of a swing of a held group", length=3)

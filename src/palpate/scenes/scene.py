@@ -241,12 +241,16 @@ class Scene(Described):
         """Function of a seed, from 0, that returns the loads of a random tool path and its duration [s]."""
         if not self.held_group:
             return self.tool_paths()
-        duration = self.description.training.duration
+        duration, every = self.description.training.duration, self.description.training.every
         self.held_motion(0, duration)  # raises an error at once
+        from palpate.scenes.scene_paths import HAND_DURATION, held_motion
+        from palpate.scenes.tool_paths import is_touch
 
         def path(seed: int) -> tuple[tuple[Load, ...], float]:
-            load = self.held_motion(seed, duration).load(self.body.cloud, self.held_group)
-            return (*self.foundations, load), duration
+            by_hand = is_touch(seed)
+            length = every * round(HAND_DURATION * duration / every) if by_hand else duration
+            load = held_motion(self.description.training, seed, length, by_hand).load(self.body.cloud, self.held_group)
+            return (*self.foundations, load), length
 
         return path
 

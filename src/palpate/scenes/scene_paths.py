@@ -17,20 +17,24 @@ from palpate.dynamics.membrane.model import Membrane
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 from palpate.scenes.description import Tool, Training
-from palpate.scenes.tool_paths import ToolPaths
+from palpate.scenes.tool_paths import DRAW_SPEED, TOUCH_MOTIONS, TOUCH_TIME, ToolPaths
 
 RADIUS_SHARE, DEPTH_SHARE, SLIDE_SHARE = 0.06, 0.07, 0.08  # of the body's length, where the scene gives none
 MIN_RADIUS = 2.5  # [spacings] of the ball
 MIN_DEPTH_RATIO = 0.3  # depth of the shallowest press over that of the deepest
 SWINGS_PER_MOTION = 3  # in a motion of a held group
+POSE_INTERVALS = 0.015, 0.02  # [s] between poses of a pointer
+FAST_SPEED = 0.5  # [m/s] of a fast motion of a held group in a hand
+HAND_DURATION = 1.5  # of a motion by hand over that of a smooth one
+RETURN_TIME = 0.1  # [s] in which it returns, in the second half of its motion
 
 
-def held_motion(training: Training, seed: int, duration: float) -> HeldMotion:
-    """Return a motion of a tool that holds a group; raise `InputError` for swings of no size."""
+def held_motion(training: Training, seed: int, duration: float, by_hand: bool = False) -> HeldMotion:
+    """Return a motion of a tool that holds a group, smooth or by hand; raise `InputError` for swings of no size."""
     bounds = np.array([[*training.low, *training.low_turn], [*training.high, *training.high_turn]])
     if not np.all(bounds[0] <= bounds[1]) or not bounds.any():
         raise InputError("low of [training] must be at most high, and not all 0, for a tool that holds a group")
-    return HeldMotion(seed, duration, bounds)
+    return (HandMotion if by_hand else HeldMotion)(seed, duration, bounds)
 
 
 def touching_paths(
@@ -106,3 +110,48 @@ class HeldMotion:
             return np.asarray(moved + turned.apply(arms) - arms)
 
         return PrescribedMotion(group, displacement)
+
+
+@dataclass(frozen=True)
+class HandMotion(HeldMotion):
+    """Motion of a hand at a pointer that moves a tool to the end of one swing, as the touches of `ToolPaths`.
+
+    It goes there exponentially, at a slow or at a fast constant speed. In one of four motions it returns. Half of the
+    motions rotate. A pointer sends some 60 poses a second at uneven times. The tool moves to each evenly, in the time
+    since the pose before, and waits there if the next one is late.
+    """
+
+    @cached_property
+    def knots(self) -> tuple[Floats, Floats]:
+        """Times (k,) [s] between which the tool moves evenly, and the shares (k,) of the swing there."""
+        random = np.random.default_rng([self.seed, SWINGS_PER_MOTION])
+        kind = random.choice(TOUCH_MOTIONS)
+        intervals = random.uniform(*POSE_INTERVALS, int(self.duration / POSE_INTERVALS[0]) + 2)
+        sent = np.cumsum(intervals) - random.uniform(0.0, intervals[0])
+        times, shares = [0.0], [0.0]
+        for before, now, after in zip(intervals, sent, sent[1:], strict=False):
+            wanted = self._share(kind, now)
+            reached = min(now + before, after)
+            last = shares[-1]
+            times += [now, reached]
+            shares += [last, last + (wanted - last) * (reached - now) / before]
+        return np.array(times), np.array(shares)
+
+    def _share(self, kind: str, time: float) -> float:
+        """Return the share of the swing at which the pointer is at a time [s]."""
+        if kind in ("draw", "flick"):
+            length = max(float(np.linalg.norm(self.sizes[0, :3])), 1e-9)
+            return min((DRAW_SPEED if kind == "draw" else FAST_SPEED) * time / length, 1.0)
+        back = max(time - 0.5 * self.duration, 0.0) / RETURN_TIME if kind == "release" else 0.0
+        return float((1.0 - np.exp(-time / TOUCH_TIME)) * max(1.0 - back, 0.0))
+
+    @cached_property
+    def swing(self) -> Floats:
+        """Displacement [m] and rotation vector [rad] of the swing (6,)."""
+        rotates = np.random.default_rng([self.seed, 6]).choice([0.0, 1.0])
+        return np.concatenate([self.sizes[0, :3], rotates * self.sizes[0, 3:]])
+
+    def pose(self, time: float) -> tuple[Floats, Rotation]:
+        """Return the displacement (3,) [m] of the tool's reference point and the rotation about it at a time [s]."""
+        moved = np.interp(time, *self.knots) * self.swing
+        return moved[:3], Rotation.from_rotvec(moved[3:])

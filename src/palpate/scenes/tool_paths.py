@@ -9,6 +9,10 @@ is filled from outside.
 The places of training paths are spread over the reachable surface: each is the farthest from those before it among a
 few random candidates (Mitchell, SIGGRAPH 1991), so that any number of first ones covers the surface evenly. Those of
 other paths are independent of them and of each other.
+
+Held-out paths are touches of a hand at a pointer. The ball approaches its depth exponentially, as on the page. It then
+stays, is drawn or flicked aside, or is let go. They are short: errors of many short touches calibrate a bound that
+holds for more touches, and a run takes as long as its path.
 """
 
 from __future__ import annotations
@@ -37,6 +41,12 @@ CLEARANCE_RADII = 0.2  # [radii] between ball and body near a press; twice that 
 # [s] away, near, pressed, slid, near, away; of forceps: pulled, turned
 PHASE_TIMES = (0.0, 0.02, 0.25, 0.45, 0.58, 0.6)
 SLIDE_SHARES = (0.0, 0.0, 0.0, 1.0, 1.0, 1.0)  # share of the slide at these times
+# Of touches, held-out paths: length [s]; time constant of the approach [s], as page/src/press.js; clearance [radii] at
+# the start; time of the next motion [s]; speeds [m/s] by which the ball is drawn aside, flicked aside or let go
+TOUCH_SECONDS, TOUCH_TIME, TOUCH_CLEARANCE, NEXT_MOTION = 0.3, 0.07, 0.05, 0.14
+DRAW_SPEED, FLICK_SPEED, RELEASE_SPEED = 0.05, 0.2, 0.1
+TOUCH_MOTIONS = ("hold", "draw", "flick", "release")
+TOUCH_PHASES = (0.0, 0.01, 0.15, 0.3, 0.42, 0.44)  # [s] as `PHASE_TIMES`, of forceps in a hand; the path ends before
 SMOOTHING_RADII, MIN_SMOOTHING_SPACINGS = 0.5, 1.5  # [radii], [spacings] width over which normals are smoothed
 MAX_GAP = 0.1  # [radii] between a reachable node and the ball that comes along its normal
 MAX_DEPTH_RATIO = 0.4  # depth of a press over the thickness of the body below
@@ -170,8 +180,8 @@ class ToolPaths:
             The last six digits are the number of the path in its campaign. Places of the numbers below 500,000 are
             spread over the surface together. Those of others, for held-out runs, are independent.
         """
-        is_held_out = seed % CAMPAIGN_SEEDS >= TRAINING_SEEDS
-        return self.pair(seed) if is_held_out and _is_pair(seed % TRAINING_SEEDS, self.pairs) else self.single(seed)
+        is_pair = is_touch(seed) and _is_pair(seed % TRAINING_SEEDS, self.pairs)
+        return self.pair(seed) if is_pair else self.single(seed)
 
     def single(self, seed: int) -> tuple[tuple[Load, ...], float]:
         """Return the loads of a path of one tool and its duration [s]."""
@@ -196,8 +206,31 @@ class ToolPaths:
 
         return (Contact(Sphere(self.radius), motion, friction=self.friction),), PHASE_TIMES[-1]
 
-    def grasp(self, seed: int) -> tuple[tuple[Grasp], float]:
-        """Return the load of forceps that pull, turn, return and release, and its duration [s]."""
+    def touch(self, seed: int) -> tuple[tuple[Contact], float]:
+        """Return the load of a ball in a hand at a pointer, and its duration [s]; see `TOUCH_MOTIONS`."""
+        random = np.random.default_rng(seed)
+        share, kind = random.uniform(self.shallowest, 1.0), random.choice(TOUCH_MOTIONS)
+        place = self._place(self._node(seed, self.reachable, random), share)
+        aside = np.cross(place.normal, random.standard_normal(3))
+        aside *= self.slide / np.linalg.norm(aside)
+        for _ in range(MAX_HALVINGS):
+            if self._free_slide(place, place._replace(touch=place.touch + aside)):
+                break
+            aside = 0.5 * aside
+        length = float(np.linalg.norm(aside))
+        speed = {"draw": DRAW_SPEED, "flick": FLICK_SPEED}.get(kind, 0.0)
+        rise = RELEASE_SPEED if kind == "release" else 0.0
+
+        def motion(time: float) -> Floats:
+            later = max(time - NEXT_MOTION, 0.0)
+            height = (TOUCH_CLEARANCE * self.radius + place.depth) * np.exp(-time / TOUCH_TIME) - place.depth
+            gone = min(speed * later / length, 1.0) if length else 0.0
+            return np.asarray(place.touch + (height + rise * later) * place.normal + gone * aside)
+
+        return (Contact(Sphere(self.radius), motion, friction=self.friction),), TOUCH_SECONDS
+
+    def grasp(self, seed: int, phases: Sequence[float] = PHASE_TIMES) -> tuple[tuple[Grasp], float]:
+        """Return the load of forceps that pull, turn, return and release at some times [s], and its duration [s]."""
         random = np.random.default_rng(seed)
         size = random.uniform(self.shallowest, 1.0) * self.depth
         node = self._node(seed, self.graspable, random)
@@ -210,13 +243,13 @@ class ToolPaths:
             pull = 0.5 * pull
         still = np.zeros(6)
         pulled, turned = np.concatenate([pull, still[3:]]), np.concatenate([pull, turn])
-        path = PchipInterpolator(PHASE_TIMES, [still, still, pulled, turned, still, still])
+        path = PchipInterpolator(phases, [still, still, pulled, turned, still, still])
 
         def motion(time: float) -> tuple[Floats, Floats]:
-            moved = path(np.clip(time, PHASE_TIMES[0], PHASE_TIMES[-1]))
+            moved = path(np.clip(time, phases[0], phases[-1]))
             return place + moved[:3], moved[3:]
 
-        return (Grasp(place, self.grasp_radius, motion, until=PHASE_TIMES[-2]),), PHASE_TIMES[-1]
+        return (Grasp(place, self.grasp_radius, motion, until=phases[-2]),), phases[-1]
 
     def pair(self, seed: int) -> tuple[tuple[Load, ...], float]:
         """Return the loads of a path and of a second one that begins up to 0.15 s later, and their duration [s].
@@ -233,7 +266,7 @@ class ToolPaths:
         times = np.linspace(0.0, duration + delay, PAIR_SAMPLES)
         least, chosen = np.inf, None
         for number in seeds.tolist():
-            second = _delayed(self._draw(number)[0], delay)
+            second = _delayed(self._draw(number, is_touch(seed))[0], delay)
             distances = np.linalg.norm(_centres(first, times) - _centres(second, times), axis=1)
             apart = _size(first) + _size(second) + self.surface.cloud.spacing
             if distances.min() >= apart and (chosen is None or (near and distances.min() < least)):
@@ -242,10 +275,14 @@ class ToolPaths:
             return (*self.others, first), duration
         return (*self.others, first, chosen), duration + delay
 
-    def _draw(self, seed: int) -> tuple[Contact | Grasp, float]:
-        """Return the press or the grasp of a path and its duration [s]."""
-        (load,), duration = self.grasp(seed) if _is_grasp(seed, self.grasps) else self.press(seed)
-        return load, duration
+    def _draw(self, seed: int, touch: bool | None = None) -> tuple[Contact | Grasp, float]:
+        """Return the press, the touch or the grasp of a path and its duration [s]."""
+        touch = is_touch(seed) if touch is None else touch
+        if _is_grasp(seed, self.grasps):
+            (grasp,), duration = self.grasp(seed, TOUCH_PHASES if touch else PHASE_TIMES)
+            return grasp, TOUCH_SECONDS if touch else duration
+        (ball,), duration = self.touch(seed) if touch else self.press(seed)
+        return ball, duration
 
     def _node(self, seed: int, allowed: NDArray[np.bool_], random: np.random.Generator) -> int:
         """Return the surface node of a path: a spread one for training, else one at random by area."""
@@ -382,6 +419,11 @@ class ToolPaths:
                 f"radius must leave room for forceps of radius {self.grasp_radius:g} m away from supports, got "
                 f"{radius:g} m; use a smaller ball, support less, or set grasps to 0"
             )
+
+
+def is_touch(seed: int) -> bool:
+    """Return whether a path is held out, and so a touch of a hand."""
+    return seed % CAMPAIGN_SEEDS >= TRAINING_SEEDS
 
 
 def _is_grasp(seed: int, grasps: float) -> bool:

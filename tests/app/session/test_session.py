@@ -83,6 +83,37 @@ def test_a_reset_restores_rest(pressed):
     assert moment.state == "running"
 
 
+def test_after_a_reset_trust_is_0_and_the_next_touch_has_a_bound(model, ball, until):
+    """The bound is known up to the trust number 0.01, by depth: a deep press is beyond it, and a reset forgets that."""
+    curve = {"typical_size": 0.1, "least_trust": 0.001, "largest_trust": 0.01, "exponent": 1.0, "median": 0.01,
+             "bound": 0.05}  # fmt: skip
+    curves = {"forgetting": 0.0, "level": 0.95, "least_level": 0.9, "displacement": curve, "force": curve}
+    report = {**model.report, "held_out": {"mean": {}, "expected_error": curves}}
+    unlimited = dict.fromkeys(("nearness_scale", "speed_scale", "distance_scale", "residual_scale"), 1e300)
+    compliance = 1e3 * model.data.flexibility_scale
+    session = Session(
+        pt.ReducedModel(replace(model.data, report=report, flexibility_scale=compliance, **unlimited)), "Block"
+    )
+    shallow = PRESSED + np.array([0, 0, 0.0025])  # 0.5 mm deep
+    session.start()
+    try:
+        session.handle(validate_message(ball))
+        session.handle(pose(PRESSED))
+        until(lambda: session.snapshot().trust > 0.015, lambda: session.snapshot().trust)
+        session.handle(pose(shallow))
+        until(lambda: 0.0 < session.snapshot().trust < 0.008, lambda: session.snapshot().trust)
+        assert session.statistics()["force_bound"] is None
+        session.reset()
+        assert session.engine.read().trust == 0.0
+        assert session.statistics()["force_bound"] == pytest.approx(0.05 * 0.001 * 0.05)
+        session.handle(validate_message(ball))
+        session.handle(pose(shallow))
+        until(lambda: session.snapshot().force[2] > 0.005)
+        assert session.statistics()["force_bound"] is not None
+    finally:
+        session.stop()
+
+
 def test_a_change_of_tool_keeps_the_state(pressed, until):
     before, parts = pressed.snapshot(), pressed.model.data
     aside = [0.040, 0.008, SIZE[2] + 0.02]

@@ -84,6 +84,7 @@ def test_the_force_has_its_error_bound(opened):
     newtons = tab.evaluate("palpate.force")
     text = tab.wait("document.getElementById('force-range').textContent")  # the bound is 0.12 N
     low, high = (float(part) for part in text.strip("()").split(" to "))
+    assert "nodes, which is not known" in tab.evaluate("document.getElementById('force-note').textContent")
     assert newtons - 0.17 < low < newtons < high < newtons + 0.17
 
 

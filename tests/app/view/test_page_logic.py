@@ -52,6 +52,32 @@ def test_a_force_has_the_digits_that_its_bound_supports(newtons, bound, value, b
     assert reading == {"lead": "about", "value": value, "range": between}
 
 
+@pytest.mark.parametrize(
+    ("nodes_error", "between", "note"),
+    [
+        ("null", "0.3 to 0.5", "Without the error of the nodes, which is not known."),
+        ("0.25", "0.2 to 0.6", "With the error of the nodes."),
+    ],
+)
+def test_the_range_of_a_force_has_the_error_of_the_nodes_or_says_that_it_is_not_known(nodes_error, between, note):
+    state = f"newtons: 0.4, bound: 0.1, calibrated: true, nodesError: {nodes_error}"
+    reading = evaluate("forceText.js", f"m.forceReading({{{state}}})")
+    assert reading == {"lead": "about", "value": "0.4", "range": between, "note": note}
+
+
+@pytest.mark.parametrize(
+    ("state", "text"),
+    [
+        ("trust: 0.6, beyond: false, bound: 0.1", "Within training"),
+        ("trust: 1.3, beyond: false, bound: 0.1", "Slightly beyond training"),
+        ("trust: 0.6, beyond: false, bound: null", "After a motion beyond training"),
+        ("trust: 2.5, beyond: true, bound: null", "Beyond training"),
+    ],
+)
+def test_details_do_not_call_a_force_without_bound_trained(state, text):
+    assert evaluate("forceText.js", f"m.trustText({{{state}}}).text") == text
+
+
 def test_a_force_that_rounds_to_nothing_is_under_its_largest_value():
     reading = evaluate("forceText.js", "m.boundedForce(0.03, 0.12)")
     assert reading == {"lead": "under", "value": "0.2", "range": ""}

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from palpate.app.models.force_error import nodes_error
 from palpate.app.recordings.snapshot import scalar_descriptions, training_errors
 from palpate.app.session.messages import describe_tools
 from palpate.app.session.session import material_sliders, trained_speed
@@ -67,6 +68,7 @@ def _describe(model: ReducedModel, title: str) -> dict[str, Any]:
         "scalars": [scalar for scalar in scalar_descriptions(surface) if scalar["name"] == "displacement"],
         "materials": material_sliders(model, 1.0), "tool_speed": trained_speed(model),
         "training_errors": training_errors(model),
+        "nodes_error": nodes_error(model),
         "record": {name: field_offset(name) for name in HEADER_DTYPE.names or ()},
         "tool_record": {"start": HEADER_SIZE, "size": TOOL_SIZE} | {
             name: field_offset(name, TOOL_DTYPE) for name in TOOL_DTYPE.names or ()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,15 +31,35 @@ def force_error_text(nodes: int) -> str:
     if study is not None:
         bodies = f"five organs of {_range(study)} nodes, with balls of {study.radius:g} spacings in radius"
         return f"{_errors(study.median, study.largest)}, measured on {bodies}"
-    if few.most < nodes < many.fewest:
-        share = float(np.log(nodes / few.most) / np.log(many.fewest / few.most))
-        median, largest = (a + share * (b - a) for a, b in ((few.median, many.median), (few.largest, many.largest)))
-        return (
-            f"about {_errors(median, largest)}, between those of five organs of {_range(few)} and {_range(many)} nodes"
-        )
+    errors = _errors_between(nodes)
+    if errors is not None:
+        return f"about {_errors(*errors)}, between those of five organs of {_range(few)} and {_range(many)} nodes"
     nearest, word = (few, "fewest") if nodes < few.fewest else (many, "most")
-    errors = _errors(nearest.median, nearest.largest)
-    return f"not known for {nodes:,} nodes: {errors} on five organs of {_range(nearest)} nodes, the {word} measured"
+    text = _errors(nearest.median, nearest.largest)
+    return f"not known for {nodes:,} nodes: {text} on five organs of {_range(nearest)} nodes, the {word} measured"
+
+
+def nodes_error(model: Any) -> float | None:
+    """Return the typical error of a reduced model's tool force by the number of its nodes, relative; None if unknown.
+
+    It is the median of `FORCE_STUDIES`, which are of balls on organs. So it is not known of a held group, or of a
+    number of nodes that was not studied.
+    """
+    from palpate.reduction.hyper.model import ReducedModel
+
+    if not isinstance(model, ReducedModel) or model.data.compliance is None:
+        return None
+    errors = _errors_between(len(model.cloud))
+    return None if errors is None else errors[0]
+
+
+def _errors_between(nodes: int) -> tuple[float, float] | None:
+    """Return the median and the largest error at a number of nodes; None beyond the studies."""
+    few, many = FORCE_STUDIES
+    if not few.fewest <= nodes <= many.most:
+        return None
+    share = float(np.clip(np.log(nodes / few.most) / np.log(many.fewest / few.most), 0.0, 1.0))
+    return few.median + share * (many.median - few.median), few.largest + share * (many.largest - few.largest)
 
 
 def _range(study: ForceStudy) -> str:

@@ -6,6 +6,8 @@ The folder of a scene file is next to it, that of a scene of the package is in t
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -64,18 +66,24 @@ def trained_model(scene: Scene, console: Console, workers: int | None = None) ->
     check_sizes(scene, training, recorded=(folder / RECORDINGS_FOLDER).is_dir())
     runs = f"{'at most ' if training.tolerance else ''}{training.paths + training.held_out} runs of its full body"
     with console.status("preparing the full model (the first time on a machine compiles it, for about a minute)"):
-        made = training_of(scene, _parameters(scene))
+        _ = scene.body
     console.say(f"{scene.title} has no reduced model yet: {runs} are made now, and one is trained on them, once")
     console.say(f"the runs and the model are kept in {folder}")
-    default = min(os.cpu_count() or 1, MAX_WORKERS)
-    with open_campaign(folder, manifest_of(name_in_folder(scene.name, folder), made, training.seed)) as campaign_folder:
-        campaign = Campaign(campaign_folder, made, console, training.modes, workers=workers or default)
+    with campaign_of(scene, folder, console, workers or min(os.cpu_count() or 1, MAX_WORKERS)) as campaign:
         if training.tolerance:
             _, model, _ = campaign.train_to_tolerance(training.tolerance, training.paths, training.held_out)
         else:
             model = campaign.train(campaign.jobs(range(training.paths), training.held_out))
     console.say(f"trained {training.modes} modes, {count_nodes(model.report['nodes'])} sampled{_errors(model)}")
     return model
+
+
+@contextmanager
+def campaign_of(scene: Scene, folder: Path, console: Console, workers: int) -> Iterator[Campaign]:
+    """Open the campaign of a scene in a folder, with a number of processes."""
+    made, training = training_of(scene, _parameters(scene)), scene.description.training
+    with open_campaign(folder, manifest_of(name_in_folder(scene.name, folder), made, training.seed)) as campaign_folder:
+        yield Campaign(campaign_folder, made, console, training.modes, workers=workers)
 
 
 def _other_sizes(scene: Scene, model: ReducedModel) -> dict[str, Any]:

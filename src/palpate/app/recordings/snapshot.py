@@ -118,7 +118,11 @@ def scalar_descriptions(surface: DisplaySurface) -> list[dict[str, Any]]:
 
 
 def training_errors(model: ReducedModel | EnergySolid) -> dict[str, Any] | None:
-    """Return a model's mean errors on held-out runs, and advice if they are large; None without such runs."""
+    """Return a model's mean errors on held-out runs, the largest trust number with a bound, and advice; or None.
+
+    The advice is None if the errors are not large. Without held-out runs there is nothing to return.
+    """
+    from palpate.reduction.hyper.error_indicator import bound_curve
     from palpate.reduction.hyper.model import ReducedModel
 
     if not isinstance(model, ReducedModel):
@@ -127,4 +131,5 @@ def training_errors(model: ReducedModel | EnergySolid) -> dict[str, Any] | None:
     if not errors:
         return None
     described = {"force_error": errors.get("reaction"), "displacement_error": errors.get("displacement")}
-    return described | {"advice": model.report.get("advice")}
+    curve = bound_curve(model.report)
+    return described | {"largest_trust": curve[3] if curve.any() else 1.0, "advice": model.report.get("advice")}

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from palpate.app.models.force_error import nodes_error
 from palpate.app.recordings.cut_surfaces import CutSurfaces
 from palpate.app.recordings.recording import Recording
 from palpate.app.recordings.snapshot import OverlayState, Snapshot, scalar_descriptions, training_errors
@@ -73,6 +74,7 @@ class Replay:
             "tools": [], **describe_tools([]), "tool": tools[0], "max_tools": len(tools), "all_tools": tools,
             "materials": [], "rate": None,
             "training_errors": training_errors(self.recording.model),
+            "nodes_error": nodes_error(self.recording.model),
             "scalars": scalar_descriptions(self.surface), "duration": self.duration,
             "overlay": bool(self.recording.full), "full": isinstance(self.recording.model, EnergySolid),
             "errors": self.recording.full.get("errors"),

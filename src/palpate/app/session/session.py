@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from palpate.app.common.rotations import compose_rotations
+from palpate.app.models.force_error import nodes_error
 from palpate.app.recordings.snapshot import (
     OverlayState,
     Snapshot,
@@ -166,7 +167,8 @@ class Session:
         return {
             "tools": self.tool_kinds, "tool": tools[0], "max_tools": self.max_tools, "all_tools": tools,
             "materials": self._materials(), "rate": self.rate, "scalars": scalar_descriptions(self.surface),
-            "training_errors": training_errors(self.model), "overlay": False, "full": self.body.is_full,
+            "training_errors": training_errors(self.model), "nodes_error": nodes_error(self.model), "overlay": False,
+            "full": self.body.is_full,
             "subtitle": self.subtitle, "notes": list(self.notes),
             **describe_tools(self.tool_kinds),
         }  # fmt: skip

@@ -77,18 +77,22 @@ class Scales(NamedTuple):
 
 def trust_numbers(measures: Measures, scales: Scales | ReducedData) -> Floats:
     """Return the trust number of a state, or those (f,) of the frames of a run."""
+    return np.asarray(np.max(list(measure_ratios(measures, scales).values()), axis=0))
+
+
+def measure_ratios(measures: Measures, scales: Scales | ReducedData) -> dict[str, Floats]:
+    """Return each measure over its scale, of a state or of the frames (f,) of a run, by its name."""
     energies = measures.tool_energies
     touching = touch_speed(measures.speeds, energies, scales.flexibility_scale).max(axis=-1, initial=0.0)
-    ratios = (
-        measures.distances / scales.distance_scale,
-        measures.residual_norms / scales.residual_scale,
-        measures.load_shares / scales.load_scale,
-        np.sqrt(np.maximum(energies.sum(axis=-1), 0.0) / scales.flexibility_scale),
-        touching / scales.speed_scale,
-        measures.nearness / scales.nearness_scale,
-        trust_of_tools(measures.tools, scales.trained_tools),
-    )
-    return np.asarray(np.max(ratios, axis=0))
+    return {
+        "distance": measures.distances / scales.distance_scale,
+        "residual": measures.residual_norms / scales.residual_scale,
+        "load share": measures.load_shares / scales.load_scale,
+        "compliance": np.sqrt(np.maximum(energies.sum(axis=-1), 0.0) / scales.flexibility_scale),
+        "speed": touching / scales.speed_scale,
+        "nearness": measures.nearness / scales.nearness_scale,
+        "tools": np.asarray(trust_of_tools(measures.tools, scales.trained_tools)),
+    }
 
 
 @register_jitable
@@ -106,14 +110,14 @@ class ExpectedError(NamedTuple):
     Parameters
     ----------
     median : float
-        Of the frames of the held-out runs. Infinite, as `bound`, where the error is unknown: above all trust
-        numbers of these runs.
+        Of the frames of the held-out runs. Infinite, as `bound`, where the error is unknown: at a trust number of 2
+        or more.
     bound : float
         Bound that the errors of a run do not exceed in any frame, with the probability `level`.
     level : float
         0.95, or n / (n + 1) for less than 19 held-out runs n. It is the share of runs, of the kind of the
         held-out runs, that keep the bound in all their frames, in the mean over campaigns. Where these are runs
-        with one tool and with two, n is the smaller number of either, and each kind keeps the level.
+        with one tool and with two, each kind keeps the level by itself if it has 19 runs.
     least_level : float
         Share of such runs that keep the bound of this campaign, with a confidence of 90 %.
     typical_size : float [m] or [N]
