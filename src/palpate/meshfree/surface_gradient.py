@@ -1,16 +1,16 @@
-"""First derivatives near a curved surface by fits in the depth below it.
+"""First derivatives at the nodes of a curved surface by fits in the depth below it.
 
-A stencil at a surface has nodes on one side only. Where the surface is flat, its nodes have depth 0, and
+The stencil of a surface node has nodes on one side only. Where the surface is flat, its nodes have depth 0, and
 those below determine the derivative along the normal. Where it is curved, the surface nodes around lie
 beside the tangent plane, and a quadratic fit takes what a short wave along the surface leaves for a
 change along the normal: a ball of five spacings in radius answers a small tool with one and a half times
 its force. So the quadratic terms here are products of coordinates in which the surface is flat,
 
-    y_J = x_J - n (f_J - f_I),    f_J = x_J . B . x_J,
+    y_J = x_J - n (x_J . B . x_J),
 
-with the offsets x of the nodes from a surface node, the normal n there, and half of the second
-fundamental form B (do Carmo, Differential Geometry of Curves and Surfaces, 1976, section 3.3). The linear
-terms stay those of x, so that linear fields are exact. Where the surface is flat nothing changes.
+with the offsets x of the neighbours, the normal n, and half of the second fundamental form B (do Carmo,
+Differential Geometry of Curves and Surfaces, 1976, section 3.3). The linear terms stay those of x, so that
+linear fields are exact. Where the surface is flat nothing changes.
 """
 
 from __future__ import annotations
@@ -20,11 +20,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats, Ints
 from palpate.meshfree.cloud import Cloud
-from palpate.meshfree.inner_gradient import REACH_MARGIN, inner_nodes
+from palpate.meshfree.inner_gradient import REACH_MARGIN
 from palpate.meshfree.quadrature import DERIVATIVE_PAIRS
 from palpate.meshfree.stencils import BATCH_NODES, Stencils, quartic_spline
 
@@ -35,34 +34,25 @@ FORM_RIDGE = 1e-9  # of the moments of surface nodes, relative to their trace: n
 
 
 class SurfaceForms(NamedTuple):
-    """The surface near every node of a cloud, as a quadric."""
+    """The surface near its nodes, as a quadric at each."""
 
-    origin: Floats  # (n, 3) array [m]: the nearest surface node
-    normal: Floats  # (n, 3) array: outward unit normal there
-    form: Floats  # (n, 3, 3) array [1/m]: half of the second fundamental form there; zero for inner nodes
-
-    def heights(self, nodes: Ints, points: Floats) -> Floats:
-        """Return the heights (m, k) [m] of the quadrics of nodes (m,) over their tangent planes at points (m, k, 3)."""
-        offset = points - self.origin[nodes, None]
-        return np.asarray(np.einsum("mki,mij,mkj->mk", offset, self.form[nodes], offset))
+    normal: Floats  # (n, 3) array: outward unit normal; zero for nodes inside
+    form: Floats  # (n, 3, 3) array [1/m]: half of the second fundamental form; zero for nodes inside
 
 
 def surface_forms(cloud: Cloud, stencils: Stencils) -> SurfaceForms:
-    """Return the quadrics that fit the surface nodes in the stencils of the nodes near the surface."""
+    """Return the quadrics that fit the surface nodes in the stencils of surface nodes; on lattices all are zero."""
     points, n = cloud.points, len(cloud)
     vectors = cloud.boundary_vectors() * cloud.volumes[:, None]
     size = np.linalg.norm(vectors, axis=1)
-    surface, normals = np.flatnonzero(size), vectors / np.maximum(size, np.finfo(float).tiny)[:, None]
-    nearest = surface[cKDTree(points[surface]).query(points)[1]] if len(surface) else np.arange(n)
-    form = np.zeros((n, 3, 3))
-    nodes = np.flatnonzero(~inner_nodes(cloud, stencils)) if len(stencils.first) == n else np.zeros(0, dtype=np.int64)
+    normal, form = vectors / np.maximum(size, np.finfo(float).tiny)[:, None], np.zeros((n, 3, 3))
+    nodes = np.flatnonzero(size) if len(stencils.first) == n else np.zeros(0, dtype=np.int64)
     for part in np.array_split(nodes, len(nodes) // BATCH_NODES + 1):
-        near, anchor = stencils.neighbours[part], nearest[part]
-        smooth = np.einsum("mki,mi->mk", normals[near], normals[anchor]) > SMOOTH_COSINE
-        form[part] = _fitted_forms(
-            points[near] - points[anchor, None], normals[anchor], smooth & (near != part[:, None]), cloud.spacing
-        )
-    return SurfaceForms(points[nearest], normals[nearest], form)
+        near = stencils.neighbours[part]
+        smooth = np.einsum("mki,mi->mk", normal[near], normal[part]) > SMOOTH_COSINE
+        smooth &= near != part[:, None]
+        form[part] = _fitted_forms(points[near] - points[part, None], normal[part], smooth, cloud.spacing)
+    return SurfaceForms(normal, form)
 
 
 def _fitted_forms(offset: Floats, normal: Floats, smooth: NDArray[np.bool_], spacing: float) -> Floats:
@@ -85,7 +75,7 @@ def _fitted_forms(offset: Floats, normal: Floats, smooth: NDArray[np.bool_], spa
 
 
 def with_surface_gradient(stencils: Stencils, cloud: Cloud) -> Stencils:
-    """Return stencils of a cloud in space whose first derivatives near a curved surface are fits in the depth."""
+    """Return stencils of a cloud in space whose first derivatives at nodes of a curved surface are fits in the depth."""
     forms = surface_forms(cloud, stencils)
     nodes = np.flatnonzero(forms.form.any(axis=(1, 2)))
     if not len(nodes):
@@ -99,11 +89,12 @@ def with_surface_gradient(stencils: Stencils, cloud: Cloud) -> Stencils:
 def _depth_fit(points: Floats, forms: SurfaceForms, nodes: Ints, near: NDArray[np.int32]) -> Floats:
     """Return weights (m, k, 3) [1/m] of the first derivatives at nodes (m,) with neighbours (m, k)."""
     offset, present = points[near] - points[nodes, None], near != nodes[:, None]
-    height = forms.heights(nodes, points[near]) - forms.heights(nodes, points[nodes, None])
+    height = np.einsum("mki,mij,mkj->mk", offset, forms.form[nodes], offset)
     flat = offset - height[:, :, None] * forms.normal[nodes, None]
     radius = REACH_MARGIN * np.linalg.norm(offset, axis=2).max(axis=1)[:, None, None]
     offset, flat = offset / radius, flat / radius
     weight = np.where(present, quartic_spline(np.linalg.norm(offset, axis=2)), 0.0)
-    monomials = np.concatenate([offset, np.stack([flat[..., a] * flat[..., b] for a, b in DERIVATIVE_PAIRS], 2)], axis=2)
+    products = np.stack([flat[..., a] * flat[..., b] for a, b in DERIVATIVE_PAIRS], axis=2)
+    monomials = np.concatenate([offset, products], axis=2)
     weighted = np.swapaxes(monomials * weight[:, :, None], 1, 2)
     return np.asarray(np.swapaxes(np.linalg.solve(weighted @ monomials, weighted)[:, :3], 1, 2) / radius)
