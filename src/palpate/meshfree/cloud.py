@@ -28,7 +28,7 @@ MIN_SPACING = 1e-9  # [m]; beyond these limits volumes and stiffnesses exceed th
 MIN_VOLUME_RATIO = 1e-12  # of the smallest cell: volume of a node
 # widths beyond the border of a region, in spacings, in which nodes belong to its group: of supports, and of small
 # regions that a tool moves (docs/claims/elements.md)
-BORDER_MARGIN, MOVED_MARGIN = 0.2, 0.35
+BORDER_MARGIN, MOVED_MARGIN = 0.2, 0.3
 EXPECTED_SIZES = 1e-4, 10.0  # [m] of a body; other sizes are probably not in metres
 
 

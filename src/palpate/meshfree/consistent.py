@@ -34,6 +34,7 @@ from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.inner_gradient import with_inner_gradient
 from palpate.meshfree.quadrature import integration_weights, quadratic_residuals
 from palpate.meshfree.stencils import Stencils, moving_least_squares
+from palpate.meshfree.surface_gradient import with_surface_gradient
 
 RESIDUAL_TOLERANCE = 1e-11  # largest residual of the condition, relative to V / h
 SHARED_TOLERANCE = 1e-9  # the same with shared rows: the volumes integrate linear fields as exactly
@@ -81,7 +82,7 @@ def _consistent_stencils(cloud: Cloud, neighbours: int) -> tuple[Stencils, Float
     stencils = moving_least_squares(cloud.points, order=2, neighbours=neighbours, hidden=cloud.hidden)
     volumes, misses = integration_weights(cloud, stencils), quadratic_residuals(stencils, cloud.points)
     edges = cloud.boundary_vectors() * cloud.volumes[:, None]
-    stencils = with_inner_gradient(stencils, cloud)
+    stencils = with_surface_gradient(with_inner_gradient(stencils, cloud), cloud)
     every = np.arange(len(cloud))
     row = _alike(stencils, volumes, edges)
     if row.max() < every[-1]:

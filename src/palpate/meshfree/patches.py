@@ -24,7 +24,7 @@ from palpate.meshfree.cut.bond_paths import bond_paths
 from palpate.meshfree.cut.surface import NO_CUT, CutSurface
 from palpate.meshfree.visibility import is_pair
 
-KERNEL_RADIUS = 1.55  # kernel radius in surface spacings, closest to Hertz's contact
+KERNEL_RADIUS = 1.42  # kernel radius in surface spacings, closest to Hertz on layers and balls (validation/patches.py)
 MAX_PATCH_DEPTH = 2.0  # largest distance of interior nodes in a patch, in spacings
 SAME_FACE_COSINE = 0.85  # of normals of nodes on one face; 0.82 at the corner of a box
 MAX_PATCH_NODES = 96  # candidates within that distance

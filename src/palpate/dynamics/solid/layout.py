@@ -24,7 +24,7 @@ from palpate.meshfree.mirror import Images, Mirror
 from palpate.meshfree.stencils import Stencils
 from palpate.tissue.materials import Material
 
-HOURGLASS_MODULUS = 1.0  # modulus of the hourglass residual, in shear moduli over the spacing squared
+HOURGLASS_MODULUS = 4.0  # modulus of the hourglass residual, in shear moduli over the spacing squared
 
 
 class CompiledForm(NamedTuple):

@@ -8,7 +8,7 @@ continuous in the position of the front. A quadratic fit is used if its size
 
 is not much above that of uncut nodes, else a linear one. Inner nodes keep their cubic terms
 (`palpate.meshfree.inner_gradient`), whose damping increases with the weight that the cut takes from their
-neighbours. A node for which neither is small enough is *released*: it leaves all stencils.
+neighbours. Nodes of a curved surface keep their fits in the depth (`palpate.meshfree.surface_gradient`). A node for which neither is small enough is *released*: it leaves all stencils.
 `palpate.meshfree.cut.kept_sums` then changes the weights for some sums to remain.
 """
 
@@ -92,7 +92,7 @@ def fit_rows(state: CutState, surface: CutSurface, nodes: Ints, released: NDArra
     kind = np.zeros(len(nodes), dtype=np.int64)
     _fit_all(
         uncut.points, nodes, start, near, paths, uncut.spacing, uncut.reach, uncut.smoothing_reach, uncut.limit,
-        uncut.cubic, tables, kind,
+        uncut.cubic, uncut.surface, tables, kind,
     )  # fmt: skip
     return FittedRows(nodes, start, near, *tables, kind, checks[changed])
 
@@ -160,9 +160,10 @@ def _cubic_damping(distance, path, radius):
 
 
 @cached_njit(nogil=True)
-def _monomials(x, y, z, out, last):
-    """Write 1, the coordinates, their products of two and, if monomial `last` is asked for, those of three."""
-    out[0], out[1], out[2], out[3] = 1.0, x, y, z
+def _monomials(offset, flat, out, last):
+    """Write 1, the coordinates, products of two of the flat ones and, if monomial `last` is asked for, those of three."""
+    out[0], out[1], out[2], out[3] = 1.0, offset[0], offset[1], offset[2]
+    x, y, z = flat[0], flat[1], flat[2]
     out[4], out[5], out[6], out[7], out[8], out[9] = x * x, y * y, z * z, x * y, x * z, y * z
     if last > 9:
         out[10], out[11], out[12], out[13], out[14] = x * x * x, y * y * y, z * z * z, x * x * y, x * x * z
@@ -202,14 +203,14 @@ def _solve(factor, size, right):
 
 
 @cached_njit(nogil=True)
-def _moments(offset, weight, first, size, itself, matrix, monomial):
+def _moments(offset, flat, weight, first, size, itself, matrix, monomial):
     """Write the moment matrix of `size` monomials from number `first` on; `itself` is the weight of the node itself."""
     for i in range(size):
         for j in range(size):
             matrix[i, j] = 0.0
     for k in range(offset.shape[0]):
         if weight[k] > 0.0:
-            _monomials(offset[k, 0], offset[k, 1], offset[k, 2], monomial, first + size - 1)
+            _monomials(offset[k], flat[k], monomial, first + size - 1)
             for i in range(size):
                 for j in range(i + 1):
                     matrix[i, j] += weight[k] * monomial[first + i] * monomial[first + j]
@@ -218,12 +219,13 @@ def _moments(offset, weight, first, size, itself, matrix, monomial):
 
 
 @cached_njit(nogil=True)
-def _fit_first(offset, weight, size, damping, scale, spacing, matrix, monomial, right, out):
+def _fit_first(offset, flat, weight, size, damping, scale, spacing, matrix, monomial, right, out):
     """Write the weights of the first derivatives of an interpolating fit; return its size q, or infinity.
 
-    The fit has `size` monomials, 3, 9 or 19; the coefficients of the cubic ones are damped.
+    The fit has `size` monomials, 3, 9 or 19; the coefficients of the cubic ones are damped. Products are those of the
+    offsets in coordinates in which the surface is flat.
     """
-    _moments(offset, weight, 1, size, 0.0, matrix, monomial)
+    _moments(offset, flat, weight, 1, size, 0.0, matrix, monomial)
     for i in range(9, size):  # cubes, x^2 y and the like, x y z: see `CUBIC_DAMPING`
         matrix[i, i] += damping / (1.0 if i < 12 else 3.0 if i < 18 else 6.0)
     if not _factor(matrix, size):
@@ -237,7 +239,7 @@ def _fit_first(offset, weight, size, damping, scale, spacing, matrix, monomial, 
         for k in range(offset.shape[0]):
             value = 0.0
             if weight[k] > 0.0:
-                _monomials(offset[k, 0], offset[k, 1], offset[k, 2], monomial, size)
+                _monomials(offset[k], flat[k], monomial, size)
                 for i in range(size):
                     value += right[i] * monomial[1 + i]
             out[k, a] = value * weight[k] / scale
@@ -250,14 +252,14 @@ def _fit_first(offset, weight, size, damping, scale, spacing, matrix, monomial, 
 @cached_njit(nogil=True)
 def _fit_value(offset, weight, size, matrix, monomial, right, sign, out):
     """Write the weights of the fitted value at the node, times a sign; the node itself has weight 1 in the fit."""
-    _moments(offset, weight, 0, size, 1.0, matrix, monomial)
+    _moments(offset, offset, weight, 0, size, 1.0, matrix, monomial)
     if _factor(matrix, size):
         for i in range(size):
             right[i] = 1.0 if i == 0 else 0.0
         _solve(matrix, size, right)
     else:  # nodes in few planes: the least solution
         full = np.zeros((size, size))
-        _moments(offset, weight, 0, size, 1.0, matrix, monomial)
+        _moments(offset, offset, weight, 0, size, 1.0, matrix, monomial)
         for i in range(size):
             for j in range(i + 1):
                 full[i, j] = matrix[i, j]
@@ -272,26 +274,39 @@ def _fit_value(offset, weight, size, matrix, monomial, right, sign, out):
     for k in range(offset.shape[0]):
         value = 0.0
         if weight[k] > 0.0:
-            _monomials(offset[k, 0], offset[k, 1], offset[k, 2], monomial, size - 1)
+            _monomials(offset[k], offset[k], monomial, size - 1)
             for i in range(size):
                 value += right[i] * monomial[i]
         out[k] = sign * value * weight[k]
 
 
 @cached_njit(nogil=True)
-def _fit_all(points, nodes, start, near, paths, spacing, reach, smoothing_reach, limit, cubic, tables, kind):
+def _height(form, x):
+    """Return the height [m] of a quadric over its tangent plane at an offset (3,) from its node."""
+    total = 0.0
+    for a in range(3):
+        for b in range(3):
+            total += x[a] * form[a, b] * x[b]
+    return total
+
+
+@cached_njit(nogil=True)
+def _fit_all(points, nodes, start, near, paths, spacing, reach, smoothing_reach, limit, cubic, surface, tables, kind):
     """Fit the rows of all nodes; see `fit_rows`."""
     first, residual, smoothing, freedom = tables
     matrix, monomial, right = np.zeros((20, 20)), np.zeros(20), np.zeros(20)
     for m in range(nodes.shape[0]):
         i, begin, end = nodes[m], start[m], start[m + 1]
         count = end - begin
-        offset, distance, weight = np.empty((count, 3)), np.empty(count), np.empty(count)
+        offset, flat, distance, weight = np.empty((count, 3)), np.empty((count, 3)), np.empty(count), np.empty(count)
         path = paths[begin:end]
         for k in range(count):
             j = near[begin + k]
             for a in range(3):
                 offset[k, a] = points[j, a] - points[i, a]
+            height = _height(surface.form[i], offset[k])
+            for a in range(3):
+                flat[k, a] = offset[k, a] - height * surface.normal[i, a]
             distance[k] = np.sqrt(offset[k, 0] ** 2 + offset[k, 1] ** 2 + offset[k, 2] ** 2)
             if path[k] < np.inf:
                 freedom[begin + k] = np.exp(-((distance[k] / spacing) ** 2) / 4.0)
@@ -301,6 +316,7 @@ def _fit_all(points, nodes, start, near, paths, spacing, reach, smoothing_reach,
             weight[k] = _spline(path[k] / scale)
             for a in range(3):
                 offset[k, a] /= scale
+                flat[k, a] /= scale
             if weight[k] < 1e-9:
                 weight[k], freedom[begin + k] = 0.0, 0.0
         out = first[begin:end]
@@ -308,12 +324,12 @@ def _fit_all(points, nodes, start, near, paths, spacing, reach, smoothing_reach,
         size, damping = 9, 0.0
         if cubic[i]:
             size, damping = 19, _cubic_damping(distance, path, REACH_MARGIN * reach[i])
-        q = _fit_first(offset, weight, size, damping, scale, spacing, matrix, monomial, right, out)
+        q = _fit_first(offset, flat, weight, size, damping, scale, spacing, matrix, monomial, right, out)
         if not q < limit[i] and size == 19:
-            q = _fit_first(offset, weight, 9, 0.0, scale, spacing, matrix, monomial, right, out)
+            q = _fit_first(offset, flat, weight, 9, 0.0, scale, spacing, matrix, monomial, right, out)
         if not q < limit[i]:
             kind[m] = LINEAR_FIT
-            if not _fit_first(offset, weight, 3, 0.0, scale, spacing, matrix, monomial, right, out) < limit[i]:
+            if not _fit_first(offset, flat, weight, 3, 0.0, scale, spacing, matrix, monomial, right, out) < limit[i]:
                 kind[m] = RELEASED_FIT
                 out[:] = 0.0
                 freedom[begin:end] = 0.0

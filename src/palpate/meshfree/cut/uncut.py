@@ -10,6 +10,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats, Ints
+from palpate.meshfree.surface_gradient import SurfaceForms
 from palpate.meshfree.visibility import is_pair
 
 WIDEST_REACH = 3.2  # largest reach of a cut node, in spacings
@@ -31,6 +32,7 @@ class UncutStencils(NamedTuple):
     tree: cKDTree  # of the points
     on_surface: NDArray[np.bool_]  # (n,) bool array
     cubic: NDArray[np.bool_]  # (n,) bool array: nodes whose first derivatives are those of cubic fits
+    surface: SurfaceForms  # by which the first derivatives of surface nodes are fits in the depth
     widest: Floats  # (n,) array [m]: largest distance of neighbours of cut nodes
     # bond_start, bond_near: (n + 1,), (t,) int arrays: first bond of every node, and the other nodes of all bonds: all
     # nodes within that distance
@@ -40,7 +42,7 @@ class UncutStencils(NamedTuple):
 
 def uncut_stencils(
     points: Floats, volumes: Floats, spacing: float, near: Any, first: Floats, smoothing_near: Any, surface: Any,
-    cubic: NDArray[np.bool_], hidden: csr_array,
+    cubic: NDArray[np.bool_], forms: SurfaceForms, hidden: csr_array,
 ) -> UncutStencils:  # fmt: skip
     """Return what the stencils of cut nodes depend on.
 
@@ -56,6 +58,7 @@ def uncut_stencils(
         Nodes of the surface.
     cubic : (n,) bool array
         Nodes whose first derivatives are those of cubic fits.
+    forms : SurfaceForms
     hidden : (n, n) sparse array
         Pairs without bonds: `Cloud.hidden`.
     """
@@ -73,7 +76,7 @@ def uncut_stencils(
     tree = cKDTree(points)
     widest = REACH_MARGIN * np.maximum(WIDEST_REACH * spacing, np.maximum(reach, smoothing_reach))
     return UncutStencils(
-        points, volumes, spacing, reach, smoothing_reach, limit, sums, tree, on_surface, cubic, widest,
+        points, volumes, spacing, reach, smoothing_reach, limit, sums, tree, on_surface, cubic, forms, widest,
         *_bonds_within(points, tree, widest, hidden),
     )  # fmt: skip
 

@@ -38,6 +38,7 @@ from palpate.meshfree.cut.stencils import (
 from palpate.meshfree.cut.surface import NO_CUT, CutSurface, changed_spheres, cut_surface, nodes_near
 from palpate.meshfree.cut.uncut import uncut_stencils
 from palpate.meshfree.inner_gradient import inner_nodes
+from palpate.meshfree.surface_gradient import surface_forms
 
 KEEP_PIECES, REMOVE_PIECES = "keep", "remove"
 COMPUTED_NAMES = (  # attributes of a body that follow from its constants
@@ -159,7 +160,8 @@ def uncut_state(body: Any) -> CutState:
     stencils, n = body.stencils, len(body.cloud)
     uncut = uncut_stencils(
         body.cloud.points, body.volumes, body.cloud.spacing, stencils.neighbours, stencils.first[stencils.row],
-        body.smoothing.neighbours, body.cloud.triangles.ravel(), inner_nodes(body.cloud, stencils), body.cloud.hidden,
+        body.smoothing.neighbours, body.cloud.triangles.ravel(), inner_nodes(body.cloud, stencils),
+        surface_forms(body.cloud, stencils), body.cloud.hidden,
     )  # fmt: skip
     none = np.zeros(n, np.bool_)
     return CutState(NO_CUT, no_face_points(), uncut, uncut.sums, np.zeros(n), none, none, none, (0.0, 0.0))
