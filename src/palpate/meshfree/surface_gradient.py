@@ -27,10 +27,12 @@ from palpate.meshfree.inner_gradient import REACH_MARGIN
 from palpate.meshfree.quadrature import DERIVATIVE_PAIRS
 from palpate.meshfree.stencils import BATCH_NODES, Stencils, quartic_spline
 
-SMOOTH_COSINE = 0.8  # smallest cosine between the normals of nodes on one smooth part of a surface
+SMOOTH_COSINE = 0.8  # cosine between the normals of nodes at which they count as on two parts of a surface
 FORM_WIDTH = 1.5  # width [spacings] of the Gaussian weights of the surface nodes around
 MAX_CURVATURE = 0.5  # [1/spacing] largest principal curvature
-FORM_RIDGE = 1e-9  # of the moments of surface nodes, relative to their trace: nodes in one line leave it undetermined
+# of the moments of surface nodes, relative to their trace: nodes in one line leave the form undetermined; in the
+# norm of Frobenius, which no rotation changes
+FORM_RIDGE = 1e-4 * np.diag([1.0, 2.0, 1.0])
 
 
 class SurfaceForms(NamedTuple):
@@ -49,25 +51,25 @@ def surface_forms(cloud: Cloud, stencils: Stencils) -> SurfaceForms:
     nodes = np.flatnonzero(size) if len(stencils.first) == n else np.zeros(0, dtype=np.int64)
     for part in np.array_split(nodes, len(nodes) // BATCH_NODES + 1):
         near = stencils.neighbours[part]
-        smooth = np.einsum("mki,mi->mk", normal[near], normal[part]) > SMOOTH_COSINE
-        smooth &= near != part[:, None]
-        form[part] = _fitted_forms(points[near] - points[part, None], normal[part], smooth, cloud.spacing)
+        cosine = np.einsum("mki,mi->mk", normal[near], normal[part])
+        share = np.clip((cosine - SMOOTH_COSINE) / (1 - SMOOTH_COSINE), 0.0, 1.0) ** 2 * (near != part[:, None])
+        form[part] = _fitted_forms(points[near] - points[part, None], normal[part], share, cloud.spacing)
     return SurfaceForms(normal, form)
 
 
-def _fitted_forms(offset: Floats, normal: Floats, smooth: NDArray[np.bool_], spacing: float) -> Floats:
-    """Return forms (m, 3, 3) [1/m] fitted to the heights of surface nodes at offsets (m, k, 3) [m] from a node."""
+def _fitted_forms(offset: Floats, normal: Floats, share: Floats, spacing: float) -> Floats:
+    """Return forms (m, 3, 3) [1/m] fitted to the heights of nodes at offsets (m, k, 3) [m], by their shares (m, k)."""
     if not len(offset):
         return np.zeros((0, 3, 3))
     tangents = np.linalg.svd(normal[:, None, :])[2][:, 1:]
     height = np.einsum("mki,mi->mk", offset, normal)
     x, y = np.moveaxis(np.einsum("mki,mai->mka", offset, tangents), 2, 0)
-    weight = np.where(smooth, np.exp(-(x**2 + y**2) / (2 * (FORM_WIDTH * spacing) ** 2)), 0.0)
+    weight = share * np.exp(-(x**2 + y**2) / (2 * (FORM_WIDTH * spacing) ** 2))
     terms = np.stack([x**2, 2 * x * y, y**2], axis=2)
     moments = np.einsum("mk,mki,mkj->mij", weight, terms, terms)
-    scale = np.trace(moments, axis1=1, axis2=2) + np.finfo(float).tiny
+    scale = moments[:, 0, 0] + 0.5 * moments[:, 1, 1] + moments[:, 2, 2] + np.finfo(float).tiny
     right = np.einsum("mk,mki,mk->mi", weight, terms, height)
-    fitted = np.linalg.solve(moments / scale[:, None, None] + FORM_RIDGE * np.eye(3), (right / scale[:, None])[..., None])
+    fitted = np.linalg.solve(moments / scale[:, None, None] + FORM_RIDGE, (right / scale[:, None])[..., None])
     curvatures, axes = np.linalg.eigh(fitted[:, [0, 1, 1, 2], 0].reshape(-1, 2, 2))
     most = 0.5 * MAX_CURVATURE / spacing
     plane = np.einsum("mab,mb,mcb->mac", axes, np.clip(curvatures, -most, most), axes)
@@ -75,7 +77,7 @@ def _fitted_forms(offset: Floats, normal: Floats, smooth: NDArray[np.bool_], spa
 
 
 def with_surface_gradient(stencils: Stencils, cloud: Cloud) -> Stencils:
-    """Return stencils of a cloud in space whose first derivatives at nodes of a curved surface are fits in the depth."""
+    """Return stencils of a cloud in space whose first derivatives at curved surfaces are those of fits in the depth."""
     forms = surface_forms(cloud, stencils)
     nodes = np.flatnonzero(forms.form.any(axis=(1, 2)))
     if not len(nodes):
