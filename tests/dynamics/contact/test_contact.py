@@ -219,7 +219,7 @@ def test_a_tool_that_passes_between_nodes_raises(tissue):
     model = pt.Solid(block, tissue, fixed="z-", form="energy")
     drop = lambda t: np.array([0.011, 0.011, 0.016 + 0.0021 - 2.0 * t])  # noqa: E731
     with pytest.raises(pt.DivergenceError, match=r"'tool' passed between the nodes .* larger tool") as caught:
-        run(model, pt.tools.Contact(pt.tools.Sphere(0.002001), drop), duration=0.003)
+        run(model, pt.tools.Contact(pt.tools.Sphere(0.002001), drop), duration=0.005)
     assert not caught.value.trajectory.complete
 
 
