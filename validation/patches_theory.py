@@ -67,7 +67,7 @@ def ball_gap(angle: np.ndarray, radius: float, ball_radius: float) -> np.ndarray
 
 
 def ball_compliances(degrees: np.ndarray, ball_radius: float, shear_modulus: float, poisson: float) -> np.ndarray:
-    """Return the radial displacements [m/Pa] of a ball under pressures of Legendre's polynomials, of degree 0 or >= 2."""
+    """Return a ball's radial displacements [m/Pa] under pressures of Legendre's polynomials, of degrees 0 or >= 2."""
     n = np.where(degrees == 0, 2.0, degrees)  # the first is replaced below
     ratio = n * (n**2 + 2 * n - 1 + 2 * poisson) / (n - 1)
     displacement = (n + 1) * (n - 2 + 4 * poisson) - ratio
