@@ -8,7 +8,8 @@ continuous in the position of the front. A quadratic fit is used if its size
 
 is not much above that of uncut nodes, else a linear one. Inner nodes keep their cubic terms
 (`palpate.meshfree.inner_gradient`), whose damping increases with the weight that the cut takes from their
-neighbours. Nodes of a curved surface keep their fits in the depth (`palpate.meshfree.surface_gradient`). A node for which neither is small enough is *released*: it leaves all stencils.
+neighbours. Nodes of a curved surface keep their fits in the depth (`palpate.meshfree.surface_gradient`). A node
+for which neither a quadratic nor a linear fit is small enough is *released*: it leaves all stencils.
 `palpate.meshfree.cut.kept_sums` then changes the weights for some sums to remain.
 """
 
