@@ -67,7 +67,8 @@ def _fitted_forms(offset: Floats, normal: Floats, smooth: NDArray[np.bool_], spa
     moments = np.einsum("mk,mki,mkj->mij", weight, terms, terms)
     scale = np.trace(moments, axis1=1, axis2=2) + np.finfo(float).tiny
     right = np.einsum("mk,mki,mk->mi", weight, terms, height)
-    fitted = np.linalg.solve(moments / scale[:, None, None] + FORM_RIDGE * np.eye(3), (right / scale[:, None])[..., None])
+    regular = moments / scale[:, None, None] + FORM_RIDGE * np.eye(3)
+    fitted = np.linalg.solve(regular, (right / scale[:, None])[..., None])
     curvatures, axes = np.linalg.eigh(fitted[:, [0, 1, 1, 2], 0].reshape(-1, 2, 2))
     most = 0.5 * MAX_CURVATURE / spacing
     plane = np.einsum("mab,mb,mcb->mac", axes, np.clip(curvatures, -most, most), axes)
@@ -75,7 +76,7 @@ def _fitted_forms(offset: Floats, normal: Floats, smooth: NDArray[np.bool_], spa
 
 
 def with_surface_gradient(stencils: Stencils, cloud: Cloud) -> Stencils:
-    """Return stencils of a cloud in space whose first derivatives at nodes of a curved surface are fits in the depth."""
+    """Return stencils in space whose first derivatives at nodes of a curved surface are fits in the depth."""
     forms = surface_forms(cloud, stencils)
     nodes = np.flatnonzero(forms.form.any(axis=(1, 2)))
     if not len(nodes):
