@@ -43,7 +43,7 @@ def test_interior_nodes_are_their_own_patch_and_surface_nodes_share_patches(clou
     assert np.array_equal(patches[inside].toarray(), np.eye(len(cloud))[inside])
     own = patches.diagonal()[surface]
     assert own.min() > 0.2
-    assert 0.3 < np.median(own) < 0.6  # those at edges and corners have less around them
+    assert 0.3 < np.median(own) < 0.65  # those at edges and corners have less around them
     assert patches.data.min() > -0.15
 
 
