@@ -54,7 +54,7 @@ def test_nothing_changes_on_flat_faces_and_straight_edges():
     before = pt.moving_least_squares(cloud.points, order=2, neighbours=42)
     after = with_surface_gradient(before, cloud)
     is_end = (cloud.points < 1e-9) | (cloud.points > np.array([0.05, 0.04, 0.04]) - 1e-9)
-    kept = is_end.sum(axis=1) < 3  # corners, with normals between those of three faces, are no part of a face
+    kept = is_end.sum(axis=1) < 3  # the normal of a corner is near those of its edges: they count as one surface
     np.testing.assert_allclose(after.first[kept], before.first[kept], atol=1e-9 / SPACING)
 
 

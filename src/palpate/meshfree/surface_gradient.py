@@ -2,9 +2,9 @@
 
 The stencil of a surface node has nodes on one side only. Where the surface is flat, its nodes have depth 0, and
 those below determine the derivative along the normal. Where it is curved, the surface nodes around lie
-beside the tangent plane, and a quadratic fit takes what a short wave along the surface leaves for a
-change along the normal: a ball of five spacings in radius answers a small tool with one and a half times
-its force. So the quadratic terms here are products of coordinates in which the surface is flat,
+below the tangent plane, and a quadratic fit takes what a short wave along the surface leaves for a
+change along the normal. A ball of five spacings in radius then answers a small tool with 1.1 to 1.6 times
+its force (validation/patches.py). So the quadratic terms here are products of coordinates in which the surface is flat,
 
     y_J = x_J - n (x_J . B . x_J),
 
