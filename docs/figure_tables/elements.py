@@ -35,6 +35,23 @@ def elements_balls(rows: list[Row]) -> str:
     return markdown(["body", "nodes", "seed", "radius over spacing", "depths [mm]", "errors of the force"], lines)
 
 
+@block("patches", command="python validation/patches.py --keep")
+def elements_patches(rows: list[Row]) -> str:
+    """Return the errors of a small tool's force in per cent: means and standard deviations, by both fits."""
+    plain = {(row["body"], row["radius"]): row for row in rows if row["fits"] == "flat"}
+    lines = []
+    for row in rows:
+        if row["fits"] == "curved":
+            both = [_scattered(row), _scattered(plain[row["body"], row["radius"]])]
+            lines.append([row["body"], f"{row['radius']:g}", str(row["count"]), *both])
+    return markdown(["body", "tool", "places", "errors of the force", "with plain fits"], lines)
+
+
+def _scattered(row: Row) -> str:
+    pairs = zip(row["errors"], row["deviations"], strict=True)
+    return " / ".join(f"{signed(mean, unit='')} ± {100 * deviation:.1f}" for mean, deviation in pairs)
+
+
 @block("elements_truth", command="python validation/elements.py --truth")
 def elements_truth(truth: Row) -> str:
     """Return the finite-element responses with their changes from a coarser mesh."""

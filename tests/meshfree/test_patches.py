@@ -43,7 +43,7 @@ def test_interior_nodes_are_their_own_patch_and_surface_nodes_share_patches(clou
     assert np.array_equal(patches[inside].toarray(), np.eye(len(cloud))[inside])
     own = patches.diagonal()[surface]
     assert own.min() > 0.2
-    assert 0.3 < np.median(own) < 0.62  # those at edges and corners have less around them
+    assert 0.3 < np.median(own) < 0.65  # those at edges and corners have less around them
     assert patches.data.min() > -0.15
 
 
@@ -53,9 +53,11 @@ def test_waves_of_two_spacings_are_filtered_and_long_ones_are_not():
     x, y = cloud.points[:, 0] / 0.002, cloud.points[:, 1] / 0.002
     inner = top[np.all(np.abs(cloud.points[top, :2] - 0.015) < 0.009, axis=1)]
     near, diagonal = (0.5 + 0.5 * np.cos(np.pi * d / KERNEL_RADIUS) for d in (1.0, np.sqrt(2.0)))
-    kept = (1 - 4 * diagonal) / (1 + 4 * near + 4 * diagonal)  # of a wave along a row, by the kernel mean
-    assert kept < 0.6
-    for wave, most in ((x, 1.1 * kept), (x + y, 0.1)):
+    total = 1 + 4 * near + 4 * diagonal
+    along, both = (1 - 4 * diagonal) / total, (1 - 4 * near + 4 * diagonal) / total  # kept by the kernel mean
+    assert along < 0.6
+    assert both < 0.12
+    for wave, most in ((x, 1.1 * along), (x + y, 1.1 * both)):
         field = np.cos(np.pi * wave)
         assert np.abs((patches @ field)[inner]).max() < most
     field = np.cos(2 * np.pi * x / 12)

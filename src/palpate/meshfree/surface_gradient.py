@@ -2,9 +2,9 @@
 
 The stencil of a surface node has nodes on one side only. Where the surface is flat, its nodes have depth 0, and
 those below determine the derivative along the normal. Where it is curved, the surface nodes around lie
-beside the tangent plane, and a quadratic fit takes what a short wave along the surface leaves for a
-change along the normal: a ball of five spacings in radius answers a small tool with one and a half times
-its force. So the quadratic terms here are products of coordinates in which the surface is flat,
+below the tangent plane, and a quadratic fit takes what a short wave along the surface leaves for a
+change along the normal. A ball of five spacings in radius then answers a small tool with 1.1 to 1.6 times
+its force (validation/patches.py). So the quadratic terms here are products of coordinates in which the surface is flat,
 
     y_J = x_J - n (x_J . B . x_J),
 
@@ -27,7 +27,7 @@ from palpate.meshfree.inner_gradient import REACH_MARGIN
 from palpate.meshfree.quadrature import DERIVATIVE_PAIRS
 from palpate.meshfree.stencils import BATCH_NODES, Stencils, quartic_spline
 
-SMOOTH_COSINE = 0.8  # cosine between the normals of nodes at which they count as on two parts of a surface
+SMOOTH_COSINE = 0.85  # cosine between the normals of nodes at which they count as on two parts of a surface
 FORM_WIDTH = 1.5  # width [spacings] of the Gaussian weights of the surface nodes around
 MAX_CURVATURE = 0.5  # [1/spacing] largest principal curvature
 # of the moments of surface nodes, relative to their trace: nodes in one line leave the form undetermined; in the
@@ -77,7 +77,7 @@ def _fitted_forms(offset: Floats, normal: Floats, share: Floats, spacing: float)
 
 
 def with_surface_gradient(stencils: Stencils, cloud: Cloud) -> Stencils:
-    """Return stencils of a cloud in space whose first derivatives at curved surfaces are those of fits in the depth."""
+    """Return stencils in space whose first derivatives at nodes of a curved surface are fits in the depth."""
     forms = surface_forms(cloud, stencils)
     nodes = np.flatnonzero(forms.form.any(axis=(1, 2)))
     if not len(nodes):

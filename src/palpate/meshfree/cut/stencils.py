@@ -8,8 +8,8 @@ continuous in the position of the front. A quadratic fit is used if its size
 
 is not much above that of uncut nodes, else a linear one. Inner nodes keep their cubic terms
 (`palpate.meshfree.inner_gradient`), whose damping increases with the weight that the cut takes from their
-neighbours. Nodes of a curved surface keep their fits in the depth (`palpate.meshfree.surface_gradient`).
-A node for which neither is small enough is *released*: it leaves all stencils.
+neighbours. Nodes of a curved surface keep their fits in the depth (`palpate.meshfree.surface_gradient`). A node
+for which neither a quadratic nor a linear fit is small enough is *released*: it leaves all stencils.
 `palpate.meshfree.cut.kept_sums` then changes the weights for some sums to remain.
 """
 
@@ -162,7 +162,7 @@ def _cubic_damping(distance, path, radius):
 
 @cached_njit(nogil=True)
 def _monomials(offset, flat, out, last):
-    """Write 1, the coordinates, products of two flat ones and, if monomial `last` is asked for, those of three."""
+    """Write 1, the coordinates, products of two of the flat ones and, up to monomial `last`, those of three."""
     out[0], out[1], out[2], out[3] = 1.0, offset[0], offset[1], offset[2]
     x, y, z = flat[0], flat[1], flat[2]
     out[4], out[5], out[6], out[7], out[8], out[9] = x * x, y * y, z * z, x * y, x * z, y * z
