@@ -31,7 +31,7 @@ export class LocalSession {
       const group = { ...NO_TOOL, kind: "group" };
       Object.assign(this.tools[0], { selected: group, active: group, origin: this.about.group_centre });
     }
-    this.arrays.options[MAX_SPEED] = this.about.tool_speed;
+    this.follow(false);
     this.sent = this.acknowledged = 0;
     this.computing = new Float64Array(SAMPLES);
     this.periods = this.dropped = this.counted = 0;
@@ -45,7 +45,7 @@ export class LocalSession {
   /** Say hello, and send the surface. */
   begin() {
     const { about } = this;
-    const replay = this.replay && { mode: "replay", duration: this.duration(), tools: [], materials: [] };
+    const replay = this.replay && { mode: "replay", duration: this.duration(), tools: [], materials: [], tool_speed: null };
     this.post({
       type: "hello", protocol: 3, driver: true, viewers: 1, mode: "live", ...about, max_tools: this.tools.length, ...this.describe(),
       materials: this.materials(), overlay: false, full: false, returns: true, ...replay,
@@ -77,7 +77,7 @@ export class LocalSession {
   sendStatus() {
     const state = this.replay ? (this.replay.playing ? "running" : "paused") : this.state;
     this.post({
-      type: "status", driver: true, viewers: 1, state, speed: this.speed, ...this.describe(), pause_reason: null,
+      type: "status", driver: true, viewers: 1, state, speed: this.speed, fast: this.fast, ...this.describe(), pause_reason: null,
       recording: this.frames !== null, ...(this.replay ? {} : { materials: this.materials() }),
     });
   }
@@ -198,6 +198,7 @@ export class LocalSession {
       release: ({ index = 0 }) => this.release(index),
       control: ({ action }) => this.control(action),
       speed: ({ factor }) => Object.assign(this, { speed: factor, last: performance.now() }),
+      follow: ({ fast }) => this.follow(fast),
       material: ({ value }) => this.setModulus(value),
       record: ({ action }) => (action === "start" ? this.startRecording() : this.stopRecording()),
       replay: ({ action, time }) => this.control(action, time),
@@ -317,6 +318,13 @@ export class LocalSession {
       for (let k = 0; k < 3; k++) normal[k] += u[(k + 1) % 3] * v[(k + 2) % 3] - u[(k + 2) % 3] * v[(k + 1) % 3];
     }
     return normal.reduce((sum, part, k) => sum + part * (near[k] - at(number, k)), 0) > 0;
+  }
+
+  /** Let tools follow as fast as they move at most, or no faster than the training went. */
+  follow(fast) {
+    const { tool_speed: trained, max_tool_speed: most } = this.about;
+    this.fast = fast && trained !== null;
+    this.arrays.options[MAX_SPEED] = this.fast ? most : trained ?? most;
   }
 
   setModulus(value) {

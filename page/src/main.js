@@ -279,7 +279,7 @@ function showStatus() {
     controls.forget();
     statusLine.showToast("Another viewer now controls the tool.");
   }
-  panel.status({ tool: session.tool, driver: driver() }, replaying());
+  panel.status({ tool: session.tool, driver: driver(), fast: status.fast }, replaying());
   transport.status(status, driver());
   refinement.status(driver());
   handList.show(driver());

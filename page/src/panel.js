@@ -12,6 +12,7 @@ export class Panel {
   /** `actions` has send(message), choose(kind), change(fields of the tool), scalar(name). */
   constructor(byId, actions) {
     Object.assign(this, { byId, actions });
+    byId("fast").onchange = ({ target }) => actions.send({ type: "follow", fast: target.checked });
     this.sliders = {};
   }
 
@@ -25,6 +26,7 @@ export class Panel {
     this.markScalar = choice(byId("scalars"), scalars, actions.scalar);
     byId("scalars").classList.toggle("four", scalars.length > 3);
     byId("overlay-row").hidden = !hello.overlay;
+    byId("follow").hidden = (hello.tool_speed ?? null) === null; // no model that its training slows
     this.offerSizes(size, hello.full || hello.compare ? 1e3 * hello.spacing : 0);
     this.offerMaterials(hello.materials ?? []);
     this.trainingErrors = hello.training_errors;
@@ -87,7 +89,7 @@ export class Panel {
   }
 
   /** Show the tool, and enable the settings for the driver. */
-  status({ tool, driver }, replay) {
+  status({ tool, driver, fast }, replay) {
     if (tool && this.coupling) {
       this.markKind(tool.kind);
       const names = (this.toolParameters[tool.kind] ?? []).map(({ name }) => name);
@@ -101,6 +103,7 @@ export class Panel {
     const mine = driver && !replay;
     const own = [...Object.values(this.sliders), ...(this.coupling ? [this.coupling] : []), ...(this.materialSliders ?? [])].map(({ input }) => input);
     for (const input of [...own, ...this.byId("kinds").children]) input.disabled = !mine;
+    Object.assign(this.byId("fast"), { checked: Boolean(fast), disabled: !mine });
     this.byId("tools").hidden ||= replay;
     this.byId("materials").hidden ||= replay;
     this.byId("coupling").hidden = this.byId("tools").hidden || this.compare;

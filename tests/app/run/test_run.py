@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -166,6 +167,10 @@ def test_the_reported_force_and_trust_are_those_of_all_periods(realtime):
         expected = expected_error(report["model"], float(trust.max()), of)
         assert [found[name] or np.inf for name in expected._fields] == pytest.approx(list(expected))
     assert 0 < tool["largest_displacement"] < 0.1
+    assert tool["nodes_error"] is None  # no study has held groups
+    assert re.search(
+        r"error of the nodes, typical, not in the bound of the force\W+not known", (out / "report.md").read_text()
+    )
 
 
 @pytest.mark.slow

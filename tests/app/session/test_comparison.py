@@ -15,7 +15,7 @@ from view_scenes import BALL, MIDDLE
 from palpate.app.session.comparison import Comparison
 from palpate.app.session.full_model_replay import full_model
 from palpate.app.session.messages import validate_message
-from palpate.app.session.session import Session
+from palpate.app.session.session import MAX_TOOL_SPEED, Session
 from palpate.faults import InputError
 
 
@@ -69,6 +69,15 @@ def test_the_overlay_is_the_full_body(comparison, ball, until):
     hello = comparison.hello()
     assert hello["overlay"]
     assert hello["compare"]
+
+
+def test_both_tools_are_as_slow_as_in_training_unless_the_user_asks(comparison):
+    speeds = []
+    for fast in (False, True, False):
+        comparison.handle(validate_message({"type": "follow", "fast": fast}))
+        assert comparison.full.tool_speed == comparison.tool_speed
+        speeds.append(comparison.tool_speed)
+    assert speeds == [comparison.hello()["tool_speed"], MAX_TOOL_SPEED, comparison.hello()["tool_speed"]]
 
 
 def test_a_release_a_reset_and_a_pause_hold_for_both(comparison, ball, until):

@@ -16,7 +16,7 @@ from palpate.app.recordings.recording import FORMAT, VERSION, load_recording
 from palpate.app.recordings.recording_journal import is_recording
 from palpate.app.session.messages import validate_message
 from palpate.app.session.replay import Replay
-from palpate.app.session.session import Session
+from palpate.app.session.session import MAX_TOOL_SPEED, Session
 
 SOFT = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1000.0, poisson=0.45)
 ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
@@ -60,6 +60,14 @@ def moved(body, way):
     """The body at another place."""
     cloud = dataclasses.replace(body.cloud, points=body.cloud.points + way)
     return pt.Solid(cloud, SOFT, body.supports, mass_damping=8.0)
+
+
+def test_the_tool_of_a_full_body_has_no_limit_of_a_training(body):
+    session = Session(body, "Full block")
+    assert session.hello()["tool_speed"] is None
+    assert session.tool_speed == MAX_TOOL_SPEED
+    with pytest.raises(pt.InputError, match="follow must be left out here"):
+        session.handle(validate_message({"type": "follow", "fast": True}))
 
 
 @pytest.mark.slow

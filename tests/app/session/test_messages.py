@@ -65,6 +65,7 @@ def test_quaternions_are_normalised():
         ('{"type": "pin", "index": 1.0, "pinned": true}', "from 0 to 3, got 1.0"),
         ('{"type": "pin", "index": 1}', "pinned must be given"),
         ('{"type": "pin", "index": 1, "pinned": 1}', "pinned must be true or false"),
+        ('{"type": "follow", "fast": 1}', "fast must be true or false"),
         ('{"type": "force", "rate": 100, "tools": []}', "list of 1 to 4 indices"),
         (json.dumps({"type": "force", "rate": 100, "tools": list(range(16))}), "list of 1 to 4 indices"),
         ('{"type": "force", "rate": 100, "tools": [0, 0]}', "different indices"),

@@ -16,7 +16,7 @@ from view_scenes import BALL, MIDDLE, SIZE
 import palpate as pt
 from palpate.app.recordings.recording import load_recording, save_recording
 from palpate.app.session.messages import validate_message
-from palpate.app.session.session import HAND_FORCE, Session
+from palpate.app.session.session import HAND_FORCE, MAX_TOOL_SPEED, TRAINED_SHARE, Session
 from palpate.dynamics.run.journal import Journal
 from palpate.sealed import kind_of_file
 
@@ -156,6 +156,41 @@ def test_a_grasp_pulls_and_lets_go(session, until):
 def test_a_tool_inside_the_body_or_away_from_it_is_refused(session, tool, said):
     with pytest.raises(pt.InputError, match=said):
         session.handle(validate_message({"type": "tool", **tool}))
+
+
+def test_a_tool_is_faster_than_in_training_only_if_the_user_asks(model, ball, until):
+    limited = Session(pt.ReducedModel(replace(model.data, speed_scale=0.05)), "Block")
+    speed, way = limited.hello()["tool_speed"], 0.06
+    assert speed == pytest.approx(TRAINED_SHARE * 0.05)
+
+    def seconds_to(height):
+        """Return the model time [s] in which the ball reaches a height above the body."""
+        begin, place = limited.snapshot().time, ABOVE + np.array([0, 0, height])
+        limited.handle(pose(place))
+        until(lambda: limited.snapshot().position[2] == pytest.approx(place[2]))
+        return limited.snapshot().time - begin
+
+    limited.start()
+    try:
+        limited.handle(validate_message(ball))
+        seconds_to(0.0)
+        assert limited.status()["fast"] is False
+        assert seconds_to(way) > 0.98 * way / speed
+        limited.handle(validate_message({"type": "follow", "fast": True}))
+        assert limited.status()["fast"] is True
+        assert seconds_to(0.0) < 0.5 * way / speed
+        limited.handle(validate_message({"type": "follow", "fast": False}))
+        assert seconds_to(way) > 0.98 * way / speed
+    finally:
+        limited.stop()
+
+
+def test_a_model_of_a_fast_training_does_not_slow_its_tool(model):
+    session = Session(pt.ReducedModel(replace(model.data, speed_scale=10.0)), "Block")
+    assert session.hello()["tool_speed"] is None
+    assert session.tool_speed == MAX_TOOL_SPEED
+    with pytest.raises(pt.InputError, match="follow must be left out here"):
+        session.handle(validate_message({"type": "follow", "fast": True}))
 
 
 def test_slow_motion_is_slow(session, until):

@@ -387,6 +387,26 @@ def test_the_panel_sends_the_chosen_values(opened, synthetic):
     assert told["speed"]["factor"] == 0.25
 
 
+@pytest.mark.parametrize("hello", [{"tool_speed": 0.1}, {"tool_speed": None}, {}])
+def test_fast_movements_are_offered_where_training_slows_the_tool(browser, hello):
+    with SyntheticSession(PAGE, **hello) as synthetic:
+        tab = browser.open(synthetic.address, *WIDE)
+        tab.wait("window.palpate?.ready", 60)
+        tab.evaluate("document.getElementById('details').open = true")
+        shown, checked = (
+            f"document.getElementById('fast').{name}" for name in ("parentNode.checkVisibility()", "checked")
+        )
+        assert tab.evaluate(shown) is bool(hello.get("tool_speed"))
+        if hello.get("tool_speed"):
+            assert tab.evaluate(checked) is False
+            tab.evaluate("document.getElementById('fast').click()")
+            sleep(0.2)
+            assert {"type": "follow", "fast": True} in synthetic.received
+            tab.wait(f"{checked} === false")  # this session does not follow: the page shows what is so
+        assert not tab.errors
+        tab.close()
+
+
 def test_a_replay_has_a_time_line_and_no_tools(browser):
     with SyntheticSession(PAGE, mode="replay", duration=4.0, overlay=True) as replay:
         tab = browser.open(replay.address, *WIDE)

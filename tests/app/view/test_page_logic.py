@@ -65,6 +65,25 @@ def test_the_range_of_a_force_has_the_error_of_the_nodes_or_says_that_it_is_not_
     assert reading == {"lead": "about", "value": "0.4", "range": between, "note": note}
 
 
+@pytest.mark.parametrize(("trained", "speeds"), [("0.1", [0.1, 0.5, 0.1]), ("null", [0.5, 0.5, 0.5])])
+def test_an_exported_tool_is_faster_than_in_training_only_if_the_user_asks(trained, speeds):
+    fields = f"about: {{ tool_speed: {trained}, max_tool_speed: 0.5 }}, arrays: {{ options: [0, 0, 0] }}, replay: null"
+    tools = "tools: [{ describe: () => ({}) }], post: ({ fast }) => found.push([fast, session.arrays.options[2]])"
+    session = (
+        f"Object.assign(Object.create(m.LocalSession.prototype), {{ {fields}, frames: null, modulus: 1, {tools} }})"
+    )
+    code = f"""(() => {{
+        const found = [], session = {session};
+        session.about.materials = [];
+        for (const fast of [false, true, false]) session.handle({{ type: "follow", fast }});
+        return found;
+    }})()"""
+    limited = trained != "null"
+    assert evaluate("localSession.js", code) == [
+        [fast and limited, speed] for fast, speed in zip((False, True, False), speeds, strict=True)
+    ]
+
+
 @pytest.mark.parametrize(
     ("state", "text"),
     [

@@ -13,7 +13,7 @@ import numpy as np
 from palpate.app.models.force_error import nodes_error
 from palpate.app.recordings.snapshot import scalar_descriptions, training_errors
 from palpate.app.session.messages import describe_tools
-from palpate.app.session.session import material_sliders, trained_speed
+from palpate.app.session.session import MAX_TOOL_SPEED, material_sliders, trained_speed
 from palpate.app.view.server.page import PAGE_FOLDER
 from palpate.export.folder import complete_folder
 from palpate.export.library import lower_model
@@ -67,6 +67,7 @@ def _describe(model: ReducedModel, title: str) -> dict[str, Any]:
         "tools": [] if prescribed else list(WEB_TOOLS), **describe_tools([] if prescribed else WEB_TOOLS),
         "scalars": [scalar for scalar in scalar_descriptions(surface) if scalar["name"] == "displacement"],
         "materials": material_sliders(model, 1.0), "tool_speed": trained_speed(model),
+        "max_tool_speed": MAX_TOOL_SPEED,
         "training_errors": training_errors(model),
         "nodes_error": nodes_error(model),
         "record": {name: field_offset(name) for name in HEADER_DTYPE.names or ()},

@@ -16,6 +16,7 @@ from palpate.app.common.rows import Rows, fill_template, quantities, rows_of
 from palpate.app.device.driver import driving
 from palpate.app.device.options import DeviceOptions
 from palpate.app.device.statistics import hand_reports, longest, tool_name
+from palpate.app.models.force_error import nodes_error
 from palpate.app.models.subject import Subject
 from palpate.app.models.trained import model_file
 from palpate.app.run.tool_motion import tool_motion
@@ -152,16 +153,20 @@ def _observations(black_box: Path, body: Any) -> dict[str, Any]:
     if not isinstance(body, ReducedModel):
         return observations
     tables = body.report.get("held_out", {}).get("expected_error", {})
-    return observations | {
-        "largest_trust": float(trust.max()),
-        "median_trust": float(np.median(trust)),
-        "untrained_share": float(np.mean(trust > 1)),
-        "expected_error": {
-            quantity: body.expected_error(float(trust.max()), quantity)._asdict()
-            for quantity in ("displacement", "force")
-            if quantity in tables
-        },
-    }
+    return (
+        observations
+        | {
+            "largest_trust": float(trust.max()),
+            "median_trust": float(np.median(trust)),
+            "untrained_share": float(np.mean(trust > 1)),
+            "expected_error": {
+                quantity: body.expected_error(float(trust.max()), quantity)._asdict()
+                for quantity in ("displacement", "force")
+                if quantity in tables
+            },
+        }
+        | ({"nodes_error": nodes_error(body)} if "force" in tables else {})
+    )
 
 
 def _other_tools(black_box: Path, last_forces: list[float]) -> dict[str, dict[str, float]]:
@@ -237,6 +242,12 @@ def _expected_error(quantity: str) -> Callable[[Mapping[str, Any]], str]:
     return text
 
 
+def _nodes_error(report: Mapping[str, Any]) -> str:
+    """Return the row of the error that the bound of the force leaves out."""
+    error = report["tool"]["nodes_error"]
+    return "not known" if error is None else fill_template("{error:.0%}", {"error": error})
+
+
 def _slowdown(report: Mapping[str, Any]) -> str:
     before, after = report["cut"]["computing_before"], report["cut"]["computing_after"]
     return f"{after / before:.2f}" if before and after else "-"
@@ -262,6 +273,7 @@ TOOL_ROWS: Rows = {
         f"error of the {what} expected at the largest, median; bound": _expected_error(what)
         for what in ("displacement", "force")
     },
+    "error of the nodes, typical, not in the bound of the force": _nodes_error,
     "error of reaction forces on held-out runs, mean": "{model/held_out/mean/reaction:.2%}",
     "cut area": "{cut/area:.0f mm^2} in {cut/cuts} steps of {cut/seconds_per_cut:.0f ms}",
     "work at the edge; by friction; energy that fronts released": (

@@ -22,6 +22,7 @@ SHARED_MESSAGES = (
     "pin",
     "material",
     "speed",
+    "follow",
 )  # messages that `Session.handle` does not pass to a command below
 
 
@@ -47,6 +48,7 @@ class Comparison(Session):
             )
         self.full = Session(full_model, title, rate)
         super().__init__(model, title, rate)
+        self.full.speed_limit = self.speed_limit
         if not np.array_equal(self.full.surface.triangles, self.surface.triangles):
             raise InputError("full_model must have the surface of the model, got another one; train the model again")
 

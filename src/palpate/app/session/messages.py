@@ -177,6 +177,7 @@ FIELDS_BY_MESSAGE: dict[str, dict[str, tuple[Check, Any]]] = {
     "drive": {},
     "control": {"action": (_one_of("reset", "pause", "resume"), REQUIRED_FIELD)},
     "speed": {"factor": (_number(0.05, 1.0), REQUIRED_FIELD)},
+    "follow": {"fast": (_boolean, REQUIRED_FIELD)},
     "show": {"scalar": (_one_of("displacement", "stress", "pressure", "none"), REQUIRED_FIELD)},
     "material": {"name": (_text, REQUIRED_FIELD), "value": (_number(0.0, 1e12, open_low=True), REQUIRED_FIELD)},
     "record": {"action": (_one_of("start", "stop"), REQUIRED_FIELD)},

@@ -18,7 +18,7 @@ from palpate.files import json_of, read_text
 ToolPath = Callable[[Session, float], None]  # moves the tool of a session at a time [s] since the start
 Poses = Callable[[float], Any]  # at times [s], as `palpate.DummyDevice` takes them
 
-SCRIPT_MESSAGES = ("pose", "tool", "pin", "release", "control", "speed", "material", "record")
+SCRIPT_MESSAGES = ("pose", "tool", "pin", "release", "control", "speed", "follow", "material", "record")
 MAX_TIME = 1e6  # [s] of a message
 TICK_INTERVAL = 0.1  # [s] between two ticks of the session, and updates of the progress bar
 

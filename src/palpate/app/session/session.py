@@ -111,7 +111,7 @@ class Session:
         self.engine = Engine(  # every frame has the trust number
             self._observable, rate, max_speed=MAX_TOOL_SPEED, on_distrust="ignore", history=history, black_box=black_box
         )
-        self._tool_speed = trained_speed(model)
+        self.speed_limit, self.fast = trained_speed(model), False
         self.pause_reason: str | None = None
         self.speed, self.modulus_ratio = 1.0, 1.0
         self.recordings = SessionRecordings(title, self.body, self._describe_recorded)
@@ -168,7 +168,7 @@ class Session:
             "tools": self.tool_kinds, "tool": tools[0], "max_tools": self.max_tools, "all_tools": tools,
             "materials": self._materials(), "rate": self.rate, "scalars": scalar_descriptions(self.surface),
             "training_errors": training_errors(self.model), "nodes_error": nodes_error(self.model), "overlay": False,
-            "full": self.body.is_full,
+            "full": self.body.is_full, "tool_speed": self.speed_limit,
             "subtitle": self.subtitle, "notes": list(self.notes),
             **describe_tools(self.tool_kinds),
         }  # fmt: skip
@@ -196,7 +196,7 @@ class Session:
         tools = self._describe_period()[1]
         return {
             "state": self.engine.state, "tool": tools[0], "all_tools": tools, "speed": self.speed,
-            "pause_reason": self.pause_reason, "recording": self.recordings.is_active,
+            "fast": self.fast, "pause_reason": self.pause_reason, "recording": self.recordings.is_active,
             "materials": self._materials(), "devices": [[index, name] for index, name in sorted(self.devices.items())],
         }  # fmt: skip
 
@@ -248,6 +248,11 @@ class Session:
         return len(self.tools)
 
     @property
+    def tool_speed(self) -> float:
+        """Largest speed [m/s] of a tool that follows a pointer: at most that of the training, unless the user asks."""
+        return MAX_TOOL_SPEED if self.fast or self.speed_limit is None else self.speed_limit
+
+    @property
     def is_touched(self) -> bool:
         """Whether a tool touches the body, or is held by its user: it was moved within the last second."""
         active = [tool for tool in self.tools if tool.active is not NO_TOOL]
@@ -263,7 +268,7 @@ class Session:
             if message["index"] in self.devices:
                 device = self.devices[message["index"]]
                 raise InputError(f"pose must be of a tool without device, got that of {device}; move another tool")
-            self._move_tool(message, POINTER_TIME, self._tool_speed)
+            self._move_tool(message, POINTER_TIME, self.tool_speed)
         elif kind == "tool":
             self._select_tool(message)
         elif kind == "pin":
@@ -274,6 +279,10 @@ class Session:
             {"reset": self.reset, "pause": self.pause, "resume": self.resume}[message["action"]]()
         elif kind == "material":
             self._set_modulus(message["name"], 1e3 * message["value"])
+        elif kind == "follow":
+            if self.speed_limit is None:
+                raise InputError("follow must be left out here, got it; only tools of some reduced models are slowed")
+            self.fast = message["fast"]
         elif kind == "record":
             self.recordings.start_file() if message["action"] == "start" else self.recordings.finish()
         elif kind == "speed":
@@ -534,8 +543,12 @@ def material_sliders(model: ReducedModel | EnergySolid, ratio: float) -> list[di
              "high": MAX_MODULUS_RATIO * modulus, "live": True}]  # fmt: skip
 
 
-def trained_speed(model: ReducedModel | EnergySolid) -> float:
-    """Return the largest speed [m/s] of a tool that follows a pointer: that of the training of a reduced model."""
+def trained_speed(model: ReducedModel | EnergySolid) -> float | None:
+    """Return the largest speed [m/s] of a pointer's tool that the training of a reduced model supports.
+
+    It is None where the training was as fast as tools move at most, and for other bodies.
+    """
     if not isinstance(model, ReducedModel) or model.data.compliance is None:
-        return MAX_TOOL_SPEED
-    return min(MAX_TOOL_SPEED, TRAINED_SHARE * model.data.speed_scale)
+        return None
+    speed = TRAINED_SHARE * model.data.speed_scale
+    return speed if speed < MAX_TOOL_SPEED else None

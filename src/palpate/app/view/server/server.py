@@ -58,7 +58,9 @@ BATCH_SIZE = 32  # messages read before other tasks run
 MAX_PINGS = 100  # of a connection between two ticks
 MAX_MESSAGE_RATE = 2000  # [1/s] of a viewer; further messages wait
 SERVER_LOG = logging.getLogger(__name__)
-DRIVER_MESSAGES = ("pose", "tool", "pin", "release", "control", "speed", "material", "record", "replay", "refine")
+DRIVER_MESSAGES = (
+    "pose", "tool", "pin", "release", "control", "speed", "follow", "material", "record", "replay", "refine",
+)  # fmt: skip
 
 
 class Server:
