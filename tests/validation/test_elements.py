@@ -15,9 +15,9 @@ pytestmark = pytest.mark.slow
 
 SCALE = 1.26  # of the spacing of 3,000 nodes
 BOUNDS = {  # of the frequencies, sag, patch and smooth pressure
-    "generated": (0.025, 0.05, 0.05, 0.09),
-    "slab": (0.025, 0.03, 0.16, 0.06),
-    "kidney": (0.02, 0.03, 0.13, 0.08),
+    "generated": (0.025, 0.03, 0.05, 0.08),
+    "slab": (0.015, 0.03, 0.08, 0.03),
+    "kidney": (0.04, 0.08, 0.04, 0.02),
 }
 
 
@@ -46,4 +46,4 @@ def test_the_force_of_a_small_ball_agrees_with_finite_elements(truths):
     balls = [ball for ball in truths["slab"]["balls"] if ball["radius"] == 0.0099]
     row = elements.compare("slab", {"frequencies": truths["slab"]["frequencies"], "balls": balls}, SCALE, seed=0)
     assert 1.1 < row["balls"][0]["radius"] < 1.3
-    assert np.abs(row["balls"][0]["errors"]).max() < 0.06
+    assert np.abs(row["balls"][0]["errors"]).max() < 0.13
