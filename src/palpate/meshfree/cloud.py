@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats, Ints
 from palpate.describe import Described, Fact
@@ -29,6 +30,7 @@ MIN_VOLUME_RATIO = 1e-12  # of the smallest cell: volume of a node
 # widths beyond the border of a region, in spacings, in which nodes belong to its group: of supports, and of small
 # regions that a tool moves (docs/claims/elements.md)
 BORDER_MARGIN, MOVED_MARGIN = 0.2, 0.3
+LATTICE_TOLERANCE = 1e-6  # of the distances of a lattice's nodes, in spacings
 EXPECTED_SIZES = 1e-4, 10.0  # [m] of a body; other sizes are probably not in metres
 
 
@@ -238,6 +240,12 @@ class Cloud(Described):
         vectors = np.zeros_like(self.points)
         np.add.at(vectors, self.face_nodes, self.face_areas[:, None] * self.face_normals)
         return vectors / self.volumes[:, None]
+
+    @cached_property
+    def is_lattice(self) -> bool:
+        """Whether all nodes are equally far from their nearest neighbours, as those of `box` without jitter."""
+        nearest = cKDTree(self.points).query(self.points, k=2)[0][:, 1]
+        return bool(np.ptp(nearest) < LATTICE_TOLERANCE * self.spacing)
 
     @cached_property
     def hidden(self) -> csr_array:

@@ -24,19 +24,23 @@ from palpate.meshfree.cut.bond_paths import bond_paths
 from palpate.meshfree.cut.surface import NO_CUT, CutSurface
 from palpate.meshfree.visibility import is_pair
 
-KERNEL_RADIUS = 1.42  # kernel radius in surface spacings, closest to Hertz on layers and balls (validation/patches.py)
+# kernel radius in surface spacings, closest to Hertz: on a lattice, and on filled layers and balls (validation/contact.py,
+# patches.py)
+LATTICE_KERNEL, KERNEL_RADIUS = 1.55, 1.42
 MAX_PATCH_DEPTH = 2.0  # largest distance of interior nodes in a patch, in spacings
 SAME_FACE_COSINE = 0.85  # of normals of nodes on one face; 0.82 at the corner of a box
 MAX_PATCH_NODES = 96  # candidates within that distance
 
 
-def surface_patches(cloud: Cloud, *, cut: CutSurface = NO_CUT) -> sparse.csr_array:
+def surface_patches(cloud: Cloud, *, kernel: float | None = None, cut: CutSurface = NO_CUT) -> sparse.csr_array:
     """Return the weights (n, n) of nodes in patch displacements; the rows of interior nodes are identity.
 
     Parameters
     ----------
     cloud : Cloud
         In space.
+    kernel : float, optional
+        Radius of the kernel in surface spacings, by default `LATTICE_KERNEL` of a lattice, else `KERNEL_RADIUS`.
     cut : CutSurface
         Across which a patch does not reach.
 
@@ -50,7 +54,8 @@ def surface_patches(cloud: Cloud, *, cut: CutSurface = NO_CUT) -> sparse.csr_arr
     np.add.at(area, cloud.face_nodes, cloud.face_areas[:, None] * cloud.face_normals)
     surface = np.unique(cloud.face_nodes)
     normal = area / np.maximum(np.linalg.norm(area, axis=1), np.finfo(float).tiny)[:, None]
-    reach = KERNEL_RADIUS * np.sqrt(cloud.face_areas.sum() / len(surface))
+    kernel = kernel or (LATTICE_KERNEL if cloud.is_lattice else KERNEL_RADIUS)
+    reach = kernel * np.sqrt(cloud.face_areas.sum() / len(surface))
     farthest = max(reach, MAX_PATCH_DEPTH * cloud.spacing)
     distance, near = cKDTree(points).query(
         points[surface], k=min(MAX_PATCH_NODES, count), distance_upper_bound=farthest

@@ -30,7 +30,7 @@ from palpate.faults import CloudError, InputError, number_in_range
 from palpate.meshfree.consistent import consistent_gradient, consistent_stencils
 from palpate.meshfree.cut.stencils import CutState
 from palpate.meshfree.mirror import Images, mirror_images
-from palpate.meshfree.patches import surface_patches
+from palpate.meshfree.patches import LATTICE_KERNEL, surface_patches
 from palpate.meshfree.quadrature import conservative_smoothing, quadratic_residuals
 from palpate.meshfree.stencils import Stencils
 
@@ -67,6 +67,7 @@ class EnergySolid(EnergyModel, Solid):
         weights = conservative_smoothing(smoother.neighbours, smoother.value[smoother.row], volumes)
         smoothing = Smoothing(*images.folded(smoother.neighbours, *weights))
         volumes = volumes[: images.nodes] / images.copies
+        self.is_lattice = self.cloud.is_lattice
         self._set_stability(self._lay_out(images, stencils, smoothing, volumes, choices.stiffness_damping))
 
     def _lay_out(
@@ -74,7 +75,7 @@ class EnergySolid(EnergyModel, Solid):
     ) -> StabilityReport:
         """Set the weights of the energy, lay out the compiled passes, and return the report of the stable step."""
         self.smoothing, self.volumes = smoothing, volumes
-        compiled, self.stencils = energy_passes(images, self.tissue, stencils, smoothing, volumes)
+        compiled, self.stencils = energy_passes(images, self.tissue, stencils, smoothing, volumes, self.is_lattice)
         self.mirror = compiled.body.mirror
         self._compile(*compiled)
         self.stiffness_damping = 0.0
@@ -108,7 +109,7 @@ class EnergySolid(EnergyModel, Solid):
         )
         sizes = np.linalg.norm(areas, axis=1)
         result: EnergySolid = object.__new__(type(self))
-        for name in ("tissue", "material", "fibres", "supports", "mass_damping", "planes", "half_cell", "neighbours"):
+        for name in ("tissue", "material", "fibres", "supports", "mass_damping", "planes", "half_cell", "neighbours", "is_lattice"):
             setattr(result, name, getattr(self, name))
         result.cloud = cloud = replace(
             cloud, points=cloud.points + displacements, volumes=cloud.volumes * ratio,
@@ -343,4 +344,5 @@ class EnergySolid(EnergyModel, Solid):
     @cached_property
     def patches(self) -> sparse.csr_array:
         """Weights (n, n) of the nodal displacements in those of the contact patches."""
-        return surface_patches(self.cloud, cut=self.cut_surface)
+        kernel = LATTICE_KERNEL if self.is_lattice else None  # also of one that was moved
+        return surface_patches(self.cloud, kernel=kernel, cut=self.cut_surface)

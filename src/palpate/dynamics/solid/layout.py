@@ -24,7 +24,9 @@ from palpate.meshfree.mirror import Images, Mirror
 from palpate.meshfree.stencils import Stencils
 from palpate.tissue.materials import Material
 
-HOURGLASS_MODULUS = 4.0  # modulus of the hourglass residual, in shear moduli over the spacing squared
+# modulus of the hourglass residual, in shear moduli over the spacing squared: of lattices, and of other clouds
+# (docs/claims/frequencies.md, elements.md)
+LATTICE_HOURGLASS, HOURGLASS_MODULUS = 1.0, 4.0
 
 
 class CompiledForm(NamedTuple):
@@ -78,7 +80,7 @@ class Smoothing(NamedTuple):
 
 
 def energy_passes(
-    images: Images, tissue: Tissue, stencils: Stencils, smoothing: Smoothing, volumes: Floats
+    images: Images, tissue: Tissue, stencils: Stencils, smoothing: Smoothing, volumes: Floats, is_lattice: bool
 ) -> tuple[CompiledForm, Stencils]:
     """Lay out the passes of the energy form, for stencils of a cloud with its images.
 
@@ -100,6 +102,7 @@ def energy_passes(
     used = np.unique(stencils.neighbours[:n][stencils.neighbours[:n] >= n])
     places = images.cloud.points[np.concatenate([np.arange(n), used])]
     anchors = _anchors(places[:n])
+    modulus = LATTICE_HOURGLASS if is_lattice else HOURGLASS_MODULUS
     body = EnergyBody(
         lanes=lanes,
         transposed=transposed,
@@ -110,7 +113,7 @@ def energy_passes(
         transposed_value=back_value,
         coefficients=material.coefficients if regions is None else spread(regions, lanes.nodes),
         lame=tissue.lame,
-        hourglass=HOURGLASS_MODULUS * material.shear_modulus / images.cloud.spacing**2,
+        hourglass=modulus * material.shear_modulus / images.cloud.spacing**2,
         relaxation=relaxation(material),
         stiffness=np.zeros((0, 3)) if tissue.uniform else np.ascontiguousarray(tissue.factors),
         families=lay_out_fibres(tissue.fibres, lanes.nodes),
