@@ -239,7 +239,7 @@ def test_the_lowest_vibrations_are_those_of_finite_elements(poisson, jitter):
     K = symmetric_stiffness(model)
     found = np.sqrt(eigvalsh((K + K.T) / 2, subset_by_index=(0, 7)))
     first, second, torsion, torsion2, axial, third = FINITE_ELEMENTS[poisson]
-    np.testing.assert_allclose(found[:6], (first, first, torsion, second, second, axial), rtol=0.04)
+    np.testing.assert_allclose(found[:6], (first, first, torsion, second, second, axial), rtol=0.06 if jitter else 0.04)
     np.testing.assert_allclose(found[6:], (torsion2, third), rtol=0.08)
 
 

@@ -79,7 +79,7 @@ def test_the_unloaded_shape_is_that_which_finite_elements_have_bent():
     inside = np.minimum(surface, SIZE - surface).min(axis=1)
     distance = np.maximum(np.linalg.norm(outside, axis=1), np.maximum(inside, 0.0))
 
-    assert distance.max() < 0.03 * sag
+    assert distance.max() < 0.04 * sag
 
 
 @pytest.mark.parametrize(
