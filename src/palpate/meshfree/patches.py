@@ -24,8 +24,8 @@ from palpate.meshfree.cut.bond_paths import bond_paths
 from palpate.meshfree.cut.surface import NO_CUT, CutSurface
 from palpate.meshfree.visibility import is_pair
 
-# kernel radius in surface spacings, closest to Hertz: on a lattice, and on filled layers and balls (validation/contact.py,
-# patches.py)
+# kernel radius in surface spacings, closest to Hertz: on a lattice (validation/contact.py), and on filled layers and
+# balls (validation/patches.py)
 LATTICE_KERNEL, KERNEL_RADIUS = 1.55, 1.42
 MAX_PATCH_DEPTH = 2.0  # largest distance of interior nodes in a patch, in spacings
 SAME_FACE_COSINE = 0.85  # of normals of nodes on one face; 0.82 at the corner of a box

@@ -51,6 +51,8 @@ class EnergySolid(EnergyModel, Solid):
         They integrate quadratic fields.
     smoothing : Smoothing
         Of the volumetric measure.
+    is_lattice : bool
+        Whether its nodes were those of a lattice before they were moved (`Cloud.is_lattice`).
     """
 
     def _build(self, choices: Choices) -> None:
@@ -109,7 +111,8 @@ class EnergySolid(EnergyModel, Solid):
         )
         sizes = np.linalg.norm(areas, axis=1)
         result: EnergySolid = object.__new__(type(self))
-        for name in ("tissue", "material", "fibres", "supports", "mass_damping", "planes", "half_cell", "neighbours", "is_lattice"):
+        kept = "tissue", "material", "fibres", "supports", "mass_damping", "planes", "half_cell", "neighbours", "is_lattice"
+        for name in kept:
             setattr(result, name, getattr(self, name))
         result.cloud = cloud = replace(
             cloud, points=cloud.points + displacements, volumes=cloud.volumes * ratio,
