@@ -111,8 +111,8 @@ class EnergySolid(EnergyModel, Solid):
         )
         sizes = np.linalg.norm(areas, axis=1)
         result: EnergySolid = object.__new__(type(self))
-        kept = "tissue", "material", "fibres", "supports", "mass_damping", "planes", "half_cell", "neighbours", "is_lattice"
-        for name in kept:
+        kept = "tissue", "material", "fibres", "supports", "mass_damping", "planes", "half_cell", "neighbours"
+        for name in (*kept, "is_lattice"):
             setattr(result, name, getattr(self, name))
         result.cloud = cloud = replace(
             cloud, points=cloud.points + displacements, volumes=cloud.volumes * ratio,
