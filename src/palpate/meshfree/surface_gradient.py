@@ -32,6 +32,7 @@ from palpate.meshfree.stencils import BATCH_NODES, Stencils, quartic_spline
 SMOOTH_COSINE = 0.85  # cosine between the normals of nodes at which they count as on two parts of a surface
 FORM_WIDTH = 1.5  # width [spacings] of the Gaussian weights of the surface nodes around
 MAX_CURVATURE = 0.5  # [1/spacing] largest principal curvature of a convex surface
+MAX_SIZE_RATIO = 2.0  # largest sum of squares of the weights of a fit in the depth, over that of the plain fit
 # of the moments of surface nodes, relative to their trace: nodes in one line leave the form undetermined; in the
 # norm of Frobenius, which no rotation changes
 FORM_RIDGE = 1e-4 * np.diag([1.0, 2.0, 1.0])
@@ -45,7 +46,10 @@ class SurfaceForms(NamedTuple):
 
 
 def surface_forms(cloud: Cloud, stencils: Stencils) -> SurfaceForms:
-    """Return the quadrics that fit the surface nodes in the stencils of surface nodes; on lattices all are zero."""
+    """Return the quadrics that fit the surface nodes in the stencils of surface nodes.
+
+    They are zero on lattices, and where the neighbours, as in thin tissue, do not support a fit in the depth.
+    """
     points, n = cloud.points, len(cloud)
     vectors = cloud.boundary_vectors() * cloud.volumes[:, None]
     size = np.linalg.norm(vectors, axis=1)
@@ -56,6 +60,9 @@ def surface_forms(cloud: Cloud, stencils: Stencils) -> SurfaceForms:
         cosine = np.einsum("mki,mi->mk", normal[near], normal[part])
         share = np.clip((cosine - SMOOTH_COSINE) / (1 - SMOOTH_COSINE), 0.0, 1.0) ** 2 * (near != part[:, None])
         form[part] = _fitted_forms(points[near] - points[part, None], normal[part], share, cloud.spacing)
+        plain = _depth_fit(points, SurfaceForms(normal, np.zeros_like(form)), part, near)
+        fitted = _depth_fit(points, SurfaceForms(normal, form), part, near)
+        form[part[np.sum(fitted**2, axis=(1, 2)) > MAX_SIZE_RATIO * np.sum(plain**2, axis=(1, 2))]] = 0.0
     return SurfaceForms(normal, form)
 
 
