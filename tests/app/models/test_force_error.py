@@ -28,11 +28,11 @@ def test_the_errors_are_those_of_the_study(study):
 
 
 @pytest.mark.parametrize(("nodes", "text"), [
-    (678, "not known for 678 nodes: 6 % in the median and 33 % at most on five organs of 1,582 to 1,799 nodes"),
-    (1582, "6 % in the median and 33 % at most, measured on five organs of 1,582 to 1,799 nodes, with balls of 1.2 s"),
-    (2309, "about 7 % in the median and 27 % at most, between those of five organs of 1,582 to 1,799 and 2,962 to"),
-    (3000, "8 % in the median and 20 % at most, measured on five organs of 2,962 to 3,224 nodes, with balls of 1.5 s"),
-    (12000, "not known for 12,000 nodes: 8 % in the median and 20 % at most on five organs of 2,962 to 3,224 nodes"),
+    (678, "not known for 678 nodes: 6 % in the median and 16 % at most on five organs of 1,582 to 1,799 nodes"),
+    (1582, "6 % in the median and 16 % at most, measured on five organs of 1,582 to 1,799 nodes, with balls of 1.2 s"),
+    (2309, "about 5 % in the median and 13 % at most, between those of five organs of 1,582 to 1,799 and 2,962 to"),
+    (3000, "3 % in the median and 10 % at most, measured on five organs of 2,962 to 3,224 nodes, with balls of 1.5 s"),
+    (12000, "not known for 12,000 nodes: 3 % in the median and 10 % at most on five organs of 2,962 to 3,224 nodes"),
 ])  # fmt: skip
 def test_the_error_is_of_the_nodes_of_this_body(nodes, text):
     assert force_error_text(nodes).startswith(text)
