@@ -142,4 +142,5 @@ def test_a_pressed_body_its_reduced_model_and_their_forces_are_equal(name, cloud
 def test_the_stable_step_is_equal(name, cloud):
     change = CHANGES[name]
     expected = body(cloud, Change()).stability.step * change.time
-    assert body(cloud, change).stability.step == pytest.approx(expected, rel=0.02)
+    # power iterations from another start end at 0.97 of the highest frequency here; the step has a margin of 15 %
+    assert body(cloud, change).stability.step == pytest.approx(expected, rel=0.06)
