@@ -16,8 +16,8 @@ import numpy as np
 from timing import median_seconds
 
 import palpate as pt
+from palpate.core.sealed import open_sealed
 from palpate.reduction.storage.model_file import FORMAT, OLDER_VERSIONS, VERSION
-from palpate.sealed import open_sealed
 
 MIN_SHARE = 0.005  # of the file, of an array with a line of its own
 

@@ -9,8 +9,8 @@ import numba
 import numpy as np
 
 from palpate.app.common.console import Console
-from palpate.arrays import Floats
-from palpate.dynamics.compiled.cache import law_digest, law_njit
+from palpate.compiled.jit import law_digest, law_njit
+from palpate.core.arrays import Floats
 from palpate.dynamics.contact.tools import Contact, Motion, Sphere
 from palpate.dynamics.run.period_report import FORCES, STEPS
 from palpate.dynamics.solid.model import EnergySolid

@@ -17,8 +17,8 @@ from speed_cases import beam_case, large_case
 
 from palpate.app.common.console import Console, quantities_table
 from palpate.app.common.report import REPORTS, deliver, machine
-from palpate.faults import DivergenceError
-from palpate.files import check_folder, plain
+from palpate.core.faults import DivergenceError
+from palpate.core.files import check_folder, plain
 
 # spacings [m], rounds (0: as many as asked for) and forms of the full model
 COARSE_BEAM, FINE_BEAM = (0.005, 0, ("strong", "energy")), (0.0025, 1, ("energy",))

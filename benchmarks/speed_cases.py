@@ -12,13 +12,13 @@ import numpy as np
 from timing import force_seconds, median_seconds, read_seconds, step_seconds
 
 from palpate.app.common.console import Console
+from palpate.core.faults import TrustWarning
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.loads.surface_force import SurfaceForce
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.dynamics.solid.model import Solid
-from palpate.faults import TrustWarning
 from palpate.meshfree.cloud import box
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.reduce import hyper_reduce

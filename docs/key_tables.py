@@ -13,7 +13,7 @@ from dataclasses import MISSING
 from pathlib import Path
 from typing import Any
 
-from palpate.parameters import fields_of
+from palpate.core.parameters import fields_of
 from palpate.scenes import description as sections
 
 PAGE = Path(__file__).parent / "scenes.md"

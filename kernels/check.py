@@ -17,8 +17,8 @@ from pathlib import Path
 
 from fill import REDUCED, touches
 
-from palpate.code_cache import code_folder
-from palpate.shipped_code import PROCESSOR_FAMILIES
+from palpate.compiled.code_cache import code_folder
+from palpate.compiled.shipped_code import PROCESSOR_FAMILIES
 
 AVX2 = PROCESSOR_FAMILIES["x86-64-v3"]
 COUNT = """

@@ -21,9 +21,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from palpate.code_cache import DIGEST_BYTES, FILE_SUFFIX
+from palpate.compiled.code_cache import DIGEST_BYTES, FILE_SUFFIX
+from palpate.compiled.shipped_code import pack_name, write_pack
 from palpate.scenes.organ import liver_surface
-from palpate.shipped_code import pack_name, write_pack
 from palpate.surface.surface import Surface
 from palpate.tissue.catalogue import LAWS
 
@@ -60,7 +60,7 @@ def main() -> None:
         read = [file for file in sorted(code.glob(f"*{FILE_SUFFIX}")) if file.stat().st_mtime > then + 1.0]
         entries = {file.name.removesuffix(FILE_SUFFIX): file.read_bytes()[DIGEST_BYTES:] for file in read}
         triple = subprocess.run(
-            [sys.executable, "-c", "from palpate.shipped_code import machine_processor as m; print(m()[0])"],
+            [sys.executable, "-c", "from palpate.compiled.shipped_code import machine_processor as m; print(m()[0])"],
             env=environment, capture_output=True, text=True, check=True,
         ).stdout.strip()  # fmt: skip
     path = FOLDER / pack_name(triple, given.family)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.code_cache import code_folder
-from palpate.sealed import open_sealed, write_sealed
+from palpate.compiled.code_cache import code_folder
+from palpate.core.sealed import open_sealed, write_sealed
 
 SESSIONS = ("app/device", "app/session", "app/recordings", "app/view")
 ORDER = (

@@ -16,8 +16,8 @@ SOURCES = Path(palpate.__file__).parent
 COMPILED = {"cached_njit", "intrinsic", "kernel_njit", "law_njit", "register_jitable"}
 # functions that are compiled by those that take them: modules, and the functions in each
 TAKEN = {
-    "dynamics/compiled/lanes.py": {"codegen", "sums", "sums_2", "sums_3"},
-    "dynamics/compiled/rows.py": {"sums"},
+    "compiled/lanes.py": {"codegen", "sums", "sums_2", "sums_3"},
+    "compiled/rows.py": {"sums"},
     "dynamics/material/material_fields.py": {"at", "first"},
     "dynamics/membrane/additional_stress.py": {"_no_fibres"},
     "realtime/exchange.py": {"fence", "load", "store"},

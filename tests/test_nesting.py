@@ -8,7 +8,7 @@ import tomllib
 import pytest
 
 import palpate as pt
-from palpate.files import check_nesting, json_of
+from palpate.core.files import check_nesting, json_of
 
 BRACKETS = "[" * 40
 

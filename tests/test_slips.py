@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.faults import UnitWarning
+from palpate.core.faults import UnitWarning
 from palpate.tissue.catalogue import LAWS
 
 

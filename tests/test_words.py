@@ -71,5 +71,5 @@ def test_no_retired_word_is_used():
             line = text.count("\n", 0, match.start()) + 1
             found.append(f"{name}:{line}: use {RETIRED[word]} in place of {match[0]}")
     assert not found, "\n".join(found)
-    every = {"README.md", "src/palpate/faults.py", "docs/contact.md", "page/src/main.js", "tests/conftest.py"}
+    every = {"README.md", "src/palpate/core/faults.py", "docs/contact.md", "page/src/main.js", "tests/conftest.py"}
     assert every | {"validation/land.py", "benchmarks/steps.py", "examples/haptic_client.py"} <= read

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import palpate as pt
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.meshfree.cut.surface import swept
 
 SPACING = 1e-3

@@ -14,7 +14,7 @@ import numpy as np
 import organs
 
 import palpate as pt
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.dynamics.solid.cutting.cut import cut_from
 from palpate.meshfree.cut.surface import swept
 

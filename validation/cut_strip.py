@@ -12,7 +12,7 @@ import time
 import numpy as np
 
 import palpate as pt
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.meshfree.cut.surface import swept
 
 SPACING = 2.5e-3

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 import palpate as pt
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 
 THICKNESS, DENSITY, SHEAR_MODULUS, POISSON = 6e-3, 1000.0, 16e3, 0.45
 TISSUE = pt.materials.MooneyRivlin(C1=SHEAR_MODULUS, C2=0.0, density=DENSITY, poisson=POISSON)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import palpate as pt
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.meshfree.cut.surface import swept
 
 SPACING = 2.5e-3

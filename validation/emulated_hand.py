@@ -19,7 +19,7 @@ import numpy as np
 from palpate.app.device.haply import serve_devices
 from palpate.app.device.options import DeviceOptions
 from palpate.app.device.statistics import add_statistics
-from palpate.processes import Child
+from palpate.core.processes import Child
 
 PATH = Path(__file__).parents[1] / "examples" / "haply_emulator.py"
 STIFFNESS = 300.0  # [N/m] of the wall

@@ -31,7 +31,7 @@ os.environ |= {"NUMBA_THREADING_LAYER": "workqueue", "PYTHONWARNINGS": "ignore"}
 
 import numpy as np
 
-from palpate.faults import DivergenceError, InputError
+from palpate.core.faults import DivergenceError, InputError
 
 # bytes that a trial may take beyond the program's own, and computing time [s] after which it hangs: a forged model may
 # need kernels that are not yet compiled

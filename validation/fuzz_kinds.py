@@ -32,13 +32,13 @@ from palpate.app.recordings.recording_journal import RecordingJournal
 from palpate.app.recordings.snapshot import Snapshot, ToolSnapshot
 from palpate.app.session.messages import parse_message
 from palpate.app.session.replay import Replay
+from palpate.core.faults import InputError
+from palpate.core.files import read_sealed_json, write_sealed_json
+from palpate.core.sealed import HEAD_BYTES, open_sealed, write_sealed
 from palpate.dynamics.run import trajectory as trajectories
 from palpate.dynamics.run.recorder import Recorder
-from palpate.faults import InputError
-from palpate.files import read_sealed_json, write_sealed_json
 from palpate.reduction.lti import storage as linear_storage
 from palpate.reduction.storage import model_file as storage
-from palpate.sealed import HEAD_BYTES, open_sealed, write_sealed
 
 Rng = np.random.Generator
 Trial = Callable[[Rng, Path], str]

@@ -38,7 +38,7 @@ from palpate.app.common.console import Console
 from palpate.app.models.trained import campaign_of
 from palpate.app.session.session import Session
 from palpate.app.train.campaign import MODEL_FILE
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.dynamics.contact.shapes import tool_parameters
 from palpate.reduction.hyper.error_indicator import (
     bound_curve,

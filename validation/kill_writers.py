@@ -29,7 +29,7 @@ from fuzz_kinds import bar, fingerprint, model, pressed, recording
 import palpate as pt
 from palpate.app.common.vtkhdf import write_vtkhdf
 from palpate.app.recordings.recording import load_recording, save_recording
-from palpate.files import read_sealed_json, write_sealed_json
+from palpate.core.files import read_sealed_json, write_sealed_json
 from palpate.realtime.black_box import RingBuffer, append_record, write_black_box
 from palpate.realtime.record import record_size
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from palpate.faults import InputError
+from palpate.core.faults import InputError
 from palpate.surface.labels.reading import read_label_map
 
 ROOT = Path(__file__).parents[1]

@@ -22,8 +22,8 @@ import numpy as np
 import palpate as pt
 from palpate.app.common.console import Table, quantities_table
 from palpate.app.common.report import REPORTS, deliver, machine
-from palpate.extras import require
-from palpate.files import plain
+from palpate.core.extras import require
+from palpate.core.files import plain
 from palpate.reduction.lti.model import LinearModel, propagate
 from palpate.reduction.lti.reductors import TITLE_BY_METHOD, Reduction
 from palpate.reduction.lti.simulate import input_sizes

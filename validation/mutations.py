@@ -225,7 +225,7 @@ MUTATIONS = (
         ("tests/dynamics/solid/test_equilibrium.py::test_tractions_and_gravity_do_their_true_virtual_work_in_the_inner_product",),
     ),
     Mutation(
-        "fluxes not reflected", "dynamics/compiled/mirror.py",
+        "fluxes not reflected", "compiled/mirror.py",
         "mirror.reflection[k, c, 0] * flux[i, 0, d]", "abs(mirror.reflection[k, c, 0]) * flux[i, 0, d]",
         ("tests/meshfree/test_mirror.py::test_the_motion_of_a_turned_part_is_the_turned_motion",
          "tests/meshfree/test_mirror.py::test_the_stiffness_is_the_slope_of_the_forces_and_has_the_frequencies_of_the_whole_bar"),
@@ -309,7 +309,7 @@ MUTATIONS = (
     ),
     # files
     Mutation(
-        "digest of an array not checked", "sealed.py",
+        "digest of an array not checked", "core/sealed.py",
         "or sha256(_bytes_of(values)).hexdigest() != digest", "or not digest",
         ("tests/reduction/storage/test_model_file.py::test_a_changed_entry_of_any_array_does_not_match_its_checksum",),
     ),

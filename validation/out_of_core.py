@@ -29,11 +29,11 @@ import result_files
 from numpy.typing import NDArray
 
 import palpate as pt
+from palpate.core.sealed import write_sealed
 from palpate.dynamics.run.trajectory import FORMAT, VERSION
 from palpate.reduction.basis.incremental_pod import block_size
 from palpate.reduction.basis.snapshots import Snapshots
 from palpate.reduction.basis.strain_pod import MIN_SIZE, main_modes
-from palpate.sealed import write_sealed
 
 Floats = NDArray[np.float64]
 

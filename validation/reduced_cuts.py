@@ -24,7 +24,7 @@ import scipy.linalg
 from numba import njit
 
 import palpate as pt
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.dynamics.nodal.stability import stable_step
 from palpate.meshfree.cut.surface import swept
 

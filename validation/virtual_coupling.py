@@ -16,7 +16,7 @@ import sys
 import numpy as np
 
 import palpate as pt
-from palpate.dynamics.compiled.reference import StoredRecord
+from palpate.compiled.reference import StoredRecord
 from palpate.realtime.contract import KINETIC, STATUS, STRAIN
 from palpate.realtime.observable import DAMPING, MASS, TOOLS, make_observable
 

@@ -16,7 +16,7 @@ import os
 from importlib import import_module
 from typing import Any
 
-from palpate.working_folder import check_cache_folder, guard_numba
+from palpate.core.working_folder import check_cache_folder, guard_numba
 
 # Threads that wait for each other spin only briefly, so that other work on the same cores does not stall them.
 os.environ.setdefault("GOMP_SPINCOUNT", "2500")
@@ -71,11 +71,11 @@ _HOME = {
     "DummyDevice": "realtime.device",
     "Errors": "reduction.training.errors",
     "relative_errors": "reduction.training.errors",
-    "CloudError": "faults",
-    "DivergenceError": "faults",
-    "FileFormatError": "faults",
-    "InputError": "faults",
-    "TrustWarning": "faults",
+    "CloudError": "core.faults",
+    "DivergenceError": "core.faults",
+    "FileFormatError": "core.faults",
+    "InputError": "core.faults",
+    "TrustWarning": "core.faults",
     "Statistics": "realtime.statistics",
     "TrainingScene": "scenes.load_case",
     "open_scene": "scenes.open_scene",

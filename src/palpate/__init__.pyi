@@ -3,6 +3,11 @@ from palpate import lti as lti
 from palpate import materials as materials
 from palpate import tools as tools
 from palpate import typing as typing
+from palpate.core.faults import CloudError as CloudError
+from palpate.core.faults import DivergenceError as DivergenceError
+from palpate.core.faults import FileFormatError as FileFormatError
+from palpate.core.faults import InputError as InputError
+from palpate.core.faults import TrustWarning as TrustWarning
 from palpate.dynamics.loads.body_force import Gravity as Gravity
 from palpate.dynamics.loads.foundation import Foundation as Foundation
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion as PrescribedMotion
@@ -19,11 +24,6 @@ from palpate.dynamics.run.trajectory import Trajectory as Trajectory
 from palpate.dynamics.solid.cutting.cut import cut as cut
 from palpate.dynamics.solid.model import Solid as Solid
 from palpate.dynamics.solid.unloading import unloaded as unloaded
-from palpate.faults import CloudError as CloudError
-from palpate.faults import DivergenceError as DivergenceError
-from palpate.faults import FileFormatError as FileFormatError
-from palpate.faults import InputError as InputError
-from palpate.faults import TrustWarning as TrustWarning
 from palpate.meshfree.attachment import in_box as in_box
 from palpate.meshfree.attachment import near_plane as near_plane
 from palpate.meshfree.attachment import painted as painted

@@ -185,7 +185,7 @@ def test_a_scene_in_the_current_folder_is_found(tmp_path, monkeypatch, assert_re
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [path for path in sys.path if path])
     (tmp_path / "own_found_scene.py").write_text(
-        "from palpate.faults import InputError\ndef scene(size=1.0):\n    raise InputError(f'found with {size}')"
+        "from palpate.core.faults import InputError\ndef scene(size=1.0):\n    raise InputError(f'found with {size}')"
     )
     assert_refused(["train", "own_found_scene:scene", "--set", "size=2"], "found with 2.0")
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import palpate as pt
 
-pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::palpate.faults.UnitWarning")]
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::palpate.core.faults.UnitWarning")]
 
 DURATION, FRAMES, STEP = 0.06, 4, 5e-4
 TURN = Rotation.from_euler("zyx", (30, 40, 50), degrees=True).as_matrix()

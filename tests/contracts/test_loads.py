@@ -26,7 +26,7 @@ from contract_models import (
 )
 
 import palpate as pt
-from palpate.dynamics.compiled.reference import StoredRecord
+from palpate.compiled.reference import StoredRecord
 from palpate.dynamics.loads import prepared as prepared_loads
 from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.prepared import Load

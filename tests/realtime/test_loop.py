@@ -12,7 +12,7 @@ import pytest
 from mass_spring import advance, advance_late, mass_spring, stiffness
 from numba import njit
 
-from palpate.dynamics.compiled.cache import law_njit
+from palpate.compiled.jit import law_njit
 from palpate.realtime.engine import _make_settings
 from palpate.realtime.exchange import Slot, publish
 from palpate.realtime.loop import _fetch_pose, compile_loop

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.core.sealed import open_sealed
 from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS
-from palpate.sealed import open_sealed
 
 pytestmark = pytest.mark.slow
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.faults import ChoiceError
+from palpate.core.faults import ChoiceError
 from palpate.scenes.open_surface import open_surface
 from palpate.surface.labels.writers import write_labels
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from palpate.parameters import fields_of
+from palpate.core.parameters import fields_of
 from palpate.scenes import description as sections
 from palpate.scenes.names import PACKAGE_SCENES
 from palpate.scenes.schema import scene_schema

@@ -12,9 +12,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.dynamics.loads.supports import Clamp, Rail, Roller
-from palpate.meshfree.cloud import BORDER_MARGIN, MOVED_MARGIN
-from palpate.parameters import (
+from palpate.core.parameters import (
     FACTORS_BY_UNIT,
     fields_of,
     parameter,
@@ -23,6 +21,8 @@ from palpate.parameters import (
     written_section,
     written_value,
 )  # fmt: skip
+from palpate.dynamics.loads.supports import Clamp, Rail, Roller
+from palpate.meshfree.cloud import BORDER_MARGIN, MOVED_MARGIN
 from palpate.scenes import description
 from palpate.scenes.description import (
     Description,

@@ -153,7 +153,7 @@ def test_polyconvex_laws_are_stable(poisson):
         report.require()
 
 
-@pytest.mark.filterwarnings("ignore::palpate.faults.UnitWarning")
+@pytest.mark.filterwarnings("ignore::palpate.core.faults.UnitWarning")
 def test_a_stiffer_law_has_scaled_moduli_and_the_same_limits():
     soft, hard = (material_stability(Softening(mu=mu, density=1000, poisson=0.4)) for mu in (1.0, 1e9))
     assert soft.min_modulus / soft.shear_modulus == pytest.approx(hard.min_modulus / hard.shear_modulus, rel=1e-4)
@@ -207,7 +207,7 @@ def test_ranges_that_are_not_intervals_are_refused(ends):
 
 
 @pytest.mark.parametrize("C1", [1e306, 4e306, 3e307])
-@pytest.mark.filterwarnings("ignore::palpate.faults.UnitWarning")
+@pytest.mark.filterwarnings("ignore::palpate.core.faults.UnitWarning")
 def test_a_law_whose_waves_overflow_is_not_stable(C1):
     try:
         material = pt.materials.NeoHookean(C1=C1, density=1000, poisson=0.45)

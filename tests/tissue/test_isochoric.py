@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.dynamics.compiled.cache import law_digest
+from palpate.compiled.jit import law_digest
 from palpate.reduction.storage.material import describe_material, material_of
 from palpate.tissue.catalogue import LAWS
 from palpate.tissue.volumetric import volumetric_form

@@ -311,7 +311,7 @@ WORDS = (
 )  # fmt: skip
 
 
-@pytest.mark.filterwarnings("ignore::palpate.faults.UnitWarning")
+@pytest.mark.filterwarnings("ignore::palpate.core.faults.UnitWarning")
 def test_random_texts_give_a_law_or_are_refused():
     rng, made = np.random.default_rng(0), 0
     for _ in range(1500):

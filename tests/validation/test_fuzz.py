@@ -58,7 +58,7 @@ def test_the_fuzz_study_fails_on_a_loader_without_checks(tmp_path):
     (tmp_path / "broken.py").write_text(
         "import sys\n"
         f"sys.path.insert(0, {str(VALIDATION)!r})\n"
-        "import fuzz, palpate.sealed as sealed\n"
+        "import fuzz, palpate.core.sealed as sealed\n"
         "class Same:\n"
         "    def __init__(self, *_): pass\n"
         "    def update(self, *_): pass\n"

@@ -1,1 +1,1 @@
-"""Compiled functions of palpate, read by `palpate.shipped_code`; this package holds data only."""
+"""Compiled functions of palpate, read by `palpate.compiled.shipped_code`; this package holds data only."""

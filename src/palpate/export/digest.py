@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.compiled.jit import kernel_njit
 
 DIGEST_FIRST, DIGEST_END, BLOCK_BYTES, WORD_BITS = 32, 64, 64, 0xFFFFFFFF
 DIGEST_WORDS = 8

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import kernel_njit, law_njit
+from palpate.compiled.jit import kernel_njit, law_njit
 from palpate.dynamics.contact.kinds import BONDED, PLANE
 from palpate.realtime.bodies.change_tool import replace_tool
 from palpate.realtime.observable import TOOLS

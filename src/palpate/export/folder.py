@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 
 from palpate import __version__
-from palpate.arrays import Floats
-from palpate.code_digest import kernel_sources
+from palpate.compiled.code_digest import kernel_sources
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError
+from palpate.core.files import check_folder, write_bytes
 from palpate.dynamics.contact import kinds
 from palpate.export.library import Library, lower_model
 from palpate.export.link import host_target
 from palpate.export.targets import HOST_TARGET, TARGET_MACHINES, TARGET_NAMES
-from palpate.faults import InputError
-from palpate.files import check_folder, write_bytes
 from palpate.realtime.bodies.display_surface import Surface
 from palpate.realtime.record import HEADER_DTYPE, HEADER_SIZE, TOOL_DTYPE, TOOL_SIZE, field_offset
 from palpate.reduction.hyper.model import ReducedModel

@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.core.faults import InputError, integer_in_range
 from palpate.export.digest import DIGEST_WORDS, check_file
 from palpate.export.entries import OPTION_NAMES, compile_step, exchange_tool, reset_model, write_vertices
 from palpate.export.link import emit_object
 from palpate.export.lowering import LoweredFunction, recording
 from palpate.export.memory import DIGEST_PLACE, Memory, constant_function
 from palpate.export.targets import Target
-from palpate.faults import InputError, integer_in_range
 from palpate.realtime.bodies.display_surface import Surface
 from palpate.realtime.bodies.model import idle_model
 from palpate.realtime.contract import MAX_TOOLS

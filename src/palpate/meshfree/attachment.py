@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats, Ints
-from palpate.faults import InputError, number_in_range
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import InputError, number_in_range
 from palpate.meshfree.cloud import BORDER_MARGIN, Cloud
 
 

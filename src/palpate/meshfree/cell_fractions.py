@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats
-from palpate.faults import InputError
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError
 from palpate.meshfree.cloud import Cloud
 
 SAMPLES_PER_EDGE = 6  # along an edge of a node's cell

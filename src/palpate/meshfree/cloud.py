@@ -17,11 +17,19 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats, Ints
-from palpate.describe import Described, Fact
-from palpate.faults import CloudError, InputError, brief, first_few, integer_in_range, number_in_range, warn_of_unit
+from palpate.core.arrays import Floats, Ints
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import (
+    CloudError,
+    InputError,
+    brief,
+    first_few,
+    integer_in_range,
+    number_in_range,
+    warn_of_unit,
+)
+from palpate.core.plotting import body_svg, plot_body
 from palpate.meshfree.visibility import hidden_pairs
-from palpate.plotting import body_svg, plot_body
 
 MAX_NODES = 5e7  # of a box
 MAX_COORDINATE = 1e9  # [m] of a coordinate

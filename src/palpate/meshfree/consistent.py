@@ -28,8 +28,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import LinearOperator, cg
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats, Ints
-from palpate.faults import CloudError
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import CloudError
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.inner_gradient import with_inner_gradient
 from palpate.meshfree.quadrature import integration_weights, quadratic_residuals

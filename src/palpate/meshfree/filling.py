@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats
-from palpate.faults import CloudError, InputError, brief, first_few, integer_in_range, number_in_range
+from palpate.core.arrays import Floats
+from palpate.core.faults import CloudError, InputError, brief, first_few, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud, warn_of_size
 from palpate.meshfree.gate import STENCIL_NODES, faulty_nodes
 from palpate.meshfree.relaxing import (

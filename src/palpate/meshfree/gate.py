@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats, Ints
-from palpate.faults import CloudError
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import CloudError
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import moving_least_squares
 

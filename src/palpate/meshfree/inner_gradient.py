@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import factorial
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import BATCH_NODES, Stencils, monomial_exponents, quartic_spline
 

@@ -16,8 +16,8 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints
-from palpate.faults import InputError
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import InputError
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import Stencils
 

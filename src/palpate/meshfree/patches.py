@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sparse
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats, Ints
+from palpate.core.arrays import Floats, Ints
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.cut.bond_paths import bond_paths
 from palpate.meshfree.cut.surface import NO_CUT, CutSurface

@@ -26,8 +26,8 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import lsmr
 
-from palpate.arrays import Floats
-from palpate.faults import CloudError
+from palpate.core.arrays import Floats
+from palpate.core.faults import CloudError
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import Stencils
 

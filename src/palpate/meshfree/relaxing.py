@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats, Ints
-from palpate.code_cache import cached_njit
+from palpate.compiled.code_cache import cached_njit
+from palpate.core.arrays import Floats, Ints
 from palpate.surface.crossings import column_crossings
 from palpate.surface.refining import poisson_discs
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import Delaunay, cKDTree
 
-from palpate.arrays import Floats, Ints
-from palpate.faults import CloudError, InputError, brief, integer_in_range, number_in_range
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import CloudError, InputError, brief, integer_in_range, number_in_range
 from palpate.meshfree.cloud import MAX_COORDINATE, MIN_SPACING, Cloud, warn_of_size
 from palpate.meshfree.stencils import moving_least_squares
 

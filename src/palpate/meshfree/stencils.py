@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats, Ints
-from palpate.code_cache import cached_njit
-from palpate.describe import Described, Fact
-from palpate.faults import CloudError, InputError, first_few, integer_in_range, number_in_range
+from palpate.compiled.code_cache import cached_njit
+from palpate.compiled.threads import check_process
+from palpate.core.arrays import Floats, Ints
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import CloudError, InputError, first_few, integer_in_range, number_in_range
 from palpate.meshfree.cloud import MAX_COORDINATE
 from palpate.meshfree.visibility import is_pair
-from palpate.threads import check_process
 
 MAX_CONDITION = 1e10  # of scaled moment matrices; above it, second derivatives lose half their digits
 BATCH_NODES = 1024  # nodes fitted at once

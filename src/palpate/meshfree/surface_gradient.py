@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints
+from palpate.core.arrays import Floats, Ints
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.inner_gradient import REACH_MARGIN
 from palpate.meshfree.quadrature import DERIVATIVE_PAIRS

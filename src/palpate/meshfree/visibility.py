@@ -16,8 +16,8 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats, Ints
-from palpate.code_cache import cached_njit
+from palpate.compiled.code_cache import cached_njit
+from palpate.core.arrays import Floats, Ints
 
 MAX_DISTANCE = 4.0  # largest distance of pairs, in spacings: more than the radius of one-sided stencils
 FACING_COSINE = 0.5  # least cosine between a normal and the vector to a node that the surface faces

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.files import whole_file
+from palpate.compiled.jit import kernel_njit
+from palpate.core.arrays import Floats
+from palpate.core.files import whole_file
 from palpate.realtime.exchange import acquire_fence, get_flag, make_flags, release_fence, set_flag
 from palpate.realtime.record import FIELD_UNITS, HEADER_DTYPE, HEADER_SIZE, TOOL_DTYPE, TOOL_SIZE
 

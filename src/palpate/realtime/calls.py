@@ -16,9 +16,9 @@ from numba.core.errors import TypingError
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from palpate.arrays import Ints
-from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.dynamics.compiled.reference import StoredRecord
+from palpate.compiled.jit import kernel_njit
+from palpate.compiled.reference import StoredRecord
+from palpate.core.arrays import Ints
 
 FLOAT_VECTOR, FLOAT_MATRIX = float64[::1], float64[:, ::1]
 ADVANCE_TYPES = FLOAT_VECTOR, FLOAT_VECTOR, FLOAT_VECTOR, float64, FLOAT_VECTOR  # q, v, target, period, report

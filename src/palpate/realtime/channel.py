@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.faults import InputError, brief
+from palpate.core.faults import InputError, brief
 from palpate.realtime.exchange import FLAGS_LENGTH, Slot
 from palpate.realtime.record import record_size
 

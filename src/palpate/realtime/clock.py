@@ -18,7 +18,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.compiled.jit import kernel_njit
 from palpate.realtime.windows_clock import now as windows_now
 from palpate.realtime.windows_clock import sleep_until as windows_sleep_until
 from palpate.realtime.windows_clock import use_precise_sleep as windows_use_precise_sleep

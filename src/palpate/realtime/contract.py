@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.core.faults import InputError
 from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN, TRUST
-from palpate.faults import InputError
 
 __all__ = ["FORCES", "KINETIC", "STATUS", "STEPS", "STRAIN", "TRUST", "Realtime", "check_contract"]
 

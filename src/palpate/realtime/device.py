@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.faults import number_in_range
+from palpate.core.arrays import Floats
+from palpate.core.faults import number_in_range
 
 if TYPE_CHECKING:
     from palpate.realtime.engine import Engine

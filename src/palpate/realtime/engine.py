@@ -16,9 +16,10 @@ from typing import Any, Self
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.describe import Described, Fact
-from palpate.faults import InputError, TrustWarning, brief, integer_in_range, number_in_range
+from palpate.compiled.threads import check_process
+from palpate.core.arrays import Floats
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import InputError, TrustWarning, brief, integer_in_range, number_in_range
 from palpate.realtime.black_box import write_black_box
 from palpate.realtime.bodies.model import RealtimeModel
 from palpate.realtime.channel import SharedSlots
@@ -44,7 +45,6 @@ from palpate.realtime.pose import IDENTITY_POSE, normalise_pose
 from palpate.realtime.record import HEADER_SIZE, Reading, field_offset, record_size
 from palpate.realtime.runner import Runner
 from palpate.realtime.statistics import Statistics
-from palpate.threads import check_process
 
 STATE_NAMES = {RUNNING: "running", STOPPED: "stopped", PAUSED: "paused", DIVERGED: "diverged"}
 ON_DISTRUST = {"warn": WARN, "clamp": CLAMP, "stop": STOP, "ignore": IGNORE}

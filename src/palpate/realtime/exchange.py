@@ -15,7 +15,7 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.compiled.jit import kernel_njit
 
 ALIGNMENT_BYTES = 8  # bytes
 FLAGS_LENGTH = 16  # int64 in an array of flags: fills its cache lines, so that no other data shares them

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled.cache import kernel_njit, law_njit
-from palpate.dynamics.compiled.reference import StoredRecord
+from palpate.compiled.jit import kernel_njit, law_njit
+from palpate.compiled.reference import StoredRecord
 from palpate.realtime.black_box import RingBuffer, append_record
 from palpate.realtime.calls import call_advance, call_stiffness, model_calls
 from palpate.realtime.channel import POSE_NUMBERS, SharedSlots

@@ -32,10 +32,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints
-from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
-from palpate.dynamics.compiled.reference import reference
-from palpate.faults import number_in_range
+from palpate.compiled.jit import kernel_njit, law_digest, law_njit
+from palpate.compiled.reference import reference
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import number_in_range
 from palpate.realtime.bodies.model import RealtimeModel
 from palpate.realtime.calls import call_advance, call_stiffness, model_calls
 from palpate.realtime.contract import FORCES, KINETIC, STATUS, STRAIN, tool_maps

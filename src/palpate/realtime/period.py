@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
+from palpate.compiled.jit import kernel_njit, law_digest, law_njit
+from palpate.core.arrays import Floats
 from palpate.dynamics.contact.stiffness import limit_stiffness
 from palpate.realtime.contract import FORCES, KINETIC, POSE_COLUMNS, STATUS, STEPS, STRAIN, TRUST, tool_maps
 from palpate.realtime.pose import (

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.faults import InputError
-from palpate.files import shortened
+from palpate.compiled.jit import kernel_njit
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError
+from palpate.core.files import shortened
 
 IDENTITY_POSE = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 LEAST_ANGLE = 1e-9  # [rad] half of an angle below which a rotation is reached at once

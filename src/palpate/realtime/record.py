@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.describe import Described, Fact
+from palpate.core.arrays import Floats
+from palpate.core.describe import Described, Fact
 
 MOTION_FIELDS: list[Any] = [
     ("position", "f8", 3),

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.describe import Described, Fact
-from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.compiled.jit import kernel_njit
+from palpate.core.describe import Described, Fact
 from palpate.realtime.clock import HAS_ABSOLUTE_SLEEP
 
 FIRST_EDGE, BIN_DECADES, BINS_PER_DECADE = 1e-7, 8, 40  # [s]: bins from 0.1 us to 10 s, each 6 % wide

@@ -13,7 +13,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.compiled.jit import kernel_njit
 
 NANOSECONDS_PER_SECOND = 10**9
 TIMER_TICK = 100  # [ns], unit of a due time; a negative one is a duration

@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from palpate.core.faults import number_in_range
 from palpate.dynamics.loads.surface_force import SurfaceForce
 from palpate.dynamics.solid.model import Solid
-from palpate.faults import number_in_range
 from palpate.meshfree.cloud import box
 from palpate.scenes.load_case import LoadCase
 from palpate.scenes.open_scene import open_scene

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import InputError
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.prepared import Load
@@ -25,7 +26,6 @@ from palpate.dynamics.loads.surface_force import SurfaceForce
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.solid.model import Solid
 from palpate.dynamics.solid.unloading import unloaded
-from palpate.faults import InputError
 from palpate.meshfree.cloud import BORDER_MARGIN, MOVED_MARGIN, Cloud, box
 from palpate.meshfree.filling import BODY_PREFIX, fill
 from palpate.meshfree.sheets import disc

@@ -10,9 +10,9 @@ from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from typing import Any
 
+from palpate.core.faults import InputError
+from palpate.core.parameters import Fault, parameter, read_values
 from palpate.dynamics.contact.tool_parameters import friction, side_stress, thickness, toughness
-from palpate.faults import InputError
-from palpate.parameters import Fault, parameter, read_values
 from palpate.tissue.liver import LIVER_DENSITY, LIVER_POISSON, MASS_DAMPING
 
 SINGLE_SECTIONS = ("surface", "body", "tissue", "tool", "cut", "run", "training")

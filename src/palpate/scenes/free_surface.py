@@ -10,12 +10,12 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats, Ints
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import InputError
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.loads.supports import FIXED, SymmetryPlane, supported_nodes
 from palpate.dynamics.solid.model import Solid
-from palpate.faults import InputError
 from palpate.meshfree.cloud import MOVED_MARGIN
 from palpate.reduction.hyper.model import ReducedModel
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from palpate.faults import InputError
-from palpate.files import shortened
+from palpate.core.faults import InputError
+from palpate.core.files import shortened
 from palpate.scenes.description import Place, Region
 from palpate.surface.labels.anatomy import is_stiff_lesion, organs_of
 from palpate.surface.labels.inner import InnerLabel, Shells, inner_labels

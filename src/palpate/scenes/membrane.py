@@ -6,9 +6,9 @@ without prestretch, and its own motion of the tool.
 
 from __future__ import annotations
 
+from palpate.core.faults import InputError, brief, number_in_range
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.membrane.model import Membrane
-from palpate.faults import InputError, brief, number_in_range
 from palpate.meshfree.sheets import disc
 from palpate.scenes.load_case import LoadCase
 from palpate.scenes.open_scene import open_scene

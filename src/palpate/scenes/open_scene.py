@@ -9,9 +9,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from palpate.faults import InputError, brief
-from palpate.files import json_of, read_text
-from palpate.parameters import Fault, read_section, written_section
+from palpate.core.faults import InputError, brief
+from palpate.core.files import json_of, read_text
+from palpate.core.parameters import Fault, read_section, written_section
 from palpate.scenes.description import Description, with_settings
 from palpate.scenes.names import PACKAGE_SCENES, SceneKind, kind_of
 from palpate.scenes.scene import Scene

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.faults import InputError
-from palpate.parameters import check_number, fields_of
+from palpate.core.faults import InputError
+from palpate.core.parameters import check_number, fields_of
 from palpate.scenes.description import Body, Description, Region, Shape, Support, Tissue, with_settings
 from palpate.scenes.label_parts import whole_body
 from palpate.scenes.names import SceneKind

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.faults import number_in_range
+from palpate.core.arrays import Floats
+from palpate.core.faults import number_in_range
 from palpate.surface.isosurface import zero_surface
 from palpate.surface.surface import Surface, weld
 

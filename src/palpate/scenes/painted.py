@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.extras import require
-from palpate.faults import FileFormatError, InputError
-from palpate.files import regular_file, shortened
+from palpate.core.arrays import Floats
+from palpate.core.extras import require
+from palpate.core.faults import FileFormatError, InputError
+from palpate.core.files import regular_file, shortened
 
 MESH_SUFFIXES = (".ply", ".vtk", ".vtp", ".vtu")
 MAX_FILE_BYTES = 300_000_000  # bytes of a file

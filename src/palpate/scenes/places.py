@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats
-from palpate.faults import InputError, brief, number_in_range
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError, brief, number_in_range
 from palpate.meshfree.attachment import painted
 from palpate.meshfree.cell_fractions import cell_fractions
 from palpate.meshfree.cloud import Cloud

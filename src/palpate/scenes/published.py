@@ -6,11 +6,11 @@ from hashlib import sha256
 from pathlib import Path
 from urllib.request import urlopen
 
-from palpate.faults import FileFormatError, InputError
-from palpate.files import whole_file
+from palpate.core.faults import FileFormatError, InputError
+from palpate.core.files import whole_file
+from palpate.core.working_folder import cache_folder
 from palpate.surface.files import read_surface
 from palpate.surface.surface import Surface
-from palpate.working_folder import cache_folder
 
 LIVER_ADDRESS = "https://github.com/hubmapconsortium/ccf-releases/raw/cb9bfd93/v1.3/models/VH_F_Liver.glb"
 LIVER_FILE = "VH_F_Liver.glb"
@@ -56,7 +56,7 @@ def fetch_liver(folder: str | Path | None = None, source: str = LIVER_ADDRESS) -
     >>> pt.io.fetch_liver(source="liver.glb")
     Traceback (most recent call last):
         ...
-    palpate.faults.InputError: source must be an address, got 'liver.glb'
+    palpate.core.faults.InputError: source must be an address, got 'liver.glb'
     """
     place = cache_folder() if folder is None else Path(folder)
     if place is None:

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.describe import Described, Fact
-from palpate.faults import InputError
-from palpate.files import digest_of, read_bytes
-from palpate.parameters import Fault
+from palpate.core.arrays import Floats
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import InputError
+from palpate.core.files import digest_of, read_bytes
+from palpate.core.parameters import Fault
 from palpate.scenes.description import CHOICES_OF_RUNS, Description
 from palpate.scenes.names import TOOL_GROUP, SceneKind, kind_of
 from palpate.scenes.organ import liver_surface

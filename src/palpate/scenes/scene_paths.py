@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.membrane.model import Membrane
-from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 from palpate.scenes.description import Tool, Training
 from palpate.scenes.tool_paths import DRAW_SPEED, TOUCH_MOTIONS, TOUCH_TIME, ToolPaths

@@ -8,9 +8,9 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
-from palpate.faults import FileFormatError, InputError
-from palpate.files import check_nesting, read_text, shortened
-from palpate.parameters import Fault, read_section
+from palpate.core.faults import FileFormatError, InputError
+from palpate.core.files import check_nesting, read_text, shortened
+from palpate.core.parameters import Fault, read_section
 from palpate.scenes.description import Description
 
 MAX_BYTES = 1 << 20  # of a scene file

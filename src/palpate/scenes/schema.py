@@ -8,7 +8,7 @@ import typing
 from dataclasses import MISSING, is_dataclass
 from typing import Any
 
-from palpate.parameters import FACTORS_BY_UNIT, fields_of
+from palpate.core.parameters import FACTORS_BY_UNIT, fields_of
 from palpate.scenes.description import Description
 
 SCHEMA_DIALECT = "https://json-schema.org/draft/2020-12/schema"

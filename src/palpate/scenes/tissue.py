@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.faults import InputError
-from palpate.parameters import quantity
+from palpate.core.faults import InputError
+from palpate.core.parameters import quantity
 from palpate.scenes.description import Fibre, Tissue
 from palpate.tissue.catalogue import FIBRE_LAWS, LAWS, CatalogueEntry
 from palpate.tissue.fibres import FibreLaw

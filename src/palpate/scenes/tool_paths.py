@@ -27,11 +27,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats, Ints
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import InputError, integer_in_range, number_in_range
 from palpate.dynamics.contact.tools import Contact, Grasp, Sphere
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.solid.model import Solid
-from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.scenes.free_surface import FreeSurface
 from palpate.scenes.load_case import CAMPAIGN_SEEDS, TRAINING_SEEDS

@@ -12,7 +12,7 @@ from difflib import get_close_matches
 from importlib import import_module
 from typing import Any
 
-from palpate.faults import InputError, brief
+from palpate.core.faults import InputError, brief
 from palpate.scenes.description import chooses_runs
 from palpate.scenes.load_case import TrainingScene
 from palpate.scenes.names import PACKAGE_SCENES, SceneKind, kind_of

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.arrays import Floats, Ints
-from palpate.faults import InputError
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import InputError
 from palpate.surface.intersections import MAX_PAIRS, self_intersections
 from palpate.surface.nesting import MAX_COMPONENTS, REGION_REMEDY, cavities, enclosures
 from palpate.surface.surface import (

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.faults import FileFormatError, InputError, brief, number_in_range
-from palpate.files import read_bytes, regular_file, shortened, unpack_gzip
+from palpate.core.faults import FileFormatError, InputError, brief, number_in_range
+from palpate.core.files import read_bytes, regular_file, shortened, unpack_gzip
 from palpate.surface.checks import METRES_BY_UNIT, guessed_units, scale_problems
 from palpate.surface.formats.common import Parts, triangle_count_error
 from palpate.surface.formats.first_bytes import refuse_misnamed

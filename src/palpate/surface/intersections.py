@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.arrays import Floats, Ints
-from palpate.code_cache import cached_njit
-from palpate.faults import InputError
+from palpate.compiled.code_cache import cached_njit
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import InputError
 
 MAX_PAIRS = 10_000  # the search stops there
 MAX_BOX_TESTS = (5_000_000, 300)  # largest number of box tests: in total at least, and per triangle

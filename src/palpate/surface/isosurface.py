@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints
+from palpate.core.arrays import Floats, Ints
 
 # Edges of a cell: axis, and offset of the lower end in x, y and z.
 CUBE_EDGES = np.array(

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints
-from palpate.code_cache import cached_njit
+from palpate.compiled.code_cache import cached_njit
+from palpate.core.arrays import Floats, Ints
 from palpate.surface.surface import Surface, components, part_volumes
 
 MAX_COMPONENTS = 100  # of a surface, whose pairs are compared

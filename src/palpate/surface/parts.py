@@ -15,9 +15,9 @@ import scipy.sparse as sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats, Ints
-from palpate.faults import InputError
-from palpate.files import shortened
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import InputError
+from palpate.core.files import shortened
 from palpate.surface.checks import METRES_BY_UNIT, guessed_units, shape_problems
 from palpate.surface.surface import Surface, SurfaceProblem, coincident_vertices, directed_edges, weld
 

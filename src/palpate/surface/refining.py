@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from palpate.arrays import Floats, Ints
-from palpate.code_cache import cached_njit
+from palpate.compiled.code_cache import cached_njit
+from palpate.core.arrays import Floats, Ints
 
 
 def refine_surface(vertices: Floats, triangles: Ints, max_edge: Callable[[Floats], Floats]) -> tuple[Floats, Ints]:

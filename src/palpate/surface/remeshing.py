@@ -16,9 +16,9 @@ import numpy as np
 import scipy.sparse as sparse
 from scipy.sparse.csgraph import connected_components
 
-from palpate.arrays import Floats, Ints
-from palpate.code_cache import cached_njit
-from palpate.faults import CloudError
+from palpate.compiled.code_cache import cached_njit
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import CloudError
 from palpate.surface.refining import poisson_discs
 
 MAX_SWEEPS = 60  # of moves between clusters

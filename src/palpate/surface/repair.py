@@ -8,8 +8,8 @@ import numpy as np
 import scipy.sparse as sparse
 from scipy.sparse.csgraph import connected_components
 
-from palpate.arrays import Floats, Ints
-from palpate.faults import InputError
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import InputError
 from palpate.surface.intersections import MAX_PAIRS, self_intersections
 from palpate.surface.nesting import REGION_REMEDY, orient_components
 from palpate.surface.surface import (

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats, Ints
-from palpate.describe import Described, Fact
-from palpate.faults import InputError, first_few
-from palpate.plotting import body_svg
+from palpate.core.arrays import Floats, Ints
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import InputError, first_few
+from palpate.core.plotting import body_svg
 
 MAX_TRIANGLES = 2_000_000  # checked before expensive steps
 WELD_TOLERANCE = 1e-6  # distance of coinciding vertices, over the size

@@ -12,8 +12,8 @@ from difflib import get_close_matches
 from functools import cached_property
 from typing import Any
 
-from palpate.faults import InputError, brief, interval
-from palpate.parameters import declared
+from palpate.core.faults import InputError, brief, interval
+from palpate.core.parameters import declared
 from palpate.tissue.fibres import FibreLaw, Fibres, Guccione
 from palpate.tissue.invariant_laws import ArrudaBoyce, Fung, Gent, StVenantKirchhoff, Yeoh
 from palpate.tissue.materials import Material, MooneyRivlin, NeoHookean

@@ -19,9 +19,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.describe import Described, Fact
-from palpate.faults import InputError, brief, number_in_range
+from palpate.core.arrays import Floats
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import InputError, brief, number_in_range
 from palpate.tissue.homogeneous import DEFORMATION_KINDS, compressible, deformation_gradient, rest
 from palpate.tissue.materials import Material
 

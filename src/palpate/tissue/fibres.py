@@ -23,10 +23,10 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.describe import Described, Fact
-from palpate.faults import InputError, brief, check_arguments, check_names, first_few
-from palpate.parameters import check_parameters, parameter
+from palpate.core.arrays import Floats
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import InputError, brief, check_arguments, check_names, first_few
+from palpate.core.parameters import check_parameters, parameter
 from palpate.tissue.materials import ShearLaw
 
 MIN_VOLUME_RATIO = 0.1  # J below which J^(-2/3) is continued by its tangent

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.faults import InputError, number_in_range
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError, number_in_range
 from palpate.tissue.homogeneous import isochoric_stress, nominal_stress
 from palpate.tissue.materials import Material
 from palpate.tissue.measurements import Measurement

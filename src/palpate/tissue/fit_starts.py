@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.tissue.fit_problem import FitProblem
 
 POSITIVE_FACTOR, SIGNED_FACTOR = 1000.0, 8.0  # largest factor from the first start: positive parameters, either sign

@@ -10,10 +10,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.describe import Described, Fact
-from palpate.faults import InputError, UnitWarning, brief, integer_in_range
-from palpate.plotting import plot_fit
+from palpate.core.arrays import Floats
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import InputError, UnitWarning, brief, integer_in_range
+from palpate.core.plotting import plot_fit
 from palpate.tissue.catalogue import law_class
 from palpate.tissue.ellipticity import MaterialStability, material_stability
 from palpate.tissue.fit_problem import FitProblem

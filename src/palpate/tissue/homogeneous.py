@@ -24,8 +24,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from palpate.arrays import Floats
-from palpate.faults import InputError, brief
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError, brief
 from palpate.tissue.materials import Material
 
 # kind of test: exponents of l in the second and third principal stretch at constant volume

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.faults import number_in_range
-from palpate.parameters import parameter
+from palpate.core.faults import number_in_range
+from palpate.core.parameters import parameter
 from palpate.tissue.materials import Material, ShearLaw
 
 

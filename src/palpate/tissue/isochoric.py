@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.faults import InputError, brief
+from palpate.core.faults import InputError, brief
 
 COUPLED, ISOCHORIC = "coupled", "isochoric"
 

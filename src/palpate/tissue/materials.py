@@ -30,9 +30,9 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.describe import Described, Fact
-from palpate.faults import InputError, brief, check_names, number_in_range, warn_of_unit
-from palpate.parameters import check_parameters, parameter
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import InputError, brief, check_names, number_in_range, warn_of_unit
+from palpate.core.parameters import check_parameters, parameter
 from palpate.tissue.isochoric import COUPLED, check_split, isochoric
 from palpate.tissue.prony import Prony
 from palpate.tissue.volumetric import QUADRATIC, volumetric_form

@@ -21,8 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.faults import FileFormatError, InputError
-from palpate.files import read_text, shortened
+from palpate.core.faults import FileFormatError, InputError
+from palpate.core.files import read_text, shortened
 from palpate.tissue.measurements import Measurement
 
 KIND_BY_WORD = {

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from palpate.describe import Described, Fact
-from palpate.faults import InputError, brief
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import InputError, brief
 from palpate.tissue.homogeneous import rest
 
 MAX_DEFORMATION = 20.0  # stretch or shear, beyond that of tissue and rubber

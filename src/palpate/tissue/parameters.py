@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.faults import InputError, brief
+from palpate.core.faults import InputError, brief
 from palpate.tissue.materials import Material
 
 INDEX_PATTERN = re.compile(r"\[(\d+)\]")

@@ -8,10 +8,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.describe import Described, Fact
-from palpate.faults import InputError, check_names
-from palpate.parameters import check_parameters, parameter
+from palpate.core.arrays import Floats
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import InputError, check_names
+from palpate.core.parameters import check_parameters, parameter
 
 MAX_BRANCHES = 64  # a few per decade of time are enough; each has history variables at every node
 

@@ -8,9 +8,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.describe import Described, Fact
-from palpate.faults import InputError
+from palpate.core.arrays import Floats
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import InputError
 from palpate.tissue.materials import Material
 
 COMMON_FIELDS = {"split": "split", "volumetric": "volumetric form", "prony": "Prony series", "density": "density"}

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.faults import InputError
+from palpate.core.faults import InputError
 
 Row = tuple[str, float | str | int, int]  # operation with a value, a name, or one or two earlier rows
 

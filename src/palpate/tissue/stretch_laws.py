@@ -33,8 +33,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.faults import InputError
-from palpate.parameters import parameter
+from palpate.core.faults import InputError
+from palpate.core.parameters import parameter
 from palpate.tissue.materials import Material
 
 MAX_EXPONENT = 100.0  # powers of ordinary stretches overflow beyond it

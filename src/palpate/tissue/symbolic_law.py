@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from palpate.faults import InputError, brief
-from palpate.files import shortened
-from palpate.parameters import parameter
+from palpate.core.faults import InputError, brief
+from palpate.core.files import shortened
+from palpate.core.parameters import parameter
 from palpate.tissue.ellipticity import material_stability
 from palpate.tissue.isochoric import COUPLED
 from palpate.tissue.materials import Material

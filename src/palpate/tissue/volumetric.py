@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.faults import InputError, brief
+from palpate.core.faults import InputError, brief
 
 
 @dataclass(frozen=True)

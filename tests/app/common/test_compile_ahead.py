@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from palpate import processes
 from palpate.app.common import compile_ahead as module
 from palpate.app.common.compile_ahead import compile_ahead
 from palpate.app.view.compile_engine import compile_engine
-from palpate.parameters import written_section
+from palpate.core import processes
+from palpate.core.parameters import written_section
 from palpate.scenes.description import Tissue
 
 

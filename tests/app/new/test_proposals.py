@@ -11,7 +11,7 @@ import pytest
 import palpate as pt
 from palpate.app.cli import main
 from palpate.app.new.proposals import propose
-from palpate.faults import InputError
+from palpate.core.faults import InputError
 from palpate.scenes.description import Near, Place
 from palpate.scenes.places import PlaceFinder
 from palpate.surface.labels.reading import read_label_map

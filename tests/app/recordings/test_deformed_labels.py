@@ -12,7 +12,7 @@ import palpate as pt
 from palpate.app.recordings.deformed_labels import nodal_displacements, write_deformed_labels
 from palpate.app.recordings.recording import Cut, Recording
 from palpate.app.recordings.snapshot import Snapshot
-from palpate.faults import InputError
+from palpate.core.faults import InputError
 from palpate.surface.labels.label_map import Segment
 from palpate.surface.labels.reading import read_label_map
 from palpate.surface.labels.writers import write_labels, write_layers

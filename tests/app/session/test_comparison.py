@@ -16,7 +16,7 @@ from palpate.app.session.comparison import Comparison
 from palpate.app.session.full_model_replay import full_model
 from palpate.app.session.messages import validate_message
 from palpate.app.session.session import MAX_TOOL_SPEED, Session
-from palpate.faults import InputError
+from palpate.core.faults import InputError
 
 
 @pytest.fixture(scope="module")

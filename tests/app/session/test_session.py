@@ -17,8 +17,8 @@ import palpate as pt
 from palpate.app.recordings.recording import load_recording, save_recording
 from palpate.app.session.messages import validate_message
 from palpate.app.session.session import HAND_FORCE, MAX_TOOL_SPEED, TRAINED_SHARE, Session
+from palpate.core.sealed import kind_of_file
 from palpate.dynamics.run.journal import Journal
-from palpate.sealed import kind_of_file
 
 ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
 PRESSED = MIDDLE + np.array([0, 0, BALL - 0.003])

@@ -16,7 +16,7 @@ from palpate.app.studies.figures import TimeAxes, draw_errors, draw_times, secon
 from palpate.app.studies.report import Finished
 from palpate.app.studies.reproduce import PAPER_EXAMPLES
 from palpate.app.studies.study import Study
-from palpate.files import check_space
+from palpate.core.files import check_space
 from palpate.scenes.membrane import AFTER, membrane, tool_tip
 
 COARSE = {"beam": 0.02 / 3, "membrane": 0.0125}  # [m]
@@ -332,7 +332,7 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path, assert_refused, mo
     def refuse(*_arguments, **_options):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("palpate.files.TemporaryDirectory", refuse)  # the superuser may write anywhere
+    monkeypatch.setattr("palpate.core.files.TemporaryDirectory", refuse)  # the superuser may write anywhere
     assert_refused([*BEAM, "--out", str(tmp_path / "results")], "--out ", "cannot be written (permission denied)")
     assert list(tmp_path.iterdir()) == []
 

@@ -21,7 +21,7 @@ import warnings
 
 from palpate.app.studies.reproduce import PAPER_EXAMPLES
 from palpate.app.studies.study import compile_study
-from palpate.code_cache import CodeCache
+from palpate.compiled.code_cache import CodeCache
 from palpate.dynamics.run.rollout import rollout
 
 warnings.simplefilter("ignore")

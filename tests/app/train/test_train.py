@@ -29,10 +29,10 @@ from palpate.app.train import folder as folders
 from palpate.app.train.campaign import Campaign
 from palpate.app.train.choose import choose
 from palpate.app.train.report import _by_load
+from palpate.core.files import read_sealed_json, write_sealed_json
+from palpate.core.sealed import open_sealed
 from palpate.dynamics.run.trajectory import FORMAT, VERSION
-from palpate.files import read_sealed_json, write_sealed_json
 from palpate.scenes.training import open_training
-from palpate.sealed import open_sealed
 
 SCENE = "training_scenes:bar"
 RUNS = [*(f"train_{k:06d}.h5" for k in range(4)), "held_out_000000.h5"]

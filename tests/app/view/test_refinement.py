@@ -28,7 +28,7 @@ from palpate.app.view.command import view
 from palpate.app.view.refinement import Refinement
 from palpate.app.view.server.frames import STATE
 from palpate.app.view.training_process import LEAST_SHARE, Progress, TrainingProcess
-from palpate.faults import InputError
+from palpate.core.faults import InputError
 from palpate.reduction.storage.models import save
 from palpate.scenes.open_scene import json_of_scene, open_description, open_scene
 from palpate.scenes.open_surface import complete_for_training, open_surface

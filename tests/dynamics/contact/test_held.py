@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.dynamics.compiled.reference import StoredRecord
+from palpate.compiled.reference import StoredRecord
 from palpate.dynamics.run.period_report import FORCES, STATUS
 
 pytestmark = pytest.mark.slow

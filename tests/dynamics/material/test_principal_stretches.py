@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.dynamics.compiled.cache import law_digest
-from palpate.dynamics.compiled.eigenvectors import principal
+from palpate.compiled.eigenvectors import principal
+from palpate.compiled.jit import law_digest
 from palpate.dynamics.material.principal_point import make_principal_point
 
 pytestmark = [pytest.mark.slow, pytest.mark.each_kind(point=["ogden"])]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.dynamics.compiled.reference import StoredRecord
+from palpate.compiled.reference import StoredRecord
 from palpate.dynamics.contact.tools import Forceps
 from palpate.dynamics.nodal.mass_tailoring import default_modes, tailored_mass, without_nodes
 from palpate.dynamics.nodal.stability import stiffness

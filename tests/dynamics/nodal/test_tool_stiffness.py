@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.dynamics.compiled.reference import StoredRecord
+from palpate.compiled.jit import kernel_njit
+from palpate.compiled.reference import StoredRecord
 from palpate.dynamics.contact.stiffness import limit_stiffness
 
 pytestmark = pytest.mark.slow

@@ -16,7 +16,7 @@ from palpate.dynamics.run.model import Outputs
 from palpate.meshfree.stencils import moving_least_squares
 
 # these values cause the warning
-pytestmark = [pytest.mark.filterwarnings("ignore::palpate.faults.UnitWarning"), pytest.mark.slow]
+pytestmark = [pytest.mark.filterwarnings("ignore::palpate.core.faults.UnitWarning"), pytest.mark.slow]
 
 SHORT = {"duration": 1e-3, "every": 5e-4, "progress": False}
 

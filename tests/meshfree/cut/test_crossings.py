@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from palpate.code_cache import cached_njit
+from palpate.compiled.code_cache import cached_njit
 from palpate.meshfree.cut.crossings import ANY_COMPONENT, crosses, first_crossings, triangle_tree
 
 pytestmark = pytest.mark.slow

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.dynamics.compiled.reference import StoredRecord
+from palpate.compiled.reference import StoredRecord
 from palpate.dynamics.contact.tools import Forceps
 from palpate.dynamics.nodal import period_data as nodal
 from palpate.realtime.observable import make_observable

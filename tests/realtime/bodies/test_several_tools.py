@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.dynamics.compiled.reference import StoredRecord
+from palpate.compiled.reference import StoredRecord
 from palpate.dynamics.contact.shapes import Capsule, Forceps, Punch, Sphere
 from palpate.realtime.bodies.model import idle_model
 from palpate.realtime.observable import make_observable

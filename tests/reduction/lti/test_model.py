@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.core.sealed import write_sealed
 from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.projection_methods import project
 from palpate.reduction.lti.state_space import first_order_hold
 from palpate.reduction.lti.stiffness import linear_stress
 from palpate.reduction.lti.storage import FORMAT, VERSION
 from palpate.reduction.storage.model_file import FORMAT as REDUCED
-from palpate.sealed import write_sealed
 
 pytestmark = pytest.mark.slow
 

@@ -24,7 +24,7 @@ from palpate.tissue.regions import Regions
 
 REST = {"density": 1000.0, "poisson": 0.45}
 SERIES = pt.materials.Prony(shares=(0.6, 0.3), times=(2e-3, 2e-2))
-pytestmark = pytest.mark.filterwarnings("ignore::palpate.faults.UnitWarning")  # of damaged numbers
+pytestmark = pytest.mark.filterwarnings("ignore::palpate.core.faults.UnitWarning")  # of damaged numbers
 
 MATERIALS = [
     *(law.kind(**law.example, **REST, prony=SERIES) for law in LAWS),

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.core.sealed import HEAD_BYTES, ArrayEntry, _digest_of_rest, open_sealed, write_sealed
 from palpate.dynamics.loads.supports import supports_of
 from palpate.dynamics.material.fibres import prepare_fibres
 from palpate.dynamics.material.tissue import Tissue
@@ -29,7 +30,6 @@ from palpate.reduction.storage import model_file as storage
 from palpate.reduction.storage.body import BODY_ARRAYS
 from palpate.reduction.storage.compliance import pack_flexibilities, unpack_flexibilities
 from palpate.reduction.storage.model_file import CURVE_KEYS, MODEL_ARRAYS
-from palpate.sealed import HEAD_BYTES, ArrayEntry, _digest_of_rest, open_sealed, write_sealed
 
 
 def flat(data):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.core.sealed import open_sealed, write_sealed
 from palpate.reduction.storage.solid import body_contents, body_in
-from palpate.sealed import open_sealed, write_sealed
 
 pytestmark = pytest.mark.slow
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.faults import InputError
+from palpate.core.faults import InputError
 from palpate.surface.labels.deformed import body_segments, deform, resampling_field
 from palpate.surface.labels.label_map import LabelMap, Segment
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from label_files import blocks, dicom
 
-from palpate.faults import FileFormatError, InputError
+from palpate.core.faults import FileFormatError, InputError
 from palpate.surface.labels.dicom import DEFLATED_SYNTAX, read_dicom
 from palpate.surface.labels.label_map import mask_of
 from palpate.surface.labels.reading import read_label_map
@@ -20,7 +20,7 @@ pydicom_or_not = find_spec("pydicom") is not None
 
 
 def test_without_pydicom_the_extra_is_named(monkeypatch):
-    monkeypatch.setattr("palpate.extras.find_spec", lambda name: None)
+    monkeypatch.setattr("palpate.core.extras.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"requires pydicom.*palpate\[dicom\]"):
         read_dicom(b"")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from palpate.faults import FileFormatError
+from palpate.core.faults import FileFormatError
 from palpate.surface.labels.frames import grid_of_frames
 
 AXIAL = np.array([1.0, 0, 0, 0, 1, 0])

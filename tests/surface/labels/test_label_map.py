@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from label_files import AFFINE, blocks, caret, nifti
 
-from palpate.faults import FileFormatError, InputError
+from palpate.core.faults import FileFormatError, InputError
 from palpate.surface.labels.label_map import as_grid, choose_segments, mask_of
 from palpate.surface.labels.nifti import read_nifti
 

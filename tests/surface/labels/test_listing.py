@@ -7,7 +7,7 @@ import pytest
 from label_files import ball, caret, nifti
 
 import palpate as pt
-from palpate.faults import ChoiceError
+from palpate.core.faults import ChoiceError
 from palpate.surface.labels.listing import choice_of_labels, label_rows
 from palpate.surface.labels.nifti import read_nifti
 

@@ -11,7 +11,7 @@ import pytest
 from label_files import RAS_TO_LPS, ball, blocks, nifti, nrrd
 
 import palpate as pt
-from palpate.faults import InputError
+from palpate.core.faults import InputError
 from palpate.surface.labels.label_map import mask_of
 from palpate.surface.labels.mask_surface import label_surface, largest_piece, mask_surface
 from palpate.surface.labels.nifti import read_nifti

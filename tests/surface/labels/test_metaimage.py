@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from label_files import AFFINE, blocks, metaimage
 
-from palpate.faults import FileFormatError
+from palpate.core.faults import FileFormatError
 from palpate.surface.labels.metaimage import read_metaimage
 
 

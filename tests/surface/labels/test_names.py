@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from palpate.faults import FileFormatError
+from palpate.core.faults import FileFormatError
 from palpate.surface.labels.names import read_names
 
 SNAP = '# ITK-SnAP\n    0  0 0 0  0  0  0  "Clear Label"\n    5  255 0 0  1 1 1  "Liver, left"\n'

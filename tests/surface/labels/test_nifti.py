@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from label_files import AFFINE, RAS_TO_LPS, blocks, caret, nifti
 
-from palpate.faults import FileFormatError
+from palpate.core.faults import FileFormatError
 from palpate.surface.labels.nifti import read_nifti
 
 

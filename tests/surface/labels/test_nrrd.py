@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from label_files import AFFINE, blocks, nrrd
 
-from palpate.faults import FileFormatError, InputError
+from palpate.core.faults import FileFormatError, InputError
 from palpate.surface.labels.label_map import choose_segments, part_names
 from palpate.surface.labels.nrrd import read_nrrd
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from label_files import RAS_TO_LPS, blocks, metaimage, nifti, nrrd
 
-from palpate.faults import FileFormatError, InputError
+from palpate.core.faults import FileFormatError, InputError
 from palpate.surface.checks import check_surface
 from palpate.surface.files import read_surface
 from palpate.surface.formats.names import LABEL_FORMATS, listed_formats

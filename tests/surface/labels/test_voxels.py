@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from palpate.faults import FileFormatError
+from palpate.core.faults import FileFormatError
 from palpate.surface.labels.voxels import label_values, segments_of
 
 

@@ -8,7 +8,7 @@ import struct
 import numpy as np
 import pytest
 
-from palpate.faults import InputError
+from palpate.core.faults import InputError
 from palpate.surface.labels.label_map import Segment
 from palpate.surface.labels.reading import read_label_map
 from palpate.surface.labels.writers import check_volume_name, write_field, write_labels, write_layers

@@ -18,8 +18,8 @@ from palpate.app.common.rendering import DrawingError, check_drawing
 from palpate.app.common.report import REPORTS, deliver, machine
 from palpate.app.common.rows import Rows, fill_template, named_rows, quantities
 from palpate.app.train.coverage import Coverage, draw_coverage
-from palpate.faults import InputError
-from palpate.files import check_folder, plain
+from palpate.core.faults import InputError
+from palpate.core.files import check_folder, plain
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.filling import fill
 from palpate.meshfree.gate import nearest_spacing

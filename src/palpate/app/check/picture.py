@@ -11,8 +11,8 @@ import numpy as np
 from palpate.app.common.figures import BLUE, ORANGE, figure, heading
 from palpate.app.common.rendering import add_shaded, camera_axes, show
 from palpate.app.common.shading import RefinedSurface, shade, triangle_mesh
-from palpate.arrays import Floats, Ints
-from palpate.files import shortened
+from palpate.core.arrays import Floats, Ints
+from palpate.core.files import shortened
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.gate import nearest_spacing
 from palpate.surface.checks import SurfaceReport

@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 from unicodedata import category
 
 from palpate.app.common.exit_status import BAD_INPUT, one_line
-from palpate.faults import FileFormatError
+from palpate.core.faults import FileFormatError
 from palpate.surface.formats.first_bytes import refuse_misnamed
 
 COMMAND_KEY, PARSER_KEY = " command", " parser"  # names that no option has
@@ -148,7 +148,7 @@ def add_parameter(parser: Any, section: type, name: str, note: str = "", **optio
     options : mapping
         Other arguments of ``add_argument``.
     """
-    from palpate.parameters import fields_of
+    from palpate.core.parameters import fields_of
 
     field, kind = fields_of(section)[name]
     about, unit = field.metadata, field.metadata["unit"]
@@ -168,8 +168,8 @@ def _parameter_type(about: Mapping[str, Any], is_whole: bool) -> Callable[[str],
     """Return the type of an option: a number in the range of a declaration, or a text with a unit such as ``5mm``."""
 
     def parse(text: str) -> float:
-        from palpate.faults import InputError
-        from palpate.parameters import check_number
+        from palpate.core.faults import InputError
+        from palpate.core.parameters import check_number
 
         try:
             return int(check_number(whole(text), about)) if is_whole else check_number(text, about)
@@ -297,7 +297,7 @@ def _option_name(action: argparse.Action) -> str:
 
 def split_settings(given: Sequence[str]) -> dict[str, str]:
     """Return the names and the texts of settings such as ``poisson=0.4``."""
-    from palpate.faults import InputError
+    from palpate.core.faults import InputError
 
     settings = {}
     for pair in given:
@@ -312,7 +312,7 @@ def parse_settings(given: Sequence[str]) -> dict[str, Any]:
     """Return the settings of texts such as ``poisson=0.4``; a value is one of TOML, or else a text such as ``5 mm``."""
     import tomllib
 
-    from palpate.files import check_nesting
+    from palpate.core.files import check_nesting
 
     settings: dict[str, Any] = {}
     for name, text in split_settings(given).items():

@@ -12,7 +12,7 @@ from typing import Any
 
 from numba.core import event
 
-from palpate.processes import Child, Function
+from palpate.core.processes import Child, Function
 
 
 @contextlib.contextmanager

@@ -33,8 +33,8 @@ class _CacheAction(argparse.Action):
 def _show_cache(what: str) -> None:
     """Print where compiled functions are kept, how many and how large; remove them if `what` is ``"empty"``."""
     from palpate.app.common.console import print_json
-    from palpate.code_cache import MAX_BYTES, code_files, code_folder
-    from palpate.shipped_code import installed_packs, machine_processor
+    from palpate.compiled.code_cache import MAX_BYTES, code_files, code_folder
+    from palpate.compiled.shipped_code import installed_packs, machine_processor
 
     folder, files = code_folder(), code_files()
     if what == "empty":

@@ -24,7 +24,7 @@ from palpate.app.common.exit_status import (
     silence_output,
     system_error,
 )
-from palpate.working_folder import guard_matplotlib
+from palpate.core.working_folder import guard_matplotlib
 
 
 def execute(build_parser: Callable[[], Parser], words: Sequence[str]) -> int:
@@ -112,7 +112,7 @@ def _call(parser: Parser, place: str, options: dict[str, Any]) -> int:
 
 def _failed(error: Exception, parser: Parser, options: Mapping[str, Any]) -> int:
     """Print one line about an error; an unexpected one is a defect of palpate."""
-    from palpate.faults import ChoiceError, DivergenceError, InputError
+    from palpate.core.faults import ChoiceError, DivergenceError, InputError
 
     if isinstance(error, ChoiceError):
         print(error.table, file=sys.stderr)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from palpate.extras import require
-from palpate.files import whole_file
+from palpate.core.extras import require
+from palpate.core.files import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

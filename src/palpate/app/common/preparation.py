@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from palpate.app.common.console import Console
-from palpate.files import check_folder, check_space
+from palpate.core.files import check_folder, check_space
 from palpate.scenes.load_case import LoadCase
 
 FIGURES_SIZE = 5_000_000  # [bytes] of all figures of a study, about

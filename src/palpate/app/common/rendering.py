@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from palpate.app.common.figures import scale_bar
 from palpate.app.common.shading import RefinedSurface, colour_map, shade, triangle_mesh
-from palpate.arrays import Floats, Ints
-from palpate.extras import require
-from palpate.faults import InputError
+from palpate.core.arrays import Floats, Ints
+from palpate.core.extras import require
+from palpate.core.faults import InputError
 
 PIXELS = 2000  # across a picture
 VIEW_PIXELS = 900  # across one of several views

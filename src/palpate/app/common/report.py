@@ -11,7 +11,7 @@ from typing import Any
 
 from palpate import __version__
 from palpate.app.common.console import Table, print_json, print_plain
-from palpate.files import whole_file, write_json
+from palpate.core.files import whole_file, write_json
 
 REPORTED_PACKAGES = ("numpy", "scipy", "numba", "h5py", "matplotlib", "pyvista", "vtk")
 REPORTS = ("report.json", "report.md")  # that every study leaves

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 
 
 def compose_rotations(first: Floats, second: Floats, invert_first: bool = False) -> Floats:

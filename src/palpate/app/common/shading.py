@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_matrix
 
-from palpate.arrays import Floats, Ints
+from palpate.core.arrays import Floats, Ints
 
 if TYPE_CHECKING:
     from matplotlib.colors import ListedColormap

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.faults import InputError
-from palpate.files import whole_file
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError
+from palpate.core.files import whole_file
 from palpate.meshfree.cloud import Cloud
 
 VTK_VERTEX, VTK_TRIANGLE = 1, 5

@@ -14,10 +14,10 @@ from palpate.app.device.haply import serve_devices
 from palpate.app.device.options import DeviceOptions, axes_rotation
 from palpate.app.device.statistics import HandStatistics, add_statistics
 from palpate.app.session.messages import NO_VIEWERS, VIEWERS_LEFT, validate_message
+from palpate.core.extras import require
+from palpate.core.faults import InputError
+from palpate.core.processes import Child
 from palpate.dynamics.contact.shapes import TOOLS
-from palpate.extras import require
-from palpate.faults import InputError
-from palpate.processes import Child
 
 if TYPE_CHECKING:
     from palpate.app.session.session import Session

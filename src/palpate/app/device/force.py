@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 
 MAX_READING_PERIODS = 4  # periods of the engine after which a reading is old, if they are longer than its age
 RAMP_SECONDS = 0.5  # [s] from no force to the whole

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from palpate.app.common.rotations import compose_rotations
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 
 NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 

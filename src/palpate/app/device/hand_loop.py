@@ -34,7 +34,7 @@ from palpate.app.device.statistics import (
     HandStatistics,
     tool_name,
 )
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 
 MAX_INTERVAL = 0.05  # [s] between two states from which a velocity is taken
 MAX_HAND_SPEED = 2.0  # [m/s]: through all of an arm's reach in 0.15 s

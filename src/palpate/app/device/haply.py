@@ -18,9 +18,9 @@ from typing import Any
 from palpate.app.device.hand_loop import HandLoop
 from palpate.app.device.options import DeviceOptions
 from palpate.app.device.service import MAX_STATE_BYTES, ServiceState, force_message, parse_state
-from palpate.faults import InputError
-from palpate.files import shortened
-from palpate.processes import Answer, Receive
+from palpate.core.faults import InputError
+from palpate.core.files import shortened
+from palpate.core.processes import Answer, Receive
 
 SERVICE_HOST = "localhost"
 MESSAGE_INTERVAL = 1e-3  # [s] between two messages to the service

@@ -9,8 +9,8 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from palpate.app.common.arguments import add_parameter
-from palpate.faults import InputError
-from palpate.parameters import check_parameters, parameter
+from palpate.core.faults import InputError
+from palpate.core.parameters import check_parameters, parameter
 
 DEFAULT_SERVICE_PORT = 10001  # of the Inverse Service 3.x
 DEVICE_PATTERN = re.compile(r"haply(?::(\d{1,5}))?")

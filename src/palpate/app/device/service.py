@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from palpate.faults import InputError, brief
+from palpate.core.faults import InputError, brief
 
 MAX_STATE_BYTES = 64 * 1024  # of a message of the service; one device takes about 1 kB
 MAX_DEVICES = 16  # listed in a message

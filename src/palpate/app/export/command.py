@@ -8,9 +8,9 @@ from pathlib import Path
 from palpate.app.common.console import Console
 from palpate.app.export.web import export_web
 from palpate.app.models.subject import open_subject
+from palpate.core.faults import InputError
 from palpate.export.folder import check_new, export_c, identifier
 from palpate.export.targets import HOST_TARGET
-from palpate.faults import InputError
 
 
 def export(

@@ -15,12 +15,12 @@ from palpate.app.recordings.snapshot import scalar_descriptions, training_errors
 from palpate.app.session.messages import describe_tools
 from palpate.app.session.session import MAX_TOOL_SPEED, material_sliders, trained_speed
 from palpate.app.view.server.page import PAGE_FOLDER
+from palpate.core.faults import InputError
+from palpate.core.files import write_bytes
 from palpate.export.folder import complete_folder
 from palpate.export.library import lower_model
 from palpate.export.targets import WEB_TARGETS
 from palpate.export.wasm import module_of_object
-from palpate.faults import InputError
-from palpate.files import write_bytes
 from palpate.realtime.bodies.display_surface import Surface
 from palpate.realtime.record import HEADER_DTYPE, HEADER_SIZE, TOOL_DTYPE, TOOL_SIZE, field_offset
 from palpate.reduction.hyper.model import ReducedModel

@@ -10,9 +10,9 @@ from typing import Any
 from palpate.app.common.console import Console, Table, quantities_table
 from palpate.app.common.report import REPORTS, deliver, machine
 from palpate.app.fit.figure import draw_fit
-from palpate.extras import require
-from palpate.faults import InputError, integer_in_range
-from palpate.files import check_folder, plain
+from palpate.core.extras import require
+from palpate.core.faults import InputError, integer_in_range
+from palpate.core.files import check_folder, plain
 from palpate.tissue.catalogue import law_class
 from palpate.tissue.fitting import Fit, fit
 from palpate.tissue.materials import Material

@@ -8,9 +8,9 @@ from palpate.app.common.arguments import option_names
 from palpate.app.common.console import Console, count_nodes
 from palpate.app.models.force_error import force_error_text
 from palpate.app.models.spacing import BUSY_SHARE, MOST_NODES, realtime_spacing
+from palpate.core.faults import CloudError, InputError
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.faults import CloudError, InputError
 from palpate.scenes.names import SceneKind
 from palpate.scenes.open_surface import NODES_PER_CELL
 from palpate.scenes.scene import Scene

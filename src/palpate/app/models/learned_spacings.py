@@ -7,9 +7,9 @@ import os
 from pathlib import Path
 from typing import Any
 
-from palpate.faults import InputError
-from palpate.files import json_of, read_text, write_json
-from palpate.working_folder import cache_folder
+from palpate.core.faults import InputError
+from palpate.core.files import json_of, read_text, write_json
+from palpate.core.working_folder import cache_folder
 
 MOST_SPACINGS, MOST_BYTES = 1000, 1_000_000  # in the file: the oldest are dropped
 LEAST_LEARNED, MOST_LEARNED = 1e-5, 1.0  # [m]; other values in the file are not used

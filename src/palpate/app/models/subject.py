@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from palpate.app.common.arguments import suggestion
 from palpate.app.common.console import Console
 from palpate.app.common.exit_status import one_line
-from palpate.faults import InputError
+from palpate.core.faults import InputError
 from palpate.scenes.names import PACKAGE_SCENES, SceneKind, kind_of
 from palpate.scenes.open_scene import open_scene
 from palpate.scenes.open_surface import complete_for_training, open_surface

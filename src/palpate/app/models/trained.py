@@ -15,8 +15,8 @@ from palpate.app.common.console import Console, count_nodes, percent
 from palpate.app.train.campaign import MODEL_FILE, Campaign, check_sizes
 from palpate.app.train.folder import RECORDINGS_FOLDER, manifest_of, open_campaign
 from palpate.app.train.scene_folder import name_in_folder, training_folder
-from palpate.faults import FileFormatError, InputError
-from palpate.files import check_folder
+from palpate.core.faults import FileFormatError, InputError
+from palpate.core.files import check_folder
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import load
 from palpate.scenes.names import SceneKind

@@ -16,8 +16,8 @@ from palpate.app.models.full_body import fill_scene
 from palpate.app.models.spacing import NEW_NODES, spacing_for
 from palpate.app.new.proposals import Proposals, propose
 from palpate.app.new.text import commented_text
-from palpate.faults import InputError
-from palpate.files import check_folder, whole_file, write_json
+from palpate.core.faults import InputError
+from palpate.core.files import check_folder, whole_file, write_json
 from palpate.scenes.description import Support
 from palpate.scenes.names import SceneKind, kind_of
 from palpate.scenes.open_scene import open_scene

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.scenes.description import Near, Place, Plane, Region, Support
 from palpate.scenes.label_parts import inner_labels_of, inner_region, is_large
 from palpate.surface.labels.label_map import LabelMap, Segment, part_names, segments_mask

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from palpate.app.recordings.recording import Recording
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError, number_in_range
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.faults import InputError, number_in_range
 from palpate.realtime.bodies.display_surface import DisplaySurface
 from palpate.realtime.bodies.full_surface import display_surface
 from palpate.surface.labels.agreement import is_sheared

@@ -33,19 +33,19 @@ from palpate.app.recordings.snapshot_arrays import (
     snapshot_arrays,
     upgraded_arrays,
 )
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError, integer_in_range, number_in_range
+from palpate.core.files import plain, regular_file, shortened
+from palpate.core.sealed import ArrayFile, check_arrays, loading, open_sealed, typed, write_sealed
 from palpate.dynamics.contact.shapes import tool_parameters
 from palpate.dynamics.run.journal import is_journal
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.faults import InputError, integer_in_range, number_in_range
-from palpate.files import plain, regular_file, shortened
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.cut.surface import is_narrow
 from palpate.realtime.bodies.full_surface import display_surface
 from palpate.realtime.contract import MAX_TOOLS
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.solid import body_contents, body_in
-from palpate.sealed import ArrayFile, check_arrays, loading, open_sealed, typed, write_sealed
 
 __all__ = [
     "ERROR_NAMES", "FORMAT", "MAX_DURATION", "RECORDING_INTERVAL", "VERSION", "Recording", "SurfaceFileError",

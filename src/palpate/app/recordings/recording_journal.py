@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from palpate.app.recordings.snapshot import Snapshot
 from palpate.app.recordings.snapshot_arrays import FORMAT, MAX_TITLE_LENGTH, OLDER_VERSIONS, VERSION, snapshot_arrays
+from palpate.core.faults import InputError
+from palpate.core.files import plain, shortened
+from palpate.core.sealed import kind_of_file
 from palpate.dynamics.run.journal import Journal, is_journal, records
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.faults import InputError
-from palpate.files import plain, shortened
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.solid import body_contents
-from palpate.sealed import kind_of_file
 
 
 class RecordingJournal:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.dynamics.contact.shapes import TOOLS
 from palpate.realtime.record import PeriodRecord
 

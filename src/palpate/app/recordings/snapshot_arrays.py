@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.recordings.snapshot import ENGINE_STATES, TOOL_KINDS, Snapshot
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError
+from palpate.core.sealed import LEAST_POSITIVE, Array, typed
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.sealed import LEAST_POSITIVE, Array, typed
 
 FORMAT, VERSION, OLDER_VERSIONS = "palpate recording", 4, (3,)
 MAX_TITLE_LENGTH = 200  # characters

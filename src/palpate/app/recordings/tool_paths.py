@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from palpate.app.recordings.recording import Recording
 from palpate.app.recordings.snapshot import Snapshot, ToolSnapshot
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.dynamics.contact.shapes import TOOLS, make_tool
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.prepared import Load

@@ -21,13 +21,13 @@ from palpate.app.device.options import take_device
 from palpate.app.models.subject import open_subject
 from palpate.app.run.realtime import run_realtime
 from palpate.app.session.opening import check_record
+from palpate.core.faults import DivergenceError, InputError, TrustWarning, integer_in_range
+from palpate.core.files import plain
+from palpate.core.parameters import quantity
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.dynamics.solid.model import Solid
-from palpate.faults import DivergenceError, InputError, TrustWarning, integer_in_range
-from palpate.files import plain
-from palpate.parameters import quantity
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import load as load_model
 from palpate.reduction.training.errors import relative_errors

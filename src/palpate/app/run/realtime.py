@@ -23,10 +23,10 @@ from palpate.app.run.tool_motion import tool_motion
 from palpate.app.session.opening import exit_on_signals, running_session
 from palpate.app.session.play import ToolPath, follow, play, read_script
 from palpate.app.session.session import Session
+from palpate.core.faults import number_in_range
+from palpate.core.files import check_folder, check_space, plain
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.foundation import Foundation
-from palpate.faults import number_in_range
-from palpate.files import check_folder, check_space, plain
 from palpate.realtime.bodies.full_blade import BladeCutter
 from palpate.realtime.contract import MAX_TOOLS
 from palpate.realtime.statistics import Distribution, Statistics

@@ -9,10 +9,10 @@ import numpy as np
 
 from palpate.app.models.subject import Subject
 from palpate.app.session.play import Poses
+from palpate.core.faults import InputError
 from palpate.dynamics.contact.blade import Scalpel
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.scenes.description import Cut
 from palpate.scenes.scene import Scene

@@ -11,7 +11,7 @@ import numpy as np
 
 from palpate.app.recordings.recording import RECORDING_INTERVAL
 from palpate.app.session.tool_control import NO_TOOL, SelectedTool
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.dynamics.contact.shapes import TOOLS
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.solid.model import EnergySolid

@@ -10,10 +10,10 @@ from palpate.app.recordings.snapshot import OverlayState
 from palpate.app.session.messages import Message
 from palpate.app.session.session import PERIODS_PER_SECOND, Session
 from palpate.app.session.tool_control import NO_TOOL
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
 
 SHARED_MESSAGES = (

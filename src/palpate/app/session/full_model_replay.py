@@ -10,7 +10,9 @@ from palpate.app.recordings.recording import MAX_DURATION, Recording
 from palpate.app.recordings.snapshot import Snapshot
 from palpate.app.recordings.tool_paths import MIN_SNAPSHOTS, TOOL_NAME, make_load
 from palpate.app.train.scene_folder import is_file
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError
+from palpate.core.files import shortened
 from palpate.dynamics.contact.geometry import compute_gaps
 from palpate.dynamics.contact.shapes import make_tool
 from palpate.dynamics.contact.tools import Contact
@@ -18,8 +20,6 @@ from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.faults import InputError
-from palpate.files import shortened
 from palpate.realtime.bodies.display_surface import Surface
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.scenes.names import PACKAGE_SCENES

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from palpate.app.recordings.snapshot import TOOL_KINDS
+from palpate.core.faults import InputError
+from palpate.core.files import json_of, shortened
 from palpate.dynamics.contact.shapes import TOOLS, tool_parameters
 from palpate.dynamics.contact.tool_parameters import friction
-from palpate.faults import InputError
-from palpate.files import json_of, shortened
 from palpate.realtime.contract import MAX_TOOLS
 
 PROTOCOL_VERSIONS = (2, 3)

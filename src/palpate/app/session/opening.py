@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 from palpate.app.common.console import Console
 from palpate.app.models.subject import Subject
 from palpate.app.train.scene_folder import recordings_folder
-from palpate.faults import InputError
-from palpate.files import check_folder
+from palpate.core.faults import InputError
+from palpate.core.files import check_folder
 from palpate.scenes.names import SceneKind
 from palpate.scenes.scene import Scene
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from palpate.app.session.messages import Message, validate_message
 from palpate.app.session.session import Session
+from palpate.core.faults import FileFormatError, InputError
+from palpate.core.files import json_of, read_text
 from palpate.dynamics.run.progress import progress_bar
-from palpate.faults import FileFormatError, InputError
-from palpate.files import json_of, read_text
 
 ToolPath = Callable[[Session, float], None]  # moves the tool of a session at a time [s] since the start
 Poses = Callable[[float], Any]  # at times [s], as `palpate.DummyDevice` takes them

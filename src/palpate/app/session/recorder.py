@@ -13,8 +13,8 @@ import numpy as np
 from palpate.app.recordings.recording import MAX_DURATION, RECORDING_INTERVAL, Cut
 from palpate.app.recordings.recording_journal import RecordingJournal
 from palpate.app.recordings.snapshot import Snapshot
-from palpate.arrays import Floats
-from palpate.faults import InputError
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError
 
 JOURNAL_INTERVAL = 0.5  # [s]
 

@@ -19,8 +19,8 @@ from palpate.app.recordings.recording_journal import RecordingJournal
 from palpate.app.recordings.snapshot import Snapshot
 from palpate.app.session.bodies import SessionBody
 from palpate.app.session.recorder import Recorder
-from palpate.arrays import Floats
-from palpate.faults import InputError
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError
 
 
 class SessionRecordings:

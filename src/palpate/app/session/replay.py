@@ -15,8 +15,8 @@ from palpate.app.recordings.snapshot import OverlayState, Snapshot, scalar_descr
 from palpate.app.session.bodies import cut_statistics
 from palpate.app.session.messages import Message, describe_tools
 from palpate.app.session.tool_control import drawn_outline
+from palpate.core.faults import InputError
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.faults import InputError
 from palpate.realtime.bodies.display_surface import DisplaySurface
 
 

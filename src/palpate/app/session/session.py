@@ -37,13 +37,13 @@ from palpate.app.session.tool_control import (
     make_forceps,
     selected_tool,
 )
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.shapes import Forceps, Tool, make_tool, tool_parameters
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.faults import InputError
 from palpate.realtime.bodies.display_surface import DisplaySurface
 from palpate.realtime.engine import Engine
 from palpate.realtime.observable import Observation, make_observable

@@ -12,13 +12,13 @@ from scipy.spatial.transform import Rotation
 
 from palpate.app.common.rotations import compose_rotations
 from palpate.app.recordings.snapshot import ToolSnapshot
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import compute_gaps
 from palpate.dynamics.contact.overlap import tools_overlap
 from palpate.dynamics.contact.shapes import TOOLS, Forceps, Sphere, Tool, make_tool, tool_parameters
 from palpate.dynamics.contact.tools import Contact
-from palpate.faults import InputError
 from palpate.realtime.bodies.display_surface import DisplaySurface, fixed_nodes
 from palpate.realtime.record import ToolReading
 

@@ -31,7 +31,7 @@ from palpate.app.studies.figures import (
 )
 from palpate.app.studies.report import COST_ROWS, Claim, Finished, cost_of
 from palpate.app.studies.study import HYPER_REDUCED, PROJECTED, Phase, Study
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.dynamics.solid.model import Solid

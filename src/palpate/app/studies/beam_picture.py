@@ -14,7 +14,7 @@ from palpate.app.common.figures import RED, figure, scale_bar
 from palpate.app.common.rendering import add_colour_bar, check_drawing, off_screen, place_picture, screenshot
 from palpate.app.common.shading import colour_map, triangle_mesh
 from palpate.app.studies.study import Study
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.meshfree.cloud import Cloud
 
 if TYPE_CHECKING:

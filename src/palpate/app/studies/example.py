@@ -11,7 +11,7 @@ from palpate.app.common.report import REPORTS
 from palpate.app.common.rows import Rows
 from palpate.app.studies.report import Claim
 from palpate.app.studies.study import Study
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.scenes.load_case import LoadCase
 

@@ -21,7 +21,7 @@ from palpate.app.common.rendering import (
 )
 from palpate.app.common.shading import RefinedSurface, triangle_mesh
 from palpate.app.studies.study import PROJECTED, Study
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.meshfree.cloud import Cloud
 from palpate.scenes.membrane import RADIUS
 

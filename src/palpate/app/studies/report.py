@@ -12,8 +12,8 @@ from palpate.app.common.console import Table, percent
 from palpate.app.common.report import machine
 from palpate.app.common.rows import Rows, quantities
 from palpate.app.studies.study import HYPER_REDUCED, PROJECTED, Study
+from palpate.core.files import plain
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.files import plain
 from palpate.reduction.training.errors import relative_errors
 
 SERIES_TITLES = {PROJECTED: "Projected models (the paper's)", HYPER_REDUCED: "Hyper-reduced models"}

@@ -26,9 +26,9 @@ from palpate.app.studies.membrane import MEMBRANE_EXAMPLE
 from palpate.app.studies.report import build_report, tables
 from palpate.app.studies.second_form import SecondForm, assist_example, draw_figures
 from palpate.app.studies.study import PROJECTED, Study, compile_study, run_full, run_reduced
-from palpate.extras import require
-from palpate.faults import integer_in_range
-from palpate.processes import Answer, Receive
+from palpate.core.extras import require
+from palpate.core.faults import integer_in_range
+from palpate.core.processes import Answer, Receive
 from palpate.reduction.galerkin.model import GalerkinModel
 
 PAPER_EXAMPLES = {example.name: example for example in (BEAM_EXAMPLE, MEMBRANE_EXAMPLE)}

@@ -19,9 +19,9 @@ from palpate.app.common.rendering import DrawingError
 from palpate.app.studies.example import Example
 from palpate.app.studies.report import difference_of_forms
 from palpate.app.studies.study import PROJECTED, Shown, Study, compile_study, run_full, run_reduced
+from palpate.core.files import flush_and_rename
+from palpate.core.processes import Answer, Child, Receive
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.files import flush_and_rename
-from palpate.processes import Answer, Child, Receive
 
 COMPILED_ANSWER, STUDY_ANSWER, PICTURES_ANSWER = "compiled", "study", "pictures"  # answers of the second process
 START_REQUEST, DRAW_REQUEST = "start", "draw"  # requests to it

@@ -15,13 +15,13 @@ import numpy as np
 
 from palpate.app.common.console import Console, count_nodes
 from palpate.app.common.exit_status import RunError
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import DivergenceError, InputError, TrustWarning
+from palpate.core.files import flush_and_rename
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.faults import DivergenceError, InputError, TrustWarning
-from palpate.files import flush_and_rename
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.errors import relative_errors
 from palpate.scenes.load_case import LoadCase

@@ -23,14 +23,14 @@ from palpate.app.train.local import run_local
 from palpate.app.train.paths import path_of, recorded_jobs
 from palpate.app.train.scene_folder import is_file
 from palpate.app.train.work import Outcome
+from palpate.core.faults import DivergenceError, InputError, TrustWarning
+from palpate.core.files import check_space
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import StoredTrajectory
 from palpate.dynamics.solid.model import Solid, energy_solid
-from palpate.faults import DivergenceError, InputError, TrustWarning
-from palpate.files import check_space
 from palpate.reduction.contact.coarse_body import statics_body
 from palpate.reduction.contact.support_sensitivity import select_presses, support_sensitivity
 from palpate.reduction.hyper.model import ReducedModel

@@ -20,9 +20,9 @@ import numpy as np
 from palpate.app.train.coverage import Coverage
 from palpate.app.train.folder import Folder, Job
 from palpate.app.train.paths import path_of
+from palpate.core.faults import DivergenceError, TrustWarning
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.faults import DivergenceError, TrustWarning
 from palpate.reduction.hyper.error_indicator import distances_to_nearest, expected_error
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.scenes.load_case import TrainingScene

@@ -9,8 +9,8 @@ from typing import Any
 from palpate.app.common.console import Console
 from palpate.app.train.folder import Folder, Job
 from palpate.app.train.work import Outcome, perform, record_fault
-from palpate.extras import require
-from palpate.faults import InputError
+from palpate.core.extras import require
+from palpate.core.faults import InputError
 
 ANSWER_SECONDS = 20.0  # [s] within which a scheduler has to answer
 

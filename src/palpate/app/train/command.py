@@ -16,8 +16,8 @@ from palpate.app.train.folder import RECORDINGS_FOLDER, manifest_of, open_campai
 from palpate.app.train.paths import add_recording
 from palpate.app.train.report import report_campaign
 from palpate.app.train.scene_folder import name_in_folder, training_folder
-from palpate.faults import InputError, integer_in_range
-from palpate.files import check_folder
+from palpate.core.faults import InputError, integer_in_range
+from palpate.core.files import check_folder
 from palpate.scenes.description import Training
 from palpate.scenes.names import SceneKind, kind_of
 from palpate.scenes.open_scene import json_of_scene, open_scene

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from palpate.app.common.figures import BLUE, GREY, ORANGE, YELLOW, figure, heading
 from palpate.app.common.rendering import add_shaded, check_drawing, show
 from palpate.app.common.shading import RefinedSurface
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.solid.model import Solid

@@ -19,11 +19,11 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 
 from palpate import __version__
+from palpate.core.faults import FileFormatError, InputError
+from palpate.core.files import digest_of, read_sealed_json, regular_file, write_sealed_json
+from palpate.core.sealed import loading
 from palpate.dynamics.run.trajectory import StoredTrajectory
-from palpate.faults import FileFormatError, InputError
-from palpate.files import digest_of, read_sealed_json, regular_file, write_sealed_json
 from palpate.scenes.load_case import CAMPAIGN_SEEDS, TRAINING_SEEDS, TrainingScene
-from palpate.sealed import loading
 
 FORMAT, VERSION = "palpate campaign", 2
 MAX_RECORD_BYTES = 1 << 20  # bytes of a manifest, or of the record of a failed run

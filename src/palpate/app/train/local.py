@@ -10,7 +10,7 @@ from typing import Any
 
 from palpate.app.train.folder import Folder, Job
 from palpate.app.train.work import Outcome, Watch, perform, record_fault
-from palpate.processes import Answer, Child, Receive
+from palpate.core.processes import Answer, Child, Receive
 
 THREAD_VARIABLES = (
     "NUMBA_NUM_THREADS",

@@ -11,9 +11,9 @@ import numpy as np
 from palpate.app.recordings.recording import Recording, load_recording
 from palpate.app.recordings.tool_paths import ToolPath, tool_paths
 from palpate.app.train.folder import RECORDED, Folder, Job
+from palpate.core.faults import InputError
+from palpate.core.files import read_bytes, whole_file
 from palpate.dynamics.loads.prepared import Load
-from palpate.faults import InputError
-from palpate.files import read_bytes, whole_file
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.scenes.load_case import TrainingScene
 

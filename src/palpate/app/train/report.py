@@ -16,10 +16,10 @@ from palpate.app.train.campaign import MODEL_FILE, Round
 from palpate.app.train.coverage import coverage, draw_coverage
 from palpate.app.train.folder import HELD_OUT, RECORDED, TRAINED, Folder, Job
 from palpate.app.train.paths import path_of
+from palpate.core.faults import InputError
+from palpate.core.files import plain
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.run.trajectory import StoredTrajectory
-from palpate.faults import InputError
-from palpate.files import plain
 from palpate.reduction.hyper.error_indicator import expected_error
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.reduce import ERROR_QUANTILE

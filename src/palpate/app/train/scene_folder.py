@@ -6,10 +6,10 @@ import os
 from pathlib import Path
 
 from palpate import __version__
-from palpate.faults import InputError
+from palpate.core.faults import InputError
+from palpate.core.working_folder import cache_folder
 from palpate.scenes.names import SceneKind, kind_of
 from palpate.scenes.scene import Scene
-from palpate.working_folder import cache_folder
 
 FOLDER_SUFFIX = ".palpate"  # of the folder next to a scene file
 

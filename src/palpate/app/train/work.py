@@ -17,9 +17,9 @@ import numba
 from palpate.app.train.folder import Folder, Job
 from palpate.app.train.paths import path_of
 from palpate.app.train.scene_folder import scene_in_folder
+from palpate.core.faults import DivergenceError, InputError
+from palpate.core.files import flush_and_rename, write_sealed_json
 from palpate.dynamics.run.rollout import rollout
-from palpate.faults import DivergenceError, InputError
-from palpate.files import flush_and_rename, write_sealed_json
 from palpate.scenes.load_case import TrainingScene
 from palpate.scenes.training import open_training
 

@@ -12,7 +12,7 @@ from palpate.app.common.arguments import option_names
 from palpate.app.common.console import Console
 from palpate.app.view.server.host import Host, serve
 from palpate.app.view.server.label_choice import LabelChoice
-from palpate.faults import InputError
+from palpate.core.faults import InputError
 from palpate.surface.labels.listing import label_rows
 from palpate.surface.labels.reading import read_label_map
 

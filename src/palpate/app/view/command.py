@@ -19,8 +19,8 @@ from palpate.app.device.options import DeviceOptions, take_device
 from palpate.app.models.subject import Subject, open_subject
 from palpate.app.session.opening import MakeSession, check_record, exit_on_signals, running_session
 from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK, PORT_ATTEMPTS, open_listener, public_address
-from palpate.extras import require
-from palpate.faults import InputError, integer_in_range
+from palpate.core.extras import require
+from palpate.core.faults import InputError, integer_in_range
 from palpate.scenes.names import SceneKind
 from palpate.surface.labels.reading import is_label_map
 from palpate.surface.surface import Surface
@@ -146,7 +146,7 @@ def _show(
     from palpate.app.view.server.host import Host, serve
     from palpate.app.view.server.preparation import Preparation
     from palpate.app.view.surroundings import show_surroundings
-    from palpate.parameters import written_section
+    from palpate.core.parameters import written_section
 
     scene = subject.scene if full else None
     surface = _first_surface(subject, full)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from palpate.parameters import read_section
-from palpate.processes import Answer, Receive
+from palpate.core.parameters import read_section
+from palpate.core.processes import Answer, Receive
 from palpate.scenes.description import Tissue
 
 BLOCK_SIZE, BLOCK_SPACING = 0.1, 0.02  # [m] of a body whose engine has the same types

@@ -27,12 +27,12 @@ from palpate.app.recordings.recording import Recording
 from palpate.app.recordings.snapshot import FIELD_UNITS
 from palpate.app.session.tool_control import DRAWN_FORCEPS_SHARE
 from palpate.app.view.server.frames import colour_range
-from palpate.arrays import Floats, Singles
+from palpate.core.arrays import Floats, Singles
+from palpate.core.extras import require
+from palpate.core.faults import InputError
+from palpate.core.files import whole_file
 from palpate.dynamics.contact.blade import Scalpel
 from palpate.dynamics.contact.shapes import TOOLS, Sphere, make_tool
-from palpate.extras import require
-from palpate.faults import InputError
-from palpate.files import whole_file
 from palpate.realtime.bodies.display_surface import CutLine, DisplaySurface
 
 Draw = Callable[[int], Any]

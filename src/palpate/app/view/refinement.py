@@ -13,7 +13,7 @@ from palpate.app.common.console import Console, percent
 from palpate.app.models.trained import training_folder
 from palpate.app.session.session import Session
 from palpate.app.view.training_process import TrainingProcess
-from palpate.faults import InputError
+from palpate.core.faults import InputError
 from palpate.reduction.storage.models import load
 from palpate.scenes.open_surface import complete_for_training
 from palpate.scenes.scene import Scene

@@ -24,10 +24,10 @@ from palpate.app.view.film import (
     write_picture,
 )
 from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK, public_address
+from palpate.core.extras import require
+from palpate.core.faults import InputError
+from palpate.core.files import check_folder
 from palpate.dynamics.run.progress import progress_bar
-from palpate.extras import require
-from palpate.faults import InputError
-from palpate.files import check_folder
 from palpate.scenes.names import SceneKind, kind_of
 
 ERROR_ROWS: Rows = {

@@ -15,8 +15,8 @@ from palpate.app.common.console import Console
 from palpate.app.common.exit_status import RunError
 from palpate.app.models.trained import MAX_WORKERS, held_out_means, model_file, trained_model
 from palpate.app.train.local import THREAD_VARIABLES
-from palpate.faults import DivergenceError, InputError
-from palpate.processes import Answer, Child, Receive
+from palpate.core.faults import DivergenceError, InputError
+from palpate.core.processes import Answer, Child, Receive
 from palpate.scenes.open_scene import json_of_scene, open_description
 from palpate.scenes.scene import Scene
 

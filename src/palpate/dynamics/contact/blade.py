@@ -19,12 +19,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.describe import Described, Fact
+from palpate.core.arrays import Floats
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import InputError, brief, number_in_range
+from palpate.core.parameters import parameter
 from palpate.dynamics.contact.kinds import BLADE
 from palpate.dynamics.contact.tool_parameters import side_stress, thickness, toughness
-from palpate.faults import InputError, brief, number_in_range
-from palpate.parameters import parameter
 
 BELLY_POINTS, BELLY_SHARE = 13, 0.97  # of a scalpel's edge, and the sine of the angle at its ends
 

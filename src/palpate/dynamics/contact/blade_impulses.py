@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.compiled.jit import kernel_njit
 from palpate.dynamics.contact.blade_sites import EDGE_SITE, FACE_SITE, PAIR_SITE
 from palpate.dynamics.contact.geometry import project
 

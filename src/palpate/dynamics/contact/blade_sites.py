@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from palpate.arrays import Floats, Ints
+from palpate.core.arrays import Floats, Ints
 
 EDGE_SITE, FACE_SITE, PAIR_SITE = 0, 1, 2  # kinds of a site; a pair are the two faces of a cut
 AWAY_TOOL, NO_TOOL = -1, -2  # of sites of a tool that was put away, and of pairs

@@ -17,13 +17,13 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints
-from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.dynamics.compiled.reference import reference
+from palpate.compiled.jit import kernel_njit
+from palpate.compiled.reference import reference
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import InputError
 from palpate.dynamics.contact.blade_sites import BladeSites, no_sites
 from palpate.dynamics.contact.kinds import BLADE, BONDED, CAPSULE, PLANE, PUNCH
 from palpate.dynamics.contact.tools import Contact
-from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 
 CONTACT_GAP = {"nodes": 1e-6, "patches": 1e-3}  # gap of a node or patch in contact, in spacings

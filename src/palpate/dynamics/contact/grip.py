@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from palpate.arrays import Floats, Ints
-from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.compiled.jit import kernel_njit
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import InputError
 from palpate.dynamics.contact.tools import Forceps, surface_nodes
-from palpate.faults import InputError
 from palpate.meshfree.cloud import MOVED_MARGIN, Cloud
 
 COUNT, FRESH = range(2)  # entries of `Grip.numbers`

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.compiled.jit import kernel_njit
 from palpate.dynamics.contact.geometry import coulomb, gap, material_velocity
 from palpate.dynamics.contact.kinds import BLADE, BONDED, CAPSULE
 

@@ -28,8 +28,8 @@ from typing import Any
 import numpy as np
 from numba import prange
 
-from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
-from palpate.dynamics.compiled.reference import reference
+from palpate.compiled.jit import kernel_njit, law_digest, law_njit
+from palpate.compiled.reference import reference
 from palpate.dynamics.contact.blade_impulses import clear_sites, push_sites, site_works
 from palpate.dynamics.contact.geometry import (
     Contacts,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.dynamics.contact.geometry import compute_gaps, rotation
 from palpate.dynamics.contact.kinds import BLADE, BONDED, CAPSULE, PUNCH
 from palpate.dynamics.contact.shapes import Tool

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.dynamics.compiled.reference import reference
+from palpate.compiled.jit import kernel_njit
+from palpate.compiled.reference import reference
 from palpate.dynamics.contact.geometry import gap, patch
 from palpate.dynamics.contact.kinds import BLADE, BONDED, PLANE
 

@@ -12,13 +12,13 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.describe import Described
+from palpate.core.arrays import Floats
+from palpate.core.describe import Described
+from palpate.core.faults import number_in_range
+from palpate.core.parameters import parameter
 from palpate.dynamics.contact.blade import Blade, Scalpel
 from palpate.dynamics.contact.kinds import BONDED, CAPSULE, PLANE, PUNCH
 from palpate.dynamics.contact.tool_parameters import LIGHT_TOUGHNESS
-from palpate.faults import number_in_range
-from palpate.parameters import parameter
 
 __all__ = ["Blade", "Capsule", "Forceps", "Plane", "Punch", "Sphere"]  # the public shapes
 

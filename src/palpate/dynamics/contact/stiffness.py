@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.dynamics.compiled.eigenvectors import principal
+from palpate.compiled.eigenvectors import principal
+from palpate.compiled.jit import kernel_njit
 
 
 @kernel_njit(inner=True)

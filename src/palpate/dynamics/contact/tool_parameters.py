@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from palpate.parameters import parameter
+from palpate.core.parameters import parameter
 
 LIGHT_TOUGHNESS = 20.0  # [J/m^2], which lets soft tissue be cut before it is dragged far
 

@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from palpate.arrays import Floats
-from palpate.describe import Described, Fact
+from palpate.core.arrays import Floats
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import InputError, brief, check_arguments
+from palpate.core.parameters import parameter
 from palpate.dynamics.contact.shapes import Capsule, Forceps, Plane, Punch, Sphere, Tool
 from palpate.dynamics.contact.tool_parameters import friction
-from palpate.faults import InputError, brief, check_arguments
 from palpate.meshfree.cloud import MOVED_MARGIN, Cloud
-from palpate.parameters import parameter
 
 __all__ = [
     "Capsule",

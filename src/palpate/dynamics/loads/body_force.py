@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from palpate.describe import Described
+from palpate.core.describe import Described
+from palpate.core.parameters import parameter
 from palpate.dynamics.loads.values import Vector
-from palpate.parameters import parameter
 
 
 @dataclass(frozen=True)

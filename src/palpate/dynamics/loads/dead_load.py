@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import NamedTuple
 
-from palpate.arrays import Floats, Ints
+from palpate.core.arrays import Floats, Ints
 from palpate.meshfree.cloud import Cloud
 
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.describe import Described
-from palpate.faults import InputError, first_few
+from palpate.core.arrays import Floats
+from palpate.core.describe import Described
+from palpate.core.faults import InputError, first_few
+from palpate.core.parameters import parameter
 from palpate.meshfree.cloud import Cloud
-from palpate.parameters import parameter
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,9 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints
-from palpate.describe import Described, Fact
+from palpate.core.arrays import Floats, Ints
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import InputError, brief, first_few
 from palpate.dynamics.contact.geometry import Contacts, contacts, held_nodes, with_scratch
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.body_force import Gravity
@@ -34,7 +35,6 @@ from palpate.dynamics.loads.supports import (
 )
 from palpate.dynamics.loads.surface_force import SurfaceForce
 from palpate.dynamics.loads.values import arrays_at, vectors_at
-from palpate.faults import InputError, brief, first_few
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.patches import spread_load
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.describe import Described
-from palpate.faults import check_arguments
-from palpate.parameters import parameter
+from palpate.core.arrays import Floats
+from palpate.core.describe import Described
+from palpate.core.faults import check_arguments
+from palpate.core.parameters import parameter
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from palpate.arrays import Floats
-from palpate.describe import Described
+from palpate.core.arrays import Floats
+from palpate.core.describe import Described
+from palpate.core.parameters import parameter
 from palpate.dynamics.loads.values import scalars_at
-from palpate.parameters import parameter
 
 
 @dataclass(frozen=True)

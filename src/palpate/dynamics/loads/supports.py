@@ -15,9 +15,9 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints
-from palpate.describe import Described
-from palpate.faults import InputError, brief
+from palpate.core.arrays import Floats, Ints
+from palpate.core.describe import Described
+from palpate.core.faults import InputError, brief
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.mirror import MirrorPlane
 

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.describe import Described
+from palpate.core.arrays import Floats
+from palpate.core.describe import Described
+from palpate.core.faults import InputError
+from palpate.core.parameters import parameter
 from palpate.dynamics.loads.dead_load import DeadLoad, ForcePattern
 from palpate.dynamics.loads.values import Vector, vectors_at
-from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
-from palpate.parameters import parameter
 
 AXES = "xyz"
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.faults import InputError, brief, check_arguments
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError, brief, check_arguments
 
 Vector = Sequence[float] | Callable[[float], Sequence[float]]
 

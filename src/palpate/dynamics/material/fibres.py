@@ -13,10 +13,10 @@ import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.dynamics.compiled.cache import law_digest, law_njit, rename_for
-from palpate.dynamics.compiled.lanes import LANES
-from palpate.faults import InputError
+from palpate.compiled.jit import law_digest, law_njit, rename_for
+from palpate.compiled.lanes import LANES
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError
 from palpate.tissue.fibres import MIN_VOLUME_RATIO, FibreLaw
 from palpate.tissue.materials import Material
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 
 
 @dataclass(frozen=True)

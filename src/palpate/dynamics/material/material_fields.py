@@ -15,8 +15,8 @@ import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled.cache import law_digest, rename_for
-from palpate.faults import InputError
+from palpate.compiled.jit import law_digest, rename_for
+from palpate.core.faults import InputError
 from palpate.meshfree.cloud import Cloud
 from palpate.tissue.materials import Material
 from palpate.tissue.regions import Regions

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import inline, kernel_njit, law_njit
-from palpate.dynamics.compiled.eigenvectors import principal
+from palpate.compiled.eigenvectors import principal
+from palpate.compiled.jit import inline, kernel_njit, law_njit
 from palpate.dynamics.material.principal_stretches import make_principal_stress
 
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import inline, kernel_njit, law_njit
-from palpate.dynamics.compiled.eigenvectors import principal
-from palpate.dynamics.compiled.lanes import LANES
+from palpate.compiled.eigenvectors import principal
+from palpate.compiled.jit import inline, kernel_njit, law_njit
+from palpate.compiled.lanes import LANES
 
 EQUAL_STRETCH_TOLERANCE = 1e-5  # relative difference of squared stretches below which quotients use their limit
 

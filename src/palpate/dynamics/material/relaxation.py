@@ -20,9 +20,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import prange
 
-from palpate.arrays import Floats
-from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.dynamics.compiled.lanes import LANES
+from palpate.compiled.jit import kernel_njit
+from palpate.compiled.lanes import LANES
+from palpate.core.arrays import Floats
 from palpate.tissue.materials import Material
 
 MIN_VOLUME_RATIO = 0.1  # volume ratio of a crushed point

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from palpate.dynamics.compiled.cache import law_njit
-from palpate.dynamics.compiled.lanes import LANES
+from palpate.compiled.jit import law_njit
+from palpate.compiled.lanes import LANES
 
 
 def make_linear_stress(digest: str) -> Any:

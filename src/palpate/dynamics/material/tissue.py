@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError, number_in_range
 from palpate.dynamics.material.fibres import prepare_fibres
 from palpate.dynamics.material.material_fields import regions_of
-from palpate.faults import InputError, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.materials import Material

@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.dynamics.compiled.cache import inline, kernel_njit, law_digest, law_njit
+from palpate.compiled.jit import inline, kernel_njit, law_digest, law_njit
+from palpate.core.arrays import Floats
 from palpate.dynamics.material.relaxation import even_change, update_history
 from palpate.dynamics.membrane.principal_moduli import axes
 from palpate.tissue.fibres import FibreLaw

@@ -10,10 +10,11 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, sum_of_products
-from palpate.describe import Fact
-from palpate.dynamics.compiled.lanes import lane_table, transpose
-from palpate.dynamics.compiled.rows import Rows, row_table
+from palpate.compiled.lanes import lane_table, transpose
+from palpate.compiled.rows import Rows, row_table
+from palpate.core.arrays import Floats, sum_of_products
+from palpate.core.describe import Fact
+from palpate.core.faults import InputError, number_in_range
 from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, prepare_loads
 from palpate.dynamics.loads.pressure import Pressure
@@ -36,7 +37,6 @@ from palpate.dynamics.nodal.energy_model import NO_FIELDS, EnergyModel, Fields, 
 from palpate.dynamics.nodal.model import History, NodalWork
 from palpate.dynamics.nodal.stability import StabilityReport, resting_frequency, stable_step
 from palpate.dynamics.run.model import Evaluation
-from palpate.faults import InputError, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.consistent import consistent_gradient
 from palpate.meshfree.stencils import Stencils, moving_least_squares

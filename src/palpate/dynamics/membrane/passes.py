@@ -24,10 +24,10 @@ import numpy as np
 from numba import get_thread_id, prange
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled.cache import inline, kernel_njit, law_digest, law_njit
-from palpate.dynamics.compiled.lanes import LANES, Lanes, Weights, lane_sums_3x2, lane_sums_3x3
-from palpate.dynamics.compiled.passes import Formulation, add_blocks, combine, lift_passes
-from palpate.dynamics.compiled.rows import Rows, aligned_zeros, gather_fluxes
+from palpate.compiled.jit import inline, kernel_njit, law_digest, law_njit
+from palpate.compiled.lanes import LANES, Lanes, Weights, lane_sums_3x2, lane_sums_3x3
+from palpate.compiled.passes import Formulation, add_blocks, combine, lift_passes
+from palpate.compiled.rows import Rows, aligned_zeros, gather_fluxes
 from palpate.dynamics.material.fibres import Families
 from palpate.dynamics.material.relaxation import HistoryVariables, Relaxation, after, history, prepare
 from palpate.dynamics.membrane.additional_stress import NO_ADDITIONAL_STRESS, AdditionalStress, flatten_additional

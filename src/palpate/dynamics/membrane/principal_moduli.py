@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import inline, kernel_njit, law_njit
+from palpate.compiled.jit import inline, kernel_njit, law_njit
 from palpate.dynamics.material.principal_stretches import EQUAL_STRETCH_TOLERANCE
 
 MIN_SQUARE_GAP = 1e-30  # least difference of squared stretches in quotients, whose numerators vanish too

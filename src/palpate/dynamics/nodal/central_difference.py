@@ -20,11 +20,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from palpate.arrays import Floats, Ints
-from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
-from palpate.dynamics.compiled.lanes import LANES
-from palpate.dynamics.compiled.passes import Formulation, internal_force
-from palpate.dynamics.compiled.reference import reference
+from palpate.compiled.jit import kernel_njit, law_digest, law_njit
+from palpate.compiled.lanes import LANES
+from palpate.compiled.passes import Formulation, internal_force
+from palpate.compiled.reference import reference
+from palpate.core.arrays import Floats, Ints
 from palpate.dynamics.contact.geometry import project
 from palpate.dynamics.contact.impulses import contact_impulses
 from palpate.dynamics.loads.supports import FIXED, FREE, SLIDING

@@ -19,7 +19,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from palpate.arrays import Floats, Ints
+from palpate.core.arrays import Floats, Ints
 from palpate.dynamics.loads.supports import SupportedNodes
 from palpate.dynamics.material.tissue import Tissue
 from palpate.dynamics.nodal.model import NodalModel

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.dynamics.nodal.model import NodalModel
 
 NO_FIELDS = slice(0, 0)

@@ -8,8 +8,10 @@ from typing import cast
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.describe import Described, Fact
+from palpate.compiled.threads import check_process
+from palpate.core.arrays import Floats
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import DivergenceError, InputError, brief, integer_in_range, number_in_range
 from palpate.dynamics.contact.tools import Grasp
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
@@ -23,8 +25,6 @@ from palpate.dynamics.nodal.static_balance import StaticBalance
 from palpate.dynamics.run.model import State, initial_field
 from palpate.dynamics.run.partition import active_partitions
 from palpate.dynamics.run.reactions import group_forces
-from palpate.faults import DivergenceError, InputError, brief, integer_in_range, number_in_range
-from palpate.threads import check_process
 
 MIN_TOLERANCE, MAX_TOLERANCE = 1e-10, 1e-2
 PERMITTED_LOADS = (DeadLoad, Pressure, Gravity, PrescribedMotion, Grasp, Foundation)

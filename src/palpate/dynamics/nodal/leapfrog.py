@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numba import prange
 
-from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
-from palpate.dynamics.compiled.passes import Formulation, internal_force
+from palpate.compiled.jit import kernel_njit, law_digest, law_njit
+from palpate.compiled.passes import Formulation, internal_force
 from palpate.dynamics.contact.grip import COUNT, bear_impulses, begin_grip, hold_nodes, store_velocities
 from palpate.dynamics.contact.impulses import list_near, push_patches
 from palpate.dynamics.loads.supports import FIXED

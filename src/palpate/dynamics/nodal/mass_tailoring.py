@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
-from palpate.arrays import Floats, Ints
-from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.dynamics.compiled.passes import internal_force
+from palpate.compiled.jit import kernel_njit
+from palpate.compiled.passes import internal_force
+from palpate.core.arrays import Floats, Ints
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.nodal.stability import highest_frequency
 

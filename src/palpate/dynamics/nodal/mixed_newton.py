@@ -20,7 +20,8 @@ import numpy as np
 import scipy.sparse as sparse
 from scipy.sparse.linalg import LinearOperator, gmres
 
-from palpate.arrays import Floats, euclidean_norm
+from palpate.core.arrays import Floats, euclidean_norm
+from palpate.core.faults import DivergenceError
 from palpate.dynamics.nodal.coarse_grid import two_level_preconditioner
 from palpate.dynamics.nodal.mixed_stress import (
     SplitStress,
@@ -31,7 +32,6 @@ from palpate.dynamics.nodal.mixed_stress import (
 )
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.nodal.static_balance import StaticBalance
-from palpate.faults import DivergenceError
 
 DIFFERENCE_SPACINGS = 1e-6  # largest displacement of a difference of forces, in spacings
 LINEAR_TOLERANCE = 1e-3  # relative error of the linear solution of a step

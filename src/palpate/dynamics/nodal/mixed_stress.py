@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.dynamics.nodal.coarse_grid import stress_free_points
 from palpate.dynamics.nodal.static_balance import StaticBalance
 

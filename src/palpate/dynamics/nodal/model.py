@@ -11,10 +11,11 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, sum_of_products
-from palpate.dynamics.compiled.lanes import Lanes
-from palpate.dynamics.compiled.passes import Formulation, internal_force
-from palpate.dynamics.compiled.rows import Rows
+from palpate.compiled.lanes import Lanes
+from palpate.compiled.passes import Formulation, internal_force
+from palpate.compiled.rows import Rows
+from palpate.core.arrays import Floats, sum_of_products
+from palpate.core.faults import number_in_range
 from palpate.dynamics.contact.impulses import contact_kind
 from palpate.dynamics.contact.tools import surface_nodes
 from palpate.dynamics.loads.prepared import LoadHistory, PreparedLoads, with_held_nodes
@@ -44,7 +45,6 @@ from palpate.dynamics.run.contact_state import (
 )
 from palpate.dynamics.run.model import Evaluation, Model, Nodes, Outputs, State, StepReport, initial_field
 from palpate.dynamics.run.reactions import NodalFields, nodal_outputs
-from palpate.faults import number_in_range
 from palpate.meshfree.mirror import NO_MIRROR, Mirror, MirrorPlane
 from palpate.meshfree.stencils import Stencils
 from palpate.tissue.fibres import FibreLaw

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
-from palpate.dynamics.compiled.passes import Formulation
-from palpate.dynamics.compiled.reference import reference
+from palpate.compiled.jit import kernel_njit, law_digest, law_njit
+from palpate.compiled.passes import Formulation
+from palpate.compiled.reference import reference
 from palpate.dynamics.contact.grip import COUNT, FRESH
 from palpate.dynamics.material.relaxation import copy_field, copy_history, copy_values, reset_history
 from palpate.dynamics.nodal.leapfrog import kinetic_energy, leapfrog

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from palpate.arrays import Floats, Ints
+from palpate.core.arrays import Floats, Ints
 from palpate.dynamics.contact.geometry import Contacts
 from palpate.dynamics.contact.grip import Grip
 from palpate.dynamics.loads.prepared import LoadSites

@@ -20,12 +20,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, euclidean_norm
-from palpate.describe import Described, Fact
+from palpate.core.arrays import Floats, euclidean_norm
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import CloudError, InputError, number_in_range
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.loads.supports import SupportedNodes
 from palpate.dynamics.run.model import State, StepReport
-from palpate.faults import CloudError, InputError, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.tissue.materials import Material
 

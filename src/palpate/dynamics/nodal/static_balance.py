@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, euclidean_norm
+from palpate.core.arrays import Floats, euclidean_norm
+from palpate.core.faults import InputError
 from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.loads.supports import free_rigid_motions
 from palpate.dynamics.nodal.model import NodalModel
-from palpate.faults import InputError
 
 MIN_STRAIN = 1e-8  # smallest strain whose forces are resolved by the largest residual
 

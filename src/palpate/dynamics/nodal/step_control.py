@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
-from palpate.dynamics.compiled.passes import Formulation, internal_force
+from palpate.compiled.jit import kernel_njit, law_digest, law_njit
+from palpate.compiled.passes import Formulation, internal_force
 from palpate.dynamics.contact.geometry import project
 from palpate.dynamics.loads.supports import FIXED
 from palpate.dynamics.material.relaxation import copy_field

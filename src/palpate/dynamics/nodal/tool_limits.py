@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.compiled.jit import kernel_njit
 from palpate.dynamics.contact.penetration import SLOW_DEPTH, deepest_triangle, way_above_surface
 from palpate.dynamics.material.relaxation import copy_values
 from palpate.dynamics.nodal.period_data import ESTIMATE, STEP

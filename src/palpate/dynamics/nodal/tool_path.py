@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.compiled.jit import kernel_njit
 from palpate.dynamics.material.relaxation import copy_values
 
 START, END, HOME, SAVED, LAST_CUT, LISTED_AT = range(6)  # frames of a path

@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.compiled.jit import kernel_njit
 from palpate.dynamics.contact.stiffness import limit_stiffness
 from palpate.dynamics.nodal.period_data import ESTIMATE, RECENT_ENERGY
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import DivergenceError, InputError, first_few
 from palpate.dynamics.contact.geometry import Contacts, compute_gaps, compute_patch_positions, rotation
 from palpate.dynamics.contact.kinds import BLADE, BONDED, PLANE
 from palpate.dynamics.contact.penetration import MAX_SURFACE_DEPTH, deepest_triangle
 from palpate.dynamics.loads.prepared import LoadHistory, LoadSites, PreparedLoads
 from palpate.dynamics.run.model import MANY_STEPS, ContactState
-from palpate.faults import DivergenceError, InputError, first_few
 
 MAX_INITIAL_DEPTH = 1e-2  # penetration of a node at the start of a run, in spacings
 MAX_INTERIOR_SHARE = 0.5  # share of a tool's force on interior nodes

@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from palpate.arrays import Floats, Ints
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import DivergenceError
 from palpate.dynamics.contact.geometry import compute_gaps
 from palpate.dynamics.contact.kinds import BLADE, BONDED
 from palpate.dynamics.loads.body_force import Gravity
@@ -19,7 +20,6 @@ from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.loads.pressure import Pressure
 from palpate.dynamics.loads.supports import FIXED
 from palpate.dynamics.run.model import Model, State
-from palpate.faults import DivergenceError
 
 LARGE_STRETCH = 2.0  # of the tissue, or inverse of one in compression, that is a reason
 LARGE_LOAD = 1.0  # of a load over the shear modulus and the area of its nodes, that is a reason

@@ -21,9 +21,9 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.faults import InputError
-from palpate.files import json_of, regular_file
-from palpate.sealed import array_of, checked_shape
+from palpate.core.faults import InputError
+from palpate.core.files import json_of, regular_file
+from palpate.core.sealed import array_of, checked_shape
 
 Arrays = Mapping[str, NDArray[Any]]
 Record = tuple[dict[str, Any], dict[str, NDArray[Any]]]

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats, Ints
-from palpate.describe import Described, Fact
+from palpate.core.arrays import Floats, Ints
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import InputError, brief
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.loads.supports import Support
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.faults import InputError, brief
 from palpate.meshfree.cloud import Cloud
 from palpate.tissue.materials import Material
 

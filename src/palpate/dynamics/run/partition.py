@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.dynamics.loads.prepared import PreparedLoads
 
 MAX_COSINE = 1e-6  # cosine below which two directions are orthogonal

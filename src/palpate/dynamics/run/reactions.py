@@ -19,7 +19,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.run.model import Outputs, State
 from palpate.dynamics.run.partition import Partition, active_partitions
@@ -76,7 +76,7 @@ def group_forces(body: NodalBody, parts: Sequence[Partition], nodal: Floats, str
     """
     forces = np.zeros((len(parts[0].phi), 3))
     for directions, phi in parts:
-        group_force = np.einsum("gn,nc->gc", phi, nodal)  # without BLAS, whose threads spin (`palpate.arrays`)
+        group_force = np.einsum("gn,nc->gc", phi, nodal)  # without BLAS, whose threads spin (`palpate.core.arrays`)
         if stress is not None:
             slopes = body.stencils.gradient(body.mirror.scalars(phi.T))  # (n, groups, 3)
             group_force = group_force + np.einsum("n,nil,ngl->gi", body.volumes, stress, slopes)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.dynamics.run.journal import Journal
 from palpate.dynamics.run.model import Outputs
 from palpate.dynamics.run.series import FIELD_NAMES, GROUP_ARRAYS, NUMBER_NAMES, joined_records

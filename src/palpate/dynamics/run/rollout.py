@@ -14,7 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.compiled.threads import check_process
+from palpate.core.arrays import Floats
+from palpate.core.faults import DivergenceError, InputError, TrustWarning, number_in_range
+from palpate.core.files import shortened
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed
 from palpate.dynamics.run.divergence import deformation_size, diverged
 from palpate.dynamics.run.model import Model, Outputs, State
@@ -22,9 +25,6 @@ from palpate.dynamics.run.progress import progress_bar
 from palpate.dynamics.run.recorder import Recorder
 from palpate.dynamics.run.series import NUMBER_NAMES, SERIES
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.faults import DivergenceError, InputError, TrustWarning, number_in_range
-from palpate.files import shortened
-from palpate.threads import check_process
 
 MAX_OVERSTEP = 1.2  # longest step that is accepted, over the stable step after it
 STEPS_PER_ESTIMATE = 50  # steps between two estimates of the stable step

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.sealed import Array
+from palpate.core.arrays import Floats
+from palpate.core.sealed import Array
 
 MAX_DISPLACEMENT = 1e30  # [m], so that sums of squares are finite
 EVERY_RUN, WITH_TRUST, WITH_BOUNDS = "in every run", "with a trust number", "with error bounds"

@@ -10,8 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.describe import Described, Fact
+from palpate.core.arrays import Floats
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import InputError, number_in_range
+from palpate.core.files import regular_file
+from palpate.core.plotting import curve_svg, plot_curves
+from palpate.core.sealed import Array, check_arrays, loading, open_sealed, write_sealed
 from palpate.dynamics.run.journal import is_journal, read_record, records
 from palpate.dynamics.run.series import (
     EVERY_RUN,
@@ -25,10 +29,6 @@ from palpate.dynamics.run.series import (
     array_name,
     joined_records,
 )
-from palpate.faults import InputError, number_in_range
-from palpate.files import regular_file
-from palpate.plotting import curve_svg, plot_curves
-from palpate.sealed import Array, check_arrays, loading, open_sealed, write_sealed
 
 FORMAT, VERSION = "palpate trajectory", 4
 TRAJECTORY_REMEDY = "run the simulation again"
@@ -248,7 +248,7 @@ class Trajectory(Described):
         return replace(self, **joined, wall_seconds=seconds, complete=complete)
 
     def save(self, path: str | Path) -> None:
-        """Write the trajectory to a sealed HDF5 file (`palpate.sealed`) atomically.
+        """Write the trajectory to a sealed HDF5 file (`palpate.core.sealed`) atomically.
 
         Raises
         ------

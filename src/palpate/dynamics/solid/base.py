@@ -9,8 +9,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from palpate.arrays import Floats, Ints
-from palpate.describe import Fact
+from palpate.core.arrays import Floats, Ints
+from palpate.core.describe import Fact
+from palpate.core.faults import InputError, integer_in_range, number_in_range
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed, prepare_loads
 from palpate.dynamics.loads.supports import Support, supports_of, symmetry_planes
 from palpate.dynamics.material.kinematics import Kinematics
@@ -18,7 +19,6 @@ from palpate.dynamics.material.tissue import tissue_of
 from palpate.dynamics.nodal.energy_model import EnergyModel
 from palpate.dynamics.nodal.model import History, NodalModel
 from palpate.dynamics.run.model import State
-from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.cut.surface import NO_CUT, CutSurface
 from palpate.meshfree.inversion import cells_between, inverted_share

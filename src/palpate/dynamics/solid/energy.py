@@ -11,8 +11,9 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints, sum_of_products
-from palpate.dynamics.compiled.passes import smooth_field
+from palpate.compiled.passes import smooth_field
+from palpate.core.arrays import Floats, Ints, sum_of_products
+from palpate.core.faults import CloudError, InputError, number_in_range
 from palpate.dynamics.contact.kinds import BLADE
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed, prepare_loads
@@ -26,7 +27,6 @@ from palpate.dynamics.solid.cutting.cut import detached_nodes, pieces_of, uncut_
 from palpate.dynamics.solid.cutting.layout import smoothing_of, stencils_of
 from palpate.dynamics.solid.energy_form import NODE_NUMBERS, EnergyBody, body_in_single, work_in_single
 from palpate.dynamics.solid.layout import Smoothing, energy_passes
-from palpate.faults import CloudError, InputError, number_in_range
 from palpate.meshfree.consistent import consistent_gradient, consistent_stencils
 from palpate.meshfree.cut.stencils import CutState
 from palpate.meshfree.mirror import Images, mirror_images

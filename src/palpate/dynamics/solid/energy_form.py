@@ -19,7 +19,7 @@ The force requires four passes over blocks of nodes: deformation and shear stres
 the transposed smoothing, which yields the pressure; the transposed derivatives of the stresses. Each
 node's result is independent of the others, so the bits are equal for any number of threads.
 
-The first and the last pass sum node by node (`palpate.dynamics.compiled.rows`). The flux of a node is
+The first and the last pass sum node by node (`palpate.compiled.rows`). The flux of a node is
 what its weights multiply: the nine stresses and the three forces s e of the residual. Between them the
 numbers of a block are in lanes.
 
@@ -37,10 +37,10 @@ import numpy as np
 from numba import get_thread_id, prange
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled.cache import inline, kernel_njit, law_digest, law_njit
-from palpate.dynamics.compiled.lanes import LANES, Lanes, Weights, lane_gather
-from palpate.dynamics.compiled.mirror import fill_fluxes, fill_vectors
-from palpate.dynamics.compiled.passes import (
+from palpate.compiled.jit import inline, kernel_njit, law_digest, law_njit
+from palpate.compiled.lanes import LANES, Lanes, Weights, lane_gather
+from palpate.compiled.mirror import fill_fluxes, fill_vectors
+from palpate.compiled.passes import (
     Formulation,
     add_blocks,
     combine,
@@ -48,8 +48,8 @@ from palpate.dynamics.compiled.passes import (
     weights_address,
     without_history,
 )
-from palpate.dynamics.compiled.rows import Rows, aligned_zeros, difference_sums, gather_fluxes, rows_in_single
-from palpate.dynamics.compiled.transposes import lanes_to_nodes, nodes_to_lanes
+from palpate.compiled.rows import Rows, aligned_zeros, difference_sums, gather_fluxes, rows_in_single
+from palpate.compiled.transposes import lanes_to_nodes, nodes_to_lanes
 from palpate.dynamics.material.fibres import NO_FIBRES, Families, FibrePoints
 from palpate.dynamics.material.material_fields import NO_FIELDS, parameters_at
 from palpate.dynamics.material.principal_stretches import make_principal_stress

@@ -10,10 +10,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.dynamics.compiled.lanes import gather_rows, lane_table, transpose
-from palpate.dynamics.compiled.passes import Formulation
-from palpate.dynamics.compiled.rows import Rows, row_table
+from palpate.compiled.lanes import gather_rows, lane_table, transpose
+from palpate.compiled.passes import Formulation
+from palpate.compiled.rows import Rows, row_table
+from palpate.core.arrays import Floats
 from palpate.dynamics.material.fibres import fibre_points, lay_out_fibres
 from palpate.dynamics.material.material_fields import NO_FIELDS, spread
 from palpate.dynamics.material.relaxation import relaxation

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from palpate.core.faults import InputError, brief
 from palpate.dynamics.solid.base import Solid
 from palpate.dynamics.solid.energy import EnergySolid
 from palpate.dynamics.solid.strong import StrongSolid
-from palpate.faults import InputError, brief
 
 __all__ = ["EnergySolid", "Solid", "StrongSolid", "energy_solid"]
 

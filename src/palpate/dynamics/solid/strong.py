@@ -8,7 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError, number_in_range
 from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.nodal.model import History, NodalWork
 from palpate.dynamics.nodal.stability import choose_stiffness_damping
@@ -17,7 +18,6 @@ from palpate.dynamics.run.reactions import NodalFields, tool_power
 from palpate.dynamics.solid.base import STENCIL_SIZES, Choices, Solid
 from palpate.dynamics.solid.energy import EnergySolid
 from palpate.dynamics.solid.layout import strong_passes
-from palpate.faults import InputError, number_in_range
 from palpate.meshfree.stencils import moving_least_squares
 
 HALF_CELL = 3.0  # default c of the half-cell balance

@@ -23,10 +23,10 @@ import numpy as np
 from numba import get_thread_id, prange
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled.cache import inline, kernel_njit, law_digest, law_njit
-from palpate.dynamics.compiled.lanes import LANES, Lanes, Weights, lane_sums_1x3, lane_sums_3x3, lane_sums_3x6
-from palpate.dynamics.compiled.mirror import fill_scalars, fill_vectors
-from palpate.dynamics.compiled.passes import Formulation, combine, lift_passes, smooth_field, weights_address
+from palpate.compiled.jit import inline, kernel_njit, law_digest, law_njit
+from palpate.compiled.lanes import LANES, Lanes, Weights, lane_sums_1x3, lane_sums_3x3, lane_sums_3x6
+from palpate.compiled.mirror import fill_scalars, fill_vectors
+from palpate.compiled.passes import Formulation, combine, lift_passes, smooth_field, weights_address
 from palpate.dynamics.material.principal_stretches import make_principal_response
 from palpate.dynamics.material.small_strain import make_linear_response
 from palpate.meshfree.mirror import Mirror

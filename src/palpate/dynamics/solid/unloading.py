@@ -15,8 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.arrays import Floats, euclidean_norm
-from palpate.describe import Described, Fact
+from palpate.core.arrays import Floats, euclidean_norm
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import CloudError, DivergenceError, integer_in_range, number_in_range
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.foundation import Foundation
@@ -27,7 +28,6 @@ from palpate.dynamics.nodal.mixed_newton import Tangent
 from palpate.dynamics.nodal.mixed_stress import extrapolated_stress, split_stress
 from palpate.dynamics.nodal.static_balance import StaticBalance
 from palpate.dynamics.solid.model import EnergySolid, Solid, energy_solid
-from palpate.faults import CloudError, DivergenceError, integer_in_range, number_in_range
 
 UNLOADING_LOADS = (DeadLoad, Pressure, Gravity, Foundation)
 LEAST_INCREMENT = 1 / 64  # of the loads

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.code_cache import cached_njit
+from palpate.compiled.code_cache import cached_njit
 from palpate.meshfree.cut.crossings import ANY_COMPONENT, crosses, norm
 
 MAX_WAY = 1.6 * 2.3  # longest way round a front, in spacings

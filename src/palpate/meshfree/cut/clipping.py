@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.meshfree.cut.surface import is_narrow, nearest_on_cut
 
 CLIP_MARGIN = 8.0  # distance of the box from the body, in spacings: more than any path round a front

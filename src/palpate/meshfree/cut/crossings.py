@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from palpate.arrays import Floats, Ints
-from palpate.code_cache import cached_njit
+from palpate.compiled.code_cache import cached_njit
+from palpate.core.arrays import Floats, Ints
 
 ON_PLANE = 1e-6  # distance from a triangle below which a node is on the side of its normal, in spacings
 SAME_COMPONENT = 0.3  # distance of a front from the plane of its component's triangles around it, in spacings

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.meshfree.cut.points import SIGHT_DISTANCE, PointWeights, inside_body, point_weights
 from palpate.meshfree.cut.surface import CutSurface, triangle_areas
 from palpate.meshfree.cut.uncut import UncutStencils

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.arrays import Floats, Ints
-from palpate.code_cache import cached_njit
+from palpate.compiled.code_cache import cached_njit
+from palpate.core.arrays import Floats, Ints
 from palpate.meshfree.cut.stencils import FittedRows
 from palpate.meshfree.cut.surface import CutSurface, nearest_normals
 from palpate.meshfree.cut.uncut import UncutStencils

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats, Ints
-from palpate.code_cache import cached_njit
+from palpate.compiled.code_cache import cached_njit
+from palpate.core.arrays import Floats, Ints
 from palpate.meshfree.cut.crossings import ON_PLANE, difference, normal, sphere
 from palpate.meshfree.cut.surface import triangle_areas
 

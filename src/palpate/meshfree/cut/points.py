@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints
-from palpate.code_cache import cached_njit
+from palpate.compiled.code_cache import cached_njit
+from palpate.core.arrays import Floats, Ints
 from palpate.meshfree.cut.bond_paths import bond_paths
 from palpate.meshfree.cut.surface import CutSurface
 from palpate.meshfree.cut.uncut import REACH_MARGIN, UncutStencils

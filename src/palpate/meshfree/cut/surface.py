@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from palpate.arrays import Floats, Ints
-from palpate.code_cache import cached_njit
-from palpate.describe import Described, Fact
-from palpate.faults import CloudError
+from palpate.compiled.code_cache import cached_njit
+from palpate.core.arrays import Floats, Ints
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import CloudError
 from palpate.meshfree.cut.crossings import TriangleTree, difference, normal, sphere, triangle_tree
 
 FRONT_LEAD = 0.2  # spacings by which a front is ahead of the edge of the cut

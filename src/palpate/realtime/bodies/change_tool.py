@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.compiled.jit import kernel_njit
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import rotation
 from palpate.dynamics.contact.kinds import BONDED, CAPSULE
 from palpate.dynamics.contact.tools import Forceps, Tool
-from palpate.faults import InputError
 from palpate.realtime.bodies.period_data import PeriodData
 from palpate.reduction.contact.surface import PAIRS
 

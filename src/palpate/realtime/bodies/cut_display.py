@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints, Singles
+from palpate.core.arrays import Floats, Ints, Singles
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.meshfree.cut.crossings import first_crossings
 from palpate.meshfree.cut.opening import Opening, cut_measures, cut_opening

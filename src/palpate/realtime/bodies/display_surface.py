@@ -15,9 +15,9 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints, Singles
+from palpate.core.arrays import Floats, Ints, Singles
+from palpate.core.faults import InputError
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.faults import InputError
 from palpate.meshfree.cut.opening import NO_MEASURES, CutMeasures
 from palpate.reduction.contact.compliance import secant_factor, static_displacements
 from palpate.reduction.hyper.model import ReducedModel

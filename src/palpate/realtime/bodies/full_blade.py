@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import CloudError, DivergenceError, InputError
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.blade_sites import AWAY_TOOL, EDGE_SITE, NO_TOOL
 from palpate.dynamics.contact.grip import nodes_in_grip
@@ -33,7 +34,6 @@ from palpate.dynamics.solid.cutting.blade_cut import advance_blade
 from palpate.dynamics.solid.cutting.face_pairs import face_pairs, turn_pairs
 from palpate.dynamics.solid.cutting.incision import Incision
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.faults import CloudError, DivergenceError, InputError
 from palpate.realtime.calls import model_calls
 
 MAX_DISTANCE_OF_A_CUT = 0.5  # largest distance of a blade from where it cut the body last, in spacings

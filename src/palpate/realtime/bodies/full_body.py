@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError, integer_in_range
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import curvatures, rotation
 from palpate.dynamics.contact.grip import COUNT, empty_grip, grasped_nodes, nodes_in_grip, set_grip
@@ -45,7 +46,6 @@ from palpate.dynamics.nodal.period_data import (
 )
 from palpate.dynamics.nodal.tool_path import END, HOME, LAST_CUT, START
 from palpate.dynamics.solid.base import Solid
-from palpate.faults import InputError, integer_in_range
 from palpate.realtime.bodies.full_blade import BladeCutter
 
 MAX_WAY, MAX_TOOL_WAY = 0.4, 0.25  # of a node and of the tool in a step, in spacings

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints, Singles
+from palpate.core.arrays import Floats, Ints, Singles
+from palpate.core.faults import InputError
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.faults import InputError
 from palpate.meshfree.cut.opening import NO_MEASURES
 from palpate.realtime.bodies.display_surface import NO_CUT_LINE, SCALAR_NAMES, DisplaySurface, Surface, fixed_nodes
 from palpate.reduction.hyper.model import ReducedModel

@@ -9,8 +9,9 @@ from typing import Any, NamedTuple, overload
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.dynamics.compiled.lanes import LANES
+from palpate.compiled.lanes import LANES
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError, brief, number_in_range
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import rotation
 from palpate.dynamics.contact.overlap import tools_overlap
@@ -21,7 +22,6 @@ from palpate.dynamics.material.relaxation import history_copy
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.nodal.tool_stiffness import contact_stiffness as nodal_stiffness
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.faults import InputError, brief, number_in_range
 from palpate.realtime.bodies.change_tool import change_tool
 from palpate.realtime.bodies.full_blade import BladeCutter
 from palpate.realtime.bodies.full_body import change_full_tool, full_period

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
-from palpate.dynamics.compiled.reference import reference
+from palpate.compiled.jit import kernel_njit, law_digest, law_njit
+from palpate.compiled.reference import reference
 from palpate.dynamics.material.relaxation import copy_field, copy_history, copy_values, reset_history
 from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN, TRUST
 from palpate.realtime.bodies.period_data import (

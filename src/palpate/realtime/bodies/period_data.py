@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.compiled.jit import kernel_njit
+from palpate.core.arrays import Floats
 from palpate.dynamics.material.relaxation import HistoryCopy
 from palpate.reduction.contact.surface import ContactScratch, ContactSurface, RigidTools
 from palpate.reduction.contact.tangent import ContactSystem

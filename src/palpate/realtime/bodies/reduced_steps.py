@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
+from palpate.compiled.jit import kernel_njit, law_digest, law_njit
 from palpate.dynamics.run.period_report import FORCES
 from palpate.realtime.bodies.period_data import (
     FORCE,

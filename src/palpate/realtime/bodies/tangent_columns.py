@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
+from palpate.compiled.jit import kernel_njit, law_digest, law_njit
 from palpate.realtime.bodies.period_data import (
     ALONG_COLUMN,
     ALONG_SHAPE,

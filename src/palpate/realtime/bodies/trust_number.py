@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
-from palpate.dynamics.compiled.lanes import column_work
+from palpate.compiled.jit import kernel_njit, law_digest, law_njit
+from palpate.compiled.lanes import column_work
 from palpate.dynamics.contact.penetration import MAX_SURFACE_DEPTH
 from palpate.realtime.bodies.period_data import FORCE, WORK, has_residual_fields
 from palpate.reduction.contact.gauss_seidel import approach_speed, contact_nearness, tool_energy

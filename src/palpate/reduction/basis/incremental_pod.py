@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 
 DROP_TOLERANCE = 1e-4  # of all steps together, relative to the snapshots' root mean square
 MAX_RANK = 256  # between steps, unless blocks are larger

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from palpate.arrays import Floats, Ints
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import InputError
 from palpate.dynamics.loads.supports import constrained_directions
 from palpate.dynamics.nodal.energy_model import EnergyModel
 from palpate.dynamics.run.partition import partitions, spread
-from palpate.faults import InputError
 from palpate.reduction.basis.linear_modes import tool_responses
 
 MAX_NODES = 6000  # of a body whose equations are solved

@@ -18,11 +18,11 @@ from scipy.interpolate import RBFInterpolator
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError, integer_in_range
 from palpate.dynamics.loads.supports import free_directions, free_rigid_motions
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.solid.model import Solid, energy_solid
-from palpate.faults import InputError, integer_in_range
 from palpate.meshfree.mirror import Mirror
 
 INTERPOLATION_NODES = 40  # coarse nodes in the interpolation of a mode

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 
-from palpate.arrays import Floats
-from palpate.describe import Described, Fact
-from palpate.faults import InputError, integer_in_range, number_in_range
-from palpate.plotting import curve_svg, plot_singular_values
+from palpate.core.arrays import Floats
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import InputError, integer_in_range, number_in_range
+from palpate.core.plotting import curve_svg, plot_singular_values
 from palpate.reduction.basis.incremental_pod import allowance, block_size, decompose
 from palpate.reduction.basis.snapshots import Run, Snapshots
 

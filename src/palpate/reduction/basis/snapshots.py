@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError
 from palpate.dynamics.run.trajectory import StoredTrajectory, Trajectory
-from palpate.faults import InputError
 
 Run = Trajectory | str | Path  # or the path of a trajectory's file
 

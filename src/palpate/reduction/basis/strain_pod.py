@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError
 from palpate.dynamics.nodal.energy_model import EnergyModel
-from palpate.faults import InputError
 from palpate.reduction.basis.incremental_pod import allowance, block_size, decompose
 from palpate.reduction.basis.snapshots import Snapshots
 

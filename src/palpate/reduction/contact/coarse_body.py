@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Ints
+from palpate.core.arrays import Ints
+from palpate.core.faults import CloudError, InputError, number_in_range
 from palpate.dynamics.loads.supports import Roller, Support
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.solid.base import Solid
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.faults import CloudError, InputError, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.filling import fill
 from palpate.reduction.contact.residual_flexibility import MAX_NODES

@@ -20,8 +20,8 @@ import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints
-from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.compiled.jit import kernel_njit
+from palpate.core.arrays import Floats, Ints
 from palpate.reduction.contact.interior import Interior, flexible_displacements, interior_displacements
 
 MAX_NEWTON_STEPS = 50  # for the force of a stiffened compliance

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.compiled.jit import kernel_njit
 from palpate.dynamics.contact.geometry import gap, material_velocity
 from palpate.dynamics.contact.held import press_held_nodes
 from palpate.dynamics.contact.kinds import BONDED

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats, Ints
+from palpate.core.arrays import Floats, Ints
 from palpate.meshfree.cloud import Cloud
 
 MAX_SOURCES = 12  # coarse nodes in the fit of a fine node

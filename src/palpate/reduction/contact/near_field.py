@@ -17,7 +17,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import LinearOperator, eigsh
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats, Ints
+from palpate.core.arrays import Floats, Ints
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.reduction.basis.linear_modes import stiffness_blocks
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.compiled.jit import kernel_njit
 from palpate.dynamics.contact.kinds import BONDED, PLANE
 from palpate.dynamics.contact.penetration import triangle_depth, way_above_surface
 from palpate.dynamics.nodal.tool_path import END, START, limit_path

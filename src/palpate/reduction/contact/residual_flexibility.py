@@ -17,10 +17,10 @@ from scipy.interpolate import RBFInterpolator
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats, Ints
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import InputError
 from palpate.dynamics.loads.supports import free_directions
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.basis.linear_modes import check_supported, rest_stiffness
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints
+from palpate.core.arrays import Floats, Ints
 from palpate.dynamics.contact.geometry import HeldNodes, held_nodes, with_scratch
 from palpate.dynamics.contact.tools import Forceps
 from palpate.dynamics.loads.prepared import PreparedLoads

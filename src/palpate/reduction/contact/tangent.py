@@ -26,8 +26,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.compiled.jit import kernel_njit
+from palpate.core.arrays import Floats
 from palpate.dynamics.contact.geometry import gap
 from palpate.dynamics.contact.kinds import BONDED
 from palpate.reduction.contact.compliance import refresh

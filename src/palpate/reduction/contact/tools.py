@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from palpate.arrays import Floats, Ints
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import DivergenceError
 from palpate.dynamics.contact.tools import Forceps
 from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.run.contact_state import check_initial_penetration, check_tool_step, initial_contact_state
 from palpate.dynamics.run.model import ContactState
-from palpate.faults import DivergenceError
 from palpate.reduction.contact.compliance import SurfaceCompliance, contact_displacements
 from palpate.reduction.contact.penetration import MAX_DEPTH_BETWEEN_NODES, store_depths
 from palpate.reduction.contact.surface import ContactScratch, ContactSurface, RigidTools, contact_scratch, rigid_tools

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.compiled.jit import kernel_njit
 
 
 @kernel_njit(inline="always", fastmath={"contract"})

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.describe import Fact
+from palpate.core.arrays import Floats
+from palpate.core.describe import Fact
+from palpate.core.faults import InputError
 from palpate.dynamics.contact.tools import Grasp
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
@@ -22,7 +23,6 @@ from palpate.dynamics.nodal.stability import stable_step
 from palpate.dynamics.run.model import Outputs, State, StepReport
 from palpate.dynamics.run.reactions import NodalFields, nodal_outputs
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.faults import InputError
 from palpate.reduction.basis.coordinates import CoordinateModel
 from palpate.reduction.basis.pod import Basis, pod
 from palpate.reduction.galerkin.step import BasisData, BodyData, GalerkinWork, reduced_step

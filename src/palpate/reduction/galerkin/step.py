@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 from numba import prange
 
-from palpate.arrays import Floats
-from palpate.dynamics.compiled.cache import kernel_njit, law_njit
-from palpate.dynamics.compiled.passes import Formulation
+from palpate.compiled.jit import kernel_njit, law_njit
+from palpate.compiled.passes import Formulation
+from palpate.core.arrays import Floats
 from palpate.dynamics.nodal.central_difference import surface_force
 from palpate.dynamics.nodal.model import NodalWork
 from palpate.reduction.galerkin.central_difference import (

@@ -17,8 +17,8 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints
-from palpate.describe import Described
+from palpate.core.arrays import Floats, Ints
+from palpate.core.describe import Described
 
 BATCH_FRACTION = 0.05  # of the active columns that are added at once
 

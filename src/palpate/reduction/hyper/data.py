@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.describe import Described
+from palpate.core.arrays import Floats
+from palpate.core.describe import Described
 from palpate.dynamics.loads.supports import Support
 from palpate.dynamics.material.kinematics import Kinematics
 from palpate.dynamics.material.relaxation import relaxation

@@ -27,12 +27,12 @@ import numpy as np
 from numba.extending import register_jitable
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats, Ints
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import InputError, number_in_range
 from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.loads.supports import FIXED, Support, supported_nodes
 from palpate.dynamics.run.model import State
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.faults import InputError, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.contact.surface import HELD_NEARNESS
 from palpate.reduction.hyper.body import ReducedBody

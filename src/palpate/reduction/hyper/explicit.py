@@ -15,9 +15,9 @@ from __future__ import annotations
 from functools import cache
 from typing import Any, NamedTuple
 
-from palpate.arrays import Floats
-from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
-from palpate.dynamics.compiled.reference import reference
+from palpate.compiled.jit import kernel_njit, law_digest, law_njit
+from palpate.compiled.reference import reference
+from palpate.core.arrays import Floats
 from palpate.dynamics.contact.geometry import rotation
 from palpate.reduction.contact.gauss_seidel import solve_contact
 from palpate.reduction.contact.surface import ContactScratch, ContactSurface, RigidTools

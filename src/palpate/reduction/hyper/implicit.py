@@ -21,9 +21,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
-from palpate.dynamics.compiled.reference import reference
+from palpate.compiled.jit import kernel_njit, law_digest, law_njit
+from palpate.compiled.reference import reference
+from palpate.core.arrays import Floats
 from palpate.dynamics.material.relaxation import copy_values
 from palpate.reduction.galerkin.central_difference import mass_damping_loss
 from palpate.reduction.hyper.foundation import Springs, add_spring_forces

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.dynamics.loads.prepared import LoadSites
 from palpate.dynamics.loads.supports import FIXED, supported_nodes
 from palpate.dynamics.nodal.coarse_grid import static_estimate

@@ -8,7 +8,8 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError
 from palpate.dynamics.contact.tools import Contact, Forceps, Grasp
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
@@ -25,7 +26,6 @@ from palpate.dynamics.loads.prepared import (
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.loads.supports import PRESCRIBED
 from palpate.dynamics.membrane.model import load_areas
-from palpate.faults import InputError
 from palpate.reduction.hyper.body import ReducedBody
 from palpate.reduction.hyper.data import ReducedData
 from palpate.reduction.hyper.foundation import Springs, project_springs

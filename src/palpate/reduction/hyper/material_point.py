@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled.cache import inline, law_digest, law_njit
+from palpate.compiled.jit import inline, law_digest, law_njit
+from palpate.core.faults import InputError
 from palpate.dynamics.material.fibres import NO_FIBRES, FibrePoints, fibre_points
 from palpate.dynamics.material.kinematics import Kinematics
 from palpate.dynamics.material.material_fields import NO_FIELDS, parameters_at
 from palpate.dynamics.material.principal_point import make_principal_point
 from palpate.dynamics.membrane.passes import make_moduli
 from palpate.dynamics.solid.energy_form import make_stress
-from palpate.faults import InputError
 from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.materials import Material
 from palpate.tissue.volumetric import QUADRATIC, volumetric_form

@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.describe import Fact
+from palpate.core.arrays import Floats
+from palpate.core.describe import Fact
+from palpate.core.faults import InputError
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.material.relaxation import restore_history, saved_history
 from palpate.dynamics.nodal.stability import stable_step
@@ -23,7 +24,6 @@ from palpate.dynamics.run.contact_state import steps_between_checks
 from palpate.dynamics.run.model import Nodes, Outputs, State, StepReport, initial_field
 from palpate.dynamics.run.reactions import contact_outputs
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.faults import InputError
 from palpate.reduction.basis.coordinates import CoordinateModel
 from palpate.reduction.contact.tools import ContactTools, bonded_nodes, tool_displacements
 from palpate.reduction.hyper.body import DIFFERENCE_STEP, ReducedWork, reduced_body

@@ -24,10 +24,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
-from palpate.dynamics.compiled.lanes import LANES, column_sums, column_sums_2, column_work, column_work_3
-from palpate.dynamics.compiled.reference import reference
+from palpate.compiled.jit import kernel_njit, law_digest, law_njit
+from palpate.compiled.lanes import LANES, column_sums, column_sums_2, column_work, column_work_3
+from palpate.compiled.reference import reference
+from palpate.core.arrays import Floats
 from palpate.dynamics.material.fibres import Families, lay_out_fibres
 from palpate.dynamics.material.material_fields import spread
 from palpate.dynamics.material.relaxation import HistoryVariables, Relaxation, history, overstress_alone, relax_volume

@@ -9,8 +9,8 @@ from time import perf_counter
 import numpy as np
 import scipy.linalg
 
+from palpate.core.faults import InputError
 from palpate.dynamics.run.rollout import machine_memory
-from palpate.faults import InputError
 
 TIMED_ORDER = 240  # order of the dense equation that is timed
 SOLVER_ARRAYS = 8  # square arrays that a dense solver stores at a time: the Schur form, vectors and work

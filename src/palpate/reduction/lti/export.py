@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sparse
 
-from palpate.files import whole_file
+from palpate.core.files import whole_file
 from palpate.reduction.lti.system import LinearSystem
 
 

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg
 
-from palpate.arrays import Floats
-from palpate.faults import InputError, integer_in_range
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError, integer_in_range
 
 MIN_HANKEL_VALUE = 1e-10  # relative to the largest Hankel singular value: states below it are rounding errors
 EQUAL_VALUES_TOLERANCE = 1e-6  # relative difference of Hankel singular values that count as equal

@@ -7,11 +7,11 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, check_kinds
-from palpate.faults import InputError
 from palpate.reduction.lti.system import INPUT_LOADS, LinearSystem
 
 RIGID_TOLERANCE = 1e-2  # largest error of a tool's motion in small translations and rotations, relative

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.describe import Fact
-from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.compiled.jit import kernel_njit
+from palpate.core.arrays import Floats
+from palpate.core.describe import Fact
+from palpate.core.faults import InputError, number_in_range
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.run.model import Outputs, State, StepReport
 from palpate.dynamics.run.reactions import NodalFields, nodal_outputs
-from palpate.faults import InputError, number_in_range
 from palpate.reduction.basis.coordinates import CoordinateModel
 from palpate.reduction.lti.inputs import (
     linear_loads,

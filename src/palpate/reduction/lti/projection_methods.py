@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs, eigsh, splu
 
-from palpate.arrays import Floats
-from palpate.faults import InputError, integer_in_range
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError, integer_in_range
 from palpate.reduction.basis.pod import pod
 from palpate.reduction.lti.state_space import SecondOrder
 from palpate.reduction.lti.system import LinearSystem

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from palpate.extras import require
+from palpate.core.extras import require
+from palpate.core.working_folder import import_pymor
 from palpate.reduction.lti.system import LinearSystem
-from palpate.working_folder import import_pymor
 
 
 def need_pymor(what: str) -> None:

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.compiled.jit import kernel_njit
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError, number_in_range
 from palpate.dynamics.loads.supports import PRESCRIBED
 from palpate.dynamics.material.relaxation import copy_values
 from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN, TRUST
-from palpate.faults import InputError, number_in_range
 from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.state_space import SecondOrder, first_order_hold
 

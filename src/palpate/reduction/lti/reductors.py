@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError, integer_in_range
 from palpate.dynamics.loads.prepared import Load
-from palpate.faults import InputError, integer_in_range
 from palpate.reduction.lti.budget import Budget, dense_lyapunov
 from palpate.reduction.lti.hankel import Realisation, balance, hankel_norm, nearest_fields
 from palpate.reduction.lti.model import LinearModel

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.sparse.linalg import splu
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError, number_in_range
 from palpate.dynamics.loads.prepared import Load
-from palpate.faults import InputError, number_in_range
 from palpate.reduction.lti.inputs import prepare_linear_loads, tool_coordinates
 from palpate.reduction.lti.system import LinearSystem
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 
-from palpate.arrays import Complex, Floats
-from palpate.describe import Described
+from palpate.core.arrays import Complex, Floats
+from palpate.core.describe import Described
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sparse
 
-from palpate.arrays import Floats, Ints
-from palpate.dynamics.compiled.lanes import Lanes, ranges
-from palpate.dynamics.compiled.rows import Rows
+from palpate.compiled.lanes import Lanes, ranges
+from palpate.compiled.rows import Rows
+from palpate.core.arrays import Floats, Ints
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.meshfree.mirror import NO_MIRROR

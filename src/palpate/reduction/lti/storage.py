@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from palpate.faults import InputError
-from palpate.files import plain
+from palpate.core.faults import InputError
+from palpate.core.files import plain
+from palpate.core.sealed import Array, check_arrays, check_names, loading, open_sealed, write_sealed
 from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.state_space import FirstOrder, SecondOrder
 from palpate.reduction.lti.system import LinearSystem
-from palpate.sealed import Array, check_arrays, check_names, loading, open_sealed, write_sealed
 
 FORMAT, VERSION = "palpate linear model", 2
 LINEAR_MODEL_REMEDY = "make the linear model again"

@@ -32,8 +32,9 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from palpate.arrays import Complex, Floats
-from palpate.describe import Described, Fact
+from palpate.core.arrays import Complex, Floats
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import InputError
 from palpate.dynamics.contact.tools import Grasp
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
@@ -42,7 +43,6 @@ from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.loads.supports import constrained_directions, free_directions
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.run.model import State
-from palpate.faults import InputError
 from palpate.reduction.lti.stiffness import nodal_stiffness
 
 AXES = "xyz"

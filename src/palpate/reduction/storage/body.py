@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from palpate.core.faults import InputError, number_in_range
+from palpate.core.files import json_of, shortened
+from palpate.core.sealed import LEAST_POSITIVE, Array, ArrayFile, check_arrays, check_names, typed
 from palpate.dynamics.loads.supports import Support, support_from, supports_of
 from palpate.dynamics.material.tissue import Tissue
-from palpate.faults import InputError, number_in_range
-from palpate.files import json_of, shortened
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.storage.material import (
     describe_fibres,
@@ -20,7 +21,6 @@ from palpate.reduction.storage.material import (
     material_of,
     regions_of,
 )
-from palpate.sealed import LEAST_POSITIVE, Array, ArrayFile, check_arrays, check_names, typed
 
 Header = dict[str, Any]
 Arrays = dict[str, np.ndarray[Any, Any]]

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from palpate.faults import InputError, number_in_range
+from palpate.core.faults import InputError, number_in_range
+from palpate.core.sealed import Array, check_arrays
 from palpate.reduction.contact.compliance import SurfaceCompliance
 from palpate.reduction.contact.interior import Interior
 from palpate.reduction.storage.body import MAX_NUMBER
-from palpate.sealed import Array, check_arrays
 
 Arrays = Mapping[str, np.ndarray[Any, Any]]
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.faults import InputError, brief, number_in_range
+from palpate.core.faults import InputError, brief, number_in_range
 from palpate.tissue import symbolic_law
 from palpate.tissue.catalogue import FIBRE_LAWS, LAWS
 from palpate.tissue.fibres import FibreLaw, VolumeOnly

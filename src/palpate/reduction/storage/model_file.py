@@ -1,4 +1,4 @@
-"""File of a reduced model: a sealed HDF5 file (`palpate.sealed`) with data only.
+"""File of a reduced model: a sealed HDF5 file (`palpate.core.sealed`) with data only.
 
 Arrays have the names of `ReducedData` (``cloud/points``, ``cubature/weights`` ...), and short values are
 in the header. Basis vectors have single precision: they determine displacements and masses. Forces
@@ -12,9 +12,10 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+from palpate.core.faults import InputError, integer_in_range, number_in_range
+from palpate.core.files import plain
+from palpate.core.sealed import LEAST_POSITIVE, Array, ArrayFile, loading, open_sealed, typed, write_sealed
 from palpate.dynamics.material.kinematics import Kinematics
-from palpate.faults import InputError, integer_in_range, number_in_range
-from palpate.files import plain
 from palpate.reduction.contact.compliance import NO_COMPLIANCE
 from palpate.reduction.hyper.cubature import Cubature
 from palpate.reduction.hyper.data import UNLIMITED_SCALE, ReducedData
@@ -43,7 +44,6 @@ from palpate.reduction.storage.compliance import (
     read_compliance,
     unpack_flexibilities,
 )
-from palpate.sealed import LEAST_POSITIVE, Array, ArrayFile, loading, open_sealed, typed, write_sealed
 
 FORMAT, VERSION = "palpate reduced model", 14
 OLDER_VERSIONS = (12, 13)  # also read

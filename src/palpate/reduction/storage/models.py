@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import overload
 
-from palpate.faults import FileFormatError, InputError
+from palpate.core.faults import FileFormatError, InputError
+from palpate.core.sealed import kind_of_file
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.lti import storage as linear_storage
 from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.system import LinearSystem
 from palpate.reduction.storage import model_file
 from palpate.reduction.storage.model_file import load_hyper_reduced, save_hyper_reduced
-from palpate.sealed import kind_of_file
 
 
 def save(model: ReducedModel | LinearModel, path: str | Path) -> None:

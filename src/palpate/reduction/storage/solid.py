@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from palpate.core.faults import integer_in_range, number_in_range
+from palpate.core.sealed import ArrayFile
 from palpate.dynamics.solid.energy import EnergySolid
-from palpate.faults import integer_in_range, number_in_range
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.body import (
     BODY_ATTRIBUTES,
@@ -18,7 +19,6 @@ from palpate.reduction.storage.body import (
     read_arrays,
 )
 from palpate.reduction.storage.model_file import contents, model_of
-from palpate.sealed import ArrayFile
 
 MAX_NEIGHBOURS = 200  # of a node; the largest default is 63
 SOLID_ATTRIBUTES: dict[str, type] = BODY_ATTRIBUTES | {"neighbours": int}

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.run.reactions import contact_outputs
 from palpate.dynamics.run.rollout import frame_states
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.faults import InputError
 from palpate.reduction.basis.snapshots import Run
 from palpate.reduction.contact.compliance import SurfaceCompliance, secant_factor
 from palpate.reduction.hyper.model import ReducedModel

@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import betaincinv
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.run.model import State
 from palpate.dynamics.run.rollout import rollout

@@ -6,9 +6,9 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError
 from palpate.dynamics.nodal.energy_model import EnergyModel, Fields
-from palpate.faults import InputError
 from palpate.reduction.basis.snapshots import Snapshots
 from palpate.reduction.hyper.cubature import Cubature, fit_moments, sketch, sparse_nnls
 from palpate.reduction.hyper.material_point import volume_measure

@@ -8,10 +8,10 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.describe import Described, Fact
+from palpate.core.arrays import Floats
+from palpate.core.describe import Described, Fact
+from palpate.core.faults import InputError
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.faults import InputError
 
 MIN_FORCE = 0.1  # of frames in the contact errors, as a fraction of a tool's largest force
 

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats, Ints
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import InputError
 from palpate.dynamics.contact.tools import surface_nodes
 from palpate.dynamics.run.rollout import MAX_STEP_RATIO, MAX_STEPS_PER_FRAME
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.basis.snapshots import Snapshots
 from palpate.reduction.contact.compliance import NO_COMPLIANCE, SurfaceCompliance, secant_factor, static_displacements

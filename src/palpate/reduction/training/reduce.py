@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import DivergenceError, InputError, TrustWarning, integer_in_range, number_in_range
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.membrane.model import Membrane
@@ -19,7 +20,6 @@ from palpate.dynamics.nodal.energy_model import EnergyModel, Fields
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.run.trajectory import StoredTrajectory, Trajectory
 from palpate.dynamics.solid.model import EnergySolid, Solid, energy_solid
-from palpate.faults import DivergenceError, InputError, TrustWarning, integer_in_range, number_in_range
 from palpate.reduction.basis.incremental_pod import block_size
 from palpate.reduction.basis.lifting import RemoveToolMotion, lifting_vectors, support_fields
 from palpate.reduction.basis.linear_modes import interpolated_modes

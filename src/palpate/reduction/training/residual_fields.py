@@ -22,9 +22,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import InputError
 from palpate.dynamics.nodal.energy_model import EnergyModel, Fields
-from palpate.faults import InputError
 from palpate.reduction.hyper.cubature import Cubature
 from palpate.reduction.hyper.material_point import volume_measure
 from palpate.reduction.hyper.model import ReducedModel

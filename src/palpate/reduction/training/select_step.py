@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import DivergenceError, InputError, integer_in_range, number_in_range
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.faults import DivergenceError, InputError, integer_in_range, number_in_range
 from palpate.reduction.hyper.model import ReducedModel
 
 TRIED_STEPS = (None, 1e-3, 0.5e-3, 0.25e-3)  # explicit; implicit, [s]

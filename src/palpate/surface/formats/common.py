@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints
-from palpate.faults import FileFormatError, InputError
-from palpate.files import shortened
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import FileFormatError, InputError
+from palpate.core.files import shortened
 from palpate.surface.surface import MAX_TRIANGLES
 
 Parts = dict[str, Callable[[], tuple[Floats, Ints]]]  # functions that return vertices and triangles, by the part's name

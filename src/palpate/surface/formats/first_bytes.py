@@ -7,8 +7,8 @@ import zlib
 from itertools import islice
 from pathlib import Path, PurePath
 
-from palpate.faults import FileFormatError
-from palpate.files import shortened
+from palpate.core.faults import FileFormatError
+from palpate.core.files import shortened
 from palpate.surface.formats.names import GZIP_SUFFIX, LABEL_FORMATS, SURFACE_FORMATS, format_of
 
 SEGMENTATION_CLASSES = ("1.2.840.10008.5.1.4.1.1.66.4", "1.2.840.10008.5.1.4.1.1.66.7")  # SEG, and SEG of label maps

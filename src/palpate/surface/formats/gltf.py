@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints
-from palpate.faults import FileFormatError, InputError
-from palpate.files import json_of, shortened
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import FileFormatError, InputError
+from palpate.core.files import json_of, shortened
 from palpate.surface.formats.common import Parts, check_indices, fans, strips, triangle_count_error
 from palpate.surface.surface import MAX_TRIANGLES
 

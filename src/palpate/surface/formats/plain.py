@@ -8,8 +8,8 @@ from itertools import chain
 
 import numpy as np
 
-from palpate.arrays import Floats, Ints
-from palpate.faults import FileFormatError
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import FileFormatError
 from palpate.surface.formats.common import (
     Parts,
     check_indices,

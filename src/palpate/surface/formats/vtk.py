@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints
-from palpate.faults import FileFormatError
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import FileFormatError
 from palpate.surface.formats.common import Parts, check_indices, fans, printable_word, read_count, read_numbers, strips
 
 NUMPY_TYPES = {

@@ -11,7 +11,7 @@ from itertools import product
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 
 EDGE_SHARE, DIAGONAL_SHARE = 0.1, 1e-3
 LENGTH_SHARE = 0.01

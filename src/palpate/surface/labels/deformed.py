@@ -14,8 +14,8 @@ import scipy.ndimage as ndimage
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats, Singles
-from palpate.faults import InputError
+from palpate.core.arrays import Floats, Singles
+from palpate.core.faults import InputError
 from palpate.surface.labels.label_map import LabelMap, Segment
 from palpate.surface.nesting import inside_points
 

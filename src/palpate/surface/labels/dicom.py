@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints
-from palpate.extras import require
-from palpate.faults import FileFormatError, InputError
-from palpate.files import shortened
+from palpate.core.arrays import Floats, Ints
+from palpate.core.extras import require
+from palpate.core.faults import FileFormatError, InputError
+from palpate.core.files import shortened
 from palpate.surface.formats.first_bytes import SEGMENTATION_CLASSES
 from palpate.surface.labels.agreement import lengths_agree, lengths_text
 from palpate.surface.labels.frames import grid_of_frames

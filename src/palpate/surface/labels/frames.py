@@ -11,8 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from palpate.arrays import Floats, Ints
-from palpate.faults import FileFormatError
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import FileFormatError
 from palpate.surface.labels.agreement import LENGTH_SHARE, lengths_agree
 from palpate.surface.labels.voxels import MAX_VOXELS
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Ints
+from palpate.core.arrays import Ints
 from palpate.surface.labels.anatomy import Relation, relation
 from palpate.surface.labels.label_map import Box, LabelMap, Segment, part_names, touches_edge
 from palpate.surface.labels.mask_surface import is_pore

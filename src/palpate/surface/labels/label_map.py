@@ -18,9 +18,9 @@ import numpy as np
 import scipy.ndimage as ndimage
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints
-from palpate.faults import FileFormatError, InputError
-from palpate.files import shortened
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import FileFormatError, InputError
+from palpate.core.files import shortened
 from palpate.surface.parts import names_text
 from palpate.surface.surface import MAX_COORDINATE
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
 
-from palpate.faults import ChoiceError
-from palpate.files import shortened
+from palpate.core.faults import ChoiceError
+from palpate.core.files import shortened
 from palpate.surface.labels.inner import InnerLabel, Shells, inner_labels
 from palpate.surface.labels.label_map import LabelMap, part_names, segments_mask
 from palpate.surface.labels.mask_surface import MIN_VOXELS, piece_sizes

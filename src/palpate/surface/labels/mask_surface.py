@@ -16,9 +16,9 @@ import numpy as np
 import scipy.ndimage as ndimage
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints
-from palpate.faults import InputError
-from palpate.files import shortened
+from palpate.core.arrays import Floats, Ints
+from palpate.core.faults import InputError
+from palpate.core.files import shortened
 from palpate.surface.isosurface import zero_surface
 from palpate.surface.labels.label_map import LabelMap, Mask, mask_of
 from palpate.surface.labels.voxels import counts_of_values, equal_share

@@ -7,8 +7,8 @@ import re
 
 import numpy as np
 
-from palpate.arrays import Floats
-from palpate.faults import FileFormatError
+from palpate.core.arrays import Floats
+from palpate.core.faults import FileFormatError
 from palpate.surface.formats.common import printable_word
 from palpate.surface.labels.agreement import difference_of_maps, lengths_agree, lengths_text
 from palpate.surface.labels.label_map import LabelMap, as_grid, in_metres

@@ -6,8 +6,8 @@ import re
 from pathlib import Path
 from typing import Any
 
-from palpate.faults import FileFormatError
-from palpate.files import json_of, read_text, shortened
+from palpate.core.faults import FileFormatError
+from palpate.core.files import json_of, read_text, shortened
 
 MAX_BYTES = 1 << 20
 MAX_NUMBER = 2**31 - 1

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.surface.labels.label_map import LabelMap, Mask, Segment, segments_mask
 
 CONTACT_EDGES = 1.5  # largest voxel edges between the boundary voxels of segments that touch

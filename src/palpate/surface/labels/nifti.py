@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.faults import FileFormatError
-from palpate.files import shortened
+from palpate.core.arrays import Floats
+from palpate.core.faults import FileFormatError
+from palpate.core.files import shortened
 from palpate.surface.formats.first_bytes import GZIP_MAGIC
 from palpate.surface.labels.agreement import difference_of_maps, lengths_agree, lengths_text
 from palpate.surface.labels.label_map import RAS_TO_LPS, LabelMap, as_grid, in_metres

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
-from palpate.faults import FileFormatError
+from palpate.core.arrays import Floats
+from palpate.core.faults import FileFormatError
 from palpate.surface.formats.common import printable_word
 from palpate.surface.labels.agreement import lengths_agree, lengths_text
 from palpate.surface.labels.label_map import RAS_TO_LPS, LabelMap, as_grid

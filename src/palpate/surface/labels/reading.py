@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from palpate.faults import FileFormatError, InputError
-from palpate.files import read_bytes, shortened
+from palpate.core.faults import FileFormatError, InputError
+from palpate.core.files import read_bytes, shortened
 from palpate.surface.formats.first_bytes import GZIP_MAGIC, refuse_misnamed
 from palpate.surface.formats.names import LABEL_FORMATS, format_of
 from palpate.surface.labels.dicom import read_dicom

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.ndimage as ndimage
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints
+from palpate.core.arrays import Floats, Ints
 from palpate.surface.isosurface import zero_surface
 from palpate.surface.labels.label_map import LabelMap, Segment, choose_segments
 from palpate.surface.labels.mask_surface import PIECE_PATTERN

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.faults import FileFormatError
+from palpate.core.faults import FileFormatError
 from palpate.surface.formats.common import printable_word
 from palpate.surface.formats.first_bytes import GZIP_MAGIC
 from palpate.surface.labels.label_map import Segment

@@ -13,9 +13,9 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Singles
-from palpate.faults import InputError
-from palpate.files import whole_file
+from palpate.core.arrays import Floats, Singles
+from palpate.core.faults import InputError
+from palpate.core.files import whole_file
 from palpate.surface.labels.label_map import Segment
 
 VOLUME_SUFFIXES = (".nii", ".nii.gz", ".nrrd")

@@ -10,7 +10,7 @@ from websockets.exceptions import ConnectionClosed
 
 from palpate.app.view.server.label_choice import LabelChoice
 from palpate.app.view.server.preparation import Preparation
-from palpate.faults import InputError
+from palpate.core.faults import InputError
 from palpate.scenes.organ import liver_surface
 from palpate.surface.labels.inner import InnerLabel
 from palpate.surface.labels.label_map import Segment

@@ -17,7 +17,7 @@ from websockets.http11 import Request
 from palpate.app.view.server.address import LOOPBACK, allowed_hosts, open_listener, public_address
 from palpate.app.view.server.host import Host
 from palpate.app.view.server.page import Page
-from palpate.faults import InputError
+from palpate.core.faults import InputError
 
 INDEX, SCRIPT = b'<script src="./assets/page.js"></script>', b"1"
 SECONDS = 60.0

@@ -15,7 +15,7 @@ from view_scenes import BALL, MIDDLE
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from palpate.app.view.server.address import LOOPBACK, allowed_hosts, is_loopback, open_listener
-from palpate.faults import InputError
+from palpate.core.faults import InputError
 
 ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
 PRESSED = MIDDLE + np.array([0, 0, BALL - 0.003])

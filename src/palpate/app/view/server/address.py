@@ -12,7 +12,7 @@ import webbrowser
 from dataclasses import dataclass
 from urllib.parse import unquote, urlsplit
 
-from palpate.faults import InputError
+from palpate.core.faults import InputError
 
 DEFAULT_PORT = 8765
 LOOPBACK = "127.0.0.1"

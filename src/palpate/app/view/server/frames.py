@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.recordings.snapshot import ENGINE_STATES, TOOL_KINDS, OverlayState, Snapshot, ToolSnapshot
-from palpate.arrays import Singles
+from palpate.core.arrays import Singles
 
 if TYPE_CHECKING:
     from palpate.realtime.bodies.display_surface import DisplaySurface

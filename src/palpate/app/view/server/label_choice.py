@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from palpate.app.session.messages import parse_message
 from palpate.app.view.server.connection import close_connection
 from palpate.app.view.server.viewer import INVALID_MESSAGES, Viewer
-from palpate.faults import InputError
-from palpate.files import shortened
+from palpate.core.faults import InputError
+from palpate.core.files import shortened
 
 if TYPE_CHECKING:
     from palpate.surface.labels.listing import LabelRow

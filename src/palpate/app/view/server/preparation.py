@@ -16,10 +16,10 @@ import numpy as np
 
 import palpate
 from palpate.app.common.compile_ahead import CompiledFunctions
-from palpate.faults import FileFormatError, InputError
-from palpate.files import read_json, write_json
+from palpate.core.faults import FileFormatError, InputError
+from palpate.core.files import read_json, write_json
+from palpate.core.working_folder import cache_folder
 from palpate.surface.surface import Surface
-from palpate.working_folder import cache_folder
 
 MAX_PREVIEW_TRIANGLES = 60_000
 AREA_PER_TRIANGLE = 0.35  # of a triangle between vertices of a grid, over the square of its cells

@@ -40,8 +40,8 @@ from palpate.app.view.server.preparation import Preparation
 from palpate.app.view.server.streams import Streams
 from palpate.app.view.server.view_source import Refining, ViewSource
 from palpate.app.view.server.viewer import INVALID_MESSAGES, VIEWER_TOO_SLOW, Viewer
-from palpate.faults import InputError
-from palpate.files import shortened
+from palpate.core.faults import InputError
+from palpate.core.files import shortened
 from palpate.surface.surface import Surface
 
 VERSIONS_BY_SUBPROTOCOL = {Subprotocol(f"palpate.v{version}"): version for version in reversed(PROTOCOL_VERSIONS)}

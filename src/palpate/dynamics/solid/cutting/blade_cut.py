@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import DivergenceError, InputError, first_few
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.blade_sites import BladeSites
 from palpate.dynamics.contact.geometry import contact_work, rotation
@@ -29,7 +30,6 @@ from palpate.dynamics.solid.cutting.incision import (
     next_strip,
     start_incision,
 )
-from palpate.faults import DivergenceError, InputError, first_few
 
 STEP_WAY = 0.1  # of the edge between two cuts, in spacings
 SUPPORT_DISTANCE = 0.5  # from a cut to the nodes that supports and tools hold, in spacings

@@ -17,12 +17,12 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
+from palpate.core.faults import CloudError, InputError, brief
 from palpate.dynamics.loads.supports import FIXED
 from palpate.dynamics.material.fibres import always_taut
 from palpate.dynamics.solid.base import Solid
 from palpate.dynamics.solid.cutting.layout import Entries, fitted_entries, row_entries, smoothing_entries, with_stencils
-from palpate.faults import CloudError, InputError, brief
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.cut.bond_paths import MAX_WAY
 from palpate.meshfree.cut.clipping import clipped, off_surface

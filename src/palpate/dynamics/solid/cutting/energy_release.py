@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.core.arrays import Floats
 from palpate.dynamics.run.model import Evaluation
 
 UNIFORM_DISTANCE, DOMAIN_DISTANCE = 1.5, 3.5  # from the front: where q is uniform, and beyond which it is zero, in h

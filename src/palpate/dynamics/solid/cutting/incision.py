@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats, Ints
-from palpate.describe import Described, Fact
+from palpate.core.arrays import Floats, Ints
+from palpate.core.describe import Described, Fact
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.blade_sites import EDGE_SITE, FACE_SITE, BladeSites
 from palpate.dynamics.run.model import Evaluation

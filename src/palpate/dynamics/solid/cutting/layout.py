@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats, Ints
-from palpate.dynamics.compiled.lanes import LANES, Lanes, Weights, ranges, with_blocks
-from palpate.dynamics.compiled.rows import Rows, with_rows
+from palpate.compiled.lanes import LANES, Lanes, Weights, ranges, with_blocks
+from palpate.compiled.rows import Rows, with_rows
+from palpate.core.arrays import Floats, Ints
 from palpate.dynamics.solid.energy_form import EnergyBody
 from palpate.dynamics.solid.layout import Smoothing
 from palpate.meshfree.cut.stencils import FittedRows

@@ -1,0 +1,1 @@
+"""What every other room uses and what needs no mechanics: errors, files, parameters, processes, figures."""

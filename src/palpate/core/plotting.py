@@ -1,0 +1,211 @@
+"""Drawings of arrays: figures with matplotlib, and small SVG pictures for notebooks.
+
+Objects of all layers draw themselves by these functions, which take arrays alone. matplotlib is imported when a figure
+is requested; SVG pictures require no package.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+from xml.sax.saxutils import escape
+
+import numpy as np
+
+from palpate.core.arrays import Floats, Ints
+from palpate.core.extras import require
+
+BLUE, GREY = "#0072B2", "#888888"
+SVG_WIDTH, SVG_HEIGHT, SVG_MARGIN = 320, 200, 34  # [px] of an SVG picture
+MAX_SHAPES = 2500  # of an SVG picture, which stays below some 200 kB
+MAX_POINTS = 300  # of a curve in an SVG picture
+# rows: right and up, from 30 degrees above the xy plane
+VIEW_MATRIX = np.array([[0.866, 0.5, 0.0], [-0.25, 0.433, 0.866]])
+TOWARDS_VIEWER = np.cross(VIEW_MATRIX[0], VIEW_MATRIX[1])  # the viewer
+
+
+def plot_curves(times: Floats, series: Mapping[str, Floats], label: str, axes: Any = None) -> Any:
+    """Plot values over time.
+
+    Parameters
+    ----------
+    times : (f,) array [s]
+    series : mapping of str to (f,) array
+    label : str
+        Of the vertical axis, with its unit.
+    axes : matplotlib.axes.Axes, optional
+        New ones by default.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+    """
+    axes = _axes(axes)
+    for name, values in series.items():
+        axes.plot(times, values, label=name)
+    axes.set(xlabel="time [s]", ylabel=label)
+    if len(series) > 1:
+        axes.legend()
+    return axes
+
+
+def plot_fit(
+    measured: tuple[Floats, Floats], fitted: tuple[Floats, Floats], labels: tuple[str, str], name: str, axes: Any = None
+) -> Any:
+    """Plot measured points and a fitted curve. Returns the axes.
+
+    Parameters
+    ----------
+    measured, fitted : pairs of arrays
+        Abscissae and ordinates.
+    labels : (str, str)
+        Of the axes, with units.
+    name : str
+        Of the points.
+    axes : matplotlib.axes.Axes, optional
+        New ones by default.
+    """
+    axes = _axes(axes)
+    axes.plot(*measured, "o", color=GREY, mfc="none", label=name)
+    axes.plot(*fitted, color=BLUE, label="fit")
+    axes.set(xlabel=labels[0], ylabel=labels[1])
+    axes.legend()
+    return axes
+
+
+def plot_singular_values(values: Floats, kept: int, axes: Any = None) -> Any:
+    """Plot singular values over the first one; those of the modes that are kept are filled. Returns the axes."""
+    axes = _axes(axes)
+    numbers, relative = np.arange(1, len(values) + 1), values / values[0]
+    axes.semilogy(numbers[:kept], relative[:kept], "o", color=BLUE, label=f"{kept} modes kept")
+    if len(values) > kept:
+        axes.semilogy(numbers[kept:], relative[kept:], "o", color=GREY, mfc="none", label="others")
+    axes.set(xlabel="mode", ylabel="singular value over the first")
+    axes.legend()
+    return axes
+
+
+def plot_body(points: Floats, triangles: Ints, axes: Any = None) -> Any:
+    """Draw the surface of a body in space, or the nodes of one without triangles.
+
+    Parameters
+    ----------
+    points : (n, 3) array [m]
+    triangles : (t, 3) int array
+    axes : matplotlib.axes.Axes, optional
+        In three dimensions.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+    """
+    axes = _axes(axes, projection="3d")
+    x, y, z = points.T
+    if len(triangles):
+        axes.plot_trisurf(x, y, z, triangles=triangles, color="#9ecae1", edgecolor=GREY, linewidth=0.2)
+    else:
+        axes.scatter(x, y, z, s=4, color=BLUE)
+    axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
+    axes.set_aspect("equal")
+    return axes
+
+
+def _axes(axes: Any, **options: Any) -> Any:
+    """Return the axes that are given, or new ones."""
+    if axes is not None:
+        return axes
+    require("matplotlib", "plot")
+    import matplotlib.pyplot
+
+    return matplotlib.pyplot.subplots(subplot_kw=options, layout="constrained")[1]
+
+
+def curve_svg(x: Floats, y: Floats, across: str, up: str, *, logarithmic: bool = False) -> str:
+    """Return a small picture of a curve with the ranges of both axes; nothing of fewer than two points.
+
+    Parameters
+    ----------
+    x, y : (k,) arrays
+    across, up : str
+        What they are, with units.
+    logarithmic : bool
+        Whether `y`, positive, is drawn by its logarithm.
+    """
+    few = np.unique(np.linspace(0, len(x) - 1, MAX_POINTS).astype(int)) if len(x) else np.zeros(0, dtype=int)
+    x, y = np.asarray(x, dtype=float)[few], np.asarray(y, dtype=float)[few]
+    heights = np.log10(np.maximum(y, 1e-300)) if logarithmic else y
+    if len(x) < 2 or not (np.isfinite(x).all() and np.isfinite(heights).all()):
+        return ""
+    right, top = (float(np.ptp(values)) or 1.0 for values in (x, heights))
+    places = np.column_stack(
+        [
+            SVG_MARGIN + (x - x.min()) / right * (SVG_WIDTH - 2 * SVG_MARGIN),
+            SVG_HEIGHT - SVG_MARGIN - (heights - heights.min()) / top * (SVG_HEIGHT - 2 * SVG_MARGIN),
+        ]
+    )
+    line = " ".join(f"{a:.1f},{b:.1f}" for a, b in places)
+    low, high = SVG_HEIGHT - SVG_MARGIN, SVG_MARGIN
+    return _svg(
+        f'<path d="M{SVG_MARGIN} {high}V{low}H{SVG_WIDTH - SVG_MARGIN}" fill="none" stroke="{GREY}"/>'
+        f'<polyline points="{line}" fill="none" stroke="{BLUE}" stroke-width="1.5"/>'
+        + _text(SVG_MARGIN, high - 8, "start", f"{up}: {y.min():.3g} to {y.max():.3g}")
+        + _text(SVG_MARGIN, low + 18, "start", f"{across}: {x.min():.3g} to {x.max():.3g}")
+    )
+
+
+def body_svg(points: Floats, triangles: Ints) -> str:
+    """Return a small picture of a body from its front corner: its surface, or where that is fine, its nodes.
+
+    Parameters
+    ----------
+    points : (n, d) array [m]
+        Nodes to draw, d = 2 or 3.
+    triangles : (t, 3) int array
+        Of these nodes, seen from outside counter-clockwise.
+    """
+    plane = points.shape[1] == 2
+    space = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+    seen = np.column_stack([space[:, 0], space[:, 1]]) if plane else space @ VIEW_MATRIX.T
+    low, size = seen.min(axis=0), np.ptp(seen, axis=0)
+    scale = min(
+        (SVG_WIDTH - 2 * SVG_MARGIN) / max(size[0], 1e-300), (SVG_HEIGHT - 2 * SVG_MARGIN) / max(size[1], 1e-300)
+    )
+    left, bottom = (SVG_WIDTH - scale * size[0]) / 2, (SVG_HEIGHT + scale * size[1]) / 2
+    places = np.column_stack([left + scale * (seen[:, 0] - low[0]), bottom - scale * (seen[:, 1] - low[1])])
+    depth = np.zeros(len(space)) if plane else space @ TOWARDS_VIEWER
+    corners = space[triangles]
+    vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    vectors /= np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
+    front = np.arange(len(triangles)) if plane else np.flatnonzero(vectors @ TOWARDS_VIEWER > 0)
+    if 0 < len(front) <= MAX_SHAPES:
+        shades = np.clip(0.75 + 0.25 * vectors[front] @ np.array([0.3, -0.2, 0.93]), 0.4, 1.0)
+        shapes = list(zip(places[triangles[front]], shades.tolist(), strict=True))
+        order = np.argsort(depth[triangles[front]].mean(axis=1))
+        drawn = "".join(_triangle(*shapes[k]) for k in order)
+    else:
+        few = np.linspace(0, len(space) - 1, min(len(space), MAX_SHAPES)).astype(int)
+        near = (depth - depth.min()) / (float(np.ptp(depth)) or 1.0)
+        drawn = "".join(
+            f'<circle cx="{places[k, 0]:.1f}" cy="{places[k, 1]:.1f}" r="1.6" fill="{_shade(0.5 + 0.5 * near[k])}"/>'
+            for k in few[np.argsort(depth[few])]
+        )
+    return _svg(drawn)
+
+
+def _triangle(places: Floats, shade: float) -> str:
+    line = " ".join(f"{a:.1f},{b:.1f}" for a, b in places)
+    return f'<polygon points="{line}" fill="{_shade(shade)}" stroke="{GREY}" stroke-width="0.3"/>'
+
+
+def _shade(share: float) -> str:
+    return "#" + "".join(f"{round(share * part):02x}" for part in (178, 210, 235))
+
+
+def _text(x: float, y: float, anchor: str, said: str) -> str:
+    at = f'x="{x:.0f}" y="{y:.0f}" text-anchor="{anchor}"'
+    return f'<text {at} font-size="11" font-family="sans-serif" fill="{GREY}">{escape(said)}</text>'
+
+
+def _svg(content: str) -> str:
+    size = f'width="{SVG_WIDTH}" height="{SVG_HEIGHT}" viewBox="0 0 {SVG_WIDTH} {SVG_HEIGHT}"'
+    return f'<svg xmlns="http://www.w3.org/2000/svg" {size} role="img">{content}</svg>'

@@ -1,1 +1,0 @@
-"""Compiled code: vector lanes, the cache of kernels, and passes over nodes."""
