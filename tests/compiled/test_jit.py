@@ -111,6 +111,128 @@ def test_a_third_process_does_not_mix_up_code_of_two_others(tmp_path):
     assert forces("plain", "relaxed") == plain + relaxed
 
 
+@pytest.mark.quick
+def test_a_function_has_options_of_its_own_and_none_of_its_first_caller():
+    @law_njit("test", cached=False)
+    def product_sum(a, b, c):
+        return a * b / c + c
+
+    @law_njit("test", cached=False, fastmath={"contract", "reassoc"}, error_model="numpy", forceinline=True)
+    def caller(a, b, c):
+        return product_sum(a, b, c)
+
+    assert caller(1.0, 2.0, 3.0) == pytest.approx(11.0 / 3.0)
+    with pytest.raises(ZeroDivisionError):
+        product_sum(1.0, 2.0, 0.0)
+    (code,) = product_sum.overloads.values()
+    text = code.library.get_llvm_str()
+    assert "fmul double" in text
+    assert "contract" not in text
+    assert "alwaysinline" not in text
+
+
+@pytest.mark.quick
+def test_literal_integers_compile_one_version():
+    @law_njit("test", cached=False, inner=True)
+    def put(values, k, added=1):
+        values[k] += added
+
+    @law_njit("test", cached=False)
+    def caller(values):
+        put(values, 0, 1)
+        put(values, 1, 2)
+        put(values, 2, added=3)
+
+    values = np.zeros(3)
+    caller(values)
+    assert values.tolist() == [1.0, 2.0, 3.0]
+    assert len(put.overloads) == 1
+
+
+def test_digests_are_equal_in_all_processes():
+    """The order of a set of options is random: half of the processes would compile what the others have kept."""
+    program = (
+        "from palpate.reduction.contact.gauss_seidel import kick_by_load as k; print(k._cache._digest, *{'contract', 0})"
+    )
+    printed = [
+        subprocess.run(
+            [sys.executable, "-c", program], capture_output=True, text=True, check=True,
+            env={**os.environ, "PYTHONHASHSEED": str(seed)},
+        ).stdout.split()
+        for seed in range(4)
+    ]  # fmt: skip
+    assert len({digest for digest, *_ in printed}) == 1
+
+
+FILLED = """
+import hashlib, sys, warnings
+import numpy as np
+import palpate as pt
+from palpate.compiled.reference import StoredRecord
+from palpate.realtime.period import Work
+
+warnings.simplefilter("ignore")
+path, *parts = sys.argv[1:]
+tissue = pt.materials.NeoHookean(C1=5e3, density=1000.0, poisson=0.45)
+ball = pt.tools.Contact(pt.tools.Sphere(0.006), lambda t: (0.015, 0.015, 0.0212 - 0.1 * t), friction=0.3)
+
+
+def show(part, *arrays):
+    print(part, hashlib.sha256(b"".join(np.ascontiguousarray(each).tobytes() for each in arrays)).hexdigest())
+
+
+def full():
+    body = pt.Solid(pt.box((0.03, 0.03, 0.015), spacing=0.005), tissue, fixed="z-")
+    run = pt.rollout(body, [ball], duration=0.02, every=0.001, progress=False)
+    show("full", run.displacements, run.contact_forces)
+    return body, run
+
+
+def train():
+    pt.save(pt.hyper_reduce(*full(), modes=4), path)
+
+
+def reduced():
+    run = pt.rollout(pt.load(path), [ball], duration=0.02, every=0.001, progress=False)
+    show("reduced", run.displacements, run.contact_forces)
+
+
+def engine():
+    still = pt.tools.Contact(pt.tools.Sphere(0.006), (0.015, 0.015, 0.0212), friction=0.3)
+    model, forces = pt.realtime_model(pt.load(path), contact=still), []
+    work, data = Work.at_rest(model.rest, model.tool), StoredRecord(model.data)
+    for k in range(30):
+        work.target[:3] = 0.0, 0.0, -1e-4 * k
+        model.advance(data, work.q, work.v, work.target, 1e-3, work.report)
+        forces.append(work.report[8:11].copy())
+    show("engine", work.q, forces)
+
+
+for part in parts:
+    globals()[part]()
+"""
+
+
+def test_a_reduced_press_has_the_same_bits_for_any_order_of_compiling(tmp_path):
+    """Caches are filled by a full run, a reduced run and the engine, and in the reverse order."""
+    path = tmp_path / "block.rom"
+
+    def start(seed, cache, *parts):
+        environment = {**os.environ, "PYTHONHASHSEED": str(seed)}
+        if cache:
+            environment |= {"NUMBA_CACHE_DIR": str(tmp_path / cache)}
+        command = [sys.executable, "-c", FILLED, str(path), *parts]
+        done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+        return done.stdout.splitlines()
+
+    start(0, "", "train")  # with the code of the user's cache
+    order = "full", "reduced", "engine"
+    forth = [line for part in order for line in start(0, "forth", part)]
+    back = [line for part in order[::-1] for line in start(4, "back", part)]
+    assert len(forth) == 3
+    assert sorted(back) == sorted(forth)
+
+
 LOOPS = """
 import numpy as np
 from numba import prange

@@ -42,12 +42,20 @@ DAY_SECONDS = 86_400.0  # [s] from which on the time of the last use is written 
 ENTRY_FORMAT = "1"  # of the content of a file
 FILE_MODE = 0o644  # only its owner writes it, whatever the umask
 ANNOTATION_PLACE = 6  # place of a text in a reduced compile result, which holds paths
+# options that Numba takes from the first caller where they are not given
+CALLER_OPTIONS = {"fastmath": False, "error_model": "python", "forceinline": False, "_nrt": True}
 SERIAL_KEY = () if loops_share_threads() else ("serial",)  # of code that was compiled without parallel loops
 
 
-def loop_options(options: dict[str, Any]) -> dict[str, Any]:
-    """Return options of `numba.njit`, without ``parallel`` where several threads cannot run parallel loops at once."""
-    return options if loops_share_threads() else {**options, "parallel": False}
+def own_options(options: dict[str, Any]) -> dict[str, Any]:
+    """Return options of `numba.njit` that do not depend on the caller.
+
+    Numba compiles a function without these options with those of the function that calls it first, and the others call
+    that code. Its content would depend on the order of compiling. ``parallel`` is off where several threads cannot run
+    parallel loops at once.
+    """
+    own = {**CALLER_OPTIONS, **options}
+    return own if loops_share_threads() else {**own, "parallel": False}
 
 
 class _Reasons:
@@ -271,8 +279,9 @@ def cached_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        compiled = njit(**loop_options(options))(function)
-        enable_cache(compiled, function, law_digest(function.__module__, sorted(options.items())))
+        compiled = njit(**own_options(options))(function)
+        chosen = sorted((CALLER_OPTIONS | options).items())
+        enable_cache(compiled, function, law_digest(function.__module__, chosen))
         return compiled
 
     return decorate

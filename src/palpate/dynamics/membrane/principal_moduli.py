@@ -70,7 +70,7 @@ def _make_slopes(digest: str, law_first: Any, law_second: Any) -> Any:
     return plane
 
 
-@kernel_njit(forceinline=True)
+@kernel_njit(fastmath={"contract"}, forceinline=True)
 def axes(C00, C11, C01):
     """Return the eigenvalues of C, the larger first, and the direction (p, q) of the larger one."""
     mean, gap = 0.5 * (C00 + C11), 0.5 * (C00 - C11)
