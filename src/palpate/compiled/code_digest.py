@@ -118,7 +118,7 @@ def _sources_digest(module: str) -> str:
 
 
 def law_digest(module: str, *what: object) -> str:
-    """Return the digest of a module's kernels, of functions (by their code) and of other values (by their repr).
+    """Return the digest of a module's kernels, of functions (by their code) and of other values.
 
     Parameters
     ----------
