@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numba.core.errors import NumbaError
+from numba.core.registry import cpu_target
 
 import palpate
 import palpate as pt
@@ -129,6 +130,24 @@ def test_a_function_has_options_of_its_own_and_none_of_its_first_caller():
     assert "fmul double" in text
     assert "contract" not in text
     assert "alwaysinline" not in text
+
+
+@pytest.mark.quick
+def test_a_subroutine_of_numba_has_no_flags_of_its_first_caller(monkeypatch):
+    monkeypatch.setattr(cpu_target.target_context, "cached_internal_func", {})  # as in a new process
+
+    @law_njit("test", cached=False, fastmath={"contract"})
+    def first(x, n):
+        return x**n + 1.0
+
+    @law_njit("test", cached=False)
+    def second(x, n):
+        return x**n + 1.0
+
+    assert first(2.0, 3) == second(2.0, 3) == 9.0
+    (code,) = second.overloads.values()
+    assert "fmul double" in code.library.get_llvm_str()
+    assert "contract" not in code.library.get_llvm_str()
 
 
 @pytest.mark.quick

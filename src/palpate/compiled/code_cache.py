@@ -29,6 +29,7 @@ import numba
 from numba import njit
 from numba.core import serialize, types
 from numba.core.compiler import CompileResult
+from numba.core.registry import cpu_target
 
 from palpate.compiled.code_digest import law_digest
 from palpate.compiled.shipped_code import NUMPY_VERSION, find_shipped
@@ -45,6 +46,18 @@ ANNOTATION_PLACE = 6  # place of a text in a reduced compile result, which holds
 # options that Numba takes from the first caller where they are not given
 CALLER_OPTIONS = {"fastmath": False, "error_model": "python", "forceinline": False, "_nrt": True}
 SERIAL_KEY = () if loops_share_threads() else ("serial",)  # of code that was compiled without parallel loops
+
+
+def _compile_plain_subroutines() -> None:
+    """Compile subroutines of Numba, such as powers by integers, without the fast-math flags of their first caller.
+
+    A caller is compiled in a copy of this context, with its flags, and Numba keeps one version of a subroutine for all.
+    """
+    context: Any = cpu_target.target_context
+    context._compile_subroutine_no_cache = context._compile_subroutine_no_cache  # of the context itself, also in copies
+
+
+_compile_plain_subroutines()
 
 
 def own_options(options: dict[str, Any]) -> dict[str, Any]:
