@@ -167,6 +167,6 @@ def _value_text(value: object) -> str:
         return f"{value.dtype}{value.shape}{hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()}"
     if isinstance(value, set | frozenset):
         return "{" + ", ".join(sorted(map(_value_text, value))) + "}"
-    if type(value) in (list, tuple):
+    if isinstance(value, list) or type(value) is tuple:
         return "(" + ", ".join(map(_value_text, value)) + ")"
     return repr(value)

@@ -76,7 +76,7 @@ def _ignore_literals(compiled: Any) -> None:
 
 
 def _plain_type(kind: Any) -> Any:
-    return kind.literal_type if isinstance(kind, types.IntegerLiteral) else kind  # type: ignore[attr-defined]
+    return kind.literal_type if isinstance(kind, types.IntegerLiteral) else kind
 
 
 def law_njit(
