@@ -67,8 +67,8 @@ def own_options(options: dict[str, Any]) -> dict[str, Any]:
     that code. Its content would depend on the order of compiling. ``parallel`` is off where several threads cannot run
     parallel loops at once.
     """
-    own = {**CALLER_OPTIONS, **options}
-    return own if loops_share_threads() else {**own, "parallel": False}
+    serial = {} if loops_share_threads() else {"parallel": False}
+    return {**CALLER_OPTIONS, **options, **serial}
 
 
 class _Reasons:
