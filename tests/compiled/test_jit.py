@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numba.core.errors import NumbaError
+from numba.core.registry import cpu_target
 
 import palpate
 import palpate as pt
@@ -109,6 +110,135 @@ def test_a_third_process_does_not_mix_up_code_of_two_others(tmp_path):
     assert relaxed != plain
     assert forces("relaxed", "plain") == relaxed + plain
     assert forces("plain", "relaxed") == plain + relaxed
+
+
+@pytest.mark.quick
+def test_a_function_has_options_of_its_own_and_none_of_its_first_caller():
+    @law_njit("test", cached=False)
+    def product_sum(a, b, c):
+        return a * b / c + c
+
+    @law_njit("test", cached=False, fastmath={"contract", "reassoc"}, error_model="numpy", forceinline=True)
+    def caller(a, b, c):
+        return product_sum(a, b, c)
+
+    assert caller(1.0, 2.0, 3.0) == pytest.approx(11.0 / 3.0)
+    with pytest.raises(ZeroDivisionError):
+        product_sum(1.0, 2.0, 0.0)
+    (code,) = product_sum.overloads.values()
+    text = code.library.get_llvm_str()
+    assert "fmul double" in text
+    assert "contract" not in text
+    assert "alwaysinline" not in text
+
+
+@pytest.mark.quick
+def test_a_subroutine_of_numba_has_no_flags_of_its_first_caller(monkeypatch):
+    monkeypatch.setattr(cpu_target.target_context, "cached_internal_func", {})  # as in a new process
+
+    @law_njit("test", cached=False, fastmath={"contract"})
+    def first(x, n):
+        return x**n + 1.0
+
+    @law_njit("test", cached=False)
+    def second(x, n):
+        return x**n + 1.0
+
+    assert first(2.0, 3) == second(2.0, 3) == 9.0
+    (code,) = second.overloads.values()
+    assert "fmul double" in code.library.get_llvm_str()
+    assert "contract" not in code.library.get_llvm_str()
+
+
+@pytest.mark.quick
+def test_literal_integers_compile_one_version():
+    @law_njit("test", cached=False, inner=True)
+    def put(values, k, added=1):
+        values[k] += added
+
+    @law_njit("test", cached=False)
+    def caller(values):
+        put(values, 0, 1)
+        put(values, 1, 2)
+        put(values, 2, added=3)
+
+    values = np.zeros(3)
+    caller(values)
+    assert values.tolist() == [1.0, 2.0, 3.0]
+    assert len(put.overloads) == 1
+
+
+def test_digests_are_equal_in_all_processes():
+    """The order of a set of options is random: half of the processes would compile what the others have kept."""
+    program = "from palpate.reduction.contact.gauss_seidel import kick_by_load as k; print(k._cache._digest)"
+    printed = [
+        subprocess.run(
+            [sys.executable, "-c", program], capture_output=True, text=True, check=True,
+            env={**os.environ, "PYTHONHASHSEED": str(seed)},
+        ).stdout
+        for seed in range(5)
+    ]  # fmt: skip
+    assert len(set(printed)) == 1
+
+
+FILLED = """
+import hashlib, sys, warnings
+import numpy as np
+import palpate as pt
+from palpate.compiled.reference import StoredRecord
+from palpate.realtime.period import Work
+
+warnings.simplefilter("ignore")
+path, part = sys.argv[1:]
+tissue = pt.materials.NeoHookean(C1=5e3, density=1000.0, poisson=0.45)
+ball = pt.tools.Contact(pt.tools.Sphere(0.006), lambda t: (0.015, 0.015, 0.0212 - 0.1 * t), friction=0.3)
+
+
+def show(part, *arrays):
+    print(part, hashlib.sha256(b"".join(np.ascontiguousarray(each).tobytes() for each in arrays)).hexdigest())
+
+
+def train():
+    body = pt.Solid(pt.box((0.03, 0.03, 0.015), spacing=0.005), tissue, fixed="z-")
+    run = pt.rollout(body, [ball], duration=0.02, every=0.001, progress=False)
+    pt.save(pt.hyper_reduce(body, run, modes=4), path)
+
+
+def reduced():
+    run = pt.rollout(pt.load(path), [ball], duration=0.02, every=0.001, progress=False)
+    show("reduced", run.displacements, run.contact_forces)
+
+
+def engine():
+    still = pt.tools.Contact(pt.tools.Sphere(0.006), (0.015, 0.015, 0.0212), friction=0.3)
+    model, forces = pt.realtime_model(pt.load(path), contact=still), []
+    work, data = Work.at_rest(model.rest, model.tool), StoredRecord(model.data)
+    for k in range(30):
+        work.target[:3] = 0.0, 0.0, -1e-4 * k
+        model.advance(data, work.q, work.v, work.target, 1e-3, work.report)
+        forces.append(work.report[8:11].copy())
+    show("engine", work.q, forces)
+
+
+globals()[part]()
+"""
+
+
+def test_a_reduced_press_has_the_same_bits_for_any_order_of_compiling(tmp_path):
+    """One empty cache is filled by a reduced run and then by the engine, the other in the reverse order."""
+    path = tmp_path / "block.rom"
+
+    def start(part, seed, **variables):
+        environment = {**os.environ, "PYTHONHASHSEED": str(seed), **variables}
+        command = [sys.executable, "-c", FILLED, str(path), part]
+        return subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout
+
+    start("train", 0)  # with the code of the user's cache
+    order, there, back = ("reduced", "engine"), tmp_path / "there", tmp_path / "back"
+    forth = {part: start(part, 0, NUMBA_CACHE_DIR=str(there)) for part in order}
+    reverse = {part: start(part, 4, NUMBA_CACHE_DIR=str(back)) for part in order[::-1]}
+    assert all(forth.values())
+    assert reverse == forth
 
 
 LOOPS = """

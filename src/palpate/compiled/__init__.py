@@ -2,6 +2,9 @@
 
 **Compile.** `jit.kernel_njit` compiles a kernel, and `jit.law_njit` one of the functions that a law, a formulation or a
 variant of a body makes. Both wrap `numba.njit`, give the function a unique name, and keep its machine code on disk.
+Fast-math flags, the error model and forced inlining are those of the function itself, off by default. Numba takes them
+from the function that calls it first, so that bits would depend on the order of compiling. A kernel that is contracted
+with its caller has ``fastmath={"contract"}`` as well. Literal integers in a call compile no version of their own.
 
 **Cache and digest.** The key of a kernel is a digest (`code_digest`) of its bytecode, its law, its options, and the
 modules of compiled functions that it imports. An edit recompiles only what uses it. `code_cache` keeps the code in one
@@ -21,5 +24,6 @@ images of nodes behind a plane of symmetry, and `eigenvectors` holds those of sy
 **References.** A large record is passed by its address (`reference`), because Numba passes every number and every field
 of every array of a named tuple as an argument of its own.
 
-Results have the same bits for any number of threads: each node is computed independently of the others.
+Results have the same bits for any number of threads, since each node is computed independently of the others, and for
+any order in which processes compile.
 """

@@ -29,6 +29,7 @@ import numba
 from numba import njit
 from numba.core import serialize, types
 from numba.core.compiler import CompileResult
+from numba.core.registry import cpu_target
 
 from palpate.compiled.code_digest import law_digest
 from palpate.compiled.shipped_code import NUMPY_VERSION, find_shipped
@@ -42,12 +43,32 @@ DAY_SECONDS = 86_400.0  # [s] from which on the time of the last use is written 
 ENTRY_FORMAT = "1"  # of the content of a file
 FILE_MODE = 0o644  # only its owner writes it, whatever the umask
 ANNOTATION_PLACE = 6  # place of a text in a reduced compile result, which holds paths
+# options that Numba takes from the first caller where they are not given
+CALLER_OPTIONS = {"fastmath": False, "error_model": "python", "forceinline": False, "_nrt": True}
 SERIAL_KEY = () if loops_share_threads() else ("serial",)  # of code that was compiled without parallel loops
 
 
-def loop_options(options: dict[str, Any]) -> dict[str, Any]:
-    """Return options of `numba.njit`, without ``parallel`` where several threads cannot run parallel loops at once."""
-    return options if loops_share_threads() else {**options, "parallel": False}
+def _compile_plain_subroutines() -> None:
+    """Compile subroutines of Numba, such as powers by integers, without the fast-math flags of their first caller.
+
+    A caller is compiled in a copy of this context, with its flags, and Numba keeps one version of a subroutine for all.
+    """
+    context: Any = cpu_target.target_context
+    context._compile_subroutine_no_cache = context._compile_subroutine_no_cache  # of the context itself, also in copies
+
+
+_compile_plain_subroutines()
+
+
+def own_options(options: dict[str, Any]) -> dict[str, Any]:
+    """Return options of `numba.njit` that do not depend on the caller.
+
+    Numba compiles a function without these options with those of the function that calls it first, and the others call
+    that code. Its content would depend on the order of compiling. ``parallel`` is off where several threads cannot run
+    parallel loops at once.
+    """
+    serial = {} if loops_share_threads() else {"parallel": False}
+    return {**CALLER_OPTIONS, **options, **serial}
 
 
 class _Reasons:
@@ -271,8 +292,9 @@ def cached_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        compiled = njit(**loop_options(options))(function)
-        enable_cache(compiled, function, law_digest(function.__module__, sorted(options.items())))
+        compiled = njit(**own_options(options))(function)
+        chosen = sorted((CALLER_OPTIONS | options).items())
+        enable_cache(compiled, function, law_digest(function.__module__, chosen))
         return compiled
 
     return decorate

@@ -118,7 +118,7 @@ def _sources_digest(module: str) -> str:
 
 
 def law_digest(module: str, *what: object) -> str:
-    """Return the digest of a module's kernels, of functions (by their code) and of other values (by their repr).
+    """Return the digest of a module's kernels, of functions (by their code) and of other values.
 
     Parameters
     ----------
@@ -158,7 +158,15 @@ def _names(code: CodeType) -> list[str]:
 
 
 def _value_text(value: object) -> str:
-    """Return a text of a value; of an array the digest of its content, since its repr leaves numbers out."""
+    """Return a text of a value that is equal in all processes.
+
+    That of an array is the digest of its content, since its repr leaves numbers out. That of a set is sorted, since its
+    order is random.
+    """
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{value.shape}{hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()}"
+    if isinstance(value, set | frozenset):
+        return "{" + ", ".join(sorted(map(_value_text, value))) + "}"
+    if isinstance(value, list) or type(value) is tuple:
+        return "(" + ", ".join(map(_value_text, value)) + ")"
     return repr(value)

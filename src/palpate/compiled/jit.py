@@ -8,10 +8,10 @@ from functools import cache
 from types import CellType, FunctionType
 from typing import Any
 
-from numba import njit
+from numba import njit, types
 from numba.extending import register_jitable
 
-from palpate.compiled.code_cache import enable_cache, loop_options
+from palpate.compiled.code_cache import CALLER_OPTIONS, enable_cache, own_options
 from palpate.compiled.code_digest import law_digest
 
 __all__ = ["inline", "kernel_njit", "law_digest", "law_njit", "rename_for"]
@@ -45,7 +45,7 @@ def inline(digest: str, function: Callable[..., Any]) -> Any:
 @cache
 def _maker_digest() -> str:
     """Return the digest of the functions whose code decides how a function is compiled."""
-    return law_digest("", inline, rename_for, loop_options, law_njit)
+    return law_digest("", inline, rename_for, own_options, _ignore_literals, law_njit, sorted(CALLER_OPTIONS.items()))
 
 
 def kernel_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -63,6 +63,20 @@ def kernel_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         return law_njit(law_digest(function.__module__), **options)(function)
 
     return decorate
+
+
+def _ignore_literals(compiled: Any) -> None:
+    """Let all integers share the version of a signature; Numba compiles one for each literal integer in a call."""
+    template = compiled.get_call_template
+
+    def get_call_template(args: Any, kws: Any) -> Any:
+        return template(tuple(map(_plain_type, args)), {name: _plain_type(kind) for name, kind in kws.items()})
+
+    compiled.get_call_template = get_call_template
+
+
+def _plain_type(kind: Any) -> Any:
+    return kind.literal_type if isinstance(kind, types.IntegerLiteral) else kind
 
 
 def law_njit(
@@ -91,9 +105,9 @@ def law_njit(
 
     def decorate(function: Callable[..., Any]) -> Any:
         renamed = rename_for(digest, function)
-        compiled = njit(no_cfunc_wrapper=True, no_cpython_wrapper=inner, _nrt=allocates, **loop_options(options))(
-            renamed
-        )
+        given = own_options({"_nrt": allocates, **options})
+        compiled = njit(no_cfunc_wrapper=True, no_cpython_wrapper=inner, **given)(renamed)
+        _ignore_literals(compiled)
         if cached:
             chosen = _maker_digest(), inner, allocates, sorted(options.items())
             enable_cache(compiled, renamed, law_digest(function.__module__, digest, *chosen))

@@ -57,7 +57,7 @@ def weights_address(weights, lanes, b):
     return weights.lanes[lanes.weight_start[b] :].ctypes.data
 
 
-@kernel_njit(forceinline=True)
+@kernel_njit(fastmath={"contract"}, forceinline=True)
 def differences(b, u, lanes, fields):
     """Gather u_J - u_I of the neighbours J of the nodes I of a block; return the number of neighbours."""
     begin, end = lanes.start[b], lanes.stop[b]

@@ -65,6 +65,7 @@ def recording() -> Iterator[list[str]]:
         dispatcher._reset_overloads()
         dispatcher.overloads.clear()
         dispatcher._cache = NullCache()
+        dispatcher.targetoptions["error_model"] = COMPILE_FLAGS["error_model"]
     context = cpu_target.target_context
     before = context._internal_codegen, context.cached_internal_func
     texts: list[str] = []

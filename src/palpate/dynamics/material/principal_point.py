@@ -44,7 +44,7 @@ def make_principal_point(
     energy, first_of, second_of = (inline(digest, f) for f in (energy_of, law_first, law_second))
     regular_stress = make_principal_stress(digest, law_first)
 
-    @law_njit(digest, cached=False, fastmath={"contract"})
+    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def slopes(l1, l2, J, coefficients):
         """Return dE/dl1, dE/dl2 and dE/dJ of a crushed point."""
         l3 = crushed / (l1 * l2)
@@ -56,7 +56,7 @@ def make_principal_point(
         _, _, R, _, _, _ = second_of(1.0, 1.0, crushed, coefficients)
         return w1 - w3 * l3 / l1 + S1 * below, w2 - w3 * l3 / l2 + S2 * below, w3 / area + R * below
 
-    @law_njit(digest, inner=True, cached=False, fastmath={"contract"})
+    @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
     def crushed_stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):
         F = 1.0 + d0, d1, d2, d3, 1.0 + d4, d5, d6, d7, 1.0 + d8
         c = _cofactor(F)

@@ -162,7 +162,7 @@ def prepare(relaxation, history):
         factors[2], factors[3], factors[4] = -np.expm1(-ratio), -np.expm1(-2.0 * ratio), ratio
 
 
-@kernel_njit(inner=True, forceinline=True)
+@kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
 def _dissipation(a, change, factors):
     """Return the integral of A^2 / tau for a branch that starts at a and a linear strain change."""
     rate = change / factors[4]
@@ -170,7 +170,7 @@ def _dissipation(a, change, factors):
     return 0.5 * b * b * factors[3] + 2.0 * b * rate * factors[2] + rate * rate * factors[4]
 
 
-@kernel_njit(inner=True, forceinline=True)
+@kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
 def _isochoric(c):
     """Return F, J, J^(-2/3) and C̄ from cof F (nine numbers, row by row)."""
     det = c[0] * (c[4] * c[8] - c[5] * c[7]) - c[1] * (c[3] * c[8] - c[5] * c[6]) + c[2] * (c[3] * c[7] - c[4] * c[6])
@@ -190,7 +190,7 @@ def _isochoric(c):
     return F, J, scale, C
 
 
-@kernel_njit(inner=True, forceinline=True)
+@kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
 def update_history(relaxation, history, b, v, C):
     """Update the branches and the strain of one point."""
     for k in range(relaxation.times.shape[0]):
@@ -204,7 +204,7 @@ def update_history(relaxation, history, b, v, C):
         history.strain[b, q, v] = C[q]
 
 
-@kernel_njit(inner=True, forceinline=True)
+@kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
 def even_change(history, b, k, q, v, now):
     """Return component q of a point's branch k after a linear strain change over the interval."""
     return history.factors[k, 0] * history.branches[b, k, q, v] + history.factors[k, 1] * (

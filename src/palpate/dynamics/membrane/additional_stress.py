@@ -117,7 +117,7 @@ def _no_fibres(C, a, c):
     return 0.0, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-@kernel_njit(inner=True, fastmath={"contract"})
+@kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
 def _overstress(E, point, v, extras):
     """Return the energy of a point's branches and Q (00 11 33 01); update the history unless the interval is 0."""
     stored, Q0, Q1, Q2, Q3 = 0.0, 0.0, 0.0, 0.0, 0.0

@@ -110,7 +110,7 @@ def _project(table, body, work, volumes, partial, result):
     add_blocks(partial, result)
 
 
-@kernel_njit(forceinline=True)
+@kernel_njit(fastmath={"contract"}, forceinline=True)
 def _principal(C00, C11, C01):
     """Return the eigenvalues of C, and the squared lateral stretch in simple tension."""
     mean, radius = 0.5 * (C00 + C11), np.sqrt(0.25 * (C00 - C11) ** 2 + C01 * C01)
@@ -201,7 +201,7 @@ def _make_response(digest: str, moduli: Any, added: Any) -> Any:
     return node_response
 
 
-@kernel_njit(forceinline=True)
+@kernel_njit(fastmath={"contract"}, forceinline=True)
 def _normal(b, v, d, prestretch, cofactor):
     """Write the deformed normal times the ratio of areas into `cofactor`, for `surface_force`."""
     F00, F01, F10 = prestretch + d[0, v], d[1, v], d[2, v]

@@ -54,7 +54,7 @@ def _make_slopes(digest: str, law_first: Any, law_second: Any) -> Any:
     """Compile the derivatives of the stress by the squared stretches."""
     first_of, second_of = (inline(digest, f) for f in (law_first, law_second))
 
-    @law_njit(digest, cached=False, fastmath={"contract"})
+    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def plane(l1, l2, coefficients):
         """Return s1, s2, then ds1/dx1, ds2/dx2, ds1/dx2."""
         l3 = 1.0 / (l1 * l2)
@@ -70,7 +70,7 @@ def _make_slopes(digest: str, law_first: Any, law_second: Any) -> Any:
     return plane
 
 
-@kernel_njit(forceinline=True)
+@kernel_njit(fastmath={"contract"}, forceinline=True)
 def axes(C00, C11, C01):
     """Return the eigenvalues of C, the larger first, and the direction (p, q) of the larger one."""
     mean, gap = 0.5 * (C00 + C11), 0.5 * (C00 - C11)

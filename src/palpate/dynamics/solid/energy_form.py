@@ -156,7 +156,7 @@ def work_in_single(body: EnergyBody, work: EnergyWork) -> EnergyWork:
 _gather_fluxes = gather_fluxes[WEIGHT_WIDTH]
 
 
-@kernel_njit(inner=True, cached=False)
+@kernel_njit(inner=True, cached=False, fastmath={"contract"})
 def _lift(b, u, rows, sums, response):
     """Write the derivatives and residuals at the nodes of one block into the first rows of `response`."""
     for lane in range(LANES):

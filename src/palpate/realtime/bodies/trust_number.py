@@ -77,7 +77,7 @@ def residual_force_function(law: MaterialPoint, single: bool) -> Any:
     """
     work = column_work[single]
 
-    @law_njit(law_digest(__name__, law.digest, single), inner=True)
+    @law_njit(law_digest(__name__, law.digest, single), inner=True, fastmath={"contract", "reassoc"})
     def residual_forces(data, at, q, v):
         fields, stress = data.indicator.residual_fields, data.body.scratch.stress
         fields.partial[:] = 0.0

@@ -162,7 +162,7 @@ def pair(compliance, i, j, block):
                             block[c, d] += w * compliance.near_field[n, k, c, d]
 
 
-@kernel_njit()
+@kernel_njit(fastmath={"contract"})
 def refresh(compliance, active, points, count):
     """Store the compliance between the rows in contact, points[:count]; return False if there are too many.
 
@@ -193,7 +193,7 @@ def refresh(compliance, active, points, count):
     return True
 
 
-@kernel_njit(inner=True)
+@kernel_njit(inner=True, fastmath={"contract"})
 def _clear(active):
     for s in range(active.used[0]):
         active.slot[active.node[s]] = -1
@@ -240,7 +240,7 @@ def secant_factor(stiffening, force):
     return (1.0 + force / stiffening[1]) ** -stiffening[0]
 
 
-@kernel_njit()
+@kernel_njit(fastmath={"contract"})
 def stiffened_force(stiffening, product, inertia):
     """Return the secant factor h of a tool's force f, and its share of the force that h f = product asks for.
 

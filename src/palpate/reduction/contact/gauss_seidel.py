@@ -44,7 +44,7 @@ def _modal_displacement(surface, i, coordinates, out):
     out[0], out[1], out[2] = x, y, z
 
 
-@kernel_njit(inner=True)
+@kernel_njit(inner=True, fastmath={"contract"})
 def _list_node(surface, contact, tools, t, i, x, y, z, v, step, count):
     """List a node at its modal position as a contact pair; return the number of pairs."""
     new, out = True, contact.displacement
@@ -74,7 +74,7 @@ def _bonded_position(surface, tools, t, i):
     )
 
 
-@kernel_njit(inner=True)
+@kernel_njit(inner=True, fastmath={"contract"})
 def _list_bonded(surface, contact, tools, t, a, v, step, count):
     """List the nodes that forceps hold; return the number of pairs and the largest displacement to the tool [m]."""
     origin, radius = tools.origins[t], tools.sizes[t, 0] * (1.0 + 1e-9) + MOVED_MARGIN * surface.spacing
@@ -104,7 +104,7 @@ def _list_bonded(surface, contact, tools, t, a, v, step, count):
     return count, farthest
 
 
-@kernel_njit(inner=True)
+@kernel_njit(inner=True, fastmath={"contract"})
 def _detect(surface, contact, tools, a, v, step):
     """List the nodes whose modal position is inside a tool; return the deepest penetration [m]."""
     count, deepest, depth, out = np.int64(0), 0.0, 0.0, contact.displacement  # a literal 0 is another type
@@ -223,7 +223,7 @@ def relax(surface, contact, tools, cached, step, e):
     return _set_force(surface, contact, cached, e, fx, fy, fz) * max(along, across)
 
 
-@kernel_njit(inner=True)
+@kernel_njit(inner=True, fastmath={"contract"})
 def _tool_force(contact, t):
     """Return the size [N] of the sum of a tool's forces on the nodes."""
     x, y, z = 0.0, 0.0, 0.0
@@ -233,7 +233,7 @@ def _tool_force(contact, t):
     return np.sqrt(x * x + y * y + z * z)
 
 
-@kernel_njit(inner=True)
+@kernel_njit(inner=True, fastmath={"contract"})
 def _start_factors(surface, contact, tools):
     """Set the secant factors of the compliance by the tools' last forces; forceps have the bonded scale."""
     for t in range(contact.factor.shape[0]):
@@ -243,7 +243,7 @@ def _start_factors(surface, contact, tools):
             contact.factor[t] = secant_factor(surface.compliance.stiffening, _tool_force(contact, t))
 
 
-@kernel_njit(inner=True)
+@kernel_njit(inner=True, fastmath={"contract"})
 def _scale_forces(surface, contact, tools, step, response, moving):
     """Scale the forces of every tool by `stiffened_force`, and add up their forces on the coordinates.
 
@@ -278,7 +278,7 @@ def _scale_forces(surface, contact, tools, step, response, moving):
             tools.load[m] += scale * load[m]
 
 
-@kernel_njit()
+@kernel_njit(fastmath={"contract"})
 def solve_contact(surface, contact, tools, a, v, step, response, moving):
     """Solve for the forces of the tools at the end of a step.
 
@@ -332,7 +332,7 @@ def solve_contact(surface, contact, tools, a, v, step, response, moving):
     return work + held[0], lost + held[1]
 
 
-@kernel_njit(inner=True)
+@kernel_njit(inner=True, fastmath={"contract"})
 def _store(surface, contact, tools, step):
     """Store forces and positions for the next step, and add up the impulses; return the work as `solve_contact`."""
     work, lost = 0.0, 0.0
@@ -352,7 +352,7 @@ def _store(surface, contact, tools, step):
     return work, lost
 
 
-@kernel_njit(inner=True)
+@kernel_njit(inner=True, fastmath={"contract"})
 def set_tool_paths(tools, home, target, at_rest):
     """Set the paths of tools during a period to target poses (12 t,): displacement and R - I of each, from home.
 
@@ -395,7 +395,7 @@ def kick_by_load(v, step, response, load):
         v[m] += step * value
 
 
-@kernel_njit(inner=True)
+@kernel_njit(inner=True, fastmath={"contract", "reassoc"})
 def press(data, q, v, at, step, period, share, tool_forces):
     """Advance the tools to a fraction of their paths in a period [s], and apply their forces in a step [s].
 
@@ -438,7 +438,7 @@ def press(data, q, v, at, step, period, share, tool_forces):
                 tool_forces[first + 3 + 3 * k + j] -= half * turned[m, j]
 
 
-@kernel_njit(inner=True)
+@kernel_njit(inner=True, fastmath={"contract"})
 def approach_speed(contact, path, period, t):
     """Return the speed [m/s] of tool t on its path in a period [s] along its force on the body, at least 0."""
     square, power = 0.0, 0.0
@@ -452,7 +452,7 @@ def approach_speed(contact, path, period, t):
     return max(power, 0.0) / np.sqrt(square) if square > 0.0 else 0.0
 
 
-@kernel_njit(inner=True)
+@kernel_njit(inner=True, fastmath={"contract"})
 def contact_nearness(nearness, contact, t, held=0.0):
     """Return `palpate.reduction.hyper.error_indicator.support_nearness` of tool t, and 1 if it touches, or 0."""
     total, size = HELD_NEARNESS * held, held
@@ -465,7 +465,7 @@ def contact_nearness(nearness, contact, t, held=0.0):
     return (total / size, 1) if size > 0.0 else (0.0, 0)
 
 
-@kernel_njit(inner=True)
+@kernel_njit(inner=True, fastmath={"contract"})
 def tool_energy(surface, contact, t):
     """Return the energy [J] of the surface compliance under one tool."""
     x, y, z, half, bonded = 0.0, 0.0, 0.0, 0.0, False
@@ -479,7 +479,7 @@ def tool_energy(surface, contact, t):
     return half if bonded else energy_factor(surface.compliance.stiffening, np.sqrt(x * x + y * y + z * z)) * half
 
 
-@kernel_njit(inner=True)
+@kernel_njit(inner=True, fastmath={"contract"})
 def compliance_energy(surface, contact):
     """Return the energy [J] of the surface compliance."""
     total = 0.0

@@ -20,7 +20,7 @@ MAX_DEPTH_BETWEEN_NODES = 0.5
 FREE_WAY, PRESSING_WAY = 1.0, 0.25  # how far a tool may move in a period, in spacings; the latter along its force
 
 
-@kernel_njit()
+@kernel_njit(fastmath={"contract"})
 def store_depths(surface, contact, tools):
     """Write the largest depths of triangles whose three nodes were in contact in the last step.
 
@@ -49,7 +49,7 @@ def store_depths(surface, contact, tools):
             pair_of[contact.node[e]] = 0
 
 
-@kernel_njit(inner=True)
+@kernel_njit(inner=True, fastmath={"contract"})
 def hold_above_surface(surface, contact, tools, home, target):
     """Shorten the paths of tools in a period where they could pass between the nodes.
 

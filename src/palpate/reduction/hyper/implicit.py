@@ -141,7 +141,7 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             for k in range(count):
                 matrix[k, m] = (behind[k] - ahead[k]) / (2.0 * sizes[m])
 
-    @law_njit(digest, inner=True)
+    @law_njit(digest, inner=True, fastmath={"contract"})
     def add_springs(step, springs, matrix, moving):
         """Add the springs to the matrix of the system for the mean velocities."""
         if springs.stiffness.shape[0] > 0:
@@ -149,7 +149,7 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
                 for k in range(moving):
                     matrix[i, k] += 0.5 * step * springs.stiffness[i, k] + springs.damping[i, k]
 
-    @law_njit(digest, inner=True)
+    @law_njit(digest, inner=True, fastmath={"contract"})
     def mean_loads(a, w, step, external, springs, at, load):
         """Write the mean external and spring forces of a step with the mean velocities w."""
         for j in range(a.shape[0]):

@@ -214,7 +214,7 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
         law.parameter_count,
     )
 
-    @law_njit(digest)
+    @law_njit(digest, fastmath={"contract"})
     def measure(scratch):
         """Replace J - 1 at the points by g, and write g'."""
         if curved:
@@ -222,7 +222,7 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
                 for v in range(LANES):
                     scratch.dilatation[b, v], scratch.slope[b, v] = measure_of(scratch.dilatation[b, v])
 
-    @law_njit(digest)
+    @law_njit(digest, fastmath={"contract"})
     def relax(integration_points, scratch):
         """Add the overstresses to the stresses, and update the branches of the moments."""
         overstress_alone(integration_points.relaxation, scratch.history, scratch.cofactor)
@@ -254,7 +254,7 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
             c[6, v], c[7, v], c[8, v] = cofactor[6], cofactor[7], cofactor[8]
             scratch.dilatation[b, v] = volume
 
-    @law_njit(digest, inner=True)
+    @law_njit(digest, inner=True, fastmath={"contract"})
     def add_volume_stress(integration_points, scratch):
         """Compute the moments, and add overstress and pressure to the stresses."""
         measure(scratch)

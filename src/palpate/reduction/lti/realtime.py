@@ -175,7 +175,7 @@ def linear_range(model: LinearModel) -> Floats:
     return np.array(ranges, dtype=float)
 
 
-@kernel_njit(inner=True)
+@kernel_njit(inner=True, fastmath={"contract", "reassoc"})
 def _exponential(data, period):
     """Compute exp(A T) in place by scaling and squaring of its series."""
     n, scaled = data.matrix.shape[0], data.scratch[0]
