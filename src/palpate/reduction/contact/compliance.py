@@ -325,7 +325,8 @@ def static_displacements(compliance: SurfaceCompliance, forces: Floats, on: Ints
     """Return the static displacements (t, 3) [m] of nodes `there` for forces (j, 3) [N] on nodes `on`."""
     if not compliance.flexibility.size:
         return np.zeros((len(there), 3))
-    spreading = flexible_displacements(compliance.flexibility, carrier_forces(compliance, forces, on))
+    carried = carrier_forces(compliance, forces, on)
+    spreading = flexible_displacements(compliance.flexibility, carried)
     displacement = np.einsum("tw,twc->tc", compliance.weights[there], spreading[compliance.carriers[there]])
     if compliance.nearby.size:  # the near-field correction is symmetric, so a row serves as a column
         nearby = np.zeros((len(compliance.nodes), 3))

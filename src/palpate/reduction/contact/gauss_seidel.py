@@ -413,7 +413,7 @@ def press(data, q, v, at, step, period, share, tool_forces):
         entries of its rotation R from home. For the latter they are G = S R, with S the moment's cross
         product.
     """
-    tools, response = data.tools, data.constrained_inverse_mass
+    tools, response = data.tools, data.body.constants.constrained_inverse_mass
     for t in range(tools.kind.shape[0]):
         path = tools.path[t]
         for i in range(3):

@@ -246,7 +246,7 @@ def _assemble(data):
             table[k, side + 3] += softening * direction[d] * (contact.now[e, d] - contact.modal[e, d])
     for m in range(modes):
         for k in range(m, modes):
-            table[rows + m, rows + k] = -0.5 * (data.tangent[m, k] + data.tangent[k, m])
+            table[rows + m, rows + k] = -0.5 * (data.tangent.matrix[m, k] + data.tangent.matrix[k, m])
     return True
 
 
