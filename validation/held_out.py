@@ -32,7 +32,7 @@ from scipy.stats import spearmanr
 import palpate as pt
 from palpate.reduction.hyper.cubature import sparse_nnls
 from palpate.reduction.hyper.error_indicator import mean_size
-from palpate.reduction.training.calibrate_indicator import Frames, Scales, repeat_run, trust_numbers
+from palpate.reduction.training.calibrate_indicator import Frames, repeat_run, trust_numbers
 from palpate.reduction.training.reduce import hyper_reduce
 
 Floats = NDArray[np.float64]
