@@ -208,7 +208,7 @@ def dense(hand):
     for i, e in enumerate(on):
         for j, f in enumerate(on):
             pair(data.contact_surface.compliance, contact.point[e], contact.point[f], block)
-            matrix[i, :, j] = contact.factor[0] * block
+            matrix[i, :, j] = contact.active.factor[0] * block
     columns = data.contact_surface.columns[contact.node[on]].reshape(-1, data.modes).astype(float)
     matrix = (
         matrix.reshape(3 * len(on), -1) - 1e-6 * columns @ data.body.constants.constrained_inverse_mass @ columns.T

@@ -90,6 +90,7 @@ class ActiveCompliance(NamedTuple):
     node: Ints  # (MAX_ACTIVE,) row in each slot
     slot: Ints  # (2 k,) slot of each row; -1 without
     used: Ints  # (1,) number of slots in use
+    factor: Floats  # (t,) secant factor of the compliance under each tool
     block: Floats  # (3, 3) scratch
     row: Floats  # (3, 3 c) scratch
     near_row: Floats  # (3, 3 k) scratch
@@ -135,6 +136,7 @@ def active_compliance(table: ComplianceTable, tools: int) -> ActiveCompliance:
         node=np.zeros(most, np.int64),
         slot=np.full(2 * nodes, -1),
         used=np.zeros(1, dtype=np.int64),
+        factor=np.ones(tools),
         block=np.zeros((3, 3)),
         row=np.zeros((3, len(table.flexibility) if tools else 0)),
         near_row=np.zeros((3, 3 * nodes if tools and table.nearby.size else 0)),
