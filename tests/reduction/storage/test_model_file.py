@@ -24,7 +24,7 @@ from palpate.realtime.bodies.display_surface import Surface
 from palpate.reduction.contact.compliance import SurfaceCompliance
 from palpate.reduction.contact.interior import Interior
 from palpate.reduction.hyper.cubature import Cubature
-from palpate.reduction.hyper.data import UNLIMITED_SCALE, Basis, ReducedData, SampledPoints, Scales, TrainedRange
+from palpate.reduction.hyper.data import UNLIMITED_SCALE, BasisVectors, ReducedData, SampledBasis, Scales, TrainedRange
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage import model_file as storage
 from palpate.reduction.storage.body import BODY_ARRAYS
@@ -67,8 +67,8 @@ def made_up(cloud, material, *, modes, samples=5, fixed=(), prescribed=(), lifti
     rule = Cubature(nodes, 1e-8 * (1 + draw(size=samples) ** 2), draw(size=(max(1, modes // 4), samples)), 1e-3)
     return ReducedData(
         cloud, Tissue(material, None, np.zeros(0), None, len(cloud)), supports_of(fixed), prescribed,
-        cloud.volumes, 1e-4, 20.0, Basis(columns, modes, lifting_count),
-        SampledPoints(rule, draw(size=(samples, count, 9)), np.eye(count)),
+        cloud.volumes, 1e-4, 20.0, BasisVectors(columns, modes, lifting_count),
+        SampledBasis(rule, draw(size=(samples, count, 9)), np.eye(count)),
         TrainedRange(draw(size=(240, modes + lifting_count)), Scales(1e-3)),
     )  # fmt: skip
 

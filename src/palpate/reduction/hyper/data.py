@@ -1,4 +1,4 @@
-"""Data of a reduced model: its body, basis vectors, sampled points, range of training, and contact surface."""
+"""Data of a reduced model: its body, basis vectors, integration points, range of training, and contact surface."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ UNLIMITED_SCALE = 1e300  # scale of a measure without training states
 
 
 @dataclass(frozen=True)
-class Basis(Described):
+class BasisVectors(Described):
     """Basis vectors of a reduced model: displacement fields of its coordinates, and test fields.
 
     The fields are m modes, l lifting vectors of the tools, and test fields: 3 for each of g supports, and w residual
@@ -40,8 +40,8 @@ class Basis(Described):
 
 
 @dataclass(frozen=True)
-class SampledPoints(Described):
-    """Integration points of a reduced model, and what its forces need there.
+class SampledBasis(Described):
+    """Basis vectors at the integration points of a reduced model.
 
     The derivatives of the residual fields are multiplied by fitted factors.
     """
@@ -66,7 +66,7 @@ class Scales(NamedTuple):
 
 @dataclass(frozen=True)
 class TrainedRange(Described):
-    """States of a reduced model in training, and what they say of others."""
+    """Training states of a reduced model, and the scales and the frequency that follow from training."""
 
     states: Floats  # (t, m + l) array: coordinates
     scales: Scales
@@ -88,8 +88,8 @@ class ReducedData(Described):
     # [m/s]: approximate speed of the fastest waves. It limits the velocity of a jumping tool in the damping
     # forces.
     wave_speed: float
-    basis: Basis
-    sampled: SampledPoints
+    basis: BasisVectors
+    sampled: SampledBasis
     trained: TrainedRange
     report: Mapping[str, Any] = field(default_factory=dict)  # figures measured in training
     kinematics: Kinematics = field(default_factory=Kinematics)  # kind of body, solid or membrane

@@ -19,9 +19,9 @@ from palpate.reduction.contact.compliance import NO_COMPLIANCE
 from palpate.reduction.hyper.cubature import Cubature
 from palpate.reduction.hyper.data import (
     UNLIMITED_SCALE,
-    Basis,
+    BasisVectors,
     ReducedData,
-    SampledPoints,
+    SampledBasis,
     Scales,
     TrainedRange,
 )
@@ -227,8 +227,10 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
         stiffness_damping=number_in_range("stiffness_damping", header["stiffness_damping"], 0.0, unit="s"),
         mass_damping=number_in_range("mass_damping", header.get("mass_damping", 0.0), 0.0, unit="1/s"),
         wave_speed=number_in_range("wave_speed", header["wave_speed"], 0.0, unit="m/s"),
-        basis=Basis(values["basis_vectors"], header["modes"], header["lifting_count"], header["residual_fields"]),
-        sampled=SampledPoints(
+        basis=BasisVectors(
+            values["basis_vectors"], header["modes"], header["lifting_count"], header["residual_fields"]
+        ),
+        sampled=SampledBasis(
             Cubature(values["cubature/nodes"], values["cubature/weights"], values["cubature/pressure"], residual),
             values["gradients"],
             values["constant"],

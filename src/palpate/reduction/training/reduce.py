@@ -23,7 +23,7 @@ from palpate.reduction.basis.linear_modes import interpolated_modes
 from palpate.reduction.basis.snapshots import Run, Snapshots
 from palpate.reduction.basis.strain_pod import join, main_modes
 from palpate.reduction.contact.coarse_body import statics_body
-from palpate.reduction.hyper.data import Basis, SampledPoints, TrainedRange
+from palpate.reduction.hyper.data import BasisVectors, SampledBasis, TrainedRange
 from palpate.reduction.hyper.model import ReducedData, ReducedModel
 from palpate.reduction.training.advice import advice
 from palpate.reduction.training.calibrate_contact import Trial, calibrate_contact
@@ -336,7 +336,7 @@ def _train(body: EnergyModel, snapshots: Snapshots, size: int, options: _Options
 
 
 @dataclass(frozen=True)
-class _BasisVectors:
+class _BasisFields:
     """Basis vectors at all points: modes, lifting vectors, support fields and residual fields.
 
     Modes and lifting vectors belong to the coordinates.
@@ -350,7 +350,7 @@ class _BasisVectors:
     lost: float  # relative error of the modes by truncation between blocks
 
 
-def _basis_vectors(body: EnergyModel, snapshots: Snapshots, size: int, options: _Options) -> _BasisVectors:
+def _basis_vectors(body: EnergyModel, snapshots: Snapshots, size: int, options: _Options) -> _BasisFields:
     lifting, supports = lifting_and_test_fields(body, options.tools)
     rest = RemoveToolMotion(body, lifting, options.tools)
     main, lost = main_modes(body, snapshots, size, RESIDUAL_FIELDS, rest)
@@ -363,10 +363,10 @@ def _basis_vectors(body: EnergyModel, snapshots: Snapshots, size: int, options: 
     flat = columns[:count].reshape(count, -1)
     mass = (flat * np.repeat(body.masses, 3)) @ flat.T
     fields = body.at_points(columns, slice(count, count + len(supports)))
-    return _BasisVectors(fields, len(shapes), count, len(residual_fields), mass, lost)
+    return _BasisFields(fields, len(shapes), count, len(residual_fields), mass, lost)
 
 
-def _states(body: EnergyModel, columns: _BasisVectors, snapshots: Snapshots) -> tuple[Floats, float]:
+def _states(body: EnergyModel, columns: _BasisFields, snapshots: Snapshots) -> tuple[Floats, float]:
     """Return the coordinates (t, m + l) of all snapshots, and their relative projection error."""
     flat = columns.fields.columns[: columns.count].reshape(columns.count, -1)
     weighted, states, projection_error, total = flat * np.repeat(body.masses, 3), [], 0.0, 0.0
@@ -387,7 +387,7 @@ def _states(body: EnergyModel, columns: _BasisVectors, snapshots: Snapshots) -> 
 
 
 def _data(
-    body: EnergyModel, snapshots: Snapshots, columns: _BasisVectors, states: Floats, options: _Options
+    body: EnergyModel, snapshots: Snapshots, columns: _BasisFields, states: Floats, options: _Options
 ) -> ReducedData:
     """Choose the integration points, and return the data of the reduced model."""
     fields, modes, mass = columns.fields, columns.modes, columns.mass
@@ -412,8 +412,8 @@ def _data(
         stiffness_damping=body.stiffness_damping,
         mass_damping=body.mass_damping,
         wave_speed=body.wave_speed,
-        basis=Basis(fields.columns, modes, columns.count - modes, columns.residual_fields),
-        sampled=SampledPoints(rule, gradients, fields.constant),
+        basis=BasisVectors(fields.columns, modes, columns.count - modes, columns.residual_fields),
+        sampled=SampledBasis(rule, gradients, fields.constant),
         trained=TrainedRange(chosen, scales),
         kinematics=body.kinematics,
     )
