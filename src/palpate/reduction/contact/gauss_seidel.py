@@ -425,7 +425,7 @@ def press(data, q, v, at, step, period, share, tool_forces):
         at[m] = q[m] + step * v[m]
     tools.impulses[:] = 0.0
     solve_contact(data.contact_surface, data.contact_work, tools, at, v, step, response, q.shape[0])
-    drag = 1.0 + 0.5 * data.body.mass_damping * step  # as that of the other forces in a kick
+    drag = 1.0 + 0.5 * data.body.constants.mass_damping * step  # as that of the other forces in a kick
     kick_by_load(v, step / drag, response, tools.load)
     for t in range(tools.kind.shape[0]):
         first, turned = 12 * t, tools.path[t, PATH_NOW]

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -292,8 +292,9 @@ def _train_to_tolerance(body: EnergyModel, snapshots: Snapshots, tolerance: floa
 def _train(body: EnergyModel, snapshots: Snapshots, size: int, options: _Options) -> ReducedModel:
     """Train a model with a given number of modes."""
     start = perf_counter()
+    solid = cast(EnergySolid, body)  # which is what has vibrations and a compliant surface
     if options.vibrations:
-        shapes = interpolated_modes(options.coarse or body, body, size)
+        shapes = interpolated_modes(options.coarse or solid, solid, size)
         size, options = 0, replace(options, enrichment=shapes)
     columns = _basis_vectors(body, snapshots, size, options)
     states, projection_error = _states(body, columns, snapshots)
@@ -318,7 +319,7 @@ def _train(body: EnergyModel, snapshots: Snapshots, size: int, options: _Options
     }
     if options.touched:
         compliance, report["compliance_explained"], energy = fit_compliance(
-            model, body, snapshots, options.coarse or body
+            model, solid, snapshots, options.coarse or solid
         )
         data = model.data.with_scales(flexibility_scale=max(energy, 1e-300))
         model = ReducedModel(replace(data, compliance=compliance))
