@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -292,9 +292,9 @@ def _train_to_tolerance(body: EnergyModel, snapshots: Snapshots, tolerance: floa
 def _train(body: EnergyModel, snapshots: Snapshots, size: int, options: _Options) -> ReducedModel:
     """Train a model with a given number of modes."""
     start = perf_counter()
-    solid = cast(EnergySolid, body)  # which is what has vibrations and a compliant surface
     if options.vibrations:
-        shapes = interpolated_modes(options.coarse or solid, solid, size)
+        assert isinstance(body, EnergySolid)  # a sheet is slack at rest
+        shapes = interpolated_modes(options.coarse or body, body, size)
         size, options = 0, replace(options, enrichment=shapes)
     columns = _basis_vectors(body, snapshots, size, options)
     states, projection_error = _states(body, columns, snapshots)
@@ -318,8 +318,9 @@ def _train(body: EnergyModel, snapshots: Snapshots, size: int, options: _Options
         "training_seconds": perf_counter() - start,
     }
     if options.touched:
+        assert isinstance(body, EnergySolid)
         compliance, report["compliance_explained"], energy = fit_compliance(
-            model, solid, snapshots, options.coarse or solid
+            model, body, snapshots, options.coarse or body
         )
         data = model.data.with_scales(flexibility_scale=max(energy, 1e-300))
         model = ReducedModel(replace(data, compliance=compliance))
@@ -393,6 +394,8 @@ def _data(
     """Choose the integration points, and return the data of the reduced model."""
     fields, modes, mass = columns.fields, columns.modes, columns.mass
     chosen = states[snapshots.evenly_spaced(TRAINING_STATES)]
+    of_tools = snapshots.has_contact and not options.tools
+    scales = scales_of_training(body, snapshots, states, chosen, mass / body.masses.sum(), of_tools)
     at = np.arange(0, len(snapshots), max(1, len(snapshots) // PRESSURE_STATES))
     moments = body.pressure_moments(snapshots.each(at), options.pressures or max(1, modes // MODES_PER_PRESSURE))
     without_residual = fields.of(slice(len(fields.columns) - columns.residual_fields))
@@ -402,8 +405,6 @@ def _data(
     fields, gradients = scale_residual_fields(
         body, fields, (modes, columns.residual_fields), chosen, rule, places, moments
     )
-    of_tools = snapshots.has_contact and not options.tools
-    scales = scales_of_training(body, snapshots, states, chosen, mass / body.masses.sum(), of_tools)
     data = ReducedData(
         cloud=body.cloud,
         tissue=body.tissue,
