@@ -166,4 +166,5 @@ def _with_samples(model: ReducedModel, count: int) -> ReducedModel:
     cubature = replace(
         rule, nodes=rule.nodes[index], weights=rule.weights[index] * parts, pressure=rule.pressure[:, index] * parts
     )
-    return ReducedModel(replace(model.data, cubature=cubature, gradients=model.data.gradients[index]))
+    sampled = model.data.sampled
+    return model.with_data(sampled=replace(sampled, cubature=cubature, gradients=sampled.gradients[index]))

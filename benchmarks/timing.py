@@ -88,7 +88,7 @@ def force_seconds(model: ReducedModel, repeats: int = 15) -> tuple[float, float]
     result = np.zeros(model.count)
     force, evaluations = _per_count(
         lambda times: repeat(
-            model.body.sampled_force, columns, model.body.points, model.workspace().coordinates, result, times
+            model.body.sampled.force, columns, model.body.points, model.workspace().coordinates, result, times
         )
     )
     table, readings = _per_count(lambda times: read(flat, times))

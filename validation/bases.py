@@ -282,7 +282,10 @@ def with_mass(rom: pt.ReducedModel, mass: Floats) -> pt.ReducedModel:
     """Return a reduced model with another mass matrix of its coordinates."""
     inverse = np.linalg.inv(mass)
     changed = pt.ReducedModel(rom.data)
-    changed.__dict__["body"] = replace(changed.body, mass=mass, inverse_mass=inverse, constrained_inverse_mass=inverse)
+    changed.__dict__["body"] = replace(
+        changed.body,
+        constants=changed.body.constants._replace(mass=mass, inverse_mass=inverse, constrained_inverse_mass=inverse),
+    )
     return changed
 
 

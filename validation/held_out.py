@@ -32,7 +32,7 @@ from scipy.stats import spearmanr
 import palpate as pt
 from palpate.reduction.hyper.cubature import sparse_nnls
 from palpate.reduction.hyper.error_indicator import mean_size
-from palpate.reduction.training.calibrate_indicator import Frames, Scales, repeat_run, trust_numbers
+from palpate.reduction.training.calibrate_indicator import Frames, repeat_run, trust_numbers
 from palpate.reduction.training.reduce import hyper_reduce
 
 Floats = NDArray[np.float64]
@@ -132,8 +132,8 @@ def study_trust(model: pt.Solid, runs: dict[str, list[pt.Trajectory]]) -> list[A
         rom = hyper_reduce(model, runs["train"], modes=modes, held_out=pairs["inside"][:CALIBRATED])
         entry: dict[str, Any] = {
             "modes": modes,
-            "distance_scale": rom.data.distance_scale,
-            "residual_scale": rom.data.residual_scale,
+            "distance_scale": rom.data.scales.distance_scale,
+            "residual_scale": rom.data.scales.residual_scale,
         }
         entry["curves"] = rom.report["held_out"]["expected_error"]
         others = pairs | {"inside": pairs["inside"][CALIBRATED:]}
@@ -154,7 +154,7 @@ def _judged(rom: pt.ReducedModel, some: list[Frames]) -> dict[str, float]:
     """How distance, residual norm and trust rank errors (Spearman), and how well the table foretells them."""
     typical = rom.report["held_out"]["expected_error"]["displacement"]["typical_size"]
     relative = [f.errors["displacement"] / mean_size(f.sizes["displacement"], typical) for f in some]
-    errors, scales = np.concatenate(relative), Scales(*(getattr(rom.data, name) for name in Scales._fields))
+    errors, scales = np.concatenate(relative), rom.data.scales
     numbers = {
         "distance": [f.measures.distances / scales.distance_scale for f in some],
         "residual norm": [f.measures.residual_norms / scales.residual_scale for f in some],

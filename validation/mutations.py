@@ -274,7 +274,7 @@ MUTATIONS = (
     ),
     Mutation(
         "energy of the surface compliance not counted", "realtime/bodies/trust_number.py",
-        "np.sqrt(flexible / data.indicator.flexibility_scale)", "0.0 * np.sqrt(flexible)",
+        "np.sqrt(flexible / data.indicator.scales.flexibility_scale)", "0.0 * np.sqrt(flexible)",
         ("tests/reduction/contact/test_trust_of_tools.py::test_the_engine_has_the_same_trust_number_as_a_run",),
     ),
     Mutation(

@@ -180,7 +180,7 @@ def reduced_statics(model: pt.ReducedModel, pull: Any) -> Static:
 
 def evaluation_time(model: pt.ReducedModel) -> float:
     """Return the time [s] of an evaluation of the forces by the compiled kernel."""
-    work, force, points = model.workspace(), model.body.sampled_force, model.body.points
+    work, force, points = model.workspace(), model.body.sampled.force, model.body.points
 
     @njit
     def repeat(count, force, a, points, scratch, result):

@@ -98,7 +98,8 @@ def test_forces_and_energy_of_all_points_and_pressures_are_those_of_the_body(bod
     data = pt.hyper_reduce(body, run(body, loads), modes=MODES, cubature=0.0).data
     pressure = body.pressure_moments(fields, len(body.cloud))
     if len(pressure):
-        data = replace(data, cubature=replace(data.cubature, pressure=pressure))
+        cubature = replace(data.cubature, pressure=pressure)
+        data = replace(data, sampled=replace(data.sampled, cubature=cubature))
     whole = pt.ReducedModel(data, single=False)
     columns, random = data.basis_vectors[: whole.count], np.random.default_rng(1)
     whole.state(whole.prepare(loads))

@@ -207,7 +207,7 @@ def _spread_forces(compliance, contact, count, carriers, fields):
     for e in range(count):
         row = contact.point[e]
         for d in range(3):
-            push = contact.factor[contact.tool[e]] * contact.push[e, d]
+            push = contact.active.factor[contact.tool[e]] * contact.push[e, d]
             for a in range(compliance.carriers.shape[1]):
                 fields[3 * compliance.carriers[row, a] + d] += compliance.weights[row, a] * push
             for a in range(compliance.members.shape[1]):

@@ -27,7 +27,8 @@ from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.solid.model import Solid
 from palpate.dynamics.solid.unloading import unloaded
 from palpate.meshfree.cloud import BORDER_MARGIN, MOVED_MARGIN, Cloud, box
-from palpate.meshfree.filling import BODY_PREFIX, fill
+from palpate.meshfree.fill_surface import BODY_PREFIX
+from palpate.meshfree.filling import fill
 from palpate.meshfree.sheets import disc
 from palpate.scenes.description import Description
 from palpate.scenes.names import TOOL_GROUP

@@ -90,9 +90,12 @@ def test_after_a_reset_trust_is_0_and_the_next_touch_has_a_bound(model, ball, un
     curves = {"forgetting": 0.0, "level": 0.95, "least_level": 0.9, "displacement": curve, "force": curve}
     report = {**model.report, "held_out": {"mean": {}, "expected_error": curves}}
     unlimited = dict.fromkeys(("nearness_scale", "speed_scale", "distance_scale", "residual_scale"), 1e300)
-    compliance = 1e3 * model.data.flexibility_scale
+    compliance = 1e3 * model.data.scales.flexibility_scale
     session = Session(
-        pt.ReducedModel(replace(model.data, report=report, flexibility_scale=compliance, **unlimited)), "Block"
+        model.with_data(
+            report=report, trained=model.data.with_scales(flexibility_scale=compliance, **unlimited).trained
+        ),
+        "Block",
     )
     shallow = PRESSED + np.array([0, 0, 0.0025])  # 0.5 mm deep
     session.start()
@@ -159,7 +162,7 @@ def test_a_tool_inside_the_body_or_away_from_it_is_refused(session, tool, said):
 
 
 def test_a_tool_is_faster_than_in_training_only_if_the_user_asks(model, ball, until):
-    limited = Session(pt.ReducedModel(replace(model.data, speed_scale=0.05)), "Block")
+    limited = Session(pt.ReducedModel(model.data.with_scales(speed_scale=0.05)), "Block")
     speed, way = limited.hello()["tool_speed"], 0.06
     assert speed == pytest.approx(TRAINED_SHARE * 0.05)
 
@@ -186,7 +189,7 @@ def test_a_tool_is_faster_than_in_training_only_if_the_user_asks(model, ball, un
 
 
 def test_a_model_of_a_fast_training_does_not_slow_its_tool(model):
-    session = Session(pt.ReducedModel(replace(model.data, speed_scale=10.0)), "Block")
+    session = Session(pt.ReducedModel(model.data.with_scales(speed_scale=10.0)), "Block")
     assert session.hello()["tool_speed"] is None
     assert session.tool_speed == MAX_TOOL_SPEED
     with pytest.raises(pt.InputError, match="follow must be left out here"):

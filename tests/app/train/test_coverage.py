@@ -80,7 +80,7 @@ def chosen(monkeypatch, scene, trust, count, trained=(), largest=10.0):
     }
     body = SimpleNamespace(mass=np.eye(2), masses=np.ones(2), project=lambda displacements: displacements)
     report = {"held_out": {"expected_error": {"displacement": curve, "level": 0.95, "least_level": 0.9}}}
-    model = SimpleNamespace(body=body, report=report, data=SimpleNamespace(distance_scale=1e-9))
+    model = SimpleNamespace(body=body, report=report, data=SimpleNamespace(scales=SimpleNamespace(distance_scale=1e-9)))
     jobs = [Job(TRAINED, number, number) for number in trust]
     runs = {
         job.number: SimpleNamespace(trust=np.array([trust[job.number]]), displacements=np.full((1, 2), job.number))

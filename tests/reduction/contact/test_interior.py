@@ -11,7 +11,7 @@ from palpate.reduction.basis.linear_modes import vibration_modes
 from palpate.reduction.contact.compliance import NO_COMPLIANCE, contact_displacements
 from palpate.reduction.contact.interior import _linear_fits, interior_flexibility
 from palpate.reduction.contact.residual_flexibility import carriers, residual_flexibility
-from palpate.reduction.training.fit_compliance import _free_interior, _free_surface
+from palpate.reduction.training.fit_compliance import _free_nodes
 
 pytestmark = pytest.mark.slow
 
@@ -31,8 +31,7 @@ def fine():
 
 def compliance_from(statics, body, modes):
     """The compliance of a body's surface and inside by the statics of a model of it."""
-    those, nodes = (_free_surface(of.cloud, of.fixed) for of in (statics, body))
-    deeper, deep = (_free_interior(of.cloud, of.fixed) for of in (statics, body))
+    (those, deeper), (nodes, deep) = (_free_nodes(of) for of in (statics, body))
     rows = residual_flexibility(statics, those, body.cloud.points, modes, deeper)
     places, weights = carriers(statics.cloud, those, body.cloud, nodes)
     count = 3 * len(those)

@@ -208,12 +208,12 @@ def dense(hand):
     for i, e in enumerate(on):
         for j, f in enumerate(on):
             pair(data.contact_surface.compliance, contact.point[e], contact.point[f], block)
-            matrix[i, :, j] = contact.factor[0] * block
+            matrix[i, :, j] = contact.active.factor[0] * block
     columns = data.contact_surface.columns[contact.node[on]].reshape(-1, data.modes).astype(float)
     matrix = (
-        matrix.reshape(3 * len(on), -1) - 1e-6 * columns @ data.constrained_inverse_mass @ columns.T
+        matrix.reshape(3 * len(on), -1) - 1e-6 * columns @ data.body.constants.constrained_inverse_mass @ columns.T
     )  # steps of 1 ms
-    matrix += columns @ np.linalg.solve(0.5 * (data.tangent + data.tangent.T), columns.T)
+    matrix += columns @ np.linalg.solve(0.5 * (data.tangent.matrix + data.tangent.matrix.T), columns.T)
     each, whole = np.tile(np.eye(3), (len(on), 1)), pushes.sum(axis=0)
     size = np.linalg.norm(whole)
     displacement = (contact.now[on] - contact.modal[on]).ravel()

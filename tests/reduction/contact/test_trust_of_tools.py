@@ -90,11 +90,13 @@ def test_a_period_without_residual_fields_writes_nothing_for_them(body, step):
     """The loops over basis vectors run at least once: without a check they would write beyond the arrays."""
     held = rollout_along(body)
     trained = pt.hyper_reduce(body, held, modes=2, prescribed="z+")
-    data, w = trained.data, trained.data.residual_fields
-    bare = pt.ReducedModel(replace(
-        data, residual_fields=0, basis_vectors=data.basis_vectors[:-w], gradients=data.gradients[:, :-w],
-        constant=data.constant[:-w, :-w],
-    ), step=step)  # fmt: skip
+    data, w, basis, sampled = trained.data, trained.data.residual_fields, trained.data.basis, trained.data.sampled
+    without = replace(
+        data,
+        basis=replace(basis, vectors=basis.vectors[:-w], residual_fields=0),
+        sampled=replace(sampled, gradients=sampled.gradients[:, :-w], constant=sampled.constant[:-w, :-w]),
+    )
+    bare = pt.ReducedModel(without, step=step)
     ready = pt.realtime_model(bare)
     partial = np.full((1, ready.data.indicator.residual_fields.partial.shape[1]), 7.0)
     fields = ready.data.indicator.residual_fields._replace(partial=partial[:0])
@@ -129,7 +131,7 @@ def only(model, *names: str) -> pt.ReducedModel:
     """The model with all other measures made small."""
     every = {"distance_scale", "residual_scale", "flexibility_scale", "speed_scale", "nearness_scale"}
     large = dict.fromkeys(every.difference(names), 1e30)
-    return pt.ReducedModel(replace(model.data, load_scale=1.0, **large))
+    return pt.ReducedModel(model.data.with_scales(load_scale=1.0, **large))
 
 
 def test_a_tool_next_to_a_support_is_not_trusted(model):
@@ -200,7 +202,7 @@ def both_touch(run) -> np.ndarray:
 def test_the_bound_is_unknown_from_the_second_tool_on_where_held_out_runs_had_one(model):
     own = run(model, drawn_pair(np.random.default_rng(5)))
     both = both_touch(own)
-    assert model.data.trained_tools == 1
+    assert model.data.scales.trained_tools == 1
     assert 0 < np.count_nonzero(both) < len(both) - 2
     assert np.all(own.trust[both & (own.reactions["second"].any(axis=1))] >= 2.0)
     assert np.isinf(own.force_bounds[both]).all()
@@ -216,7 +218,7 @@ def test_bounds_of_held_out_pairs_hold_for_the_force_on_each_tool(model, body):
     held_out = [(each, run(body, each)) for each in loads]
     modes = pt.vibration_modes(body, 16)[0]
     both = pt.hyper_reduce(body, trained, modes=0, enrichment=modes, held_out=held_out)
-    assert both.data.trained_tools == 2
+    assert both.data.scales.trained_tools == 2
     assert both.expected_error(0.5, "force").level == pytest.approx(12 / 13)  # of six of either kind
     further = drawn_pair(random)
     own, full = run(both, further), run(body, further)

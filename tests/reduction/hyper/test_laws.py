@@ -260,7 +260,7 @@ def test_trust_and_forces_of_a_state_are_those_of_its_history(relaxing):
     # almost all frames of the run that it was calibrated on are trusted
     assert model.trust(late, prepared) < 1.5
     again = pt.hyper_reduce(body, run, modes=12, held_out=[(PULL, run)])
-    assert again.data.residual_scale == model.data.residual_scale
+    assert again.data.scales.residual_scale == model.data.scales.residual_scale
 
 
 def test_step_selection_for_relaxing_tissue_has_explicit_steps(relaxing):

@@ -91,8 +91,8 @@ def test_the_trained_load_has_a_small_share(pulled, beam):
     prepared = pulled.prepare(loads)
     shares = [pulled.load_share(state, prepared) for state in states(pulled, run(pulled, loads))]
     assert shares[0] == 0.0  # no load
-    assert max(shares) < pulled.data.load_scale
-    assert pulled.data.load_scale >= MIN_LOAD_SCALE
+    assert max(shares) < pulled.data.scales.load_scale
+    assert pulled.data.scales.load_scale >= MIN_LOAD_SCALE
 
 
 def test_no_calibration_trusts_a_load_outside_the_coordinates():
@@ -113,7 +113,7 @@ def test_a_small_load_next_to_a_trained_one_counts_for_little(pulled):
     prepared, own = pulled.prepare(loads), run(pulled, loads)
     shares = [pulled.load_share(state, prepared) for state in states(pulled, own)]
     assert shares[0] > 0.9
-    assert max(shares[2:]) < pulled.data.load_scale
+    assert max(shares[2:]) < pulled.data.scales.load_scale
 
 
 def test_a_sheet_under_a_load_in_its_plane_is_not_trusted_after_a_push():

@@ -245,8 +245,8 @@ def test_the_tool_of_a_hyper_reduced_sheet_may_be_released(sheet, freed):
 
 def test_the_step_of_a_slack_sheet_is_that_of_its_taut_states(sampled):
     prepared = sampled.prepare([PUSH])
-    assert sampled.data.taut_frequency > 1.2 * sampled.body.frequencies()[-1]
-    assert sampled.stable_step(sampled.state(prepared), prepared)[0] < 2 / sampled.data.taut_frequency
+    assert sampled.data.trained.taut_frequency > 1.2 * sampled.body.frequencies()[-1]
+    assert sampled.stable_step(sampled.state(prepared), prepared)[0] < 2 / sampled.data.trained.taut_frequency
 
 
 def test_a_sampled_sheet_is_saved_and_loaded(sampled, tmp_path):
@@ -254,7 +254,7 @@ def test_a_sampled_sheet_is_saved_and_loaded(sampled, tmp_path):
     loaded = pt.load(tmp_path / "sheet.rom")
     assert loaded.data.kinematics == sampled.data.kinematics
     assert loaded.material == sampled.material
-    assert loaded.data.taut_frequency == sampled.data.taut_frequency
+    assert loaded.data.trained.taut_frequency == sampled.data.trained.taut_frequency
     a = 1e-4 * np.random.default_rng(0).standard_normal(sampled.count)
     np.testing.assert_array_equal(loaded.body.force(a), sampled.body.force(a))
 

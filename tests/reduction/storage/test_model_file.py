@@ -24,7 +24,7 @@ from palpate.realtime.bodies.display_surface import Surface
 from palpate.reduction.contact.compliance import SurfaceCompliance
 from palpate.reduction.contact.interior import Interior
 from palpate.reduction.hyper.cubature import Cubature
-from palpate.reduction.hyper.data import UNLIMITED_SCALE, ReducedData
+from palpate.reduction.hyper.data import UNLIMITED_SCALE, BasisVectors, ReducedData, SampledBasis, Scales, TrainedRange
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage import model_file as storage
 from palpate.reduction.storage.body import BODY_ARRAYS
@@ -35,12 +35,13 @@ from palpate.reduction.storage.model_file import CURVE_KEYS, MODEL_ARRAYS
 def flat(data):
     """The fields of parts and of what they are made of, by name."""
     result = {}
-    for owner in (data, data.cloud, data.cubature, data.tissue):
+    parts = (data.cloud, data.cubature, data.tissue, data.basis, data.sampled, data.trained)
+    for owner in (data, *parts):
         result |= {f"{type(owner).__name__}.{f.name}": getattr(owner, f.name) for f in fields(owner)}
     fibres = data.tissue.fibres
     if fibres is not None:  # compared by what they are made of
         result |= {"law": type(fibres), "directions": fibres.directions, "c": fibres.coefficients}
-    inner = (data.cloud, data.cubature, data.tissue, fibres)
+    inner = (*parts, fibres)
     return {name: value for name, value in result.items() if value is None or all(value is not each for each in inner)}
 
 
@@ -51,7 +52,8 @@ def assert_equal(found, expected):
 
 def rounded(data):
     """The parts with the columns that their file holds."""
-    return replace(data, basis_vectors=data.basis_vectors.astype(np.float32).astype(float))
+    vectors = data.basis.vectors.astype(np.float32).astype(float)
+    return replace(data, basis=replace(data.basis, vectors=vectors))
 
 
 def made_up(cloud, material, *, modes, samples=5, fixed=(), prescribed=(), lifting_count=0):
@@ -65,9 +67,9 @@ def made_up(cloud, material, *, modes, samples=5, fixed=(), prescribed=(), lifti
     rule = Cubature(nodes, 1e-8 * (1 + draw(size=samples) ** 2), draw(size=(max(1, modes // 4), samples)), 1e-3)
     return ReducedData(
         cloud, Tissue(material, None, np.zeros(0), None, len(cloud)), supports_of(fixed), prescribed,
-        cloud.volumes, 1e-4, 20.0, columns, modes,
-        lifting_count, rule, draw(size=(samples, count, 9)), np.eye(count), draw(size=(240, modes + lifting_count)),
-        1e-3,
+        cloud.volumes, 1e-4, 20.0, BasisVectors(columns, modes, lifting_count),
+        SampledBasis(rule, draw(size=(samples, count, 9)), np.eye(count)),
+        TrainedRange(draw(size=(240, modes + lifting_count)), Scales(1e-3)),
     )  # fmt: skip
 
 
@@ -179,8 +181,8 @@ def test_a_file_without_interior_gives_a_model_with_compliance_at_its_surface_on
 
 
 def test_a_file_without_a_number_of_tools_is_of_a_model_that_met_one(trained, altered):
-    two = pt.ReducedModel(replace(trained.data, trained_tools=2))
-    assert pt.load(altered(lambda header, _: header.update(trained_tools=2))).data.trained_tools == 2
+    two = pt.ReducedModel(trained.data.with_scales(trained_tools=2))
+    assert pt.load(altered(lambda header, _: header.update(trained_tools=2))).data.scales.trained_tools == 2
     assert_equal(pt.load(altered(lambda header, _: header.pop("trained_tools"))).data, rounded(trained.data))
     with pytest.raises(pt.FileFormatError, match="trained_tools must be"):
         pt.load(altered(lambda header, _: header.update(trained_tools=0)))
@@ -200,10 +202,10 @@ def test_a_file_of_a_version_before_is_loaded(trained, saved, path, version):
     older = {"held_out": {"mean": {"displacement": 0.1}, "expected_error": {"level": 0.95, "displacement": {}}}}
     write_sealed(path, storage.FORMAT, version, header | {"report": json.dumps(older)}, arrays)
     found = pt.load(path).data
-    assert found.speed_scale == found.nearness_scale == UNLIMITED_SCALE
+    assert found.scales.speed_scale == found.scales.nearness_scale == UNLIMITED_SCALE
     assert found.report == {"held_out": {"mean": {"displacement": 0.1}}}
-    scales = {name: getattr(trained.data, name) for name in storage.NEW_ATTRIBUTES}
-    assert_equal(replace(found, report=trained.report, **scales), rounded(trained.data))
+    scales = {name: getattr(trained.data.scales, name) for name in storage.NEW_ATTRIBUTES}
+    assert_equal(replace(found, report=trained.report).with_scales(**scales), rounded(trained.data))
 
 
 @pytest.mark.parametrize("largest", [1, 100, 32_639, 32_640])
@@ -649,20 +651,28 @@ def test_a_changed_header_does_not_match_the_checksum(saved, path, other):
 
 def test_a_file_sealed_again_is_read(altered, trained):
     assert_equal(
-        pt.load(altered(attribute("distance_scale", 0.5))).data, replace(rounded(trained.data), distance_scale=0.5)
+        pt.load(altered(attribute("distance_scale", 0.5))).data, rounded(trained.data).with_scales(distance_scale=0.5)
     )
 
 
 # whole or not at all
 
 
-@pytest.mark.parametrize("name", ["basis_vectors", "gradients", "training_states"])
-def test_models_that_could_not_be_loaded_are_not_saved(trained, saved, path, name):
-    values = getattr(trained.data, name).copy()
+@pytest.mark.parametrize(
+    ("record", "field", "name"),
+    [
+        ("basis", "vectors", "basis_vectors"),
+        ("sampled", "gradients", "gradients"),
+        ("trained", "states", "training_states"),
+    ],
+)
+def test_models_that_could_not_be_loaded_are_not_saved(trained, saved, path, record, field, name):
+    part = getattr(trained.data, record)
+    values = getattr(part, field).copy()
     values.flat[0] = np.nan
     path.write_bytes(saved.read_bytes())
     with pytest.raises(pt.InputError, match=f"{name} must be finite"):
-        pt.save(ReducedModel(replace(trained.data, **{name: values})), path)
+        pt.save(trained.with_data(**{record: replace(part, **{field: values})}), path)
     assert path.read_bytes() == saved.read_bytes()
     assert os.listdir(path.parent) == ["some.rom"]
 
@@ -700,17 +710,17 @@ def test_a_failed_save_leaves_only_the_old_file(trained, saved, path, monkeypatc
 
     monkeypatch.setattr(os, stage, fail)
     with pytest.raises(type(error), match=message):
-        pt.save(ReducedModel(replace(trained.data, distance_scale=1.0)), path)
+        pt.save(ReducedModel(trained.data.with_scales(distance_scale=1.0)), path)
     monkeypatch.undo()
     assert os.listdir(path.parent) == (["some.rom"] if old else [])
     if old:
-        assert pt.load(path).data.distance_scale == trained.data.distance_scale
+        assert pt.load(path).data.scales.distance_scale == trained.data.scales.distance_scale
 
 
 def test_saving_again_replaces_the_file(trained, path):
-    pt.save(ReducedModel(replace(trained.data, distance_scale=1.0)), path)
+    pt.save(ReducedModel(trained.data.with_scales(distance_scale=1.0)), path)
     pt.save(trained, path)
-    assert pt.load(path).data.distance_scale == trained.data.distance_scale
+    assert pt.load(path).data.scales.distance_scale == trained.data.scales.distance_scale
 
 
 def test_an_unwritable_place_is_named(trained, tmp_path):

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.reduction.hyper.body import points_of
+from palpate.reduction.hyper.data import Scales
 from palpate.reduction.hyper.error_indicator import (
     curve_errors,
     expected_error,
@@ -21,7 +23,6 @@ from palpate.reduction.hyper.sampled_energy import scratch
 from palpate.reduction.training.calibrate_indicator import (
     Frames,
     Measures,
-    Scales,
     calibrate_scales,
     error_curves,
     trust_numbers,
@@ -87,7 +88,7 @@ def test_the_residual_norm_is_the_displacement_that_the_residual_fields_would_ad
     )
     which = np.r_[:modes, len(columns) - model.data.residual_fields : len(columns)]
     load = prepared.forces(np.zeros(1))[0, which]
-    samples = model.data.integration_points(which, model.body.coefficients, model.single)
+    samples = points_of(model.data, which, model.body.coefficients, model.single)
     stiffness = np.zeros((len(which), len(which)))
     sizes = 1e-8 / np.linalg.norm(columns[which], axis=2).max(axis=1)
     model.body.tangent(
@@ -110,25 +111,29 @@ def test_the_integration_points_give_the_residual_norm_of_all_nodes(body, runs, 
 
 def test_residual_fields_add_no_nodes_and_do_not_change_the_motion(body, rom):
     count = rom.count
+    basis, sampled = rom.data.basis, rom.data.sampled
     bare = replace(
-        rom.data, residual_fields=0, basis_vectors=rom.data.basis_vectors[:-8], gradients=rom.data.gradients[:, :-8],
-        constant=rom.data.constant[:-8, :-8],
-    )  # fmt: skip
+        rom.data,
+        basis=replace(basis, vectors=basis.vectors[:-8], residual_fields=0),
+        sampled=replace(sampled, gradients=sampled.gradients[:, :-8], constant=sampled.constant[:-8, :-8]),
+    )
     other, loads = pt.ReducedModel(bare), pull(5.0, 0.2, -1.5e-3)
     assert rom.data.residual_fields == 8
     one, two = rollout(rom, loads), rollout(other, loads)
     np.testing.assert_allclose(one.displacements, two.displacements, atol=1e-12)
     prepared, state = other.prepare(loads), pt.State(rom.data.training_states[30] * 1.1, np.zeros(count), 0.005)
     assert unbalanced(other, state, prepared) == 0.0
-    distance = training_distance(rom.body, state) / rom.data.distance_scale
-    assert other.trust(state, prepared) == max(distance, other.load_share(state, prepared) / other.data.load_scale)
+    distance = training_distance(rom.body, state) / rom.data.scales.distance_scale
+    assert other.trust(state, prepared) == max(
+        distance, other.load_share(state, prepared) / other.data.scales.load_scale
+    )
 
 
 def test_a_load_that_the_modes_cannot_follow_is_not_trusted_however_little_the_body_moves(rom, body):
     """The sides of the beam are pressed together: no training run did that."""
     pinch = [pt.SurfaceForce("z+", force=(0, 0, -30.0)), pt.SurfaceForce("z-", force=(0, 0, 30.0))]
     prepared, state = rom.prepare(pinch), pt.State(np.zeros(rom.count), np.zeros(rom.count))
-    assert training_distance(rom.body, state) / rom.data.distance_scale < 0.01
+    assert training_distance(rom.body, state) / rom.data.scales.distance_scale < 0.01
     assert rom.trust(state, prepared) > 1
 
 
@@ -145,11 +150,10 @@ def test_the_report_of_the_engine_has_the_same_trust_number(body):
             ready.advance(ready.data, q, v, target, 1e-3, report)
             state = pt.State(q, v, period * 1e-3)
             assert report[1] == pytest.approx(model.trust(state, prepared), rel=1e-3)
-            alone = pt.ReducedModel(
-                replace(model.data, distance_scale=1e9, load_scale=1.0, speed_scale=1e9), step=model.step
-            )
+            scales = model.data.with_scales(distance_scale=1e9, load_scale=1.0, speed_scale=1e9)
+            alone = pt.ReducedModel(scales, step=model.step)
             assert alone.trust(state, prepared) == pytest.approx(
-                unbalanced(model, state, prepared) / model.data.residual_scale
+                unbalanced(model, state, prepared) / model.data.scales.residual_scale
             )
 
 
@@ -289,5 +293,5 @@ def test_a_basis_that_spans_all_snapshots_has_no_residual_fields(body, runs):
     prepared = model.prepare(pull(1.0, 0.0, 0.0))
     state = pt.State(2 * model.data.training_states[-1], np.zeros(2), 0.001)
     assert model.trust(state, prepared) == pytest.approx(
-        training_distance(model.body, state) / model.data.distance_scale
+        training_distance(model.body, state) / model.data.scales.distance_scale
     )

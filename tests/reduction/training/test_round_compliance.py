@@ -12,7 +12,7 @@ from palpate.reduction.contact.compliance import NO_COMPLIANCE, contact_displace
 from palpate.reduction.contact.interior import interior_flexibility
 from palpate.reduction.contact.near_field import add_own_compliance, near_field_compliance
 from palpate.reduction.contact.residual_flexibility import carriers, residual_flexibility
-from palpate.reduction.training.fit_compliance import _free_interior, _free_surface
+from palpate.reduction.training.fit_compliance import _free_nodes
 from palpate.reduction.training.round_compliance import MAX_INTERIOR_STEP, MAX_STEP, round_compliance
 
 pytestmark = pytest.mark.slow
@@ -33,8 +33,7 @@ def statics(tissue):
 def compliance_of(body, statics):
     """The compliance of a body by the statics of a model of it, with a factor."""
     modes = vibration_modes(body, 10)[0]
-    carrying, nodes = (_free_surface(of.cloud, of.fixed) for of in (statics, body))
-    deeper, deep = (_free_interior(of.cloud, of.fixed) for of in (statics, body))
+    (carrying, deeper), (nodes, deep) = (_free_nodes(of) for of in (statics, body))
     rows = residual_flexibility(statics, carrying, body.cloud.points, modes, deeper)
     flexibility, inner = np.split(rows, [3 * len(carrying)])
     places, weights = carriers(statics.cloud, carrying, body.cloud, nodes)

@@ -550,5 +550,5 @@ def trained_speed(model: ReducedModel | EnergySolid) -> float | None:
     """
     if not isinstance(model, ReducedModel) or model.data.compliance is None:
         return None
-    speed = TRAINED_SHARE * model.data.speed_scale
+    speed = TRAINED_SHARE * model.data.scales.speed_scale
     return speed if speed < MAX_TOOL_SPEED else None

@@ -23,8 +23,9 @@ from palpate.app.train.paths import path_of
 from palpate.core.faults import DivergenceError, TrustWarning
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.reduction.hyper.error_indicator import distances_to_nearest, expected_error
+from palpate.reduction.hyper.error_indicator import expected_error
 from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.training.scales import distances_to_nearest
 from palpate.scenes.load_case import TrainingScene
 
 FIRST_RUNS = 4  # before the first model
@@ -74,7 +75,7 @@ def choose(
             covered.add(paths[chosen[-1]])
         for k, path_states in enumerate(states):
             if runs[chosen[-1]] is not None:
-                apart = distances_to_nearest(path_states, states[chosen[-1]], mass) / model.data.distance_scale
+                apart = distances_to_nearest(path_states, states[chosen[-1]], mass) / model.data.scales.distance_scale
                 nearest[k] = np.minimum(nearest[k], apart)
     return [candidates[k] for k in chosen]
 

@@ -22,7 +22,7 @@ from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.run.trajectory import StoredTrajectory
 from palpate.reduction.hyper.error_indicator import expected_error
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.training.reduce import ERROR_QUANTILE
+from palpate.reduction.training.scales import ERROR_QUANTILE
 from palpate.scenes.load_case import TrainingScene
 
 ERRORS_FIGURE, COVERAGE_FIGURE = "errors.png", "coverage.png"

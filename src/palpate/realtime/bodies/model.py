@@ -32,13 +32,16 @@ from palpate.realtime.bodies.period_data import (
     PeriodData,
     PeriodStart,
     ResidualFields,
+    Tangent,
+    ToolPath,
     probes,
 )
 from palpate.realtime.bodies.reduced_steps import MAX_SUBSTEPS
 from palpate.realtime.contract import MAX_TOOLS
-from palpate.reduction.contact.surface import contact_scratch, rigid_tools
+from palpate.reduction.contact.surface import ContactScratch, RigidTools, contact_scratch, rigid_tools
 from palpate.reduction.contact.tangent import contact_stiffness, contact_system
 from palpate.reduction.contact.tools import ContactTools
+from palpate.reduction.hyper.body import points_of
 from palpate.reduction.hyper.error_indicator import force_bound, nearness_to_supports
 from palpate.reduction.hyper.foundation import Springs, project_springs
 from palpate.reduction.hyper.implicit import ImplicitData, newton_scratch
@@ -270,61 +273,36 @@ def _period_data(
     model: ReducedModel, longest: float, contact: tuple[Contact | Grasp, ...], all_springs: Springs
 ) -> PeriodData:
     """Return the constants and work arrays of a period of a reduced model, with springs on all basis vectors."""
-    reduced, count = model.data, model.count
-    surface, home = model.body.surface, np.tile(np.eye(3, 4), (len(contact), 1, 1))
-    tools, contact_work = rigid_tools(None, surface), contact_scratch(surface, 0)
-    if contact:
-        contact_tools = ContactTools(surface, model.prepare(list(contact)))
-        contact_tools.initial_state(lambda: np.zeros((len(model.cloud), 3)), 0.0, model.cloud.spacing)
-        tools, contact_work = contact_tools.tools, contact_tools.scratch
-        for t, pose in enumerate(contact_tools.prepared.schedule(np.zeros(1)).poses[0]):
-            rotation(pose, home[t])
-        tools.path[:, :, :, 3] = home[:, None, :, 3]
     number_in_range("step", model.step or longest, longest / MAX_SUBSTEPS, unit="s")
+    count, modes = model.count, model.data.modes
     steps = int(np.ceil(longest / (model.step or longest)))
-    springs = all_springs.of(np.arange(count))
-    tangent = model.body.stiffness(np.zeros(count))
+    springs, constants = all_springs.of(np.arange(count)), model.body.constants
+    tools, contact_work, home = _tools_at_home(model, contact)
+    tangent, frequency = model.body.stiffness(np.zeros(count)), model.body.highest_frequency(np.zeros(count))
     if springs.stiffness.size:
         tangent += springs.stiffness
-    modes, frequency, vectors = (
-        slice(reduced.modes),
-        model.body.highest_frequency(np.zeros(count)),
-        np.zeros((8, count)),
-    )
-    vectors[POWER_SHAPE, : reduced.modes] = np.random.default_rng(0).standard_normal(reduced.modes)
-    points_scratch = scratch(model.body.points)
-    body = ImplicitData(
-        stiffness_damping=model.stiffness_damping,
-        mass_damping=model.mass_damping,
-        mass=model.body.mass,
-        differences=model.body.differences,
-        tolerance=model.tolerance,
-        integration_points=model.body.points,
-        scratch=points_scratch,
-        springs=springs,
-        newton=newton_scratch(count),
-    )
+    vectors, surface = np.zeros((8, count)), model.body.surface
+    vectors[POWER_SHAPE, :modes] = np.random.default_rng(0).standard_normal(modes)
+    points_scratch = scratch(constants.integration_points)
+    body = ImplicitData(constants, model.tolerance, points_scratch, springs, newton_scratch(count))
     return PeriodData(
-        modes=reduced.modes,
+        modes=modes,
         step=model.step or 0.0,
         body=body,
-        constrained_inverse_mass=model.body.constrained_inverse_mass,
         indicator=_indicator(model, all_springs),
         vectors=vectors,
-        probes=probes(body),
-        tangent=tangent,
-        condensed=np.zeros((count, count)),
+        tangent=Tangent(tangent, np.zeros((count, count)), probes(body)),
         tracking=np.array([frequency, frequency, 0.0, 0.0]),
         substep=np.zeros(1),
-        path=np.zeros((steps + 3, reduced.lifting_count)),
-        holds=np.ones(steps, dtype=np.bool_),
-        no_loads=np.zeros((steps, count)),
+        path=ToolPath(
+            np.zeros((steps + 3, model.data.lifting_count)), np.ones(steps, dtype=np.bool_), np.zeros((steps, count))
+        ),
         contact_surface=surface,
         contact_work=contact_work,
         tools=tools,
         home=home,
         system=contact_system(
-            surface.columns[:, :, modes], model.body.mass[modes, modes], len(contact_work.active.node), len(contact)
+            surface.columns[:, :, :modes], constants.mass[:modes, :modes], len(contact_work.active.node), len(contact)
         ),
         start=PeriodStart(
             history=history_copy(points_scratch.history),
@@ -333,6 +311,21 @@ def _period_data(
             frames=tools.frames.copy(),
         ),
     )
+
+
+def _tools_at_home(
+    model: ReducedModel, contact: tuple[Contact | Grasp, ...]
+) -> tuple[RigidTools, ContactScratch, Floats]:
+    """Return tools in contact at time 0, the work arrays of their contact, and their rotations and positions."""
+    surface, home = model.body.surface, np.tile(np.eye(3, 4), (len(contact), 1, 1))
+    if not contact:
+        return rigid_tools(None, surface), contact_scratch(surface, 0), home
+    placed = ContactTools(surface, model.prepare(list(contact)))
+    placed.initial_state(lambda: np.zeros((len(model.cloud), 3)), 0.0, model.cloud.spacing)
+    for t, pose in enumerate(placed.prepared.schedule(np.zeros(1)).poses[0]):
+        rotation(pose, home[t])
+    placed.tools.path[:, :, :, 3] = home[:, None, :, 3]
+    return placed.tools, placed.scratch, home
 
 
 def _full_body(
@@ -372,12 +365,7 @@ def _indicator(model: ReducedModel, springs: Springs) -> IndicatorData:
     return IndicatorData(
         training_states=np.ascontiguousarray(model.data.training_states @ root.T),
         mass_root=root,
-        distance_scale=model.data.distance_scale,
-        residual_scale=model.data.residual_scale,
-        flexibility_scale=model.data.flexibility_scale,
-        speed_scale=model.data.speed_scale,
-        nearness_scale=model.data.nearness_scale,
-        trained_tools=model.data.trained_tools,
+        scales=model.data.scales,
         nearness=nearness_to_supports(model.cloud, model.supports, model.body.surface.nodes),
         body_mass=float(model.masses.sum()),
         residual_fields=_residual_fields(model, springs),
@@ -390,8 +378,8 @@ def _residual_fields(model: ReducedModel, springs: Springs) -> ResidualFields:
     which = np.arange(len(data.basis_vectors) - data.residual_fields, len(data.basis_vectors))
     at_surface = data.basis_vectors[which][:, nodes].transpose(1, 2, 0)
     return ResidualFields(
-        table=data.integration_points(which, model.body.coefficients, model.single).table,
-        constant=np.ascontiguousarray(data.constant[which, :count]),
+        table=points_of(data, which, model.body.coefficients, model.single).table,
+        constant=np.ascontiguousarray(data.sampled.constant[which, :count]),
         mass=np.ascontiguousarray(model.body.all_mass[which, :count]),
         springs=springs.of(which),
         columns=np.ascontiguousarray(at_surface, dtype=np.float32),

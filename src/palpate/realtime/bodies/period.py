@@ -97,7 +97,12 @@ def _energy_over_supports(tools):
 @kernel_njit(inner=True, fastmath={"contract", "reassoc"})
 def _change_rates(data, q, v, target, period):
     """Write the rates of the tool in a period, and the change of all velocities that they cause at its start."""
-    modes, count, mass, constrained_inverse = data.modes, q.shape[0], data.body.mass, data.constrained_inverse_mass
+    modes, count, mass, constrained_inverse = (
+        data.modes,
+        q.shape[0],
+        data.body.constants.mass,
+        data.body.constants.constrained_inverse_mass,
+    )
     speeds, change = data.vectors[TOOL_RATES], data.vectors[VELOCITY_CHANGE]
     for j in range(modes, count):
         speeds[j] = (target[j - modes] - q[j]) / period
@@ -113,7 +118,7 @@ def _change_rates(data, q, v, target, period):
 @kernel_njit(inner=True, fastmath={"contract", "reassoc"})
 def _begin(data, q, v, period, report):
     """Set the state at the start of a period, and the impulses of the tool there."""
-    count, vectors, mass = q.shape[0], data.vectors, data.body.mass
+    count, vectors, mass = q.shape[0], data.vectors, data.body.constants.mass
     change = vectors[VELOCITY_CHANGE]
     for m in range(count):
         q[m], v[m] = vectors[SAVED_COORDINATES, m], vectors[SAVED_VELOCITIES, m] + change[m]
@@ -151,7 +156,7 @@ def period_functions(law: MaterialPoint, single: bool, implicit: bool, touched: 
     @law_njit(digest, inner=True, fastmath={"contract", "reassoc"})
     def finish(data, q, v, target, period, report, flexible):
         """Write the energies at the end of a period, and `probe`; return whether state and energy balance are right."""
-        modes, count, mass, speeds = data.modes, q.shape[0], data.body.mass, data.vectors[TOOL_RATES]
+        modes, count, mass, speeds = data.modes, q.shape[0], data.body.constants.mass, data.vectors[TOOL_RATES]
         work = 0.0
         for j in range(modes, count):  # remove rounding errors
             q[j] = target[j - modes]

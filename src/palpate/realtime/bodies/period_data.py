@@ -12,6 +12,7 @@ from palpate.core.arrays import Floats
 from palpate.dynamics.material.relaxation import HistoryCopy
 from palpate.reduction.contact.surface import ContactScratch, ContactSurface, RigidTools
 from palpate.reduction.contact.tangent import ContactSystem
+from palpate.reduction.hyper.data import Scales
 from palpate.reduction.hyper.foundation import Springs
 from palpate.reduction.hyper.implicit import ImplicitData
 from palpate.reduction.hyper.sampled_energy import ProbeScratches, scratch
@@ -44,14 +45,8 @@ class IndicatorData(NamedTuple):
     # matrix divided by the body's mass
     training_states: Floats
     mass_root: Floats
-    # distance_scale, residual_scale: float [m]
-    distance_scale: float
-    residual_scale: float
-    flexibility_scale: float  # [J]
-    speed_scale: float  # [m/s]
-    nearness_scale: float  # see `palpate.reduction.hyper.data.ReducedData`
+    scales: Scales
     nearness: Floats  # (k,) array: of the surface nodes to supports
-    trained_tools: int  # largest number of tools in contact at once in the held-out runs
     body_mass: float  # [kg]
     residual_fields: ResidualFields
 
@@ -66,9 +61,25 @@ class Probes(NamedTuple):
 
 def probes(body: ImplicitData) -> Probes:
     """Return zeroed probes of a body; the first scratch is that of its steps."""
-    count, points = len(body.mass), body.integration_points
+    count, points = len(body.constants.mass), body.constants.integration_points
     along_shape, along_column = (scratch(points, body.scratch.history) for _ in range(2))
     return Probes(np.zeros((2, count)), np.zeros((3, count)), ProbeScratches(body.scratch, along_shape, along_column))
+
+
+class Tangent(NamedTuple):
+    """The tangent of the forces, and the forces by which each period updates it."""
+
+    matrix: Floats  # (m, m) array: each period updates one column
+    condensed: Floats  # (m, m) array: scratch
+    probes: Probes
+
+
+class ToolPath(NamedTuple):
+    """Arguments of the steps of a period: the tool of a prescribed group moves evenly, and there are no loads."""
+
+    lifting: Floats  # (s + 3, l) array: coordinates of the tool
+    holds: NDArray[np.bool_]  # (s,) array: True, the coordinates are prescribed
+    no_loads: Floats  # (s, m) array: zeros
 
 
 class PeriodStart(NamedTuple):
@@ -85,21 +96,14 @@ class PeriodData(NamedTuple):
 
     modes: int
     step: float  # [s]: of the implicit rule, 0 for explicit steps
-    body: ImplicitData  # mass, damping, integration points and springs of the coordinates
-    constrained_inverse_mass: Floats  # (modes, modes) array: inverse of the modes' block of the mass matrix
+    body: ImplicitData  # constants and springs of the coordinates
     indicator: IndicatorData
     vectors: Floats  # (8, m) array: work arrays; the first is the state of the power iteration
-    probes: Probes
-    tangent: Floats  # (m, m) array: each period updates one column
-    condensed: Floats  # (m, m) array
+    tangent: Tangent
     # (4,) array: frequency [rad/s] at rest and now; next column of the tangent; energy [J] after the last period
     tracking: Floats
     substep: Floats  # (1,) array [s]: last explicit step
-    # path, holds, no_loads: (s + 3, l), (s,), (s, m) arrays: path of the tool during the implicit steps of a period,
-    # that it is prescribed, and zero loads
-    path: Floats
-    holds: NDArray[np.bool_]
-    no_loads: Floats
+    path: ToolPath
     # contact_surface, contact_work, tools: of tools in contact (`palpate.reduction.contact.gauss_seidel`); empty for a
     # prescribed group
     contact_surface: ContactSurface

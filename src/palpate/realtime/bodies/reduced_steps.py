@@ -48,7 +48,7 @@ def _step_count(data, period, refinement):
     springs = data.body.springs
     frequency = max(data.tracking[REST_FREQUENCY], data.tracking[FREQUENCY])
     frequency = np.sqrt(frequency**2 + springs.highest_squared)
-    z = data.body.stiffness_damping * frequency + springs.decay_rate / frequency
+    z = data.body.constants.stiffness_damping * frequency + springs.decay_rate / frequency
     stable = STEP_SAFETY * (np.sqrt(z * z + 4.0) - z) / frequency
     if refinement * period < MAX_SUBSTEPS * stable:  # False for NaN
         return refinement * int(np.ceil(period / stable))
@@ -58,7 +58,7 @@ def _step_count(data, period, refinement):
 @kernel_njit(inline="always", fastmath={"contract", "reassoc"})
 def _set_even_path(data, step):
     """Write the path of the tool about a step [s]: it moves evenly."""
-    even, speeds = data.path[:3], data.vectors[TOOL_RATES]
+    even, speeds = data.path.lifting[:3], data.vectors[TOOL_RATES]
     even[:] = 0.0
     for j in range(even.shape[1]):
         even[0, j], even[2, j] = -step * speeds[data.modes + j], step * speeds[data.modes + j]
@@ -67,10 +67,10 @@ def _set_even_path(data, step):
 @kernel_njit(inline="always", fastmath={"contract", "reassoc"})
 def _kick(data, v, step):
     """Accelerate the coordinates; the forces become those that prescribed ones leave to their tool."""
-    body = data.body
+    constants, path = data.body.constants, data.path
     kick_coordinates(
-        v, data.vectors[FORCE], data.no_loads[0], data.path[:3], 0, step, step, True, body.mass,
-        data.constrained_inverse_mass, body.mass_damping, data.vectors[RATE],
+        v, data.vectors[FORCE], path.no_loads[0], path.lifting[:3], 0, step, step, True, constants.mass,
+        constants.constrained_inverse_mass, constants.mass_damping, data.vectors[RATE],
     )  # fmt: skip
 
 
@@ -96,9 +96,9 @@ def explicit_steps(law: MaterialPoint, single: bool, touched: bool) -> Any:
     def write_forces(data, q, v, step):
         """Write f(a + beta v) and the forces of springs; history variables advance by the last step [s]."""
         at, result, interval = data.vectors[WORK], data.vectors[FORCE], data.body.scratch.history.interval
-        trial_coordinates(q, v, data.body.stiffness_damping, v[data.modes :], False, at)
+        trial_coordinates(q, v, data.body.constants.stiffness_damping, v[data.modes :], False, at)
         interval[0] = interval[1]
-        force(at, data.body.integration_points, data.body.scratch, result)
+        force(at, data.body.constants.integration_points, data.body.scratch, result)
         add_spring_forces(data.body.springs, q, v, result)
         interval[0], interval[1] = 0.0, step
 
@@ -140,9 +140,9 @@ def implicit_steps(law: MaterialPoint, single: bool) -> Any:
 
     @law_njit(law_digest(__name__, law.digest, single, "implicit"), inner=True, fastmath={"contract"})
     def implicit(data, q, v, period, report, refinement):
-        most = data.no_loads.shape[0]  # of the longest period; in a longer one they are longer
+        most = data.path.no_loads.shape[0]  # of the longest period; in a longer one they are longer
         steps, count = min(max(1, int(np.round(period / data.step))), most), q.shape[0]
-        step, lifting, holds, loads = period / steps, data.path, data.holds, data.no_loads
+        step, lifting, holds, loads = period / steps, data.path.lifting, data.path.holds, data.path.no_loads
         for j in range(data.modes, count):
             for s in range(steps + 3):
                 lifting[s, j - data.modes] = q[j] + (s - 1) * step * v[j]
@@ -155,7 +155,7 @@ def implicit_steps(law: MaterialPoint, single: bool) -> Any:
             for j in range(data.modes, count):
                 value = -result[j] - load[j]
                 for m in range(count):
-                    value += data.body.mass[j, m] * rate[m]
+                    value += data.body.constants.mass[j, m] * rate[m]
                 report[FORCES + j - data.modes] += value / steps
         return steps
 

@@ -31,12 +31,12 @@ from palpate.reduction.hyper.sampled_energy import sampled_energy
 @kernel_njit(inner=True, fastmath={"contract", "reassoc"})
 def update_tangent(data):
     """Do one power iteration for the highest frequency, and update one column of the tangent."""
-    modes, count = data.modes, data.tangent.shape[0]
+    modes, count = data.modes, data.tangent.matrix.shape[0]
     shape, image, change = data.vectors[POWER_SHAPE], data.vectors[WORK], data.vectors[RATE]
     behind, ahead, along = (
-        data.probes.forces[AT_STATE],
-        data.probes.forces[ALONG_SHAPE],
-        data.probes.forces[ALONG_COLUMN],
+        data.tangent.probes.forces[AT_STATE],
+        data.tangent.probes.forces[ALONG_SHAPE],
+        data.tangent.probes.forces[ALONG_COLUMN],
     )
     size, grown = 0.0, 0.0
     for m in range(modes):
@@ -44,13 +44,13 @@ def update_tangent(data):
     for m in range(modes):
         value = 0.0
         for k in range(modes):
-            value += data.constrained_inverse_mass[m, k] * change[k]
+            value += data.body.constants.constrained_inverse_mass[m, k] * change[k]
         image[m] = value
     for m in range(modes):
         inertia, reference = 0.0, 0.0
         for k in range(modes):
-            inertia += data.body.mass[m, k] * image[k]
-            reference += data.body.mass[m, k] * shape[k]
+            inertia += data.body.constants.mass[m, k] * image[k]
+            reference += data.body.constants.mass[m, k] * shape[k]
         grown += inertia * image[m]
         size += reference * shape[m]
     for m in range(modes):
@@ -60,16 +60,16 @@ def update_tangent(data):
     column = int(data.tracking[NEXT_COLUMN])
     data.tracking[NEXT_COLUMN] = (column + 1) % count
     for m in range(count):
-        data.tangent[m, column] = (behind[m] - along[m]) / data.body.differences[column]
+        data.tangent.matrix[m, column] = (behind[m] - along[m]) / data.body.constants.differences[column]
         if data.body.springs.stiffness.shape[0] > 0:
-            data.tangent[m, column] += data.body.springs.stiffness[m, column]
+            data.tangent.matrix[m, column] += data.body.springs.stiffness[m, column]
 
 
 @kernel_njit(inline="always", fastmath={"contract"})
 def static_stiffness(data, q, out):
     """Write the derivatives (l, l) of the static forces by the tool's coordinates, K_tt - K_tm K_mm^-1 K_mt."""
     modes, count = data.modes, q.shape[0]
-    tangent, condensed, column = data.tangent, data.condensed, data.vectors[WORK]
+    tangent, condensed, column = data.tangent.matrix, data.tangent.condensed, data.vectors[WORK]
     for m in range(count):
         for k in range(count):
             condensed[m, k] = 0.5 * (tangent[m, k] + tangent[k, m])
@@ -95,21 +95,21 @@ def probe_function(law: MaterialPoint, single: bool) -> Any:
     @law_njit(digest, inner=True, fastmath={"contract"})
     def probe(data, q):
         """Evaluate the forces that `update_tangent` requires, and return the strain energy [J] of the coordinates."""
-        modes, count, shape, rows = data.modes, q.shape[0], data.vectors[POWER_SHAPE], data.probes.rows
+        modes, count, shape, rows = data.modes, q.shape[0], data.vectors[POWER_SHAPE], data.tangent.probes.rows
         largest = 0.0
         for m in range(modes):
-            largest = max(largest, abs(shape[m]) / data.body.differences[m])
+            largest = max(largest, abs(shape[m]) / data.body.constants.differences[m])
         if not 0.0 < largest < np.inf:  # also where the vector of a crushed body is not a number
             for m in range(modes):
-                shape[m] = data.body.differences[m]
+                shape[m] = data.body.constants.differences[m]
             largest = 1.0
         for m in range(count):
             rows[AT_STATE, m], rows[ALONG_SHAPE, m] = q[m], q[m]
         for m in range(modes):
             shape[m] /= largest
             rows[ALONG_SHAPE, m] += shape[m]
-        column, probes = int(data.tracking[NEXT_COLUMN]), data.probes
-        change, points = data.body.differences[column], data.body.integration_points
+        column, probes = int(data.tracking[NEXT_COLUMN]), data.tangent.probes
+        change, points = data.body.constants.differences[column], data.body.constants.integration_points
         return probe_forces(rows, column, change, points, probes.scratches, probes.forces)
 
     return probe

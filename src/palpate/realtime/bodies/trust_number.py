@@ -40,7 +40,7 @@ def _distance(data, q):
             difference = place[m] - data.indicator.training_states[t, m]
             square += difference * difference
         nearest = min(nearest, square)
-    return np.sqrt(nearest) / data.indicator.distance_scale
+    return np.sqrt(nearest) / data.indicator.scales.distance_scale
 
 
 @kernel_njit(inline="always", fastmath={"contract"})
@@ -52,7 +52,7 @@ def _touch_of_tools(data, period):
         nearest, count = max(nearest, near), count + touches
         speed = approach_speed(data.contact_work, data.tools.path[t], period, t)
         energy = tool_energy(data.contact_surface, data.contact_work, t)
-        touching = max(touching, touch_speed(speed, energy, data.indicator.flexibility_scale))
+        touching = max(touching, touch_speed(speed, energy, data.indicator.scales.flexibility_scale))
     return touching, nearest, count
 
 
@@ -124,20 +124,20 @@ def trust_function(law: MaterialPoint, single: bool, implicit: bool, touched: bo
         )
         count, total = q.shape[0], 0.0
         if implicit:
-            trial_coordinates(q, v, data.body.stiffness_damping, v[data.modes :], False, rate)
-            force(rate, data.body.integration_points, data.body.scratch, result)
+            trial_coordinates(q, v, data.body.constants.stiffness_damping, v[data.modes :], False, rate)
+            force(rate, data.body.constants.integration_points, data.body.scratch, result)
             add_spring_forces(data.body.springs, q, v, result)
             residual_forces(data, rate, q, v)
             for k in range(data.modes):
                 for j in range(data.modes, count):
-                    result[k] -= data.body.mass[k, j] * data.body.mass_damping * v[j]
+                    result[k] -= data.body.constants.mass[k, j] * data.body.constants.mass_damping * v[j]
         for m in range(data.modes):
             value = 0.0
             for k in range(data.modes):
-                value += data.constrained_inverse_mass[m, k] * (result[k] + data.tools.load[k])
+                value += data.body.constants.constrained_inverse_mass[m, k] * (result[k] + data.tools.load[k])
             rate[m] = value
         for j in range(data.modes, count):
-            rate[j] = data.body.mass_damping * v[j]  # the tools move evenly
+            rate[j] = data.body.constants.mass_damping * v[j]  # the tools move evenly
         for e in range(contact.numbers[PAIRS]):
             for d in range(3):
                 push = contact.push[e, d]
@@ -148,7 +148,7 @@ def trust_function(law: MaterialPoint, single: bool, implicit: bool, touched: bo
             for m in range(count):
                 unbalanced += fields.mass[j, m] * rate[m]
             total += unbalanced * unbalanced
-        return np.sqrt(total) / data.indicator.residual_scale
+        return np.sqrt(total) / data.indicator.scales.residual_scale
 
     @law_njit(digest, inner=True, fastmath={"contract"})
     def trust_number(data, q, v, period, kinetic, flexible):
@@ -161,10 +161,10 @@ def trust_function(law: MaterialPoint, single: bool, implicit: bool, touched: bo
             between = _depth_between(data)
         return max(
             trust,
-            np.sqrt(flexible / data.indicator.flexibility_scale),
-            touching / indicator.speed_scale,
-            nearest / indicator.nearness_scale,
-            trust_of_tools(tools_in_contact, indicator.trained_tools),
+            np.sqrt(flexible / data.indicator.scales.flexibility_scale),
+            touching / indicator.scales.speed_scale,
+            nearest / indicator.scales.nearness_scale,
+            trust_of_tools(tools_in_contact, indicator.scales.trained_tools),
             between,
         )
 

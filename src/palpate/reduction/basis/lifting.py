@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -11,51 +11,58 @@ from palpate.core.faults import InputError
 from palpate.dynamics.loads.supports import constrained_directions
 from palpate.dynamics.nodal.energy_model import EnergyModel
 from palpate.dynamics.run.partition import partitions, spread
+from palpate.dynamics.solid.energy import EnergySolid
 from palpate.reduction.basis.linear_modes import tool_responses
 
 MAX_NODES = 6000  # of a body whose equations are solved
 RIGID_TOLERANCE = 1e-3  # largest error of a tool's motion in the lifting vectors, relative
 
 
-def lifting_vectors(body: EnergyModel, tools: Sequence[str]) -> Floats:
-    """Return fields (l, n, 3) for rigid motions of each tool's nodes, with the static response of the body.
+def lifting_and_test_fields(body: EnergyModel, tools: Sequence[str]) -> tuple[Floats, Floats]:
+    """Return the lifting vectors (l, n, 3) of tools, and the test fields (3 g, n, 3) for the forces of g supports.
 
-    In a large body they decay evenly towards supports and other tools instead, and the modes represent the
-    rest. A membrane is slack at rest: its lifting vectors move the tool's nodes only.
+    A lifting vector is a rigid motion of a tool's nodes, with the static response of the body. In a large body it
+    decays evenly towards supports and other tools instead, and the modes represent the rest. A membrane is slack at
+    rest: its lifting vectors move the tool's nodes only.
+
+    A test field is 1 at one support, and 0 at others and at tools. Those of a support that leaves its group free in
+    some directions are along the constrained ones.
     """
+    directions, supports = constrained_directions(body.cloud, body.supports), tuple(body.fixed)
+    motions = _even_fields(body, tools, supports, directions)
+    tests = _even_fields(body, supports, tools, directions)
+    return _lifting_vectors(body, motions, tools), tests.reshape(-1, len(body.cloud), 3)
+
+
+def _even_fields(
+    body: EnergyModel, names: Sequence[str], others: Sequence[str], directions: Mapping[str, Floats]
+) -> Floats:
+    """Return fields (g, 3, n, 3): one of g groups moves along an axis; the field decays evenly towards all others."""
+    if not names:
+        return np.zeros((0, 3, len(body.cloud), 3))
+    parts = partitions(body.cloud.points, {name: body.cloud.group(name) for name in (*names, *others)}, directions)
+    return np.array([[spread(parts, g, axis) for axis in np.eye(3)] for g in range(len(names))])
+
+
+def _lifting_vectors(body: EnergyModel, motions: Floats, tools: Sequence[str]) -> Floats:
+    """Return the lifting vectors (l, n, 3) of tools that move evenly by fields (g, 3, n, 3)."""
+    points, columns = body.cloud.points, [np.zeros((0, len(body.cloud), 3))]
     if not tools:
-        return np.zeros((0, len(body.cloud), 3))
-    points = body.cloud.points
-    groups = {name: body.cloud.group(name) for name in (*tools, *body.fixed)}
-    columns: list[Floats] = []
+        return columns[0]
     slack = body.kinematics.sheet
-    parts = partitions(points, groups, constrained_directions(body.cloud, body.supports))
-    for g, name in enumerate(tools):
-        nodes, factors = groups[name], []
+    for motion, name in zip(motions, tools, strict=True):
+        nodes = body.cloud.group(name)
         arms = points - points[nodes].mean(axis=0)
+        shapes = np.isin(np.arange(len(points)), nodes)[:, None] * np.eye(3)[:, None] if slack else motion
         for factor in (np.ones(len(points)), *arms.T):
-            if np.abs(factor[nodes]).max() > 1e-9 * body.cloud.spacing:
-                factors.append(factor[:, None] / np.abs(factor[nodes]).max())
-        if slack:
-            shapes = [np.isin(np.arange(len(points)), nodes)[:, None] * axis for axis in np.eye(3)]
-        else:
-            shapes = [spread(parts, g, axis) for axis in np.eye(3)]
-        columns += [factor * shape for factor in factors for shape in shapes]
+            largest = np.abs(factor[nodes]).max()
+            if largest > 1e-9 * body.cloud.spacing:
+                columns.append(factor[:, None] / largest * shapes)
+    fields = np.concatenate(columns)
     if slack or len(points) > MAX_NODES:
-        return _on_supports(body, np.array(columns), np.unique(np.concatenate([groups[name] for name in tools])))
-    return tool_responses(body, np.array(columns), tools)
-
-
-def support_fields(body: EnergyModel, tools: Sequence[str]) -> Floats:
-    """Return test fields (3 g, n, 3) for support forces: 1 at one support, 0 at others and at tools.
-
-    Those of a support that leaves its group free in some directions are along the constrained ones.
-    """
-    groups = {name: body.cloud.group(name) for name in (*body.fixed, *tools)}
-    if not body.fixed:
-        return np.zeros((0, len(body.cloud), 3))
-    parts = partitions(body.cloud.points, groups, constrained_directions(body.cloud, body.supports))
-    return np.array([spread(parts, g, axis) for g in range(len(body.fixed)) for axis in np.eye(3)])
+        return _on_supports(body, fields, np.unique(np.concatenate([body.cloud.group(name) for name in tools])))
+    assert isinstance(body, EnergySolid)  # all other bodies are slack
+    return tool_responses(body, fields, tools)
 
 
 def _on_supports(body: EnergyModel, fields: Floats, tools: Ints) -> Floats:

@@ -22,7 +22,7 @@ from palpate.core.arrays import Floats
 from palpate.core.faults import InputError, integer_in_range
 from palpate.dynamics.loads.supports import free_directions, free_rigid_motions
 from palpate.dynamics.nodal.model import NodalModel
-from palpate.dynamics.solid.model import Solid, energy_solid
+from palpate.dynamics.solid.model import EnergySolid, Solid, energy_solid
 from palpate.meshfree.mirror import Mirror
 
 INTERPOLATION_NODES = 40  # coarse nodes in the interpolation of a mode
@@ -31,7 +31,7 @@ DIFFERENCE_STEP = 0.02  # displacements for second differences, in spacings
 DENSE_SHARE = 0.1  # of non-zero entries, above which a dense factorisation is faster
 
 
-def rest_stiffness(body: NodalModel) -> Any:
+def rest_stiffness(body: EnergySolid) -> Any:
     """Return the sparse stiffness [N/m] at rest of a body in its energy form, (3 n, 3 n), rows 3 i + c of node i."""
     n = len(body.cloud)
     by_node = np.arange(3 * n).reshape(3, n).T.reshape(-1)
@@ -44,7 +44,7 @@ def _assembled(blocks: dict[tuple[int, int], Any]) -> Any:
     return sparse.bmat(rows, format="csr")
 
 
-def stiffness_blocks(body: NodalModel, kind: type[np.floating[Any]] = np.float64) -> dict[tuple[int, int], Any]:
+def stiffness_blocks(body: EnergySolid, kind: type[np.floating[Any]] = np.float64) -> dict[tuple[int, int], Any]:
     """Return the stiffness [N/m] at rest between components c <= e of all nodes: sparse (n, n) arrays by (c, e).
 
     Parameters
@@ -52,7 +52,6 @@ def stiffness_blocks(body: NodalModel, kind: type[np.floating[Any]] = np.float64
     kind : type
         Of the numbers; single precision halves the memory.
     """
-    body = energy_solid(body)
     n, images = len(body.cloud), len(body.mirror.source)
     near, row = body.stencils.neighbours, body.stencils.row
     slopes = [_operator(near, body.stencils.first[row][:, :, d], images) for d in range(3)]
@@ -122,7 +121,7 @@ class RestStatics(NamedTuple):
     solve: Callable[[Floats], Floats]
 
 
-def rest_statics(body: NodalModel, held: Sequence[str]) -> RestStatics:
+def rest_statics(body: EnergySolid, held: Sequence[str]) -> RestStatics:
     """Return the factorised stiffness at rest of the free degrees of freedom, with those of some groups held."""
     (free, numbers), full = _free(body, held), rest_stiffness(body)
     stiffness = (free.T @ full @ free).tocsc()
@@ -166,8 +165,9 @@ def vibration_modes(body: Solid, count: int, held: Sequence[str] = ()) -> tuple[
     >>> modes.shape, bool((frequencies[1:] >= frequencies[:-1]).all())
     ((6, 112, 3), True)
     """
-    integer_in_range("count", count, 1, len(_free(body, held)[1]) - 2)
-    return _vibrations(body, rest_statics(body, held), count)
+    solid = energy_solid(body)
+    integer_in_range("count", count, 1, len(_free(solid, held)[1]) - 2)
+    return _vibrations(solid, rest_statics(solid, held), count)
 
 
 def _vibrations(body: NodalModel, statics: RestStatics, count: int) -> tuple[Floats, Floats]:
@@ -182,7 +182,7 @@ def _vibrations(body: NodalModel, statics: RestStatics, count: int) -> tuple[Flo
     return fields, np.sqrt(values[order])
 
 
-def interpolated_modes(coarse: NodalModel, body: NodalModel, count: int) -> Floats:
+def interpolated_modes(coarse: EnergySolid, body: EnergySolid, count: int) -> Floats:
     """Return smooth modes (count, n, 3) of a body from a coarser model: vibration modes and their derivatives.
 
     About half are derivatives of the slowest vibrations, without which a body is too stiff in large
@@ -191,8 +191,10 @@ def interpolated_modes(coarse: NodalModel, body: NodalModel, count: int) -> Floa
     """
     bent = int((np.sqrt(8 * DERIVATIVE_SHARE * count + 1) - 1) / 2)
     slowest = count - bent * (bent + 1) // 2
-    integer_in_range("count", slowest, 1, len(_free(coarse, ())[1]) - 2)
     statics = rest_statics(coarse, ())
+    most = len(statics.numbers) - 2
+    if not 1 <= slowest <= most:
+        raise InputError(f"count must be from 1 to {most} vibration modes of the body, got {slowest}; use fewer modes")
     shapes = _vibrations(coarse, statics, slowest)[0]
     if bent:
         shapes = np.concatenate([shapes, _derivatives(coarse, statics, shapes[:bent])])
@@ -205,7 +207,7 @@ def interpolated_modes(coarse: NodalModel, body: NodalModel, count: int) -> Floa
     return np.ascontiguousarray(body.supported.project(np.array(fields)))
 
 
-def tool_responses(body: NodalModel, fields: Floats, held: Sequence[str]) -> Floats:
+def tool_responses(body: EnergySolid, fields: Floats, held: Sequence[str]) -> Floats:
     """Return static responses at rest (l, n, 3) to fields prescribed at the nodes of some groups.
 
     Parameters
@@ -251,7 +253,8 @@ def modal_derivatives(body: Solid, modes: Floats, held: Sequence[str] = ()) -> F
     >>> pt.modal_derivatives(bar, modes).shape
     (6, 112, 3)
     """
-    return _derivatives(body, rest_statics(body, held), modes)
+    solid = energy_solid(body)
+    return _derivatives(solid, rest_statics(solid, held), modes)
 
 
 def _derivatives(body: NodalModel, statics: RestStatics, modes: Floats) -> Floats:

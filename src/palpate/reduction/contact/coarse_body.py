@@ -21,9 +21,9 @@ from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.solid.base import Solid
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.meshfree.cloud import Cloud
-from palpate.meshfree.filling import fill
+from palpate.meshfree.fill_surface import fill_surface
 from palpate.reduction.contact.residual_flexibility import MAX_NODES
-from palpate.surface.surface import Surface
+from palpate.surface.surface import Surface, weld
 
 COARSE_NODES = 3000  # of the coarser body: factorised in seconds, and fine enough for modes and statics
 SURFACE_SHARE = 0.95  # surface nodes of `fill` over area / spacing^2, less the inner ones that they replace
@@ -77,14 +77,14 @@ def statics_body(body: NodalModel) -> EnergySolid | None:
 def _refill(surface: Surface, spacing: float | None, most: int) -> Cloud:
     """Return a cloud that fills a surface with a spacing [m], by default of about `COARSE_NODES` nodes."""
     if spacing is not None:
-        return fill(surface, number_in_range("spacing", spacing, 0.0, open_low=True, unit="m"))
+        return fill_surface(weld(surface), number_in_range("spacing", spacing, 0.0, open_low=True, unit="m"))
     volume, area = abs(surface.volume), surface.area
     target = min(COARSE_NODES, 0.75 * most)
     roots = np.roots([target, 0.0, -SURFACE_SHARE * area, -volume])
     spacing = float(roots[np.abs(roots.imag) < 1e-9 * np.abs(roots.real)].real.max())
     while True:
         try:
-            cloud = fill(surface, spacing)
+            cloud = fill_surface(weld(surface), spacing)
         except CloudError as error:  # too coarse for thin parts
             fault: InputError = error
         else:

@@ -90,6 +90,7 @@ class ActiveCompliance(NamedTuple):
     node: Ints  # (MAX_ACTIVE,) row in each slot
     slot: Ints  # (2 k,) slot of each row; -1 without
     used: Ints  # (1,) number of slots in use
+    factor: Floats  # (t,) secant factor of the compliance under each tool
     block: Floats  # (3, 3) scratch
     row: Floats  # (3, 3 c) scratch
     near_row: Floats  # (3, 3 k) scratch
@@ -135,6 +136,7 @@ def active_compliance(table: ComplianceTable, tools: int) -> ActiveCompliance:
         node=np.zeros(most, np.int64),
         slot=np.full(2 * nodes, -1),
         used=np.zeros(1, dtype=np.int64),
+        factor=np.ones(tools),
         block=np.zeros((3, 3)),
         row=np.zeros((3, len(table.flexibility) if tools else 0)),
         near_row=np.zeros((3, 3 * nodes if tools and table.nearby.size else 0)),
@@ -325,7 +327,8 @@ def static_displacements(compliance: SurfaceCompliance, forces: Floats, on: Ints
     """Return the static displacements (t, 3) [m] of nodes `there` for forces (j, 3) [N] on nodes `on`."""
     if not compliance.flexibility.size:
         return np.zeros((len(there), 3))
-    spreading = flexible_displacements(compliance.flexibility, carrier_forces(compliance, forces, on))
+    carried = carrier_forces(compliance, forces, on)
+    spreading = flexible_displacements(compliance.flexibility, carried)
     displacement = np.einsum("tw,twc->tc", compliance.weights[there], spreading[compliance.carriers[there]])
     if compliance.nearby.size:  # the near-field correction is symmetric, so a row serves as a column
         nearby = np.zeros((len(compliance.nodes), 3))

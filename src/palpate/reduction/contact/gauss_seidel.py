@@ -145,7 +145,7 @@ def _detect(surface, contact, tools, a, v, step):
 @kernel_njit(inline="always")
 def _propagate(surface, contact, cached, e, x, y, z):
     """Move all nodes in contact by the change (x, y, z) of one force."""
-    i, h = contact.point[e], contact.factor[contact.tool[e]]
+    i, h = contact.point[e], contact.active.factor[contact.tool[e]]
     now, node = contact.now, contact.point
     x, y, z = h * x, h * y, h * z
     if not cached:
@@ -167,7 +167,7 @@ def _propagate(surface, contact, cached, e, x, y, z):
 def _own_compliance(surface, contact, cached, e, nx, ny, nz):
     """Return a node's own compliance along a normal, and an upper bound of that across it [m/N]."""
     block, matrix = contact.active.block, contact.active.matrix
-    i, h = contact.point[e], contact.factor[contact.tool[e]]
+    i, h = contact.point[e], contact.active.factor[contact.tool[e]]
     if cached:
         s = contact.active.slot[i]
         for c in range(3):
@@ -236,11 +236,11 @@ def _tool_force(contact, t):
 @kernel_njit(inner=True, fastmath={"contract"})
 def _start_factors(surface, contact, tools):
     """Set the secant factors of the compliance by the tools' last forces; forceps have the bonded scale."""
-    for t in range(contact.factor.shape[0]):
+    for t in range(contact.active.factor.shape[0]):
         if tools.kind[t] == BONDED:
-            contact.factor[t] = surface.compliance.bonded_scale
+            contact.active.factor[t] = surface.compliance.bonded_scale
         else:
-            contact.factor[t] = secant_factor(surface.compliance.stiffening, _tool_force(contact, t))
+            contact.active.factor[t] = secant_factor(surface.compliance.stiffening, _tool_force(contact, t))
 
 
 @kernel_njit(inner=True, fastmath={"contract"})
@@ -251,8 +251,8 @@ def _scale_forces(surface, contact, tools, step, response, moving):
     of the last step's force would lag behind the force, and add energy.
     """
     tools.load[:] = 0.0
-    for t in range(contact.factor.shape[0]):
-        load, factor, scale, compliant, moved = tools.own_load, contact.factor[t], 1.0, 0.0, 0.0
+    for t in range(contact.active.factor.shape[0]):
+        load, factor, scale, compliant, moved = tools.own_load, contact.active.factor[t], 1.0, 0.0, 0.0
         load[:] = 0.0
         for e in range(contact.numbers[PAIRS]):
             if contact.tool[e] == t:
@@ -268,8 +268,8 @@ def _scale_forces(surface, contact, tools, step, response, moving):
                     value += response[m, k] * load[k]
                 moved += load[m] * value
             size, inertia = _tool_force(contact, t), factor * step * step * moved / compliant
-            contact.factor[t], left = stiffened_force(surface.compliance.stiffening, factor * size, inertia)
-            scale = left * factor / contact.factor[t]
+            contact.active.factor[t], left = stiffened_force(surface.compliance.stiffening, factor * size, inertia)
+            scale = left * factor / contact.active.factor[t]
             for e in range(contact.numbers[PAIRS]):
                 if contact.tool[e] == t:
                     for d in range(3):
@@ -413,7 +413,7 @@ def press(data, q, v, at, step, period, share, tool_forces):
         entries of its rotation R from home. For the latter they are G = S R, with S the moment's cross
         product.
     """
-    tools, response = data.tools, data.constrained_inverse_mass
+    tools, response = data.tools, data.body.constants.constrained_inverse_mass
     for t in range(tools.kind.shape[0]):
         path = tools.path[t]
         for i in range(3):
@@ -425,7 +425,7 @@ def press(data, q, v, at, step, period, share, tool_forces):
         at[m] = q[m] + step * v[m]
     tools.impulses[:] = 0.0
     solve_contact(data.contact_surface, data.contact_work, tools, at, v, step, response, q.shape[0])
-    drag = 1.0 + 0.5 * data.body.mass_damping * step  # as that of the other forces in a kick
+    drag = 1.0 + 0.5 * data.body.constants.mass_damping * step  # as that of the other forces in a kick
     kick_by_load(v, step / drag, response, tools.load)
     for t in range(tools.kind.shape[0]):
         first, turned = 12 * t, tools.path[t, PATH_NOW]
@@ -483,6 +483,6 @@ def tool_energy(surface, contact, t):
 def compliance_energy(surface, contact):
     """Return the energy [J] of the surface compliance."""
     total = 0.0
-    for t in range(contact.factor.shape[0]):
+    for t in range(contact.active.factor.shape[0]):
         total += tool_energy(surface, contact, t)
     return max(total, 0.0)

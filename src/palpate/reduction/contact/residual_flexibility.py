@@ -61,6 +61,7 @@ def residual_flexibility(
             "give hyper_reduce a coarser model of the same body with coarse="
         )
     check_supported(body)
+    unconstrained = rest_stiffness(body)
     if points is not body.cloud.points:
         flat = columns.transpose(1, 0, 2).reshape(len(points), -1)
         flat = RBFInterpolator(points, flat, neighbors=min(INTERPOLATION_NODES, len(points)))(body.cloud.points)
@@ -69,7 +70,7 @@ def residual_flexibility(
     surface = np.searchsorted(numbers, (3 * nodes[:, None] + np.arange(3)).ravel())
     interior = np.setdiff1d(np.arange(len(numbers)), surface)
     free = basis[:, np.concatenate([interior, surface])]
-    stiffness = free.T @ rest_stiffness(body) @ free
+    stiffness = free.T @ unconstrained @ free
     modes = columns.reshape(len(columns), -1) @ free
     modal = modes @ (stiffness @ modes.T)
     factor = cholesky(stiffness.toarray(order="F"), lower=True, overwrite_a=True, check_finite=False)

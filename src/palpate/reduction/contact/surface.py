@@ -75,7 +75,6 @@ class ContactScratch(NamedTuple):
     before: Floats  # (e, 3) [m] position before the step
     push: Floats  # (e, 3) [N]
     displacement: Floats  # (3,) scratch
-    factor: Floats  # (t,) secant factor of the compliance under each tool
     active: ActiveCompliance
     numbers: Ints  # (3,) see PAIRS, SWEEPS and UNCONVERGED
     pair_of: Ints  # (k,) scratch
@@ -169,7 +168,6 @@ def contact_scratch(contact_surface: ContactSurface, tools: int) -> ContactScrat
         before=before,
         push=push,
         displacement=np.zeros(3),
-        factor=np.ones(tools),
         active=active_compliance(contact_surface.compliance, tools),
         numbers=np.zeros(3, dtype=np.int64),
         pair_of=np.zeros(len(contact_surface.nodes), dtype=np.int64),

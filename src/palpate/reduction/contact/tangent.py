@@ -236,7 +236,7 @@ def _assemble(data):
         softening = 0.0  # pulls do not stiffen the tissue
         if data.tools.kind[t] != BONDED:
             softening = -compliance.stiffening[0] / (compliance.stiffening[1] + pull[t, PULL_SIZE])
-        table[k, k], system.swift[:, k], system.factor[k] = system.spring[k], 0.0, contact.factor[t]
+        table[k, k], system.swift[:, k], system.factor[k] = system.spring[k], 0.0, contact.active.factor[t]
         side = size + RIGHT_SIDES * t
         for d in range(3):
             for m in range(modes if direction[d] != 0.0 else 0):
@@ -246,7 +246,7 @@ def _assemble(data):
             table[k, side + 3] += softening * direction[d] * (contact.now[e, d] - contact.modal[e, d])
     for m in range(modes):
         for k in range(m, modes):
-            table[rows + m, rows + k] = -0.5 * (data.tangent[m, k] + data.tangent[k, m])
+            table[rows + m, rows + k] = -0.5 * (data.tangent.matrix[m, k] + data.tangent.matrix[k, m])
     return True
 
 
@@ -268,7 +268,7 @@ def _add_directions(data, e, rows):
     rows = _add_row(contact, system, e, rows, nx, ny, nz, 0.0)
     s = contact.active.slot[contact.point[e]]
     block = contact.active.matrix[s, s]
-    own_compliance = contact.factor[t] * (block[0, 0] + block[1, 1] + block[2, 2]) / 3.0
+    own_compliance = contact.active.factor[t] * (block[0, 0] + block[1, 1] + block[2, 2]) / 3.0
     for curvature, x, y, z in _curvatures(kind, sizes, frame, place, nx, ny, nz):
         if normal * curvature * own_compliance > MIN_CURVATURE:
             rows = _add_row(contact, system, e, rows, x, y, z, -1.0 / (normal * curvature))

@@ -5,24 +5,35 @@ It holds constants only. All threads may share it; each requires a workspace of 
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from palpate.core.arrays import Floats
 from palpate.dynamics.loads.supports import symmetry_planes
 from palpate.dynamics.material.fibres import always_taut
-from palpate.dynamics.material.relaxation import equilibrium_history, history_after, restore_history
+from palpate.dynamics.material.relaxation import equilibrium_history, history_after, relaxation, restore_history
 from palpate.meshfree.mirror import Mirror, mirror_images
 from palpate.meshfree.stencils import Stencils, moving_least_squares
 from palpate.reduction.contact.surface import ContactSurface
 from palpate.reduction.contact.tools import ContactTools
+from palpate.reduction.hyper.constants import ReducedConstants
 from palpate.reduction.hyper.data import ReducedData
 from palpate.reduction.hyper.implicit import NewtonScratch, implicit_step, newton_scratch
 from palpate.reduction.hyper.material_point import MaterialPoint, material_point
-from palpate.reduction.hyper.sampled_energy import IntegrationPoints, Scratch, sampled_energy, scratch
+from palpate.reduction.hyper.sampled_energy import (
+    IntegrationPoints,
+    SampledEnergy,
+    Scratch,
+    integration_points,
+    sampled_energy,
+    scratch,
+)
 
 History = tuple[Floats, ...]
 
@@ -51,8 +62,6 @@ class ReducedBody:
     Parameters
     ----------
     data : ReducedData
-    count : int
-        Number m + l of coordinates: modes and lifting vectors.
     law : MaterialPoint
     coefficients : tuple of float
         Parameters of the law.
@@ -62,22 +71,20 @@ class ReducedBody:
         Nodal masses.
     all_mass : (m + l + 3 g + w, m + l + 3 g + w) array [kg]
         Mass matrix of all basis vectors, test fields included.
-    mass, inverse_mass : (m + l, m + l) arrays [kg], [1/kg]
-        Of the coordinates.
-    constrained_inverse_mass : (m, m) array [1/kg]
-        Inverse of the modes' mass matrix, with the tools fixed.
+    constants : ReducedConstants
+        Of the coordinates; compiled steps read them.
     sizes : (m + l,) array [m]
         Largest displacement of a unit coordinate.
-    differences : (m + l,) array
-        Changes of the coordinates for difference quotients.
-    points, all_points : IntegrationPoints
-        With the derivatives of the coordinates' vectors, and of all basis vectors.
+    all_points : IntegrationPoints
+        With the derivatives of all basis vectors.
     taut_points : IntegrationPoints
-        As `points`, with fibres that carry compression, too.
+        Those of the coordinates, with fibres that carry compression, too.
     surface : ContactSurface
         Empty for a model without contact.
-    sampled_force, sampled_energy, tangent : functions
-        Compiled, see `palpate.reduction.hyper.sampled_energy` and `palpate.reduction.hyper.implicit`.
+    sampled : SampledEnergy
+        Compiled force and energy, see `palpate.reduction.hyper.sampled_energy`.
+    tangent : function
+        Compiled, see `palpate.reduction.hyper.implicit`.
 
     Examples
     --------
@@ -94,29 +101,57 @@ class ReducedBody:
     """
 
     data: ReducedData
-    count: int
     law: MaterialPoint
     coefficients: tuple[float, ...]
     single: bool
     masses: Floats
     all_mass: Floats
-    mass: Floats
-    inverse_mass: Floats
-    constrained_inverse_mass: Floats
+    constants: ReducedConstants
     sizes: Floats
-    differences: Floats
-    points: IntegrationPoints
     all_points: IntegrationPoints
     taut_points: IntegrationPoints
     surface: ContactSurface
-    sampled_force: Any
-    sampled_energy: Any
+    sampled: SampledEnergy
     tangent: Any
+
+    @property
+    def count(self) -> int:
+        """Number m + l of coordinates: modes and lifting vectors."""
+        return self.data.basis.count
+
+    @property
+    def mass(self) -> Floats:
+        """Mass matrix [kg] of the coordinates, shape (m + l, m + l)."""
+        return self.constants.mass
+
+    @property
+    def inverse_mass(self) -> Floats:
+        """Inverse [1/kg] of the mass matrix, shape (m + l, m + l)."""
+        return self.constants.inverse_mass
+
+    @property
+    def constrained_inverse_mass(self) -> Floats:
+        """Inverse [1/kg] of the modes' mass matrix, with the tools fixed, shape (m, m)."""
+        return self.constants.constrained_inverse_mass
+
+    @property
+    def points(self) -> IntegrationPoints:
+        """Integration points with the derivatives of the coordinates' vectors."""
+        return self.constants.integration_points
 
     @property
     def vectors(self) -> Floats:
         """Displacement fields of the coordinates, shape (m + l, n, 3)."""
-        return self.data.basis_vectors[: self.count]
+        return self.data.basis.vectors[: self.count]
+
+    def __getattr__(self, name: str) -> Any:
+        former = {"differences": "constants.differences", "sampled_force": "sampled.force"}
+        former["sampled_energy"] = "sampled.energy"
+        if name not in former:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        message = f"ReducedBody.{name} is deprecated and will be removed in the next version; use {former[name]}"
+        warnings.warn(message, DeprecationWarning, stacklevel=2)
+        return attrgetter(former[name])(self)
 
     def gradient(self, displacements: Floats) -> Floats:
         """Return the derivatives (n, 3, d) of displacements (n, 3) at the nodes, by a fit of its own."""
@@ -155,7 +190,7 @@ class ReducedBody:
     def _instant_force(self, coordinates: Floats, work: ReducedWork) -> Floats:
         """Return the forces on the coordinates for the history variables in a workspace."""
         a = np.ascontiguousarray(coordinates, dtype=float)
-        self.sampled_force(a, self.points, work.coordinates, work.force)
+        self.sampled.force(a, self.points, work.coordinates, work.force)
         return work.force.copy()
 
     def all_forces(self, coordinates: Floats, history: History = (), work: ReducedWork | None = None) -> Floats:
@@ -164,7 +199,7 @@ class ReducedBody:
         restore_history(work.all.history, history)
         padded = np.zeros(len(self.data.basis_vectors))
         padded[: self.count] = coordinates
-        self.sampled_force(padded, self.all_points, work.all, work.all_forces)
+        self.sampled.force(padded, self.all_points, work.all, work.all_forces)
         return work.all_forces.copy()
 
     def energy(self, coordinates: Floats, history: History = (), work: ReducedWork | None = None) -> float:
@@ -172,7 +207,7 @@ class ReducedBody:
         work = self.workspace() if work is None else work
         restore_history(work.coordinates.history, history)
         a = np.ascontiguousarray(coordinates, dtype=float)
-        return float(self.sampled_energy(a, self.points, work.coordinates))
+        return float(self.sampled.energy(a, self.points, work.coordinates))
 
     def stiffness(
         self,
@@ -187,7 +222,7 @@ class ReducedBody:
         matrix = np.zeros((self.count, self.count))
         a, vectors = np.ascontiguousarray(coordinates, dtype=float), np.zeros((3, self.count))
         chosen_points = self.points if points is None else points
-        self.tangent(a, self.differences, chosen_points, work.coordinates, vectors, self.count, matrix)
+        self.tangent(a, self.constants.differences, chosen_points, work.coordinates, vectors, self.count, matrix)
         return matrix
 
     def highest_frequency(
@@ -236,34 +271,51 @@ class ReducedBody:
 
 def reduced_body(data: ReducedData, single: bool = True) -> ReducedBody:
     """Return the body of a reduced model from its data."""
-    count = data.modes + data.lifting_count
+    count, modes, vectors = data.basis.count, data.basis.modes, data.basis.vectors
     law, coefficients = material_point(
         data.tissue.material, data.kinematics, data.tissue.fibres, data.tissue.regions is not None
     )
-    flat, masses = data.basis_vectors.reshape(len(data.basis_vectors), -1), data.volumes * data.tissue.material.density
+    flat, masses = vectors.reshape(len(vectors), -1), data.volumes * data.tissue.material.density
     all_mass = (flat * np.repeat(masses, 3)) @ flat.T
     mass = np.ascontiguousarray(all_mass[:count, :count])
-    all_points, points = (data.integration_points(np.arange(size), coefficients, single) for size in (len(flat), count))
+    sizes = np.linalg.norm(vectors[:count], axis=2).max(axis=1)
+    _, tangent = implicit_step(law, single)
     compiled = sampled_energy(law, single)
-    sizes = np.linalg.norm(data.basis_vectors[:count], axis=2).max(axis=1)
+    all_points, points = (points_of(data, np.arange(size), coefficients, single) for size in (len(flat), count))
+    constants = ReducedConstants(
+        stiffness_damping=data.stiffness_damping,
+        mass_damping=data.mass_damping,
+        mass=mass,
+        inverse_mass=np.asarray(np.linalg.inv(mass), dtype=float),
+        constrained_inverse_mass=np.asarray(np.linalg.inv(mass[:modes, :modes]), dtype=float),
+        differences=DIFFERENCE_STEP * data.cloud.spacing / sizes,
+        integration_points=points,
+    )
     return ReducedBody(
         data=data,
-        count=count,
         law=law,
         coefficients=coefficients,
         single=single,
         masses=masses,
         all_mass=all_mass,
-        mass=mass,
-        inverse_mass=np.asarray(np.linalg.inv(mass), dtype=float),
-        constrained_inverse_mass=np.asarray(np.linalg.inv(mass[: data.modes, : data.modes]), dtype=float),
+        constants=constants,
         sizes=sizes,
-        differences=DIFFERENCE_STEP * data.cloud.spacing / sizes,
-        points=points,
         all_points=all_points,
         taut_points=points._replace(families=always_taut(points.families)),
         surface=data.surface,
-        sampled_force=compiled.force,
-        sampled_energy=compiled.energy,
-        tangent=implicit_step(law, single)[1],
+        sampled=compiled,
+        tangent=tangent,
     )
+
+
+def points_of(
+    data: ReducedData, which: NDArray[np.int64], coefficients: tuple[float, ...], single: bool
+) -> IntegrationPoints:
+    """Return the integration points of a reduced model for a subset of its basis vectors."""
+    rule, tissue, sampled = data.cubature, data.tissue, data.sampled
+    law = coefficients if tissue.regions is None else tissue.regions.at(rule.nodes)
+    return integration_points(
+        np.ascontiguousarray(sampled.gradients[:, which]), rule.weights, rule.pressure,
+        sampled.constant[np.ix_(which, which)], law, np.float32 if single else np.float64,
+        relaxation(tissue.material), tissue.fibres and tissue.fibres.of(rule.nodes),
+    )  # fmt: skip

@@ -36,7 +36,7 @@ from palpate.dynamics.run.trajectory import Trajectory
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.contact.surface import HELD_NEARNESS
 from palpate.reduction.hyper.body import ReducedBody
-from palpate.reduction.hyper.data import ReducedData
+from palpate.reduction.hyper.data import ReducedData, Scales
 
 LEAST_DISTANCE = 0.25  # from a fixed node that counts, in spacings
 TOUCH_SHARE = 0.2  # of a typical force, which counts in addition to the force of a tool
@@ -63,24 +63,12 @@ class Measures(NamedTuple):
     tools: Floats  # number of tools in contact
 
 
-class Scales(NamedTuple):
-    """Scales of the measures, at which the trust number is 1; see `palpate.ReducedModel`."""
-
-    distance_scale: float
-    residual_scale: float
-    load_scale: float
-    flexibility_scale: float
-    speed_scale: float
-    nearness_scale: float
-    trained_tools: int  # largest number of tools in contact at once in the held-out runs
-
-
-def trust_numbers(measures: Measures, scales: Scales | ReducedData) -> Floats:
+def trust_numbers(measures: Measures, scales: Scales) -> Floats:
     """Return the trust number of a state, or those (f,) of the frames of a run."""
     return np.asarray(np.max(list(measure_ratios(measures, scales).values()), axis=0))
 
 
-def measure_ratios(measures: Measures, scales: Scales | ReducedData) -> dict[str, Floats]:
+def measure_ratios(measures: Measures, scales: Scales) -> dict[str, Floats]:
     """Return each measure over its scale, of a state or of the frames (f,) of a run, by its name."""
     energies = measures.tool_energies
     touching = touch_speed(measures.speeds, energies, scales.flexibility_scale).max(axis=-1, initial=0.0)
@@ -143,18 +131,6 @@ class ExpectedError(NamedTuple):
     level: float
     least_level: float
     typical_size: float
-
-
-def distances_to_nearest(states: Floats, others: Floats, mass: Floats) -> Floats:
-    """Return the distance [m] of each state (s, m) to the nearest of other states (t, m).
-
-    The distance is the root mean square displacement over the body; `mass` (m, m) is the mass matrix
-    divided by the mass of the body.
-    """
-    root = np.linalg.cholesky(mass)
-    one, two = states @ root, others @ root
-    square = np.sum(one**2, axis=1)[:, None] + np.sum(two**2, axis=1) - 2 * one @ two.T
-    return np.sqrt(np.maximum(square.min(axis=1), 0.0))
 
 
 def training_distance(body: ReducedBody, state: State) -> float:

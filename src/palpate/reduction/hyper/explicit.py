@@ -30,9 +30,10 @@ from palpate.reduction.galerkin.central_difference import (
     prescribed_work,
     trial_coordinates,
 )
+from palpate.reduction.hyper.constants import ReducedConstants
 from palpate.reduction.hyper.foundation import Springs, add_spring_forces
 from palpate.reduction.hyper.material_point import MaterialPoint
-from palpate.reduction.hyper.sampled_energy import IntegrationPoints, Scratch, sampled_energy
+from palpate.reduction.hyper.sampled_energy import Scratch, sampled_energy
 
 TRIAL, FORCE, PREVIOUS, RATE, LOAD, MEAN = range(6)  # rows of `ExplicitData.work`
 
@@ -40,13 +41,8 @@ TRIAL, FORCE, PREVIOUS, RATE, LOAD, MEAN = range(6)  # rows of `ExplicitData.wor
 class ExplicitData(NamedTuple):
     """Constants and work arrays of the explicit step."""
 
-    stiffness_damping: float  # [s]
-    mass_damping: float  # [1/s]
+    constants: ReducedConstants
     wave_speed: Floats  # (l,) largest rates of the lifting coordinates in the damping forces
-    mass: Floats  # (m + l, m + l)
-    constrained_inverse_mass: Floats  # (m, m) inverse of the modes' block
-    inverse_mass: Floats  # (m + l, m + l)
-    integration_points: IntegrationPoints
     scratch: Scratch
     springs: Springs  # on the coordinates
     work: Floats  # (6 or more, m + l)
@@ -101,13 +97,17 @@ def explicit_step(law: MaterialPoint, single: bool, touched: bool) -> Any:
         count, first, steps = a.shape[0], a.shape[0] - lifting.shape[1], loads.shape[0] - 1
         total, lost, tool_work = 0.0, 0.0, 0.0
         at, result, previous = data.work[TRIAL], data.work[FORCE], data.work[PREVIOUS]
-        rate, load, mean, alpha = data.work[RATE], data.work[LOAD], data.work[MEAN], data.mass_damping
-        mass, springs = data.mass, reference(data.springs)
+        rate, load, mean, alpha = data.work[RATE], data.work[LOAD], data.work[MEAN], data.constants.mass_damping
+        mass, springs = data.constants.mass, reference(data.springs)
         # by their addresses, as the engine passes them, so that both use the same compiled functions
-        points, scratch, tools = reference(data.integration_points), reference(data.scratch), reference(contact.tools)
+        points, scratch, tools = (
+            reference(data.constants.integration_points),
+            reference(data.scratch),
+            reference(contact.tools),
+        )
         surface, pairs = reference(contact.surface), reference(contact.scratch)
-        beta, wave_speed, interval = data.stiffness_damping, data.wave_speed, data.scratch.history.interval
-        constrained_inverse, inverse = data.constrained_inverse_mass, data.inverse_mass
+        beta, wave_speed, interval = data.constants.stiffness_damping, data.wave_speed, data.scratch.history.interval
+        constrained_inverse, inverse = data.constants.constrained_inverse_mass, data.constants.inverse_mass
         for s in range(steps + 1):
             if holds[s]:
                 prescribe(a, v, lifting, s, step)

@@ -26,9 +26,10 @@ from palpate.compiled.reference import reference
 from palpate.core.arrays import Floats
 from palpate.dynamics.material.relaxation import copy_values
 from palpate.reduction.galerkin.central_difference import mass_damping_loss
+from palpate.reduction.hyper.constants import ReducedConstants
 from palpate.reduction.hyper.foundation import Springs, add_spring_forces
 from palpate.reduction.hyper.material_point import MaterialPoint
-from palpate.reduction.hyper.sampled_energy import IntegrationPoints, Scratch, sampled_energy
+from palpate.reduction.hyper.sampled_energy import Scratch, sampled_energy
 
 GAUSS_POINTS = (0.5 - np.sqrt(3.0) / 6.0, 0.5 + np.sqrt(3.0) / 6.0)  # of Gauss's rule in a step
 MAX_ITERATIONS = 30  # of Newton's method in a step
@@ -52,12 +53,8 @@ class NewtonScratch(NamedTuple):
 class ImplicitData(NamedTuple):
     """Constants and work arrays of the implicit step."""
 
-    stiffness_damping: float  # [s]
-    mass_damping: float  # [1/s]
-    mass: Floats  # (m + l, m + l)
-    differences: Floats  # (m + l,) of the coordinates, for tangents
-    tolerance: float  # largest Newton update, in units of `differences`
-    integration_points: IntegrationPoints
+    constants: ReducedConstants
+    tolerance: float  # largest Newton update, in units of the constants' `differences`
     scratch: Scratch
     springs: Springs  # on the coordinates
     newton: NewtonScratch
@@ -165,8 +162,21 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
 
         Springs add dt / 2 times their stiffness, and their damping, to both.
         """
-        newton, mass, beta, alpha = data.newton, data.mass, data.stiffness_damping, data.mass_damping
-        tangent(a, data.differences, data.integration_points, data.scratch, newton.vectors, moving, newton.factor)
+        newton, mass, beta, alpha = (
+            data.newton,
+            data.constants.mass,
+            data.constants.stiffness_damping,
+            data.constants.mass_damping,
+        )
+        tangent(
+            a,
+            data.constants.differences,
+            data.constants.integration_points,
+            data.scratch,
+            newton.vectors,
+            moving,
+            newton.factor,
+        )
         for i in range(moving):
             for k in range(moving):
                 inertia = 2.0 * mass[i, k] / step + alpha * mass[i, k]
@@ -186,10 +196,10 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         """Write the mean internal force over a step with the mean velocities w."""
         for j in range(a.shape[0]):
             at[j] = a[j] + (GAUSS_POINTS[0] * step + beta) * w[j]
-        force(at, data.integration_points, data.scratch, other)
+        force(at, data.constants.integration_points, data.scratch, other)
         for j in range(a.shape[0]):
             at[j] = a[j] + (GAUSS_POINTS[1] * step + beta) * w[j]
-        force(at, data.integration_points, data.scratch, result)
+        force(at, data.constants.integration_points, data.scratch, result)
         for j in range(a.shape[0]):
             result[j] = 0.5 * (result[j] + other[j])
 
@@ -199,7 +209,7 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
 
         A rate is that of a velocity, plus alpha times its mean.
         """
-        newton, mass, vectors = data.newton, data.mass, data.newton.vectors
+        newton, mass, vectors = data.newton, data.constants.mass, data.newton.vectors
         w, at, result, rate = vectors[MEAN_VELOCITY], vectors[TRIAL], vectors[FORCE], vectors[RATE]
         change, load = vectors[UPDATE], vectors[LOAD]
         count = a.shape[0]
@@ -207,9 +217,9 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             refactor(a, step, data, moving)
         for iteration in range(MAX_ITERATIONS):
             mean_loads(a, w, step, external, data.springs, at, load)
-            mean_force(a, w, step, data.stiffness_damping, data, at, change, result)
+            mean_force(a, w, step, data.constants.stiffness_damping, data, at, change, result)
             for m in range(moving):
-                rate[m] = 2.0 * (w[m] - v[m]) / step + data.mass_damping * w[m]
+                rate[m] = 2.0 * (w[m] - v[m]) / step + data.constants.mass_damping * w[m]
             for m in range(moving):
                 value = result[m] + load[m]
                 for k in range(count):
@@ -219,7 +229,7 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             largest = 0.0
             for m in range(moving):
                 w[m] += change[m]
-                largest = max(largest, abs(change[m]) * step / data.differences[m])
+                largest = max(largest, abs(change[m]) * step / data.constants.differences[m])
             newton.counts[ITERATIONS] += 1
             if largest < data.tolerance:
                 return True
@@ -238,9 +248,9 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         """
         data, count, first = reference(given), a.shape[0], a.shape[0] - lifting.shape[1]
         total, lost, tool_work = 0.0, 0.0, 0.0
-        newton, mass, vectors = data.newton, data.mass, data.newton.vectors
+        newton, mass, vectors = data.newton, data.constants.mass, data.newton.vectors
         w, at, result, rate = vectors[MEAN_VELOCITY], vectors[TRIAL], vectors[FORCE], vectors[RATE]
-        elastic, load, alpha = vectors[ELASTIC], vectors[LOAD], data.mass_damping
+        elastic, load, alpha = vectors[ELASTIC], vectors[LOAD], data.constants.mass_damping
         for s in range(loads.shape[0]):
             # lifting has one time before the first and one after the last
             moving = first if holds[s] else count

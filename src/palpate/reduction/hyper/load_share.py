@@ -14,8 +14,7 @@ prepared loads.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -44,17 +43,19 @@ class ResponseSquares(NamedTuple):
     whole: Floats
 
 
-def static_response(data: ReducedData, springs: Floats) -> Response:
+def static_response(data: ReducedData, springs: Floats, held: Sequence[str] | None = None) -> Response:
     """Return the static response at rest (n, 3) [m] to nodal forces (n, 3) [N], as a function.
 
     Parameters
     ----------
     springs : (n,) array [N/m]
         Springs of foundations at the nodes.
+    held : sequence of str, optional
+        Groups that do not move; by default those of the tools.
     """
     supported = supported_nodes(data.cloud, data.supports)
     constrained = supported.kind == FIXED
-    for group in data.prescribed:
+    for group in data.prescribed if held is None else held:
         constrained[data.cloud.group(group)] = True
     if not (constrained.any() or len(supported.sliding) or springs.any()):
         total_volume = float(data.volumes.sum())
@@ -122,7 +123,7 @@ def _responses_to_motion(data: ReducedData, lifting: Floats, springs: Floats) ->
     law = data.tissue.material
     modulus = law.shear_modulus if data.kinematics.sheet else law.lame + 2 * law.shear_modulus
     stiff[nodes] = TOOL_STIFFNESS * modulus * data.volumes[nodes] / data.cloud.spacing**2
-    respond = static_response(replace(data, prescribed=()), springs + stiff)
+    respond = static_response(data, springs + stiff, held=())
     return [respond(stiff[:, None] * field) for field in lifting]
 
 

@@ -13,9 +13,6 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from palpate.compiled.jit import inline, law_digest, law_njit
 from palpate.core.faults import InputError
 from palpate.dynamics.material.fibres import NO_FIBRES, FibrePoints, fibre_points
@@ -85,14 +82,6 @@ def _law_without_fibres(material: Material, kinematics: Kinematics) -> tuple[Mat
         )
     make = _stretched_point if law.variables == "stretches" else _solid_point
     return _with_volume_measure(make(law.energy, law.first, law.second), material.volumetric), material.coefficients
-
-
-def volume_measure(material: Material, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return g and g' of many points' x = J - 1, as `MaterialPoint.measure`."""
-    if material.volumetric == QUADRATIC:
-        return x, np.ones_like(x)
-    value, slope = volumetric_form(material.volumetric).measure(np.maximum(x, MIN_VOLUME_RATIO - 1.0))
-    return value + slope * np.minimum(x - (MIN_VOLUME_RATIO - 1.0), 0.0), slope
 
 
 @cache

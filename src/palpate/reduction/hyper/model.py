@@ -105,14 +105,24 @@ class ReducedModel(CoordinateModel):
             raise InputError(
                 "step must be None for tissue that relaxes (prony), which is stepped explicitly; leave it out"
             )
-        self.data, self.step, self.single, self.volumes = data, step, single, data.volumes
+        self.data, self.step, self.single = data, step, single
+        self.body = reduced_body(data, single)
+        # the attributes of every `Model`; they are those of the data
         self.cloud, self.material, self.supports = data.cloud, data.tissue.material, data.supports
         self.stiffness_damping, self.mass_damping = data.stiffness_damping, data.mass_damping
-        self.report = data.report
+        self.volumes, self.columns = data.volumes, self.body.vectors
         self.min_steps_per_frame = 20 if step is None else 1  # the implicit step is the user's choice
-        self.body = reduced_body(data, single)
-        self.count, self.columns = self.body.count, self.body.vectors
         self._least_energy = float(self.material.shear_modulus * self.volumes.sum() * ROUNDING_STRAIN**2)  # [J]
+
+    @property
+    def count(self) -> int:
+        """Number of coordinates: modes and lifting vectors."""
+        return self.body.count
+
+    @property
+    def report(self) -> Mapping[str, Any]:
+        """Figures measured in training."""
+        return self.data.report
 
     def _own_facts(self) -> list[Fact]:
         data, error = self.data, self.report.get("held_out", {}).get("mean", {}).get("displacement")
@@ -194,7 +204,7 @@ class ReducedModel(CoordinateModel):
             frequency = self.body.highest_frequency(state.coordinates, prescribed, state.history, work)
         state = replace(state, estimate=(np.array(frequency), at, np.array(largest)))
         springs = reduced_loads(self.body, prepared).coordinate_springs
-        highest = float(np.hypot(max(frequency, self.data.taut_frequency), np.sqrt(springs.highest_squared)))
+        highest = float(np.hypot(max(frequency, self.data.trained.taut_frequency), np.sqrt(springs.highest_squared)))
         if not highest:  # no stiffness
             return np.inf, state
         return stable_step(highest, self.stiffness_damping + springs.decay_rate / highest / highest), state
@@ -256,13 +266,8 @@ class ReducedModel(CoordinateModel):
         (state, prepared), (step, times), body = run, stepping, self.body
         ready, contact = reduced_loads(body, prepared), self._contact_tools(prepared, work)
         explicit_data = ExplicitData(
-            stiffness_damping=self.stiffness_damping,
-            mass_damping=self.mass_damping,
+            constants=body.constants,
             wave_speed=self.data.wave_speed / body.sizes[self.data.modes :],
-            mass=body.mass,
-            constrained_inverse_mass=body.constrained_inverse_mass,
-            inverse_mass=body.inverse_mass,
-            integration_points=body.points,
             scratch=work.coordinates,
             springs=ready.coordinate_springs,
             work=work.newton.vectors,
@@ -291,12 +296,8 @@ class ReducedModel(CoordinateModel):
         (state, prepared), (step, times), body = run, stepping, self.body
         ready, estimate = reduced_loads(body, prepared), state.estimate
         implicit_data = ImplicitData(
-            stiffness_damping=self.stiffness_damping,
-            mass_damping=self.mass_damping,
-            mass=body.mass,
-            differences=body.differences,
+            constants=body.constants,
             tolerance=self.tolerance,
-            integration_points=body.points,
             scratch=work.coordinates,
             springs=ready.coordinate_springs,
             newton=work.newton,
@@ -380,7 +381,7 @@ class ReducedModel(CoordinateModel):
             moments,
             contact_forces,
             np.isin(contact_forces[:, 0], bonded) if len(bonded) else np.zeros(len(contact_forces), dtype=bool),
-            float(trust_numbers(self._measures(state, prepared, constraints, tool_energies), self.data)),
+            float(trust_numbers(self._measures(state, prepared, constraints, tool_energies), self.data.scales)),
         )
 
     def trust(self, state: State, prepared: PreparedLoads) -> float:
@@ -395,7 +396,7 @@ class ReducedModel(CoordinateModel):
         """
         _, energies = self._tool_displacements(state, prepared)
         measures = self._measures(state, prepared, constraint_forces(self.body, state, prepared), energies)
-        return float(trust_numbers(measures, self.data))
+        return float(trust_numbers(measures, self.data.scales))
 
     def _measures(self, state: State, prepared: PreparedLoads, constraints: Floats, tool_energies: Floats) -> Measures:
         """Return the measures of a state with constraint forces and energies (t,) [J] of the surface compliance."""
@@ -494,7 +495,11 @@ class ReducedModel(CoordinateModel):
 
     def with_report(self, entries: Mapping[str, Any]) -> ReducedModel:
         """Return this model with some entries of its report replaced or added."""
-        return ReducedModel(replace(self.data, report={**self.report, **entries}), step=self.step, single=self.single)
+        return self.with_data(report={**self.report, **entries})
+
+    def with_data(self, **changes: Any) -> ReducedModel:
+        """Return this model with some of its data replaced."""
+        return ReducedModel(replace(self.data, **changes), step=self.step, single=self.single)
 
     def with_step(self, step: float | None) -> ReducedModel:
         """Return this model with the energy-conserving implicit rule of a step [s], or explicit steps (None)."""

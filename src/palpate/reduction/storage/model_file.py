@@ -1,14 +1,13 @@
 """File of a reduced model: a sealed HDF5 file (`palpate.core.sealed`) with data only.
 
-Arrays have the names of `ReducedData` (``cloud/points``, ``cubature/weights`` ...), and short values are
-in the header. Basis vectors have single precision: they determine displacements and masses. Forces
+Arrays have names such as ``cloud/points`` and ``cubature/weights``, and short values are in the header.
+Basis vectors have single precision: they determine displacements and masses. Forces
 depend on the gradients, which have double precision.
 """
 
 from __future__ import annotations
 
 import json
-from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,14 @@ from palpate.core.sealed import LEAST_POSITIVE, Array, ArrayFile, loading, open_
 from palpate.dynamics.material.kinematics import Kinematics
 from palpate.reduction.contact.compliance import NO_COMPLIANCE
 from palpate.reduction.hyper.cubature import Cubature
-from palpate.reduction.hyper.data import UNLIMITED_SCALE, ReducedData
+from palpate.reduction.hyper.data import (
+    UNLIMITED_SCALE,
+    BasisVectors,
+    ReducedData,
+    SampledBasis,
+    Scales,
+    TrainedRange,
+)
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.body import (
     BODY_ATTRIBUTES,
@@ -116,18 +122,18 @@ def _header(data: ReducedData) -> Header:
         "modes": int(data.modes),
         "lifting_count": int(data.lifting_count),
         "residual": float(data.cubature.residual),
-        "distance_scale": float(data.distance_scale),
+        "distance_scale": float(data.scales.distance_scale),
         "residual_fields": int(data.residual_fields),
-        "residual_scale": float(data.residual_scale),
-        "load_scale": float(data.load_scale),
-        "flexibility_scale": float(data.flexibility_scale),
-        "speed_scale": float(data.speed_scale),
-        "nearness_scale": float(data.nearness_scale),
-        "trained_tools": int(data.trained_tools),
+        "residual_scale": float(data.scales.residual_scale),
+        "load_scale": float(data.scales.load_scale),
+        "flexibility_scale": float(data.scales.flexibility_scale),
+        "speed_scale": float(data.scales.speed_scale),
+        "nearness_scale": float(data.scales.nearness_scale),
+        "trained_tools": int(data.scales.trained_tools),
         "sheet": data.kinematics.sheet,
         "prestretch": float(data.kinematics.prestretch),
         "relaxed": data.kinematics.relaxed,
-        "taut_frequency": float(data.taut_frequency),
+        "taut_frequency": float(data.trained.taut_frequency),
         "bonded_scale": float((data.compliance or NO_COMPLIANCE).bonded_scale),
         "report": json.dumps(plain(data.report)),
     }
@@ -141,7 +147,16 @@ def _arrays(data: ReducedData) -> Arrays:
         declared = declared | INTERIOR_ARRAYS
         values |= {f"interior/{name}": array for name, array in compliance.interior._asdict().items()}
         values["interior/factor"] = [compliance.interior.factor]
-    values |= {name: attrgetter(name.replace("/", "."))(data) for name in declared.keys() - values.keys()}
+    values |= {
+        "volumes": data.volumes,
+        "basis_vectors": data.basis.vectors,
+        "cubature/nodes": data.cubature.nodes,
+        "cubature/weights": data.cubature.weights,
+        "cubature/pressure": data.cubature.pressure,
+        "gradients": data.sampled.gradients,
+        "constant": data.sampled.constant,
+        "training_states": data.trained.states,
+    }
     return body_arrays(data.cloud, data.tissue) | typed(values, declared)
 
 
@@ -212,15 +227,31 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
         stiffness_damping=number_in_range("stiffness_damping", header["stiffness_damping"], 0.0, unit="s"),
         mass_damping=number_in_range("mass_damping", header.get("mass_damping", 0.0), 0.0, unit="1/s"),
         wave_speed=number_in_range("wave_speed", header["wave_speed"], 0.0, unit="m/s"),
-        basis_vectors=values["basis_vectors"],
-        modes=header["modes"],
-        lifting_count=header["lifting_count"],
-        cubature=Cubature(values["cubature/nodes"], values["cubature/weights"], values["cubature/pressure"], residual),
-        gradients=values["gradients"],
-        constant=values["constant"],
-        training_states=values["training_states"],
+        basis=BasisVectors(
+            values["basis_vectors"], header["modes"], header["lifting_count"], header["residual_fields"]
+        ),
+        sampled=SampledBasis(
+            Cubature(values["cubature/nodes"], values["cubature/weights"], values["cubature/pressure"], residual),
+            values["gradients"],
+            values["constant"],
+        ),
+        trained=TrainedRange(
+            values["training_states"],
+            _scales(header),
+            number_in_range("taut_frequency", header["taut_frequency"], 0.0, unit="rad/s"),
+        ),
+        report=_report(mapping_in("report", header["report"])),
+        kinematics=Kinematics(
+            header["sheet"], number_in_range("prestretch", header["prestretch"], 1.0), header["relaxed"]
+        ),
+        compliance=read_compliance(values, number_in_range("bonded_scale", header["bonded_scale"], 0.0, open_low=True)),
+    )
+
+
+def _scales(header: Header) -> Scales:
+    """Return the scales of the error indicator; refuse values out of range."""
+    return Scales(
         distance_scale=number_in_range("distance_scale", header["distance_scale"], 0.0, open_low=True, unit="m"),
-        residual_fields=header["residual_fields"],
         residual_scale=number_in_range("residual_scale", header["residual_scale"], 0.0, open_low=True, unit="m"),
         load_scale=number_in_range("load_scale", header["load_scale"], 0.0, 1.0, open_low=True),
         flexibility_scale=number_in_range(
@@ -229,12 +260,6 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
         speed_scale=number_in_range("speed_scale", header["speed_scale"], 0.0, open_low=True, unit="m/s"),
         nearness_scale=number_in_range("nearness_scale", header["nearness_scale"], 0.0, open_low=True),
         trained_tools=integer_in_range("trained_tools", header["trained_tools"], 1),
-        report=_report(mapping_in("report", header["report"])),
-        kinematics=Kinematics(
-            header["sheet"], number_in_range("prestretch", header["prestretch"], 1.0), header["relaxed"]
-        ),
-        taut_frequency=number_in_range("taut_frequency", header["taut_frequency"], 0.0, unit="rad/s"),
-        compliance=read_compliance(values, number_in_range("bonded_scale", header["bonded_scale"], 0.0, open_low=True)),
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -55,7 +54,7 @@ def calibrate_contact(model: ReducedModel, repeated: Sequence[Trial]) -> tuple[R
     assert compliance is not None
     whole_runs = [_FullForces(*trial) for trial in repeated]
     for number in range(FORCE_PASSES + 1):
-        model = ReducedModel(replace(model.data, compliance=compliance))
+        model = model.with_data(compliance=compliance)
         sizes_by_run = in_threads(partial(_force_sizes, model), whole_runs)
         ratios.append(float(np.median([mine.sum() / theirs.sum() for mine, theirs in sizes_by_run])))
         if number < FORCE_PASSES:

@@ -31,11 +31,10 @@ from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.run.model import State
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.reduction.hyper.data import UNLIMITED_SCALE
+from palpate.reduction.hyper.data import UNLIMITED_SCALE, Scales
 from palpate.reduction.hyper.error_indicator import (
     LARGEST_KNOWN_TRUST,
     Measures,
-    Scales,
     mean_size,
     remembered_trust,
     rms_sizes,

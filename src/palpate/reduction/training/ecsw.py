@@ -1,4 +1,4 @@
-"""Choice of the integration points among those of a body's energy: forces at training states, pressure moments."""
+"""Choice of the integration points among those of a body's energy, by forces and moments at training states."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 from palpate.core.arrays import Floats
 from palpate.core.faults import InputError
 from palpate.dynamics.nodal.energy_model import EnergyModel, Fields
-from palpate.reduction.basis.snapshots import Snapshots
 from palpate.reduction.hyper.cubature import Cubature, fit_moments, sketch, sparse_nnls
-from palpate.reduction.hyper.material_point import volume_measure
+from palpate.reduction.hyper.material_point import MIN_VOLUME_RATIO
 from palpate.tissue.materials import Material
+from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 
-PRESSURE_STATES = 240  # training states for the pressure modes
 BALANCED_SHARE = 1e-9  # relative size of a sum of forces that counts as zero, as in a taut sheet at rest
 REACTION_WEIGHT = 0.1  # of the forces on tools and supports, relative to those on all coordinates
 MAX_ROWS, MAX_ENTRIES = 12_000, 150_000_000  # of the least-squares problem for the weights; more rows are sketched
@@ -104,20 +103,19 @@ def shear_stress(body: EnergyModel, fields: Fields, state: Floats) -> tuple[Floa
     return body.shear_stress(F, fields.nodes) * fields.volumes[:, None, None], cofactor, J
 
 
+def volume_measure(material: Material, x: Floats) -> tuple[Floats, Floats]:
+    """Return g and g' of many points' x = J - 1, as `MaterialPoint.measure`."""
+    if material.volumetric == QUADRATIC:
+        return x, np.ones_like(x)
+    value, slope = volumetric_form(material.volumetric).measure(np.maximum(x, MIN_VOLUME_RATIO - 1.0))
+    return value + slope * np.minimum(x - (MIN_VOLUME_RATIO - 1.0), 0.0), slope
+
+
 def _shear_work(body: EnergyModel, fields: Fields, state: Floats) -> Floats:
     """Return the work (m, p) of every point's shear stress, times its volume, on all basis vectors."""
     gradients = fields.gradients
     weighted = shear_stress(body, fields, state)[0].reshape(-1, 9).astype(gradients.dtype)
     return np.asarray(np.matmul(gradients, weighted[:, :, None])[:, :, 0].T, dtype=float)
-
-
-def pressure_moments(body: EnergyModel, snapshots: Snapshots, pressures: int) -> Floats:
-    """Return the coefficients (k, n) of the nodes' J - 1, or g(J), in the moments.
-
-    The moments belong to the main modes of the pressures in the snapshots.
-    """
-    chosen = np.arange(0, len(snapshots), max(1, len(snapshots) // PRESSURE_STATES))
-    return body.pressure_moments(snapshots.each(chosen), pressures)
 
 
 def compliance_root(body: EnergyModel, fields: Fields, count: int, moments: Floats, mass: Floats) -> Floats:

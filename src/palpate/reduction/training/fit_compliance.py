@@ -24,7 +24,6 @@ from palpate.core.faults import InputError
 from palpate.dynamics.contact.tools import surface_nodes
 from palpate.dynamics.run.rollout import MAX_STEP_RATIO, MAX_STEPS_PER_FRAME
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.meshfree.cloud import Cloud
 from palpate.reduction.basis.snapshots import Snapshots
 from palpate.reduction.contact.compliance import NO_COMPLIANCE, SurfaceCompliance, secant_factor, static_displacements
 from palpate.reduction.contact.interior import interior_flexibility
@@ -73,13 +72,12 @@ def fit_compliance(
         raise InputError(
             "coarse must have the bounds of the body, got other points; give a coarser model of the same body"
         )
-    nodes = _free_surface(cloud, model.fixed)
-    frames = _frames(model, snapshots, nodes)
+    unscaled = rest_compliance(body, statics, model.data.basis_vectors[: model.count])
+    frames = _frames(model, snapshots, unscaled.nodes)
     if not frames:
         raise InputError(
             "trajectories must include contact to fit the surface compliance, got none; add a run with a Contact"
         )
-    unscaled = rest_compliance(body, statics, model.data.basis_vectors[: model.count])
     return _fit_factors(unscaled, cloud.points, frames)
 
 
@@ -93,9 +91,9 @@ def rest_compliance(body: EnergySolid, statics: EnergySolid, columns: Floats) ->
     columns : (m, n, 3) array
     """
     cloud = body.cloud
-    nodes = _free_surface(cloud, body.fixed)
-    coarse_nodes = _free_surface(statics.cloud, statics.fixed)
-    interior_nodes, coarse_interior = _free_interior(cloud, body.fixed), _free_interior(statics.cloud, statics.fixed)
+    nodes, interior_nodes = _free_nodes(body)
+    coarse_nodes, coarse_interior = _free_nodes(statics)
+    patches, shares = _patches(body, nodes)
     rows = residual_flexibility(statics, coarse_nodes, cloud.points, columns, coarse_interior)
     flexibility, interior_rows = np.split(rows, [3 * len(coarse_nodes)])
     places, weights = carriers(statics.cloud, coarse_nodes, cloud, nodes)
@@ -103,7 +101,6 @@ def rest_compliance(body: EnergySolid, statics: EnergySolid, columns: Floats) ->
     if statics.cloud is not cloud:
         nearby, near_field = near_field_compliance(body, nodes, statics, coarse_nodes, places, weights)
         near_field = add_own_compliance(flexibility, places, weights, nearby, near_field)
-    patches, shares = _patches(body, nodes)
     interior = None
     if len(interior_nodes) and len(coarse_interior):
         interior = interior_flexibility(
@@ -128,14 +125,11 @@ def _patches(body: EnergySolid, nodes: Ints) -> tuple[Ints, Floats]:
     return patches, shares / shares.sum(axis=1, keepdims=True)
 
 
-def _free_surface(cloud: Cloud, fixed: Sequence[str]) -> NDArray[np.int64]:
-    bonded = np.concatenate([np.zeros(0, dtype=np.int64), *(cloud.group(name) for name in fixed)])
-    return np.setdiff1d(surface_nodes(cloud), bonded)
-
-
-def _free_interior(cloud: Cloud, fixed: Sequence[str]) -> NDArray[np.int64]:
-    away = np.concatenate([surface_nodes(cloud), *(cloud.group(name) for name in fixed)])
-    return np.setdiff1d(np.arange(len(cloud)), away)
+def _free_nodes(body: EnergySolid) -> tuple[Ints, Ints]:
+    """Return the nodes on the surface and those inside that supports do not fix."""
+    bonded = np.concatenate([np.zeros(0, dtype=np.int64), *(body.cloud.group(name) for name in body.fixed)])
+    surface = surface_nodes(body.cloud)
+    return np.setdiff1d(surface, bonded), np.setdiff1d(np.arange(len(body.cloud)), np.concatenate([surface, bonded]))
 
 
 class _Frame(NamedTuple):

@@ -26,9 +26,8 @@ from palpate.core.arrays import Floats
 from palpate.core.faults import InputError
 from palpate.dynamics.nodal.energy_model import EnergyModel, Fields
 from palpate.reduction.hyper.cubature import Cubature
-from palpate.reduction.hyper.material_point import volume_measure
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.training.ecsw import compliance_root, shear_stress
+from palpate.reduction.training.ecsw import compliance_root, shear_stress, volume_measure
 
 RESIDUAL_FIELDS = 8
 MIN_INDEPENDENT = 1e-3  # least norm of a field without its modal part, relative
@@ -70,7 +69,7 @@ def scale_residual_fields(
     places : (s,) int array
         Of the integration points in the fields.
     moments : (k, n) array
-        Of the dilatation, see `palpate.reduction.training.ecsw.pressure_moments`.
+        Of the dilatation, see `palpate.dynamics.nodal.energy_model.EnergyModel.pressure_moments`.
 
     Returns
     -------
@@ -159,8 +158,9 @@ def typical_residual(model: ReducedModel, body: EnergyModel, displacements: Iter
     neglected. As the norm is about the displacement that the coordinates miss, the result is at least 5 %
     of the largest displacement in training, root mean squares over the body.
     """
-    first, norms, largest = len(model.data.basis_vectors) - model.data.residual_fields, [], 0.0
-    residual_fields = model.data.basis_vectors[first:]
+    basis, norms, largest = model.data.basis, [], 0.0
+    first = len(basis.vectors) - basis.residual_fields
+    residual_fields = basis.vectors[first:]
     for u in displacements:
         state = model.body.project(u[None])[0]
         full_work = np.tensordot(residual_fields, body.force(u) * body.volumes[:, None], 2)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
@@ -97,9 +96,7 @@ def select_time_step(
     table = [rule.row(fine) for rule in rules]
     step = _fastest_step(table, tolerance_value)
     report = {"tolerance": tolerance_value, "reference_step": finest, "step": step, "rules": table}
-    return ReducedModel(
-        replace(model.data, report={**model.report, "stepping": report}), step=step, single=model.single
-    )
+    return model.with_step(step).with_report({"stepping": report})
 
 
 class _Rule:
