@@ -20,8 +20,8 @@ from palpate.meshfree.stencils import Stencils, moving_least_squares
 from palpate.reduction.contact.surface import ContactSurface
 from palpate.reduction.contact.tools import ContactTools
 from palpate.reduction.hyper.data import ReducedData
-from palpate.reduction.hyper.implicit import NewtonScratch, implicit_step, newton_scratch
 from palpate.reduction.hyper.material_point import MaterialPoint, material_point
+from palpate.reduction.hyper.newton import NewtonScratch, newton_scratch, tangent_function
 from palpate.reduction.hyper.sampled_energy import IntegrationPoints, Scratch, sampled_energy, scratch
 
 History = tuple[Floats, ...]
@@ -77,7 +77,7 @@ class ReducedBody:
     surface : ContactSurface
         Empty for a model without contact.
     sampled_force, sampled_energy, tangent : functions
-        Compiled, see `palpate.reduction.hyper.sampled_energy` and `palpate.reduction.hyper.implicit`.
+        Compiled, see `palpate.reduction.hyper.sampled_energy` and `palpate.reduction.hyper.newton`.
 
     Examples
     --------
@@ -265,5 +265,5 @@ def reduced_body(data: ReducedData, single: bool = True) -> ReducedBody:
         surface=data.surface,
         sampled_force=compiled.force,
         sampled_energy=compiled.energy,
-        tangent=implicit_step(law, single)[1],
+        tangent=tangent_function(law, single),
     )
