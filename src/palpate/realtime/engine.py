@@ -466,7 +466,7 @@ class Engine(Described):
         """
         factor = number_in_range("factor", factor, MIN_TIME_SCALE, 1.0)
         with self._between_periods():
-            self._work.clock[TIME_SCALE] = factor
+            self._work.time[TIME_SCALE] = factor
 
     def set_modulus_ratio(self, ratio: float) -> None:
         """Multiply all moduli of an adjustable model at constant density; a running engine continues.
@@ -513,7 +513,7 @@ class Engine(Described):
             The model's step raised an exception, or the black box could not be written.
         """
         record = snapshot(self._channels.record)
-        worst = self._work.clock[WORST_SINCE_RESET]
+        worst = self._work.peaks[WORST_SINCE_RESET]
         if worst > 1 and not self._warned and self._settings.on_distrust == WARN:
             self._warned = True
             warnings.warn(

@@ -25,13 +25,11 @@ from palpate.dynamics.nodal.period import nodal_period
 from palpate.dynamics.nodal.period_data import (
     BASE_FREQUENCY,
     BLOCK_NODES,
-    CLOCK_SIZE,
     FREQUENCY,
     GAINED,
     HELD,
     KICK_SQUARE,
     LOST,
-    NEAR_MARGIN,
     NO_BLADE,
     REPEATED,
     STEP,
@@ -111,6 +109,7 @@ def full_period(
             late=np.zeros(count, dtype=np.int64),
             clear_way=np.zeros(count),
             listed=np.zeros((n, 3)),
+            near_margin=np.full(1, -1.0),
             force=np.zeros(12 * count),
             secant=_secant(model, count),
         ),
@@ -125,7 +124,9 @@ def full_period(
         start=PeriodCopy(np.zeros((3, n, 3)), np.zeros(2), history_copy(work.passes.history)),
         scratch=work.step,
         sums=np.zeros((-(-n // BLOCK_NODES), KICK_SQUARE + 1)),
-        clock=_clock_at_rest(model.stability.step, frequency),
+        stepping=_stepping_at_rest(model.stability.step, frequency),
+        energies=np.zeros(6),
+        counts=np.zeros(3),
         contact_work=ContactReport(
             node=np.zeros(entries, dtype=np.int64),
             tool=np.zeros(entries, dtype=np.int64),
@@ -171,12 +172,11 @@ def _secant(model: NodalModel, tools: int) -> Secant:
     )
 
 
-def _clock_at_rest(step: float, frequency: float) -> Floats:
-    """Return `NodalPeriodData.clock` for a step [s] and the highest frequency [rad/s] at rest."""
-    clock = np.zeros(CLOCK_SIZE)
-    clock[STEP], clock[FREQUENCY], clock[BASE_FREQUENCY] = step, frequency, frequency
-    clock[NEAR_MARGIN] = -1.0
-    return clock
+def _stepping_at_rest(step: float, frequency: float) -> Floats:
+    """Return `NodalPeriodData.stepping` for a step [s] and the highest frequency [rad/s] at rest."""
+    stepping = np.zeros(7)
+    stepping[STEP], stepping[FREQUENCY], stepping[BASE_FREQUENCY] = step, frequency, frequency
+    return stepping
 
 
 def step_statistics(data: NodalPeriodData) -> dict[str, float]:
@@ -190,14 +190,13 @@ def step_statistics(data: NodalPeriodData) -> dict[str, float]:
         ``"repeated"``: number of periods that were repeated with shorter steps; ``"held"``: number of periods in which
         the tool was held or late; ``"energy_gained"``: gain of energy that shorter steps did not cure [J].
     """
-    clock = data.clock
     return {
-        "step_share": float(data.body.resting_frequency / clock[FREQUENCY]),
+        "step_share": float(data.body.resting_frequency / data.stepping[FREQUENCY]),
         "tailored_modes": int(np.count_nonzero(data.body.tailoring.used)),
         "step_gain": float(data.body.tailoring.plain_frequency / data.body.resting_frequency),
-        "repeated": int(clock[REPEATED]),
-        "held": int(clock[HELD]),
-        "energy_gained": float(clock[GAINED]),
+        "repeated": int(data.counts[REPEATED]),
+        "held": int(data.counts[HELD]),
+        "energy_gained": float(data.energies[GAINED]),
     }
 
 
@@ -253,9 +252,9 @@ def change_full_tool(
     contacts.work.patch_impulses[contacts.candidates.start[index] : contacts.candidates.start[index + 1]] = 0.0
     data.tools.secant.stiffness[:], data.tools.secant.forces[:] = 0.0, 0.0
     data.tools.force[12 * index : 12 * (index + 1)] = 0.0
-    data.clock[LOST] += contacts.held.energy[index]  # of the tissue over supports, which springs back
+    data.energies[LOST] += contacts.held.energy[index]  # of the tissue over supports, which springs back
     contacts.held.energy[index] = 0.0
-    data.contact_work.numbers[:], data.clock[NEAR_MARGIN] = 0, -1.0
+    data.contact_work.numbers[:], data.tools.near_margin[0] = 0, -1.0
     rotation(pose, data.tools.path[index, HOME])
     if cutter is not None:
         cutter.set_blade(blade, pose, index)
