@@ -137,10 +137,10 @@ def _end_tool_paths(data, q, v, target, period, report):
 @kernel_njit(inner=True)
 def _is_finite(values):
     """Return whether all numbers are finite."""
+    total = 0.0
     for value in values:
-        if not np.isfinite(value):
-            return False
-    return True
+        total += 0.0 * value  # 0, or not a number
+    return total == 0.0
 
 
 @kernel_njit(inline="always", fastmath={"contract", "reassoc"})
