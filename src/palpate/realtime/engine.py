@@ -169,20 +169,13 @@ class Engine(Described):
         shared_memory: str | None = None,
         adjustable: bool = False,
     ) -> None:
-        if not HAS_CLOCKS:
-            raise RuntimeError(
-                "the system must have clock_gettime and nanosleep, got neither; use Linux, macOS or Windows"
-            )
+        _check_system(black_box)
         self._force_bound, catch_up = getattr(model, "force_bound", None), getattr(model, "catch_up", 0)
         self._cutter, tool_names = getattr(model, "cutter", None), getattr(model, "tool_names", ())
         if adjustable:
             model = _adjustable(model)
         self._model = model
         model = check_contract(model)
-        if black_box is not None and not Path(black_box).absolute().parent.is_dir():
-            raise InputError(
-                f"black_box must be in an existing folder, got {str(black_box)!r}; create its folder first"
-            )
         history = number_in_range("history", history, 0, MAX_HISTORY, open_low=True, unit="s")
         self._settings = _make_settings(
             rate, force_limit, stiffness_every, on_distrust, max_speed, max_angular_speed, spin, catch_up
@@ -548,6 +541,14 @@ class Engine(Described):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.stop()
+
+
+def _check_system(black_box: str | Path | None) -> None:
+    """Raise where the system lacks clocks, or the folder of a black box does not exist."""
+    if not HAS_CLOCKS:
+        raise RuntimeError("the system must have clock_gettime and nanosleep, got neither; use Linux, macOS or Windows")
+    if black_box is not None and not Path(black_box).absolute().parent.is_dir():
+        raise InputError(f"black_box must be in an existing folder, got {str(black_box)!r}; create its folder first")
 
 
 def _adjustable(model: Any) -> ObservableModel:
