@@ -83,8 +83,8 @@ class Trail(NamedTuple):
     @classmethod
     def zeros(cls, tools: int, coordinates: int) -> Trail:
         """Make the trail of tools that have a number of coordinates together."""
-        poses = np.zeros((MAX_TRAIL, tools, POSE_NUMBERS))
-        return cls(poses, np.ones(1, dtype=np.int64), *np.zeros((2, coordinates)), np.zeros(1))
+        poses, (lost_at, last_trusted) = np.zeros((MAX_TRAIL, tools, POSE_NUMBERS)), np.zeros((2, coordinates))
+        return cls(poses, np.ones(1, dtype=np.int64), lost_at, last_trusted, waited=np.zeros(1))
 
 
 class Work(NamedTuple):
