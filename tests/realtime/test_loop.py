@@ -154,9 +154,9 @@ def test_a_resting_tool_that_loses_trust_moves_back_along_its_path():
 def test_the_trail_of_poses_keeps_the_first_and_the_newest():
     poses = [at(1e-3 * math.sin(0.01 * k), 1e-3 * math.cos(0.01 * k)) for k in range(5 * MAX_TRAIL)]
     *_, work = prescribed(poses, 1e-3, 5.0)
-    length = int(work.length[0])
+    length = int(work.trail.length[0])
     assert MAX_TRAIL // 2 <= length <= MAX_TRAIL
-    np.testing.assert_array_equal(work.trail[0, 0], IDENTITY_POSE)
-    np.testing.assert_array_equal(work.trail[length - 1, 0], poses[-1])
-    ways = np.linalg.norm(np.diff(work.trail[1:length, 0], axis=0), axis=1)
+    np.testing.assert_array_equal(work.trail.poses[0, 0], IDENTITY_POSE)
+    np.testing.assert_array_equal(work.trail.poses[length - 1, 0], poses[-1])
+    ways = np.linalg.norm(np.diff(work.trail.poses[1:length, 0], axis=0), axis=1)
     assert (ways > 0).all()

@@ -206,18 +206,8 @@ def moving_least_squares(
     True
     """
     check_process()
-    points = np.ascontiguousarray(points, dtype=float)
+    points = _checked_points(points, hidden)
     n, d = points.shape
-    if hidden is not None and hidden.shape != (n, n):
-        raise InputError(f"hidden must have shape ({n}, {n}), got {hidden.shape}; use Cloud.hidden of these points")
-    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
-    if bad.size:
-        raise CloudError(f"points must be finite, got other values at nodes {first_few(bad)}", bad)
-    far = np.flatnonzero(np.abs(points).max(axis=1) > MAX_COORDINATE)
-    if far.size:
-        raise CloudError(
-            f"points must lie within {MAX_COORDINATE:g} m of the origin, got others at nodes {first_few(far)}", far
-        )
     order = integer_in_range("order", order, 1, 3)
     exponents = monomial_exponents(d, order)
     if (neighbours is None) == (radius is None):
@@ -230,33 +220,57 @@ def moving_least_squares(
     else:
         radius = number_in_range("radius", radius or 0.0, 0.0, open_low=True, unit="m")
         near, reach = _within(points, tree, radius, hidden)
-    count = np.sum(near != np.arange(n)[:, None], axis=1)
-    needed = len(exponents) - 1  # the node itself is a point of either fit
-    few = np.flatnonzero(count < needed)
-    if few.size:
-        raise CloudError(
-            f"nodes {first_few(few)} must have at least {needed} neighbours for a fit of order {order} in {d}D, got "
-            f"{count[few].min()}; use more points, more neighbours or a larger radius",
-            few,
-        )
+    _check_counts(np.sum(near != np.arange(n)[:, None], axis=1), len(exponents) - 1, f"order {order} in {d}D")
     near, row, sample = _arrangements(points, near)
     offsets = points[near[sample]] - points[sample][:, None, :]
     present = near[sample] != sample[:, None]
     value, first, second, diagonal, condition = _fit(offsets, present, reach[sample], exponents, interpolating)
-    bad = np.flatnonzero(~(condition < MAX_CONDITION)[row])
-    if bad.size:
-        worst = condition[row[bad[0]]]
-        raise CloudError(
-            f"moment matrices of nodes {first_few(bad)} are ill-conditioned (node {bad[0]} at "
-            f"{points[bad[0]]}: condition {worst:.1e}, limit {MAX_CONDITION:.0e}): their neighbours lie in "
-            f"(nearly) one plane or line; use more neighbours or spread the points",
-            bad,
-        )
+    _check_condition(points, condition[row])
     return Stencils(
         near.astype(np.int32), row.astype(np.int32),
         value, first, second,
         diagonal[:, 0].copy(), diagonal[:, 1 : d + 1].copy(), diagonal[:, d + 1 :].copy(), condition,
     )  # fmt: skip
+
+
+def _checked_points(points: Floats, hidden: csr_array | None) -> Floats:
+    """Return points (n, d) as a contiguous array; raises for points that are not finite or far from the origin."""
+    points = np.ascontiguousarray(points, dtype=float)
+    n = len(points)
+    if hidden is not None and hidden.shape != (n, n):
+        raise InputError(f"hidden must have shape ({n}, {n}), got {hidden.shape}; use Cloud.hidden of these points")
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if bad.size:
+        raise CloudError(f"points must be finite, got other values at nodes {first_few(bad)}", bad)
+    far = np.flatnonzero(np.abs(points).max(axis=1) > MAX_COORDINATE)
+    if far.size:
+        raise CloudError(
+            f"points must lie within {MAX_COORDINATE:g} m of the origin, got others at nodes {first_few(far)}", far
+        )
+    return points
+
+
+def _check_counts(counts: Ints, needed: int, fit: str) -> None:
+    """Raise CloudError for nodes with fewer neighbours than a fit requires; the node itself is a point of any fit."""
+    few = np.flatnonzero(counts < needed)
+    if few.size:
+        raise CloudError(
+            f"nodes {first_few(few)} must have at least {needed} neighbours for a fit of {fit}, got "
+            f"{counts[few].min()}; use more points, more neighbours or a larger radius",
+            few,
+        )
+
+
+def _check_condition(points: Floats, condition: Floats) -> None:
+    """Raise CloudError for nodes whose moment matrix is ill-conditioned."""
+    bad = np.flatnonzero(~(condition < MAX_CONDITION))
+    if bad.size:
+        raise CloudError(
+            f"moment matrices of nodes {first_few(bad)} are ill-conditioned (node {bad[0]} at "
+            f"{points[bad[0]]}: condition {condition[bad[0]]:.1e}, limit {MAX_CONDITION:.0e}): their neighbours lie in "
+            f"(nearly) one plane or line; use more neighbours or spread the points",
+            bad,
+        )
 
 
 def monomial_exponents(d: int, order: int) -> Ints:

@@ -169,20 +169,13 @@ class Engine(Described):
         shared_memory: str | None = None,
         adjustable: bool = False,
     ) -> None:
-        if not HAS_CLOCKS:
-            raise RuntimeError(
-                "the system must have clock_gettime and nanosleep, got neither; use Linux, macOS or Windows"
-            )
+        _check_system(black_box)
         self._force_bound, catch_up = getattr(model, "force_bound", None), getattr(model, "catch_up", 0)
         self._cutter, tool_names = getattr(model, "cutter", None), getattr(model, "tool_names", ())
         if adjustable:
             model = _adjustable(model)
         self._model = model
         model = check_contract(model)
-        if black_box is not None and not Path(black_box).absolute().parent.is_dir():
-            raise InputError(
-                f"black_box must be in an existing folder, got {str(black_box)!r}; create its folder first"
-            )
         history = number_in_range("history", history, 0, MAX_HISTORY, open_low=True, unit="s")
         self._settings = _make_settings(
             rate, force_limit, stiffness_every, on_distrust, max_speed, max_angular_speed, spin, catch_up
@@ -466,7 +459,7 @@ class Engine(Described):
         """
         factor = number_in_range("factor", factor, MIN_TIME_SCALE, 1.0)
         with self._between_periods():
-            self._work.clock[TIME_SCALE] = factor
+            self._work.time[TIME_SCALE] = factor
 
     def set_modulus_ratio(self, ratio: float) -> None:
         """Multiply all moduli of an adjustable model at constant density; a running engine continues.
@@ -513,7 +506,7 @@ class Engine(Described):
             The model's step raised an exception, or the black box could not be written.
         """
         record = snapshot(self._channels.record)
-        worst = self._work.clock[WORST_SINCE_RESET]
+        worst = self._work.peaks[WORST_SINCE_RESET]
         if worst > 1 and not self._warned and self._settings.on_distrust == WARN:
             self._warned = True
             warnings.warn(
@@ -548,6 +541,14 @@ class Engine(Described):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.stop()
+
+
+def _check_system(black_box: str | Path | None) -> None:
+    """Raise where the system lacks clocks, or the folder of a black box does not exist."""
+    if not HAS_CLOCKS:
+        raise RuntimeError("the system must have clock_gettime and nanosleep, got neither; use Linux, macOS or Windows")
+    if black_box is not None and not Path(black_box).absolute().parent.is_dir():
+        raise InputError(f"black_box must be in an existing folder, got {str(black_box)!r}; create its folder first")
 
 
 def _adjustable(model: Any) -> ObservableModel:

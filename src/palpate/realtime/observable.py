@@ -289,64 +289,107 @@ def _coupling_of(coupling, t):
     )
 
 
+@kernel_njit(inner=True)
+def _begin_period(coupling, modulus_ratio, target, moved, values, v, period):
+    """Write what the model inside is to reach, move coupled tools, and scale the velocities (m,) to the present moduli.
+
+    Returns
+    -------
+    ratio : float
+        Present modulus ratio.
+    """
+    tools = coupling.position.shape[0]
+    count = target.shape[0] // tools
+    for k in range(target.shape[0]):
+        moved[k] = target[k]
+    for t in range(tools):
+        tool = _coupling_of(coupling, t)
+        if tool.parameters[STIFFNESS] > 0.0:
+            _move_coupled_tool(tool, moved[count * t : count * t + 3], values[TOOLS + 3 * t :], period)
+    before, most = modulus_ratio[PRESENT], np.exp(MAX_RATIO_RATE * period)
+    ratio = min(max(modulus_ratio[TARGET], before / most), before * most)
+    if ratio != before:
+        for m in range(v.shape[0]):
+            v[m] *= np.sqrt(before / ratio)
+        modulus_ratio[PRESENT] = ratio
+    return ratio
+
+
+@kernel_njit(inner=True)
+def _scale_report(report, ratio):
+    """Multiply energies and forces of a report by the modulus ratio."""
+    report[KINETIC] *= ratio
+    report[STRAIN] *= ratio
+    for k in range(FORCES, report.shape[0]):
+        report[k] *= ratio
+
+
+@kernel_njit(inner=True)
+def _end_period(coupling, report, target, moved, values, period):
+    """Write positions of tools and forces on devices; a tool that the model has held stops where it is."""
+    tools = coupling.position.shape[0]
+    count = target.shape[0] // tools
+    for t in range(tools):
+        tool, first = _coupling_of(coupling, t), count * t
+        device_force, position = values[TOOLS + 3 * t :], values[TOOLS + 3 * (tools + t) :]
+        coupled = tool.parameters[STIFFNESS] > 0.0
+        if coupled:
+            _stop_coupled_tool(tool, moved[first : first + 3], device_force, period)
+        else:
+            for k in range(count):
+                target[first + k] = moved[first + k]
+        for i in range(min(3, count)):
+            tool.force[i] = -report[FORCES + first + i]
+            position[i] = moved[first + i]  # where the tool is, which may be held
+            if not coupled:
+                device_force[i] = tool.force[i]
+
+
+@kernel_njit(inner=True)
+def _publish_period(contact, slot, values, tools, q, ratio):
+    """Publish coordinates (m,) and contact forces with what is written of the t tools."""
+    at = TOOLS + 6 * tools
+    for m in range(q.shape[0]):
+        values[at + m] = q[m]
+    at += q.shape[0]
+    pairs = min(contact.numbers[PAIRS], (values.shape[0] - at) // CONTACT_SIZE)
+    values[CONTACT_COUNT], values[MODULUS_RATIO] = pairs, ratio
+    for e in range(pairs):
+        values[at], values[at + 1] = contact.node[e], contact.tool[e]
+        for i in range(3):
+            values[at + 2 + i] = contact.push[e, i]  # for the model's own moduli
+        at += CONTACT_SIZE
+    publish(slot, values[:at])
+
+
+@kernel_njit(inner=True)
+def _scale_stiffness(tangent, ratio, out):
+    """Write a stiffness times the modulus ratio."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = ratio * tangent[i, j]
+
+
 @cache
 def observable_functions(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
-    """Compile the functions of an observable model around those of the model inside."""
+    """Compile the functions of an observable model around those of the model inside.
+
+    Only the calls of the functions inside depend on these. Couplings, moduli and publishing are compiled once.
+    """
     digest = law_digest(__name__, function_key(inner_advance), inner_stiffness and function_key(inner_stiffness))
 
     @law_njit(digest)
     def advance(given, q, v, target, period, report):
         """Advance the model inside, with the springs of the devices and the present moduli; publish the result."""
         data = reference(given)
-        moved, values, modulus_ratio = data.target, data.values, data.modulus_ratio
-        tools = data.coupling.position.shape[0]
-        count = target.shape[0] // tools
-        for k in range(target.shape[0]):
-            moved[k] = target[k]
-        for t in range(tools):
-            coupling = _coupling_of(data.coupling, t)
-            if coupling.parameters[STIFFNESS] > 0.0:
-                _move_coupled_tool(coupling, moved[count * t : count * t + 3], values[TOOLS + 3 * t :], period)
-        before, most = modulus_ratio[PRESENT], np.exp(MAX_RATIO_RATE * period)
-        ratio = min(max(modulus_ratio[TARGET], before / most), before * most)
-        if ratio != before:
-            for m in range(v.shape[0]):
-                v[m] *= np.sqrt(before / ratio)
-            modulus_ratio[PRESENT] = ratio
+        coupling, moved, values = data.coupling, data.target, data.values
+        ratio = _begin_period(coupling, data.modulus_ratio, target, moved, values, v, period)
         inner_advance(data.inner, q, v, moved, period * np.sqrt(ratio), report)
         if report[STATUS] != 0.0:
             return
-        report[KINETIC] *= ratio
-        report[STRAIN] *= ratio
-        for k in range(FORCES, report.shape[0]):
-            report[k] *= ratio
-        for t in range(tools):
-            coupling, first = _coupling_of(data.coupling, t), count * t
-            device_force, position = values[TOOLS + 3 * t :], values[TOOLS + 3 * (tools + t) :]
-            coupled = coupling.parameters[STIFFNESS] > 0.0
-            if coupled:
-                _stop_coupled_tool(coupling, moved[first : first + 3], device_force, period)
-            else:
-                for k in range(count):
-                    target[first + k] = moved[first + k]
-            for i in range(min(3, count)):
-                coupling.force[i] = -report[FORCES + first + i]
-                position[i] = moved[first + i]  # where the tool is, which may be held
-                if not coupled:
-                    device_force[i] = coupling.force[i]
-        at = TOOLS + 6 * tools
-        for m in range(q.shape[0]):
-            values[at + m] = q[m]
-        at += q.shape[0]
-        contact = data.contact
-        pairs = min(contact.numbers[PAIRS], (values.shape[0] - at) // CONTACT_SIZE)
-        values[CONTACT_COUNT], values[MODULUS_RATIO] = pairs, ratio
-        for e in range(pairs):
-            values[at], values[at + 1] = contact.node[e], contact.tool[e]
-            for i in range(3):
-                values[at + 2 + i] = contact.push[e, i]  # for the model's own moduli
-            at += CONTACT_SIZE
-        publish(data.slot, values[:at])
+        _scale_report(report, ratio)
+        _end_period(coupling, report, target, moved, values, period)
+        _publish_period(data.contact, data.slot, values, coupling.position.shape[0], q, ratio)
 
     if inner_stiffness is None:
         return advance, None
@@ -356,8 +399,6 @@ def observable_functions(inner_advance: Any, inner_stiffness: Any) -> tuple[Any,
         """Write the contact stiffness of the model inside, with the present moduli."""
         data = reference(given)
         inner_stiffness(data.inner, q, data.tangent)
-        for i in range(out.shape[0]):
-            for j in range(out.shape[1]):
-                out[i, j] = data.modulus_ratio[PRESENT] * data.tangent[i, j]
+        _scale_stiffness(data.tangent, data.modulus_ratio[PRESENT], out)
 
     return advance, stiffness

@@ -32,8 +32,9 @@ MAX_TRAIL = 256  # stored trusted poses
 RETREAT_DIVISOR = 4  # the tool moves back by 1 / RETREAT_DIVISOR of its trail ...
 SETTLING_TIME = 0.05  # [s] ... if trust does not return within this time, in which vibrations decay
 REST_ENERGY = 1e-4  # energy of a body at rest, over the largest since it was at rest: 1 % of the amplitude
-# indices in `Work.clock` and in `Work.follow`
-MODEL_TIME, TIME_SCALE, WAITED, LARGEST_ENERGY, WORST_SINCE_RESET, FORGETTING_RATE = range(6)
+# entries of `Work.time`, `Work.peaks` and `Work.follow`
+MODEL_TIME, TIME_SCALE = range(2)
+LARGEST_ENERGY, WORST_SINCE_RESET, FORGETTING_RATE = range(3)
 MOST_PERIODS, LARGEST_WAY, PERIODS_SINCE, PERIODS_LEFT = range(4)
 SAME_POSE = 1e-12  # difference of numbers of poses below which they are the same
 
@@ -67,6 +68,25 @@ class Settings(NamedTuple):
     catch_up: int
 
 
+class Trail(NamedTuple):
+    """Trusted poses of the tools, to which clamped tools return, and where trust was lost."""
+
+    # poses, length: (MAX_TRAIL, t, 7), (1,): trusted poses, newest last, and their number. The first is where the tools
+    # were put down. A full trail keeps every second pose.
+    poses: Floats
+    length: NDArray[np.int64]
+    # lost_at, last_trusted: (t l,): tool coordinates of the poses at which trust was lost, and of the last trusted ones
+    lost_at: Floats
+    last_trusted: Floats
+    waited: Floats  # (1,): time [s] that clamped tools have waited for trust
+
+    @classmethod
+    def zeros(cls, tools: int, coordinates: int) -> Trail:
+        """Make the trail of tools that have a number of coordinates together."""
+        poses, (lost_at, last_trusted) = np.zeros((MAX_TRAIL, tools, POSE_NUMBERS)), np.zeros((2, coordinates))
+        return cls(poses, np.ones(1, dtype=np.int64), lost_at, last_trusted, waited=np.zeros(1))
+
+
 class Work(NamedTuple):
     """State of body and tools, and scratch arrays; owned by the loop."""
 
@@ -77,45 +97,42 @@ class Work(NamedTuple):
     # pose, wanted: (t, 7): present and requested poses of the tools
     pose: Floats
     wanted: Floats
-    # trail, length: (MAX_TRAIL, t, 7), (1,): trusted poses, newest last, and their number. The first is where the tools
-    # were put down. A full trail keeps every second pose.
-    trail: Floats
-    length: NDArray[np.int64]
     # (t, 4): most periods in which a tool reaches a new pose evenly, its largest way [m] in one, periods since its last
     # new pose, and periods until it is there
     follow: Floats
     fetched: Floats  # (8,): copy of the newest pose of a tool and its sequence number
-    # target, lost_at, last_trusted, wanted_coordinates: (t l,): tool coordinates of `pose`, of the poses at which trust
-    # was lost, of the last trusted poses, and of `wanted`
+    # target, wanted_coordinates: (t l,): tool coordinates of `pose` and of `wanted`
     target: Floats
-    lost_at: Floats
-    last_trusted: Floats
     wanted_coordinates: Floats
     # report, tangent: (8 + t l,), (t l, l): results of the model's functions
     report: Floats
     tangent: Floats
     record: Floats  # record of the present period
-    # (6,): model time [ns], model time per wall-clock time, the time [s] that clamped tools have waited for trust, the
-    # largest energy [J] since the body was at rest, the largest trust number since the reset, and the rate [1/s] at
+    trail: Trail
+    time: Floats  # (2,): model time [ns], and model time per wall-clock time
+    # (3,): largest energy [J] since the body was at rest, largest trust number since the reset, and the rate [1/s] at
     # which the largest one since rest decays
-    clock: Floats
+    peaks: Floats
 
     @classmethod
     def at_rest(cls, rest: Floats, tool: Floats, forgetting: float = 0.0) -> Work:
         """Make the state at rest; `tool` as that of `Realtime`, and a rate [1/s] of forgetting trust numbers."""
         tool = tool_maps(tool)
         m, (tools, count, _) = len(rest), tool.shape
-        poses = {name: np.zeros((tools, POSE_NUMBERS)) for name in ("pose", "wanted")}
-        poses["trail"] = np.zeros((MAX_TRAIL, tools, POSE_NUMBERS))
-        names = ("target", "lost_at", "last_trusted", "wanted_coordinates")
-        coordinates = {name: np.zeros(tools * count) for name in names}
-        report, tangent = np.zeros(FORCES + tools * count), np.zeros((tools * count, count))
-        clock = np.array([0.0, 1.0, 0.0, 0.0, 0.0, forgetting])
-        follow = np.tile([0.0, np.inf, 0.0, 1.0], (tools, 1))
+        pose, wanted = np.zeros((2, tools, POSE_NUMBERS))
+        target, wanted_coordinates = np.zeros((2, tools * count))
         work = cls(
-            np.zeros(m), np.zeros(m), tool, **poses, length=np.ones(1, dtype=np.int64),
-            follow=follow, fetched=np.zeros(POSE_NUMBERS + 1), **coordinates, report=report, tangent=tangent,
-            record=np.zeros(record_size(m, tools)), clock=clock,
+            np.zeros(m), np.zeros(m), tool, pose, wanted,
+            follow=np.tile([0.0, np.inf, 0.0, 1.0], (tools, 1)),
+            fetched=np.zeros(POSE_NUMBERS + 1),
+            target=target,
+            wanted_coordinates=wanted_coordinates,
+            report=np.zeros(FORCES + tools * count),
+            tangent=np.zeros((tools * count, count)),
+            record=np.zeros(record_size(m, tools)),
+            trail=Trail.zeros(tools, tools * count),
+            time=np.array([0.0, 1.0]),
+            peaks=np.array([0.0, 0.0, forgetting]),
         )  # fmt: skip
         work.reset(rest)
         return work
@@ -161,11 +178,11 @@ def _repeat_first(record):
 @kernel_njit()
 def reset_work(work, rest):
     """Set body and tools to rest."""
-    for array in (work.v, work.target, work.lost_at, work.report, work.record):
+    for array in (work.v, work.target, work.trail.lost_at, work.report, work.record):
         _fill(array, 0.0)
     _fill(work.tangent, 0.0)
     copy_to(rest, work.q, 0)
-    work.clock[MODEL_TIME], work.clock[LARGEST_ENERGY], work.clock[WORST_SINCE_RESET] = 0.0, 0.0, 0.0
+    work.time[MODEL_TIME], work.peaks[LARGEST_ENERGY], work.peaks[WORST_SINCE_RESET] = 0.0, 0.0, 0.0
     _fill(work.pose, 0.0)
     for t in range(work.pose.shape[0]):
         work.pose[t, 3] = 1.0
@@ -179,8 +196,8 @@ def place_work(work, t):
     copy_to(work.pose[t], work.wanted[t], 0)
     work.follow[t, PERIODS_LEFT] = 1.0
     for s in range(work.pose.shape[0]):
-        copy_to(work.pose[s], work.trail[0, s], 0)
-    work.length[0], work.record[CLAMPED] = 1, 0.0
+        copy_to(work.pose[s], work.trail.poses[0, s], 0)
+    work.trail.length[0], work.record[CLAMPED] = 1, 0.0
     at = HEADER_SIZE + TOOL_SIZE * t
     copy_to(work.pose[t], work.record, at + POSE)
     for i in range(6):
@@ -201,16 +218,22 @@ def take_pose(work, t, pose):
     return is_taken
 
 
+@kernel_njit(inline="always")
+def _last_trusted_poses(trail):
+    """Return the newest poses (t, 7) of a trail."""
+    return trail.poses[trail.length[0] - 1]
+
+
 @kernel_njit()
 def move_tools(work, settings):
     """Move the tools towards the requested poses, or clamped tools towards their last trusted poses."""
     goal = work.wanted
     if work.record[CLAMPED]:
         if work.record[TRUSTED] > 1.0 or _is_beyond(work):
-            goal = work.trail[work.length[0] - 1]
+            goal = _last_trusted_poses(work.trail)
         else:
             work.record[CLAMPED] = 0.0
-    time_scale, follow = work.clock[TIME_SCALE], work.follow
+    time_scale, follow = work.time[TIME_SCALE], work.follow
     for t in range(goal.shape[0]):
         way = time_scale * min(settings.max_distance, follow[t, LARGEST_WAY])
         follow_pose(work.pose[t], goal[t], way, time_scale * settings.max_angle, follow[t, PERIODS_LEFT])
@@ -238,41 +261,42 @@ def _take_back(work):
 def _is_beyond(work):
     """Return whether the requested poses are beyond the last trusted ones, in the direction that lost trust."""
     tool_coordinates(work.tool, work.wanted, work.wanted_coordinates)
-    beyond = 0.0
+    beyond, lost_at, last_trusted = 0.0, work.trail.lost_at, work.trail.last_trusted
     for k in range(work.wanted_coordinates.shape[0]):
-        beyond += (work.lost_at[k] - work.last_trusted[k]) * (work.wanted_coordinates[k] - work.last_trusted[k])
+        beyond += (lost_at[k] - last_trusted[k]) * (work.wanted_coordinates[k] - last_trusted[k])
     return beyond > 0.0
 
 
 @kernel_njit()
 def clamp_tools(work, seconds):
     """After a period [s], store the trusted poses, or clamp the tools to the last ones."""
+    trail = work.trail
     if work.record[TRUSTED] > 1.0 and not work.record[CLAMPED]:
-        work.record[CLAMPED], work.clock[WAITED] = 1.0, 0.0
-        copy_to(work.target, work.lost_at, 0)
-        tool_coordinates(work.tool, work.trail[work.length[0] - 1], work.last_trusted)
+        work.record[CLAMPED], trail.waited[0] = 1.0, 0.0
+        copy_to(work.target, trail.lost_at, 0)
+        tool_coordinates(work.tool, _last_trusted_poses(trail), trail.last_trusted)
     elif work.record[TRUSTED] > 1.0:
         _retreat(work, seconds)
     elif work.record[CLAMPED]:
-        work.clock[WAITED] = 0.0
-    elif not _is_equal_pose(work.pose, work.trail[work.length[0] - 1]):
-        if work.length[0] == work.trail.shape[0]:
-            work.length[0] = _thin(work.trail)
-        _copy_poses(work.pose, work.trail[work.length[0]])
-        work.length[0] += 1
+        trail.waited[0] = 0.0
+    elif not _is_equal_pose(work.pose, _last_trusted_poses(trail)):
+        if trail.length[0] == trail.poses.shape[0]:
+            trail.length[0] = _thin(trail.poses)
+        _copy_poses(work.pose, trail.poses[trail.length[0]])
+        trail.length[0] += 1
 
 
 @kernel_njit(inner=True)
 def _retreat(work, seconds):
     """Move clamped tools back along their trail if trust does not return."""
-    length = work.length[0]
-    if length > 1 and _is_equal_pose(work.pose, work.trail[length - 1]):
-        work.clock[WAITED] += seconds
-        if work.clock[WAITED] >= SETTLING_TIME:
-            work.clock[WAITED] = 0.0
-            work.length[0] = length - max(1, length // RETREAT_DIVISOR)
-            if _is_equal(work.lost_at, work.last_trusted):  # the tool stood still when trust was lost
-                tool_coordinates(work.tool, work.trail[work.length[0] - 1], work.last_trusted)
+    trail, length = work.trail, work.trail.length[0]
+    if length > 1 and _is_equal_pose(work.pose, _last_trusted_poses(trail)):
+        trail.waited[0] += seconds
+        if trail.waited[0] >= SETTLING_TIME:
+            trail.waited[0] = 0.0
+            trail.length[0] = length - max(1, length // RETREAT_DIVISOR)
+            if _is_equal(trail.lost_at, trail.last_trusted):  # the tool stood still when trust was lost
+                tool_coordinates(work.tool, _last_trusted_poses(trail), trail.last_trusted)
 
 
 @kernel_njit(inner=True)
@@ -319,10 +343,10 @@ def _is_finite(array):
 @kernel_njit(inner=True)
 def _forget_at_rest(work):
     """Forget the largest trust number and forces of a motion when the body is at rest again."""
-    energy, clock = work.report[KINETIC] + work.report[STRAIN], work.clock
-    clock[LARGEST_ENERGY] = max(clock[LARGEST_ENERGY], energy)
-    if clock[LARGEST_ENERGY] > 0.0 and energy <= REST_ENERGY * clock[LARGEST_ENERGY]:
-        clock[LARGEST_ENERGY], work.record[WORST_TRUST] = 0.0, 0.0
+    energy, peaks = work.report[KINETIC] + work.report[STRAIN], work.peaks
+    peaks[LARGEST_ENERGY] = max(peaks[LARGEST_ENERGY], energy)
+    if peaks[LARGEST_ENERGY] > 0.0 and energy <= REST_ENERGY * peaks[LARGEST_ENERGY]:
+        peaks[LARGEST_ENERGY], work.record[WORST_TRUST] = 0.0, 0.0
         for t in range(work.tool.shape[0]):
             work.record[HEADER_SIZE + TOOL_SIZE * t + LARGEST_FORCE] = 0.0
 
@@ -335,14 +359,14 @@ def write_record(work, settings):
     record[FAILED] = 0.0 if valid else 1.0
     if valid:
         record[PERIODS] += 1.0
-        work.clock[MODEL_TIME] += work.clock[TIME_SCALE] * settings.period
-    record[TIME] = 1e-9 * work.clock[MODEL_TIME]
+        work.time[MODEL_TIME] += work.time[TIME_SCALE] * settings.period
+    record[TIME] = 1e-9 * work.time[MODEL_TIME]
     record[ITERATIONS], record[TRUSTED] = report[STEPS], report[TRUST]
     _forget_at_rest(work)
-    seconds = 1e-9 * work.clock[TIME_SCALE] * settings.period
-    remembered = np.exp(-work.clock[FORGETTING_RATE] * seconds) * record[WORST_TRUST]
+    seconds = 1e-9 * work.time[TIME_SCALE] * settings.period
+    remembered = np.exp(-work.peaks[FORGETTING_RATE] * seconds) * record[WORST_TRUST]
     record[WORST_TRUST] = max(remembered, report[TRUST])
-    work.clock[WORST_SINCE_RESET] = max(work.clock[WORST_SINCE_RESET], report[TRUST])
+    work.peaks[WORST_SINCE_RESET] = max(work.peaks[WORST_SINCE_RESET], report[TRUST])
     record[ENERGIES], record[ENERGIES + 1] = report[KINETIC], report[STRAIN]
     for t in range(work.tool.shape[0]):
         _write_tool(work, settings, t)
@@ -419,7 +443,7 @@ def compile_period(advance: Any, stiffness: Any) -> Any:
 
     @law_njit(digest, cached=cached, inline="always")
     def take_period(data, work, settings):
-        seconds = 1e-9 * settings.period * work.clock[TIME_SCALE]
+        seconds = 1e-9 * settings.period * work.time[TIME_SCALE]
         move_tools(work, settings)
         advance(data, work.q, work.v, work.target, seconds, work.report)
         _take_back(work)

@@ -79,7 +79,7 @@ def test_the_force_of_a_slow_press_is_that_of_a_run(block):
 
 def test_a_body_at_rest_is_touched_in_periods_shorter_than_its_step(block):
     stepped, period = Stepped(block), 2e-4
-    assert stepped.model.data.clock[1] > 2 * period
+    assert stepped.model.data.stepping[nodal.STEP] > 2 * period
     reports = []
     for k in range(500):
         target = np.zeros(12)
@@ -145,19 +145,19 @@ def test_a_body_at_rest_stays_at_rest_and_returns_to_it(block):
     stepped.press(0.02, lambda t: 0.0)
     assert not stepped.q.any()
     stepped.press(0.15)
-    first = stepped.model.data.clock.copy()
+    first = stepped.model.data.energies.copy()
     stepped.q[:], stepped.v[:] = 0.0, 0.0  # what a reset of the engine does
     stepped.to(np.zeros(3))
     assert not stepped.q.any()
-    assert stepped.model.data.clock[nodal.WORK] == 0.0 != first[nodal.WORK]
+    assert stepped.model.data.energies[nodal.WORK] == 0.0 != first[nodal.WORK]
 
 
 def test_steps_need_not_divide_the_period(block):
     stepped = Stepped(block)
     counts = stepped.press(0.2)[:, 2]
-    clock = stepped.model.data.clock
+    stepping = stepped.model.data.stepping
     assert set(counts.tolist()) == {1.0, 2.0}
-    assert 0.0 <= clock[nodal.BEHIND] < clock[nodal.STEP]
+    assert 0.0 <= stepping[nodal.BEHIND] < stepping[nodal.STEP]
     assert counts.mean() * block.stability.step == pytest.approx(PERIOD, rel=0.15)
 
 
@@ -190,14 +190,14 @@ def test_storms_of_poses_leave_a_finite_body(block):
 def test_a_period_with_too_long_steps_is_repeated_with_shorter_ones(block):
     stepped = Stepped(block)
     stepped.press(0.15)
-    clock = stepped.model.data.clock
-    clock[nodal.FREQUENCY] /= 4
-    clock[nodal.UNTIL_ESTIMATE] = 1e9
-    before = clock[nodal.FREQUENCY]
+    stepping = stepped.model.data.stepping
+    stepping[nodal.FREQUENCY] /= 4
+    stepping[nodal.UNTIL_ESTIMATE] = 1e9
+    before = stepping[nodal.FREQUENCY]
     reports = stepped.press(0.05, lambda t: depth(0.15))
     assert not reports[:, 0].any()
-    assert clock[nodal.FREQUENCY] > 2 * before
-    assert clock[nodal.REPEATED] > 0
+    assert stepping[nodal.FREQUENCY] > 2 * before
+    assert stepped.model.data.counts[nodal.REPEATED] > 0
     assert np.abs(stepped.q).max() < SIZE[2]
 
 
@@ -205,11 +205,11 @@ def test_a_drift_of_the_sums_of_work_stops_no_body(block):
     stepped, same = Stepped(block), Stepped(block)
     stepped.press(0.15)
     same.press(0.15)
-    stepped.model.data.clock[nodal.GIVEN] -= 1.0  # J, after hours of presses
+    stepped.model.data.energies[nodal.GIVEN] -= 1.0  # J, after hours of presses
     drifted, still = (each.press(0.1, lambda t: depth(0.15)) for each in (stepped, same))
     assert not drifted[:, 0].any()
-    assert stepped.model.data.clock[nodal.GAINED] == pytest.approx(1.0, rel=0.01)
-    assert same.model.data.clock[nodal.GAINED] == 0.0
+    assert stepped.model.data.energies[nodal.GAINED] == pytest.approx(1.0, rel=0.01)
+    assert same.model.data.energies[nodal.GAINED] == 0.0
     assert drifted[20:, 2].max() <= 2 * still[:, 2].max()
     # that of the repeated period, too, whose steps are shorter
     np.testing.assert_allclose(drifted[[0, 1, -1], 10], still[[0, 1, -1], 10], rtol=0.03)
@@ -279,7 +279,7 @@ def test_a_slow_grasp_has_force_and_moment_of_a_run(block):
     np.testing.assert_allclose(means, force, atol=0.02 * np.abs(force).max())
     held = stepped.model.data.tools.grip.node[0, : stepped.model.data.tools.grip.numbers[0, 0]]
     at = block.cloud.points[held] + stepped.q.reshape(-1, 3)[held]
-    share = 1 - stepped.model.data.clock[nodal.BEHIND] / PERIOD  # of the last way; the body is behind the clock
+    share = 1 - stepped.model.data.stepping[nodal.BEHIND] / PERIOD  # of the last way; the body is behind the clock
     time = 0.299 + share * PERIOD
     wanted = (block.cloud.points[held] - CORNER) @ turned(angle(time)).T + CORNER + lift(time)
     np.testing.assert_allclose(at, wanted, atol=1e-6)
@@ -288,8 +288,8 @@ def test_a_slow_grasp_has_force_and_moment_of_a_run(block):
 
 
 def nodal_energy(stepped):
-    clock = stepped.model.data.clock
-    return clock[nodal.WORK] - clock[nodal.LOST] - clock[nodal.KINETIC_ENERGY]
+    energies = stepped.model.data.energies
+    return energies[nodal.WORK] - energies[nodal.LOST] - energies[nodal.KINETIC_ENERGY]
 
 
 def test_the_work_of_forceps_is_in_the_energy_balance(block):
@@ -309,11 +309,11 @@ def test_forceps_that_hold_still_dissipate_nothing():
     lost = []
     for _ in range(1000):
         report = stepped.to(depth(0.15) * np.array([0.7, 0.0, 0.7]))
-        lost.append(stepped.model.data.clock[nodal.LOST])
+        lost.append(stepped.model.data.energies[nodal.LOST])
     strain = body.strain_energy(stepped.q.reshape(-1, 3))
     assert report[4] == pytest.approx(strain, rel=0.01)
     assert abs(lost[-1] - lost[-200]) < 1e-3 * strain
-    assert stepped.model.data.clock[nodal.REPEATED] == 0
+    assert stepped.model.data.counts[nodal.REPEATED] == 0
 
 
 def test_a_tool_slides_with_friction_over_a_support_where_nothing_else_moves():
@@ -416,13 +416,13 @@ def test_sliding_nodes_count_in_the_stable_step():
     """A light node on a roller has the highest frequency of the body."""
     body = pt.Solid(pt.box(SIZE, SPACING), law(), pt.Roller("z-", normal=(0.0, 0.0, 1.0)))
     stepped = Stepped(body)
-    clock = stepped.model.data.clock
+    stepping = stepped.model.data.stepping
     stepped.press(0.1)
     data = stepped.model.data
     sliding = data.body.sites.slide_of >= 0
     assert np.abs(data.iteration.vector[sliding, :2]).max() > 0.0
     assert not data.iteration.vector[sliding, 2].any()
-    assert clock[nodal.FREQUENCY] == pytest.approx(data.body.resting_frequency, rel=0.3)
+    assert stepping[nodal.FREQUENCY] == pytest.approx(data.body.resting_frequency, rel=0.3)
 
 
 @pytest.mark.quick

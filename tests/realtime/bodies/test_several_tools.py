@@ -11,6 +11,7 @@ import pytest
 import palpate as pt
 from palpate.compiled.reference import StoredRecord
 from palpate.dynamics.contact.shapes import Capsule, Forceps, Punch, Sphere
+from palpate.dynamics.nodal.period_data import BEHIND
 from palpate.realtime.bodies.model import idle_model
 from palpate.realtime.observable import make_observable
 from palpate.realtime.period import Work
@@ -131,9 +132,9 @@ def test_momentum_of_a_free_body_between_two_tools_is_that_of_their_impulses():
     for k in range(120):
         work.target[:3] = (0.0, 0.0, 1e-5 * k)
         work.target[12:15] = (0.0, 0.0, -2e-5 * k)
-        before = model.data.clock[0]
+        before = model.data.stepping[BEHIND]
         model.advance(data, work.q, work.v, work.target, PERIOD, work.report)
-        seconds = PERIOD + before - model.data.clock[0]  # of the steps that were taken
+        seconds = PERIOD + before - model.data.stepping[BEHIND]  # of the steps that were taken
         impulse += seconds * work.report[8:].reshape(2, 12)[:, :3].sum(axis=0)
     momentum = masses @ work.v.reshape(-1, 3)
     assert np.abs(work.report[8 + 12 : 8 + 15]).max() > 0.01  # the ball presses

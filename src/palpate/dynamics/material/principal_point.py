@@ -20,6 +20,7 @@ import numpy as np
 
 from palpate.compiled.eigenvectors import principal
 from palpate.compiled.jit import inline, kernel_njit, law_njit
+from palpate.dynamics.material.invariants import cofactor_of, right_cauchy_green
 from palpate.dynamics.material.principal_stretches import make_principal_stress
 
 
@@ -59,31 +60,16 @@ def make_principal_point(
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
     def crushed_stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):
         F = 1.0 + d0, d1, d2, d3, 1.0 + d4, d5, d6, d7, 1.0 + d8
-        c = _cofactor(F)
+        c = cofactor_of(F)
         J = F[0] * c[0] + F[1] * c[1] + F[2] * c[2]
         l1, l2, n, m = _two_largest(F)
         e1, e2, eJ = slopes(l1, l2, J, coefficients)
-        g, h = e1 / l1, e2 / l2
-        S00, S11 = g * n[0] * n[0] + h * m[0] * m[0], g * n[1] * n[1] + h * m[1] * m[1]
-        S22, S01 = g * n[2] * n[2] + h * m[2] * m[2], g * n[0] * n[1] + h * m[0] * m[1]
-        S02, S12 = g * n[0] * n[2] + h * m[0] * m[2], g * n[1] * n[2] + h * m[1] * m[2]
-        P = (
-            F[0] * S00 + F[1] * S01 + F[2] * S02 + eJ * c[0],
-            F[0] * S01 + F[1] * S11 + F[2] * S12 + eJ * c[1],
-            F[0] * S02 + F[1] * S12 + F[2] * S22 + eJ * c[2],
-            F[3] * S00 + F[4] * S01 + F[5] * S02 + eJ * c[3],
-            F[3] * S01 + F[4] * S11 + F[5] * S12 + eJ * c[4],
-            F[3] * S02 + F[4] * S12 + F[5] * S22 + eJ * c[5],
-            F[6] * S00 + F[7] * S01 + F[8] * S02 + eJ * c[6],
-            F[6] * S01 + F[7] * S11 + F[8] * S12 + eJ * c[7],
-            F[6] * S02 + F[7] * S12 + F[8] * S22 + eJ * c[8],
-        )
-        return P, c, J - 1.0
+        return _stress_of_two(F, c, n, m, e1 / l1, e2 / l2, eJ), c, J - 1.0
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):
         F = 1.0 + d0, d1, d2, d3, 1.0 + d4, d5, d6, d7, 1.0 + d8
-        c = _cofactor(F)
+        c = cofactor_of(F)
         if F[0] * c[0] + F[1] * c[1] + F[2] * c[2] < crushed:
             return crushed_stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients)
         return regular_stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients)
@@ -91,7 +77,7 @@ def make_principal_point(
     @law_njit(digest, cached=False, fastmath={"contract"})
     def density(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):
         F = 1.0 + d0, d1, d2, d3, 1.0 + d4, d5, d6, d7, 1.0 + d8
-        c = _cofactor(F)
+        c = cofactor_of(F)
         J = F[0] * c[0] + F[1] * c[1] + F[2] * c[2]
         l1, l2, _, _ = _two_largest(F)
         E = energy(l1, l2, max(J, crushed) / (l1 * l2), coefficients)
@@ -106,26 +92,9 @@ def make_principal_point(
 
 
 @kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
-def _cofactor(F):
-    """Return cof(F), row by row."""
-    return (
-        F[4] * F[8] - F[5] * F[7], F[5] * F[6] - F[3] * F[8], F[3] * F[7] - F[4] * F[6],
-        F[2] * F[7] - F[1] * F[8], F[0] * F[8] - F[2] * F[6], F[1] * F[6] - F[0] * F[7],
-        F[1] * F[5] - F[2] * F[4], F[2] * F[3] - F[0] * F[5], F[0] * F[4] - F[1] * F[3],
-    )  # fmt: skip
-
-
-@kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
 def _two_largest(F):
     """Return the two largest stretches, at least a thousandth, and their directions."""
-    x, n = principal(
-        F[0] * F[0] + F[3] * F[3] + F[6] * F[6],
-        F[1] * F[1] + F[4] * F[4] + F[7] * F[7],
-        F[2] * F[2] + F[5] * F[5] + F[8] * F[8],
-        F[0] * F[1] + F[3] * F[4] + F[6] * F[7],
-        F[0] * F[2] + F[3] * F[5] + F[6] * F[8],
-        F[1] * F[2] + F[4] * F[5] + F[7] * F[8],
-    )
+    x, n = principal(*right_cauchy_green(F))
     a, b, c = (n[0], n[3], n[6]), (n[1], n[4], n[7]), (n[2], n[5], n[8])
     if x[0] <= x[1] and x[0] <= x[2]:
         y, z, first, second = x[1], x[2], b, c
@@ -134,3 +103,22 @@ def _two_largest(F):
     else:
         y, z, first, second = x[0], x[1], a, b
     return np.sqrt(max(y, 1e-6)), np.sqrt(max(z, 1e-6)), first, second
+
+
+@kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
+def _stress_of_two(F, c, n, m, g, h, eJ):
+    """Return g F n n' + h F m m' + eJ c, row by row."""
+    S00, S11 = g * n[0] * n[0] + h * m[0] * m[0], g * n[1] * n[1] + h * m[1] * m[1]
+    S22, S01 = g * n[2] * n[2] + h * m[2] * m[2], g * n[0] * n[1] + h * m[0] * m[1]
+    S02, S12 = g * n[0] * n[2] + h * m[0] * m[2], g * n[1] * n[2] + h * m[1] * m[2]
+    return (
+        F[0] * S00 + F[1] * S01 + F[2] * S02 + eJ * c[0],
+        F[0] * S01 + F[1] * S11 + F[2] * S12 + eJ * c[1],
+        F[0] * S02 + F[1] * S12 + F[2] * S22 + eJ * c[2],
+        F[3] * S00 + F[4] * S01 + F[5] * S02 + eJ * c[3],
+        F[3] * S01 + F[4] * S11 + F[5] * S12 + eJ * c[4],
+        F[3] * S02 + F[4] * S12 + F[5] * S22 + eJ * c[5],
+        F[6] * S00 + F[7] * S01 + F[8] * S02 + eJ * c[6],
+        F[6] * S01 + F[7] * S11 + F[8] * S12 + eJ * c[7],
+        F[6] * S02 + F[7] * S12 + F[8] * S22 + eJ * c[8],
+    )

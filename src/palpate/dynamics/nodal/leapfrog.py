@@ -33,7 +33,6 @@ from palpate.dynamics.nodal.period_data import (
     KINETIC_SUM,
     LOST,
     LOST_SUM,
-    NEAR_MARGIN,
     NEXT_BEHIND,
     STEP,
     WORK,
@@ -131,7 +130,8 @@ def kinetic_energy(nodes, velocity):
 def _reach(data, t):
     """Return the distance [m] from the origin of a tool up to which its way counts for the list of candidates."""
     contacts = data.tools.contacts
-    return contacts.tools.radius[t] + contacts.gaps.search + contacts.patches.radius + max(data.clock[NEAR_MARGIN], 0.0)
+    margin = max(data.tools.near_margin[0], 0.0)
+    return contacts.tools.radius[t] + contacts.gaps.search + contacts.patches.radius + margin
 
 
 @kernel_njit(inner=True)
@@ -171,9 +171,9 @@ def _held_count(grip):
 
 
 @kernel_njit(inline="always")
-def _steps_in(clock, period):
+def _steps_in(stepping, period):
     """Return the number of steps that end within a period [s], and the time [s] by which the body is behind before."""
-    step, behind = clock[STEP], clock[BEHIND]
+    step, behind = stepping[STEP], stepping[BEHIND]
     count = int((behind + period) / step * (1.0 + 1e-12))
     if count > MAX_STEPS:
         return MAX_STEPS, MAX_STEPS * step - period
@@ -183,23 +183,23 @@ def _steps_in(clock, period):
 @kernel_njit(inline="always")
 def _kick(data, step, u, velocity):
     """Accelerate the nodes, v += dt a with the damping alpha M; then those that forceps hold, to their places."""
-    body, tools, scratch, alpha, clock = data.body, data.tools, data.scratch, data.body.damping.alpha, data.clock
+    body, tools, scratch, alpha, energies = data.body, data.tools, data.scratch, data.body.damping.alpha, data.energies
     store_velocities(tools.grip, velocity)
     _kick_blocks(body.sites, body.nodes, scratch, scratch.previous, step, alpha, u, velocity, data.sums)
     works = hold_nodes(tools.grip, tools.contacts, body.nodes, scratch.surface, alpha, step, u, velocity)
-    clock[WORK] += _total(data.sums, WORK_SUM) + works[0]
-    clock[LOST] += _total(data.sums, LOST_SUM) + works[1]
+    energies[WORK] += _total(data.sums, WORK_SUM) + works[0]
+    energies[LOST] += _total(data.sums, LOST_SUM) + works[1]
 
 
 @kernel_njit(inline="always")
 def _list_candidates(data, step, way, u):
     """List the candidates near the tools where the next drift may lead beyond the list; return the way [m] since."""
-    tools, clock = data.tools, data.clock
+    tools = data.tools
     ahead = step * np.sqrt(_largest(data.sums, KICK_SQUARE))
-    if way + ahead <= clock[NEAR_MARGIN]:
+    if way + ahead <= tools.near_margin[0]:
         return way
-    clock[NEAR_MARGIN] = data.limits.node + ahead
-    list_near(tools.contacts, clock[NEAR_MARGIN], u)
+    tools.near_margin[0] = data.limits.node + ahead
+    list_near(tools.contacts, tools.near_margin[0], u)
     copy_field(u, tools.listed)
     for t in range(tools.path.shape[0]):
         tools.clear_way[t] = 0.0
@@ -232,13 +232,13 @@ def leapfrog(formulation: Formulation, touch: int) -> Any:
     @law_njit(digest, inline="always")
     def push(data, step, u, velocity):
         """Apply the impulses of the tools, projected on Coulomb's cone; forceps bear those on their nodes."""
-        tools, clock = data.tools, data.clock
+        tools, energies = data.tools, data.energies
         loads = data.body.nodes, data.scratch, data.body.damping.alpha, (0.0, 0.0, 0.0)
         works = push_tools(tools.contacts, (step, step, step, 0.0), 1.0, u, velocity, loads)
-        clock[WORK] += works[0]
-        clock[LOST] += works[1]
+        energies[WORK] += works[0]
+        energies[LOST] += works[1]
         if _held_count(tools.grip) > 0:
-            clock[WORK] += bear_impulses(tools.grip, tools.contacts, step, u, velocity)
+            energies[WORK] += bear_impulses(tools.grip, tools.contacts, step, u, velocity)
 
     @law_njit(digest, inline="always")
     def write_forces(data, constants, work, step, u, velocity):
@@ -254,11 +254,11 @@ def leapfrog(formulation: Formulation, touch: int) -> Any:
 
     @law_njit(digest, inline="always")
     def take_steps(data, u, velocity, period):
-        clock, tools, step = data.clock, data.tools, data.clock[STEP]
+        stepping, energies, tools, step = data.stepping, data.energies, data.tools, data.stepping[STEP]
         begin_grip(tools.grip, tools.contacts.patches.points, u, tools.contacts.work.frames)
-        count, behind = _steps_in(clock, period)
+        count, behind = _steps_in(stepping, period)
         if count == 0:
-            clock[KINETIC_ENERGY], clock[NEXT_BEHIND] = kinetic_energy(data.body.nodes, velocity), behind + period
+            energies[KINETIC_ENERGY], stepping[NEXT_BEHIND] = kinetic_energy(data.body.nodes, velocity), behind + period
             return 0
         _drift(data, 0.0, u, velocity)
         way = _way_since_list(data, u)
@@ -276,8 +276,8 @@ def leapfrog(formulation: Formulation, touch: int) -> Any:
             for t in range(tools.path.shape[0]):
                 tools.clear_way[t] -= moved
             way += moved
-        clock[KINETIC_ENERGY] = _total(data.sums, KINETIC_SUM)
-        clock[NEXT_BEHIND] = behind + period - count * step
+        energies[KINETIC_ENERGY] = _total(data.sums, KINETIC_SUM)
+        stepping[NEXT_BEHIND] = behind + period - count * step
         return count
 
     return take_steps

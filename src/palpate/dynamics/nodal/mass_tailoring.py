@@ -20,6 +20,7 @@ energy of the additional mass is not in that of the body, so a step gains no ene
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -79,37 +80,55 @@ def tailored_mass(model: NodalModel, fixed: NDArray[np.bool_], modes: int) -> tu
         Number of modes; 0 for none.
     """
     frequency, _ = model.highest_frequency(np.zeros((len(model.cloud), 3)), fixed)
-    vectors, n = VECTORS_PER_MODE * (modes + 1), len(model.cloud)
-    if not modes or vectors >= 3 * n:
+    if not modes or VECTORS_PER_MODE * (modes + 1) >= 3 * len(model.cloud):
         return _no_modes(frequency)
-    force_of, work, amplitude = (
-        internal_force(model.formulation.of_steps),
-        model.workspace(),
-        PROBE * model.cloud.spacing,
-    )
-    constrain, masses, result = model.constrain(fixed), model.masses[:, None], np.zeros((n, 3))
+    constrain, acceleration = model.constrain(fixed), _acceleration_at_rest(model, fixed)
+    squares, vectors = _fastest_modes(model, acceleration, constrain, modes)
+    if len(squares) < 2 or not squares.min() > 0.0:
+        return _no_modes(frequency)
+    tailoring = _local_shapes(squares, vectors, model.masses[:, None], frequency)
+    slowed = max(_slowed_frequency(model, tailoring, acceleration, constrain), float(np.sqrt(squares.min())))
+    return (tailoring, slowed) if frequency > LEAST_GAIN * slowed else _no_modes(frequency)
+
+
+def _acceleration_at_rest(model: NodalModel, fixed: NDArray[np.bool_]) -> Callable[[Floats], Floats]:
+    """Return the function of small displacements (n, 3) [m] that computes the accelerations of the body's steps."""
+    force_of, work, constrain = internal_force(model.formulation.of_steps), model.workspace(), model.constrain(fixed)
+    result = np.zeros((len(model.cloud), 3))
 
     def acceleration(u: Floats) -> Floats:
         force_of(u, model.taut_step_body, work.step_passes, result)
         return constrain(result / model.material.density)
 
-    def stiffness(y: Floats) -> Floats:
-        moved = constrain(y.reshape(n, 3) / np.sqrt(masses))
-        size = amplitude / max(np.abs(moved).max(), np.finfo(float).tiny)
-        return np.asarray(-acceleration(size * moved) * np.sqrt(masses) / size).ravel()
+    return acceleration
 
-    operator = LinearOperator((3 * n, 3 * n), matvec=stiffness, dtype=float)
-    start = np.random.default_rng(0).standard_normal(3 * n)
+
+def _fastest_modes(
+    model: NodalModel, acceleration: Callable[[Floats], Floats], constrain: Callable[[Floats], Floats], modes: int
+) -> tuple[Floats, Floats]:
+    """Return the largest squares of frequencies [rad^2/s^2], one more than modes, and their vectors (3 n, k)."""
+    amplitude, masses, size = PROBE * model.cloud.spacing, model.masses[:, None], 3 * len(model.cloud)
+
+    def stiffness(y: Floats) -> Floats:
+        moved = constrain(y.reshape(-1, 3) / np.sqrt(masses))
+        factor = amplitude / max(np.abs(moved).max(), np.finfo(float).tiny)
+        return np.asarray(-acceleration(factor * moved) * np.sqrt(masses) / factor).ravel()
+
+    operator = LinearOperator((size, size), matvec=stiffness, dtype=float)
+    start, vectors = np.random.default_rng(0).standard_normal(size), VECTORS_PER_MODE * (modes + 1)
     try:
         squares, shapes = eigsh(operator, k=modes + 1, which="LA", ncv=vectors, tol=RITZ_TOLERANCE, v0=start)
     except ArpackNoConvergence as error:  # with those that are found
-        squares, shapes = error.eigenvalues, error.eigenvectors
-    if len(squares) < 2 or not squares.min() > 0.0:
-        return _no_modes(frequency)
-    target, order = np.sqrt(squares.min()), np.argsort(-squares)[:-1]  # that of the slowest one
-    frequencies = np.sqrt(squares[order])
+        return error.eigenvalues, error.eigenvectors
+    return squares, shapes
+
+
+def _local_shapes(squares: Floats, vectors: Floats, masses: Floats, frequency: float) -> MassTailoring:
+    """Return the local shapes of modes (3 n, k) that get the frequency of the slowest one."""
+    n, order = len(masses), np.argsort(-squares)[:-1]
+    target, frequencies = np.sqrt(squares.min()), np.sqrt(squares[order])
     shares = 1.0 - (target / frequencies) ** 2
-    mixed = shapes[:, order] * np.sqrt(shares)
+    mixed = vectors[:, order] * np.sqrt(shares)
     rotation = qr(mixed.T, mode="economic", pivoting=True)[0]
     local = (mixed @ rotation).reshape(n, 3, -1)
     energy = np.sum(local**2, axis=1)
@@ -117,7 +136,7 @@ def tailored_mass(model: NodalModel, fixed: NDArray[np.bool_], modes: int) -> tu
     largest = np.linalg.norm(local.reshape(3 * n, -1), 2) ** 2  # below 1, else M' would not be positive definite
     local *= np.sqrt(min(1.0, shares.max() / largest) / masses)[:, :, None]
     mode, node = np.nonzero(local.any(axis=1).T)
-    tailoring = MassTailoring(
+    return MassTailoring(
         start=np.searchsorted(mode, np.arange(len(order) + 1)),
         nodes=np.ascontiguousarray(node),  # as without modes, so that both compile to the same code
         shapes=np.ascontiguousarray(local[node, :, mode]),
@@ -127,19 +146,26 @@ def tailored_mass(model: NodalModel, fixed: NDArray[np.bool_], modes: int) -> tu
         plain_frequency=frequency,
         forces=np.zeros((n, 3)),
     )
-    none = np.zeros((n, 3))
+
+
+def _slowed_frequency(
+    model: NodalModel,
+    tailoring: MassTailoring,
+    acceleration: Callable[[Floats], Floats],
+    constrain: Callable[[Floats], Floats],
+) -> float:
+    """Return the highest frequency [rad/s] at rest with the additional mass."""
+    none, density = np.zeros((len(model.cloud), 3)), model.material.density
 
     def tailored(u: Floats) -> Floats:
-        force = acceleration(u) * model.material.density
-        subtract_inertia(tailoring, model.volumes, model.material.density, 0.0, none, force, 0.0, none, force)
+        force = acceleration(u) * density
+        subtract_inertia(tailoring, model.volumes, density, 0.0, none, force, 0.0, none, force)
         return force
 
-    noise = constrain(np.random.default_rng(0).standard_normal((n, 3)))
-    slowed, _ = highest_frequency(
-        tailored, none, constrain, noise, None, amplitude=amplitude, density=model.material.density
-    )
-    slowed = max(slowed, float(target))
-    return (tailoring, slowed) if frequency > LEAST_GAIN * slowed else _no_modes(frequency)
+    noise = constrain(np.random.default_rng(0).standard_normal(none.shape))
+    amplitude = PROBE * model.cloud.spacing
+    slowed, _ = highest_frequency(tailored, none, constrain, noise, None, amplitude=amplitude, density=density)
+    return slowed
 
 
 def without_nodes(tailoring: MassTailoring, nodes: NDArray[np.bool_]) -> tuple[MassTailoring, float]:

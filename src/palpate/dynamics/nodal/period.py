@@ -30,7 +30,6 @@ from palpate.dynamics.nodal.period_data import (
     HELD,
     KINETIC_ENERGY,
     LOST,
-    NEAR_MARGIN,
     NEXT_BEHIND,
     RECENT_ENERGY,
     REPEATED,
@@ -74,7 +73,7 @@ def _save(data, u, velocity):
     copy_history(data.body.passes[1].history, start.history)
     for t in range(tools.path.shape[0]):
         copy_values(tools.contacts.work.frames[t, 1], tools.path[t, SAVED])
-    start.works[0], start.works[1] = data.clock[WORK], data.clock[LOST]
+    start.works[0], start.works[1] = data.energies[WORK], data.energies[LOST]
 
 
 @kernel_njit(inner=True)
@@ -88,19 +87,19 @@ def _restore(data, u, velocity):
     for t in range(tools.path.shape[0]):
         copy_values(tools.path[t, SAVED], tools.contacts.work.frames[t, 1])
     _clear_impulses(tools.contacts)
-    data.clock[WORK], data.clock[LOST] = start.works[0], start.works[1]
+    data.energies[WORK], data.energies[LOST] = start.works[0], start.works[1]
 
 
 @kernel_njit(inline="always")
 def _begin_at_rest(data):
     """Forget the motion before a start or a reset."""
-    clock, resting = data.clock, data.body.resting_frequency
+    stepping, energies, counts, resting = data.stepping, data.energies, data.counts, data.body.resting_frequency
     reset_history(data.body.passes[1].history)
-    clock[BEHIND], clock[WORK], clock[LOST], clock[KINETIC_ENERGY], clock[GIVEN] = 0.0, 0.0, 0.0, 0.0, 0.0
-    clock[REPEATED], clock[GAINED], clock[HELD] = 0.0, 0.0, 0.0
+    energies[:], stepping[BEHIND] = 0.0, 0.0
+    counts[REPEATED], counts[HELD] = 0.0, 0.0
     _clear(data.scratch.previous)
-    clock[FREQUENCY], clock[UNTIL_ESTIMATE] = resting, ESTIMATE_PERIODS
-    clock[ESTIMATE], clock[NEAR_MARGIN], clock[RECENT_ENERGY] = resting, -1.0, 0.0
+    stepping[FREQUENCY], stepping[ESTIMATE], stepping[UNTIL_ESTIMATE] = resting, resting, ESTIMATE_PERIODS
+    data.tools.near_margin[0] = -1.0
     _clear_impulses(data.tools.contacts)
 
 
@@ -120,38 +119,38 @@ def _set_paths(tools, target, at_rest):
 @kernel_njit(inline="always")
 def _begin_again(data, attempt, u, velocity):
     """Return to the start of the period: with shorter steps, then with the tools held, at last without velocities."""
-    clock, tools = data.clock, data.tools
+    stepping, tools = data.stepping, data.tools
     _restore(data, u, velocity)
-    clock[FREQUENCY] *= STIFFENING_FACTOR
-    clock[REPEATED] += 1.0 if attempt == 1 else 0.0
+    stepping[FREQUENCY] *= STIFFENING_FACTOR
+    data.counts[REPEATED] += 1.0 if attempt == 1 else 0.0
     set_step(data)
     if attempt >= HELD_ATTEMPT:
         for t in range(tools.path.shape[0]):
             stop_tool(tools, t)
             tools.late[t] = 1
     if attempt >= STOPPED_ATTEMPT:
-        clock[LOST] += kinetic_energy(data.body.nodes, velocity)
+        data.energies[LOST] += kinetic_energy(data.body.nodes, velocity)
         _clear(velocity)
 
 
 @kernel_njit(inline="always")
-def _energy_left(clock):
+def _energy_left(energies):
     """Return the energy [J] that was given or worked since rest, and not dissipated."""
-    return clock[GIVEN] + clock[WORK] - clock[LOST]
+    return energies[GIVEN] + energies[WORK] - energies[LOST]
 
 
 @kernel_njit(inline="always")
-def _is_balanced(clock, attempt, excess_before):
+def _is_balanced(energies, attempt, excess_before):
     """Return True for a period without a gain of energy, or whose gain shorter steps do not cure; note the latter."""
-    excess = clock[KINETIC_ENERGY] - _energy_left(clock)
-    allowed = MAX_GAIN * max(abs(clock[WORK]), abs(clock[LOST]), abs(clock[GIVEN])) + LEAST_ENERGY
+    excess = energies[KINETIC_ENERGY] - _energy_left(energies)
+    allowed = MAX_GAIN * max(abs(energies[WORK]), abs(energies[LOST]), abs(energies[GIVEN])) + LEAST_ENERGY
     if excess <= allowed:
         return True
     # shorter steps make no difference, and the period has no gain: the sums of work have drifted
     drifted = excess - excess_before <= allowed
     if attempt >= MAX_ENERGY_ATTEMPTS and (drifted or attempt == MAX_ATTEMPTS - 1):
-        clock[GIVEN] += excess
-        clock[GAINED] += excess
+        energies[GIVEN] += excess
+        energies[GAINED] += excess
         return True
     return False
 
@@ -164,7 +163,7 @@ def _write_places(data, target):
         if tools.late[t] == 1:
             held = True
             write_place(tools.path[t], target[12 * t : 12 * (t + 1)])
-    data.clock[HELD] += 1.0 if held else 0.0
+    data.counts[HELD] += 1.0 if held else 0.0
 
 
 @kernel_njit(inline="always")
@@ -193,7 +192,8 @@ def _write_tool_forces(tools, duration, report):
 @kernel_njit(inline="always")
 def _list_pushes(data):
     """List the forces on patches and on nodes that forceps hold, of the last step."""
-    contacts, grip, contact, step, count = data.tools.contacts, data.tools.grip, data.contact_work, data.clock[STEP], 0
+    contacts, grip, contact = data.tools.contacts, data.tools.grip, data.contact_work
+    step, count = data.stepping[STEP], 0
     for a in range(contacts.work.active_count[0]):
         k = contacts.work.active[a]
         push = contacts.work.patch_impulses[k]
@@ -221,7 +221,7 @@ def _report_forces(data, count, report):
     for k in range(FORCES, report.shape[0]):
         report[k] = 0.0 if count > 0 else force[k - FORCES]
     if count > 0:
-        _write_tool_forces(data.tools, count * data.clock[STEP], report)
+        _write_tool_forces(data.tools, count * data.stepping[STEP], report)
         _list_pushes(data)
         for k in range(FORCES, report.shape[0]):
             force[k - FORCES] = report[k]
@@ -251,43 +251,43 @@ def nodal_period(formulation: Formulation, touch: int) -> Any:
     @law_njit(digest)
     def advance(given, q, v, target, period, report):
         data = reference(given)
-        n, clock, tools = data.body.nodes.volumes.shape[0], data.clock, data.tools
+        n, tools, stepping, energies = data.body.nodes.volumes.shape[0], data.tools, data.stepping, data.energies
         u, velocity = q.reshape((n, 3)), v.reshape((n, 3))
         for k in range(FORCES):
             report[k] = 0.0
         # the start of a run, or a reset; a body that is pressed over a support alone is at rest, too
-        at_rest = clock[RESTED] == 0.0 and not q.any() and not v.any()
+        at_rest = data.counts[RESTED] == 0.0 and not q.any() and not v.any()
         if at_rest:
             _begin_at_rest(data)
         _set_paths(tools, target, at_rest)
         kinetic = kinetic_energy(data.body.nodes, velocity)
-        clock[GIVEN] += kinetic - clock[KINETIC_ENERGY]  # of velocities that were set
-        excess_before = kinetic - _energy_left(clock)
+        energies[GIVEN] += kinetic - energies[KINETIC_ENERGY]  # of velocities that were set
+        excess_before = kinetic - _energy_left(energies)
         choose_step(data, u)
         depth = choose_paths(data, u, period)
         _save(data, u, velocity)
-        count, frequency_before = -1, clock[FREQUENCY]
+        count, frequency_before = -1, stepping[FREQUENCY]
         for attempt in range(MAX_ATTEMPTS):
             if attempt > 0:
                 _begin_again(data, attempt, u, velocity)
             tools.contacts.work.tool_impulses[:] = 0.0
             count = take_steps(data, u, velocity, period)
-            if count >= 0 and _is_balanced(clock, attempt, excess_before):
+            if count >= 0 and _is_balanced(energies, attempt, excess_before):
                 break
         if count < 0:
             _restore(data, u, velocity)
-            clock[FREQUENCY], clock[KINETIC_ENERGY] = frequency_before, kinetic
+            stepping[FREQUENCY], energies[KINETIC_ENERGY] = frequency_before, kinetic
             report[STATUS] = 1.0
             return
-        clock[BEHIND] = clock[NEXT_BEHIND]
+        stepping[BEHIND] = stepping[NEXT_BEHIND]
         _write_places(data, target)
         _report_forces(data, count, report)
         if attempt >= MAX_ENERGY_ATTEMPTS:  # shorter steps did not help
             most = MAX_FREQUENCY_RATIO * data.body.resting_frequency
-            clock[FREQUENCY] = min(STIFFENING_FACTOR * frequency_before, most)
-        clock[RESTED] = 0.0 if q.any() or v.any() else 1.0
-        clock[RECENT_ENERGY] = max(clock[KINETIC_ENERGY], clock[RECENT_ENERGY] * np.exp(-period / UNREST_TIME))
-        report[STEPS], report[TRUST], report[KINETIC] = count, depth, clock[KINETIC_ENERGY]
-        report[STRAIN] = max(0.0, _energy_left(clock) - report[KINETIC])
+            stepping[FREQUENCY] = min(STIFFENING_FACTOR * frequency_before, most)
+        data.counts[RESTED] = 0.0 if q.any() or v.any() else 1.0
+        energies[RECENT_ENERGY] = max(energies[KINETIC_ENERGY], energies[RECENT_ENERGY] * np.exp(-period / UNREST_TIME))
+        report[STEPS], report[TRUST], report[KINETIC] = count, depth, energies[KINETIC_ENERGY]
+        report[STRAIN] = max(0.0, _energy_left(energies) - report[KINETIC])
 
     return advance

@@ -12,10 +12,10 @@ from palpate.dynamics.material.relaxation import HistoryCopy
 from palpate.dynamics.nodal.central_difference import Damping, NodalData, StepScratch
 from palpate.dynamics.nodal.mass_tailoring import MassTailoring
 
-# entries of `NodalPeriodData.clock`
-BEHIND, STEP, FREQUENCY, UNTIL_ESTIMATE, WORK, LOST, KINETIC_ENERGY, GIVEN, NEXT_BEHIND = range(9)
-REPEATED, GAINED, HELD, ESTIMATE, RESTED, NEAR_MARGIN, BASE_FREQUENCY, RECENT_ENERGY = range(9, 17)
-CLOCK_SIZE = 17
+# entries of `NodalPeriodData.stepping`, `energies` and `counts`
+BEHIND, NEXT_BEHIND, STEP, FREQUENCY, BASE_FREQUENCY, ESTIMATE, UNTIL_ESTIMATE = range(7)
+GIVEN, WORK, LOST, KINETIC_ENERGY, RECENT_ENERGY, GAINED = range(6)
+REPEATED, HELD, RESTED = range(3)
 # columns of `NodalPeriodData.sums`
 WORK_SUM, LOST_SUM, KINETIC_SUM, DRIFT_SQUARE, KICK_SQUARE = range(5)
 BLOCK_NODES = 256  # nodes of a sum
@@ -77,6 +77,7 @@ class MovingTools(NamedTuple):
     # (t,) array [m]: distance that nodes and a tool may move before the surface can be so deep in it that it is slowed
     clear_way: Floats
     listed: Floats  # (n, 3) array [m]: displacements for which the candidates near the tools were listed last
+    near_margin: Floats  # (1,) array [m]: of the list of candidates near the tools; negative without a list
     force: Floats  # (12 t,) array: forces on the tools' coordinates in the last period with a step
     secant: Secant
 
@@ -115,14 +116,15 @@ class NodalPeriodData(NamedTuple):
 
     Parameters
     ----------
-    clock : (17,) array
-        Time [s] by which the body is behind, step [s], highest frequency [rad/s], periods until its next
-        estimate, work and dissipation since rest, kinetic energy, energy of a state that was given [J], the
-        time by which the body will be behind, number of periods that were repeated with shorter steps, gains
-        of energy that shorter steps did not cure [J], number of periods in which the tool was held, the last
-        estimate of the frequency [rad/s], 1 if the last period left the body at rest, the margin [m] of the
-        list of candidates near the tools, negative without a list, the highest frequency at rest that the
-        present one is based on [rad/s], and the largest kinetic energy of late [J] (`UNREST_TIME`).
+    stepping : (7,) array
+        Times [s] by which the body is behind, and will be; step [s]; highest frequency [rad/s], that at rest
+        on which it is based, and its last estimate; periods until the next one.
+    energies : (6,) array [J]
+        Of a state that was given; work and dissipation since rest; kinetic energy, and the largest of late
+        (`UNREST_TIME`); gains that shorter steps did not cure.
+    counts : (3,) array
+        Periods that were repeated with shorter steps, and in which a tool was held; 1 if the last period
+        left the body at rest.
     sums : (b, 5) array
         Of every block of nodes: work and dissipation of a kick, kinetic energy [J], and the largest squared
         velocities [m^2/s^2] of a drift and of a kick.
@@ -135,5 +137,7 @@ class NodalPeriodData(NamedTuple):
     start: PeriodCopy
     scratch: StepScratch
     sums: Floats
-    clock: Floats
+    stepping: Floats
+    energies: Floats
+    counts: Floats
     contact_work: ContactReport

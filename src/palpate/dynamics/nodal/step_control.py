@@ -36,9 +36,9 @@ MAX_FREQUENCY_RATIO = 100.0  # of the estimate over the frequency at rest
 @kernel_njit(inner=True)
 def set_step(data):
     """Set the step to a share of the stable one."""
-    clock = data.clock
-    z = data.body.damping.beta * clock[FREQUENCY]
-    clock[STEP] = STEP_SAFETY * (np.sqrt(z * z + 4.0) - z) / clock[FREQUENCY]
+    stepping = data.stepping
+    z = data.body.damping.beta * stepping[FREQUENCY]
+    stepping[STEP] = STEP_SAFETY * (np.sqrt(z * z + 4.0) - z) / stepping[FREQUENCY]
 
 
 @kernel_njit(inline="always")
@@ -89,14 +89,14 @@ def _write_image(vector, sites, density, force, force_ahead):
 @kernel_njit(inline="always")
 def _take_estimate(data, frequency):
     """Set the highest frequency, which decreases slowly, to an estimate [rad/s], and when the next one is due."""
-    clock, resting = data.clock, data.body.resting_frequency
+    stepping, resting = data.stepping, data.body.resting_frequency
     if frequency > 0.0 and frequency < np.inf:
         most = MAX_FREQUENCY_RATIO * resting
-        clock[ESTIMATE] = min(max(FREQUENCY_MARGIN * frequency, resting), most)
+        stepping[ESTIMATE] = min(max(FREQUENCY_MARGIN * frequency, resting), most)
         # an iteration that has not converged must not lengthen the step at once
-        clock[FREQUENCY] = min(max(clock[ESTIMATE], SLOWEST_DECREASE * clock[FREQUENCY]), most)
-    is_stiff = clock[FREQUENCY] > STIFF_RATIO * resting
-    clock[UNTIL_ESTIMATE] = STIFF_ESTIMATE if is_stiff else ESTIMATE_PERIODS
+        stepping[FREQUENCY] = min(max(stepping[ESTIMATE], SLOWEST_DECREASE * stepping[FREQUENCY]), most)
+    is_stiff = stepping[FREQUENCY] > STIFF_RATIO * resting
+    stepping[UNTIL_ESTIMATE] = STIFF_ESTIMATE if is_stiff else ESTIMATE_PERIODS
 
 
 @cache
@@ -124,11 +124,11 @@ def step_control(formulation: Formulation) -> Any:
     @law_njit(digest, inline="always")
     def choose_step(data, u):
         """Update the stable step, every few periods by an estimate."""
-        clock, resting = data.clock, data.body.resting_frequency
-        clock[FREQUENCY] *= max(1.0, resting / clock[BASE_FREQUENCY])  # of modes that a cut has changed
-        clock[BASE_FREQUENCY] = resting
-        clock[UNTIL_ESTIMATE] -= 1.0
-        if clock[UNTIL_ESTIMATE] <= 0.0:
+        stepping, resting = data.stepping, data.body.resting_frequency
+        stepping[FREQUENCY] *= max(1.0, resting / stepping[BASE_FREQUENCY])  # of modes that a cut has changed
+        stepping[BASE_FREQUENCY] = resting
+        stepping[UNTIL_ESTIMATE] -= 1.0
+        if stepping[UNTIL_ESTIMATE] <= 0.0:
             _take_estimate(data, estimate(data, u))
         set_step(data)
 

@@ -35,7 +35,7 @@ def _pushes(tools, t):
 @kernel_njit(inner=True)
 def _crushes(data, t):
     """Return True if a tool would move on into tissue that is stiff already."""
-    if data.clock[ESTIMATE] < MAX_MOVING_RATIO * data.body.resting_frequency:
+    if data.stepping[ESTIMATE] < MAX_MOVING_RATIO * data.body.resting_frequency:
         return False
     return _pushes(data.tools, t)
 
@@ -68,7 +68,7 @@ def choose_paths(data, u, period):
     tools, limits, deepest = data.tools, data.limits, 0.0
     for t in range(tools.path.shape[0]):
         reach = limits.blade if t == tools.blade else limits.tool
-        late = limit_path(tools.path[t], reach * max(1.0, period / data.clock[STEP]))
+        late = limit_path(tools.path[t], reach * max(1.0, period / data.stepping[STEP]))
         if t == tools.blade:
             late = limit_to_cut(tools.path[t], limits.cut) or late
         if _crushes(data, t):

@@ -51,9 +51,9 @@ def contact_stiffness(data, q, out):
         touches, same = touches or touching, same and touching == touched
         _write_way(data, t, touching)
         _write_bound(data, q.reshape((q.shape[0] // 3, 3)), t, touching)
-    calmer = data.clock[RECENT_ENERGY] < CALMER_SHARE * secant.unrest[0]
+    calmer = data.energies[RECENT_ENERGY] < CALMER_SHARE * secant.unrest[0]
     if not touches or not same or _follow(data) or calmer:
-        secant.unrest[0] = data.clock[RECENT_ENERGY]
+        secant.unrest[0] = data.energies[RECENT_ENERGY]
         for i in range(3 * tools):
             secant.positions[i] = _place(data, i)
             secant.forces[i] = data.tools.force[12 * (i // 3) + i % 3]
@@ -109,7 +109,7 @@ def _write_bound(data, u, t, touching):
     if held.energy[t] > 0.0:
         for k in range(held.stiffness.shape[0]):
             bound += held.stiffness[k] if _is_pushed(held.forces[k], 0) else 0.0
-    stiffening = max(1.0, data.clock[ESTIMATE] / data.body.resting_frequency)
+    stiffening = max(1.0, data.stepping[ESTIMATE] / data.body.resting_frequency)
     secant.radius[t], secant.bound[t] = radius, stiffening**2 * bound
 
 
@@ -142,7 +142,7 @@ def _follow(data):
         secant.fade[t] = np.exp(-0.5 * np.sqrt(of_tool) / secant.radius[t])
     if not square > (LEAST_WAY * secant.spacing) ** 2:
         return False
-    noise = NOISE_RATIO * (secant.unrest[0] + data.clock[RECENT_ENERGY])
+    noise = NOISE_RATIO * (secant.unrest[0] + data.energies[RECENT_ENERGY])
     if not abs(work) > noise and not farthest > 1.0:
         return False
     for i in range(count):

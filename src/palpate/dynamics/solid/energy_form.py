@@ -390,32 +390,10 @@ def make_stress(digest: str, law_first: Any, variables: str = "invariants") -> A
     return stress
 
 
-@cache
-def solid_energy(
-    law: type[Material],
-    volumetric: str = QUADRATIC,
-    fibres: FibrePoints = NO_FIBRES,
-    varied: int = NO_FIELDS,
-    relaxing: bool = False,
-) -> Formulation:
-    """Compile the passes of a solid.
-
-    Parameters
-    ----------
-    law : type
-        Material whose functions are compiled, without its parameters.
-    volumetric : str
-        Form of U(J).
-    varied : int
-        Number of parameters that differ from node to node.
-    relaxing : bool
-        True for tissue with a Prony series. The passes of other tissue compute no history variables.
-    """
-    measure_of, curved = volumetric_form(volumetric).measure, volumetric != QUADRATIC
-    digest = law_digest(__name__, "solid energy", law.variables, law.first, measure_of, fibres.digest, varied, relaxing)
+def _make_node_response(digest: str, law: type[Material], volumetric: str, fibres: FibrePoints, varied: int) -> Any:
+    """Compile the response of one block: shear stress, residual forces, cofactor and volumetric measure."""
     stress, add_stress, at = make_stress(digest, law.first, law.variables), fibres.add_stress, parameters_at(varied)
-    measure, complete = inline(digest, measure_of), _completion(relaxing)
-    following = after if relaxing else without_history
+    curved, measure = volumetric != QUADRATIC, inline(digest, volumetric_form(volumetric).measure)
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
     def node_response(b, nodes, r, coefficients, hourglass, families, cofactor, dilatation, slope):
@@ -439,6 +417,12 @@ def solid_energy(
                 dilatation[i], slope[i] = measure(r[LANES * DILATATION + v])
             else:
                 dilatation[i] = r[LANES * DILATATION + v]
+
+    return node_response
+
+
+def _make_responses(digest: str, node_response: Any) -> tuple[Any, Any]:
+    """Compile the deformation passes for displacements, in double and in single precision."""
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
     def each(u, rows, frame, law, hourglass, families, sums, response, cofactor, dilatation, slope):
@@ -470,6 +454,12 @@ def solid_energy(
         each(work.anchored, body.lanes, work.frame, body.coefficients, body.hourglass, body.families,
              work.sums, work.response, work.cofactor, work.dilatation, work.slope)  # fmt: skip
 
+    return respond, respond_in_single
+
+
+def _make_response_to_columns(digest: str, node_response: Any) -> Any:
+    """Compile the deformation pass for combinations of vectors with known derivatives."""
+
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
     def each_column(
         columns, table, nodes, law, hourglass, families, derivatives, response, cofactor, dilatation, slope
@@ -487,6 +477,37 @@ def solid_energy(
     def respond_to_columns(columns, table, body, work):
         each_column(columns, table, body.lanes.nodes, body.coefficients, body.hourglass, body.families,
                     work.derivatives, work.response, work.cofactor, work.dilatation, work.slope)  # fmt: skip
+
+    return respond_to_columns
+
+
+@cache
+def solid_energy(
+    law: type[Material],
+    volumetric: str = QUADRATIC,
+    fibres: FibrePoints = NO_FIBRES,
+    varied: int = NO_FIELDS,
+    relaxing: bool = False,
+) -> Formulation:
+    """Compile the passes of a solid.
+
+    Parameters
+    ----------
+    law : type
+        Material whose functions are compiled, without its parameters.
+    volumetric : str
+        Form of U(J).
+    varied : int
+        Number of parameters that differ from node to node.
+    relaxing : bool
+        True for tissue with a Prony series. The passes of other tissue compute no history variables.
+    """
+    measure_of = volumetric_form(volumetric).measure
+    digest = law_digest(__name__, "solid energy", law.variables, law.first, measure_of, fibres.digest, varied, relaxing)
+    node_response, complete = _make_node_response(digest, law, volumetric, fibres, varied), _completion(relaxing)
+    respond, respond_in_single = _make_responses(digest, node_response)
+    respond_to_columns = _make_response_to_columns(digest, node_response)
+    following = after if relaxing else without_history
 
     @law_njit(digest, inline="always")
     def finish(body, work, force):

@@ -27,6 +27,7 @@ from palpate.compiled.jit import inline, kernel_njit, law_digest, law_njit
 from palpate.compiled.lanes import LANES, Lanes, Weights, lane_sums_1x3, lane_sums_3x3, lane_sums_3x6
 from palpate.compiled.mirror import fill_scalars, fill_vectors
 from palpate.compiled.passes import Formulation, combine, lift_passes, smooth_field, weights_address
+from palpate.dynamics.material.invariants import cofactor_of, first_invariants, right_cauchy_green
 from palpate.dynamics.material.principal_stretches import make_principal_response
 from palpate.dynamics.material.small_strain import make_linear_response
 from palpate.meshfree.mirror import Mirror
@@ -116,97 +117,136 @@ def _make_response(digest: str, law_first: Any, law_second: Any, volume: Any) ->
     first_of, second_of = (inline(digest, f) for f in (law_first, law_second))
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
+    def shear_force(d, v, b, coefficients):
+        """Return Div P_s - P_s b of a lane with the boundary vector b, cof(F) and J."""
+        F = 1.0 + d[0, v], d[1, v], d[2, v], d[3, v], 1.0 + d[4, v], d[5, v], d[6, v], d[7, v], 1.0 + d[8, v]
+        H = _second_derivatives(d, v)
+        c, C = cofactor_of(F), right_cauchy_green(F)
+        J = F[0] * c[0] + F[1] * c[1] + F[2] * c[2]
+        I1, I2 = first_invariants(C)
+        g = _half_slope_of_second_invariant(F, C, I1)
+        gradients = _contraction(F, H), _contraction(g, H), _contraction(c, H)
+        slopes = first_of(I1, I2, J, coefficients)
+        vectors = _gradients_of_slopes(gradients, slopes, second_of(I1, I2, J, coefficients), b)
+        force = _divergence(F, C, I1, H, gradients[0], 2.0 * slopes[0], 2.0 * slopes[1])
+        return _add_products(force, F, g, c, vectors), c, J
+
+    @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
     def respond(b, nodes, d, boundary, coefficients, lame, cofactor, shear, pressure):
         for v in range(LANES):
-            F00, F01, F02 = 1.0 + d[0, v], d[1, v], d[2, v]
-            F10, F11, F12 = d[3, v], 1.0 + d[4, v], d[5, v]
-            F20, F21, F22 = d[6, v], d[7, v], 1.0 + d[8, v]
-            # second derivatives of component i, in the order 00 11 22 01 02 12
-            p0, p1, p2, p3, p4, p5 = d[9, v], d[10, v], d[11, v], d[12, v], d[13, v], d[14, v]
-            q0, q1, q2, q3, q4, q5 = d[15, v], d[16, v], d[17, v], d[18, v], d[19, v], d[20, v]
-            r0, r1, r2, r3, r4, r5 = d[21, v], d[22, v], d[23, v], d[24, v], d[25, v], d[26, v]
-
-            c00, c01, c02 = F11 * F22 - F12 * F21, F12 * F20 - F10 * F22, F10 * F21 - F11 * F20
-            c10, c11, c12 = F02 * F21 - F01 * F22, F00 * F22 - F02 * F20, F01 * F20 - F00 * F21
-            c20, c21, c22 = F01 * F12 - F02 * F11, F02 * F10 - F00 * F12, F00 * F11 - F01 * F10
-            J = F00 * c00 + F01 * c01 + F02 * c02
-            C00 = F00 * F00 + F10 * F10 + F20 * F20
-            C11 = F01 * F01 + F11 * F11 + F21 * F21
-            C22 = F02 * F02 + F12 * F12 + F22 * F22
-            C01 = F00 * F01 + F10 * F11 + F20 * F21
-            C02 = F00 * F02 + F10 * F12 + F20 * F22
-            C12 = F01 * F02 + F11 * F12 + F21 * F22
-            I1 = C00 + C11 + C22
-            I2 = C00 * C11 + C00 * C22 + C11 * C22 - C01 * C01 - C02 * C02 - C12 * C12
-            # G = I1 F - F C, half the derivative of I2 by F
-            g00, g01, g02 = (
-                I1 * F00 - F00 * C00 - F01 * C01 - F02 * C02,
-                I1 * F01 - F00 * C01 - F01 * C11 - F02 * C12,
-                I1 * F02 - F00 * C02 - F01 * C12 - F02 * C22,
-            )
-            g10, g11, g12 = (
-                I1 * F10 - F10 * C00 - F11 * C01 - F12 * C02,
-                I1 * F11 - F10 * C01 - F11 * C11 - F12 * C12,
-                I1 * F12 - F10 * C02 - F11 * C12 - F12 * C22,
-            )
-            g20, g21, g22 = (
-                I1 * F20 - F20 * C00 - F21 * C01 - F22 * C02,
-                I1 * F21 - F20 * C01 - F21 * C11 - F22 * C12,
-                I1 * F22 - F20 * C02 - F21 * C12 - F22 * C22,
-            )
-            # halves of the gradients of I1 and I2, and the gradient of J
-            h0 = F00 * p0 + F01 * p3 + F02 * p4 + F10 * q0 + F11 * q3 + F12 * q4 + F20 * r0 + F21 * r3 + F22 * r4
-            h1 = F00 * p3 + F01 * p1 + F02 * p5 + F10 * q3 + F11 * q1 + F12 * q5 + F20 * r3 + F21 * r1 + F22 * r5
-            h2 = F00 * p4 + F01 * p5 + F02 * p2 + F10 * q4 + F11 * q5 + F12 * q2 + F20 * r4 + F21 * r5 + F22 * r2
-            e0 = g00 * p0 + g01 * p3 + g02 * p4 + g10 * q0 + g11 * q3 + g12 * q4 + g20 * r0 + g21 * r3 + g22 * r4
-            e1 = g00 * p3 + g01 * p1 + g02 * p5 + g10 * q3 + g11 * q1 + g12 * q5 + g20 * r3 + g21 * r1 + g22 * r5
-            e2 = g00 * p4 + g01 * p5 + g02 * p2 + g10 * q4 + g11 * q5 + g12 * q2 + g20 * r4 + g21 * r5 + g22 * r2
-            j0 = c00 * p0 + c01 * p3 + c02 * p4 + c10 * q0 + c11 * q3 + c12 * q4 + c20 * r0 + c21 * r3 + c22 * r4
-            j1 = c00 * p3 + c01 * p1 + c02 * p5 + c10 * q3 + c11 * q1 + c12 * q5 + c20 * r3 + c21 * r1 + c22 * r5
-            j2 = c00 * p4 + c01 * p5 + c02 * p2 + c10 * q4 + c11 * q5 + c12 * q2 + c20 * r4 + c21 * r5 + c22 * r2
-
-            W1, W2, WJ = first_of(I1, I2, J, coefficients)
-            W11, W12, W22, W1J, W2J, WJJ = second_of(I1, I2, J, coefficients)
-            # gradients of the energy's derivatives, doubled if they multiply a doubled tensor
-            s0 = 2.0 * (W11 * 2.0 * h0 + W12 * 2.0 * e0 + W1J * j0)
-            s1 = 2.0 * (W11 * 2.0 * h1 + W12 * 2.0 * e1 + W1J * j1)
-            s2 = 2.0 * (W11 * 2.0 * h2 + W12 * 2.0 * e2 + W1J * j2)
-            t0 = 2.0 * (W12 * 2.0 * h0 + W22 * 2.0 * e0 + W2J * j0)
-            t1 = 2.0 * (W12 * 2.0 * h1 + W22 * 2.0 * e1 + W2J * j1)
-            t2 = 2.0 * (W12 * 2.0 * h2 + W22 * 2.0 * e2 + W2J * j2)
-            z0 = W1J * 2.0 * h0 + W2J * 2.0 * e0 + WJJ * j0
-            z1 = W1J * 2.0 * h1 + W2J * 2.0 * e1 + WJJ * j1
-            z2 = W1J * 2.0 * h2 + W2J * 2.0 * e2 + WJJ * j2
-            L0, L1, L2 = p0 + p1 + p2, q0 + q1 + q2, r0 + r1 + r2
-            # k = divergence of C
-            k0 = h0 + F00 * L0 + F10 * L1 + F20 * L2
-            k1 = h1 + F01 * L0 + F11 * L1 + F21 * L2
-            k2 = h2 + F02 * L0 + F12 * L1 + F22 * L2
-            b0, b1, b2 = boundary[b, 0, v], boundary[b, 1, v], boundary[b, 2, v]
-            A, B = 2.0 * W1, 2.0 * W2
-            m0 = C00 * p0 + C11 * p1 + C22 * p2 + 2.0 * (C01 * p3 + C02 * p4 + C12 * p5)
-            m1 = C00 * q0 + C11 * q1 + C22 * q2 + 2.0 * (C01 * q3 + C02 * q4 + C12 * q5)
-            m2 = C00 * r0 + C11 * r1 + C22 * r2 + 2.0 * (C01 * r3 + C02 * r4 + C12 * r5)
-            x0, x1, x2 = 2.0 * h0 - k0, 2.0 * h1 - k1, 2.0 * h2 - k2
-            f0 = A * L0 + B * (F00 * x0 + F01 * x1 + F02 * x2 + I1 * L0 - m0)
-            f1 = A * L1 + B * (F10 * x0 + F11 * x1 + F12 * x2 + I1 * L1 - m1)
-            f2 = A * L2 + B * (F20 * x0 + F21 * x1 + F22 * x2 + I1 * L2 - m2)
-            # the gradients of the coefficients and the boundary term act on the same tensors
-            s0, s1, s2 = s0 - A * b0, s1 - A * b1, s2 - A * b2
-            t0, t1, t2 = t0 - B * b0, t1 - B * b1, t2 - B * b2
-            z0, z1, z2 = z0 - WJ * b0, z1 - WJ * b1, z2 - WJ * b2
-            f0 += F00 * s0 + F01 * s1 + F02 * s2 + g00 * t0 + g01 * t1 + g02 * t2 + c00 * z0 + c01 * z1 + c02 * z2
-            f1 += F10 * s0 + F11 * s1 + F12 * s2 + g10 * t0 + g11 * t1 + g12 * t2 + c10 * z0 + c11 * z1 + c12 * z2
-            f2 += F20 * s0 + F21 * s1 + F22 * s2 + g20 * t0 + g21 * t1 + g22 * t2 + c20 * z0 + c21 * z1 + c22 * z2
-            shear[b, 0, v], shear[b, 1, v], shear[b, 2, v] = f0, f1, f2
-            cofactor[b, 0, v], cofactor[b, 1, v], cofactor[b, 2, v] = c00, c01, c02
-            cofactor[b, 3, v], cofactor[b, 4, v], cofactor[b, 5, v] = c10, c11, c12
-            cofactor[b, 6, v], cofactor[b, 7, v], cofactor[b, 8, v] = c20, c21, c22
+            normal = boundary[b, 0, v], boundary[b, 1, v], boundary[b, 2, v]
+            f, c, J = shear_force(d, v, normal, coefficients)
+            shear[b, 0, v], shear[b, 1, v], shear[b, 2, v] = f[0], f[1], f[2]
+            cofactor[b, 0, v], cofactor[b, 1, v], cofactor[b, 2, v] = c[0], c[1], c[2]
+            cofactor[b, 3, v], cofactor[b, 4, v], cofactor[b, 5, v] = c[3], c[4], c[5]
+            cofactor[b, 6, v], cofactor[b, 7, v], cofactor[b, 8, v] = c[6], c[7], c[8]
             d[0, v] = J - 1.0
         for v in range(LANES):  # a separate loop: logarithms are not vectorised
             pressure[nodes[b, v]] = lame * volume(d[0, v])[0]
 
     return respond
+
+
+@kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
+def _second_derivatives(d, v):
+    """Return H = d2u_i/dX2 of the three components of a lane, each in the order 00 11 22 01 02 12."""
+    return (
+        (d[9, v], d[10, v], d[11, v], d[12, v], d[13, v], d[14, v]),
+        (d[15, v], d[16, v], d[17, v], d[18, v], d[19, v], d[20, v]),
+        (d[21, v], d[22, v], d[23, v], d[24, v], d[25, v], d[26, v]),
+    )
+
+
+@kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
+def _half_slope_of_second_invariant(F, C, I1):
+    """Return I1 F - F C, half the derivative of I2 by F."""
+    C00, C11, C22, C01, C02, C12 = C
+    return (
+        I1 * F[0] - F[0] * C00 - F[1] * C01 - F[2] * C02,
+        I1 * F[1] - F[0] * C01 - F[1] * C11 - F[2] * C12,
+        I1 * F[2] - F[0] * C02 - F[1] * C12 - F[2] * C22,
+        I1 * F[3] - F[3] * C00 - F[4] * C01 - F[5] * C02,
+        I1 * F[4] - F[3] * C01 - F[4] * C11 - F[5] * C12,
+        I1 * F[5] - F[3] * C02 - F[4] * C12 - F[5] * C22,
+        I1 * F[6] - F[6] * C00 - F[7] * C01 - F[8] * C02,
+        I1 * F[7] - F[6] * C01 - F[7] * C11 - F[8] * C12,
+        I1 * F[8] - F[6] * C02 - F[7] * C12 - F[8] * C22,
+    )
+
+
+@kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
+def _contraction(T, H):
+    """Return the vector T : dF/dX_k: half the gradients of I1 and I2, or that of J, by their T."""
+    p, q, r = H
+    return (
+        T[0] * p[0] + T[1] * p[3] + T[2] * p[4] + T[3] * q[0] + T[4] * q[3] + T[5] * q[4]
+        + T[6] * r[0] + T[7] * r[3] + T[8] * r[4],
+        T[0] * p[3] + T[1] * p[1] + T[2] * p[5] + T[3] * q[3] + T[4] * q[1] + T[5] * q[5]
+        + T[6] * r[3] + T[7] * r[1] + T[8] * r[5],
+        T[0] * p[4] + T[1] * p[5] + T[2] * p[2] + T[3] * q[4] + T[4] * q[5] + T[5] * q[2]
+        + T[6] * r[4] + T[7] * r[5] + T[8] * r[2],
+    )  # fmt: skip
+
+
+@kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
+def _gradients_of_slopes(gradients, slopes, second, b):
+    """Return the vectors by which F, g and cof(F) are multiplied: grad 2 W1, grad 2 W2 and grad WJ, less those times b.
+
+    The gradients of the energy's derivatives and the boundary term act on the same tensors.
+    """
+    h, e, j = gradients
+    W1, W2, WJ = slopes
+    W11, W12, W22, W1J, W2J, WJJ = second
+    A, B = 2.0 * W1, 2.0 * W2
+    s0 = 2.0 * (W11 * 2.0 * h[0] + W12 * 2.0 * e[0] + W1J * j[0])
+    s1 = 2.0 * (W11 * 2.0 * h[1] + W12 * 2.0 * e[1] + W1J * j[1])
+    s2 = 2.0 * (W11 * 2.0 * h[2] + W12 * 2.0 * e[2] + W1J * j[2])
+    t0 = 2.0 * (W12 * 2.0 * h[0] + W22 * 2.0 * e[0] + W2J * j[0])
+    t1 = 2.0 * (W12 * 2.0 * h[1] + W22 * 2.0 * e[1] + W2J * j[1])
+    t2 = 2.0 * (W12 * 2.0 * h[2] + W22 * 2.0 * e[2] + W2J * j[2])
+    z0 = W1J * 2.0 * h[0] + W2J * 2.0 * e[0] + WJJ * j[0]
+    z1 = W1J * 2.0 * h[1] + W2J * 2.0 * e[1] + WJJ * j[1]
+    z2 = W1J * 2.0 * h[2] + W2J * 2.0 * e[2] + WJJ * j[2]
+    return (
+        (s0 - A * b[0], s1 - A * b[1], s2 - A * b[2]),
+        (t0 - B * b[0], t1 - B * b[1], t2 - B * b[2]),
+        (z0 - WJ * b[0], z1 - WJ * b[1], z2 - WJ * b[2]),
+    )
+
+
+@kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
+def _divergence(F, C, I1, H, h, A, B):
+    """Return A Div F + B (Div (I1 F - F C)): the force of the present slopes A = 2 W1 and B = 2 W2."""
+    p, q, r = H
+    C00, C11, C22, C01, C02, C12 = C
+    L0, L1, L2 = p[0] + p[1] + p[2], q[0] + q[1] + q[2], r[0] + r[1] + r[2]
+    # k = divergence of C
+    k0 = h[0] + F[0] * L0 + F[3] * L1 + F[6] * L2
+    k1 = h[1] + F[1] * L0 + F[4] * L1 + F[7] * L2
+    k2 = h[2] + F[2] * L0 + F[5] * L1 + F[8] * L2
+    m0 = C00 * p[0] + C11 * p[1] + C22 * p[2] + 2.0 * (C01 * p[3] + C02 * p[4] + C12 * p[5])
+    m1 = C00 * q[0] + C11 * q[1] + C22 * q[2] + 2.0 * (C01 * q[3] + C02 * q[4] + C12 * q[5])
+    m2 = C00 * r[0] + C11 * r[1] + C22 * r[2] + 2.0 * (C01 * r[3] + C02 * r[4] + C12 * r[5])
+    x0, x1, x2 = 2.0 * h[0] - k0, 2.0 * h[1] - k1, 2.0 * h[2] - k2
+    return (
+        A * L0 + B * (F[0] * x0 + F[1] * x1 + F[2] * x2 + I1 * L0 - m0),
+        A * L1 + B * (F[3] * x0 + F[4] * x1 + F[5] * x2 + I1 * L1 - m1),
+        A * L2 + B * (F[6] * x0 + F[7] * x1 + F[8] * x2 + I1 * L2 - m2),
+    )
+
+
+@kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
+def _add_products(f, F, g, c, vectors):
+    """Return f + F s + g t + c z."""
+    (s0, s1, s2), (t0, t1, t2), (z0, z1, z2) = vectors
+    return (
+        f[0] + (F[0] * s0 + F[1] * s1 + F[2] * s2 + g[0] * t0 + g[1] * t1 + g[2] * t2
+                + c[0] * z0 + c[1] * z1 + c[2] * z2),
+        f[1] + (F[3] * s0 + F[4] * s1 + F[5] * s2 + g[3] * t0 + g[4] * t1 + g[5] * t2
+                + c[3] * z0 + c[4] * z1 + c[5] * z2),
+        f[2] + (F[6] * s0 + F[7] * s1 + F[8] * s2 + g[6] * t0 + g[7] * t1 + g[8] * t2
+                + c[6] * z0 + c[7] * z1 + c[8] * z2),
+    )  # fmt: skip
 
 
 @cache

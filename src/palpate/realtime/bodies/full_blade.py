@@ -168,7 +168,7 @@ class BladeCutter:
             if self.incision is not None:
                 self.incision = self.incision.with_works(*map(float, self.data.tools.contacts.sites.works))
             self.seconds += (perf_counter() - began - self.seconds) / MEAN_CUTS
-            self.data.clock[LOST] += released
+            self.data.energies[LOST] += released
             tailoring, lost = without_nodes(self._whole[0], self.model.cut_state.touched)
             body, tools = self.data.body, self.data.tools
             self.data = self.data._replace(

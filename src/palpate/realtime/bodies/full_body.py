@@ -5,33 +5,33 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from palpate.core.arrays import Floats
 from palpate.core.faults import InputError, integer_in_range
 from palpate.dynamics.contact.blade import Blade
-from palpate.dynamics.contact.geometry import curvatures, rotation
+from palpate.dynamics.contact.geometry import Contacts, curvatures, rotation
 from palpate.dynamics.contact.grip import COUNT, empty_grip, grasped_nodes, nodes_in_grip, set_grip
 from palpate.dynamics.contact.impulses import contact_kind
 from palpate.dynamics.contact.kinds import CAPSULE, PLANE
 from palpate.dynamics.contact.penetration import MAX_SURFACE_DEPTH
 from palpate.dynamics.contact.tools import Contact, Forceps, Grasp, Sphere, Tool
 from palpate.dynamics.loads.foundation import Foundation
+from palpate.dynamics.loads.prepared import LoadSites
 from palpate.dynamics.loads.supports import FIXED, FREE
 from palpate.dynamics.material.relaxation import history_copy
 from palpate.dynamics.nodal.central_difference import Damping
 from palpate.dynamics.nodal.mass_tailoring import MAX_MODES, PROBE, default_modes, tailored_mass
-from palpate.dynamics.nodal.model import NodalModel, nodal_data
+from palpate.dynamics.nodal.model import NodalModel, NodalWork, nodal_data
 from palpate.dynamics.nodal.period import nodal_period
 from palpate.dynamics.nodal.period_data import (
     BASE_FREQUENCY,
     BLOCK_NODES,
-    CLOCK_SIZE,
     FREQUENCY,
     GAINED,
     HELD,
     KICK_SQUARE,
     LOST,
-    NEAR_MARGIN,
     NO_BLADE,
     REPEATED,
     STEP,
@@ -72,72 +72,93 @@ def full_period(
     prepared, work = model.prepare([*touching, *foundations]), model.workspace()
     model.state(prepared)  # refuses a tool inside the body
     sites, contacts = prepared.with_scratch()
-    n = len(model.cloud)
-    if tailored_modes is None:
-        damped = isinstance(model, Solid) and model.stiffness_damping > 0.0  # else no motion of fast modes decays
-        tailored_modes = default_modes(n) if damped else 0
-    tailored_modes = integer_in_range("tailored_modes", tailored_modes, 0, MAX_MODES)
-    tailoring, frequency = tailored_mass(model, prepared.constraint_mask(0.0), tailored_modes)
-    if len(sites.foundation_node):
-        response = 1.0 / (model.volumes[sites.foundation_node] * model.material.density)
-        springs = np.sqrt(np.bincount(sites.foundation_node, sites.foundation_spring * response, minlength=n).max())
-        frequency = float(np.hypot(frequency, springs))
-        tailoring = tailoring._replace(plain_frequency=float(np.hypot(tailoring.plain_frequency, springs)))
-    count = len(tools)
-    path = np.zeros((count, 6, 3, 4))
-    for t, pose in enumerate(prepared.schedule(np.zeros(1)).poses[0]):
-        rotation(pose, path[t, HOME])
-    path[:, START], path[:, END], contacts.work.frames[:, 1] = path[:, HOME], path[:, HOME], path[:, HOME]
-    # two for each middle of an edge, and one for each node that forceps hold
-    entries = 2 * count * len(contacts.patches.points)
-    noise = model.supported.project(np.random.default_rng(0).standard_normal((n, 3)))
-    passes, taut_passes = (model.step_body, work.step_passes), (model.taut_step_body, work.step_passes)
+    body = _stepped_body(model, work, sites, prepared.constraint_mask(0.0), tailored_modes)
     data = NodalPeriodData(
-        body=SteppedBody(
-            passes=passes,
-            taut_passes=taut_passes,
-            nodes=nodal_data(model),
-            damping=Damping(model.mass_damping, model.stiffness_damping, model.wave_speed),
-            sites=sites,
-            tailoring=tailoring,
-            resting_frequency=frequency,
-            triangles=np.ascontiguousarray(model.cloud.triangles, dtype=np.int64),
-        ),
-        tools=MovingTools(
-            contacts=contacts,
-            grip=empty_grip(count, n),
-            blade=NO_BLADE,
-            path=path,
-            late=np.zeros(count, dtype=np.int64),
-            clear_way=np.zeros(count),
-            listed=np.zeros((n, 3)),
-            force=np.zeros(12 * count),
-            secant=_secant(model, count),
-        ),
-        limits=WayLimits(
-            node=MAX_WAY * model.cloud.spacing,
-            tool=MAX_TOOL_WAY * model.cloud.spacing,
-            blade=MAX_TOOL_WAY * model.cloud.spacing,
-            cut=np.inf,
-            surface_depth=MAX_SURFACE_DEPTH * model.cloud.spacing,
-        ),
-        iteration=PowerIteration(noise.copy(), noise, amplitude=PROBE * model.cloud.spacing),
-        start=PeriodCopy(np.zeros((3, n, 3)), np.zeros(2), history_copy(work.passes.history)),
+        body=body,
+        tools=_moving_tools(model, contacts, prepared.schedule(np.zeros(1)).poses[0]),
+        limits=_way_limits(model.cloud.spacing),
+        iteration=_power_iteration(model),
+        start=PeriodCopy(np.zeros((3, len(model.cloud), 3)), np.zeros(2), history_copy(work.passes.history)),
         scratch=work.step,
-        sums=np.zeros((-(-n // BLOCK_NODES), KICK_SQUARE + 1)),
-        clock=_clock_at_rest(model.stability.step, frequency),
-        contact_work=ContactReport(
-            node=np.zeros(entries, dtype=np.int64),
-            tool=np.zeros(entries, dtype=np.int64),
-            push=np.zeros((entries, 3)),
-            numbers=np.zeros(3, dtype=np.int64),
-        ),
+        sums=np.zeros((-(-len(model.cloud) // BLOCK_NODES), KICK_SQUARE + 1)),
+        stepping=_stepping_at_rest(model.stability.step, body.resting_frequency),
+        energies=np.zeros(6),
+        counts=np.zeros(3),
+        contact_work=_contact_report(contacts, len(tools)),
     )
     for t, tool in enumerate(tools):
         if isinstance(tool, Grasp):
             forceps = Forceps(tool.radius, tool.point, tool.until)
             change_full_tool(model, data, None, forceps, tool.poses(np.zeros(1))[0], 0.0, t)
     return nodal_period(model.formulation, contact_kind(contacts)), data
+
+
+def _stepped_body(
+    model: NodalModel, work: NodalWork, sites: LoadSites, fixed: NDArray[np.bool_], tailored_modes: int | None
+) -> SteppedBody:
+    """Return the constants of a body with its tailored mass, on foundations at its sites."""
+    n = len(model.cloud)
+    if tailored_modes is None:
+        damped = isinstance(model, Solid) and model.stiffness_damping > 0.0  # else no motion of fast modes decays
+        tailored_modes = default_modes(n) if damped else 0
+    tailored_modes = integer_in_range("tailored_modes", tailored_modes, 0, MAX_MODES)
+    tailoring, frequency = tailored_mass(model, fixed, tailored_modes)
+    if len(sites.foundation_node):
+        response = 1.0 / (model.volumes[sites.foundation_node] * model.material.density)
+        springs = np.sqrt(np.bincount(sites.foundation_node, sites.foundation_spring * response, minlength=n).max())
+        frequency = float(np.hypot(frequency, springs))
+        tailoring = tailoring._replace(plain_frequency=float(np.hypot(tailoring.plain_frequency, springs)))
+    return SteppedBody(
+        passes=(model.step_body, work.step_passes),
+        taut_passes=(model.taut_step_body, work.step_passes),
+        nodes=nodal_data(model),
+        damping=Damping(model.mass_damping, model.stiffness_damping, model.wave_speed),
+        sites=sites,
+        tailoring=tailoring,
+        resting_frequency=frequency,
+        triangles=np.ascontiguousarray(model.cloud.triangles, dtype=np.int64),
+    )
+
+
+def _moving_tools(model: NodalModel, contacts: Contacts, poses: Floats) -> MovingTools:
+    """Return tools at rest at poses (t, 7), without a blade and forceps."""
+    count, n = len(poses), len(model.cloud)
+    path = np.zeros((count, 6, 3, 4))
+    for t, pose in enumerate(poses):
+        rotation(pose, path[t, HOME])
+    path[:, START], path[:, END], contacts.work.frames[:, 1] = path[:, HOME], path[:, HOME], path[:, HOME]
+    return MovingTools(
+        contacts=contacts,
+        grip=empty_grip(count, n),
+        blade=NO_BLADE,
+        path=path,
+        late=np.zeros(count, dtype=np.int64),
+        clear_way=np.zeros(count),
+        listed=np.zeros((n, 3)),
+        near_margin=np.full(1, -1.0),
+        force=np.zeros(12 * count),
+        secant=_secant(model, count),
+    )
+
+
+def _way_limits(spacing: float) -> WayLimits:
+    """Return the largest ways of a body's nodes and tools by its spacing [m]."""
+    tool = MAX_TOOL_WAY * spacing
+    return WayLimits(MAX_WAY * spacing, tool, tool, cut=np.inf, surface_depth=MAX_SURFACE_DEPTH * spacing)
+
+
+def _power_iteration(model: NodalModel) -> PowerIteration:
+    """Return the start of the power iteration for the highest frequency."""
+    noise = model.supported.project(np.random.default_rng(0).standard_normal((len(model.cloud), 3)))
+    return PowerIteration(noise.copy(), noise, amplitude=PROBE * model.cloud.spacing)
+
+
+def _contact_report(contacts: Contacts, tools: int) -> ContactReport:
+    """Return a report without forces."""
+    # two for each middle of an edge, and one for each node that forceps hold
+    entries = 2 * tools * len(contacts.patches.points)
+    node, tool = np.zeros((2, entries), dtype=np.int64)
+    return ContactReport(node, tool, np.zeros((entries, 3)), np.zeros(3, dtype=np.int64))
 
 
 def _secant(model: NodalModel, tools: int) -> Secant:
@@ -171,12 +192,11 @@ def _secant(model: NodalModel, tools: int) -> Secant:
     )
 
 
-def _clock_at_rest(step: float, frequency: float) -> Floats:
-    """Return `NodalPeriodData.clock` for a step [s] and the highest frequency [rad/s] at rest."""
-    clock = np.zeros(CLOCK_SIZE)
-    clock[STEP], clock[FREQUENCY], clock[BASE_FREQUENCY] = step, frequency, frequency
-    clock[NEAR_MARGIN] = -1.0
-    return clock
+def _stepping_at_rest(step: float, frequency: float) -> Floats:
+    """Return `NodalPeriodData.stepping` for a step [s] and the highest frequency [rad/s] at rest."""
+    stepping = np.zeros(7)
+    stepping[STEP], stepping[FREQUENCY], stepping[BASE_FREQUENCY] = step, frequency, frequency
+    return stepping
 
 
 def step_statistics(data: NodalPeriodData) -> dict[str, float]:
@@ -190,14 +210,13 @@ def step_statistics(data: NodalPeriodData) -> dict[str, float]:
         ``"repeated"``: number of periods that were repeated with shorter steps; ``"held"``: number of periods in which
         the tool was held or late; ``"energy_gained"``: gain of energy that shorter steps did not cure [J].
     """
-    clock = data.clock
     return {
-        "step_share": float(data.body.resting_frequency / clock[FREQUENCY]),
+        "step_share": float(data.body.resting_frequency / data.stepping[FREQUENCY]),
         "tailored_modes": int(np.count_nonzero(data.body.tailoring.used)),
         "step_gain": float(data.body.tailoring.plain_frequency / data.body.resting_frequency),
-        "repeated": int(clock[REPEATED]),
-        "held": int(clock[HELD]),
-        "energy_gained": float(clock[GAINED]),
+        "repeated": int(data.counts[REPEATED]),
+        "held": int(data.counts[HELD]),
+        "energy_gained": float(data.energies[GAINED]),
     }
 
 
@@ -253,9 +272,9 @@ def change_full_tool(
     contacts.work.patch_impulses[contacts.candidates.start[index] : contacts.candidates.start[index + 1]] = 0.0
     data.tools.secant.stiffness[:], data.tools.secant.forces[:] = 0.0, 0.0
     data.tools.force[12 * index : 12 * (index + 1)] = 0.0
-    data.clock[LOST] += contacts.held.energy[index]  # of the tissue over supports, which springs back
+    data.energies[LOST] += contacts.held.energy[index]  # of the tissue over supports, which springs back
     contacts.held.energy[index] = 0.0
-    data.contact_work.numbers[:], data.clock[NEAR_MARGIN] = 0, -1.0
+    data.contact_work.numbers[:], data.tools.near_margin[0] = 0, -1.0
     rotation(pose, data.tools.path[index, HOME])
     if cutter is not None:
         cutter.set_blade(blade, pose, index)

@@ -44,8 +44,9 @@ from palpate.reduction.contact.tools import ContactTools
 from palpate.reduction.hyper.body import points_of
 from palpate.reduction.hyper.error_indicator import force_bound, nearness_to_supports
 from palpate.reduction.hyper.foundation import Springs, project_springs
-from palpate.reduction.hyper.implicit import ImplicitData, newton_scratch
+from palpate.reduction.hyper.implicit import ImplicitData
 from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.hyper.newton import newton_scratch
 from palpate.reduction.hyper.reactions import tool_map
 from palpate.reduction.hyper.sampled_energy import scratch
 from palpate.reduction.lti.model import LinearModel

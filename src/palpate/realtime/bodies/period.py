@@ -128,54 +128,70 @@ def _begin(data, q, v, period, report):
             report[FORCES + j - data.modes] += mass[j, k] * change[k] / period
 
 
+@kernel_njit(inline="always", fastmath={"contract", "reassoc"})
+def _end_tool_paths(data, q, v, target, period, report):
+    """Set the tool to its target without rounding errors; return its work [J] in the period."""
+    work, speeds = 0.0, data.vectors[TOOL_RATES]
+    for j in range(data.modes, q.shape[0]):
+        q[j] = target[j - data.modes]
+        v[j] = speeds[j]
+        work += period * speeds[j] * report[FORCES + j - data.modes]
+    return work
+
+
+@kernel_njit(inner=True)
+def _is_finite(values):
+    """Return whether all numbers are finite."""
+    total = 0.0
+    for value in values:
+        total += 0.0 * value  # 0, or not a number
+    return total == 0.0
+
+
+@kernel_njit(inline="always", fastmath={"contract", "reassoc"})
+def _kinetic_energy(mass, v):
+    """Return the kinetic energy [J]."""
+    kinetic = 0.0
+    for m in range(v.shape[0]):
+        momentum = 0.0
+        for k in range(v.shape[0]):
+            momentum += mass[m, k] * v[k]
+        kinetic += 0.5 * v[m] * momentum
+    return kinetic
+
+
 @cache
-def period_functions(law: MaterialPoint, single: bool, implicit: bool, touched: bool) -> tuple[Any, Any]:
-    """Compile the period of a law.
+def _finish_function(law: MaterialPoint, single: bool, may_gain: bool) -> Any:
+    """Compile ``finish(data, q, v, target, period, report, flexible)``.
 
-    Parameters
-    ----------
-    implicit : bool
-        True for implicit steps.
-    touched : bool
-        False for a body without tools in contact, whose period does not contain contact.
-
-    Returns
-    -------
-    advance, stiffness : functions
-        ``advance(data, q, v, target, period, report)`` advances coordinates and velocities (m,) by a
-        period [s] while the tool's coordinates move evenly to `target` (l,). The `report` (8 + l,) has the
-        entries of `palpate.dynamics.run.period_report`. The state is unchanged if the period fails. The
-        forces in the report are means over the period. ``stiffness(data, q, out)`` writes the derivatives
-        (l, l) of the static forces by the tool's coordinates, from the tangents of the last m periods.
+    It writes the energies at the end of a period, and `probe`; it returns whether state and energy balance are right.
+    The energy may grow for implicit steps and with tools in contact.
     """
-    digest = law_digest(__name__, "period", law.digest, single, implicit, touched)
-    probe, trust_number = probe_function(law, single), trust_function(law, single, implicit, touched)
-    step = implicit_steps(law, single) if implicit else explicit_steps(law, single, touched)
-    attempts = 1 if implicit else MAX_ATTEMPTS
+    probe = probe_function(law, single)
 
-    @law_njit(digest, inner=True, fastmath={"contract", "reassoc"})
+    @law_njit(
+        law_digest(__name__, "finish", law.digest, single, may_gain), inner=True, fastmath={"contract", "reassoc"}
+    )
     def finish(data, q, v, target, period, report, flexible):
-        """Write the energies at the end of a period, and `probe`; return whether state and energy balance are right."""
-        modes, count, mass, speeds = data.modes, q.shape[0], data.body.constants.mass, data.vectors[TOOL_RATES]
-        work = 0.0
-        for j in range(modes, count):  # remove rounding errors
-            q[j] = target[j - modes]
-            v[j] = speeds[j]
-            work += period * speeds[j] * report[FORCES + j - modes]
-        kinetic = 0.0
-        for m in range(count):
-            if not (np.isfinite(q[m]) and np.isfinite(v[m])):
-                return False
-            momentum = 0.0
-            for k in range(count):
-                momentum += mass[m, k] * v[k]
-            kinetic += 0.5 * v[m] * momentum
-        report[KINETIC] = kinetic
+        work = _end_tool_paths(data, q, v, target, period, report)
+        if not (_is_finite(q) and _is_finite(v)):
+            return False
+        report[KINETIC] = _kinetic_energy(data.body.constants.mass, v)
         report[STRAIN] = probe(data, q) + flexible
         before, after = data.tracking[ENERGY], report[KINETIC] + report[STRAIN]
-        if implicit or touched:
+        if may_gain:
             return np.isfinite(after)
         return after - before - work <= MAX_GAIN * max(before, after, abs(work), LEAST_ENERGY)  # False for NaN
+
+    return finish
+
+
+@cache
+def _steps_function(law: MaterialPoint, single: bool, implicit: bool, touched: bool) -> Any:
+    """Compile ``take_steps(data, q, v, target, period, report)``, the steps of a period."""
+    digest = law_digest(__name__, "steps", law.digest, single, implicit, touched)
+    step = implicit_steps(law, single) if implicit else explicit_steps(law, single, touched)
+    finish, attempts = _finish_function(law, single, implicit or touched), 1 if implicit else MAX_ATTEMPTS
 
     @law_njit(digest, inline="always", fastmath={"contract"})
     def take_steps(data, q, v, target, period, report):
@@ -204,6 +220,33 @@ def period_functions(law: MaterialPoint, single: bool, implicit: bool, touched: 
             if taken == MAX_SUBSTEPS:
                 break
         return 0, flexible
+
+    return take_steps
+
+
+@cache
+def period_functions(law: MaterialPoint, single: bool, implicit: bool, touched: bool) -> tuple[Any, Any]:
+    """Compile the period of a law.
+
+    Parameters
+    ----------
+    implicit : bool
+        True for implicit steps.
+    touched : bool
+        False for a body without tools in contact, whose period does not contain contact.
+
+    Returns
+    -------
+    advance, stiffness : functions
+        ``advance(data, q, v, target, period, report)`` advances coordinates and velocities (m,) by a
+        period [s] while the tool's coordinates move evenly to `target` (l,). The `report` (8 + l,) has the
+        entries of `palpate.dynamics.run.period_report`. The state is unchanged if the period fails. The
+        forces in the report are means over the period. ``stiffness(data, q, out)`` writes the derivatives
+        (l, l) of the static forces by the tool's coordinates, from the tangents of the last m periods.
+    """
+    digest = law_digest(__name__, "period", law.digest, single, implicit, touched)
+    take_steps = _steps_function(law, single, implicit, touched)
+    trust_number = trust_function(law, single, implicit, touched)
 
     @law_njit(digest, fastmath={"contract"})
     def advance(given, q, v, target, period, report):

@@ -31,11 +31,11 @@ from palpate.realtime.bodies.trust_number import residual_force_function
 from palpate.reduction.contact.gauss_seidel import press
 from palpate.reduction.galerkin.central_difference import drift, kick_coordinates, trial_coordinates
 from palpate.reduction.hyper.foundation import add_spring_forces
-from palpate.reduction.hyper.implicit import FORCE as NEWTON_FORCE
-from palpate.reduction.hyper.implicit import LOAD as NEWTON_LOAD
-from palpate.reduction.hyper.implicit import RATE as NEWTON_RATE
 from palpate.reduction.hyper.implicit import implicit_step
 from palpate.reduction.hyper.material_point import MaterialPoint
+from palpate.reduction.hyper.newton import FORCE as NEWTON_FORCE
+from palpate.reduction.hyper.newton import LOAD as NEWTON_LOAD
+from palpate.reduction.hyper.newton import RATE as NEWTON_RATE
 from palpate.reduction.hyper.sampled_energy import sampled_energy
 
 STEP_SAFETY = 0.8  # explicit step over the stable one, whose frequency one power iteration a period estimates
@@ -136,7 +136,7 @@ def implicit_steps(law: MaterialPoint, single: bool) -> Any:
         ``implicit(data, q, v, period, report, refinement)`` returns the number of steps, or -1 if one did not converge.
         It adds the mean forces of the tools to the report. The refinement has no effect.
     """
-    average, _ = implicit_step(law, single)
+    average = implicit_step(law, single)
 
     @law_njit(law_digest(__name__, law.digest, single, "implicit"), inner=True, fastmath={"contract"})
     def implicit(data, q, v, period, report, refinement):

@@ -23,8 +23,8 @@ from palpate.realtime.bodies.period_data import (
     RATE,
     WORK,
 )
-from palpate.reduction.hyper.implicit import cholesky_factor, cholesky_solve
 from palpate.reduction.hyper.material_point import MaterialPoint
+from palpate.reduction.hyper.newton import cholesky_factor, cholesky_solve
 from palpate.reduction.hyper.sampled_energy import sampled_energy
 
 

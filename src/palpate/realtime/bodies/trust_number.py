@@ -77,7 +77,7 @@ def residual_force_function(law: MaterialPoint, single: bool) -> Any:
     """
     work = column_work[single]
 
-    @law_njit(law_digest(__name__, law.digest, single), inner=True, fastmath={"contract", "reassoc"})
+    @law_njit(law_digest(__name__, law.digest, single), inner=True)
     def residual_forces(data, at, q, v):
         fields, stress = data.indicator.residual_fields, data.body.scratch.stress
         fields.partial[:] = 0.0
@@ -87,6 +87,82 @@ def residual_force_function(law: MaterialPoint, single: bool) -> Any:
         add_spring_forces(fields.springs, q, v, fields.forces)
 
     return residual_forces
+
+
+@kernel_njit(inline="always", fastmath={"contract", "reassoc"})
+def _write_accelerations(data, v):
+    """Write the accelerations that the forces in `FORCE` and those of the tools cause, with the damping of the tools.
+
+    Tools move evenly.
+    """
+    result, rate = data.vectors[FORCE], data.vectors[WORK]
+    for m in range(data.modes):
+        value = 0.0
+        for k in range(data.modes):
+            value += data.body.constants.constrained_inverse_mass[m, k] * (result[k] + data.tools.load[k])
+        rate[m] = value
+    for j in range(data.modes, v.shape[0]):
+        rate[j] = data.body.constants.mass_damping * v[j]
+
+
+@kernel_njit(inline="always", fastmath={"contract", "reassoc"})
+def _add_contact_forces(fields, contact):
+    """Add the forces of the tools on the contact nodes to those on the residual fields."""
+    for e in range(contact.numbers[PAIRS]):
+        for d in range(3):
+            push = contact.push[e, d]
+            for j in range(fields.forces.shape[0] if push != 0.0 else 0):
+                fields.forces[j] += fields.columns[contact.node[e], d, j] * push
+
+
+@kernel_njit(inline="always", fastmath={"contract", "reassoc"})
+def _norm_of_residual(fields, rate):
+    """Return the norm of inertia minus forces on the residual fields."""
+    total = 0.0
+    for j in range(fields.forces.shape[0]):
+        unbalanced = -fields.forces[j]
+        for m in range(rate.shape[0]):
+            unbalanced += fields.mass[j, m] * rate[m]
+        total += unbalanced * unbalanced
+    return np.sqrt(total)
+
+
+@cache
+def residual_norm_function(law: MaterialPoint, single: bool, implicit: bool) -> Any:
+    """Compile the residual norm.
+
+    Returns
+    -------
+    function
+        ``residual_norm(data, q, v)`` returns the norm of the unbalanced forces on the residual fields, divided by its
+        scale. It is that at the beginning of the last explicit step, whose forces are known, or at the end of the
+        period with implicit steps.
+    """
+    digest = law_digest(__name__, "residual norm", law.digest, single, implicit)
+    force, residual_forces = sampled_energy(law, single).force, residual_force_function(law, single)
+
+    @law_njit(digest, inline="always", fastmath={"contract", "reassoc"})
+    def write_forces(data, q, v):
+        """Write the forces at the end of the period."""
+        result, at = data.vectors[FORCE], data.vectors[WORK]
+        trial_coordinates(q, v, data.body.constants.stiffness_damping, v[data.modes :], False, at)
+        force(at, data.body.constants.integration_points, data.body.scratch, result)
+        add_spring_forces(data.body.springs, q, v, result)
+        residual_forces(data, at, q, v)
+        for k in range(data.modes):
+            for j in range(data.modes, q.shape[0]):
+                result[k] -= data.body.constants.mass[k, j] * data.body.constants.mass_damping * v[j]
+
+    @law_njit(digest, inner=True, fastmath={"contract", "reassoc"})
+    def residual_norm(data, q, v):
+        fields = data.indicator.residual_fields
+        if implicit:
+            write_forces(data, q, v)
+        _write_accelerations(data, v)
+        _add_contact_forces(fields, data.contact_work)
+        return _norm_of_residual(fields, data.vectors[WORK]) / data.indicator.scales.residual_scale
+
+    return residual_norm
 
 
 @cache
@@ -107,48 +183,7 @@ def trust_function(law: MaterialPoint, single: bool, implicit: bool, touched: bo
         the kinetic energy and that of the surface compliance [J].
     """
     digest = law_digest(__name__, law.digest, single, implicit, touched)
-    force, residual_forces = sampled_energy(law, single).force, residual_force_function(law, single)
-
-    @law_njit(digest, inner=True, fastmath={"contract", "reassoc"})
-    def residual_norm(data, q, v):
-        """Return the norm of the unbalanced forces on the residual fields, divided by its scale.
-
-        It is that at the beginning of the last explicit step, whose forces are known, or at the end of the period with
-        implicit steps.
-        """
-        fields, contact, result, rate = (
-            data.indicator.residual_fields,
-            data.contact_work,
-            data.vectors[FORCE],
-            data.vectors[WORK],
-        )
-        count, total = q.shape[0], 0.0
-        if implicit:
-            trial_coordinates(q, v, data.body.constants.stiffness_damping, v[data.modes :], False, rate)
-            force(rate, data.body.constants.integration_points, data.body.scratch, result)
-            add_spring_forces(data.body.springs, q, v, result)
-            residual_forces(data, rate, q, v)
-            for k in range(data.modes):
-                for j in range(data.modes, count):
-                    result[k] -= data.body.constants.mass[k, j] * data.body.constants.mass_damping * v[j]
-        for m in range(data.modes):
-            value = 0.0
-            for k in range(data.modes):
-                value += data.body.constants.constrained_inverse_mass[m, k] * (result[k] + data.tools.load[k])
-            rate[m] = value
-        for j in range(data.modes, count):
-            rate[j] = data.body.constants.mass_damping * v[j]  # the tools move evenly
-        for e in range(contact.numbers[PAIRS]):
-            for d in range(3):
-                push = contact.push[e, d]
-                for j in range(fields.forces.shape[0] if push != 0.0 else 0):
-                    fields.forces[j] += fields.columns[contact.node[e], d, j] * push
-        for j in range(fields.forces.shape[0]):
-            unbalanced = -fields.forces[j]
-            for m in range(count):
-                unbalanced += fields.mass[j, m] * rate[m]
-            total += unbalanced * unbalanced
-        return np.sqrt(total) / data.indicator.scales.residual_scale
+    residual_norm = residual_norm_function(law, single, implicit)
 
     @law_njit(digest, inner=True, fastmath={"contract"})
     def trust_number(data, q, v, period, kinetic, flexible):

@@ -24,8 +24,8 @@ from palpate.reduction.contact.surface import ContactSurface
 from palpate.reduction.contact.tools import ContactTools
 from palpate.reduction.hyper.constants import ReducedConstants
 from palpate.reduction.hyper.data import ReducedData
-from palpate.reduction.hyper.implicit import NewtonScratch, implicit_step, newton_scratch
 from palpate.reduction.hyper.material_point import MaterialPoint, material_point
+from palpate.reduction.hyper.newton import NewtonScratch, newton_scratch, tangent_function
 from palpate.reduction.hyper.sampled_energy import (
     IntegrationPoints,
     SampledEnergy,
@@ -84,7 +84,7 @@ class ReducedBody:
     sampled : SampledEnergy
         Compiled force and energy, see `palpate.reduction.hyper.sampled_energy`.
     tangent : function
-        Compiled, see `palpate.reduction.hyper.implicit`.
+        Compiled, see `palpate.reduction.hyper.newton`.
 
     Examples
     --------
@@ -279,7 +279,6 @@ def reduced_body(data: ReducedData, single: bool = True) -> ReducedBody:
     all_mass = (flat * np.repeat(masses, 3)) @ flat.T
     mass = np.ascontiguousarray(all_mass[:count, :count])
     sizes = np.linalg.norm(vectors[:count], axis=2).max(axis=1)
-    _, tangent = implicit_step(law, single)
     compiled = sampled_energy(law, single)
     all_points, points = (points_of(data, np.arange(size), coefficients, single) for size in (len(flat), count))
     constants = ReducedConstants(
@@ -304,7 +303,7 @@ def reduced_body(data: ReducedData, single: bool = True) -> ReducedBody:
         taut_points=points._replace(families=always_taut(points.families)),
         surface=data.surface,
         sampled=compiled,
-        tangent=tangent,
+        tangent=tangent_function(law, single),
     )
 
 

@@ -58,9 +58,66 @@ class ContactData(NamedTuple):
 
 
 @kernel_njit(inline="always")
-def _no_contact(surface, pairs, tools, at, v, step, response, moving):
-    """Do nothing; return as `palpate.reduction.contact.gauss_seidel.solve_contact`."""
-    return 0.0, 0.0
+def _no_push(data, contact, a, v, lifting, s, step, kick, response, moving, total, lost):
+    """Do nothing, for runs without tools in contact; return as `_push`."""
+    return total, lost
+
+
+@kernel_njit(inline="always", fastmath={"contract"})
+def _push(data, contact, a, v, lifting, s, step, kick, response, moving, total, lost):
+    """Accelerate the coordinates by rigid tools in contact during step s.
+
+    Returns
+    -------
+    total, lost : float [J]
+        Work and dissipation with those of the step.
+    """
+    tools, alpha, first = contact.tools, data.constants.mass_damping, a.shape[0] - lifting.shape[1]
+    at, rate, load, mean = data.work[TRIAL], data.work[RATE], data.work[LOAD], data.work[MEAN]
+    for t in range(tools.kind.shape[0]):
+        rotation(contact.poses[s, t], tools.frames[t, 0])
+        rotation(contact.poses[s + 1, t], tools.frames[t, 1])
+    for m in range(a.shape[0]):
+        at[m] = a[m] + step * v[m] if m < moving else lifting[s + 2, m - first]
+    works = solve_contact(contact.surface, contact.scratch, tools, at, v, step, response, moving)
+    total, lost = total + works[0], lost + works[1]
+    drag = 1.0 + 0.5 * alpha * kick  # as that of the other forces in `kick_coordinates`
+    for m in range(moving):
+        value = 0.0
+        for k in range(moving):
+            value += step / drag * response[m, k] * tools.load[k]
+        v[m] += value
+        total += 0.5 * kick * load[m] * value  # loads work at the mean velocity
+        lost += alpha * kick * step / drag * tools.load[m] * (mean[m] + 0.25 * value)
+    for j in range(moving, a.shape[0]):
+        rate[j] += tools.load[j]
+    return total, lost
+
+
+@cache
+def _forces_function(law: MaterialPoint, single: bool) -> Any:
+    """Compile ``write_forces(data, a, v, load_of_step, held, interval)``.
+
+    It writes the forces of the body, of loads and of springs, and returns the energy [J] that damping dissipates in
+    the step before. History variables advance by the interval [s].
+    """
+    force = sampled_energy(law, single).force
+
+    @law_njit(law_digest(__name__, "forces", law.digest, single), inline="always", fastmath={"contract"})
+    def write_forces(data, a, v, load_of_step, held, interval):
+        at, result, rate, load = data.work[TRIAL], data.work[FORCE], data.work[RATE], data.work[LOAD]
+        trial_coordinates(a, v, data.constants.stiffness_damping, data.wave_speed, held, at)
+        data.scratch.history.interval[0] = interval
+        force(at, data.constants.integration_points, data.scratch, result)
+        for m in range(a.shape[0]):
+            load[m] = load_of_step[m]
+        add_spring_forces(data.springs, a, v, load)
+        change = damping_work(at, a, result, data.work[PREVIOUS])
+        for m in range(a.shape[0]):
+            rate[m] = result[m] + load[m]
+        return change
+
+    return write_forces
 
 
 @cache
@@ -83,10 +140,10 @@ def explicit_step(law: MaterialPoint, single: bool, touched: bool) -> Any:
         is an `ExplicitData`, `contact` a `ContactData`.
     """
     digest = law_digest(__name__, "explicit step", law.digest, single, touched)
-    force, solve = sampled_energy(law, single).force, solve_contact if touched else _no_contact
+    write_forces, push = _forces_function(law, single), _push if touched else _no_push
 
     @law_njit(digest, nogil=True, fastmath={"contract"})
-    def explicit(a, v, lifting, holds, step, loads, data, contact):
+    def explicit(a, v, lifting, holds, step, loads, given, given_contact):
         """Advance by one step less than there are loads; return three energies [J].
 
         They are the work of the loads, the dissipation, and the work of prescribed tools.
@@ -94,58 +151,26 @@ def explicit_step(law: MaterialPoint, single: bool, touched: bool) -> Any:
         The work of rigid tools in contact is part of that of the loads, and their friction part of
         the dissipation. The forces of springs are added to the loads.
         """
+        data, contact = reference(given), reference(given_contact)
         count, first, steps = a.shape[0], a.shape[0] - lifting.shape[1], loads.shape[0] - 1
         total, lost, tool_work = 0.0, 0.0, 0.0
-        at, result, previous = data.work[TRIAL], data.work[FORCE], data.work[PREVIOUS]
         rate, load, mean, alpha = data.work[RATE], data.work[LOAD], data.work[MEAN], data.constants.mass_damping
-        mass, springs = data.constants.mass, reference(data.springs)
-        # by their addresses, as the engine passes them, so that both use the same compiled functions
-        points, scratch, tools = (
-            reference(data.constants.integration_points),
-            reference(data.scratch),
-            reference(contact.tools),
-        )
-        surface, pairs = reference(contact.surface), reference(contact.scratch)
-        beta, wave_speed, interval = data.constants.stiffness_damping, data.wave_speed, data.scratch.history.interval
-        constrained_inverse, inverse = data.constants.constrained_inverse_mass, data.constants.inverse_mass
         for s in range(steps + 1):
             if holds[s]:
                 prescribe(a, v, lifting, s, step)
-            trial_coordinates(a, v, beta, wave_speed, holds[s], at)
-            interval[0] = step if s > 0 else 0.0
-            force(at, points, scratch, result)
-            for m in range(count):
-                load[m] = loads[s, m]
-            add_spring_forces(springs, a, v, load)
-            change = damping_work(at, a, result, previous)
+            change = write_forces(data, a, v, loads[s], holds[s], step if s > 0 else 0.0)
             if s > 0:
                 lost += change
-            for m in range(count):
-                rate[m] = result[m] + load[m]
             kick = 0.5 * step if s in (0, steps) else step
             prescribed = holds[min(s + 1, steps)]
             moving = first if prescribed else count
-            response = constrained_inverse if prescribed else inverse
-            total += kick_coordinates(v, rate, load, lifting, s, step, kick, prescribed, mass, response, alpha, mean)
-            lost += mass_damping_loss(alpha, mass, mean, kick)
-            if touched and s < steps:
-                for t in range(tools.kind.shape[0]):
-                    rotation(contact.poses[s, t], tools.frames[t, 0])
-                    rotation(contact.poses[s + 1, t], tools.frames[t, 1])
-                for m in range(count):
-                    at[m] = a[m] + step * v[m] if m < moving else lifting[s + 2, m - first]
-                works = solve(surface, pairs, tools, at, v, step, response, moving)
-                total, lost = total + works[0], lost + works[1]
-                drag = 1.0 + 0.5 * alpha * kick  # as that of the other forces in `kick_coordinates`
-                for m in range(moving):
-                    value = 0.0
-                    for k in range(moving):
-                        value += step / drag * response[m, k] * tools.load[k]
-                    v[m] += value
-                    total += 0.5 * kick * load[m] * value  # loads work at the mean velocity
-                    lost += alpha * kick * step / drag * tools.load[m] * (mean[m] + 0.25 * value)
-                for j in range(moving, count):
-                    rate[j] += tools.load[j]
+            response = data.constants.constrained_inverse_mass if prescribed else data.constants.inverse_mass
+            total += kick_coordinates(
+                v, rate, load, lifting, s, step, kick, prescribed, data.constants.mass, response, alpha, mean
+            )  # fmt: skip
+            lost += mass_damping_loss(alpha, data.constants.mass, mean, kick)
+            if s < steps:
+                total, lost = push(data, contact, a, v, lifting, s, step, kick, response, moving, total, lost)
             if prescribed:
                 works = prescribed_work(rate, load, lifting, s, step, kick, 1.0)
                 total += works[0]
@@ -153,7 +178,7 @@ def explicit_step(law: MaterialPoint, single: bool, touched: bool) -> Any:
                     tool_work += works[1]
             if s < steps:
                 drift(a, v, moving, step)
-        interval[0] = 0.0
+        data.scratch.history.interval[0] = 0.0
         return total, lost, tool_work
 
     return explicit

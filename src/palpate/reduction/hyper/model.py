@@ -42,9 +42,10 @@ from palpate.reduction.hyper.error_indicator import (
     trust_numbers,
 )
 from palpate.reduction.hyper.explicit import ContactData, ExplicitData, explicit_step
-from palpate.reduction.hyper.implicit import FACTOR_STEP, ImplicitData, implicit_step
+from palpate.reduction.hyper.implicit import ImplicitData, implicit_step
 from palpate.reduction.hyper.load_share import load_share, static_response
 from palpate.reduction.hyper.loads import lifting_coordinates, prepare_reduced_loads, reduced_loads
+from palpate.reduction.hyper.newton import FACTOR_STEP
 from palpate.reduction.hyper.reactions import constraint_forces, reactions
 from palpate.reduction.hyper.sampled_energy import shear_weights
 
@@ -308,7 +309,7 @@ class ReducedModel(CoordinateModel):
             factor[:], factored[:] = estimate
         loads = np.ascontiguousarray(ready.forces(times[1:-2] + 0.5 * step)[:, : self.count])
         lifting, holds = lifting_coordinates(self.data, prepared, times), prepared.is_prescribed(times[2:-1])
-        implicit, _ = implicit_step(body.law, self.single)
+        implicit = implicit_step(body.law, self.single)
         done, lost, tool_work, taken = implicit(a, v, lifting, holds, step, loads, implicit_data)
         if taken < len(loads):
             a[:] = np.nan

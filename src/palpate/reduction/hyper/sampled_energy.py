@@ -30,8 +30,10 @@ from palpate.compiled.reference import reference
 from palpate.core.arrays import Floats
 from palpate.dynamics.material.fibres import Families, lay_out_fibres
 from palpate.dynamics.material.material_fields import spread
-from palpate.dynamics.material.relaxation import HistoryVariables, Relaxation, history, overstress_alone, relax_volume
+from palpate.dynamics.material.relaxation import HistoryVariables, Relaxation, history
 from palpate.reduction.hyper.material_point import MaterialPoint
+from palpate.reduction.hyper.point_blocks import density_block_function, stress_block_function
+from palpate.reduction.hyper.volume_terms import volume_terms
 from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.regions import Regions
 
@@ -130,34 +132,6 @@ def scratch(points: IntegrationPoints, saved_history: HistoryVariables | None = 
 
 
 @kernel_njit(inner=True, fastmath={"contract", "reassoc"})
-def _moments(pressure, dilatation, moments):
-    for k in range(pressure.shape[1]):
-        total = 0.0
-        for b in range(pressure.shape[0]):
-            for lane in range(LANES):
-                total += pressure[b, k, lane] * dilatation[b, lane]
-        moments[k] = total
-
-
-@kernel_njit(inner=True, fastmath={"contract", "reassoc"})
-def _add_pressure(integration_points, moments, scratch, curved):
-    """Multiply the stresses by their weights and add the pressure times its volume."""
-    weights, pressure, stress = integration_points.weights, integration_points.pressure, scratch.stress
-    cofactor, dilatation, slope = scratch.cofactor, scratch.dilatation, scratch.slope
-    dilatation[:] = 0.0
-    for b in range(weights.shape[0]):
-        for k in range(pressure.shape[1]):
-            for lane in range(LANES):
-                dilatation[b, lane] += pressure[b, k, lane] * moments[k]
-        if curved:
-            for lane in range(LANES):
-                dilatation[b, lane] *= slope[b, lane]
-        for q in range(9):
-            for lane in range(LANES):
-                stress[b, q, lane] = weights[b, lane] * stress[b, q, lane] + dilatation[b, lane] * cofactor[b, q, lane]
-
-
-@kernel_njit(inner=True, fastmath={"contract", "reassoc"})
 def collect_forces(partial, constant, columns, force):
     """Write forces (w,) by their work in lanes (w, LANES) and a constant stiffness (w, m) of coordinates (m,)."""
     for m in range(partial.shape[0]):
@@ -203,68 +177,15 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
     single : bool
         Whether the table has single precision. Sums have double precision in either case.
     """
-    digest = law_digest(__name__, "sampled energy", law.digest, single)
-    sums, work, stress_of, density_of = column_sums[single], column_work[single], law.stress, law.density
-    two_sums, three_works = column_sums_2[single], column_work_3[single]
-    measure_of, curved, relaxing = law.measure, law.measure is not None, law.relaxing
-    add_stress, add_energy, at, parameter_count = (
-        law.fibres.add_stress,
-        law.fibres.add_energy,
-        law.at,
-        law.parameter_count,
-    )
+    return SampledEnergy(_force_function(law, single), _energy_function(law, single), _probe_function(law, single))
 
-    @law_njit(digest, fastmath={"contract"})
-    def measure(scratch):
-        """Replace J - 1 at the points by g, and write g'."""
-        if curved:
-            for b in range(scratch.dilatation.shape[0]):
-                for v in range(LANES):
-                    scratch.dilatation[b, v], scratch.slope[b, v] = measure_of(scratch.dilatation[b, v])
 
-    @law_njit(digest, fastmath={"contract"})
-    def relax(integration_points, scratch):
-        """Add the overstresses to the stresses, and update the branches of the moments."""
-        overstress_alone(integration_points.relaxation, scratch.history, scratch.cofactor)
-        for b in range(scratch.stress.shape[0]):
-            for q in range(9):
-                for v in range(LANES):
-                    modulus_ratio = integration_points.coefficients[b, parameter_count, v] if parameter_count else 1.0
-                    scratch.stress[b, q, v] += modulus_ratio * scratch.history.stress[b, q, v]
-        relax_volume(integration_points.relaxation, scratch.history, scratch.moments)
-
-    @law_njit(digest, inner=True, fastmath={"contract"})
-    def stress_block(integration_points, scratch, b):
-        """Replace the displacement gradients of a block by stresses; write cofactors and volumetric measures."""
-        P, c = scratch.stress[b], scratch.cofactor[b]
-        for v in range(LANES):
-            stress, cofactor, volume = stress_of(
-                P[0, v], P[1, v], P[2, v], P[3, v], P[4, v], P[5, v], P[6, v], P[7, v], P[8, v],
-                at(integration_points.coefficients, b, v),
-            )  # fmt: skip
-            stress = add_stress(
-                stress, P[0, v], P[1, v], P[2, v], P[3, v], P[4, v], P[5, v], P[6, v], P[7, v], P[8, v],
-                b, v, integration_points.families,
-            )  # fmt: skip
-            P[0, v], P[1, v], P[2, v] = stress[0], stress[1], stress[2]
-            P[3, v], P[4, v], P[5, v] = stress[3], stress[4], stress[5]
-            P[6, v], P[7, v], P[8, v] = stress[6], stress[7], stress[8]
-            c[0, v], c[1, v], c[2, v] = cofactor[0], cofactor[1], cofactor[2]
-            c[3, v], c[4, v], c[5, v] = cofactor[3], cofactor[4], cofactor[5]
-            c[6, v], c[7, v], c[8, v] = cofactor[6], cofactor[7], cofactor[8]
-            scratch.dilatation[b, v] = volume
-
-    @law_njit(digest, inner=True, fastmath={"contract"})
-    def add_volume_stress(integration_points, scratch):
-        """Compute the moments, and add overstress and pressure to the stresses."""
-        measure(scratch)
-        _moments(integration_points.pressure, scratch.dilatation, scratch.moments)
-        effective = scratch.moments
-        if relaxing:
-            relax(integration_points, scratch)
-            effective = scratch.history.effective
-        _add_pressure(integration_points, effective, scratch, curved)
-        scratch.partial[:] = 0.0
+@cache
+def _force_function(law: MaterialPoint, single: bool) -> Any:
+    """Compile `SampledEnergy.force`."""
+    digest = law_digest(__name__, "force", law.digest, single)
+    sums, work = column_sums[single], column_work[single]
+    stress_block, add_volume_stress = stress_block_function(law), volume_terms(law).add_stress
 
     @law_njit(digest, fastmath={"contract"})
     def force(columns, given_points, given_scratch, result):
@@ -279,41 +200,16 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
                  columns.shape[0])  # fmt: skip
         collect_forces(scratch.partial, integration_points.constant, columns, result)
 
-    @law_njit(digest, inner=True)
-    def density_block(integration_points, scratch, b):
-        """Return the energy [J] of the points of a block by their displacement gradients; write volumetric measures."""
-        total, d = 0.0, scratch.stress[b]
-        for v in range(LANES):
-            density, scratch.dilatation[b, v] = density_of(
-                d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v],
-                at(integration_points.coefficients, b, v),
-            )  # fmt: skip
-            density = add_energy(
-                density, d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v],
-                b, v, integration_points.families,
-            )  # fmt: skip
-            total += integration_points.weights[b, v] * density
-        return total
+    return force
 
-    @law_njit(digest, inner=True, fastmath={"contract", "reassoc"})
-    def volume_energy(columns, integration_points, scratch):
-        """Return the energy [J] of moments and hourglass residual, and of the branches after a force."""
-        total = 0.0
-        for k in range(scratch.moments.shape[0]):
-            total += 0.5 * scratch.moments[k] * scratch.moments[k]
-        if relaxing:
-            for b in range(integration_points.weights.shape[0]):
-                for v in range(LANES):
-                    ratio = integration_points.coefficients[b, parameter_count, v] if parameter_count else 1.0
-                    total += ratio * integration_points.weights[b, v] * scratch.history.energy[b, v]
-            for k in range(scratch.history.volume_energy.shape[0]):
-                total += scratch.history.volume_energy[k]
-        for m in range(columns.shape[0]):
-            stiff = 0.0
-            for k in range(columns.shape[0]):
-                stiff += integration_points.constant[m, k] * columns[k]
-            total += 0.5 * columns[m] * stiff
-        return total
+
+@cache
+def _energy_function(law: MaterialPoint, single: bool) -> Any:
+    """Compile `SampledEnergy.energy`."""
+    digest = law_digest(__name__, "energy", law.digest, single)
+    sums, relaxing, force = column_sums[single], law.relaxing, _force_function(law, single)
+    density_block, volume = density_block_function(law), volume_terms(law)
+    write_moments, volume_energy = volume.write_moments, volume.energy
 
     @law_njit(digest)
     def energy(columns, given_points, given_scratch):
@@ -323,11 +219,21 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
             sums(integration_points.table[b].ctypes.data, columns.ctypes.data, scratch.stress[b].ctypes.data,
                  columns.shape[0])  # fmt: skip
             total += density_block(integration_points, scratch, b)
-        measure(scratch)
-        _moments(integration_points.pressure, scratch.dilatation, scratch.moments)
+        write_moments(integration_points, scratch)
         if relaxing:
             force(columns, integration_points, scratch, scratch.spare)
         return total + volume_energy(columns, integration_points, scratch)
+
+    return energy
+
+
+@cache
+def _probe_function(law: MaterialPoint, single: bool) -> Any:
+    """Compile `SampledEnergy.probe`."""
+    digest = law_digest(__name__, "probe", law.digest, single)
+    two_sums, three_works = column_sums_2[single], column_work_3[single]
+    stress_block, density_block, volume = stress_block_function(law), density_block_function(law), volume_terms(law)
+    add_volume_stress, volume_energy = volume.add_stress, volume.energy
 
     @law_njit(digest, fastmath={"contract"})
     def probe(rows, column, change, integration_points, scratches, results):
@@ -361,4 +267,4 @@ def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
             results[2, m] -= change * integration_points.constant[m, column]
         return total
 
-    return SampledEnergy(force, energy, probe)
+    return probe
