@@ -36,7 +36,7 @@ from palpate.reduction.lti.system import LinearSystem, force_inputs
 class LinearModel(CoordinateModel):
     """A linear reduction of a body.
 
-    Made by `palpate.lti.reduce_linear`. It supports the loads of its system, by kind and group,
+    Made by `palpate.lti.reduce_linear` or `palpate.lti.from_pymor`. It supports the loads of its system, by kind and group,
     with any values in time, and small displacements from rest.
 
     Parameters
@@ -97,6 +97,7 @@ class LinearModel(CoordinateModel):
             ("verdict", "stable" if self.stable else "not stable", ""),
             ("inputs", len(self.system.inputs), ""),
             ("outputs", len(self.system.outputs), ""),
+            ("bound of the response", self.report.get("bound"), ""),
         ]
 
     @property
