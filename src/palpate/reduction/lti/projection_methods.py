@@ -175,4 +175,3 @@ def _orthonormal(system: LinearSystem, block: Any, basis: Any) -> Any:
         if left > DEFLATION_TOLERANCE * size:
             kept = np.hstack([kept, (vector / left)[:, None]])
     return kept
-

@@ -113,7 +113,8 @@ def from_pymor(
     reductor : object, optional
         The reductor of pyMOR whose last result is `rom`: its basis has the displacements of the
         reduced coordinates. Without it the model has the fields that are nearest in the mean square
-        over white inputs; `source` must then be a linear model, and both must be stable.
+        over white inputs, none for a coordinate that no input moves; `source` must then be a linear
+        model, and both must be stable.
     scales : (outputs, inputs), optional
         Those of `to_pymor`.
     allow_unstable : bool

@@ -136,7 +136,8 @@ def linear_realtime(model: LinearModel, period: float) -> LinearRealtime:
         tool=ToolForce(
             mean_force=mean_force,
             static=system.static[tool_rows].copy(),
-            static_rate=system.static_rate[tool_rows] + model.mass_damping * model.D[tool_rows]
+            static_rate=system.static_rate[tool_rows]
+            + model.mass_damping * model.D[tool_rows]
             - model.C[tool_rows] @ drag,
             inertia=model.D[tool_rows].copy(),
         ),
