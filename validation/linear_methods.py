@@ -8,6 +8,7 @@ and the iterative rational Krylov method are those of pyMOR (R. Milk, S. Rave, F
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property
 from time import perf_counter
 from typing import Any
@@ -104,11 +105,12 @@ class Reductions:
     @cached_property
     def realisation(self) -> tuple[Realisation, Any]:
         """Balanced realisation of the condensed body, scaled, and its Hankel singular values."""
-        (outputs, inputs), body = self.scales, self.condensed
-        scaled = Realisation(
-            body.A, body.B * inputs, outputs[:, None] * body.C, outputs[:, None] * body.D * inputs
+        (outputs, inputs), body = self.scales, self.condensed.reduced
+        scaled = replace(
+            body, input=body.input * inputs, output=outputs[:, None] * body.output,
+            rate_output=outputs[:, None] * body.rate_output, feedthrough=outputs[:, None] * body.feedthrough * inputs,
         )  # fmt: skip
-        return self._timed("hankel", lambda: balance(scaled))
+        return self._timed("hankel", lambda: balance(Realisation(*scaled.state_space())))
 
     @property
     def hankel_singular_values(self) -> Any:

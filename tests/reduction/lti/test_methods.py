@@ -7,7 +7,7 @@ import pytest
 
 import palpate as pt
 from palpate.reduction.lti.projection_methods import eigenvectors
-from palpate.reduction.lti.reductors import METHODS
+from palpate.reduction.lti.reductors import PROJECTION_METHODS
 
 pytestmark = pytest.mark.slow
 
@@ -29,7 +29,7 @@ def test_transfer_functions_match_at_the_expansion_points(points, form, request)
     np.testing.assert_allclose(slopes[1], slopes[0], atol=2e-3 * size)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", PROJECTION_METHODS)
 @pytest.mark.parametrize("modes", [1, 3, 6, 9])
 def test_methods_that_preserve_stability_give_stable_models_of_the_energy_form(method, modes, system):
     assert pt.lti.reduce_linear(system, method, modes).stable
@@ -68,7 +68,7 @@ def test_left_and_right_modes_of_double_frequencies_are_not_separated(count, str
 
 
 @pytest.mark.parametrize("form", ["system", "strong_system"])
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", PROJECTION_METHODS)
 def test_errors_decrease_with_more_modes(method, form, request, soft_pull):
     system = request.getfixturevalue(form)
     full = pt.rollout(system.model, [soft_pull], duration=0.02, every=0.0005, progress=False)
@@ -111,7 +111,7 @@ def test_transfer_functions_are_those_of_a_dense_solve(form, request):
 
 
 def test_reduced_systems_with_a_tool_are_stable(tool_system):
-    for method in METHODS:
+    for method in PROJECTION_METHODS:
         model = pt.lti.reduce_linear(tool_system, method, 6)
         assert model.lifting_count == 6
         assert model.stable

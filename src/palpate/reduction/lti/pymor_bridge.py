@@ -25,6 +25,8 @@ from palpate.reduction.lti.system import LinearSystem
 
 Scales = tuple[Floats, Floats]
 
+SECOND_ORDER_NAMES = ("mass", "damping", "stiffness", "input", "output", "rate_output", "feedthrough")  # M, E, K, ...
+FIRST_ORDER_NAMES = ("state", "input", "output", "feedthrough", "mass")  # A, B, C, D, E
 GRAMIAN_TOLERANCE = 1e-12  # relative singular value of a Gramian that counts as zero
 
 
@@ -208,23 +210,24 @@ def _reduced(rom: Any, system: LinearSystem) -> Reduced:
             f"rom must have the {sizes[1]} inputs and {sizes[0]} outputs of the system, got {rom.dim_input} "
             f"and {rom.dim_output}; reduce the model of to_pymor"
         )
-    second = isinstance(rom, SecondOrderModel)
-    given = [None if matrix is None else _dense(matrix) for matrix in rom.to_matrices()]
-    for matrix in given:
-        if matrix is not None and (np.iscomplexobj(matrix) or not np.isfinite(matrix).all()):
+    second, given = isinstance(rom, SecondOrderModel), {}
+    for name, matrix in zip(SECOND_ORDER_NAMES if second else FIRST_ORDER_NAMES, rom.to_matrices(), strict=True):
+        if matrix is None:
+            continue
+        given[name] = _dense(matrix)
+        if np.iscomplexobj(given[name]) or not np.isfinite(given[name]).all():
             raise InputError("matrices of rom must be real and finite, got others; reduce again with other options")
-    through = np.zeros(sizes) if given[-1 if second else 3] is None else given[-1 if second else 3]
-    mass = given[0] if second else given[4]
-    if mass is not None and np.linalg.cond(mass) > 1 / np.finfo(float).eps:
+    mass = given.get("mass", np.eye(rom.order))
+    if np.linalg.cond(mass) > 1 / np.finfo(float).eps:
         raise InputError("mass (E of an LTIModel) of rom must not be singular; project algebraic equations out")
+    given.setdefault("feedthrough", np.zeros(sizes))
     none = np.zeros((0, 0, 3))
     if second:
-        _, damping, stiffness, b, cp, cv, _ = given
-        return SecondOrder(mass, damping, stiffness, b, cp, np.zeros_like(cp) if cv is None else cv, through, none)
-    a, b, c = given[:3]
-    if mass is not None:
-        a, b = np.linalg.solve(mass, a), np.linalg.solve(mass, b)
-    return FirstOrder(a, b, c, through, none)
+        given.setdefault("rate_output", np.zeros_like(given["output"]))
+        return SecondOrder(**given, fields=none)
+    if given.pop("mass", None) is not None:
+        given |= {name: np.linalg.solve(mass, given[name]) for name in ("state", "input")}
+    return FirstOrder(**given, fields=none)
 
 
 def _basis_fields(rom: Any, source: LinearSystem | LinearModel, reductor: Any) -> Floats:

@@ -10,7 +10,7 @@ from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.projection_methods import condense, modal, moments
 from palpate.reduction.lti.system import LinearSystem
 
-METHODS = ("modal", "moments", "condensed")
+PROJECTION_METHODS = ("modal", "moments", "condensed")
 
 
 def reduce_linear(
@@ -56,10 +56,10 @@ def reduce_linear(
     >>> model.count, model.stable
     (6, True)
     """
-    if method not in METHODS:
+    if method not in PROJECTION_METHODS:
         raise InputError(
-            f"method must be one of {', '.join(map(repr, METHODS))}, got {method!r}; for another method reduce "
-            "pt.lti.to_pymor(model) by a reductor of pyMOR, and convert the result by "
+            f"method must be one of {', '.join(map(repr, PROJECTION_METHODS))}, got {method!r}; "
+            "for another method reduce pt.lti.to_pymor(model) by a reductor of pyMOR, and convert the result by "
             "pt.lti.from_pymor(rom, model, reductor), with model = pt.lti.reduce_linear(system, 'condensed', 240)"
         )
     if points is not None and method != "moments":
