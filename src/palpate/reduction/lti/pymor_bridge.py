@@ -226,7 +226,7 @@ def _reduced(rom: Any, system: LinearSystem) -> Reduced:
         given.setdefault("rate_output", np.zeros_like(given["output"]))
         return SecondOrder(**given, fields=none)
     if given.pop("mass", None) is not None:
-        given |= {name: np.linalg.solve(mass, given[name]) for name in ("state", "input")}
+        given |= {name: np.asarray(np.linalg.solve(mass, given[name]), float) for name in ("state", "input")}
     return FirstOrder(**given, fields=none)
 
 
