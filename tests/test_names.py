@@ -17,7 +17,6 @@ VAGUE = {"own", "found", "whole", "of"}
 PUBLIC_KEYWORDS = {  # function and parameter that users pass by name
     ("reduction/hyper/model.py", "expected_error", "of"),
     ("reduction/hyper/error_indicator.py", "expected_error", "of"),
-    ("reduction/lti/reductors.py", "scaled_error", "whole"),
 }
 # Constants of one word that were there when this test was written. They number entries of a record, or are states,
 # colours, or names that several modules share. A further one needs a second word: of what it is, or its unit.

@@ -3,8 +3,9 @@
     python validation/linear_reductions.py beam|liver [--modes 4 8 16 24] [--methods modal hankel ...] [--out FOLDER]
 
 pulls the paper's beam, or a place at the front of the generated liver, a little and far, and reduces the linearised
-body by all methods of `palpate.lti` (docs/linear.md). It leaves report.md, report.json and three figures in FOLDER, by
-default out/linear_reductions; `validation/result_files.py` keeps a report for the docs.
+body by all methods of docs/linear.md: those of `palpate.lti`, of pyMOR, and the Hankel norm. It leaves report.md,
+report.json and three figures in FOLDER, by default out/linear_reductions; `validation/result_files.py` keeps a report
+for the docs.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from typing import Any, NamedTuple
 
 import linear_reductions_figures
 import numpy as np
+from linear_methods import CONDENSED_MODES, METHODS, Reductions
+from linear_runs import input_sizes
 
 import palpate as pt
 from palpate.app.common.console import Table, quantities_table
@@ -25,8 +28,6 @@ from palpate.app.common.report import REPORTS, deliver, machine
 from palpate.core.extras import require
 from palpate.core.files import plain
 from palpate.reduction.lti.model import LinearModel, propagate
-from palpate.reduction.lti.reductors import TITLE_BY_METHOD, Reduction
-from palpate.reduction.lti.simulate import input_sizes
 from palpate.scenes.beam import beam, pull
 from palpate.scenes.open_scene import open_scene
 
@@ -107,22 +108,22 @@ BODIES: dict[str, Callable[..., Body]] = {"beam": pulled_beam, "liver": pulled_l
 class Comparison:
     """The full body's runs, its frequency response, and the measured models of all methods and sizes."""
 
-    def __init__(self, body: Body, condense: int | None) -> None:
+    def __init__(self, body: Body, condense: int) -> None:
         self.body, small = body, body.loads(body.sizes[0])
         self.system = system = pt.lti.linearise(body.model, small, body.outputs)
         print(f"linearised {system.order} unknowns", flush=True)
         largest = input_sizes(system, small, body.duration)
-        emphasis = np.maximum(largest / largest.max(), MIN_INPUT_WEIGHT)
+        self.emphasis = emphasis = np.maximum(largest / largest.max(), MIN_INPUT_WEIGHT)
         training = (small, body.duration, body.every)
-        self.reduction = Reduction(system, condense=condense, training=training, emphasis=emphasis)
+        self.reduction = Reductions(system, condense, training, emphasis)
         self.runs = {name: body.run(body.model, size) for name, size in zip(LOAD_NAMES, body.sizes, strict=True)}
         print(f"full body: {', '.join(f'{run.wall_seconds:.1f} s' for run in self.runs.values())}", flush=True)
-        poles = self.reduction.source.poles()
+        poles = self.reduction.condensed.poles
         moving = np.sort(np.abs(poles[poles.imag > 0]))
         ends = 0.2 * moving[0], moving[-1]
         spread = np.geomspace(*ends, SPREAD_FREQUENCIES)
         self.frequencies = np.unique(np.concatenate([spread, moving[:RESONANT_FREQUENCIES]]))  # [rad/s]
-        self.response = self.reduction.source.transfer(1j * self.frequencies)
+        self.response = self.reduction.condensed.reduced.transfer(1j * self.frequencies)
         self.few = np.unique(np.concatenate([moving[:2], np.geomspace(*ends, FULL_FREQUENCIES)]))
         self.whole = system.frequency_response(self.few)  # of the body that is not condensed
         self.models: dict[tuple[str, int], LinearModel] = {}
@@ -131,8 +132,7 @@ class Comparison:
 
     def sizes(self, response: np.ndarray) -> np.ndarray:
         """Return the largest singular values (t,) of a response (t, q, p), inputs and outputs scaled."""
-        outputs, inputs = self.reduction.scales
-        return np.linalg.norm(outputs[:, None] * response * inputs, 2, axis=(1, 2))
+        return self.reduction.sizes(response)
 
     def missed(self, model: LinearModel) -> np.ndarray:
         """Return the sizes (t,) of the error of a model's frequency response."""
@@ -193,14 +193,14 @@ class Comparison:
     def report(self) -> dict[str, Any]:
         """Return all measured values."""
         body, reduction, cloud = self.body, self.reduction, self.body.model.cloud
-        apart = self.whole - reduction.source.transfer(1j * self.few)
+        apart = self.whole - reduction.condensed.reduced.transfer(1j * self.few)
         return plain({
             "title": body.title,
             "parameters": {
                 "nodes": len(cloud), "unknowns": self.system.order, "spacing": cloud.spacing, "form": body.model.form,
                 "stiffness_damping": body.model.stiffness_damping, **dict(zip(LOAD_NAMES, body.sizes, strict=True)),
-                "unit": body.unit, "duration": body.duration, "condensed_to": len(reduction.source.mass),
-                "emphasis": reduction.emphasis,
+                "unit": body.unit, "duration": body.duration, "condensed_to": reduction.condensed.count,
+                "emphasis": self.emphasis,
             },
             "machine": machine(),
             "full": {
@@ -264,10 +264,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("body", choices=BODIES)
     parser.add_argument("--modes", type=int, nargs="+", default=[4, 8, 16, 24], metavar="M")
-    parser.add_argument("--methods", nargs="+", choices=TITLE_BY_METHOD, default=[*TITLE_BY_METHOD], metavar="NAME")
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=[*METHODS], metavar="NAME")
     parser.add_argument("--spacing", type=float, metavar="M", help="0.005 m by default for the beam, 0.012 m the liver")
     parser.add_argument("--poisson", type=float, metavar="NU", help="0.49 by default for the beam, 0.45 for the liver")
-    parser.add_argument("--condense", type=int, metavar="K", help="slowest modes to balance (240 by default); 0: all")
+    parser.add_argument("--condense", type=int, default=CONDENSED_MODES, metavar="K", help="slowest modes to balance")
     parser.add_argument("--out", type=Path, default=Path("out/linear_reductions"), metavar="FOLDER")
     options = parser.parse_args()
     require("matplotlib", "the figures")

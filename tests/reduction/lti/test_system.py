@@ -80,16 +80,6 @@ def test_the_response_at_zero_frequency_is_the_static_one(form, request):
     assert np.all(np.diag(response[ends]) > 0)
 
 
-def test_a_small_run_of_the_full_body_is_the_linear_one(system, energetic, soft_pull):
-    from palpate.reduction.lti.simulate import linear_run
-
-    run = pt.rollout(energetic, [soft_pull], duration=0.01, every=0.0005, progress=False)
-    times, free, whole = linear_run(system, [soft_pull], duration=0.01, every=0.0005)
-    np.testing.assert_allclose(times, run.times, atol=1e-12)
-    np.testing.assert_allclose(whole, run.displacements, atol=5e-3 * np.abs(run.displacements).max())
-    np.testing.assert_array_equal(free, whole)  # no tool
-
-
 def test_a_tool_lifts_the_body_without_forces_at_free_nodes(tool_system, energetic):
     forces = (tool_system.whole @ tool_system.lifts.T)[tool_system.dofs]
     assert np.abs(forces).max() < 1e-9 * np.abs(tool_system.static).max()
@@ -100,6 +90,15 @@ def test_a_tool_lifts_the_body_without_forces_at_free_nodes(tool_system, energet
         1e-4 * energetic.cloud.spacing
     )
     np.testing.assert_allclose(tool_system.static[3:6, 0], pulled, atol=1e-3 * np.abs(pulled).max())
+
+
+def test_rates_of_forces_have_the_stiffness_damping(system, tool_system):
+    for each in (system, tool_system):
+        forces = np.array([name.startswith("force") for name in each.outputs])
+        beta = each.model.stiffness_damping * forces[:, None]
+        np.testing.assert_array_equal(each.rate_output.toarray(), beta * each.output.toarray())
+        np.testing.assert_array_equal(each.static_rate, beta * each.static)
+    assert tool_system.static_rate.any()
 
 
 def test_gravity_is_an_input(energetic):

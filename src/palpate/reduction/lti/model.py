@@ -36,8 +36,8 @@ from palpate.reduction.lti.system import LinearSystem, force_inputs
 class LinearModel(CoordinateModel):
     """A linear reduction of a body.
 
-    Made by `palpate.lti.reduce_linear`. It supports the loads of its system, by kind and group,
-    with any values in time, and small displacements from rest.
+    Made by `palpate.lti.reduce_linear` or `palpate.lti.from_pymor`. It supports the loads of its
+    system, by kind and group, with any values in time, and small displacements from rest.
 
     Parameters
     ----------
@@ -97,6 +97,7 @@ class LinearModel(CoordinateModel):
             ("verdict", "stable" if self.stable else "not stable", ""),
             ("inputs", len(self.system.inputs), ""),
             ("outputs", len(self.system.outputs), ""),
+            ("bound of the response", self.report.get("bound"), ""),
         ]
 
     @property
@@ -139,7 +140,9 @@ class LinearModel(CoordinateModel):
                 raise InputError(
                     "displacement and velocity must be zero for a first-order linear model, which starts at rest"
                 )
-            coordinates[1] = self.B[:, : self.system.forces] @ linear_loads(prepared).inputs(now)[0]
+            forces = self.system.forces
+            coordinates[0] = self.B[:, forces:] @ rates  # a tool with a velocity starts by an impulse
+            coordinates[1] = self.A @ coordinates[0] + self.B[:, :forces] @ linear_loads(prepared).inputs(now)[0]
         else:
             begun = np.stack([nodal.coordinates.ravel(), nodal.velocities.ravel()])
             begun -= np.stack([tools, rates]) @ self.system.lifts

@@ -1,4 +1,4 @@
-"""Linear reductions by projection of the sparse equations: modal truncation, moment matching, and POD.
+"""Linear reductions by projection of the sparse equations: modal truncation, condensation and moment matching.
 
 Each computes basis vectors V of displacements and test vectors W, and reduces to W^T M V, W^T D V,
 W^T K V. With W = V (Galerkin) a symmetric, positive definite body remains so for any V, and the
@@ -18,11 +18,8 @@ from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs, eigsh
 
 from palpate.core.arrays import Floats
 from palpate.core.faults import InputError, integer_in_range
-from palpate.reduction.basis.pod import pod
 from palpate.reduction.lti.state_space import SecondOrder
 from palpate.reduction.lti.system import LinearSystem
-
-Columns = tuple[Floats, Floats]
 
 DEGENERACY_TOLERANCE = 1e-5  # relative distance of squared frequencies that count as equal
 EXTRA_MODES = 12  # additional modes in the eigenvalue solver
@@ -111,8 +108,8 @@ def _balanced(system: LinearSystem, right: Floats, left: Floats) -> SecondOrder:
     return project(system, right, left @ np.linalg.inv((left.T @ (system.mass @ right)).T))
 
 
-def condense(system: LinearSystem, modes: int) -> tuple[SecondOrder, Columns]:
-    """Return the system projected on slow modes and residual static responses to the inputs, with V and W (d, k).
+def condense(system: LinearSystem, modes: int) -> SecondOrder:
+    """Return the system projected on slow modes and residual static responses to the inputs.
 
     The modes preserve their poles, and the static responses the transfer function at s = 0. The
     static responses are left out if they make the condensed body of a strong form unstable.
@@ -123,12 +120,10 @@ def condense(system: LinearSystem, modes: int) -> tuple[SecondOrder, Columns]:
     static = static - right @ (left.T @ (system.mass @ static))
     more = _orthonormal(system, static, np.zeros((system.order, 0)))
     other = more if system.symmetric else more - left @ (right.T @ (system.mass @ more))
-    wide, test = np.hstack([right, more]), np.hstack([left, other])
-    reduced = project(system, wide, test)
+    reduced = project(system, np.hstack([right, more]), np.hstack([left, other]))
     if not system.symmetric and reduced.poles().real.max() >= 0:
-        wide, test = right, left
-        reduced = project(system, wide, test)
-    return reduced, (wide, test)
+        return project(system, right, left)
+    return reduced
 
 
 def moments(system: LinearSystem, modes: int, points: Sequence[complex] = (0.0,)) -> SecondOrder:
@@ -180,9 +175,3 @@ def _orthonormal(system: LinearSystem, block: Any, basis: Any) -> Any:
         if left > DEFLATION_TOLERANCE * size:
             kept = np.hstack([kept, (vector / left)[:, None]])
     return kept
-
-
-def proper(system: LinearSystem, snapshots: Floats, modes: int) -> SecondOrder:
-    """Return the system projected on POD modes of displacements (t, n, 3) [m] without the tools' fields."""
-    basis = pod(snapshots, system.model.weights, modes=modes)
-    return project(system, np.ascontiguousarray((basis.modes.reshape(len(basis), -1) @ system.directions).T))

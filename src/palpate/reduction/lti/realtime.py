@@ -25,28 +25,40 @@ RANGE_BISECTIONS, MAX_RANGE = 24, 64.0  # of the search for that range; its uppe
 SERIES_NORM, SERIES_TERMS = 0.5, 14  # largest norm for the series of a matrix exponential, and number of terms
 
 
+class FreeMotion(NamedTuple):
+    """Exact step of the free motion: exp(A T), computed again when the period changes."""
+
+    # matrix, sizes: (N, N), (N,) arrays: A for scaled states, and the scales
+    matrix: Floats
+    sizes: Floats
+    step: Floats  # (N, N) array: exp(A T) of the last period
+    asked: Floats  # (1,) array [s]: the period of `step`
+    scratch: Floats  # (4, N, N) array
+
+
+class ToolForce(NamedTuple):
+    """Maps to the forces (l,) of the tool."""
+
+    mean_force: Floats  # (l, N) array: map from changes of the state over a period to forces times the period
+    # static, static_rate, inertia: (l, l) arrays: of coordinates, their rates and accelerations
+    static: Floats
+    static_rate: Floats
+    inertia: Floats
+
+
 class LinearData(NamedTuple):
     """Constants and work arrays of the compiled period."""
 
     modes: int  # number of coordinates without those of the tool
     second: bool  # True if the state includes their rates
-    # matrix, sizes: (N, N), (N,) arrays: a for scaled states, and the scales
-    matrix: Floats
-    sizes: Floats
-    step: Floats  # (N, N) array: exp(A T) of the last period
-    asked: Floats  # (1,) array [s]: the period of `step`
+    motion: FreeMotion
+    tool: ToolForce
     impulse: Floats  # (N, l) array
     drag: Floats  # (N, l) array: minus the equilibrium states for unit speeds of the tool, by mass damping
-    mean_force: Floats  # (l, N) array: map from changes of the state over a period to forces times the period
-    # static, static_rate, inertia: (l, l) arrays
-    static: Floats
-    static_rate: Floats
-    inertia: Floats
     # mass, elastic: (m, m) arrays: mass and stiffness matrix
     mass: Floats
     elastic: Floats
     linear_range: Floats  # (l,) array: of the tool's coordinates, [m] and [rad], where the trust number is 1
-    scratch: Floats  # (4, N, N) array
     vectors: Floats  # (3, max(N, m)) array
 
 
@@ -114,20 +126,26 @@ def linear_realtime(model: LinearModel, period: float) -> LinearRealtime:
     data = LinearData(
         modes=count,
         second=isinstance(model.reduced, SecondOrder),
-        matrix=model.A * sizes / sizes[:, None],
-        sizes=sizes,
-        step=np.ascontiguousarray(first_order_hold(model.A, model.B[:, :0], period)[0]),
-        asked=np.array([period]),
+        motion=FreeMotion(
+            matrix=model.A * sizes / sizes[:, None],
+            sizes=sizes,
+            step=np.ascontiguousarray(first_order_hold(model.A, model.B[:, :0], period)[0]),
+            asked=np.array([period]),
+            scratch=np.zeros((4, states, states)),
+        ),
+        tool=ToolForce(
+            mean_force=mean_force,
+            static=system.static[tool_rows].copy(),
+            static_rate=system.static_rate[tool_rows]
+            + model.mass_damping * model.D[tool_rows]
+            - model.C[tool_rows] @ drag,
+            inertia=model.D[tool_rows].copy(),
+        ),
         impulse=model.B.copy(),
         drag=drag,
-        mean_force=mean_force,
-        static=system.static[tool_rows].copy(),
-        static_rate=system.static_rate[tool_rows] + model.mass_damping * model.D[tool_rows] - model.C[tool_rows] @ drag,
-        inertia=model.D[tool_rows].copy(),
         mass=(flat * weight) @ flat.T,
         elastic=flat @ (system.whole @ flat.T),
         linear_range=linear_range(model),
-        scratch=np.zeros((4, states, states)),
         vectors=np.zeros((3, max(states, count + lifting_count))),
     )
     return LinearRealtime(advance, stiffness, data, np.zeros(count + lifting_count), _tool_map(system.inputs))
@@ -176,22 +194,22 @@ def linear_range(model: LinearModel) -> Floats:
 
 
 @kernel_njit(inner=True, fastmath={"contract", "reassoc"})
-def _exponential(data, period):
+def _exponential(motion, period):
     """Compute exp(A T) in place by scaling and squaring of its series."""
-    n, scaled = data.matrix.shape[0], data.scratch[0]
+    n, scaled = motion.matrix.shape[0], motion.scratch[0]
     norm = 0.0
     for i in range(n):
         total = 0.0
         for j in range(n):
-            total += abs(data.matrix[i, j]) * period
+            total += abs(motion.matrix[i, j]) * period
         norm = max(norm, total)
     halvings = 0
     while norm > SERIES_NORM:
         norm, halvings = 0.5 * norm, halvings + 1
-    result, term, product = data.scratch[1], data.scratch[2], data.scratch[3]
+    result, term, product = motion.scratch[1], motion.scratch[2], motion.scratch[3]
     for i in range(n):
         for j in range(n):
-            scaled[i, j] = data.matrix[i, j] * period / 2.0**halvings
+            scaled[i, j] = motion.matrix[i, j] * period / 2.0**halvings
             result[i, j] = 1.0 if i == j else 0.0
             term[i, j] = result[i, j]
     for k in range(1, SERIES_TERMS):
@@ -205,8 +223,8 @@ def _exponential(data, period):
         copy_values(product, result)
     for i in range(n):
         for j in range(n):
-            data.step[i, j] = result[i, j] * data.sizes[i] / data.sizes[j]
-    data.asked[0] = period
+            motion.step[i, j] = result[i, j] * motion.sizes[i] / motion.sizes[j]
+    motion.asked[0] = period
 
 
 @kernel_njit(inner=True, fastmath={"contract"})
@@ -224,11 +242,11 @@ def _multiply(a, b, result):
 @kernel_njit(fastmath={"contract", "reassoc"})
 def advance(data, q, v, target, period, report):
     """Advance coordinates and velocities (m,) by a period [s], with constant velocity of the tool to `target` (l,)."""
-    count, m, n = data.modes, q.shape[0], data.matrix.shape[0]
+    count, m, n = data.modes, q.shape[0], data.motion.matrix.shape[0]
     before, x, new = data.vectors[0], data.vectors[1], data.vectors[2]
     report[:] = 0.0
-    if period != data.asked[0]:
-        _exponential(data, period)
+    if period != data.motion.asked[0]:
+        _exponential(data.motion, period)
     for i in range(count):
         x[i] = q[i]
         if data.second:
@@ -244,7 +262,7 @@ def advance(data, q, v, target, period, report):
     for i in range(n):
         value = 0.0
         for j in range(n):
-            value += data.step[i, j] * x[j]
+            value += data.motion.step[i, j] * x[j]
         new[i] = value
         good = good and np.isfinite(value)
     if not good:
@@ -253,17 +271,17 @@ def advance(data, q, v, target, period, report):
     for r in range(m - count):
         force = 0.0
         for i in range(n):
-            force += data.mean_force[r, i] * (new[i] - x[i]) / period
+            force += data.tool.mean_force[r, i] * (new[i] - x[i]) / period
         for j in range(m - count):
             way = q[count + j] + 0.5 * period * v[count + j]
-            force += data.static[r, j] * way + data.static_rate[r, j] * v[count + j]
-            force += data.inertia[r, j] * before[count + j] / period
+            force += data.tool.static[r, j] * way + data.tool.static_rate[r, j] * v[count + j]
+            force += data.tool.inertia[r, j] * before[count + j] / period
         report[FORCES + r] = force
     for i in range(count):
         if not data.second:
             v[i] = 0.0
             for j in range(n):
-                v[i] += data.matrix[i, j] * new[j]
+                v[i] += data.motion.matrix[i, j] * new[j]
     for i in range(n):
         for j in range(m - count):
             new[i] -= data.drag[i, j] * v[count + j]
@@ -286,4 +304,4 @@ def stiffness(data, q, out):
     """Write the derivatives (l, l) of the tool's static forces with respect to its coordinates."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
-            out[i, j] = data.static[i, j]
+            out[i, j] = data.tool.static[i, j]

@@ -104,7 +104,10 @@ class FirstOrder(Described):
     >>> bar = pt.Solid(cloud, tissue, fixed="x-")
     >>> pull = pt.SurfaceForce("x+", force=lambda t: (20 * t, 0, 0))
     >>> system = pt.lti.linearise(bar, [pull], outputs=["x+"])
-    >>> reduced = pt.lti.reduce_linear(system, "hankel", 2).reduced
+    >>> from pymor.reductors.bt import BTReductor
+    >>> condensed = pt.lti.reduce_linear(system, "condensed", 40)
+    >>> reductor = BTReductor(pt.lti.to_pymor(condensed).to_lti())
+    >>> reduced = pt.lti.from_pymor(reductor.reduce(4), condensed, reductor).reduced
     >>> type(reduced).__name__, reduced.states
     ('FirstOrder', 4)
     """

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -65,13 +66,13 @@ class LinearSystem(Described):
         Numbers 3 i + c of the unknowns; c counts the free directions of a node that slides on a support.
     directions : sparse (3 n, d) array
         Displacement fields of the unknowns, orthonormal.
-    mass, damping, stiffness : sparse (d, d) arrays [kg], [N s/m], [N/m]
+    mass, stiffness : sparse (d, d) arrays [kg], [N/m]
         The mass is diagonal.
     input : sparse (d, p) array
         Nodal forces of a unit of every input: a total force of 1 N, a gravity of 1 m/s^2, then a
         tool's damped acceleration of 1 m/s^2 or 1 rad/s^2.
-    output, rate_output : sparse (q, d) arrays
-        Cp and Cv.
+    output : sparse (q, d) array
+        Cp, in compressed rows.
     feedthrough : (q, p) array
         Df.
     inputs, outputs : tuples of str
@@ -79,8 +80,8 @@ class LinearSystem(Described):
     lifting : (l, n, 3) array
         Static fields L of the tools' coordinates: translations [m/m], then rotations [m/rad]; the
         last l inputs are their damped accelerations.
-    static, static_rate : (q, l) arrays
-        S and S'.
+    static : (q, l) array
+        S.
     whole : sparse (3 n, 3 n) array [N/m]
         Stiffness of all nodes, including those that are not free.
 
@@ -104,17 +105,14 @@ class LinearSystem(Described):
     dofs: NDArray[np.int64]
     directions: Any
     mass: Any
-    damping: Any
     stiffness: Any
     input: Any
     output: Any
-    rate_output: Any
     feedthrough: Floats
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     lifting: Floats
     static: Floats
-    static_rate: Floats
     whole: Any = field(repr=False)
 
     def _facts(self) -> list[Fact]:
@@ -138,6 +136,34 @@ class LinearSystem(Described):
     def symmetric(self) -> bool:
         """Whether the stiffness is symmetric: that of the energy form."""
         return self.model.conservative
+
+    @cached_property
+    def damping(self) -> Any:
+        """Damping D = alpha M + beta K, sparse (d, d) [N s/m]."""
+        damping = self.model.stiffness_damping * self.stiffness
+        if self.model.mass_damping:
+            damping = damping + self.model.mass_damping * self.mass
+        return damping.tocsc()
+
+    @cached_property
+    def rate_output(self) -> Any:
+        """Cv, sparse (q, d): stiffness damping of the forces in Cp."""
+        rates = self.output.copy()
+        rates.data *= np.repeat(self._force_damping, np.diff(rates.indptr))
+        rates.eliminate_zeros()
+        return rates
+
+    @cached_property
+    def static_rate(self) -> Floats:
+        """S' (q, l): stiffness damping of the forces in S."""
+        damping = self._force_damping[:, None]
+        return np.where(damping > 0, damping * self.static, 0.0)
+
+    @property
+    def _force_damping(self) -> Floats:
+        """Stiffness damping (q,) [s] of the outputs that are forces; 0 of displacements."""
+        forces = [name.startswith("force ") for name in self.outputs]
+        return np.where(forces, self.model.stiffness_damping, 0.0)
 
     @property
     def forces(self) -> int:
@@ -172,6 +198,30 @@ class LinearSystem(Described):
     def frequency_response(self, frequencies: Any) -> Complex:
         """Return the transfer function at circular frequencies (k,) [rad/s], shape (k, q, p)."""
         return self.transfer(1j * np.atleast_1d(np.asarray(frequencies, dtype=float)))
+
+    def scales(self, emphasis: Sequence[float] | Floats | None = None) -> tuple[Floats, Floats]:
+        """Return factors (q,) of the outputs and (p,) of the inputs that make different units comparable.
+
+        Displacements and forces are each divided by their largest static response to the weighted
+        inputs, and a tool's rotations by its radius. `to_pymor` and `from_pymor` take the factors.
+
+        Parameters
+        ----------
+        emphasis : (p,) array, optional
+            Weight of each input; by default equal.
+        """
+        count = len(self.inputs)
+        weights = np.ones(count) if emphasis is None else np.array(emphasis, dtype=float)
+        if weights.shape != (count,) or not np.all(np.isfinite(weights) & (weights > 0)):
+            raise InputError(f"emphasis must be {count} positive numbers, one per input, got {emphasis!r}")
+        static = np.abs(self.transfer(0.0)[0].real) * weights
+        kinds = np.array([name.split()[0] for name in self.outputs])
+        outputs, inputs = np.ones(len(kinds)), np.ones(count)
+        for kind in np.unique(kinds):
+            outputs[kinds == kind] = 1.0 / max(static[kinds == kind].max(), 1e-300)
+        if len(self.lifting):
+            inputs[self.forces :] = 1.0 / np.abs(self.lifting).max(axis=(1, 2))
+        return outputs, inputs * weights
 
 
 def linearise(
@@ -241,17 +291,13 @@ def linearise(
     forces, names = force_inputs(model, prepared, weight)
     pushed = np.concatenate([forces @ free, -(weight * lifting) @ free]).T
     mass, kind = sparse.diags(weight[dofs]).tocsc(), "damped acceleration" if model.mass_damping else "acceleration"
-    damping = model.stiffness_damping * stiffness
-    if model.mass_damping:
-        damping = damping + model.mass_damping * mass
-    system = LinearSystem(
-        model, loads, at, dofs, free, mass, damping.tocsc(), stiffness,
+    return LinearSystem(
+        model, loads, at, dofs, free, mass, stiffness,
         sparse.csc_matrix(pushed), *_outputs(model, prepared, outputs, nodal, free, (forces, rigid, lifting), weight),
         (*names, *(f"{kind} of {tool}" for tool in tools)), _output_names(model, outputs, tools),
         lifting.reshape(len(lifting), len(model.cloud), 3),
-        *_statics(model, prepared, outputs, nodal, (rigid, lifting)), nodal,
+        _statics(model, prepared, outputs, nodal, (rigid, lifting)), nodal,
     )  # fmt: skip
-    return system
 
 
 def _check_moved_nodes(loads: Sequence[Load], model: NodalModel) -> None:
@@ -332,34 +378,25 @@ def _rows(model: NodalModel, prepared: PreparedLoads, group: str) -> Any:
 def _outputs(
     model: NodalModel, prepared: PreparedLoads, outputs: Sequence[str], nodal: Any, free: Any,
     inputs: tuple[Floats, Floats, Floats], weight: Floats,
-) -> tuple[Any, Any, Floats]:  # fmt: skip
-    """Return Cp, Cv (q, d) and Df (q, p)."""
+) -> tuple[Any, Floats]:  # fmt: skip
+    """Return Cp (q, d) and Df (q, p)."""
     forces, rigid, lifting = inputs
-    width, beta = len(forces) + len(lifting), model.stiffness_damping
-    positions, rates, through = [], [], []
+    positions, through = [], []
     for group in outputs:
         if group not in model.fixed:
             positions.append(_rows(model, prepared, group) @ free)
-            rates.append(sparse.csr_matrix((3, free.shape[1])))
-            through.append(np.zeros((3, width)))
+            through.append(np.zeros((3, len(forces) + len(lifting))))
             continue
         map_to_force, direct = _support_force(model, group, nodal, free, forces, bool(len(rigid)))
         positions.append(map_to_force)
-        rates.append(beta * map_to_force)
         through.append(np.hstack([direct, np.zeros((3, len(lifting)))]))
     if len(rigid):
-        map_to_force = sparse.csr_matrix(rigid) @ nodal @ free
-        positions.append(map_to_force)
-        rates.append(beta * map_to_force)
+        positions.append(sparse.csr_matrix(rigid) @ nodal @ free)
         # a tool carries the loads on its nodes, and accelerates their mass
         through.append(np.hstack([-rigid @ forces.T, (rigid * weight) @ rigid.T]))
     if not positions:
         raise InputError("outputs must name a group for a system without a tool, got none; name a group")
-    return (
-        sparse.vstack(positions).tocsr(),
-        sparse.vstack(rates).tocsr(),
-        np.concatenate(through),
-    )
+    return sparse.vstack(positions).tocsr(), np.concatenate(through)
 
 
 def _support_force(
@@ -405,18 +442,14 @@ def _constrained_part(model: NodalModel, group: str) -> Floats:
 
 def _statics(
     model: NodalModel, prepared: PreparedLoads, outputs: Sequence[str], nodal: Any, tools: tuple[Floats, Floats]
-) -> tuple[Floats, Floats]:
-    """Return S and S' (q, l), the static parts of the outputs in the tools' coordinates and their rates."""
+) -> Floats:
+    """Return S (q, l), the static part of the outputs in the tools' coordinates."""
     rigid, lifting = tools
-    statics, rates = [], []
+    statics = []
     for group in outputs:
-        if group in model.fixed:
-            statics.append(np.asarray(_force_rows(model, group, nodal) @ lifting.T))
-            rates.append(model.stiffness_damping * statics[-1])
-        else:
-            statics.append(np.asarray(_rows(model, prepared, group) @ lifting.T))
-            rates.append(np.zeros((3, len(lifting))))
+        fixed = group in model.fixed
+        rows = _force_rows(model, group, nodal) if fixed else _rows(model, prepared, group)
+        statics.append(np.asarray(rows @ lifting.T))
     if len(rigid):
         statics.append(np.asarray(rigid @ (nodal @ lifting.T)))
-        rates.append(model.stiffness_damping * statics[-1])
-    return np.concatenate(statics), np.concatenate(rates)
+    return np.concatenate(statics)

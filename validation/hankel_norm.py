@@ -40,8 +40,8 @@ def lyapunov_factor(a: Floats, b: Floats) -> Floats:
     return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
 
 
-def balance(system: Realisation) -> tuple[Realisation, Floats, Floats]:
-    """Return a balanced realisation of the largest order above rounding, its Hankel singular values, and T: x = T z."""
+def balance(system: Realisation) -> tuple[Realisation, Floats]:
+    """Return a balanced realisation of the largest order above rounding, and its Hankel singular values."""
     controlled, observed = lyapunov_factor(system.A, system.B), lyapunov_factor(system.A.T, system.C.T)
     left, values, right = np.linalg.svd(observed.T @ controlled)
     kept = values > MIN_HANKEL_VALUE * values[0]
@@ -49,7 +49,7 @@ def balance(system: Realisation) -> tuple[Realisation, Floats, Floats]:
     into = controlled @ right[: len(values)][kept].T / roots
     back = (observed @ left[:, : len(values)][:, kept] / roots).T
     balanced = Realisation(back @ system.A @ into, back @ system.B, system.C @ into, system.D)
-    return balanced, values[kept], into
+    return balanced, values[kept]
 
 
 def hankel_norm(balanced: Realisation, values: Floats, order: int) -> Realisation:
@@ -102,15 +102,3 @@ def _stable_part(system: Realisation, count: int) -> Realisation:
     between = scipy.linalg.solve_sylvester(schur[one, one], -schur[two, two], -schur[one, two])
     b, c = vectors.T @ system.B, system.C @ vectors
     return Realisation(schur[one, one], b[one] - between @ b[two], c[:, one], system.D)
-
-
-def nearest_fields(full: Realisation, fields: Floats, reduced: Realisation) -> Floats:
-    """Return fields (k, ...) of reduced states, nearest to those (n, ...) of full states for equal inputs.
-
-    They are Phi X P^-1, nearest in the mean square over white inputs. X is the joint Gramian of the
-    states, and P that of the reduced states.
-    """
-    joint = scipy.linalg.solve_sylvester(full.A, reduced.A.T, -full.B @ reduced.B.T)
-    gramian = scipy.linalg.solve_continuous_lyapunov(reduced.A, -reduced.B @ reduced.B.T)
-    weights = np.linalg.lstsq((gramian + gramian.T) / 2, joint.T, rcond=1e-12)[0]
-    return np.asarray(np.tensordot(weights, fields, 1))
