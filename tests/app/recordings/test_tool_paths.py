@@ -9,7 +9,7 @@ import pytest
 
 import palpate as pt
 from palpate.app.recordings.recording import Recording
-from palpate.app.recordings.snapshot import Snapshot
+from palpate.app.recordings.snapshot import Snapshot, ToolSnapshot
 from palpate.app.recordings.tool_paths import tool_paths
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
@@ -29,12 +29,15 @@ def model():
 
 def snapshot(k, tool="sphere", touching=True, trust=2.0, **values):
     """A snapshot at 10 ms times k, whose tool moves along x."""
+    moved = ToolSnapshot(
+        force=np.zeros(3), moment=np.zeros(3), stiffness=np.eye(3), position=np.array([0.1 * k, 0.0, 0.05]),
+        quaternion=np.array([1.0, 0.0, 0.0, 0.0]), sequence=k, device_force=np.zeros(3), kind=tool,
+    )  # fmt: skip
     still = Snapshot(
-        time=EVERY * k, steps=k, force=np.zeros(3), moment=np.zeros(3), stiffness=np.eye(3), trust=trust,
-        position=np.array([0.1 * k, 0.0, 0.05]), quaternion=np.array([1.0, 0.0, 0.0, 0.0]), sequence=k, kinetic=0.0,
-        strain=0.0, computing=0.0, lateness=0.0, coordinates=np.zeros(9), state="running", device_force=np.zeros(3),
-        contact_nodes=np.arange(2), contact_forces=np.full((2, 3), float(touching)), modulus_ratio=1.0, kind=tool,
-        contact_tools=np.zeros(2, dtype=int),
+        time=EVERY * k, steps=k, trust=trust, kinetic=0.0, strain=0.0, computing=0.0, lateness=0.0,
+        coordinates=np.zeros(9), state="running", contact_nodes=np.arange(2),
+        contact_forces=np.full((2, 3), float(touching)), modulus_ratio=1.0, contact_tools=np.zeros(2, dtype=int),
+        tools=(moved,),
     )  # fmt: skip
     return replace(still, **values)
 
