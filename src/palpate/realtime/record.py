@@ -2,7 +2,7 @@
 
 A record holds the fields of `HEADER_DTYPE`, then those of `TOOL_DTYPE` for each of t tools, then m coordinates and m
 velocities. The header repeats the fields of the first tool, so that programs of one tool read no further. Arrays of
-recordings and frames of the protocol follow from the same table, `FIELDS`.
+recordings and frames of the protocol follow from the same table, `PERIOD_FIELDS`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Field(NamedTuple):
     type: str = "<f8"  # in recordings; all numbers of records and frames are float64
 
 
-FIELDS = {
+PERIOD_FIELDS = {
     field.name: field
     for field in (
         Field("time", "s"),
@@ -53,12 +53,12 @@ FIELDS = {
 }
 
 
-def layout(names: Iterable[str], fields: Mapping[str, Field] = FIELDS) -> np.dtype[Any]:
+def layout(names: Iterable[str], fields: Mapping[str, Field] = PERIOD_FIELDS) -> np.dtype[Any]:
     """Return the layout of numbers of some fields that follow each other."""
     return np.dtype([(name, "<f8", fields[name].shape) for name in names])
 
 
-HEADER_DTYPE = layout(FIELDS)
+HEADER_DTYPE = layout(PERIOD_FIELDS)
 TOOL_DTYPE = layout(("position", "quaternion", "force", "moment", "stiffness", "largest_force", "limited", "sequence"))
 HEADER_SIZE, TOOL_SIZE = HEADER_DTYPE.itemsize // 8, TOOL_DTYPE.itemsize // 8
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.app.recordings.recorded_paths import recorded_paths
 from palpate.app.recordings.recording import FORMAT, VERSION, Recording, load_recording, save_recording
 from palpate.app.recordings.recording_journal import RecordingJournal, is_recording
 from palpate.app.recordings.snapshot import Snapshot, ToolSnapshot
-from palpate.app.recordings.tool_paths import tool_paths
 from palpate.app.session.replay import Replay
 from palpate.app.view.server.frames import force_frame, tools_frame
 from palpate.dynamics.contact.tools import Contact, Grasp
@@ -148,7 +148,7 @@ def test_forged_tools_are_refused_even_with_right_checksums(recording, tmp_path,
 
 
 def test_each_tool_of_a_recording_has_a_path(recording):
-    paths = tool_paths(recording)
+    paths = recorded_paths(recording)
     assert [type(path.load) for path in paths] == [Contact, Grasp]
     assert paths[0].duration == pytest.approx((COUNT - 1) * EVERY)
     assert paths[1].duration == pytest.approx((COUNT - 3) * EVERY)  # from the third snapshot on

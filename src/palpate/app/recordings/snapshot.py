@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from palpate.core.arrays import Floats
 from palpate.dynamics.contact.shapes import TOOLS
-from palpate.realtime.record import FIELDS, Field, PeriodRecord
+from palpate.realtime.record import PERIOD_FIELDS, Field, PeriodRecord
 
 if TYPE_CHECKING:
     from palpate.dynamics.solid.model import EnergySolid
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 ENGINE_STATES = ("stopped", "running", "paused", "diverged")
-SNAPSHOT_FIELDS = FIELDS | {
+SNAPSHOT_FIELDS = PERIOD_FIELDS | {
     field.name: field
     for field in (
         Field("device_force", "N", (3,)),

@@ -39,18 +39,19 @@ def _arrays(sizes: tuple[str, ...], **limits: tuple[float, float]) -> dict[str, 
     return declared
 
 
-ANY, NOT_NEGATIVE, COUNT = (-math.inf, MAX_VALUE), (0.0, MAX_VALUE), (0.0, MAX_COUNT)
+ANY_NUMBER, NOT_NEGATIVE, WHOLE_NUMBER = (-math.inf, MAX_VALUE), (0.0, MAX_VALUE), (0.0, MAX_COUNT)
 SNAPSHOT_ARRAYS = _arrays(
-    ("snapshots",), time=NOT_NEGATIVE, steps=COUNT, trust=NOT_NEGATIVE, kinetic=ANY, strain=ANY,
-    computing=NOT_NEGATIVE, lateness=ANY,
+    ("snapshots",), time=NOT_NEGATIVE, steps=WHOLE_NUMBER, trust=NOT_NEGATIVE, kinetic=ANY_NUMBER, strain=ANY_NUMBER,
+    computing=NOT_NEGATIVE, lateness=ANY_NUMBER,
 )  # fmt: skip
 SNAPSHOT_ARRAYS |= {
     "coordinates": _Array(("snapshots", "coordinates")),
     "modulus_ratio": _Array(("snapshots",), low=LEAST_POSITIVE),
 }
 TOOL_ARRAYS = _arrays(  # of `ToolSnapshot`, under ``tools/``
-    ("snapshots", "tools"), force=ANY, moment=ANY, stiffness=(-math.inf, 1e30), position=ANY, quaternion=ANY,
-    sequence=COUNT, device_force=ANY, kind=(0, len(TOOL_KINDS) - 1), pinned=ANY,
+    ("snapshots", "tools"), force=ANY_NUMBER, moment=ANY_NUMBER, stiffness=(-math.inf, 1e30), position=ANY_NUMBER,
+    quaternion=ANY_NUMBER, sequence=WHOLE_NUMBER, device_force=ANY_NUMBER, kind=(0, len(TOOL_KINDS) - 1),
+    pinned=ANY_NUMBER,
 )  # fmt: skip
 STATE_ARRAY = _arrays(("snapshots",), state=(0, len(ENGINE_STATES) - 1))
 CONTACT_ARRAYS = {

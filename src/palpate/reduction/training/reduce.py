@@ -40,6 +40,7 @@ from palpate.reduction.training.calibrate_indicator import Frames, calibrate_sca
 from palpate.reduction.training.ecsw import choose_integration_points, pressure_moments
 from palpate.reduction.training.errors import ContactErrors, Errors, contact_errors, relative_errors
 from palpate.reduction.training.fit_compliance import fit_compliance
+from palpate.reduction.training.parallel_runs import in_threads
 from palpate.reduction.training.residual_fields import (
     RESIDUAL_FIELDS,
     orthogonal_complement,
@@ -47,7 +48,6 @@ from palpate.reduction.training.residual_fields import (
     typical_residual,
 )
 from palpate.reduction.training.round_compliance import round_compliance
-from palpate.reduction.training.threads import in_threads
 
 __all__ = ["Trial", "hyper_reduce"]
 

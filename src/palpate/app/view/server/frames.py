@@ -37,7 +37,7 @@ TOOL_NUMBERS = layout(("kind", "pinned", "force", "moment", "position", "quatern
 FORCE_NUMBERS = layout(
     ("time", "trust", "device_force", "moment", "stiffness", "position", "steps", "state", "sequence"), SNAPSHOT_FIELDS
 )
-CODES = {"kind": TOOL_KINDS, "state": ENGINE_STATES}  # whose indices are sent
+FIELD_CODES = {"kind": TOOL_KINDS, "state": ENGINE_STATES}  # whose indices are sent
 FRAME_HEADER = struct.Struct("<4I")
 RANGE_PERCENTILE = 99.0  # of a scalar, at which its colour range ends; excludes peaks of single vertices at edges
 
@@ -101,7 +101,7 @@ def _numbers(fields: np.dtype[Any], *sources: Snapshot | ToolSnapshot, **values:
         values |= vars(source)
     numbers = np.zeros((), dtype=fields)
     for name in fields.names or ():
-        numbers[name] = CODES[name].index(values[name]) if name in CODES else values[name]
+        numbers[name] = FIELD_CODES[name].index(values[name]) if name in FIELD_CODES else values[name]
     return numbers.tobytes()
 
 
