@@ -398,7 +398,7 @@ def recording(full: bool = False) -> recordings.Recording:
     count, moments = 3 * len(body.cloud) if full else body.count, []
     for k in range(8):
         touched = np.arange(2 if k % 3 else 0)
-        tools = [
+        tools = tuple(
             ToolSnapshot(
                 force=zero + k,
                 moment=zero,
@@ -411,12 +411,13 @@ def recording(full: bool = False) -> recordings.Recording:
                 pinned=kind == "grasp",
             )
             for kind in ("sphere", "grasp" if k > 3 else "none")
-        ]
+        )
         moments.append(
-            Snapshot.from_tools(
-                tools, time=0.01 * k, steps=10 * k, trust=0.1, kinetic=0.0, strain=1e-6, computing=1e-4, lateness=0.0,
-                coordinates=1e-4 * k * np.ones(count, dtype=np.float32), state="running", contact_nodes=touched,
-                contact_forces=np.ones((len(touched), 3)) * 1e-3, contact_tools=touched, modulus_ratio=1.0,
+            Snapshot(
+                tools=tools, time=0.01 * k, steps=10 * k, trust=0.1, kinetic=0.0, strain=1e-6, computing=1e-4,
+                lateness=0.0, coordinates=1e-4 * k * np.ones(count, dtype=np.float32), state="running",
+                contact_nodes=touched, contact_forces=np.ones((len(touched), 3)) * 1e-3, contact_tools=touched,
+                modulus_ratio=1.0,
             )
         )  # fmt: skip
     sizes = {"radius": 0.008, "length": 0.04, "friction": 0.2, "stiffness": None}

@@ -48,7 +48,7 @@ from palpate.reduction.hyper.error_indicator import (
     remembered_trust,
 )
 from palpate.reduction.training.calibrate_indicator import repeat_run
-from palpate.reduction.training.threads import in_threads
+from palpate.reduction.training.parallel_runs import in_threads
 from palpate.scenes.open_surface import open_surface
 from palpate.scenes.scene import Scene
 

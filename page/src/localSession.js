@@ -1,7 +1,7 @@
 // A session of an exported model: its tools, its periods in real time, recordings, and frames as those of the server.
 
 import { IDENTITY, LocalTool, NO_TOOL, nearestOnAxis, overlap, roundShape } from "./localTool.js";
-import { TOOLS } from "./protocol.js";
+import { numbersOf, STATE_FIELDS, STATES } from "./protocol.js";
 
 const PERIOD = 1; // [ms]
 const TURN = 4; // [ms] between two turns of the loop
@@ -14,7 +14,6 @@ const UNACKNOWLEDGED = 2; // state frames that wait for the page
 const SAMPLES = 4000; // computing times that the statistics are of
 const MAX_SPEED = 2; // in the options of a library (palpate.h)
 const MARGIN = 0.3; // [m] around the body in which a tool may be
-const STATES = { stopped: 0, running: 1, paused: 2, diverged: 3 };
 const DESCRIBED = ["kind", "active", "pinned", "radius", "length"]; // what a replay tells of a tool when it changes
 
 export class LocalSession {
@@ -155,22 +154,21 @@ export class LocalSession {
     const count = vertices.length / 3;
     this.model.call("vertices");
     const shown = this.show === "displacement";
-    const buffer = new ArrayBuffer(16 + 200 + 12 * count + (shown ? 4 * count : 0));
-    new Uint32Array(buffer, 0, 4).set([2, 0, count, 0]);
-    const numbers = new Float64Array(buffer, 16, 25);
-    numbers.set([record[at.time], record[at.trust], ...tool.part("force", 3), ...tool.part("moment", 3)]);
-    numbers.set([...tool.position, ...tool.quaternion, record[at.kinetic], record[at.strain]], 8);
-    const last = this.periods ? this.computing[(this.periods - 1) % SAMPLES] / 1e3 : 0;
-    numbers.set([last, 0, record[at.steps], STATES[this.state], TOOLS.indexOf(tool.active.kind)], 17);
-    numbers[24] = tool.sequence;
-    new Float32Array(buffer, 216, 3 * count).set(vertices);
-    if (shown) {
-      const sizes = new Float32Array(buffer, 216 + 12 * count, count);
-      for (let i = 0; i < count; i++) {
-        sizes[i] = Math.hypot(vertices[3 * i] - rest[3 * i], vertices[3 * i + 1] - rest[3 * i + 1], vertices[3 * i + 2] - rest[3 * i + 2]);
-      }
-      numbers[23] = sizes.slice().sort()[Math.min(count - 1, Math.round(0.99 * (count - 1)))]; // peaks of single vertices
+    const names = ["time", "trust", "kinetic", "strain", "steps"];
+    const period = Object.fromEntries(names.map((name) => [name, record[at[name]]]));
+    const computing = this.periods ? this.computing[(this.periods - 1) % SAMPLES] / 1e3 : 0;
+    const scalar = new Float32Array(shown ? count : 0);
+    for (let i = 0; i < scalar.length; i++) {
+      scalar[i] = Math.hypot(vertices[3 * i] - rest[3 * i], vertices[3 * i + 1] - rest[3 * i + 1], vertices[3 * i + 2] - rest[3 * i + 2]);
     }
+    const high = scalar.slice().sort()[Math.min(count - 1, Math.round(0.99 * (count - 1)))]; // peaks of single vertices
+    const numbers = numbersOf(STATE_FIELDS, { ...tool.values(), ...period, computing, state: STATES.indexOf(this.state), high });
+    const start = 16 + 8 * numbers.length;
+    const buffer = new ArrayBuffer(start + 12 * count + 4 * scalar.length);
+    new Uint32Array(buffer, 0, 4).set([2, 0, count, 0]);
+    new Float64Array(buffer, 16, numbers.length).set(numbers);
+    new Float32Array(buffer, start, 3 * count).set(vertices);
+    new Float32Array(buffer, start + 12 * count).set(scalar);
     return buffer;
   }
 

@@ -1,6 +1,6 @@
 // A tool of an exported model: what is selected, where it was put down, and its rows of the model's arrays.
 
-import { TOOLS } from "./protocol.js";
+import { numbersOf, TOOL_FIELDS, TOOLS } from "./protocol.js";
 
 const HAND_FORCE = 3.3; // [N], largest force of the spring between pointer and tool
 const TOOL_MASS = 0.05; // [kg]
@@ -75,10 +75,16 @@ export class LocalTool {
     return { ...selected, active: this.active === selected && selected.kind !== "none", position, quaternion, pinned };
   }
 
+  /** The values of a tool in a frame, by name. */
+  values() {
+    const { active, pinned, position, quaternion, sequence } = this;
+    const [force, moment] = [this.part("force", 3), this.part("moment", 3)];
+    return { kind: TOOLS.indexOf(active.kind), pinned: Number(pinned), force, moment, position, quaternion, sequence };
+  }
+
   /** The numbers of a frame of all tools; docs/protocol.md, kind 8. */
   numbers() {
-    const { active, pinned, position, quaternion, sequence } = this;
-    return [TOOLS.indexOf(active.kind), Number(pinned), ...this.part("force", 3), ...this.part("moment", 3), ...position, ...quaternion, sequence];
+    return numbersOf(TOOL_FIELDS, this.values());
   }
 
   /** Request a pose, which the tool reaches evenly in the time since the one before: a pointer sends one a frame. */

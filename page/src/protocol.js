@@ -4,9 +4,33 @@ export const STATES = ["stopped", "running", "paused", "diverged"];
 export const TOOLS = ["none", "sphere", "capsule", "grasp", "group", "scalpel"]; // of hello, where it has more
 
 const HEADER_BYTES = 16; // kind, sequence, vertices, triangles
-const STATE_NUMBERS = 25; // float64 values of a state
-const TOOL_NUMBERS = 16; // of a tool
-const [KIND, PINNED, FORCE, MOMENT, POSITION, QUATERNION, SEQUENCE] = [0, 1, 2, 5, 8, 11, 15]; // where they are
+
+// Fields of float64 values and their numbers, in order; a test compares them with those of the server.
+export const STATE_FIELDS = {
+  time: 1, trust: 1, force: 3, moment: 3, position: 3, quaternion: 4, kinetic: 1, strain: 1, computing: 1, lateness: 1,
+  steps: 1, state: 1, kind: 1, low: 1, high: 1, sequence: 1,
+};
+export const TOOL_FIELDS = { kind: 1, pinned: 1, force: 3, moment: 3, position: 3, quaternion: 4, sequence: 1 };
+
+const count = (fields) => Object.values(fields).reduce((sum, size) => sum + size, 0);
+const STATE_NUMBERS = count(STATE_FIELDS);
+const TOOL_NUMBERS = count(TOOL_FIELDS);
+
+/** The values of fields from an index of a buffer on; several numbers are a view of it. */
+function read(buffer, start, fields) {
+  const numbers = new Float64Array(buffer, start, count(fields));
+  let at = 0;
+  const entries = Object.entries(fields).map(([name, size]) => {
+    at += size;
+    return [name, size > 1 ? numbers.subarray(at - size, at) : numbers[at - 1]];
+  });
+  return Object.fromEntries(entries);
+}
+
+/** The float64 values of fields as a list; those that are not given are 0. */
+export function numbersOf(fields, values) {
+  return Object.entries(fields).flatMap(([name, size]) => (size > 1 ? [...values[name]] : values[name] ?? 0));
+}
 
 /** Decode a binary frame; arrays are views of the buffer. */
 export function decode(buffer) {
@@ -47,29 +71,17 @@ function surroundings(buffer, count, vertices, triangles) {
 }
 
 function state(buffer, sequence, vertices) {
-  const numbers = new Float64Array(buffer, HEADER_BYTES, STATE_NUMBERS);
+  const values = read(buffer, HEADER_BYTES, STATE_FIELDS);
   const start = HEADER_BYTES + 8 * STATE_NUMBERS;
   const end = start + 12 * vertices;
-  const force = numbers.subarray(2, 5);
   return {
+    ...values,
     kind: 2,
     sequence,
-    time: numbers[0],
-    trust: numbers[1],
-    force,
-    newtons: Math.hypot(...force),
-    position: numbers.subarray(8, 11),
-    quaternion: numbers.subarray(11, 15),
-    kinetic: numbers[15],
-    strain: numbers[16],
-    computing: numbers[17],
-    lateness: numbers[18],
-    steps: numbers[19],
-    state: STATES[numbers[20]] ?? "stopped",
-    tool: TOOLS[numbers[21]] ?? "none",
-    low: numbers[22],
-    high: numbers[23],
-    pose: numbers[24],
+    newtons: Math.hypot(...values.force),
+    state: STATES[values.state] ?? "stopped",
+    tool: TOOLS[values.kind] ?? "none",
+    pose: values.sequence,
     positions: new Float32Array(buffer, start, 3 * vertices),
     scalar: buffer.byteLength > end ? new Float32Array(buffer, end, vertices) : null,
   };
@@ -77,17 +89,8 @@ function state(buffer, sequence, vertices) {
 
 /** The tool of an index in a frame of all tools. */
 function tool(buffer, index) {
-  const numbers = new Float64Array(buffer, HEADER_BYTES + 8 * TOOL_NUMBERS * index, TOOL_NUMBERS);
-  const force = numbers.subarray(FORCE, MOMENT);
-  return {
-    kind: TOOLS[numbers[KIND]] ?? "none",
-    pinned: numbers[PINNED] === 1,
-    force,
-    newtons: Math.hypot(...force),
-    position: numbers.subarray(POSITION, QUATERNION),
-    quaternion: numbers.subarray(QUATERNION, SEQUENCE),
-    pose: numbers[SEQUENCE],
-  };
+  const { kind, pinned, sequence, ...values } = read(buffer, HEADER_BYTES + 8 * TOOL_NUMBERS * index, TOOL_FIELDS);
+  return { ...values, kind: TOOLS[kind] ?? "none", pinned: pinned === 1, newtons: Math.hypot(...values.force), pose: sequence };
 }
 
 const VERSIONS = { "palpate.v3": 3, "palpate.v2": 2 }; // by subprotocol, the newest first

@@ -14,7 +14,7 @@ from palpate.compiled.jit import kernel_njit
 from palpate.core.arrays import Floats
 from palpate.core.files import whole_file
 from palpate.realtime.exchange import acquire_fence, get_flag, make_flags, release_fence, set_flag
-from palpate.realtime.record import FIELD_UNITS, HEADER_DTYPE, HEADER_SIZE, TOOL_DTYPE, TOOL_SIZE
+from palpate.realtime.record import HEADER_DTYPE, HEADER_SIZE, PERIOD_FIELDS, TOOL_DTYPE, TOOL_SIZE
 
 MAX_COORDINATES = 64  # reduced coordinates stored of each record
 FORMAT, VERSION = "palpate black box", 3
@@ -71,14 +71,14 @@ def write_black_box(path: str | Path, buffer: RingBuffer, tools: int, attributes
     with h5py.File(content, "w") as file:  # in memory, because HDF5 does not survive a full disk
         for name in HEADER_DTYPE.names or ():
             file[name] = headers[name]
-            if name in FIELD_UNITS:
-                file[name].attrs["unit"] = FIELD_UNITS[name]
+            if PERIOD_FIELDS[name].unit:
+                file[name].attrs["unit"] = PERIOD_FIELDS[name].unit
         first = HEADER_SIZE + TOOL_SIZE * tools
         parts = np.ascontiguousarray(records[:, HEADER_SIZE:first]).view(TOOL_DTYPE)  # (k, tools)
         for name in TOOL_DTYPE.names or ():
             file[f"tools/{name}"] = parts[name]
-            if name in FIELD_UNITS:
-                file[f"tools/{name}"].attrs["unit"] = FIELD_UNITS[name]
+            if PERIOD_FIELDS[name].unit:
+                file[f"tools/{name}"].attrs["unit"] = PERIOD_FIELDS[name].unit
         file["coordinates"] = records[:, first:]
         file.attrs.update(format=FORMAT, version=VERSION, written=time.strftime("%Y-%m-%dT%H:%M:%S%z"), **attributes)
     with whole_file(path) as partial:

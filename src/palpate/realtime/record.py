@@ -1,40 +1,66 @@
 """The record of one period: an array of float64 that the engine publishes and the black box stores.
 
 A record holds the fields of `HEADER_DTYPE`, then those of `TOOL_DTYPE` for each of t tools, then m coordinates and m
-velocities. The header repeats the fields of the first tool, so that programs of one tool read no further.
+velocities. The header repeats the fields of the first tool, so that programs of one tool read no further. Arrays of
+recordings and frames of the protocol follow from the same table, `PERIOD_FIELDS`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from palpate.core.arrays import Floats
 from palpate.core.describe import Described, Fact
 
-MOTION_FIELDS: list[Any] = [
-    ("position", "f8", 3),
-    ("quaternion", "f8", 4),
-    ("force", "f8", 3),
-    ("moment", "f8", 3),
-    ("stiffness", "f8", (3, 3)),
-]
-HEADER_DTYPE = np.dtype(
-    [(name, "f8") for name in ("time", "steps", "failed", "iterations", "computing", "lateness")]
-    + [
-        (name, "f8")
-        for name in ("trust", "worst_trust", "largest_force", "clamped", "limited", "sequence", "kinetic", "strain")
-    ]
-    + MOTION_FIELDS
-)
-TOOL_DTYPE = np.dtype(MOTION_FIELDS + [(name, "f8") for name in ("largest_force", "limited", "sequence")])
+
+class Field(NamedTuple):
+    """A value of a period: its name, unit and shape are the same in records, recordings and frames."""
+
+    name: str
+    unit: str = ""
+    shape: tuple[int, ...] = ()
+    type: str = "<f8"  # in recordings; all numbers of records and frames are float64
+
+
+PERIOD_FIELDS = {
+    field.name: field
+    for field in (
+        Field("time", "s"),
+        Field("steps"),
+        Field("failed"),
+        Field("iterations"),
+        Field("computing", "s"),
+        Field("lateness", "s"),
+        Field("trust"),
+        Field("worst_trust"),
+        Field("largest_force", "N"),
+        Field("clamped"),
+        Field("limited"),
+        Field("sequence"),
+        Field("kinetic", "J"),
+        Field("strain", "J"),
+        Field("position", "m", (3,)),
+        Field("quaternion", "", (4,)),
+        Field("force", "N", (3,)),
+        Field("moment", "N m", (3,)),
+        Field("stiffness", "N/m", (3, 3)),
+    )
+}
+
+
+def layout(names: Iterable[str], fields: Mapping[str, Field] = PERIOD_FIELDS) -> np.dtype[Any]:
+    """Return the layout of numbers of some fields that follow each other."""
+    return np.dtype([(name, "<f8", fields[name].shape) for name in names])
+
+
+HEADER_DTYPE = layout(PERIOD_FIELDS)
+TOOL_DTYPE = layout(("position", "quaternion", "force", "moment", "stiffness", "largest_force", "limited", "sequence"))
 HEADER_SIZE, TOOL_SIZE = HEADER_DTYPE.itemsize // 8, TOOL_DTYPE.itemsize // 8
-FIELD_UNITS = {"time": "s", "computing": "s", "lateness": "s", "kinetic": "J", "strain": "J", "position": "m"}
-FIELD_UNITS |= {"force": "N", "largest_force": "N", "moment": "N m", "stiffness": "N/m"}
 
 
 def field_offset(name: str, fields: np.dtype[Any] = HEADER_DTYPE) -> int:
@@ -49,30 +75,25 @@ def record_size(coordinates: int, tools: int) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class PeriodRecord(Described):
-    """Results of one period; the parameters are those of `Reading`."""
+    """Results of one period for the body; the parameters are those of `Reading`."""
 
     time: float
     steps: int
-    force: Floats
-    moment: Floats
-    stiffness: Floats
     trust: float
-    position: Floats
-    quaternion: Floats
-    sequence: int
     kinetic: float
     strain: float
     computing: float
     lateness: float
     coordinates: Floats
     state: str
+    tools: tuple[Any, ...]
 
     def _facts(self) -> list[Fact]:
         return [
             ("engine", self.state, ""),
             ("time", self.time, "s"),
-            ("force", self.force, "N"),
-            ("moment", self.moment, "N m"),
+            ("force", self.tools[0].force, "N"),
+            ("moment", self.tools[0].moment, "N m"),
             ("trust", self.trust, ""),
             ("computing time", self.computing, "s"),
             ("lateness", self.lateness, "s"),
@@ -206,6 +227,12 @@ class Reading(PeriodRecord):
     ([0.0, 0.0, 0.0], False, inf)
     """
 
+    force: Floats
+    moment: Floats
+    stiffness: Floats
+    position: Floats
+    quaternion: Floats
+    sequence: int
     worst_trust: float
     largest_force: float
     force_bound: float

@@ -35,7 +35,7 @@ def test_a_hand_presses_the_body_of_a_session(held, session, said, until):
     device = service.devices[0]
     until(lambda: session.devices == {0: "049D"} and session.tools[0].active.kind == "sphere", lambda: said)
     top = session.surface.rest[:, 2].max()
-    until(lambda: session.snapshot().position[2] == pytest.approx(top + 0.015 + 0.01, abs=1e-6))
+    until(lambda: session.snapshot().tools[0].position[2] == pytest.approx(top + 0.015 + 0.01, abs=1e-6))
     depths = [0.0]
 
     def move_by(way):
@@ -50,14 +50,14 @@ def test_a_hand_presses_the_body_of_a_session(held, session, said, until):
         return device.force[2] > 0.05
 
     def follows():  # by as much as the hand moves, there and back; again where an adapter was late
-        tool, hand = session.snapshot().position[2], device.position[2]
+        tool, hand = session.snapshot().tools[0].position[2], device.position[2]
         move_by(0.001 if len(depths) % 2 else -0.001)
-        until(lambda: abs(session.snapshot().position[2] - tool) > 0.0008)
-        return session.snapshot().position[2] - tool == pytest.approx(device.position[2] - hand, abs=2e-4)
+        until(lambda: abs(session.snapshot().tools[0].position[2] - tool) > 0.0008)
+        return session.snapshot().tools[0].position[2] - tool == pytest.approx(device.position[2] - hand, abs=2e-4)
 
     until(is_pressed, lambda: (session.snapshot(), said))
     until(follows, lambda: (session.snapshot(), said))
-    until(lambda: device.force[2] == pytest.approx(session.snapshot().force[2], rel=0.05))
+    until(lambda: device.force[2] == pytest.approx(session.snapshot().tools[0].force[2], rel=0.05))
     assert said == ["haply: 049D moves tool 1"]
     assert session.status()["devices"] == [[0, "049D"]]
 
@@ -133,7 +133,9 @@ def test_the_force_of_a_coupled_tool_is_that_of_its_spring(session, ball, until)
     session.handle(validate_message({**ball, "stiffness": 200.0}))
     session.handle(validate_message({"type": "pose", "position": [*ball["position"][:2], ball["position"][2] - 0.006]}))
     until(lambda: session.tool_contact()["force"][2] > 0.05)
-    until(lambda: np.linalg.norm(np.subtract(session.tool_contact()["force"], session.snapshot().force)) < 5e-3)
+    until(
+        lambda: np.linalg.norm(np.subtract(session.tool_contact()["force"], session.snapshot().tools[0].force)) < 5e-3
+    )
     stiffness = np.reshape(session.tool_contact()["stiffness"], (3, 3))
     alone = session.engine.read().stiffness
     np.testing.assert_allclose(np.linalg.inv(stiffness + 1e-9 * np.eye(3))[2, 2] - 1 / 200.0,

@@ -173,10 +173,10 @@ def test_a_surface_is_touched_at_once(organ, capsys):
             session.handle(pose_message(front - np.array([0.0, 0.009 - 1e-4 * k, 0.0]), k + 2))
             sleep(0.01)
         end = monotonic() + 300.0
-        while not np.abs(session.snapshot().force).max() > 0.01 and monotonic() < end:
+        while not np.abs(session.snapshot().tools[0].force).max() > 0.01 and monotonic() < end:
             sleep(0.02)
         snapshot = session.snapshot()
-        assert snapshot.force[1] < -0.01  # of the body on the ball, which comes from the front
+        assert snapshot.tools[0].force[1] < -0.01  # of the body on the ball, which comes from the front
         displacements = snapshot.displacements(session.surface)
         assert np.linalg.norm(displacements, axis=1).max() > 5e-4
         stress = snapshot.scalar(session.surface, "stress", displacements)

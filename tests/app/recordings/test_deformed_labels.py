@@ -11,7 +11,7 @@ import pytest
 import palpate as pt
 from palpate.app.recordings.deformed_labels import nodal_displacements, write_deformed_labels
 from palpate.app.recordings.recording import Cut, Recording
-from palpate.app.recordings.snapshot import Snapshot
+from palpate.app.recordings.snapshot import Snapshot, ToolSnapshot
 from palpate.core.faults import InputError
 from palpate.surface.labels.label_map import Segment
 from palpate.surface.labels.reading import read_label_map
@@ -23,12 +23,14 @@ GRADIENT = np.array([[1.12, 0.2, 0.1], [0.05, 0.93, 0.15], [-0.1, 0.08, 0.97]]) 
 
 
 def snapshot(coordinates: np.ndarray, force: float) -> Snapshot:
+    tool = ToolSnapshot(
+        force=np.array([0, 0, force]), moment=np.zeros(3), stiffness=np.eye(3), position=np.zeros(3),
+        quaternion=np.array([1.0, 0.0, 0.0, 0.0]), sequence=0, device_force=np.zeros(3), kind="none",
+    )  # fmt: skip
     return Snapshot(
-        time=0.0, steps=0, force=np.array([0, 0, force]), moment=np.zeros(3), stiffness=np.eye(3), trust=1.0,
-        position=np.zeros(3), quaternion=np.array([1.0, 0.0, 0.0, 0.0]), sequence=0, kinetic=0.0, strain=0.0,
-        computing=0.0, lateness=0.0, coordinates=coordinates, state="running", device_force=np.zeros(3),
-        contact_nodes=np.zeros(0, dtype=int), contact_forces=np.zeros((0, 3)), modulus_ratio=1.0, kind="none",
-        contact_tools=np.zeros(0, dtype=int),
+        time=0.0, steps=0, trust=1.0, kinetic=0.0, strain=0.0, computing=0.0, lateness=0.0, coordinates=coordinates,
+        state="running", contact_nodes=np.zeros(0, dtype=int), contact_forces=np.zeros((0, 3)), modulus_ratio=1.0,
+        contact_tools=np.zeros(0, dtype=int), tools=(tool,),
     )  # fmt: skip
 
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.app.recordings.recorded_paths import recorded_paths
 from palpate.app.recordings.recording import FORMAT, VERSION, Recording, load_recording, save_recording
 from palpate.app.recordings.recording_journal import RecordingJournal, is_recording
 from palpate.app.recordings.snapshot import Snapshot, ToolSnapshot
-from palpate.app.recordings.tool_paths import tool_paths
 from palpate.app.session.replay import Replay
 from palpate.app.view.server.frames import force_frame, tools_frame
 from palpate.dynamics.contact.tools import Contact, Grasp
@@ -39,7 +39,7 @@ def body():
 
 def snapshot(body, k):
     """A snapshot at 10 ms times k: a ball presses, and forceps hold from the third snapshot on, pinned at the end."""
-    first, second = ToolSnapshot(
+    tools = ToolSnapshot(
         force=np.array([0.0, 0.0, 1.0 + k]), moment=np.array([0.1, 0.0, 0.0]), stiffness=10.0 * np.eye(3),
         position=np.array([0.009, 0.009, 0.022 - 1e-3 * k]), quaternion=np.array([1.0, 0.0, 0.0, 0.0]), sequence=k,
         device_force=np.array([0.0, 0.0, 0.5]), kind="sphere",
@@ -48,8 +48,8 @@ def snapshot(body, k):
         position=np.array([0.0, 0.018, 0.018 + 1e-3 * k]), quaternion=np.array([0.0, 1.0, 0.0, 0.0]), sequence=3 * k,
         device_force=np.zeros(3), kind="grasp" if k > 1 else "none", pinned=k > 4,
     )  # fmt: skip
-    return Snapshot.from_tools(
-        [first, second], time=EVERY * k, steps=10 * k, trust=0.5, kinetic=0.0, strain=1e-6, computing=1e-4,
+    return Snapshot(
+        tools=tools, time=EVERY * k, steps=10 * k, trust=0.5, kinetic=0.0, strain=1e-6, computing=1e-4,
         lateness=0.0, coordinates=np.full(3 * len(body.cloud), 1e-4 * k, dtype=np.float32), state="running",
         contact_nodes=np.array([60, 61, 63]), contact_forces=np.full((3, 3), 0.01), contact_tools=np.array([0, 0, 1]),
         modulus_ratio=1.0,
@@ -65,7 +65,7 @@ def assert_equal(snapshots, others):
     for one, other in zip(snapshots, others, strict=True):
         for first, second in zip((one, *one.tools), (other, *other.tools), strict=True):
             for field in fields(first):
-                if field.name != "others":
+                if field.name != "tools":
                     np.testing.assert_array_equal(getattr(first, field.name), getattr(second, field.name), field.name)
 
 
@@ -96,10 +96,10 @@ def test_a_recording_of_version_3_is_loaded(tmp_path, name):
     path.write_bytes(gzip.decompress((OLD / f"{name}.gz").read_bytes()))
     assert is_recording(path)
     loaded = load_recording(path)
-    assert [moment.kind for moment in loaded.snapshots] == ["none", "sphere", "sphere", "sphere"]
-    assert [moment.force[2] for moment in loaded.snapshots] == [0.0, 1.0, 2.0, 3.0]
+    assert [moment.tools[0].kind for moment in loaded.snapshots] == ["none", "sphere", "sphere", "sphere"]
+    assert [moment.tools[0].force[2] for moment in loaded.snapshots] == [0.0, 1.0, 2.0, 3.0]
     assert [len(moment.tools) for moment in loaded.snapshots] == [1] * 4
-    np.testing.assert_array_equal(loaded.snapshots[3].position, [0.01, 0.01, 0.03 - 3e-3])
+    np.testing.assert_array_equal(loaded.snapshots[3].tools[0].position, [0.01, 0.01, 0.03 - 3e-3])
     np.testing.assert_array_equal(loaded.snapshots[3].contact_tools, [0, 0])
     assert [(each["kind"], each["index"], each["start"]) for each in loaded.tools] == [("none", 0, 0), ("sphere", 0, 1)]
     save_recording(tmp_path / "again.h5", loaded)
@@ -148,7 +148,7 @@ def test_forged_tools_are_refused_even_with_right_checksums(recording, tmp_path,
 
 
 def test_each_tool_of_a_recording_has_a_path(recording):
-    paths = tool_paths(recording)
+    paths = recorded_paths(recording)
     assert [type(path.load) for path in paths] == [Contact, Grasp]
     assert paths[0].duration == pytest.approx((COUNT - 1) * EVERY)
     assert paths[1].duration == pytest.approx((COUNT - 3) * EVERY)  # from the third snapshot on
@@ -161,7 +161,7 @@ def test_frames_of_tools_have_16_numbers_each(recording):
     assert np.frombuffer(frame, "<u4", 4).tolist() == [8, 7, 2, 0]
     numbers = np.frombuffer(frame, "<f8", offset=16).reshape(2, 16)
     np.testing.assert_array_equal(
-        numbers[1], [3, 1, 0, 10, 0, 0, 0, 0, *shown.others[0].position, 0, 1, 0, 0, 15]
+        numbers[1], [3, 1, 0, 10, 0, 0, 0, 0, *shown.tools[1].position, 0, 1, 0, 0, 15]
     )  # kind, pinned, force, moment, position, quaternion, sequence
     assert (numbers[0, 0], numbers[0, 1], numbers[0, 15]) == (1, 0, 5)
     for index, tool in enumerate(shown.tools):
@@ -199,7 +199,7 @@ def test_a_replay_shows_all_tools_to_version_3_and_the_first_one_to_version_2(re
     assert (hello["protocol"], hello["max_tools"]) == (3, 2)
     assert [tool["kind"] for tool in hello["all_tools"]] in (["sphere", "none"], ["sphere", "grasp"])  # it plays
     _, numbers = new.tools[-1]
-    np.testing.assert_array_equal(numbers[1, 2:5], recording.snapshots[-1].others[0].force)
+    np.testing.assert_array_equal(numbers[1, 2:5], recording.snapshots[-1].tools[1].force)
     assert old.messages[0]["protocol"] == 2
     assert not old.tools
     assert not {"max_tools", "all_tools"} & {name for message in old.messages for name in message}

@@ -45,14 +45,14 @@ def press(comparison, ball, until, depth=0.003):
         full = comparison.full.snapshot()
         reduced = comparison.snapshot()
         kinetic = max(reduced.kinetic / max(reduced.strain, 1e-30), full.kinetic / max(full.strain, 1e-30))
-        return kinetic < 1e-4 and min(reduced.force[2], full.force[2]) > 0.05
+        return kinetic < 1e-4 and min(reduced.tools[0].force[2], full.tools[0].force[2]) > 0.05
 
     until(resting)
 
 
 def test_both_bodies_have_the_tool_and_nearly_the_same_force(comparison, ball, until):
     press(comparison, ball, until)
-    own, full = comparison.snapshot(), comparison.full.snapshot()
+    own, full = comparison.snapshot().tools[0], comparison.full.snapshot().tools[0]
     np.testing.assert_allclose(own.position, full.position, atol=1e-9)  # whatever spring was asked for
     assert own.force[2] == pytest.approx(full.force[2], rel=0.3)
     assert not np.allclose(own.force, full.force, rtol=1e-6)  # not the same body twice
@@ -64,7 +64,7 @@ def test_the_overlay_is_the_full_body(comparison, ball, until):
     drawn, snapshot = comparison.overlay(0.0), comparison.full.snapshot()
     surface = comparison.full.surface
     np.testing.assert_array_equal(drawn.positions, surface.rest + snapshot.displacements(surface))
-    np.testing.assert_array_equal(drawn.force, snapshot.force)
+    np.testing.assert_array_equal(drawn.force, snapshot.tools[0].force)
     assert np.abs(drawn.positions - surface.rest).max() > 1e-3
     hello = comparison.hello()
     assert hello["overlay"]
@@ -83,7 +83,9 @@ def test_both_tools_are_as_slow_as_in_training_unless_the_user_asks(comparison):
 def test_a_release_a_reset_and_a_pause_hold_for_both(comparison, ball, until):
     press(comparison, ball, until)
     comparison.handle(validate_message({"type": "release"}))
-    until(lambda: not comparison.snapshot().force.any() and not comparison.full.snapshot().force.any())
+    until(
+        lambda: not comparison.snapshot().tools[0].force.any() and not comparison.full.snapshot().tools[0].force.any()
+    )
     comparison.handle(validate_message({"type": "control", "action": "pause"}))
     assert (comparison.engine.state, comparison.full.engine.state) == ("paused", "paused")
     comparison.handle(validate_message({"type": "control", "action": "resume"}))

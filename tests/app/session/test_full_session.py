@@ -79,11 +79,11 @@ def test_a_body_far_from_the_origin_is_pressed_as_one_there(body, until):
         ball = {"type": "tool", "kind": "sphere", "radius": BALL, "position": above.tolist()}
         session.handle(validate_message(ball))
         session.handle(validate_message({"type": "pose", "position": (above - [0, 0, 0.005]).tolist()}))
-        until(lambda session=session: session.snapshot().force[2] > 0.02)
+        until(lambda session=session: session.snapshot().tools[0].force[2] > 0.02)
         for _ in range(60):  # until it rests
             count = session.snapshot().time + 0.02
             until(lambda session=session, count=count: session.snapshot().time > count)
-        forces.append(session.snapshot().force[2])
+        forces.append(session.snapshot().tools[0].force[2])
         session.stop()
     assert forces[1] == pytest.approx(forces[0], rel=0.03)
     with pytest.raises(pt.InputError, match=r"body must lie within 999\.7 m of the origin"):
@@ -94,10 +94,10 @@ def test_a_recording_of_a_full_body_has_its_states_and_makes_it_again(recorded, 
     path, seen, surface = recorded
     recording = load_recording(path)
     last = recording.snapshots[-1]
-    assert seen.force[2] > 0.02
-    for one, other in zip((last, *last.others), (seen, *seen.others), strict=True):
+    assert seen.tools[0].force[2] > 0.02
+    for one, other in zip((last, *last.tools), (seen, *seen.tools), strict=True):
         for field in dataclasses.fields(other):
-            if field.name != "others":
+            if field.name != "tools":
                 np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name), field.name)
     assert last.coordinates.dtype == np.float32
     again = recording.model
@@ -179,7 +179,7 @@ def test_forceps_pull_a_full_body_on_a_session(body, until):
     session.handle(validate_message({"type": "tool", "kind": "grasp", "radius": BALL / 2, "position": MIDDLE.tolist()}))
     pulled = MIDDLE + np.array([0.0, 0.0, 0.003])
     session.handle(validate_message({"type": "pose", "position": pulled.tolist()}))
-    until(lambda: session.snapshot().force[2] < -0.01)
+    until(lambda: session.snapshot().tools[0].force[2] < -0.01)
     until(lambda: session.snapshot().displacements(session.surface)[:, 2].max() > 0.0025)
     began = time.monotonic()
 
@@ -187,11 +187,11 @@ def test_forceps_pull_a_full_body_on_a_session(body, until):
         height = 0.001 * np.sin(6.0 * (time.monotonic() - began))
         place = pulled + np.array([0.0, 0.0, height])
         session.handle(validate_message({"type": "pose", "position": place.tolist()}))
-        return bool(np.any(session.snapshot().stiffness))
+        return bool(np.any(session.snapshot().tools[0].stiffness))
 
     until(stiffness_of_the_next_place)
     session.release()
-    until(lambda: not session.snapshot().force.any())
+    until(lambda: not session.snapshot().tools[0].force.any())
     session.reset()
     assert not session.snapshot().coordinates.any()
     session.stop()

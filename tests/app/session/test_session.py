@@ -29,7 +29,7 @@ def pose(position, **more):
 
 
 def calm(moment):
-    return moment.force[2] > 0.01 and moment.kinetic < 1e-4 * moment.strain
+    return moment.tools[0].force[2] > 0.01 and moment.kinetic < 1e-4 * moment.strain
 
 
 @pytest.fixture
@@ -37,48 +37,49 @@ def pressed(session, ball, until):
     """A session whose ball stands 3 mm deep."""
     session.handle(validate_message(ball))
     session.handle(pose(PRESSED))
-    until(lambda: session.snapshot().position[2] == pytest.approx(PRESSED[2]))
+    until(lambda: session.snapshot().tools[0].position[2] == pytest.approx(PRESSED[2]))
     until(lambda: calm(session.snapshot()))
     return session
 
 
 def test_a_press_has_force_and_displacement_and_a_release_ends_both(pressed, until):
     moment = pressed.snapshot()
-    moved = moment.displacements(pressed.surface)
-    assert moment.kind == "sphere"
+    moved, tool = moment.displacements(pressed.surface), moment.tools[0]
+    assert tool.kind == "sphere"
     assert len(moment.contact_nodes) > 0
     middle = int(np.argmin(np.linalg.norm(pressed.surface.rest - MIDDLE, axis=1)))
     assert -0.0035 < moved[middle, 2] < -0.0025  # the ball's lowest point is 3 mm deep
-    np.testing.assert_allclose(moment.device_force, moment.force, atol=1e-3 * abs(moment.force[2]))  # held firmly
+    np.testing.assert_allclose(tool.device_force, tool.force, atol=1e-3 * abs(tool.force[2]))  # held firmly
     pressed.release()
-    until(lambda: not pressed.snapshot().force.any())
+    until(lambda: not pressed.snapshot().tools[0].force.any())
     until(lambda: np.abs(pressed.snapshot().displacements(pressed.surface)).max() < 1e-4)
-    assert pressed.snapshot().kind == "none"
+    assert pressed.snapshot().tools[0].kind == "none"
 
 
 def test_forces_on_nodes_are_of_the_same_period_as_the_force_on_the_tool(pressed):
     for _ in range(50):
         moment = pressed.snapshot()
+        force = moment.tools[0].force
         assert moment.state == "running"
-        np.testing.assert_allclose(-moment.contact_forces.sum(axis=0), moment.force, atol=0.05 * abs(moment.force[2]))
+        np.testing.assert_allclose(-moment.contact_forces.sum(axis=0), force, atol=0.05 * abs(force[2]))
 
 
 def test_a_released_ball_returns_at_a_pose_outside_the_body(pressed, until):
     pressed.release()
     pressed.handle(pose(PRESSED))  # inside: it stays away
-    assert pressed.snapshot().kind == "none"
+    assert pressed.snapshot().tools[0].kind == "none"
     pressed.handle(pose(ABOVE))
-    assert pressed.snapshot().kind == "sphere"
-    np.testing.assert_allclose(pressed.snapshot().position, ABOVE)
+    assert pressed.snapshot().tools[0].kind == "sphere"
+    np.testing.assert_allclose(pressed.snapshot().tools[0].position, ABOVE)
     pressed.handle(pose(PRESSED))
-    until(lambda: pressed.snapshot().force[2] > 0.01)
+    until(lambda: pressed.snapshot().tools[0].force[2] > 0.01)
 
 
 def test_a_reset_restores_rest(pressed):
     pressed.reset()
     moment = pressed.snapshot()
     assert not moment.displacements(pressed.surface).any()
-    assert moment.kind == "none"
+    assert moment.tools[0].kind == "none"
     assert moment.time < 0.1
     assert moment.state == "running"
 
@@ -111,7 +112,7 @@ def test_after_a_reset_trust_is_0_and_the_next_touch_has_a_bound(model, ball, un
         assert session.statistics()["force_bound"] == pytest.approx(0.05 * 0.001 * 0.05)
         session.handle(validate_message(ball))
         session.handle(pose(shallow))
-        until(lambda: session.snapshot().force[2] > 0.005)
+        until(lambda: session.snapshot().tools[0].force[2] > 0.005)
         assert session.statistics()["force_bound"] is not None
     finally:
         session.stop()
@@ -123,28 +124,28 @@ def test_a_change_of_tool_keeps_the_state(pressed, until):
     capsule = {"type": "tool", "kind": "capsule", "radius": 0.01, "length": 0.01, "position": aside}
     pressed.handle(validate_message(capsule))
     moment = pressed.snapshot()
-    assert moment.kind == "capsule"
+    assert moment.tools[0].kind == "capsule"
     assert moment.steps >= before.steps
     assert pressed.model.data is parts  # nothing was built again
-    np.testing.assert_allclose(moment.position, aside)
+    np.testing.assert_allclose(moment.tools[0].position, aside)
 
 
 def test_a_grasp_pulls_and_lets_go(session, until):
     session.handle(validate_message({"type": "tool", "kind": "grasp", "radius": 0.008, "position": MIDDLE.tolist(),
                             "quaternion": [0.0, 1.0, 0.0, 0.0]}))  # fmt: skip
-    held = session.snapshot()
+    held = session.snapshot().tools[0]
     np.testing.assert_allclose(held.position, MIDDLE, atol=1e-6)
     np.testing.assert_allclose(np.abs(held.quaternion), [0.0, 1.0, 0.0, 0.0], atol=1e-9)
     session.handle(pose(MIDDLE + np.array([0, 0, 0.003]), quaternion=[0.0, 1.0, 0.0, 0.0]))
-    until(lambda: session.snapshot().position[2] == pytest.approx(MIDDLE[2] + 0.003))
-    until(lambda: session.snapshot().force[2] < -0.05)  # the body pulls it down
+    until(lambda: session.snapshot().tools[0].position[2] == pytest.approx(MIDDLE[2] + 0.003))
+    until(lambda: session.snapshot().tools[0].force[2] < -0.05)  # the body pulls it down
     moment = session.snapshot()
     middle = int(np.argmin(np.linalg.norm(session.surface.rest - MIDDLE, axis=1)))
     np.testing.assert_allclose(moment.displacements(session.surface)[middle], [0, 0, 0.003], atol=1e-4)
     session.release()
-    until(lambda: not session.snapshot().force.any())
+    until(lambda: not session.snapshot().tools[0].force.any())
     session.handle(pose(ABOVE))  # forceps do not come back by themselves
-    assert session.snapshot().kind == "none"
+    assert session.snapshot().tools[0].kind == "none"
 
 
 @pytest.mark.parametrize(
@@ -170,7 +171,7 @@ def test_a_tool_is_faster_than_in_training_only_if_the_user_asks(model, ball, un
         """Return the model time [s] in which the ball reaches a height above the body."""
         begin, place = limited.snapshot().time, ABOVE + np.array([0, 0, height])
         limited.handle(pose(place))
-        until(lambda: limited.snapshot().position[2] == pytest.approx(place[2]))
+        until(lambda: limited.snapshot().tools[0].position[2] == pytest.approx(place[2]))
         return limited.snapshot().time - begin
 
     limited.start()
@@ -249,12 +250,12 @@ def test_a_stall_does_not_pause_a_driver_nor_a_session_without_one(clocks, sessi
         assert session.status()["state"] == "running"
     session.handle(validate_message(ball))
     session.handle(pose(PRESSED))
-    until(lambda: session.snapshot().force[2] > 0.01)
+    until(lambda: session.snapshot().tools[0].force[2] > 0.01)
     for seconds in (3.5, 60.0):
         clocks.total, clocks.up = clocks.total + seconds, clocks.up + seconds
         session.tick()
         assert session.status()["state"] == "running"
-        assert session.snapshot().force[2] > 0.01
+        assert session.snapshot().tools[0].force[2] > 0.01
 
 
 def test_twice_the_moduli_give_twice_the_force_at_the_same_depth(pressed, until):
@@ -266,7 +267,7 @@ def test_twice_the_moduli_give_twice_the_force_at_the_same_depth(pressed, until)
     pressed.handle(validate_message({"type": "material", "name": "shear modulus", "value": 8.0}))
     until(lambda: pressed.snapshot().steps > soft.steps + 2000 and calm(pressed.snapshot()))
     firm = pressed.snapshot()
-    assert firm.force[2] == pytest.approx(2 * soft.force[2], rel=0.02)
+    assert firm.tools[0].force[2] == pytest.approx(2 * soft.tools[0].force[2], rel=0.02)
     assert firm.strain == pytest.approx(2 * soft.strain, rel=0.02)
     np.testing.assert_allclose(
         firm.displacements(pressed.surface), soft.displacements(pressed.surface), atol=0.02 * 0.003
@@ -299,9 +300,9 @@ def test_a_coupled_tool_rests_where_spring_and_body_balance(session, ball, until
     session.handle(validate_message({**ball, "stiffness": 200.0}))
     session.handle(pose(PRESSED))
     until(lambda: session.snapshot().steps > 500 and calm(session.snapshot()))
-    moment = session.snapshot()
-    np.testing.assert_allclose(moment.force[2], 200.0 * (moment.position - PRESSED)[2], rtol=0.05)
-    np.testing.assert_allclose(moment.device_force[2], moment.force[2], rtol=0.05)
+    tool = session.snapshot().tools[0]
+    np.testing.assert_allclose(tool.force[2], 200.0 * (tool.position - PRESSED)[2], rtol=0.05)
+    np.testing.assert_allclose(tool.device_force[2], tool.force[2], rtol=0.05)
 
 
 @pytest.mark.slow  # the periods are called from Python, which compiles them for one test
@@ -335,7 +336,7 @@ def test_a_coupled_tool_lags_behind_a_pointer_deep_in_the_body(session, ball, un
     session.handle(validate_message({**ball, "stiffness": 2000.0}))
     session.handle(pose(tuple(np.array(PRESSED) - [0.0, 0.0, 0.02])))
     until(lambda: session.snapshot().steps > 500 and calm(session.snapshot()))
-    assert abs(session.snapshot().force[2]) <= 1.05 * HAND_FORCE
+    assert abs(session.snapshot().tools[0].force[2]) <= 1.05 * HAND_FORCE
 
 
 def test_a_model_without_tools_is_refused(model):
@@ -409,8 +410,10 @@ def test_a_recording_is_on_the_disk_while_it_goes_on(session, tmp_path, until):
     killed = load_recording(copy)
     assert len(killed.snapshots) >= 60
     np.testing.assert_array_equal(killed.times, recorder.times[: len(killed.times)])
-    for name in ("steps", "coordinates", "contact_nodes", "contact_forces", "position"):
+    for name in ("steps", "coordinates", "contact_nodes", "contact_forces"):
         np.testing.assert_array_equal(getattr(killed.snapshots[50], name), getattr(recorder.snapshots[50], name))
+    (tool, *_), (recorded, *_) = killed.snapshots[50].tools, recorder.snapshots[50].tools
+    np.testing.assert_array_equal(tool.position, recorded.position)
     cut = tmp_path / "cut.h5"
     cut.write_bytes(copy.read_bytes()[:-100])
     assert 0 < len(load_recording(cut).snapshots) < len(killed.snapshots)

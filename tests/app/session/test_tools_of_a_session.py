@@ -244,9 +244,9 @@ def test_a_body_with_a_prescribed_group_has_one_tool(until):
     session.start()
     try:
         assert session.hello()["max_tools"] == len(session.hello()["all_tools"]) == 1
-        home = session.snapshot().position
+        home = session.snapshot().tools[0].position
         press(session, 0, home + np.array([0.002, 0.0, 0.0]))
-        until(lambda: session.snapshot().force[0] < 0.0)
+        until(lambda: session.snapshot().tools[0].force[0] < 0.0)
         send(session, type="pin", index=0, pinned=True)
         for message in ({"type": "pose", "index": 1, "position": [0, 0, 0]}, {"type": "release", "index": 3}):
             with pytest.raises(pt.InputError, match="index must be below 1 for this body"):
@@ -254,7 +254,7 @@ def test_a_body_with_a_prescribed_group_has_one_tool(until):
         with pytest.raises(pt.InputError, match="not pinned"):
             press(session, 0, home)
         session.release()
-        until(lambda: np.allclose(session.snapshot().position, home, atol=1e-6))
+        until(lambda: np.allclose(session.snapshot().tools[0].position, home, atol=1e-6))
     finally:
         session.close()
 
@@ -391,8 +391,9 @@ def test_paths_that_the_full_model_cannot_follow_are_refused(recorded):
     def with_second(active):
         """The recording with the second tool where it is active."""
         snapshots = [
-            replace(each, others=(replace(each.others[0], kind="sphere" if active(k) else "none"), *each.others[1:]))
+            replace(each, tools=(one, replace(two, kind="sphere" if active(k) else "none"), *more))
             for k, each in enumerate(recording.snapshots)
+            for one, two, *more in (each.tools,)
         ]
         return replace(recording, snapshots=snapshots)
 

@@ -24,7 +24,7 @@ import palpate as pt
 from palpate.app.cli import main
 from palpate.app.models.subject import open_subject
 from palpate.app.recordings.recording import Recording, save_recording
-from palpate.app.recordings.snapshot import Snapshot, training_errors
+from palpate.app.recordings.snapshot import Snapshot, ToolSnapshot, training_errors
 from palpate.app.train import folder as folders
 from palpate.app.train.campaign import Campaign
 from palpate.app.train.choose import choose
@@ -365,15 +365,21 @@ def further(model, reach, duration=0.2):
     """A recording of a motion of the end of the bar by some distance."""
     zeros, centre = np.zeros(3), model.cloud.points[model.cloud.group("x+")].mean(axis=0)
     poses = [centre + np.array([reach, 0.0, 0.0]) * np.sin(np.pi * k / 20) ** 2 for k in range(21)]
-    snapshots = [
-        Snapshot(
-            time=duration * k / 20, steps=k, force=zeros, moment=zeros, stiffness=np.eye(3), trust=3.0, position=pose,
-            quaternion=np.array([1.0, 0, 0, 0]), sequence=k, kinetic=0.0, strain=0.0, computing=0.0, lateness=0.0,
-            coordinates=np.zeros(model.count), state="running", device_force=zeros, modulus_ratio=1.0, kind="group",
-            contact_nodes=np.zeros(0, dtype=np.int64), contact_forces=np.zeros((0, 3)),
-            contact_tools=np.zeros(0, dtype=np.int64),
+    tools = [
+        ToolSnapshot(
+            force=zeros, moment=zeros, stiffness=np.eye(3), position=pose, quaternion=np.array([1.0, 0, 0, 0]),
+            sequence=k, device_force=zeros, kind="group",
         )
         for k, pose in enumerate(poses)
+    ]  # fmt: skip
+    snapshots = [
+        Snapshot(
+            time=duration * k / 20, steps=k, trust=3.0, kinetic=0.0, strain=0.0, computing=0.0, lateness=0.0,
+            coordinates=np.zeros(model.count), state="running", modulus_ratio=1.0,
+            contact_nodes=np.zeros(0, dtype=np.int64), contact_forces=np.zeros((0, 3)),
+            contact_tools=np.zeros(0, dtype=np.int64), tools=(tool,),
+        )
+        for k, tool in enumerate(tools)
     ]  # fmt: skip
     tool = {"kind": "group", "radius": 0.0, "length": 0.0, "friction": 0.0, "stiffness": None, "index": 0}
     tool["start"] = 0

@@ -113,8 +113,11 @@ def test_a_real_recording_is_replayed_with_the_full_model_over_it(browser, site_
         assert tab.evaluate("palpate.scene.tool.group.visible")
         tab.evaluate("document.getElementById('play').click()")
         tab.wait("palpate.session.state.state === 'paused'")
-        most = max(range(len(recording.snapshots)), key=lambda k: recording.snapshots[k].force[2])
-        at, newtons = float(recording.times[most]) + 1e-4, float(np.linalg.norm(recording.snapshots[most].force))
+        most = max(range(len(recording.snapshots)), key=lambda k: recording.snapshots[k].tools[0].force[2])
+        at, newtons = (
+            float(recording.times[most]) + 1e-4,
+            float(np.linalg.norm(recording.snapshots[most].tools[0].force)),
+        )
         seek = f"(e => {{ e.step = 'any'; e.value = {at}; e.oninput({{ target: e }}); }})"
         tab.evaluate(f"{seek}(document.getElementById('time'))")
         tab.wait(f"Math.abs(palpate.session.state.newtons - {newtons}) < 1e-9")

@@ -15,7 +15,7 @@ import pytest
 
 import palpate as pt
 from palpate.app.device.statistics import tool_name
-from palpate.app.view.server.frames import cut_geometry_frame
+from palpate.app.view.server.frames import STATE_NUMBERS, TOOL_NUMBERS, cut_geometry_frame
 from palpate.dynamics.contact.blade import Scalpel
 from palpate.realtime.bodies.display_surface import NO_CUT_LINE, CutLine
 
@@ -36,6 +36,12 @@ def evaluate(module: str, expression: str) -> Any:
     code = f"import * as m from {json.dumps((SOURCES / module).as_uri())}; console.log(JSON.stringify({expression}));"
     command = [str(NODE), "--input-type=module", "--eval", code]
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+
+
+@pytest.mark.parametrize(("name", "fields"), [("STATE_FIELDS", STATE_NUMBERS), ("TOOL_FIELDS", TOOL_NUMBERS)])
+def test_the_page_reads_the_fields_that_the_server_sends(name, fields):
+    sizes = [[field, int(np.prod(fields[field].shape, dtype=int))] for field in fields.names]
+    assert evaluate("protocol.js", f"Object.entries(m.{name})") == sizes
 
 
 @pytest.mark.parametrize(

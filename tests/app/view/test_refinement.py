@@ -165,7 +165,7 @@ def test_a_model_waits_while_a_tool_touches_the_body(refining, full, until, mode
     full.handle(validate_message({"type": "tool", "kind": "sphere", "radius": BALL, "position": above.tolist()}))
     pressed = (above - np.array([0, 0, 0.006])).tolist()
     full.handle(validate_message({"type": "pose", "position": pressed}))
-    until(lambda: full.snapshot().force[2] > 0)
+    until(lambda: full.snapshot().tools[0].force[2] > 0)
     full._last_pose = -np.inf  # long ago: the force alone says that it touches
     finish(refinement, trainers, until, model_path, GOOD)
     assert refinement.next_source() is None

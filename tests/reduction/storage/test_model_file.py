@@ -19,7 +19,7 @@ import palpate as pt
 from palpate.core.sealed import HEAD_BYTES, ArrayEntry, _digest_of_rest, open_sealed, write_sealed
 from palpate.dynamics.loads.supports import supports_of
 from palpate.dynamics.material.fibres import prepare_fibres
-from palpate.dynamics.material.tissue import Tissue
+from palpate.dynamics.material.tissue import TissueField
 from palpate.realtime.bodies.display_surface import Surface
 from palpate.reduction.contact.compliance import SurfaceCompliance
 from palpate.reduction.contact.interior import Interior
@@ -66,7 +66,7 @@ def made_up(cloud, material, *, modes, samples=5, fixed=(), prescribed=(), lifti
     nodes = np.sort(np.random.default_rng(8).choice(len(cloud), samples, replace=False))
     rule = Cubature(nodes, 1e-8 * (1 + draw(size=samples) ** 2), draw(size=(max(1, modes // 4), samples)), 1e-3)
     return ReducedData(
-        cloud, Tissue(material, None, np.zeros(0), None, len(cloud)), supports_of(fixed), prescribed,
+        cloud, TissueField(material, None, np.zeros(0), None, len(cloud)), supports_of(fixed), prescribed,
         cloud.volumes, 1e-4, 20.0, BasisVectors(columns, modes, lifting_count),
         SampledBasis(rule, draw(size=(samples, count, 9)), np.eye(count)),
         TrainedRange(draw(size=(240, modes + lifting_count)), Scales(1e-3)),

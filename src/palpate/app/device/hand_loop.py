@@ -49,59 +49,66 @@ NOT_READ = Fault("is new", "")  # of a device whose states were not read yet
 
 
 @dataclass
-class Hand:
-    """A device with the tool that it moves."""
+class HandForce:
+    """The force on a hand."""
 
-    index: int
     freshness: Freshness
-    statistics: HandStatistics
-    position: Floats | None = None  # (3,) array [m], in the device's frame
-    force: Floats = field(default_factory=lambda: NO_FORCE)  # (3,) array [N]: the last one that was sent
+    sent: Floats = field(default_factory=lambda: NO_FORCE)  # (3,) array [N]: the last one
     stiffness: Floats = field(default_factory=lambda: np.zeros((3, 3)))  # [N/m] at the hand
-    anchor: Anchor | None = None
-    pose: tuple[Floats, Floats] | None = None  # of the tool
-    epoch: int = -1  # of the tool: it is another one after a change
     reading: ToolForce | None = None
     given: tuple[float, ...] = ()  # contact stiffness of that reading, as it came
-    grip: str | None = None  # name of the grip whose rotation belongs to the anchor
-    has_clutch: bool = False
-    seen: float = 0.0  # time [s] of the last message with it
-    fault: Fault | None = None  # why it moves nothing
-    without: str = NO_READING  # why it has no force
-    had_force: bool = False
+    without: str = NO_READING  # why there is none
+    was_there: bool = False
     share: float = 0.0  # of the force that a ramp lets pass
     is_limited: bool = False
     is_damped: bool = False
 
-    def let_go(self, reason: str) -> None:
+    def take_away(self, reason: str) -> None:
         """Take the force away; the ramp begins again."""
-        self.force, self.without = NO_FORCE, reason
+        self.sent, self.without = NO_FORCE, reason
         self.freshness.restart()
 
-    def give(self, force: Floats, is_damped: bool) -> None:
-        """Note the force (3,) [N] that is sent, and whether the energy account changed it."""
-        self.force, self.is_damped = force, is_damped
-        self.statistics.peak_force = max(self.statistics.peak_force, math.sqrt(force @ force))
-
-    def block(self, fault: Fault) -> None:
-        """Leave the tool: another hand may move it, so its pose is read again afterwards."""
-        self.fault, self.anchor, self.pose, self.reading, self.epoch = fault, None, None, None, -1
-        self.let_go(fault.reason)
-
-    def note_time(self, interval: float) -> None:
+    def note_time(self, interval: float, told: HandStatistics) -> None:
         """Count a message, and a time [s] in which the last force was held."""
-        told, size = self.statistics, math.sqrt(self.force @ self.force)
+        size = math.sqrt(self.sent @ self.sent)
         told.seconds, told.messages = told.seconds + interval, told.messages + 1
         if size == 0.0:
             told.without_force[self.without] = told.without_force.get(self.without, 0.0) + interval
-            told.interruptions += self.had_force and self.without not in (NO_CONTACT, CLUTCH_PRESSED)
-            self.had_force = False
+            told.interruptions += self.was_there and self.without not in (NO_CONTACT, CLUTCH_PRESSED)
+            self.was_there = False
             return
-        self.had_force = True
+        self.was_there = True
         told.impulse += interval * size
         told.ramped += interval * (self.share < 1.0)
         told.limited += interval * self.is_limited
         told.damped += interval * self.is_damped
+
+
+@dataclass
+class Hand:
+    """A device with the tool that it moves."""
+
+    index: int
+    force: HandForce
+    statistics: HandStatistics
+    position: Floats | None = None  # (3,) array [m], in the device's frame
+    anchor: Anchor | None = None
+    pose: tuple[Floats, Floats] | None = None  # of the tool
+    epoch: int = -1  # of the tool: it is another one after a change
+    grip: str | None = None  # name of the grip whose rotation belongs to the anchor
+    has_clutch: bool = False
+    seen: float = 0.0  # time [s] of the last message with it
+    fault: Fault | None = None  # why it moves nothing
+
+    def give(self, force: Floats, is_damped: bool) -> None:
+        """Note the force (3,) [N] that is sent, and whether the energy account changed it."""
+        self.force.sent, self.force.is_damped = force, is_damped
+        self.statistics.peak_force = max(self.statistics.peak_force, math.sqrt(force @ force))
+
+    def block(self, fault: Fault) -> None:
+        """Leave the tool: another hand may move it, so its pose is read again afterwards."""
+        self.fault, self.anchor, self.pose, self.force.reading, self.epoch = fault, None, None, None, -1
+        self.force.take_away(fault.reason)
 
 
 class HandLoop:
@@ -139,20 +146,20 @@ class HandLoop:
         position, quaternion = np.array(given["position"]), np.array(given["quaternion"])
         if given["epoch"] != hand.epoch or hand.pose is None:
             hand.epoch, hand.pose, hand.anchor = given["epoch"], (position, quaternion), None
-            hand.freshness.restart()
+            hand.force.freshness.restart()
         if not given["running"]:
-            hand.reading = None
+            hand.force.reading = None
             return
         stiffness = tuple(given["stiffness"])
-        if stiffness != hand.given or hand.reading is None:
-            hand.given = stiffness
+        if stiffness != hand.force.given or hand.force.reading is None:
+            hand.force.given = stiffness
             gain = self.options.device_scale * self.options.device_force
             local = stable_stiffness(np.reshape(stiffness, (3, 3)), MAX_STIFFNESS / max(gain, 1e-9))
-            hand.stiffness = self.options.device_force * self.map.stiffness_at_hand(local)
+            hand.force.stiffness = self.options.device_force * self.map.stiffness_at_hand(local)
         else:
-            local = hand.reading.stiffness
-        hand.reading = ToolForce(np.array(given["force"]), local, position, given["bonded"])
-        hand.freshness.note_reading(given["steps"], now)
+            local = hand.force.reading.stiffness
+        hand.force.reading = ToolForce(np.array(given["force"]), local, position, given["bonded"])
+        hand.force.freshness.note_reading(given["steps"], now)
 
     def forces(self, state: ServiceState, now: float) -> dict[str, list[float]]:
         """Return the forces [N] on devices for their state at a time [s], and send the poses of their tools.
@@ -165,7 +172,7 @@ class HandLoop:
         self._time, self._interval = now, interval
         held = max(interval, 0.0) if math.isfinite(interval) else 0.0
         for hand in self.hands.values():
-            hand.note_time(held)
+            hand.force.note_time(held, hand.statistics)
         self._note_devices(state, now)
         grips = self._note_grips(state)
         moving: list[Hand] = []
@@ -173,26 +180,26 @@ class HandLoop:
         for name, hand in self.hands.items():
             if name not in state.positions:
                 hand.anchor = None
-                hand.let_go(NOT_LISTED if hand.fault is None else hand.fault.reason)
+                hand.force.take_away(NOT_LISTED if hand.fault is None else hand.fault.reason)
                 continue
-            before.append(hand.force)
+            before.append(hand.force.sent)
             steps.append(self._follow(name, hand, np.array(state.positions[name]), interval, window))
             force = self._wanted_force(hand, grips.get(hand.index, NO_GRIP), now)
-            hand.force = NO_FORCE
+            hand.force.sent = NO_FORCE
             if force.any():
                 moving.append(hand)
                 wanted.append(force)
                 velocities.append(steps[-1] / interval if 0.0 < interval < MAX_INTERVAL else NO_FORCE)
         self._after_gap = False
         self.account.note_motion(before, steps)
-        stored = [stored_energy(force, hand.stiffness) for force, hand in zip(wanted, moving, strict=True)]
+        stored = [stored_energy(force, hand.force.stiffness) for force, hand in zip(wanted, moving, strict=True)]
         self.account.forget(math.fsum(stored) if all(map(math.isfinite, stored)) else math.inf)
         passive = self.account.passive_forces(wanted, velocities, interval)
         for hand, force, free in zip(moving, passive, wanted, strict=True):
             hand.give(limited_force(force, self.options.device_limit), force is not free)
         self._send_poses()
         self._report(now)
-        return {name: hand.force.tolist() for name, hand in self.hands.items()}
+        return {name: hand.force.sent.tolist() for name, hand in self.hands.items()}
 
     def _follow(self, name: str, hand: Hand, position: Floats, interval: float, window: float) -> Floats:
         """Return the step (3,) [m] of a hand to a position; one that no hand makes is zero, and moves no tool.
@@ -207,7 +214,7 @@ class HandLoop:
         if hand.anchor is None or step @ step <= limit**2:
             return step
         hand.anchor = None
-        hand.let_go(POSITION_JUMP)
+        hand.force.take_away(POSITION_JUMP)
         if not late and not hand.has_clutch:
             tool = tool_name(hand.index)
             self._say(f"{name} jumped, faster than a hand: {tool} stays, and follows it from there", self._time)
@@ -218,29 +225,29 @@ class HandLoop:
         turn = NO_TURN if grip.rotation is None else np.array(grip.rotation)
         name = None if grip.rotation is None else grip.name
         released, pressed = hand.has_clutch and not grip.clutch, grip.clutch and not hand.has_clutch
-        hand.has_clutch, hand.share = grip.clutch, 0.0
+        hand.has_clutch, hand.force.share = grip.clutch, 0.0
         hand.statistics.clutches += pressed
         if hand.pose is None or hand.position is None:
-            hand.without = NO_READING
+            hand.force.without = NO_READING
             return NO_FORCE
         if hand.anchor is None or released or name != hand.grip:
             hand.anchor, hand.grip = Anchor(hand.position, turn, *hand.pose), name
         if grip.clutch:
-            hand.let_go(CLUTCH_PRESSED)
+            hand.force.take_away(CLUTCH_PRESSED)
             return NO_FORCE
-        if hand.reading is None or hand.freshness.age(now) > max(self.options.max_age, GONE_SECONDS):
+        if hand.force.reading is None or hand.force.freshness.age(now) > max(self.options.max_age, GONE_SECONDS):
             hand.anchor = None  # an engine that has stopped would find its tool far away
-            hand.let_go(NOT_RUNNING if hand.reading is None else OLD_READING)
+            hand.force.take_away(NOT_RUNNING if hand.force.reading is None else OLD_READING)
             return NO_FORCE
         hand.pose = self.map.position(hand.anchor, hand.position), self.map.quaternion(hand.anchor, turn)
-        hand.share = hand.freshness.share(now, self._period)
-        if hand.share == 0.0:
-            hand.without = OLD_READING if hand.freshness.is_old(now, self._period) else hand.without
+        hand.force.share = hand.force.freshness.share(now, self._period)
+        if hand.force.share == 0.0:
+            hand.force.without = OLD_READING if hand.force.freshness.is_old(now, self._period) else hand.force.without
             return NO_FORCE
-        force = self.options.device_force * self.map.force_on_hand(contact_force(hand.reading, hand.pose[0]))
+        force = self.options.device_force * self.map.force_on_hand(contact_force(hand.force.reading, hand.pose[0]))
         limited = limited_force(force, self.options.device_limit)
-        hand.is_limited, hand.without = limited is not force, NO_CONTACT
-        return hand.share * limited
+        hand.force.is_limited, hand.force.without = limited is not force, NO_CONTACT
+        return hand.force.share * limited
 
     def _note_grips(self, state: ServiceState) -> dict[int, Grip]:
         """Return the grips by the tool that they turn: the order in which they came, also while others are away."""
@@ -280,7 +287,7 @@ class HandLoop:
         """Take all forces away, until new states have been read: the ramp begins again."""
         self._after_gap = True
         for hand in self.hands.values():
-            hand.let_go(NO_ANSWER)
+            hand.force.take_away(NO_ANSWER)
 
     def close(self) -> None:
         """Take all devices away: the connection has ended."""
@@ -321,7 +328,9 @@ class HandLoop:
         for name, index in assigned.items():
             if name not in self.hands:
                 statistics = HandStatistics(index)
-                self.hands[name] = Hand(index, Freshness(self.options.max_age), statistics, seen=now, fault=NOT_READ)
+                self.hands[name] = Hand(
+                    index, HandForce(Freshness(self.options.max_age)), statistics, seen=now, fault=NOT_READ
+                )
             if name in listed:
                 self._note_fault(name, self.hands[name], state.faults.get(name), now)
         for name in list(self._assigned)[:-MAX_NAMES]:
@@ -342,7 +351,7 @@ class HandLoop:
             hand.block(fault)
             self._say(f"{name} {fault.reason}: {fault.remedy}; until then {tool} stays, and the hand has no force", now)
             return
-        hand.fault, hand.position, hand.without = None, None, NO_READING
+        hand.fault, hand.position, hand.force.without = None, None, NO_READING
         self._say(f"{name} moves {tool}{' again' if name in self._assigned else ''}", now)
         self._assigned.pop(name, None)  # the last one is the newest
         self._assigned[name] = hand.index

@@ -143,7 +143,7 @@ class Adapter:
                 await mailbox.filled.wait()  # the service has read it
 
     def _message(self) -> str:
-        return force_message({name: hand.force.tolist() for name, hand in self.loop.hands.items()})
+        return force_message({name: hand.force.sent.tolist() for name, hand in self.loop.hands.items()})
 
     def _take_readings(self) -> None:
         while self._readings:

@@ -264,7 +264,7 @@ def _snapshot(arrays: dict[str, Any], k: int, part: slice) -> Snapshot:
         tool = {name: _entry(arrays[f"tools/{name}"], (k, index)) for name in TOOL_ARRAYS}
         tool |= {"sequence": int(tool["sequence"]), "kind": TOOL_KINDS[tool["kind"]]}
         tools.append(ToolSnapshot(**tool))
-    return Snapshot.from_tools(tools, **values)
+    return Snapshot(**values, tools=tuple(tools))
 
 
 def _entry(values: NDArray[Any], at: Any) -> Any:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from palpate.core.arrays import Floats
 from palpate.dynamics.contact.shapes import TOOLS
-from palpate.realtime.record import PeriodRecord
+from palpate.realtime.record import PERIOD_FIELDS, Field, PeriodRecord
 
 if TYPE_CHECKING:
     from palpate.dynamics.solid.model import EnergySolid
@@ -20,6 +19,17 @@ if TYPE_CHECKING:
 
 
 ENGINE_STATES = ("stopped", "running", "paused", "diverged")
+SNAPSHOT_FIELDS = PERIOD_FIELDS | {
+    field.name: field
+    for field in (
+        Field("device_force", "N", (3,)),
+        Field("kind", type="|u1"),
+        Field("pinned", type="|b1"),
+        Field("state", type="|u1"),
+        Field("low"),  # ends of the range of colours, in frames
+        Field("high"),
+    )
+}
 FIELD_UNITS = {
     "displacement": ("mm", 1e3),
     "stress": ("kPa", 1e-3),
@@ -49,29 +59,15 @@ class ToolSnapshot:
 
 @dataclass(frozen=True, kw_only=True)
 class Snapshot(PeriodRecord):
-    """Results of one period. The pose, the forces and the kind are those of the first tool, as in `ToolSnapshot`."""
+    """Results of one period."""
 
-    device_force: Floats
     # contact_nodes, contact_forces, contact_tools: (e,) int array, (e, 3) array [N], (e,) int array: contact nodes of
     # the model's contact surface, the forces on them for the model's own moduli, and the indices of their tools
     contact_nodes: NDArray[np.int64]
     contact_forces: Floats
     contact_tools: NDArray[np.int64]
     modulus_ratio: float  # moduli relative to the model's own
-    kind: str
-    pinned: bool = False
-    others: tuple[ToolSnapshot, ...] = ()  # the tools after the first
-
-    @classmethod
-    def from_tools(cls, tools: Sequence[ToolSnapshot], **values: Any) -> Snapshot:
-        """Return the snapshot of at least one tool, with values of the other fields."""
-        first = {each.name: getattr(tools[0], each.name) for each in fields(ToolSnapshot)}
-        return cls(**first, **values, others=tuple(tools[1:]))
-
-    @property
-    def tools(self) -> tuple[ToolSnapshot, ...]:
-        """All tools by index."""
-        return ToolSnapshot(**{each.name: getattr(self, each.name) for each in fields(ToolSnapshot)}), *self.others
+    tools: tuple[ToolSnapshot, ...]  # at least one, by index
 
     @property
     def largest_force(self) -> float:

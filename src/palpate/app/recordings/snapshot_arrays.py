@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.app.recordings.snapshot import ENGINE_STATES, TOOL_KINDS, Snapshot
+from palpate.app.recordings.snapshot import ENGINE_STATES, SNAPSHOT_FIELDS, TOOL_KINDS, Snapshot
 from palpate.core.arrays import Floats
 from palpate.core.faults import InputError
 from palpate.core.sealed import LEAST_POSITIVE, Array, typed
@@ -24,29 +25,35 @@ MAX_DURATION = 600.0  # [s]
 MAX_COUNT = 2.0**53  # larger numbers are not all whole ones
 
 _Array = partial(Array, most=MAX_VALUE)
-SNAPSHOT_ARRAYS = {
-    "time": _Array(("snapshots",), low=0.0, unit="s"),
-    "steps": Array(("snapshots",), low=0.0, most=MAX_COUNT),
-    "trust": _Array(("snapshots",), low=0.0),
-    "kinetic": _Array(("snapshots",), unit="J"),
-    "strain": _Array(("snapshots",), unit="J"),
-    "computing": _Array(("snapshots",), low=0.0, unit="s"),
-    "lateness": _Array(("snapshots",), unit="s"),
+
+
+def _arrays(sizes: tuple[str, ...], **limits: tuple[float, float]) -> dict[str, Array]:
+    """Return the declarations of `SNAPSHOT_FIELDS` by name, for each entry of some sizes.
+
+    The limits are the least number, and the largest size of a number.
+    """
+    declared = {}
+    for name, (low, most) in limits.items():
+        _, unit, shape, kind = SNAPSHOT_FIELDS[name]
+        declared[name] = Array((*sizes, *shape), kind, low, most, unit)
+    return declared
+
+
+ANY_NUMBER, NOT_NEGATIVE, WHOLE_NUMBER = (-math.inf, MAX_VALUE), (0.0, MAX_VALUE), (0.0, MAX_COUNT)
+SNAPSHOT_ARRAYS = _arrays(
+    ("snapshots",), time=NOT_NEGATIVE, steps=WHOLE_NUMBER, trust=NOT_NEGATIVE, kinetic=ANY_NUMBER, strain=ANY_NUMBER,
+    computing=NOT_NEGATIVE, lateness=ANY_NUMBER,
+)  # fmt: skip
+SNAPSHOT_ARRAYS |= {
     "coordinates": _Array(("snapshots", "coordinates")),
     "modulus_ratio": _Array(("snapshots",), low=LEAST_POSITIVE),
 }
-TOOL_ARRAYS = {  # of `ToolSnapshot`, under ``tools/``
-    "force": _Array(("snapshots", "tools", 3), unit="N"),
-    "moment": _Array(("snapshots", "tools", 3), unit="N m"),
-    "stiffness": Array(("snapshots", "tools", 3, 3), most=1e30, unit="N/m"),
-    "position": _Array(("snapshots", "tools", 3), unit="m"),
-    "quaternion": _Array(("snapshots", "tools", 4)),
-    "sequence": Array(("snapshots", "tools"), low=0.0, most=MAX_COUNT),
-    "device_force": _Array(("snapshots", "tools", 3), unit="N"),
-    "kind": Array(("snapshots", "tools"), "|u1", low=0, most=len(TOOL_KINDS) - 1),
-    "pinned": Array(("snapshots", "tools"), "|b1"),
-}
-STATE_ARRAY = {"state": Array(("snapshots",), "|u1", low=0, most=len(ENGINE_STATES) - 1)}
+TOOL_ARRAYS = _arrays(  # of `ToolSnapshot`, under ``tools/``
+    ("snapshots", "tools"), force=ANY_NUMBER, moment=ANY_NUMBER, stiffness=(-math.inf, 1e30), position=ANY_NUMBER,
+    quaternion=ANY_NUMBER, sequence=WHOLE_NUMBER, device_force=ANY_NUMBER, kind=(0, len(TOOL_KINDS) - 1),
+    pinned=ANY_NUMBER,
+)  # fmt: skip
+STATE_ARRAY = _arrays(("snapshots",), state=(0, len(ENGINE_STATES) - 1))
 CONTACT_ARRAYS = {
     "contact/start": Array(("parts",), "<i8", low=0, rising=True),
     "contact/nodes": Array(("contacts",), "<i8", index_of="surface"),

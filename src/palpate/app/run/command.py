@@ -14,7 +14,7 @@ import numpy as np
 from palpate.app.common.arguments import parse_settings
 from palpate.app.common.console import Console, Table, count_nodes
 from palpate.app.common.exit_status import RunError
-from palpate.app.common.preparation import prepare
+from palpate.app.common.load_cases import build_load_case
 from palpate.app.common.report import REPORTS, deliver, machine
 from palpate.app.common.rows import Rows, named_rows, quantities
 from palpate.app.device.options import take_device
@@ -134,7 +134,7 @@ def run_once(
         raise InputError(f"load must be left out of {what}, got {load:g}; change the loads in its file")
     console = Console()
     doubles = 6 if modes is None else 12
-    made = prepare(lambda: _load_case(what, settings, modes is not None, shape), out, doubles, console)
+    made = build_load_case(lambda: _load_case(what, settings, modes is not None, shape), out, doubles, console)
     for name in FILES:  # of an earlier run: all files of a folder belong together
         (out / name).unlink(missing_ok=True)
     runs, reduced = {"full": _run(made, made.model, console, out / "full.h5")}, None

@@ -57,9 +57,8 @@ def run_realtime(
 
     With `full` the full body of the subject's scene is stepped, and with `cut` a scalpel cuts it. The messages of
     `script` or the hand at a `device` drive the session in place of the tool of the scene; `record` is the file of a
-    recording. The time is at
-    most 600 s, the rate from 50 to 20,000 Hz. The status is 0 whether the rate was held or not, and 1 if a recording
-    was not written.
+    recording. The time is at most 600 s, the rate from 50 to 20,000 Hz. The status is 0 whether the rate was held or
+    not, and 1 if a recording was not written.
     """
     seconds = number_in_range("seconds", seconds, 0.0, MAX_RUN_SECONDS, open_low=True, unit="s")
     rate = number_in_range("rate", rate, MIN_RATE, MAX_RATE, unit="Hz")
@@ -71,13 +70,7 @@ def run_realtime(
 
     def make(body: Any, foundations: tuple[Foundation, ...]) -> Session:
         nonlocal tool, path
-        if messages is not None:
-            path = messages
-        elif device is not None:
-            path = _leave_to_device
-        else:
-            poses, tool = tool_motion(subject, body, cut)
-            path = follow(poses)
+        path, tool = (messages, None) if messages is not None else _motion(subject, body, cut, device)
         out.mkdir(parents=True, exist_ok=True)
         return Session(body, subject.title, rate, foundations, history=seconds, black_box=black_box)
 
@@ -98,11 +91,40 @@ def run_realtime(
         if session.engine.state == "diverged":
             raise RunError(f"the state diverged; what happened before is in {black_box}")
         session.engine.dump(black_box)
-        statistics, body = session.engine.statistics(), session.model
-    title = f"{'Full ' + subject.title.lower() if full else subject.title} in real time"
+        statistics = session.engine.statistics()
+    spacing = session.model.cloud.spacing
     report = {
-        "title": f"{title}, {rate:g} Hz",
-        "parameters": {"seconds": seconds, "rate": rate, "spacing": body.cloud.spacing, **_origin(subject, full, cut)},
+        "title": f"{'Full ' + subject.title.lower() if full else subject.title} in real time, {rate:g} Hz",
+        "parameters": {"seconds": seconds, "rate": rate, "spacing": spacing, **_origin(subject, full, cut)},
+        **_session_report(session, statistics, black_box, last_forces),
+    }
+    if driver is not None:
+        report["hands"] = hand_reports(driver.hands)
+    if messages is not None:
+        report["script"] = {"file": str(script), "messages": messages.done, "refused": messages.refused}
+    report = plain(report)
+    deliver(report, _tables(report, statistics), out, FILES, as_json)
+    return FAILED if session.recordings.failures else DONE
+
+
+def _motion(subject: Subject, body: Any, cut: bool, device: DeviceOptions | None) -> tuple[ToolPath, Contact | None]:
+    """Return what moves the tool, and the tool of the scene unless a device moves another one."""
+    if device is not None:
+        return _leave_to_device, None
+    poses, tool = tool_motion(subject, body, cut)
+    return follow(poses), tool
+
+
+def _leave_to_device(session: Session, now: float) -> None:
+    """Move nothing: a device does."""
+
+
+def _session_report(
+    session: Session, statistics: Statistics, black_box: Path, last_forces: list[float]
+) -> dict[str, Any]:
+    """Return the report of the body, its tools, its cut and its deadlines."""
+    body = session.model
+    report = {
         "material": asdict(body.material),
         "machine": machine(),
         "model": body.report if isinstance(body, ReducedModel) else {"nodes": len(body.cloud)},
@@ -112,20 +134,10 @@ def run_realtime(
     }
     if tools := _other_tools(black_box, last_forces):
         report["tools"] = tools
-    if driver is not None:
-        report["hands"] = hand_reports(driver.hands)
-    if messages is not None:
-        report["script"] = {"file": str(script), "messages": messages.done, "refused": messages.refused}
     if session.body.cutter is not None and session.body.cuts:
         kinds = [each.selected.kind for each in session.tools]
         report["cut"] = _cut_report(black_box, session.body.cutter, kinds.index("scalpel") if "scalpel" in kinds else 0)
-    report = plain(report)
-    deliver(report, _tables(report, statistics), out, FILES, as_json)
-    return FAILED if session.recordings.failures else DONE
-
-
-def _leave_to_device(session: Session, now: float) -> None:
-    """Move nothing: a device does."""
+    return report
 
 
 def _origin(subject: Subject, full: bool, cut: bool) -> dict[str, Any]:

@@ -10,7 +10,6 @@ from palpate.app.recordings.snapshot import OverlayState
 from palpate.app.session.messages import Message
 from palpate.app.session.session import PERIODS_PER_SECOND, Session
 from palpate.app.session.tool_control import NO_TOOL
-from palpate.core.arrays import Floats
 from palpate.core.faults import InputError
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.solid.model import EnergySolid
@@ -48,14 +47,10 @@ class Comparison(Session):
             )
         self.full = Session(full_model, title, rate)
         super().__init__(model, title, rate)
+        self.sessions = (self.full, self)
         self.full.speed_limit = self.speed_limit
         if not np.array_equal(self.full.surface.triangles, self.surface.triangles):
             raise InputError("full_model must have the surface of the model, got another one; train the model again")
-
-    def follow_device(self, position: Floats, quaternion: Floats, sequence: int, index: int = 0) -> None:
-        """Move the tool of both bodies to the pose of a haptic device."""
-        super().follow_device(position, quaternion, sequence, index)
-        self.full.follow_device(position, quaternion, sequence, index)
 
     def hello(self) -> dict[str, Any]:
         """Return the constant properties for `hello`."""
@@ -69,7 +64,7 @@ class Comparison(Session):
     def overlay(self, time: float) -> OverlayState:
         """Return positions (n, 3) [m] of the full body, and the force (3,) [N] on its tool."""
         snapshot = self.full.snapshot()
-        return OverlayState(self.full.surface.rest + snapshot.displacements(self.full.surface), snapshot.force)
+        return OverlayState(self.full.surface.rest + snapshot.displacements(self.full.surface), snapshot.tools[0].force)
 
     @property
     def tool_kinds(self) -> list[str]:
@@ -94,33 +89,3 @@ class Comparison(Session):
         for index, (tool, other) in enumerate(zip(self.tools, self.full.tools, strict=True)):
             if (tool.active is NO_TOOL) != (other.active is NO_TOOL):  # one body is in the way of its tool
                 self.release(index)
-
-    def start(self) -> None:
-        """Start both engines."""
-        self.full.start()
-        super().start()
-
-    def stop(self) -> None:
-        """Stop both engines."""
-        self.full.stop()
-        super().stop()
-
-    def pause(self, reason: str | None = None) -> None:
-        """Pause both engines."""
-        self.full.pause(reason)
-        super().pause(reason)
-
-    def resume(self) -> None:
-        """Resume or start both engines."""
-        self.full.resume()
-        super().resume()
-
-    def reset(self) -> None:
-        """Set both bodies to rest and put all tools away."""
-        self.full.reset()
-        super().reset()
-
-    def release(self, index: int | None = None) -> None:
-        """Put a tool away, by default all."""
-        self.full.release(index)
-        super().release(index)

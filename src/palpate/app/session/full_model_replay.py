@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from palpate.app.recordings.recorded_paths import MIN_SNAPSHOTS, TOOL_NAME, make_load
 from palpate.app.recordings.recording import MAX_DURATION, Recording
 from palpate.app.recordings.snapshot import Snapshot
-from palpate.app.recordings.tool_paths import MIN_SNAPSHOTS, TOOL_NAME, make_load
 from palpate.app.train.scene_folder import is_file
 from palpate.core.arrays import Floats
 from palpate.core.faults import InputError

@@ -18,20 +18,20 @@ from palpate.app.recordings.recording import Recording, SurfaceFileError, save_r
 from palpate.app.recordings.recording_journal import RecordingJournal
 from palpate.app.recordings.snapshot import Snapshot
 from palpate.app.session.bodies import SessionBody
-from palpate.app.session.recorder import Recorder
+from palpate.app.session.snapshot_recorder import SnapshotRecorder
 from palpate.core.arrays import Floats
 from palpate.core.faults import InputError
 
 
 class SessionRecordings:
-    """Recordings of one body, of snapshots that `describe` returns for a `Recorder`."""
+    """Recordings of one body, of snapshots that `describe` returns for a `SnapshotRecorder`."""
 
     def __init__(
         self, title: str, body: SessionBody, describe: Callable[[], tuple[Snapshot, list[dict[str, Any]], Floats]]
     ) -> None:
         self._title, self._body, self._describe = title, body, describe
         self.folder = Path("out/view")  # of new files
-        self.recorder: Recorder | None = None  # of the present recording
+        self.recorder: SnapshotRecorder | None = None  # of the present recording
         self.failures: list[str] = []  # one line each
         self.notifications: list[dict[str, Any]] = []  # messages still to be sent to all viewers
         self._writers: list[threading.Thread] = []
@@ -46,7 +46,7 @@ class SessionRecordings:
         if self.recorder is not None:
             raise InputError("record must be 'stop' during a recording, got 'start'; stop the present one first")
         journal = RecordingJournal(path or _create_file(self.folder), self._title, self._body.model)
-        self.recorder = Recorder(self._describe, journal, self._body.recording_interval)
+        self.recorder = SnapshotRecorder(self._describe, journal, self._body.recording_interval)
 
     def start_file(self) -> None:
         """Start a recording in a new file, and raise `InputError` if the folder cannot be written."""

@@ -119,6 +119,7 @@ class Session:
         self.subtitle, self.notes = "", tuple[str, ...]()  # what lies in the body, and lines about how it was made
         self.devices: dict[int, str] = {}  # haptic devices by the tool that they move
         self.successor: Session | None = None  # the session that has taken the place of this one
+        self.sessions: tuple[Session, ...] = (self,)  # of all bodies that commands are for
         self._lock, self._suspended = threading.RLock(), suspended_time()
 
     # queries
@@ -138,15 +139,11 @@ class Session:
         with self._lock:
             reading, observed = self._read_period()
             acts = [tool.active is not NO_TOOL and reading.steps > tool.since for tool in self.tools]
-            tools = [
-                tool.snapshot(*each)
-                for tool, *each in zip(
-                    self.tools, acts, reading.tools, observed.tool_positions, observed.device_forces, strict=True
-                )
-            ]
+            values = zip(acts, reading.tools, observed.tool_positions, observed.device_forces, strict=True)
+            tools = tuple(tool.snapshot(*each) for tool, each in zip(self.tools, values, strict=True))
             kept = np.array(acts)[observed.contact_tools]
-            return Snapshot.from_tools(
-                tools, time=reading.time, steps=reading.steps, trust=reading.trust, kinetic=reading.kinetic,
+            return Snapshot(
+                tools=tools, time=reading.time, steps=reading.steps, trust=reading.trust, kinetic=reading.kinetic,
                 strain=reading.strain, computing=reading.computing, lateness=reading.lateness, state=reading.state,
                 coordinates=observed.coordinates.astype(coordinates_type(self.model)),
                 contact_nodes=observed.contact_nodes[kept], contact_forces=observed.contact_forces[kept],
@@ -293,12 +290,14 @@ class Session:
             raise InputError(f"type must be a message of live sessions, got {kind!r}; see docs/protocol.md")
 
     def start(self) -> None:
-        """Start the engine."""
-        self.engine.start()
+        """Start the engine of every body."""
+        for each in self.sessions:
+            each.engine.start()
 
     def stop(self) -> None:
-        """Stop the engine."""
-        self.engine.stop()
+        """Stop the engine of every body."""
+        for each in self.sessions:
+            each.engine.stop()
 
     def close(self) -> None:
         """Stop the engine, finish the present recording, and wait until all recordings are written."""
@@ -328,12 +327,17 @@ class Session:
             self.pause(reason)
 
     def pause(self, reason: str | None = None) -> None:
-        """Pause the engine."""
-        self.engine.pause()
-        self.pause_reason = reason
+        """Pause the engine of every body."""
+        for each in self.sessions:
+            each.engine.pause()
+            each.pause_reason = reason
 
     def resume(self) -> None:
-        """Resume or start the engine."""
+        """Resume or start the engine of every body."""
+        for each in self.sessions:
+            each._resume()
+
+    def _resume(self) -> None:
         if self.engine.state == "diverged":
             raise InputError("state must be finite to resume, got a diverged state; reset the session")
         if self.engine.state == "stopped":
@@ -342,7 +346,11 @@ class Session:
         self.pause_reason = None
 
     def reset(self) -> None:
-        """Set the body to rest and put all tools away."""
+        """Set every body to rest and put all tools away."""
+        for each in self.sessions:
+            each._reset()
+
+    def _reset(self) -> None:
         with self._lock:
             running = self.engine.state in ("running", "diverged")
             self.engine.pause()
@@ -353,10 +361,14 @@ class Session:
                 tool.since = 0
             self._observable.set_state(self.body.realtime.rest, np.zeros((self.max_tools, 3)))
             if running:
-                self.resume()
+                self._resume()
 
     def release(self, index: int | None = None) -> None:
         """Put a tool away, by default all; a prescribed group returns to its place at rest."""
+        for each in self.sessions:
+            each._release(index)
+
+    def _release(self, index: int | None) -> None:
         with self._lock:
             for k in range(self.max_tools) if index is None else [self._checked(index)]:
                 tool = self.tools[k]
@@ -479,9 +491,10 @@ class Session:
                 check_clear(self.model.cloud.points, shape, pose, k, tool.active.shape, shown)
 
     def follow_device(self, position: Floats, quaternion: Floats, sequence: int, index: int = 0) -> None:
-        """Move a tool to the pose of a haptic device, in the frame of the body."""
+        """Move a tool of every body to the pose of a haptic device, in the frame of the body."""
         message = {"position": position, "quaternion": quaternion, "sequence": sequence, "index": index}
-        self._move_tool(message, 0.0, MAX_TOOL_SPEED)
+        for each in reversed(self.sessions):
+            each._move_tool(message, 0.0, MAX_TOOL_SPEED)
 
     def tool_contact(self, index: int = 0) -> dict[str, Any]:
         """Return what a haptic device needs of a tool: pose, force of the body, contact stiffness, and their age.

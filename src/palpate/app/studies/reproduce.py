@@ -18,7 +18,7 @@ import numba
 
 from palpate.app.common.compile_ahead import CompiledFunctions, second_process
 from palpate.app.common.console import Console
-from palpate.app.common.preparation import prepare
+from palpate.app.common.load_cases import build_load_case
 from palpate.app.common.report import deliver
 from palpate.app.common.vtkhdf import write_vtkhdf
 from palpate.app.studies.beam import BEAM_EXAMPLE
@@ -65,7 +65,7 @@ def reproduce(*, example: str, modes: Sequence[int], out: Path, as_json: bool = 
         given = [example, options, sizes, str(out), shown]
         other = SecondForm(chosen, stack.enter_context(second_process(assist, given)))
         compiled = stack.enter_context(closing(CompiledFunctions()))
-        case = prepare(lambda: chosen.case(**options), out, chosen.doubles, console)
+        case = build_load_case(lambda: chosen.case(**options), out, chosen.doubles, console)
         other.start()
         study = make(case)
         with console.status("compiling what is not compiled yet"):

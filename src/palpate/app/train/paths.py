@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from palpate.app.recordings.recorded_paths import RecordedPath, recorded_paths
 from palpate.app.recordings.recording import Recording, load_recording
-from palpate.app.recordings.tool_paths import ToolPath, tool_paths
 from palpate.app.train.folder import RECORDED, Folder, Job
 from palpate.core.faults import InputError
 from palpate.core.files import read_bytes, whole_file
@@ -44,7 +44,7 @@ def add_recording(folder: Folder, scene: TrainingScene, path: Path) -> None:
         return
     recording = load_recording(path)
     _check(recording, scene, path)
-    paths = tool_paths(recording)
+    paths = recorded_paths(recording)
     if not any(tool_path.trust > 1 for tool_path in paths):
         largest = f", the largest trust number is {max(tool_path.trust for tool_path in paths):.3g}" if paths else ""
         raise InputError(
@@ -77,5 +77,5 @@ def _check(recording: Recording, scene: TrainingScene, path: Path) -> None:
 
 
 @lru_cache(maxsize=2)
-def _untrusted(file: Path) -> list[ToolPath]:
-    return [path for path in tool_paths(load_recording(file)) if path.trust > 1]
+def _untrusted(file: Path) -> list[RecordedPath]:
+    return [path for path in recorded_paths(load_recording(file)) if path.trust > 1]

@@ -19,7 +19,7 @@ from palpate.tissue.regions import Regions
 
 
 @dataclass(frozen=True)
-class Tissue:
+class TissueField:
     """The material properties of a body at all of its nodes."""
 
     material: Material  # the law, with the density and the relaxation of all nodes
@@ -76,13 +76,13 @@ def tissue_of(
     stiffness: Mapping[str, float] | Floats | None,
     fibres: FibreLaw | None,
     form: str,
-) -> Tissue:
+) -> TissueField:
     """Return the tissue of a cloud in space."""
     first, regions = regions_of(material, cloud)
     if first.incompressible or (regions and any(each.incompressible for each in regions.materials)):
         raise InputError("material of Solid must be compressible, got poisson = 0.5; use at most 0.499")
     directed = prepare_fibres(fibres, first, form, cloud.points)
-    return Tissue(first, regions, _stiffness_factors(cloud, stiffness), directed, len(cloud))
+    return TissueField(first, regions, _stiffness_factors(cloud, stiffness), directed, len(cloud))
 
 
 def _stiffness_factors(cloud: Cloud, given: Mapping[str, float] | Floats | None) -> Floats:

@@ -22,7 +22,7 @@ from palpate.dynamics.loads.supports import Support, supports_of, symmetry_plane
 from palpate.dynamics.material.fibres import lay_out_fibres, prepare_fibres
 from palpate.dynamics.material.kinematics import Kinematics
 from palpate.dynamics.material.relaxation import relaxation
-from palpate.dynamics.material.tissue import Tissue
+from palpate.dynamics.material.tissue import TissueField
 from palpate.dynamics.membrane.additional_stress import NO_ADDITIONAL_STRESS, AdditionalStress, additional_stress
 from palpate.dynamics.membrane.passes import (
     NODE_POINTS,
@@ -112,7 +112,7 @@ class Membrane(EnergyModel):
         fibres: FibreLaw | None = None,
     ) -> None:
         checked_fibres = _validated_fibres(cloud, material, relaxed, fibres)
-        self.cloud, self.tissue = cloud, Tissue(material, None, np.zeros(0), checked_fibres, len(cloud))
+        self.cloud, self.tissue = cloud, TissueField(material, None, np.zeros(0), checked_fibres, len(cloud))
         self.material, self.fibres = material, checked_fibres
         self.thickness = number_in_range("thickness", thickness, 0.0, open_low=True, unit="m")
         self.prestretch = number_in_range("prestretch", prestretch, 1.0, 10.0)

@@ -21,7 +21,7 @@ from scipy.sparse.linalg import splu
 
 from palpate.core.arrays import Floats, Ints
 from palpate.dynamics.loads.supports import SupportedNodes
-from palpate.dynamics.material.tissue import Tissue
+from palpate.dynamics.material.tissue import TissueField
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.meshfree.cloud import Cloud
 
@@ -84,7 +84,7 @@ def two_level_preconditioner(
 def static_estimate(
     cloud: Cloud,
     weights: Floats,
-    tissue: Tissue,
+    tissue: TissueField,
     supported: SupportedNodes,
     constrained: NDArray[np.bool_],
     springs: Floats,
@@ -100,7 +100,7 @@ def static_estimate(
         A sheet responds like a membrane under a tension of its shear modulus, in all directions.
     weights : (n,) array [m^3]
         Nodal volumes.
-    tissue : Tissue
+    tissue : TissueField
         Fibres are left out.
     constrained : (n,) bool array
         Nodes that do not move.

@@ -24,7 +24,7 @@ from palpate.dynamics.material.fibres import always_taut
 from palpate.dynamics.material.kinematics import Kinematics
 from palpate.dynamics.material.relaxation import equilibrium_history as evaluate_equilibrium
 from palpate.dynamics.material.relaxation import restore_history, saved_history
-from palpate.dynamics.material.tissue import Tissue
+from palpate.dynamics.material.tissue import TissueField
 from palpate.dynamics.nodal.central_difference import (
     Damping,
     NodalData,
@@ -89,7 +89,7 @@ class NodalModel(Model):
     stability : StabilityReport
     wave_speed : float [m/s]
         Estimate of the fastest wave speed, and limit of prescribed velocities in the damping forces.
-    tissue : Tissue
+    tissue : TissueField
     kinematics : Kinematics
     fibres : FibreLaw or None
         Fibres with a direction at every node.
@@ -117,7 +117,7 @@ class NodalModel(Model):
     supported: SupportedNodes
     stability: StabilityReport
     wave_speed: float
-    tissue: Tissue
+    tissue: TissueField
     kinematics: Kinematics
     fibres: FibreLaw | None = None
     # families of stencils, from nodal forces to the displacements on which they depend; a sheet has no smoothing

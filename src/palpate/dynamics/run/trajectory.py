@@ -36,8 +36,42 @@ POINTS_ARRAY = {"points": Array(("nodes", "space"), unit="m")}
 HEADER_KEYS = ("model", "label", "wall_seconds", "stiffness_damping", "complete")
 
 
+def _no_series() -> Floats:
+    return np.zeros(0)
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ToolContacts:
+    """Contact of the tools of a run; the parameters are those of `Trajectory`."""
+
+    moments: dict[str, Floats] = field(default_factory=dict)
+    contact_forces: Floats = field(default_factory=lambda: np.zeros((0, 5)))
+    bonded: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ErrorSeries:
+    """Error indicator and bounds of the run of a reduced model; the parameters are those of `Trajectory`."""
+
+    trust: Floats = field(default_factory=_no_series)
+    displacement_bounds: Floats = field(default_factory=_no_series)
+    force_bounds: Floats = field(default_factory=_no_series)
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class BladeSeries:
+    """Cut and energies of the run of a blade; the parameters are those of `Trajectory`."""
+
+    cut_area: Floats = field(default_factory=_no_series)
+    released_energy: Floats = field(default_factory=_no_series)
+    edge_work: Floats = field(default_factory=_no_series)
+    friction_work: Floats = field(default_factory=_no_series)
+    release_rate: Floats = field(default_factory=_no_series)
+    cuts: Floats = field(default_factory=lambda: np.zeros((0, 10)))
+
+
 @dataclass(frozen=True)
-class Trajectory(Described):
+class Trajectory(Described, ToolContacts, ErrorSeries, BladeSeries):
     """Snapshots, forces and energies of a run at f times.
 
     Parameters
@@ -121,19 +155,7 @@ class Trajectory(Described):
     wall_seconds: float = 0.0
     stiffness_damping: float = 0.0
     complete: bool = True
-    moments: dict[str, Floats] = field(default_factory=dict)
-    contact_forces: Floats = field(default_factory=lambda: np.zeros((0, 5)))
-    bonded: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     label: str = ""
-    trust: Floats = field(default_factory=lambda: np.zeros(0))
-    displacement_bounds: Floats = field(default_factory=lambda: np.zeros(0))
-    force_bounds: Floats = field(default_factory=lambda: np.zeros(0))
-    cut_area: Floats = field(default_factory=lambda: np.zeros(0))
-    released_energy: Floats = field(default_factory=lambda: np.zeros(0))
-    edge_work: Floats = field(default_factory=lambda: np.zeros(0))
-    friction_work: Floats = field(default_factory=lambda: np.zeros(0))
-    release_rate: Floats = field(default_factory=lambda: np.zeros(0))
-    cuts: Floats = field(default_factory=lambda: np.zeros((0, 10)))
 
     def _facts(self) -> list[Fact]:
         frames, energy = len(self.times), self.kinetic + self.strain

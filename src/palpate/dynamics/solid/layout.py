@@ -17,7 +17,7 @@ from palpate.core.arrays import Floats
 from palpate.dynamics.material.fibres import fibre_points, lay_out_fibres
 from palpate.dynamics.material.material_fields import NO_FIELDS, spread
 from palpate.dynamics.material.relaxation import relaxation
-from palpate.dynamics.material.tissue import Tissue
+from palpate.dynamics.material.tissue import TissueField
 from palpate.dynamics.solid.energy_form import EnergyBody, energy_work, solid_energy
 from palpate.dynamics.solid.strong_form import Body, solid, workspace
 from palpate.meshfree.mirror import Images, Mirror
@@ -80,7 +80,7 @@ class Smoothing(NamedTuple):
 
 
 def energy_passes(
-    images: Images, tissue: Tissue, stencils: Stencils, smoothing: Smoothing, volumes: Floats, is_lattice: bool
+    images: Images, tissue: TissueField, stencils: Stencils, smoothing: Smoothing, volumes: Floats, is_lattice: bool
 ) -> tuple[CompiledForm, Stencils]:
     """Lay out the passes of the energy form, for stencils of a cloud with its images.
 

@@ -7,6 +7,7 @@ remains. The engine must be paused during the change.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from palpate.compiled.jit import kernel_njit
 from palpate.core.arrays import Floats
@@ -26,23 +27,27 @@ def change_tool(data: PeriodData, tool: Tool | None, pose: Floats, friction: flo
             "tool of a reduced model must be another than a Blade, which cuts full bodies; use a full body"
         )
     if isinstance(tool, Forceps):
-        _refuse_held_nodes(data, tool, index)
+        refuse_held_nodes(_held_nodes(data, tool, index))
     kind = -1 if tool is None else tool.kind
     sizes = np.zeros(3) if tool is None else np.array(tool.sizes)
     point = np.array(tool.point, dtype=float) if isinstance(tool, Forceps) else np.zeros(3)
     replace_tool(data, index, kind, sizes, friction, point, np.array(pose, dtype=float))
 
 
-def _refuse_held_nodes(data: PeriodData, forceps: Forceps, index: int) -> None:
-    """Refuse forceps on nodes that other forceps hold."""
+def _held_nodes(data: PeriodData, forceps: Forceps, index: int) -> NDArray[np.bool_]:
+    """Return which nodes of the contact surface forceps and other forceps hold, (n,)."""
     points, tools = data.contact_surface.points, data.tools
     held = np.linalg.norm(points - np.asarray(forceps.point, dtype=float), axis=1) <= forceps.radius
-    for t, kind in enumerate(tools.kind):
-        others = np.linalg.norm(points - tools.origins[t], axis=1) <= tools.sizes[t, 0]
-        if t != index and kind == BONDED and (held & others).any():
-            raise InputError(
-                "point of forceps must be away from other forceps, got nodes that they hold; move the point"
-            )
+    others = np.zeros(len(points), dtype=bool)
+    for t in np.flatnonzero(tools.kind == BONDED):
+        others |= (t != index) & (np.linalg.norm(points - tools.origins[t], axis=1) <= tools.sizes[t, 0])
+    return held & others
+
+
+def refuse_held_nodes(held: NDArray[np.bool_]) -> None:
+    """Refuse forceps if other forceps hold any of their nodes."""
+    if held.any():
+        raise InputError("point of forceps must be away from other forceps, got nodes that they hold; move the point")
 
 
 @kernel_njit()

@@ -87,7 +87,44 @@ def fixed_nodes(model: ReducedModel | EnergySolid) -> NDArray[np.bool_]:
     return mask
 
 
-class Surface:
+class SurfaceScalars:
+    """Scalars at the vertices of a surface, of which a subclass returns the stress."""
+
+    @property
+    def scalars(self) -> tuple[str, ...]:
+        """Names of the scalars."""
+        return SCALAR_NAMES
+
+    def cauchy(self, coordinates: Floats) -> Floats:
+        """Return the Cauchy stress (n, 3, 3) [Pa] at the vertices, of a solid."""
+        raise NotImplementedError
+
+    def scalar(self, name: str, coordinates: Floats, displacements: Singles) -> Singles:
+        """Return a number for every vertex.
+
+        Parameters
+        ----------
+        name : str
+            ``"displacement"``: its length [m]; ``"stress"``: von Mises' of the Cauchy stress [Pa];
+            ``"pressure"``: minus a third of that stress's trace [Pa].
+        coordinates : (m,) array
+        displacements : (n, 3) array [m]
+        """
+        if name not in self.scalars:
+            raise InputError(
+                f"scalar must be one of {', '.join(map(repr, self.scalars))}, got {name!r}; use one of them"
+            )
+        if name == "displacement":
+            return np.asarray(np.linalg.norm(displacements, axis=1), dtype=np.float32)
+        stress = self.cauchy(coordinates)
+        mean = np.trace(stress, axis1=1, axis2=2) / 3
+        if name == "pressure":
+            return np.asarray(-mean, dtype=np.float32)
+        shear = stress - mean[:, None, None] * np.eye(3)
+        return np.asarray(np.sqrt(1.5 * np.einsum("nij,nij->n", shear, shear)), dtype=np.float32)
+
+
+class Surface(SurfaceScalars):
     """The display surface of a reduced model.
 
     Attributes
@@ -228,32 +265,7 @@ class Surface:
         """Names of the scalars; of a membrane only the displacement."""
         return SCALAR_NAMES[:1] if self.model.data.kinematics.sheet else SCALAR_NAMES
 
-    def scalar(self, name: str, coordinates: Floats, displacements: Singles) -> Singles:
-        """Return a number for every vertex.
-
-        Parameters
-        ----------
-        name : str
-            ``"displacement"``: its length [m]; ``"stress"``: von Mises' of the Cauchy stress [Pa];
-            ``"pressure"``: minus a third of that stress's trace [Pa].
-        coordinates : (m,) array
-        displacements : (n, 3) array [m]
-        """
-        if name not in self.scalars:
-            raise InputError(
-                f"scalar must be one of {', '.join(map(repr, self.scalars))}, got {name!r}; use one of them"
-            )
-        if name == "displacement":
-            return np.asarray(np.linalg.norm(displacements, axis=1), dtype=np.float32)
-        stress = self.cauchy(coordinates)
-        mean = np.trace(stress, axis1=1, axis2=2) / 3
-        if name == "pressure":
-            return np.asarray(-mean, dtype=np.float32)
-        shear = stress - mean[:, None, None] * np.eye(3)
-        return np.asarray(np.sqrt(1.5 * np.einsum("nij,nij->n", shear, shear)), dtype=np.float32)
-
     def cauchy(self, coordinates: Floats) -> Floats:
-        """Return the Cauchy stress (n, 3, 3) [Pa] at the vertices, of a solid."""
         if self._gradients is None:
             self._gradients = self._gradients_at_vertices()
         F = (self._gradients @ coordinates.astype(np.float32)).reshape(-1, 3, 3) + np.eye(3)

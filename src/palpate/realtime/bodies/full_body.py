@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.core.arrays import Floats
+from palpate.core.arrays import Floats, Ints
 from palpate.core.faults import InputError, integer_in_range
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import Contacts, curvatures, rotation
@@ -46,6 +46,7 @@ from palpate.dynamics.nodal.period_data import (
 )
 from palpate.dynamics.nodal.tool_path import END, HOME, LAST_CUT, START
 from palpate.dynamics.solid.base import Solid
+from palpate.realtime.bodies.change_tool import refuse_held_nodes
 from palpate.realtime.bodies.full_blade import BladeCutter
 
 MAX_WAY, MAX_TOOL_WAY = 0.4, 0.25  # of a node and of the tool in a step, in spacings
@@ -230,54 +231,68 @@ def change_full_tool(
     index: int = 0,
 ) -> None:
     """Replace a tool of a full body, as `palpate.realtime.bodies.change_tool.change_tool`."""
-    contacts, spacing, nodes = data.tools.contacts, model.cloud.spacing, np.zeros(0, dtype=np.int64)
-    blade = None
+    tools, blade, nodes = data.tools, None, np.zeros(0, dtype=np.int64)
     if isinstance(tool, Blade):
-        if cutter is None:
-            raise InputError(
-                "tool must be another than a Blade, got a Blade for a sheet or a body with planes of symmetry"
-            )
-        if cutter.blade not in (NO_BLADE, index):
-            raise InputError(
-                f"tools must have one Blade at most, got tool {cutter.blade} as another; put it away first"
-            )
+        _check_blade(cutter, index)
         blade, tool = tool, None
-    if isinstance(tool, Forceps):
-        if tool.until < np.inf:
-            raise InputError(f"until of forceps must be infinite in the engine, got {tool.until:g} s; change the tool")
-        nodes, tool = grasped_nodes(model.cloud, tool, data.body.sites.kind == FREE), None
-        others = [data.tools.grip.node[t, :count] for t, (count, _) in enumerate(data.tools.grip.numbers) if t != index]
-        if np.isin(nodes, np.concatenate([nodes[:0], *others])).any():
-            raise InputError(
-                "point of forceps must be away from other forceps, got nodes that they hold; move the point"
-            )
-    if tool is not None and tool.kind != PLANE and tool.sizes[0] < spacing:
+    elif isinstance(tool, Forceps):
+        nodes, tool = _free_nodes(model, data, tool, index), None
+    elif tool is not None and tool.kind != PLANE and tool.sizes[0] < model.cloud.spacing:
         raise InputError(
-            f"radius of the tool must be at least the spacing of the body, {1e3 * spacing:.3g} mm, got "
+            f"radius of the tool must be at least the spacing of the body, {1e3 * model.cloud.spacing:.3g} mm, got "
             f"{1e3 * tool.sizes[0]:.3g} mm; use a larger tool or a finer body"
         )
-    contacts.work.step_impulses[data.tools.grip.node[index, : data.tools.grip.numbers[index, COUNT]]] = 0.0
-    set_grip(data.tools.grip, index, nodes)
-    patches, gripped = contacts.patches, nodes_in_grip(data.tools.grip)
-    held = np.isin(patches.ends, gripped).any(axis=1)  # bears what other tools push on it
-    supported = (data.body.sites.kind[patches.ends] == FIXED).any(axis=1)
-    patches.prescribed_until[:] = np.where(held | supported, np.inf, -np.inf)
-    contacts.tools.kind[index] = CAPSULE if tool is None else tool.kind
-    contacts.tools.sizes[index] = (-np.inf, 0.0, 0.0) if tool is None else tool.sizes  # every point is outside
-    contacts.tools.curvature[index] = curvatures(contacts.tools.kind, contacts.tools.sizes)[index]
-    contacts.tools.radius[index] = 0.0 if tool is None else np.inf
-    if tool is not None and tool.kind == CAPSULE:
-        contacts.tools.radius[index] = tool.sizes[0] + tool.sizes[1]
-    contacts.tools.friction[index] = friction
-    contacts.work.patch_impulses[contacts.candidates.start[index] : contacts.candidates.start[index + 1]] = 0.0
-    data.tools.secant.stiffness[:], data.tools.secant.forces[:] = 0.0, 0.0
-    data.tools.force[12 * index : 12 * (index + 1)] = 0.0
-    data.energies[LOST] += contacts.held.energy[index]  # of the tissue over supports, which springs back
-    contacts.held.energy[index] = 0.0
-    data.contact_work.numbers[:], data.tools.near_margin[0] = 0, -1.0
-    rotation(pose, data.tools.path[index, HOME])
+    _grasp(data, nodes, index)
+    _put_shape(tools.contacts, tool, friction, index)
+    tools.secant.stiffness[:], tools.secant.forces[:] = 0.0, 0.0
+    tools.force[12 * index : 12 * (index + 1)] = 0.0
+    data.energies[LOST] += tools.contacts.held.energy[index]  # of the tissue over supports, which springs back
+    tools.contacts.held.energy[index] = 0.0
+    data.contact_work.numbers[:], tools.near_margin[0] = 0, -1.0
+    rotation(pose, tools.path[index, HOME])
     if cutter is not None:
         cutter.set_blade(blade, pose, index)
     for frame in (START, END, LAST_CUT):
-        data.tools.path[index, frame] = data.tools.path[index, HOME]
-    contacts.work.frames[index, 1] = data.tools.path[index, HOME]
+        tools.path[index, frame] = tools.path[index, HOME]
+    tools.contacts.work.frames[index, 1] = tools.path[index, HOME]
+
+
+def _check_blade(cutter: BladeCutter | None, index: int) -> None:
+    if cutter is None:
+        raise InputError("tool must be another than a Blade, got a Blade for a sheet or a body with planes of symmetry")
+    if cutter.blade not in (NO_BLADE, index):
+        raise InputError(f"tools must have one Blade at most, got tool {cutter.blade} as another; put it away first")
+
+
+def _free_nodes(model: NodalModel, data: NodalPeriodData, forceps: Forceps, index: int) -> Ints:
+    """Return the nodes that forceps hold; refuse those that other forceps hold."""
+    if forceps.until < np.inf:
+        raise InputError(f"until of forceps must be infinite in the engine, got {forceps.until:g} s; change the tool")
+    nodes, grip = grasped_nodes(model.cloud, forceps, data.body.sites.kind == FREE), data.tools.grip
+    others = [grip.node[t, :count] for t, (count, _) in enumerate(grip.numbers) if t != index]
+    refuse_held_nodes(np.isin(nodes, np.concatenate([nodes[:0], *others])))
+    return nodes
+
+
+def _grasp(data: NodalPeriodData, nodes: Ints, index: int) -> None:
+    """Let a tool hold nodes in place of those that it holds; pushes of other tools on these have no effect."""
+    contacts, grip = data.tools.contacts, data.tools.grip
+    contacts.work.step_impulses[grip.node[index, : grip.numbers[index, COUNT]]] = 0.0
+    set_grip(grip, index, nodes)
+    patches, gripped = contacts.patches, nodes_in_grip(grip)
+    held = np.isin(patches.ends, gripped).any(axis=1)  # bears what other tools push on it
+    supported = (data.body.sites.kind[patches.ends] == FIXED).any(axis=1)
+    patches.prescribed_until[:] = np.where(held | supported, np.inf, -np.inf)
+
+
+def _put_shape(contacts: Contacts, tool: Tool | None, friction: float, index: int) -> None:
+    """Write the shape of a tool, or of none, to the arrays of the contacts."""
+    shapes = contacts.tools
+    shapes.kind[index] = CAPSULE if tool is None else tool.kind
+    shapes.sizes[index] = (-np.inf, 0.0, 0.0) if tool is None else tool.sizes  # every point is outside
+    shapes.curvature[index] = curvatures(shapes.kind, shapes.sizes)[index]
+    shapes.radius[index] = 0.0 if tool is None else np.inf
+    if tool is not None and tool.kind == CAPSULE:
+        shapes.radius[index] = tool.sizes[0] + tool.sizes[1]
+    shapes.friction[index] = friction
+    contacts.work.patch_impulses[contacts.candidates.start[index] : contacts.candidates.start[index + 1]] = 0.0

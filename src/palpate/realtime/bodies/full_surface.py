@@ -16,7 +16,7 @@ from palpate.core.arrays import Floats, Ints, Singles
 from palpate.core.faults import InputError
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.meshfree.cut.opening import NO_MEASURES
-from palpate.realtime.bodies.display_surface import NO_CUT_LINE, SCALAR_NAMES, DisplaySurface, Surface, fixed_nodes
+from palpate.realtime.bodies.display_surface import NO_CUT_LINE, DisplaySurface, Surface, SurfaceScalars, fixed_nodes
 from palpate.reduction.hyper.model import ReducedModel
 
 
@@ -25,7 +25,7 @@ def display_surface(model: ReducedModel | EnergySolid) -> DisplaySurface:
     return Surface(model) if isinstance(model, ReducedModel) else FullSurface(model)
 
 
-class FullSurface:
+class FullSurface(SurfaceScalars):
     """The display surface of a full body; see `palpate.realtime.bodies.display_surface.Surface`.
 
     Attributes
@@ -35,7 +35,6 @@ class FullSurface:
     """
 
     local_indentation = True  # stresses include the indentation under a tool
-    scalars = SCALAR_NAMES
     cut_line, cut_measures = NO_CUT_LINE, NO_MEASURES
 
     def __init__(self, model: EnergySolid) -> None:
@@ -69,20 +68,8 @@ class FullSurface:
     def _workspace(self) -> Any:
         return self.model.workspace()
 
-    def scalar(self, name: str, coordinates: Floats, displacements: Singles) -> Singles:
-        """Return a number for every vertex, as `Surface.scalar`."""
-        if name not in self.scalars:
-            raise InputError(
-                f"scalar must be one of {', '.join(map(repr, self.scalars))}, got {name!r}; use one of them"
-            )
-        if name == "displacement":
-            return np.asarray(np.linalg.norm(displacements, axis=1), dtype=np.float32)
+    def cauchy(self, coordinates: Floats) -> Floats:
         u = coordinates.reshape(-1, 3)
         F = self.model.deformation_gradient(u)[self.nodes]
         stress = self.model.evaluate(u, work=self._workspace).stress[self.nodes]
-        cauchy = stress @ np.swapaxes(F, 1, 2) / np.linalg.det(F)[:, None, None]
-        mean = np.trace(cauchy, axis1=1, axis2=2) / 3
-        if name == "pressure":
-            return np.asarray(-mean, dtype=np.float32)
-        shear = cauchy - mean[:, None, None] * np.eye(3)
-        return np.asarray(np.sqrt(1.5 * np.einsum("nij,nij->n", shear, shear)), dtype=np.float32)
+        return np.asarray(stress @ np.swapaxes(F, 1, 2) / np.linalg.det(F)[:, None, None])

@@ -11,7 +11,7 @@ from palpate.core.arrays import Floats
 from palpate.core.describe import Described
 from palpate.dynamics.loads.supports import Support
 from palpate.dynamics.material.kinematics import Kinematics
-from palpate.dynamics.material.tissue import Tissue
+from palpate.dynamics.material.tissue import TissueField
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.contact.compliance import NO_COMPLIANCE, SurfaceCompliance
 from palpate.reduction.contact.surface import ContactSurface, contact_surface
@@ -80,7 +80,7 @@ class ReducedData(Described):
     """Data of a reduced model, and the content of its file."""
 
     cloud: Cloud
-    tissue: Tissue  # the weights of the integration points include its stiffness factors
+    tissue: TissueField  # the weights of the integration points include its stiffness factors
     supports: tuple[Support, ...]
     prescribed: tuple[str, ...]  # groups that rigid tools move
     volumes: Floats  # (n,) array [m^3]: nodal volumes of the mass

@@ -11,7 +11,7 @@ from palpate.core.faults import InputError, number_in_range
 from palpate.core.files import json_of, shortened
 from palpate.core.sealed import LEAST_POSITIVE, Array, ArrayFile, check_arrays, check_names, typed
 from palpate.dynamics.loads.supports import Support, support_from, supports_of
-from palpate.dynamics.material.tissue import Tissue
+from palpate.dynamics.material.tissue import TissueField
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.storage.material import (
     describe_fibres,
@@ -50,7 +50,7 @@ OPTIONAL_ATTRIBUTES: dict[str, type] = {"mass_damping": float}
 
 
 def body_header(
-    cloud: Cloud, tissue: Tissue, supports: tuple[Support, ...], stiffness_damping: float, mass_damping: float
+    cloud: Cloud, tissue: TissueField, supports: tuple[Support, ...], stiffness_damping: float, mass_damping: float
 ) -> Header:
     """Return the header attributes of a body."""
     return {
@@ -65,7 +65,7 @@ def body_header(
     }
 
 
-def body_arrays(cloud: Cloud, tissue: Tissue) -> Arrays:
+def body_arrays(cloud: Cloud, tissue: TissueField) -> Arrays:
     """Return the arrays of a body, with ``"regions"`` if it has several materials."""
     groups = list(cloud.groups.values())
     values: dict[str, Any] = {name: getattr(cloud, name.removeprefix("cloud/"), None) for name in BODY_ARRAYS} | {
@@ -84,7 +84,7 @@ def body_declared(header: Header) -> Declared:
     return BODY_ARRAYS if header["regions"] == "[]" else BODY_ARRAYS | SEVERAL_MATERIALS
 
 
-def body_of(header: Header, arrays: Arrays) -> tuple[Cloud, Tissue, tuple[Support, ...]]:
+def body_of(header: Header, arrays: Arrays) -> tuple[Cloud, TissueField, tuple[Support, ...]]:
     """Return the body of a header and of arrays of integers and floats that were checked."""
     values, count = arrays, len(arrays["cloud/points"])
     ends = np.cumsum(values["cloud/group_sizes"])
@@ -106,7 +106,7 @@ def body_of(header: Header, arrays: Arrays) -> tuple[Cloud, Tissue, tuple[Suppor
     regions = regions_of(_json("regions", header["regions"]), values.get("regions", np.zeros(0, dtype=int)), material)
     factors = values["stiffness"] if np.any(values["stiffness"] != 1.0) else np.zeros(0)
     fibres = fibres_of(mapping_in("fibres", header["fibres"]), values["fibres/directions"])
-    return cloud, Tissue(material, regions, factors, fibres, count), supports
+    return cloud, TissueField(material, regions, factors, fibres, count), supports
 
 
 def supports_in(header: Header) -> tuple[Support, ...]:

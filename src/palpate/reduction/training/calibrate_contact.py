@@ -19,7 +19,7 @@ from palpate.reduction.basis.snapshots import Run
 from palpate.reduction.contact.compliance import SurfaceCompliance, secant_factor
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.fit_compliance import fit_stiffening
-from palpate.reduction.training.threads import in_threads
+from palpate.reduction.training.parallel_runs import in_threads
 
 Trial = tuple[Sequence[Load], Run]
 

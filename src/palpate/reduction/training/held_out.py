@@ -18,8 +18,8 @@ from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.calibrate_contact import Trial
 from palpate.reduction.training.calibrate_indicator import Frames, calibrate_scales, error_curves, repeat_run
 from palpate.reduction.training.errors import ContactErrors, Errors, contact_errors, relative_errors
+from palpate.reduction.training.parallel_runs import in_threads
 from palpate.reduction.training.scales import ERROR_QUANTILE
-from palpate.reduction.training.threads import in_threads
 
 
 def errors_on_held_out(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:

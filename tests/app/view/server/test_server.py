@@ -331,7 +331,7 @@ def test_the_tool_is_removed_when_its_driver_disconnects(site, session, ball, un
     asyncio.run(visit())
     until(lambda: session.pause_reason == "viewers left")
     assert session.status()["state"] == "paused"
-    assert session.snapshot().kind == "none"
+    assert session.snapshot().tools[0].kind == "none"
 
     async def again():
         async with site.client() as client:

@@ -10,8 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.app.recordings.snapshot import ENGINE_STATES, TOOL_KINDS, OverlayState, Snapshot, ToolSnapshot
+from palpate.app.recordings.snapshot import (
+    ENGINE_STATES,
+    SNAPSHOT_FIELDS,
+    TOOL_KINDS,
+    OverlayState,
+    Snapshot,
+    ToolSnapshot,
+)
 from palpate.core.arrays import Singles
+from palpate.realtime.record import layout
 
 if TYPE_CHECKING:
     from palpate.realtime.bodies.display_surface import DisplaySurface
@@ -19,6 +27,17 @@ if TYPE_CHECKING:
 
 
 GEOMETRY, STATE, OVERLAY, FORCE, PREVIEW, CUT_GEOMETRY, SURROUNDING_SHAPES, TOOL_STATES = 1, 2, 3, 4, 5, 6, 7, 8
+STATE_NUMBERS = layout(
+    (
+        "time", "trust", "force", "moment", "position", "quaternion", "kinetic", "strain", "computing", "lateness",
+        "steps", "state", "kind", "low", "high", "sequence",
+    ), SNAPSHOT_FIELDS,
+)  # fmt: skip
+TOOL_NUMBERS = layout(("kind", "pinned", "force", "moment", "position", "quaternion", "sequence"), SNAPSHOT_FIELDS)
+FORCE_NUMBERS = layout(
+    ("time", "trust", "device_force", "moment", "stiffness", "position", "steps", "state", "sequence"), SNAPSHOT_FIELDS
+)
+FIELD_CODES = {"kind": TOOL_KINDS, "state": ENGINE_STATES}  # whose indices are sent
 FRAME_HEADER = struct.Struct("<4I")
 RANGE_PERCENTILE = 99.0  # of a scalar, at which its colour range ends; excludes peaks of single vertices at edges
 
@@ -72,14 +91,18 @@ def state_body(surface: DisplaySurface, snapshot: Snapshot, scalar: str) -> byte
     if scalar != "none":
         values = snapshot.scalar(surface, scalar, displacements).astype("<f4")
         low, high = colour_range(values)
-    numbers = np.array(
-        [
-            snapshot.time, snapshot.trust, *snapshot.force, *snapshot.moment, *snapshot.position, *snapshot.quaternion,
-            snapshot.kinetic, snapshot.strain, snapshot.computing, snapshot.lateness, snapshot.steps,
-            ENGINE_STATES.index(snapshot.state), TOOL_KINDS.index(snapshot.kind), low, high, snapshot.sequence,
-        ], dtype="<f8",
-    )  # fmt: skip
-    return numbers.tobytes() + (surface.rest + displacements).astype("<f4").tobytes() + values.tobytes()
+    numbers = _numbers(STATE_NUMBERS, snapshot, snapshot.tools[0], low=low, high=high)
+    return numbers + (surface.rest + displacements).astype("<f4").tobytes() + values.tobytes()
+
+
+def _numbers(fields: np.dtype[Any], *sources: Snapshot | ToolSnapshot, **values: Any) -> bytes:
+    """Return the float64 numbers of fields, of snapshots and of further values."""
+    for source in sources:
+        values |= vars(source)
+    numbers = np.zeros((), dtype=fields)
+    for name in fields.names or ():
+        numbers[name] = FIELD_CODES[name].index(values[name]) if name in FIELD_CODES else values[name]
+    return numbers.tobytes()
 
 
 def colour_range(values: Singles) -> tuple[float, float]:
@@ -94,23 +117,10 @@ def overlay_body(full: OverlayState) -> bytes:
 
 
 def tools_frame(tools: Sequence[ToolSnapshot], sequence: int) -> bytes:
-    """Return the frame of all tools by index, 16 numbers each, with the sequence of a state frame."""
-    numbers = [
-        [
-            TOOL_KINDS.index(tool.kind), float(tool.pinned), *tool.force, *tool.moment, *tool.position,
-            *tool.quaternion, tool.sequence,
-        ] for tool in tools
-    ]  # fmt: skip
-    return pack_frame(TOOL_STATES, sequence, len(tools), np.array(numbers, dtype="<f8").tobytes())
+    """Return the frame of all tools by index, with the sequence of a state frame."""
+    return pack_frame(TOOL_STATES, sequence, len(tools), b"".join(_numbers(TOOL_NUMBERS, tool) for tool in tools))
 
 
 def force_frame(snapshot: Snapshot, sequence: int, index: int = 0) -> bytes:
-    """Return the force frame of a tool: 23 numbers for the program of a haptic device."""
-    tool = snapshot.tools[index]
-    numbers = np.array(
-        [
-            snapshot.time, snapshot.trust, *tool.device_force, *tool.moment, *tool.stiffness.ravel(), *tool.position,
-            snapshot.steps, ENGINE_STATES.index(snapshot.state), tool.sequence,
-        ], dtype="<f8",
-    )  # fmt: skip
-    return pack_frame(FORCE, sequence, index, numbers.tobytes())
+    """Return the force frame of a tool for the program of a haptic device."""
+    return pack_frame(FORCE, sequence, index, _numbers(FORCE_NUMBERS, snapshot, snapshot.tools[index]))

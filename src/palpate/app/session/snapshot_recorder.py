@@ -1,4 +1,4 @@
-"""Recorder: takes snapshots of a session at a fixed interval in one thread, and keeps them in a journal in another."""
+"""Take snapshots of a session at a fixed interval in one thread, and keep them in a journal in another."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ JOURNAL_INTERVAL = 0.5  # [s]
 NOT_RECORDED = ("position", "quaternion", "active", "outline", "pinned")  # of the description of a tool
 
 
-class Recorder:
+class SnapshotRecorder:
     """Records snapshots of a session until it is stopped.
 
     Parameters

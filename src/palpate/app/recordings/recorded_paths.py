@@ -24,7 +24,7 @@ TOOL_NAME = "tool"
 APPROACH_SECONDS = 0.1  # [s] from rest to the first pose of a held group
 
 
-class ToolPath(NamedTuple):
+class RecordedPath(NamedTuple):
     """A tool's path, from rest, as a load."""
 
     load: Load
@@ -32,7 +32,7 @@ class ToolPath(NamedTuple):
     trust: float  # largest trust number of the snapshots
 
 
-def tool_paths(recording: Recording) -> list[ToolPath]:
+def recorded_paths(recording: Recording) -> list[RecordedPath]:
     """Return the tool paths of a recording: a touch of a ball or capsule, a grasp, or a motion of a held group.
 
     Paths begin with the body at rest, whatever its state was, and have at most 10 s. Changed moduli do not count.
@@ -41,7 +41,7 @@ def tool_paths(recording: Recording) -> list[ToolPath]:
     return [path for index in range(len(recording.snapshots[0].tools)) for path in _paths_of_tool(recording, index)]
 
 
-def _paths_of_tool(recording: Recording, index: int) -> list[ToolPath]:
+def _paths_of_tool(recording: Recording, index: int) -> list[RecordedPath]:
     kinds = np.array([snapshot.tools[index].kind for snapshot in recording.snapshots])
     times = np.array([snapshot.time for snapshot in recording.snapshots])
     starts = [tool["start"] for tool in recording.tools if tool["index"] == index]
@@ -59,7 +59,7 @@ def _touches(snapshot: Snapshot, index: int) -> bool:
     return bool(np.any(snapshot.contact_forces[snapshot.contact_tools == index]))
 
 
-def _path(recording: Recording, tool: dict[str, Any], part: NDArray[np.intp]) -> ToolPath | None:
+def _path(recording: Recording, tool: dict[str, Any], part: NDArray[np.intp]) -> RecordedPath | None:
     """Return the path of consecutive snapshots; none if they are too few, or their tool is another one."""
     times = np.array([recording.snapshots[k].time for k in part]) - recording.snapshots[part[0]].time
     kept = np.diff(times, prepend=-1.0) > 0  # one snapshot of a pause
@@ -69,7 +69,7 @@ def _path(recording: Recording, tool: dict[str, Any], part: NDArray[np.intp]) ->
         return None
     approach = APPROACH_SECONDS if tool["kind"] == "group" else 0.0
     load = make_load(recording, tool, [snapshot.tools[tool["index"]] for snapshot in snapshots], times, approach)
-    return ToolPath(load, float(times[-1]) + approach, max(snapshot.trust for snapshot in snapshots))
+    return RecordedPath(load, float(times[-1]) + approach, max(snapshot.trust for snapshot in snapshots))
 
 
 def make_load(

@@ -1,4 +1,4 @@
-"""Preparation of a run: build the model, and check its folder for results."""
+"""Build the load case of a run, and check the folder of its results."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from palpate.scenes.load_case import LoadCase
 FIGURES_SIZE = 5_000_000  # [bytes] of all figures of a study, about
 
 
-def prepare(build: Callable[[], LoadCase], out: Path, doubles: int, console: Console) -> LoadCase:
+def build_load_case(build: Callable[[], LoadCase], out: Path, doubles: int, console: Console) -> LoadCase:
     """Build a load case, check that its results can be written, and make their folder.
 
     Parameters
