@@ -17,7 +17,7 @@ from palpate.app.device.driver import driving
 from palpate.app.device.options import DeviceOptions
 from palpate.app.device.statistics import hand_reports, longest, tool_name
 from palpate.app.models.force_error import nodes_error
-from palpate.app.models.subject import Subject
+from palpate.app.models.input import Input
 from palpate.app.models.trained import model_file
 from palpate.app.run.tool_motion import tool_motion
 from palpate.app.session.opening import exit_on_signals, running_session
@@ -41,7 +41,7 @@ BYTES_PER_PERIOD = 1000  # bytes of a period in the black box, at most
 
 
 def run_realtime(
-    subject: Subject,
+    opened: Input,
     *,
     full: bool,
     cut: bool,
@@ -55,7 +55,7 @@ def run_realtime(
 ) -> int:
     """Step a body at a fixed rate for some seconds under a moving tool, and report missed deadlines.
 
-    With `full` the full body of the subject's scene is stepped, and with `cut` a scalpel cuts it. The messages of
+    With `full` the full body of the scene is stepped, and with `cut` a scalpel cuts it. The messages of
     `script` or the hand at a `device` drive the session in place of the tool of the scene; `record` is the file of a
     recording. The time is at
     most 600 s, the rate from 50 to 20,000 Hz. The status is 0 whether the rate was held or not, and 1 if a recording
@@ -76,13 +76,13 @@ def run_realtime(
         elif device is not None:
             path = _leave_to_device
         else:
-            poses, tool = tool_motion(subject, body, cut)
+            poses, tool = tool_motion(opened, body, cut)
             path = follow(poses)
         out.mkdir(parents=True, exist_ok=True)
-        return Session(body, subject.title, rate, foundations, history=seconds, black_box=black_box)
+        return Session(body, opened.title, rate, foundations, history=seconds, black_box=black_box)
 
     console, black_box = Console(), out / BLACK_BOX
-    with exit_on_signals(), running_session(subject, full, make, console, record, exact=True) as session:
+    with exit_on_signals(), running_session(opened, full, make, console, record, exact=True) as session:
         session.stop()  # so that the statistics begin with the tool
         if tool is not None:
             session.put_down(tool)
@@ -99,10 +99,10 @@ def run_realtime(
             raise RunError(f"the state diverged; what happened before is in {black_box}")
         session.engine.dump(black_box)
         statistics, body = session.engine.statistics(), session.model
-    title = f"{'Full ' + subject.title.lower() if full else subject.title} in real time"
+    title = f"{'Full ' + opened.title.lower() if full else opened.title} in real time"
     report = {
         "title": f"{title}, {rate:g} Hz",
-        "parameters": {"seconds": seconds, "rate": rate, "spacing": body.cloud.spacing, **_origin(subject, full, cut)},
+        "parameters": {"seconds": seconds, "rate": rate, "spacing": body.cloud.spacing, **_origin(opened, full, cut)},
         "material": asdict(body.material),
         "machine": machine(),
         "model": body.report if isinstance(body, ReducedModel) else {"nodes": len(body.cloud)},
@@ -128,11 +128,11 @@ def _leave_to_device(session: Session, now: float) -> None:
     """Move nothing: a device does."""
 
 
-def _origin(subject: Subject, full: bool, cut: bool) -> dict[str, Any]:
+def _origin(opened: Input, full: bool, cut: bool) -> dict[str, Any]:
     """Return the parameters of a report that name the body."""
-    scene = subject.scene
-    if scene is None or subject.model is not None:
-        return {"file": subject.name}
+    scene = opened.scene
+    if scene is None or opened.model is not None:
+        return {"file": opened.name}
     if not full:
         return {"file": str(model_file(scene))}
     return {"full": True} | ({"toughness": scene.description.cut.toughness} if cut else {})
