@@ -93,10 +93,11 @@ def train(
     else:
         opened = _open(scene, given, part, labels, without)
         scene = opened.name
-    chosen = _sizes(
-        USER_DEFAULTS if opened is None else opened.description.training,
-        paths=paths, held_out=held_out, seed=seed, modes=modes, tolerance=tolerance,
-    )  # fmt: skip
+    sizes: dict[str, Any] = {"paths": paths, "held_out": held_out, "seed": seed, "modes": modes, "tolerance": tolerance}
+    sizes = {name: value for name, value in sizes.items() if value is not None}
+    chosen = replace(USER_DEFAULTS if opened is None else opened.description.training, **sizes)
+    if chosen.tolerance is not None and not chosen.held_out:
+        raise InputError("held_out must be at least 1 with --tolerance, got 0; the errors are of held-out runs")
     workers = _count_workers(workers, cluster)
     if out is None:
         out = DEFAULT_OUT if opened is None or opened.kind is SceneKind.PACKAGE else training_folder(opened)
@@ -134,14 +135,6 @@ def _open(
     """Return a scene with what training requires."""
     scene = open_scene(source, parse_settings(given), part=part or (), labels=labels, without=without)
     return complete_for_training(scene) if scene.kind is SceneKind.SURFACE_FILE else scene
-
-
-def _sizes(defaults: Training, **sizes: Any) -> Training:
-    """Return the sizes of a campaign: those that a user gives, or else those of the scene."""
-    chosen = replace(defaults, **{name: value for name, value in sizes.items() if value is not None})
-    if chosen.tolerance is not None and not chosen.held_out:
-        raise InputError("held_out must be at least 1 with --tolerance, got 0; the errors are of held-out runs")
-    return chosen
 
 
 def _count_workers(workers: int | None, cluster: str | None) -> int:
