@@ -44,7 +44,8 @@ RETIRED = {  # word: its place is taken by
     r"CRUSHED_RATIO|MOST_STIFF|TRIALS_OF_ENERGY": "MAX_MOVING_RATIO, MAX_FREQUENCY_RATIO, MAX_ENERGY_ATTEMPTS",
     r"(?:settle|succeed)(?=\()": "flush_and_rename, solve_contact, continue_from",
     r"SceneSource|(?:named|described|refined|fitting|surface|organ|training)_scene|scene_(?:source|body)": "Scene",
-    r"open_touched|training_scene_of|text_of_scene|parse_scene": "open_surface, training_of, json_of_scene",
+    r"open_touched|training_scene_of|text_of_scene|parse_scene": "open_scene, training_of, json_of_scene",
+    r"open_subject|learned_spacings?|keep_spacing|whole_body": "open_input, cached_spacing, resolve_labels",
     r"is_pressure|SurfaceForce\([^()]*pressure=.*": "Pressure",
 }
 ALLOWED = {"docs/glossary.md", "tests/test_words.py"}  # name retired words themselves

@@ -21,7 +21,7 @@ import math
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -49,7 +49,6 @@ from palpate.reduction.hyper.error_indicator import (
 )
 from palpate.reduction.training.calibrate_indicator import repeat_run
 from palpate.reduction.training.parallel_runs import in_threads
-from palpate.scenes.open_surface import open_surface
 from palpate.scenes.scene import Scene
 
 GAP, APPROACH = 0.008, 0.07  # [m] above the surface, and time constant [s], as page/src/press.js
@@ -67,8 +66,8 @@ WORKERS = 2  # processes that train
 FIRST_SEED = 1000  # of the paths; the campaign has seed 0
 
 
-def _surface(file: str, **options: Any) -> Callable[[], Scene]:
-    return lambda: open_surface(DATA / file, **options)
+def _surface(file: str, part: Sequence[str] = (), **settings: Any) -> Callable[[], Scene]:
+    return lambda: pt.open_scene(DATA / file, settings, part=part)
 
 
 BODIES: dict[str, Callable[[], Scene]] = {

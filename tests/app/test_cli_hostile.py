@@ -20,7 +20,7 @@ WORDS = (
     "C1=" + "[" * 4000, "spacing=1 kg", "every=1", "region=3",
     "os:system", "../..", "/", "/dev/null", "/dev/zero", "~", "%s%n", "--", "127.0.0.1", "::1%lo",
 )  # fmt: skip
-POSITIONAL = {"scene": "beam", "what": "beam", "law": "NeoHookean"}  # of others: a file that is missing
+POSITIONAL = {"scene": "beam", "source": "beam", "law": "NeoHookean"}  # of others: a file that is missing
 
 
 class Reached(pt.InputError):

@@ -19,7 +19,7 @@ import pytest
 import palpate
 import palpate as pt
 from palpate.app.cli import main
-from palpate.app.models.learned_spacings import keep_spacing, learned_spacing
+from palpate.app.models.spacing_cache import cache_spacing, cached_spacing
 from palpate.app.train.scene_folder import training_folder
 from palpate.app.view.server.preparation import Preparation
 from palpate.compiled import code_cache
@@ -282,8 +282,8 @@ def test_an_unknown_user_without_a_home_has_no_cache(monkeypatch):
         pt.io.fetch_liver()
     with pytest.raises(pt.InputError, match="home folder"):
         training_folder(open_scene("liver"))
-    assert learned_spacing("0") is None
-    keep_spacing("0", 1e-3)
+    assert cached_spacing("0") is None
+    cache_spacing("0", 1e-3)
     Preparation("a body", "a body").close()
 
 

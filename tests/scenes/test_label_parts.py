@@ -7,7 +7,7 @@ import pytest
 
 import palpate as pt
 from palpate.core.faults import ChoiceError
-from palpate.scenes.open_surface import open_surface
+from palpate.scenes.open_scene import open_scene
 from palpate.surface.labels.writers import write_labels
 
 EDGE = 0.003  # [m] of the voxels
@@ -26,7 +26,7 @@ def trunk(tmp_path_factory):
 
 
 def test_an_organ_that_is_opened_has_no_hole_where_a_tumour_lies(trunk):
-    scene = open_surface(trunk, part=["liver"], spacing=0.009)
+    scene = open_scene(trunk, {"spacing": 0.009}, part=["liver"])
     assert scene.description.surface.parts == ("liver", "tumour", "small_tumour")
     assert scene.surface.volume == pytest.approx(24 * 24 * 18 * EDGE**3, rel=0.005)
     (region,) = scene.description.region
@@ -36,7 +36,7 @@ def test_an_organ_that_is_opened_has_no_hole_where_a_tumour_lies(trunk):
 
 
 def test_an_organ_with_nothing_inside_is_opened_as_it_is(trunk):
-    scene = open_surface(trunk, part=["spleen"], spacing=0.009)
+    scene = open_scene(trunk, {"spacing": 0.009}, part=["spleen"])
     assert scene.description.surface.parts == ("spleen",)
     assert scene.description.region == ()
     assert scene.notes == []
@@ -56,7 +56,7 @@ def sliver(tmp_path_factory):
 
 
 def test_another_organ_never_joins_and_neither_title_nor_name_has_what_joins(sliver):
-    scene = open_surface(sliver, part=["liver"], spacing=0.009)
+    scene = open_scene(sliver, {"spacing": 0.009}, part=["liver"])
     assert scene.description.surface.parts == ("liver", "liver_tumor")
     assert scene.title == scene.surface.name == "Liver (trunk)"
     liver, stomach, sliver_of_lung = 28 * 28 * 21, 8**3, 2**3
@@ -71,19 +71,19 @@ def test_another_organ_never_joins_and_neither_title_nor_name_has_what_joins(sli
 
 
 def test_a_lesion_can_be_left_out_and_another_organ_added(sliver):
-    scene = open_surface(sliver, part=["liver"], spacing=0.009, without=["liver_tumor"])
+    scene = open_scene(sliver, {"spacing": 0.009}, part=["liver"], without=["liver_tumor"])
     assert scene.description.surface.parts == ("liver",)
     assert scene.description.region == ()
     assert any("without liver_tumor (5.8 ml, left out by choice)" in note for note in scene.notes)
-    scene = open_surface(sliver, part=["liver", "lung_right"], spacing=0.009)
+    scene = open_scene(sliver, {"spacing": 0.009}, part=["liver", "lung_right"])
     assert scene.description.surface.parts == ("liver", "lung_right", "liver_tumor")
     for wrong in ("stomach", "liver", "nothing"):
         with pytest.raises(pt.InputError, match=f"without must be one of liver_tumor, got '{wrong}'"):
-            open_surface(sliver, part=["liver"], without=[wrong])
+            open_scene(sliver, part=["liver"], without=[wrong])
     with pytest.raises(pt.InputError, match="without must be left out, since nothing joins the organ, got 'liver'"):
-        open_surface(sliver, part=["stomach"], without=["liver"])
+        open_scene(sliver, part=["stomach"], without=["liver"])
     with pytest.raises(pt.InputError, match="without must be left out unless a label map is given"):
-        open_surface("organ.stl", without=["tumour"])
+        open_scene("organ.stl", without=["tumour"])
 
 
 def test_what_lies_in_a_label_that_is_left_out_does_not_join_and_a_lesion_has_its_organs_factor(tmp_path):
@@ -91,23 +91,23 @@ def test_what_lies_in_a_label_that_is_left_out_does_not_join_and_a_lesion_has_it
     numbers[3:31, 3:31, 2:22], numbers[8:24, 8:24, 4:20], numbers[12:18, 12:18, 8:14] = 1, 2, 3
     path = tmp_path / "organ.nii.gz"
     write_labels(path, numbers, np.diag([EDGE, EDGE, EDGE, 1.0]), {1: "Leber", 2: "Lebertumor", 3: "necrosis"})
-    scene = open_surface(path, part=["Leber"], spacing=0.009)
+    scene = open_scene(path, {"spacing": 0.009}, part=["Leber"])
     assert scene.description.surface.parts == ("Leber", "Lebertumor", "necrosis")
     assert [each.stiffness for each in scene.description.region] == [4.4]
-    scene = open_surface(path, part=["Leber"], spacing=0.009, without=["Lebertumor", "necrosis", "Lebertumor"])
+    scene = open_scene(path, {"spacing": 0.009}, part=["Leber"], without=["Lebertumor", "necrosis", "Lebertumor"])
     assert scene.description.surface.parts == ("Leber",)
-    assert open_surface(path, part=["Leber"], without=["2"]).description.surface.parts == ("Leber",)
+    assert open_scene(path, part=["Leber"], without=["2"]).description.surface.parts == ("Leber",)
 
 
 def test_a_piece_of_a_label_is_a_body_alone(sliver):
-    assert open_surface(sliver, part=["liver#1"]).description.surface.parts == ("liver#1",)
+    assert open_scene(sliver, part=["liver#1"]).description.surface.parts == ("liver#1",)
     with pytest.raises(pt.InputError, match="without must be left out with a piece of a label"):
-        open_surface(sliver, part=["liver#1"], without=["liver_tumor"])
+        open_scene(sliver, part=["liver#1"], without=["liver_tumor"])
 
 
 def test_the_list_states_what_joins_before_the_start(sliver):
     with pytest.raises(ChoiceError, match="part must be given") as error:
-        open_surface(sliver)
+        open_scene(sliver)
     lines = error.value.table.splitlines()
     (at,) = [k for k, line in enumerate(lines) if line.split()[:2] == ["1", "liver"]]
     assert lines[at + 1].strip() == "with liver_tumor (5.8 ml, a lesion by its name)"

@@ -10,8 +10,8 @@ import pytest
 
 import palpate as pt
 from palpate.app.cli import main
-from palpate.scenes.open_scene import json_of_scene, open_description
-from palpate.scenes.open_surface import complete_for_training, open_surface
+from palpate.scenes.open_scene import json_of_scene, open_description, open_scene
+from palpate.scenes.open_surface import complete_for_training
 from palpate.scenes.places import side_mask
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "surface" / "labels"))
@@ -87,7 +87,7 @@ def test_sides_of_a_patient_follow_the_frame_and_require_one():
 
 
 def test_a_label_map_is_a_scene_by_itself_with_a_spacing_for_training(folder):
-    opened = open_surface(str(folder / "trunk.nii"), part=("liver", "tumour"), settings={"poisson": 0.4})
+    opened = open_scene(str(folder / "trunk.nii"), {"poisson": 0.4}, part=("liver", "tumour"))
     scene = complete_for_training(opened)
     assert scene.description.tissue.poisson == 0.4
     assert 1.45 * scene.surface.volume / scene.description.body.spacing**3 == pytest.approx(4500, rel=0.02)

@@ -42,17 +42,17 @@ DEFAULT_SIDE = "back"  # away from the first view of the page
 MIN_HELD, MAX_HELD_SHARE = 3, 0.6  # nodes of a body that supports hold
 
 
-def make_cloud(about: Description, read_surface: Callable[[], Surface | None], folder: Path) -> tuple[Cloud, list[str]]:
-    """Return the nodes of the body, with groups of its supports, regions and loads, and notes about its surface.
+def make_cloud(about: Description, surface: Surface | None, folder: Path) -> tuple[Cloud, list[str]]:
+    """Return the nodes of the body, with groups of its supports, regions and loads, and notes about the filling.
 
     Parameters
     ----------
-    read_surface : function
-        Returns the surface to fill; None for a box or a disc.
+    surface : Surface, optional
+        The surface to fill; None for a box or a disc.
     folder : path
         Folder of relative file names.
     """
-    cloud, surface, notes = _fill(about, read_surface)
+    cloud, notes = _fill(about, surface)
     places = _places(about, cloud, surface, folder)
     for number, region in enumerate(about.region):
         with at_entry("region", number):
@@ -73,6 +73,12 @@ def make_cloud(about: Description, read_surface: Callable[[], Surface | None], f
                 cloud = _with_group(cloud, about.group_name("load", number), mask)
     _check_supports(about, cloud)
     return cloud, notes
+
+
+def check_spacing(about: Description) -> None:
+    """Raise `InputError` without a spacing, before a file is read."""
+    if not about.body.spacing:
+        raise InputError("spacing of [body] must be given, got none; give one, such as spacing = '5 mm'")
 
 
 def check_disc(about: Description) -> None:
@@ -178,24 +184,21 @@ def _stiffness_factors(about: Description, materials: dict[str, Material], place
     return None if np.allclose(modulus, nodal, rtol=1e-12) else modulus / nodal
 
 
-def _fill(about: Description, read_surface: Callable[[], Surface | None]) -> tuple[Cloud, Surface | None, list[str]]:
-    """Return nodes without groups, the surface in which they are, if there is one, and notes about it."""
-    if not about.body.spacing:
-        raise InputError("spacing of [body] must be given, got none; give one, such as spacing = '5 mm'")
+def _fill(about: Description, surface: Surface | None) -> tuple[Cloud, list[str]]:
+    """Return nodes without groups, and notes about the filling that the surface does not have."""
+    assert about.body.spacing is not None  # `check_spacing`
     if about.surface.generated == "box":
-        size = [about.surface.scale * edge for edge in about.surface.size]
-        return box(size, about.body.spacing), None, []
+        return box([about.surface.scale * edge for edge in about.surface.size], about.body.spacing), []
     if about.surface.generated == "disc":
         cloud = disc(about.surface.scale * about.surface.disc_radius, about.body.spacing)
         radius = about.tool.hold_radius
-        return (cloud.within(TOOL_GROUP, (0.0, 0.0), radius, margin=0.0) if radius else cloud), None, []
+        return (cloud.within(TOOL_GROUP, (0.0, 0.0), radius, margin=0.0) if radius else cloud), []
+    assert surface is not None
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        surface = read_surface()
-        assert surface is not None
         cloud = fill(surface, about.body.spacing, seed=about.body.seed)
     noted = {*surface.warnings, *(repair.what for repair in surface.repairs)}
-    return cloud, surface, [f"surface: {line}" for line in sorted({str(each.message) for each in caught} - noted)]
+    return cloud, [f"surface: {line}" for line in sorted({str(each.message) for each in caught} - noted)]
 
 
 def _places(about: Description, cloud: Cloud, surface: Surface | None, folder: Path) -> PlaceFinder:

@@ -359,8 +359,9 @@ def with_settings(description: Description, given: Mapping[str, Any]) -> Descrip
     """
     changes: dict[str, dict[str, Any]] = {}
     names: dict[tuple[str | int, ...], str] = {}  # under which settings were given, for messages
+    law = str(given.get("tissue.law", given.get("law", description.tissue.law)))
     for key, value in given.items():
-        section, word = _find_setting(description, key)
+        section, word = _find_setting(description, key, law)
         if section == "parameters":
             before = changes.setdefault("tissue", {}).get("parameters", description.tissue.parameters)
             changes["tissue"]["parameters"] = {**before, word: value}
@@ -382,12 +383,12 @@ def with_settings(description: Description, given: Mapping[str, Any]) -> Descrip
 
 def chooses_runs(description: Description, key: str) -> bool:
     """Return True for a setting on which neither the body nor a path depends, such as ``"modes"``."""
-    section, word = _find_setting(description, key)
+    section, word = _find_setting(description, key, description.tissue.law)
     return section == "training" and word in CHOICES_OF_RUNS
 
 
-def _find_setting(description: Description, key: str) -> tuple[str, str]:
-    """Return the section and the key of a setting; the section ``"parameters"`` for a parameter of the law."""
+def _find_setting(description: Description, key: str, law: str) -> tuple[str, str]:
+    """Return the section and the key of a setting; the section ``"parameters"`` for a parameter of a law."""
     settings_by_name = {
         f"{section}.{field.name}": (section, field.name)
         for section in SINGLE_SECTIONS
@@ -400,8 +401,8 @@ def _find_setting(description: Description, key: str) -> tuple[str, str]:
         return settings_by_name[matches[0]]
     from palpate.tissue.catalogue import LAWS  # here, so that help texts answer without it
 
-    law = next((law for law in LAWS if law.name == description.tissue.law), None)
-    if key in {each.name for each in (law.parameters if law else ())} | set(description.tissue.parameters):
+    parameters = next((each.parameters for each in LAWS if each.name == law), ())
+    if key in {each.name for each in parameters} | set(description.tissue.parameters):
         return "parameters", key
     near = get_close_matches(key[:60], [*settings_by_name, *(word for _, word in settings_by_name.values())], 1)
     remedy = f"did you mean {near[0]}?" if near else "docs/scenes.md lists them"

@@ -70,7 +70,7 @@ def is_large(labels: LabelMap, segment: Segment, spacing: float | None) -> bool:
     return segment.count * labels.voxel_volume >= MIN_REGION_CELLS * (spacing or USUAL_SPACING) ** 3
 
 
-def whole_body(
+def resolve_labels(
     file: Path, names: Path | None, part: Sequence[str], without: Sequence[str], scale: float, spacing: float | None
 ) -> tuple[tuple[str, ...], tuple[Region, ...], list[str], str]:
     """Return the parts of a label map that are a body, regions of the lesions in it, and what lies in it.

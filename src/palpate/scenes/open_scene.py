@@ -1,9 +1,9 @@
-"""Opening of scene files, of the scenes of the package, which are such files, and of descriptions as JSON."""
+"""Opening of scenes: of the package, of scene files, of surface files and label maps, and of descriptions as JSON."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
@@ -14,21 +14,43 @@ from palpate.core.files import json_of, read_text
 from palpate.core.parameters import Fault, read_section, written_section
 from palpate.scenes.description import Description, with_settings
 from palpate.scenes.names import PACKAGE_SCENES, SceneKind, kind_of
+from palpate.scenes.open_surface import open_surface
 from palpate.scenes.scene import Scene
 from palpate.scenes.scene_text import MAX_BYTES, parse_description
+from palpate.surface.files import refuse_other_format
 from palpate.surface.formats.first_bytes import refuse_misnamed
 
 
-def open_scene(what: str | Path, settings: Mapping[str, Any] | None = None) -> Scene:
-    """Open a scene file, or a scene of the package.
+def open_scene(
+    source: str | Path,
+    settings: Mapping[str, Any] | None = None,
+    *,
+    part: str | Sequence[str] = (),
+    labels: str | Path | None = None,
+    without: str | Sequence[str] = (),
+    fixed: str | Sequence[str] = (),
+) -> Scene:
+    """Open a scene of the package, a scene file, or a surface file or label map.
+
+    A surface alone is a scene of liver tissue, held at the side away from the first view.
 
     Parameters
     ----------
-    what : str or path
-        A file that ends in ``.toml``, or ``"beam"``, ``"liver"`` or ``"membrane"``.
+    source : str or path
+        ``"beam"``, ``"liver"`` or ``"membrane"``; a file that ends in ``.toml``; or a file that
+        `palpate.io.read_surface` reads.
     settings : mapping of str to value, optional
-        Values in place of those in the file, such as ``{"spacing": 0.006, "tissue.poisson": 0.4}``. Texts may carry
-        units.
+        Values in place of those in the file, such as ``{"spacing": 0.006, "tissue.poisson": 0.4}``, or for a surface
+        ``{"units": "mm", "law": "MooneyRivlin"}``. Texts may carry units.
+    part : str or sequence of str
+        Names or patterns of parts of a surface file or label map.
+    labels : str or path, optional
+        File of names that a label map lacks.
+    without : str or sequence of str
+        Labels of a map that lie in the body and do not join it.
+    fixed : str or sequence of str
+        What holds a surface: ``x-``, ``back``, ``left``, ``lowest 15%``, ``near X,Y,Z,R`` [mm], or ``painted FILE`` in
+        the unit of the surface, with ``:FIELD`` where the file has several; by default ``back``, of each body.
 
     Returns
     -------
@@ -41,6 +63,8 @@ def open_scene(what: str | Path, settings: Mapping[str, Any] | None = None) -> S
         There is no such file.
     FileFormatError
         The file is not TOML.
+    ChoiceError
+        A label map has several labels, and no part was chosen.
     InputError
         No such scene, or a key or a value is wrong; the message names the file, the line and the key.
 
@@ -51,21 +75,36 @@ def open_scene(what: str | Path, settings: Mapping[str, Any] | None = None) -> S
     >>> scene.body.material.poisson
     0.3
     """
-    kind = kind_of(str(what))
+    name, settings = str(source), settings or {}
+    kind = kind_of(name)
+    if kind is SceneKind.SURFACE_FILE:
+        return open_surface(
+            source, settings, part=_texts(part), labels=labels, without=_texts(without), fixed=_texts(fixed)
+        )
+    for option, value in {"part": part, "labels": labels, "without": without, "fixed": fixed}.items():
+        if value:
+            raise InputError(f"{option} must be left out unless a surface file is given, got {name!r:.60}")
     if kind is SceneKind.PACKAGE:
-        text = (files("palpate.scenes") / "data" / f"{what}.toml").read_text(encoding="utf-8")
-        description, folder = parse_description(text, f"{what}.toml of palpate"), Path()
+        text = (files("palpate.scenes") / "data" / f"{name}.toml").read_text(encoding="utf-8")
+        description, folder = parse_description(text, f"{name}.toml of palpate"), Path()
     elif kind is SceneKind.SCENE_FILE:
-        path = Path(what)
+        path = Path(source)
         description, folder = parse_description(read_text(path, "scene file", MAX_BYTES), str(path)), path.parent
     else:
-        refuse_misnamed(Path(str(what)))
-        near = get_close_matches(str(what)[:60], PACKAGE_SCENES, 1)
+        refuse_misnamed(Path(name))
+        if Path(name).is_file():
+            refuse_other_format(Path(name))
+        near = get_close_matches(name[:60], PACKAGE_SCENES, 1)
         remedy = f"; did you mean {near[0]}?" if near else ""
         raise InputError(
-            f"scene must be {', '.join(PACKAGE_SCENES)}, or a file that ends in .toml, got {brief(str(what))}{remedy}"
+            f"scene must be {', '.join(PACKAGE_SCENES)}, a file that ends in .toml, or a surface file, got "
+            f"{brief(name)}{remedy}"
         )
-    return Scene(with_settings(description, settings or {}), folder, str(what), settings)
+    return Scene(with_settings(description, settings), folder, name, settings)
+
+
+def _texts(given: str | Sequence[str]) -> tuple[str, ...]:
+    return (given,) if isinstance(given, str) else tuple(given)
 
 
 def json_of_scene(scene: Scene) -> str:

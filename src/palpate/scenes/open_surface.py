@@ -1,97 +1,51 @@
-"""Opening of a surface file alone: liver tissue, held at the side away from the first view."""
+"""A surface file or a label map as a scene: liver tissue, held at the side away from the first view."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from palpate.core.faults import InputError
-from palpate.core.parameters import check_number, fields_of
-from palpate.scenes.description import Body, Description, Region, Shape, Support, Tissue, with_settings
-from palpate.scenes.label_parts import whole_body
+from palpate.scenes.description import Description, Region, Shape, Support, with_settings
+from palpate.scenes.label_parts import resolve_labels
 from palpate.scenes.names import SceneKind
 from palpate.scenes.places import place_of_text
 from palpate.scenes.scene import Scene, title_of_file
+from palpate.scenes.spacing import TRAINING_NODES, spacing_for
 from palpate.surface.labels.reading import is_label_map
-
-NODES_PER_CELL = 1.45  # nodes over volume / spacing^3 in a filled organ
-TRAINED_NODES = 4500  # of a body without a spacing; statics of training take 5,000 at most
 
 
 def open_surface(
     file: str | Path,
+    settings: Mapping[str, Any],
     *,
-    units: str | None = None,
-    scale: float = 1.0,
-    part: Sequence[str] = (),
-    spacing: float | None = None,
-    law: str | None = None,
-    settings: Mapping[str, Any] | None = None,
-    fixed: Sequence[str] = (),
-    labels: str | Path | None = None,
-    without: Sequence[str] = (),
+    part: tuple[str, ...],
+    labels: str | Path | None,
+    without: tuple[str, ...],
+    fixed: tuple[str, ...],
 ) -> Scene:
-    """Open a surface file or a label map.
-
-    Parameters
-    ----------
-    units : str, optional
-        Unit of the file.
-    scale : float
-        Factor of all lengths.
-    part : sequence of str
-        Names or patterns of parts of the file.
-    spacing : float, optional [m]
-    law : str, optional
-        Name of a law; by default neo-Hookean with the shear modulus of liver.
-    settings : mapping
-        Parameters of the law and other settings (`palpate.open_scene`).
-    fixed : sequence of str
-        ``x-``, ``back``, ``left``, ``lowest 15%``, ``near X,Y,Z,R`` [mm], or ``painted FILE`` in the unit of the
-        surface, with ``:FIELD`` where the file has several; by default ``back``, of each body.
-    labels : path, optional
-        File of names that a label map lacks.
-    without : sequence of str
-        Labels of a map that lie in the body and do not join it (`palpate.surface.labels.inner`).
-
-    Raises
-    ------
-    ChoiceError
-        A label map has several labels, and no part was chosen.
-    InputError
-        An argument is wrong, or no label of `without` joins the body.
-    """
-    for name, value, section in (("scale", scale, Shape), ("spacing", spacing, Body)):
-        if value is not None:
-            try:
-                check_number(value, fields_of(section)[name][0].metadata)
-            except InputError as error:
-                raise InputError(f"{name} {error}") from None
-    parts, regions, notes, subtitle = tuple(part), tuple[Region, ...](), list[str](), ""
+    """Open a surface file or a label map for `palpate.open_scene`, which has the parameters."""
+    about = with_settings(
+        Description(
+            surface=Shape(file=str(file), parts=part, labels="" if labels is None else str(labels)),
+            support=tuple(Support(place=place_of_text(text)) for text in fixed),
+        ),
+        settings,
+    )
+    chosen = about.surface.parts
+    parts, regions, notes, subtitle = chosen, tuple[Region, ...](), list[str](), ""
     if is_label_map(file):
-        names = None if labels is None else Path(labels)
-        parts, regions, notes, subtitle = whole_body(Path(file), names, parts, tuple(without), scale, spacing)
+        names = Path(about.surface.labels) if about.surface.labels else None
+        parts, regions, notes, subtitle = resolve_labels(
+            Path(file), names, chosen, without, about.surface.scale, about.body.spacing
+        )
     elif without:
         raise InputError(f"without must be left out unless a label map is given, got {str(file)!r:.60}")
-    description = Description(
-        title="" if len(parts) == len(part) else title_of_file(file, tuple(part)),
-        surface=Shape(
-            file=str(file),
-            parts=parts,
-            units=units or "",
-            scale=scale,
-            labels="" if labels is None else str(labels),
-        ),
-        body=Body(spacing=spacing),
-        tissue=Tissue(law=law or "NeoHookean"),
-        region=regions,
-        support=tuple(Support(place=place_of_text(text)) for text in fixed),
-    )
-    scene = Scene(with_settings(description, settings or {}), Path(), str(file), settings)
+    title = "" if len(parts) == len(chosen) else title_of_file(file, chosen)
+    about = replace(about, title=title, surface=replace(about.surface, parts=parts), region=regions)
+    scene = Scene(about, Path(), str(file), settings)
     _ = scene.material  # raises for a wrong law or parameter
     scene.notes += [f"label map: {note}" for note in notes]
     scene.subtitle = subtitle
@@ -99,7 +53,7 @@ def open_surface(
 
 
 def complete_for_training(scene: Scene) -> Scene:
-    """Return a scene with what training requires: its own spacing, or one that gives about `TRAINED_NODES`.
+    """Return a scene with what training requires: its own spacing, or one that gives about `TRAINING_NODES`.
 
     That of a surface file depends on the file, and not on the folder from which it was opened.
     """
@@ -118,5 +72,4 @@ def complete_for_training(scene: Scene) -> Scene:
         scene.take_surface(opened)
     if about.body.spacing or scene.surface is None:
         return scene
-    spacing = np.cbrt(NODES_PER_CELL * abs(scene.surface.volume) / TRAINED_NODES)
-    return scene.with_body(spacing=float(f"{spacing:.3g}"))
+    return scene.with_body(spacing=spacing_for(TRAINING_NODES, abs(scene.surface.volume)))

@@ -126,19 +126,24 @@ class Scene(Described):
         shape = self.description.surface
         if shape.generated:
             return scaled(liver_surface(), shape.scale) if shape.generated == "liver" else None
-        path = self.folder / shape.file
-        chosen: Any = {"part": list(shape.parts) or None, "units": shape.units or None, "scale": shape.scale}
-        if shape.labels:
-            chosen["labels"] = self.folder / shape.labels
-        if is_label_map(path):
-            return _with_title(read_surface(path, **chosen), self.description.title)
+        if is_label_map(shape.file):
+            return self.read_surface()
         with contextlib.suppress(InputError):  # parts that are closed after a repair alone
-            surface = read_surface(path, **chosen)
+            surface = self.read_surface()
             if not shape.repair or not any(problem.kind == "error" for problem in shape_problems(surface)):
                 return surface
-        surface = read_surface(path, **chosen, repair=shape.repair)
+        surface = self.read_surface(shape.repair)
         _check_closed(surface)
         return surface
+
+    def read_surface(self, repair: bool = False) -> Surface:
+        """Return the surface of the file with its faults, as it is or repaired."""
+        shape = self.description.surface
+        surface = read_surface(
+            self.folder / shape.file, part=list(shape.parts) or None, units=shape.units or None, scale=shape.scale,
+            repair=repair, labels=self.folder / shape.labels if shape.labels else None,
+        )  # fmt: skip
+        return _with_title(surface, self.description.title) if is_label_map(shape.file) else surface
 
     @cached_property
     def repaired_surface(self) -> Surface | None:
@@ -168,11 +173,13 @@ class Scene(Described):
         CloudError
             The body is too thin for the spacing.
         """
-        from palpate.scenes.body import DEFAULT_SIDE, make_cloud
+        from palpate.scenes.body import DEFAULT_SIDE, check_spacing, make_cloud
 
         about = self.description
+        check_spacing(about)
+        surface = self.repaired_surface
         with self._placing_faults():
-            cloud, notes = make_cloud(about, lambda: self.repaired_surface, self.folder)
+            cloud, notes = make_cloud(about, surface, self.folder)
         self.notes += notes
         if not about.support and self.kind is SceneKind.SCENE_FILE:
             self.notes.append(

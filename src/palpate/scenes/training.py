@@ -80,6 +80,13 @@ def training_of(scene: Scene, parameters: Mapping[str, Any]) -> TrainingScene:
     return made if training.cubature is None else replace(made, cubature=training.cubature)
 
 
+def parameters_of(scene: Scene) -> dict[str, Any]:
+    """Return the parameters with which a worker opens a scene: its settings, or its own description."""
+    if scene.kind is not SceneKind.SURFACE_FILE and open_scene(scene.name, scene.settings).digest == scene.digest:
+        return scene.settings
+    return {DESCRIPTION_KEY: json_of_scene(scene)}
+
+
 def _arguments(name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Return all arguments of a user's function, with given values converted to the types of its defaults."""
     defaults = _defaults(name)

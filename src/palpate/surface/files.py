@@ -125,6 +125,16 @@ def read_surface(
         return surface_of_labels(read_label_map(path, labels).scaled(scale), part)
     if labels is not None:
         raise InputError(f"labels must be omitted for {kind.upper()} files, got {brief(str(labels))}")
+    refuse_other_format(path)
+    if part is not None and kind not in FORMATS_WITH_PARTS:
+        raise InputError(f"part must be omitted for {kind.upper()} files, which have no named parts, got {brief(part)}")
+    units = "m" if units is None and kind in ("glb", "gltf") else units
+    return scaled(_in_metres(_read(path, kind, packed, part, repair, units), units), scale)
+
+
+def refuse_other_format(path: Path) -> None:
+    """Raise `FileFormatError` for a file that is not of a format of surfaces or label maps."""
+    kind, _ = format_of(path)
     if kind == "msh":
         raise FileFormatError(
             f"{path} is a Gmsh file{_gmsh_version(path)} of a volume mesh; export its surface as STL, PLY or "
@@ -135,13 +145,9 @@ def read_surface(
             f"{path} is {VOLUME_FORMATS[kind]}, a volume mesh; export its surface as STL, PLY or VTP (in ParaView: "
             f"Filters, Extract Surface, then File, Save Data)"
         )
-    if kind not in SURFACE_FORMATS:
+    if kind not in (*SURFACE_FORMATS, *LABEL_FORMATS):
         formats = ", ".join([*SURFACE_FORMATS, *LABEL_FORMATS]).upper()
         raise FileFormatError(f"{path}: the format must be one of {formats}, got {kind!r}")
-    if part is not None and kind not in FORMATS_WITH_PARTS:
-        raise InputError(f"part must be omitted for {kind.upper()} files, which have no named parts, got {brief(part)}")
-    units = "m" if units is None and kind in ("glb", "gltf") else units
-    return scaled(_in_metres(_read(path, kind, packed, part, repair, units), units), scale)
 
 
 def surface_of_labels(labels: LabelMap, part: str | Sequence[str] | None = None) -> Surface:

@@ -11,15 +11,14 @@ import pytest
 
 import palpate as pt
 from palpate.app.common.console import Console
-from palpate.app.models.full_body import FINER_NODES, prepare_full_body
-from palpate.app.models.spacing import MOST_NODES, better_spacing, realtime_spacing
-from palpate.app.models.subject import open_subject
+from palpate.app.models.full_body import full_body_lines, prepare_full_body
+from palpate.app.models.input import open_input
+from palpate.app.models.spacing import FINER_NODES, MOST_NODES, better_spacing, realtime_spacing
 from palpate.app.session.messages import validate_message
 from palpate.app.session.session import Session
 from palpate.meshfree.cloud import BORDER_MARGIN
 from palpate.scenes.description import Shape
 from palpate.scenes.open_scene import open_scene
-from palpate.scenes.open_surface import open_surface
 from palpate.scenes.organ import liver_surface
 from palpate.scenes.places import PlaceFinder, place_of_text, side_mask
 from palpate.surface.files import read_surface
@@ -45,7 +44,14 @@ def organ(tmp_path_factory):
 
 def opened(path, **options):
     """Return the full body of a surface file."""
-    return prepare_full_body(open_surface(path, **options), Console()).body
+    return described(path, **options)[0]
+
+
+def described(path, fixed=(), **settings):
+    """Return the full body of a surface file, and the lines about it."""
+    scene = open_scene(path, settings, fixed=fixed)
+    fitted = prepare_full_body(scene, Console().status)
+    return fitted.body, "\n".join(full_body_lines(scene, fitted))
 
 
 def mask(text, unit=1.0):
@@ -98,7 +104,7 @@ def test_a_surface_is_read_once_for_training(organ, monkeypatch):
         "palpate.scenes.scene.read_surface", lambda path, **chosen: read.append(path) or read_surface(path, **chosen)
     )
     monkeypatch.chdir(organ.parent)
-    scene = open_subject(organ.name, for_training=True, units="mm").scene
+    scene = open_input(organ.name, for_training=True, units="mm").scene
     assert scene.name == str(organ)
     assert scene.surface.name == organ.name
     assert scene.surface is scene.with_body(spacing=0.006).surface
@@ -147,11 +153,10 @@ def pose_message(position, sequence):
 
 
 @pytest.mark.slow
-def test_a_surface_is_touched_at_once(organ, capsys):
-    model = opened(organ, spacing=0.006)
+def test_a_surface_is_touched_at_once(organ):
+    model, lines = described(organ, spacing=0.006)
     assert model.mass_damping > 0
     assert model.material.shear_modulus == pytest.approx(2200.0)
-    printed = capsys.readouterr().err
     for word in (
         "6 mm apart",
         "half the spacing here: about",
@@ -161,7 +166,7 @@ def test_a_surface_is_touched_at_once(organ, capsys):
         "--fixed",
         "mm assumed",
     ):
-        assert word in printed, printed
+        assert word in lines, lines
     session = Session(model, "Organ")
     assert session.hello()["full"]
     assert session.tool_kinds == ["sphere", "capsule", "grasp", "scalpel"]
@@ -199,7 +204,7 @@ def test_a_surface_is_touched_at_once(organ, capsys):
         ),
         ({"spacing": 0.006, "fixed": ("near 0,0,0,500",)}, "fixed must leave tissue free"),
         ({"spacing": 0.006, "law": "NeoHook"}, "did you mean NeoHookean"),
-        ({"spacing": 0.006, "settings": {"C2": 1.0}}, "settings must be keys of the scene, got 'C2'"),
+        ({"spacing": 0.006, "C2": 1.0}, "settings must be keys of the scene, got 'C2'"),
         ({"spacing": 0.006, "scale": 0.0}, "scale must be"),
         ({"spacing": 0.006, "units": "feet"}, "units must be one of"),
     ],
@@ -211,7 +216,7 @@ def test_bad_options_are_refused_by_name(organ, options, message):
 
 @pytest.mark.slow
 def test_a_surface_that_intersects_itself_is_refused_by_its_name(organ, tmp_path):
-    surface = open_surface(organ, units="mm").surface
+    surface = open_scene(organ, {"units": "mm"}).surface
     vertices = surface.vertices.copy()
     right = vertices[:, 0] > np.median(vertices[:, 0])
     vertices[right] -= [0.6 * np.ptp(vertices[:, 0]), 0.0, 0.0]  # one half inside the other
@@ -227,7 +232,7 @@ def test_a_surface_that_is_open_is_refused(organ, tmp_path):
     path = tmp_path / "sheet.off"
     path.write_text("\n".join(["OFF", f"{vertices} {triangles // 2} 0", *lines[2 : 2 + vertices + triangles // 2]]))
     with pytest.raises(pt.InputError, match="must hold a closed surface"):
-        _ = open_surface(path, units="mm").surface
+        _ = open_scene(path, {"units": "mm"}).surface
 
 
 def off(path, surface, unit=1.0):
@@ -294,14 +299,13 @@ def test_a_guessed_spacing_is_refined_where_tissue_is_thin(tmp_path, monkeypatch
 
 
 @pytest.mark.slow
-def test_what_was_repaired_and_noted_is_printed(organ, tmp_path, capsys):
+def test_what_was_repaired_and_noted_is_in_the_lines(organ, tmp_path):
     surface = pt.io.read_surface(organ, units="mm")
     off(tmp_path / "holed.off", pt.Surface(surface.vertices, surface.triangles[3:]))
-    opened(tmp_path / "holed.off", spacing=0.6, units="m", scale=100.0)
-    printed = capsys.readouterr().err
-    assert "surface, repair: holes were closed by fans of triangles: 1, with" in printed
-    assert "surface, note: its volume of 6e+04 litres is not that of an organ" in printed
-    assert "--scale 0.01 would make it" in printed
+    _, lines = described(tmp_path / "holed.off", spacing=0.6, units="m", scale=100.0)
+    assert "surface, repair: holes were closed by fans of triangles: 1, with" in lines
+    assert "surface, note: its volume of 6e+04 litres is not that of an organ" in lines
+    assert "--scale 0.01 would make it" in lines
 
 
 def test_the_nodes_of_half_the_spacing_are_those_of_the_study():

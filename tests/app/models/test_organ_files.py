@@ -10,7 +10,7 @@ import pytest
 import palpate as pt
 from palpate.app.common.console import Console
 from palpate.app.models.full_body import prepare_full_body
-from palpate.scenes.open_surface import open_surface
+from palpate.scenes.open_scene import open_scene
 from palpate.scenes.places import CAMERA_SIDE
 
 DATA = Path(__file__).parents[4] / "shared" / "data"
@@ -66,7 +66,7 @@ def test_every_solid_is_touched_with_defaults(name, monkeypatch):
 
 def check_touch(path, litres, monkeypatch):
     monkeypatch.setattr("palpate.app.models.spacing._seconds_per_node", lambda material: 1.5e-6)  # of a slow machine
-    model = prepare_full_body(open_surface(path), Console()).body
+    model = prepare_full_body(open_scene(path), Console().status).body
     assert 1e3 * model.cloud.volumes.sum() == pytest.approx(litres, rel=0.01)
     force = press(model)
     assert np.isfinite(force).all()
@@ -78,6 +78,6 @@ def check_touch(path, litres, monkeypatch):
 @needs_data
 def test_other_files_are_refused_with_what_they_are():
     with pytest.raises(pt.InputError, match=r"a hollow shell, watertight as it is: it encloses 0\.0744 litres"):
-        _ = open_surface(DATA / "hra/VH_M_Liver.glb", part=("*capsule",)).surface
+        _ = open_scene(DATA / "hra/VH_M_Liver.glb", part=("*capsule",)).surface
     with pytest.raises(pt.FileFormatError, match="is a Gmsh file of version 1 of a volume mesh; export its surface"):
-        _ = open_surface(DATA / "sofa/liver.msh").surface
+        _ = open_scene(DATA / "sofa/liver.msh").surface

@@ -22,7 +22,7 @@ import pytest
 
 import palpate as pt
 from palpate.app.cli import main
-from palpate.app.models.subject import open_subject
+from palpate.app.models.input import open_input
 from palpate.app.recordings.recording import Recording, save_recording
 from palpate.app.recordings.snapshot import Snapshot, ToolSnapshot, training_errors
 from palpate.app.train import folder as folders
@@ -227,11 +227,11 @@ def test_a_model_with_large_errors_ends_with_a_status_of_its_own_and_says_what_t
     assert model.report["advice"] in (folder / "report.md").read_text()
     assert model.report["advice"] in " ".join(captured.out.split())
     printed = []
-    open_subject(str(folder / "model.rom")).reduced(SimpleNamespace(say=printed.append))
+    open_input(str(folder / "model.rom")).reduced(SimpleNamespace(say=printed.append))
     assert printed == [f"warning: {model.report['advice']}"]
     assert training_errors(model)["advice"] == model.report["advice"]
     assert training_errors(pt.load(whole / "model.rom"))["advice"] is None
-    open_subject(str(whole / "model.rom")).reduced(SimpleNamespace(say=printed.append))
+    open_input(str(whole / "model.rom")).reduced(SimpleNamespace(say=printed.append))
     assert len(printed) == 1
 
 

@@ -12,7 +12,7 @@ from palpate.app.view.choose_labels import choose_on_page
 from palpate.app.view.server.address import LOOPBACK
 from palpate.app.view.server.host import Host
 from palpate.app.view.server.label_choice import Chosen, LabelChoice
-from palpate.scenes.open_surface import open_surface
+from palpate.scenes.open_scene import open_scene
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "surface" / "labels"))
 from label_files import caret, nifti
@@ -46,7 +46,7 @@ def test_a_choice_that_makes_no_body_is_reported_and_the_next_is_yielded(tmp_pat
     def read(parts, without):
         assert without == ()
         listed.append(parts)
-        return open_surface(file, part=parts).surface
+        return open_scene(file, part=parts).surface
 
     with choose_on_page(file, None, read, ADDRESS) as (host, surface):
         assert isinstance(host, Host)

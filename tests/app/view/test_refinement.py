@@ -31,7 +31,7 @@ from palpate.app.view.training_process import LEAST_SHARE, Progress, TrainingPro
 from palpate.core.faults import InputError
 from palpate.reduction.storage.models import save
 from palpate.scenes.open_scene import json_of_scene, open_description, open_scene
-from palpate.scenes.open_surface import complete_for_training, open_surface
+from palpate.scenes.open_surface import complete_for_training
 from palpate.scenes.training import open_training
 
 GOOD, BAD = {"force": 0.07, "surface": 0.02}, {"force": 0.14, "surface": 0.02}
@@ -295,7 +295,7 @@ def test_a_surface_has_one_folder_from_wherever_it_is_opened(tmp_path, monkeypat
                                               "1 3 7", "1 7 5", "2 6 8", "2 8 4"))
     )  # fmt: skip
     monkeypatch.chdir(tmp_path)
-    near, far = (complete_for_training(open_surface(name)) for name in ("organ.obj", tmp_path / "organ.obj"))
+    near, far = (complete_for_training(open_scene(name)) for name in ("organ.obj", tmp_path / "organ.obj"))
     assert training_folder(near) == training_folder(far)
     assert training_folder(near).parent == tmp_path / "organ.palpate"
     assert 3000 < 1e-3 * 1.45 / near.description.body.spacing**3 < 5000

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from palpate.app.view.surroundings import surroundings_of
-from palpate.scenes.open_surface import open_surface
+from palpate.scenes.open_scene import open_scene
 from palpate.surface.surface import Surface
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "surface" / "labels"))
@@ -36,7 +36,7 @@ def label_file(tmp_path):
 
 def test_the_surroundings_are_in_the_frame_and_unit_of_the_body(label_file):
     for scale in (1.0, 0.5):
-        scene = open_surface(label_file, part=["liver"], scale=scale)
+        scene = open_scene(label_file, {"scale": scale}, part=["liver"])
         (rib,) = surroundings_of(scene)
         assert rib.name == "rib"
         assert rib.space == scene.surface.space == "LPS"
@@ -50,7 +50,7 @@ def test_a_surface_file_has_no_surroundings(tmp_path):
     path = tmp_path / "organ.off"
     rows = ["OFF 4 4 0", *(" ".join(map(str, x)) for x in TETRAHEDRON), *(f"3 {a} {b} {c}" for a, b, c in SIDES)]
     path.write_text("\n".join(rows))
-    assert surroundings_of(open_surface(path, units="m")) == ()
+    assert surroundings_of(open_scene(path, {"units": "m"})) == ()
 
 
 def decoded(frame):
@@ -100,5 +100,5 @@ def test_nothing_is_sent_where_there_is_nothing_around_a_body(site):
 
 
 def test_the_title_names_the_organ_and_the_file(label_file):
-    assert open_surface(label_file, part=["liver"]).title == "Liver (trunk)"
-    assert open_surface(label_file, part=["liver", "rib"]).title == "Liver, rib (trunk)"
+    assert open_scene(label_file, part=["liver"]).title == "Liver (trunk)"
+    assert open_scene(label_file, part=["liver", "rib"]).title == "Liver, rib (trunk)"

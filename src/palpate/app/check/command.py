@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 
 from palpate.app.check.picture import draw_cloud, draw_surface
 from palpate.app.common.arguments import option_names
-from palpate.app.common.console import Console
+from palpate.app.common.console import Console, Table
 from palpate.app.common.rendering import DrawingError, check_drawing
 from palpate.app.common.report import REPORTS, deliver, machine
 from palpate.app.common.rows import Rows, fill_template, named_rows, quantities
@@ -25,12 +26,9 @@ from palpate.meshfree.filling import fill
 from palpate.meshfree.gate import nearest_spacing
 from palpate.scenes.names import SceneKind, kind_of
 from palpate.scenes.open_scene import open_scene
-from palpate.scenes.open_surface import open_surface
 from palpate.scenes.scene import Scene
 from palpate.scenes.training import training_of
 from palpate.surface.checks import SurfaceReport, check_surface
-from palpate.surface.files import read_surface
-from palpate.surface.labels.reading import is_label_map
 from palpate.surface.repair import repair_surface
 from palpate.surface.surface import Surface
 
@@ -87,7 +85,7 @@ def check(
     part, labels, units, scale, repair
         As for `palpate.io.read_surface`.
     without : sequence of str
-        As for `palpate.scenes.open_surface.open_surface`.
+        As for `palpate.open_scene`.
     seed : int
         As for `palpate.fill`.
     out : path
@@ -102,86 +100,75 @@ def check(
     """
     check_folder(out)
     console = Console()
-    scene = None
-    if kind_of(file.name) is SceneKind.SCENE_FILE:
-        given = {
-            "part": part,
-            "labels": labels,
-            "without": without,
-            "units": units,
-            "spacing": spacing,
-            "scale": scale != 1.0,
-            "repair": repair,
-            "seed": seed,
-        }
-        for name, value in given.items():
-            if value:
-                raise InputError(f"{name} must be left out with a scene file, got {value!r}; change the file")
-        scene = open_scene(file)
-        surface, seed, repair = _scene_surface(scene), scene.description.body.seed, scene.description.surface.repair
-        spacing = scene.description.body.spacing
-    else:
-        surface = _surface_of(file, part, labels, without, units, scale, repair)
+    settings = {"units": units, "scale": None if scale == 1.0 else scale, "spacing": spacing, "repair": repair or None}
+    scene = _open(file, part, labels, without, settings, seed)
+    surface = _surface_of(scene)
     with console.status("examining the surface"):
         surface_report = check_surface(surface)
+    spacing = scene.description.body.spacing
     if spacing is None:
         spacing = float(f"{1.2 * np.cbrt(abs(surface.volume) / DEFAULT_NODES):.2g}")
+        scene = scene.with_body(spacing=spacing)
     report: dict[str, Any] = {
         "title": f"Check of {surface.name}",
         "file": str(file),
-        "repaired": repair,
+        "repaired": scene.description.surface.repair,
         "surface": _surface_entry(surface, surface_report),
         "machine": machine(),
     }
-    scene = None if scene is None else scene.with_body(spacing=spacing)
-    make = _filling(surface, spacing, seed) if scene is None else lambda: scene.cloud
+    is_alone = scene.kind is SceneKind.SURFACE_FILE  # its supports are not given yet
+    make = partial(fill, surface, spacing, seed=seed) if is_alone else lambda: scene.cloud
     cloud = _fill(surface, surface_report, make, report, console)
-    if scene is not None and cloud is not None:
+    if not is_alone and cloud is not None:
         report["scene"] = _scene_entry(scene, console)
     out.mkdir(parents=True, exist_ok=True)
     for name in FILES:
         (out / name).unlink(missing_ok=True)
+    _draw(scene, surface, surface_report, cloud, report, out, console)
+    report = plain(report)
+    deliver(report, [_table(report), *_remarks(report)], out, FILES, as_json)
+    return 0 if cloud is not None else 1
+
+
+def _open(
+    file: Path, part: Sequence[str] | None, labels: Path | None, without: Sequence[str],
+    settings: Mapping[str, Any], seed: int,
+) -> Scene:  # fmt: skip
+    """Open a scene file, of which nothing is changed, or a surface, which is not repaired unless asked."""
+    settings = {name: value for name, value in settings.items() if value is not None}
+    if kind_of(file.name) is SceneKind.SCENE_FILE:
+        for name, value in {"part": part, "labels": labels, "without": without, **settings, "seed": seed}.items():
+            if value:
+                raise InputError(f"{name} must be left out with a scene file, got {value!r}; change the file")
+        return open_scene(file)
+    return open_scene(file, {"repair": False} | settings, part=part or (), labels=labels, without=without)
+
+
+def _surface_of(scene: Scene) -> Surface:
+    """Return the surface of a scene as it is filled, or that of a file alone with its faults and what was noted."""
+    shape = scene.description.surface
+    if scene.kind is SceneKind.SURFACE_FILE:
+        surface = scene.read_surface(shape.repair)
+        return replace(surface, warnings=(*scene.notes, *surface.warnings))
+    if scene.surface is None:
+        raise InputError(f"{scene.name} must have a surface to check, got a {shape.generated}")
+    return repair_surface(scene.surface) if shape.repair else scene.surface
+
+
+def _draw(
+    scene: Scene, surface: Surface, surface_report: SurfaceReport, cloud: Cloud | None, report: dict[str, Any],
+    out: Path, console: Console,
+) -> None:  # fmt: skip
+    """Draw the pictures of a report, where this machine can."""
     try:
         check_drawing()
         draw_surface(surface, surface_report, out / "surface.png")
         if cloud is not None:
             draw_cloud(cloud, out / "cloud.png")
-        if scene is not None and "reached" in report.get("scene", {}):
+        if "reached" in report.get("scene", {}):
             draw_coverage(Coverage(training_of(scene, {}), ()), out / "tool.png")
     except DrawingError as error:
         console.say(f"no pictures: {error}")
-    report = plain(report)
-    rows = dict(CHECK_ROWS)
-    for kind in ("supports", "springs", "regions"):
-        rows |= named_rows(f"{kind}, {{}}", f"scene/{kind}", "{value} nodes", report.get("scene", {}).get(kind, {}))
-    table = quantities(report["title"], rows | TOOL_ROWS, {"value": report})
-    deliver(report, [table, *_remarks(report)], out, FILES, as_json)
-    return 0 if cloud is not None else 1
-
-
-def _surface_of(
-    file: Path, part: Sequence[str] | None, labels: Path | None, without: Sequence[str], units: str | None,
-    scale: float, repair: bool,
-) -> Surface:  # fmt: skip
-    """Return the surface of a file; that of a label map has notes about what lies in the organ."""
-    if without and not is_label_map(file):
-        raise InputError(f"without must be left out unless a label map is given, got {str(file)!r:.60}")
-    if not is_label_map(file) or units:
-        return read_surface(file, part=part, units=units, scale=scale, repair=repair, labels=labels)
-    opened = open_surface(file, part=tuple(part or ()), labels=labels, scale=scale, without=without)
-    assert opened.surface is not None
-    return replace(opened.surface, warnings=(*opened.notes, *opened.surface.warnings))
-
-
-def _filling(surface: Surface, spacing: float, seed: int) -> Callable[[], Cloud]:
-    return lambda: fill(surface, spacing, seed=seed)
-
-
-def _scene_surface(scene: Scene) -> Surface:
-    """Return the surface of a scene, as it is filled."""
-    if scene.surface is None:
-        raise InputError(f"{scene.name} must have a surface to check, got a {scene.description.surface.generated}")
-    return repair_surface(scene.surface) if scene.description.surface.repair else scene.surface
 
 
 def _scene_entry(scene: Scene, console: Console) -> dict[str, Any]:
@@ -257,6 +244,13 @@ def _cloud_entry(cloud: Cloud) -> dict[str, Any]:
             "inside": np.percentile(distance[inside], [0, 5, 50, 95, 100]).tolist(),
         },
     }
+
+
+def _table(report: dict[str, Any]) -> Table:
+    rows = dict(CHECK_ROWS)
+    for kind in ("supports", "springs", "regions"):
+        rows |= named_rows(f"{kind}, {{}}", f"scene/{kind}", "{value} nodes", report.get("scene", {}).get(kind, {}))
+    return quantities(report["title"], rows | TOOL_ROWS, {"value": report})
 
 
 def _remarks(report: dict[str, Any]) -> list[str]:

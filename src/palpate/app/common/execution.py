@@ -132,7 +132,7 @@ def _with_choice(error: Any, parser: Parser, options: Mapping[str, Any]) -> str:
     """Return the command that makes the choice of an error."""
     from shlex import quote
 
-    files = [str(options[name]) for name in ("what", "file", "scene", "model") if options.get(name)]
+    files = [str(options[name]) for name in ("source", "file", "scene", "model") if options.get(name)]
     words = [word for name, value in error.choice.items() for word in (f"--{name}", quote(value))]
     return " ".join([parser.prog, *map(quote, files[:1]), *words])
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from palpate.app.common.console import Console
 from palpate.app.export.web import export_web
-from palpate.app.models.subject import open_subject
+from palpate.app.models.input import open_input
 from palpate.core.faults import InputError
 from palpate.export.folder import check_new, export_c, identifier
 from palpate.export.targets import HOST_TARGET
@@ -31,9 +31,9 @@ def export(
     Parameters
     ----------
     model : str
-        As for `palpate.app.models.subject.open_subject`.
+        As for `palpate.app.models.input.open_input`.
     part, labels, without
-        Of a surface file, as for `palpate.scenes.open_surface.open_surface`.
+        Of a surface file, as for `palpate.open_scene`.
     folder, name, targets, relaxed, tools
         As for `palpate.export.folder.export_c`.
     web : path
@@ -49,22 +49,22 @@ def export(
         if name is not None or targets or relaxed:
             raise InputError("web must be alone, got an option of a library; leave name, target and relaxed out")
         check_new(web)
-        subject = open_subject(model, for_training=True, part=part, labels=labels, without=without)
-        reduced = subject.reduced(console)
+        opened = open_input(model, for_training=True, part=part, labels=labels, without=without)
+        reduced = opened.reduced(console)
         with console.status("compiling the step of the model (about a minute)"):
-            written = export_web(reduced, web, subject.title, tools)
+            written = export_web(reduced, web, opened.title, tools)
         _say(console, web, written)
         console.say(f"open it:          python3 -m http.server --directory {web} 8000")
         console.say("                  http://localhost:8000")
         return 0
     assert folder is not None  # the parser requires one
     check_new(folder)
-    subject = open_subject(model, for_training=True, part=part, labels=labels, without=without)
-    reduced = subject.reduced(console)
+    opened = open_input(model, for_training=True, part=part, labels=labels, without=without)
+    reduced = opened.reduced(console)
     chosen = identifier(Path(model).stem) if name is None else name
     with console.status("compiling the step of the model (about a minute)"):
         written = export_c(
-            reduced, folder, name=chosen, title=subject.title, targets=list(dict.fromkeys(targets or [HOST_TARGET])),
+            reduced, folder, name=chosen, title=opened.title, targets=list(dict.fromkeys(targets or [HOST_TARGET])),
             strict=not relaxed, tools=tools, say=console.say,
         )  # fmt: skip
     _say(console, folder, written)

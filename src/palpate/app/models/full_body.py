@@ -2,76 +2,54 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+
 import numpy as np
 
 from palpate.app.common.arguments import option_names
-from palpate.app.common.console import Console, count_nodes
+from palpate.app.common.console import count_nodes
 from palpate.app.models.force_error import force_error_text
-from palpate.app.models.spacing import BUSY_SHARE, MOST_NODES, realtime_spacing
+from palpate.app.models.spacing import (
+    BUSY_SHARE,
+    FINER_FACTOR,
+    FINER_NODES,
+    MAX_FINER_TRIALS,
+    MOST_NODES,
+    realtime_spacing,
+)
 from palpate.core.faults import CloudError, InputError
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.scenes.names import SceneKind
-from palpate.scenes.open_surface import NODES_PER_CELL
 from palpate.scenes.scene import Scene
+from palpate.scenes.spacing import NODES_PER_CELL, expected_nodes
 
-FINER_FACTOR, MAX_FINER_TRIALS = 0.8, 4  # factor of a guessed spacing that is too coarse for the tissue; how often
-FINER_NODES = 6.7  # the nodes of half the spacing over those of the whole (validation/spacing_force.py)
+Status = Callable[[str], AbstractContextManager[None]]  # shows a phase of the work, such as `Console.status`
 
 
-def prepare_full_body(scene: Scene, console: Console, spacing: float | None = None) -> Scene:
-    """Return a scene with its full body; print guesses, repairs and notes.
+def prepare_full_body(scene: Scene, status: Status, spacing: float | None = None) -> Scene:
+    """Return a scene with its full body; `full_body_lines` returns what was guessed and repaired.
 
     Its spacing is the finest in real time on this machine, or `spacing` [m] in its place. A larger spacing of the
     scene stays, and so does any spacing that a user gives for a surface without a scene file.
     """
     if scene.description.surface.file:
-        with console.status("checking the surface"):
+        with status("checking the surface"):
             _ = scene.repaired_surface
     given, surface = scene.description.body.spacing, scene.surface
     if surface is None:  # a box or a disc, which is small
-        fitted = _prepared(scene, console)
-    elif given is not None and scene.kind is not SceneKind.SCENE_FILE:
-        fitted = fill_scene(scene, given, True, console)
-    else:
-        if spacing is None:
-            with console.status("measuring this machine"):
-                spacing = realtime_spacing(abs(surface.volume), scene.material)
-        coarsest = max(given or 0.0, spacing)
-        fitted = fill_scene(scene, coarsest, coarsest == given, console)
-    body, cloud = fitted.body, fitted.cloud
-    for line in notes_of(scene, fitted):
-        console.say(line)
-    guessed = cloud.spacing != given
-    console.say(
-        f"body: {count_nodes(len(cloud))} {1e3 * cloud.spacing:.3g} mm apart"
-        + (", the finest in real time on this machine" if guessed else "")
-        + f", {1e3 * np.ptp(cloud.points, axis=0).max():.3g} mm long{_remedy(scene, '--spacing, --units, --scale')}"
-    )
-    if scene.description.surface.file:
-        console.say(f"{force_line(fitted)}; {_finer_text(len(cloud), guessed)}")
-    material = body.material
-    console.say(
-        f"tissue: {type(material).__name__}, shear modulus {1e-3 * material.shear_modulus:.3g} kPa, Poisson's ratio "
-        f"{material.poisson:.3g}{_remedy(scene, '--law, --set')}"
-    )
-    supports = " and ".join(f"{each.place.title} ({each.kind})" for each in scene.description.support)
-    supported = np.unique(
-        np.concatenate([cloud.group(each.group) for each in body.supports] or [np.zeros(0, dtype=int)])
-    )
-    console.say(
-        f"support: {supports.replace(' (fixed)', '') or 'the side away from the first view'} ({len(supported)} nodes)"
-        + _remedy(scene, "--fixed")
-    )
-    return fitted
+        return _prepared(scene, status)
+    if given is not None and scene.kind is not SceneKind.SCENE_FILE:
+        return fill_scene(scene, given, True, status)
+    if spacing is None:
+        with status("measuring this machine"):
+            spacing = realtime_spacing(abs(surface.volume), scene.material)
+    coarsest = max(given or 0.0, spacing)
+    return fill_scene(scene, coarsest, coarsest == given, status)
 
 
-def _remedy(scene: Scene, options: str) -> str:
-    """Return the end of a line: the option or key that changes a choice."""
-    return f"; another: {scene.name}" if scene.kind is SceneKind.SCENE_FILE else f"; another: {options}"
-
-
-def fill_scene(scene: Scene, spacing: float, required: bool, console: Console) -> Scene:
+def fill_scene(scene: Scene, spacing: float, required: bool, status: Status) -> Scene:
     """Return a scene with the body of a spacing [m], or of a finer one for thin tissue.
 
     Parameters
@@ -90,23 +68,66 @@ def fill_scene(scene: Scene, spacing: float, required: bool, console: Console) -
         if spacing > surface.size:
             raise InputError(f"spacing must be at most the size of the surface, got {spacing:g} m; use a smaller one")
         try:
-            return _prepared(scene.with_body(spacing=spacing), console)
+            return _prepared(scene.with_body(spacing=spacing), status)
         except CloudError:  # too thin for the spacing
             finer = float(f"{FINER_FACTOR * spacing:.2g}")
-            if required or trial == MAX_FINER_TRIALS or _count(volume, finer) > MOST_NODES:
+            if required or trial == MAX_FINER_TRIALS or expected_nodes(volume, finer) > MOST_NODES:
                 raise
             spacing = finer
     raise AssertionError("the last trial returns or raises")
 
 
-def _prepared(scene: Scene, console: Console) -> Scene:
-    with console.status("filling the surface with nodes"):
+def _prepared(scene: Scene, status: Status) -> Scene:
+    with status("filling the surface with nodes"):
         _ = scene.cloud
-    with console.status("preparing the body (the first time on a machine compiles it)"):
+    with status("preparing the body (the first time on a machine compiles it)"):
         body = scene.body
     if not isinstance(body, EnergySolid | Membrane):
         raise InputError("form of [body] must be 'energy' for a body in real time, got 'strong'; change it")
     return scene
+
+
+def _check_count(volume: float, spacing: float) -> None:
+    count = expected_nodes(volume, spacing)
+    if count > MOST_NODES:
+        coarser = np.cbrt(NODES_PER_CELL * volume / MOST_NODES)
+        raise InputError(
+            f"spacing must give at most {MOST_NODES} nodes for a full body, got {1e3 * spacing:.3g} mm (about "
+            f"{count:.0f} nodes); use {1e3 * coarser:.2g} mm or more, or train a reduced model"
+        )
+
+
+def full_body_lines(scene: Scene, fitted: Scene) -> list[str]:
+    """Return lines about the body of `prepare_full_body`: guesses, repairs, notes, and the options that change them."""
+    body, cloud = fitted.body, fitted.body.cloud
+    guessed = cloud.spacing != scene.description.body.spacing
+    lines = notes_of(scene, fitted)
+    lines.append(
+        f"body: {count_nodes(len(cloud))} {1e3 * cloud.spacing:.3g} mm apart"
+        + (", the finest in real time on this machine" if guessed else "")
+        + f", {1e3 * np.ptp(cloud.points, axis=0).max():.3g} mm long{_remedy(scene, '--spacing, --units, --scale')}"
+    )
+    if scene.description.surface.file:
+        lines.append(f"{force_line(fitted)}; {_finer_text(len(cloud), guessed)}")
+    material = body.material
+    lines.append(
+        f"tissue: {type(material).__name__}, shear modulus {1e-3 * material.shear_modulus:.3g} kPa, Poisson's ratio "
+        f"{material.poisson:.3g}{_remedy(scene, '--law, --set')}"
+    )
+    supports = " and ".join(f"{each.place.title} ({each.kind})" for each in scene.description.support)
+    supported = np.unique(
+        np.concatenate([cloud.group(each.group) for each in body.supports] or [np.zeros(0, dtype=int)])
+    )
+    lines.append(
+        f"support: {supports.replace(' (fixed)', '') or 'the side away from the first view'} ({len(supported)} nodes)"
+        + _remedy(scene, "--fixed")
+    )
+    return lines
+
+
+def _remedy(scene: Scene, options: str) -> str:
+    """Return the end of a line: the option or key that changes a choice."""
+    return f"; another: {scene.name}" if scene.kind is SceneKind.SCENE_FILE else f"; another: {options}"
 
 
 def notes_of(scene: Scene, fitted: Scene) -> list[str]:
@@ -129,18 +150,3 @@ def _finer_text(nodes: int, realtime: bool) -> str:
 def is_guessed(scene: Scene, fitted: Scene) -> bool:
     """Return True if the spacing of a fitted body is that of this machine, not one that a user gave."""
     return scene.surface is not None and fitted.body.cloud.spacing != scene.description.body.spacing
-
-
-def _count(volume: float, spacing: float) -> float:
-    """Return the expected number of nodes."""
-    return float(NODES_PER_CELL * volume / spacing**3)
-
-
-def _check_count(volume: float, spacing: float) -> None:
-    count = _count(volume, spacing)
-    if count > MOST_NODES:
-        coarser = np.cbrt(NODES_PER_CELL * volume / MOST_NODES)
-        raise InputError(
-            f"spacing must give at most {MOST_NODES} nodes for a full body, got {1e3 * spacing:.3g} mm (about "
-            f"{count:.0f} nodes); use {1e3 * coarser:.2g} mm or more, or train a reduced model"
-        )

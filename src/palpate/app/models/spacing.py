@@ -1,4 +1,4 @@
-"""Choice of a spacing: the nodes that a body of a volume has, and the finest that a machine steps in real time."""
+"""Choice of a spacing: the finest with which this machine steps a body in real time, and finer ones for thin tissue."""
 
 from __future__ import annotations
 
@@ -8,17 +8,37 @@ import numpy as np
 
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.meshfree.cloud import Cloud, box
-from palpate.scenes.open_surface import NODES_PER_CELL
+from palpate.scenes.spacing import NODES_PER_CELL, expected_nodes
 from palpate.tissue.materials import Material
 
-NEW_NODES = 5000  # of the body of a new scene file without a given spacing
-LEAST_NODES, MOST_NODES = 600, 40_000
+LEAST_NODES, MOST_NODES = 600, 40_000  # of a full body in real time
 STEP_PER_WAVE = 0.42  # stable step over the time of a pressure wave over a spacing: 0.35 to 0.47 on organs
 STEP_OVER_FORCE = 1.6  # time of a step over that of its force evaluation
 BUSY_SHARE = 0.6  # of the time, which the steps of a body in real time may take
+SAMPLE_SECONDS = 0.3  # of the measurement of this machine
 LEAST_GAIN, MOST_GAIN = 0.9, 1.3  # speed of a body over that which it needs, within which its spacing stays
 COARSEST_SHARE = 1.1  # of the least nodes, at which a body is not made coarser
-SAMPLE_SECONDS = 0.3  # of the measurement of this machine
+FINER_FACTOR, MAX_FINER_TRIALS = 0.8, 4  # factor of a guessed spacing that is too coarse for the tissue; how often
+FINER_NODES = 6.7  # the nodes of half the spacing over those of the whole (validation/spacing_force.py)
+
+
+def realtime_spacing(volume: float, material: Material) -> float:
+    """Return the finest spacing [m] of a body of a volume [m^3] that this machine steps in real time.
+
+    The cost of a step is measured on a small block for some tenths of a second.
+    """
+    seconds = _seconds_per_node(material)
+    wave_speed = np.sqrt((material.lame + 2 * material.shear_modulus) / material.density)
+
+    def busy(spacing: float) -> float:
+        step = STEP_PER_WAVE * spacing / wave_speed
+        return float(expected_nodes(volume, spacing) * seconds / step)
+
+    coarse, fine = np.cbrt(NODES_PER_CELL * volume / np.array([LEAST_NODES, MOST_NODES]))
+    for _ in range(40):
+        middle = np.sqrt(coarse * fine)
+        coarse, fine = (middle, fine) if busy(middle) <= BUSY_SHARE else (coarse, middle)
+    return float(f"{1.005 * coarse:.2g}")
 
 
 def better_spacing(cloud: Cloud, load: float) -> float | None:
@@ -36,30 +56,6 @@ def better_spacing(cloud: Cloud, load: float) -> float | None:
     better = float(np.clip(spacing * (load / BUSY_SHARE) ** 0.25, finest, coarsest))
     rounded = float(f"{1.005 * better:.2g}")
     return rounded if rounded != spacing else None
-
-
-def spacing_for(nodes: int, volume: float) -> float:
-    """Return the spacing [m], of two digits, of a body of a volume [m^3] with about so many nodes."""
-    return float(f"{np.cbrt(NODES_PER_CELL * volume / nodes):.2g}")
-
-
-def realtime_spacing(volume: float, material: Material) -> float:
-    """Return the finest spacing [m] of a body of a volume [m^3] that this machine steps in real time.
-
-    The cost of a step is measured on a small block for some tenths of a second.
-    """
-    seconds = _seconds_per_node(material)
-    wave_speed = np.sqrt((material.lame + 2 * material.shear_modulus) / material.density)
-
-    def busy(spacing: float) -> float:
-        nodes, step = NODES_PER_CELL * volume / spacing**3, STEP_PER_WAVE * spacing / wave_speed
-        return float(nodes * seconds / step)
-
-    coarse, fine = np.cbrt(NODES_PER_CELL * volume / np.array([LEAST_NODES, MOST_NODES]))
-    for _ in range(40):
-        middle = np.sqrt(coarse * fine)
-        coarse, fine = (middle, fine) if busy(middle) <= BUSY_SHARE else (coarse, middle)
-    return float(f"{1.005 * coarse:.2g}")
 
 
 def _seconds_per_node(material: Material) -> float:

@@ -20,9 +20,8 @@ from palpate.core.files import check_folder
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import load
 from palpate.scenes.names import SceneKind
-from palpate.scenes.open_scene import json_of_scene, open_scene
 from palpate.scenes.scene import Scene
-from palpate.scenes.training import DESCRIPTION_KEY, training_of
+from palpate.scenes.training import parameters_of, training_of
 
 __all__ = ["held_out_means", "model_file", "trained_model", "training_folder"]
 
@@ -81,7 +80,7 @@ def trained_model(scene: Scene, console: Console, workers: int | None = None) ->
 @contextmanager
 def campaign_of(scene: Scene, folder: Path, console: Console, workers: int) -> Iterator[Campaign]:
     """Open the campaign of a scene in a folder, with a number of processes."""
-    made, training = training_of(scene, _parameters(scene)), scene.description.training
+    made, training = training_of(scene, parameters_of(scene)), scene.description.training
     with open_campaign(folder, manifest_of(name_in_folder(scene.name, folder), made, training.seed)) as campaign_folder:
         yield Campaign(campaign_folder, made, console, training.modes, workers=workers)
 
@@ -93,13 +92,6 @@ def _other_sizes(scene: Scene, model: ReducedModel) -> dict[str, Any]:
     if not training.tolerance:  # which chooses the number of paths
         sizes["paths"] = model.report.get("training_runs")
     return {name: size for name, size in sizes.items() if size != getattr(training, name)}
-
-
-def _parameters(scene: Scene) -> dict[str, Any]:
-    """Return the parameters with which a worker opens the scene: its settings, or its own description."""
-    if scene.kind is not SceneKind.SURFACE_FILE and open_scene(scene.name, scene.settings).digest == scene.digest:
-        return scene.settings
-    return {DESCRIPTION_KEY: json_of_scene(scene)}
 
 
 def held_out_means(model: ReducedModel) -> dict[str, float]:

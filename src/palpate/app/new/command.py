@@ -13,7 +13,6 @@ import numpy as np
 from palpate.app.common.arguments import option_names
 from palpate.app.common.console import Console, count_nodes
 from palpate.app.models.full_body import fill_scene
-from palpate.app.models.spacing import NEW_NODES, spacing_for
 from palpate.app.new.proposals import Proposals, propose
 from palpate.app.new.text import commented_text
 from palpate.core.faults import InputError
@@ -21,9 +20,9 @@ from palpate.core.files import check_folder, whole_file, write_json
 from palpate.scenes.description import Support
 from palpate.scenes.names import SceneKind, kind_of
 from palpate.scenes.open_scene import open_scene
-from palpate.scenes.open_surface import open_surface
 from palpate.scenes.scene import Scene
 from palpate.scenes.schema import scene_schema
+from palpate.scenes.spacing import TRAINING_NODES, spacing_for
 from palpate.surface.checks import METRES_BY_UNIT
 from palpate.surface.formats.first_bytes import refuse_misnamed
 from palpate.surface.labels.label_map import choose_segments, segments_mask
@@ -54,7 +53,7 @@ def new(
     out : path
         Scene file; must not exist.
     part, labels, units, scale, spacing, law, fixed, without
-        As for `palpate.scenes.open_surface.open_surface`.
+        As for `palpate.open_scene`.
 
     Returns
     -------
@@ -70,10 +69,9 @@ def new(
         raise InputError(f"file must be a surface, got {str(file)!r}; palpate new --help lists the formats")
     check_folder(out.parent)
     console = Console()
-    scene = open_surface(
-        file, units=units, scale=scale, part=tuple(part or ()), spacing=spacing, law=law, fixed=tuple(fixed),
-        labels=labels, without=tuple(without),
-    )  # fmt: skip
+    settings = {"units": units, "scale": scale, "spacing": spacing, "law": law}
+    settings = {name: value for name, value in settings.items() if value is not None}
+    scene = open_scene(file, settings, part=tuple(part or ()), labels=labels, without=without, fixed=fixed)
     proposals = None
     if is_label_map(file):
         scene, proposals = _with_proposals(scene, tuple(part or ()), tuple(without), spacing, console)
@@ -106,8 +104,8 @@ def _fitted(scene: Scene, spacing: float | None, console: Console) -> tuple[Scen
         surface = scene.repaired_surface
     assert surface is not None
     volume, about = abs(surface.volume), scene.description
-    target_spacing = spacing_for(NEW_NODES, volume) if spacing is None else spacing
-    fitted = fill_scene(scene, target_spacing, spacing is not None, console)
+    target_spacing = spacing_for(TRAINING_NODES, volume) if spacing is None else spacing
+    fitted = fill_scene(scene, target_spacing, spacing is not None, console.status)
     with console.status("finding where a tool reaches"):
         paths = fitted.tool_paths()
     unit = min(METRES_BY_UNIT, key=lambda name: abs(np.log(METRES_BY_UNIT[name] * about.surface.scale / surface.unit)))
@@ -146,7 +144,7 @@ def _with_proposals(
     with console.status("searching the label map"):
         labels = read_label_map(about.surface.file, about.surface.labels or None).scaled(about.surface.scale)
         organ = segments_mask(labels, choose_segments(labels, part or None))
-        target_spacing = spacing or spacing_for(NEW_NODES, organ.volume)
+        target_spacing = spacing or spacing_for(TRAINING_NODES, organ.volume)
         proposals = propose(labels, Path(about.surface.file), part, target_spacing, without)
     regions = tuple(region for region, _ in proposals.regions)
     supports = about.support or tuple(support for support, _ in proposals.supports)

@@ -7,6 +7,7 @@ from typing import Any
 
 from palpate.app.common.arguments import add_command, add_parameter, add_parts, existing_file, path
 from palpate.scenes.description import Body, Shape
+from palpate.scenes.spacing import TRAINING_NODES
 from palpate.surface.formats.names import listed_formats
 
 
@@ -26,7 +27,7 @@ def add_new(commands: Any) -> None:
     add_parts(new)
     add_parameter(new, Shape, "units", " (default: guessed from the volume)")
     add_parameter(new, Shape, "scale")
-    add_parameter(new, Body, "spacing", " (default: one that gives about 5,000 nodes)")
+    add_parameter(new, Body, "spacing", f" (default: one that gives about {TRAINING_NODES:,} nodes)")
     add("--law", metavar="NAME", help="law of the tissue, of those of palpate laws (default: NeoHookean, liver)")
     text = (
         "a support, as for palpate view: x-, back, 'lowest 15%%', 'near X,Y,Z,R' in mm, 'painted FILE'; may be repeated"

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from palpate.scenes.description import Painted, Place, Region, Support
+from palpate.scenes.description import Painted, Place, Region, Shape, Support, Training
 from palpate.scenes.scene import Scene
 from palpate.tissue.liver import SHEAR_MODULUS
 
@@ -38,39 +38,18 @@ def commented_text(
         Supports that can be chosen in place of those in use, and what they are.
     """
     about = scene.description
-    shape, tissue, training = about.surface, about.tissue, about.training
     reasons = guesses.get("reasons", {})
-    relative = f"./{schema.parent.name}/{schema.name}"
     lines = [
-        f"#:schema {relative}",
+        f"#:schema ./{schema.parent.name}/{schema.name}",
         '# A scene of palpate. Numbers are in SI units; a text may carry another: "4.5 mm", "2.2 kPa", "30 deg".',
         "# docs/scenes.md describes every key.",
         f"title = {_text(about.title)}",
         "",
-        "[surface]",
-        f"file = {_text(shape.file)}",
-        *([f"parts = [{', '.join(map(_text, shape.parts))}]"] if shape.parts else []),
-        *([f"labels = {_text(shape.labels)}"] if shape.labels else []),
-        f"units = {_text(shape.units)}  # {guesses['units']}, {guesses['size']}"
-        if shape.units
-        else f"# units are {guesses['units']}, {guesses['size']}",
-        *([f"scale = {shape.scale!r}"] if shape.scale != 1.0 else []),
-        "repair = true  # close small holes, turn triangles, smooth folds",
-        *(f"# {line}" for note in notes for line in _wrapped(note)),
-        "",
+        *_surface(about.surface, guesses, notes),
         "[body]",
         f"spacing = {_length(about.body.spacing)}  # {guesses['nodes']} nodes; half of it costs some 14 times the time",
         "",
-        "[tissue]",
-        f"law = {_text(tissue.law)}  # palpate laws lists the others",
-        f"parameters = {_parameters(scene)}"
-        + (f"  # {LIVER_SOURCE}" if _is_liver(scene) else "  # an example: set yours"),
-        f'density = "{tissue.density:g} kg/m^3"',
-        f"poisson = {tissue.poisson:g}  # up to 0.499; nearer to 0.5 costs time",
-        f"mass_damping = {tissue.mass_damping:g}  # [1/s] free vibrations decay within a second",
-        '# relaxation = { shares = [0.5], times = ["0.1 s"] }',
-        '# fibres = { law = "Fibres", directions = [[1, 0, 0]], parameters = { k1 = "20 kPa", k2 = 5 } }',
-        "",
+        *_tissue(scene),
         *(line for region in about.region for line in _region(region, reasons)),
         "# [[region]]  # other tissue, such as a tumour; also a box, a painting, or a closed part of the file",
         '# place = { ball = { centre = ["10 mm", 0, 0], radius = "15 mm" } }',
@@ -90,6 +69,45 @@ def commented_text(
         f"# radius = {_length(guesses['radius'])}  # of the ball; left out, it follows the spacing: {guesses['reach']}",
         f"friction = {about.tool.friction:g}",
         "",
+        *_training(about.training),
+    ]
+    return "\n".join(lines)
+
+
+def _surface(shape: Shape, guesses: Mapping[str, Any], notes: Sequence[str]) -> list[str]:
+    return [
+        "[surface]",
+        f"file = {_text(shape.file)}",
+        *([f"parts = [{', '.join(map(_text, shape.parts))}]"] if shape.parts else []),
+        *([f"labels = {_text(shape.labels)}"] if shape.labels else []),
+        f"units = {_text(shape.units)}  # {guesses['units']}, {guesses['size']}"
+        if shape.units
+        else f"# units are {guesses['units']}, {guesses['size']}",
+        *([f"scale = {shape.scale!r}"] if shape.scale != 1.0 else []),
+        "repair = true  # close small holes, turn triangles, smooth folds",
+        *(f"# {line}" for note in notes for line in _wrapped(note)),
+        "",
+    ]
+
+
+def _tissue(scene: Scene) -> list[str]:
+    tissue = scene.description.tissue
+    return [
+        "[tissue]",
+        f"law = {_text(tissue.law)}  # palpate laws lists the others",
+        f"parameters = {_parameters(scene)}"
+        + (f"  # {LIVER_SOURCE}" if _is_liver(scene) else "  # an example: set yours"),
+        f'density = "{tissue.density:g} kg/m^3"',
+        f"poisson = {tissue.poisson:g}  # up to 0.499; nearer to 0.5 costs time",
+        f"mass_damping = {tissue.mass_damping:g}  # [1/s] free vibrations decay within a second",
+        '# relaxation = { shares = [0.5], times = ["0.1 s"] }',
+        '# fibres = { law = "Fibres", directions = [[1, 0, 0]], parameters = { k1 = "20 kPa", k2 = 5 } }',
+        "",
+    ]
+
+
+def _training(training: Training) -> list[str]:
+    return [
         "[training]  # of a reduced model: palpate train, or palpate view --refine",
         f"paths = {training.paths}  # more paths, smaller errors",
         f"held_out = {training.held_out}  # further paths, on which errors are measured",
@@ -99,7 +117,6 @@ def commented_text(
         f"grasps = {training.grasps:g}  # share of the paths in which forceps pull",
         "",
     ]
-    return "\n".join(lines)
 
 
 def _region(region: Region, reasons: Mapping[str, str]) -> list[str]:

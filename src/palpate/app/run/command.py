@@ -18,7 +18,7 @@ from palpate.app.common.load_cases import build_load_case
 from palpate.app.common.report import REPORTS, deliver, machine
 from palpate.app.common.rows import Rows, named_rows, quantities
 from palpate.app.device.options import take_device
-from palpate.app.models.subject import open_subject
+from palpate.app.models.input import open_input
 from palpate.app.run.realtime import run_realtime
 from palpate.app.session.opening import check_record
 from palpate.core.faults import DivergenceError, InputError, TrustWarning, integer_in_range
@@ -52,7 +52,7 @@ PAPER_UNITS = {"spacing": "m", "load": "N", "poisson": ""}  # its settings
 
 def run(
     *,
-    what: str,
+    source: str,
     realtime: bool = False,
     full: bool = False,
     cut: bool = False,
@@ -84,7 +84,7 @@ def run(
         ):  # fmt: skip
             if value is not None:
                 raise InputError(f"{name} must be left out of a single run, got {value}; or add --realtime")
-        return run_once(what=what, load=load, given=given, out=out, as_json=as_json, **words, **shape)
+        return run_once(source=source, load=load, given=given, out=out, as_json=as_json, **words, **shape)
     if load is not None:
         raise InputError(f"load must be left out in real time, got {load:g}; a tool moves the body instead")
     if words and model is not None:
@@ -94,23 +94,23 @@ def run(
         option = "--cut" if cut else "--full"
         raise InputError(f"model must be left out with {option}, got {str(model)!r}; leave out one of the two")
     if record is not None:
-        check_record(record, what)
+        check_record(record, source)
     spacing = words.pop("spacing", None)
-    subject = open_subject(what, words | parse_settings(given), spacing, for_training=not (full or cut), **shape)
+    opened = open_input(source, words | parse_settings(given), spacing, for_training=not (full or cut), **shape)
     if model is not None:
-        subject = replace(subject, name=str(model), model=load_model(model))
-    if (full or cut) and subject.scene is None:
-        raise InputError(f"full and cut must be left out for the model of a file, got one of them for {what!r:.60}")
+        opened = replace(opened, name=str(model), model=load_model(model))
+    if (full or cut) and opened.scene is None:
+        raise InputError(f"full and cut must be left out for the model of a file, got one of them for {source!r:.60}")
     limits = {name: value for name, value in (("seconds", seconds), ("rate", rate)) if value is not None}
     full = full or cut
     return run_realtime(
-        subject, full=full, cut=cut, script=script, record=record, device=device, out=out, as_json=as_json, **limits
+        opened, full=full, cut=cut, script=script, record=record, device=device, out=out, as_json=as_json, **limits
     )  # fmt: skip
 
 
 def run_once(
     *,
-    what: str,
+    source: str,
     spacing: float | None = None,
     load: float | None = None,
     poisson: float | None = None,
@@ -130,11 +130,11 @@ def run_once(
         integer_in_range("modes", modes, 1, RUN_SNAPSHOTS)
     words = {"spacing": spacing, "load": load, "poisson": poisson}
     settings = {name: value for name, value in words.items() if value is not None} | parse_settings(given)
-    if load is not None and what != PAPER_SCENE:
-        raise InputError(f"load must be left out of {what}, got {load:g}; change the loads in its file")
+    if load is not None and source != PAPER_SCENE:
+        raise InputError(f"load must be left out of {source}, got {load:g}; change the loads in its file")
     console = Console()
     doubles = 6 if modes is None else 12
-    made = build_load_case(lambda: _load_case(what, settings, modes is not None, shape), out, doubles, console)
+    made = build_load_case(lambda: _load_case(source, settings, modes is not None, shape), out, doubles, console)
     for name in FILES:  # of an earlier run: all files of a folder belong together
         (out / name).unlink(missing_ok=True)
     runs, reduced = {"full": _run(made, made.model, console, out / "full.h5")}, None
@@ -155,10 +155,10 @@ def _load_case(name: str, settings: dict[str, Any], energy: bool, shape: Mapping
     if name == PAPER_SCENE:
         values: dict[str, Any] = {key: _paper_value(key, value) for key, value in settings.items()}
         return beam(**values, form="energy" if energy else "strong")
-    scene = open_subject(name, settings, for_training=True, **shape).scene
+    scene = open_input(name, settings, for_training=True, **shape).scene
     if scene is None:
         raise InputError(
-            f"what must be a scene or a surface file for a single run, got the model {name!r:.60}; add --script"
+            f"source must be a scene or a surface file for a single run, got the model {name!r:.60}; add --script"
         )
     loads, duration, every = scene.loads, scene.duration, scene.every
     if not scene.description.load:

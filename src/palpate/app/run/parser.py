@@ -31,7 +31,7 @@ def add_run(commands: Any) -> None:
         f"{listed_scenes()}, a scene file (organ.toml), or a surface file ({listed_formats()}); with --script also the "
         "file of a reduced model. A single run of the beam is the paper's"
     )
-    add("what", metavar="SCENE|FILE", help=text)
+    add("source", metavar="SCENE|FILE", help=text)
     text = "settings of the scene, such as spacing=5mm"
     add("--set", nargs="+", action="extend", default=[], dest="given", metavar="NAME=X", help=text)
     add_parameter(run, Body, "spacing", " (default: that of the scene)")

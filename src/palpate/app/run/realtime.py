@@ -17,7 +17,7 @@ from palpate.app.device.driver import driving
 from palpate.app.device.options import DeviceOptions
 from palpate.app.device.statistics import hand_reports, longest, tool_name
 from palpate.app.models.force_error import nodes_error
-from palpate.app.models.subject import Subject
+from palpate.app.models.input import Input
 from palpate.app.models.trained import model_file
 from palpate.app.run.tool_motion import tool_motion
 from palpate.app.session.opening import exit_on_signals, running_session
@@ -41,7 +41,7 @@ BYTES_PER_PERIOD = 1000  # bytes of a period in the black box, at most
 
 
 def run_realtime(
-    subject: Subject,
+    opened: Input,
     *,
     full: bool,
     cut: bool,
@@ -55,7 +55,7 @@ def run_realtime(
 ) -> int:
     """Step a body at a fixed rate for some seconds under a moving tool, and report missed deadlines.
 
-    With `full` the full body of the subject's scene is stepped, and with `cut` a scalpel cuts it. The messages of
+    With `full` the full body of the scene is stepped, and with `cut` a scalpel cuts it. The messages of
     `script` or the hand at a `device` drive the session in place of the tool of the scene; `record` is the file of a
     recording. The time is at most 600 s, the rate from 50 to 20,000 Hz. The status is 0 whether the rate was held or
     not, and 1 if a recording was not written.
@@ -70,12 +70,12 @@ def run_realtime(
 
     def make(body: Any, foundations: tuple[Foundation, ...]) -> Session:
         nonlocal tool, path
-        path, tool = (messages, None) if messages is not None else _motion(subject, body, cut, device)
+        path, tool = (messages, None) if messages is not None else _motion(opened, body, cut, device)
         out.mkdir(parents=True, exist_ok=True)
-        return Session(body, subject.title, rate, foundations, history=seconds, black_box=black_box)
+        return Session(body, opened.title, rate, foundations, history=seconds, black_box=black_box)
 
     console, black_box = Console(), out / BLACK_BOX
-    with exit_on_signals(), running_session(subject, full, make, console, record, exact=True) as session:
+    with exit_on_signals(), running_session(opened, full, make, console, record, exact=True) as session:
         session.stop()  # so that the statistics begin with the tool
         if tool is not None:
             session.put_down(tool)
@@ -94,8 +94,8 @@ def run_realtime(
         statistics = session.engine.statistics()
     spacing = session.model.cloud.spacing
     report = {
-        "title": f"{'Full ' + subject.title.lower() if full else subject.title} in real time, {rate:g} Hz",
-        "parameters": {"seconds": seconds, "rate": rate, "spacing": spacing, **_origin(subject, full, cut)},
+        "title": f"{'Full ' + opened.title.lower() if full else opened.title} in real time, {rate:g} Hz",
+        "parameters": {"seconds": seconds, "rate": rate, "spacing": spacing, **_origin(opened, full, cut)},
         **_session_report(session, statistics, black_box, last_forces),
     }
     if driver is not None:
@@ -107,11 +107,11 @@ def run_realtime(
     return FAILED if session.recordings.failures else DONE
 
 
-def _motion(subject: Subject, body: Any, cut: bool, device: DeviceOptions | None) -> tuple[ToolPath, Contact | None]:
+def _motion(opened: Input, body: Any, cut: bool, device: DeviceOptions | None) -> tuple[ToolPath, Contact | None]:
     """Return what moves the tool, and the tool of the scene unless a device moves another one."""
     if device is not None:
         return _leave_to_device, None
-    poses, tool = tool_motion(subject, body, cut)
+    poses, tool = tool_motion(opened, body, cut)
     return follow(poses), tool
 
 
@@ -140,11 +140,11 @@ def _session_report(
     return report
 
 
-def _origin(subject: Subject, full: bool, cut: bool) -> dict[str, Any]:
+def _origin(opened: Input, full: bool, cut: bool) -> dict[str, Any]:
     """Return the parameters of a report that name the body."""
-    scene = subject.scene
-    if scene is None or subject.model is not None:
-        return {"file": subject.name}
+    scene = opened.scene
+    if scene is None or opened.model is not None:
+        return {"file": opened.name}
     if not full:
         return {"file": str(model_file(scene))}
     return {"full": True} | ({"toughness": scene.description.cut.toughness} if cut else {})

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.app.models.subject import Subject
+from palpate.app.models.input import Input
 from palpate.app.session.play import Poses
 from palpate.core.faults import InputError
 from palpate.dynamics.contact.blade import Scalpel
@@ -27,15 +27,15 @@ NO_ROTATION = np.array([1.0, 0.0, 0.0, 0.0])
 MAX_PRESS_DEPTH, MIN_DEPTH_SHARE = 0.015, 2 / 3  # [m] depth of the press at most; least depth over that
 
 
-def tool_motion(subject: Subject, body: Any, cut: bool) -> tuple[Poses, Contact | None]:
+def tool_motion(opened: Input, body: Any, cut: bool) -> tuple[Poses, Contact | None]:
     """Return the poses of the tool of a scene, and the tool at its first pose; None for one that moves a group."""
-    scene = subject.scene
+    scene = opened.scene
     if scene is None:
-        raise InputError(f"script must be given for the model of a file, got none for {subject.name}; or name a scene")
+        raise InputError(f"script must be given for the model of a file, got none for {opened.name}; or name a scene")
     if cut:
         return cutting_scalpel(body, scene.description.cut)
     if not scene.held_group:
-        return pressing_ball(scene, body, subject.name)
+        return pressing_ball(scene, body, opened.name)
     if not isinstance(body, ReducedModel):
         raise InputError(f"full must be left out for {scene.name}, whose tool holds a group, got it; leave it out")
     if len(body.data.prescribed) != 1:

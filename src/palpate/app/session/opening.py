@@ -1,4 +1,4 @@
-"""Opening of a session: the body of a subject is prepared and stepped, and its recordings are written at the end."""
+"""Opening of a session: the body of an input is prepared and stepped, and its recordings are written at the end."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from palpate.app.common.console import Console
-from palpate.app.models.subject import Subject
+from palpate.app.models.input import Input
 from palpate.app.train.scene_folder import recordings_folder
 from palpate.core.faults import InputError
 from palpate.core.files import check_folder
@@ -29,7 +29,7 @@ MAX_REFILLS, LOAD_SECONDS = 3, 0.5  # of a body whose steps take another time th
 
 @contextlib.contextmanager
 def running_session(
-    subject: Subject,
+    opened: Input,
     full: bool,
     make: MakeSession,
     console: Console,
@@ -39,24 +39,24 @@ def running_session(
 ) -> Iterator[Session]:
     """Yield a running session; stop it at the end, and write its recordings.
 
-    With `full`, the full body of the subject's scene is stepped, in place of its reduced model. It keeps real time;
+    With `full`, the full body of the scene is stepped, in place of its reduced model. It keeps real time;
     with `exact` it has the spacing of the scene, where that gives one. `make` returns the session of a body and its
     springs; before that, `wait` is called. `record` is the file of a recording of the whole session.
     """
     console.begin_phase("importing")
-    from palpate.app.models.full_body import is_guessed, prepare_full_body
-    from palpate.app.models.learned_spacings import learned_spacing
+    from palpate.app.models.full_body import is_guessed
+    from palpate.app.models.spacing_cache import cached_spacing
 
-    scene, fitted = subject.scene, None
+    scene, fitted = opened.scene, None
     if scene is not None and full and exact and scene.description.body.spacing is not None:
         with console.status("filling the surface with nodes (the first time on a machine compiles it)"):
             fitted, _ = scene, scene.body
     elif scene is not None and full:
-        learned = None
+        spacing = None
         with contextlib.suppress(OSError, InputError):  # of a missing file, which the body then names
-            learned = learned_spacing(scene.digest)
-        fitted = prepare_full_body(scene, console, learned)
-    body: Any = subject.reduced(console) if fitted is None else fitted.body
+            spacing = cached_spacing(scene.digest)
+        fitted = _full_body(scene, console, spacing)
+    body: Any = opened.reduced(console) if fitted is None else fitted.body
     with console.status("preparing the engine (the first time on a machine compiles it, for about a minute)"):
         if wait is not None:
             wait()
@@ -66,7 +66,7 @@ def running_session(
     session.start()
     try:
         if scene is not None and fitted is not None and is_guessed(scene, fitted):
-            session = _in_real_time(session, scene, fitted, make, console)
+            session = refill_until_realtime(session, scene, fitted, make, console)
         if scene is not None and scene.kind is SceneKind.SCENE_FILE:
             session.recordings.folder = recordings_folder(Path(scene.name))
         if record is not None:
@@ -82,6 +82,16 @@ def running_session(
                 )
 
 
+def _full_body(scene: Scene, console: Console, spacing: float | None) -> Scene:
+    """Return a scene with its full body, and print what was guessed and repaired."""
+    from palpate.app.models.full_body import full_body_lines, prepare_full_body
+
+    fitted = prepare_full_body(scene, console.status, spacing)
+    for line in full_body_lines(scene, fitted):
+        console.say(line)
+    return fitted
+
+
 def _describe(session: Session, scene: Scene, fitted: Scene) -> None:
     """Give a session of a surface the lines that were printed about its body, for its viewers."""
     from palpate.app.models.full_body import force_line, notes_of
@@ -90,11 +100,12 @@ def _describe(session: Session, scene: Scene, fitted: Scene) -> None:
     session.notes = (*notes, force_line(fitted)) if scene.description.surface.file else tuple(notes)
 
 
-def _in_real_time(session: Session, scene: Scene, fitted: Scene, make: MakeSession, console: Console) -> Session:
+def refill_until_realtime(
+    session: Session, scene: Scene, fitted: Scene, make: MakeSession, console: Console
+) -> Session:
     """Return the running session, or one of the same surface filled again, whose body keeps real time."""
-    from palpate.app.models.full_body import prepare_full_body
-    from palpate.app.models.learned_spacings import keep_spacing
     from palpate.app.models.spacing import better_spacing
+    from palpate.app.models.spacing_cache import cache_spacing
 
     for _ in range(MAX_REFILLS):
         spacing = better_spacing(fitted.body.cloud, session.load(LOAD_SECONDS))
@@ -102,17 +113,17 @@ def _in_real_time(session: Session, scene: Scene, fitted: Scene, make: MakeSessi
             break
         session.close()
         console.say("the body is filled again, since its steps take another time than expected")
-        before, fitted = fitted.body.cloud.spacing, prepare_full_body(scene, console, spacing)
+        before, fitted = fitted.body.cloud.spacing, _full_body(scene, console, spacing)
         session = make(fitted.body, fitted.foundations)
         _describe(session, scene, fitted)
         session.start()
         if fitted.body.cloud.spacing == before:  # thin tissue has no coarser one
             break
-    keep_spacing(scene.digest, fitted.body.cloud.spacing)
+    cache_spacing(scene.digest, fitted.body.cloud.spacing)
     return session
 
 
-def check_record(path: Path, what: str) -> None:
+def check_record(path: Path, source: str) -> None:
     """Raise InputError if a recording, or its file for ParaView, would replace another file."""
     check_folder(path.parent, "record")
     if path.suffix != ".h5":
@@ -121,7 +132,7 @@ def check_record(path: Path, what: str) -> None:
 
     recorded = is_recording(path)
     for each in (path, path.with_suffix(".vtkhdf")):
-        if each.exists() and Path(what).exists() and os.path.samefile(each, what):
+        if each.exists() and Path(source).exists() and os.path.samefile(each, source):
             raise InputError(f"record must be another file than the model, got {str(path)!r}; choose another name")
         if each.exists() and not recorded:
             raise InputError(

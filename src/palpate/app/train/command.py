@@ -20,9 +20,10 @@ from palpate.core.faults import InputError, integer_in_range
 from palpate.core.files import check_folder
 from palpate.scenes.description import Training
 from palpate.scenes.names import SceneKind, kind_of
-from palpate.scenes.open_scene import json_of_scene, open_scene
-from palpate.scenes.open_surface import complete_for_training, open_surface
-from palpate.scenes.training import DESCRIPTION_KEY, open_training, search_current_folder, training_of
+from palpate.scenes.open_scene import open_scene
+from palpate.scenes.open_surface import complete_for_training
+from palpate.scenes.scene import Scene
+from palpate.scenes.training import open_training, parameters_of, search_current_folder, training_of
 
 DEFAULT_OUT = Path("out/train")
 USER_DEFAULTS = Training(paths=64, held_out=8, modes=24)  # of a scene that is a user's function
@@ -53,10 +54,10 @@ def train(
     Parameters
     ----------
     scene : str
-        As for `palpate.scenes.training.open_training`; a module is looked for in the current folder, too. Or a
-        surface file.
+        As for `palpate.open_scene`, or ``"module:function"`` of a function that returns a `TrainingScene`; the module
+        is looked for in the current folder, too.
     part, labels, without
-        Of a surface file, as for `palpate.scenes.open_surface.open_surface`.
+        Of a surface file, as for `palpate.open_scene`.
     given : sequence of str
         Its parameters as ``"name=value"``.
     paths, held_out : int, optional
@@ -86,46 +87,29 @@ def train(
     int
         0, also if some runs failed; 3 if the errors on the held-out runs are too large to use the model.
     """
-    kind, opened = kind_of(scene), None
-    if kind is not None:
-        settings = parse_settings(given)
-        if kind is SceneKind.SURFACE_FILE:
-            parts = tuple(part or ())
-            opened = complete_for_training(
-                open_surface(scene, part=parts, labels=labels, settings=settings, without=without)
-            )
-            scene, settings = opened.name, {DESCRIPTION_KEY: json_of_scene(opened)}  # with which workers open it
-        else:
-            for name, value in (("part", part), ("labels", labels), ("without", without)):
-                if value:
-                    raise InputError(f"{name} must be left out unless a surface file is given, got {scene!r:.60}")
-            opened = open_scene(scene, settings)
-        defaults = opened.description.training
-        if out is None:
-            out = DEFAULT_OUT if kind is SceneKind.PACKAGE else training_folder(opened)
+    console, opened, arguments = Console(), None, dict[str, str]()
+    if kind_of(scene) is None:
+        arguments = split_settings(given)  # converted to the types of the function's defaults
     else:
-        settings = split_settings(given)  # converted to the types of the function's defaults
-        defaults, out = USER_DEFAULTS, DEFAULT_OUT if out is None else out
-    more_modes = modes is None
-    sizes: dict[str, Any] = {
-        "paths": paths, "held_out": held_out, "seed": seed, "modes": modes, "tolerance": tolerance
-    }  # fmt: skip
-    chosen = replace(defaults, **{name: value for name, value in sizes.items() if value is not None})
+        opened = _open(scene, given, part, labels, without)
+        scene = opened.name
+    sizes: dict[str, Any] = {"paths": paths, "held_out": held_out, "seed": seed, "modes": modes, "tolerance": tolerance}
+    sizes = {name: value for name, value in sizes.items() if value is not None}
+    chosen = replace(USER_DEFAULTS if opened is None else opened.description.training, **sizes)
     if chosen.tolerance is not None and not chosen.held_out:
         raise InputError("held_out must be at least 1 with --tolerance, got 0; the errors are of held-out runs")
-    if cluster is not None:
-        check_dask()
-        if workers is not None:
-            raise InputError(f"workers must be left out with --cluster, got {workers}; a cluster has its own")
-    workers = integer_in_range("workers", 1 if workers is None else workers, 1, MAX_WORKERS)
+    workers = _count_workers(workers, cluster)
+    if out is None:
+        out = DEFAULT_OUT if opened is None or opened.kind is SceneKind.PACKAGE else training_folder(opened)
     check_folder(out)
     if opened is not None:
         check_sizes(opened, chosen, recorded=bool(more) or (out / RECORDINGS_FOLDER).is_dir())
-    console = Console()
     with console.status("making the model ready (the first time on a machine compiles it, for about a minute)"):
-        if ":" in scene:
+        if opened is None:
             search_current_folder()
-        made = open_training(scene, settings) if opened is None else training_of(opened, settings)
+            made = open_training(scene, arguments)
+        else:
+            made = training_of(opened, parameters_of(opened))
     with open_campaign(out, manifest_of(name_in_folder(scene, out), made, chosen.seed)) as campaign_folder:
         for recording in more:
             add_recording(campaign_folder, made, recording)
@@ -136,10 +120,27 @@ def train(
             model = campaign.train(jobs)
         else:
             jobs, model, rounds = campaign.train_to_tolerance(
-                chosen.tolerance, chosen.paths, chosen.held_out, more_modes
+                chosen.tolerance, chosen.paths, chosen.held_out, more_modes=modes is None
             )
         supports = campaign.support_study(jobs)
         report_campaign(campaign_folder, made, jobs, model, campaign.seconds, rounds, supports, as_json)
     if "advice" in model.report:
         return complain(f"warning: {model.report['advice']}", UNTRUSTED)
     return DONE
+
+
+def _open(
+    source: str, given: Sequence[str], part: Sequence[str] | None, labels: Path | None, without: Sequence[str]
+) -> Scene:
+    """Return a scene with what training requires."""
+    scene = open_scene(source, parse_settings(given), part=part or (), labels=labels, without=without)
+    return complete_for_training(scene) if scene.kind is SceneKind.SURFACE_FILE else scene
+
+
+def _count_workers(workers: int | None, cluster: str | None) -> int:
+    """Return the number of processes on this machine."""
+    if cluster is not None:
+        check_dask()
+        if workers is not None:
+            raise InputError(f"workers must be left out with --cluster, got {workers}; a cluster has its own")
+    return integer_in_range("workers", 1 if workers is None else workers, 1, MAX_WORKERS)

@@ -16,16 +16,16 @@ from palpate.core.faults import InputError
 from palpate.surface.labels.listing import label_rows
 from palpate.surface.labels.reading import read_label_map
 
-Subject = TypeVar("Subject")
+Opened = TypeVar("Opened")
 
 
 @contextlib.contextmanager
 def choose_on_page(
     file: str,
     names: Path | None,
-    read: Callable[[Sequence[str], Sequence[str]], Subject],
+    read: Callable[[Sequence[str], Sequence[str]], Opened],
     address: tuple[int, str, bool, str | None],
-) -> Iterator[tuple[Host | tuple[int, str, bool, str | None], Subject]]:
+) -> Iterator[tuple[Host | tuple[int, str, bool, str | None], Opened]]:
     """Yield what `read` returns for the labels of a map that are chosen on the page, and the host of the page.
 
     `read` takes the labels, and those that lie in them and do not join.
@@ -50,10 +50,10 @@ def choose_on_page(
         while True:
             parts, without = choice.wait()
             try:
-                subject = read(parts, without)
+                opened = read(parts, without)
             except InputError as error:
                 console.say(option_names(str(error)))
                 host.refuse(str(error))
                 continue
-            yield host, subject
+            yield host, opened
             return

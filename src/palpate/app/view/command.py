@@ -16,7 +16,7 @@ from palpate.app.common.arguments import option_names, parse_settings
 from palpate.app.common.console import Console
 from palpate.app.common.exit_status import DONE, FAILED, INTERRUPTED
 from palpate.app.device.options import DeviceOptions, take_device
-from palpate.app.models.subject import Subject, open_subject
+from palpate.app.models.input import Input, open_input
 from palpate.app.session.opening import MakeSession, check_record, exit_on_signals, running_session
 from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK, PORT_ATTEMPTS, open_listener, public_address
 from palpate.core.extras import require
@@ -28,13 +28,16 @@ from palpate.surface.surface import Surface
 if TYPE_CHECKING:  # it takes a second to import, before the page opens
     from palpate.app.session.session import Session
     from palpate.app.view.server.host import Host
+    from palpate.app.view.server.preparation import Preparation
     from palpate.dynamics.loads.foundation import Foundation
+
+    Place = Host | tuple[int, str, bool, str | None]  # of a page: its host, or the arguments of `serve`
 
 STOP_SECONDS, TRAINING_STOP_SECONDS = 1.0, 10.0  # [s] after an interrupt; workers of a training are stopped in order
 
 
 def view(
-    what: str,
+    source: str,
     *,
     port: int = DEFAULT_PORT,
     host: str = LOOPBACK,
@@ -69,32 +72,32 @@ def view(
         host, port, PORT_ATTEMPTS if public_url is None else 1
     ).close()  # refuses a wrong address before a model is trained
     if record is not None:
-        check_record(record, what)
+        check_record(record, source)
     if scene is not None and not compare:
         raise InputError(f"scene must be left out without --compare, got {scene!r:.60}; add --compare")
     settings, address = parse_settings(given), (port, host, browser, public_url)
 
-    def read(parts: Sequence[str], without: Sequence[str] = ()) -> Subject:
+    def read(parts: Sequence[str], without: Sequence[str] = ()) -> Input:
         left_out = [*(shape.get("without") or ()), *without]
-        return open_subject(what, settings, spacing, **shape | {"part": list(parts), "without": left_out})
+        return open_input(source, settings, spacing, **shape | {"part": list(parts), "without": left_out})
 
-    def show(subject: Subject, place: Host | tuple[int, str, bool, str | None]) -> int:
-        full = subject.scene is not None and subject.scene.kind is not SceneKind.PACKAGE
+    def show(opened: Input, place: Place) -> int:
+        full = opened.scene is not None and opened.scene.kind is not SceneKind.PACKAGE
         if compare and full:
-            raise InputError(f"compare must be left out for a full body, got {what!r:.60}; give a reduced model")
+            raise InputError(f"compare must be left out for a full body, got {source!r:.60}; give a reduced model")
         if refine and not full:
             raise InputError(
-                f"refine must be left out unless a page shows a surface file or a scene file, got {what!r:.60}"
+                f"refine must be left out unless a page shows a surface file or a scene file, got {source!r:.60}"
             )
-        make = partial(_make_session, title=subject.title, compare=compare, scene=scene)
-        name = _durations_name(subject, full, compare)
-        return FAILED if _show(subject, full, make, name, record, place, refine, device) else DONE
+        make = partial(_make_session, title=opened.title, compare=compare, scene=scene)
+        name = _durations_name(opened, full, compare)
+        return FAILED if _show(opened, full, make, name, record, place, refine, device) else DONE
 
     with exit_on_signals():
-        if is_label_map(what) and not shape.get("part"):
+        if is_label_map(source) and not shape.get("part"):
             from palpate.app.view.choose_labels import choose_on_page
 
-            with choose_on_page(what, shape.get("labels"), read, address) as (place, chosen):
+            with choose_on_page(source, shape.get("labels"), read, address) as (place, chosen):
                 return show(chosen, place)
         return show(read(shape.get("part") or ()), address)
 
@@ -112,75 +115,73 @@ def _make_session(
     return Session(body, title, foundations=foundations)
 
 
-def _durations_name(subject: Subject, full: bool, compare: bool) -> str:
+def _durations_name(opened: Input, full: bool, compare: bool) -> str:
     """Return the name under which the durations of a preparation are kept."""
-    if subject.scene is None:
-        return f"{Path(subject.name).resolve()}{' compared' if compare else ''}"
-    about = subject.scene.description
-    return f"surface {about.tissue.law} {about.body.spacing or ''}".rstrip() if full else subject.name
+    if opened.scene is None:
+        return f"{Path(opened.name).resolve()}{' compared' if compare else ''}"
+    about = opened.scene.description
+    return f"surface {about.tissue.law} {about.body.spacing or ''}".rstrip() if full else opened.name
 
 
-def _first_surface(subject: Subject, full: bool) -> Surface | None:
+def _first_surface(opened: Input, full: bool) -> Surface | None:
     """Return the surface that a page shows at first."""
-    if subject.scene is not None:
-        return subject.scene.surface if full else None
-    assert subject.model is not None
-    cloud = subject.model.cloud
+    if opened.scene is not None:
+        return opened.scene.surface if full else None
+    assert opened.model is not None
+    cloud = opened.model.cloud
     has_surface = len(cloud.triangles) and cloud.points.shape[1] == 3
     return Surface(cloud.points, cloud.triangles) if has_surface else None
 
 
+def _first_page(opened: Input, full: bool, durations_name: str) -> Preparation:
+    """Return what a page shows while the body is prepared: its surface, and notes about it."""
+    from palpate.app.view.server.preparation import Preparation
+
+    surface, subtitle, notes = _first_surface(opened, full), "", list[str]()
+    if full and opened.scene is not None:
+        subtitle, notes = opened.scene.subtitle, [*opened.scene.notes]
+        notes += [f"surface: {each}" for each in (surface.warnings if surface else ())]
+    notes = [option_names(note) for note in notes]
+    return Preparation(opened.title, durations_name, surface, subtitle=subtitle, notes=notes)
+
+
 def _show(
-    subject: Subject,
+    opened: Input,
     full: bool,
     make: MakeSession,
     durations_name: str,
     record: Path | None,
-    place: Host | tuple[int, str, bool, str | None],
+    place: Place,
     refine: bool,
     device: DeviceOptions | None,
 ) -> list[str]:
     """Show a body on a page until interrupted, first its surface; return failures of recordings."""
-    from palpate.app.common.compile_ahead import compile_ahead
-    from palpate.app.view.compile_engine import compile_engine
     from palpate.app.view.server.host import Host, serve
-    from palpate.app.view.server.preparation import Preparation
     from palpate.app.view.surroundings import show_surroundings
-    from palpate.core.parameters import written_section
 
-    scene = subject.scene if full else None
-    surface = _first_surface(subject, full)
-    notes = (
-        [] if scene is None else [*scene.notes, *(f"surface: {each}" for each in (surface.warnings if surface else ()))]
-    )
-    preparation = Preparation(
-        subject.title, durations_name, surface, subtitle="" if scene is None else scene.subtitle,
-        notes=[option_names(note) for note in notes],
-    )  # fmt: skip
+    scene, preparation = opened.scene if full else None, _first_page(opened, full, durations_name)
     console = Console(preparation.begin)
-    patience = TRAINING_STOP_SECONDS if scene is None and subject.model is None else STOP_SECONDS
+    patience = TRAINING_STOP_SECONDS if scene is None and opened.model is None else STOP_SECONDS
     serving = contextlib.nullcontext(place) if isinstance(place, Host) else serve(preparation, console, *place)
     with serving as host, contextlib.ExitStack() as stack:
         if isinstance(place, Host):
             host.prepare(preparation)
         if scene is not None:
             show_surroundings(host, scene)
-        try:
-            with _end_after_interrupt(patience):
-                tissue = None if scene is None or preparation.code_is_compiled else scene.description.tissue
-                wait = None
-                if tissue is not None:
-                    wait = stack.enter_context(compile_ahead(compile_engine, written_section(tissue)))
-                session = stack.enter_context(running_session(subject, full, make, console, record, wait))
-                from palpate.app.device.driver import driving
-                from palpate.app.view.refinement import Refinement
+        with _preparing(host, preparation, patience):
+            wait = None
+            if scene is not None and not preparation.code_is_compiled:
+                from palpate.app.common.compile_ahead import compile_ahead
+                from palpate.app.view.compile_engine import compile_engine
+                from palpate.core.parameters import written_section
 
-                preparation.end()
-        except Exception as error:
-            host.fail(str(error) if isinstance(error, InputError) else "palpate ended; its terminal says why")
-            raise
-        finally:
-            preparation.close()
+                tissue = written_section(scene.description.tissue)
+                wait = stack.enter_context(compile_ahead(compile_engine, tissue))
+            session = stack.enter_context(running_session(opened, full, make, console, record, wait))
+            from palpate.app.device.driver import driving
+            from palpate.app.view.refinement import Refinement
+
+            preparation.end()
         refinement = None
         if scene is not None:
             refinement = stack.enter_context(contextlib.closing(Refinement(scene, session, console)))
@@ -195,6 +196,19 @@ def _show(
         finally:
             host.stop()  # before the session ends
     return session.recordings.failures
+
+
+@contextlib.contextmanager
+def _preparing(host: Host, preparation: Preparation, patience: float) -> Iterator[None]:
+    """End a preparation, and show the page why it failed; Ctrl-C ends the program within a time [s]."""
+    try:
+        with _end_after_interrupt(patience):
+            yield
+    except Exception as error:
+        host.fail(str(error) if isinstance(error, InputError) else "palpate ended; its terminal says why")
+        raise
+    finally:
+        preparation.close()
 
 
 @contextlib.contextmanager

@@ -34,7 +34,7 @@ def add_view(commands: Any) -> None:
         f"a surface file or label map ({listed_formats()}), whose full body is touched at once; a scene "
         f"({listed_scenes()}); or the file of a reduced model, such as model.rom of palpate train"
     )
-    add("what", metavar="SCENE|FILE", help=text)
+    add("source", metavar="SCENE|FILE", help=text)
     group = add_surface_options(view)
     add_parameter(group, Body, "spacing", " (default: the finest that this machine steps in real time)")
     text = "parameters of the law, density and poisson, in SI units; settings of a scene"

@@ -136,8 +136,7 @@ class Refinement:
     def _load(self, event: dict[str, Any]) -> None:
         """Make the session of a trained model."""
         model = load(Path(event["trained"]))
-        foundations = complete_for_training(self._scene).foundations
-        session = Session(model, self._session.title, foundations=foundations)
+        session = Session(model, self._session.title, foundations=self._scene.foundations)
         session.subtitle = self._session.subtitle
         session.notes = tuple(option_names(note) for note in self._scene.notes)
         with self._lock:

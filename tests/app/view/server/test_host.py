@@ -107,8 +107,8 @@ from palpate.app.view import command
 from palpate.app.view.server import host
 from palpate.app.view.server.preparation import Preparation
 
-subject = command.open_subject(sys.argv[1], units="cm")
-preparation = Preparation(subject.title, "box", command._first_surface(subject, True))
+opened = command.open_input(sys.argv[1], units="cm")
+preparation = Preparation(opened.title, "box", command._first_surface(opened, True))
 mechanics = ("palpate.dynamics.solid", "palpate.dynamics.nodal", "palpate.reduction", "palpate.realtime.engine")
 print(len(preparation.surface.triangles), [name for name in sys.modules if name.startswith(mechanics)])
 """

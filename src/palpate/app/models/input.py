@@ -1,4 +1,4 @@
-"""Subject of a command: a scene, or the reduced model in a file. Its name is looked at here, once."""
+"""Input of a command: a scene, or the reduced model in a file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from palpate.app.common.exit_status import one_line
 from palpate.core.faults import InputError
 from palpate.scenes.names import PACKAGE_SCENES, SceneKind, kind_of
 from palpate.scenes.open_scene import open_scene
-from palpate.scenes.open_surface import complete_for_training, open_surface
+from palpate.scenes.open_surface import complete_for_training
 from palpate.scenes.places import side_mask
 from palpate.scenes.scene import Scene
 from palpate.surface.formats.first_bytes import refuse_misnamed
@@ -22,9 +22,11 @@ from palpate.surface.formats.first_bytes import refuse_misnamed
 if TYPE_CHECKING:  # it takes a second to import, before a page opens
     from palpate.reduction.hyper.model import ReducedModel
 
+INPUT_NAMES = f"{', '.join(PACKAGE_SCENES)}, a scene file, or a file of palpate train"
+
 
 @dataclass(frozen=True)
-class Subject:
+class Input:
     """A scene, whose reduced model is trained at its first use, or the reduced model of a file."""
 
     name: str
@@ -45,53 +47,56 @@ class Subject:
         return model
 
 
-SUBJECT_NAMES = f"{', '.join(PACKAGE_SCENES)}, a scene file, or a file of palpate train"
-
-
-def open_subject(
-    name: str,
+def open_input(
+    source: str,
     settings: Mapping[str, Any] | None = None,
     spacing: float | None = None,
     for_training: bool = False,
     **shape: Any,
-) -> Subject:
-    """Open a scene of the package, a scene file, a surface file, or the file of a reduced model.
+) -> Input:
+    """Open a scene as `palpate.open_scene` does, or the file of a reduced model.
 
-    `settings` and `spacing` [m] are of a scene (`palpate.open_scene`), `shape` are further options of a surface file
-    (`palpate.scenes.open_surface.open_surface`): None, 1, or empty where the user gave none. With `for_training` the
-    scene of a surface file has all that a reduced model requires (`palpate.scenes.open_surface.complete_for_training`).
+    `shape` are options of a surface file, None, 1, or empty where the user gave none: settings (units, scale, law), and
+    arguments of `palpate.open_scene`. With `for_training` the scene of a surface file has all that a reduced model
+    requires (`palpate.scenes.open_surface.complete_for_training`). Errors of a file are raised at once.
     """
+    given = {} if spacing is None else {"spacing": spacing}
     shape = {option: value for option, value in shape.items() if value not in (None, 1.0, [], ())}
-    kind, settings = kind_of(name), dict(settings or {})
+    kind = kind_of(source)
     if kind is None:
-        refuse_misnamed(Path(name))
-    if kind is SceneKind.SURFACE_FILE:
-        scene = open_surface(name, spacing=spacing, settings=settings, **shape)
-        assert scene.surface is not None
-        for support in scene.description.support:
-            if support.place.side:
-                side_mask(scene.surface.vertices, support.place.side, space=scene.surface.space)
-        return Subject(name, scene.title, complete_for_training(scene) if for_training else scene)
-    if kind is None and not (shape or settings or spacing is not None):
-        return _model_of_file(name)
+        refuse_misnamed(Path(source))
+        if not (shape or settings or given):
+            return _model_of_file(source)
     if kind is None or (shape and kind is SceneKind.PACKAGE):
         raise InputError(
             "units, scale, part, labels, without, spacing, law, set and fixed must be left out unless a surface file "
-            f"is viewed, got {name!r:.60}"
+            f"is viewed, got {source!r:.60}"
         )
-    if shape:
-        raise InputError(f"{next(iter(shape))} must be left out with a scene file, got {name!r:.60}; change the file")
-    scene = open_scene(name, ({} if spacing is None else {"spacing": spacing}) | settings)
-    if kind is SceneKind.SCENE_FILE:
-        _ = scene.surface, scene.material  # raises errors of the surface and the tissue at once
-    return Subject(name, scene.title, scene)
+    if shape and kind is SceneKind.SCENE_FILE:
+        raise InputError(f"{next(iter(shape))} must be left out with a scene file, got {source!r:.60}; change the file")
+    given |= {option: shape.pop(option) for option in ("units", "scale", "law") if option in shape}
+    scene = open_scene(source, given | dict(settings or {}), **shape)
+    if kind is not SceneKind.PACKAGE:
+        _check_files(scene)
+    is_completed = for_training and kind is SceneKind.SURFACE_FILE
+    return Input(source, scene.title, complete_for_training(scene) if is_completed else scene)
 
 
-def _model_of_file(name: str) -> Subject:
-    """Return the subject of a file of ``palpate train``, whose model takes a tool."""
+def _check_files(scene: Scene) -> None:
+    """Read the surface and the tissue of a scene, and of a surface file alone the supports."""
+    surface, _ = scene.surface, scene.material
+    if surface is None or scene.kind is not SceneKind.SURFACE_FILE:
+        return
+    for support in scene.description.support:
+        if support.place.side:
+            side_mask(surface.vertices, support.place.side, space=surface.space)
+
+
+def _model_of_file(name: str) -> Input:
+    """Return the reduced model of a file of ``palpate train``, which takes a tool."""
     path = Path(name)
     if not path.suffix and not os.path.exists(path):  # False also for a name that is too long
-        raise InputError(f"what must be {SUBJECT_NAMES}, got {name!r:.60}{suggestion(name, PACKAGE_SCENES)}")
+        raise InputError(f"source must be {INPUT_NAMES}, got {name!r:.60}{suggestion(name, PACKAGE_SCENES)}")
     from palpate.reduction.storage.models import load
 
     model = load(path)
@@ -102,4 +107,4 @@ def _model_of_file(name: str) -> Subject:
         )
     scene = Path(str(model.report.get("scene", {}).get("name", path.stem)))
     title = (scene.stem if scene.suffix else scene.name).rpartition(":")[2].replace("_", " ").capitalize()
-    return Subject(name, title, model=model)
+    return Input(name, title, model=model)
