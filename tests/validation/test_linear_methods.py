@@ -22,19 +22,19 @@ def pull():
     return pt.SurfaceForce("x+", force=lambda time: 1e-4 * np.sin(300 * time) ** 2 * np.array([0.6, 0.15, 0.05]))
 
 
-def held_bar(bar, tissue, form, pull):
-    body = pt.Solid(bar, tissue, fixed="x-", form=form, stiffness_damping=2e-5)
+def held_bar(bar, tissue, form, damping, pull):
+    body = pt.Solid(bar, tissue, fixed="x-", form=form, stiffness_damping=damping)
     return pt.lti.linearise(body, [pull], ["x+", "x-"])
 
 
 @pytest.fixture(scope="module")
 def reduction(bar, tissue, pull):
-    return Reductions(held_bar(bar, tissue, "energy", pull), CONDENSED, ([pull], 0.02, 0.0005))
+    return Reductions(held_bar(bar, tissue, "energy", 2e-5, pull), CONDENSED, ([pull], 0.02, 0.0005))
 
 
 @pytest.fixture(scope="module")
-def strong_reduction(bar, tissue, pull):
-    return Reductions(held_bar(bar, tissue, "strong", pull), CONDENSED, ([pull], 0.02, 0.0005))
+def strong_reduction(bar, tissue, calm, pull):
+    return Reductions(held_bar(bar, tissue, "strong", calm, pull), CONDENSED, ([pull], 0.02, 0.0005))
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +108,7 @@ def test_errors_decrease_with_more_modes(method, form, request, pull):
     runs = [pt.rollout(own.model(method, modes), [pull], **hold) for modes in (3, 9)]
     few, many = (pt.relative_errors(full, run).displacement for run in runs)
     assert many < few
-    assert many < 0.35
+    assert many < 0.3
 
 
 @pytest.mark.parametrize("modes", [1, 3, 6, 9])
