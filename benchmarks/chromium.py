@@ -183,8 +183,8 @@ class Tab:
     def mouse(self, kind: str, x: float, y: float, button: str = "left", **more: Any) -> None:
         """Send a mouse event: ``"Pressed"``, ``"Moved"``, ``"Released"`` or ``"Wheel"`` (with deltaX, deltaY)."""
         pressed_buttons = {"left": 1, "right": 2, "none": 0}[button] if kind != "Released" else 0
-        given = {"type": f"mouse{kind}", "x": x, "y": y, "button": button, "buttons": pressed_buttons, "clickCount": 1}
-        self.call("Input.dispatchMouseEvent", given | more)
+        event = {"type": f"mouse{kind}", "x": x, "y": y, "button": button, "buttons": pressed_buttons, "clickCount": 1}
+        self.call("Input.dispatchMouseEvent", event | more)
 
     def touch(self, kind: str, *points: tuple[float, float]) -> None:
         """Send a touch event: ``"Start"``, ``"Move"`` or ``"End"``, with the positions of all fingers."""

@@ -142,8 +142,8 @@ def main() -> None:
         by_function = found.pop("by_function")
         for function in sorted(by_function, key=lambda each: -by_function[each][1])[:12]:
             print(f"  {by_function[function][1]:6.2f} s  {by_function[function][0]} x {function}")
-        kept = result_files.read("compiled_functions", {})
-        result_files.write("compiled_functions", kept | {name: {"command": COMMANDS[name]} | found})
+        results = result_files.read("compiled_functions", {})
+        result_files.write("compiled_functions", results | {name: {"command": COMMANDS[name]} | found})
 
 
 if __name__ == "__main__":

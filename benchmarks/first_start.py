@@ -61,9 +61,9 @@ def main() -> None:
             f"{COMMANDS[name]}: {first['wall']:.0f} s ({first['processor']:.0f} s of processor), again "
             f"{second['wall']:.0f} s ({second['processor']:.0f} s)"
         )
-        kept = result_files.read("first_start", {})
+        results = result_files.read("first_start", {})
         command = f"python benchmarks/first_start.py {name}"
-        result_files.write("first_start", kept | {name: {"first": first, "second": second}}, command)
+        result_files.write("first_start", results | {name: {"first": first, "second": second}}, command)
 
 
 if __name__ == "__main__":

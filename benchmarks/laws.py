@@ -25,17 +25,17 @@ def materials(poisson: float) -> dict[str, Any]:
     import palpate as pt
     from palpate.tissue.catalogue import LAWS
 
-    given = {"density": 1000.0, "poisson": poisson}
-    made = {law.name: getattr(pt.materials, law.name)(**law.example, **given) for law in LAWS}
+    common = {"density": 1000.0, "poisson": poisson}
+    made = {law.name: getattr(pt.materials, law.name)(**law.example, **common) for law in LAWS}
     own = {"C1": 5e3, "C2": 1e3, "C3": 200.0}
     text = "C1*(I1 - 3 - 2*log(J)) + C2*(I1 - 3 - 2*log(J))**2 + C3*(I1 - 3 - 2*log(J))**3"
-    made["Hyperelastic, as Yeoh"] = pt.materials.Hyperelastic(text, **own, **given)
+    made["Hyperelastic, as Yeoh"] = pt.materials.Hyperelastic(text, **own, **common)
     if poisson == 0.5:
         del made["LinearElastic"]
     else:
         series = pt.materials.Prony(shares=(0.3, 0.2, 0.1), times=(0.01, 0.1, 1.0))
-        made["Prony, three branches"] = pt.materials.NeoHookean(C1=5e3, prony=series, **given)
-    return {**made, "NeoHookean again": pt.materials.NeoHookean(C1=5e3, **given)}
+        made["Prony, three branches"] = pt.materials.NeoHookean(C1=5e3, prony=series, **common)
+    return {**made, "NeoHookean again": pt.materials.NeoHookean(C1=5e3, **common)}
 
 
 def fibres() -> dict[str, Any]:
@@ -54,13 +54,19 @@ def regions() -> dict[str, tuple[Any, Any]]:
     """Make pairs of materials of one law, for the two halves of a body; of the energy form."""
     import palpate as pt
 
-    given = {"density": 1000.0, "poisson": 0.45}
+    common = {"density": 1000.0, "poisson": 0.45}
     return {
-        "NeoHookean, two regions": (pt.materials.NeoHookean(C1=5e3, **given), pt.materials.NeoHookean(C1=9e3, **given)),
-        "Gent, two regions": (pt.materials.Gent(mu=10e3, Jm=3.0, **given), pt.materials.Gent(mu=20e3, Jm=1.5, **given)),
+        "NeoHookean, two regions": (
+            pt.materials.NeoHookean(C1=5e3, **common),
+            pt.materials.NeoHookean(C1=9e3, **common),
+        ),
+        "Gent, two regions": (
+            pt.materials.Gent(mu=10e3, Jm=3.0, **common),
+            pt.materials.Gent(mu=20e3, Jm=1.5, **common),
+        ),
         "Ogden, two regions": (
-            pt.materials.Ogden(C=(800.0, 120.0), alpha=(4.0, -7.5), **given),
-            pt.materials.Ogden(C=(600.0, 300.0), alpha=(3.0, -5.0), **given),
+            pt.materials.Ogden(C=(800.0, 120.0), alpha=(4.0, -7.5), **common),
+            pt.materials.Ogden(C=(600.0, 300.0), alpha=(3.0, -5.0), **common),
         ),
     }
 
@@ -75,7 +81,7 @@ def model(form: str, material: Any, nodes: int, jitter: float, within: Any = Non
     cloud = pt.box(((round(nodes ** (1 / 3)) - 1) * 0.005,) * 3, 0.005, jitter)
     if isinstance(material, tuple):
         near = cloud.points[:, 0] < cloud.points[:, 0].mean()
-        material = [material[0] if here else material[1] for here in near]
+        material = [material[0] if is_near else material[1] for is_near in near]
     return pt.Solid(cloud, material, "x-", form=form, stiffness_damping=5e-5, fibres=within)
 
 

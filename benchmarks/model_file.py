@@ -27,11 +27,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("file", type=Path)
     parser.add_argument("--rounds", type=int, default=5)
-    given = parser.parse_args()
-    size, model = given.file.stat().st_size, pt.load(given.file)
-    (seconds,) = median_seconds(lambda: pt.load(given.file), repeats=given.rounds)
+    arguments = parser.parse_args()
+    size, model = arguments.file.stat().st_size, pt.load(arguments.file)
+    (seconds,) = median_seconds(lambda: pt.load(arguments.file), repeats=arguments.rounds)
     print(f"{len(model.cloud)} nodes, {model.count} coordinates: {size / 1e6:.1f} MB, loaded in {seconds:.2f} s")
-    arrays = open_sealed(given.file, FORMAT, VERSION, OLDER_VERSIONS).arrays
+    arrays = open_sealed(arguments.file, FORMAT, VERSION, OLDER_VERSIONS).arrays
     for name, entry in sorted(arrays.items(), key=lambda item: -item[1].size):
         if entry.size > MIN_SHARE * size:
             whole = math.prod(entry.shape) * np.dtype(entry.type).itemsize

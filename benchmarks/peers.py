@@ -523,9 +523,9 @@ def measure_all(only: str | None) -> dict[str, Any]:
         print(f"{name} is left out: pip install {PROGRAMS[name][0]}")
     if "FElupe" not in names and not only:
         raise SystemExit("FElupe gives the reference: pip install felupe")
-    kept = result_files.read("peers", {}) if only else {}
-    expected = kept.get("references", {})
-    rows = [row for row in kept.get("rows", []) if row["program"] != only]
+    results = result_files.read("peers", {}) if only else {}
+    expected = results.get("references", {})
+    rows = [row for row in results.get("rows", []) if row["program"] != only]
     for case in CASES.values():
         if not only:
             expected[case.name] = references(case, {PROGRAMS[name][2] for name in names})
@@ -533,7 +533,7 @@ def measure_all(only: str | None) -> dict[str, Any]:
         for name in [only] if only else names:
             rows += measure_program(case, name, expected[case.name]["laws"])
     rows.sort(key=lambda row: (list(CASES).index(row["case"]), list(PROGRAMS).index(row["program"]), row["nodes"]))
-    installed = kept.get("versions", {}) | versions()
+    installed = results.get("versions", {}) | versions()
     return {"versions": installed, "shear": SHEAR, "poisson": POISSON, "references": expected, "rows": rows}
 
 

@@ -52,7 +52,7 @@ class PressedLiver:
 
     def realtime(self, modes: int | None = None) -> RealtimeModel:
         """Return the body for the engine, with a number of modes that get more mass."""
-        return realtime_model(self.body, contact=self.ball(tuple(self.home)), tailored_modes=modes)
+        return realtime_model(self.body, contact=self.ball(tuple(self.home)), scaled_modes=modes)
 
 
 class Periods(NamedTuple):

@@ -105,15 +105,15 @@ def step_seconds(*runs: tuple[ReducedModel, PreparedLoads, State], steps: int = 
 
 def _compile_loop(model: ReducedModel, prepared: PreparedLoads, state: State, steps: int) -> Call:
     """Return a call of the compiled steps, with the arguments of `ReducedModel.advance`."""
-    (step, _), given = model.stable_step(state, prepared), []
+    (step, _), calls = model.stable_step(state, prepared), []
     explicit = model._explicit(len(prepared.tools) > 0)
 
     def record(*arguments: Any) -> Any:
-        given.append(arguments)
+        calls.append(arguments)
         return explicit(*arguments)
 
     watched = copy(model)
     vars(watched)["_explicit"] = lambda touched: record
     watched.advance(state, prepared, step, steps)
-    _, _, *others = given[0]
+    _, _, *others = calls[0]
     return lambda: explicit(state.coordinates.copy(), state.velocities.copy(), *others)

@@ -78,9 +78,9 @@ def main() -> None:
     """Rewrite the pages, or print a block."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--show", choices=sorted(BLOCKS), metavar="NAME", help="print a block and end")
-    given = parser.parse_args()
-    if given.show:
-        print(text(given.show, ROOT / "README.md"))
+    arguments = parser.parse_args()
+    if arguments.show:
+        print(text(arguments.show, ROOT / "README.md"))
         return
     for page in pages():
         new = rewritten(page)

@@ -20,4 +20,4 @@ with pt.Engine(pt.realtime_model(body, contact=ball)) as engine:
         time.sleep(0.02)
         reading = engine.read()
         print(f"{reading.time:.2f} s  {1e3 * reading.position[2]:6.2f} mm  {reading.force[2]:.3f} N")
-    print(engine.statistics().verdict)
+    print(engine.statistics().status)

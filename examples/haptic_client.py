@@ -57,7 +57,7 @@ async def main(address: str, seconds: float) -> None:
         f"largest {np.linalg.norm(force, axis=1).max():.3g} N, {len(latencies) / seconds:.0f} poses a second"
     )
     print(f"contact stiffness there [N/m]:\n{stiffness.reshape(3, 3).round(1)}")
-    print(f"largest trust number {max(f[1] for f in forces):.2f} (above 1: not trained on)")
+    print(f"largest error indicator {max(f[1] for f in forces):.2f} (above 1: not trained on)")
     middle, high, largest = 1e3 * np.percentile(latencies, [50, 95, 100])
     print(
         f"latency from a pose to its force: median {middle:.2f} ms, 95th percentile {high:.2f} ms, "

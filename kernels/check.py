@@ -102,8 +102,8 @@ def _train(folder: Path) -> None:
 
 
 def _environment(**more: str) -> dict[str, str]:
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "PYTHONPATH"))}
-    return kept | {"OPENBLAS_NUM_THREADS": "1"} | more
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "PYTHONPATH"))}
+    return environment | {"OPENBLAS_NUM_THREADS": "1"} | more
 
 
 def _run(python: Path, program: str, words: list[str], folder: Path, variables: dict[str, str]) -> str:

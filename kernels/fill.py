@@ -40,15 +40,15 @@ def main() -> None:
     parser.add_argument("--laws", nargs="+", choices=names, default=names, metavar="LAW")
     parser.add_argument("--family", default=FAMILIES.get(platform.machine(), "generic"))
     parser.add_argument("--no-reduced", action="store_true", help="leave out reduced models")
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         environment = os.environ | {
-            "NUMBA_CPU_NAME": given.family, "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(folder / "numba"),
+            "NUMBA_CPU_NAME": arguments.family, "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(folder / "numba"),
             "XDG_CACHE_HOME": str(folder / "cache"), "OPENBLAS_NUM_THREADS": "1",
         }  # fmt: skip
-        jobs = touches(folder, given.laws) + ([] if given.no_reduced else [REDUCED])
+        jobs = touches(folder, arguments.laws) + ([] if arguments.no_reduced else [REDUCED])
         with ThreadPoolExecutor(max_workers=2) as pool:
             list(pool.map(lambda job: start(job, folder, environment), jobs))
         code = folder / "numba" / "palpate-code"
@@ -63,7 +63,7 @@ def main() -> None:
             [sys.executable, "-c", "from palpate.compiled.shipped_code import machine_processor as m; print(m()[0])"],
             env=environment, capture_output=True, text=True, check=True,
         ).stdout.strip()  # fmt: skip
-    path = FOLDER / pack_name(triple, given.family)
+    path = FOLDER / pack_name(triple, arguments.family)
     for old in FOLDER.glob("*.pack"):
         old.unlink()
     write_pack(path, entries)

@@ -82,7 +82,7 @@ def pytest_leave_to_release(items):
     for item in items:
         values = item.callspec.params if hasattr(item, "callspec") else {}
         for mark in item.iter_markers("each_kind"):
-            if any(values.get(name, kept[0]) not in kept for name, kept in mark.kwargs.items()):
+            if any(values.get(name, values_kept[0]) not in values_kept for name, values_kept in mark.kwargs.items()):
                 item.add_marker(pytest.mark.release)
 
 

@@ -20,7 +20,7 @@ TAKEN = {
     "compiled/rows.py": {"sums"},
     "dynamics/material/material_fields.py": {"at", "first"},
     "dynamics/membrane/additional_stress.py": {"_no_fibres"},
-    "realtime/exchange.py": {"fence", "load", "store"},
+    "realtime/seqlock.py": {"fence", "load", "store"},
     "realtime/windows_clock.py": {"counter"},
     "reduction/hyper/material_point.py": {"extended"},
     "tissue/isochoric.py": {"energy", "first", "second"},

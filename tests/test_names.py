@@ -27,7 +27,7 @@ STATES = """
 """
 ENTRIES = """
     AHEAD BEHIND CLAMPED COFACTOR COMPUTING COORDINATES COUNT DAMPING DILATATION DROPPED ELASTIC END ENERGIES ENERGY
-    ESTIMATE FAILURES FAN FORCE FORCES FREQUENCY FRESH GAINED GEOMETRY GIVEN HOME ITERATIONS KINETIC LATENESS LIMITED
+    ESTIMATE FAILURES FAN FORCE FORCES FREQUENCY FRESH GAINED GEOMETRY GIVEN HOME ITERATIONS KINETIC LIMITED
     LOAD LOST MASS MEAN MISSED MOMENT OVERLAY OVERRUN PAIRS PERIODS POSE POSITION PRESENT PREVIEW PREVIOUS PROBE RATE
     REPEATED RESTED ROWS SAVED SECANT SEQUENCE START STATE STATUS STEP STEPS STIFFNESS STRAIN STRESS STRIP SWEEPS
     TANGENTS TARGET TIME TRIAL TRIANGLES TRUST TRUSTED UNCONVERGED UNKNOWNS UPDATE WORK
@@ -54,8 +54,8 @@ def parameters(function: ast.AST) -> list[str]:
     """Return the names of the parameters of a function or lambda."""
     if not isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
         return []
-    given = function.args
-    listed = [*given.posonlyargs, *given.args, *given.kwonlyargs, given.vararg, given.kwarg]
+    arguments = function.args
+    listed = [*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs, arguments.vararg, arguments.kwarg]
     return [each.arg for each in listed if each is not None]
 
 

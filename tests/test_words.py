@@ -21,7 +21,7 @@ RETIRED = {  # word: its place is taken by
     r"FullModel|ProjectedModel|ReducedParts": "Solid, GalerkinModel, ReducedData",
     r"load_linear\b(?=\()|quickest": "load, select_time_step",
     r"own_law": "symbolic law",
-    r"firm_\w+|\w*_firm": "always taut, shear-weighted",
+    r"firm_\w+|\w*_firm": "tension-compression, shear-weighted",
     r"untouched(?=\()|touch_of|Handling": "no_contact, ContactTools",
     r"usual_imbalance|retool(?:ing|ed)?": "typical residual, change_tool",
     r"fullrun|inbox|Hung": "full-model replay, queue, virtual coupling",
@@ -47,6 +47,18 @@ RETIRED = {  # word: its place is taken by
     r"open_touched|training_scene_of|text_of_scene|parse_scene": "open_scene, training_of, json_of_scene",
     r"open_subject|learned_spacings?|keep_spacing|whole_body": "open_input, cached_spacing, resolve_labels",
     r"is_pressure|SurfaceForce\([^()]*pressure=.*": "Pressure",
+    r"[Tt]rust numbers?|trust_numbers?": "error indicator",
+    r"[Mm]ass tailoring|MassTailoring|tailored_mass": "selective mass scaling",
+    r"[Bb]ond_paths|[Kk]ept_sums": "diffraction_lengths, consistency_correction",
+    r"[Aa]lways[ _]taut": "tension-compression fibres",
+    r"[Ll]ifting (?:vector|column)s?|lifting_vectors": "lifting function",
+    r"[Ii]ntegration_points|IntegrationPoints": "cubature points",
+    r"static_balance|StaticBalance": "equilibrium residual",
+    r"[Oo]bservable(?:_\w+| model)|Observable(?:Model|Data)|make_observable": "instrumented model",
+    r"Freshness|EnergyAccount|[Ee]nergy account": "Watchdog, passivity observer",
+    r"Incision|an? incision": "cut front",
+    r"_of_most_runs|_place_of": "_upper_quantile, _location",
+    r"(?:MOST|LEAST)_\w+": "MAX_..., MIN_...",
 }
 ALLOWED = {"docs/glossary.md", "tests/test_words.py"}  # name retired words themselves
 

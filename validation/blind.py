@@ -1,4 +1,4 @@
-"""Runs unlike those of training: how often a trust number below 1 hides a large error.
+"""Runs unlike those of training: how often an error indicator below 1 hides a large error.
 
     python validation/blind.py [--only organ bodies] [--cases 40] [--folder out/blind]
 
@@ -7,8 +7,8 @@ A ball presses next to supports, presses 2 to 10 times faster than on held-out p
 bars, blocks and sheets of random size, tissue and supports, trained on a few slow runs and tried on faster ones, at
 other places and in other directions, by balls, prescribed motions and loads.
 
-A run is blind if some frame errs by 30 % of the largest size so far while the largest trust number so far is below 1.
-Sizes below a fifth of the typical one count as that. Results are added to docs/validation/blind.json.
+A run is blind if some frame errs by 30 % of the largest size so far while the largest error indicator so far is below
+1. Sizes below a fifth of the typical one count as that. Results are added to docs/validation/blind.json.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from palpate.app.train.folder import jobs
 from palpate.reduction.hyper.error_indicator import force_sizes, rms_sizes
 from palpate.scenes.training import open_training
 
-LARGE_ERROR, LEAST_SHARE = 0.3, 0.2  # relative; of the typical size
+LARGE_ERROR, MIN_SHARE = 0.3, 0.2  # relative; of the typical size
 SETTINGS = ["spacing=0.012", "radius=0.026"]
 PATHS, HELD_OUT, MODES = 16, 45, 32
 FRICTION = 0.2
@@ -39,7 +39,7 @@ COMMAND = "python validation/blind.py"  # also of parts that are run one by one
 
 
 class Outcome(NamedTuple):
-    """Largest relative errors of a run, the same below a trust number of 1, and its largest trust number."""
+    """Largest relative errors of a run, the same below an error indicator of 1, and its largest error indicator."""
 
     kind: str
     force: float
@@ -63,7 +63,7 @@ def compare(kind: str, model: pt.ReducedModel, body: Any, loads: list[Any], dura
         apart = [np.linalg.norm(run.reactions[name] - full.reactions[name], axis=1) for name in names]
         missed["force"], sizes["force"] = np.max(apart, axis=0), force_sizes(model.data, full)
     for of, errors in missed.items():
-        least = LEAST_SHARE * curves[of]["typical_size"]
+        least = MIN_SHARE * curves[of]["typical_size"]
         relative = errors / np.maximum(np.maximum.accumulate(sizes[of]), least)
         largest[of], hidden[of] = float(relative.max()), float(relative[below].max(initial=0.0))
     return Outcome(kind, *largest.values(), *hidden.values(), float(run.trust.max()))

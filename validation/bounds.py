@@ -32,8 +32,8 @@ from palpate.reduction.training.calibrate_indicator import (
     Frames,
     calibrate_scales,
     error_curves,
+    error_indicators,
     repeat_run,
-    trust_numbers,
 )
 from palpate.scenes.training import open_training
 
@@ -159,7 +159,7 @@ def judge(frames: list[Frames], calibrated: int, splits: int) -> dict[str, dict[
         some, others = ([frames[k] for k in part] for part in np.split(order, [calibrated]))
         scales = calibrate_scales([run.measures for run in some], 0.95)
         curves = error_curves(some, scales)
-        worst = [np.maximum.accumulate(trust_numbers(run.measures, scales)) for run in others]
+        worst = [np.maximum.accumulate(error_indicators(run.measures, scales)) for run in others]
         for of, values in found.items():
             curve = np.array([curves[of][name] for name in CURVE])
             errors = [run.errors[of] for run in others]
@@ -172,16 +172,16 @@ def judge(frames: list[Frames], calibrated: int, splits: int) -> dict[str, dict[
                 ).reshape(run.sizes[of].shape)
                 for run, numbers in zip(others, worst, strict=True)
             ]
-            kept = np.mean([np.all(error <= bound) for error, bound in zip(errors, bounds, strict=True)])
+            within = np.mean([np.all(error <= bound) for error, bound in zip(errors, bounds, strict=True)])
             known = np.array([np.isfinite(bound).all() for bound in bounds])
             wide, wrong = (np.array([each.max() for each in values]) for values in (bounds, errors))
-            here, there = (np.concatenate([part.ravel() for part in each]) for each in (bounds, errors))
-            finite = np.isfinite(here)
+            expected, actual = (np.concatenate([part.ravel() for part in each]) for each in (bounds, errors))
+            finite = np.isfinite(expected)
             values.append((
-                kept, 1 - known.mean(), float(kept >= curves["least_level"]),
+                within, 1 - known.mean(), float(within >= curves["least_level"]),
                 np.median(wide[known]) / np.median(wrong[known]),
                 np.median(wrong / np.array([max(run.sizes[of].max(), 1e-300) for run in others])),
-                spearmanr(wide[known], wrong[known])[0], spearmanr(here[finite], there[finite])[0],
+                spearmanr(wide[known], wrong[known])[0], spearmanr(expected[finite], actual[finite])[0],
             ))  # fmt: skip
     names = ("kept", "unknown", "campaigns", "bound over error", "error", "rank of runs", "rank of frames")
     means = {of: dict(zip(names, np.mean(values, axis=0).tolist(), strict=True)) for of, values in found.items()}

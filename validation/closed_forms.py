@@ -178,9 +178,9 @@ def octant(cells: int) -> tuple[np.ndarray, np.ndarray]:
     quads = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], axis=-1).reshape(-1, 4)
     everything = np.concatenate([np.roll(square, k, axis=1) for k in range(3)])
     everything /= np.linalg.norm(everything, axis=1, keepdims=True)
-    _, kept, index = np.unique(np.round(everything, 9), axis=0, return_index=True, return_inverse=True)
+    _, distinct, index = np.unique(np.round(everything, 9), axis=0, return_index=True, return_inverse=True)
     quads = index.ravel()[np.concatenate([quads + k * len(square) for k in range(3)])]
-    directions, angles = everything[kept], np.zeros(len(kept))
+    directions, angles = everything[distinct], np.zeros(len(distinct))
     for a, b, c in ((0, 1, 2), (0, 2, 3)):  # Van Oosterom, Strackee, IEEE Trans. Biomed. Eng. 30, 125, 1983
         A, B, C = (directions[quads[:, k]] for k in (a, b, c))
         triple = np.abs(np.einsum("ni,ni->n", A, np.cross(B, C)))

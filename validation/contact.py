@@ -174,8 +174,8 @@ def main() -> None:
                 new += pressed(tool, spacing, form, options.shift, options.filled)
     names = ("filled", "shift", "depth")
     key = lambda r: (r["tool"], r["form"], r["spacing"], *(float(r.get(name, 0.0)) for name in names))  # noqa: E731
-    kept = result_files.read("contact", [])
-    rows = sorted(({key(r): r for r in kept} | {key(r): r for r in new}).values(), key=key)
+    stored = result_files.read("contact", [])
+    rows = sorted(({key(r): r for r in stored} | {key(r): r for r in new}).values(), key=key)
     result_files.write("contact", rows)
     draw(rows)
 

@@ -106,7 +106,7 @@ def level_split(
 
 def _cut(vertices: np.ndarray, faces: np.ndarray, middles: np.ndarray) -> np.ndarray:
     """Replace triangles by those between their corners and the new vertices (-1: none) on their edges."""
-    kept = faces[(middles < 0).all(axis=1)]
+    inside = faces[(middles < 0).all(axis=1)]
     some = (middles >= 0).any(axis=1)
     out = []
     for (a, b, c), (ab, bc, ca) in zip(faces[some].tolist(), middles[some].tolist(), strict=True):
@@ -124,7 +124,7 @@ def _cut(vertices: np.ndarray, faces: np.ndarray, middles: np.ndarray) -> np.nda
             out += [(a, ab, bc), (a, bc, c)]
         else:
             out += [(a, ab, c), (ab, bc, c)]
-    return np.concatenate([kept, np.array(out, kept.dtype)]) if out else kept
+    return np.concatenate([inside, np.array(out, inside.dtype)]) if out else inside
 
 
 def collapse_short(vertices: np.ndarray, faces: np.ndarray, least: float) -> tuple[np.ndarray, np.ndarray]:

@@ -95,8 +95,8 @@ class Wall:
         self.said, self.devices, self.poses, self.hands = [], {}, {}, {}
         self.steps, self.epoch, self.stalled, self.silent = 0, 1, False, False
         self.tools, self._starts = tools, [np.array([0.1 * k, 0.0, START]) for k in range(tools)]
-        given = {"options": asdict(DeviceOptions(**options, port=port)), "tools": tools}
-        self.child = Child(serve_devices, given, quiet=False)
+        request = {"options": asdict(DeviceOptions(**options, port=port)), "tools": tools}
+        self.child = Child(serve_devices, request, quiet=False)
         self.thread = threading.Thread(target=self._run, daemon=True)
         self.thread.start()
 

@@ -694,11 +694,11 @@ def message_kind(folder: Path) -> Trial:
     ]  # fmt: skip
 
     def trial(rng: Rng, folder: Path) -> str:
-        given = sound[int(rng.integers(len(sound)))]
+        content = sound[int(rng.integers(len(sound)))]
         if rng.random() < 0.4:
-            text = damaged(rng, json.dumps(given).encode()).decode("utf-8", "replace")
+            text = damaged(rng, json.dumps(content).encode()).decode("utf-8", "replace")
         else:
-            text = json.dumps(lie(rng, given))
+            text = json.dumps(lie(rng, content))
         if rng.random() < 0.2:
             text = text.replace(
                 "1", str(rng.choice(["1e999", "NaN", "Infinity", "9" * 500, '"\\ud800"', "[" * 50_000]))

@@ -297,10 +297,10 @@ def _solid(draw: _Draw) -> pt.Solid:
     else:
         material = pt.materials.MooneyRivlin(C1=draw(8e3), C2=draw(2e3), density=density, **compressible)
     form = draw.one_of("strong", "energy")
-    given: dict[str, Any] = {"stiffness_damping": draw(6e-5)} if draw.rng.random() < 0.7 else {}
+    options: dict[str, Any] = {"stiffness_damping": draw(6e-5)} if draw.rng.random() < 0.7 else {}
     if form == "energy" and draw.rng.random() < 0.1:
-        given["stiffness"] = {"x+": draw(2.0)}
-    return pt.Solid(cloud, material, draw.one_of("x-", "x-", ()), form=form, **given)
+        options["stiffness"] = {"x+": draw(2.0)}
+    return pt.Solid(cloud, material, draw.one_of("x-", "x-", ()), form=form, **options)
 
 
 def _sheet(draw: _Draw) -> pt.Membrane:
@@ -308,8 +308,8 @@ def _sheet(draw: _Draw) -> pt.Membrane:
     if len(cloud) > 1000:
         raise pt.InputError("too many nodes for a trial")
     material = pt.materials.NeoHookean(C1=draw(1e5), density=draw(1000.0), poisson=0.5)
-    given = {"stiffness_damping": draw(1e-5)} if draw.rng.random() < 0.3 else {}
-    return pt.Membrane(cloud, material, draw(1e-4), "rim", prestretch=draw(1.1), **given)
+    options = {"stiffness_damping": draw(1e-5)} if draw.rng.random() < 0.3 else {}
+    return pt.Membrane(cloud, material, draw(1e-4), "rim", prestretch=draw(1.1), **options)
 
 
 def _loads(draw: _Draw, plane: bool) -> list[Any]:

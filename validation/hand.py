@@ -61,7 +61,7 @@ KINDS = ("click", "drag", "flick", "tap", "two tools")
 DURATION = {"click": 1.0, "drag": 1.4, "flick": 1.0, "tap": 0.5, "two tools": 1.0}  # [s]
 DRAG_SPEED, FLICK_SPEED, WAY = 0.05, 0.5, 0.03  # [m/s]; [m] sideways, at most
 SECOND_DELAY = 0.2  # [s] of the second of two tools
-LEAST_FORCE = 1e-3  # [N] of a tool in contact
+MIN_FORCE = 1e-3  # [N] of a tool in contact
 WORKERS = 2  # processes that train
 FIRST_SEED = 1000  # of the paths; the campaign has seed 0
 
@@ -163,11 +163,11 @@ def press(session: Session, hands: list[Hand], radius: float, kind: str, file: P
         time.sleep(max(began + (sequence - 1) * FRAME - time.monotonic(), 0.0))
     session.engine.dump(file)
     session.reset()
-    with h5py.File(file) as kept:
-        times, tools = kept["time"][:], range(len(hands))
-        columns = [kept["trust"][:].reshape(-1, 1), kept["worst_trust"][:].reshape(-1, 1)]
+    with h5py.File(file) as recording:
+        times, tools = recording["time"][:], range(len(hands))
+        columns = [recording["trust"][:].reshape(-1, 1), recording["worst_trust"][:].reshape(-1, 1)]
         for k, hand in zip(tools, hands, strict=True):
-            columns += [hand.start + kept["tools/position"][:, k], kept["tools/force"][:, k]]
+            columns += [hand.start + recording["tools/position"][:, k], recording["tools/force"][:, k]]
     table = np.concatenate([times[:, None], *columns], axis=1)
     begun = np.flatnonzero(np.diff(times) < 0)  # the last reset
     table = table[begun[-1] + 1 if len(begun) else 0 :]
@@ -195,13 +195,13 @@ def compared(scene: Scene, model: pt.ReducedModel, table: Floats, radius: float)
         errors, size = np.linalg.norm(means + on_body, axis=1), np.linalg.norm(tools[:, k, 3:], axis=1)
         every_bound = np.array([bound_of(*each) for each in zip(table[:, 2], size, strict=True)])
         bounds = every_bound[ends]
-        touching = np.linalg.norm(on_body, axis=1) > LEAST_FORCE
+        touching = np.linalg.norm(on_body, axis=1) > MIN_FORCE
         finite = touching & np.isfinite(bounds)
         ratios = np.where(finite, errors / bounds, 0.0)
         if ratios.max(initial=0.0) > worst:
             worst, worst_time = float(ratios.max()), float(full.times[1 + ratios.argmax()])
         beyond = max(beyond, float(ratios[finite & (table[ends, 2] > 1.0)].max(initial=0.0)))
-        in_contact.append(size > LEAST_FORCE)
+        in_contact.append(size > MIN_FORCE)
         known.append(np.isfinite(every_bound))
         sizes.append(float(size.max()))
         errors_of.append(float(errors[touching].max(initial=0.0)))
@@ -230,7 +230,7 @@ def _load(scene: Scene, path: PchipInterpolator, index: int, radius: float) -> A
 
 
 def _largest_measures(model: pt.ReducedModel, frames: Any) -> dict[str, float]:
-    """Return the share of the frames without a bound, by the measure that made the largest trust number so far."""
+    """Return the share of the frames without a bound, by the measure that made the largest error indicator so far."""
     forgetting, limit = forgetting_rate(model.report), float(bound_curve(model.report)[3])
     ratios = measure_ratios(frames.measures, model.data)
     worst = {name: remembered_trust(numbers, frames.times, forgetting) for name, numbers in ratios.items()}
@@ -306,8 +306,8 @@ def main() -> None:
     options = parser.parse_args()
     commit, every = result_files.commit(), list[dict[str, Any]]()
     for name in options.bodies or BODIES:
-        kept = result_files.read("hand", [])
-        done = next((row for row in kept if row["body"] == name and row["commit"] == commit), None)
+        stored = result_files.read("hand", [])
+        done = next((row for row in stored if row["body"] == name and row["commit"] == commit), None)
         if options.keep and done is not None and not commit.endswith("+"):
             every.append(done)
             continue
@@ -322,7 +322,7 @@ def main() -> None:
         every.append(found)
         if options.keep:
             order = list(BODIES)
-            rows = [*(row for row in kept if row["body"] != name), found]
+            rows = [*(row for row in stored if row["body"] != name), found]
             result_files.write("hand", sorted(rows, key=lambda row: order.index(row["body"])), COMMAND)
     print(line("all", summary([row for found in every for row in found["rows"]])))
 

@@ -11,7 +11,7 @@ and its force is held in the next one, so that it is late by 3 T / 2 on average,
 spring K that is late by t is passive on a device of damping b if b > K t (Colgate and Schenkel 1997, for small periods
 against those of the motion). First, a hand that is moved by 1 mm at 5 Hz inside the wall measures the damping that
 would take what the port generates in a cycle, E / (pi omega A^2). Then a free hand presses and releases, with the force
-of the reading alone, with the local contact model, and with the account of energy in addition, as the adapter works.
+of the reading alone, with the local contact model, and with the passivity observer in addition, as the adapter works.
 
 Times: a wall in place of a session stalls, falls silent or is killed, or the adapter is killed; the emulator notes when
 the force on the hand has become zero.
@@ -34,7 +34,7 @@ import result_files
 
 from palpate.app.device.force import (
     MAX_STIFFNESS,
-    EnergyAccount,
+    PassivityObserver,
     ToolForce,
     contact_force,
     limited_force,
@@ -61,7 +61,7 @@ class Port:
 
     def __init__(self, stiffness: float, delay: float, local: bool, account: bool, bonded: bool = False) -> None:
         self.stiffness, self.late, self.local, self.bonded = stiffness, round(delay / PERIOD), local, bonded
-        self.account = EnergyAccount() if account else None
+        self.passivity = PassivityObserver() if account else None
         self.heights: list[float] = []
         self.held, self.next = 0.0, 0.0  # [N]: force that is held, and the one that is sent next
 
@@ -73,18 +73,18 @@ class Port:
         seen = self.heights[max(len(self.heights) - 1 - self.late, 0)]
         touches = self.bonded or seen < 0.0
         local = stable_stiffness(np.diag([0.0, 0.0, self.stiffness if touches else 0.0]), MAX_STIFFNESS)
-        given = ToolForce(
+        reading = ToolForce(
             -self.stiffness * seen * UP if touches else 0.0 * UP, local if self.local else 0.0 * local, seen * UP,
             self.bonded,
         )  # fmt: skip
-        force = limited_force(contact_force(given, height * UP), LIMIT if not self.bonded else math.inf)
-        if self.account is not None:
-            self.account.note_motion([before * UP], [step * UP])
+        force = limited_force(contact_force(reading, height * UP), LIMIT if not self.bonded else math.inf)
+        if self.passivity is not None:
+            self.passivity.note_motion([before * UP], [step * UP])
             if force.any():
-                self.account.forget(stored_energy(force, local))
-                force = limited_force(self.account.passive_forces([force], [step / PERIOD * UP], PERIOD)[0], LIMIT)
+                self.passivity.limit_energy(stored_energy(force, local))
+                force = limited_force(self.passivity.passive_forces([force], [step / PERIOD * UP], PERIOD)[0], LIMIT)
             else:
-                self.account.forget(0.0)
+                self.passivity.limit_energy(0.0)
         self.next = float(force[2])
         return self.held
 
@@ -94,9 +94,9 @@ def needed_damping(stiffness: float, delay: float, local: bool) -> float:
     port, cycles, omega = Port(stiffness, delay, local, account=False, bonded=True), 4, 2 * math.pi * FREQUENCY
     work, first = 0.0, round(1 / FREQUENCY / PERIOD)  # the first cycle begins with no force
     for k in range((cycles + 1) * first):
-        here, there = (-HELD_DEPTH + AMPLITUDE * math.sin(omega * j * PERIOD) for j in (k, k + 1))
-        force = port.sample(here)
-        work += force * (there - here) if k >= first else 0.0
+        start, end = (-HELD_DEPTH + AMPLITUDE * math.sin(omega * j * PERIOD) for j in (k, k + 1))
+        force = port.sample(start)
+        work += force * (end - start) if k >= first else 0.0
     return work / cycles / (math.pi * omega * AMPLITUDE**2)
 
 

@@ -7,7 +7,7 @@ The paper's beam at 5 mm, nu = 0.49, in its energy form, is pulled, bent and twi
 The runs of the full model are kept in FOLDER (an hour on one core); results go to docs/validation/held_out.json.
 
 accuracy    errors of displacement, velocity, energy and reaction over the number of modes, for the three sets
-trust       what the trust number says of errors, calibrated on half of the runs inside, judged on all others
+trust       what the error indicator says of errors, calibrated on half of the runs inside, judged on all others
 stability   2 to 100 modes, whatever the motion: does a run ever blow up?
 stepping    explicit steps against the implicit rule: cost at equal error, and energy of a free body
 sampling    the sampled energy against plain force sampling and Q-DEIM, on the same data
@@ -32,7 +32,7 @@ from scipy.stats import spearmanr
 import palpate as pt
 from palpate.reduction.hyper.cubature import sparse_nnls
 from palpate.reduction.hyper.error_indicator import mean_size
-from palpate.reduction.training.calibrate_indicator import Frames, repeat_run, trust_numbers
+from palpate.reduction.training.calibrate_indicator import Frames, error_indicators, repeat_run
 from palpate.reduction.training.reduce import hyper_reduce
 
 Floats = NDArray[np.float64]
@@ -125,7 +125,7 @@ def study_accuracy(model: pt.Solid, runs: dict[str, list[pt.Trajectory]]) -> lis
 
 
 def study_trust(model: pt.Solid, runs: dict[str, list[pt.Trajectory]]) -> list[Any]:
-    """The trust number and its table, calibrated on half the runs inside, judged on all others."""
+    """The error indicator and its table, calibrated on half the runs inside, judged on all others."""
     pairs = {kind: list(zip(motions(kind), runs[kind], strict=True)) for kind in SETS}
     table = []
     for modes in (16, 32, 64):
@@ -158,7 +158,7 @@ def _judged(rom: pt.ReducedModel, some: list[Frames]) -> dict[str, float]:
     numbers = {
         "distance": [f.measures.distances / scales.distance_scale for f in some],
         "residual norm": [f.measures.residual_norms / scales.residual_scale for f in some],
-        "trust": [trust_numbers(f.measures, scales) for f in some],
+        "trust": [error_indicators(f.measures, scales) for f in some],
     }
     found: dict[str, float] = {"frames": len(errors)}
     for name, own in numbers.items():
@@ -171,8 +171,8 @@ def _judged(rom: pt.ReducedModel, some: list[Frames]) -> dict[str, float]:
     found["above_1"] = float(np.mean(np.concatenate(numbers["trust"]) > 1))
     found |= {"unknown": float(np.mean(~known)), "covered": float(np.mean(errors[known] <= bounds[known]))}
     ends = np.cumsum([len(own) for own in relative])[:-1]
-    kept = [bool(each.all()) for each in np.split(errors <= bounds, ends)]
-    found["runs_kept"] = float(np.mean(kept))
+    within = [bool(each.all()) for each in np.split(errors <= bounds, ends)]
+    found["runs_kept"] = float(np.mean(within))
     for name, where in (("known", known), ("unknown", ~known)):
         if where.any():
             found |= {f"{name}_median": float(np.median(errors[where]))}
@@ -250,7 +250,7 @@ def study_sampling(model: pt.Solid, runs: dict[str, list[pt.Trajectory]]) -> lis
     for modes in (8, 24):
         rom = hyper_reduce(model, runs["train"], modes=modes)
         some = np.concatenate([run.displacements[2::20] for run in runs["train"]])
-        shapes = rom.data.basis_vectors[:modes]
+        shapes = rom.data.trial_and_test_basis[:modes]
         project = (shapes * model.volumes[:, None]).reshape(modes, -1)
         states = (project @ some.reshape(len(some), -1).T).T
         nodal = np.array([model.force(np.tensordot(a, shapes, 1)) for a in states])
@@ -349,11 +349,11 @@ def main() -> None:
     args = parser.parse_args()
     model = body()
     runs = {kind: full_runs(model, kind, args.runs) for kind in ("train", *SETS)}
-    kept = result_files.read("held_out", {})
+    results = result_files.read("held_out", {})
     for name in args.studies or STUDIES:
         began = perf_counter()
-        kept[name] = STUDIES[name](model, runs)
-        result_files.write("held_out", kept)
+        results[name] = STUDIES[name](model, runs)
+        result_files.write("held_out", results)
         print(f"{name}: {perf_counter() - began:.0f} s", flush=True)
 
 

@@ -46,13 +46,13 @@ class ThreeFields:
     def solve(self, held: np.ndarray, values: np.ndarray, forces: np.ndarray | None = None) -> None:
         """Find the equilibrium with some displacements, (n, 3) bool and [m], under nodal forces (n, 3) [N]."""
         total = sum(f.values.size for f in self.field.fields)
-        given = np.flatnonzero(held.ravel())
-        free = np.setdiff1d(np.arange(total), given)
+        prescribed = np.flatnonzero(held.ravel())
+        free = np.setdiff1d(np.arange(total), prescribed)
         items = [self.solid]
         if forces is not None:
             loaded = np.flatnonzero(forces.any(axis=1))
             items.append(fem.PointLoad(self.field, loaded, values=forces[loaded]))
-        fem.newtonraphson(items=items, dof0=given, dof1=free, ext0=values.ravel()[given], verbose=0)
+        fem.newtonraphson(items=items, dof0=prescribed, dof1=free, ext0=values.ravel()[prescribed], verbose=0)
 
     def displacements(self) -> np.ndarray:
         return np.array(self.field[0].values)

@@ -13,7 +13,7 @@ import numpy as np
 from incompressible import CASES, FIGURE, SIZE, kept, read
 
 RATIO = 0.499  # of the picture
-LEAST = 0.56  # kPa that the colours span: a fifth of the shear modulus
+MIN_SPAN = 0.56  # kPa that the colours span: a fifth of the shear modulus
 ROWS = ("finite elements", "recovered", "in the stress", "each node's own J")
 
 
@@ -80,7 +80,7 @@ def figure() -> None:
         where, pressure = np.array(reference["where"]), np.array(reference["pressure"])
         middle = np.isclose(where[:, 1], SIZE[1] / 2, atol=1e-5)
         low, high = np.quantile(pressure[middle] / 1e3, (0.03, 0.97))
-        span = max(0.7 * (high - low), LEAST / 2)
+        span = max(0.7 * (high - low), MIN_SPAN / 2)
         limits = ((low + high) / 2 - span, (low + high) / 2 + span)
         grids = [_grid(where[middle], pressure[middle])]
         fields = np.load(kept(case, RATIO, 0.0))

@@ -79,11 +79,11 @@ def difference(path: Path) -> str:
         masks = [each for each in masks if each.any()]
         ours = [np.argwhere(segment_mask(labels, k)) for k in range(len(labels.segments))]
         for mine, theirs in zip(ours, masks, strict=True):
-            here = mine @ labels.affine[:3, :3].T * 1e3 + labels.affine[:3, 3] * 1e3
-            there = np.argwhere(theirs) @ affine[:3, :3].T + affine[:3, 3]
-            if len(here) != len(there):
-                return f"{len(here)} voxels, oracle {len(there)}"
-            distance = cKDTree(there).query(here)[0].max()
+            places = mine @ labels.affine[:3, :3].T * 1e3 + labels.affine[:3, 3] * 1e3
+            oracle = np.argwhere(theirs) @ affine[:3, :3].T + affine[:3, 3]
+            if len(places) != len(oracle):
+                return f"{len(places)} voxels, oracle {len(oracle)}"
+            distance = cKDTree(oracle).query(places)[0].max()
             if distance > 2e-3:
                 return f"positions of voxels by {distance:.3g} mm"
         return ""

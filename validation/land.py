@@ -28,7 +28,7 @@ SLOWEST = 40.0  # about the beam's lowest frequency [rad/s]: half the damping of
 SHARE = 0.7  # of the stable step
 EVERY, FEWEST, SETTLED = 500, 4000, 1e-4  # the tip may move by so little [mm] in so many steps, after some
 BALANCED = 0.01  # force left, over the pressure's
-MOST = 100_000
+MAX_STEPS = 100_000
 
 
 def beam(cells: int, bulk: float) -> Any:
@@ -44,7 +44,7 @@ def run_to_rest(model: Any, u: Any, tip: int) -> tuple[Any, int, float]:
     prepared, rest = model.prepare([pt.Pressure("z-", PRESSURE)]), np.zeros_like(u)
     v, step, before = np.zeros_like(u), 0.0, np.inf
     model.highest_frequency.restart()
-    for steps in range(MOST):
+    for steps in range(MAX_STEPS):
         if steps % EVERY == 0:
             step = SHARE * model.stable_step(pt.State(u, rest, 0.0), prepared)[0]
             if steps > FEWEST and abs(u[tip, 2] - before) < SETTLED * MM and unbalanced(model, u, prepared) < BALANCED:

@@ -271,8 +271,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/linear_reductions"), metavar="FOLDER")
     options = parser.parse_args()
     require("matplotlib", "the figures")
-    given = {"spacing": options.spacing, "poisson": options.poisson}
-    body = BODIES[options.body](**{name: value for name, value in given.items() if value is not None})
+    options_given = {"spacing": options.spacing, "poisson": options.poisson}
+    body = BODIES[options.body](**{name: value for name, value in options_given.items() if value is not None})
     made = Comparison(body, options.condense)
     made.compare(options.methods, sorted(set(options.modes)))
     report = made.report()

@@ -21,7 +21,7 @@ import result_files
 
 import palpate as pt
 from palpate.dynamics.contact.tools import Forceps
-from palpate.dynamics.nodal.mass_tailoring import MassTailoring, default_modes, subtract_inertia, tailored_mass
+from palpate.dynamics.nodal.mass_scaling import MassScaling, default_modes, scaled_mass, subtract_inertia
 from palpate.dynamics.nodal.stability import highest_frequency
 from palpate.realtime.bodies.full_body import step_statistics
 from palpate.reduction.basis.linear_modes import _vibrations, rest_statics
@@ -50,13 +50,13 @@ def waves(points: np.ndarray, height: float) -> np.ndarray:
     )
 
 
-def frequency(body: pt.Solid, u: np.ndarray, tailoring: MassTailoring) -> float:
+def frequency(body: pt.Solid, u: np.ndarray, mass_scaling: MassScaling) -> float:
     """Return the highest frequency [rad/s] at displacements, with the additional mass."""
     density, none = body.material.density, np.zeros_like(u)
 
     def force(displacements: np.ndarray) -> np.ndarray:
         result = body.force(displacements)
-        subtract_inertia(tailoring, body.volumes, density, 0.0, none, result, 0.0, none, result)
+        subtract_inertia(mass_scaling, body.volumes, density, 0.0, none, result, 0.0, none, result)
         return result
 
     constrain = body.constrain(body.fixed_mask)
@@ -64,16 +64,16 @@ def frequency(body: pt.Solid, u: np.ndarray, tailoring: MassTailoring) -> float:
     return highest_frequency(force, u, constrain, noise, None, amplitude=step, density=density)[0]
 
 
-def largest_change(body: pt.Solid, tailoring: MassTailoring) -> float:
+def largest_change(body: pt.Solid, mass_scaling: MassScaling) -> float:
     """Return the largest relative change of the lowest frequencies.
 
     With M'^-1 = M^-1 - L L' the additional mass of a mode q is q' M L (I - L' M L)^-1 L' M q.
     """
-    n, count = len(body.cloud), len(tailoring.used)
+    n, count = len(body.cloud), len(mass_scaling.used)
     local = np.zeros((n, 3, count))
     for k in range(count):
-        part = slice(*tailoring.start[k : k + 2])
-        local[tailoring.nodes[part], :, k] = tailoring.shapes[part]
+        part = slice(*mass_scaling.start[k : k + 2])
+        local[mass_scaling.nodes[part], :, k] = mass_scaling.shapes[part]
     weighted = body.masses[:, None, None] * local
     free = rest_statics(body, ())
     modes = np.asarray(_vibrations(body, free, LOW_FREQUENCIES)[0]).reshape(-1, n, 3)
@@ -90,7 +90,7 @@ def contact(body: pt.Solid) -> tuple[Any, np.ndarray]:
 
 def press(body: pt.Solid, modes: int) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
     """Return the mean force (3,) [N] of a ball that has pressed for two seconds, displacements and statistics."""
-    model = pt.realtime_model(body, contact=contact(body)[0], tailored_modes=modes)
+    model = pt.realtime_model(body, contact=contact(body)[0], scaled_modes=modes)
     q, v, report, target = *np.zeros((2, len(model.rest))), np.zeros(20), np.zeros(12)
     count, mean, total = round(HOLD_SECONDS / PERIOD), round(MEAN_SECONDS / PERIOD), np.zeros(3)
     for k in range(count):
@@ -103,7 +103,7 @@ def press(body: pt.Solid, modes: int) -> tuple[np.ndarray, np.ndarray, dict[str,
 def free_energies(body: pt.Solid, modes: int) -> float:
     """Return the largest energy of a free vibration over that at its start, which forceps gave."""
     ball, home = contact(body)
-    model: Any = pt.realtime_model(body, contact=ball, tailored_modes=modes)
+    model: Any = pt.realtime_model(body, contact=ball, scaled_modes=modes)
     pose = np.array([*home, 1.0, 0.0, 0.0, 0.0])
     place = home + np.array([0.0, BALL + GAP, 0.0])
     model.change_tool(Forceps(2 * body.cloud.spacing, tuple(place)), pose, 0.0)
@@ -127,16 +127,16 @@ def main() -> None:
         body, free = liver(spacing, MASS_DAMPING), liver(spacing, 0.0)
         points, rest = body.cloud.points, np.zeros((len(body.cloud), 3))
         modes = default_modes(len(points))
-        tailoring = tailored_mass(body, body.fixed_mask, modes)[0]
-        none = tailored_mass(body, body.fixed_mask, 0)[0]
+        mass_scaling = scaled_mass(body, body.fixed_mask, modes)[0]
+        none = scaled_mass(body, body.fixed_mask, 0)[0]
         states = [rest, *(waves(points, height) for height in WAVE_HEIGHTS)]
-        steps = [frequency(body, u, none) / frequency(body, u, tailoring) for u in states]
+        steps = [frequency(body, u, none) / frequency(body, u, mass_scaling) for u in states]
         (force, u, _), (other, w, statistics) = press(body, 0), press(body, modes)
         rows.append({
             "body": f"liver, {1e3 * spacing:g} mm", "nodes": len(points), "modes": modes,
-            "nodes_of_shape": len(tailoring.nodes) / modes, "steps": steps, "repeated": statistics["repeated"],
+            "nodes_of_shape": len(mass_scaling.nodes) / modes, "steps": steps, "repeated": statistics["repeated"],
             "strains": [float(np.abs(body.deformation_gradient(s) - np.eye(3)).max()) for s in states],
-            "frequency_change": largest_change(body, tailoring),
+            "frequency_change": largest_change(body, mass_scaling),
             "force_change": float(np.linalg.norm(other - force) / np.linalg.norm(force)),
             "displacement_change": float(np.abs(w - u).max() / np.abs(u).max()),
             "energies": [free_energies(free, 0), free_energies(free, modes)],

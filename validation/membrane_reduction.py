@@ -42,9 +42,9 @@ def both(case, models):
 def projection(model, run):
     """Mean relative error (34) of the best that a reduced model's basis vectors can do for a run."""
     tool = model.cloud.group("tool")
-    lifted = np.tensordot(run.displacements[:, tool, 2].mean(axis=1), model.lifting[0], 0)
-    lifted /= model.lifting[0, tool, 2].mean()
-    best = lifted + model.basis.lift(model.basis.project(run.displacements - lifted))
+    lifting_part = np.tensordot(run.displacements[:, tool, 2].mean(axis=1), model.lifting[0], 0)
+    lifting_part /= model.lifting[0, tool, 2].mean()
+    best = lifting_part + model.basis.lift(model.basis.project(run.displacements - lifting_part))
     sizes = np.linalg.norm(run.displacements, axis=2).sum(axis=1)
     moving = sizes > 1e-12 * sizes.max()
     missed = np.linalg.norm(best - run.displacements, axis=2).sum(axis=1)

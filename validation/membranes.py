@@ -182,10 +182,10 @@ STUDIES = {"statics": statics, "nodes": nodes, "frequencies": frequencies, "layo
 
 def main() -> None:
     """Run the named studies, or all, and keep the others' tables."""
-    kept = result_files.read("membranes", {})
+    results = result_files.read("membranes", {})
     for name in sys.argv[1:] or STUDIES:
-        kept[name] = STUDIES[name]()
-        result_files.write("membranes", kept)
+        results[name] = STUDIES[name]()
+        result_files.write("membranes", results)
 
 
 if __name__ == "__main__":

@@ -273,9 +273,9 @@ MUTATIONS = (
         ("tests/reduction/hyper/test_load_share.py::test_a_load_across_the_symmetry_of_the_training_is_not_trusted",),
     ),
     Mutation(
-        "energy of the surface compliance not counted", "realtime/bodies/trust_number.py",
+        "energy of the surface compliance not counted", "realtime/bodies/error_indicator.py",
         "np.sqrt(flexible / data.indicator.scales.flexibility_scale)", "0.0 * np.sqrt(flexible)",
-        ("tests/reduction/contact/test_trust_of_tools.py::test_the_engine_has_the_same_trust_number_as_a_run",),
+        ("tests/reduction/contact/test_trust_of_tools.py::test_the_engine_has_the_same_error_indicator_as_a_run",),
     ),
     Mutation(
         "bounds of frames, not of runs", "reduction/training/calibrate_indicator.py",
@@ -354,22 +354,22 @@ def faults(mutations: Sequence[Mutation]) -> list[str]:
 def mutated(folder: Path, mutation: Mutation) -> Iterator[None]:
     """Change a file of the copy; afterwards restore it, with what was compiled of it."""
     path = folder / "src" / "palpate" / mutation.file
-    kept = folder / "kept"
-    shutil.rmtree(kept, ignore_errors=True)
-    kept.mkdir()
-    shutil.copy2(path, kept / path.name)
+    backup = folder / "kept"
+    shutil.rmtree(backup, ignore_errors=True)
+    backup.mkdir()
+    shutil.copy2(path, backup / path.name)
     cache = path.parent / "__pycache__"
     for compiled in cache.glob(f"{path.stem}.*.nb?"):
-        shutil.copy2(compiled, kept / compiled.name)
+        shutil.copy2(compiled, backup / compiled.name)
     try:
         path.write_text(path.read_text().replace(mutation.old, mutation.new))
         yield
     finally:
         for compiled in cache.glob(f"{path.stem}.*.nb?"):
             compiled.unlink()
-        for saved in kept.iterdir():
+        for saved in backup.iterdir():
             shutil.copy2(saved, path if saved.name == path.name else cache / saved.name)
-        shutil.rmtree(kept)
+        shutil.rmtree(backup)
 
 
 def tested(folder: Path, tests: Sequence[str]) -> tuple[int, str]:
@@ -415,9 +415,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         start = perf_counter()
         with mutated(folder, each):
             status, last = tested(folder, each.tests)
-        verdict = {0: "SURVIVED", 1: "caught", -1: "caught"}.get(status, "BROKEN")
-        survivors, broken = survivors + (verdict == "SURVIVED"), broken + (verdict == "BROKEN")
-        print(f"{verdict:8} {each.name} ({each.file}): {last} ({perf_counter() - start:.0f} s)", flush=True)
+        outcome = {0: "SURVIVED", 1: "caught", -1: "caught"}.get(status, "BROKEN")
+        survivors, broken = survivors + (outcome == "SURVIVED"), broken + (outcome == "BROKEN")
+        print(f"{outcome:8} {each.name} ({each.file}): {last} ({perf_counter() - start:.0f} s)", flush=True)
     print(f"{len(chosen) - survivors - broken} of {len(chosen)} mutations are caught, {survivors} survive")
     return 2 if broken else int(survivors > 0)
 

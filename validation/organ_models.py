@@ -119,14 +119,14 @@ def main() -> None:
     parser.add_argument(
         "--held-out", action="store_true", help="add the errors of each held-out path of models at hand"
     )
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     entries = {each["organ"]: each for each in result_files.read("organ_models", [])}
-    given.folder.mkdir(parents=True, exist_ok=True)
-    for name in given.only:
-        if given.held_out:
-            entries[name]["large"]["held_out"] = held_out_errors(scene_file(name, given.folder))
+    arguments.folder.mkdir(parents=True, exist_ok=True)
+    for name in arguments.only:
+        if arguments.held_out:
+            entries[name]["large"]["held_out"] = held_out_errors(scene_file(name, arguments.folder))
         else:
-            entries[name] = measure(name, given.folder, given.small)
+            entries[name] = measure(name, arguments.folder, arguments.small)
         print(json.dumps(entries[name]), flush=True)
         result_files.write("organ_models", list(entries.values()))
 

@@ -4,7 +4,7 @@
 
 A paraboloid of 1, 1.5 or 2 spacings in radius presses a layer bonded to its base, of 8 spacings, and both poles of
 free balls of 5 and 7.5 spacings in radius. The truth is in `validation/patches_theory.py`. palpate's part is what
-tools meet: the patches of surface nodes and of the middles of edges, with the body's stiffness at rest. Errors are
+tools meet: the patches of surface nodes and of the edge midpoints, with the body's stiffness at rest. Errors are
 means and standard deviations over places and seeds. `--keep` writes docs/validation/patches.json, with the
 errors of fits in the plain coordinates next to the others (`palpate.meshfree.surface_gradient`). `--kernel` tries
 another radius of the patches' kernel, `--flat-fits` shows the errors of the plain fits alone.
@@ -42,7 +42,7 @@ class Points(NamedTuple):
     """The points of a surface that tools meet."""
 
     places: np.ndarray  # (m, 3) array [m]
-    lengths: np.ndarray  # (m,) array [m]: of the edges whose middles they are, else 0
+    lengths: np.ndarray  # (m,) array [m]: of the edges whose midpoints they are, else 0
     compliance: np.ndarray  # (m, m) array [m/N]: displacement against the tool under forces of the tool
 
 
@@ -106,7 +106,7 @@ def rigid_motions(points: np.ndarray) -> np.ndarray:
 def force(points: Points, gap: np.ndarray, radius: float, depth: float) -> float:
     """Return the force [N] of a paraboloid at a depth [m], whose gaps (m,) [m] are those where it begins to touch.
 
-    The middle of an edge may be as deep in a tool as the edge's chord, as in `palpate.dynamics.contact.geometry`.
+    An edge midpoint may be as deep in a tool as the edge's chord, as in `palpate.dynamics.contact.geometry`.
     """
     gap = gap + np.minimum(points.lengths**2 / (8 * radius), 0.25 * points.lengths)
     near = np.flatnonzero(gap < REACH_SHARE * depth)
@@ -171,7 +171,7 @@ def line(row: dict[str, Any]) -> str:
 
 def study(fits: str) -> list[dict[str, Any]]:
     """Return the errors of all bodies and tools, with fits that are "curved" (palpate's own) or "flat"."""
-    kept, modulus = consistent.with_surface_gradient, tissue().shear_modulus
+    original, modulus = consistent.with_surface_gradient, tissue().shear_modulus
     depths = [(each * SPACING, np.multiply(DEPTHS, each * SPACING)) for each in RADII]
     if fits == "flat":
         consistent.with_surface_gradient = lambda stencils, cloud: stencils
@@ -182,7 +182,7 @@ def study(fits: str) -> list[dict[str, Any]]:
             ball = np.array([theory.ball_forces(*each, size * SPACING, modulus, POISSON) for each in depths])
             rows += errors(f"ball of {size:g} h", fits, [ball_forces(size, seed) for seed in seeds], ball)
     finally:
-        consistent.with_surface_gradient = kept
+        consistent.with_surface_gradient = original
     return rows
 
 
@@ -192,15 +192,15 @@ def main() -> None:
     parser.add_argument("--keep", action="store_true", help="write docs/validation/patches.json")
     parser.add_argument("--kernel", type=float, default=patches.KERNEL_RADIUS, help="radius of the patches' kernel")
     parser.add_argument("--flat-fits", action="store_true", help="only fits in the plain coordinates")
-    given, began = parser.parse_args(), time.perf_counter()
-    if given.keep and (given.flat_fits or given.kernel != patches.KERNEL_RADIUS):
+    arguments, began = parser.parse_args(), time.perf_counter()
+    if arguments.keep and (arguments.flat_fits or arguments.kernel != patches.KERNEL_RADIUS):
         parser.error("--keep is for the figures of palpate as it is")
-    patches.KERNEL_RADIUS = given.kernel
-    every = [] if given.flat_fits else study("curved")
-    if given.flat_fits or given.keep:
+    patches.KERNEL_RADIUS = arguments.kernel
+    every = [] if arguments.flat_fits else study("curved")
+    if arguments.flat_fits or arguments.keep:
         every += study("flat")
     print(f"{time.perf_counter() - began:.0f} s")
-    if given.keep:
+    if arguments.keep:
         result_files.write("patches", every, COMMAND)
 
 

@@ -30,9 +30,9 @@ from palpate.reduction.contact.coarse_body import coarse_body
 from palpate.reduction.contact.residual_flexibility import MAX_NODES
 from palpate.scenes.training import open_training
 
-MOST = 1000  # runs of either kind that are looked for
+MAX_TRIALS = 1000  # runs of either kind that are looked for
 MEANS = ("force", "force_95", "surface_95", "farthest_95")
-LEAST = 0.1  # of the largest force: frames that count
+MIN_FORCE_SHARE = 0.1  # of the largest force: frames that count
 
 
 def compared(scene, model: pt.ReducedModel, seed: int, full: pt.Trajectory) -> dict[str, Any]:
@@ -45,7 +45,7 @@ def compared(scene, model: pt.ReducedModel, seed: int, full: pt.Trajectory) -> d
     (tool,) = loads
     mine, theirs = own.reactions[tool.name], full.reactions[tool.name]
     size = np.linalg.norm(theirs, axis=1)
-    counted = size > LEAST * size.max()
+    counted = size > MIN_FORCE_SHARE * size.max()
     force = np.linalg.norm(mine - theirs, axis=1)[counted] / size[counted]
     largest = np.linalg.norm(full.displacements[:, free], axis=2).max()
     apart = np.linalg.norm(own.displacements[:, free] - full.displacements[:, free], axis=2)[counted] / largest
@@ -71,7 +71,9 @@ def main() -> None:
     args = parser.parse_args()
     manifest = json.loads((args.folder / "campaign.json").read_text())
     scene = open_training(manifest["scene"], manifest["parameters"])
-    found = [(job, args.folder / "runs" / f"{job.name}.h5") for job in jobs(manifest["seed"], range(MOST), MOST)]
+    found = [
+        (job, args.folder / "runs" / f"{job.name}.h5") for job in jobs(manifest["seed"], range(MAX_TRIALS), MAX_TRIALS)
+    ]
     found = [(job, path) for job, path in found if path.exists()]
     model = pt.load(args.folder / "model.rom")
     if args.shapes is not None or args.modes or args.cubature is not None:
@@ -94,8 +96,8 @@ def main() -> None:
     kinds = sorted({row["kind"] for row in rows})
     means = {kind: _means([row for row in rows if row["kind"] == kind]) for kind in kinds}
     print("means", means)
-    kept = [entry for entry in result_files.read("presses", []) if entry["about"] != about]
-    result_files.write("presses", [*kept, {"about": about, "means": means, "presses": rows}])
+    others = [entry for entry in result_files.read("presses", []) if entry["about"] != about]
+    result_files.write("presses", [*others, {"about": about, "means": means, "presses": rows}])
 
 
 if __name__ == "__main__":

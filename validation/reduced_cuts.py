@@ -214,7 +214,7 @@ def stepping(seconds: float, frequency: float, damping: float) -> dict[str, floa
 
 
 def dynamics(liver: Liver, body: Any, models: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return errors of openings and forces in runs, root mean squares over the largest, and the trust numbers."""
+    """Return errors of openings and forces in runs, root mean squares over the largest, and the error indicators."""
     rows = []
     for name, pull in PULLS.items():
         exact, *runs = (

@@ -21,7 +21,7 @@ from elements_cases import Case, case
 from palpate.surface.nesting import inside_points
 
 ORGANS = ("liver", "lobes", "generated", "kidney")
-PLACES, MOST_SPACINGS, SAMPLES = 8, 12.0, 4000
+PLACES, MAX_SPACINGS, SAMPLES = 8, 12.0, 4000
 
 
 def places(it: Case) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -33,11 +33,11 @@ def places(it: Case) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     chosen = [int(np.linalg.norm(points - points.mean(axis=0), axis=1).argmax())]
     while len(chosen) < PLACES:
         chosen.append(int(np.linalg.norm(points[:, None] - points[chosen], axis=2).min(axis=1).argmax()))
-    steps = np.arange(0.2, MOST_SPACINGS, 0.2)
+    steps = np.arange(0.2, MAX_SPACINGS, 0.2)
     corners = np.ascontiguousarray(it.vertices[it.faces])
     rays = [points[k] - steps[:, None] * it.spacing * normals[k] for k in chosen]
     inside = [inside_points(np.ascontiguousarray(each), corners) for each in rays]
-    thickness = [MOST_SPACINGS if each.all() else 0.2 * each.argmin() for each in inside]
+    thickness = [MAX_SPACINGS if each.all() else 0.2 * each.argmin() for each in inside]
     return points[chosen], normals[chosen], np.array(thickness)
 
 

@@ -27,7 +27,7 @@ import result_files
 from organs import DATA
 
 import palpate as pt
-from palpate.reduction.hyper.error_indicator import Scales, curve_errors, mean_size, trust_numbers
+from palpate.reduction.hyper.error_indicator import Scales, curve_errors, error_indicators, mean_size
 from palpate.reduction.training.calibrate_indicator import Frames, calibrate_scales, error_curves, repeat_run
 from palpate.reduction.training.errors import contact_errors
 from palpate.scenes.load_case import TRAINING_SEEDS
@@ -116,7 +116,7 @@ def calibrated(runs: list[Frames]) -> Bounds:
 def limits(bounds: Bounds, run: Frames, of: str, *, count_tools: bool = True) -> Any:
     """Return the bounds of a run's errors, of the shape of these."""
     scales = bounds.scales if count_tools else bounds.scales._replace(trained_tools=UNLIMITED_TOOLS)
-    worst, curve = np.maximum.accumulate(trust_numbers(run.measures, scales)), bounds.curves[of]
+    worst, curve = np.maximum.accumulate(error_indicators(run.measures, scales)), bounds.curves[of]
     relative, sizes = curve_errors(curve, "bound", worst), run.sizes[of]
     return relative.reshape(len(worst), *[1] * (sizes.ndim - 1)) * mean_size(sizes, curve["typical_size"])
 

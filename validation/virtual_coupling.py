@@ -18,7 +18,7 @@ import numpy as np
 import palpate as pt
 from palpate.compiled.reference import StoredRecord
 from palpate.realtime.contract import KINETIC, STATUS, STRAIN
-from palpate.realtime.observable import DAMPING, MASS, TOOLS, make_observable
+from palpate.realtime.instrumented import DAMPING, MASS, TOOLS, make_instrumented
 
 PERIOD, DURATION, RADIUS, DEPTH, GAP = 1e-3, 4.0, 0.02, 0.008, 0.002  # [s], [s], [m], [m], [m]
 
@@ -35,7 +35,7 @@ def balance(
     normal = cloud.face_normals[cloud.face_nodes == first].sum(axis=0)
     normal /= np.linalg.norm(normal)
     home = cloud.points[first] + (radius + GAP) * normal
-    body = make_observable(
+    body = make_instrumented(
         pt.realtime_model(model, contact=pt.tools.Contact(pt.tools.Sphere(radius), home, friction=0.2))
     )
     body.set_coupling(stiffness, limit)

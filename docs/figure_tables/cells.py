@@ -10,7 +10,7 @@ from typing import Any
 
 Row = dict[str, Any]
 ERRORS = ("displacement", "velocity", "energy", "reaction")
-LEAST_SHARE = 1e-5  # smaller shares are below it
+MIN_SHARE = 1e-5  # smaller shares are below it
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,8 @@ def significant(value: float, digits: int = 2) -> str:
 
 def percent(value: float, digits: int = 2) -> str:
     """Return a share in per cent, with so many significant digits; from 100 % on without decimals."""
-    if 0 < abs(value) < LEAST_SHARE:
-        return f"< {100 * LEAST_SHARE:g} %"
+    if 0 < abs(value) < MIN_SHARE:
+        return f"< {100 * MIN_SHARE:g} %"
     return f"{100 * value:.0f} %" if abs(value) >= 1 else f"{significant(100 * value, digits)} %"
 
 

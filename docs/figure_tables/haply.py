@@ -18,7 +18,7 @@ def haply_passivity(results: Row) -> str:
         ]
         for row in results["passivity"]
     ]  # fmt: skip
-    return markdown([*heads, "with the local model", "and the account"], lines)
+    return markdown([*heads, "with the local model", "and the observer"], lines)
 
 
 @block("haply", command="python validation/haply.py --parts times")

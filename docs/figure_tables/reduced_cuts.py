@@ -40,5 +40,5 @@ def reduced_cuts_cost(livers: list[Row]) -> str:
                 *("; ".join(percent(each[name]) for each in runs) for name in ("opening", "force")),
                 "; ".join(f"{each['trust']:.1f}" for each in runs), f"{row['seconds']:.0f} s",
             ])  # fmt: skip
-    heads = ["trained on", "evaluation", "step", "period", "opening", "force", "trust number", "to make it"]
+    heads = ["trained on", "evaluation", "step", "period", "opening", "force", "error indicator", "to make it"]
     return markdown(heads, lines)

@@ -37,7 +37,7 @@ def held_out_medians(studies: Row) -> str:
 
 @block("held_out", command="python validation/held_out.py trust")
 def held_out_trust(studies: Row) -> str:
-    """Return Spearman's correlation of the error with the distance, the residual norm and the trust number."""
+    """Return Spearman's correlation of the error with the distance, the residual norm and the error indicator."""
     names = ("distance", "residual norm", "trust")
     columns = [("all", "so_far"), ("all", "now"), ("all", "of_runs")]
     columns += [(name, "so_far") for name in ("inside", "outside", "buckling")]

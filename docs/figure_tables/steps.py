@@ -171,7 +171,7 @@ def two_tools_errors(rows: list[Row]) -> str:
 
 @block("blind", command="python validation/blind.py")
 def blind(found: Row) -> str:
-    """Return how often a trust number below 1 hides a large error."""
+    """Return how often an error indicator below 1 hides a large error."""
     lines = [
         [
             row["kind"], str(row["runs"]), f"{percent(row['error'])}; {percent(row['largest_error'])}",

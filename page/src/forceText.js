@@ -1,6 +1,6 @@
 // The force in words: as many digits as its error bound supports.
 
-const BEYOND_UNTIL = 0.92; // of the largest trust number with a bound, at which the page returns to numbers
+const BEYOND_UNTIL = 0.92; // of the largest error indicator with a bound, at which the page returns to numbers
 const SUPPORTED = 1.15; // largest step of the digits, in bounds
 const END_TOLERANCE = 0.25; // in steps, by which a rounded end may be inside the exact one
 
@@ -12,12 +12,12 @@ export const WITH_NODES = "With the error of the nodes.";
 export const NODES_NOT_KNOWN = "Without the error of the nodes, which is not known.";
 export const NOT_KNOWN = "Its error is not known yet after a motion beyond training: hold still for a moment.";
 
-/** Whether a trust number is above the largest with an error bound; `before` is the answer for the last state. */
+/** Whether an error indicator is above the largest with an error bound; `before` is the answer for the last state. */
 export function isBeyond(trust, before, largest = 1) {
   return trust > (before ? BEYOND_UNTIL : 1) * largest;
 }
 
-/** What Details say of a trust number: whether the state is like training, and its force has a bound. */
+/** What Details say of an error indicator: whether the state is like training, and its force has a bound. */
 export function trustText({ trust, beyond, bound }) {
   if (beyond) return { text: "Beyond training", note: "The model was not trained on such a state." };
   if (bound === null) return { text: "After a motion beyond training", note: "The error of that motion may persist, so the bound is not known." };

@@ -2,7 +2,7 @@
 import { formatNumber } from "./widgets.js";
 
 const SHORT_LIST = 12; // labels that need no search
-const MOST_INNER = 6; // labels listed that lie in another one
+const MAX_INNER = 6; // labels listed that lie in another one
 
 /** Volume in millilitres as text, of one in cubic metres. */
 export const millilitres = (volume) => {
@@ -74,7 +74,7 @@ export class LabelChoice {
     const left = new Set();
     this.leftOut.set(part, left);
     const joiningFirst = inner.toSorted((one, other) => other.joins - one.joins);
-    for (const each of joiningFirst.slice(0, MOST_INNER)) {
+    for (const each of joiningFirst.slice(0, MAX_INNER)) {
       const line = document.createElement(each.joins ? "label" : "p");
       if (each.joins) {
         const box = document.createElement("input");
@@ -87,7 +87,7 @@ export class LabelChoice {
       line.append(name, ` (${each.why})`);
       lines.append(line);
     }
-    if (inner.length > MOST_INNER) lines.append(`and ${inner.length - MOST_INNER} more`);
+    if (inner.length > MAX_INNER) lines.append(`and ${inner.length - MAX_INNER} more`);
     return lines;
   }
 

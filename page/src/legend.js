@@ -4,7 +4,7 @@ import { gradient } from "./colours.js";
 import { sideLetters, sideWords } from "./sides.js";
 
 const MAX_BAR_WIDTH = 120; // [px]
-const LEAST_END = { mm: 1, kPa: 0.2, Pa: 200 }; // hides noise of a body at rest
+const MIN_END = { mm: 1, kPa: 0.2, Pa: 200 }; // hides noise of a body at rest
 
 /** Show the scale, and the sides of the patient towards which a horizontal direction of the view points, if they are known. */
 export function updateScaleBar(byId, metresPerPixel, space, direction) {
@@ -29,7 +29,7 @@ export class Legend {
 
   reset(scalar) {
     this.scalar = scalar;
-    this.scale = new ColourScale(LEAST_END[scalar?.unit] ?? 1e-3);
+    this.scale = new ColourScale(MIN_END[scalar?.unit] ?? 1e-3);
     this.shown = "";
     this.byId("legend").hidden = true;
   }

@@ -30,7 +30,7 @@ const preparation = new Preparation(byId);
 const READOUT_INTERVAL = 60; // [ms] between updates of the readings
 const SPEECH_INTERVAL = 1500; // [ms] between announcements
 const AIR_TIME = 0.5; // [s] without a force after which a tool is in the air
-const LEAST_FORCE = 2e-3; // [N] of a tool that touches
+const MIN_FORCE = 2e-3; // [N] of a tool that touches
 
 const session = { hello: null, space: "", status: {}, scalar: "displacement", state: null, next: null, nextTools: null, waiting: null,
   get tool() { return hands.tool; },
@@ -414,7 +414,7 @@ function announceForce(state, now) {
 let airTime = 0;
 function showAir(state, seconds) {
   const { press } = controls;
-  const touches = !press || press.grasps || press.tool.kind === "scalpel" || press.approach > 0 || state?.state !== "running" || hands.state(press.index).newtons > LEAST_FORCE;
+  const touches = !press || press.grasps || press.tool.kind === "scalpel" || press.approach > 0 || state?.state !== "running" || hands.state(press.index).newtons > MIN_FORCE;
   const before = airTime;
   airTime = touches ? 0 : airTime + seconds;
   panel.through = airTime > AIR_TIME && scene.body.isInside(press.position);

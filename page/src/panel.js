@@ -117,7 +117,7 @@ export class Panel {
     this.markScalar(name);
   }
 
-  /** Take the trust number of a state; returns whether the state is beyond training. */
+  /** Take the error indicator of a state; returns whether the state is beyond training. */
   judge({ trust }) {
     this.beyond = Boolean(this.trainingErrors) && isBeyond(trust, this.beyond, this.trainingErrors.largest_trust);
     return this.beyond;

@@ -7,7 +7,7 @@ const APPROACH_TIME = 0.07; // [s], time constant
 const RETRY_TIME = 0.3; // [s] without an active tool before a retry from farther away
 const TURN_WAY = 0.3; // lengths of a blade in which it turns into its stroke
 const REVERSE_WAY = 0.1; // lengths of a blade that it goes back before its arrow turns
-const LEAST_SLOPE = 0.3; // cosine between view and normal below which a stroke no longer follows the pointer
+const MIN_SLOPE = 0.3; // cosine between view and normal below which a stroke no longer follows the pointer
 const STROKE_REACH = 0.7; // of a blade around its body, in lengths of it
 
 let sequence = 0;
@@ -125,7 +125,7 @@ export class Press {
     const { length } = this.tool;
     const step = new three.Vector3().addScaledVector(this.viewAxes[0], right).addScaledVector(this.viewAxes[1], up);
     const view = home.clone().add(offset).sub(scene.camera.position).normalize();
-    const slope = Math.min(view.dot(normal), -LEAST_SLOPE);
+    const slope = Math.min(view.dot(normal), -MIN_SLOPE);
     step.addScaledVector(view, -step.dot(normal) / slope);
     const metres = step.length();
     if (!(metres > 0)) return;

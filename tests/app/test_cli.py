@@ -75,8 +75,8 @@ def test_the_command_without_arguments_prints_help_with_first_steps(capsys, tmp_
 )
 def test_errors_name_options_as_typed(line, parts, assert_refused, tmp_path):
     words = line.split()
-    given = [*words, "--out", str(tmp_path / "out")] if words[0] == "train" and "--folder" not in words else words
-    assert_refused(given, *parts)
+    options = [*words, "--out", str(tmp_path / "out")] if words[0] == "train" and "--folder" not in words else words
+    assert_refused(options, *parts)
 
 
 def test_a_missing_part_of_a_surface_is_named_with_its_option(assert_refused, tmp_path):

@@ -52,8 +52,8 @@ def test_evaluating_nodes_in_several_parts_keeps_force_and_energy(sampled, count
         np.testing.assert_allclose(model.body.force(coordinates), sampled.body.force(coordinates), rtol=1e-6)
         assert model.body.energy(coordinates) == pytest.approx(sampled.body.energy(coordinates), rel=1e-6)
     else:
-        kept = model.data.cubature.weights.sum() / sampled.data.cubature.weights.sum()
-        assert count / own < kept < 1  # the heaviest ones
+        share = model.data.cubature.weights.sum() / sampled.data.cubature.weights.sum()
+        assert count / own < share < 1  # the heaviest ones
 
 
 def test_timing_compiled_loops_does_not_change_the_model(sampled, pull):

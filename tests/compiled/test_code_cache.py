@@ -178,7 +178,7 @@ def test_damaged_code_is_compiled_again(own_folder, damage):
 
 def test_what_was_not_used_for_longest_goes_first(own_folder, monkeypatch):
     assert cached_njit()(double)(2.0) == 4.0
-    (kept,) = code_files()
+    (newest,) = code_files()
     for k in range(10):
         path = own_folder / f"old{k}.code"
         path.write_bytes(bytes(1000))
@@ -186,11 +186,11 @@ def test_what_was_not_used_for_longest_goes_first(own_folder, monkeypatch):
     partial = own_folder / "killed.1.partial"
     partial.write_bytes(bytes(10))
     os.utime(partial, (0, 0))
-    monkeypatch.setattr(code_cache, "MAX_BYTES", kept.size + 5000)
-    monkeypatch.setattr(code_cache, "KEPT_SHARE", (kept.size + 3000) / (kept.size + 5000))
+    monkeypatch.setattr(code_cache, "MAX_BYTES", newest.size + 5000)
+    monkeypatch.setattr(code_cache, "KEPT_SHARE", (newest.size + 3000) / (newest.size + 5000))
     code_cache._limit(own_folder)
     left = {each.path.name for each in code_files()}
-    assert left == {kept.path.name, "old7.code", "old8.code", "old9.code"}
+    assert left == {newest.path.name, "old7.code", "old8.code", "old9.code"}
 
 
 def test_the_use_of_a_file_is_noted_once_a_day(own_folder):

@@ -21,10 +21,10 @@ pytestmark = [
 def everything() -> pt.Solid:
     """Return a block with all that tissue may have at once."""
     series = pt.materials.Prony(shares=(0.6,), times=(5e-3,))
-    given = {"density": 1000.0, "prony": series, "volumetric": "logarithmic", "split": "isochoric"}
+    common = {"density": 1000.0, "prony": series, "volumetric": "logarithmic", "split": "isochoric"}
     laws = {
-        "": pt.materials.Gent(mu=10e3, Jm=3.0, poisson=0.45, **given),
-        "x+": pt.materials.Gent(mu=25e3, Jm=0.9, poisson=0.4, **given),
+        "": pt.materials.Gent(mu=10e3, Jm=3.0, poisson=0.45, **common),
+        "x+": pt.materials.Gent(mu=25e3, Jm=0.9, poisson=0.4, **common),
     }
     fibres = pt.materials.Fibres(k1=5e3, k2=2.0, dispersion=0.1, directions=(1.0, 0.0, 0.0))
     return pt.Solid(block(), laws, "x-", stiffness={"y+": 3.0}, stiffness_damping=1e-5, fibres=fibres)
@@ -101,7 +101,7 @@ def test_forces_and_energy_of_all_points_and_pressures_are_those_of_the_body(bod
         cubature = replace(data.cubature, pressure=pressure)
         data = replace(data, sampled=replace(data.sampled, cubature=cubature))
     whole = pt.ReducedModel(data, single=False)
-    columns, random = data.basis_vectors[: whole.count], np.random.default_rng(1)
+    columns, random = data.trial_and_test_basis[: whole.count], np.random.default_rng(1)
     whole.state(whole.prepare(loads))
     for size in (1e-4, 1e-3):
         a = size * random.uniform(-1, 1, whole.count) / whole.body.sizes

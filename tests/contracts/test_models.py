@@ -232,12 +232,12 @@ def test_equal_displacements_have_equal_stresses(model, prepared, state, step):
 def test_accepting_a_step_is_a_function_of_its_states_and_report(model, prepared, state, step):
     before, report = model.advance(state, prepared, step, 1)
     wild = replace(before, velocities=1e3 * (before.velocities + np.abs(before.velocities).max()))
-    for given in (report, replace(report, least_dilatation=-0.9)):
-        first = model.accept_step(state, wild, given)
+    for each in (report, replace(report, least_dilatation=-0.9)):
+        first = model.accept_step(state, wild, each)
         use(model, prepared, state, step)
         if hasattr(model, "strain_energy"):
             model.strain_energy(crushed(model))
-        assert model.accept_step(state, wild, given) == first
+        assert model.accept_step(state, wild, each) == first
 
 
 @pytest.mark.slow
@@ -282,9 +282,9 @@ def test_results_do_not_depend_on_the_contents_of_the_workspace(model, prepared,
         assert bits(model.stable_step(at, loads, work)) == bits(model.stable_step(at, loads))
         assert bits(model.outputs(at, loads, work)) == bits(model.outputs(at, loads))
     after = model.advance(state, prepared, step, STEPS, work)
-    kept = bits(after)
+    before = bits(after)
     model.advance(begun, few, step, 3, work)
-    assert bits(after) == kept  # a state shares no array with a workspace
+    assert bits(after) == before  # a state shares no array with a workspace
 
 
 def test_repeated_runs_are_equal_bit_by_bit(model, loads):

@@ -75,8 +75,8 @@ def test_an_option_has_the_type_range_choices_and_default_of_its_declaration(cap
     ):
         add_parameter(parser, section, name)
     assert vars(parser.parse_args([])) == {"units": None, "scale": 1.0, "repair": False, "depth": None, "paths": 12}
-    given = parser.parse_args(["--depth", "5 mm", "--paths", "3", "--repair", "--units", "cm"])
-    assert (given.depth, given.paths, given.repair, given.units) == (0.005, 3, True, "cm")
+    arguments = parser.parse_args(["--depth", "5 mm", "--paths", "3", "--repair", "--units", "cm"])
+    assert (arguments.depth, arguments.paths, arguments.repair, arguments.units) == (0.005, 3, True, "cm")
     for words, message in (
         (["--depth", "1"], "must be in (0, 0.2] m, got '1'; give depth of the deepest press, and length of the"),
         (["--paths", "1.5"], "must be a whole number"),

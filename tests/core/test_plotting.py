@@ -49,9 +49,9 @@ def test_an_unknown_quantity_is_refused_with_those_that_are_known(run):
 
 def test_a_basis_plots_its_singular_values(run, held):
     basis = pt.pod(run, held.weights, modes=3)
-    kept, others = (line.get_xydata() for line in basis.plot().get_lines())
+    modes, others = (line.get_xydata() for line in basis.plot().get_lines())
     relative = basis.singular_values / basis.singular_values[0]
-    np.testing.assert_allclose(kept[:, 1], relative[:3])
+    np.testing.assert_allclose(modes[:, 1], relative[:3])
     np.testing.assert_allclose(others[:, 1], relative[3:])
 
 

@@ -164,9 +164,9 @@ def test_vertices_are_those_that_the_page_draws(library, model_file):
 
 def test_a_copy_of_the_memory_is_another_model_in_the_same_state(library):
     press(library, 100)
-    kept = library.memory.copy()
+    memory = library.memory.copy()
     after = [step(library, pose_at(0.5 + k / 200, True)) for k in range(50)]
-    library.memory[:] = kept
+    library.memory[:] = memory
     again = [step(library, pose_at(0.5 + k / 200, True)) for k in range(50)]
     np.testing.assert_array_equal(after, again)
 
@@ -257,7 +257,7 @@ def test_a_pose_that_is_not_finite_or_jumps_keeps_the_last(library, pose):
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("period", 0.0), ("period", np.nan), ("force_limit", -1.0), ("on_distrust", 2.0)]
+    ("name", "value"), [("period", 0.0), ("period", np.nan), ("force_limit", -1.0), ("out_of_training", 2.0)]
 )
 def test_options_out_of_range_are_refused(library, name, value):
     from palpate.export.entries import OPTION_NAMES

@@ -134,9 +134,9 @@ def test_nodes_that_share_a_row_get_the_weights_they_would_get_alone():
     assert len(np.unique(shared.row)) < n / 2
     assert len(np.unique(alone.row[:n])) == n
     field = np.random.default_rng(0).normal(size=n)
-    there = np.concatenate([field, np.zeros(len(apart))])
-    np.testing.assert_allclose(shared.gradient(field), alone.gradient(there)[:n], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(shared.hessian(field), alone.hessian(there)[:n], rtol=1e-8, atol=1e-7)
+    padded = np.concatenate([field, np.zeros(len(apart))])
+    np.testing.assert_allclose(shared.gradient(field), alone.gradient(padded)[:n], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(shared.hessian(field), alone.hessian(padded)[:n], rtol=1e-8, atol=1e-7)
 
 
 def test_a_radius_holds_the_nodes_nearer_than_it(jittered_points):

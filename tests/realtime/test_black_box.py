@@ -11,8 +11,8 @@ import pytest
 from numba import njit
 
 from palpate.realtime.black_box import MAX_COORDINATES, RingBuffer, append_record, latest_records, write_black_box
-from palpate.realtime.exchange import get_flag, make_flags, set_flag
 from palpate.realtime.record import HEADER_DTYPE, TOOL_DTYPE, record_size
+from palpate.realtime.seqlock import get_flag, make_flags, set_flag
 
 
 @njit(nogil=True)

@@ -99,9 +99,9 @@ def test_the_statistics_count_the_steps(engine_of):
     run_steps(engine, 100)
     statistics = engine.statistics()
     assert statistics.count == engine.read().steps
-    assert statistics.computing.counts.sum() == statistics.lateness.counts.sum() == statistics.count
+    assert statistics.computing.counts.sum() == statistics.wakeup_latency.counts.sum() == statistics.count
     assert 0 < statistics.computing.percentile(50) <= statistics.computing.maximum
-    assert statistics.sustained
+    assert statistics.is_real_time
     run_steps(engine, 10)
     assert engine.statistics().count == engine.read().steps - statistics.count  # since the last start
 
@@ -113,8 +113,8 @@ def test_a_model_that_is_too_slow_does_not_hold_its_rate(engine_of):
     assert statistics.overrun > 0.9 * statistics.count
     assert statistics.missed >= statistics.overrun
     assert statistics.dropped > statistics.count  # several each
-    assert not statistics.sustained
-    assert "is not sustained" in statistics.verdict
+    assert not statistics.is_real_time
+    assert "is not in real time" in statistics.status
 
 
 def test_commands_may_be_given_twice(engine_of):
@@ -236,7 +236,7 @@ def test_lost_trust_is_reported_once(engine_of):
 
 def test_the_largest_trust_is_forgotten_when_the_body_is_at_rest_again(engine_of):
     """Not while it still vibrates: rest is 1e-4 of the largest energy of the motion."""
-    engine = engine_of(trusted=0.01, damping=2.0, options={"on_distrust": "ignore"})
+    engine = engine_of(trusted=0.01, damping=2.0, options={"out_of_training": "ignore"})
     engine.set_pose((0.02, 0.0, 0.0))
     run_steps(engine, 50)
     bad = engine.read()
@@ -257,7 +257,7 @@ def test_the_largest_trust_is_forgotten_when_the_body_is_at_rest_again(engine_of
 
 
 def test_clamping_holds_the_tool_where_the_model_was_trusted(engine_of, history):
-    engine = engine_of(trusted=0.01, options={"on_distrust": "clamp", "max_speed": 0.5})
+    engine = engine_of(trusted=0.01, options={"out_of_training": "clamp", "max_speed": 0.5})
     engine.set_pose((0.03, 0.0, 0.0))
     run_steps(engine, 60)
     reading, seen = engine.read(), history(engine)
@@ -278,7 +278,7 @@ def test_clamping_holds_the_tool_where_the_model_was_trusted(engine_of, history)
 
 
 def test_stopping_pauses_when_trust_is_lost_and_may_be_resumed(engine_of):
-    engine = engine_of(trusted=0.01, options={"on_distrust": "stop", "max_speed": 0.5})
+    engine = engine_of(trusted=0.01, options={"out_of_training": "stop", "max_speed": 0.5})
     engine.set_pose((0.03, 0.0, 0.0))
     engine.start()
     until(lambda: engine.state == "paused")
@@ -375,7 +375,7 @@ def test_other_python_threads_run_while_the_engine_steps(engine_of):
         while engine.read().steps < start + 50:
             count += 1
     assert count > 20
-    assert not engine.statistics().sustained
+    assert not engine.statistics().is_real_time
 
 
 def test_an_engine_without_references_ends_its_thread():
@@ -395,7 +395,7 @@ def test_an_engine_without_references_ends_its_thread():
     [
         ("rate", 0.0), ("rate", -1.0), ("rate", 20_001.0), ("rate", math.nan), ("force_limit", 0.0), ("history", 0.0),
         ("history", 1e4), ("max_speed", 0.0), ("max_angular_speed", -1.0), ("spin", 0.1), ("stiffness_every", -1),
-        ("on_distrust", "nothing"), ("black_box", "/nowhere/at/all.h5"),
+        ("out_of_training", "nothing"), ("black_box", "/nowhere/at/all.h5"),
     ],
 )  # fmt: skip
 def test_arguments_out_of_range_are_refused(name, value):
@@ -449,12 +449,12 @@ def test_place_tool_moves_the_tool_at_once_and_slow_motion_slows_time(engine_of,
         engine.place_tool((0.0, 0.0, 0.0))
 
 
-def test_an_engine_prints_its_state_rate_and_verdict(engine_of):
+def test_an_engine_prints_its_state_rate_and_status(engine_of):
     engine = engine_of()
     assert "no steps yet" in repr(engine)
     run_steps(engine, 20)
     line, reading = repr(engine), engine.read()
-    for part in ("Engine(state=stopped, rate=1 kHz, ", " coordinates, time=", "rate sustained "):
+    for part in ("Engine(state=stopped, rate=1 kHz, ", " coordinates, time=", "in real time "):
         assert part in line
     for part in ("force=(", " N", "trust=", "engine=stopped"):
         assert part in repr(reading)

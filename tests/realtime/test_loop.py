@@ -14,7 +14,6 @@ from numba import njit
 
 from palpate.compiled.jit import law_njit
 from palpate.realtime.engine import _make_settings
-from palpate.realtime.exchange import Slot, publish
 from palpate.realtime.loop import _fetch_pose, compile_loop
 from palpate.realtime.period import (
     CLAMPED,
@@ -27,6 +26,7 @@ from palpate.realtime.period import (
     write_record,
 )
 from palpate.realtime.pose import IDENTITY_POSE
+from palpate.realtime.seqlock import Slot, publish
 
 OTHER_PROCESS = """
 import sys

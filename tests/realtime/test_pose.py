@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import palpate as pt
-from palpate.realtime.period import IGNORE, LARGEST_WAY, MOST_PERIODS, Settings, Work, move_tools, take_pose
+from palpate.realtime.period import IGNORE, LARGEST_WAY, MAX_PERIODS, Settings, Work, move_tools, take_pose
 from palpate.realtime.pose import IDENTITY_POSE, follow_pose, normalise_pose, tool_coordinates, wrench
 
 
@@ -88,7 +88,7 @@ def test_a_pose_is_reached_evenly_in_a_number_of_periods():
 def test_a_tool_follows_a_pointer_as_fast_as_the_pointer_moves():
     """Poses come every 17 periods; at the largest speed the tool would make each way in two periods, and wait."""
     work = Work.at_rest(np.zeros(3), np.eye(3, 12))
-    work.follow[0, MOST_PERIODS] = 40.0
+    work.follow[0, MAX_PERIODS] = 40.0
     settings = Settings(1_000_000, 0, 5e-4, 0.01, np.inf, 0, IGNORE, 0)
     ways = []
     for period in range(340):

@@ -457,8 +457,8 @@ def test_places_without_nodes_are_refused_by_their_entry(opened, place, said):
 
 
 def test_the_body_is_that_of_the_library(opened):
-    given = 'law = "MooneyRivlin"\nparameters = { C1 = "3 kPa", C2 = "200 Pa" }'
-    scene = opened(box_scene(replace={'parameters = { C1 = "1.5 kPa" }': given}))
+    text = 'law = "MooneyRivlin"\nparameters = { C1 = "3 kPa", C2 = "200 Pa" }'
+    scene = opened(box_scene(replace={'parameters = { C1 = "1.5 kPa" }': text}))
     tissue = pt.materials.MooneyRivlin(C1=3000.0, C2=200.0, density=1060.0, poisson=0.45)
     assert_same_body(scene, pt.Solid(CLOUD, tissue, "x-"))
 
@@ -629,9 +629,9 @@ def test_faults_that_show_later_name_file_line_and_key(opened):
     with pytest.raises(pt.InputError, match=r"\.toml, line 16: tool\.radius: .* at least 2 spacings"):
         _ = small.paths
     assert "body" not in vars(small)  # before the body is made
-    given = opened(box_scene(), {"tool.radius": "1 mm"})
+    scene = opened(box_scene(), {"tool.radius": "1 mm"})
     with pytest.raises(pt.InputError, match=r"^tool\.radius: "):
-        _ = given.paths
+        _ = scene.paths
     nowhere = "[[load]]\nkind = 'pressure'\npressure = 1\nplace = { ball = { centre = [9, 9, 9], radius = 0.01 } }"
     with pytest.raises(pt.InputError, match=r"\.toml, line 16: load\[1\]: "):
         _ = opened(box_scene(add=["", nowhere])).body
@@ -788,13 +788,13 @@ def test_missing_surfaces_and_spacings_are_refused(organ):
 def test_the_digest_changes_with_what_a_model_depends_on_only(organ):
     before = open_scene(organ).digest
     assert open_scene(organ).digest == before
-    for given in (
+    for settings in (
         {"paths": 3}, {"held_out": 1}, {"modes": 5}, {"tolerance": 0.1}, {"cubature": 0.1}, {"training.seed": 4},
         {"run.duration": 3.0},
     ):  # fmt: skip
-        assert open_scene(organ, given).digest == before, given
-    for given in ({"spacing": 0.005}, {"poisson": 0.3}, {"C1": 900}, {"depth": 0.01}, {"grasps": 0}, {"scale": 1.1}):
-        assert open_scene(organ, given).digest != before, given
+        assert open_scene(organ, settings).digest == before, settings
+    for settings in ({"spacing": 0.005}, {"poisson": 0.3}, {"C1": 900}, {"depth": 0.01}, {"grasps": 0}, {"scale": 1.1}):
+        assert open_scene(organ, settings).digest != before, settings
     organ.write_text(ORGAN.replace('"5 mm"', '"6 mm"'))
     assert open_scene(organ).digest != before
     organ.write_text("title = 'Another'\n" + ORGAN)

@@ -9,7 +9,7 @@ import cut_taut
 import numpy as np
 import pytest
 
-MOST_SHORTER = 1.5  # times by which a cut may shorten the stable step
+MAX_SHORTER = 1.5  # times by which a cut may shorten the stable step
 
 
 @pytest.mark.slow
@@ -51,7 +51,7 @@ def check(row):
     """Assert that a cut made no energy and that its step is not much shorter."""
     assert row["stable"], row
     assert row["growth"] <= 0.0, row
-    assert row["step_ratio"] <= MOST_SHORTER, row
+    assert row["step_ratio"] <= MAX_SHORTER, row
 
 
 @pytest.mark.slow

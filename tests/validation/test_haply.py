@@ -1,4 +1,4 @@
-"""The loop of a device at a late wall: its energy against the closed form, and what the account takes away."""
+"""The loop of a device at a late wall: its energy against the closed form, and what the controller takes away."""
 
 from __future__ import annotations
 

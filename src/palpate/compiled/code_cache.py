@@ -106,9 +106,9 @@ def code_folder() -> Path | None:
 
 def _found_folder() -> tuple[Path, str]:
     """Return the folder of compiled functions, and why it cannot be used; empty if it can."""
-    given = numba.config.CACHE_DIR
-    if given:
-        return _checked(Path(given) / "palpate-code")
+    configured = numba.config.CACHE_DIR
+    if configured:
+        return _checked(Path(configured) / "palpate-code")
     folder = cache_folder()
     return (Path(), "the user has no home folder") if folder is None else _checked(folder / "code")
 

@@ -145,16 +145,16 @@ def with_blocks(
     values : (m, k, LANES) array
         Weights.
     """
-    kept = lanes.stop - lanes.start
-    kept[blocks] = 0
-    _, entry = ranges(lanes.start, lanes.start + kept)
-    _, weight_entry = ranges(lanes.weight_start, lanes.weight_start + kept)
-    start = np.cumsum(kept) - kept
+    lengths = lanes.stop - lanes.start
+    lengths[blocks] = 0
+    _, entry = ranges(lanes.start, lanes.start + lengths)
+    _, weight_entry = ranges(lanes.weight_start, lanes.weight_start + lengths)
+    start = np.cumsum(lengths) - lengths
     start[blocks] = len(entry) + near.shape[1] * np.arange(len(blocks))
-    kept[blocks] = near.shape[1]
+    lengths[blocks] = near.shape[1]
     neighbours = np.concatenate([lanes.neighbours[entry], near.reshape(-1, LANES)])
     table = np.concatenate([weights.lanes[weight_entry], values.reshape(-1, 1, LANES)])
-    changed = lanes._replace(start=start, stop=start + kept, neighbours=neighbours, weight_start=start.copy())
+    changed = lanes._replace(start=start, stop=start + lengths, neighbours=neighbours, weight_start=start.copy())
     return changed, Weights(weights.one, table)
 
 
@@ -311,8 +311,8 @@ def _column_pass(single: bool, back: bool, rows: int, name: str) -> Any:
     """
 
     def codegen(context, builder, signature, args):
-        given, out = args[1 : 1 + rows], args[1 + rows : 1 + 2 * rows]
-        _emit_column_loop(builder, args[0], given, out, args[-1], single, back)
+        inputs, out = args[1 : 1 + rows], args[1 + rows : 1 + 2 * rows]
+        _emit_column_loop(builder, args[0], inputs, out, args[-1], single, back)
         return context.get_dummy_value()
 
     def sums(typingctx, table_at, given_at, out_at, count):
@@ -354,7 +354,7 @@ def _emit_column_loop(
     if single:
         values = [builder.fpext(value, vector) for value in values]
     sums: list[list[Any]] = []
-    for k, given in enumerate(given_ptr):
+    for k, pointer in enumerate(given_ptr):
         if back:
             at = builder.gep(out_ptr[k], [m])
             total, other = builder.load(at, align=8), ir.Constant(vector, [0.0] * LANES)
@@ -363,7 +363,7 @@ def _emit_column_loop(
                 total, other = other, builder.fadd(product, total, flags=("contract",))
             builder.store(builder.fadd(total, other), at, align=8)
             continue
-        first = builder.insert_element(undefined, builder.load(builder.gep(given, [m])), ir.Constant(i32, 0))
+        first = builder.insert_element(undefined, builder.load(builder.gep(pointer, [m])), ir.Constant(i32, 0))
         coordinate = builder.shuffle_vector(first, undefined, lane_zero)
         sums.append([])
         for q in range(9):

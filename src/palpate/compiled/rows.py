@@ -148,12 +148,12 @@ def _with_room(rows: Rows, needed: int) -> Rows:
     stop = np.cumsum(count)
     _, first, which = np.unique(rows.weight_start, return_index=True, return_inverse=True)
     weight_stop = np.cumsum(count[first])
-    _, kept = ranges(rows.weight_start[first], rows.weight_start[first] + count[first])
-    weights = aligned_zeros(int(GROWTH_FACTOR * len(kept)) + GROWTH_ENTRIES + needed, rows.weights.shape[1])
-    weights[: len(kept)] = rows.weights[kept]
+    _, weight_entry = ranges(rows.weight_start[first], rows.weight_start[first] + count[first])
+    weights = aligned_zeros(int(GROWTH_FACTOR * len(weight_entry)) + GROWTH_ENTRIES + needed, rows.weights.shape[1])
+    weights[: len(weight_entry)] = rows.weights[weight_entry]
     return Rows(
         rows.nodes, stop - count, stop, neighbours, (weight_stop - count[first])[which], weights,
-        np.array([len(entry), len(kept)]),
+        np.array([len(entry), len(weight_entry)]),
     )  # fmt: skip
 
 

@@ -93,9 +93,9 @@ class Described:
 
 
 def _said(name: str, value: Any, unit: str) -> str:
-    """Return a fact as part of a line: `13 nodes`, `spacing=5 mm`, `shear modulus 10 kPa`, or a verdict alone."""
+    """Return a fact as part of a line: `13 nodes`, `spacing=5 mm`, `shear modulus 10 kPa`, or a status alone."""
     said = format_quantity(value, unit)
-    if name == "verdict":
+    if name == "status":
         return said
     if isinstance(value, int | np.integer) and not isinstance(value, bool) and not unit and value != 1:
         return f"{said} {name}"

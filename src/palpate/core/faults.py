@@ -94,7 +94,7 @@ class UnitWarning(UserWarning):
 
 
 class TrustWarning(RuntimeWarning):
-    """A trust number is above 1: the reduced model was not trained on such states.
+    """An error indicator is above 1: the reduced model was not trained on such states.
 
     Examples
     --------
@@ -201,7 +201,7 @@ def integer_in_range(name: str, value: int, low: int, high: float = math.inf) ->
     return int(value)
 
 
-def check_names(owner: str, given: Iterable[str], allowed: Mapping[str, str]) -> None:
+def check_names(owner: str, names: Iterable[str], allowed: Mapping[str, str]) -> None:
     """Refuse arguments that a class does not have.
 
     Parameters
@@ -211,7 +211,7 @@ def check_names(owner: str, given: Iterable[str], allowed: Mapping[str, str]) ->
     allowed : mapping of str to str
         Units by name; empty for a pure number.
     """
-    for name in given:
+    for name in names:
         if name not in allowed:
             permitted = ", ".join(f"{each} [{unit}]" if unit else each for each, unit in allowed.items())
             near = get_close_matches(name, allowed, 1, 0.0)

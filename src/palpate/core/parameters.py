@@ -215,12 +215,12 @@ def quantity(value: Any, unit: str) -> float:
 
 def check_number(value: Any, about: Mapping[str, Any]) -> float:
     """Return a number of a setting in SI units; raise `InputError` out of its range."""
-    number, given = quantity(value, about["unit"]), limits(about)
+    number, bounds = quantity(value, about["unit"]), limits(about)
     try:
-        return number_in_range("", number, **given)
+        return number_in_range("", number, **bounds)
     except InputError:
-        remedy = given.pop("remedy")
-        raise InputError(f"must be in {interval(**given)}, got {brief(value)}; {remedy}") from None
+        remedy = bounds.pop("remedy")
+        raise InputError(f"must be in {interval(**bounds)}, got {brief(value)}; {remedy}") from None
 
 
 def _read(kind: Any, about: Mapping[str, Any], value: Any, path: tuple[str | int, ...]) -> Any:

@@ -73,13 +73,13 @@ def plot_fit(
     return axes
 
 
-def plot_singular_values(values: Floats, kept: int, axes: Any = None) -> Any:
+def plot_singular_values(values: Floats, modes: int, axes: Any = None) -> Any:
     """Plot singular values over the first one; those of the modes that are kept are filled. Returns the axes."""
     axes = _axes(axes)
     numbers, relative = np.arange(1, len(values) + 1), values / values[0]
-    axes.semilogy(numbers[:kept], relative[:kept], "o", color=BLUE, label=f"{kept} modes kept")
-    if len(values) > kept:
-        axes.semilogy(numbers[kept:], relative[kept:], "o", color=GREY, mfc="none", label="others")
+    axes.semilogy(numbers[:modes], relative[:modes], "o", color=BLUE, label=f"{modes} modes kept")
+    if len(values) > modes:
+        axes.semilogy(numbers[modes:], relative[modes:], "o", color=GREY, mfc="none", label="others")
     axes.set(xlabel="mode", ylabel="singular value over the first")
     axes.legend()
     return axes

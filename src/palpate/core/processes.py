@@ -47,7 +47,7 @@ class Child:
     def __init__(
         self,
         function: Function,
-        given: Any,
+        request: Any,
         *,
         environment: Mapping[str, str] | None = None,
         idle: bool = False,
@@ -61,7 +61,7 @@ class Child:
         )  # fmt: skip
         self.pid, self._is_read = self._process.pid, False
         self.send([each for each in sys.path if each])
-        self.send(given)
+        self.send(request)
 
     def send(self, value: Any) -> None:
         """Send a value; one that has ended receives nothing, which `answers` shows."""

@@ -35,7 +35,7 @@ from palpate.core.hdf5_frame import DEFLATE_LEVEL, HEAD_BYTES, lay_out
 
 __all__ = [
     "HEAD_BYTES",
-    "LEAST_POSITIVE",
+    "MIN_POSITIVE",
     "Array",
     "ArrayEntry",
     "ArrayFile",
@@ -61,7 +61,7 @@ MAX_RATIO = 64  # bytes of an array for each compressed one
 RESERVED_BYTES = 1 << 16  # of the disk that stay free
 DIGEST_PATTERN = re.compile(r"[0-9a-f]{64}")
 LARGEST_NUMBER = float(np.finfo(float).max)  # that is finite
-LEAST_POSITIVE = float(np.nextafter(0.0, 1.0))
+MIN_POSITIVE = float(np.nextafter(0.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Array:
 
     shape: tuple[int | str, ...]  # arrays share the sizes that have names
     type: str = "<f8"  # one of `ARRAY_TYPES`
-    # low, most: least number, and largest size of a number; `LEAST_POSITIVE` and `LARGEST_NUMBER` are the limits of
+    # low, most: least number, and largest size of a number; `MIN_POSITIVE` and `LARGEST_NUMBER` are the limits of
     # each
     low: float = -math.inf
     most: float = LARGEST_NUMBER
@@ -103,7 +103,7 @@ def check_arrays(arrays: Mapping[str, Values], declared: Mapping[str, Array], si
         if each.index_of and not ((array >= 0) & (array < known[each.index_of])).all():
             raise InputError(f"array {name} must have indices from 0 to {known[each.index_of] - 1}, got others")
         if array.dtype != bool and not ((array >= low) & (array <= each.most)).all():
-            least = "positive, up" if low == LEAST_POSITIVE else f"from {low:g}"
+            least = "positive, up" if low == MIN_POSITIVE else f"from {low:g}"
             most = f"{each.most:g} {each.unit}".rstrip()
             raise InputError(f"array {name} must be finite, {least} to {most}, got other numbers")
         if each.rising and np.any(np.diff(array) < 0):

@@ -13,7 +13,7 @@ import numpy as np
 from palpate.compiled.jit import kernel_njit, law_njit
 from palpate.dynamics.contact.kinds import BONDED, PLANE
 from palpate.realtime.bodies.change_tool import replace_tool
-from palpate.realtime.observable import TOOLS
+from palpate.realtime.instrumented import TOOLS
 from palpate.realtime.period import (
     CLAMP,
     FAILED,
@@ -31,8 +31,8 @@ from palpate.reduction.contact.surface import PAIRS
 from palpate.reduction.hyper.error_indicator import curve_bound
 
 TAKEN_STATUS, POSE_STATUS, DIVERGED_STATUS, INVALID_STATUS = range(4)
-OPTION_NAMES = ("period", "force_limit", "max_speed", "max_angular_speed", "stiffness_every", "on_distrust")
-OPTION_PERIOD, FORCE_LIMIT, MAX_SPEED, MAX_ANGULAR_SPEED, STIFFNESS_EVERY, ON_DISTRUST = range(len(OPTION_NAMES))
+OPTION_NAMES = ("period", "force_limit", "max_speed", "max_angular_speed", "stiffness_every", "out_of_training")
+OPTION_PERIOD, FORCE_LIMIT, MAX_SPEED, MAX_ANGULAR_SPEED, STIFFNESS_EVERY, OUT_OF_TRAINING = range(len(OPTION_NAMES))
 WORST_TRUST, RECORD_FORCE = field_offset("worst_trust"), field_offset("force")
 FORCE_NUMBERS = 15  # of force, moment and stiffness, which follow each other
 MIN_PERIOD, MAX_PERIOD = 5e-5, 0.02  # [s]
@@ -48,7 +48,7 @@ def _is_finite(values):
 
 @cache
 def compile_step(advance: Any, stiffness: Any) -> Any:
-    """Compile the step of a library around the functions of an observable model.
+    """Compile the step of a library around the functions of an instrumented model.
 
     Returns
     -------
@@ -70,7 +70,7 @@ def compile_step(advance: Any, stiffness: Any) -> Any:
             return INVALID_STATUS
         if not 0.0 <= options[STIFFNESS_EVERY] <= 1e6:
             return INVALID_STATUS
-        if options[ON_DISTRUST] != CLAMP and options[ON_DISTRUST] != IGNORE:
+        if options[OUT_OF_TRAINING] != CLAMP and options[OUT_OF_TRAINING] != IGNORE:
             return INVALID_STATUS
         tools, is_taken = pose.shape[0], True
         for t in range(tools):
@@ -78,7 +78,7 @@ def compile_step(advance: Any, stiffness: Any) -> Any:
         period = options[OPTION_PERIOD]
         settings = Settings(
             int(1e9 * period + 0.5), 0, period * options[MAX_SPEED], period * options[MAX_ANGULAR_SPEED],
-            options[FORCE_LIMIT], int(options[STIFFNESS_EVERY]), int(options[ON_DISTRUST]), 0,
+            options[FORCE_LIMIT], int(options[STIFFNESS_EVERY]), int(options[OUT_OF_TRAINING]), 0,
         )  # fmt: skip
         valid = take_period(data, work, settings)
         for t in range(tools):

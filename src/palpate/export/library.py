@@ -17,7 +17,7 @@ from palpate.export.targets import Target
 from palpate.realtime.bodies.display_surface import Surface
 from palpate.realtime.bodies.model import idle_model
 from palpate.realtime.contract import MAX_TOOLS
-from palpate.realtime.observable import TOOLS, make_observable
+from palpate.realtime.instrumented import TOOLS, make_instrumented
 from palpate.realtime.period import IGNORE, Work
 from palpate.realtime.pose import IDENTITY_POSE
 from palpate.reduction.hyper.error_indicator import bound_curve, forgetting_rate
@@ -27,7 +27,7 @@ FUNCTION_NAMES = ("step", "reset", "set_tool", "vertices", "check", "memory_size
 CHECKED_LENGTH = 7  # place of the length among the flat arguments of `check_file`, after an array
 DEFAULT_OPTIONS = {
     "period": 1e-3, "force_limit": np.inf, "max_speed": 2.0, "max_angular_speed": 10.0, "stiffness_every": 50.0,
-    "on_distrust": float(IGNORE),
+    "out_of_training": float(IGNORE),
 }  # fmt: skip
 
 
@@ -85,10 +85,10 @@ def model_functions(
 ) -> tuple[dict[str, tuple[Any, tuple[Any, ...]]], dict[str, NDArray[Any]]]:
     """Return the functions of a library with their arguments, and the arrays that a program uses by name."""
     ready = idle_model(model, tools=integer_in_range("tools", tools, 1, MAX_TOOLS))
-    observable = make_observable(ready, linked=True)
-    surface, data = Surface(model), observable.data
+    instrumented = make_instrumented(ready, linked=True)
+    surface, data = Surface(model), instrumented.data
     count = len(data.coupling.position)
-    work = Work.at_rest(observable.rest, observable.tool, forgetting_rate(model.report))
+    work = Work.at_rest(instrumented.rest, instrumented.tool, forgetting_rate(model.report))
     columns, patch_columns, places = surface.tables(ready.data.contact_surface.nodes)
     named: dict[str, NDArray[Any]] = {
         "pose": np.tile(IDENTITY_POSE, (count, 1)),
@@ -111,12 +111,12 @@ def model_functions(
     }
     compliance = ready.data.contact_surface.compliance
     fields = np.zeros(2 * compliance.flexibility.shape[0] + 3 * (compliance.members.shape[0] // 2))
-    step = compile_step(observable.advance, observable.stiffness)
+    step = compile_step(instrumented.advance, instrumented.stiffness)
     n, curve = named, bound_curve(model.report)
     tool = (n["tool_index"], n["tool_kind"], n["tool_sizes"], n["tool_friction"], n["tool_point"], n["tool_pose"])
     return {
         "step": (step, (data, work, n["pose"], n["options"], curve, n["force_bound"])),
-        "reset": (reset_model, (data, work, observable.rest)),
+        "reset": (reset_model, (data, work, instrumented.rest)),
         "set_tool": (exchange_tool, (data, work, *tool)),
         "vertices": (
             write_vertices, (data, work.q, n["rest"], columns, patch_columns, places, fields, n["vertices"])

@@ -40,10 +40,10 @@ def target_machine(target: Target) -> Any:
     )
 
 
-def emit_object(texts: Sequence[str], kept: Collection[str], target: Target, strict: bool = True) -> bytes:
-    """Return the object of recorded modules in which the functions `kept` are visible; see `link_modules`."""
+def emit_object(texts: Sequence[str], exported: Collection[str], target: Target, strict: bool = True) -> bytes:
+    """Return the object of recorded modules in which the functions `exported` are visible; see `link_modules`."""
     machine = target_machine(target)
-    module = link_modules(texts, kept, target.triple, str(machine.target_data), strict)
+    module = link_modules(texts, exported, target.triple, str(machine.target_data), strict)
     tuning = llvm.create_pipeline_tuning_options(speed_level=3)
     tuning.loop_vectorization = tuning.slp_vectorization = True
     passes = llvm.create_pass_builder(machine, tuning)
@@ -51,7 +51,7 @@ def emit_object(texts: Sequence[str], kept: Collection[str], target: Target, str
     return bytes(machine.emit_object(module))
 
 
-def link_modules(texts: Sequence[str], kept: Collection[str], triple: str, layout: str, strict: bool) -> Any:
+def link_modules(texts: Sequence[str], exported: Collection[str], triple: str, layout: str, strict: bool) -> Any:
     """Return one module; all its functions but those that are kept are internal."""
     linked = None
     for text in reversed(texts):  # the last use the others
@@ -60,7 +60,7 @@ def link_modules(texts: Sequence[str], kept: Collection[str], triple: str, layou
         module = llvm.parse_assembly(RELAXED_FLAGS.sub(r"\1 ", text) if strict else text)
         for function in module.functions:
             is_exported = function.linkage == llvm.Linkage.external and not function.is_declaration
-            if is_exported and function.name not in kept:
+            if is_exported and function.name not in exported:
                 function.linkage = "linkonce_odr"
         if linked is None:
             linked = module
@@ -69,7 +69,7 @@ def link_modules(texts: Sequence[str], kept: Collection[str], triple: str, layou
     assert linked is not None
     for value in (*linked.functions, *linked.global_variables):
         if not value.is_declaration:
-            value.linkage = "external" if value.name in kept else "internal"
+            value.linkage = "external" if value.name in exported else "internal"
     missing = [f.name for f in linked.functions if f.is_declaration and not MATH_FUNCTIONS.fullmatch(f.name)]
     if missing:
         raise RuntimeError(f"exported code must need the C library only, got calls of {', '.join(missing)}")

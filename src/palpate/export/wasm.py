@@ -76,10 +76,10 @@ def module_of_object(content: bytes, names: Collection[str]) -> Module:
         raise RuntimeError(f"the object must have {', '.join(missing)}, got {len(places)} other functions")
     entries = [_named(name) + bytes([FUNCTION_EXPORT]) + _leb(places[name]) for name in names]
     exports = _section(EXPORT_SECTION, _leb(len(entries)) + b"".join(entries))
-    kept = [(kind, body) for kind, body in sections if kind != CUSTOM_SECTION]
+    standard = [(kind, body) for kind, body in sections if kind != CUSTOM_SECTION]
     later = (ELEMENT_SECTION, DATA_COUNT_SECTION, CODE_SECTION, DATA_SECTION)
-    before = b"".join(_section(kind, body) for kind, body in kept if kind not in later)
-    after = b"".join(_section(kind, body) for kind, body in kept if kind in later)
+    before = b"".join(_section(kind, body) for kind, body in standard if kind not in later)
+    after = b"".join(_section(kind, body) for kind, body in standard if kind in later)
     return Module(content[:PREAMBLE_BYTES] + before + exports + after, data_end)
 
 

@@ -231,13 +231,13 @@ class Cloud(Described):
         """
         if name in self.groups:
             raise InputError(f"group must be a new name, got {name!r}, which exists; choose another name")
-        given = np.asarray(nodes)
-        if given.dtype == bool and given.shape == (len(self),):
-            given = np.flatnonzero(given)
-        integers = given.ndim == 1 and given.size > 0 and np.issubdtype(given.dtype, np.integer)
-        if not integers or given.min() < 0 or given.max() >= len(self):
+        indices = np.asarray(nodes)
+        if indices.dtype == bool and indices.shape == (len(self),):
+            indices = np.flatnonzero(indices)
+        integers = indices.ndim == 1 and indices.size > 0 and np.issubdtype(indices.dtype, np.integer)
+        if not integers or indices.min() < 0 or indices.max() >= len(self):
             raise InputError(f"group {name!r} must be nodes in [0, {len(self) - 1}], or a mask of shape ({len(self)},)")
-        return replace(self, groups={**self.groups, name: np.unique(given).astype(np.int64)})
+        return replace(self, groups={**self.groups, name: np.unique(indices).astype(np.int64)})
 
     def boundary_vectors(self) -> Floats:
         """Return sum over a node's faces of (area / volume) times normal, shape (n, d) [1/m].

@@ -111,8 +111,8 @@ def _alike(stencils: Stencils, volumes: Floats, boundary: Floats) -> Ints:
     if len(stencils.first) == n:
         return np.arange(n)
     numbers = np.column_stack([volumes / volume, boundary / volume ** (2 / 3)])
-    kept = np.rint(numbers / EQUAL_NUMBERS).astype(np.int64)
-    keys = np.column_stack([stencils.row, _bodies(stencils.neighbours), kept])
+    rounded = np.rint(numbers / EQUAL_NUMBERS).astype(np.int64)
+    keys = np.column_stack([stencils.row, _bodies(stencils.neighbours), rounded])
     return np.unique(keys, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
 
 

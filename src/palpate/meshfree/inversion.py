@@ -13,7 +13,7 @@ from palpate.core.arrays import Floats, Ints
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.visibility import is_pair
 
-LONGEST_EDGE, LEAST_VOLUME = 2.2, 0.02  # of a tetrahedron, in spacings; flat ones may turn in any deformation
+LONGEST_EDGE, MIN_VOLUME = 2.2, 0.02  # of a tetrahedron, in spacings; flat ones may turn in any deformation
 NODE_SHIFT, SHIFT_SEED = 1e-6, 0  # of the nodes in spacings, since those of a lattice have no unique tetrahedra
 SAFE_WAY = 0.05  # spacings by which nodes may move without turning a cell
 CORNER_PAIRS = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
@@ -27,7 +27,7 @@ def cells_between(cloud: Cloud) -> Ints:
     lengths = [np.linalg.norm(points[cells[:, a]] - points[cells[:, b]], axis=1) for a, b in CORNER_PAIRS]
     near = np.max(lengths, axis=0) < LONGEST_EDGE * spacing
     volumes = _volumes(points, cells)
-    near &= np.abs(volumes) > LEAST_VOLUME * spacing**3
+    near &= np.abs(volumes) > MIN_VOLUME * spacing**3
     for a, b in CORNER_PAIRS:
         near &= ~is_pair(cloud.hidden, cells[:, a], cells[:, b])
     cells[volumes < 0] = cells[volumes < 0][:, [1, 0, 2, 3]]

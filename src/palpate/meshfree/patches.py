@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 from palpate.core.arrays import Floats, Ints
 from palpate.meshfree.cloud import Cloud
-from palpate.meshfree.cut.bond_paths import bond_paths
+from palpate.meshfree.cut.diffraction_lengths import diffraction_lengths
 from palpate.meshfree.cut.surface import NO_CUT, CutSurface
 from palpate.meshfree.visibility import is_pair
 
@@ -134,7 +134,7 @@ def _distances_round(cut: CutSurface, points: Floats, nodes: Ints, near: Ints, d
     count, paths = near.shape[1], np.empty(near.size)
     start = np.arange(0, near.size + 1, count)
     every = np.ascontiguousarray(near.ravel(), dtype=np.int64)
-    bond_paths(points, nodes, start, every, cut.tree, cut.fronts, cut.front_components, paths)
+    diffraction_lengths(points, nodes, start, every, cut.tree, cut.fronts, cut.front_components, paths)
     return np.where(np.isfinite(distance), np.maximum(distance, paths.reshape(near.shape)), distance)
 
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from palpate.compiled.jit import kernel_njit
 from palpate.core.arrays import Floats
 from palpate.core.files import whole_file
-from palpate.realtime.exchange import acquire_fence, get_flag, make_flags, release_fence, set_flag
 from palpate.realtime.record import HEADER_DTYPE, HEADER_SIZE, PERIOD_FIELDS, TOOL_DTYPE, TOOL_SIZE
+from palpate.realtime.seqlock import acquire_fence, get_flag, make_flags, release_fence, set_flag
 
 MAX_COORDINATES = 64  # reduced coordinates stored of each record
 FORMAT, VERSION = "palpate black box", 3

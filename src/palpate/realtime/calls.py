@@ -73,9 +73,9 @@ def _call(typing_context, function, data, arguments):
         convention = context.call_conv
         kind = convention.get_function_type(types.none, argument_types).as_pointer()
         place = builder.inttoptr(record, context.get_value_type(types.voidptr))
-        given = [place, *cgutils.unpack_tuple(builder, packed, len(arguments))]
+        call_arguments = [place, *cgutils.unpack_tuple(builder, packed, len(arguments))]
         status, _ = convention.call_function(
-            builder, builder.inttoptr(address, kind), types.none, argument_types, given
+            builder, builder.inttoptr(address, kind), types.none, argument_types, call_arguments
         )
         with cgutils.if_unlikely(builder, status.is_error):
             convention.return_status_propagate(builder, status)

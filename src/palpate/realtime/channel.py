@@ -1,6 +1,6 @@
 """A channel in shared memory: pose and record of an engine for programs on the same machine.
 
-The memory holds a header, then the two slots (`exchange.Slot`) of the first tool's pose and of the record. The slots of
+The memory holds a header, then the two slots (`seqlock.Slot`) of the first tool's pose and of the record. The slots of
 the poses of other tools follow. `palpate_channel.h` is the other side in C. On Linux the memory is a file in /dev/shm
 that only its owner can open, on Windows a named mapping.
 """
@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from palpate.core.faults import InputError, brief
-from palpate.realtime.exchange import FLAGS_LENGTH, Slot
 from palpate.realtime.record import record_size
+from palpate.realtime.seqlock import FLAGS_LENGTH, Slot
 
 SHARED_FOLDER = Path("/dev/shm")
 CHANNEL_HEADER = struct.Struct("<8sqqq32x")  # magic with the version, process, numbers of a record, tools

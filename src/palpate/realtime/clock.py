@@ -3,7 +3,7 @@
 `now` reads CLOCK_MONOTONIC and `thread_time` reads CLOCK_THREAD_CPUTIME_ID, which excludes the time of other threads.
 C functions are called by symbol, not by address, so that compiled code can be cached. Linux sleeps until a point in
 time (clock_nanosleep). macOS sleeps for a duration (nanosleep): any delay between computing the duration and falling
-asleep adds to the lateness. Windows has its own functions (`windows_clock`).
+asleep adds to the wake-up latency. Windows has its own functions (`windows_clock`).
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ class Realtime(NamedTuple):
         ``advance(data, q, v, target, period, report)`` advances the coordinates `q` (m,) and velocities `v` (m,) in
         place by `period` [s], while the tools' coordinates move linearly to `target` (t l,), tool by tool. A model
         whose tool does not get there writes where it is into `target`. It writes `report` (8 + t l,). Element 0 is
-        0, or 1 if the step did not converge or is not finite. Element 1 is the trust number, above 1 where the model
+        0, or 1 if the step did not converge or is not finite. Element 1 is the error indicator, above 1 where the model
         was not trained. Element 2 counts steps or iterations. Elements 3 and 4 are the kinetic and the strain energy
         [J]. From element 8 on are the generalised forces of the tools on the body, conjugate to their coordinates.
     stiffness : function or None

@@ -18,6 +18,7 @@ import numpy as np
 
 from palpate.compiled.threads import check_process
 from palpate.core.arrays import Floats
+from palpate.core.deprecation import warn_renamed
 from palpate.core.describe import Described, Fact
 from palpate.core.faults import InputError, TrustWarning, brief, integer_in_range, number_in_range
 from palpate.realtime.black_box import write_black_box
@@ -25,14 +26,13 @@ from palpate.realtime.bodies.model import RealtimeModel
 from palpate.realtime.channel import SharedSlots
 from palpate.realtime.clock import HAS_CLOCKS
 from palpate.realtime.contract import check_contract
-from palpate.realtime.exchange import publish, snapshot
+from palpate.realtime.instrumented import InstrumentedModel, make_instrumented
 from palpate.realtime.loop import DIVERGED, PAUSED, RUNNING, STOPPED, Channels, compile_loop, loop_arguments
-from palpate.realtime.observable import ObservableModel, make_observable
 from palpate.realtime.period import (
     CLAMP,
     IGNORE,
     LARGEST_WAY,
-    MOST_PERIODS,
+    MAX_PERIODS,
     SEQUENCE,
     STOP,
     TIME_SCALE,
@@ -44,10 +44,11 @@ from palpate.realtime.period import (
 from palpate.realtime.pose import IDENTITY_POSE, normalise_pose
 from palpate.realtime.record import HEADER_SIZE, Reading, field_offset, record_size
 from palpate.realtime.runner import Runner
+from palpate.realtime.seqlock import publish, snapshot
 from palpate.realtime.statistics import Statistics
 
 STATE_NAMES = {RUNNING: "running", STOPPED: "stopped", PAUSED: "paused", DIVERGED: "diverged"}
-ON_DISTRUST = {"warn": WARN, "clamp": CLAMP, "stop": STOP, "ignore": IGNORE}
+OUT_OF_TRAINING = {"warn": WARN, "clamp": CLAMP, "stop": STOP, "ignore": IGNORE}
 MIN_RATE, MAX_RATE = 1e-6, 20_000.0  # [Hz]; the period of a lower rate overflows
 MAX_HISTORY = 600.0  # [s]
 MIN_TIME_SCALE = 1e-3  # model time per wall-clock time
@@ -59,17 +60,17 @@ def _make_settings(
     rate: float,
     force_limit: float,
     stiffness_every: int,
-    on_distrust: str,
+    out_of_training: str,
     max_speed: float,
     max_angular_speed: float,
     spin: float,
-    catch_up: int = 0,
+    max_backlog: int = 0,
 ) -> Settings:
     """Return the settings of the loop; raises InputError for an argument out of range."""
     period = round(1e9 / number_in_range("rate", rate, MIN_RATE, MAX_RATE, unit="Hz"))
-    if on_distrust not in ON_DISTRUST:
-        allowed = ", ".join(map(repr, ON_DISTRUST))
-        raise InputError(f"on_distrust must be one of {allowed}, got {on_distrust!r}; choose one of these")
+    if out_of_training not in OUT_OF_TRAINING:
+        allowed = ", ".join(map(repr, OUT_OF_TRAINING))
+        raise InputError(f"out_of_training must be one of {allowed}, got {out_of_training!r}; choose one of these")
     if force_limit != math.inf:
         force_limit = number_in_range("force_limit", force_limit, 0, open_low=True, unit="N")
     return Settings(
@@ -81,8 +82,8 @@ def _make_settings(
         * number_in_range("max_angular_speed", max_angular_speed, 0, open_low=True, unit="rad/s"),
         force_limit=float(force_limit),
         stiffness_every=integer_in_range("stiffness_every", stiffness_every, 0),
-        on_distrust=ON_DISTRUST[on_distrust],
-        catch_up=catch_up,
+        out_of_training=OUT_OF_TRAINING[out_of_training],
+        max_backlog=max_backlog,
     )
 
 
@@ -106,12 +107,12 @@ class Engine(Described):
         Periods between evaluations of the contact stiffness; 0 for never.
     history : float [s]
         Duration that the black box stores, up to 600 s.
-    on_distrust : str
-        Response to a trust number above 1, where the model was not trained. ``"warn"`` warns once, in `read`.
+    out_of_training : str
+        Response to an error indicator above 1, where the model was not trained. ``"warn"`` warns once, in `read`.
         ``"clamp"`` keeps all tools at the last trusted poses until the model is trusted again and the requested poses
         have returned from beyond them. If that takes more than 50 ms, the tools move back along their paths, at most to
         the start of the path: rest, or the pose of `place_tool`. ``"stop"`` pauses the engine; `resume` continues until
-        trust is lost again. ``"ignore"`` does nothing, for callers that read the trust number themselves.
+        trust is lost again. ``"ignore"`` does nothing, for callers that read the error indicator themselves.
     max_speed : float [m/s]
     max_angular_speed : float [rad/s]
         Largest speeds at which a tool follows a pose.
@@ -125,6 +126,8 @@ class Engine(Described):
     adjustable : bool
         `set_modulus_ratio` is supported. The model must be one of `palpate.realtime_model`, of a full body or a
         reduced model whose tissue has no relaxation times.
+    on_distrust : str, optional
+        Former name of `out_of_training`.
 
     Raises
     ------
@@ -161,16 +164,20 @@ class Engine(Described):
         force_limit: float = math.inf,
         stiffness_every: int = 50,
         history: float = 5.0,
-        on_distrust: str = "warn",
+        out_of_training: str = "warn",
         max_speed: float = 2.0,
         max_angular_speed: float = 10.0,
         spin: float = 50e-6,
         black_box: str | Path | None = None,
         shared_memory: str | None = None,
         adjustable: bool = False,
+        on_distrust: str | None = None,
     ) -> None:
+        if on_distrust is not None:
+            warn_renamed("Engine(on_distrust=)", "Engine(out_of_training=)")
+            out_of_training = on_distrust
         _check_system(black_box)
-        self._force_bound, catch_up = getattr(model, "force_bound", None), getattr(model, "catch_up", 0)
+        self._force_bound, max_backlog = getattr(model, "force_bound", None), _max_backlog(model)
         self._cutter, tool_names = getattr(model, "cutter", None), getattr(model, "tool_names", ())
         if adjustable:
             model = _adjustable(model)
@@ -178,7 +185,7 @@ class Engine(Described):
         model = check_contract(model)
         history = number_in_range("history", history, 0, MAX_HISTORY, open_low=True, unit="s")
         self._settings = _make_settings(
-            rate, force_limit, stiffness_every, on_distrust, max_speed, max_angular_speed, spin, catch_up
+            rate, force_limit, stiffness_every, out_of_training, max_speed, max_angular_speed, spin, max_backlog
         )
         self.period = 1e-9 * self._settings.period
         forgetting = getattr(self._force_bound, "forgetting", 0.0)
@@ -188,12 +195,12 @@ class Engine(Described):
         self._shared_name = shared_memory
         shared = None if shared_memory is None else SharedSlots(shared_memory, len(model.rest), tools)
         self._channels = Channels.allocate(len(model.rest), tools, math.ceil(history / self.period), shared)
-        attributes = {"period": self.period, "coordinates": len(model.rest), "on_distrust": on_distrust}
+        attributes = {"period": self.period, "coordinates": len(model.rest), "on_distrust": out_of_training}
         buffer = self._channels.ring_buffer
         self._write = partial(write_black_box, buffer=buffer, tools=tools, attributes=attributes)
         advance, stiffness, data = loop_arguments(model.advance, model.stiffness, model.data)
         self._loop = compile_loop(advance, stiffness)
-        self._exchanges = False  # while the loop stops for an exchange
+        self._is_swapping = False  # while the loop stops for new data
         self._runner = Runner(
             partial(self._loop, data, self._work, self._channels, self._settings),
             self._channels.command,
@@ -217,14 +224,14 @@ class Engine(Described):
             ("coordinates", len(self._rest), ""),
             ("time", float(record[field_offset("time")]), "s"),
             ("trust", float(record[field_offset("trust")]), ""),
-            ("rate sustained", statistics.sustained if statistics.count else None, ""),
-            ("verdict", statistics.verdict, ""),
+            ("in real time", statistics.is_real_time if statistics.count else None, ""),
+            ("status", statistics.status, ""),
         ]
 
     @property
     def state(self) -> str:
         """``"stopped"``, ``"running"``, ``"paused"`` or ``"diverged"`` (after the black box is written)."""
-        return "running" if self._exchanges else STATE_NAMES[self._runner.state]
+        return "running" if self._is_swapping else STATE_NAMES[self._runner.state]
 
     def start(self) -> None:
         """Start stepping from the present state; from ``"stopped"`` this resets the statistics.
@@ -277,7 +284,7 @@ class Engine(Described):
                 self._runner.stop(PAUSED)
             if self._cutter is not None:
                 self._cutter.restore()
-                self.exchange(self._cutter.update(self._rest))
+                self.swap_data(self._cutter.update(self._rest))
             self._to_rest()
             if self._runner.state == DIVERGED:
                 self._runner.state = STOPPED
@@ -285,7 +292,12 @@ class Engine(Described):
                 self._runner.start()
 
     def exchange(self, data: Any) -> None:
-        """Exchange the data of the model between two periods; state, statistics and pose stay.
+        """Swap the data: former name of `swap_data`."""
+        warn_renamed("Engine.exchange", "Engine.swap_data")
+        self.swap_data(data)
+
+    def swap_data(self, data: Any) -> None:
+        """Replace the data of the model between two periods; state, statistics and pose stay.
 
         Parameters
         ----------
@@ -294,16 +306,16 @@ class Engine(Described):
         """
         with self._lock:
             advance = self._model.advance
-            if self._cutter is not None and not isinstance(self._model, ObservableModel):
+            if self._cutter is not None and not isinstance(self._model, InstrumentedModel):
                 advance = self._cutter.advance  # with cuts from the first blade on
             _, _, stored = loop_arguments(advance, self._model.stiffness, data)
-            self._exchanges = self._runner.state == RUNNING
-            if self._exchanges:
+            self._is_swapping = self._runner.state == RUNNING
+            if self._is_swapping:
                 self._runner.stop(PAUSED)
-            self._runner.exchange(partial(self._loop, stored, self._work, self._channels, self._settings))
-            if self._exchanges and self._runner.state == PAUSED:
+            self._runner.swap_loop(partial(self._loop, stored, self._work, self._channels, self._settings))
+            if self._is_swapping and self._runner.state == PAUSED:
                 self._runner.start()
-            self._exchanges = False
+            self._is_swapping = False
 
     @contextmanager
     def _between_periods(self) -> Iterator[None]:
@@ -329,7 +341,7 @@ class Engine(Described):
             record, first = snapshot(self._channels.record), record_size(0, len(self._work.tool))
             data = self._cutter.update(record[first : first + len(self._rest)])
             if data is not None:
-                self.exchange(data)
+                self.swap_data(data)
 
     def _to_rest(self) -> None:
         self._work.reset(self._rest)
@@ -442,7 +454,7 @@ class Engine(Described):
         if speed != math.inf:
             speed = number_in_range("speed", speed, 0.0, open_low=True, unit="m/s")
         follow = self._work.follow[index]
-        follow[MOST_PERIODS], follow[LARGEST_WAY] = round(seconds / self.period), speed * self.period
+        follow[MAX_PERIODS], follow[LARGEST_WAY] = round(seconds / self.period), speed * self.period
 
     def slow_down(self, factor: float) -> None:
         """Slow model time and the speeds of the tool by a factor.
@@ -501,16 +513,16 @@ class Engine(Described):
         Warns
         -----
         TrustWarning
-            Once for a trust number above 1, if `on_distrust` is ``"warn"``.
+            Once for an error indicator above 1, if `out_of_training` is ``"warn"``.
         RuntimeWarning
             The model's step raised an exception, or the black box could not be written.
         """
         record = snapshot(self._channels.record)
         worst = self._work.peaks[WORST_SINCE_RESET]
-        if worst > 1 and not self._warned and self._settings.on_distrust == WARN:
+        if worst > 1 and not self._warned and self._settings.out_of_training == WARN:
             self._warned = True
             warnings.warn(
-                f"the trust number reached {worst:.3g}, above 1: the model was not trained on such states",
+                f"the error indicator reached {worst:.3g}, above 1: the model was not trained on such states",
                 TrustWarning,
                 stacklevel=2,
             )
@@ -551,9 +563,17 @@ def _check_system(black_box: str | Path | None) -> None:
         raise InputError(f"black_box must be in an existing folder, got {str(black_box)!r}; create its folder first")
 
 
-def _adjustable(model: Any) -> ObservableModel:
+def _max_backlog(model: Any) -> int:
+    """Return the number of periods by which a model may be late and still take them all."""
+    if not hasattr(model, "max_backlog") and hasattr(model, "catch_up"):
+        warn_renamed("catch_up of a model of the engine", "max_backlog")
+        return int(model.catch_up)
+    return int(getattr(model, "max_backlog", 0))
+
+
+def _adjustable(model: Any) -> InstrumentedModel:
     """Return a model whose moduli can be changed; raises InputError where they cannot."""
-    if isinstance(model, ObservableModel):
+    if isinstance(model, InstrumentedModel):
         return model
     if not isinstance(model, RealtimeModel):
         raise InputError(
@@ -564,7 +584,7 @@ def _adjustable(model: Any) -> ObservableModel:
         raise InputError(
             "the tissue must have no relaxation times to be adjustable, got one that relaxes; leave out adjustable"
         )
-    return make_observable(model)
+    return make_instrumented(model)
 
 
 def _cut(reference: weakref.ref[Engine]) -> None:

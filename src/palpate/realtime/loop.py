@@ -14,15 +14,15 @@ from palpate.realtime.black_box import RingBuffer, append_record
 from palpate.realtime.calls import call_advance, call_stiffness, model_calls
 from palpate.realtime.channel import POSE_NUMBERS, SharedSlots
 from palpate.realtime.clock import now, sleep_until, thread_time
-from palpate.realtime.exchange import FLAGS_LENGTH, Slot, fetch, get_flag, make_flags, publish, stamp
 from palpate.realtime.period import SEQUENCE, STOP, TRUSTED, compile_period, functions_digest, take_pose
 from palpate.realtime.record import HEADER_SIZE, TOOL_SIZE, field_offset, record_size
+from palpate.realtime.seqlock import FLAGS_LENGTH, Slot, fetch, get_flag, make_flags, publish, stamp
 from palpate.realtime.statistics import Histograms, count_step
 
 RUNNING, STOPPED, PAUSED, DIVERGED = range(4)  # commands to the loop, and reasons for its end
 MAX_RECORD_AGE, MAX_RECORD_PERIODS = 20_000_000, 4  # [ns], or in periods: then readers take its force as zero
 MAX_SLEEP = 10_000_000  # [ns], which bounds the delay of a command
-COMPUTING, LATENESS = (field_offset(name) for name in ("computing", "lateness"))
+COMPUTING, WAKEUP_LATENCY = (field_offset(name) for name in ("computing", "lateness"))
 
 
 class Channels(NamedTuple):
@@ -79,7 +79,7 @@ def compile_loop(advance: Any, stiffness: Any) -> Any:
     -------
     function
         ``loop(data, work, channels, settings)`` runs until the command changes, the state diverges, or trust is lost
-        with `on_distrust` STOP. It returns the command, DIVERGED or PAUSED.
+        with `out_of_training` STOP. It returns the command, DIVERGED or PAUSED.
     """
     digest, cached = functions_digest(__name__, advance, stiffness)
     take_period = compile_period(advance, stiffness)
@@ -95,18 +95,24 @@ def compile_loop(advance: Any, stiffness: Any) -> Any:
                 more = channels.more_poses
                 _fetch_pose(work, t, Slot(more.version[t - 1], more.values[t - 1]))
             valid = take_period(data, work, settings)
-            record[COMPUTING], record[LATENESS] = 1e-9 * (thread_time() - thread_began), 1e-9 * (began - deadline)
+            record[COMPUTING], record[WAKEUP_LATENCY] = 1e-9 * (thread_time() - thread_began), 1e-9 * (began - deadline)
             ended = now()
             if valid:
                 publish(channels.record, record)
                 stamp(channels.record, ended, max(MAX_RECORD_AGE, MAX_RECORD_PERIODS * period))
             append_record(channels.ring_buffer, record)
             deadline = count_step(
-                channels.histograms, record[COMPUTING], record[LATENESS], ended, deadline, period, settings.catch_up
+                channels.histograms,
+                record[COMPUTING],
+                record[WAKEUP_LATENCY],
+                ended,
+                deadline,
+                period,
+                settings.max_backlog,
             )
             if not valid:
                 return DIVERGED
-            if settings.on_distrust == STOP and trusted and record[TRUSTED] > 1.0:
+            if settings.out_of_training == STOP and trusted and record[TRUSTED] > 1.0:
                 return PAUSED
         return get_flag(channels.command, 0)
 

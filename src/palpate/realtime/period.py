@@ -27,7 +27,7 @@ from palpate.realtime.pose import (
 )
 from palpate.realtime.record import HEADER_SIZE, TOOL_DTYPE, TOOL_SIZE, field_offset, record_size
 
-WARN, CLAMP, STOP, IGNORE = range(4)  # responses to a trust number above 1
+WARN, CLAMP, STOP, IGNORE = range(4)  # responses to an error indicator above 1
 MAX_TRAIL = 256  # stored trusted poses
 RETREAT_DIVISOR = 4  # the tool moves back by 1 / RETREAT_DIVISOR of its trail ...
 SETTLING_TIME = 0.05  # [s] ... if trust does not return within this time, in which vibrations decay
@@ -35,7 +35,7 @@ REST_ENERGY = 1e-4  # energy of a body at rest, over the largest since it was at
 # entries of `Work.time`, `Work.peaks` and `Work.follow`
 MODEL_TIME, TIME_SCALE = range(2)
 LARGEST_ENERGY, WORST_SINCE_RESET, FORGETTING_RATE = range(3)
-MOST_PERIODS, LARGEST_WAY, PERIODS_SINCE, PERIODS_LEFT = range(4)
+MAX_PERIODS, LARGEST_WAY, PERIODS_SINCE, PERIODS_LEFT = range(4)
 SAME_POSE = 1e-12  # difference of numbers of poses below which they are the same
 
 TIME, PERIODS, FAILED, ITERATIONS = (field_offset(name) for name in ("time", "steps", "failed", "iterations"))
@@ -55,7 +55,7 @@ POSE_NUMBERS = len(IDENTITY_POSE)
 class Settings(NamedTuple):
     """Constants of a run: times in [ns]; `max_distance` [m] and `max_angle` [rad] of a tool in one period.
 
-    `catch_up` is the number of periods by which the model may be late and still take them all.
+    `max_backlog` is the number of periods by which the model may be late and still take them all.
     """
 
     period: int
@@ -64,8 +64,8 @@ class Settings(NamedTuple):
     max_angle: float
     force_limit: float
     stiffness_every: int
-    on_distrust: int
-    catch_up: int
+    out_of_training: int
+    max_backlog: int
 
 
 class Trail(NamedTuple):
@@ -110,13 +110,13 @@ class Work(NamedTuple):
     record: Floats  # record of the present period
     trail: Trail
     time: Floats  # (2,): model time [ns], and model time per wall-clock time
-    # (3,): largest energy [J] since the body was at rest, largest trust number since the reset, and the rate [1/s] at
-    # which the largest one since rest decays
+    # (3,): largest energy [J] since the body was at rest, largest error indicator since the reset, and the rate [1/s]
+    # at which the largest one since rest decays
     peaks: Floats
 
     @classmethod
     def at_rest(cls, rest: Floats, tool: Floats, forgetting: float = 0.0) -> Work:
-        """Make the state at rest; `tool` as that of `Realtime`, and a rate [1/s] of forgetting trust numbers."""
+        """Make the state at rest; `tool` as that of `Realtime`, and a rate [1/s] of forgetting error indicators."""
         tool = tool_maps(tool)
         m, (tools, count, _) = len(rest), tool.shape
         pose, wanted = np.zeros((2, tools, POSE_NUMBERS))
@@ -214,7 +214,7 @@ def take_pose(work, t, pose):
     is_taken = request_pose(work.wanted[t], pose)
     if is_taken and different > 0:
         follow = work.follow[t]
-        follow[PERIODS_LEFT], follow[PERIODS_SINCE] = max(1.0, min(follow[PERIODS_SINCE], follow[MOST_PERIODS])), 0.0
+        follow[PERIODS_LEFT], follow[PERIODS_SINCE] = max(1.0, min(follow[PERIODS_SINCE], follow[MAX_PERIODS])), 0.0
     return is_taken
 
 
@@ -326,10 +326,10 @@ def _copy_poses(poses, out):
 @kernel_njit(inner=True)
 def _thin(trail):
     """Keep every second pose, including the first; return their number."""
-    kept = (trail.shape[0] + 1) // 2
-    for k in range(1, kept):
+    count = (trail.shape[0] + 1) // 2
+    for k in range(1, count):
         _copy_poses(trail[2 * k], trail[k])
-    return kept
+    return count
 
 
 @kernel_njit(inner=True)
@@ -342,7 +342,7 @@ def _is_finite(array):
 
 @kernel_njit(inner=True)
 def _forget_at_rest(work):
-    """Forget the largest trust number and forces of a motion when the body is at rest again."""
+    """Forget the largest error indicator and forces of a motion when the body is at rest again."""
     energy, peaks = work.report[KINETIC] + work.report[STRAIN], work.peaks
     peaks[LARGEST_ENERGY] = max(peaks[LARGEST_ENERGY], energy)
     if peaks[LARGEST_ENERGY] > 0.0 and energy <= REST_ENERGY * peaks[LARGEST_ENERGY]:
@@ -453,7 +453,7 @@ def compile_period(advance: Any, stiffness: Any) -> Any:
             if valid and due:
                 stiffness(data, work.q, work.tangent)
                 _write_stiffness(work)
-        if settings.on_distrust == CLAMP:
+        if settings.out_of_training == CLAMP:
             clamp_tools(work, seconds)
         return valid
 

@@ -13,7 +13,7 @@ from palpate.core.faults import InputError
 from palpate.core.files import shortened
 
 IDENTITY_POSE = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-LEAST_ANGLE = 1e-9  # [rad] half of an angle below which a rotation is reached at once
+MIN_ANGLE = 1e-9  # [rad] half of an angle below which a rotation is reached at once
 MAX_JUMP = 1.0  # [m] between consecutive poses; a larger one is a device error
 UNIT_TOLERANCE = 1e-12  # of the size of a quaternion that is kept as it is
 
@@ -38,15 +38,15 @@ def normalise_pose(
     return np.concatenate([position, quaternion / np.linalg.norm(quaternion)])
 
 
-def _finite_numbers(name: str, given: Any, count: int) -> Floats:
+def _finite_numbers(name: str, value: Any, count: int) -> Floats:
     """Return finite real numbers (count,)."""
     try:
-        array = np.asarray(given)
+        array = np.asarray(value)
     except ValueError:  # nested lists of unequal lengths
         array = np.array(None)
     if array.shape != (count,) or array.dtype.kind not in "fiu":
         raise InputError(
-            f"{name} must be {count} real numbers, got {shortened(repr(given))}; pass an array; the last pose is kept"
+            f"{name} must be {count} real numbers, got {shortened(repr(value))}; pass an array; the last pose is kept"
         )
     numbers = array.astype(float)
     if not np.isfinite(numbers).all():
@@ -94,16 +94,16 @@ def follow_pose(pose, target, max_distance, max_angle, periods):
     for i in range(3, 7):
         cosine += pose[i] * target[i]
     half = np.arccos(min(1.0, abs(cosine)))  # of the angle between them
-    if half <= LEAST_ANGLE or (2.0 * half <= max_angle and periods <= 1.0):
+    if half <= MIN_ANGLE or (2.0 * half <= max_angle and periods <= 1.0):
         for i in range(3, 7):
             pose[i] = target[i]
         return
     share = min(max_angle / (2.0 * half), 1.0 / periods)
-    here = np.sin((1.0 - share) * half) / np.sin(half)
-    there = np.copysign(np.sin(share * half) / np.sin(half), cosine)
+    start_weight = np.sin((1.0 - share) * half) / np.sin(half)
+    end_weight = np.copysign(np.sin(share * half) / np.sin(half), cosine)
     square = 0.0
     for i in range(3, 7):
-        pose[i] = here * pose[i] + there * target[i]
+        pose[i] = start_weight * pose[i] + end_weight * target[i]
         square += pose[i] ** 2
     for i in range(3, 7):
         pose[i] /= np.sqrt(square)

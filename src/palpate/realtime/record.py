@@ -96,7 +96,7 @@ class PeriodRecord(Described):
             ("moment", self.tools[0].moment, "N m"),
             ("trust", self.trust, ""),
             ("computing time", self.computing, "s"),
-            ("lateness", self.lateness, "s"),
+            ("wake-up latency", self.lateness, "s"),
             ("steps", self.steps, ""),
             ("coordinates", len(self.coordinates), ""),
         ]
@@ -181,7 +181,7 @@ class Reading(PeriodRecord):
         function. That of a full body holds along the ways of the tool, and is zero until there is one above the
         noise (`palpate.dynamics.nodal.tool_stiffness`).
     trust : float
-        Trust number; above 1 the model was not trained on such states.
+        Error indicator; above 1 the model was not trained on such states.
     position, quaternion : (3,) array [m] and (4,) array
         Pose of the tool, which follows the requested pose at a limited speed.
     sequence : int
@@ -196,14 +196,14 @@ class Reading(PeriodRecord):
         ``"stopped"``, ``"running"``, ``"paused"`` or ``"diverged"``. After a divergence the other
         fields keep the last valid values.
     worst_trust : float
-        Largest trust number since the body was at rest, which decays as its vibrations do;
+        Largest error indicator since the body was at rest, which decays as its vibrations do;
         `palpate.ReducedModel.expected_error` converts it to an error. The body is at rest when its energy has fallen
         to 1e-4 of the largest of the motion: what is left of an error is below 1 % of the amplitude.
     largest_force : float [N]
         Largest force on the tool since the body was at rest.
     force_bound : float [N]
         Error bound of the force, which runs of the kind of the held-out runs keep with the level of
-        `palpate.ReducedModel.expected_error`. Infinite where the error is unknown: above all trust numbers of
+        `palpate.ReducedModel.expected_error`. Infinite where the error is unknown: above all error indicators of
         those runs, or without such runs.
     clamped : bool
         Whether the engine keeps the tool away from states that the model was not trained on.
@@ -245,7 +245,7 @@ class Reading(PeriodRecord):
     def from_record(
         cls, record: Floats, state: str, tools: int, bound: Callable[[float, float], float] | None = None
     ) -> Reading:
-        """Read a record of a number of tools, with the error bound by the largest trust number and the force."""
+        """Read a record of a number of tools, with the error bound by the largest error indicator and the force."""
         header, at = record[:HEADER_SIZE].view(HEADER_DTYPE)[0], HEADER_SIZE + TOOL_SIZE * tools
         names = ("time", "trust", "worst_trust", "kinetic", "strain", "computing", "lateness")
         numbers: dict[str, Any] = {name: float(header[name]) for name in names}

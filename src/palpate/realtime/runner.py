@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.realtime.clock import use_precise_sleep
-from palpate.realtime.exchange import set_flag
 from palpate.realtime.loop import DIVERGED, PAUSED, RUNNING, STOPPED
+from palpate.realtime.seqlock import set_flag
 
 
 class Runner:
@@ -42,8 +42,8 @@ class Runner:
         set_flag(command, 0, STOPPED)
         loop()  # compiles it; returns at once
 
-    def exchange(self, loop: Callable[[], int]) -> None:
-        """Exchange the loop, which must not run."""
+    def swap_loop(self, loop: Callable[[], int]) -> None:
+        """Replace the loop, which must not run."""
         self._loop = loop
 
     def start(self) -> None:

@@ -1,8 +1,8 @@
-"""Deadline statistics: computing time and lateness of the steps.
+"""Deadline statistics: computing time and wake-up latency of the steps.
 
-Lateness is the wall-clock time from a deadline to the start of its step; it measures the scheduler. Computing time is
-the processor time of the step; it measures the model. A deadline is missed if its step is not finished one period
-later. The model causes a miss only if its computing time alone exceeds the period.
+Wake-up latency is the wall-clock time from a deadline to the start of its step; it measures the scheduler. Computing
+time is the processor time of the step; it measures the model. A deadline is missed if its step is not finished one
+period later. The model causes a miss only if its computing time alone exceeds the period.
 """
 
 from __future__ import annotations
@@ -14,22 +14,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.compiled.jit import kernel_njit
+from palpate.core.deprecation import renamed_attribute
 from palpate.core.describe import Described, Fact
 from palpate.realtime.clock import HAS_ABSOLUTE_SLEEP
 
 FIRST_EDGE, BIN_DECADES, BINS_PER_DECADE = 1e-7, 8, 40  # [s]: bins from 0.1 us to 10 s, each 6 % wide
 BIN_COUNT = BIN_DECADES * BINS_PER_DECADE
 BIN_EDGES = FIRST_EDGE * 10 ** (np.arange(BIN_COUNT + 1) / BINS_PER_DECADE)
-COMPUTING, LATENESS = 0, 1  # rows of `Histograms.bins`
+COMPUTING, WAKEUP_LATENCY = 0, 1  # rows of `Histograms.bins`
 MISSED, OVERRUN, DROPPED = 0, 1, 2  # indices in `Histograms.counts`
-MAX_OVERRUN_SHARE = 0.01  # of the steps at a sustained rate
+MAX_OVERRUN_SHARE = 0.01  # of the steps of a model in real time
 
 
 class Histograms(NamedTuple):
-    """Counts of the loop, by computing time and lateness."""
+    """Counts of the loop, by computing time and wake-up latency."""
 
-    bins: NDArray[np.int64]  # (2, BINS) int64: steps per bin, by computing time and by lateness
-    maxima: NDArray[np.float64]  # (2,) float64 [s]: largest computing time and lateness
+    bins: NDArray[np.int64]  # (2, BINS) int64: steps per bin, by computing time and by wake-up latency
+    maxima: NDArray[np.float64]  # (2,) float64 [s]: largest computing time and wake-up latency
     # (3,) int64: missed deadlines, steps that computed for longer than a period, periods without a step
     counts: NDArray[np.int64]
 
@@ -45,28 +46,28 @@ class Histograms(NamedTuple):
 
 
 @kernel_njit()
-def count_step(histograms, computing, lateness, ended, deadline, period, catch_up):
+def count_step(histograms, computing, wakeup_latency, ended, deadline, period, max_backlog):
     """Count a step and return the next deadline [ns].
 
-    It is the first on the grid whose period is not over; or an earlier one, by up to `catch_up` periods, which then
+    It is the first on the grid whose period is not over; or an earlier one, by up to `max_backlog` periods, which then
     follow each other without a pause.
 
     Parameters
     ----------
-    computing, lateness : float [s]
+    computing, wakeup_latency : float [s]
     ended, deadline, period : int [ns]
     """
-    for k, seconds in ((COMPUTING, computing), (LATENESS, lateness)):
+    for k, seconds in ((COMPUTING, computing), (WAKEUP_LATENCY, wakeup_latency)):
         bin_index = int(BINS_PER_DECADE * np.log10(max(seconds, FIRST_EDGE) / FIRST_EDGE))
         histograms.bins[k, min(bin_index, BIN_COUNT - 1)] += 1
         histograms.maxima[k] = max(histograms.maxima[k], seconds)
     behind = (ended - deadline) // period
     if behind > 0:
         histograms.counts[MISSED] += 1
-        histograms.counts[DROPPED] += max(behind - 1 - catch_up, 0)
+        histograms.counts[DROPPED] += max(behind - 1 - max_backlog, 0)
     if computing > 1e-9 * period:
         histograms.counts[OVERRUN] += 1
-    return deadline + max(behind - catch_up, 1) * period
+    return deadline + max(behind - max_backlog, 1) * period
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,7 @@ class Statistics(Described):
         Periods without a step, because the previous step took too long; model time stands still in them.
     overrun : int
         Steps whose computing time alone exceeded the period.
-    computing, lateness : Distribution
+    computing, wakeup_latency : Distribution
         Computing time of the steps, and the delay from their deadlines to their starts.
 
     Examples
@@ -154,17 +155,22 @@ class Statistics(Described):
     dropped: int
     overrun: int
     computing: Distribution
-    lateness: Distribution
+    wakeup_latency: Distribution
+
+    lateness = renamed_attribute("Statistics", "lateness", "wakeup_latency")
+    sustained = renamed_attribute("Statistics", "sustained", "is_real_time")
+    pace = renamed_attribute("Statistics", "pace", "real_time_factor")
+    verdict = renamed_attribute("Statistics", "verdict", "status")
 
     @classmethod
     def from_histograms(cls, histograms: Histograms, period: float) -> Statistics:
         """Read histograms; while the loop runs, the numbers may differ by one step."""
-        computing, lateness = (
+        computing, wakeup_latency = (
             Distribution(BIN_EDGES, histograms.bins[k].copy(), float(histograms.maxima[k]))
-            for k in (COMPUTING, LATENESS)
+            for k in (COMPUTING, WAKEUP_LATENCY)
         )
         missed, overrun, dropped = (int(histograms.counts[k]) for k in (MISSED, OVERRUN, DROPPED))
-        return cls(period, int(computing.counts.sum()), missed, dropped, overrun, computing, lateness)
+        return cls(period, int(computing.counts.sum()), missed, dropped, overrun, computing, wakeup_latency)
 
     def _facts(self) -> list[Fact]:
         return [
@@ -173,40 +179,43 @@ class Statistics(Described):
             ("deadlines missed", self.missed, ""),
             ("computing time, median", self.computing.percentile(50), "s"),
             ("99 %", self.computing.percentile(99), "s"),
-            ("rate sustained", self.sustained if self.count else None, ""),
+            ("in real time", self.is_real_time if self.count else None, ""),
             ("steps longer than a period", self.overrun, ""),
             ("periods dropped", self.dropped, ""),
-            ("time over real time", self.pace, ""),
-            ("verdict", self.verdict, ""),
+            ("real-time factor", self.real_time_factor, ""),
+            ("status", self.status, ""),
         ]
 
     @property
-    def sustained(self) -> bool:
-        """Whether the model sustains the rate: at most 1 % of the steps compute for longer than a period."""
+    def is_real_time(self) -> bool:
+        """Whether the model runs in real time: at most 1 % of the steps compute for longer than a period."""
         return self.overrun <= MAX_OVERRUN_SHARE * self.count
 
     @property
-    def pace(self) -> float:
-        """Model time over wall-clock time: 1 unless periods were dropped."""
+    def real_time_factor(self) -> float:
+        """Real-time factor, model time over wall-clock time: 1 unless periods were dropped."""
         return self.count / max(self.count + self.dropped, 1)
 
     @property
-    def verdict(self) -> str:
-        """Text that states whether the rate is sustained, and the cause if not."""
+    def status(self) -> str:
+        """Text that states whether the model runs in real time, and the cause if not."""
         if not self.count:
             return "no steps yet"
         usual, slow = 1e3 * self.computing.percentile(50), 1e3 * self.computing.percentile(99)
         took = f"steps compute for {usual:.3g} ms (99 %: {slow:.3g} ms), the period is {1e3 * self.period:.3g} ms"
         late = self.missed - self.overrun
-        if not self.sustained:
-            text = f"{1 / self.period:g} Hz is not sustained: {took}; time runs at {self.pace:.2g} of real time"
+        if not self.is_real_time:
+            factor = f"the real-time factor is {self.real_time_factor:.2g}"
+            text = f"{1 / self.period:g} Hz is not in real time: {took}; {factor}"
         elif late > MAX_OVERRUN_SHARE * self.count:
             text = (
                 f"{1 / self.period:g} Hz is within the model's capacity ({took}), but other threads and programs "
                 f"delayed {late} of {self.count} steps past their deadlines; reserve a processor for the engine"
             )
         else:
-            text = f"{1 / self.period:g} Hz is sustained: {took}; {self.missed} of {self.count} deadlines were missed"
+            text = (
+                f"{1 / self.period:g} Hz is in real time: {took}; {self.missed} of {self.count} deadlines were missed"
+            )
         return (
             text
             if HAS_ABSOLUTE_SLEEP

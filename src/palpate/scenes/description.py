@@ -165,10 +165,10 @@ class Place:
     part: str = parameter("", "", "what is inside a closed part of the surface file or label map, by name or pattern")
 
     def __post_init__(self) -> None:
-        given = [field.name for field in fields(self) if getattr(self, field.name)]
-        if len(given) != 1:
+        named = [field.name for field in fields(self) if getattr(self, field.name)]
+        if len(named) != 1:
             raise InputError(
-                f"must be one of {', '.join(field.name for field in fields(self))}, got {' and '.join(given) or 'none'}"
+                f"must be one of {', '.join(field.name for field in fields(self))}, got {' and '.join(named) or 'none'}"
             )
 
     @property
@@ -348,19 +348,19 @@ class Description:
         return entries[number].name or (place.group if place and generated else "") or f"{kind} {number + 1}"
 
 
-def with_settings(description: Description, given: Mapping[str, Any]) -> Description:
+def with_settings(description: Description, settings: Mapping[str, Any]) -> Description:
     """Return a description with other values of its settings.
 
     Parameters
     ----------
-    given : mapping of str to value
+    settings : mapping of str to value
         By dotted key, such as ``"tissue.poisson"``, or by its last word if one section alone has it. A parameter of
         the law is set by its name.
     """
     changes: dict[str, dict[str, Any]] = {}
     names: dict[tuple[str | int, ...], str] = {}  # under which settings were given, for messages
-    law = str(given.get("tissue.law", given.get("law", description.tissue.law)))
-    for key, value in given.items():
+    law = str(settings.get("tissue.law", settings.get("law", description.tissue.law)))
+    for key, value in settings.items():
         section, word = _find_setting(description, key, law)
         if section == "parameters":
             before = changes.setdefault("tissue", {}).get("parameters", description.tissue.parameters)

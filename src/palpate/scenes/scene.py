@@ -323,9 +323,9 @@ class Scene(Described):
         except Fault as fault:
             error = fault.__cause__
             assert error is not None  # `at_entry`
-            raise type(error)(f"{self._place_of(fault.path)}: {fault.message}") from error
+            raise type(error)(f"{self._location(fault.path)}: {fault.message}") from error
 
-    def _place_of(self, keys: tuple[str | int, ...]) -> str:
+    def _location(self, keys: tuple[str | int, ...]) -> str:
         """Return the file, the line and the keys of an entry; for a surface the argument that gives supports."""
         if keys[0] == "support" and self.kind is SceneKind.SURFACE_FILE:
             return "fixed"

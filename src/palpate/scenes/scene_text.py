@@ -81,23 +81,23 @@ def line_of_file(path: Path, keys: tuple[str | int, ...]) -> int:
 def line_of(text: str, path: tuple[str | int, ...]) -> int:
     """Return the line, from 1, of the deepest key of a path that stands at the beginning of a line."""
     tables: dict[str, int] = {}
-    here: tuple[str | int, ...] = ()
+    prefix: tuple[str | int, ...] = ()
     best, depth = 1, 0
     for number, line in enumerate(text.splitlines(), 1):
         line = line.strip()
         header = SECTION_PATTERN.fullmatch(line)
         if header:
             names = _split(header[2])
-            here = names
+            prefix = names
             if header[1]:
                 index = tables.get(names[-1], 0)
                 tables[names[-1]] = index + 1
-                here = (*names, index)
+                prefix = (*names, index)
             elif names[0] in tables:  # a table of the last entry of a list
-                here = (names[0], tables[names[0]] - 1, *names[1:])
-            key_path = here
+                prefix = (names[0], tables[names[0]] - 1, *names[1:])
+            key_path = prefix
         elif "=" in line:
-            key_path = (*here, *_split(line.partition("=")[0]))
+            key_path = (*prefix, *_split(line.partition("=")[0]))
         else:
             continue
         if len(key_path) > depth and key_path == path[: len(key_path)]:

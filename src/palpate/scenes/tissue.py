@@ -31,16 +31,16 @@ def material_of(tissue: Tissue, changes: Mapping[str, Any] | None = None) -> Mat
         "density": tissue.density, "poisson": tissue.poisson, "prony": prony,
         "volumetric": tissue.volumetric, "split": tissue.split,
     }  # fmt: skip
-    given = {**tissue.parameters, **(changes or {})}
+    values = {**tissue.parameters, **(changes or {})}
     if tissue.energy:
         return Hyperelastic(
-            tissue.energy, **base, **{name: _number(name, value, "Pa", name) for name, value in given.items()}
+            tissue.energy, **base, **{name: _number(name, value, "Pa", name) for name, value in values.items()}
         )
     law = _entry("law", tissue.law, LAWS)
     parameters = dict(law.example)
     if law.name == "NeoHookean":
         parameters["C1"] = SHEAR_MODULUS / 2
-    return law.kind(**base, **parameters | _parameters(law, given))
+    return law.kind(**base, **parameters | _parameters(law, values))
 
 
 def fibres_of(fibre: Fibre) -> FibreLaw:
@@ -64,11 +64,11 @@ def _entry(name: str, word: str, entries: Sequence[CatalogueEntry]) -> Any:
     return entries_by_name[word]
 
 
-def _parameters(law: CatalogueEntry, given: Mapping[str, Any]) -> dict[str, Any]:
+def _parameters(law: CatalogueEntry, entries: Mapping[str, Any]) -> dict[str, Any]:
     """Return the parameters of a law in SI units."""
     units = {parameter.name: parameter.unit for parameter in law.parameters}
     values = {}
-    for key, value in given.items():
+    for key, value in entries.items():
         if key not in units:
             near = get_close_matches(str(key)[:60], units, 1)
             remedy = f"did you mean {near[0]}?" if near else "palpate laws lists them"

@@ -45,7 +45,7 @@ def open_training(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
         settings = {key: value for key, value in parameters.items() if key != DIGEST_KEY}
         return training_of(open_scene(name, settings), parameters)
     function, arguments = _user_function(name), _arguments(name, parameters)
-    made = _own(name, "failed", lambda: function(**arguments))
+    made = _call_user_code(name, "failed", lambda: function(**arguments))
     if not isinstance(made, TrainingScene):
         raise InputError(f"scene {name!r} must return a TrainingScene, got a {type(made).__name__}")
     return made
@@ -59,9 +59,9 @@ def training_of(scene: Scene, parameters: Mapping[str, Any]) -> TrainingScene:
     parameters : mapping
         Settings with which the scene was opened. A digest among them must be that of the scene.
     """
-    given = dict(parameters)
-    digest, text = given.pop(DIGEST_KEY, None), given.get(DESCRIPTION_KEY)
-    for name, value in given.items():
+    values = dict(parameters)
+    digest, text = values.pop(DIGEST_KEY, None), values.get(DESCRIPTION_KEY)
+    for name, value in values.items():
         if not isinstance(value, str | int | float):  # as a campaign and a model file keep it
             raise InputError(f"{name} must be a number or a text to train with, got {brief(value)}; change the file")
     if text is not None and text != json_of_scene(scene):
@@ -73,10 +73,12 @@ def training_of(scene: Scene, parameters: Mapping[str, Any]) -> TrainingScene:
     training = scene.description.training
     tools = (scene.held_group,) if scene.held_group else ()
     # a campaign continues with other numbers of paths and modes
-    kept = {key: given[key] for key in given if key == DESCRIPTION_KEY or not chooses_runs(scene.description, key)}
-    kept[DIGEST_KEY] = scene.digest
+    recorded = {
+        key: values[key] for key in values if key == DESCRIPTION_KEY or not chooses_runs(scene.description, key)
+    }
+    recorded[DIGEST_KEY] = scene.digest
     paths = scene.paths  # raises for a tool that is too small before the body is made
-    made = TrainingScene(scene.body, paths, training.every, scene.title, kept, tools)
+    made = TrainingScene(scene.body, paths, training.every, scene.title, recorded, tools)
     return made if training.cubature is None else replace(made, cubature=training.cubature)
 
 
@@ -91,10 +93,10 @@ def _arguments(name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Return all arguments of a user's function, with given values converted to the types of its defaults."""
     defaults = _defaults(name)
     values = dict(defaults)
-    for key, given in parameters.items():
+    for key, value in parameters.items():
         if key not in defaults:
             raise InputError(f"parameters of scene {name!r} must be among {', '.join(defaults)}, got {brief(key)}")
-        values[key] = _converted(key, given, defaults[key])
+        values[key] = _converted(key, value, defaults[key])
     return values
 
 
@@ -121,20 +123,20 @@ def _defaults(name: str) -> dict[str, Any]:
     return defaults
 
 
-def _converted(key: str, given: Any, default: Any) -> Any:
+def _converted(key: str, raw: Any, default: Any) -> Any:
     kind = type(default)
     try:
         if isinstance(default, bool):
-            return {"true": True, "1": True, "false": False, "0": False}[str(given).lower()]
-        if isinstance(default, str) and not (isinstance(given, str) and len(given) <= MAX_TEXT_CHARACTERS):
+            return {"true": True, "1": True, "false": False, "0": False}[str(raw).lower()]
+        if isinstance(default, str) and not (isinstance(raw, str) and len(raw) <= MAX_TEXT_CHARACTERS):
             raise ValueError
-        value = kind(given)
+        value = kind(raw)
         if isinstance(value, float) and not math.isfinite(value):
             raise ValueError
-        if isinstance(default, int) and not isinstance(given, str) and value != given:
+        if isinstance(default, int) and not isinstance(raw, str) and value != raw:
             raise ValueError
     except (ValueError, TypeError, OverflowError, KeyError):
-        raise InputError(f"{key} must be a {kind.__name__}, as its default {default!r}, got {brief(given)}") from None
+        raise InputError(f"{key} must be a {kind.__name__}, as its default {default!r}, got {brief(raw)}") from None
     return value
 
 
@@ -145,13 +147,13 @@ def _user_function(name: str) -> Callable[..., Any]:
         near = get_close_matches(name[:60], PACKAGE_SCENES, 1)
         remedy = f"did you mean {near[0]}?" if near else "correct its name"
         raise InputError(f"scene must be {SCENE_NAMES}, got {brief(name)}; {remedy}")
-    user_function = getattr(_own(name, "cannot be imported", lambda: import_module(module)), function, None)
+    user_function = getattr(_call_user_code(name, "cannot be imported", lambda: import_module(module)), function, None)
     if not callable(user_function):
         raise InputError(f"scene must be {SCENE_NAMES}, got {name!r}: module {module!r} has no function {function!r}")
     return user_function
 
 
-def _own(name: str, what: str, call: Callable[[], Any]) -> Any:
+def _call_user_code(name: str, what: str, call: Callable[[], Any]) -> Any:
     """Call code of a user, and raise its errors as errors of the scene."""
     try:
         return call()

@@ -70,16 +70,16 @@ def _remove_flat(vertices: Floats, triangles: Ints) -> tuple[Ints, Ints]:
         key, wanted = edges @ [n, 1], np.sort(flat[:, :2], axis=1) @ [n, 1]
         order = np.argsort(key)
         at = order[np.minimum(np.searchsorted(key, wanted, sorter=order), len(key) - 1)]
-        here = np.flatnonzero(key[at] == wanted)
-        whose, first = np.unique(at[here] // 3, return_index=True)  # a neighbour is split once a round
-        here = here[first]
-        if not len(here):
+        places = np.flatnonzero(key[at] == wanted)
+        whose, first = np.unique(at[places] // 3, return_index=True)  # a neighbour is split once a round
+        places = places[first]
+        if not len(places):
             break
-        a, b, c = (triangles[whose, (at[here] + k) % 3] for k in range(3))
-        triangles[whose] = np.column_stack([a, flat[here, 2], c])
-        triangles = np.concatenate([triangles, np.column_stack([flat[here, 2], b, c])])
+        a, b, c = (triangles[whose, (at[places] + k) % 3] for k in range(3))
+        triangles[whose] = np.column_stack([a, flat[places, 2], c])
+        triangles = np.concatenate([triangles, np.column_stack([flat[places, 2], b, c])])
         owner = np.concatenate([owner, owner[whose]])
-        flat = np.delete(flat, here, axis=0)
+        flat = np.delete(flat, places, axis=0)
     return triangles, owner
 
 

@@ -84,7 +84,7 @@ def join_parts(parts: Mapping[str, Surface], name: str) -> Surface:
     vertices, label, gap = _match_borders(vertices, triangles)
     joined = label[triangles]
     places = _shared_borders(vertices, joined, owner)[0]
-    kept = _without_inner_walls(joined, owner)
+    outer = _without_inner_walls(joined, owner)
     repairs = list[SurfaceProblem]()
     if len(places):
         size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
@@ -93,11 +93,11 @@ def join_parts(parts: Mapping[str, Surface], name: str) -> Surface:
             f"the size: {names_text(list(parts), 12)}"
         )
         repairs.append(SurfaceProblem("repair", "joined parts", what, places))
-    if not kept.all():
-        walls = vertices[joined[~kept]].mean(axis=1)
-        what = f"walls between parts were removed, with {int((~kept).sum())} triangles"
+    if not outer.all():
+        walls = vertices[joined[~outer]].mean(axis=1)
+        what = f"walls between parts were removed, with {int((~outer).sum())} triangles"
         repairs.append(SurfaceProblem("repair", "inner walls", what, walls))
-    return weld(Surface(vertices, joined[kept], name, repairs=tuple(repairs)))
+    return weld(Surface(vertices, joined[outer], name, repairs=tuple(repairs)))
 
 
 def _concatenate(surfaces: Sequence[Surface]) -> tuple[Floats, Ints, Ints]:
@@ -154,7 +154,7 @@ def _match_borders(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints, flo
 
 
 def _shared_borders(vertices: Floats, triangles: Ints, owner: Ints) -> tuple[Floats, Ints, Ints]:
-    """Return the middles of the edges at which borders of different parts meet, and the pairs (k, 2) of parts there.
+    """Return the edge midpoints at which borders of different parts meet, and the pairs (k, 2) of parts there.
 
     Also the numbers of border edges of each part.
     """

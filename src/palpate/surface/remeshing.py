@@ -194,11 +194,11 @@ def _join_clusters(vertices: Floats, label: Ints, count: int, edges: Ints, start
     owner[piece] = label
     order = np.lexsort((np.arange(len(sizes)), -sizes, owner))
     first = order[np.unique(owner[order], return_index=True)[1]]
-    kept = np.zeros(len(sizes), dtype=bool)
-    kept[first] = True
-    if kept.all():
+    is_main = np.zeros(len(sizes), dtype=bool)
+    is_main[first] = True
+    if is_main.all():
         return label
-    return _grow_clusters(vertices, np.where(kept[piece], label, -1), start, near)
+    return _grow_clusters(vertices, np.where(is_main[piece], label, -1), start, near)
 
 
 def _renumber(triangles: Ints, label: Ints) -> tuple[Ints, int]:

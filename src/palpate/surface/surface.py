@@ -297,12 +297,12 @@ def boundary_loops(triangles: Ints) -> list[list[int]]:
         return []
     loops = []
     while following:
-        start, here = following.popitem()
+        start, vertex = following.popitem()
         loop = [start]
-        while here != start:
-            loop.append(here)
-            if here not in following:
+        while vertex != start:
+            loop.append(vertex)
+            if vertex not in following:
                 return []
-            here = following.pop(here)
+            vertex = following.pop(vertex)
         loops.append(loop)
     return loops

@@ -76,7 +76,7 @@ class MaterialStability(Described):
 
     def _facts(self) -> list[Fact]:
         return [
-            ("verdict", "stable" if self.stable else "not stable", ""),
+            ("status", "stable" if self.stable else "not stable", ""),
             ("stretches", self.stretches, ""),
             ("volume ratios", self.volumes, ""),
             ("least modulus of a wave", self.min_modulus, "Pa"),
@@ -86,7 +86,7 @@ class MaterialStability(Described):
 
     @property
     def text(self) -> str:
-        """Verdict in one line, and one line per finding."""
+        """Status in one line, and one line per finding."""
         where = f"principal stretches {self.stretches[0]:.4g} to {self.stretches[1]:.4g}"
         if self.volumes != (1.0, 1.0):
             where += f", J {self.volumes[0]:.4g} to {self.volumes[1]:.4g}"
@@ -213,8 +213,8 @@ def _tangent(material: Material, F: Floats) -> Floats:
 def _octant() -> Floats:
     """Return unit vectors in one octant, densest in the planes of two axes, the usual directions of slow waves."""
     i, j = np.meshgrid(np.arange(OCTANT_DIVISIONS + 1), np.arange(OCTANT_DIVISIONS + 1))
-    kept = i + j <= OCTANT_DIVISIONS
-    vectors = np.stack([i[kept], j[kept], OCTANT_DIVISIONS - i[kept] - j[kept]], axis=1) / OCTANT_DIVISIONS
+    valid = i + j <= OCTANT_DIVISIONS
+    vectors = np.stack([i[valid], j[valid], OCTANT_DIVISIONS - i[valid] - j[valid]], axis=1) / OCTANT_DIVISIONS
     angle = np.linspace(0, np.pi / 2, EDGE_DIRECTIONS)
     edge = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     vectors = np.vstack([vectors, edge, np.roll(edge, 1, axis=1), np.roll(edge, 2, axis=1)])
@@ -226,8 +226,8 @@ def _grid(stretches: tuple[float, float], volumes: tuple[float, float]) -> Float
     side = np.geomspace(*stretches, GRID_POINTS)
     l1, l2, J = (a.ravel() for a in np.meshgrid(side, side, np.unique([*np.geomspace(*volumes, 4), 1.0])))
     l3 = J / (l1 * l2)
-    kept = (l1 >= l2) & (l2 >= l3) & (l3 >= stretches[0] * (1 - 1e-9))
-    diagonal = np.vstack([np.ones(3), np.stack([l1, l2, l3], axis=1)[kept]])
+    valid = (l1 >= l2) & (l2 >= l3) & (l3 >= stretches[0] * (1 - 1e-9))
+    diagonal = np.vstack([np.ones(3), np.stack([l1, l2, l3], axis=1)[valid]])
     return np.asarray(diagonal[:, :, None] * np.eye(3))
 
 

@@ -63,8 +63,8 @@ class FibreLaw(Described, ABC):
 
     directions: Any = field(repr=False)
 
-    def __new__(cls, *unnamed: Any, **given: Any) -> Self:
-        check_names(cls.__name__, given, {f.name: f.metadata.get("unit", "") for f in fields(cls)})
+    def __new__(cls, *unnamed: Any, **parameters: Any) -> Self:
+        check_names(cls.__name__, parameters, {f.name: f.metadata.get("unit", "") for f in fields(cls)})
         return super().__new__(cls)
 
     def _facts(self) -> list[Fact]:
@@ -83,17 +83,17 @@ class FibreLaw(Described, ABC):
         else:
             object.__setattr__(self, "directions", self._check_directions(self.directions))
 
-    def _check_directions(self, given: Any) -> Floats:
+    def _check_directions(self, value: Any) -> Floats:
         """Return directions of shape (families, 3) or (families, n, 3)."""
         name = "directions of fibres"
         try:
-            array = np.array(given, dtype=float)
+            array = np.array(value, dtype=float)
         except (TypeError, ValueError):
-            raise InputError(f"{name} must be an array of numbers, got {brief(given)}") from None
+            raise InputError(f"{name} must be an array of numbers, got {brief(value)}") from None
         if array.ndim == 1 or (array.ndim == 2 and len(array) > 2):
             array = array[None]
         if array.ndim not in (2, 3) or array.shape[-1] != 3 or not 1 <= len(array) <= 2:
-            raise InputError(f"{name} must have shape (3,), (2, 3), (n, 3) or (2, n, 3), got {np.shape(given)}")
+            raise InputError(f"{name} must have shape (3,), (2, 3), (n, 3) or (2, n, 3), got {np.shape(value)}")
         if len(array) > self.max_families:
             raise InputError(f"{name} of {type(self).__name__} must be one family, got {len(array)}")
         with np.errstate(all="ignore"):

@@ -118,12 +118,12 @@ class FitProblem:
 
     def _find_moduli(self) -> NDArray[np.bool_]:
         are_moduli = np.zeros(len(self.names), dtype=bool)
-        here = self.isochoric(self.first)
+        start = self.isochoric(self.first)
         for k, value in enumerate(self.first):
             step = (value or 1.0) * np.eye(len(are_moduli))[k]
-            once, twice = (self.isochoric(self.first + times * step) - here for times in (1, 2))
+            once, twice = (self.isochoric(self.first + times * step) - start for times in (1, 2))
             largest = np.abs(once).max()
-            are_moduli[k] = largest > 0 and np.abs(twice - 2 * once).max() < 1e-9 * (largest + np.abs(here).max())
+            are_moduli[k] = largest > 0 and np.abs(twice - 2 * once).max() < 1e-9 * (largest + np.abs(start).max())
         return are_moduli
 
     def material(self, x: Floats) -> Material:
@@ -151,7 +151,7 @@ class FitProblem:
 
     def jacobian(self, x: Floats) -> Floats:
         """Return the Jacobian of the residuals, (n, k), by differences within the bounds."""
-        here, columns = self.residuals(x), []
+        center, columns = self.residuals(x), []
         largest = np.abs(x[self.moduli]).max(initial=0.0)
         sizes = np.maximum(
             np.abs(x), np.where(self.moduli, SMALL_MODULUS_RATIO * largest, np.where(x == 0, SMALL_MODULUS_RATIO, 0.0))
@@ -161,11 +161,11 @@ class FitProblem:
             for sign in (1, -1):
                 moved = x.copy()
                 moved[k] += sign * RELATIVE_STEP * sizes[k]
-                there = self.residuals(moved)
-                inside = self.low[k] <= moved[k] <= self.high[k] and np.all(np.isfinite(there))
-                sides.append((there, moved[k]) if inside else (here, value))
+                shifted = self.residuals(moved)
+                inside = self.low[k] <= moved[k] <= self.high[k] and np.all(np.isfinite(shifted))
+                sides.append((shifted, moved[k]) if inside else (center, value))
             (ahead, right), (behind, left) = sides
-            columns.append((ahead - behind) / (right - left) if right > left else np.zeros_like(here))
+            columns.append((ahead - behind) / (right - left) if right > left else np.zeros_like(center))
         return np.stack(columns, axis=1)
 
     def on_bound(self, x: Floats) -> NDArray[np.bool_]:

@@ -73,8 +73,8 @@ def _set_moduli(problem: FitProblem, x: Floats) -> Floats:
     solved[places] = np.clip(solved[places], problem.low[places] + least, problem.high[places] - least)
     if np.all(np.isfinite(problem.residuals(solved))):
         return solved
-    here = problem.isochoric(x)
-    scaled = np.where(problem.moduli, abs(here @ problem.target) / (here @ here) * x, x)
+    start = problem.isochoric(x)
+    scaled = np.where(problem.moduli, abs(start @ problem.target) / (start @ start) * x, x)
     return scaled if np.all(np.isfinite(problem.residuals(scaled))) else x
 
 
@@ -82,16 +82,16 @@ def _project_moduli(problem: FitProblem, x: Floats) -> tuple[Floats, Floats]:
     """Return `x` with the optimal moduli within their bounds, and its residuals at constant volume."""
     from scipy.optimize import lsq_linear
 
-    places, here = np.flatnonzero(problem.moduli), problem.isochoric(x)
-    if not len(places) or not np.all(np.isfinite(here)):
-        return x.copy(), here - problem.target
+    places, start = np.flatnonzero(problem.moduli), problem.isochoric(x)
+    if not len(places) or not np.all(np.isfinite(start)):
+        return x.copy(), start - problem.target
     steps = np.where(x[places] == 0, 1.0, x[places])
-    rises = [problem.isochoric(x + step * np.eye(len(x))[k]) - here for k, step in zip(places, steps, strict=True)]
+    rises = [problem.isochoric(x + step * np.eye(len(x))[k]) - start for k, step in zip(places, steps, strict=True)]
     columns = np.stack(rises, axis=1) / steps
     norms = np.linalg.norm(columns, axis=0)
     if not np.all(np.isfinite(norms) & (norms > 0)):
-        return x.copy(), here - problem.target
-    target = problem.target - here + columns @ x[places]
+        return x.copy(), start - problem.target
+    target = problem.target - start + columns @ x[places]
     limits = problem.low[places] * norms, problem.high[places] * norms
     best = lsq_linear(columns / norms, target, limits, method="bvls").x / norms
     solved = x.copy()

@@ -154,7 +154,7 @@ class Fit(Described):
             ("points", sum(curve.points for curve in self.curves), ""),
             ("least R^2", float(min(curve.r_squared for curve in self.curves)), ""),
             ("largest rms", float(max(curve.rms for curve in self.curves)), "Pa"),
-            ("verdict", "stable" if self.stability.stable else "not stable", ""),
+            ("status", "stable" if self.stability.stable else "not stable", ""),
             ("remarks", len(self.remarks), ""),
             *(("remark", remark, "") for remark in self.remarks),
         ]  # fmt: skip

@@ -103,13 +103,13 @@ class Material(Described, ABC):
     volumetric: str = QUADRATIC
     split: str = COUPLED
 
-    def __new__(cls, *unnamed: Any, **given: Any) -> Self:
+    def __new__(cls, *unnamed: Any, **values: Any) -> Self:
         units = {f.name: f.metadata.get("unit", "") for f in fields(cls)}
         parameters = {name: unit for name, unit in units.items() if name not in Material.__dataclass_fields__}
         if unnamed:
             names = ", ".join(f"{name}=..." for name in (*parameters, "density", "poisson"))
             raise InputError(f"arguments of {cls.__name__} must have names, got {brief(unnamed[0])}; give {names}")
-        check_names(cls.__name__, given, parameters | units)
+        check_names(cls.__name__, values, parameters | units)
         return super().__new__(cls)
 
     def _facts(self) -> list[Fact]:
@@ -139,7 +139,7 @@ class Material(Described, ABC):
         self._check_parameters()
         if self.poisson is None and self.bulk is None:
             raise InputError("poisson or bulk must be given, got neither; give either poisson or bulk")
-        given = None if self.bulk is None else number_in_range("bulk", self.bulk, 0.0, unit="Pa")
+        modulus = None if self.bulk is None else number_in_range("bulk", self.bulk, 0.0, unit="Pa")
         try:
             mu = self.shear_modulus
             self._complete(number_in_range("the shear modulus at rest", mu, 0.0, open_low=True, unit="Pa"))
@@ -150,13 +150,13 @@ class Material(Described, ABC):
             raise InputError(
                 f"the moduli of {type(self).__name__} at rest must be finite, got {error}; change its parameters"
             ) from None
-        if given is not None:
-            if not np.isclose(given, self.bulk_modulus, rtol=1e-9, atol=0.0):
+        if modulus is not None:
+            if not np.isclose(modulus, self.bulk_modulus, rtol=1e-9, atol=0.0):
                 raise InputError(
-                    f"bulk must be {self.bulk:g} Pa with poisson = {self.poisson:g}, got {given:g} Pa; give either "
+                    f"bulk must be {self.bulk:g} Pa with poisson = {self.poisson:g}, got {modulus:g} Pa; give either "
                     f"poisson or bulk"
                 )
-            object.__setattr__(self, "bulk", given)  # bit for bit
+            object.__setattr__(self, "bulk", modulus)  # bit for bit
         self.warn_of_units()
 
     def warn_of_units(self) -> None:

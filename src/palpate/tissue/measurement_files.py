@@ -238,12 +238,12 @@ def _number(cell: str, column: str, path: Path, line: int) -> float:
 def _measurement(
     path: Path, label: str, name: str, points: list[tuple[int, dict[str, float]]], source: str
 ) -> Measurement:
-    given = {role: np.array([numbers[role] for _, numbers in points]) for role in points[0][1]}
+    columns = {role: np.array([numbers[role] for _, numbers in points]) for role in points[0][1]}
     lines = f"{path}, lines {points[0][0]} to {points[-1][0]}"
-    role = next(role for role in DEFORMATION_QUANTITIES if role in given)
+    role = next(role for role in DEFORMATION_QUANTITIES if role in columns)
     if (role == "shear") != (KIND_BY_WORD[label] == "shear"):
         raise FileFormatError(f"{lines}: a test of kind {label!r} must not have a column of {role}")
-    deformation, stress = given[role], given["stress"]
+    deformation, stress = columns[role], columns["stress"]
     if label == "compression":
         deformation, stress = _compression_signs(role, deformation, stress, lines)
     if role == "strain":
@@ -255,7 +255,7 @@ def _measurement(
             kind=KIND_BY_WORD[label],
             deformation=deformation,
             stress=stress,
-            deviation=given.get("deviation", 1.0),
+            deviation=columns.get("deviation", 1.0),
             name=f"{label} {name}".strip(),
             source=source,
         )

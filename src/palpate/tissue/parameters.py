@@ -69,19 +69,19 @@ class Layout:
         Given values.
     """
 
-    def __init__(self, law: type[Material], given: Mapping[str, Any]) -> None:
+    def __init__(self, law: type[Material], values: Mapping[str, Any]) -> None:
         names = own_fields(law)
-        unknown = [name for name in given if name not in names]
+        unknown = [name for name in values if name not in names]
         if unknown:
             raise InputError(f"a parameter of {law.__name__} must be one of {', '.join(names)}, got {unknown[0]}")
         self.law = law
-        self._tree = {f.name: self._value(f, given) for f in fields(law) if f.name in names}
+        self._tree = {f.name: self._value(f, values) for f in fields(law) if f.name in names}
         numbers = flatten(self._tree)
         self.names, self.first = tuple(numbers), np.array(list(numbers.values()))
 
-    def _value(self, field: Any, given: Mapping[str, Any]) -> Any:
-        if field.name in given:
-            return given[field.name]
+    def _value(self, field: Any, values: Mapping[str, Any]) -> Any:
+        if field.name in values:
+            return values[field.name]
         if field.default is not MISSING:
             return field.default
         if is_sequence(self.law, field.name):

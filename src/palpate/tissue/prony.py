@@ -65,8 +65,8 @@ class Prony(Described):
     times: tuple[float, ...] = parameter("s", help="relaxation times", above=0.0, most=MAX_BRANCHES)
     bulk_shares: tuple[float, ...] = parameter("", (), "the same for the bulk modulus", low=0.0, most=MAX_BRANCHES)
 
-    def __new__(cls, *unnamed: Any, **given: Any) -> Self:
-        check_names(cls.__name__, given, {f.name: f.metadata["unit"] for f in fields(cls)})
+    def __new__(cls, *unnamed: Any, **parameters: Any) -> Self:
+        check_names(cls.__name__, parameters, {f.name: f.metadata["unit"] for f in fields(cls)})
         return super().__new__(cls)
 
     def _facts(self) -> list[Fact]:

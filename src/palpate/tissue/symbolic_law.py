@@ -332,10 +332,10 @@ def _check_symmetry(material: Any) -> None:
     """Check that an energy is symmetric in the stretches."""
     one, two, three = np.random.default_rng(0).uniform(*SYMMETRY_STRETCHES, (3, 20))
     with np.errstate(all="ignore"):
-        here = material.energy(one, two, three, material.coefficients)
-        size = np.abs(here) + sum(map(np.abs, material.first(one, two, three, material.coefficients)))
+        value = material.energy(one, two, three, material.coefficients)
+        size = np.abs(value) + sum(map(np.abs, material.first(one, two, three, material.coefficients)))
         for turned in ((two, one, three), (one, three, two)):
-            change = np.abs(material.energy(*turned, material.coefficients) - here)
+            change = np.abs(material.energy(*turned, material.coefficients) - value)
             if not np.all(change <= RELATIVE_TOLERANCE * size):
                 raise InputError(
                     "the energy must be symmetric in the stretches; an anisotropic energy is not supported"

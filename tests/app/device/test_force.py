@@ -12,9 +12,9 @@ from palpate.app.device.force import (
     MAX_PREDICTION,
     MAX_PULL,
     RAMP_SECONDS,
-    EnergyAccount,
-    Freshness,
+    PassivityObserver,
     ToolForce,
+    Watchdog,
     contact_force,
     limited_force,
     stable_stiffness,
@@ -48,8 +48,8 @@ def test_the_local_contact_model_ends_at_a_distance():
 
 
 def test_a_contact_stiffness_becomes_symmetric_and_passive():
-    given = np.random.default_rng(0).standard_normal((3, 3)) * 1e3
-    local = stable_stiffness(given, 500.0)
+    matrix = np.random.default_rng(0).standard_normal((3, 3)) * 1e3
+    local = stable_stiffness(matrix, 500.0)
     np.testing.assert_allclose(local, local.T, atol=1e-10)
     assert np.linalg.eigvalsh(local).min() > -1e-9
     assert np.linalg.eigvalsh(local).max() < 500.0 + 1e-9
@@ -66,7 +66,7 @@ def test_a_limited_force_keeps_its_direction():
 
 
 def test_the_force_ends_within_20_ms_of_the_last_new_reading_and_is_ramped_in_again():
-    fresh, interval = Freshness(MAX_AGE), 1e-3
+    fresh, interval = Watchdog(MAX_AGE), 1e-3
     for k in range(1000):  # readings in each millisecond
         fresh.note_reading(k, k * interval)
         share = fresh.share(k * interval, interval)
@@ -85,7 +85,7 @@ def test_the_force_ends_within_20_ms_of_the_last_new_reading_and_is_ramped_in_ag
 
 
 def test_a_slow_engine_has_four_periods_and_a_clutch_restarts_the_ramp():
-    fresh = Freshness(MAX_AGE)
+    fresh = Watchdog(MAX_AGE)
     fresh.note_reading(1, 0.0)
     assert fresh.share(0.0, 0.02) == 0.0
     assert fresh.share(0.079, 0.02) == pytest.approx(0.079 / RAMP_SECONDS)
@@ -97,39 +97,39 @@ def test_a_slow_engine_has_four_periods_and_a_clutch_restarts_the_ramp():
 
 
 def test_no_more_energy_goes_out_than_came_in():
-    account = EnergyAccount()
-    account.note_motion([2.0 * UP], [-1e-3 * UP])  # pressed: 2 mJ came in
-    assert account.energy == pytest.approx(2e-3)
-    (force,) = account.passive_forces([2.0 * UP], [0.5 * UP], 1e-3)  # takes 1 mJ
+    observer = PassivityObserver()
+    observer.note_motion([2.0 * UP], [-1e-3 * UP])  # pressed: 2 mJ came in
+    assert observer.energy == pytest.approx(2e-3)
+    (force,) = observer.passive_forces([2.0 * UP], [0.5 * UP], 1e-3)  # takes 1 mJ
     np.testing.assert_array_equal(force, 2.0 * UP)
-    (force,) = account.passive_forces([4.0 * UP], [1.0 * UP], 1e-3)  # would take 4 mJ
+    (force,) = observer.passive_forces([4.0 * UP], [1.0 * UP], 1e-3)  # would take 4 mJ
     assert 1e-3 * force @ UP == pytest.approx(2e-3)
-    (force,) = account.passive_forces([100.0 * UP], [1.0 * UP], 1e-3)
+    (force,) = observer.passive_forces([100.0 * UP], [1.0 * UP], 1e-3)
     assert force[2] == pytest.approx(100.0 - MAX_DAMPING)
-    account.energy = -1.0  # more went out than came in
-    (force,) = account.passive_forces([0.2 * UP], [0.1 * UP], 1e-3)
+    observer.energy = -1.0  # more went out than came in
+    (force,) = observer.passive_forces([0.2 * UP], [0.1 * UP], 1e-3)
     assert force[2] == pytest.approx(-MAX_PULL)
-    (force,) = account.passive_forces([0.2 * UP], [-0.1 * UP], 1e-3)
+    (force,) = observer.passive_forces([0.2 * UP], [-0.1 * UP], 1e-3)
     assert force[2] == pytest.approx(0.2 + 0.1 * MAX_DAMPING)
-    (force,) = account.passive_forces([100.0 * UP], [np.zeros(3)], 1e-3)  # at rest it costs nothing
+    (force,) = observer.passive_forces([100.0 * UP], [np.zeros(3)], 1e-3)  # at rest it costs nothing
     np.testing.assert_array_equal(force, 100.0 * UP)
 
 
 def test_one_hand_may_be_moved_by_the_energy_of_the_other():
-    account = EnergyAccount()
-    forces = account.passive_forces([2.0 * UP, 2.0 * UP], [-1.0 * UP, 0.9 * UP], 1e-3)
+    observer = PassivityObserver()
+    forces = observer.passive_forces([2.0 * UP, 2.0 * UP], [-1.0 * UP, 0.9 * UP], 1e-3)
     np.testing.assert_array_equal(forces, [2.0 * UP, 2.0 * UP])
-    alone = account.passive_forces([2.0 * UP], [0.9 * UP], 1e-3)[0]
+    alone = observer.passive_forces([2.0 * UP], [0.9 * UP], 1e-3)[0]
     assert alone[2] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_what_the_body_does_not_store_is_forgotten():
-    account = EnergyAccount()
-    account.energy = 1.0
-    account.forget(math.inf)
-    assert account.energy == 1.0
-    account.forget(0.3)
-    assert account.energy == 0.3
+    observer = PassivityObserver()
+    observer.energy = 1.0
+    observer.limit_energy(math.inf)
+    assert observer.energy == 1.0
+    observer.limit_energy(0.3)
+    assert observer.energy == 0.3
 
 
 @pytest.mark.parametrize("power", [1.0, 1.5, 3.0, 10.0])

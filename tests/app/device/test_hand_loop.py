@@ -122,9 +122,9 @@ def test_a_device_without_state_has_no_force_and_is_gone_after_a_while():
     rig.step(600)
     rig.step(1, names=())
     assert not rig.force.any()
-    assert rig.loop.hands  # zero is sent to it
+    assert rig.loop.channels  # zero is sent to it
     rig.step(round(GONE_SECONDS / INTERVAL) + 2, names=())
-    assert not rig.loop.hands
+    assert not rig.loop.channels
     where = rig.tool.copy()
     rig.height = 0.2
     rig.step(5)
@@ -135,10 +135,10 @@ def test_a_device_without_state_has_no_force_and_is_gone_after_a_while():
 def test_the_account_pays_for_what_goes_out():
     rig = Rig()
     rig.step(600)
-    rig.loop.account.energy = 0.0
+    rig.loop.passivity.energy = 0.0
     rig.height += 1e-3  # in 1 ms the hand received 1 N over 1 mm, which it never gave
     rig.step()
-    assert rig.loop.account.energy == pytest.approx(-1e-3, rel=1e-6)
+    assert rig.loop.passivity.energy == pytest.approx(-1e-3, rel=1e-6)
 
 
 def test_lines_are_bounded_however_many_devices_come():
@@ -148,7 +148,7 @@ def test_lines_are_bounded_however_many_devices_come():
         names = [f"D{k}{letter}" for letter in "abcd"]
         loop.forces(ServiceState(dict.fromkeys(names, (0.0, 0.0, 0.0))), float(k))
     assert sum("say" in message for message in said) == MAX_LINES
-    assert len(loop.hands) == 2
+    assert len(loop.channels) == 2
     for held in (loop._assigned, loop._refused, loop._lines):
         assert len(held) <= max(MAX_LINES, 64)
 

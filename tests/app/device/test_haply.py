@@ -96,7 +96,7 @@ def test_with_the_clutch_the_hand_is_free_and_the_tool_stays(service_of, wall_of
     until(lambda: size(device) > 0.3)  # from where the hand is now the tool presses as before
     felt = [force[2] for _, force, _ in device.log[began:]]
     assert next(force for force in felt if force != 0) < 0.6 * whole
-    assert min(felt) > -1.0 - 1e-9  # of the account, on a hand that leaves
+    assert min(felt) > -1.0 - 1e-9  # of the controller, on a hand that leaves
 
 
 def test_the_grip_turns_the_tool(service_of, wall_of, until):

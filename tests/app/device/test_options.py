@@ -15,9 +15,9 @@ def test_other_axes_are_refused(axes):
 
 
 def test_options_are_taken_from_those_of_a_command():
-    given = {"device": "haply:10005", "device_scale": 2.0, "device_limit": None, "part": ["liver"]}
-    assert take_device(given) == DeviceOptions(device_scale=2.0, port=10005)
-    assert given == {"part": ["liver"]}
+    options = {"device": "haply:10005", "device_scale": 2.0, "device_limit": None, "part": ["liver"]}
+    assert take_device(options) == DeviceOptions(device_scale=2.0, port=10005)
+    assert options == {"part": ["liver"]}
     assert take_device({"device": "haply"}).port == 10001
     assert take_device({"device": None, "device_axes": None}) is None
 

@@ -21,8 +21,8 @@ TURNED = {"w": math.cos(0.5), "x": 0.0, "y": 0.0, "z": math.sin(0.5)}
 def entry(name, place=HIGH, status=READY, **more):
     """Return the entry of a device in a message of the service."""
     place = dict(zip("xyz", place, strict=True)) if isinstance(place, tuple) else place
-    given = {"device_id": name, "state": {"cursor_position": place}} | more
-    return given if status is None else given | {"status": status}
+    fields = {"device_id": name, "state": {"cursor_position": place}} | more
+    return fields if status is None else fields | {"status": status}
 
 
 class Rig:
@@ -126,11 +126,11 @@ def test_a_device_without_a_stated_fault_moves_its_tool(status):
 
 
 def test_a_state_is_also_read_at_the_entry_and_in_its_state():
-    for given in (entry("A", LOW, None, calibrated=False), entry("A", LOW, "booting", ready=False)):
-        assert parse_state(json.dumps({"inverse3": [given]})).faults.keys() == {"A"}
-    given = entry("A", LOW, None)
-    given["state"]["calibrated"] = False
-    assert parse_state(json.dumps({"inverse3": [given]})).positions == {}
+    for device in (entry("A", LOW, None, calibrated=False), entry("A", LOW, "booting", ready=False)):
+        assert parse_state(json.dumps({"inverse3": [device]})).faults.keys() == {"A"}
+    device = entry("A", LOW, None)
+    device["state"]["calibrated"] = False
+    assert parse_state(json.dumps({"inverse3": [device]})).positions == {}
 
 
 @pytest.mark.parametrize("place", [None, {"x": None, "y": None, "z": None}, {"x": math.nan, "y": 0, "z": 0}, {}])
@@ -185,10 +185,10 @@ def test_a_status_that_flickers_moves_nothing_and_says_little():
 def test_a_jump_under_an_unchanged_status_moves_no_tool_and_gives_no_energy(place):
     rig = Rig()
     rig.step([entry("A")], 600)
-    energy = rig.loop.account.energy
+    energy = rig.loop.passivity.energy
     rig.step([entry("A", place)], 100)
     assert rig.largest_step() == 0.0
-    assert rig.loop.account.energy == pytest.approx(energy, abs=1e-6)
+    assert rig.loop.passivity.energy == pytest.approx(energy, abs=1e-6)
     assert rig.said[-1] == "A jumped, faster than a hand: tool 1 stays, and follows it from there"
     assert rig.forces[600] == {"A": [0.0, 0.0, 0.0]}
     rig.step([entry("A", (place[0], place[1], place[2] + 1e-3))], 3)

@@ -175,11 +175,13 @@ def test_the_browser_computes_the_forces_of_two_tools_as_the_engine(browser, fol
     tab = browser.open(serve(copy))
     first, second = (ball_message(0, BALL, PLACE), ball_message(1, SMALL_BALL, OTHER))
     moves = [pose_at(0.5 * k / 200, True) for k in range(200)] + [pose_at(k / 200, True) for k in range(200)]
-    given = [[pose_message(k // 200, (PLACE, OTHER)[k // 200], move)] for k, move in enumerate(moves)]
-    given[0].insert(0, first)
-    given[200] = [{"type": "pin", "index": 0, "pinned": True}, second, *given[200]]
+    messages = [[pose_message(k // 200, (PLACE, OTHER)[k // 200], move)] for k, move in enumerate(moves)]
+    messages[0].insert(0, first)
+    messages[200] = [{"type": "pin", "index": 0, "pinned": True}, second, *messages[200]]
     refused = [pose_message(0, PLACE, moves[0]), {**second, "position": PLACE}, ball_message(2, BALL, OTHER)]
-    answer = tab.evaluate(SESSION.replace("GIVEN", json.dumps([*given, [*refused, {"type": "release", "index": 1}]])))
+    answer = tab.evaluate(
+        SESSION.replace("GIVEN", json.dumps([*messages, [*refused, {"type": "release", "index": 1}]]))
+    )
     tab.close()
     words = ("held where it is", "clear of the other tools", "takes 2 tools at most")
     assert len(answer["reasons"]) == len(words)

@@ -26,13 +26,13 @@ def test_laws_are_listed_for_people_and_for_machines(capsys):
         getattr(pt.materials, law["name"])(**law["example"], density=1000.0, poisson=0.4)
     for law in fibres:
         getattr(pt.materials, law["name"])(**law["example"], directions=(1.0, 0.0, 0.0))
-    given = {"C1": 5e3, "density": 1000.0, "poisson": 0.4}
-    pt.materials.NeoHookean(**given, prony=pt.materials.Prony(**relaxation["example"]))
+    parameters = {"C1": 5e3, "density": 1000.0, "poisson": 0.4}
+    pt.materials.NeoHookean(**parameters, prony=pt.materials.Prony(**relaxation["example"]))
     for form in printed["volumetric"]:
         assert f"U = {form['energy']}" in text
-        assert (pt.materials.NeoHookean(**given, volumetric=form["name"]) == pt.materials.NeoHookean(**given)) == form[
-            "default"
-        ]
+        assert (
+            pt.materials.NeoHookean(**parameters, volumetric=form["name"]) == pt.materials.NeoHookean(**parameters)
+        ) == form["default"]
 
 
 @pytest.mark.parametrize(

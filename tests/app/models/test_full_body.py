@@ -13,7 +13,7 @@ import palpate as pt
 from palpate.app.common.console import Console
 from palpate.app.models.full_body import full_body_lines, prepare_full_body
 from palpate.app.models.input import open_input
-from palpate.app.models.spacing import FINER_NODES, MOST_NODES, better_spacing, realtime_spacing
+from palpate.app.models.spacing import FINER_NODES, MAX_NODES, better_spacing, realtime_spacing
 from palpate.app.session.messages import validate_message
 from palpate.app.session.session import Session
 from palpate.meshfree.cloud import BORDER_MARGIN
@@ -197,7 +197,7 @@ def test_a_surface_is_touched_at_once(organ):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"spacing": 0.0002}, f"spacing must give at most {MOST_NODES} nodes"),
+        ({"spacing": 0.0002}, f"spacing must give at most {MAX_NODES} nodes"),
         (
             {"spacing": 0.006, "fixed": ("near 1000,0,0,5",)},
             "fixed: place must hold a node, got none at its near 1000,0,0,5",
@@ -331,8 +331,8 @@ def test_the_nodes_of_half_the_spacing_are_those_of_the_study():
     ],
 )
 def test_bad_input_is_one_line_that_names_the_option(organ, options, said, assert_refused, tmp_path):
-    given = options if "--spacing" in options else [*options, "--spacing", "0.006"]
-    assert_refused(["run", str(organ), "--full", "--realtime", "--out", str(tmp_path / "out"), *given], said)
+    words = options if "--spacing" in options else [*options, "--spacing", "0.006"]
+    assert_refused(["run", str(organ), "--full", "--realtime", "--out", str(tmp_path / "out"), *words], said)
 
 
 def test_a_sheet_is_refused_in_one_line(tmp_path, assert_refused):

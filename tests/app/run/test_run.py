@@ -90,9 +90,9 @@ def test_a_run_writes_trajectories_and_a_report(tmp_path, capsys, monkeypatch, m
     assert report["form"] == ("strong" if modes is None else "energy")
     assert list(report["runs"]) == names
     for name, run in report["runs"].items():
-        kept = pt.Trajectory.load(tmp_path / f"{name}.h5")
-        assert len(kept.times) == 6
-        assert run["largest_displacement"] == pytest.approx(np.linalg.norm(kept.displacements, axis=2).max())
+        stored = pt.Trajectory.load(tmp_path / f"{name}.h5")
+        assert len(stored.times) == 6
+        assert run["largest_displacement"] == pytest.approx(np.linalg.norm(stored.displacements, axis=2).max())
         assert run["real_time_factor"] == pytest.approx(0.05 / run["wall_seconds"])
         assert run["energy_balance"] < 0.05
     if modes is not None:
@@ -112,8 +112,8 @@ def realtime(file, tmp_path_factory):
 def test_the_report_has_the_statistics_of_a_hand(file, tmp_path, capsys):
     service = emulated_hand().Service("R001")
     try:
-        given = ["--seconds", "2.5", "--model", str(file), "--device", f"haply:{service.port}"]
-        assert main([*REALTIME, *given, "--out", str(tmp_path)]) == 0
+        options = ["--seconds", "2.5", "--model", str(file), "--device", f"haply:{service.port}"]
+        assert main([*REALTIME, *options, "--out", str(tmp_path)]) == 0
     finally:
         service.close()
     said = capsys.readouterr()
@@ -185,14 +185,14 @@ def test_a_model_of_another_size_stays_unless_a_size_is_asked_for(grasped, capsy
 
 
 @pytest.mark.slow
-def test_a_model_is_trained_where_none_is_given_and_the_verdict_is_printed(grasped, tmp_path, capsys):
+def test_a_model_is_trained_where_none_is_given_and_the_status_is_printed(grasped, tmp_path, capsys):
     runs = {file: file.stat().st_mtime_ns for file in model_file(open_scene("beam", SHORT)).parent.glob("runs/*.h5")}
     assert main([*REALTIME, *SET, "--modes", "5", "--out", str(tmp_path)]) == 0
     assert runs == {file: file.stat().st_mtime_ns for file in runs}  # the same runs serve another number of modes
     assert len(runs) == 3
     said = capsys.readouterr()
     assert "on paths not trained on" in " ".join(said.err.split())
-    for part in ("Computation: ", "Scheduler: ", "Verdict: 200 Hz", "trust number"):
+    for part in ("Computation: ", "Scheduler: ", "Status: 200 Hz", "error indicator"):
         assert part in said.out
     assert json.loads((tmp_path / "report.json").read_text())["model"]["modes"] == 5
 

@@ -28,9 +28,9 @@ REALTIME = ["run", "liver", "--realtime", "--seconds", "0.5", "--rate", "200"]
 def trained(tmp_path_factory):
     """The folder of a campaign on a very coarse liver."""
     folder = tmp_path_factory.mktemp("campaign") / "liver"
-    given = [f"{name}={value}" for name, value in COARSE.items()]
+    settings = [f"{name}={value}" for name, value in COARSE.items()]
     sizes = ["--paths", "4", "--held-out", "1", "--modes", "8", "--cubature", "0.05"]
-    assert main(["train", "liver", "--set", *given, *sizes, "--out", str(folder)]) == 0
+    assert main(["train", "liver", "--set", *settings, *sizes, "--out", str(folder)]) == 0
     return folder
 
 
@@ -152,7 +152,7 @@ def test_a_model_from_a_file_is_pressed_and_the_force_is_reported(trained, swift
     assert report["tool"]["largest_force"] == pytest.approx(force.max())
     assert f"largest force on tool 1 {force.max():.3g} N" in told
     assert "Computation: " in told
-    assert "Verdict: 200 Hz" in told
+    assert "Status: 200 Hz" in told
     model = pt.load(file)
     poses, ball = tool_motion.pressing_ball(open_scene("liver"), model)
     again = pt.tools.Contact(ball.tool, lambda time: ball.motion + poses(time)[0], friction=ball.friction)
@@ -167,8 +167,8 @@ def test_the_first_start_trains_and_caches_a_model_and_resumes_after_an_interrup
     def interrupted(self, outcome):
         raise KeyboardInterrupt
 
-    given = ["--set", *(f"{name}={value}" for name, value in SMALL.items())]
-    command = [*REALTIME, *given, "--json", "--out", str(tmp_path / "out")]
+    settings = ["--set", *(f"{name}={value}" for name, value in SMALL.items())]
+    command = [*REALTIME, *settings, "--json", "--out", str(tmp_path / "out")]
     with monkeypatch.context() as patch:
         patch.setattr("palpate.app.train.bar.Bar.done", interrupted)
         assert main(command) == 130

@@ -79,8 +79,8 @@ def test_invalid_messages_are_refused(text, said):
 
 
 def test_a_client_of_version_2_has_no_index_and_no_pin():
-    given = {"type": "pose", "position": [0, 0, 0], "index": 16}
-    assert parse_message(json.dumps(given), 2)["index"] == 0
+    message = {"type": "pose", "position": [0, 0, 0], "index": 16}
+    assert parse_message(json.dumps(message), 2)["index"] == 0
     assert parse_message('{"type": "force", "rate": 100, "tools": 5}', 2)["tools"] == [0]
     with pytest.raises(pt.InputError, match="type must be one of") as refused:
         parse_message('{"type": "pin", "index": 0, "pinned": true}', 2)

@@ -85,7 +85,7 @@ def test_a_reset_restores_rest(pressed):
 
 
 def test_after_a_reset_trust_is_0_and_the_next_touch_has_a_bound(model, ball, until):
-    """The bound is known up to the trust number 0.01, by depth: a deep press is beyond it, and a reset forgets that."""
+    """The bound is known up to an error indicator of 0.01: a deep press is beyond it, and a reset forgets that."""
     curve = {"typical_size": 0.1, "least_trust": 0.001, "largest_trust": 0.01, "exponent": 1.0, "median": 0.01,
              "bound": 0.05}  # fmt: skip
     curves = {"forgetting": 0.0, "level": 0.95, "least_level": 0.9, "displacement": curve, "force": curve}
@@ -378,9 +378,9 @@ def test_a_recording_that_cannot_be_written_keeps_its_journal(session, tmp_path,
     reason = f"the recording was not written: no space left; its first {len(seen)} snapshots are in {path}"
     assert session.notifications == [{"type": "error", "reason": reason}]
     assert session.recordings.failures == [reason]
-    kept = load_recording(path)
-    assert len(kept.snapshots) == len(seen)
-    np.testing.assert_array_equal(kept.snapshots[-1].coordinates, seen[-1].coordinates)
+    stored = load_recording(path)
+    assert len(stored.snapshots) == len(seen)
+    np.testing.assert_array_equal(stored.snapshots[-1].coordinates, seen[-1].coordinates)
 
 
 def test_a_recording_that_cannot_be_written_is_written_elsewhere(session, tmp_path, monkeypatch, until):

@@ -368,8 +368,8 @@ def test_an_interrupted_full_run_keeps_its_frames_and_names_their_files(
     *complete, stopped = map(pt.Trajectory.load, files)
     assert all(run.complete for run in complete)
     assert not stopped.complete
-    kept = complete[0].concatenate(stopped) if complete else stopped
-    np.testing.assert_allclose(kept.times, expected)
+    whole_run = complete[0].concatenate(stopped) if complete else stopped
+    np.testing.assert_allclose(whole_run.times, expected)
 
 
 @pytest.mark.slow

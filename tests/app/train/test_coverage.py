@@ -69,7 +69,7 @@ def test_runs_without_a_tool_on_the_surface_have_no_coverage(scene):
 
 
 def chosen(monkeypatch, scene, trust, count, trained=(), largest=10.0):
-    """Choose among paths on which the reduced model has these trust numbers, and errors of 0.1 at 1."""
+    """Choose among paths on which the reduced model has these error indicators, and errors of 0.1 at 1."""
     curve = {
         "median": 0.1,
         "bound": 0.2,
@@ -99,7 +99,8 @@ def test_uncovered_surface_comes_before_errors_and_errors_decide_on_covered_surf
     trust = {1: 5.0, 2: 0.1, 3: 0.2, 4: 4.0}
     assert chosen(monkeypatch, repeated, trust, 3, trained=[0]) == [3, 1, 4]
     assert chosen(monkeypatch, repeated, trust, 2, trained=[0, 2]) == [1, 4]
-    # beyond the held-out runs the error is unknown, counts as an uncovered surface does, and the trust number decides
+    # beyond the held-out runs the error is unknown, counts as an uncovered surface does, and the error indicator
+    # decides
     assert chosen(monkeypatch, repeated, trust, 3, trained=[0], largest=3.0) == [3, 1, 4]
     assert chosen(monkeypatch, repeated, {1: 5.0, 4: 6.0}, 1, trained=[0], largest=3.0) == [4]
 

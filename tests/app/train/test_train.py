@@ -41,9 +41,9 @@ RUNS = [*(f"train_{k:06d}.h5" for k in range(4)), "held_out_000000.h5"]
 @pytest.fixture(autouse=True)
 def known(monkeypatch):
     """Let this process and those it starts import the scene."""
-    here = str(Path(__file__).parent)
-    monkeypatch.syspath_prepend(here)
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([here, *os.environ.get("PYTHONPATH", "").split(os.pathsep)]))
+    folder = str(Path(__file__).parent)
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([folder, *os.environ.get("PYTHONPATH", "").split(os.pathsep)]))
 
 
 def command(folder, *options):
@@ -198,9 +198,9 @@ def test_failed_runs_are_recorded_and_the_others_continue(tmp_path, capsys):
     diverged, died = report["runs"][1:3]
     assert "inside out" in diverged["reason"] or "stable" in diverged["reason"] or "non-finite" in diverged["reason"]
     assert "process died 2 times (exit code 3)" in died["reason"]
-    kept = pt.Trajectory.load(folder / "runs" / "train_000001.failed.h5")
-    assert not kept.complete
-    assert len(kept.times) == diverged["frames"] >= 5
+    stored = pt.Trajectory.load(folder / "runs" / "train_000001.failed.h5")
+    assert not stored.complete
+    assert len(stored.times) == diverged["frames"] >= 5
     assert all(not name.endswith(".partial") for name in contents(folder))
     assert report["model"]["training_runs"] == 2
     assert "train_000001 failed after" in (folder / "report.md").read_text()
@@ -579,7 +579,7 @@ def test_a_cluster_that_loses_a_worker_makes_the_same_runs(whole, tmp_path, clus
         killer.join()
     assert lost
     assert_same_runs(folder, whole)
-    both = [pt.load(path / "model.rom").data.basis_vectors for path in (folder, whole)]
+    both = [pt.load(path / "model.rom").data.trial_and_test_basis for path in (folder, whole)]
     np.testing.assert_array_equal(*both)
 
 

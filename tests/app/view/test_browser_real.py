@@ -410,8 +410,8 @@ def test_a_body_is_chosen_in_the_list_of_labels(browser, site_of, session, tmp_p
 def test_pictures_of_the_documentation(browser, session, site_of):
     folder = Path(os.environ["PALPATE_SCREENSHOTS"])
     folder.mkdir(parents=True, exist_ok=True)
-    kept = model_file(open_scene("liver"))
-    show = Session(load(kept), "Liver") if kept.is_file() else session
+    file = model_file(open_scene("liver"))
+    show = Session(load(file), "Liver") if file.is_file() else session
     show.start()
     try:
         address = site_of(show).address.replace("/#", "/?still#")

@@ -27,7 +27,7 @@ from palpate.app.train.scene_folder import name_in_folder, training_folder
 from palpate.app.view.command import view
 from palpate.app.view.refinement import Refinement
 from palpate.app.view.server.frames import STATE
-from palpate.app.view.training_process import LEAST_SHARE, Progress, TrainingProcess
+from palpate.app.view.training_process import MIN_SHARE, Progress, TrainingProcess
 from palpate.core.faults import InputError
 from palpate.reduction.storage.models import save
 from palpate.scenes.open_scene import json_of_scene, open_description, open_scene
@@ -282,7 +282,7 @@ def test_the_time_left_counts_the_training_after_the_runs():
     progress.runs(0.0, "0 of 4 runs")
     seconds[0] = 10.0
     progress.runs(0.25, "1 of 4 runs")
-    progress.runs(0.5 * LEAST_SHARE, "too early")
+    progress.runs(0.5 * MIN_SHARE, "too early")
     first, begun, later, early = events
     assert [first["left"], begun["left"], early["left"]] == [None, None, None]
     assert later["left"] > 30.0  # three runs, and the training

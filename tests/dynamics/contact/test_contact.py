@@ -101,11 +101,11 @@ def test_the_tools_impulse_is_the_momentum_that_a_free_body_gains(small_cloud, t
     model = pt.Solid(small_cloud, tissue, form=form, stiffness_damping=stiffness_damping)
     trajectory = run(model, pt.tools.Contact(BALL, press(0.003), friction=0.4))
     weights = model.weights * tissue.density
-    given = np.cumsum(trajectory.reactions["tool"] * 1e-3, axis=0)
+    impulse = np.cumsum(trajectory.reactions["tool"] * 1e-3, axis=0)
     if form == "energy":  # whose steps are in single precision
         gained = np.einsum("n,fnc->fc", weights, trajectory.velocities)
-        assert np.allclose(gained, given, rtol=0.0, atol=1e-7 * abs(given).max())
-    assert given[-1, 2] < 0
+        assert np.allclose(gained, impulse, rtol=0.0, atol=1e-7 * abs(impulse).max())
+    assert impulse[-1, 2] < 0
 
 
 def test_the_tools_moment_is_the_angular_momentum_that_a_free_body_gains(loose):
@@ -115,8 +115,8 @@ def test_the_tools_moment_is_the_angular_momentum_that_a_free_body_gains(loose):
     trajectory = run(loose, pt.tools.Contact(BALL, place, friction=0.5), velocity=start, duration=0.01)
     arms = trajectory.points + trajectory.displacements - place
     turning = np.einsum("n,fnc->fc", loose.masses, np.cross(arms, trajectory.velocities))
-    given = np.cumsum(trajectory.moments["tool"] * 1e-3, axis=0)
-    assert np.allclose(turning - turning[0], given, atol=0.01 * np.abs(given).max())
+    impulse = np.cumsum(trajectory.moments["tool"] * 1e-3, axis=0)
+    assert np.allclose(turning - turning[0], impulse, atol=0.01 * np.abs(impulse).max())
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])
@@ -180,8 +180,8 @@ def test_the_support_bears_the_force_of_the_tool(cube):
 
 
 def test_a_tool_never_pulls_and_separates_at_once(cube):
-    there = press(0.003)
-    back = lambda t: there(t) + np.array([0.0, 0.0, 0.8 * max(t - 0.02, 0.0)])  # noqa: E731
+    way = press(0.003)
+    back = lambda t: way(t) + np.array([0.0, 0.0, 0.8 * max(t - 0.02, 0.0)])  # noqa: E731
     trajectory = run(cube, pt.tools.Contact(BALL, back), duration=0.04)
     force = trajectory.reactions["tool"][:, 2]
     assert force.max() <= 0.0
@@ -385,8 +385,8 @@ def test_a_tool_touches_nodes_that_forceps_have_released(cube):
 def test_moments_of_tools_are_stored_and_joined(cube, tmp_path):
     loads = [pt.tools.Contact(BALL, press(0.002), friction=0.3)]
     first = run(cube, *loads, duration=0.01)
-    kept = first.displacements[-1], first.velocities[-1]
-    second = run(cube, *loads, duration=0.01, start=0.01, displacement=kept[0], velocity=kept[1])
+    last = first.displacements[-1], first.velocities[-1]
+    second = run(cube, *loads, duration=0.01, start=0.01, displacement=last[0], velocity=last[1])
     both = first.concatenate(second)
     both.save(tmp_path / "run.h5")
     read = pt.Trajectory.load(tmp_path / "run.h5")

@@ -40,7 +40,7 @@ def test_the_depth_of_a_flat_surface_in_a_tool_is_found(block, tool):
     assert deepest_triangle(contacts, 0, frame, block.cloud.triangles, still, 0.0021)[1] == -1
 
 
-def test_middles_are_the_means_of_their_ends(block):
+def test_edge_midpoints_are_the_means_of_their_ends(block):
     contacts, n = contacts_of(block, pt.tools.Sphere(0.006), TOP + 0.1 * UP), len(block.cloud)
     ends = contacts.patches.ends[n:]
     np.testing.assert_allclose(contacts.patches.points[n:], block.cloud.points[ends].mean(axis=1))

@@ -81,7 +81,7 @@ def test_forceps_that_release_within_a_frame_give_the_momentum_until_then(small_
 
 @pytest.mark.slow
 def test_forces_on_nodes_are_those_of_a_grasp_in_the_energy_form_alone(small_cloud, tissue, forceps):
-    """A strong form's residuals are not the forces of what holds it; and other motions train lifting columns."""
+    """A strong form's residuals are not the forces of what holds it; and other motions train lifting functions."""
     cloud = forceps.with_group(small_cloud)
     strong = pt.Solid(cloud, tissue, "z-", form="strong", stiffness_damping=6e-5)
     body = pt.Solid(cloud, tissue, "z-", form="energy")
@@ -98,8 +98,8 @@ def test_trajectories_and_files_distinguish_touched_from_bonded_nodes(small_clou
     held = forceps.with_group(small_cloud).group("forceps")
     np.testing.assert_array_equal(first.bonded, np.isin(first.contact_forces[:, 1], held))
     assert not first.bonded.all()
-    kept = first.displacements[-1], first.velocities[-1]
-    second = run(model, forceps, press, duration=0.01, start=0.02, displacement=kept[0], velocity=kept[1])
+    last = first.displacements[-1], first.velocities[-1]
+    second = run(model, forceps, press, duration=0.01, start=0.02, displacement=last[0], velocity=last[1])
     both = first.concatenate(second)
     both.save(tmp_path / "both.h5")
     np.testing.assert_array_equal(both.bonded, np.isin(both.contact_forces[:, 1], held))

@@ -39,8 +39,8 @@ def test_away_from_the_interface_each_part_answers_as_its_own_material(prony):
     far = np.isin(np.arange(len(u)), mixed.cloud.group("far"))
     # stresses depend on the smoothed pressure, which nodes near the interface share; shear parts do not
     F = mixed.deformation_gradient(u)
-    for model, here in zip(alone, (~far, far), strict=True):
-        np.testing.assert_allclose(mixed.tissue.shear_stress(F)[here], model.tissue.shear_stress(F)[here], rtol=1e-12)
+    for model, part in zip(alone, (~far, far), strict=True):
+        np.testing.assert_allclose(mixed.tissue.shear_stress(F)[part], model.tissue.shear_stress(F)[part], rtol=1e-12)
     deep = np.isin(mixed.cloud.points[:, 0], [0.0, 0.04])  # no stencil of a stencil reaches the other part
     expected = np.where(far[:, None], alone[1].force(u), alone[0].force(u))
     found = mixed.force(u)
@@ -87,7 +87,7 @@ def test_the_stiffness_at_rest_is_that_of_the_forces():
 def test_materials_by_node_equal_materials_by_group():
     cloud = cloud_of()
     far = np.isin(np.arange(len(cloud)), cloud.group("far"))
-    by_node = body([FIRM if there else SOFT for there in far])
+    by_node = body([FIRM if is_far else SOFT for is_far in far])
     u = bent(cloud.points)
     np.testing.assert_allclose(by_node.force(u), body({"": SOFT, "far": FIRM}).force(u), atol=1e-9)
     np.testing.assert_array_equal(body({"": SOFT}).force(u), body(SOFT).force(u))

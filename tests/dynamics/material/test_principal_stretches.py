@@ -74,8 +74,8 @@ def test_rest_has_no_force(form):
 @pytest.mark.parametrize("form", ["strong", "energy"])
 def test_ogden_with_the_exponent_2_moves_as_neo_hookean(form):
     """The one law by principal axes, the other by invariants."""
-    given = {"density": 1000.0, "poisson": 0.4}
-    laws = (pt.materials.Ogden(C=10e3, alpha=2.0, **given), pt.materials.NeoHookean(C1=10e3, **given))
+    common = {"density": 1000.0, "poisson": 0.4}
+    laws = (pt.materials.Ogden(C=10e3, alpha=2.0, **common), pt.materials.NeoHookean(C1=10e3, **common))
     cloud = pt.box((SIDE,) * 3, SIDE / 4, jitter=0.2)
     u = 0.1 * SIDE * np.sin(cloud.points @ np.random.default_rng(0).uniform(-80, 80, (3, 3)))
     one, other = (pt.Solid(cloud, law, form=form, stiffness_damping=0.0).force(u) for law in laws)
@@ -83,12 +83,12 @@ def test_ogden_with_the_exponent_2_moves_as_neo_hookean(form):
 
 
 def test_membranes_of_ogden_and_neo_hookean_are_the_same():
-    given = {"density": 1000.0, "poisson": 0.5}
+    common = {"density": 1000.0, "poisson": 0.5}
     cloud = pt.disc(0.05, 0.01)
     u = 0.005 * np.random.default_rng(0).normal(size=(len(cloud), 3))
     forces = [
         pt.Membrane(cloud, law, 1e-3, prestretch=1.2).force(u)
-        for law in (pt.materials.Ogden(C=10e3, alpha=2.0, **given), pt.materials.NeoHookean(C1=10e3, **given))
+        for law in (pt.materials.Ogden(C=10e3, alpha=2.0, **common), pt.materials.NeoHookean(C1=10e3, **common))
     ]
     np.testing.assert_allclose(*forces, atol=1e-10 * np.abs(forces[1]).max())
 

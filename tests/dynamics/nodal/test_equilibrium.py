@@ -11,10 +11,10 @@ import pytest
 
 import palpate as pt
 from palpate.dynamics.nodal.coarse_grid import two_level_preconditioner
+from palpate.dynamics.nodal.equilibrium_residual import EquilibriumResidual
 from palpate.dynamics.nodal.mixed_newton import conjugate_gradients
 from palpate.dynamics.nodal.mixed_stress import added_moduli, split_stress, tangent_moduli
 from palpate.dynamics.nodal.stability import stiffness
-from palpate.dynamics.nodal.static_balance import StaticBalance
 from palpate.tissue.homogeneous import deformation_gradient, nominal_stress
 
 PULL = (1.6, 0.3, 0.1)
@@ -185,22 +185,22 @@ def test_the_beam_of_the_paper_agrees_with_finite_elements(kind, force):
 @pytest.mark.slow
 def test_the_preconditioner_is_symmetric_and_positive_and_a_good_inverse(body, pulled):
     u = pulled.displacements
-    balance = StaticBalance(body, body.prepare([]), 0.0, np.zeros_like(u))
-    F, moduli = body.deformation_gradient(u), tangent_moduli(balance, u)
-    inverse = two_level_preconditioner(body, F, moduli, balance.constrained, balance.springs)
+    equations = EquilibriumResidual(body, body.prepare([]), 0.0, np.zeros_like(u))
+    F, moduli = body.deformation_gradient(u), tangent_moduli(equations, u)
+    inverse = two_level_preconditioner(body, F, moduli, equations.constrained, equations.springs)
     noise = np.random.default_rng(0).standard_normal((2, *u.shape))
     one, two = (inverse(each) for each in noise)
     assert np.vdot(noise[0], two) == pytest.approx(np.vdot(noise[1], one), rel=1e-9)
     assert np.vdot(noise[0], one) > 0
-    assert not one[balance.constrained].any()
-    before, step, calls = balance.residual(u), 1e-9, []
+    assert not one[equations.constrained].any()
+    before, step, calls = equations.residual(u), 1e-9, []
 
     def tangent(direction):
         calls.append(1)
         scale = step / np.abs(direction).max()
-        return (before - balance.residual(u + scale * direction)) / scale
+        return (before - equations.residual(u + scale * direction)) / scale
 
-    forces = np.where(balance.constrained[:, None], 0.0, noise[0])
+    forces = np.where(equations.constrained[:, None], 0.0, noise[0])
     found = conjugate_gradients(tangent, inverse, forces)
     assert len(calls) < 100
     np.testing.assert_allclose(tangent(found), forces, atol=0.05)
@@ -209,14 +209,14 @@ def test_the_preconditioner_is_symmetric_and_positive_and_a_good_inverse(body, p
 def test_moduli_are_those_of_the_law_plus_those_of_the_stress(body, bar, tissue):
     F = np.eye(3) + 0.1 * np.random.default_rng(1).standard_normal((3, 3))
     u = bar.points @ (F - np.eye(3)).T
-    balance = StaticBalance(body, body.prepare([]), 0.0, np.zeros_like(u))
+    equations = EquilibriumResidual(body, body.prepare([]), 0.0, np.zeros_like(u))
     change = 1e-6 * np.random.default_rng(2).standard_normal((3, 3))
     expected = (tissue.stress((F + change)[None]) - tissue.stress((F - change)[None]))[0] / 2
-    moduli = tangent_moduli(balance, u)
+    moduli = tangent_moduli(equations, u)
     scale = np.abs(expected).max()
     for node in (0, 50):
         np.testing.assert_allclose((moduli[node] @ change.ravel()).reshape(3, 3), expected, atol=1e-3 * scale)
-    stress = split_stress(balance, u)
+    stress = split_stress(equations, u)
     none = type(stress)(0 * stress.pressure, 0 * stress.second)
     half = type(stress)(stress.pressure / 2, stress.second / 2)
     gradients = body.deformation_gradient(u)

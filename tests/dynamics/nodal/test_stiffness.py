@@ -81,7 +81,7 @@ def test_a_reduced_model_has_the_stiffer_part(tmp_path):
     loads = [pt.SurfaceForce("x+", force=lambda t: np.sin(150 * t) ** 2 * np.array([0.05, 0.01, 0.0]))]
     run = pt.rollout(model, loads, duration=0.03, every=0.001, progress=False)
     whole = pt.ReducedModel(pt.hyper_reduce(model, run, modes=6, cubature=0.0, pressures=1000).data, single=False)
-    columns = whole.data.basis_vectors[: whole.count]
+    columns = whole.data.trial_and_test_basis[: whole.count]
     a = np.linalg.lstsq(columns.reshape(6, -1).T, run.displacements[15].ravel(), rcond=None)[0]
     u = np.tensordot(a, columns, 1)
     expected = np.einsum("n,mnc,nc->m", model.volumes, columns, model.force(u))

@@ -176,10 +176,10 @@ def test_the_stiffness_of_each_of_two_tools_is_limited_and_that_of_one_at_rest_i
                 assert -1e-12 * max(1.0, bound) <= values[0]
                 assert values[-1] <= bound * (1 + 1e-9)
         if k == 450:
-            kept = both[1]
+            resting = both[1]
     assert both[0, 2, 2] > 20.0
-    assert kept[2, 2] > 10.0
-    np.testing.assert_allclose(both[1], kept, atol=0.2 * kept[2, 2])
+    assert resting[2, 2] > 10.0
+    np.testing.assert_allclose(both[1], resting, atol=0.2 * resting[2, 2])
 
 
 @kernel_njit()
@@ -191,16 +191,16 @@ def limit(matrix, largest):
 def test_a_stiffness_is_limited_to_eigenvalues_from_zero_to_the_largest():
     random = np.random.default_rng(0)
     for _ in range(200):
-        given = random.standard_normal((3, 3)) * 10.0 ** random.integers(-3, 4)
-        values, vectors = np.linalg.eigh(0.5 * (given + given.T))
-        found = given.copy()
+        matrix = random.standard_normal((3, 3)) * 10.0 ** random.integers(-3, 4)
+        values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+        found = matrix.copy()
         limit(found, 5.0)
         expected = (vectors * np.clip(values, 0.0, 5.0)) @ vectors.T
-        np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(given).max())
+        np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(matrix).max())
         np.testing.assert_array_equal(found, found.T)
     limit(found, 0.0)
     assert not found.any()
-    for kept in (np.zeros((3, 3)), 2.0 * np.eye(3), np.diag([1.0, 2.0, 5.0])):
-        found = kept.copy()
+    for valid in (np.zeros((3, 3)), 2.0 * np.eye(3), np.diag([1.0, 2.0, 5.0])):
+        found = valid.copy()
         limit(found, 5.0)
-        np.testing.assert_allclose(found, kept, atol=1e-14)
+        np.testing.assert_allclose(found, valid, atol=1e-14)

@@ -85,12 +85,12 @@ def test_a_divergence_names_time_node_step_and_damping_and_keeps_the_frames(held
     for word in ("t = ", "node ", "step 5e-05 s", f"stiffness damping {held.stiffness_damping:.3g} s", "smaller load"):
         assert word in str(caught.value)
     assert "more damping" not in str(caught.value)
-    kept = caught.value.trajectory
-    assert 2 < len(kept.times) < 50
-    assert not kept.complete
-    assert np.isfinite(kept.displacements).all()
+    partial = caught.value.trajectory
+    assert 2 < len(partial.times) < 50
+    assert not partial.complete
+    assert np.isfinite(partial.displacements).all()
     saved = pt.Trajectory.load(path)
-    np.testing.assert_array_equal(saved.displacements, kept.displacements)
+    np.testing.assert_array_equal(saved.displacements, partial.displacements)
     assert not saved.complete
 
 
@@ -181,11 +181,11 @@ def test_an_interrupted_run_keeps_its_frames(held, tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         pt.rollout(held, [pt.SurfaceForce("x+", force=force)], duration=0.01, every=5e-4, file=path)
-    kept = pt.Trajectory.load(path)
-    assert not kept.complete
-    assert 5 <= len(kept.times) <= 7
-    whole = pt.rollout(held, [PULL], duration=kept.times[-1], every=5e-4)
-    np.testing.assert_allclose(kept.displacements[-1], whole.displacements[-1], atol=1e-12)
+    partial = pt.Trajectory.load(path)
+    assert not partial.complete
+    assert 5 <= len(partial.times) <= 7
+    whole = pt.rollout(held, [PULL], duration=partial.times[-1], every=5e-4)
+    np.testing.assert_allclose(partial.displacements[-1], whole.displacements[-1], atol=1e-12)
 
 
 def test_a_streamed_run_equals_the_returned_run(held, tmp_path):

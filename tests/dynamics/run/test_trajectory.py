@@ -214,11 +214,11 @@ def cut(path, run, label="", blade=()):
 
 def test_a_truncated_run_keeps_its_frames(run, path):
     ends = cut(path, run, "mine")
-    kept, stored = pt.Trajectory.load(path), StoredTrajectory(path)
-    assert (kept.complete, kept.label, stored.label) == (False, "mine", "mine")
+    loaded, stored = pt.Trajectory.load(path), StoredTrajectory(path)
+    assert (loaded.complete, loaded.label, stored.label) == (False, "mine", "mine")
     for field in ("times", "displacements", "velocities", "steps", "kinetic", "contact_forces", "points"):
-        np.testing.assert_array_equal(getattr(kept, field), getattr(run, field))
-    np.testing.assert_array_equal(kept.reactions["x-"], run.reactions["x-"])
+        np.testing.assert_array_equal(getattr(loaded, field), getattr(run, field))
+    np.testing.assert_array_equal(loaded.reactions["x-"], run.reactions["x-"])
     np.testing.assert_array_equal(stored.displacements[::7], run.displacements[::7])
     for place in (ends[5], ends[5] + 3, ends[6] - 1):  # in the middle of the record of the sixth frame
         path.write_bytes(path.read_bytes()[:place])
@@ -229,9 +229,9 @@ def test_a_truncated_run_keeps_its_frames(run, path):
 
 def test_a_journal_of_an_earlier_version_lacks_the_release_rate_of_a_blade(run, path):
     cut(path, run, blade=[1.0, 2.0, 3.0, 4.0])
-    kept = pt.Trajectory.load(path)
-    np.testing.assert_array_equal(kept.friction_work, [0.0] + [4.0] * (len(run.times) - 1))
-    assert len(kept.release_rate) == 0
+    loaded = pt.Trajectory.load(path)
+    np.testing.assert_array_equal(loaded.friction_work, [0.0] + [4.0] * (len(run.times) - 1))
+    assert len(loaded.release_rate) == 0
     cut(path, run, blade=[1.0, 2.0, 3.0, 4.0, 5.0])
     assert pt.Trajectory.load(path).release_rate[-1] == 5.0
 
@@ -252,9 +252,9 @@ def test_a_damaged_journal_is_refused_and_not_truncated(run, path):
 def test_a_run_that_diverges_at_once_leaves_a_file_that_is_loaded(held, path):
     recorder = Recorder(path, held.name, held.cloud.points, held.stiffness_damping)
     recorder.close(0.1, complete=False)
-    kept = pt.Trajectory.load(path)
-    assert (len(kept.times), kept.complete) == (0, False)
-    assert kept.displacements.shape == (0, len(held.cloud), 3)
+    loaded = pt.Trajectory.load(path)
+    assert (len(loaded.times), loaded.complete) == (0, False)
+    assert loaded.displacements.shape == (0, len(held.cloud), 3)
 
 
 @pytest.mark.slow
@@ -273,9 +273,9 @@ pt.rollout(model, [pt.Gravity()], duration=0.01, every=1e-3, file={str(path)!r},
 """
     done = subprocess.run([sys.executable, "-c", program], check=False)
     assert done.returncode == -signal.SIGKILL
-    kept = pt.Trajectory.load(path)
-    np.testing.assert_allclose(kept.times, [0.0, 1e-3, 2e-3, 3e-3], atol=1e-12)
-    assert not kept.complete
+    loaded = pt.Trajectory.load(path)
+    np.testing.assert_allclose(loaded.times, [0.0, 1e-3, 2e-3, 3e-3], atol=1e-12)
+    assert not loaded.complete
     assert os.listdir(tmp_path) == ["run.h5"]
 
 
@@ -321,9 +321,9 @@ except OSError as error:
 """
     done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
     assert f"cannot write {path}" in done.stdout
-    kept = pt.Trajectory.load(path)
-    assert 2 <= len(kept.times) < 10
-    assert not kept.complete
+    loaded = pt.Trajectory.load(path)
+    assert 2 <= len(loaded.times) < 10
+    assert not loaded.complete
 
 
 def test_the_balance_is_kinetic_and_strain_and_dissipated_less_external(run):

@@ -155,8 +155,8 @@ def test_compiled_deformation_gradients_are_those_of_the_stencils(supports):
     body = energy_form(CLOUDS["lattice"], LAWS["neo-hookean"], supports)
     u = np.random.default_rng(0).standard_normal((len(body.cloud), 3)).astype(np.float32) * np.float32(1e-3)
     expected = body.stencils.gradient(body.mirror.vectors(u.astype(float))) + np.eye(3)
-    for given in (u, u.astype(float)):
-        np.testing.assert_allclose(body.deformation_gradient(given), expected, atol=1e-12)
+    for displacements in (u, u.astype(float)):
+        np.testing.assert_allclose(body.deformation_gradient(displacements), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("law", LAWS)

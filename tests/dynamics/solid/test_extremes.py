@@ -43,8 +43,8 @@ def test_excessive_forces_end_runs_of_every_model_with_a_divergence(newton, held
     for model in (held, energetic, reduced):
         with pytest.raises(pt.DivergenceError) as caught:
             pt.rollout(model, pull(newton), duration=0.02, every=1e-3, progress=False)
-        kept = caught.value.trajectory
-        assert all(np.isfinite(getattr(kept, name)).all() for name in ("displacements", "kinetic", "strain"))
+        partial = caught.value.trajectory
+        assert all(np.isfinite(getattr(partial, name)).all() for name in ("displacements", "kinetic", "strain"))
 
 
 def test_a_run_that_needs_ever_shorter_steps_is_ended_and_says_so(energetic, monkeypatch):
@@ -92,9 +92,9 @@ def test_no_snapshot_that_is_not_finite_is_kept_or_written(name, energetic, monk
 def test_an_invalid_initial_state_leaves_no_file(energetic, tmp_path):
     u = np.zeros((64, 3))
     u[:, 0] = -1.5 * energetic.cloud.points[:, 0]
-    for given in ({"displacement": u}, {"velocity": np.full((64, 3), 1e200)}):
+    for initial in ({"displacement": u}, {"velocity": np.full((64, 3), 1e200)}):
         with pytest.raises(pt.DivergenceError) as caught:
-            pt.rollout(energetic, [], file=tmp_path / "run.h5", **given, **SHORT)
+            pt.rollout(energetic, [], file=tmp_path / "run.h5", **initial, **SHORT)
         assert len(caught.value.trajectory.times) == 0
     assert list(tmp_path.iterdir()) == []
 

@@ -18,20 +18,20 @@ def sag_of(field):
 
 
 def test_the_equilibrium_of_the_unloaded_body_is_the_given_shape():
-    given = pt.Solid(pt.box(SIZE, SPACING), TISSUE, fixed="x-", mass_damping=3.0)
-    rest = pt.unloaded(given, [WEIGHT])
+    scanned = pt.Solid(pt.box(SIZE, SPACING), TISSUE, fixed="x-", mass_damping=3.0)
+    rest = pt.unloaded(scanned, [WEIGHT])
     again = pt.equilibrium(rest.body, [WEIGHT])
     sag = sag_of(again.displacements)
     assert sag > 0.1 * SIZE[0]
-    assert sag_of(rest.body.cloud.points + again.displacements - given.cloud.points) < 1e-3 * sag
+    assert sag_of(rest.body.cloud.points + again.displacements - scanned.cloud.points) < 1e-3 * sag
     assert rest.distance < 1e-3 * sag
     assert rest.body.mass_damping == 3.0
-    assert rest.body.cloud.points[:, 2].max() > given.cloud.points[:, 2].max() + 0.5 * sag  # it was bent down
+    assert rest.body.cloud.points[:, 2].max() > scanned.cloud.points[:, 2].max() + 0.5 * sag  # it was bent down
 
 
 def test_a_run_from_the_unloaded_body_stays_in_the_given_shape():
-    given = pt.Solid(pt.box(SIZE, SPACING), TISSUE, fixed="x-")
-    rest = pt.unloaded(given, [WEIGHT])
+    scanned = pt.Solid(pt.box(SIZE, SPACING), TISSUE, fixed="x-")
+    rest = pt.unloaded(scanned, [WEIGHT])
     run = pt.rollout(rest.body, [WEIGHT], duration=0.05, every=0.01, displacement=rest.displacements, progress=False)
     moved = run.displacements - run.displacements[0]
     assert np.linalg.norm(moved, axis=2).max() < 2e-3 * sag_of(rest.displacements)

@@ -68,8 +68,8 @@ def follow(body, places, turns):
     state, frame = State(u, np.zeros_like(u)), np.eye(3, 4)
     for place, turn in zip(places, turns, strict=True):
         rotation(np.array([*place, np.cos(0.5 * turn), 0.0, 0.0, np.sin(0.5 * turn)]), frame)
-        body, incision, _, _ = advance_blade(body, state, tool, frame.copy(), NOTHING_HELD)
-        state = State(u, np.zeros_like(u), incision=incision)
+        body, cut_front, _, _ = advance_blade(body, state, tool, frame.copy(), NOTHING_HELD)
+        state = State(u, np.zeros_like(u), cut_front=cut_front)
         yield body
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.meshfree.cut.bond_paths import bond_paths
+from palpate.meshfree.cut.diffraction_lengths import diffraction_lengths
 from palpate.meshfree.cut.surface import NO_CUT, changed_spheres, cut_surface, swept
 from palpate.surface.nesting import inside_points
 
@@ -33,7 +33,7 @@ def paths(surface, pairs):
     result = np.empty(count)
     start, near = np.arange(count + 1), np.arange(1, 2 * count, 2)
     nodes, fronts = np.arange(0, 2 * count, 2), (surface.fronts, surface.front_components)
-    bond_paths(points, nodes, start, near, surface.tree, *fronts, result)
+    diffraction_lengths(points, nodes, start, near, surface.tree, *fronts, result)
     return result
 
 

@@ -14,7 +14,7 @@ import palpate as pt
 from palpate.compiled.reference import StoredRecord
 from palpate.dynamics.contact.tools import Forceps
 from palpate.dynamics.nodal import period_data as nodal
-from palpate.realtime.observable import make_observable
+from palpate.realtime.instrumented import make_instrumented
 
 pytestmark = pytest.mark.slow
 
@@ -217,7 +217,7 @@ def test_a_drift_of_the_sums_of_work_stops_no_body(block):
 
 def test_a_force_without_a_step_is_that_of_the_last_one(block):
     """With half the modulus the body's time is slower, and some periods have no step."""
-    made = make_observable(pt.realtime_model(block, contact=ball(tuple(HOME))))
+    made = make_instrumented(pt.realtime_model(block, contact=ball(tuple(HOME))))
     made.set_modulus_ratio(0.25)
     q, v = np.zeros((2, len(made.rest)))
     report, forces, steps = np.zeros(20), [], []
@@ -346,7 +346,7 @@ def test_a_held_tool_reports_where_it_is_and_the_pose_follows():
 
 
 def test_an_engine_reports_the_place_of_a_held_tool(block, monkeypatch):
-    engine = pt.Engine(pt.realtime_model(block, contact=ball(tuple(HOME))), max_speed=1.0, on_distrust="ignore")
+    engine = pt.Engine(pt.realtime_model(block, contact=ball(tuple(HOME))), max_speed=1.0, out_of_training="ignore")
     engine.set_pose((0.0, 0.0, -0.019))  # nearly through the block
     with engine:
         end = monotonic() + 300.0
@@ -427,7 +427,7 @@ def test_sliding_nodes_count_in_the_stable_step():
 
 @pytest.mark.quick
 def test_an_engine_steps_a_full_body(block):
-    engine = pt.Engine(pt.realtime_model(block, contact=ball(tuple(HOME))), on_distrust="ignore", max_speed=0.2)
+    engine = pt.Engine(pt.realtime_model(block, contact=ball(tuple(HOME))), out_of_training="ignore", max_speed=0.2)
     engine.set_pose((0.0, 0.0, -0.003))
     with engine:
         end = monotonic() + 300.0
@@ -444,7 +444,7 @@ def test_the_force_at_rest_grows_with_the_moduli():
     """Statics: at one displacement of the tool, forces are proportional to the moduli."""
     block = pt.Solid(pt.box(SIZE, SPACING), law(), "z-", mass_damping=60.0)
     model = pt.realtime_model(block, contact=pt.tools.Contact(pt.tools.Sphere(BALL), tuple(HOME)))
-    engine = pt.Engine(model, on_distrust="ignore", max_speed=0.2, adjustable=True)
+    engine = pt.Engine(model, out_of_training="ignore", max_speed=0.2, adjustable=True)
 
     def step_to(time):
         end = monotonic() + 300.0

@@ -13,7 +13,7 @@ from palpate.compiled.reference import StoredRecord
 from palpate.dynamics.contact.shapes import Capsule, Forceps, Punch, Sphere
 from palpate.dynamics.nodal.period_data import BEHIND
 from palpate.realtime.bodies.model import idle_model
-from palpate.realtime.observable import make_observable
+from palpate.realtime.instrumented import make_instrumented
 from palpate.realtime.period import Work
 
 pytestmark = pytest.mark.slow
@@ -57,7 +57,7 @@ def steps(model, *motions, periods=200):
 def test_two_tools_in_the_engine_are_those_of_a_run(block):
     tools = [ball(0.015, "left", press), ball(0.045, "right", drag)]
     run = pt.rollout(block, tools, duration=0.2, every=0.01, progress=False)
-    model = pt.realtime_model(block, contact=[ball(0.015, "left"), ball(0.045, "right")], tailored_modes=0)
+    model = pt.realtime_model(block, contact=[ball(0.015, "left"), ball(0.045, "right")], scaled_modes=0)
     displacements, forces = steps(model, press, drag)
     error = np.abs(displacements.reshape(-1, 3) - run.displacements[-1]).max()
     assert error < 2e-3 * np.abs(run.displacements[-1]).max()
@@ -202,7 +202,7 @@ def test_a_second_blade_and_forceps_on_nodes_of_others_are_refused(block):
 
 
 def test_couplings_of_two_tools_are_their_own(block):
-    model = make_observable(pt.realtime_model(block, contact=[ball(0.015, "left"), ball(0.045, "right")]))
+    model = make_instrumented(pt.realtime_model(block, contact=[ball(0.015, "left"), ball(0.045, "right")]))
     model.set_coupling(200.0, index=1)
     work, data = Work.at_rest(model.rest, model.tool), StoredRecord(model.data)
     for k in range(300):
@@ -247,7 +247,7 @@ def test_a_wound_opens_where_forceps_hold_it_under_tension():
 
     with pt.Engine(model) as engine:
         until = time.monotonic() + 300.0  # compiles, and on a machine with other work
-        while model.cutter.incision is None and time.monotonic() < until:
+        while model.cutter.cut_front is None and time.monotonic() < until:
             time.sleep(0.01)
         for k in range(60):
             engine.set_pose((-1e-4 * k, 0.0, 0.0), tool="forceps")
@@ -279,7 +279,7 @@ def test_a_blade_waits_before_nodes_that_forceps_hold():
     model = pt.realtime_model(body, contact=[forceps, scalpel])
     with pt.Engine(model) as engine:
         until = time.monotonic() + 300.0  # compiles, and on a machine with other work
-        while model.cutter.incision is None and time.monotonic() < until:
+        while model.cutter.cut_front is None and time.monotonic() < until:
             time.sleep(0.01)
         depth = 0.0
         while not model.cutter.failure and time.monotonic() < until:

@@ -284,7 +284,7 @@ def test_runs_with_tools_are_reduced_to_vibrations_by_default(pressed):
     model = pt.hyper_reduce(body, runs[:-1], modes=24)
     shapes = interpolated_modes(body, body, 24)
     by_hand = pt.hyper_reduce(body, runs[:-1], modes=0, enrichment=shapes)
-    np.testing.assert_array_equal(model.data.basis_vectors, by_hand.data.basis_vectors)
+    np.testing.assert_array_equal(model.data.trial_and_test_basis, by_hand.data.trial_and_test_basis)
     run = pt.rollout(model, press(0.024, 0.038), duration=0.2, every=0.005)
     assert force_error(runs[-1], run) < 0.1
     with pytest.warns(pt.TrustWarning, match="use basis='vibrations'"):
@@ -315,7 +315,7 @@ def test_a_large_body_with_tools_has_a_coarse_one_made_of_its_surface(pressed, m
     coarse = coarse_body(body, most=most)
     assert len(coarse.cloud) < most
     shapes = join(body, None, interpolated_modes(coarse, body, 12))
-    np.testing.assert_array_equal(model.data.basis_vectors[:12], shapes.astype(np.float32))
+    np.testing.assert_array_equal(model.data.trial_and_test_basis[:12], shapes.astype(np.float32))
     carriers = 3 * len(np.setdiff1d(coarse.cloud.face_nodes, coarse.cloud.group("z-")))
     assert model.data.compliance.flexibility.shape == (carriers, carriers)
     assert model.report["cubature"] == 0.01
@@ -530,7 +530,7 @@ def test_an_engine_presses_and_releases(pressed):
     _, _, model = pressed
     home = (0.03, 0.03, SIZE[2] + BALL + 0.001)
     with pt.Engine(
-        pt.realtime_model(model, contact=pt.tools.Contact(pt.tools.Sphere(BALL), home)), on_distrust="warn"
+        pt.realtime_model(model, contact=pt.tools.Contact(pt.tools.Sphere(BALL), home)), out_of_training="warn"
     ) as engine:
         engine.set_pose((0.0, 0.0, -0.004))
         import time

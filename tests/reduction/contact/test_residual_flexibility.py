@@ -123,16 +123,16 @@ def test_cached_blocks_stay_correct_as_touched_nodes_change(solved):
     )  # fmt: skip
     order = np.random.default_rng(1).permutation(len(nodes))
     laid, block_ = compliance_table(compliance, order), np.zeros((3, 3))
-    kept = active_compliance(laid, 1)
+    cached = active_compliance(laid, 1)
     random = np.random.default_rng(2)
     for _ in range(120):  # more than there is room for: some are forgotten
         now = random.permutation(2 * len(nodes))[: random.integers(0, 12)]
-        assert refresh(laid, kept, now, len(now))
-        assert len(now) <= kept.used[0] <= len(kept.node)
+        assert refresh(laid, cached, now, len(now))
+        assert len(now) <= cached.used[0] <= len(cached.node)
         for i in now:
             for j in now:
                 pair(laid, i, j, block_)
-                np.testing.assert_allclose(kept.matrix[kept.slot[i], kept.slot[j]], block_, rtol=1e-5, atol=1e-9)
+                np.testing.assert_allclose(cached.matrix[cached.slot[i], cached.slot[j]], block_, rtol=1e-5, atol=1e-9)
     force = np.zeros((len(nodes), 3))  # and the step's pairs are those of the run's displacements
     force[order[3]] = (0.1, -0.2, 0.3)
     found = contact_displacements(compliance, body.cloud.points, force[None], [True])[0]

@@ -1,4 +1,4 @@
-"""The trust number and the force's error bound of a body that a tool touches, trained on its top alone."""
+"""The error indicator and the force's error bound of a body that a tool touches, trained on its top alone."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_a_tool_on_another_side_than_in_training_is_not_trusted(model):
 
 
 @pytest.mark.parametrize("measure", ["flexibility_scale", "residual_scale"])
-def test_the_engine_has_the_same_trust_number_as_a_run(model, measure):
+def test_the_engine_has_the_same_error_indicator_as_a_run(model, measure):
     """All other measures are made small, so that one alone counts: the compliance, or the residual norm."""
     alone = only(model, measure)
     home = press(0.024, 0.022, 0.0)[0].motion(0.0)

@@ -62,7 +62,7 @@ def test_with_all_nodes_fibres_add_their_work_on_the_columns(body, run):
     model, bare = (
         pt.ReducedModel(p, single=False) for p in (data, replace(data, tissue=replace(data.tissue, fibres=None)))
     )
-    columns = data.basis_vectors[: model.count]
+    columns = data.trial_and_test_basis[: model.count]
     slopes = np.stack([body.stencils.gradient(column) for column in columns])
     for a in data.training_states[4::12]:
         F = body.deformation_gradient(np.tensordot(a, columns, 1))

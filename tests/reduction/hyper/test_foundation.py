@@ -45,7 +45,7 @@ def test_a_reduced_beam_on_springs_agrees_with_the_full_one(beam, rom):
 
 
 def test_projected_springs_are_those_at_the_nodes(beam, rom):
-    rng, columns = np.random.default_rng(0), rom.data.basis_vectors
+    rng, columns = np.random.default_rng(0), rom.data.trial_and_test_basis
     prepared, other = rom.prepare(LOADS), beam.prepare(LOADS)
     a, v = (1e-3 * rng.standard_normal(rom.count) / rom.body.sizes for _ in range(2))
     state = pt.State(a, v, 0.003)

@@ -90,7 +90,7 @@ def check_galerkin(body, share=1e-6):
     run = shaped(body)
     trained = pt.hyper_reduce(body, run, modes=6, cubature=0.0, pressures=1000)
     model = pt.ReducedModel(trained.data, single=False)
-    columns = model.data.basis_vectors[: model.count]
+    columns = model.data.trial_and_test_basis[: model.count]
     for u in run.displacements[::5]:
         a = np.linalg.lstsq(columns.reshape(6, -1).T, u.ravel(), rcond=None)[0]
         u = np.tensordot(a, columns, 1)
@@ -170,7 +170,7 @@ def test_a_hyper_reduced_sheet_supports_laws_of_the_stretches():
     run = pt.rollout(sheet, push, duration=0.05, every=0.0025, progress=False)
     model = pt.hyper_reduce(sheet, run, modes=6, prescribed="tool", cubature=0.0)
     precise = pt.ReducedModel(model.data, single=False)
-    columns = model.data.basis_vectors[: model.count]
+    columns = model.data.trial_and_test_basis[: model.count]
     a = np.linalg.lstsq(columns.reshape(model.count, -1).T, run.displacements[-1].ravel(), rcond=None)[0]
     u = np.tensordot(a, columns, 1)
     expected = np.einsum("n,mnc,nc->m", sheet.volumes, columns, sheet.force(u))

@@ -1,4 +1,4 @@
-"""Loads that the coordinates of a reduced model cannot feel raise its trust number."""
+"""Loads that the coordinates of a reduced model cannot feel raise its error indicator."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import palpate as pt
 from palpate.dynamics.nodal.coarse_grid import static_estimate
 from palpate.reduction.hyper.data import ReducedData
 from palpate.reduction.hyper.load_share import MAX_LOAD_SCALE, MIN_LOAD_SCALE, static_response
-from palpate.reduction.training.calibrate_indicator import Measures, calibrate_scales, trust_numbers
+from palpate.reduction.training.calibrate_indicator import Measures, calibrate_scales, error_indicators
 
 pytestmark = pytest.mark.slow
 
@@ -105,7 +105,7 @@ def test_no_calibration_trusts_a_load_outside_the_coordinates():
     ]
     found = calibrate_scales(runs, 0.95)
     assert found.load_scale == MAX_LOAD_SCALE < 1
-    assert all(trust_numbers(run, found).max() >= 1 / MAX_LOAD_SCALE for run in runs)
+    assert all(error_indicators(run, found).max() >= 1 / MAX_LOAD_SCALE for run in runs)
 
 
 def test_a_small_load_next_to_a_trained_one_counts_for_little(pulled):
@@ -170,12 +170,12 @@ def test_a_trajectory_holds_trust_and_warns_once(pulled, tmp_path):
     prepared = pulled.prepare(side)
     np.testing.assert_allclose(run.trust, [pulled.trust(state, prepared) for state in states(pulled, run)], rtol=1e-6)
     np.testing.assert_array_equal(run.displacement_bounds[1:], np.inf)  # no held-out run had such a number
-    kept = pt.Trajectory.load(path)
+    loaded = pt.Trajectory.load(path)
     for name in ("trust", "displacement_bounds", "force_bounds"):
-        np.testing.assert_array_equal(getattr(kept, name), getattr(run, name))
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(run, name))
     joined = run.concatenate(replace(run, times=run.times + run.times[-1]))
     assert len(joined.trust) == len(joined.displacement_bounds) == len(joined.times)
-    assert dict(fact[:2] for fact in run._facts())["largest trust number"] == pytest.approx(run.trust.max())
+    assert dict(fact[:2] for fact in run._facts())["largest error indicator"] == pytest.approx(run.trust.max())
 
 
 def test_runs_inside_the_training_do_not_warn_and_full_models_have_no_trust(pulled, beam):
@@ -185,7 +185,7 @@ def test_runs_inside_the_training_do_not_warn_and_full_models_have_no_trust(pull
     assert np.isfinite(own.displacement_bounds).all()
     full = run(beam, [end_force((2.5, 0.0, 0.0))])
     assert not len(full.trust)
-    with pytest.raises(pt.InputError, match="no trust number"):
+    with pytest.raises(pt.InputError, match="no error indicator"):
         full.plot("trust")
 
 

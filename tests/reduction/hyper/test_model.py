@@ -77,7 +77,7 @@ def random_state(model, rng, size=2e-3):
 
 @pytest.mark.slow
 def test_all_nodes_with_their_volumes_are_the_galerkin_model(body, whole):
-    rng, columns = np.random.default_rng(0), whole.data.basis_vectors[: whole.count]
+    rng, columns = np.random.default_rng(0), whole.data.trial_and_test_basis[: whole.count]
     precise = pt.ReducedModel(whole.data, single=False)
     for _ in range(5):
         a = random_state(whole, rng)

@@ -1,4 +1,4 @@
-"""The trust number and the error bounds of several tools at once, by numbers alone."""
+"""The error indicator and the error bounds of several tools at once, by numbers alone."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from palpate.reduction.hyper.error_indicator import (
     Measures,
     Scales,
     curve_bound,
+    error_indicators,
     support_nearness,
     touch_speed,
-    trust_numbers,
 )
 from palpate.reduction.training.calibrate_indicator import Frames, calibrate_scales, error_curves
 
@@ -29,23 +29,23 @@ def measures(energies=(0.0,), speeds=(0.0,), tools=1) -> Measures:
 
 
 def test_a_tool_that_presses_does_not_hide_the_speed_of_another():
-    alone = trust_numbers(measures((0.0,), (0.3,)), SCALES)
+    alone = error_indicators(measures((0.0,), (0.3,)), SCALES)
     assert alone == pytest.approx(3.0)
     for order in (slice(None), slice(None, None, -1)):
         both = measures((1.0, 0.0)[order], (0.0, 0.3)[order])
-        assert trust_numbers(both, SCALES) == pytest.approx(alone)
+        assert error_indicators(both, SCALES) == pytest.approx(alone)
     assert touch_speed(0.3, 1.0, SCALES.flexibility_scale) < 0.2  # what it would be with the other's energy
 
 
 def test_energies_of_tools_add():
-    assert trust_numbers(measures((4.0, 12.0), (0.0, 0.0)), SCALES) == pytest.approx(2.0)
+    assert error_indicators(measures((4.0, 12.0), (0.0, 0.0)), SCALES) == pytest.approx(2.0)
 
 
-def test_more_tools_than_in_held_out_runs_have_a_trust_number_of_two_or_more():
-    numbers = [float(trust_numbers(measures(tools=count), SCALES)) for count in range(5)]
+def test_more_tools_than_in_held_out_runs_have_an_error_indicator_of_two_or_more():
+    numbers = [float(error_indicators(measures(tools=count), SCALES)) for count in range(5)]
     assert numbers == [0.0, 0.0, 2.0, 3.0, 4.0]
     both = SCALES._replace(trained_tools=2)
-    assert [float(trust_numbers(measures(tools=count), both)) for count in range(4)] == [0.0, 0.0, 0.0, 2.0]
+    assert [float(error_indicators(measures(tools=count), both)) for count in range(4)] == [0.0, 0.0, 0.0, 2.0]
 
 
 def test_the_nearness_to_supports_is_that_of_the_nearest_tool():
@@ -74,7 +74,7 @@ def test_a_tool_on_held_nodes_is_nearer_to_supports_than_any_other():
 
 
 def drawn_run(random, tools: int) -> Frames:
-    """A run of 40 frames with a trust number of some 1 at the end; runs of two tools err three times as much."""
+    """A run of 40 frames with an error indicator of some 1 at the end; runs of two tools err three times as much."""
     trust, zero = np.sort(random.uniform(0.2, 1.0, 40)), np.zeros(40)
     size = np.full(40, 2.0)
     error = (0.02 if tools == 1 else 0.06) * size * trust * np.exp(0.4 * random.standard_normal())
@@ -90,7 +90,7 @@ def drawn_run(random, tools: int) -> Frames:
 
 def keeps(run: Frames, scales: Scales, curves) -> tuple[bool, bool]:
     """Return whether a run keeps the bound of its force, and whether that is known in all frames."""
-    worst = np.maximum.accumulate(trust_numbers(run.measures, scales))
+    worst = np.maximum.accumulate(error_indicators(run.measures, scales))
     curve = np.array([curves["force"][name] for name in CURVE])
     bounds = np.array(
         [
@@ -104,7 +104,7 @@ def keeps(run: Frames, scales: Scales, curves) -> tuple[bool, bool]:
 def test_bounds_hold_for_runs_of_either_number_of_tools():
     """Few runs with two tools among many with one, which a common factor would not cover."""
     random = np.random.default_rng(0)
-    kept, common = [], []
+    holds, common = [], []
     for _ in range(40):
         one, two = ([drawn_run(random, tools) for _ in range(count)] for tools, count in ((1, 60), (2, 19)))
         scales = calibrate_scales([run.measures for run in one + two], 0.95)
@@ -113,10 +113,10 @@ def test_bounds_hold_for_runs_of_either_number_of_tools():
         assert curves["level"] == pytest.approx(0.95)
         assert curves["least_level"] == pytest.approx(betaincinv(76, 4, 0.1))  # of all 79
         further = [drawn_run(random, 2) for _ in range(20)]
-        kept += [keeps(run, scales, curves)[0] for run in further]
+        holds += [keeps(run, scales, curves)[0] for run in further]
         pooled = np.quantile([np.max(run.errors["force"] / run.sizes["force"]) for run in one + two], 0.95)
         common += [np.max(run.errors["force"] / run.sizes["force"]) <= pooled for run in further]
-    assert np.mean(kept) > 0.92
+    assert np.mean(holds) > 0.92
     assert np.mean(common) < 0.88
 
 
@@ -136,8 +136,8 @@ def test_the_bound_is_unknown_with_two_tools_where_held_out_runs_had_one():
     random = np.random.default_rng(2)
     runs = [drawn_run(random, 1) for _ in range(39)]
     runs.append(runs[0]._replace(measures=runs[0].measures._replace(distances=30 * runs[0].measures.distances)))
-    scales = calibrate_scales([run.measures for run in runs], 0.95)  # one run is far above a trust number of 2
+    scales = calibrate_scales([run.measures for run in runs], 0.95)  # one run is far above an error indicator of 2
     curves = error_curves(runs, scales)
-    assert trust_numbers(runs[-1].measures, scales).max() > 10
+    assert error_indicators(runs[-1].measures, scales).max() > 10
     assert keeps(drawn_run(random, 1), scales, curves)[1]
     assert keeps(drawn_run(random, 2), scales, curves) == (True, False)

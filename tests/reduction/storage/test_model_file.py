@@ -24,7 +24,14 @@ from palpate.realtime.bodies.display_surface import Surface
 from palpate.reduction.contact.compliance import SurfaceCompliance
 from palpate.reduction.contact.interior import Interior
 from palpate.reduction.hyper.cubature import Cubature
-from palpate.reduction.hyper.data import UNLIMITED_SCALE, BasisVectors, ReducedData, SampledBasis, Scales, TrainedRange
+from palpate.reduction.hyper.data import (
+    UNLIMITED_SCALE,
+    ReducedData,
+    SampledBasis,
+    Scales,
+    TrainedRange,
+    TrialAndTestBasis,
+)
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage import model_file as storage
 from palpate.reduction.storage.body import BODY_ARRAYS
@@ -61,13 +68,13 @@ def made_up(cloud, material, *, modes, samples=5, fixed=(), prescribed=(), lifti
     draw = np.random.default_rng(7).normal
     count = modes + lifting_count + 3 * len(fixed)
     columns = draw(size=(count, len(cloud), 3))
-    for k in range(modes, count):  # of lifting columns and test fields only one component is not zero
+    for k in range(modes, count):  # of lifting functions and test fields only one component is not zero
         columns[k, :, np.arange(3) != k % 3] = 0.0
     nodes = np.sort(np.random.default_rng(8).choice(len(cloud), samples, replace=False))
     rule = Cubature(nodes, 1e-8 * (1 + draw(size=samples) ** 2), draw(size=(max(1, modes // 4), samples)), 1e-3)
     return ReducedData(
         cloud, TissueField(material, None, np.zeros(0), None, len(cloud)), supports_of(fixed), prescribed,
-        cloud.volumes, 1e-4, 20.0, BasisVectors(columns, modes, lifting_count),
+        cloud.volumes, 1e-4, 20.0, TrialAndTestBasis(columns, modes, lifting_count),
         SampledBasis(rule, draw(size=(samples, count, 9)), np.eye(count)),
         TrainedRange(draw(size=(240, modes + lifting_count)), Scales(1e-3)),
     )  # fmt: skip
@@ -254,9 +261,9 @@ def test_single_precision_of_the_columns_changes_forces_and_displacements_neglig
     for coordinates in trained.data.training_states[::7]:
         np.testing.assert_array_equal(loaded.body.force(coordinates), trained.body.force(coordinates))
         assert loaded.body.energy(coordinates) == trained.body.energy(coordinates)
-        there = replace(state, coordinates=coordinates)
-        expected = trained.displacement(there, prepared)
-        np.testing.assert_allclose(loaded.displacement(there, prepared), expected, atol=1e-6 * np.abs(expected).max())
+        moved = replace(state, coordinates=coordinates)
+        expected = trained.displacement(moved, prepared)
+        np.testing.assert_allclose(loaded.displacement(moved, prepared), expected, atol=1e-6 * np.abs(expected).max())
     expected, found = (pt.rollout(m, push, duration=0.005, every=0.001) for m in (trained, loaded))
     for name in ("displacements", "velocities"):
         size = np.abs(getattr(expected, name)).max()
@@ -313,7 +320,7 @@ def test_a_file_is_at_most_as_large_as_the_columns_in_single_precision_and_the_o
         file.visititems(lambda name, entry: arrays.append(entry) if isinstance(entry, h5py.Dataset) else None)
         for entry in arrays:
             sizes[entry.name], stored[entry.name] = entry.nbytes, entry.id.get_storage_size()
-    assert sizes["/basis_vectors"] == 4 * data.basis_vectors.size
+    assert sizes["/basis_vectors"] == 4 * data.trial_and_test_basis.size
     assert sum(stored.values()) <= path.stat().st_size < 1.01 * sum(stored.values())
     assert all(0.9 * sizes[name] >= stored[name] or sizes[name] == stored[name] for name in sizes)
     assert stored["/cloud/points"] < 0.2 * sizes["/cloud/points"]  # of a lattice
@@ -521,7 +528,7 @@ CASES = {
     "a scene with a list": (attribute("report", '{"scene": {"name": "a", "parameters": {"b": []}}}'), "parameters of"),
     "a scene that is null": (attribute("report", '{"scene": null}'), "a scene without name and parameters"),
     "expected errors that are null": (expected(None), "without levels and displacement"),
-    "lifting vectors without tools": (attribute("prescribed", []), "lifting_count must be positive for models"),
+    "lifting functions without tools": (attribute("prescribed", []), "lifting_count must be positive for models"),
     "no training state": (put("training_states", lambda a: a[:0]), "training_states must hold at least one state"),
     "shares of other patches": (put("compliance/shares", lambda a: 2 * a), "compliance/shares must have rows of sum 1"),
     "weights of other carriers": (put("compliance/weights", lambda a: -a), "compliance/weights must have rows of sum"),

@@ -68,7 +68,7 @@ def test_a_model_that_has_not_seen_the_motion_warns_and_keeps_the_advice():
     assert model.report["cubature"] == 1e-3  # the default without tools in contact
     found = model.report["held_out"]
     missed = unseen.displacements - np.tensordot(
-        model.body.project(unseen.displacements), model.data.basis_vectors[:3], 1
+        model.body.project(unseen.displacements), model.data.trial_and_test_basis[:3], 1
     )
     expected = np.linalg.norm(missed) / np.linalg.norm(unseen.displacements)
     assert found["projection_error"] == pytest.approx(expected)

@@ -1,4 +1,4 @@
-"""The trust number: what it measures, what it tells apart, and what errors it stands for."""
+"""The error indicator: what it measures, what it tells apart, and what errors it stands for."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from palpate.reduction.training.calibrate_indicator import (
     Measures,
     calibrate_scales,
     error_curves,
-    trust_numbers,
+    error_indicators,
 )
 
 pytestmark = pytest.mark.slow
@@ -84,7 +84,7 @@ def test_the_residual_norm_is_the_displacement_that_the_residual_fields_would_ad
     prepared, modes, columns = (
         model.prepare([pt.SurfaceForce("x+", force=(0, 1e-4, 0))]),
         8,
-        model.data.basis_vectors,
+        model.data.trial_and_test_basis,
     )
     which = np.r_[:modes, len(columns) - model.data.residual_fields : len(columns)]
     load = prepared.forces(np.zeros(1))[0, which]
@@ -94,14 +94,14 @@ def test_the_residual_norm_is_the_displacement_that_the_residual_fields_would_ad
     model.body.tangent(
         np.zeros(len(which)), sizes, samples, scratch(samples), np.zeros((3, len(which))), len(which), stiffness
     )
-    kept = np.linalg.solve(stiffness[:modes, :modes], load[:modes])
+    reduced = np.linalg.solve(stiffness[:modes, :modes], load[:modes])
     both = np.linalg.solve(stiffness, load)
-    added = np.tensordot(both - np.r_[kept, np.zeros(len(which) - modes)], columns[which], 1)
+    added = np.tensordot(both - np.r_[reduced, np.zeros(len(which) - modes)], columns[which], 1)
     expected = np.sqrt((added**2).sum(axis=1) @ body.volumes / body.volumes.sum())
-    assert unbalanced(model, pt.State(kept, np.zeros(modes)), prepared) == pytest.approx(expected, rel=0.02)
+    assert unbalanced(model, pt.State(reduced, np.zeros(modes)), prepared) == pytest.approx(expected, rel=0.02)
 
 
-def test_the_integration_points_give_the_residual_norm_of_all_nodes(body, runs, rom, held):
+def test_the_cubature_points_give_the_residual_norm_of_all_nodes(body, runs, rom, held):
     every = pt.hyper_reduce(body, runs, modes=10, cubature=0.0)
     loads, full = held[0]
     found, expected = (np.array([unbalanced(m, s, m.prepare(loads)) for s in states(rom, full)]) for m in (rom, every))
@@ -137,7 +137,7 @@ def test_a_load_that_the_modes_cannot_follow_is_not_trusted_however_little_the_b
     assert rom.trust(state, prepared) > 1
 
 
-def test_the_report_of_the_engine_has_the_same_trust_number(body):
+def test_the_report_of_the_engine_has_the_same_error_indicator(body):
     turn = [pt.PrescribedMotion("x+", lambda _, t: 1e-3 * np.sin(200 * t) ** 2 * np.array([1.0, 1.0, 0.0]))]
     rom = pt.hyper_reduce(body, rollout(body, turn), modes=6, prescribed="x+")
     for model in (rom, rom.with_step(2.5e-4)):
@@ -158,7 +158,7 @@ def test_the_report_of_the_engine_has_the_same_trust_number(body):
 
 
 def drawn_run(random, spread=0.5) -> Frames:
-    """A run of 60 frames whose error grows with its trust number; runs differ, frames of one run err together."""
+    """A run of 60 frames whose error grows with its error indicator; runs differ, frames of one run err together."""
     trust = np.maximum.accumulate(random.uniform(0.2, 2.0) * random.random(60))
     error = 0.03 * trust * np.exp(spread * random.standard_normal() + 0.2 * random.standard_normal(60))
     size = np.linspace(0.0, random.uniform(1.0, 3.0), 60)
@@ -167,13 +167,13 @@ def drawn_run(random, spread=0.5) -> Frames:
 
 
 def keeps(run: Frames, scales: Scales, curves) -> bool:
-    worst = remembered_trust(trust_numbers(run.measures, scales), run.times, curves["forgetting"])
+    worst = remembered_trust(error_indicators(run.measures, scales), run.times, curves["forgetting"])
     bounds = curve_errors(curves["displacement"], "bound", worst)
     size = mean_size(run.sizes["displacement"], curves["displacement"]["typical_size"])
     return bool(np.all(run.errors["displacement"] <= bounds * size))
 
 
-def test_the_largest_trust_number_decays_as_vibrations_do():
+def test_the_largest_error_indicator_decays_as_vibrations_do():
     times = np.array([0.0, 0.1, 0.2, 0.5, 10.0])
     found = remembered_trust(np.array([0.0, 3.0, 0.5, 0.2, 0.1]), times, 4.0)
     np.testing.assert_allclose(found, [0.0, 3.0, 3.0 * np.exp(-0.4), 3.0 * np.exp(-1.6), 0.1])
@@ -184,22 +184,22 @@ def test_the_largest_trust_number_decays_as_vibrations_do():
 @pytest.mark.parametrize(("count", "level"), [(4, 0.8), (19, 0.95), (39, 0.95)])
 def test_error_bounds_hold_for_their_level_of_new_runs(count, level, forgetting):
     """Many calibrations on few runs each, judged on runs of the same kind."""
-    random, kept = np.random.default_rng(0), []
+    random, holds = np.random.default_rng(0), []
     for _ in range(60):
         runs = [drawn_run(random) for _ in range(count)]
         scales = calibrate_scales([run.measures for run in runs], 0.95)
         curves = error_curves(runs, scales, forgetting)
         assert curves["level"] == pytest.approx(level)
-        kept += [keeps(drawn_run(random), scales, curves) for _ in range(20)]
-    assert level - 0.03 < np.mean(kept) < level + (0.03 if count > 4 else 0.1)  # few runs leave more unknown
+        holds += [keeps(drawn_run(random), scales, curves) for _ in range(20)]
+    assert level - 0.03 < np.mean(holds) < level + (0.03 if count > 4 else 0.1)  # few runs leave more unknown
 
 
-def test_an_error_bound_increases_with_the_trust_number_and_is_infinite_from_2_on():
+def test_an_error_bound_increases_with_the_error_indicator_and_is_infinite_from_2_on():
     random = np.random.default_rng(1)
     runs = [drawn_run(random, spread=0.1) for _ in range(19)]
     scales = calibrate_scales([run.measures for run in runs], 0.95)
     curve = error_curves(runs, scales)["displacement"]
-    assert 0.7 < curve["exponent"] < 1.3  # errors are proportional to the trust number here
+    assert 0.7 < curve["exponent"] < 1.3  # errors are proportional to the error indicator here
     assert curve["largest_trust"] == pytest.approx(2.0, abs=2e-3)
     report = {"held_out": {"expected_error": {"level": 0.95, "least_level": 0.9, "displacement": curve}}}
     found = [expected_error(report, number) for number in (0.0, 0.3, 1.0, 1.9)]
@@ -230,14 +230,14 @@ def test_the_least_level_is_a_percentile_of_a_beta_distribution(count, least):
     assert curves["least_level"] == pytest.approx(least, abs=2e-3)
 
 
-def test_trust_numbers_are_at_most_1_in_most_calibration_runs():
+def test_error_indicators_are_at_most_1_in_most_calibration_runs():
     random = np.random.default_rng(2)
     sizes, runs = np.array([1.0, 1e-3, 0.02, 1e-6, 0.1, 0.3]), []
     for scale in random.uniform(0.5, 2.0, 40):
         values = random.gamma(2.0, scale, (6, 30)) * sizes[:, None]
         runs.append(Measures(*values[:3], *values[3:5, :, None], values[5], np.ones(30)))
     scales = calibrate_scales(runs, 0.95)
-    assert sum(trust_numbers(run, scales).max() <= 1 + 1e-9 for run in runs) in (38, 39, 40)
+    assert sum(error_indicators(run, scales).max() <= 1 + 1e-9 for run in runs) in (38, 39, 40)
 
 
 def test_runs_without_error_have_a_zero_bound_and_one_run_has_level_one_half():

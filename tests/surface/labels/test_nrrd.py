@@ -156,8 +156,8 @@ def test_each_axis_of_space_has_its_own_unit():
 def spaced(*lines):
     """Return a file whose header states no space."""
     head, _, voxels = nrrd(blocks(), packed=False, lines=lines).partition(b"\n\n")
-    kept = [line for line in head.split(b"\n") if not line.startswith(b"space")]
-    return b"\n".join(kept) + b"\n\n" + voxels
+    others = [line for line in head.split(b"\n") if not line.startswith(b"space")]
+    return b"\n".join(others) + b"\n\n" + voxels
 
 
 @pytest.mark.parametrize(

@@ -152,16 +152,16 @@ def add_parameter(parser: Any, section: type, name: str, note: str = "", **optio
 
     field, kind = fields_of(section)[name]
     about, unit = field.metadata, field.metadata["unit"]
-    given: dict[str, Any] = {"help": f"{about['help'].partition(';')[0]}{f' [{unit}]' if unit else ''}{note}"}
+    keywords: dict[str, Any] = {"help": f"{about['help'].partition(';')[0]}{f' [{unit}]' if unit else ''}{note}"}
     if kind is bool:
-        given["action"] = "store_true"
+        keywords["action"] = "store_true"
     elif about["choices"]:
-        given["choices"] = about["choices"]
+        keywords["choices"] = about["choices"]
     else:
         whole_number = kind is int
-        given |= {"type": _parameter_type(about, whole_number), "metavar": unit.upper() or "KX"[not whole_number]}
-        given |= {} if note else {"default": field.default}
-    parser.add_argument(f"--{name.replace('_', '-')}", **given | options)
+        keywords |= {"type": _parameter_type(about, whole_number), "metavar": unit.upper() or "KX"[not whole_number]}
+        keywords |= {} if note else {"default": field.default}
+    parser.add_argument(f"--{name.replace('_', '-')}", **keywords | options)
 
 
 def _parameter_type(about: Mapping[str, Any], is_whole: bool) -> Callable[[str], float]:
@@ -295,12 +295,12 @@ def _option_name(action: argparse.Action) -> str:
     return action.metavar if isinstance(action.metavar, str) else action.dest.upper()
 
 
-def split_settings(given: Sequence[str]) -> dict[str, str]:
+def split_settings(pairs: Sequence[str]) -> dict[str, str]:
     """Return the names and the texts of settings such as ``poisson=0.4``."""
     from palpate.core.faults import InputError
 
     settings = {}
-    for pair in given:
+    for pair in pairs:
         name, sign, text = pair.partition("=")
         if not sign or not name.strip():
             raise InputError(f"--set must be NAME=VALUE, got {pair!r:.60}; give one such as spacing=0.005")
@@ -308,14 +308,14 @@ def split_settings(given: Sequence[str]) -> dict[str, str]:
     return settings
 
 
-def parse_settings(given: Sequence[str]) -> dict[str, Any]:
+def parse_settings(pairs: Sequence[str]) -> dict[str, Any]:
     """Return the settings of texts such as ``poisson=0.4``; a value is one of TOML, or else a text such as ``5 mm``."""
     import tomllib
 
     from palpate.core.files import check_nesting
 
     settings: dict[str, Any] = {}
-    for name, text in split_settings(given).items():
+    for name, text in split_settings(pairs).items():
         try:
             check_nesting(text, "TOML")
             settings[name] = tomllib.loads(f"value = {text}")["value"]

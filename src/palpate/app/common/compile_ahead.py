@@ -16,12 +16,12 @@ from palpate.core.processes import Child, Function
 
 
 @contextlib.contextmanager
-def second_process(function: Function, given: Any) -> Iterator[Child | None]:
+def second_process(function: Function, request: Any) -> Iterator[Child | None]:
     """Call a function in another process within a context; yield None in place of it on a single processor."""
     if _processors() < 2:
         yield None
         return
-    child = Child(function, given)
+    child = Child(function, request)
     try:
         yield child
     finally:
@@ -29,7 +29,7 @@ def second_process(function: Function, given: Any) -> Iterator[Child | None]:
 
 
 @contextlib.contextmanager
-def compile_ahead(function: Function, given: Any) -> Iterator[Callable[[], object]]:
+def compile_ahead(function: Function, request: Any) -> Iterator[Callable[[], object]]:
     """Call a function that compiles in another process within a context, if there is a second processor.
 
     Yields
@@ -37,7 +37,7 @@ def compile_ahead(function: Function, given: Any) -> Iterator[Callable[[], objec
     function
         Waits until that process has answered, or ended. What it has not compiled is compiled when it is called.
     """
-    with second_process(function, given) as child:
+    with second_process(function, request) as child:
         yield lambda: None if child is None else next(child.answers(), None)
 
 

@@ -237,8 +237,8 @@ def _normals(p: Floats, corners: Ints, sums: Any) -> Floats:
     """Return unit normals at vertices, exact on a sphere (Max, J. Graph. Tools 4, 1999)."""
     parts = []
     for first in range(3):
-        here, *others = (p[corners[:, (first + k) % 3]] for k in range(3))
-        a, b = (other - here for other in others)
+        corner, *others = (p[corners[:, (first + k) % 3]] for k in range(3))
+        a, b = (other - corner for other in others)
         parts.append(np.cross(a, b) / np.maximum((a * a).sum(axis=1) * (b * b).sum(axis=1), 1e-30)[:, None])
     total = sums @ np.concatenate(parts)
     return total / np.maximum(np.linalg.norm(total, axis=1), 1e-30)[:, None]

@@ -8,10 +8,10 @@ A force that is held for a period T at a device is that of a spring which is lat
 late by a time t generates energy: a wall of it is passive on a device of damping b if b > k t (J. E. Colgate and
 G. G. Schenkel, Passivity of a class of sampled-data systems, J. Robotic Systems 14, 1997). The energy that goes out
 through the port of a device is the sum of F_k . (x_k+1 - x_k), because the service holds each force until the next, and
-answers each with the position at that moment. The energy that came in before is an account, and the force may not take
-more from it than there is (B. Hannaford and J.-H. Ryu, Time-domain passivity control of haptic interfaces, IEEE Trans.
+answers each with the position at that moment. A passivity observer adds up the energy that came in, and the force may
+not take more (B. Hannaford and J.-H. Ryu, Time-domain passivity control of haptic interfaces, IEEE Trans.
 Robotics and Automation 18, 2002). Where it would, a damper takes the difference. All devices of a session share one
-account, because one hand may move the other through the body.
+observer, because one hand may move the other through the body.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ RAMP_SECONDS = 0.5  # [s] from no force to the whole
 MAX_PREDICTION = 0.005  # [m] of the tool from the pose of a reading
 MAX_STIFFNESS = 5e3  # [N/m] of the local contact model at the hand
 MAX_DAMPING = 30.0  # [N s/m] of the passivity controller, with which a mass of 0.05 kg is stable at 1 kHz
-MAX_PULL = 1.0  # [N] of the controller on a hand that leaves, to pay back what the account lacks
+MAX_PULL = 1.0  # [N] of the controller on a hand that leaves, to pay back what the observer lacks
 STILL_SPEED = 1e-6  # [m/s]
 
 
@@ -71,8 +71,8 @@ def limited_force(force: Floats, limit: float) -> Floats:
     return force if size <= limit else force * (limit / size)
 
 
-class Freshness:
-    """Share of the force that a hand feels: 0 while readings are old or the tool is not coupled, then a ramp to 1.
+class Watchdog:
+    """Watchdog with a ramp: share of the force, 0 while readings are old or the tool is not coupled, then up to 1.
 
     Parameters
     ----------
@@ -111,8 +111,8 @@ class Freshness:
         return min((now - self._since) / RAMP_SECONDS, 1.0)
 
 
-class EnergyAccount:
-    """Account of the energy that hands put into a body, from which its forces may take.
+class PassivityObserver:
+    """Passivity observer and controller: the energy that hands put into a body, from which its forces may take.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class EnergyAccount:
         for force, step in zip(forces, steps, strict=True):
             self.energy -= float(force @ step)
 
-    def forget(self, most: float) -> None:
+    def limit_energy(self, most: float) -> None:
         """Keep at most an energy [J]: what the body stores for its present forces; the rest has become heat in it."""
         self.energy = min(self.energy, most)
 

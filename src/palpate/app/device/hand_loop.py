@@ -11,9 +11,9 @@ import numpy as np
 
 from palpate.app.device.force import (
     MAX_STIFFNESS,
-    EnergyAccount,
-    Freshness,
+    PassivityObserver,
     ToolForce,
+    Watchdog,
     contact_force,
     limited_force,
     stable_stiffness,
@@ -52,7 +52,7 @@ NOT_READ = Fault("is new", "")  # of a device whose states were not read yet
 class HandForce:
     """The force on a hand."""
 
-    freshness: Freshness
+    watchdog: Watchdog
     sent: Floats = field(default_factory=lambda: NO_FORCE)  # (3,) array [N]: the last one
     stiffness: Floats = field(default_factory=lambda: np.zeros((3, 3)))  # [N/m] at the hand
     reading: ToolForce | None = None
@@ -66,7 +66,7 @@ class HandForce:
     def take_away(self, reason: str) -> None:
         """Take the force away; the ramp begins again."""
         self.sent, self.without = NO_FORCE, reason
-        self.freshness.restart()
+        self.watchdog.restart()
 
     def note_time(self, interval: float, told: HandStatistics) -> None:
         """Count a message, and a time [s] in which the last force was held."""
@@ -85,8 +85,8 @@ class HandForce:
 
 
 @dataclass
-class Hand:
-    """A device with the tool that it moves."""
+class DeviceChannel:
+    """A device channel: a haptic device, and the tool that it moves."""
 
     index: int
     force: HandForce
@@ -101,7 +101,7 @@ class Hand:
     fault: Fault | None = None  # why it moves nothing
 
     def give(self, force: Floats, is_damped: bool) -> None:
-        """Note the force (3,) [N] that is sent, and whether the energy account changed it."""
+        """Note the force (3,) [N] that is sent, and whether the passivity observer changed it."""
         self.force.sent, self.force.is_damped = force, is_damped
         self.statistics.peak_force = max(self.statistics.peak_force, math.sqrt(force @ force))
 
@@ -125,8 +125,8 @@ class HandLoop:
     def __init__(self, options: DeviceOptions, tools: int, answer: Callable[[dict[str, Any]], None]) -> None:
         self.options, self.tools, self._answer = options, tools, answer
         self.map = HandMap(options.device_scale, axes_rotation(options.device_axes))
-        self.hands: dict[str, Hand] = {}
-        self.account = EnergyAccount()
+        self.channels: dict[str, DeviceChannel] = {}
+        self.passivity = PassivityObserver()
         self._assigned: dict[str, int] = {}  # also of devices that have gone
         self._refused: set[str] = set()
         self._lines: dict[str, float] = {}  # when each was said [s]
@@ -138,116 +138,120 @@ class HandLoop:
     def receive(self, message: Mapping[str, Any], now: float) -> None:
         """Take the answer of the session to poses, which arrived at a time [s]."""
         self._asked, self._period = False, message["period"]
-        for hand in self.hands.values():
-            if hand.index < len(message["tools"]) and hand.fault is None:
-                self._take_reading(hand, message["tools"][hand.index], now)
+        for channel in self.channels.values():
+            if channel.index < len(message["tools"]) and channel.fault is None:
+                self._take_reading(channel, message["tools"][channel.index], now)
 
-    def _take_reading(self, hand: Hand, given: Mapping[str, Any], now: float) -> None:
-        position, quaternion = np.array(given["position"]), np.array(given["quaternion"])
-        if given["epoch"] != hand.epoch or hand.pose is None:
-            hand.epoch, hand.pose, hand.anchor = given["epoch"], (position, quaternion), None
-            hand.force.freshness.restart()
-        if not given["running"]:
-            hand.force.reading = None
+    def _take_reading(self, channel: DeviceChannel, entry: Mapping[str, Any], now: float) -> None:
+        position, quaternion = np.array(entry["position"]), np.array(entry["quaternion"])
+        if entry["epoch"] != channel.epoch or channel.pose is None:
+            channel.epoch, channel.pose, channel.anchor = entry["epoch"], (position, quaternion), None
+            channel.force.watchdog.restart()
+        if not entry["running"]:
+            channel.force.reading = None
             return
-        stiffness = tuple(given["stiffness"])
-        if stiffness != hand.force.given or hand.force.reading is None:
-            hand.force.given = stiffness
+        stiffness = tuple(entry["stiffness"])
+        if stiffness != channel.force.given or channel.force.reading is None:
+            channel.force.given = stiffness
             gain = self.options.device_scale * self.options.device_force
             local = stable_stiffness(np.reshape(stiffness, (3, 3)), MAX_STIFFNESS / max(gain, 1e-9))
-            hand.force.stiffness = self.options.device_force * self.map.stiffness_at_hand(local)
+            channel.force.stiffness = self.options.device_force * self.map.stiffness_at_hand(local)
         else:
-            local = hand.force.reading.stiffness
-        hand.force.reading = ToolForce(np.array(given["force"]), local, position, given["bonded"])
-        hand.force.freshness.note_reading(given["steps"], now)
+            local = channel.force.reading.stiffness
+        channel.force.reading = ToolForce(np.array(entry["force"]), local, position, entry["bonded"])
+        channel.force.watchdog.note_reading(entry["steps"], now)
 
     def forces(self, state: ServiceState, now: float) -> dict[str, list[float]]:
         """Return the forces [N] on devices for their state at a time [s], and send the poses of their tools.
 
-        A device that is not in the state has no force, and is gone after a while; so has one that is not ready. After
+        Devices missing from the message, or not ready, get zero force; missing ones are removed after 0.1 s. After
         that, and after a step that no hand makes, a hand continues from where its tool is.
         """
         interval = now - self._time
         window = interval + min(self._interval, self.options.max_age)
         self._time, self._interval = now, interval
         held = max(interval, 0.0) if math.isfinite(interval) else 0.0
-        for hand in self.hands.values():
-            hand.force.note_time(held, hand.statistics)
+        for channel in self.channels.values():
+            channel.force.note_time(held, channel.statistics)
         self._note_devices(state, now)
         grips = self._note_grips(state)
-        moving: list[Hand] = []
+        moving: list[DeviceChannel] = []
         wanted, velocities, before, steps = [], [], [], []
-        for name, hand in self.hands.items():
+        for name, channel in self.channels.items():
             if name not in state.positions:
-                hand.anchor = None
-                hand.force.take_away(NOT_LISTED if hand.fault is None else hand.fault.reason)
+                channel.anchor = None
+                channel.force.take_away(NOT_LISTED if channel.fault is None else channel.fault.reason)
                 continue
-            before.append(hand.force.sent)
-            steps.append(self._follow(name, hand, np.array(state.positions[name]), interval, window))
-            force = self._wanted_force(hand, grips.get(hand.index, NO_GRIP), now)
-            hand.force.sent = NO_FORCE
+            before.append(channel.force.sent)
+            steps.append(self._follow(name, channel, np.array(state.positions[name]), interval, window))
+            force = self._wanted_force(channel, grips.get(channel.index, NO_GRIP), now)
+            channel.force.sent = NO_FORCE
             if force.any():
-                moving.append(hand)
+                moving.append(channel)
                 wanted.append(force)
                 velocities.append(steps[-1] / interval if 0.0 < interval < MAX_INTERVAL else NO_FORCE)
         self._after_gap = False
-        self.account.note_motion(before, steps)
-        stored = [stored_energy(force, hand.force.stiffness) for force, hand in zip(wanted, moving, strict=True)]
-        self.account.forget(math.fsum(stored) if all(map(math.isfinite, stored)) else math.inf)
-        passive = self.account.passive_forces(wanted, velocities, interval)
-        for hand, force, free in zip(moving, passive, wanted, strict=True):
-            hand.give(limited_force(force, self.options.device_limit), force is not free)
+        self.passivity.note_motion(before, steps)
+        stored = [stored_energy(force, channel.force.stiffness) for force, channel in zip(wanted, moving, strict=True)]
+        self.passivity.limit_energy(math.fsum(stored) if all(map(math.isfinite, stored)) else math.inf)
+        passive = self.passivity.passive_forces(wanted, velocities, interval)
+        for channel, force, free in zip(moving, passive, wanted, strict=True):
+            channel.give(limited_force(force, self.options.device_limit), force is not free)
         self._send_poses()
         self._report(now)
-        return {name: hand.force.sent.tolist() for name, hand in self.hands.items()}
+        return {name: channel.force.sent.tolist() for name, channel in self.channels.items()}
 
-    def _follow(self, name: str, hand: Hand, position: Floats, interval: float, window: float) -> Floats:
+    def _follow(self, name: str, channel: DeviceChannel, position: Floats, interval: float, window: float) -> Floats:
         """Return the step (3,) [m] of a hand to a position; one that no hand makes is zero, and moves no tool.
 
         The service takes a state between the last message to it and the arrival of its answer. So two states are at
         most the window [s] of three arrivals apart, however late they are read.
         """
-        step = NO_FORCE if hand.position is None else position - hand.position
-        hand.position = position
+        step = NO_FORCE if channel.position is None else position - channel.position
+        channel.position = position
         late = self._after_gap or interval > self.options.max_age
         limit = MAX_STEP_AFTER_GAP / max(self.options.device_scale, 1.0) if late else MAX_HAND_SPEED * window
-        if hand.anchor is None or step @ step <= limit**2:
+        if channel.anchor is None or step @ step <= limit**2:
             return step
-        hand.anchor = None
-        hand.force.take_away(POSITION_JUMP)
-        if not late and not hand.has_clutch:
-            tool = tool_name(hand.index)
+        channel.anchor = None
+        channel.force.take_away(POSITION_JUMP)
+        if not late and not channel.has_clutch:
+            tool = tool_name(channel.index)
             self._say(f"{name} jumped, faster than a hand: {tool} stays, and follows it from there", self._time)
         return NO_FORCE
 
-    def _wanted_force(self, hand: Hand, grip: Grip, now: float) -> Floats:
+    def _wanted_force(self, channel: DeviceChannel, grip: Grip, now: float) -> Floats:
         """Return the force (3,) [N] on a hand before passivity, and set the pose of its tool."""
         turn = NO_TURN if grip.rotation is None else np.array(grip.rotation)
         name = None if grip.rotation is None else grip.name
-        released, pressed = hand.has_clutch and not grip.clutch, grip.clutch and not hand.has_clutch
-        hand.has_clutch, hand.force.share = grip.clutch, 0.0
-        hand.statistics.clutches += pressed
-        if hand.pose is None or hand.position is None:
-            hand.force.without = NO_READING
+        released, pressed = channel.has_clutch and not grip.clutch, grip.clutch and not channel.has_clutch
+        channel.has_clutch, channel.force.share = grip.clutch, 0.0
+        channel.statistics.clutches += pressed
+        if channel.pose is None or channel.position is None:
+            channel.force.without = NO_READING
             return NO_FORCE
-        if hand.anchor is None or released or name != hand.grip:
-            hand.anchor, hand.grip = Anchor(hand.position, turn, *hand.pose), name
+        if channel.anchor is None or released or name != channel.grip:
+            channel.anchor, channel.grip = Anchor(channel.position, turn, *channel.pose), name
         if grip.clutch:
-            hand.force.take_away(CLUTCH_PRESSED)
+            channel.force.take_away(CLUTCH_PRESSED)
             return NO_FORCE
-        if hand.force.reading is None or hand.force.freshness.age(now) > max(self.options.max_age, GONE_SECONDS):
-            hand.anchor = None  # an engine that has stopped would find its tool far away
-            hand.force.take_away(NOT_RUNNING if hand.force.reading is None else OLD_READING)
+        if channel.force.reading is None or channel.force.watchdog.age(now) > max(self.options.max_age, GONE_SECONDS):
+            channel.anchor = None  # an engine that has stopped would find its tool far away
+            channel.force.take_away(NOT_RUNNING if channel.force.reading is None else OLD_READING)
             return NO_FORCE
-        hand.pose = self.map.position(hand.anchor, hand.position), self.map.quaternion(hand.anchor, turn)
-        hand.force.share = hand.force.freshness.share(now, self._period)
-        if hand.force.share == 0.0:
-            hand.force.without = OLD_READING if hand.force.freshness.is_old(now, self._period) else hand.force.without
+        channel.pose = self.map.position(channel.anchor, channel.position), self.map.quaternion(channel.anchor, turn)
+        channel.force.share = channel.force.watchdog.share(now, self._period)
+        if channel.force.share == 0.0:
+            channel.force.without = (
+                OLD_READING if channel.force.watchdog.is_old(now, self._period) else channel.force.without
+            )
             return NO_FORCE
-        force = self.options.device_force * self.map.force_on_hand(contact_force(hand.force.reading, hand.pose[0]))
+        force = self.options.device_force * self.map.force_on_hand(
+            contact_force(channel.force.reading, channel.pose[0])
+        )
         limited = limited_force(force, self.options.device_limit)
-        hand.force.is_limited, hand.force.without = limited is not force, NO_CONTACT
-        return hand.force.share * limited
+        channel.force.is_limited, channel.force.without = limited is not force, NO_CONTACT
+        return channel.force.share * limited
 
     def _note_grips(self, state: ServiceState) -> dict[int, Grip]:
         """Return the grips by the tool that they turn: the order in which they came, also while others are away."""
@@ -263,9 +267,9 @@ class HandLoop:
     def _send_poses(self) -> None:
         """Send the poses of all tools, unless the last ones are not answered yet."""
         poses = [
-            [hand.index, hand.epoch, None if hand.pose is None else [part.tolist() for part in hand.pose]]
-            for hand in self.hands.values()
-            if hand.fault is None
+            [channel.index, channel.epoch, None if channel.pose is None else [part.tolist() for part in channel.pose]]
+            for channel in self.channels.values()
+            if channel.fault is None
         ]
         if self._asked or not poses:
             return
@@ -277,30 +281,32 @@ class HandLoop:
         if now - self._reported < REPORT_SECONDS:
             return
         self._reported = now
-        given = {name: asdict(hand.statistics) for name, hand in self.hands.items() if hand.statistics.messages}
-        for hand in self.hands.values():
-            hand.statistics = HandStatistics(hand.index)
-        if given:
-            self._answer({"hands": given})
+        statistics = {
+            name: asdict(channel.statistics) for name, channel in self.channels.items() if channel.statistics.messages
+        }
+        for channel in self.channels.values():
+            channel.statistics = HandStatistics(channel.index)
+        if statistics:
+            self._answer({"hands": statistics})
 
     def silence(self) -> None:
         """Take all forces away, until new states have been read: the ramp begins again."""
         self._after_gap = True
-        for hand in self.hands.values():
-            hand.force.take_away(NO_ANSWER)
+        for channel in self.channels.values():
+            channel.force.take_away(NO_ANSWER)
 
     def close(self) -> None:
         """Take all devices away: the connection has ended."""
         self._report(math.inf)
         self._time, self._interval, self._reported = -math.inf, math.inf, -math.inf
         self._grips = []
-        if self.hands:
-            self.hands = {}
+        if self.channels:
+            self.channels = {}
             self._answer({"devices": {}})
 
     def is_new(self, state: ServiceState) -> bool:
-        """Return whether a device without a tool came after the snapshot, which alone says its handedness."""
-        unknown = set(state.devices) - self.hands.keys() - self._assigned.keys() - self._refused
+        """Return whether a device without a tool came after the snapshot; only the snapshot contains the handedness."""
+        unknown = set(state.devices) - self.channels.keys() - self._assigned.keys() - self._refused
         return bool(unknown) and not state.handedness
 
     def _say(self, text: str, now: float) -> None:
@@ -312,27 +318,27 @@ class HandLoop:
     def _note_devices(self, state: ServiceState, now: float) -> None:
         """Begin with the devices that came or are ready again, and end with those that went or are not."""
         listed = state.devices
-        for name in self.hands.keys() & listed:
-            self.hands[name].seen = now
-        if self.hands.keys() == set(listed) and all(
-            hand.fault == state.faults.get(name) for name, hand in self.hands.items()
+        for name in self.channels.keys() & listed:
+            self.channels[name].seen = now
+        if self.channels.keys() == set(listed) and all(
+            channel.fault == state.faults.get(name) for name, channel in self.channels.items()
         ):
             return
         before = self._moving()
-        for name in [name for name, hand in self.hands.items() if now - hand.seen > GONE_SECONDS]:
+        for name in [name for name, channel in self.channels.items() if now - channel.seen > GONE_SECONDS]:
             index = self._leave(name)
             self._say(f"{name} is gone: {tool_name(index)} stays where it is", now)
-        kept = {name: hand.index for name, hand in self.hands.items()}
-        assigned = assign_tools(state, kept, self._assigned, self.tools)
+        indices = {name: channel.index for name, channel in self.channels.items()}
+        assigned = assign_tools(state, indices, self._assigned, self.tools)
         self._refuse(set(listed) - assigned.keys(), now)
         for name, index in assigned.items():
-            if name not in self.hands:
+            if name not in self.channels:
                 statistics = HandStatistics(index)
-                self.hands[name] = Hand(
-                    index, HandForce(Freshness(self.options.max_age)), statistics, seen=now, fault=NOT_READ
+                self.channels[name] = DeviceChannel(
+                    index, HandForce(Watchdog(self.options.max_age)), statistics, seen=now, fault=NOT_READ
                 )
             if name in listed:
-                self._note_fault(name, self.hands[name], state.faults.get(name), now)
+                self._note_fault(name, self.channels[name], state.faults.get(name), now)
         for name in list(self._assigned)[:-MAX_NAMES]:
             del self._assigned[name]
         if self._moving() != before:
@@ -340,28 +346,28 @@ class HandLoop:
 
     def _moving(self) -> dict[str, str]:
         """Return the devices that move a tool, by its index."""
-        return {str(hand.index): name for name, hand in self.hands.items() if hand.fault is None}
+        return {str(channel.index): name for name, channel in self.channels.items() if channel.fault is None}
 
-    def _note_fault(self, name: str, hand: Hand, fault: Fault | None, now: float) -> None:
+    def _note_fault(self, name: str, channel: DeviceChannel, fault: Fault | None, now: float) -> None:
         """Let a device that is ready move its tool, and one that is not leave it."""
-        if fault == hand.fault:
+        if fault == channel.fault:
             return
-        tool = tool_name(hand.index)
+        tool = tool_name(channel.index)
         if fault is not None:
-            hand.block(fault)
+            channel.block(fault)
             self._say(f"{name} {fault.reason}: {fault.remedy}; until then {tool} stays, and the hand has no force", now)
             return
-        hand.fault, hand.position, hand.force.without = None, None, NO_READING
+        channel.fault, channel.position, channel.force.without = None, None, NO_READING
         self._say(f"{name} moves {tool}{' again' if name in self._assigned else ''}", now)
         self._assigned.pop(name, None)  # the last one is the newest
-        self._assigned[name] = hand.index
+        self._assigned[name] = channel.index
 
     def _leave(self, name: str) -> int:
         """Remove a hand, and return the index of its tool."""
-        hand = self.hands.pop(name)
-        if hand.statistics.messages:
-            self._answer({"hands": {name: asdict(hand.statistics)}})
-        return hand.index
+        channel = self.channels.pop(name)
+        if channel.statistics.messages:
+            self._answer({"hands": {name: asdict(channel.statistics)}})
+        return channel.index
 
     def _refuse(self, names: set[str], now: float) -> None:
         """Name the devices for which there is no tool, each once."""

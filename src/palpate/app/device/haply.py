@@ -133,7 +133,7 @@ class Adapter:
                 has_snapshot = True
                 self.loop.forces(state, now)
             await service.send(self._message())
-            due = max(due + (MESSAGE_INTERVAL if self.loop.hands else IDLE_INTERVAL), now)
+            due = max(due + (MESSAGE_INTERVAL if self.loop.channels else IDLE_INTERVAL), now)
             await asyncio.sleep(due - time.monotonic())
         self.loop.silence()
         with contextlib.suppress(TimeoutError):
@@ -143,7 +143,7 @@ class Adapter:
                 await mailbox.filled.wait()  # the service has read it
 
     def _message(self) -> str:
-        return force_message({name: hand.force.sent.tolist() for name, hand in self.loop.hands.items()})
+        return force_message({name: channel.force.sent.tolist() for name, channel in self.loop.channels.items()})
 
     def _take_readings(self) -> None:
         while self._readings:
@@ -187,8 +187,8 @@ class ConnectionEnd(Exception):
 
 def serve_devices(receive: Receive, answer: Answer) -> None:
     """Serve devices in a process of its own."""
-    given = receive()
-    adapter = Adapter(DeviceOptions(**given["options"]), given["tools"], answer)
+    request = receive()
+    adapter = Adapter(DeviceOptions(**request["options"]), request["tools"], answer)
 
     def listen() -> None:
         while True:

@@ -80,10 +80,10 @@ def _declared() -> Iterator[tuple[str, Any]]:
 def take_device(options: dict[str, Any]) -> DeviceOptions | None:
     """Remove the options of a device from those of a command, and return them; None without a device."""
     device = options.pop("device", None)
-    given = {name: value for name, _ in _declared() if (value := options.pop(name, None)) is not None}
+    values = {name: value for name, _ in _declared() if (value := options.pop(name, None)) is not None}
     if device is None:
-        if given:
-            name, value = next(iter(given.items()))
+        if values:
+            name, value = next(iter(values.items()))
             raise InputError(f"{name} must be left out without --device, got {value}; add --device haply")
         return None
     match = DEVICE_PATTERN.fullmatch(device)
@@ -92,4 +92,4 @@ def take_device(options: dict[str, Any]) -> DeviceOptions | None:
         raise InputError(
             f"device must be haply or haply:PORT with a port from 1 to 65535, got {device!r:.40}; write --device haply"
         )
-    return DeviceOptions(**given, port=port)
+    return DeviceOptions(**values, port=port)

@@ -111,8 +111,8 @@ def parse_state(text: str | bytes) -> ServiceState:
             hand = config.get("handedness")
             handedness[name] = hand if hand in ("left", "right") else ""
     grips = [_grip(entry, f"{kind} {k}") for kind in GRIP_KINDS for k, entry in enumerate(_entries(message, kind))]
-    given = tuple(each for each in grips if each is not None)
-    return ServiceState(positions, handedness, given, tuple(notes), faults)
+    present = tuple(each for each in grips if each is not None)
+    return ServiceState(positions, handedness, present, tuple(notes), faults)
 
 
 def _entries(message: Mapping[str, Any], kind: str) -> Sequence[Mapping[str, Any]]:
@@ -149,15 +149,15 @@ def _fault(entry: Mapping[str, Any]) -> Fault | None:
     faults: set[Fault] = set()
     _note_faults(entry, faults, 0)
     for name, depth in (("status", MAX_STATUS_DEPTH), ("state", 0)):
-        given = entry.get(name)
-        if isinstance(given, dict):
-            _note_faults(given, faults, depth)
+        reported = entry.get(name)
+        if isinstance(reported, dict):
+            _note_faults(reported, faults, depth)
     return next(each for each in FAULT_ORDER if each in faults) if faults else None
 
 
-def _note_faults(given: Mapping[str, Any], faults: set[Fault], depth: int) -> None:
+def _note_faults(reported: Mapping[str, Any], faults: set[Fault], depth: int) -> None:
     """Collect the faults that an object of an entry states, also in objects in it down to a depth."""
-    for key, value in given.items():
+    for key, value in reported.items():
         if value is True and key in NEEDED_STATES:  # the usual one
             continue
         name = key.removeprefix("is_")
@@ -205,11 +205,11 @@ def _grip(entry: Mapping[str, Any], place: str) -> Grip | None:
     return Grip((w, x, y, z), clutch, name)
 
 
-def _numbers(given: Any, names: str) -> list[float] | None:
+def _numbers(components: Any, names: str) -> list[float] | None:
     """Return finite numbers by their names, or None."""
-    if not isinstance(given, dict):
+    if not isinstance(components, dict):
         return None
-    numbers: list[Any] = [given.get(name) for name in names]
+    numbers: list[Any] = [components.get(name) for name in names]
     if any(isinstance(each, bool) or not isinstance(each, int | float) for each in numbers):
         return None
     try:

@@ -36,7 +36,7 @@ class HandStatistics:
     interruptions: int = 0  # of the force in contact, other than by a clutch: a ramp follows each
     ramped: float = 0.0  # [s] with force, of which a ramp took a part
     limited: float = 0.0  # [s] at the limit
-    damped: float = 0.0  # [s] with force that the energy account changed
+    damped: float = 0.0  # [s] with force that the passivity observer changed
     without_force: dict[str, float] = field(default_factory=dict)  # [s] by reason
 
     def add(self, other: HandStatistics) -> None:
@@ -48,9 +48,9 @@ class HandStatistics:
             self.without_force[reason] = self.without_force.get(reason, 0.0) + seconds
 
 
-def add_statistics(total: dict[str, HandStatistics], given: Mapping[str, Mapping[str, Any]]) -> None:
+def add_statistics(total: dict[str, HandStatistics], update: Mapping[str, Mapping[str, Any]]) -> None:
     """Add statistics by device, as an adapter sends them."""
-    for name, values in given.items():
+    for name, values in update.items():
         other = HandStatistics(**values)
         total.setdefault(name, HandStatistics(other.tool)).add(other)
 

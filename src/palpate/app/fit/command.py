@@ -106,12 +106,14 @@ def _pairs(numbers: dict[str, list[float]]) -> dict[str, tuple[float, float]]:
     return {name: (values[0], values[1]) for name, values in numbers.items()}
 
 
-def _law_arguments(law: type[Material], given: dict[str, list[float]]) -> dict[str, float | tuple[float, ...]]:
+def _law_arguments(law: type[Material], parameters: dict[str, list[float]]) -> dict[str, float | tuple[float, ...]]:
     """Return a number for a field that is one, a sequence for a field of several; `fit` refuses unknown names."""
     single = {
-        name for name in given if len(given[name]) == 1 and not (name in own_fields(law) and is_sequence(law, name))
+        name
+        for name in parameters
+        if len(parameters[name]) == 1 and not (name in own_fields(law) and is_sequence(law, name))
     }
-    return {name: values[0] if name in single else tuple(values) for name, values in given.items()}
+    return {name: values[0] if name in single else tuple(values) for name, values in parameters.items()}
 
 
 def _with_file_name(curve: Measurement, path: Path, files: int) -> Measurement:

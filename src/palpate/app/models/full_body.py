@@ -15,7 +15,7 @@ from palpate.app.models.spacing import (
     FINER_FACTOR,
     FINER_NODES,
     MAX_FINER_TRIALS,
-    MOST_NODES,
+    MAX_NODES,
     realtime_spacing,
 )
 from palpate.core.faults import CloudError, InputError
@@ -37,16 +37,16 @@ def prepare_full_body(scene: Scene, status: Status, spacing: float | None = None
     if scene.description.surface.file:
         with status("checking the surface"):
             _ = scene.repaired_surface
-    given, surface = scene.description.body.spacing, scene.surface
+    requested, surface = scene.description.body.spacing, scene.surface
     if surface is None:  # a box or a disc, which is small
         return _prepared(scene, status)
-    if given is not None and scene.kind is not SceneKind.SCENE_FILE:
-        return fill_scene(scene, given, True, status)
+    if requested is not None and scene.kind is not SceneKind.SCENE_FILE:
+        return fill_scene(scene, requested, True, status)
     if spacing is None:
         with status("measuring this machine"):
             spacing = realtime_spacing(abs(surface.volume), scene.material)
-    coarsest = max(given or 0.0, spacing)
-    return fill_scene(scene, coarsest, coarsest == given, status)
+    coarsest = max(requested or 0.0, spacing)
+    return fill_scene(scene, coarsest, coarsest == requested, status)
 
 
 def fill_scene(scene: Scene, spacing: float, required: bool, status: Status) -> Scene:
@@ -71,7 +71,7 @@ def fill_scene(scene: Scene, spacing: float, required: bool, status: Status) -> 
             return _prepared(scene.with_body(spacing=spacing), status)
         except CloudError:  # too thin for the spacing
             finer = float(f"{FINER_FACTOR * spacing:.2g}")
-            if required or trial == MAX_FINER_TRIALS or expected_nodes(volume, finer) > MOST_NODES:
+            if required or trial == MAX_FINER_TRIALS or expected_nodes(volume, finer) > MAX_NODES:
                 raise
             spacing = finer
     raise AssertionError("the last trial returns or raises")
@@ -89,10 +89,10 @@ def _prepared(scene: Scene, status: Status) -> Scene:
 
 def _check_count(volume: float, spacing: float) -> None:
     count = expected_nodes(volume, spacing)
-    if count > MOST_NODES:
-        coarser = np.cbrt(NODES_PER_CELL * volume / MOST_NODES)
+    if count > MAX_NODES:
+        coarser = np.cbrt(NODES_PER_CELL * volume / MAX_NODES)
         raise InputError(
-            f"spacing must give at most {MOST_NODES} nodes for a full body, got {1e3 * spacing:.3g} mm (about "
+            f"spacing must give at most {MAX_NODES} nodes for a full body, got {1e3 * spacing:.3g} mm (about "
             f"{count:.0f} nodes); use {1e3 * coarser:.2g} mm or more, or train a reduced model"
         )
 

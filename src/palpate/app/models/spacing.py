@@ -11,12 +11,12 @@ from palpate.meshfree.cloud import Cloud, box
 from palpate.scenes.spacing import NODES_PER_CELL, expected_nodes
 from palpate.tissue.materials import Material
 
-LEAST_NODES, MOST_NODES = 600, 40_000  # of a full body in real time
+MIN_NODES, MAX_NODES = 600, 40_000  # of a full body in real time
 STEP_PER_WAVE = 0.42  # stable step over the time of a pressure wave over a spacing: 0.35 to 0.47 on organs
 STEP_OVER_FORCE = 1.6  # time of a step over that of its force evaluation
 BUSY_SHARE = 0.6  # of the time, which the steps of a body in real time may take
 SAMPLE_SECONDS = 0.3  # of the measurement of this machine
-LEAST_GAIN, MOST_GAIN = 0.9, 1.3  # speed of a body over that which it needs, within which its spacing stays
+MIN_GAIN, MAX_GAIN = 0.9, 1.3  # speed of a body over that which it needs, within which its spacing stays
 COARSEST_SHARE = 1.1  # of the least nodes, at which a body is not made coarser
 FINER_FACTOR, MAX_FINER_TRIALS = 0.8, 4  # factor of a guessed spacing that is too coarse for the tissue; how often
 FINER_NODES = 6.7  # the nodes of half the spacing over those of the whole (validation/spacing_force.py)
@@ -34,7 +34,7 @@ def realtime_spacing(volume: float, material: Material) -> float:
         step = STEP_PER_WAVE * spacing / wave_speed
         return float(expected_nodes(volume, spacing) * seconds / step)
 
-    coarse, fine = np.cbrt(NODES_PER_CELL * volume / np.array([LEAST_NODES, MOST_NODES]))
+    coarse, fine = np.cbrt(NODES_PER_CELL * volume / np.array([MIN_NODES, MAX_NODES]))
     for _ in range(40):
         middle = np.sqrt(coarse * fine)
         coarse, fine = (middle, fine) if busy(middle) <= BUSY_SHARE else (coarse, middle)
@@ -49,10 +49,10 @@ def better_spacing(cloud: Cloud, load: float) -> float | None:
     load : float
         Computing time of the body at rest over the time that passes.
     """
-    spacing, is_coarsest = cloud.spacing, len(cloud) <= COARSEST_SHARE * LEAST_NODES
-    if LEAST_GAIN <= BUSY_SHARE / load <= MOST_GAIN or (load > BUSY_SHARE and is_coarsest):
+    spacing, is_coarsest = cloud.spacing, len(cloud) <= COARSEST_SHARE * MIN_NODES
+    if MIN_GAIN <= BUSY_SHARE / load <= MAX_GAIN or (load > BUSY_SHARE and is_coarsest):
         return None
-    finest, coarsest = spacing * np.cbrt(len(cloud) / np.array([MOST_NODES, LEAST_NODES]))
+    finest, coarsest = spacing * np.cbrt(len(cloud) / np.array([MAX_NODES, MIN_NODES]))
     better = float(np.clip(spacing * (load / BUSY_SHARE) ** 0.25, finest, coarsest))
     rounded = float(f"{1.005 * better:.2g}")
     return rounded if rounded != spacing else None

@@ -29,7 +29,7 @@ class RecordedPath(NamedTuple):
 
     load: Load
     duration: float  # [s]
-    trust: float  # largest trust number of the snapshots
+    trust: float  # largest error indicator of the snapshots
 
 
 def recorded_paths(recording: Recording) -> list[RecordedPath]:

@@ -129,16 +129,16 @@ def _write_surface(path: Path, recording: Recording) -> None:
         surface.rest.astype(float), cloud.volumes[surface.nodes], nothing, np.zeros((0, 3)), np.zeros(0), {},
         surface.triangles.astype(np.int64), cloud.spacing,
     )  # fmt: skip
-    kept = [0]
+    chosen = [0]
     for k, at in enumerate(recording.times):
-        if at >= recording.times[kept[-1]] + VTKHDF_INTERVAL:
-            kept.append(k)
-    displacements = [recording.snapshots[k].displacements(surface) for k in kept]
+        if at >= recording.times[chosen[-1]] + VTKHDF_INTERVAL:
+            chosen.append(k)
+    displacements = [recording.snapshots[k].displacements(surface) for k in chosen]
     shown: dict[str, Floats] = {"displacement": np.array(displacements, dtype=float)}
     for name in surface.scalars[1:]:
-        values = [recording.snapshots[k].scalar(surface, name, m) for k, m in zip(kept, displacements, strict=True)]
+        values = [recording.snapshots[k].scalar(surface, name, m) for k, m in zip(chosen, displacements, strict=True)]
         shown[name] = np.array(values, dtype=float)
-    write_vtkhdf(path, cloud_shown, recording.times[kept], shown)
+    write_vtkhdf(path, cloud_shown, recording.times[chosen], shown)
 
 
 def load_recording(path: Path) -> Recording:

@@ -114,7 +114,7 @@ def scalar_descriptions(surface: DisplaySurface) -> list[dict[str, Any]]:
 
 
 def training_errors(model: ReducedModel | EnergySolid) -> dict[str, Any] | None:
-    """Return a model's mean errors on held-out runs, the largest trust number with a bound, and advice; or None.
+    """Return a model's mean errors on held-out runs, the largest error indicator with a bound, and advice; or None.
 
     The advice is None if the errors are not large. Without held-out runs there is nothing to return.
     """

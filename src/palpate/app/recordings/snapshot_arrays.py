@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from palpate.app.recordings.snapshot import ENGINE_STATES, SNAPSHOT_FIELDS, TOOL_KINDS, Snapshot
 from palpate.core.arrays import Floats
 from palpate.core.faults import InputError
-from palpate.core.sealed import LEAST_POSITIVE, Array, typed
+from palpate.core.sealed import MIN_POSITIVE, Array, typed
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.reduction.hyper.model import ReducedModel
 
@@ -46,7 +46,7 @@ SNAPSHOT_ARRAYS = _arrays(
 )  # fmt: skip
 SNAPSHOT_ARRAYS |= {
     "coordinates": _Array(("snapshots", "coordinates")),
-    "modulus_ratio": _Array(("snapshots",), low=LEAST_POSITIVE),
+    "modulus_ratio": _Array(("snapshots",), low=MIN_POSITIVE),
 }
 TOOL_ARRAYS = _arrays(  # of `ToolSnapshot`, under ``tools/``
     ("snapshots", "tools"), force=ANY_NUMBER, moment=ANY_NUMBER, stiffness=(-math.inf, 1e30), position=ANY_NUMBER,

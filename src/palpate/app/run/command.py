@@ -197,7 +197,7 @@ def _report(case: LoadCase, runs: dict[str, Trajectory], model: ReducedModel | N
 def _run(case: LoadCase, model: Model, console: Console, file: Path | None = None) -> Trajectory:
     """Run a model; write the frames of a long run to a file, if there is one."""
     prepared = model.prepare(case.loads)
-    kept = f"; the frames until then are kept in {file}" if file else ""
+    note = f"; the frames until then are kept in {file}" if file else ""
     try:
         step = min(case.every, model.stable_step(model.state(prepared), prepared)[0])
         with warnings.catch_warnings(action="ignore", category=TrustWarning):  # a line below has the number
@@ -205,10 +205,10 @@ def _run(case: LoadCase, model: Model, console: Console, file: Path | None = Non
             rollout(model, case.loads, duration=step, every=step, progress=False, **begin)  # compiles the rest
             run = rollout(model, case.loads, duration=case.duration, every=case.every, file=file, **begin)
     except DivergenceError as error:
-        raise RunError(f"the {model.name} model diverged: {error}{kept}") from error
+        raise RunError(f"the {model.name} model diverged: {error}{note}") from error
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"in the {model.name} run{kept}") from None
-    trust = "" if not len(run.trust) else f"; trust number at most {run.trust.max():.3g}"
+        raise KeyboardInterrupt(f"in the {model.name} run{note}") from None
+    trust = "" if not len(run.trust) else f"; error indicator at most {run.trust.max():.3g}"
     if trust and run.trust.max() > 1:
         trust += " (above 1: not trained on such states)"
     console.say(f"{model.name} model: {run.wall_seconds:.3g} s, {int(run.steps[-1])} steps{trust}")

@@ -206,7 +206,7 @@ def _cut_report(black_box: Path, cutter: BladeCutter, tool: int) -> dict[str, An
         "area": area, "released_energy": released, "edge_work": edge, "friction_work": friction,
         "cuts": cutter.cuts, "seconds_per_cut": cutter.seconds, "released_nodes": len(cutter.model.released_nodes),
         "failure": cutter.failure,
-        "largest_release_rate": 0.0 if cutter.incision is None else cutter.incision.largest_rate,
+        "largest_release_rate": 0.0 if cutter.cut_front is None else cutter.cut_front.largest_rate,
         "computing_before": float(np.median(computing[:first])) if first else None,
         "computing_after": float(np.median(computing[first:])) if first < len(computing) else None,
         "longest_after": float(computing[first:].max(initial=0.0)),
@@ -221,9 +221,9 @@ def _timing(statistics: Statistics) -> dict[str, Any]:
         "missed_by_computing": statistics.overrun,
         "dropped": statistics.dropped,
         "computing": _distribution(statistics.computing),
-        "lateness": _distribution(statistics.lateness),
-        "sustained": statistics.sustained,
-        "verdict": statistics.verdict,
+        "lateness": _distribution(statistics.wakeup_latency),
+        "sustained": statistics.is_real_time,
+        "verdict": statistics.status,
     }
 
 
@@ -279,7 +279,7 @@ TOOL_ROWS: Rows = {
     },
     "farthest that the tool went": "{tool/largest_displacement:.3g mm}",
     "steps of the model in a period": "{tool/mean_steps_per_period:.2g}",
-    "trust number, median; largest (above 1: not trained on)": "{tool/median_trust:.2f}; {tool/largest_trust:.2f}",
+    "error indicator, median; largest (above 1: not trained on)": "{tool/median_trust:.2f}; {tool/largest_trust:.2f}",
     "share of periods above 1": "{tool/untrained_share:.2%}",
     **{
         f"error of the {what} expected at the largest, median; bound": _expected_error(what)
@@ -307,23 +307,23 @@ HAND_ROWS: Rows = {
     "force on the hand, mean while there was one; largest": "{mean_force:.3g N}; {peak_force:.3g N}",
     "force taken away in contact": "{interruptions} times",
     "time with force, of it in ramps of 0.5 s": "{with_force:.3g s}; {ramped:.3g s}",
-    "of it at the limit; changed by the energy account": "{limited:.3g s}; {damped:.3g s}",
+    "of it at the limit; changed by the passivity observer": "{limited:.3g s}; {damped:.3g s}",
     "clutch": "{clutches} times, {clutch_seconds:.3g s}",
     "time without force": lambda hand: "\n".join(longest(hand["without_force"])) or "none",
 }
-VERDICT_ROWS: Rows = {
+STATUS_ROWS: Rows = {
     "Computation": "{median:.1%} of a period in the median, {most:.1%} at most; {missed_by_computing} of {periods} "
     "periods computed for too long.",
     "Scheduler": "steps began {lateness/percentiles/99: us} late or less in 99 % of the periods, "
     "{lateness/maximum: us} at most; {missed_by_scheduler} deadlines missed for that, {dropped} periods without "
     "a step.",
-    "Verdict": "{verdict}.",
+    "Status": "{verdict}.",
 }
 
 
 def _tables(report: dict[str, Any], statistics: Statistics) -> list[Table | str]:
     timing = report["timing"]
-    kinds = {"computing (the model)": timing["computing"], "lateness (the scheduler)": timing["lateness"]}
+    kinds = {"computing (the model)": timing["computing"], "wake-up latency (the scheduler)": timing["lateness"]}
     values = timing | {
         "median": timing["computing"]["percentiles"]["50"] / timing["period"],
         "most": timing["computing"]["maximum"] / timing["period"],
@@ -331,10 +331,10 @@ def _tables(report: dict[str, Any], statistics: Statistics) -> list[Table | str]
     }
     return [
         quantities(f"{report['title']}, {timing['periods']} periods", TIMING_ROWS, kinds),
-        quantities_table("Periods", ["computing", "lateness"], _histogram(statistics), "time", "left"),
+        quantities_table("Periods", ["computing", "wake-up latency"], _histogram(statistics), "time", "left"),
         quantities("Tool", TOOL_ROWS, {"value": report}),
         *_hands_table(report),
-        *(f"{label}: {sentence}" for label, (sentence,) in rows_of(VERDICT_ROWS, values).items()),
+        *(f"{label}: {sentence}" for label, (sentence,) in rows_of(STATUS_ROWS, values).items()),
     ]
 
 
@@ -347,7 +347,7 @@ def _hands_table(report: Mapping[str, Any]) -> list[Table | str]:
 
 def _histogram(statistics: Statistics) -> dict[str, list[str]]:
     """Return lines of a histogram: upper end of the times, and for each kind the periods and a bar."""
-    kinds = [statistics.computing, statistics.lateness]
+    kinds = [statistics.computing, statistics.wakeup_latency]
     counts = np.array([np.add.reduceat(kind.counts, np.arange(0, len(kind.counts), BINS_PER_LINE)) for kind in kinds])
     filled = np.flatnonzero(counts.any(axis=0))
     ends = kinds[0].edges[BINS_PER_LINE::BINS_PER_LINE]

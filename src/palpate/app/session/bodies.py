@@ -46,7 +46,7 @@ class SessionBody:
 
     @property
     def cuts(self) -> int:
-        """Number of exchanges of the body since it was whole."""
+        """Number of swaps of the body since it was whole."""
         return 0
 
     @property

@@ -171,7 +171,7 @@ def replay_on_full_model(recording: Recording, model: Model | None = None) -> di
     model_times = np.array([snapshot.time for snapshot in snapshots])
     keep = np.concatenate([[True], np.diff(model_times) > 0])  # one snapshot of a pause
     times, wall = model_times[keep] - model_times[0], recording.times[part][keep]
-    snapshots = [snapshot for snapshot, kept in zip(snapshots, keep, strict=True) if kept]
+    snapshots = [snapshot for snapshot, is_shared in zip(snapshots, keep, strict=True) if is_shared]
     if len(times) < MIN_SNAPSHOTS:
         raise InputError(
             f"the tools must be active in at least {MIN_SNAPSHOTS} snapshots, got {len(times)}; record for longer"

@@ -33,7 +33,7 @@ def _number(low: float, high: float, *, open_low: bool = False) -> Check:
         good = isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high
         if not good or (open_low and value == low):
             above = "above" if open_low else "from"
-            raise InputError(f"{name} must be a number {above} {low:g} to {high:g}, got {_short(value)}; {SEE_DOCS}")
+            raise InputError(f"{name} must be a number {above} {low:g} to {high:g}, got {_repr(value)}; {SEE_DOCS}")
         return float(value)
 
     return check
@@ -42,7 +42,7 @@ def _number(low: float, high: float, *, open_low: bool = False) -> Check:
 def _vector(count: int) -> Check:
     def check(name: str, value: Any) -> list[float]:
         if not isinstance(value, list) or len(value) != count:
-            raise InputError(f"{name} must be a list of {count} numbers, got {_short(value)}; {SEE_DOCS}")
+            raise InputError(f"{name} must be a list of {count} numbers, got {_repr(value)}; {SEE_DOCS}")
         return [_number(-MAX_COORDINATE, MAX_COORDINATE)(name, entry) for entry in value]
 
     return check
@@ -58,42 +58,40 @@ def _unit_quaternion(name: str, value: Any) -> list[float]:
 
 def _whole_number(name: str, value: Any) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**53:
-        raise InputError(f"{name} must be a whole number from 0 to 2^53, got {_short(value)}; {SEE_DOCS}")
+        raise InputError(f"{name} must be a whole number from 0 to 2^53, got {_repr(value)}; {SEE_DOCS}")
     return value
 
 
 def _index(name: str, value: Any) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < MAX_TOOLS:
-        raise InputError(f"{name} must be a whole number from 0 to {MAX_TOOLS - 1}, got {_short(value)}; {SEE_DOCS}")
+        raise InputError(f"{name} must be a whole number from 0 to {MAX_TOOLS - 1}, got {_repr(value)}; {SEE_DOCS}")
     return value
 
 
 def _indices(name: str, value: Any) -> list[int]:
     if not isinstance(value, list) or not 1 <= len(value) <= MAX_TOOLS:
-        raise InputError(f"{name} must be a list of 1 to {MAX_TOOLS} indices, got {_short(value)}; {SEE_DOCS}")
+        raise InputError(f"{name} must be a list of 1 to {MAX_TOOLS} indices, got {_repr(value)}; {SEE_DOCS}")
     indices = [_index(name, entry) for entry in value]
     if len(set(indices)) < len(indices):
-        raise InputError(f"{name} must be different indices, got {_short(value)}; leave out those that come twice")
+        raise InputError(f"{name} must be different indices, got {_repr(value)}; leave out those that come twice")
     return indices
 
 
 def _text(name: str, value: Any) -> str:
     if not isinstance(value, str) or len(value) > MAX_TEXT_LENGTH:
-        raise InputError(
-            f"{name} must be text of at most {MAX_TEXT_LENGTH} characters, got {_short(value)}; shorten it"
-        )
+        raise InputError(f"{name} must be text of at most {MAX_TEXT_LENGTH} characters, got {_repr(value)}; shorten it")
     return value
 
 
 def _texts(name: str, value: Any) -> list[str]:
     if not isinstance(value, list) or len(value) > MAX_TEXTS:
-        raise InputError(f"{name} must be a list of at most {MAX_TEXTS} texts, got {_short(value)}; {SEE_DOCS}")
+        raise InputError(f"{name} must be a list of at most {MAX_TEXTS} texts, got {_repr(value)}; {SEE_DOCS}")
     return [_text(name, entry) for entry in value]
 
 
 def _boolean(name: str, value: Any) -> bool:
     if not isinstance(value, bool):
-        raise InputError(f"{name} must be true or false, got {_short(value)}; {SEE_DOCS}")
+        raise InputError(f"{name} must be true or false, got {_repr(value)}; {SEE_DOCS}")
     return value
 
 
@@ -101,7 +99,7 @@ def _one_of(*names: str) -> Check:
     def check(name: str, value: Any) -> str:
         if not isinstance(value, str) or value not in names:
             allowed = ", ".join(map(repr, names))
-            raise InputError(f"{name} must be one of {allowed}, got {_short(value)}; choose one of these")
+            raise InputError(f"{name} must be one of {allowed}, got {_repr(value)}; choose one of these")
         return value
 
     return check
@@ -121,11 +119,11 @@ def _stamp(name: str, value: Any) -> Any:
     good = value is None or (isinstance(value, str) and len(value) <= MAX_TEXT_LENGTH)
     if not good and (isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value)):
         allowed = f"a finite number, text of at most {MAX_TEXT_LENGTH} characters, or null"
-        raise InputError(f"{name} must be {allowed}, got {_short(value)}; {SEE_DOCS}")
+        raise InputError(f"{name} must be {allowed}, got {_repr(value)}; {SEE_DOCS}")
     return value
 
 
-def _short(value: Any) -> str:
+def _repr(value: Any) -> str:
     return shortened(repr(value))
 
 
@@ -197,19 +195,19 @@ def parse_message(text: str | bytes, version: int = PROTOCOL_VERSIONS[-1]) -> Me
     return validate_message(json_of(text), version)
 
 
-def validate_message(given: Any, version: int = PROTOCOL_VERSIONS[-1]) -> Message:
+def validate_message(content: Any, version: int = PROTOCOL_VERSIONS[-1]) -> Message:
     """Return a decoded message with all its fields; see `parse_message`."""
-    if not isinstance(given, dict):
-        raise InputError(f"message must be a JSON object, got {_short(given)}; {SEE_DOCS}")
-    kind = given.get("type")
+    if not isinstance(content, dict):
+        raise InputError(f"message must be a JSON object, got {_repr(content)}; {SEE_DOCS}")
+    kind = content.get("type")
     hidden_types, hidden = (TYPES_OF_VERSION_3, FIELDS_OF_VERSION_3) if version < 3 else ((), ())
     types = [each for each in FIELDS_BY_MESSAGE if each not in hidden_types]
     if not isinstance(kind, str) or kind not in types:
-        raise InputError(f"type must be one of {', '.join(types)}, got {_short(kind)}; {SEE_DOCS}")
+        raise InputError(f"type must be one of {', '.join(types)}, got {_repr(kind)}; {SEE_DOCS}")
     message: Message = {"type": kind}
     for name, (check, default) in FIELDS_BY_MESSAGE[kind].items():
-        if name in given and name not in hidden:
-            message[name] = check(f"{kind}: {name}", given[name])
+        if name in content and name not in hidden:
+            message[name] = check(f"{kind}: {name}", content[name])
         elif default is REQUIRED_FIELD:
             raise InputError(f"{kind}: {name} must be given, got nothing; {SEE_DOCS}")
         else:

@@ -68,9 +68,9 @@ def read_script(path: Path) -> Script:
         if not line.strip():
             continue
         try:
-            given = json_of(line)
-            message = validate_message(given)
-            at = given.get("time")
+            content = json_of(line)
+            message = validate_message(content)
+            at = content.get("time")
             if isinstance(at, bool) or not isinstance(at, int | float) or not 0 <= at < MAX_TIME:
                 raise InputError(
                     f"time must be a number from 0 to {MAX_TIME:g}, got {at!r}; give seconds since the start"

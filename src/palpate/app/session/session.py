@@ -46,7 +46,7 @@ from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.realtime.bodies.display_surface import DisplaySurface
 from palpate.realtime.engine import Engine
-from palpate.realtime.observable import Observation, make_observable
+from palpate.realtime.instrumented import Observation, make_instrumented
 from palpate.realtime.record import Reading
 from palpate.realtime.statistics import Statistics
 from palpate.realtime.suspension import suspended_time
@@ -107,9 +107,14 @@ class Session:
         self._workspace = ToolWorkspace(self.surface)
         idle = self.body.idle_tool
         self.tools = [ToolState(idle, idle, self.body.home, NO_ROTATION) for _ in range(self.body.max_tools)]
-        self._observable = make_observable(self.body.realtime)
-        self.engine = Engine(  # every frame has the trust number
-            self._observable, rate, max_speed=MAX_TOOL_SPEED, on_distrust="ignore", history=history, black_box=black_box
+        self._instrumented = make_instrumented(self.body.realtime)
+        self.engine = Engine(  # every frame has the error indicator
+            self._instrumented,
+            rate,
+            max_speed=MAX_TOOL_SPEED,
+            out_of_training="ignore",
+            history=history,
+            black_box=black_box,
         )
         self.speed_limit, self.fast = trained_speed(model), False
         self.pause_reason: str | None = None
@@ -135,25 +140,25 @@ class Session:
         return self.body.shown_surface
 
     def snapshot(self) -> Snapshot:
-        """Return the results of the last period, from the engine and the observable model."""
+        """Return the results of the last period, from the engine and the instrumented model."""
         with self._lock:
             reading, observed = self._read_period()
             acts = [tool.active is not NO_TOOL and reading.steps > tool.since for tool in self.tools]
             values = zip(acts, reading.tools, observed.tool_positions, observed.device_forces, strict=True)
             tools = tuple(tool.snapshot(*each) for tool, each in zip(self.tools, values, strict=True))
-            kept = np.array(acts)[observed.contact_tools]
+            is_acting = np.array(acts)[observed.contact_tools]
             return Snapshot(
                 tools=tools, time=reading.time, steps=reading.steps, trust=reading.trust, kinetic=reading.kinetic,
                 strain=reading.strain, computing=reading.computing, lateness=reading.lateness, state=reading.state,
                 coordinates=observed.coordinates.astype(coordinates_type(self.model)),
-                contact_nodes=observed.contact_nodes[kept], contact_forces=observed.contact_forces[kept],
-                contact_tools=observed.contact_tools[kept], modulus_ratio=observed.modulus_ratio,
+                contact_nodes=observed.contact_nodes[is_acting], contact_forces=observed.contact_forces[is_acting],
+                contact_tools=observed.contact_tools[is_acting], modulus_ratio=observed.modulus_ratio,
             )  # fmt: skip
 
     def _read_period(self) -> tuple[Reading, Observation]:
         """Return values of the same period, or of adjacent ones if the processor is too busy."""
         for _ in range(MAX_READS):
-            reading, observation = self.engine.read(), self._observable.observe()
+            reading, observation = self.engine.read(), self._instrumented.observe()
             if np.array_equal(reading.coordinates, observation.coordinates):
                 break
         return reading, observation
@@ -225,14 +230,14 @@ class Session:
         return recent.percentile(50) * self.rate if recent.counts.any() else math.inf
 
     def _recent_pace(self, statistics: Statistics) -> float:
-        """Return the pace of the last seconds, from the counts of periods in the statistics of that time."""
+        """Return the real-time factor of the last seconds, from the counts of periods in the statistics."""
         now = time.monotonic()
         self._paces.append((now, statistics.count, statistics.dropped))
         while self._paces[0][0] < now - PACE_SECONDS and len(self._paces) > 2:
             self._paces.popleft()
         _, count, dropped = self._paces[0]
         steps, lost = statistics.count - count, statistics.dropped - dropped
-        return steps / (steps + lost) if steps > 0 and lost >= 0 else statistics.pace
+        return steps / (steps + lost) if steps > 0 and lost >= 0 else statistics.real_time_factor
 
     @property
     def tool_kinds(self) -> list[str]:
@@ -359,7 +364,7 @@ class Session:
             self.engine.reset()
             for tool in self.tools:
                 tool.since = 0
-            self._observable.set_state(self.body.realtime.rest, np.zeros((self.max_tools, 3)))
+            self._instrumented.set_state(self.body.realtime.rest, np.zeros((self.max_tools, 3)))
             if running:
                 self._resume()
 
@@ -507,7 +512,7 @@ class Session:
             force: Floats = each.force
             stiffness: Floats = each.stiffness
             if tool.stiffness is not None:
-                force = self._observable.observe().device_forces[index]
+                force = self._instrumented.observe().device_forces[index]
                 spring = tool.stiffness * np.eye(3)
                 stiffness = np.asarray(tool.stiffness * np.linalg.solve(spring + stiffness, stiffness), dtype=float)
             return {
@@ -539,8 +544,8 @@ class Session:
         grasps = isinstance(tool.shape, Forceps)  # forceps rotate the nodes they grasp as much as they are rotated
         rotation = NO_ROTATION if grasps else quaternion
         self.body.change_tool(tool, np.concatenate([position, rotation]), index)
-        self._observable.set_coupling(tool.stiffness, HAND_FORCE, index)
-        self._observable.place_tool(index, np.zeros(3))
+        self._instrumented.set_coupling(tool.stiffness, HAND_FORCE, index)
+        self._instrumented.place_tool(index, np.zeros(3))
         self.engine.place_tool(np.zeros(3), NO_ROTATION, sequence, index)
         state = self.tools[index]
         state.active, state.origin, state.rotation = tool, np.array(position), np.array(quaternion)

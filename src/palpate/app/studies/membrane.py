@@ -134,8 +134,8 @@ ROWS: Rows = {
 def _negligible_change(done: Finished) -> tuple[str, bool]:
     wrong = done.errors
     more = [modes for modes in wrong if modes > 8]
-    here = f"{wrong[8]:.2%} with 8, " + ", ".join(f"{wrong[modes]:.2%} with {modes}" for modes in more)
-    return here, max(abs(wrong[modes] - wrong[8]) for modes in more) < MAX_ERROR_CHANGE
+    text = f"{wrong[8]:.2%} with 8, " + ", ".join(f"{wrong[modes]:.2%} with {modes}" for modes in more)
+    return text, max(abs(wrong[modes] - wrong[8]) for modes in more) < MAX_ERROR_CHANGE
 
 
 def _growing_time(done: Finished) -> tuple[str, bool]:

@@ -58,11 +58,11 @@ class Claim:
 
     def entry(self, done: Finished) -> dict[str, Any]:
         """Return the claim, the result and whether it holds; None where no run tests it."""
-        here: tuple[str, bool | None] = (f"needs {self.needs}", None)
+        result: tuple[str, bool | None] = (f"needs {self.needs}", None)
         enough = {*self.modes} <= {*done.errors} and len(done.errors) >= self.sizes
         if enough and not (self.more and max(done.errors) <= max(self.modes)):
-            here = self.judge(done)
-        return {"figure": self.figure, "claim": self.text, "here": here[0], "holds": here[1]}
+            result = self.judge(done)
+        return {"figure": self.figure, "claim": self.text, "here": result[0], "holds": result[1]}
 
     @property
     def needs(self) -> str:

@@ -62,8 +62,8 @@ def reproduce(*, example: str, modes: Sequence[int], out: Path, as_json: bool = 
     key, make = next(iter(chosen.studies.items()))
     with ExitStack() as stack:
         shown = stack.enter_context(TemporaryDirectory(prefix="palpate-"))
-        given = [example, options, sizes, str(out), shown]
-        other = SecondForm(chosen, stack.enter_context(second_process(assist, given)))
+        request = [example, options, sizes, str(out), shown]
+        other = SecondForm(chosen, stack.enter_context(second_process(assist, request)))
         compiled = stack.enter_context(closing(CompiledFunctions()))
         case = build_load_case(lambda: chosen.case(**options), out, chosen.doubles, console)
         other.start()

@@ -28,7 +28,7 @@ START_REQUEST, DRAW_REQUEST = "start", "draw"  # requests to it
 
 
 def assist_example(
-    example: Example, options: Mapping[str, Any], given: tuple[Sequence[int], Path, Path], receive: Receive,
+    example: Example, options: Mapping[str, Any], request: tuple[Sequence[int], Path, Path], receive: Receive,
     answer: Answer,
 ) -> None:  # fmt: skip
     """Do the work of the second process.
@@ -38,7 +38,7 @@ def assist_example(
     given
         Numbers of modes, folder of the results, and one for runs that figures show.
     """
-    sizes, out, shown = given
+    sizes, out, shown = request
     if example.second_case is None:
         (make,) = example.studies.values()
         study = make(example.case(**options))

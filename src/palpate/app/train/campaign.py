@@ -42,7 +42,7 @@ from palpate.scenes.names import kind_of
 from palpate.scenes.scene import Scene
 
 MODEL_FILE = "model.rom"
-# Where tools touch the body anywhere. Every fourth path of a liver is a grasp, and trust numbers compare runs.
+# Where tools touch the body anywhere. Every fourth path of a liver is a grasp, and error indicators compare runs.
 # With 3 to 6 modes the 95th percentile of the force errs by 12 to 14 %, with 8 by 10 %, with 24 by 9 % (liver of
 # 12 mm).
 MIN_PATHS, MIN_MODES = 4, 8
@@ -77,10 +77,10 @@ def check_sizes(scene: Scene, training: Training, recorded: bool = False) -> Non
 
 def _check_least(paths: int, modes: int) -> None:
     """Raise `InputError` for too few paths or modes where tools touch the body anywhere."""
-    for name, given, least in (("paths", paths, MIN_PATHS), ("modes", modes, MIN_MODES)):
-        if given < least:
+    for name, value, least in (("paths", paths, MIN_PATHS), ("modes", modes, MIN_MODES)):
+        if value < least:
             raise InputError(
-                f"{name} must be at least {least} where tools touch the body anywhere, got {given}; use {least} or more"
+                f"{name} must be at least {least} where tools touch the body anywhere, got {value}; use {least} or more"
             )
 
 
@@ -198,13 +198,13 @@ class Campaign:
         paths = {job: every[job][1] for job in left}
         frames = sum(self._frames(duration) for duration in paths.values())
         check_space(folder.path, frames * len(scene.model.cloud) * 6 * 8, "folder")
-        there = len(jobs) - len(left)
+        complete = len(jobs) - len(left)
         processes = f"{self.workers} process{'es' if self.workers > 1 else ''}"
         where = f"the cluster at {self.cluster}" if self.cluster else processes
         estimate = self._estimate(every[left[0]][0], paths.values()) if left else ""
         console.say(
             f"{scene.title}: {count_nodes(len(scene.model.cloud))}, {len(jobs)} runs"
-            + (f", {there} of them done before" if there else "")
+            + (f", {complete} of them done before" if complete else "")
             + (f"; {len(left)} on {where}{estimate} ..." if left else "")
         )
         if not left:

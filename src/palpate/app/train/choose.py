@@ -4,10 +4,10 @@ The method is POD-greedy (Haasdonk and Ohlberger, ESAIM: M2AN 42, 2008). The red
 candidate paths, and the full model along those with the largest scores. Several are chosen at a time.
 The states of those already chosen count as trained, so that two similar paths are not chosen together.
 
-The score of a path has two terms. The first is the error expected at its trust number, at most 1, and 1
+The score of a path has two terms. The first is the error expected at its error indicator, at most 1, and 1
 if it is unknown. The second is the newly covered share of the surface under its tools. An uncovered
 place counts as an error of 100 %, and comes first; on a covered surface the error decides. Equal scores
-are ordered by the trust number.
+are ordered by the error indicator.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def choose(
 
 
 def _expected_error(model: ReducedModel, trust: float) -> float:
-    """Return the larger of the median errors of displacement and force at a trust number, at most 1."""
+    """Return the larger of the median errors of displacement and force at an error indicator, at most 1."""
     curves = model.report.get("held_out", {}).get("expected_error", {})
     quantities = [quantity for quantity in ("displacement", "force") if quantity in curves]
     if not quantities or not np.isfinite(trust):

@@ -120,11 +120,11 @@ def draw_coverage(covered: Coverage, path: Path) -> None:
                 add_shaded(plotter, cloud.points, cloud.triangles, towards, kind_colours)
 
             show(axes, cloud.points, towards, title, draw)
-        there = np.unique(covered.kinds)
+        present = np.unique(covered.kinds)
         kinds = (
             LEGEND_BY_KIND if covered.runs else LEGEND_BY_KIND | {UNCOVERED: ("reached", LEGEND_BY_KIND[UNCOVERED][1])}
         )
-        handles = [Patch(color=colour, label=label) for kind, (label, colour) in kinds.items() if kind in there]
+        handles = [Patch(color=colour, label=label) for kind, (label, colour) in kinds.items() if kind in present]
         drawn.legend(handles=handles, loc="outside lower center", ncols=len(handles))
 
 

@@ -215,11 +215,11 @@ def _compare(path: Path, stored: Mapping[str, Any], expected: Mapping[str, Any])
         for name in dict.fromkeys((*expected, *stored))
         if name != "parameters" and stored.get(name) != expected.get(name)
     ]
-    there, here = stored["parameters"], expected["parameters"]
+    old, new = stored["parameters"], expected["parameters"]
     differing += [
-        f"{name} is {there.get(name)!r} there, {here.get(name)!r} here"
-        for name in dict.fromkeys((*here, *there))
-        if there.get(name) != here.get(name)
+        f"{name} is {old.get(name)!r} there, {new.get(name)!r} here"
+        for name in dict.fromkeys((*new, *old))
+        if old.get(name) != new.get(name)
     ]
     if differing:
         raise InputError(

@@ -48,7 +48,7 @@ def add_train(commands: Any) -> None:
         "displacement and forces on the held-out runs are at most this"
     )
     add_parameter(train, Training, "tolerance", help=text)
-    text = "recordings of sessions (palpate view): also train on their tool paths with trust numbers above 1"
+    text = "recordings of sessions (palpate view): also train on their tool paths with error indicators above 1"
     add("--more", type=existing_file, nargs="+", action="extend", default=[], metavar="FILE.h5", help=text)
     text = " (default: that of the scene, 24 of a function; with --tolerance, up to 96 if all paths do not keep it)"
     add_parameter(train, Training, "modes", text)

@@ -46,7 +46,7 @@ def add_recording(folder: Folder, scene: TrainingScene, path: Path) -> None:
     _check(recording, scene, path)
     paths = recorded_paths(recording)
     if not any(tool_path.trust > 1 for tool_path in paths):
-        largest = f", the largest trust number is {max(tool_path.trust for tool_path in paths):.3g}" if paths else ""
+        largest = f", the largest error indicator is {max(tool_path.trust for tool_path in paths):.3g}" if paths else ""
         raise InputError(
             f"{path} must have a path beyond trust, got {len(paths)} paths within{largest}; nothing would be learned"
         )

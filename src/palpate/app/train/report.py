@@ -175,7 +175,7 @@ def _rows(report: dict[str, Any]) -> Rows:
                 continue
             error = expected_error(report["model"], 1.0, quantity)
             label = (
-                f"error of {quantity} expected at a trust number of 1, median; {error.level:.0%} of runs "
+                f"error of {quantity} expected at an error indicator of 1, median; {error.level:.0%} of runs "
                 f"stay below ({error.least_level:.0%} or more with a confidence of 90%)"
             )
             known = np.isfinite(error.bound)
@@ -193,9 +193,9 @@ def _round_rows(rounds: Sequence[Mapping[str, Any]]) -> dict[str, str]:
         return {}
     errors = "; ".join(f"{each['runs']}, {each['modes']}: {percent(each['error'])}" for each in rounds)
     last = rounds[-1]
-    kept = "kept" if last["error"] <= last["tolerance"] else "not kept"
+    status = "kept" if last["error"] <= last["tolerance"] else "not kept"
     tolerance = percent(last["tolerance"])
-    return {f"error by number of training runs and modes; tolerance of {tolerance}": f"{errors}; {kept}"}
+    return {f"error by number of training runs and modes; tolerance of {tolerance}": f"{errors}; {status}"}
 
 
 def _by_load(report: dict[str, Any]) -> dict[str, str]:
@@ -287,7 +287,7 @@ def _details(report: dict[str, Any], names: Sequence[str]) -> list[Table | str]:
 
 
 def _draw(folder: Folder, report: dict[str, Any], names: Sequence[str]) -> None:
-    """Draw the errors of every held-out path, and the expected errors by trust number."""
+    """Draw the errors of every held-out path, and the expected errors by error indicator."""
     model = report["model"]
     held_out = model["held_out"]
     with figure(folder.path / ERRORS_FIGURE, (9.0, 4.6)) as drawn:
@@ -307,8 +307,8 @@ def _draw(folder: Folder, report: dict[str, Any], names: Sequence[str]) -> None:
             errors = 100 * np.array([expected_error(model, number, what)[:2] for number in numbers])
             trust.plot(numbers, errors[:, 1], color=colour, label=f"{what}: {curves['level']:.0%} of runs stay below")
             trust.plot(numbers, errors[:, 0], color=colour, ls=":", label=f"{what}: median of the frames")
-        trust.set(xlabel="largest trust number so far", ylabel="error over the mean of present and typical size [%]")
-        trust.set_title("by trust number; unknown beyond the curves")
+        trust.set(xlabel="largest error indicator so far", ylabel="error over the mean of present and typical size [%]")
+        trust.set_title("by error indicator; unknown beyond the curves")
         trust.set_ylim(bottom=0.0)
         legend_below(drawn, paths, columns=len(ERROR_COLOURS))
         if curves:

@@ -254,7 +254,7 @@ class RecordingPlotter:
 
 
 class DrawnBody:
-    """The body in a plotter, whose surface a cut can exchange.
+    """The body in a plotter, whose surface a cut can replace.
 
     Parameters
     ----------
@@ -271,7 +271,7 @@ class DrawnBody:
     def update(self, surface: DisplaySurface, displacements: Singles, values: Any, axes: Floats) -> Floats:
         """Draw a surface with displacements (n, 3) [m] and shares of the colours (n,); return its points."""
         if surface is not self._surface:
-            self._exchange(surface)
+            self._replace_surface(surface)
         self._mesh.points, normals = self._refined.places(surface.rest + displacements)
         self._mesh["colour"] = shade(normals, axes, self._refined.values(values), self._fixed, self._mottling)
         if self._line is not None:
@@ -280,7 +280,7 @@ class DrawnBody:
             self._line.points = np.einsum("lek,lkc->lec", self._shares, corners).reshape(-1, 3) + nearer
         return np.asarray(self._mesh.points)
 
-    def _exchange(self, surface: DisplaySurface) -> None:
+    def _replace_surface(self, surface: DisplaySurface) -> None:
         rest = surface.rest.astype(float)
         self._surface, self._refined = surface, RefinedSurface(rest, surface.triangles)
         self._fixed, self._mottling = self._refined.values(surface.fixed), self._refined.values(rest / self._size)

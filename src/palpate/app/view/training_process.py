@@ -21,7 +21,7 @@ from palpate.scenes.open_scene import json_of_scene, open_description
 from palpate.scenes.scene import Scene
 
 TRAINING_SHARE = 1.3  # time of the training over that of all its runs: 1.3 on a liver of 4,500 nodes
-LEAST_SHARE = 0.02  # of the runs, from which their time is estimated
+MIN_SHARE = 0.02  # of the runs, from which their time is estimated
 MIN_SECONDS_LEFT = 1.0  # [s]
 
 
@@ -37,8 +37,8 @@ class TrainingProcess:
     def __init__(self, scene: Scene) -> None:
         workers = max(min((os.cpu_count() or 1) - 1, MAX_WORKERS), 1)  # the engine keeps a processor
         threads = dict.fromkeys(THREAD_VARIABLES, str(workers))
-        given = {"name": scene.name, "description": json_of_scene(scene), "workers": workers}
-        self._child = Child(train_in_process, given, environment=threads, idle=True)
+        request = {"name": scene.name, "description": json_of_scene(scene), "workers": workers}
+        self._child = Child(train_in_process, request, environment=threads, idle=True)
 
     def events(self) -> Iterator[dict[str, Any]]:
         """Yield the reports of the process until it ends; the last is ``trained`` or ``failed``.
@@ -85,7 +85,7 @@ class Progress:
         if self._runs_began is None:
             self._runs_began = now
         left = None
-        if share > LEAST_SHARE:
+        if share > MIN_SHARE:
             self._runs_seconds = (now - self._runs_began) / share
             left = max((1 - share + TRAINING_SHARE) * self._runs_seconds, MIN_SECONDS_LEFT)
         self._report({"phase": text, "left": left})
@@ -93,10 +93,10 @@ class Progress:
 
 def train_in_process(receive: Receive, answer: Answer) -> None:
     """Train the scene of a description."""
-    given, progress = receive(), Progress(answer)
+    request, progress = receive(), Progress(answer)
     try:
-        scene = open_description(given["name"], given["description"])
-        model = trained_model(scene, Console(progress.phase, progress.runs), given["workers"])
+        scene = open_description(request["name"], request["description"])
+        model = trained_model(scene, Console(progress.phase, progress.runs), request["workers"])
         progress.phase("compiling the engine")
         _compile_engine(model, scene)
         answer({"trained": str(model_file(scene)), "errors": held_out_means(model)})

@@ -5,10 +5,10 @@ The edge of a blade holds the tissue ahead of it, up to the force that cuts it,
     F <= (Gamma - G) l,
 
 with the toughness Gamma [J/m^2], the energy G that the front releases per area, and the length l of the edge in the
-tissue. At that force the tissue gives way, and the cut advances (`palpate.dynamics.solid.cutting.incision`). So a blade
-that is pressed first deforms the tissue, and a cut costs Gamma per area: work of the blade, or energy that the front
-releases (Atkins, The Science and Engineering of Cutting, 2009). The faces of the cut stay on their sides of the blade,
-whose thickness wedges them apart. They slide along it against a shear stress.
+tissue. At that force the tissue gives way, and the cut advances (`palpate.dynamics.solid.cutting.cut_front`). So a
+blade that is pressed first deforms the tissue, and a cut costs Gamma per area: work of the blade, or energy that the
+front releases (Atkins, The Science and Engineering of Cutting, 2009). The faces of the cut stay on their sides of the
+blade, whose thickness wedges them apart. They slide along it against a shear stress.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Compiled geometry of rigid tools and contact patches: distances, velocities and Coulomb's law.
 
 A patch i is at X_i + sum of w_ij u_j: a node itself, or in the energy form the surface around it
-(`palpate.meshfree.patches`). After the patches of the nodes come those of the middles of the edges of
+(`palpate.meshfree.patches`). After the patches of the nodes come those of the edge midpoints of
 surface triangles, with the means of the weights of their ends: between nodes that a tool spreads
-apart, no small tool can pass. A middle may be as deep in a tool as the chord of its edge at rest, so
+apart, no small tool can pass. An edge midpoint may be as deep in a tool as the chord of its edge at rest, so
 that it carries no force before its edge stretches. Functions of a point take coordinates and are
 independent of the discretisation. The impulses of a step are in `palpate.dynamics.contact.impulses`.
 """
@@ -59,7 +59,7 @@ class ToolShapes(NamedTuple):
 
 
 class Patches(NamedTuple):
-    """Patches: p of the n nodes and of the middles of edges of the surface, as weighted means of nodes."""
+    """Patches: p of the n nodes and of the edge midpoints of the surface, as weighted means of nodes."""
 
     points: Floats  # (p, 3) array [m]: reference positions
     # (p, 2) array: nodes at the ends of every patch's edge; for the patch of a node twice the node
@@ -308,7 +308,7 @@ def compute_patch_positions(contacts, u, positions):
 
 @kernel_njit(forceinline=True)
 def chord_depth(length, curvature):
-    """Return the depth [m] of the middle of an edge between two points on a tool; at most a quarter of the edge."""
+    """Return the depth [m] of an edge midpoint between two points on a tool; at most a quarter of the edge."""
     return min(0.125 * length * length * curvature, 0.25 * length)
 
 
@@ -351,7 +351,7 @@ def contacts(
     removed : int array, optional
         Nodes that no tool reaches.
     edges : (e, 2) int array, optional
-        Pairs of surface nodes in whose middles tools meet patches, too.
+        Pairs of surface nodes at whose midpoints tools meet patches, too.
     """
     _check_tools(loads, cloud)
     if patches is None and any(load.tool.kind == BLADE for load in loads):

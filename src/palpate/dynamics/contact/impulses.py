@@ -176,8 +176,8 @@ def _find_active_patches(contacts, ahead, step, ratio, time, u, velocity, mass, 
                 if impulses[k, 3] != 0.0:
                     impulses[k] = 0.0
                 continue
-            kept = gap(kind, sizes, contacts.work.frames[t, 0], x, y, z)[0] + depth + contacts.gaps.overlap
-            places[k, 3] = min(0.0, kept) * max(0.0, 1.0 - step / RECOVERY_TIME)
+            clearance = gap(kind, sizes, contacts.work.frames[t, 0], x, y, z)[0] + depth + contacts.gaps.overlap
+            places[k, 3] = min(0.0, clearance) * max(0.0, 1.0 - step / RECOVERY_TIME)
             response = 0.0
             for c in range(start[i], start[i + 1]):
                 j = near[c]

@@ -1,6 +1,6 @@
 """Depth of the surface's triangles in rigid tools, compiled.
 
-Contact impulses keep the patches of nodes and of the middles of edges out of a tool. This is a check
+Contact impulses keep the patches of nodes and of the edge midpoints out of a tool. This is a check
 of what lies between them. Tools are convex, so the depth of a point in one is a concave function, and
 a few points of a triangle give its largest depth within some per cent of the spacing.
 """

@@ -313,7 +313,7 @@ def prepare_loads(
     removed : int array, optional
         Nodes that left the body: they are fixed, and no tool reaches them.
     edges : (e, 2) int array, optional
-        Pairs of surface nodes in whose middles tools meet patches, too.
+        Pairs of surface nodes at whose midpoints tools meet patches, too.
     """
     loads = listed(loads)
     grasps = tuple(load.name for load in loads if isinstance(load, Grasp))

@@ -200,24 +200,24 @@ class Rail(Support):
 
 def _keep_direction(support: Support, name: str) -> None:
     """Store a direction as a tuple of floats; raise `InputError` if it is zero or not finite."""
-    given = getattr(support, name)
+    value = getattr(support, name)
     try:
-        vector = np.array(given, dtype=float)
+        vector = np.array(value, dtype=float)
     except (TypeError, ValueError, OverflowError):
         vector = np.zeros(0)
     if vector.shape != (3,) or not 0.0 < float(np.linalg.norm(vector)) < np.inf:
         raise InputError(
             f"{name} of {type(support).__name__} on {support.group!r} must be three finite numbers that are not all 0, "
-            f"got {brief(given)}"
+            f"got {brief(value)}"
         )
     object.__setattr__(support, name, tuple(vector.tolist()))
 
 
 def supports_of(fixed: str | Support | Iterable[str | Support]) -> tuple[Support, ...]:
     """Return the supports of the argument `fixed` of a model, whose group names are clamps."""
-    given = (fixed,) if isinstance(fixed, str | Support) else tuple(fixed)
+    entries = (fixed,) if isinstance(fixed, str | Support) else tuple(fixed)
     supports = []
-    for entry in given:
+    for entry in entries:
         if not isinstance(entry, str | Support):
             raise InputError(f"fixed must list group names and supports such as Roller('y-'), got {brief(entry)}")
         supports.append(Clamp(entry) if isinstance(entry, str) else entry)
@@ -230,12 +230,12 @@ def supports_of(fixed: str | Support | Iterable[str | Support]) -> tuple[Support
 
 def support_from(values: Mapping[str, Any]) -> Support:
     """Return the support of `Support.values`, as a file has them."""
-    given = dict(values)
-    name = given.pop("kind", None)
+    record = dict(values)
+    name = record.pop("kind", None)
     kind = Support.kinds.get(name) if isinstance(name, str) else None
-    if kind is None or given.keys() != {field.name for field in fields(kind)} or not isinstance(given["group"], str):
+    if kind is None or record.keys() != {field.name for field in fields(kind)} or not isinstance(record["group"], str):
         raise InputError(f"support must be one of {', '.join(Support.kinds)} with its parameters, got {brief(values)}")
-    return kind(**given)
+    return kind(**record)
 
 
 class SupportedNodes(NamedTuple):

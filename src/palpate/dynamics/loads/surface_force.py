@@ -61,8 +61,8 @@ class SurfaceForce(Described, DeadLoad):
 
     @property
     def labels(self) -> tuple[str, ...]:
-        given = [name for name in ("force", "moment") if getattr(self, name) is not None]
-        return tuple(f"{name} {axis}" for name in given for axis in AXES)
+        names = [name for name in ("force", "moment") if getattr(self, name) is not None]
+        return tuple(f"{name} {axis}" for name in names for axis in AXES)
 
     def pattern(self, cloud: Cloud, areas: Floats) -> ForcePattern:
         nodes, shares = cloud.group(self.group), np.linalg.norm(areas, axis=1)
@@ -75,8 +75,8 @@ class SurfaceForce(Described, DeadLoad):
         return ForcePattern(nodes, np.concatenate(forces, axis=1))
 
     def amplitudes(self, times: Floats) -> Floats:
-        given = [(name, getattr(self, name)) for name in ("force", "moment") if getattr(self, name) is not None]
-        values = [vectors_at(value, times, f"{name} of SurfaceForce on {self.group!r}") for name, value in given]
+        parts = [(name, getattr(self, name)) for name in ("force", "moment") if getattr(self, name) is not None]
+        values = [vectors_at(value, times, f"{name} of SurfaceForce on {self.group!r}") for name, value in parts]
         return np.hstack(values)
 
     def _moment_pattern(self, points: Floats, shares: Floats) -> Floats:

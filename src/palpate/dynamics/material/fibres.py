@@ -47,8 +47,8 @@ def prepare_fibres(fibres: FibreLaw | None, material: Material, form: str, point
     return fibres.at(points)
 
 
-def always_taut(families: Families) -> Families:
-    """Return fibres that carry compression too, for the stable step."""
+def tension_compression_fibres(families: Families) -> Families:
+    """Return tension-compression fibres, which carry compression too, for the stable step."""
     coefficients = families.coefficients.copy()
     coefficients[-1:] = 1.0
     return families._replace(coefficients=coefficients)

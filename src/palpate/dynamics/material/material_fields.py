@@ -39,16 +39,16 @@ def regions_of(
             raise InputError(
                 f"material must cover all nodes, got {np.sum(which < 0)} without one; use the key '' for all others"
             )
-        given = list(material.values())
+        materials = list(material.values())
     else:
-        given, which = list(material), np.arange(count)
-        if len(given) != count:
-            raise InputError(f"material must have one entry for each of the {count} nodes, got {len(given)}")
-    for each in given:
+        materials, which = list(material), np.arange(count)
+        if len(materials) != count:
+            raise InputError(f"material must have one entry for each of the {count} nodes, got {len(materials)}")
+    for each in materials:
         if not isinstance(each, Material):
             raise InputError(f"material must be palpate's materials, got {each!r:.200}; give them by group or by node")
-    kinds = {each: i for i, each in enumerate(dict.fromkeys(given[k] for k in np.unique(which)))}
-    regions = Regions(tuple(kinds), np.array([kinds.get(each, 0) for each in given])[which])
+    kinds = {each: i for i, each in enumerate(dict.fromkeys(materials[k] for k in np.unique(which)))}
+    regions = Regions(tuple(kinds), np.array([kinds.get(each, 0) for each in materials])[which])
     return regions.materials[0], regions if len(kinds) > 1 else None
 
 

@@ -85,16 +85,16 @@ def tissue_of(
     return TissueField(first, regions, _stiffness_factors(cloud, stiffness), directed, len(cloud))
 
 
-def _stiffness_factors(cloud: Cloud, given: Mapping[str, float] | Floats | None) -> Floats:
+def _stiffness_factors(cloud: Cloud, factors: Mapping[str, float] | Floats | None) -> Floats:
     """Return the stiffness factors (n,) of the nodes; empty for None."""
-    if given is None:
+    if factors is None:
         return np.zeros(0)
-    if isinstance(given, Mapping):
+    if isinstance(factors, Mapping):
         stiffness = np.ones(len(cloud))
-        for group, value in given.items():
+        for group, value in factors.items():
             stiffness[cloud.group(group)] = number_in_range(f"stiffness[{group!r}]", value, 0.0, open_low=True)
         return stiffness
-    stiffness = np.array(given, dtype=float)
+    stiffness = np.array(factors, dtype=float)
     if stiffness.shape != (len(cloud),) or not np.all(np.isfinite(stiffness) & (stiffness > 0)):
         raise InputError(f"stiffness must be {len(cloud)} positive numbers, one per node, got shape {stiffness.shape}")
     return stiffness

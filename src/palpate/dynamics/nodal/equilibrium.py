@@ -19,9 +19,9 @@ from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.prepared import Load, check_kinds, listed
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.loads.pressure import Pressure
+from palpate.dynamics.nodal.equilibrium_residual import EquilibriumResidual
 from palpate.dynamics.nodal.mixed_newton import MixedNewton
 from palpate.dynamics.nodal.model import NodalModel
-from palpate.dynamics.nodal.static_balance import StaticBalance
 from palpate.dynamics.run.model import State, initial_field
 from palpate.dynamics.run.partition import active_partitions
 from palpate.dynamics.run.reactions import group_forces
@@ -136,8 +136,8 @@ def equilibrium(
     check_kinds(loads, PERMITTED_LOADS, "loads of equilibrium")
     start = initial_field("displacement", displacement, len(model.cloud))
     with np.errstate(all="ignore"):  # trial states may have no energy
-        balance = StaticBalance(model, model.prepare(loads), time, start)
-        newton = MixedNewton(balance, tolerance, max_iterations)
+        equations = EquilibriumResidual(model, model.prepare(loads), time, start)
+        newton = MixedNewton(equations, tolerance, max_iterations)
         try:
             u = newton.run()
         except DivergenceError as error:
@@ -149,18 +149,18 @@ def equilibrium(
                 f"{model.cloud.points[loose[0]]} m, and nothing holds them; "
                 "cut with detached='remove', or support them"
             ) from error
-        energy = model.strain_energy(u, balance.history(u))
-        return Equilibrium(u, newton.residual, newton.iterations, energy, _reactions(balance, u))
+        energy = model.strain_energy(u, equations.history(u))
+        return Equilibrium(u, newton.residual, newton.iterations, energy, _reactions(equations, u))
 
 
-def _reactions(balance: StaticBalance, u: Floats) -> dict[str, Floats]:
+def _reactions(equations: EquilibriumResidual, u: Floats) -> dict[str, Floats]:
     """Return the force (3,) [N] of every active support on the body, as `palpate.dynamics.run.reactions` at rest."""
-    model, prepared = balance.model, balance.prepared
-    supports, parts = active_partitions(model.cloud.points, prepared, balance.time)
+    model, prepared = equations.model, equations.prepared
+    supports, parts = active_partitions(model.cloud.points, prepared, equations.time)
     if not supports:
         return {}
     still = np.zeros_like(u)
-    external = model.external_force(State(u, still, balance.time), prepared)
-    fields = model.nodal_fields(u, still, still, external, balance.history(u))
+    external = model.external_force(State(u, still, equations.time), prepared)
+    fields = model.nodal_fields(u, still, still, external, equations.history(u))
     stress = None if fields.stress is None else fields.stress()
     return dict(zip(supports, group_forces(model, parts, fields.unbalanced, stress), strict=True))

@@ -23,7 +23,7 @@ from palpate.dynamics.contact.impulses import list_near, push_patches
 from palpate.dynamics.loads.supports import FIXED
 from palpate.dynamics.material.relaxation import copy_field, copy_values
 from palpate.dynamics.nodal.central_difference import foundation_force, kick_node
-from palpate.dynamics.nodal.mass_tailoring import subtract_inertia
+from palpate.dynamics.nodal.mass_scaling import subtract_inertia
 from palpate.dynamics.nodal.period_data import (
     BEHIND,
     BLOCK_NODES,
@@ -248,7 +248,7 @@ def leapfrog(formulation: Formulation, touch: int) -> Any:
         step_force(scratch.damped, constants, work, scratch.force)
         foundation_force(body.sites, u, velocity, nodes.volumes, scratch.surface)
         subtract_inertia(
-            body.tailoring, nodes.volumes, nodes.density, 1.0, scratch.surface, scratch.force, 1.0 / step,
+            body.mass_scaling, nodes.volumes, nodes.density, 1.0, scratch.surface, scratch.force, 1.0 / step,
             data.tools.contacts.work.step_impulses, scratch.surface,
         )  # fmt: skip
 

@@ -23,6 +23,7 @@ from scipy.sparse.linalg import LinearOperator, gmres
 from palpate.core.arrays import Floats, euclidean_norm
 from palpate.core.faults import DivergenceError
 from palpate.dynamics.nodal.coarse_grid import two_level_preconditioner
+from palpate.dynamics.nodal.equilibrium_residual import EquilibriumResidual
 from palpate.dynamics.nodal.mixed_stress import (
     SplitStress,
     added_moduli,
@@ -31,7 +32,6 @@ from palpate.dynamics.nodal.mixed_stress import (
     tangent_moduli,
 )
 from palpate.dynamics.nodal.model import NodalModel
-from palpate.dynamics.nodal.static_balance import StaticBalance
 
 DIFFERENCE_SPACINGS = 1e-6  # largest displacement of a difference of forces, in spacings
 LINEAR_TOLERANCE = 1e-3  # relative error of the linear solution of a step
@@ -52,7 +52,7 @@ class MixedNewton:
     Parameters
     ----------
     tolerance : float
-        Largest residual, over `StaticBalance.scale`.
+        Largest residual, over `EquilibriumResidual.scale`.
 
     Attributes
     ----------
@@ -62,15 +62,15 @@ class MixedNewton:
         Steps taken.
     """
 
-    def __init__(self, balance: StaticBalance, tolerance: float, max_iterations: int) -> None:
-        self.balance, self.tolerance, self.max_iterations = balance, tolerance, max_iterations
+    def __init__(self, equations: EquilibriumResidual, tolerance: float, max_iterations: int) -> None:
+        self.equations, self.tolerance, self.max_iterations = equations, tolerance, max_iterations
         self.iterations, self.residual = 0, np.inf
-        self._tangent = Tangent(balance)
+        self._tangent = Tangent(equations)
 
     def run(self) -> Floats:
         """Return displacements (n, 3) [m] in equilibrium; raise `DivergenceError` if none are found."""
-        u, share, increment = self.balance.start, 0.0, 1.0
-        self._offset = self.balance.residual(u)
+        u, share, increment = self.equations.start, 0.0, 1.0
+        self._offset = self.equations.residual(u)
         while share < 1.0:
             target = min(share + increment, 1.0)
             solution = self._increase(u, share, target)
@@ -88,44 +88,44 @@ class MixedNewton:
 
     def _increase(self, u: Floats, share: float, target: float) -> Floats | None:
         """Return displacements in equilibrium at a share of the load from those at a smaller one; None on failure."""
-        balance = self.balance
+        equations = self.equations
         tolerance = self.tolerance if target == 1.0 else max(self.tolerance, INCREMENT_TOLERANCE * (target - share))
-        jump = (target - share) * balance.jump
-        given = present = split_stress(balance, u)
-        volumes, least = balance.volume_ratios(u), np.inf
+        jump = (target - share) * equations.jump
+        mixed = present = split_stress(equations, u)
+        volumes, least = equations.volume_ratios(u), np.inf
         for step in range(MAX_STEPS):
-            unbalanced = balance.residual(u) - (1 - target) * self._offset
-            self.residual = euclidean_norm(unbalanced) / balance.scale(u)
+            unbalanced = equations.residual(u) - (1 - target) * self._offset
+            self.residual = euclidean_norm(unbalanced) / equations.scale(u)
             if not jump.any() and self.residual <= tolerance:
                 return u
             stuck = step > STEPS_WITHOUT_DECREASE and self.residual > least
             if not np.isfinite(self.residual) or stuck or self.iterations >= self.max_iterations:
                 return None
             least = min(least, self.residual) if step else np.inf  # prescribed nodes have not moved before
-            direction = self._tangent.solve(u, unbalanced, jump, present, given)
+            direction = self._tangent.solve(u, unbalanced, jump, present, mixed)
             self.iterations += 1
             if direction is None:
                 return None
-            given = extrapolated_stress(balance, u, present, direction)
+            mixed = extrapolated_stress(equations, u, present, direction)
             u, jump = u + direction, np.zeros_like(u)
-            before, volumes = volumes, balance.volume_ratios(u)
+            before, volumes = volumes, equations.volume_ratios(u)
             if not np.all((volumes > before / MAX_VOLUME_CHANGE) & (volumes < before * MAX_VOLUME_CHANGE)):
                 return None
-            present = split_stress(balance, u)
+            present = split_stress(equations, u)
         return None
 
 
 class Tangent:
     """The tangent stiffness of a body and its loads, with its preconditioner."""
 
-    def __init__(self, balance: StaticBalance) -> None:
-        self.balance = balance
-        self.gradient, self.transposed = _gradient_operator(balance.model)
+    def __init__(self, equations: EquilibriumResidual) -> None:
+        self.equations = equations
+        self.gradient, self.transposed = _gradient_operator(equations.model)
         self._built_at: Floats | None = None
         self._precondition: Callable[[Floats], Floats] = np.copy
 
     def solve(
-        self, u: Floats, residual: Floats, jump: Floats, present: SplitStress, given: SplitStress
+        self, u: Floats, residual: Floats, jump: Floats, present: SplitStress, mixed: SplitStress
     ) -> Floats | None:
         """Return Newton's step (n, 3) [m] from displacements u, or None if the linear iterations fail.
 
@@ -134,43 +134,43 @@ class Tangent:
         u, residual : (n, 3) arrays [m], [N]
         jump : (n, 3) array [m]
             Displacements of prescribed nodes in this step.
-        present, given : SplitStress
+        present, mixed : SplitStress
             Stresses of the law, and those of the tangent.
         """
-        balance, model = self.balance, self.balance.model
+        equations, model = self.equations, self.equations.model
         F, added = model.deformation_gradient(u), None
         modulus = model.material.shear_modulus
-        excess = max(float(np.abs(b - a).max()) for a, b in zip(present, given, strict=True))
+        excess = max(float(np.abs(b - a).max()) for a, b in zip(present, mixed, strict=True))
         if excess > MIN_EXCESS * modulus:
-            added = added_moduli(F, present, given)
+            added = added_moduli(F, present, mixed)
         if self._built_at is None or np.abs(F - self._built_at).max() > MAX_STRAIN_CHANGE:
-            moduli = tangent_moduli(balance, u)
+            moduli = tangent_moduli(equations, u)
             if added is not None:
                 moduli += added
-            self._precondition = two_level_preconditioner(model, F, moduli, balance.constrained, balance.springs)
+            self._precondition = two_level_preconditioner(model, F, moduli, equations.constrained, equations.springs)
             self._built_at = F if added is None else None
-        before, spacing = balance.residual(u), model.cloud.spacing
+        before, spacing = equations.residual(u), model.cloud.spacing
 
         def apply(direction: Floats) -> Floats:
             scale = DIFFERENCE_SPACINGS * spacing / max(float(np.abs(direction).max()), 1e-300)
-            image = (before - balance.residual(u + scale * direction)) / scale
+            image = (before - equations.residual(u + scale * direction)) / scale
             if added is not None:
                 image += self._added_force(added, direction)
             return image
 
         if jump.any():
             residual = residual - apply(jump)
-        solver = conjugate_gradients if balance.symmetric else gmres_solution
+        solver = conjugate_gradients if equations.symmetric else gmres_solution
         correction = solver(apply, self._precondition, residual)
         return None if correction is None else jump + correction
 
     def _added_force(self, moduli: Floats, direction: Floats) -> Floats:
         """Return the nodal forces (n, 3) [N] of additional moduli, without constrained parts."""
         n, d = len(direction), moduli.shape[1] // 3
-        slopes = (self.gradient @ self.balance.model.mirror.vectors(direction)).reshape(d, n, 3).transpose(1, 2, 0)
-        stress = self.balance.weights[:, :, None] * (moduli @ slopes.reshape(n, 3 * d, 1)).reshape(n, 3, d)
+        slopes = (self.gradient @ self.equations.model.mirror.vectors(direction)).reshape(d, n, 3).transpose(1, 2, 0)
+        stress = self.equations.weights[:, :, None] * (moduli @ slopes.reshape(n, 3 * d, 1)).reshape(n, 3, d)
         force = self.transposed @ stress.transpose(2, 0, 1).reshape(d * n, 3)
-        return self.balance.constrain(self.balance.model.mirror.fold(np.asarray(force)))
+        return self.equations.constrain(self.equations.model.mirror.fold(np.asarray(force)))
 
 
 def _gradient_operator(model: NodalModel) -> tuple[Any, Any]:

@@ -21,7 +21,7 @@ import numpy as np
 
 from palpate.core.arrays import Floats
 from palpate.dynamics.nodal.coarse_grid import stress_free_points
-from palpate.dynamics.nodal.static_balance import StaticBalance
+from palpate.dynamics.nodal.equilibrium_residual import EquilibriumResidual
 
 STRAIN_DIFFERENCE = 1e-5  # change of F for differences of stresses
 DIFFERENCE_SPACINGS = 1e-6  # largest displacement for differences along a step, in spacings
@@ -37,9 +37,9 @@ class SplitStress(NamedTuple):
     second: Floats  # (n, d, d) array [Pa]: s, the rest of the second Piola-Kirchhoff stress
 
 
-def split_stress(balance: StaticBalance, displacements: Floats) -> SplitStress:
+def split_stress(equations: EquilibriumResidual, displacements: Floats) -> SplitStress:
     """Return the stresses of displacements (n, 3) [m] by the body's law."""
-    F, P = balance.model.deformation_gradient(displacements), balance.stress(displacements)
+    F, P = equations.model.deformation_gradient(displacements), equations.stress(displacements)
     if F.shape[2] == 2:
         return SplitStress(np.zeros(len(F)), np.asarray(_left_inverse(F) @ P))
     J = np.linalg.det(F)
@@ -55,37 +55,39 @@ def _left_inverse(F: Floats) -> Floats:
 
 
 def extrapolated_stress(
-    balance: StaticBalance, displacements: Floats, present: SplitStress, step: Floats
+    equations: EquilibriumResidual, displacements: Floats, present: SplitStress, step: Floats
 ) -> SplitStress:
     """Return the stresses after a step (n, 3) [m], linear in it."""
-    scale = DIFFERENCE_SPACINGS * balance.model.cloud.spacing / max(float(np.abs(step).max()), 1e-300)
-    ahead = split_stress(balance, displacements + scale * step)
+    scale = DIFFERENCE_SPACINGS * equations.model.cloud.spacing / max(float(np.abs(step).max()), 1e-300)
+    ahead = split_stress(equations, displacements + scale * step)
     return SplitStress(*(now + (later - now) / scale for now, later in zip(present, ahead, strict=True)))
 
 
-def tangent_moduli(balance: StaticBalance, displacements: Floats) -> Floats:
+def tangent_moduli(equations: EquilibriumResidual, displacements: Floats) -> Floats:
     """Return the moduli dP_ck / dF_em (n, 3 d, 3 d) [Pa] by differences, rows d c + k and columns d e + m.
 
     An affine displacement changes F equally at all nodes, so 3 d of them yield all moduli.
     """
-    points = stress_free_points(balance.model)
+    points = stress_free_points(equations.model)
     n, d = points.shape
     arms = points - points.mean(axis=0)
-    before = balance.stress(displacements).reshape(n, 3 * d)
+    before = equations.stress(displacements).reshape(n, 3 * d)
     moduli = np.empty((n, 3 * d, 3 * d))
     for c, k in product(range(3), range(d)):
         field = np.zeros((n, 3))
         field[:, c] = STRAIN_DIFFERENCE * arms[:, k]
-        moduli[:, :, d * c + k] = (balance.stress(displacements + field).reshape(n, 3 * d) - before) / STRAIN_DIFFERENCE
+        moduli[:, :, d * c + k] = (
+            equations.stress(displacements + field).reshape(n, 3 * d) - before
+        ) / STRAIN_DIFFERENCE
     return moduli
 
 
-def added_moduli(F: Floats, present: SplitStress, given: SplitStress) -> Floats:
+def added_moduli(F: Floats, present: SplitStress, mixed: SplitStress) -> Floats:
     """Return the moduli (n, 3 d, 3 d) [Pa] with given stresses, minus those with the law's stresses."""
     n, _, d = F.shape
-    second = given.second - present.second
+    second = mixed.second - present.second
     moduli = np.einsum("ab,nkl->nakbl", np.eye(3), (second + second.transpose(0, 2, 1)) / 2)
     if d == 3:
         slope = np.einsum("cab,kmn,ibn->ickam", LEVI_CIVITA, LEVI_CIVITA, F, optimize=True)  # d(cof F)/dF
-        moduli = moduli + (given.pressure - present.pressure)[:, None, None, None, None] * slope
+        moduli = moduli + (mixed.pressure - present.pressure)[:, None, None, None, None] * slope
     return np.asarray(moduli.reshape(n, 3 * d, 3 * d))

@@ -20,7 +20,7 @@ from palpate.dynamics.contact.impulses import contact_kind
 from palpate.dynamics.contact.tools import surface_nodes
 from palpate.dynamics.loads.prepared import LoadHistory, PreparedLoads, with_held_nodes
 from palpate.dynamics.loads.supports import FIXED, SupportedNodes, free_directions, supported_nodes
-from palpate.dynamics.material.fibres import always_taut
+from palpate.dynamics.material.fibres import tension_compression_fibres
 from palpate.dynamics.material.kinematics import Kinematics
 from palpate.dynamics.material.relaxation import equilibrium_history as evaluate_equilibrium
 from palpate.dynamics.material.relaxation import restore_history, saved_history
@@ -76,7 +76,7 @@ class NodalModel(Model):
     body : NamedTuple
         Constants of the compiled passes.
     formulation : Formulation
-    taut_body : NamedTuple
+    tension_compression_body : NamedTuple
         As `body`, with fibres that carry compression, too.
     step_body : NamedTuple
         As `body`, in the precision of the steps: single in the energy form of a solid.
@@ -126,7 +126,9 @@ class NodalModel(Model):
     def _compile(self, formulation: Formulation, body: Any, allocate: Callable[[], Any], lanes: Lanes | Rows) -> None:
         """Set the compiled passes and their constants; requires the cloud, the volumes and the supports."""
         self.formulation, self.body, self._allocate = formulation, body, allocate
-        self.taut_body = body if self.fibres is None else body._replace(families=always_taut(body.families))
+        self.tension_compression_body = (
+            body if self.fibres is None else body._replace(families=tension_compression_fibres(body.families))
+        )
         self._internal_force = internal_force(formulation)
         self.slot = np.zeros(len(self.cloud), dtype=np.int64)
         self.slot[lanes.nodes.ravel()] = np.arange(lanes.nodes.size)
@@ -166,10 +168,10 @@ class NodalModel(Model):
         return self.body
 
     @property
-    def taut_step_body(self) -> Any:
+    def tension_compression_step_body(self) -> Any:
         """As `step_body`, with fibres that carry compression, too."""
         body = self.step_body
-        return body if self.fibres is None else body._replace(families=always_taut(body.families))
+        return body if self.fibres is None else body._replace(families=tension_compression_fibres(body.families))
 
     def _step_work(self, passes: Any) -> Any:
         """Return the scratch arrays of the passes in the precision of the steps."""
@@ -237,7 +239,7 @@ class NodalModel(Model):
         start: Floats | None = None,
         work: NodalWork | None = None,
     ) -> tuple[float, Floats | None]:
-        """Return the highest frequency [rad/s] of the body at displacements, with fibres always taut.
+        """Return the highest frequency [rad/s] of the body at displacements, with tension-compression fibres.
 
         Parameters
         ----------
@@ -257,7 +259,7 @@ class NodalModel(Model):
         scratch = self.workspace() if work is None else work
         self._restore(history, scratch)
         return highest_frequency(
-            lambda u: self._force(u, self.taut_body, scratch),
+            lambda u: self._force(u, self.tension_compression_body, scratch),
             displacements,
             self.constrain(constrained),
             self._noise,
@@ -295,8 +297,8 @@ class NodalModel(Model):
         time: float = 0.0,
     ) -> State:
         fields: list[Floats] = []
-        for name, given in (("displacement", displacement), ("velocity", velocity)):
-            array = initial_field(name, given, len(self.cloud))
+        for name, field in (("displacement", displacement), ("velocity", velocity)):
+            array = initial_field(name, field, len(self.cloud))
             fields.append(self.supported.project(array))
         schedule = prepared.schedule(np.array([time]))
         constrained = schedule.constrained[0]
@@ -399,9 +401,9 @@ class NodalModel(Model):
             state, coordinates=u, velocities=v, time=float(times[-1]), external_work=state.external_work + done,
             dissipated=state.dissipated + lost, history=history, contact_state=contact_state,
         )  # fmt: skip
-        if new.incision is not None:
+        if new.cut_front is not None:
             edge, friction = contacts.sites.works
-            new = replace(new, incision=new.incision.with_works(float(edge), float(friction)))
+            new = replace(new, cut_front=new.cut_front.with_works(float(edge), float(friction)))
         at_ends = (state, new), lambda at: self._fields(at, prepared, work)
         tools = self.tool_work(tools, step * steps, prepared, *at_ends)
         report = StepReport(done + tools, lost, float(least.min(initial=0.0)), contacts.work.tool_impulses)

@@ -46,7 +46,7 @@ from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, S
 MAX_ATTEMPTS, STIFFENING_FACTOR = 6, 1.6  # of a period, and factor of the frequency in the next attempt
 MAX_ENERGY_ATTEMPTS = 2  # repetitions after which a gain of energy is accepted that is not of this period
 HELD_ATTEMPT, STOPPED_ATTEMPT = 3, 5  # from which on the tool is held, and the body loses its velocities
-MAX_GAIN, LEAST_ENERGY = 0.05, 1e-9  # kinetic energy beyond the work, relative to all work; [J] that is rounding
+MAX_GAIN, MIN_ENERGY = 0.05, 1e-9  # kinetic energy beyond the work, relative to all work; [J] that is rounding
 UNREST_TIME = 0.1  # [s] in which the largest kinetic energy is forgotten
 
 
@@ -143,7 +143,7 @@ def _energy_left(energies):
 def _is_balanced(energies, attempt, excess_before):
     """Return True for a period without a gain of energy, or whose gain shorter steps do not cure; note the latter."""
     excess = energies[KINETIC_ENERGY] - _energy_left(energies)
-    allowed = MAX_GAIN * max(abs(energies[WORK]), abs(energies[LOST]), abs(energies[GIVEN])) + LEAST_ENERGY
+    allowed = MAX_GAIN * max(abs(energies[WORK]), abs(energies[LOST]), abs(energies[GIVEN])) + MIN_ENERGY
     if excess <= allowed:
         return True
     # shorter steps make no difference, and the period has no gain: the sums of work have drifted
@@ -199,7 +199,7 @@ def _list_pushes(data):
         push = contacts.work.patch_impulses[k]
         if push[0] != 0.0 or push[1] != 0.0 or push[2] != 0.0:
             ends = contacts.patches.ends[contacts.candidates.patch[k]]
-            for e in range(1 if ends[0] == ends[1] else 2):  # half of the push on a middle at each end
+            for e in range(1 if ends[0] == ends[1] else 2):  # half of the push on an edge midpoint at each end
                 share = 1.0 if ends[0] == ends[1] else 0.5
                 contact.node[count], contact.tool[count] = ends[e], contacts.candidates.tool[k]
                 for c in range(3):
@@ -249,8 +249,8 @@ def nodal_period(formulation: Formulation, touch: int) -> Any:
     choose_step, take_steps = step_control(formulation), leapfrog(formulation, touch)
 
     @law_njit(digest)
-    def advance(given, q, v, target, period, report):
-        data = reference(given)
+    def advance(handle, q, v, target, period, report):
+        data = reference(handle)
         n, tools, stepping, energies = data.body.nodes.volumes.shape[0], data.tools, data.stepping, data.energies
         u, velocity = q.reshape((n, 3)), v.reshape((n, 3))
         for k in range(FORCES):

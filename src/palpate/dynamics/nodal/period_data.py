@@ -10,7 +10,7 @@ from palpate.dynamics.contact.grip import Grip
 from palpate.dynamics.loads.prepared import LoadSites
 from palpate.dynamics.material.relaxation import HistoryCopy
 from palpate.dynamics.nodal.central_difference import Damping, NodalData, StepScratch
-from palpate.dynamics.nodal.mass_tailoring import MassTailoring
+from palpate.dynamics.nodal.mass_scaling import MassScaling
 
 # entries of `NodalPeriodData.stepping`, `energies` and `counts`
 BEHIND, NEXT_BEHIND, STEP, FREQUENCY, BASE_FREQUENCY, ESTIMATE, UNTIL_ESTIMATE = range(7)
@@ -35,12 +35,12 @@ class SteppedBody(NamedTuple):
     """Constants of a body of n nodes, which a cut replaces."""
 
     passes: Any  # tuple: body and work arrays of the steps
-    taut_passes: Any  # tuple: the same with fibres that carry compression, for the frequency
+    tension_compression_passes: Any  # tuple: the same with fibres that carry compression, for the frequency
     nodes: NodalData
     damping: Damping
     sites: LoadSites  # of supports and foundations
-    tailoring: MassTailoring
-    resting_frequency: float  # [rad/s]: highest frequency at rest, with the tailored mass and foundations
+    mass_scaling: MassScaling
+    resting_frequency: float  # [rad/s]: highest frequency at rest, with the scaled mass and foundations
     triangles: Ints  # (s, 3) array: of the surface
 
 

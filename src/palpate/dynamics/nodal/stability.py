@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.core.arrays import Floats, euclidean_norm
+from palpate.core.deprecation import renamed_attribute
 from palpate.core.describe import Described, Fact
 from palpate.core.faults import CloudError, InputError, number_in_range
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
@@ -95,7 +96,7 @@ class StabilityReport(Described):
     >>> cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
     >>> tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=0.45)
     >>> bar = pt.Solid(cloud, tissue, fixed="x-")
-    >>> bar.stability.method, bar.stability.verdict
+    >>> bar.stability.method, bar.stability.status
     ('energy form', 'stable at rest')
     """
 
@@ -107,8 +108,10 @@ class StabilityReport(Described):
     step: float
     growth: float | None = None
 
+    verdict = renamed_attribute("StabilityReport", "verdict", "status")
+
     @property
-    def verdict(self) -> str:
+    def status(self) -> str:
         """Whether the damping in use stops all growth at rest, as far as it was examined."""
         if np.isnan(self.needed):
             return "stability not examined"
@@ -116,7 +119,7 @@ class StabilityReport(Described):
 
     def _facts(self) -> list[Fact]:
         return [
-            ("verdict", self.verdict, ""),
+            ("status", self.status, ""),
             ("method", self.method, ""),
             ("stiffness damping needed", self.needed, "s"),
             ("stiffness damping used", self.used, "s"),
@@ -254,8 +257,8 @@ def choose_stiffness_damping(model: ElasticBody, stiffness_damping: float | None
     """Analyse a model at rest, and choose its stiffness damping unless it is given."""
     frequency = resting_frequency(model)
     if stiffness_damping is not None:
-        given = number_in_range("stiffness_damping", stiffness_damping, 0.0, unit="s")
-        return StabilityReport("given", None, np.nan, given, frequency, stable_step(frequency, given))
+        damping = number_in_range("stiffness_damping", stiffness_damping, 0.0, unit="s")
+        return StabilityReport("given", None, np.nan, damping, frequency, stable_step(frequency, damping))
     if len(model.cloud) <= MAX_DENSE_NODES:
         eigenvalues = spectrum(model)
         worst = float(eigenvalues.real.min())

@@ -21,7 +21,7 @@ from palpate.compiled.passes import Formulation, internal_force
 from palpate.dynamics.contact.geometry import project
 from palpate.dynamics.loads.supports import FIXED
 from palpate.dynamics.material.relaxation import copy_field
-from palpate.dynamics.nodal.mass_tailoring import subtract_inertia
+from palpate.dynamics.nodal.mass_scaling import subtract_inertia
 from palpate.dynamics.nodal.period_data import BASE_FREQUENCY, ESTIMATE, FREQUENCY, STEP, UNTIL_ESTIMATE
 
 ESTIMATE_PERIODS = 16  # between two iterations for the highest frequency
@@ -111,12 +111,12 @@ def step_control(formulation: Formulation) -> Any:
         body, scratch, density = data.body, data.scratch, data.body.nodes.density
         moved = scratch.surface  # then the force at u + d
         size = _write_direction(data.iteration, body.sites.kind, u, moved, scratch.damped)
-        constants, work = body.taut_passes
+        constants, work = body.tension_compression_passes
         after(work, 0.0)
         step_force(scratch.damped, constants, work, moved)
         step_force(u, constants, work, scratch.force)
         subtract_inertia(
-            body.tailoring, body.nodes.volumes, density, -1.0, moved, scratch.force, 0.0, moved, scratch.force
+            body.mass_scaling, body.nodes.volumes, density, -1.0, moved, scratch.force, 0.0, moved, scratch.force
         )
         grown = _write_image(data.iteration.vector, body.sites, density, scratch.force, moved)
         return np.sqrt(np.sqrt(grown / size))

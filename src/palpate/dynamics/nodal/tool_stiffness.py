@@ -4,7 +4,7 @@ Between two calls the tools move by s and their forces change by y. Powell's sym
 Programming, Academic Press 1970) is the matrix nearest to the last one with K s = y. It holds along the directions in
 which the tools have moved. A pair s, y counts only where it is above the noise:
 
-- The tools have moved by more than `LEAST_WAY`, which is the accuracy of places in a period.
+- The tools have moved by more than `MIN_WAY`, which is the accuracy of places in a period.
 - The work s . y / 2 is more than `NOISE_RATIO` R times the kinetic energy E of the body at both ends, of which
   `UNREST_TIME` keeps the largest. A vibration of that energy changes the force on a tool of stiffness k by at most
   sqrt(2 k E). So the error of the slope is at most R^-1/2 of it.
@@ -33,7 +33,7 @@ from palpate.compiled.jit import kernel_njit
 from palpate.dynamics.contact.stiffness import limit_stiffness
 from palpate.dynamics.nodal.period_data import ESTIMATE, RECENT_ENERGY
 
-LEAST_WAY = 0.02  # of the tools between two updates, in spacings
+MIN_WAY = 0.02  # of the tools between two updates, in spacings
 NOISE_RATIO = 10.0  # least work of a change of force over the kinetic energy
 CALMER_SHARE = 0.5  # of the kinetic energy at the last place, below which the next ways begin at the present one
 
@@ -140,7 +140,7 @@ def _follow(data):
             work += 0.5 * secant.way[i] * (forces[12 * t + i - 3 * t] - secant.forces[i])
         square, farthest = square + of_tool, max(farthest, np.sqrt(of_tool) / secant.radius[t])
         secant.fade[t] = np.exp(-0.5 * np.sqrt(of_tool) / secant.radius[t])
-    if not square > (LEAST_WAY * secant.spacing) ** 2:
+    if not square > (MIN_WAY * secant.spacing) ** 2:
         return False
     noise = NOISE_RATIO * (secant.unrest[0] + data.energies[RECENT_ENERGY])
     if not abs(work) > noise and not farthest > 1.0:

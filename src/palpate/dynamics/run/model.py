@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from palpate.core.arrays import Floats, Ints
+from palpate.core.deprecation import renamed_attribute
 from palpate.core.describe import Described, Fact
 from palpate.core.faults import InputError, brief
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
@@ -132,7 +133,7 @@ class State(Described):
     Parameters
     ----------
     coordinates, velocities : arrays
-        Nodal (n, 3) [m], [m/s] of a full model; of modes and lifting vectors (M + l,) of a reduced one.
+        Nodal (n, 3) [m], [m/s] of a full model; of modes and lifting functions (M + l,) of a reduced one.
     time : float [s]
     external_work, dissipated : float [J]
         Work of loads and tools, and energy dissipated by damping, relaxation, friction and impact,
@@ -144,7 +145,7 @@ class State(Described):
     estimate : tuple of arrays
         Last estimate of the highest frequency or of the tangent, from which the next one starts;
         empty at the start of a run.
-    incision : Incision, optional
+    cut_front : CutFront, optional
         Of a blade in the body.
 
     Examples
@@ -166,7 +167,9 @@ class State(Described):
     history: tuple[Floats, ...] = ()
     contact_state: ContactState | None = None
     estimate: tuple[Floats, ...] = ()
-    incision: Any = None
+    cut_front: Any = None
+
+    incision = renamed_attribute("State", "incision", "cut_front")
 
     def _facts(self) -> list[Fact]:
         return [
@@ -200,7 +203,7 @@ class Outputs(Described):
     bonded : (c,) bool array
         True for the nodes bonded to a `Grasp`.
     trust : float, optional
-        Trust number of a model with an error indicator.
+        Error indicator of a reduced model.
     blade : (5,) array
         Cut area [m^2], released energy, and energies dissipated at a blade's edge and by friction on its sides [J]
         since the start, and energy release rate [J/m^2]; empty without a blade.
@@ -242,15 +245,15 @@ class Outputs(Described):
         ]
 
 
-def initial_field(name: str, given: Any, count: int) -> Floats:
+def initial_field(name: str, value: Any, count: int) -> Floats:
     """Return a copy of an initial field (n, 3), or zeros for None."""
-    if given is None:
+    if value is None:
         return np.zeros((count, 3))
     try:
-        array = np.array(given, dtype=float)
+        array = np.array(value, dtype=float)
     except (TypeError, ValueError, OverflowError):
         raise InputError(
-            f"initial {name} must be an array of numbers of shape {(count, 3)}, got {brief(given)}"
+            f"initial {name} must be an array of numbers of shape {(count, 3)}, got {brief(value)}"
         ) from None
     if array.shape != (count, 3):
         raise InputError(f"initial {name} must have shape {(count, 3)}, got {array.shape}")

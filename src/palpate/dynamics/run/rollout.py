@@ -99,7 +99,7 @@ def rollout(
     Warns
     -----
     TrustWarning
-        Once for a trust number above 1: the reduced model was not trained on such states.
+        Once for an error indicator above 1: the reduced model was not trained on such states.
 
     Examples
     --------
@@ -151,7 +151,7 @@ def rollout(
         recorder.close(perf_counter() - began, complete=False, bounds=bounds)
         raise
     run = recorder.close(perf_counter() - began, complete=True, bounds=bounds)
-    _warn_of_distrust(run)
+    _warn_out_of_training(run)
     return run
 
 
@@ -189,14 +189,14 @@ def _is_own(error: BaseException) -> bool:
     return frames[-1].partition(".")[0] in ("palpate", "numpy", "scipy")
 
 
-def _warn_of_distrust(run: Trajectory) -> None:
+def _warn_out_of_training(run: Trajectory) -> None:
     """Warn of a run outside the training of its model."""
     if run.trust.max(initial=0.0) <= 1:
         return
     k = int(run.trust.argmax())
     warnings.warn(
-        f"the trust number reached {run.trust[k]:.3g} at t = {run.times[k]:.4g} s, above 1: the model was not trained "
-        "on such states; compare the run with the full model's, or train on runs like it",
+        f"the error indicator reached {run.trust[k]:.3g} at t = {run.times[k]:.4g} s, above 1: the model was not "
+        "trained on such states; compare the run with the full model's, or train on runs like it",
         TrustWarning,
         stacklevel=3,
     )

@@ -17,7 +17,7 @@ from palpate.core.arrays import Floats
 from palpate.core.sealed import Array
 
 MAX_DISPLACEMENT = 1e30  # [m], so that sums of squares are finite
-EVERY_RUN, WITH_TRUST, WITH_BOUNDS = "in every run", "with a trust number", "with error bounds"
+EVERY_RUN, WITH_TRUST, WITH_BOUNDS = "in every run", "with an error indicator", "with error bounds"
 WITH_BLADE = "with a blade"
 
 

@@ -106,7 +106,7 @@ class Trajectory(Described, ToolContacts, ErrorSeries, BladeSeries):
     label : str
         Label of the run, such as the campaign and the number in it.
     trust : (f,) array
-        Trust number of a reduced model (`palpate.ReducedModel.trust`): above 1 it was not trained on such
+        Error indicator of a reduced model (`palpate.ReducedModel.trust`): above 1 it was not trained on such
         states. Empty for other models.
     displacement_bounds, force_bounds : (f,) arrays [m], [N]
         Error bounds of the displacement, root mean square over the body, and of the tools' forces
@@ -167,11 +167,11 @@ class Trajectory(Described, ToolContacts, ErrorSeries, BladeSeries):
             ("label", self.label or None, ""),
             ("frames", frames, ""),
             ("nodes", len(self.points), ""),
-            ("verdict", "complete" if self.complete else "stopped before its end", ""),
+            ("status", "complete" if self.complete else "stopped before its end", ""),
             ("end", float(self.times[-1]) if frames else None, "s"),
             ("largest displacement", float(self._largest().max(initial=0.0)), "m"),
             (f"largest force on {strongest!r}", forces.get(strongest), "N"),
-            ("largest trust number", float(self.trust.max()) if len(self.trust) else None, ""),
+            ("largest error indicator", float(self.trust.max()) if len(self.trust) else None, ""),
             ("energy balance missed by", None if missed is None else 100 * missed, "%"),
             ("steps", int(self.steps[-1]) if frames else None, ""),
             ("computing time", float(self.wall_seconds), "s"),
@@ -192,7 +192,7 @@ class Trajectory(Described, ToolContacts, ErrorSeries, BladeSeries):
         what : str
             ``"displacement"``: the largest and the mean over the nodes [m]. ``"force"``: the size of the force of
             every support and tool [N]. Both with the error bound, where it is known. ``"energy"``: kinetic, strain,
-            external and dissipated energy [J]. ``"trust"``: the trust number of a reduced model.
+            external and dissipated energy [J]. ``"trust"``: the error indicator of a reduced model.
         axes : matplotlib.axes.Axes, optional
             New ones by default.
 
@@ -219,9 +219,9 @@ class Trajectory(Described, ToolContacts, ErrorSeries, BladeSeries):
             return plot_curves(self.times, energies, "energy [J]", axes)
         if what == "trust":
             if not len(self.trust):
-                raise InputError("the run has no trust number: its model is not a hyper-reduced one; plot another")
-            curves = {"trust number": self.trust, "limit of the training": np.ones_like(self.trust)}
-            return plot_curves(self.times, curves, "trust number", axes)
+                raise InputError("the run has no error indicator: its model is not a hyper-reduced one; plot another")
+            curves = {"error indicator": self.trust, "limit of the training": np.ones_like(self.trust)}
+            return plot_curves(self.times, curves, "error indicator", axes)
         raise InputError(
             f"what must be 'displacement', 'force', 'energy' or 'trust', got {what!r:.60}; choose one of them"
         )

@@ -191,7 +191,7 @@ class Solid(NodalModel):
 
     def _own_facts(self) -> list[Fact]:
         report = self.stability
-        return [("form", self.form, ""), ("verdict", report.verdict, ""), ("stable step", report.step, "s")]
+        return [("form", self.form, ""), ("status", report.status, ""), ("stable step", report.step, "s")]
 
     def deformation_gradient(self, displacements: Floats) -> Floats:
         """Return F = dx/dX of nodal displacements at every node, shape (n, 3, 3)."""

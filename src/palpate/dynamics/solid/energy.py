@@ -35,7 +35,7 @@ from palpate.meshfree.quadrature import conservative_smoothing, quadratic_residu
 from palpate.meshfree.stencils import Stencils
 
 NEW_SURFACE = 1.5  # distance from removed nodes below which others are at the surface, in spacings
-LEAST_VOLUME_RATIO = 0.1  # of a node's cell in `moved`
+MIN_VOLUME_RATIO = 0.1  # of a node's cell in `moved`
 DEFAULT_DAMPING = 0.1  # default stiffness damping, times the highest frequency
 CRUSHED_DILATATION = -0.6  # dilatation below which the energy balance of steps is checked
 MAX_ENERGY_ERROR = 1e-3  # largest energy error of such steps, relative to the energy
@@ -103,7 +103,7 @@ class EnergySolid(EnergyModel, Solid):
         cloud, gradient = self.cloud, self.deformation_gradient(displacements)
         slopes = np.asarray(np.linalg.inv(gradient), dtype=float)
         ratio = np.linalg.det(gradient)
-        if not ratio.min() >= LEAST_VOLUME_RATIO:
+        if not ratio.min() >= MIN_VOLUME_RATIO:
             flat = int(ratio.argmin())
             raise CloudError(f"the cell of node {flat} would have {ratio[flat]:.2g} times its volume", [flat])
         areas = ratio[cloud.face_nodes, None] * np.einsum(
@@ -111,8 +111,8 @@ class EnergySolid(EnergyModel, Solid):
         )
         sizes = np.linalg.norm(areas, axis=1)
         result: EnergySolid = object.__new__(type(self))
-        kept = "tissue", "material", "fibres", "supports", "mass_damping", "planes", "half_cell", "neighbours"
-        for name in (*kept, "is_lattice"):
+        shared = "tissue", "material", "fibres", "supports", "mass_damping", "planes", "half_cell", "neighbours"
+        for name in (*shared, "is_lattice"):
             setattr(result, name, getattr(self, name))
         result.cloud = cloud = replace(
             cloud, points=cloud.points + displacements, volumes=cloud.volumes * ratio,
@@ -247,8 +247,8 @@ class EnergySolid(EnergyModel, Solid):
             return np.zeros((0, len(self.cloud)))
         smooth /= np.sqrt(np.maximum(sizes, MIN_PRESSURE * sizes.max()))[:, None]
         _, values, shapes = np.linalg.svd(smooth, full_matrices=False)
-        kept = min(count, int(np.sum(values > 1e-10 * values[0])))
-        return np.asarray(np.sqrt(self.tissue.lame) * self.smooth_transposed(shapes[:kept] * roots))
+        rank = min(count, int(np.sum(values > 1e-10 * values[0])))
+        return np.asarray(np.sqrt(self.tissue.lame) * self.smooth_transposed(shapes[:rank] * roots))
 
     def smoothed_measure(self, displacements: Floats, work: NodalWork | None = None) -> Floats:
         """Return the smoothed volumetric measure g(J) at every node, shape (n,)."""
@@ -296,9 +296,9 @@ class EnergySolid(EnergyModel, Solid):
 
     def outputs(self, state: State, prepared: PreparedLoads, work: NodalWork | None = None) -> Outputs:
         result = super().outputs(state, prepared, work)
-        if state.incision is None:
+        if state.cut_front is None:
             return result
-        blade = np.append(state.incision.totals, state.incision.release_rate)
+        blade = np.append(state.cut_front.totals, state.cut_front.release_rate)
         return replace(result, blade=blade, cut_triangles=self.cut_surface.triangles)
 
     def most_steps(self, state: State, prepared: PreparedLoads, step: float) -> int:
@@ -334,7 +334,7 @@ class EnergySolid(EnergyModel, Solid):
 
     @cached_property
     def contact_edges(self) -> Ints:
-        """Nodes (e, 2) of the edges of surface triangles in whose middles tools meet patches; a cut ends them."""
+        """Nodes (e, 2) of the edges of surface triangles at whose midpoints tools meet patches; a cut ends them."""
         corners = self.cloud.triangles
         pairs = np.unique(np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])), axis=0)
         if self._cut is None:

@@ -158,9 +158,9 @@ def _transposed(near: NDArray[np.int32], mirror: Mirror, weights: Floats, volume
     """
     n = len(near)
     node, place = np.nonzero(near != np.arange(n)[:, None])
-    other, given = near[node, place], weights[node, place]
+    other, outgoing = near[node, place], weights[node, place]
     if not len(mirror.source):
-        back, values = gather_rows(node, other, given, volumes)
+        back, values = gather_rows(node, other, outgoing, volumes)
         return mirror, row_table(back, np.arange(n), values, -weights.sum(axis=1))
     receiver = np.concatenate([np.arange(n), mirror.source])[other]
     turns, kind = np.unique(mirror.reflection.reshape(-1, 9), axis=0, return_inverse=True)
@@ -168,6 +168,6 @@ def _transposed(near: NDArray[np.int32], mirror: Mirror, weights: Floats, volume
     pairs, number = np.unique(np.stack([kind, node], axis=1)[kind >= 0], axis=0, return_inverse=True)
     name = node.copy()
     name[kind >= 0] = n + number.ravel()
-    back, values = gather_rows(node, receiver, given, volumes, name)
+    back, values = gather_rows(node, receiver, outgoing, volumes, name)
     reflected = Mirror(pairs[:, 1].copy(), np.ascontiguousarray(turns[pairs[:, 0]].reshape(-1, 3, 3)))
     return reflected, row_table(back, np.arange(n), values, -weights.sum(axis=1))

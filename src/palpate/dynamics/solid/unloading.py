@@ -24,13 +24,13 @@ from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.prepared import Load, check_kinds, listed
 from palpate.dynamics.loads.pressure import Pressure
 from palpate.dynamics.nodal.equilibrium import equilibrium
+from palpate.dynamics.nodal.equilibrium_residual import EquilibriumResidual
 from palpate.dynamics.nodal.mixed_newton import Tangent
 from palpate.dynamics.nodal.mixed_stress import extrapolated_stress, split_stress
-from palpate.dynamics.nodal.static_balance import StaticBalance
 from palpate.dynamics.solid.model import EnergySolid, Solid, energy_solid
 
 UNLOADING_LOADS = (DeadLoad, Pressure, Gravity, Foundation)
-LEAST_INCREMENT = 1 / 64  # of the loads
+MIN_INCREMENT = 1 / 64  # of the loads
 STAGE_TOLERANCE = 3e-2  # of corrections before the loads have increased fully, over the largest shift
 STEPS_WITHOUT_DECREASE = 6  # steps after which corrections must decrease
 
@@ -140,7 +140,7 @@ def _iterate(body: EnergySolid, loads: Sequence[Load], time: float, tolerance: f
         iterations += steps
         if moved is None:
             increment /= 2
-            if increment < LEAST_INCREMENT or iterations >= most:
+            if increment < MIN_INCREMENT or iterations >= most:
                 raise DivergenceError(
                     f"no stress-free shape was found: one exists up to {share:.1%} of the loads, and none was found at "
                     f"{target:.1%} after {iterations} steps in all; use smaller loads, a stiffer tissue, or more "
@@ -168,25 +168,27 @@ def _corrected(
 
     The shift is None where corrections do not decrease.
     """
-    given, least = None, np.inf
+    mixed, least = None, np.inf
     for k in range(1, most + 1):
         try:
-            balance, unbalanced = _unbalanced(body.moved(shift), loads, time, shift)
+            equations, unbalanced = _unbalanced(body.moved(shift), loads, time, shift)
         except CloudError:
             return None, k
-        u = balance.start
-        present = split_stress(balance, u)
-        step = Tangent(balance).solve(u, unbalanced - offset, np.zeros_like(u), present, given or present)
+        u = equations.start
+        present = split_stress(equations, u)
+        step = Tangent(equations).solve(u, unbalanced - offset, np.zeros_like(u), present, mixed or present)
         if step is None or (k > STEPS_WITHOUT_DECREASE and euclidean_norm(step) > least):
             return None, k
-        given = extrapolated_stress(balance, u, present, step)
+        mixed = extrapolated_stress(equations, u, present, step)
         least, shift = min(least, euclidean_norm(step)), shift - step
         if np.abs(step).max() <= tolerance * np.abs(shift).max():
             return shift, k
     return None, most
 
 
-def _unbalanced(body: EnergySolid, loads: Sequence[Load], time: float, shift: Floats) -> tuple[StaticBalance, Floats]:
+def _unbalanced(
+    body: EnergySolid, loads: Sequence[Load], time: float, shift: Floats
+) -> tuple[EquilibriumResidual, Floats]:
     """Return the balance of a body, and its unbalanced forces (n, 3) [N] at displacements -shift."""
-    balance = StaticBalance(body, body.prepare(loads), time, -shift)
-    return balance, balance.residual(balance.start)
+    equations = EquilibriumResidual(body, body.prepare(loads), time, -shift)
+    return equations, equations.residual(equations.start)

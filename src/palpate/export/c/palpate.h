@@ -16,7 +16,7 @@
    uint32  triangles[t][3]    vertices of its triangles, counter-clockwise from outside
    double  tool_position[k][3] displacements of the tools, which differ from the poses with a coupling
    double  options[6]         period [s], largest force [N], largest speeds [m/s] and [rad/s] of a tool, periods
-                              between evaluations of the contact stiffness, and the response to a trust number above 1
+                              between evaluations of the contact stiffness, and the response to an error indicator above 1
    double  modulus_ratio[2]   present and requested ratio of all moduli to those of the model
    double  coupling[k][4]     springs between devices and tools: stiffness [N/m] (0: none), damping, mass, largest force
    int64   tool_index[1]      for NAME_set_tool(): the tool, from 0
@@ -48,7 +48,7 @@ enum { /* status of a function */
     PALPATE_NO_MEMORY = 6
 };
 
-enum { /* response to a trust number above 1, where the model was not trained */
+enum { /* response to an error indicator above 1, where the model was not trained */
     PALPATE_CLAMP = 1, /* keep the tools at the last trusted poses, until the requested ones have returned */
     PALPATE_IGNORE = 3
 };

@@ -43,15 +43,15 @@ def clipped(triangles: Floats, points: Floats, spacing: float) -> Floats:
 def _clip(polygon: Floats, axis: int, sign: float, limit: float) -> Floats:
     """Return the part of a polygon (k, 3) with sign times a coordinate of at least a limit."""
     height = sign * polygon[:, axis] - limit
-    kept = []
+    clipped = []
     for k in range(len(polygon)):
-        here, there = height[k - 1], height[k]
-        if (here < 0.0) != (there < 0.0):
-            share = here / (here - there)
-            kept.append(polygon[k - 1] + share * (polygon[k] - polygon[k - 1]))
-        if there >= 0.0:
-            kept.append(polygon[k])
-    return np.array(kept).reshape(-1, 3)
+        start, end = height[k - 1], height[k]
+        if (start < 0.0) != (end < 0.0):
+            share = start / (start - end)
+            clipped.append(polygon[k - 1] + share * (polygon[k] - polygon[k - 1]))
+        if end >= 0.0:
+            clipped.append(polygon[k])
+    return np.array(clipped).reshape(-1, 3)
 
 
 def off_surface(triangles: Floats, points: Floats, area_vectors: Floats, spacing: float) -> Floats:

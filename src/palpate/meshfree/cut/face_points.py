@@ -54,28 +54,28 @@ def face_points(
     number = {row.tobytes(): k for k, row in enumerate(np.hstack([before.points, before.normals]))}
     rows = np.hstack([points, normals])
     former = np.array([number.get(row.tobytes(), -1) for row in rows], dtype=np.int64)
-    kept = former >= 0
+    reused = former >= 0
     radii = np.maximum(before.above.radii, before.below.radii) + SIGHT_DISTANCE * uncut.spacing
-    kept[kept] = ~_is_reached(points[kept], radii[former[kept]], changed)
-    inside = kept.copy()
-    inside[~kept] = inside_body(uncut, corners, points[~kept])
-    points, normals, former, kept = points[inside], normals[inside], former[inside], kept[inside]
-    sight = SIGHT_DISTANCE * uncut.spacing * normals[~kept]
-    at = points[~kept]
+    reused[reused] = ~_is_reached(points[reused], radii[former[reused]], changed)
+    inside = reused.copy()
+    inside[~reused] = inside_body(uncut, corners, points[~reused])
+    points, normals, former, reused = points[inside], normals[inside], former[inside], reused[inside]
+    sight = SIGHT_DISTANCE * uncut.spacing * normals[~reused]
+    at = points[~reused]
     sides = (point_weights(uncut, surface, at, at + way) for way in (sight, -sight))
     above, below = (
-        PointWeights(*(_merged(kept, old[former[kept]], new) for old, new in zip(weights, fitted, strict=True)))
+        PointWeights(*(_merged(reused, old[former[reused]], new) for old, new in zip(weights, fitted, strict=True)))
         for weights, fitted in zip((before.above, before.below), sides, strict=True)
     )
     return FacePoints(points, normals, above, below)
 
 
-def _merged(kept: NDArray[np.bool_], old: Any, new: Any) -> Any:
+def _merged(reused: NDArray[np.bool_], old: Any, new: Any) -> Any:
     """Return an array with rows of `old` where they are kept, and those of `new` elsewhere."""
-    result = np.empty((len(kept), *new.shape[1:]), dtype=new.dtype)
-    result[~kept] = new
+    result = np.empty((len(reused), *new.shape[1:]), dtype=new.dtype)
+    result[~reused] = new
     if len(old):
-        result[kept] = old
+        result[reused] = old
     return result
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from palpate.compiled.code_cache import cached_njit
 from palpate.core.arrays import Floats, Ints
-from palpate.meshfree.cut.bond_paths import bond_paths
+from palpate.meshfree.cut.diffraction_lengths import diffraction_lengths
 from palpate.meshfree.cut.surface import CutSurface
 from palpate.meshfree.cut.uncut import REACH_MARGIN, UncutStencils
 from palpate.surface.nesting import inside_points, inside_shares
@@ -21,7 +21,7 @@ from palpate.surface.nesting import inside_points, inside_shares
 CANDIDATE_NODES, FIT_NODES = 64, 20  # nearest nodes, and nodes inside the radius of the fit
 MAX_ITERATIONS, LAST_CHANGE = 4, 1e-3  # of the reference point, and its last change in spacings
 SIGHT_DISTANCE = 0.3  # from a point to where it is seen from, in spacings
-LEAST_VOLUME = 0.1  # ratio of volumes below which a fit is not used
+MIN_VOLUME = 0.1  # ratio of volumes below which a fit is not used
 MAX_DEPTH = 2.0  # of a point in the body whose nearest node is on the surface, in spacings
 FAR_DISTANCE = 1.5  # distance from the nearest node beyond which a point moves with it, in spacings
 
@@ -50,7 +50,7 @@ def point_weights(uncut: UncutStencils, surface: CutSurface, points: Floats, see
     near = np.asarray(near, dtype=np.int64)
     start, paths = np.arange(0, len(points) * count + 1, count), np.empty(near.size)
     every = np.concatenate([uncut.points, seen_from])
-    bond_paths(
+    diffraction_lengths(
         every, n + np.arange(len(points)), start, near.ravel(), surface.tree, surface.fronts,
         surface.front_components, paths,
     )  # fmt: skip
@@ -150,7 +150,7 @@ def reference_points(
         missing = places[active] - at - np.einsum("pk,pkc->pc", weights.values, near_u)
         gradient = np.eye(3) + np.einsum("pkd,pkc->pcd", weights.slopes, near_u)
         far = np.linalg.norm(uncut.points[weights.nodes[:, 0]] - at, axis=1) > FAR_DISTANCE * uncut.spacing
-        gradient[far | ~(np.linalg.det(gradient) > LEAST_VOLUME)] = np.eye(3)
+        gradient[far | ~(np.linalg.det(gradient) > MIN_VOLUME)] = np.eye(3)
         missing[far] = (places[active] - near_u[:, 0] - at)[far]
         sight = np.einsum("pcd,pc->pd", gradient, normals[active])  # area vectors turn as F^-T (Nanson)
         turned[active] = sight / np.linalg.norm(sight, axis=1, keepdims=True)

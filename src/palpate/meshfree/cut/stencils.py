@@ -10,7 +10,7 @@ is not much above that of uncut nodes, else a linear one. Inner nodes keep their
 (`palpate.meshfree.inner_gradient`), whose damping increases with the weight that the cut takes from their
 neighbours. Nodes of a curved surface keep their fits in the depth (`palpate.meshfree.surface_gradient`). A node
 for which neither a quadratic nor a linear fit is small enough is *released*: it leaves all stencils.
-`palpate.meshfree.cut.kept_sums` then changes the weights for some sums to remain.
+`palpate.meshfree.cut.consistency_correction` then changes the weights for some sums to remain.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from palpate.compiled.code_cache import cached_njit
 from palpate.core.arrays import Floats, Ints
-from palpate.meshfree.cut.bond_paths import bond_paths
+from palpate.meshfree.cut.diffraction_lengths import diffraction_lengths
 from palpate.meshfree.cut.face_points import FacePoints
 from palpate.meshfree.cut.surface import CutSurface
 from palpate.meshfree.cut.uncut import REACH_MARGIN, WIDEST_REACH, UncutStencils
@@ -31,7 +31,7 @@ from palpate.meshfree.inner_gradient import CUBIC_DAMPING
 REACH_BISECTIONS = 30
 RAMP_WIDTH = 0.045  # range of distances in which a node enters the hourglass residual, over the reach
 LOST_WEIGHT_DAMPING = 100.0  # exponent of the damping of cubic terms, times the share of the weight that is lost
-LEAST_PIVOT = 1e-10  # of a moment matrix, relative to its diagonal
+MIN_PIVOT = 1e-10  # of a moment matrix, relative to its diagonal
 QUADRATIC_FIT, LINEAR_FIT, RELEASED_FIT = 0, 1, 2  # kinds of a fit
 
 
@@ -105,7 +105,7 @@ def _bonds(uncut: UncutStencils, surface: CutSurface, nodes: Ints) -> tuple[Ints
     start = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
     near = uncut.bond_near[np.repeat(first - start[:-1], count) + np.arange(start[-1])].astype(np.int64)
     paths = np.empty(len(near))
-    bond_paths(uncut.points, nodes, start, near, surface.tree, surface.fronts, surface.front_components, paths)
+    diffraction_lengths(uncut.points, nodes, start, near, surface.tree, surface.fronts, surface.front_components, paths)
     return start, near, paths
 
 
@@ -179,7 +179,7 @@ def _factor(matrix, size):
         pivot = diagonal
         for k in range(j):
             pivot -= matrix[j, k] ** 2
-        if not pivot > LEAST_PIVOT * diagonal:
+        if not pivot > MIN_PIVOT * diagonal:
             return False
         matrix[j, j] = np.sqrt(pivot)
         for i in range(j + 1, size):
@@ -269,7 +269,7 @@ def _fit_value(offset, weight, size, matrix, monomial, right, sign, out):
         for i in range(size):
             right[i] = 0.0
         for e in range(size):
-            if values[e] > LEAST_PIVOT * values[size - 1]:
+            if values[e] > MIN_PIVOT * values[size - 1]:
                 for i in range(size):
                     right[i] += vectors[i, e] * vectors[0, e] / values[e]
     for k in range(offset.shape[0]):

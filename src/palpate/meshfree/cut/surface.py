@@ -1,4 +1,4 @@
-"""Surfaces along which a body is cut, and their fronts; `palpate.meshfree.cut.bond_paths` has the paths round them.
+"""Surfaces along which a body is cut, and their fronts; paths round them: `meshfree.cut.diffraction_lengths`.
 
 A cut is a union of triangles in the stress-free body. A bond is a pair of nodes, one in the stencil of the other.
 A bond that crosses no triangle does not change. The distance of one that does is the shortest path round a front,
@@ -109,7 +109,7 @@ def cut_surface(
     triangles: Floats,
     is_inside: Callable[[Floats], NDArray[np.bool_]],
     spacing: float,
-    kept: int | None = None,
+    unchanged: int | None = None,
 ) -> CutSurface:
     """Return the union of a cut surface and further triangles.
 
@@ -119,7 +119,7 @@ def cut_surface(
     is_inside : function
         Returns which points (p, 3) are inside the body.
     spacing : float [m]
-    kept : int, optional
+    unchanged : int, optional
         Number of the first triangles of `before` that remain; by default all.
     """
     narrow = np.flatnonzero(is_narrow(triangles, spacing))
@@ -128,7 +128,7 @@ def cut_surface(
             f"triangles of a cut must be at least {MIN_WIDTH * spacing:.2g} m wide, got triangle {narrow[0]} with "
             f"corners {triangles[narrow[0]].tolist()}; leave it out"
         )
-    union = np.concatenate([before.triangles[:kept], triangles])
+    union = np.concatenate([before.triangles[:unchanged], triangles])
     number, vertices = _merged(union, spacing)
     edges, normals, owners = _boundary(number, vertices)
     pieces, owner = _pieces(vertices[edges], spacing)
@@ -209,8 +209,8 @@ def _components(number: Any) -> Ints:
 def _boundary(number: Any, vertices: Floats) -> tuple[Any, Floats, Ints]:
     """Return the edges (e, 2) of one triangle only, their normals (e, 3) in its plane, away from it, and its number."""
     _, single = np.unique(np.sort(number, axis=1), axis=0, return_index=True)  # a triangle counts once
-    kept = number[single]
-    sides = np.concatenate([kept[:, [0, 1, 2]], kept[:, [1, 2, 0]], kept[:, [2, 0, 1]]])
+    outer = number[single]
+    sides = np.concatenate([outer[:, [0, 1, 2]], outer[:, [1, 2, 0]], outer[:, [2, 0, 1]]])
     keys = np.sort(sides[:, :2], axis=1)
     _, first, count = np.unique(keys, axis=0, return_index=True, return_counts=True)
     edge, owners = sides[first[count == 1]], np.tile(single, 3)[first[count == 1]]

@@ -76,10 +76,10 @@ class CutFullSurface(FullSurface):
         self, coordinates: Floats, nodes: Ints, forces: Floats, bonded: NDArray[np.bool_], tools: Ints
     ) -> Singles:
         """Return the displacements (n, 3) [m] of the vertices; see `FullSurface.displacements`."""
-        moved, kept = coordinates.reshape(-1, 3).astype(np.float32), self._kept_vertices
+        moved, count = coordinates.reshape(-1, 3).astype(np.float32), self._kept_vertices
         result: Singles = np.ascontiguousarray(self._patches @ moved)
-        held = np.isin(self.nodes[:kept], nodes[bonded]) | (len(bonded) > 0 and bonded.all())
-        result[:kept][held] = moved[self.nodes[:kept][held]]
+        held = np.isin(self.nodes[:count], nodes[bonded]) | (len(bonded) > 0 and bonded.all())
+        result[:count][held] = moved[self.nodes[:count][held]]
         return result
 
 
@@ -142,11 +142,11 @@ def _line(opening: Opening, triangles: Ints, parents: Ints, points: Floats) -> C
     within = shares.mean(axis=1).min(axis=1)
     best = np.full(len(start), -np.inf)
     np.maximum.at(best, piece, within)
-    kept = (within > -ON_SIDE) | (within == best[piece])
-    shares = np.maximum(shares[kept], 0.0)
+    selected = (within > -ON_SIDE) | (within == best[piece])
+    shares = np.maximum(shares[selected], 0.0)
     shares /= shares.sum(axis=2, keepdims=True)
     ends = shares[:, :, 1:].astype(np.float32)
-    return CutLine(triangles[part[kept]].astype(np.uint32), ends.reshape(-1, 4))
+    return CutLine(triangles[part[selected]].astype(np.uint32), ends.reshape(-1, 4))
 
 
 def _divided(t: int, corners: Ints, cut_sides: Ints, vertex: Any) -> list[tuple[int, int, int]]:

@@ -276,5 +276,5 @@ class Surface(SurfaceScalars):
         """Return the derivatives (9 n, m) of the basis vectors at the vertices, from the model's stencils."""
         result = np.empty((9 * len(self.nodes), self.model.count), dtype=np.float32)
         for m in range(self.model.count):
-            result[:, m] = self.model.body.gradient(self.model.data.basis_vectors[m])[self.nodes].reshape(-1)
+            result[:, m] = self.model.body.gradient(self.model.data.trial_and_test_basis[m])[self.nodes].reshape(-1)
         return result

@@ -1,4 +1,4 @@
-"""Cuts of a full body in the engine: the body is cut next to the running loop, and exchanged between two periods.
+"""Cuts of a full body in the engine: the body is cut next to the running loop, and swapped between two periods.
 
 A cutter takes the state of a period and cuts the body along the path of the blade
 (`palpate.dynamics.solid.cutting.blade_cut`), while the loop goes on with the body before. The new constants then take
@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from palpate.core.arrays import Floats
+from palpate.core.deprecation import renamed_attribute
 from palpate.core.faults import CloudError, DivergenceError, InputError
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.blade_sites import AWAY_TOOL, EDGE_SITE, NO_TOOL
@@ -25,14 +26,14 @@ from palpate.dynamics.contact.grip import nodes_in_grip
 from palpate.dynamics.contact.impulses import WITH_BLADE
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.supports import FREE
-from palpate.dynamics.nodal.mass_tailoring import without_nodes
+from palpate.dynamics.nodal.mass_scaling import without_nodes
 from palpate.dynamics.nodal.period import nodal_period
 from palpate.dynamics.nodal.period_data import LOST, NO_BLADE, NodalPeriodData
 from palpate.dynamics.nodal.tool_path import END, HOME, LAST_CUT
 from palpate.dynamics.run.model import State
 from palpate.dynamics.solid.cutting.blade_cut import advance_blade
+from palpate.dynamics.solid.cutting.cut_front import CutFront
 from palpate.dynamics.solid.cutting.face_pairs import face_pairs, turn_pairs
-from palpate.dynamics.solid.cutting.incision import Incision
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.realtime.calls import model_calls
 
@@ -55,10 +56,10 @@ class BladeCutter:
         The body as it is cut now.
     blade : int
         Number of the tool that is a blade, or NO_BLADE.
-    incision : Incision or None
+    cut_front : CutFront or None
         Of the present blade.
     cuts : int
-        Number of exchanges of the body since it was whole.
+        Number of swaps of the body since it was whole.
     restorations : int
         Number of times that the body was made whole again.
     seconds : float [s]
@@ -71,15 +72,17 @@ class BladeCutter:
         Makes the data of the engine's model from those of the period.
     """
 
+    incision = renamed_attribute("BladeCutter", "incision", "cut_front")
+
     def __init__(self, model: EnergySolid, advance: Any, data: NodalPeriodData) -> None:
         self.advance = advance
         self.whole_model, self.model, self.data, self.blade = model, model, data, NO_BLADE
-        self.incision: Incision | None = None
+        self.cut_front: CutFront | None = None
         self.cuts, self.restorations, self.failure, self.wrap = 0, 0, "", lambda data: data
         self.lock = threading.RLock()
         self._contact: Contact | None = None
         self.seconds = FIRST_SECONDS
-        self._whole = data.body.tailoring, data.body.resting_frequency  # of the body without cuts
+        self._whole = data.body.mass_scaling, data.body.resting_frequency  # of the body without cuts
         self._is_due, self._is_compiled, self._turned = False, False, 0.0
 
     wrap: Callable[[Any], Any]
@@ -87,7 +90,7 @@ class BladeCutter:
     @property
     def totals(self) -> Floats:
         """Cut area [m^2], released energy, and energies dissipated at the edge and by friction [J] of this blade."""
-        return np.zeros(4) if self.incision is None else self.incision.totals
+        return np.zeros(4) if self.cut_front is None else self.cut_front.totals
 
     @property
     def cutting_force(self) -> float:
@@ -99,11 +102,11 @@ class BladeCutter:
     @property
     def tears(self) -> bool:
         """Whether the front releases more energy per area than the toughness: tissue would tear ahead of the blade."""
-        if self._contact is None or self.incision is None or self.incision.hold is None:
+        if self._contact is None or self.cut_front is None or self.cut_front.hold is None:
             return False
-        if not self.incision.hold.is_front:
+        if not self.cut_front.hold.is_front:
             return False
-        return self.incision.release_rate >= self._contact.tool.toughness > 0.0  # type: ignore[union-attr]
+        return self.cut_front.release_rate >= self._contact.tool.toughness > 0.0  # type: ignore[union-attr]
 
     def set_blade(self, blade: Blade | None, pose: Floats, tool: int = 0) -> None:
         """Set a tool in a pose (7,): a blade, or None for one that does not cut. The engine must be paused."""
@@ -116,7 +119,7 @@ class BladeCutter:
             tools[tools != NO_TOOL] = AWAY_TOOL  # the sites of the blade before
             self._contact = None if blade is None else Contact(blade, (pose[:3], pose[3:]), name="blade")
             self.blade = NO_BLADE if blade is None else tool
-            self.incision, self.failure, self._is_due = None, "", True
+            self.cut_front, self.failure, self._is_due = None, "", True
 
     def _compile(self, blade: Blade) -> None:
         """Compile the period with cuts, and cut a copy of the body from above: nothing is compiled next to the loop."""
@@ -132,8 +135,8 @@ class BladeCutter:
         with suppress(CloudError, InputError):  # of a surface that cannot be cut there
             for depth in (0.0, 1.5, 0.5, 0.5):
                 frame[2, 3] -= depth * spacing
-                model, incision, sites, _ = advance_blade(model, state, contact, frame.copy(), no_nodes)
-                state = replace(state, incision=incision)
+                model, cut_front, sites, _ = advance_blade(model, state, contact, frame.copy(), no_nodes)
+                state = replace(state, cut_front=cut_front)
             turn_pairs(sites, model.cut_state, state.coordinates)
         self._is_compiled = True
 
@@ -165,18 +168,21 @@ class BladeCutter:
                 sites = face_pairs(self.model.cut_state, coordinates.reshape(-1, 3))
             self._is_due = False
             is_blade = self._contact is not None
-            if self.incision is not None:
-                self.incision = self.incision.with_works(*map(float, self.data.tools.contacts.sites.works))
+            if self.cut_front is not None:
+                self.cut_front = self.cut_front.with_works(*map(float, self.data.tools.contacts.sites.works))
             self.seconds += (perf_counter() - began - self.seconds) / MEAN_CUTS
             self.data.energies[LOST] += released
-            tailoring, lost = without_nodes(self._whole[0], self.model.cut_state.touched)
+            mass_scaling, lost = without_nodes(self._whole[0], self.model.cut_state.touched)
             body, tools = self.data.body, self.data.tools
             self.data = self.data._replace(
                 body=body._replace(
-                    tailoring=tailoring,
+                    mass_scaling=mass_scaling,
                     resting_frequency=max(lost, self._whole[1]),
                     passes=(self.model.step_body, body.passes[1]),
-                    taut_passes=(self.model.taut_step_body, body.taut_passes[1]),
+                    tension_compression_passes=(
+                        self.model.tension_compression_step_body,
+                        body.tension_compression_passes[1],
+                    ),
                 ),
                 tools=tools._replace(contacts=tools.contacts._replace(sites=sites), blade=self.blade),
                 limits=self.data.limits._replace(
@@ -195,7 +201,7 @@ class BladeCutter:
 
     def _reach(self) -> float:
         """Return the largest displacement [m] of the blade in a step."""
-        if self.incision is None or self.incision.hold is None or not len(self.incision.hold.pieces):
+        if self.cut_front is None or self.cut_front.hold is None or not len(self.cut_front.hold.pieces):
             return self.data.limits.tool
         step = self.whole_model.stability.step
         return min(self.data.limits.tool, MAX_DISTANCE_OF_A_CUT * self.model.cloud.spacing * step / self.seconds)
@@ -203,25 +209,25 @@ class BladeCutter:
     def _advance(self, contact: Contact, coordinates: Floats) -> tuple[Any, float]:
         """Cut up to the blade; return its new sites or None, and the released energy [J]."""
         u = coordinates.reshape(-1, 3)
-        state = State(u, np.zeros_like(u), incision=_constant(self.incision))
+        state = State(u, np.zeros_like(u), cut_front=_constant(self.cut_front))
         held = np.union1d(np.flatnonzero(self.data.body.sites.kind != FREE), nodes_in_grip(self.data.tools.grip))
         before, path = self.model, self.data.tools.path[self.blade]
-        frame = path[HOME if self.incision is None else END].copy()
+        frame = path[HOME if self.cut_front is None else END].copy()
         try:
-            model, incision, sites, released = advance_blade(before, state, contact, frame, held, self.blade)
+            model, cut_front, sites, released = advance_blade(before, state, contact, frame, held, self.blade)
         except (CloudError, DivergenceError, InputError) as error:
             self.failure = str(error)
-            if self.incision is None:  # cuts nothing, and moves freely
+            if self.cut_front is None:  # cuts nothing, and moves freely
                 path[LAST_CUT] = path[END]
             return None, 0.0
         path[LAST_CUT] = frame
         self.cuts += model is not before
-        self.model, self.incision, self.failure = model, incision, ""
+        self.model, self.cut_front, self.failure = model, cut_front, ""
         return sites, released
 
 
-def _constant(incision: Incision | None) -> Incision | None:
-    """Return an incision with the present slips of its sites, which the loop goes on to write."""
-    if incision is None or incision.hold is None:
-        return incision
-    return replace(incision, hold=incision.hold._replace(slips=incision.hold.slips.copy()))
+def _constant(cut_front: CutFront | None) -> CutFront | None:
+    """Return a cut front with the present slips of its sites, which the loop goes on to write."""
+    if cut_front is None or cut_front.hold is None:
+        return cut_front
+    return replace(cut_front, hold=cut_front.hold._replace(slips=cut_front.hold.slips.copy()))

@@ -21,7 +21,7 @@ from palpate.dynamics.loads.prepared import LoadSites
 from palpate.dynamics.loads.supports import FIXED, FREE
 from palpate.dynamics.material.relaxation import history_copy
 from palpate.dynamics.nodal.central_difference import Damping
-from palpate.dynamics.nodal.mass_tailoring import MAX_MODES, PROBE, default_modes, tailored_mass
+from palpate.dynamics.nodal.mass_scaling import MAX_MODES, PROBE, default_modes, scaled_mass
 from palpate.dynamics.nodal.model import NodalModel, NodalWork, nodal_data
 from palpate.dynamics.nodal.period import nodal_period
 from palpate.dynamics.nodal.period_data import (
@@ -57,7 +57,7 @@ def full_period(
     model: NodalModel,
     tools: Sequence[Contact | Grasp],
     foundations: Sequence[Foundation],
-    tailored_modes: int | None,
+    scaled_modes: int | None,
 ) -> tuple[object, NodalPeriodData]:
     """Return the compiled period of a full body and its data.
 
@@ -73,7 +73,7 @@ def full_period(
     prepared, work = model.prepare([*touching, *foundations]), model.workspace()
     model.state(prepared)  # refuses a tool inside the body
     sites, contacts = prepared.with_scratch()
-    body = _stepped_body(model, work, sites, prepared.constraint_mask(0.0), tailored_modes)
+    body = _stepped_body(model, work, sites, prepared.constraint_mask(0.0), scaled_modes)
     data = NodalPeriodData(
         body=body,
         tools=_moving_tools(model, contacts, prepared.schedule(np.zeros(1)).poses[0]),
@@ -95,27 +95,27 @@ def full_period(
 
 
 def _stepped_body(
-    model: NodalModel, work: NodalWork, sites: LoadSites, fixed: NDArray[np.bool_], tailored_modes: int | None
+    model: NodalModel, work: NodalWork, sites: LoadSites, fixed: NDArray[np.bool_], scaled_modes: int | None
 ) -> SteppedBody:
     """Return the constants of a body with its tailored mass, on foundations at its sites."""
     n = len(model.cloud)
-    if tailored_modes is None:
+    if scaled_modes is None:
         damped = isinstance(model, Solid) and model.stiffness_damping > 0.0  # else no motion of fast modes decays
-        tailored_modes = default_modes(n) if damped else 0
-    tailored_modes = integer_in_range("tailored_modes", tailored_modes, 0, MAX_MODES)
-    tailoring, frequency = tailored_mass(model, fixed, tailored_modes)
+        scaled_modes = default_modes(n) if damped else 0
+    scaled_modes = integer_in_range("scaled_modes", scaled_modes, 0, MAX_MODES)
+    mass_scaling, frequency = scaled_mass(model, fixed, scaled_modes)
     if len(sites.foundation_node):
         response = 1.0 / (model.volumes[sites.foundation_node] * model.material.density)
         springs = np.sqrt(np.bincount(sites.foundation_node, sites.foundation_spring * response, minlength=n).max())
         frequency = float(np.hypot(frequency, springs))
-        tailoring = tailoring._replace(plain_frequency=float(np.hypot(tailoring.plain_frequency, springs)))
+        mass_scaling = mass_scaling._replace(plain_frequency=float(np.hypot(mass_scaling.plain_frequency, springs)))
     return SteppedBody(
         passes=(model.step_body, work.step_passes),
-        taut_passes=(model.taut_step_body, work.step_passes),
+        tension_compression_passes=(model.tension_compression_step_body, work.step_passes),
         nodes=nodal_data(model),
         damping=Damping(model.mass_damping, model.stiffness_damping, model.wave_speed),
         sites=sites,
-        tailoring=tailoring,
+        mass_scaling=mass_scaling,
         resting_frequency=frequency,
         triangles=np.ascontiguousarray(model.cloud.triangles, dtype=np.int64),
     )
@@ -156,7 +156,7 @@ def _power_iteration(model: NodalModel) -> PowerIteration:
 
 def _contact_report(contacts: Contacts, tools: int) -> ContactReport:
     """Return a report without forces."""
-    # two for each middle of an edge, and one for each node that forceps hold
+    # two for each edge midpoint, and one for each node that forceps hold
     entries = 2 * tools * len(contacts.patches.points)
     node, tool = np.zeros((2, entries), dtype=np.int64)
     return ContactReport(node, tool, np.zeros((entries, 3)), np.zeros(3, dtype=np.int64))
@@ -213,8 +213,8 @@ def step_statistics(data: NodalPeriodData) -> dict[str, float]:
     """
     return {
         "step_share": float(data.body.resting_frequency / data.stepping[FREQUENCY]),
-        "tailored_modes": int(np.count_nonzero(data.body.tailoring.used)),
-        "step_gain": float(data.body.tailoring.plain_frequency / data.body.resting_frequency),
+        "tailored_modes": int(np.count_nonzero(data.body.mass_scaling.used)),
+        "step_gain": float(data.body.mass_scaling.plain_frequency / data.body.resting_frequency),
         "repeated": int(data.counts[REPEATED]),
         "held": int(data.counts[HELD]),
         "energy_gained": float(data.energies[GAINED]),

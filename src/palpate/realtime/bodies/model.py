@@ -11,6 +11,7 @@ import numpy as np
 
 from palpate.compiled.lanes import LANES
 from palpate.core.arrays import Floats
+from palpate.core.deprecation import warn_renamed
 from palpate.core.faults import InputError, brief, number_in_range
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import rotation
@@ -53,7 +54,7 @@ from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.realtime import LinearRealtime, linear_realtime
 
 ABSENT_TOOL_DISTANCE = 10.0  # [m] from the body to an absent tool
-CATCH_UP = 4  # periods by which a full body may be late, because its periods take one step or two
+MAX_BACKLOG = 4  # periods by which a full body may be late, because its periods take one step or two
 
 
 class RealtimeModel(NamedTuple):
@@ -69,9 +70,9 @@ class RealtimeModel(NamedTuple):
     tool : (l, 12) array, or (t, 12, 12) of t tools in contact
         Map from a rigid pose to the tool coordinates, see `palpate.reduction.hyper.reactions.tool_map`.
     force_bound : function, optional
-        ``force_bound(trust, size)`` returns the error bound [N] of a tool's force, by the largest trust number so
+        ``force_bound(trust, size)`` returns the error bound [N] of a tool's force, by the largest error indicator so
         far and the present force [N]. None without held-out runs with tools.
-    catch_up : int
+    max_backlog : int
         Number of periods by which the engine may be late and still take them all.
     change_tool : function, optional
         ``change_tool(tool, pose, friction, index=0)`` replaces a tool in contact between two periods; the body keeps
@@ -103,11 +104,17 @@ class RealtimeModel(NamedTuple):
     rest: Floats
     tool: Floats
     force_bound: Callable[[float, float], float] | None = None
-    catch_up: int = 0
+    max_backlog: int = 0
     change_tool: Callable[..., None] | None = None
     cutter: BladeCutter | None = None
     relaxes: bool = False
     tool_names: tuple[str, ...] = ()
+
+    @property
+    def catch_up(self) -> int:
+        """Former name of `max_backlog`."""
+        warn_renamed("RealtimeModel.catch_up", "RealtimeModel.max_backlog")
+        return self.max_backlog
 
 
 @overload
@@ -126,7 +133,7 @@ def realtime_model(
     *,
     contact: Contact | Grasp | Sequence[Contact | Grasp] | None,
     foundations: Sequence[Foundation] = ...,
-    tailored_modes: int | None = ...,
+    scaled_modes: int | None = ...,
 ) -> RealtimeModel: ...
 
 
@@ -141,6 +148,7 @@ def realtime_model(
     contact: Contact | Grasp | Sequence[Contact | Grasp] | None = None,
     foundations: Sequence[Foundation] = (),
     period: float = 1e-3,
+    scaled_modes: int | None = None,
     tailored_modes: int | None = None,
 ) -> RealtimeModel | LinearRealtime:
     """Return a model for `palpate.Engine`, with a tool that holds the prescribed group, or tools that touch the body.
@@ -148,23 +156,25 @@ def realtime_model(
     Parameters
     ----------
     model : ReducedModel, LinearModel, or Solid or Membrane in the energy form
-        A full body has no trust number. Its contact stiffness follows from the tool's displacement and force
+        A full body has no error indicator. Its contact stiffness follows from the tool's displacement and force
         (`palpate.dynamics.nodal.tool_stiffness`).
     longest : float [s]
         Longest period that the engine may request.
     contact : Contact or Grasp, or sequence of up to four, optional
         The tools in contact, of different names; one Blade at most. The engine's poses are displacements and rotations
-        from a tool's pose at time 0, the rotations about its position. The trust number then counts the distance from
-        the training states, the displacement of the surface compliance, the speed, and the nearness of the tools to
-        supports, each over its scale.
+        from a tool's pose at time 0, the rotations about its position. The error indicator then counts the distance
+        from the training states, the displacement of the surface compliance, the speed, and the nearness of the tools
+        to supports, each over its scale.
     foundations : sequence of Foundation
         Springs between the body and the ground. Other loads are not supported in real time.
     period : float [s]
         Of a linear model. The first step with another period computes a matrix exponential.
-    tailored_modes : int, optional
+    scaled_modes : int, optional
         Number of the fastest modes of a full body that get more mass, so that its steps are 1.4 to 2 times as long;
         0 for steps as those of `rollout`. By default 20 to 40 for a solid of at least 500 nodes with stiffness damping.
-        Equilibria and all other modes are unchanged (`palpate.dynamics.nodal.mass_tailoring`).
+        Equilibria and all other modes are unchanged (`palpate.dynamics.nodal.mass_scaling`).
+    tailored_modes : int, optional
+        Former name of `scaled_modes`.
 
     Raises
     ------
@@ -186,6 +196,9 @@ def realtime_model(
     >>> reading.force.tolist()
     [0.0, 0.0, 0.0]
     """
+    if tailored_modes is not None:
+        warn_renamed("realtime_model(tailored_modes=)", "realtime_model(scaled_modes=)")
+        scaled_modes = tailored_modes
     if isinstance(model, LinearModel):
         if contact is not None or foundations:
             raise InputError(
@@ -195,18 +208,18 @@ def realtime_model(
         return linear_realtime(model, period)
     tools = _tools_in_contact(contact)
     if isinstance(model, NodalModel):
-        return _full_body(model, tools, foundations, tailored_modes)
-    if tailored_modes is not None:
-        raise InputError(f"tailored_modes must be left out for a reduced model, got {tailored_modes!r}")
+        return _full_body(model, tools, foundations, scaled_modes)
+    if scaled_modes is not None:
+        raise InputError(f"scaled_modes must be left out for a reduced model, got {scaled_modes!r}")
     return _reduced_body(model, longest, tools, foundations)
 
 
 def _tools_in_contact(contact: Contact | Grasp | Sequence[Contact | Grasp] | None) -> tuple[Contact | Grasp, ...]:
     """Return the tools; raise `InputError` for too many, for two of one name, and for some that begin in each other."""
-    given = () if contact is None else (contact,) if isinstance(contact, Contact | Grasp) else contact
-    if not isinstance(given, Sequence):
+    sequence = () if contact is None else (contact,) if isinstance(contact, Contact | Grasp) else contact
+    if not isinstance(sequence, Sequence):
         raise InputError(f"contact must be a Contact or a Grasp, or a list of these, got {brief(contact)}")
-    tools = tuple(given)
+    tools = tuple(sequence)
     check_kinds(tools, (Contact, Grasp), "contact")
     if len(tools) > MAX_TOOLS:
         raise InputError(f"contact must have at most {MAX_TOOLS} tools, got {len(tools)}; leave out some")
@@ -273,7 +286,7 @@ def _pose_coordinates(tools: Sequence[Any]) -> Floats:
 def _period_data(
     model: ReducedModel, longest: float, contact: tuple[Contact | Grasp, ...], all_springs: Springs
 ) -> PeriodData:
-    """Return the constants and work arrays of a period of a reduced model, with springs on all basis vectors."""
+    """Return the constants and work arrays of a period of a reduced model, with springs on the trial and test basis."""
     number_in_range("step", model.step or longest, longest / MAX_SUBSTEPS, unit="s")
     count, modes = model.count, model.data.modes
     steps = int(np.ceil(longest / (model.step or longest)))
@@ -284,7 +297,7 @@ def _period_data(
         tangent += springs.stiffness
     vectors, surface = np.zeros((8, count)), model.body.surface
     vectors[POWER_SHAPE, :modes] = np.random.default_rng(0).standard_normal(modes)
-    points_scratch = scratch(constants.integration_points)
+    points_scratch = scratch(constants.cubature_points)
     body = ImplicitData(constants, model.tolerance, points_scratch, springs, newton_scratch(count))
     return PeriodData(
         modes=modes,
@@ -333,13 +346,13 @@ def _full_body(
     model: NodalModel,
     tools: tuple[Contact | Grasp, ...],
     foundations: Sequence[Foundation],
-    tailored_modes: int | None,
+    scaled_modes: int | None,
 ) -> RealtimeModel:
     """Return a full body for the engine."""
     if not tools:
         raise InputError("contact must be a Contact or a Grasp for a full body in the engine, got none; give contact=")
     _check_foundations(foundations)
-    advance, data = full_period(model, tools, foundations, tailored_modes)
+    advance, data = full_period(model, tools, foundations, scaled_modes)
     cutter = BladeCutter(model, advance, data) if isinstance(model, EnergySolid) and not model.planes else None
     change = partial(change_full_tool, model, data, cutter)
     for t, tool in enumerate(tools):
@@ -349,7 +362,7 @@ def _full_body(
         advance = cutter.advance
     return RealtimeModel(
         advance, nodal_stiffness, data, np.zeros(3 * len(model.cloud)), _pose_coordinates(tools),
-        catch_up=CATCH_UP, change_tool=change, cutter=cutter, relaxes=model.material.prony is not None,
+        max_backlog=MAX_BACKLOG, change_tool=change, cutter=cutter, relaxes=model.material.prony is not None,
         tool_names=tuple(tool.name for tool in tools),
     )  # fmt: skip
 
@@ -361,7 +374,7 @@ def _check_foundations(foundations: Sequence[Foundation]) -> None:
 
 
 def _indicator(model: ReducedModel, springs: Springs) -> IndicatorData:
-    """Return the data of the error indicator, with springs on all basis vectors."""
+    """Return the data of the error indicator, with springs on the trial and test basis."""
     root = np.linalg.cholesky(model.body.mass / model.masses.sum()).T
     return IndicatorData(
         training_states=np.ascontiguousarray(model.data.training_states @ root.T),
@@ -376,8 +389,8 @@ def _indicator(model: ReducedModel, springs: Springs) -> IndicatorData:
 def _residual_fields(model: ReducedModel, springs: Springs) -> ResidualFields:
     """Return constants and work arrays of the residual norm."""
     data, count, nodes = model.data, model.count, model.body.surface.nodes
-    which = np.arange(len(data.basis_vectors) - data.residual_fields, len(data.basis_vectors))
-    at_surface = data.basis_vectors[which][:, nodes].transpose(1, 2, 0)
+    which = np.arange(len(data.trial_and_test_basis) - data.residual_fields, len(data.trial_and_test_basis))
+    at_surface = data.trial_and_test_basis[which][:, nodes].transpose(1, 2, 0)
     return ResidualFields(
         table=points_of(data, which, model.body.coefficients, model.single).table,
         constant=np.ascontiguousarray(data.sampled.constant[which, :count]),
@@ -390,7 +403,7 @@ def _residual_fields(model: ReducedModel, springs: Springs) -> ResidualFields:
 
 
 def _springs(model: ReducedModel, foundations: Sequence[Foundation]) -> Springs:
-    """Return the springs on all basis vectors; refuse other loads."""
+    """Return the springs on the trial and test basis; refuse other loads."""
     _check_foundations(foundations)
     sites = prepare_loads(model.cloud, model.supports, foundations).sites
-    return project_springs(sites, model.data.basis_vectors, model.body.mass)
+    return project_springs(sites, model.data.trial_and_test_basis, model.body.mass)

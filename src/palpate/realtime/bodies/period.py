@@ -3,7 +3,7 @@
 During a period the tool moves evenly to its target, so its coordinates have no acceleration. The
 change of their rates at the start of the period requires an impulse. Forces on the tool are means over
 the period. The functions allocate nothing and do not call Python. A period is: the rates of the tool, some steps
-(`reduced_steps.py`), the balance of energy, a column of the tangent (`tangent_columns.py`), and the trust number.
+(`reduced_steps.py`), the balance of energy, a column of the tangent (`tangent_columns.py`), and the error indicator.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from palpate.compiled.jit import kernel_njit, law_digest, law_njit
 from palpate.compiled.reference import reference
 from palpate.dynamics.material.relaxation import copy_field, copy_history, copy_values, reset_history
 from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN, TRUST
+from palpate.realtime.bodies.error_indicator import error_indicator_function
 from palpate.realtime.bodies.period_data import (
     ENERGY,
     SAVED_COORDINATES,
@@ -26,14 +27,13 @@ from palpate.realtime.bodies.period_data import (
 )
 from palpate.realtime.bodies.reduced_steps import MAX_SUBSTEPS, explicit_steps, implicit_steps
 from palpate.realtime.bodies.tangent_columns import probe_function, static_stiffness, update_tangent
-from palpate.realtime.bodies.trust_number import trust_function
 from palpate.reduction.contact.gauss_seidel import compliance_energy, set_tool_paths
 from palpate.reduction.contact.penetration import hold_above_surface
 from palpate.reduction.hyper.material_point import MaterialPoint
 
 REFINEMENT_FACTOR, MAX_ATTEMPTS = 4, 4  # factor of the steps in a repeated period, and most attempts
 MAX_GAIN = 0.5  # largest gain of energy in a period without contact, relative to energy and work
-LEAST_ENERGY = 1e-12  # [J] below which a gain is rounding
+MIN_ENERGY = 1e-12  # [J] below which a gain is rounding
 
 
 @kernel_njit()
@@ -181,7 +181,7 @@ def _finish_function(law: MaterialPoint, single: bool, may_gain: bool) -> Any:
         before, after = data.tracking[ENERGY], report[KINETIC] + report[STRAIN]
         if may_gain:
             return np.isfinite(after)
-        return after - before - work <= MAX_GAIN * max(before, after, abs(work), LEAST_ENERGY)  # False for NaN
+        return after - before - work <= MAX_GAIN * max(before, after, abs(work), MIN_ENERGY)  # False for NaN
 
     return finish
 
@@ -246,11 +246,11 @@ def period_functions(law: MaterialPoint, single: bool, implicit: bool, touched: 
     """
     digest = law_digest(__name__, "period", law.digest, single, implicit, touched)
     take_steps = _steps_function(law, single, implicit, touched)
-    trust_number = trust_function(law, single, implicit, touched)
+    error_indicator = error_indicator_function(law, single, implicit, touched)
 
     @law_njit(digest, fastmath={"contract"})
-    def advance(given, q, v, target, period, report):
-        data = reference(given)  # functions for a caller that has a record are those of the engine
+    def advance(handle, q, v, target, period, report):
+        data = reference(handle)  # functions for a caller that has a record are those of the engine
         _store_state(data, q, v)
         at_rest = not q.any() and not v.any()
         if at_rest:  # the start of a run, or a reset
@@ -266,7 +266,7 @@ def period_functions(law: MaterialPoint, single: bool, implicit: bool, touched: 
             return
         data.tracking[ENERGY] = report[KINETIC] + report[STRAIN]
         update_tangent(data)
-        report[TRUST] = trust_number(data, q, v, period, report[KINETIC], flexible)
+        report[TRUST] = error_indicator(data, q, v, period, report[KINETIC], flexible)
         report[STEPS] = taken
 
     return advance, static_stiffness

@@ -26,7 +26,7 @@ AT_STATE, ALONG_SHAPE, ALONG_COLUMN = range(3)  # rows of `Probes.forces`
 class ResidualFields(NamedTuple):
     """Constants and work arrays of the residual norm."""
 
-    # (b, w, 9, LANES) array: derivatives of the w residual fields at the integration points
+    # (b, w, 9, LANES) array: derivatives of the w residual fields at the cubature points
     table: NDArray[np.float32] | Floats
     # constant, mass: (w, m) arrays: stiffness of the hourglass residual, and mass matrix, of residual fields and
     # coordinates
@@ -61,7 +61,7 @@ class Probes(NamedTuple):
 
 def probes(body: ImplicitData) -> Probes:
     """Return zeroed probes of a body; the first scratch is that of its steps."""
-    count, points = len(body.constants.mass), body.constants.integration_points
+    count, points = len(body.constants.mass), body.constants.cubature_points
     along_shape, along_column = (scratch(points, body.scratch.history) for _ in range(2))
     return Probes(np.zeros((2, count)), np.zeros((3, count)), ProbeScratches(body.scratch, along_shape, along_column))
 

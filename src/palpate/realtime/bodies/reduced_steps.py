@@ -18,6 +18,7 @@ import numpy as np
 
 from palpate.compiled.jit import kernel_njit, law_digest, law_njit
 from palpate.dynamics.run.period_report import FORCES
+from palpate.realtime.bodies.error_indicator import residual_force_function
 from palpate.realtime.bodies.period_data import (
     FORCE,
     FREQUENCY,
@@ -27,7 +28,6 @@ from palpate.realtime.bodies.period_data import (
     WORK,
     has_residual_fields,
 )
-from palpate.realtime.bodies.trust_number import residual_force_function
 from palpate.reduction.contact.gauss_seidel import press
 from palpate.reduction.galerkin.central_difference import drift, kick_coordinates, trial_coordinates
 from palpate.reduction.hyper.foundation import add_spring_forces
@@ -98,7 +98,7 @@ def explicit_steps(law: MaterialPoint, single: bool, touched: bool) -> Any:
         at, result, interval = data.vectors[WORK], data.vectors[FORCE], data.body.scratch.history.interval
         trial_coordinates(q, v, data.body.constants.stiffness_damping, v[data.modes :], False, at)
         interval[0] = interval[1]
-        force(at, data.body.constants.integration_points, data.body.scratch, result)
+        force(at, data.body.constants.cubature_points, data.body.scratch, result)
         add_spring_forces(data.body.springs, q, v, result)
         interval[0], interval[1] = 0.0, step
 

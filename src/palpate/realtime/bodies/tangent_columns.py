@@ -109,7 +109,7 @@ def probe_function(law: MaterialPoint, single: bool) -> Any:
             shape[m] /= largest
             rows[ALONG_SHAPE, m] += shape[m]
         column, probes = int(data.tracking[NEXT_COLUMN]), data.tangent.probes
-        change, points = data.body.constants.differences[column], data.body.constants.integration_points
+        change, points = data.body.constants.differences[column], data.body.constants.cubature_points
         return probe_forces(rows, column, change, points, probes.scratches, probes.forces)
 
     return probe

@@ -1,1 +1,1 @@
-"""Reduced bases: snapshots, POD, lifting columns and linear modes."""
+"""Reduced bases: snapshots, POD, lifting functions and linear modes."""

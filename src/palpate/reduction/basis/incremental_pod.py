@@ -84,11 +84,11 @@ def decompose(
     for block in blocks:
         cap = max(cap, len(block))
         tail = np.append(np.cumsum(values[::-1] ** 2)[::-1], 0.0)  # squared error with each number of directions
-        kept = min(max(int(np.sum(tail > allowed)), least), cap, len(values))
-        dropped += float(tail[kept])
-        leading = np.tensordot(left[:, :kept].T, fields, 1) if kept else block[:0]
+        rank = min(max(int(np.sum(tail > allowed)), least), cap, len(values))
+        dropped += float(tail[rank])
+        leading = np.tensordot(left[:, :rank].T, fields, 1) if rank else block[:0]
         del fields  # frees memory
-        values, left = _eigen(values[:kept] ** 2, leading, block, image(block))
+        values, left = _eigen(values[:rank] ** 2, leading, block, image(block))
         fields = np.concatenate([leading, block])
         del leading, block
     return Decomposition(left, values, fields, dropped)

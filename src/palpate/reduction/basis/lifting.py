@@ -1,4 +1,4 @@
-"""Lifting vectors of tools, test fields of supports, and the removal of tool motions from snapshots."""
+"""Lifting functions of tools, test fields of supports, and the removal of tool motions from snapshots."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from palpate.dynamics.solid.energy import EnergySolid
 from palpate.reduction.basis.linear_modes import tool_responses
 
 MAX_NODES = 6000  # of a body whose equations are solved
-RIGID_TOLERANCE = 1e-3  # largest error of a tool's motion in the lifting vectors, relative
+RIGID_TOLERANCE = 1e-3  # largest error of a tool's motion in the lifting functions, relative
 
 
 def lifting_and_test_fields(body: EnergyModel, tools: Sequence[str]) -> tuple[Floats, Floats]:
-    """Return the lifting vectors (l, n, 3) of tools, and the test fields (3 g, n, 3) for the forces of g supports.
+    """Return the lifting functions (l, n, 3) of tools, and the test fields (3 g, n, 3) for the forces of g supports.
 
-    A lifting vector is a rigid motion of a tool's nodes, with the static response of the body. In a large body it
+    A lifting function is a rigid motion of a tool's nodes, with the static response of the body. In a large body it
     decays evenly towards supports and other tools instead, and the modes represent the rest. A membrane is slack at
-    rest: its lifting vectors move the tool's nodes only.
+    rest: its lifting functions move the tool's nodes only.
 
     A test field is 1 at one support, and 0 at others and at tools. Those of a support that leaves its group free in
     some directions are along the constrained ones.
@@ -31,7 +31,7 @@ def lifting_and_test_fields(body: EnergyModel, tools: Sequence[str]) -> tuple[Fl
     directions, supports = constrained_directions(body.cloud, body.supports), tuple(body.fixed)
     motions = _even_fields(body, tools, supports, directions)
     tests = _even_fields(body, supports, tools, directions)
-    return _lifting_vectors(body, motions, tools), tests.reshape(-1, len(body.cloud), 3)
+    return _lifting_functions(body, motions, tools), tests.reshape(-1, len(body.cloud), 3)
 
 
 def _even_fields(
@@ -44,8 +44,8 @@ def _even_fields(
     return np.array([[spread(parts, g, axis) for axis in np.eye(3)] for g in range(len(names))])
 
 
-def _lifting_vectors(body: EnergyModel, motions: Floats, tools: Sequence[str]) -> Floats:
-    """Return the lifting vectors (l, n, 3) of tools that move evenly by fields (g, 3, n, 3)."""
+def _lifting_functions(body: EnergyModel, motions: Floats, tools: Sequence[str]) -> Floats:
+    """Return the lifting functions (l, n, 3) of tools that move evenly by fields (g, 3, n, 3)."""
     points, columns = body.cloud.points, [np.zeros((0, len(body.cloud), 3))]
     if not tools:
         return columns[0]
@@ -74,7 +74,7 @@ def _on_supports(body: EnergyModel, fields: Floats, tools: Ints) -> Floats:
 
 
 class RemoveToolMotion:
-    """A function that subtracts the lifting vectors' part from snapshots (t, n, 3).
+    """A function that subtracts the lifting functions' part from snapshots (t, n, 3).
 
     Parameters
     ----------

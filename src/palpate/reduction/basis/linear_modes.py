@@ -218,11 +218,11 @@ def tool_responses(body: EnergySolid, fields: Floats, held: Sequence[str]) -> Fl
         Only the values at the groups' nodes are used.
     """
     full, free, _, _, solve = rest_statics(body, held)
-    given = np.zeros((len(fields), 3 * len(body.cloud)))
+    responses = np.zeros((len(fields), 3 * len(body.cloud)))
     nodes = np.unique(np.concatenate([body.cloud.group(name) for name in held]))
-    given.reshape(len(fields), -1, 3)[:, nodes] = fields[:, nodes]
-    given -= (free @ solve(free.T @ (full @ given.T))).T
-    return given.reshape(len(fields), -1, 3)
+    responses.reshape(len(fields), -1, 3)[:, nodes] = fields[:, nodes]
+    responses -= (free @ solve(free.T @ (full @ responses.T))).T
+    return responses.reshape(len(fields), -1, 3)
 
 
 def modal_derivatives(body: Solid, modes: Floats, held: Sequence[str] = ()) -> Floats:

@@ -323,17 +323,17 @@ def contact_displacements(
     return result, 0.5 * shares * np.einsum("tkc,kc->t", spread, at_surface)
 
 
-def static_displacements(compliance: SurfaceCompliance, forces: Floats, on: Ints, there: Ints) -> Floats:
-    """Return the static displacements (t, 3) [m] of nodes `there` for forces (j, 3) [N] on nodes `on`."""
+def static_displacements(compliance: SurfaceCompliance, forces: Floats, on: Ints, targets: Ints) -> Floats:
+    """Return the static displacements (t, 3) [m] of nodes `targets` for forces (j, 3) [N] on nodes `on`."""
     if not compliance.flexibility.size:
-        return np.zeros((len(there), 3))
+        return np.zeros((len(targets), 3))
     carried = carrier_forces(compliance, forces, on)
     spreading = flexible_displacements(compliance.flexibility, carried)
-    displacement = np.einsum("tw,twc->tc", compliance.weights[there], spreading[compliance.carriers[there]])
+    displacement = np.einsum("tw,twc->tc", compliance.weights[targets], spreading[compliance.carriers[targets]])
     if compliance.nearby.size:  # the near-field correction is symmetric, so a row serves as a column
         nearby = np.zeros((len(compliance.nodes), 3))
         np.add.at(nearby, compliance.nearby[on], np.einsum("jqdc,jd->jqc", compliance.near_field[on], forces))
-        displacement += nearby[there]
+        displacement += nearby[targets]
     return np.asarray(displacement)
 
 

@@ -99,15 +99,15 @@ class _Piece:
         # symmetric: its transpose is the same, and LAPACK need not copy it
         factor = cho_factor(stiffness.reshape(3 * size, -1).T, lower=True, overwrite_a=True, check_finite=False)
         result = np.zeros((len(moved), 3, len(pushed), 3))
-        here, there = np.isin(moved, ball), np.isin(pushed, ball)
+        moved_inside, pushed_inside = np.isin(moved, ball), np.isin(pushed, ball)
         axes = np.arange(3)
-        loaded = (3 * np.searchsorted(ball, moved[here])[:, None] + np.arange(3)).ravel()
-        by = (3 * np.searchsorted(ball, pushed[there])[:, None] + np.arange(3)).ravel()
+        loaded = (3 * np.searchsorted(ball, moved[moved_inside])[:, None] + np.arange(3)).ravel()
+        by = (3 * np.searchsorted(ball, pushed[pushed_inside])[:, None] + np.arange(3)).ravel()
         unit = np.zeros((3 * size, len(loaded)), np.float32, order="F")
         unit[loaded, np.arange(len(loaded))] = 1.0
         answer = cho_solve(factor, unit, overwrite_b=True, check_finite=False)[by].T
-        result[np.ix_(np.flatnonzero(here), axes, np.flatnonzero(there), axes)] = answer.reshape(
-            here.sum(), 3, there.sum(), 3
+        result[np.ix_(np.flatnonzero(moved_inside), axes, np.flatnonzero(pushed_inside), axes)] = answer.reshape(
+            moved_inside.sum(), 3, pushed_inside.sum(), 3
         )
         return result
 
@@ -141,10 +141,10 @@ def _fade_factor(distance: Floats, near_radius: float) -> Floats:
 
 def _table_of_blocks(rows: Ints, columns: Ints, blocks: Floats, count: int) -> tuple[Ints, NDArray[np.float32]]:
     """Return blocks of node pairs, made symmetric, as a table with one row per node."""
-    there = np.lexsort((columns, rows))
+    order = np.lexsort((columns, rows))
     back = np.lexsort((rows, columns))
-    mean = 0.5 * (blocks[there] + blocks[back].transpose(0, 2, 1))
-    rows, columns = rows[there], columns[there]
+    mean = 0.5 * (blocks[order] + blocks[back].transpose(0, 2, 1))
+    rows, columns = rows[order], columns[order]
     number = np.bincount(rows, minlength=count)
     place = np.arange(len(rows)) - np.repeat(np.cumsum(number) - number, number)
     nearby = np.repeat(np.arange(count)[:, None], number.max(), axis=1)

@@ -15,7 +15,7 @@ from palpate.dynamics.nodal.tool_path import END, START, limit_path
 from palpate.reduction.contact.surface import PAIRS
 
 # of triangles between nodes in contact, in spacings; nodes alone keep a tool out here, and so a triangle is deeper than
-# in a full body, where middles of edges do, too: beyond `MAX_SURFACE_DEPTH` the force is not trusted
+# in a full body, where edge midpoints do, too: beyond `MAX_SURFACE_DEPTH` the force is not trusted
 MAX_DEPTH_BETWEEN_NODES = 0.5
 FREE_WAY, PRESSING_WAY = 1.0, 0.25  # how far a tool may move in a period, in spacings; the latter along its force
 

@@ -114,9 +114,9 @@ def support_sensitivity(
         return None
 
     def change(groups: dict[str, Ints] | None, factor: float = 1.0) -> dict[str, Any] | None:
-        kept = supports if groups is None else [each for each in supports if len(groups.get(each.group, (0,)))]
+        remaining = supports if groups is None else [each for each in supports if len(groups.get(each.group, (0,)))]
         used = _with_groups(cloud, {name: nodes for name, nodes in (groups or {}).items() if len(nodes)})
-        other = statics.compliances(supported_nodes(used, kept), factor)
+        other = statics.compliances(supported_nodes(used, remaining), factor)
         return None if other is None else _summary(reference / other - 1.0, places)
 
     return {

@@ -1,11 +1,11 @@
 """The compiled explicit step of coordinates: damping, prescribed coordinates and kicks.
 
-With the coordinates a of modes and of l lifting vectors, which come last, the mass matrix m and the
+With the coordinates a of modes and of l lifting functions, which come last, the mass matrix m and the
 generalised forces f and loads g,
 
     m (a'' + alpha a') = f(a + beta a') + g(t).
 
-The coordinates of the lifting vectors are prescribed until their tool releases the body. The step is that
+The coordinates of the lifting functions are prescribed until their tool releases the body. The step is that
 of `palpate.dynamics.nodal.central_difference`. The Galerkin model, the hyper-reduced model and the engine
 use these functions. Histories `lifting` (s + 2, l) of prescribed coordinates have one time before the
 first step and one after the last.

@@ -30,11 +30,11 @@ from palpate.reduction.galerkin.step import BasisData, BodyData, GalerkinWork, r
 PERMITTED_LOADS = (DeadLoad, Pressure, Gravity, PrescribedMotion, Grasp)  # of loads, whose forces the step has
 REFRESH_DISPLACEMENT = 0.1  # displacement after which the tangent is updated, as a fraction of the largest so far
 MIN_SIZE = 1e-3  # of the largest snapshot, below which one has reduced weight in a relative basis
-LIFTING_TOLERANCE = 1e-3  # largest error of a prescribed motion in the lifting vectors, relative
+LIFTING_TOLERANCE = 1e-3  # largest error of a prescribed motion in the lifting functions, relative
 
 
 class GalerkinModel(CoordinateModel):
-    """A full model in coordinates of modes, U = Q A (30), and of lifting vectors for tool motions.
+    """A full model in coordinates of modes, U = Q A (30), and of lifting functions for tool motions.
 
     The equations are those of the full model at every node, multiplied by Q^T in the inner product of the
     basis (32).
@@ -45,7 +45,7 @@ class GalerkinModel(CoordinateModel):
     basis : Basis
         Modes that vanish at fixed and prescribed nodes.
     lifting : (l, n, 3) array, optional
-        Lifting vectors for prescribed motions: displacement fields whose coordinates follow from the
+        Lifting functions for prescribed motions: displacement fields whose coordinates follow from the
         motion of the tool.
     implicit : bool
         Whether modes too fast for the step are slowed down instead of limiting it. Accelerations are then
@@ -118,7 +118,7 @@ class GalerkinModel(CoordinateModel):
     def _own_facts(self) -> list[Fact]:
         return [
             ("modes", len(self.basis), ""),
-            ("lifting columns", len(self.lifting) or None, ""),
+            ("lifting functions", len(self.lifting) or None, ""),
             ("energy not held", 100 * self.basis.lost_energy, "%"),
             ("slows fast modes", self.implicit, ""),
         ]
@@ -134,7 +134,7 @@ class GalerkinModel(CoordinateModel):
         )
 
     def force(self, coordinates: Floats, work: GalerkinWork | None = None) -> Floats:
-        """Return Q^T f / rho for coordinates of modes and lifting vectors, both of shape (M + l,)."""
+        """Return Q^T f / rho for coordinates of modes and lifting functions, both of shape (M + l,)."""
         work = self.workspace() if work is None else work
         self._projected_force(np.ascontiguousarray(coordinates), self._body, self._basis, work)
         return work.result / self.material.density
@@ -162,7 +162,7 @@ class GalerkinModel(CoordinateModel):
         return prepared
 
     def _lifting_coordinates(self, prepared: PreparedLoads, times: Floats) -> Floats:
-        """Return the coordinates (t, l) of the lifting vectors at some times."""
+        """Return the coordinates (t, l) of the lifting functions at some times."""
         if not len(self.lifting):
             return np.zeros((len(times), 0))
         nodes = np.flatnonzero(prepared.sites.kind == PRESCRIBED)
@@ -188,9 +188,9 @@ class GalerkinModel(CoordinateModel):
         nodal = self.full.state(prepared, displacement, velocity, time)
         fields = np.stack([nodal.coordinates, nodal.velocities])
         if prepared.is_prescribed(np.array([time]))[0]:
-            lifted = self._lifting_coordinates(prepared, np.array([time]))[0]
+            lifting = self._lifting_coordinates(prepared, np.array([time]))[0]
             rates = prepared.rates(lambda times: self._lifting_coordinates(prepared, times), time)[0]
-            tool_motion = np.stack([lifted, rates])
+            tool_motion = np.stack([lifting, rates])
             coordinates = np.hstack(
                 [self.basis.project(fields - np.tensordot(tool_motion, self.lifting, 1)), tool_motion]
             )
@@ -319,9 +319,9 @@ def galerkin(
         Size of the basis, as for `pod`.
     prescribed : str or sequence of str
         Groups whose motion is prescribed, in the trajectories and in later runs. Every independent motion
-        of theirs has a lifting vector; the modes vanish there.
+        of theirs has a lifting function; the modes vanish there.
     lifting : str
-        ``"fitted"``: lifting vectors are fitted to the snapshots, so that the whole body responds to a
+        ``"fitted"``: lifting functions are fitted to the snapshots, so that the whole body responds to a
         tool at once. ``"local"``: they move the prescribed nodes alone, and the modes represent the rest,
         for a tool that starts a wave, or jumps.
     relative : bool
@@ -370,16 +370,16 @@ def galerkin(
     sizes = np.sqrt(np.sum(snapshots**2, axis=2) @ full.weights)
     columns = None
     if prescribed:
-        columns, snapshots = _lifting_vectors(full, snapshots, prescribed, lifting == "local")
+        columns, snapshots = _lifting_functions(full, snapshots, prescribed, lifting == "local")
     if relative and sizes.max() > 0:
         snapshots = snapshots / np.maximum(sizes, MIN_SIZE * sizes.max())[:, None, None]
     return GalerkinModel(full, pod(snapshots, full.weights, modes=modes, tolerance=tolerance), columns)
 
 
-def _lifting_vectors(
+def _lifting_functions(
     full: NodalModel, snapshots: Floats, prescribed: Sequence[str], local: bool
 ) -> tuple[Floats, Floats]:
-    """Return lifting vectors (l, n, 3) for the motions of prescribed groups, and the snapshots without their part."""
+    """Return lifting functions (l, n, 3) for the motions of prescribed groups, and the snapshots without their part."""
     nodes = np.unique(np.concatenate([full.cloud.group(name) for name in prescribed]))
     motion = snapshots[:, nodes].reshape(len(snapshots), -1)
     u, values, _ = np.linalg.svd(motion, full_matrices=False)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from palpate.core.arrays import Floats
 from palpate.dynamics.loads.supports import symmetry_planes
-from palpate.dynamics.material.fibres import always_taut
+from palpate.dynamics.material.fibres import tension_compression_fibres
 from palpate.dynamics.material.relaxation import equilibrium_history, history_after, relaxation, restore_history
 from palpate.meshfree.mirror import Mirror, mirror_images
 from palpate.meshfree.stencils import Stencils, moving_least_squares
@@ -27,10 +27,10 @@ from palpate.reduction.hyper.data import ReducedData
 from palpate.reduction.hyper.material_point import MaterialPoint, material_point
 from palpate.reduction.hyper.newton import NewtonScratch, newton_scratch, tangent_function
 from palpate.reduction.hyper.sampled_energy import (
-    IntegrationPoints,
+    CubaturePoints,
     SampledEnergy,
     Scratch,
-    integration_points,
+    cubature_points,
     sampled_energy,
     scratch,
 )
@@ -45,7 +45,8 @@ STENCIL_NEIGHBOURS = {2: 14, 3: 42}  # by dimension of the cloud: a sheet, a sol
 class ReducedWork:
     """Scratch arrays of a reduced model, for one thread at a time."""
 
-    # coordinates, all: of the forces on the coordinates, and on all basis vectors; they share the history variables
+    # coordinates, all: of the forces on the coordinates, and on the trial and test basis; they share the history
+    # variables
     coordinates: Scratch
     all: Scratch
     newton: NewtonScratch
@@ -66,18 +67,18 @@ class ReducedBody:
     coefficients : tuple of float
         Parameters of the law.
     single : bool
-        Whether the derivatives at the integration points have single precision.
+        Whether the derivatives at the cubature points have single precision.
     masses : (n,) array [kg]
         Nodal masses.
     all_mass : (m + l + 3 g + w, m + l + 3 g + w) array [kg]
-        Mass matrix of all basis vectors, test fields included.
+        Mass matrix of the trial and test basis.
     constants : ReducedConstants
         Of the coordinates; compiled steps read them.
     sizes : (m + l,) array [m]
         Largest displacement of a unit coordinate.
-    all_points : IntegrationPoints
-        With the derivatives of all basis vectors.
-    taut_points : IntegrationPoints
+    all_points : CubaturePoints
+        With the derivatives of the trial and test basis.
+    tension_compression_points : CubaturePoints
         Those of the coordinates, with fibres that carry compression, too.
     surface : ContactSurface
         Empty for a model without contact.
@@ -108,15 +109,15 @@ class ReducedBody:
     all_mass: Floats
     constants: ReducedConstants
     sizes: Floats
-    all_points: IntegrationPoints
-    taut_points: IntegrationPoints
+    all_points: CubaturePoints
+    tension_compression_points: CubaturePoints
     surface: ContactSurface
     sampled: SampledEnergy
     tangent: Any
 
     @property
     def count(self) -> int:
-        """Number m + l of coordinates: modes and lifting vectors."""
+        """Number m + l of coordinates: modes and lifting functions."""
         return self.data.basis.count
 
     @property
@@ -135,9 +136,9 @@ class ReducedBody:
         return self.constants.constrained_inverse_mass
 
     @property
-    def points(self) -> IntegrationPoints:
-        """Integration points with the derivatives of the coordinates' vectors."""
-        return self.constants.integration_points
+    def points(self) -> CubaturePoints:
+        """Cubature points with the derivatives of the coordinates' vectors."""
+        return self.constants.cubature_points
 
     @property
     def vectors(self) -> Floats:
@@ -174,7 +175,7 @@ class ReducedBody:
 
     def workspace(self) -> ReducedWork:
         """Allocate the scratch arrays of evaluations and steps, for one thread at a time."""
-        sampled, forces = scratch(self.points), (np.zeros(self.count), np.zeros(len(self.data.basis_vectors)))
+        sampled, forces = scratch(self.points), (np.zeros(self.count), np.zeros(len(self.data.trial_and_test_basis)))
         return ReducedWork(sampled, scratch(self.all_points, sampled.history), newton_scratch(self.count), *forces)
 
     def force(self, coordinates: Floats, history: History = (), work: ReducedWork | None = None) -> Floats:
@@ -194,10 +195,10 @@ class ReducedBody:
         return work.force.copy()
 
     def all_forces(self, coordinates: Floats, history: History = (), work: ReducedWork | None = None) -> Floats:
-        """Return the internal forces on all basis vectors, test fields included, shape (m + l + 3 g + w,)."""
+        """Return the internal forces on the trial and test basis, shape (m + l + 3 g + w,)."""
         work = self.workspace() if work is None else work
         restore_history(work.all.history, history)
-        padded = np.zeros(len(self.data.basis_vectors))
+        padded = np.zeros(len(self.data.trial_and_test_basis))
         padded[: self.count] = coordinates
         self.sampled.force(padded, self.all_points, work.all, work.all_forces)
         return work.all_forces.copy()
@@ -214,7 +215,7 @@ class ReducedBody:
         coordinates: Floats,
         history: History = (),
         work: ReducedWork | None = None,
-        points: IntegrationPoints | None = None,
+        points: CubaturePoints | None = None,
     ) -> Floats:
         """Return the tangent -d(force)/d(coordinates), shape (m + l, m + l), by default of `points`."""
         work = self.workspace() if work is None else work
@@ -234,7 +235,7 @@ class ReducedBody:
     ) -> float:
         """Return the highest frequency [rad/s], with the lifting coordinates prescribed or free."""
         moving = slice(self.data.modes if prescribed else None)
-        tangent = self.stiffness(coordinates, history, work, self.taut_points)[moving, moving]
+        tangent = self.stiffness(coordinates, history, work, self.tension_compression_points)[moving, moving]
         if not np.isfinite(tangent).all():
             return np.inf
         inverse_mass = self.constrained_inverse_mass if prescribed else self.inverse_mass
@@ -288,7 +289,7 @@ def reduced_body(data: ReducedData, single: bool = True) -> ReducedBody:
         inverse_mass=np.asarray(np.linalg.inv(mass), dtype=float),
         constrained_inverse_mass=np.asarray(np.linalg.inv(mass[:modes, :modes]), dtype=float),
         differences=DIFFERENCE_STEP * data.cloud.spacing / sizes,
-        integration_points=points,
+        cubature_points=points,
     )
     return ReducedBody(
         data=data,
@@ -300,7 +301,7 @@ def reduced_body(data: ReducedData, single: bool = True) -> ReducedBody:
         constants=constants,
         sizes=sizes,
         all_points=all_points,
-        taut_points=points._replace(families=always_taut(points.families)),
+        tension_compression_points=points._replace(families=tension_compression_fibres(points.families)),
         surface=data.surface,
         sampled=compiled,
         tangent=tangent_function(law, single),
@@ -309,11 +310,11 @@ def reduced_body(data: ReducedData, single: bool = True) -> ReducedBody:
 
 def points_of(
     data: ReducedData, which: NDArray[np.int64], coefficients: tuple[float, ...], single: bool
-) -> IntegrationPoints:
-    """Return the integration points of a reduced model for a subset of its basis vectors."""
+) -> CubaturePoints:
+    """Return the cubature points of a reduced model for a subset of its basis vectors."""
     rule, tissue, sampled = data.cubature, data.tissue, data.sampled
     law = coefficients if tissue.regions is None else tissue.regions.at(rule.nodes)
-    return integration_points(
+    return cubature_points(
         np.ascontiguousarray(sampled.gradients[:, which]), rule.weights, rule.pressure,
         sampled.constant[np.ix_(which, which)], law, np.float32 if single else np.float64,
         relaxation(tissue.material), tissue.fibres and tissue.fibres.of(rule.nodes),

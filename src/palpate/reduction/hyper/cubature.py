@@ -25,7 +25,7 @@ BATCH_FRACTION = 0.05  # of the active columns that are added at once
 
 @dataclass(frozen=True)
 class Cubature(Described):
-    """Integration points with weights."""
+    """Cubature points with weights."""
 
     nodes: Ints  # (s,) int array
     weights: Floats  # (s,) array [m^3]: positive
@@ -157,7 +157,7 @@ def fit_moments(sampled: Floats, moments: Floats, ridge: float = 1e-6) -> Floats
     Parameters
     ----------
     sampled : (s, r) array
-        Dilatations at the integration points, and their slopes along the coordinates, at many states.
+        Dilatations at the cubature points, and their slopes along the coordinates, at many states.
     moments : (k, r) array
         The moments and their slopes.
     ridge : float

@@ -1,4 +1,4 @@
-"""Data of a reduced model: its body, basis vectors, integration points, range of training, and contact surface."""
+"""Data of a reduced model: its body, basis vectors, cubature points, range of training, and contact surface."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 from palpate.core.arrays import Floats
+from palpate.core.deprecation import renamed_attribute
 from palpate.core.describe import Described
 from palpate.dynamics.loads.supports import Support
 from palpate.dynamics.material.kinematics import Kinematics
@@ -21,11 +22,11 @@ UNLIMITED_SCALE = 1e300  # scale of a measure without training states
 
 
 @dataclass(frozen=True)
-class BasisVectors(Described):
+class TrialAndTestBasis(Described):
     """Basis vectors of a reduced model: displacement fields of its coordinates, and test fields.
 
-    The fields are m modes, l lifting vectors of the tools, and test fields: 3 for each of g supports, and w residual
-    fields (`palpate.reduction.training.residual_fields`). The coordinates are those of modes and lifting vectors.
+    The fields are m modes, l lifting functions of the tools, and test fields: 3 for each of g supports, and w residual
+    fields (`palpate.reduction.training.residual_fields`). The coordinates are those of modes and lifting functions.
     """
 
     vectors: Floats  # (m + l + 3 g + w, n, 3) array
@@ -41,7 +42,7 @@ class BasisVectors(Described):
 
 @dataclass(frozen=True)
 class SampledBasis(Described):
-    """Basis vectors at the integration points of a reduced model.
+    """Basis vectors at the cubature points of a reduced model.
 
     The derivatives of the residual fields are multiplied by fitted factors.
     """
@@ -52,7 +53,7 @@ class SampledBasis(Described):
 
 
 class Scales(NamedTuple):
-    """Scales of the measures of the error indicator, at which the trust number is 1."""
+    """Scales of the measures of the error indicator, at which the error indicator is 1."""
 
     distance_scale: float  # [m]: distance from the training states
     residual_scale: float = 1.0  # [m]: residual norm
@@ -80,7 +81,7 @@ class ReducedData(Described):
     """Data of a reduced model, and the content of its file."""
 
     cloud: Cloud
-    tissue: TissueField  # the weights of the integration points include its stiffness factors
+    tissue: TissueField  # the weights of the cubature points include its stiffness factors
     supports: tuple[Support, ...]
     prescribed: tuple[str, ...]  # groups that rigid tools move
     volumes: Floats  # (n,) array [m^3]: nodal volumes of the mass
@@ -88,7 +89,7 @@ class ReducedData(Described):
     # [m/s]: approximate speed of the fastest waves. It limits the velocity of a jumping tool in the damping
     # forces.
     wave_speed: float
-    basis: BasisVectors
+    basis: TrialAndTestBasis
     sampled: SampledBasis
     trained: TrainedRange
     report: Mapping[str, Any] = field(default_factory=dict)  # figures measured in training
@@ -97,7 +98,7 @@ class ReducedData(Described):
     mass_damping: float = 0.0  # [1/s]: Rayleigh's alpha
 
     @property
-    def basis_vectors(self) -> Floats:
+    def trial_and_test_basis(self) -> Floats:
         """Basis vectors (m + l + 3 g + w, n, 3)."""
         return self.basis.vectors
 
@@ -108,7 +109,7 @@ class ReducedData(Described):
 
     @property
     def lifting_count(self) -> int:
-        """Number l of lifting vectors."""
+        """Number l of lifting functions."""
         return self.basis.lifting_count
 
     @property
@@ -118,7 +119,7 @@ class ReducedData(Described):
 
     @property
     def cubature(self) -> Cubature:
-        """Nodes, weights and moments of the integration points."""
+        """Nodes, weights and moments of the cubature points."""
         return self.sampled.cubature
 
     @property
@@ -130,6 +131,8 @@ class ReducedData(Described):
     def scales(self) -> Scales:
         """Scales of the error indicator."""
         return self.trained.scales
+
+    basis_vectors = renamed_attribute("ReducedData", "basis_vectors", "trial_and_test_basis")
 
     @property
     def surface(self) -> ContactSurface:

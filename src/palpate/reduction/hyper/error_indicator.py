@@ -1,6 +1,6 @@
-"""The error indicator: seven measures of a state, and the errors expected at a trust number.
+"""The error indicator: seven measures of a state, and the errors expected at an error indicator.
 
-Each measure over its scale is a number, and the largest of them is the trust number of
+Each measure over its scale is a number, and the largest of them is the error indicator of
 `palpate.hyper_reduce`:
 
 - the distance to the nearest training state,
@@ -14,7 +14,7 @@ Each measure over its scale is a number, and the largest of them is the trust nu
 
 Touch speed and nearness are those of the tool for which they are largest, so that no tool hides another.
 
-Errors expected at a trust number come from the held-out runs (`palpate.reduction.training.calibrate_indicator`).
+Errors expected at an error indicator come from the held-out runs (`palpate.reduction.training.calibrate_indicator`).
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ from palpate.reduction.contact.surface import HELD_NEARNESS
 from palpate.reduction.hyper.body import ReducedBody
 from palpate.reduction.hyper.data import ReducedData, Scales
 
-LEAST_DISTANCE = 0.25  # from a fixed node that counts, in spacings
+MIN_DISTANCE = 0.25  # from a fixed node that counts, in spacings
 TOUCH_SHARE = 0.2  # of a typical force, which counts in addition to the force of a tool
 SPEED_INTERVAL = 1e-4  # [s] over which the speed of a tool is measured
-# Trust number with one tool more in contact than in all held-out runs, plus 1 for each further tool. Errors are
+# Error indicator with one tool more in contact than in all held-out runs, plus 1 for each further tool. Errors are
 # unknown from there on.
 TRUST_OF_MORE_TOOLS = 2.0
-LARGEST_KNOWN_TRUST = 1.999  # largest trust number with an expected error
+LARGEST_KNOWN_TRUST = 1.999  # largest error indicator with an expected error
 
 
 class Measures(NamedTuple):
@@ -63,8 +63,8 @@ class Measures(NamedTuple):
     tools: Floats  # number of tools in contact
 
 
-def trust_numbers(measures: Measures, scales: Scales) -> Floats:
-    """Return the trust number of a state, or those (f,) of the frames of a run."""
+def error_indicators(measures: Measures, scales: Scales) -> Floats:
+    """Return the error indicator of a state, or those (f,) of the frames of a run."""
     return np.asarray(np.max(list(measure_ratios(measures, scales).values()), axis=0))
 
 
@@ -85,12 +85,12 @@ def measure_ratios(measures: Measures, scales: Scales) -> dict[str, Floats]:
 
 @register_jitable
 def trust_of_tools(tools, trained_tools):
-    """Return the part of the trust number by the number of tools in contact, and that of the held-out runs."""
+    """Return the part of the error indicator by the number of tools in contact, and that of the held-out runs."""
     return (TRUST_OF_MORE_TOOLS - 1.0 + tools - trained_tools) * (tools > trained_tools)
 
 
 class ExpectedError(NamedTuple):
-    """The error expected at a trust number, relative to the mean of the present and the typical size.
+    """The error expected at an error indicator, relative to the mean of the present and the typical size.
 
     The size is the displacement or the tool force. The typical one is the median of the largest sizes of the
     held-out runs.
@@ -98,7 +98,7 @@ class ExpectedError(NamedTuple):
     Parameters
     ----------
     median : float
-        Of the frames of the held-out runs. Infinite, as `bound`, where the error is unknown: at a trust number of 2
+        Of the frames of the held-out runs. Infinite, as `bound`, where the error is unknown: at an error indicator of 2
         or more.
     bound : float
         Bound that the errors of a run do not exceed in any frame, with the probability `level`.
@@ -179,7 +179,7 @@ def nearness_to_supports(cloud: Cloud, supports: Sequence[Support], nodes: Ints)
     if not len(fixed) or not len(nodes):
         return np.zeros(len(nodes))
     distances = np.asarray(cKDTree(fixed).query(cloud.points[nodes])[0])
-    near = cloud.spacing / np.maximum(distances, LEAST_DISTANCE * cloud.spacing)
+    near = cloud.spacing / np.maximum(distances, MIN_DISTANCE * cloud.spacing)
     return np.where(distances == 0.0, HELD_NEARNESS, near)
 
 
@@ -205,11 +205,11 @@ def residual_norm(data: ReducedData, forces: Floats) -> float:
     forces : (m + l + 3 g + w,) array
         Of `palpate.reduction.hyper.reactions.constraint_forces`.
     """
-    return float(np.linalg.norm(forces[len(data.basis_vectors) - data.residual_fields :]))
+    return float(np.linalg.norm(forces[len(data.trial_and_test_basis) - data.residual_fields :]))
 
 
 def expected_error(report: Mapping[str, Any], trust: float, of: str = "displacement") -> ExpectedError:
-    """Return the error that a report states for a trust number; see `palpate.ReducedModel.expected_error`."""
+    """Return the error that a report states for an error indicator; see `palpate.ReducedModel.expected_error`."""
     number = number_in_range("trust", trust, 0.0)
     if of not in ("displacement", "force"):
         raise InputError(f"of must be 'displacement' or 'force', got {of!r:.60}; choose one of them")
@@ -246,7 +246,7 @@ def error_bounds(data: ReducedData, run: Trajectory) -> tuple[Floats, Floats]:
 
 
 def remembered_trust(trust: Floats, times: Floats, forgetting: float) -> Floats:
-    """Return the largest trust numbers (f,) so far at times (f,) [s], which decay at a rate [1/s].
+    """Return the largest error indicators (f,) so far at times (f,) [s], which decay at a rate [1/s].
 
     An error once made goes on as a vibration of the body, which dies by its damping: with a mass damping c, every
     vibration decays at least as exp(-c t / 2).
@@ -256,16 +256,16 @@ def remembered_trust(trust: Floats, times: Floats, forgetting: float) -> Floats:
 
 
 def forgetting_rate(report: Mapping[str, Any]) -> float:
-    """Return the rate [1/s] at which the largest trust number decays; 0 for a model that never forgets it."""
+    """Return the rate [1/s] at which the largest error indicator decays; 0 for a model that never forgets it."""
     return float((_curves(report) or {}).get("forgetting", 0.0))
 
 
 @dataclass(frozen=True)
 class ForceBound:
-    """The error bound [N] of tool forces, by the largest trust number so far and the force [N]."""
+    """The error bound [N] of tool forces, by the largest error indicator so far and the force [N]."""
 
     curve: Floats  # (5,): as `bound_curve`
-    forgetting: float  # [1/s]: rate at which the largest trust number decays
+    forgetting: float  # [1/s]: rate at which the largest error indicator decays
 
     def __call__(self, trust: float, size: float) -> float:
         return float(curve_bound(self.curve, trust, size))
@@ -293,7 +293,7 @@ def mean_size(size, typical_size):
 
 @register_jitable
 def curve_bound(curve, trust, size):
-    """Return the error bound [N] by the largest trust number so far and the force [N]; infinite where not known."""
+    """Return the error bound [N] by the largest error indicator so far and the force [N]; infinite where not known."""
     error, least_trust, exponent, largest_trust, typical_size = curve[0], curve[1], curve[2], curve[3], curve[4]
     if not (error > 0.0 and trust <= largest_trust):
         return np.inf
@@ -305,7 +305,7 @@ def _curves(report: Mapping[str, Any]) -> dict[str, Any] | None:
     curves: dict[str, Any] | None = report.get("held_out", {}).get("expected_error")
     if curves is None:
         return None
-    return {  # older models have curves beyond the trust number of more tools
+    return {  # older models have curves beyond the error indicator of more tools
         name: value | {"largest_trust": min(value["largest_trust"], LARGEST_KNOWN_TRUST)}
         if isinstance(value, dict)
         else value
@@ -314,7 +314,7 @@ def _curves(report: Mapping[str, Any]) -> dict[str, Any] | None:
 
 
 def curve_errors(curve: Mapping[str, float], name: str, trust: Floats) -> Floats:
-    """Return the relative errors of a curve at trust numbers (f,): ``"median"`` or ``"bound"``."""
+    """Return the relative errors of a curve at error indicators (f,): ``"median"`` or ``"bound"``."""
     errors = curve[name] * np.maximum(trust, curve["least_trust"]) ** curve["exponent"]
     return np.where(trust <= curve["largest_trust"], errors, np.inf)
 

@@ -1,11 +1,11 @@
 """The compiled explicit step of a sampled reduced model.
 
-With the coordinates a of modes and lifting vectors, the mass matrix m, the sampled force f and the
+With the coordinates a of modes and lifting functions, the mass matrix m, the sampled force f and the
 loads g,
 
     m (a'' + alpha a') = f(a + beta a') + g(t).
 
-The coordinates of the lifting vectors are prescribed until their tool releases the body. The step is
+The coordinates of the lifting functions are prescribed until their tool releases the body. The step is
 that of `palpate.dynamics.nodal.central_difference`. The implicit step is in
 `palpate.reduction.hyper.implicit`.
 """
@@ -108,7 +108,7 @@ def _forces_function(law: MaterialPoint, single: bool) -> Any:
         at, result, rate, load = data.work[TRIAL], data.work[FORCE], data.work[RATE], data.work[LOAD]
         trial_coordinates(a, v, data.constants.stiffness_damping, data.wave_speed, held, at)
         data.scratch.history.interval[0] = interval
-        force(at, data.constants.integration_points, data.scratch, result)
+        force(at, data.constants.cubature_points, data.scratch, result)
         for m in range(a.shape[0]):
             load[m] = load_of_step[m]
         add_spring_forces(data.springs, a, v, load)

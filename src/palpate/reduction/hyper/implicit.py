@@ -1,6 +1,6 @@
 """The compiled energy-conserving implicit step of a sampled reduced model.
 
-With the coordinates a of modes and lifting vectors, the mass matrix m, the sampled force f and the
+With the coordinates a of modes and lifting functions, the mass matrix m, the sampled force f and the
 loads g, the step solves for the mean velocity w,
 
     m (2 (w - v_n) / dt + alpha w) = mean of f(a_n + s dt w + beta w) + g(t_n + dt / 2),
@@ -115,12 +115,12 @@ def implicit_step(law: MaterialPoint, single: bool) -> Any:
     solve, mean_force = newton_solver(law, single), mean_force_function(law, single)
 
     @law_njit(digest, nogil=True, fastmath={"contract"})
-    def implicit(a, v, lifting, holds, step, loads, given):
+    def implicit(a, v, lifting, holds, step, loads, handle):
         """Advance by the number of loads; return the work [J] of loads, the dissipation, the work of tools, and steps.
 
         The number of steps is less than that of the loads if a step did not converge.
         """
-        data, count, first = reference(given), a.shape[0], a.shape[0] - lifting.shape[1]
+        data, count, first = reference(handle), a.shape[0], a.shape[0] - lifting.shape[1]
         total, lost, tool_work = 0.0, 0.0, 0.0
         newton, vectors = data.newton, data.newton.vectors
         w, at = vectors[MEAN_VELOCITY], vectors[TRIAL]

@@ -7,7 +7,7 @@ the displacement of the body, root mean squares over the body. A coarse grid rep
 have no stiffness across their plane at rest, respond like a stretched membrane. A body without supports
 is held by soft springs on all its mass, so that its rigid motions outweigh its deformation.
 
-A prescribed motion is a load, too: its static response, and that to the inertia of the lifting vectors.
+A prescribed motion is a load, too: its static response, and that to the inertia of the lifting functions.
 The response is linear in the amplitudes: both squares are quadratic forms of these, computed once for
 prepared loads.
 """
@@ -27,9 +27,9 @@ from palpate.dynamics.run.model import State
 from palpate.reduction.hyper.body import ReducedBody
 from palpate.reduction.hyper.data import ReducedData
 
-MIN_LOAD_SCALE = 0.3  # least share at which the trust number is 1
+MIN_LOAD_SCALE = 0.3  # least share at which the error indicator is 1
 MAX_LOAD_SCALE = 0.9  # largest: a load that the coordinates cannot feel at all has a share of 1
-LEAST_DISPLACEMENT = 1e-9  # least displacement that counts, in spacings: rounding is below
+MIN_DISPLACEMENT = 1e-9  # least displacement that counts, in spacings: rounding is below
 TOOL_STIFFNESS = 1e3  # of the springs that move the nodes of tools, over the stiffness of a node's cell
 RIGID_STIFFNESS = 0.01  # of the springs on a body without supports, over shear modulus and size of the body
 
@@ -78,7 +78,7 @@ def load_share(body: ReducedBody, state: State, responses: ResponseSquares, ampl
         return 0.0
     missed, size = (float(np.sqrt(max(float(amplitudes @ form @ amplitudes), 0.0))) for form in responses)
     moved = float(np.sqrt(state.coordinates @ body.mass @ state.coordinates / body.masses.sum()))
-    return missed / max(size, moved, LEAST_DISPLACEMENT * body.data.cloud.spacing)
+    return missed / max(size, moved, MIN_DISPLACEMENT * body.data.cloud.spacing)
 
 
 def response_squares(body: ReducedBody, sites: LoadSites, response: Callable[[], Response]) -> ResponseSquares:

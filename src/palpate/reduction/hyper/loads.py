@@ -1,4 +1,4 @@
-"""Loads of a reduced model: checks, and coordinates of the lifting vectors under prescribed motions."""
+"""Loads of a reduced model: checks, and coordinates of the lifting functions under prescribed motions."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from palpate.reduction.hyper.foundation import Springs, project_springs
 from palpate.reduction.hyper.load_share import Response, ResponseSquares, response_squares
 
 PERMITTED_LOADS = (DeadLoad, Gravity, PrescribedMotion, Grasp, Contact, Foundation)  # whose forces the step has
-RIGID_TOLERANCE = 1e-3  # largest error of a prescribed motion in the lifting vectors, relative
+RIGID_TOLERANCE = 1e-3  # largest error of a prescribed motion in the lifting functions, relative
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +44,7 @@ class ReducedLoads(PreparedLoads):
     static_response: Callable[[], Response] = field(repr=False, compare=False)
     # (g a + 3, c) array: work of unit amplitudes of dead loads and gravity on the basis vectors, see `load_work`
     work: Floats
-    # springs, coordinate_springs: foundations on all basis vectors, and on the coordinates only
+    # springs, coordinate_springs: foundations on the trial and test basis, and on the coordinates only
     springs: Springs
     coordinate_springs: Springs
 
@@ -75,7 +75,10 @@ class ReducedLoads(PreparedLoads):
 
 def reduced_loads(body: ReducedBody, prepared: PreparedLoads) -> ReducedLoads:
     """Return loads that were prepared for a body."""
-    if not isinstance(prepared, ReducedLoads) or prepared.body.data.basis_vectors is not body.data.basis_vectors:
+    if (
+        not isinstance(prepared, ReducedLoads)
+        or prepared.body.data.trial_and_test_basis is not body.data.trial_and_test_basis
+    ):
         raise InputError("prepared must come from prepare() of the same reduced model, got those of another one")
     return prepared
 
@@ -108,21 +111,21 @@ def prepare_reduced_loads(
         )
     moved_groups = {motion.group for motion, _ in ready.motions}
     if moved_groups != set(data.prescribed):
-        expected, given = (
+        expected, actual = (
             ", ".join(map(repr, names)) or "no group" for names in (data.prescribed, sorted(moved_groups))
         )
         raise InputError(
-            f"loads must prescribe the motion of {expected} as in training, got {given}; "
+            f"loads must prescribe the motion of {expected} as in training, got {actual}; "
             "give the model those motions, or train it with these"
         )
     if len({motion.until for motion, _ in ready.motions}) > 1:
         raise InputError("until must be the same for all tools, got several times; give all motions one `until`")
-    springs = project_springs(ready.sites, data.basis_vectors, body.mass)
+    springs = project_springs(ready.sites, data.trial_and_test_basis, body.mass)
     return ReducedLoads(
         **{entry.name: getattr(ready, entry.name) for entry in fields(ready)},
         body=body,
         static_response=static_response,
-        work=load_work(ready.sites, data.basis_vectors, body.masses),
+        work=load_work(ready.sites, data.trial_and_test_basis, body.masses),
         springs=springs,
         coordinate_springs=springs.of(np.arange(body.count)),
     )
@@ -146,13 +149,15 @@ def _forceps(data: ReducedData, grasp: Grasp) -> Contact:
 
 
 def lifting_coordinates(data: ReducedData, ready: PreparedLoads, times: Floats) -> Floats:
-    """Return the coordinates (t, l) of the lifting vectors at some times."""
+    """Return the coordinates (t, l) of the lifting functions at some times."""
     if not data.lifting_count:
         return np.zeros((len(times), 0))
     order = np.argsort(ready.sites.prescribed)
     motion = ready.schedule(times).motion[:, order].reshape(len(times), -1)
     nodes = np.flatnonzero(ready.sites.kind == PRESCRIBED)
-    span = data.basis_vectors[data.modes : data.modes + data.lifting_count, nodes].reshape(data.lifting_count, -1)
+    span = data.trial_and_test_basis[data.modes : data.modes + data.lifting_count, nodes].reshape(
+        data.lifting_count, -1
+    )
     coordinates = np.ascontiguousarray(np.linalg.lstsq(span.T, motion.T, rcond=None)[0].T)
     error = np.abs(coordinates @ span - motion).max()
     if error > RIGID_TOLERANCE * max(float(np.abs(motion).max()), 1e-3 * data.cloud.spacing):

@@ -1,4 +1,4 @@
-"""Compiled stress and energy at one integration point, of a solid or a membrane.
+"""Compiled stress and energy at one cubature point, of a solid or a membrane.
 
 The functions take the derivatives of the displacement, nine numbers row by row of du/dX. They return
 the stress, cof(F) and J - 1, or the energy density and J - 1. The pressure of nearly incompressible
@@ -30,7 +30,7 @@ MIN_VOLUME_RATIO = 0.1  # J below which the energy continues as a parabola
 
 @dataclass(frozen=True)
 class MaterialPoint:
-    """Compiled functions of one integration point."""
+    """Compiled functions of one cubature point."""
 
     digest: str  # of all sources of the functions
     stress: Any  # ``stress(d0, ..., d8, coefficients)`` returns P and cof(F), nine numbers each, and J - 1

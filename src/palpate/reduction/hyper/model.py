@@ -1,7 +1,7 @@
 """The hyper-reduced model: an energy sampled at few nodes, in the coordinates of modes and tools.
 
 `palpate.hyper_reduce` makes it from a full model and its runs. The result does not depend on the full
-model any more. The cost of a step depends on the numbers of integration points and coordinates, not
+model any more. The cost of a step depends on the numbers of cubature points and coordinates, not
 on the number of nodes.
 """
 
@@ -33,13 +33,13 @@ from palpate.reduction.hyper.error_indicator import (
     Measures,
     approach_speeds,
     error_bounds,
+    error_indicators,
     expected_error,
     nearness_to_supports,
     residual_norm,
     rms_speeds,
     support_nearness,
     training_distance,
-    trust_numbers,
 )
 from palpate.reduction.hyper.explicit import ContactData, ExplicitData, explicit_step
 from palpate.reduction.hyper.implicit import ImplicitData, implicit_step
@@ -59,7 +59,7 @@ ROUNDING_STRAIN = 1e-7  # strain whose energy is far above that of rounding
 
 
 class ReducedModel(CoordinateModel):
-    """A body in few coordinates, with forces from few integration points.
+    """A body in few coordinates, with forces from few cubature points.
 
     Parameters
     ----------
@@ -68,14 +68,14 @@ class ReducedModel(CoordinateModel):
         Of the energy-conserving implicit rule. By default steps are explicit, at the stable step of the
         reduced body.
     single : bool
-        Whether the derivatives at the integration points have single precision.
+        Whether the derivatives at the cubature points have single precision.
 
     Attributes
     ----------
     body : ReducedBody
         Masses, forces and energy in the coordinates.
     count : int
-        Number of coordinates: modes and lifting vectors.
+        Number of coordinates: modes and lifting functions.
     report : dict
         Figures measured in training.
 
@@ -117,7 +117,7 @@ class ReducedModel(CoordinateModel):
 
     @property
     def count(self) -> int:
-        """Number of coordinates: modes and lifting vectors."""
+        """Number of coordinates: modes and lifting functions."""
         return self.body.count
 
     @property
@@ -129,7 +129,7 @@ class ReducedModel(CoordinateModel):
         data, error = self.data, self.report.get("held_out", {}).get("mean", {}).get("displacement")
         return [
             ("modes", data.modes, ""),
-            ("lifting columns", data.lifting_count or None, ""),
+            ("lifting functions", data.lifting_count or None, ""),
             ("sampled nodes", len(data.cubature.nodes), ""),
             (
                 "held-out displacement error",
@@ -162,8 +162,8 @@ class ReducedModel(CoordinateModel):
     ) -> State:
         work, flat = self.workspace(), self.body.vectors.reshape(self.count, -1)
         projected = []
-        for name, given in (("displacement", displacement), ("velocity", velocity)):
-            array = initial_field(name, given, len(self.cloud))
+        for name, field in (("displacement", displacement), ("velocity", velocity)):
+            array = initial_field(name, field, len(self.cloud))
             projected.append(flat @ (array * self.masses[:, None]).reshape(-1))
         coordinates, velocities = np.array(projected)
         modes = slice(self.data.modes)
@@ -382,22 +382,22 @@ class ReducedModel(CoordinateModel):
             moments,
             contact_forces,
             np.isin(contact_forces[:, 0], bonded) if len(bonded) else np.zeros(len(contact_forces), dtype=bool),
-            float(trust_numbers(self._measures(state, prepared, constraints, tool_energies), self.data.scales)),
+            float(error_indicators(self._measures(state, prepared, constraints, tool_energies), self.data.scales)),
         )
 
     def trust(self, state: State, prepared: PreparedLoads) -> float:
-        """Return the trust number of a state: above 1 the state is outside the training data.
+        """Return the error indicator of a state: above 1 the state is outside the training data.
 
         It is the largest of seven numbers, each a measure of `palpate.reduction.hyper.error_indicator` over
         its scale: the distance to the nearest training state, the residual norm of the forces on test fields,
         the share of the loads' static response that the coordinates cannot represent, the displacement of the
         surface compliance under tools, their touch speed, the nearness of tools to supports, and more tools in
-        contact at once than in any held-out run. The scales make the trust number at most 1 in all frames of 95 %
+        contact at once than in any held-out run. The scales make the error indicator at most 1 in all frames of 95 %
         of the held-out runs. Without such runs, they come from the training data.
         """
         _, energies = self._tool_displacements(state, prepared)
         measures = self._measures(state, prepared, constraint_forces(self.body, state, prepared), energies)
-        return float(trust_numbers(measures, self.data.scales))
+        return float(error_indicators(measures, self.data.scales))
 
     def _measures(self, state: State, prepared: PreparedLoads, constraints: Floats, tool_energies: Floats) -> Measures:
         """Return the measures of a state with constraint forces and energies (t,) [J] of the surface compliance."""
@@ -447,19 +447,19 @@ class ReducedModel(CoordinateModel):
         return static_response(self.data, np.zeros(len(self.cloud)))
 
     def expected_error(self, trust: float, of: str = "displacement") -> ExpectedError:
-        """Return the error expected at a trust number: the median, and a bound with its level.
+        """Return the error expected at an error indicator: the median, and a bound with its level.
 
         Parameters
         ----------
         trust : float
-            The largest trust number of a motion so far, because an error persists as a vibration.
+            The largest error indicator of a motion so far, because an error persists as a vibration.
         of : str
             ``"displacement"``: root mean square over the body. ``"force"``: of the force on a tool.
 
         Returns
         -------
         ExpectedError
-            Both are infinite, which is unknown, above all trust numbers of the held-out runs.
+            Both are infinite, which is unknown, above all error indicators of the held-out runs.
 
         Raises
         ------

@@ -166,7 +166,7 @@ def _update(data, step, moving):
 
 @cache
 def tangent_function(law: MaterialPoint, single: bool) -> Any:
-    """Compile ``tangent(a, sizes, integration_points, scratch, vectors, count, matrix)``, which writes -df/da.
+    """Compile ``tangent(a, sizes, cubature_points, scratch, vectors, count, matrix)``, which writes -df/da.
 
     Parameters
     ----------
@@ -179,14 +179,14 @@ def tangent_function(law: MaterialPoint, single: bool) -> Any:
     @law_njit(digest, nogil=True, fastmath={"contract"})
     def tangent(a, sizes, given_points, given_scratch, vectors, count, matrix):
         """Write -df/da of the first `count` coordinates, by central differences of `sizes` [unit of a]."""
-        integration_points, scratch = reference(given_points), reference(given_scratch)
+        cubature_points, scratch = reference(given_points), reference(given_scratch)
         probe, ahead, behind = vectors[PROBE], vectors[AHEAD], vectors[BEHIND]
         for m in range(count):
             copy_values(a, probe)
             probe[m] = a[m] + sizes[m]
-            force(probe, integration_points, scratch, ahead)
+            force(probe, cubature_points, scratch, ahead)
             probe[m] = a[m] - sizes[m]
-            force(probe, integration_points, scratch, behind)
+            force(probe, cubature_points, scratch, behind)
             for k in range(count):
                 matrix[k, m] = (behind[k] - ahead[k]) / (2.0 * sizes[m])
 
@@ -204,10 +204,10 @@ def mean_force_function(law: MaterialPoint, single: bool) -> Any:
         """Write the mean internal force over a step with the mean velocities w."""
         for j in range(a.shape[0]):
             at[j] = a[j] + (GAUSS_POINTS[0] * step + beta) * w[j]
-        force(at, data.constants.integration_points, data.scratch, other)
+        force(at, data.constants.cubature_points, data.scratch, other)
         for j in range(a.shape[0]):
             at[j] = a[j] + (GAUSS_POINTS[1] * step + beta) * w[j]
-        force(at, data.constants.integration_points, data.scratch, result)
+        force(at, data.constants.cubature_points, data.scratch, result)
         for j in range(a.shape[0]):
             result[j] = 0.5 * (result[j] + other[j])
 
@@ -234,7 +234,7 @@ def newton_solver(law: MaterialPoint, single: bool) -> Any:
         tangent(
             a,
             data.constants.differences,
-            data.constants.integration_points,
+            data.constants.cubature_points,
             data.scratch,
             newton.vectors,
             moving,

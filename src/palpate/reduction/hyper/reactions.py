@@ -21,14 +21,14 @@ def accelerations(
 ) -> tuple[Floats, Floats]:
     """Return the accelerations of the coordinates plus alpha times their velocities, and forces.
 
-    The forces are internal forces plus loads, on all basis vectors.
+    The forces are internal forces plus loads, on the trial and test basis.
     """
     data, loads, times = body.data, reduced_loads(body, prepared), np.array([state.time])
     forces = body.all_forces(state.coordinates + data.stiffness_damping * state.velocities, state.history, work)
     forces += loads.forces(times)[0]
     add_spring_forces(loads.springs, state.coordinates, state.velocities, forces)
     if state.contact_state is not None:
-        forces += np.tensordot(data.basis_vectors, state.contact_state.forces, 2)
+        forces += np.tensordot(data.trial_and_test_basis, state.contact_state.forces, 2)
     modes = slice(data.modes)
     if prepared.is_prescribed(times)[0]:
         lifting_rates = prepared.rates(lambda at: lifting_coordinates(data, prepared, at), state.time)[1]
@@ -41,7 +41,7 @@ def accelerations(
 def constraint_forces(
     body: ReducedBody, state: State, prepared: PreparedLoads, work: ReducedWork | None = None
 ) -> Floats:
-    """Return the constraint forces on all basis vectors, shape (m + l + 3 g + w,)."""
+    """Return the constraint forces on the trial and test basis, shape (m + l + 3 g + w,)."""
     rates, forces = accelerations(body, state, prepared, work)
     return np.asarray(body.all_mass[:, : body.count] @ rates - forces)
 
@@ -73,7 +73,7 @@ def tool_map(body: ReducedBody, group: str) -> Floats:
 
 
 def pose_map(points: Floats, basis_vectors: Floats) -> Floats:
-    """Return the map (l, 12) from a pose to coordinates of lifting vectors (l, k, 3); see `tool_map`."""
+    """Return the map (l, 12) from a pose to coordinates of lifting functions (l, k, 3); see `tool_map`."""
     arms, fields = points - points.mean(axis=0), np.zeros((12, len(points), 3))
     for c in range(3):
         fields[c, :, c] = 1.0

@@ -1,15 +1,15 @@
 """The compiled force of a reduced model: an energy sampled at few nodes.
 
-With the coordinates a of modes and lifting vectors, F_s = I + B_s a at the sampled nodes s,
+With the coordinates a of modes and lifting functions, F_s = I + B_s a at the sampled nodes s,
 
     E(a) = sum of w_s W_s(F_s) + 1/2 |c|^2 + 1/2 a . H a,      c = Z (J - 1),      force = -dE/da.
 
-The weights w_s are positive. The c are few moments of the dilatations at the integration points, one
+The weights w_s are positive. The c are few moments of the dilatations at the cubature points, one
 per pressure mode, so the pressure is Z^T c. H is the constant stiffness of the hourglass residual.
 Each term is an energy bounded from below for any w, Z and B, so the model cannot blow up. Below a
 tenth of a point's volume, or where the point is inverted, W_s continues as a parabola in J. A law
 with another volumetric form uses its measure g(J) in place of J - 1 (`palpate.tissue.volumetric`).
-The cost depends on the numbers of integration points and coordinates, not on the size of the body.
+The cost depends on the numbers of cubature points and coordinates, not on the size of the body.
 
 The energy is a subset of the terms of `palpate.dynamics.solid.energy_form`. With all nodes, their
 volumes, and the smoothed dilatations as moments it equals the Galerkin model. A membrane is sampled
@@ -40,7 +40,7 @@ from palpate.tissue.regions import Regions
 NO_RELAXATION = Relaxation(np.zeros(0), np.zeros(0), np.zeros(0))  # elastic tissue
 
 
-class IntegrationPoints(NamedTuple):
+class CubaturePoints(NamedTuple):
     """Constants of the sampled energy."""
 
     # (b, m, 9, LANES) float32 or float64 array [1/m times the unit of the basis vectors]: derivatives of every basis
@@ -66,10 +66,10 @@ class Scratch(NamedTuple):
     moments: Floats  # (k,)
     partial: Floats  # (m, LANES)
     spare: Floats  # (m,)
-    history: HistoryVariables  # of the integration points, and of the moments
+    history: HistoryVariables  # of the cubature points, and of the moments
 
 
-def integration_points(
+def cubature_points(
     gradients: Floats,
     weights: Floats,
     pressure: Floats,
@@ -78,8 +78,8 @@ def integration_points(
     dtype: Any = np.float32,
     relaxation: Relaxation = NO_RELAXATION,
     fibres: FibreLaw | None = None,
-) -> IntegrationPoints:
-    """Return integration points in blocks of LANES.
+) -> CubaturePoints:
+    """Return cubature points in blocks of LANES.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def integration_points(
     table = np.ascontiguousarray(lanes(gradients), dtype=dtype)
     point_numbers = np.minimum(np.arange(blocks * LANES), count - 1).reshape(blocks, LANES)
     coefficients = spread(law, point_numbers) if isinstance(law, Regions) else law
-    return IntegrationPoints(
+    return CubaturePoints(
         table, lanes(weights), lanes(pressure.T), np.ascontiguousarray(constant), coefficients, relaxation,
         lay_out_fibres(fibres, point_numbers),
     )  # fmt: skip
@@ -120,8 +120,8 @@ class ProbeScratches(NamedTuple):
     aside: Scratch
 
 
-def scratch(points: IntegrationPoints, saved_history: HistoryVariables | None = None) -> Scratch:
-    """Return work arrays for integration points, with their own history variables or given ones."""
+def scratch(points: CubaturePoints, saved_history: HistoryVariables | None = None) -> Scratch:
+    """Return work arrays for cubature points, with their own history variables or given ones."""
     (blocks, columns, _, _), pressures = points.table.shape, points.pressure.shape[1]
     stresses = np.zeros((2, blocks, 9, LANES))
     return Scratch(
@@ -143,7 +143,7 @@ def collect_forces(partial, constant, columns, force):
         force[m] = -total
 
 
-def shear_weights(points: IntegrationPoints) -> Floats:
+def shear_weights(points: CubaturePoints) -> Floats:
     """Return the weights [m^3] of the points times their modulus ratios, as the branches of a Prony series use them."""
     return points.weights if isinstance(points.coefficients, tuple) else points.weights * points.coefficients[:, -1]
 
@@ -154,11 +154,11 @@ class SampledEnergy(NamedTuple):
     Parameters
     ----------
     force : function
-        ``force(coordinates, integration_points, scratch, result)`` writes -dE/da (m,).
+        ``force(coordinates, cubature_points, scratch, result)`` writes -dE/da (m,).
     energy : function
-        ``energy(coordinates, integration_points, scratch)`` returns E [J].
+        ``energy(coordinates, cubature_points, scratch)`` returns E [J].
     probe : function
-        ``probe(rows, column, change, integration_points, scratches, results)`` writes -dE/da (3, m) at two rows of
+        ``probe(rows, column, change, cubature_points, scratches, results)`` writes -dE/da (3, m) at two rows of
         coordinates (2, m), and at the first with one of them changed, and returns E [J] at the first. It reads the
         table once for all. The `scratches` are `ProbeScratches`.
     """
@@ -189,16 +189,16 @@ def _force_function(law: MaterialPoint, single: bool) -> Any:
 
     @law_njit(digest, fastmath={"contract"})
     def force(columns, given_points, given_scratch, result):
-        integration_points, scratch = reference(given_points), reference(given_scratch)
-        for b in range(integration_points.table.shape[0]):
-            sums(integration_points.table[b].ctypes.data, columns.ctypes.data, scratch.stress[b].ctypes.data,
+        cubature_points, scratch = reference(given_points), reference(given_scratch)
+        for b in range(cubature_points.table.shape[0]):
+            sums(cubature_points.table[b].ctypes.data, columns.ctypes.data, scratch.stress[b].ctypes.data,
                  columns.shape[0])  # fmt: skip
-            stress_block(integration_points, scratch, b)
-        add_volume_stress(integration_points, scratch)
-        for b in range(integration_points.table.shape[0]):
-            work(integration_points.table[b].ctypes.data, scratch.stress[b].ctypes.data, scratch.partial.ctypes.data,
+            stress_block(cubature_points, scratch, b)
+        add_volume_stress(cubature_points, scratch)
+        for b in range(cubature_points.table.shape[0]):
+            work(cubature_points.table[b].ctypes.data, scratch.stress[b].ctypes.data, scratch.partial.ctypes.data,
                  columns.shape[0])  # fmt: skip
-        collect_forces(scratch.partial, integration_points.constant, columns, result)
+        collect_forces(scratch.partial, cubature_points.constant, columns, result)
 
     return force
 
@@ -213,16 +213,16 @@ def _energy_function(law: MaterialPoint, single: bool) -> Any:
 
     @law_njit(digest)
     def energy(columns, given_points, given_scratch):
-        integration_points, scratch = reference(given_points), reference(given_scratch)
+        cubature_points, scratch = reference(given_points), reference(given_scratch)
         total = 0.0
-        for b in range(integration_points.table.shape[0]):
-            sums(integration_points.table[b].ctypes.data, columns.ctypes.data, scratch.stress[b].ctypes.data,
+        for b in range(cubature_points.table.shape[0]):
+            sums(cubature_points.table[b].ctypes.data, columns.ctypes.data, scratch.stress[b].ctypes.data,
                  columns.shape[0])  # fmt: skip
-            total += density_block(integration_points, scratch, b)
-        write_moments(integration_points, scratch)
+            total += density_block(cubature_points, scratch, b)
+        write_moments(cubature_points, scratch)
         if relaxing:
-            force(columns, integration_points, scratch, scratch.spare)
-        return total + volume_energy(columns, integration_points, scratch)
+            force(columns, cubature_points, scratch, scratch.spare)
+        return total + volume_energy(columns, cubature_points, scratch)
 
     return energy
 
@@ -236,9 +236,9 @@ def _probe_function(law: MaterialPoint, single: bool) -> Any:
     add_volume_stress, volume_energy = volume.add_stress, volume.energy
 
     @law_njit(digest, fastmath={"contract"})
-    def probe(rows, column, change, integration_points, scratches, results):
+    def probe(rows, column, change, cubature_points, scratches, results):
         here, along, aside = scratches.here, scratches.along, scratches.aside
-        total, table, count = 0.0, integration_points.table, rows.shape[1]
+        total, table, count = 0.0, cubature_points.table, rows.shape[1]
         for b in range(table.shape[0]):  # its part of the table stays in the fastest memory
             G, shifted, D = here.stress[b], aside.stress[b], table[b, column]
             two_sums(table[b].ctypes.data, rows[0].ctypes.data, rows[1].ctypes.data, G.ctypes.data,
@@ -246,25 +246,25 @@ def _probe_function(law: MaterialPoint, single: bool) -> Any:
             for q in range(9):
                 for v in range(LANES):
                     shifted[q, v] = G[q, v] + change * D[q, v]
-            total += density_block(integration_points, here, b)
-            stress_block(integration_points, here, b)
-            stress_block(integration_points, along, b)
-            stress_block(integration_points, aside, b)
-        add_volume_stress(integration_points, here)
-        total += volume_energy(rows[0], integration_points, here)
-        add_volume_stress(integration_points, along)
-        add_volume_stress(integration_points, aside)
+            total += density_block(cubature_points, here, b)
+            stress_block(cubature_points, here, b)
+            stress_block(cubature_points, along, b)
+            stress_block(cubature_points, aside, b)
+        add_volume_stress(cubature_points, here)
+        total += volume_energy(rows[0], cubature_points, here)
+        add_volume_stress(cubature_points, along)
+        add_volume_stress(cubature_points, aside)
         for b in range(table.shape[0]):
             three_works(
                 table[b].ctypes.data, here.stress[b].ctypes.data, along.stress[b].ctypes.data,
                 aside.stress[b].ctypes.data, here.partial.ctypes.data, along.partial.ctypes.data,
                 aside.partial.ctypes.data, count,
             )  # fmt: skip
-        collect_forces(here.partial, integration_points.constant, rows[0], results[0])
-        collect_forces(along.partial, integration_points.constant, rows[1], results[1])
-        collect_forces(aside.partial, integration_points.constant, rows[0], results[2])
+        collect_forces(here.partial, cubature_points.constant, rows[0], results[0])
+        collect_forces(along.partial, cubature_points.constant, rows[1], results[1])
+        collect_forces(aside.partial, cubature_points.constant, rows[0], results[2])
         for m in range(count):
-            results[2, m] -= change * integration_points.constant[m, column]
+            results[2, m] -= change * cubature_points.constant[m, column]
         return total
 
     return probe

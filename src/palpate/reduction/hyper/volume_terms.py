@@ -29,9 +29,9 @@ def _moments(pressure, dilatation, moments):
 
 
 @kernel_njit(inner=True, fastmath={"contract", "reassoc"})
-def _add_pressure(integration_points, moments, scratch, curved):
+def _add_pressure(cubature_points, moments, scratch, curved):
     """Multiply the stresses by their weights and add the pressure times its volume."""
-    weights, pressure, stress = integration_points.weights, integration_points.pressure, scratch.stress
+    weights, pressure, stress = cubature_points.weights, cubature_points.pressure, scratch.stress
     cofactor, dilatation, slope = scratch.cofactor, scratch.dilatation, scratch.slope
     dilatation[:] = 0.0
     for b in range(weights.shape[0]):
@@ -52,11 +52,11 @@ class VolumeTerms(NamedTuple):
     Parameters
     ----------
     write_moments : function
-        ``write_moments(integration_points, scratch)`` replaces J - 1 by the law's measure, and writes the moments.
+        ``write_moments(cubature_points, scratch)`` replaces J - 1 by the law's measure, and writes the moments.
     add_stress : function
-        ``add_stress(integration_points, scratch)`` writes the moments, and adds overstress and pressure to stresses.
+        ``add_stress(cubature_points, scratch)`` writes the moments, and adds overstress and pressure to stresses.
     energy : function
-        ``energy(columns, integration_points, scratch)`` returns the energy [J] of moments, hourglass residual and
+        ``energy(columns, cubature_points, scratch)`` returns the energy [J] of moments, hourglass residual and
         branches.
     """
 
@@ -77,12 +77,12 @@ def _moments_function(law: MaterialPoint) -> Any:
     measure_of, curved = law.measure, law.measure is not None
 
     @law_njit(law_digest(__name__, "moments", law.digest), inner=True)
-    def write_moments(integration_points, scratch):
+    def write_moments(cubature_points, scratch):
         if curved:
             for b in range(scratch.dilatation.shape[0]):
                 for v in range(LANES):
                     scratch.dilatation[b, v], scratch.slope[b, v] = measure_of(scratch.dilatation[b, v])
-        _moments(integration_points.pressure, scratch.dilatation, scratch.moments)
+        _moments(cubature_points.pressure, scratch.dilatation, scratch.moments)
 
     return write_moments
 
@@ -93,24 +93,24 @@ def _stress_function(law: MaterialPoint, write_moments: Any) -> Any:
     curved, relaxing, parameter_count = law.measure is not None, law.relaxing, law.parameter_count
 
     @law_njit(digest, inline="always")
-    def relax(integration_points, scratch):
+    def relax(cubature_points, scratch):
         """Add the overstresses to the stresses, and update the branches of the moments."""
-        overstress_alone(integration_points.relaxation, scratch.history, scratch.cofactor)
+        overstress_alone(cubature_points.relaxation, scratch.history, scratch.cofactor)
         for b in range(scratch.stress.shape[0]):
             for q in range(9):
                 for v in range(LANES):
-                    modulus_ratio = integration_points.coefficients[b, parameter_count, v] if parameter_count else 1.0
+                    modulus_ratio = cubature_points.coefficients[b, parameter_count, v] if parameter_count else 1.0
                     scratch.stress[b, q, v] += modulus_ratio * scratch.history.stress[b, q, v]
-        relax_volume(integration_points.relaxation, scratch.history, scratch.moments)
+        relax_volume(cubature_points.relaxation, scratch.history, scratch.moments)
 
     @law_njit(digest, inner=True)
-    def add_stress(integration_points, scratch):
-        write_moments(integration_points, scratch)
+    def add_stress(cubature_points, scratch):
+        write_moments(cubature_points, scratch)
         effective = scratch.moments
         if relaxing:
-            relax(integration_points, scratch)
+            relax(cubature_points, scratch)
             effective = scratch.history.effective
-        _add_pressure(integration_points, effective, scratch, curved)
+        _add_pressure(cubature_points, effective, scratch, curved)
         scratch.partial[:] = 0.0
 
     return add_stress
@@ -122,22 +122,22 @@ def _energy_function(law: MaterialPoint) -> Any:
     relaxing, parameter_count = law.relaxing, law.parameter_count
 
     @law_njit(digest, inner=True, fastmath={"contract", "reassoc"})
-    def volume_energy(columns, integration_points, scratch):
+    def volume_energy(columns, cubature_points, scratch):
         """Return the energy [J] of moments and hourglass residual, and of the branches after a force."""
         total = 0.0
         for k in range(scratch.moments.shape[0]):
             total += 0.5 * scratch.moments[k] * scratch.moments[k]
         if relaxing:
-            for b in range(integration_points.weights.shape[0]):
+            for b in range(cubature_points.weights.shape[0]):
                 for v in range(LANES):
-                    ratio = integration_points.coefficients[b, parameter_count, v] if parameter_count else 1.0
-                    total += ratio * integration_points.weights[b, v] * scratch.history.energy[b, v]
+                    ratio = cubature_points.coefficients[b, parameter_count, v] if parameter_count else 1.0
+                    total += ratio * cubature_points.weights[b, v] * scratch.history.energy[b, v]
             for k in range(scratch.history.volume_energy.shape[0]):
                 total += scratch.history.volume_energy[k]
         for m in range(columns.shape[0]):
             stiff = 0.0
             for k in range(columns.shape[0]):
-                stiff += integration_points.constant[m, k] * columns[k]
+                stiff += cubature_points.constant[m, k] * columns[k]
             total += 0.5 * columns[m] * stiff
         return total
 

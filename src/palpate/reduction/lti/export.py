@@ -107,8 +107,8 @@ def save_matrix_market(system: LinearSystem, folder: str | Path) -> None:
     for name, matrix in matrices(system).items():
         if 0 in matrix.shape:  # S and Sv of a body without tools
             continue
-        kept = sparse.coo_matrix(matrix) if sparse.issparse(matrix) else matrix
+        stored = sparse.coo_matrix(matrix) if sparse.issparse(matrix) else matrix
         with whole_file(folder / f"{name}.mtx") as partial:
-            mmwrite(partial, kept, comment=comments.get(name, ""), precision=17, symmetry="general")
+            mmwrite(partial, stored, comment=comments.get(name, ""), precision=17, symmetry="general")
     with whole_file(folder / "unknowns.txt") as partial:
         np.savetxt(partial, np.column_stack([system.dofs // 3, system.dofs % 3]), fmt="%d")

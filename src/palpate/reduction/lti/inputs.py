@@ -53,14 +53,14 @@ def prepare_linear_loads(system: LinearSystem, loads: Sequence[Load]) -> LinearL
             raise InputError(f"loads must be those of the linear system ({listed}), got {load!r:.200}")
         if isinstance(load, Gravity) and not weight:
             raise InputError("loads must not include Gravity for a system without it; linearise with Gravity")
-    given = {name: nodes for name, nodes in ready.supports.items() if name not in full.fixed}
+    actual = {name: nodes for name, nodes in ready.supports.items() if name not in full.fixed}
     linear = full.prepare(system.loads)
     expected = {name: nodes for name, nodes in linear.supports.items() if name not in full.fixed}
-    same = given.keys() == expected.keys() and all(np.array_equal(given[name], expected[name]) for name in expected)
+    same = actual.keys() == expected.keys() and all(np.array_equal(actual[name], expected[name]) for name in expected)
     if not same or any(motion.until < np.inf for motion, _ in ready.motions):
         raise InputError(
             f"loads must prescribe {sorted(expected) or 'no group'} without release, as in the linear system, "
-            f"got {sorted(given) or 'none'}"
+            f"got {sorted(actual) or 'none'}"
         )
     return _with_inputs(system, ready)
 

@@ -94,7 +94,7 @@ class LinearModel(CoordinateModel):
         return [
             ("coordinates", self.count, ""),
             ("method", self.report.get("method"), ""),
-            ("verdict", "stable" if self.stable else "not stable", ""),
+            ("status", "stable" if self.stable else "not stable", ""),
             ("inputs", len(self.system.inputs), ""),
             ("outputs", len(self.system.outputs), ""),
             ("bound of the response", self.report.get("bound"), ""),
@@ -136,7 +136,7 @@ class LinearModel(CoordinateModel):
             rates = prepared.rates(lambda times: tool_coordinates(self.system, prepared, times), time)[0]
         coordinates: Floats = np.zeros((2, self.count))
         if isinstance(self.reduced, FirstOrder):
-            if any(given is not None and np.any(given) for given in (displacement, velocity)):
+            if any(field is not None and np.any(field) for field in (displacement, velocity)):
                 raise InputError(
                     "displacement and velocity must be zero for a first-order linear model, which starts at rest"
                 )

@@ -165,13 +165,13 @@ def _typed(block: Any, s: complex) -> Any:
 
 def _orthonormal(system: LinearSystem, block: Any, basis: Any) -> Any:
     """Return the part of vectors (d, b) orthogonal to a basis, orthonormal with respect to the mass."""
-    masses, kept = system.mass.diagonal(), basis[:, :0]
+    masses, accepted = system.mass.diagonal(), basis[:, :0]
     for column in block.T:
         vector, size = column.copy(), np.sqrt(np.vdot(column, masses * column).real)
         for _ in range(2):  # twice, against rounding errors
-            for previous in (basis, kept):
+            for previous in (basis, accepted):
                 vector = vector - previous @ (previous.conj().T @ (masses * vector))
         left = np.sqrt(np.vdot(vector, masses * vector).real)
         if left > DEFLATION_TOLERANCE * size:
-            kept = np.hstack([kept, (vector / left)[:, None]])
-    return kept
+            accepted = np.hstack([accepted, (vector / left)[:, None]])
+    return accepted

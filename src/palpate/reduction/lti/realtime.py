@@ -20,7 +20,7 @@ from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, S
 from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.state_space import SecondOrder, first_order_hold
 
-TRUSTED_NONLINEARITY = 0.1  # relative difference of the tool's force from the linear one at a trust number of 1
+TRUSTED_NONLINEARITY = 0.1  # relative difference of the tool's force from the linear one at an error indicator of 1
 RANGE_BISECTIONS, MAX_RANGE = 24, 64.0  # of the search for that range; its upper end, in spacings or radians
 SERIES_NORM, SERIES_TERMS = 0.5, 14  # largest norm for the series of a matrix exponential, and number of terms
 
@@ -58,7 +58,7 @@ class LinearData(NamedTuple):
     # mass, elastic: (m, m) arrays: mass and stiffness matrix
     mass: Floats
     elastic: Floats
-    linear_range: Floats  # (l,) array: of the tool's coordinates, [m] and [rad], where the trust number is 1
+    linear_range: Floats  # (l,) array: of the tool's coordinates, [m] and [rad], where the error indicator is 1
     vectors: Floats  # (3, max(N, m)) array
 
 

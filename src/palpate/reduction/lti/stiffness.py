@@ -60,9 +60,9 @@ def nodal_stiffness(model: NodalModel, displacements: Floats | None = None) -> A
                 columns.append(3 * moved + c)
                 values.append(slope[node, e])
     entries = np.concatenate(values)
-    kept = np.abs(entries) > ROUNDING_SHARE * np.abs(entries).max()
-    places = np.concatenate(rows)[kept], np.concatenate(columns)[kept]
-    return sparse.csc_matrix((entries[kept], places), (3 * n, 3 * n))
+    significant = np.abs(entries) > ROUNDING_SHARE * np.abs(entries).max()
+    places = np.concatenate(rows)[significant], np.concatenate(columns)[significant]
+    return sparse.csc_matrix((entries[significant], places), (3 * n, 3 * n))
 
 
 def coupling(model: NodalModel) -> Any:

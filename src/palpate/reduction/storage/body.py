@@ -9,7 +9,7 @@ import numpy as np
 
 from palpate.core.faults import InputError, number_in_range
 from palpate.core.files import json_of, shortened
-from palpate.core.sealed import LEAST_POSITIVE, Array, ArrayFile, check_arrays, check_names, typed
+from palpate.core.sealed import MIN_POSITIVE, Array, ArrayFile, check_arrays, check_names, typed
 from palpate.dynamics.loads.supports import Support, support_from, supports_of
 from palpate.dynamics.material.tissue import TissueField
 from palpate.meshfree.cloud import Cloud
@@ -37,7 +37,7 @@ BODY_ARRAYS: Declared = {
     "cloud/group_sizes": Array(("groups",), "<i8", low=1),
     "cloud/group_nodes": Array(("members",), "<i8", index_of="nodes"),
     "cloud/triangles": Array(("triangles", 3), "<i8", index_of="nodes"),
-    "stiffness": Array(("nodes",), low=LEAST_POSITIVE, most=MAX_NUMBER),
+    "stiffness": Array(("nodes",), low=MIN_POSITIVE, most=MAX_NUMBER),
     "fibres/directions": Array(("families", "nodes", 3), most=MAX_NUMBER),
 }
 SEVERAL_MATERIALS: Declared = {"regions": Array(("nodes",), "<i8")}
@@ -130,11 +130,11 @@ def check_header(header: Header, attributes: dict[str, type]) -> None:
         odd = sorted(header.keys() ^ expected.keys())[0]
         raise InputError(f"header {shortened(odd)} is {'missing' if odd in expected else 'not one of a model'}")
     for name, kind in expected.items():
-        given: Any = header[name]
-        if not (type(given) is kind or (kind is float and type(given) is int)):
-            raise InputError(f"header {name} must be of type {kind.__name__}, got {given!r:.60}")
-        if isinstance(given, list) and not (all(isinstance(n, str) for n in given) and len(set(given)) == len(given)):
-            raise InputError(f"header {name} must be a list of different names, got {given!r:.60}")
+        value: Any = header[name]
+        if not (type(value) is kind or (kind is float and type(value) is int)):
+            raise InputError(f"header {name} must be of type {kind.__name__}, got {value!r:.60}")
+        if isinstance(value, list) and not (all(isinstance(n, str) for n in value) and len(set(value)) == len(value)):
+            raise InputError(f"header {name} must be a list of different names, got {value!r:.60}")
 
 
 def check_body(arrays: Arrays, declared: Declared, sizes: dict[str, int]) -> None:

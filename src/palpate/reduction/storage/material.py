@@ -50,14 +50,14 @@ def material_of(name: Any, parameters: Any, expression: Any, prony: Any) -> Mate
     if not isinstance(name, str) or (name != SYMBOLIC_LAW and name not in LAW_BY_NAME):
         raise InputError(f"unknown material {brief(name)}: the laws are {', '.join(sorted(LAW_BY_NAME))}")
     law: Any = symbolic_law.law_of(expression) if name == SYMBOLIC_LAW else LAW_BY_NAME[name]
-    given = _mapping("parameters", parameters)
-    forms = {"volumetric": given.pop("volumetric", QUADRATIC), "split": given.pop("split", COUPLED)}
+    entries = _mapping("parameters", parameters)
+    forms = {"volumetric": entries.pop("volumetric", QUADRATIC), "split": entries.pop("split", COUPLED)}
     expected = {field.name for field in fields(law)} - {"prony", *forms}
-    if given.get("poisson") == 0.5:
+    if entries.get("poisson") == 0.5:
         expected.discard("bulk")
-    if given.keys() != expected:
-        raise InputError(f"{name} has the parameters {sorted(expected)}, not {brief(sorted(given))}")
-    values = {key: _numbers(key, value) for key, value in given.items()}
+    if entries.keys() != expected:
+        raise InputError(f"{name} has the parameters {sorted(expected)}, not {brief(sorted(entries))}")
+    values = {key: _numbers(key, value) for key, value in entries.items()}
     series = _mapping("prony", prony)
     if series.keys() - {field.name for field in fields(Prony)}:
         raise InputError(f"attribute prony has {brief(sorted(series))}")
@@ -126,20 +126,20 @@ def describe_fibres(fibres: FibreLaw | None) -> str:
 
 def fibres_of(value: Any, directions: NDArray[np.float64]) -> FibreLaw | None:
     """Return fibres with directions (families, n, 3) from the attribute of `describe_fibres`."""
-    given = _mapping("fibres", value)
+    entries = _mapping("fibres", value)
     if directions.ndim != 3 or directions.dtype.kind not in "iuf":
         raise InputError(f"directions of fibres have shape {directions.shape}: allowed is (families, nodes, 3)")
-    if not given:
+    if not entries:
         if len(directions):
             raise InputError("there are directions of fibres, but no law of them")
         return None
-    name = given.pop("law", None)
+    name = entries.pop("law", None)
     if not isinstance(name, str) or name not in FIBRE_LAW_BY_NAME:
         raise InputError(f"unknown law of fibres {brief(name)}: the laws are {', '.join(sorted(FIBRE_LAW_BY_NAME))}")
     law: Any = FIBRE_LAW_BY_NAME[name]
     expected = {f.name for f in fields(law)} - {"directions"}
-    if given.keys() != expected:
-        raise InputError(f"fibres of {name} have {sorted(expected)}, not {brief(sorted(given))}")
-    values = {key: _number(key, value) for key, value in given.items()}
+    if entries.keys() != expected:
+        raise InputError(f"fibres of {name} have {sorted(expected)}, not {brief(sorted(entries))}")
+    values = {key: _number(key, value) for key, value in entries.items()}
     fibres: FibreLaw = law(**values, directions=directions)
     return fibres

@@ -13,17 +13,17 @@ from typing import Any
 
 from palpate.core.faults import InputError, integer_in_range, number_in_range
 from palpate.core.files import plain
-from palpate.core.sealed import LEAST_POSITIVE, Array, ArrayFile, loading, open_sealed, typed, write_sealed
+from palpate.core.sealed import MIN_POSITIVE, Array, ArrayFile, loading, open_sealed, typed, write_sealed
 from palpate.dynamics.material.kinematics import Kinematics
 from palpate.reduction.contact.compliance import NO_COMPLIANCE
 from palpate.reduction.hyper.cubature import Cubature
 from palpate.reduction.hyper.data import (
     UNLIMITED_SCALE,
-    BasisVectors,
     ReducedData,
     SampledBasis,
     Scales,
     TrainedRange,
+    TrialAndTestBasis,
 )
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.body import (
@@ -59,12 +59,12 @@ MAX_NAME_LENGTH = 200  # characters of a scene's name
 MAX_ADVICE_LENGTH = 1000  # characters
 
 MODEL_ARRAYS: Declared = {
-    "volumes": Array(("nodes",), low=LEAST_POSITIVE, most=MAX_NUMBER, unit="m^3"),
+    "volumes": Array(("nodes",), low=MIN_POSITIVE, most=MAX_NUMBER, unit="m^3"),
     "basis_vectors": Array(("basis_vectors", "nodes", 3), "<f4", most=MAX_NUMBER),
-    "cubature/nodes": Array(("integration_points",), "<i8", index_of="nodes"),
-    "cubature/weights": Array(("integration_points",), low=0.0, most=MAX_NUMBER, unit="m^3"),
-    "cubature/pressure": Array(("moments", "integration_points"), most=MAX_NUMBER),
-    "gradients": Array(("integration_points", "basis_vectors", 9), most=MAX_NUMBER),
+    "cubature/nodes": Array(("cubature_points",), "<i8", index_of="nodes"),
+    "cubature/weights": Array(("cubature_points",), low=0.0, most=MAX_NUMBER, unit="m^3"),
+    "cubature/pressure": Array(("moments", "cubature_points"), most=MAX_NUMBER),
+    "gradients": Array(("cubature_points", "basis_vectors", 9), most=MAX_NUMBER),
     "constant": Array(("basis_vectors", "basis_vectors"), most=MAX_NUMBER),
     "training_states": Array(("states", "coordinates"), most=MAX_NUMBER),
 } | COMPLIANCE_ARRAYS
@@ -86,7 +86,7 @@ def save_hyper_reduced(model: ReducedModel, path: str | Path) -> None:
     Parameters
     ----------
     model : ReducedModel
-        Derivatives at its integration points are written in double precision.
+        Derivatives at its cubature points are written in double precision.
     """
     write_sealed(Path(path), FORMAT, VERSION, *contents(model), deflate=True)
 
@@ -227,7 +227,7 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
         stiffness_damping=number_in_range("stiffness_damping", header["stiffness_damping"], 0.0, unit="s"),
         mass_damping=number_in_range("mass_damping", header.get("mass_damping", 0.0), 0.0, unit="1/s"),
         wave_speed=number_in_range("wave_speed", header["wave_speed"], 0.0, unit="m/s"),
-        basis=BasisVectors(
+        basis=TrialAndTestBasis(
             values["basis_vectors"], header["modes"], header["lifting_count"], header["residual_fields"]
         ),
         sampled=SampledBasis(

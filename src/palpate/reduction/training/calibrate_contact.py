@@ -90,8 +90,8 @@ def _correction(compliance: SurfaceCompliance, sizes: Floats) -> tuple[float, Fl
 class _FullForces:
     """Loads of a run of the full model, and the magnitudes (f,) [N] of its tool forces."""
 
-    def __init__(self, loads: Sequence[Load], kept: Run) -> None:
-        run = kept if isinstance(kept, Trajectory) else Trajectory.load(kept)
+    def __init__(self, loads: Sequence[Load], stored: Run) -> None:
+        run = stored if isinstance(stored, Trajectory) else Trajectory.load(stored)
         self.loads, self.names = loads, [load.name for load in loads if isinstance(load, Contact | Grasp)]
         if not self.names or not len(run.contact_forces):
             raise InputError("repeated must be runs with contact, got one without; leave it out")

@@ -1,9 +1,9 @@
-"""Calibration of the error indicator on held-out runs: its scales, and the errors expected at a trust number.
+"""Calibration of the error indicator on held-out runs: its scales, and the errors expected at an error indicator.
 
 Frames of one run err together. So all quantiles count runs, not frames. The error bound is a conformal
 prediction of runs (Vovk, Gammerman and Shafer, Algorithmic Learning in a Random World, Springer 2005;
 Barber et al., Ann. Stat. 49, 2021, for its leave-one-out form): the mean of the present and the typical
-size, times a power of the largest trust number so far, times a factor. The exponent is fitted between
+size, times a power of the largest error indicator so far, times a factor. The exponent is fitted between
 runs. The factor of a run is the largest ratio of its errors to the product by the exponent of the other
 runs. The k-th smallest factor of n runs bounds that of one more run with a probability of about
 k / (n + 1). That is a mean over campaigns. The share of runs that keep the bound of one campaign has the
@@ -14,8 +14,8 @@ Runs in which one tool touches the body, those in which two do so at once, and a
 bound has the largest one (Mondrian conformal prediction). The level is that of all runs. From 19 runs of a kind on,
 that kind keeps it by itself.
 
-Nothing of this depends on whether a trust number was met before: a further run of the kind of the held-out runs keeps
-the bound at any number. `LARGEST_KNOWN_TRUST` is the limit for runs of another kind.
+Nothing of this depends on whether an error indicator was met before: a further run of the kind of the held-out runs
+keeps the bound at any number. `LARGEST_KNOWN_TRUST` is the limit for runs of another kind.
 """
 
 from __future__ import annotations
@@ -35,23 +35,23 @@ from palpate.reduction.hyper.data import UNLIMITED_SCALE, Scales
 from palpate.reduction.hyper.error_indicator import (
     LARGEST_KNOWN_TRUST,
     Measures,
+    error_indicators,
     mean_size,
     remembered_trust,
     rms_sizes,
     tools_of,
     touch_speed,
-    trust_numbers,
 )
 from palpate.reduction.hyper.load_share import MAX_LOAD_SCALE, MIN_LOAD_SCALE
 from palpate.reduction.hyper.model import ReducedModel
 
 BOUND_PROBABILITY = 0.95  # probability that a run keeps the bound
 CONFIDENCE_LEVEL = 0.9  # that at least a share of the runs keeps the bound of a campaign
-REPEAT_MARGIN = 1.001  # a margin, by which the trust number of a held-out run stays below 1 when it is repeated
-# Least trust number that counts. The first errors of a force, at touch, do not depend on the trust number.
-LEAST_TRUST = {"displacement": 0.05, "force": 0.4}
+REPEAT_MARGIN = 1.001  # a margin, by which the error indicator of a held-out run stays below 1 when it is repeated
+# Least error indicator that counts. The first errors of a force, at touch, do not depend on the error indicator.
+MIN_TRUST = {"displacement": 0.05, "force": 0.4}
 MIN_ERROR = 1e-12  # smallest error in a logarithm, relative
-MAX_EXPONENT = 2.0  # of the trust number
+MAX_EXPONENT = 2.0  # of the error indicator
 EXPONENT_RIDGE = 0.3  # added to the sum of squares of logarithms: few runs show little of the exponent
 
 
@@ -97,7 +97,7 @@ def repeat_run(model: ReducedModel, loads: Sequence[Load], full: Trajectory) -> 
 def calibrate_scales(runs: Sequence[Measures], share: float) -> Scales:
     """Return the scales of the measures.
 
-    With these scales the trust number is at most 1 in all frames of a given share of the runs, unless the
+    With these scales the error indicator is at most 1 in all frames of a given share of the runs, unless the
     scale of the load shares would be above `MAX_LOAD_SCALE`.
     """
     most_tools = max([1, *(int(run.tools.max(initial=0)) for run in runs)])
@@ -117,7 +117,7 @@ def calibrate_scales(runs: Sequence[Measures], share: float) -> Scales:
     if not any(run.nearness.any() for run in runs):  # without tools or supports
         scales = scales._replace(nearness_scale=UNLIMITED_SCALE)
     scales = scales._replace(load_scale=max(scales.load_scale, MIN_LOAD_SCALE))
-    wider = max(_run_quantile([float(trust_numbers(run, scales).max()) for run in runs], share), 1.0)
+    wider = max(_run_quantile([float(error_indicators(run, scales).max()) for run in runs], share), 1.0)
     wider *= REPEAT_MARGIN
     return Scales(
         wider * scales.distance_scale,
@@ -136,7 +136,7 @@ def _run_quantile(values: Sequence[float], share: float) -> float:
 
 
 def error_curves(runs: Sequence[Frames], scales: Scales, forgetting: float = 0.0) -> dict[str, Any]:
-    """Return the curves of expected errors by the largest trust number so far, which decays at a rate [1/s].
+    """Return the curves of expected errors by the largest error indicator so far, which decays at a rate [1/s].
 
     Returns
     -------
@@ -145,11 +145,11 @@ def error_curves(runs: Sequence[Frames], scales: Scales, forgetting: float = 0.0
         ``"least_level"``: the share of runs that keep them with the confidence `CONFIDENCE_LEVEL`. Both are the least
         of runs with one tool and with several.
         ``"displacement"``, and with tools ``"force"``: a mapping.
-        At a trust number T, the median and the bound of the errors, relative to the mean of the present and the
+        At an error indicator T, the median and the bound of the errors, relative to the mean of the present and the
         typical size, are ``"median"`` and ``"bound"`` times T^``"exponent"``, with T at least ``"least_trust"``. Above
         ``"largest_trust"`` the error is unknown. ``"typical_size"`` [m] or [N] is the median of the runs' largest.
     """
-    worst = [remembered_trust(trust_numbers(run.measures, scales), run.times, forgetting) for run in runs]
+    worst = [remembered_trust(error_indicators(run.measures, scales), run.times, forgetting) for run in runs]
     n, tools = len(runs), [max(int(run.measures.tools.max(initial=0)), 1) for run in runs]
     groups = [np.arange(n), *(np.flatnonzero(np.equal(tools, number)) for number in sorted(set(tools)))]
     ranks = [min(int(np.ceil(BOUND_PROBABILITY * (len(group) + 1))), len(group)) for group in groups]
@@ -158,7 +158,7 @@ def error_curves(runs: Sequence[Frames], scales: Scales, forgetting: float = 0.0
         "level": min(BOUND_PROBABILITY, n / (n + 1)),
         "least_level": float(betaincinv(ranks[0], n + 1 - ranks[0], 1 - CONFIDENCE_LEVEL)),
     }
-    for quantity, least in LEAST_TRUST.items():
+    for quantity, least in MIN_TRUST.items():
         if quantity not in runs[0].errors:
             continue
         typical = max(float(np.median([run.sizes[quantity].max() for run in runs])), 1e-300)
@@ -173,8 +173,8 @@ def error_curves(runs: Sequence[Frames], scales: Scales, forgetting: float = 0.0
         others = [np.arange(n) != r if n > 1 else np.ones(1, dtype=bool) for r in range(n)]
         factors = np.array(
             [
-                np.max(errors / numbers ** _exponent(largest[kept], peaks[kept]))
-                for errors, numbers, kept in zip(relative, trust, others, strict=True)
+                np.max(errors / numbers ** _exponent(largest[rest], peaks[rest]))
+                for errors, numbers, rest in zip(relative, trust, others, strict=True)
             ]
         )
         ratios = np.concatenate([errors / numbers**exponent for errors, numbers in zip(relative, trust, strict=True)])
@@ -192,7 +192,7 @@ def error_curves(runs: Sequence[Frames], scales: Scales, forgetting: float = 0.0
 
 
 def _exponent(trust: Floats, errors: Floats) -> float:
-    """Return the exponent of a power law of the largest trust numbers (n,) fitted to the largest errors (n,) of runs.
+    """Return the exponent of a power law of the largest error indicators (n,), fitted to largest errors (n,) of runs.
 
     It is that of least squares of logarithms, with a ridge.
     """

@@ -1,4 +1,4 @@
-"""Choice of the integration points among those of a body's energy, by forces and moments at training states."""
+"""Choice of the cubature points among those of a body's energy, by forces and moments at training states."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BLOCK_NODES = 4096  # nodes per block
 RIGID_BODY_SHIFT = 1e-12  # least squared frequency, relative to the highest, for bodies without supports
 
 
-def choose_integration_points(
+def choose_cubature_points(
     body: EnergyModel, fields: Fields, modes: int, states: Floats, mass: Floats, share: float,
     moments: Floats, seed: int,
 ) -> tuple[NDArray[np.int64], Cubature]:  # fmt: skip
@@ -31,11 +31,11 @@ def choose_integration_points(
     Parameters
     ----------
     fields : Fields
-        Of modes, lifting vectors and the supports' test fields.
+        Of modes, lifting functions and the supports' test fields.
     modes : int
         Number of modes.
     states : (t, m) array
-        Training states: coordinates of modes and lifting vectors.
+        Training states: coordinates of modes and lifting functions.
     mass : (m, m) array
     share : float
         Largest relative error of the sampled forces; 0 selects every point.
@@ -112,7 +112,7 @@ def volume_measure(material: Material, x: Floats) -> tuple[Floats, Floats]:
 
 
 def _shear_work(body: EnergyModel, fields: Fields, state: Floats) -> Floats:
-    """Return the work (m, p) of every point's shear stress, times its volume, on all basis vectors."""
+    """Return the work (m, p) of every point's shear stress, times its volume, on the trial and test basis."""
     gradients = fields.gradients
     weighted = shear_stress(body, fields, state)[0].reshape(-1, 9).astype(gradients.dtype)
     return np.asarray(np.matmul(gradients, weighted[:, :, None])[:, :, 0].T, dtype=float)

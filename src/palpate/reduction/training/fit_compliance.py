@@ -72,7 +72,7 @@ def fit_compliance(
         raise InputError(
             "coarse must have the bounds of the body, got other points; give a coarser model of the same body"
         )
-    unscaled = rest_compliance(body, statics, model.data.basis_vectors[: model.count])
+    unscaled = rest_compliance(body, statics, model.data.trial_and_test_basis[: model.count])
     frames = _frames(model, snapshots, unscaled.nodes)
     if not frames:
         raise InputError(
@@ -160,7 +160,7 @@ def _frames(model: ReducedModel, snapshots: Snapshots, nodes: NDArray[np.int64])
                 continue
             around = cKDTree(cloud.points[nodes[on]]).query(cloud.points[nodes])[0] < FIT_RADIUS * cloud.spacing
             missed = run.displacements[frame] - np.tensordot(
-                coordinates[frame], model.data.basis_vectors[: model.count], 1
+                coordinates[frame], model.data.trial_and_test_basis[: model.count], 1
             )
             frames.append(_Frame(on, forces[on], bool(bonded[on].all()), np.flatnonzero(around), missed[nodes[around]]))
     return frames
@@ -185,10 +185,10 @@ def _fit_factors(
 ) -> tuple[SurfaceCompliance, float, float]:
     """Fit factor and stiffening; return the compliance, its share of squared displacements, and largest energy."""
     fields = [static_displacements(compliance, frame.forces, frame.on, frame.near) for frame in frames]
-    here = [np.searchsorted(frame.near, frame.on) for frame in frames]
+    places = [np.searchsorted(frame.near, frame.on) for frame in frames]
     size = np.array([np.linalg.norm(frame.forces.sum(axis=0)) for frame in frames])
-    depth = np.array([np.sum(f.forces * f.missed[h]) for f, h in zip(frames, here, strict=True)])
-    linear = np.array([np.sum(f.forces * field[h]) for f, field, h in zip(frames, fields, here, strict=True)])
+    depth = np.array([np.sum(f.forces * f.missed[h]) for f, h in zip(frames, places, strict=True)])
+    linear = np.array([np.sum(f.forces * field[h]) for f, field, h in zip(frames, fields, places, strict=True)])
     bonded, factor, stiffening = np.array([frame.bonded for frame in frames]), 1.0, np.array([0.0, 1.0])
     if not bonded.all():
         factor, stiffening = fit_stiffening(size[~bonded], depth[~bonded], linear[~bonded])
@@ -250,7 +250,7 @@ def _without_affine(points: Floats, fields: Floats) -> Floats:
 
 def _follow_run(model: ReducedModel, run: Any) -> Floats:
     """Return the coordinates (f, m) of the model under the contact forces of a run."""
-    prepared, columns, work = model.prepare(()), model.data.basis_vectors[: model.count], model.workspace()
+    prepared, columns, work = model.prepare(()), model.data.trial_and_test_basis[: model.count], model.workspace()
     rest_step, _ = model.stable_step(model.state(prepared), prepared, work)
     state = model.state(prepared, run.displacements[0], time=float(run.times[0]))
     coordinates, start = [state.coordinates], np.searchsorted(run.contact_forces[:, 0], np.arange(len(run.times) + 1))

@@ -46,10 +46,10 @@ def _test_run(model: ReducedModel, trial: Trial) -> tuple[dict[str, Any], Frames
 
     The last two numbers are squares: of the displacements that the modes do not represent, and of all.
     """
-    loads, kept = trial
-    run = kept if isinstance(kept, Trajectory) else Trajectory.load(kept)
+    loads, stored = trial
+    run = stored if isinstance(stored, Trajectory) else Trajectory.load(stored)
     rest = run.displacements - np.tensordot(
-        model.body.project(run.displacements), model.data.basis_vectors[: model.count], 1
+        model.body.project(run.displacements), model.data.trial_and_test_basis[: model.count], 1
     )
     squares = float(np.linalg.norm(rest)) ** 2, float(np.linalg.norm(run.displacements)) ** 2
     try:

@@ -23,11 +23,11 @@ from palpate.reduction.basis.linear_modes import interpolated_modes
 from palpate.reduction.basis.snapshots import Run, Snapshots
 from palpate.reduction.basis.strain_pod import join, main_modes
 from palpate.reduction.contact.coarse_body import statics_body
-from palpate.reduction.hyper.data import BasisVectors, SampledBasis, TrainedRange
+from palpate.reduction.hyper.data import SampledBasis, TrainedRange, TrialAndTestBasis
 from palpate.reduction.hyper.model import ReducedData, ReducedModel
 from palpate.reduction.training.advice import advice
 from palpate.reduction.training.calibrate_contact import Trial, calibrate_contact
-from palpate.reduction.training.ecsw import choose_integration_points
+from palpate.reduction.training.ecsw import choose_cubature_points
 from palpate.reduction.training.fit_compliance import fit_compliance
 from palpate.reduction.training.held_out import errors_on_held_out
 from palpate.reduction.training.residual_fields import (
@@ -69,7 +69,7 @@ def hyper_reduce(
     repeated: Sequence[Trial] = (),
     seed: int = 0,
 ) -> ReducedModel:
-    """Train a reduced model on runs of a full one: modes, integration points, errors and trust number.
+    """Train a reduced model on runs of a full one: modes, cubature points, errors and error indicator.
 
     Parameters
     ----------
@@ -85,11 +85,11 @@ def hyper_reduce(
         Alternative to `modes`: the least number of modes (of 8, 12, 16, 24 ... 96) with which the mean
         errors of velocity, reaction force and displacement over the held-out runs are at most this.
     prescribed : str or sequence of str
-        Groups that rigid tools hold and move (`PrescribedMotion`). Each has lifting vectors for its
+        Groups that rigid tools hold and move (`PrescribedMotion`). Each has lifting functions for its
         translations and rotations, so its pose is arbitrary, and its force is an output.
     held_out : sequence of (loads, trajectory or path)
         Runs outside the training data. The reduced model repeats them and reports its errors, and the
-        table of errors by trust number (`ReducedModel.expected_error`).
+        table of errors by error indicator (`ReducedModel.expected_error`).
     enrichment : (e, n, 3) array, optional
         Additional displacement fields, or with ``modes=0`` the only ones: `palpate.vibration_modes`,
         `palpate.modal_derivatives`. Fields must vanish at supports and tools.
@@ -173,11 +173,11 @@ def hyper_reduce(
     )
     if modes is not None:
         count = integer_in_range("modes", modes, 0 if enrichment is not None else 1)
-        return _warned(_train(body, snapshots, count, options))
-    return _warned(_train_to_tolerance(body, snapshots, tolerance or 0.0, options))
+        return _warn_if_inaccurate(_train(body, snapshots, count, options))
+    return _warn_if_inaccurate(_train_to_tolerance(body, snapshots, tolerance or 0.0, options))
 
 
-def _warned(model: ReducedModel) -> ReducedModel:
+def _warn_if_inaccurate(model: ReducedModel) -> ReducedModel:
     """Return a model; warn if its errors on held-out runs are too large to use it."""
     if "advice" in model.report:
         warnings.warn(model.report["advice"], TrustWarning, stacklevel=3)
@@ -296,7 +296,7 @@ def _train(body: EnergyModel, snapshots: Snapshots, size: int, options: _Options
         assert isinstance(body, EnergySolid)  # a sheet is slack at rest
         shapes = interpolated_modes(options.coarse or body, body, size)
         size, options = 0, replace(options, enrichment=shapes)
-    columns = _basis_vectors(body, snapshots, size, options)
+    columns = _trial_and_test_basis(body, snapshots, size, options)
     states, projection_error = _states(body, columns, snapshots)
     model = ReducedModel(_data(body, snapshots, columns, states, options))
     rule = model.data.cubature
@@ -339,9 +339,9 @@ def _train(body: EnergyModel, snapshots: Snapshots, size: int, options: _Options
 
 @dataclass(frozen=True)
 class _BasisFields:
-    """Basis vectors at all points: modes, lifting vectors, support fields and residual fields.
+    """Basis vectors at all points: modes, lifting functions, support fields and residual fields.
 
-    Modes and lifting vectors belong to the coordinates.
+    Modes and lifting functions belong to the coordinates.
     """
 
     fields: Fields
@@ -352,7 +352,7 @@ class _BasisFields:
     lost: float  # relative error of the modes by truncation between blocks
 
 
-def _basis_vectors(body: EnergyModel, snapshots: Snapshots, size: int, options: _Options) -> _BasisFields:
+def _trial_and_test_basis(body: EnergyModel, snapshots: Snapshots, size: int, options: _Options) -> _BasisFields:
     lifting, supports = lifting_and_test_fields(body, options.tools)
     rest = RemoveToolMotion(body, lifting, options.tools)
     main, lost = main_modes(body, snapshots, size, RESIDUAL_FIELDS, rest)
@@ -391,7 +391,7 @@ def _states(body: EnergyModel, columns: _BasisFields, snapshots: Snapshots) -> t
 def _data(
     body: EnergyModel, snapshots: Snapshots, columns: _BasisFields, states: Floats, options: _Options
 ) -> ReducedData:
-    """Choose the integration points, and return the data of the reduced model."""
+    """Choose the cubature points, and return the data of the reduced model."""
     fields, modes, mass = columns.fields, columns.modes, columns.mass
     chosen = states[snapshots.evenly_spaced(TRAINING_STATES)]
     of_tools = snapshots.has_contact and not options.tools
@@ -399,7 +399,7 @@ def _data(
     at = np.arange(0, len(snapshots), max(1, len(snapshots) // PRESSURE_STATES))
     moments = body.pressure_moments(snapshots.each(at), options.pressures or max(1, modes // MODES_PER_PRESSURE))
     without_residual = fields.of(slice(len(fields.columns) - columns.residual_fields))
-    places, rule = choose_integration_points(
+    places, rule = choose_cubature_points(
         body, without_residual, modes, chosen, mass, options.cubature, moments, options.seed
     )
     fields, gradients = scale_residual_fields(
@@ -414,7 +414,7 @@ def _data(
         stiffness_damping=body.stiffness_damping,
         mass_damping=body.mass_damping,
         wave_speed=body.wave_speed,
-        basis=BasisVectors(fields.columns, modes, columns.count - modes, columns.residual_fields),
+        basis=TrialAndTestBasis(fields.columns, modes, columns.count - modes, columns.residual_fields),
         sampled=SampledBasis(rule, gradients, fields.constant),
         trained=TrainedRange(chosen, scales),
         kinematics=body.kinematics,

@@ -8,10 +8,10 @@ is not balanced. If the body could also move in these fields, it would move by a
 the stiffness at rest over modes and residual fields together. The residual fields are the next strain
 modes after those of the basis, combined so that |r| is the root mean square of that displacement [m].
 
-The force f_w is sampled at the integration points of the reduced model. It is a small difference of
+The force f_w is sampled at the cubature points of the reduced model. It is a small difference of
 large terms there, for which the weights of the cubature are not accurate enough. But f_w does not
 belong to an energy and may have weights of its own. Each residual field has a factor at every
-integration point, fitted to the forces from all nodes at the training states.
+cubature point, fitted to the forces from all nodes at the training states.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ MIN_INDEPENDENT = 1e-3  # least norm of a field without its modal part, relative
 RIDGE_SHARE = 1e-3  # of the largest singular value of the changes from rest, for the factors
 MIN_SIZE = 1e-3  # of the largest force, below which a state has reduced weight
 TYPICAL_SHARE = 0.95  # of the training states
-MIN_SCALE = 0.05  # least residual norm at which the trust number is 1, over the largest displacement in training
+MIN_SCALE = 0.05  # least residual norm at which the error indicator is 1, over the largest displacement in training
 
 
 def orthogonal_complement(body: EnergyModel, shapes: Floats, fields: Floats) -> Floats:
@@ -45,9 +45,9 @@ def orthogonal_complement(body: EnergyModel, shapes: Floats, fields: Floats) -> 
     if not len(fields):
         return fields
     weights = np.repeat(np.sqrt(body.volumes), 3)
-    kept, rows = shapes.reshape(len(shapes), -1) * weights, fields.reshape(len(fields), -1) * weights
+    base, rows = shapes.reshape(len(shapes), -1) * weights, fields.reshape(len(fields), -1) * weights
     for _ in range(2):  # twice, because of rounding
-        rows = rows - (rows @ kept.T) @ kept
+        rows = rows - (rows @ base.T) @ base
     _, sizes, rows = np.linalg.svd(rows, full_matrices=False)
     return np.asarray((rows[sizes > MIN_INDEPENDENT] / weights).reshape(-1, *fields.shape[1:]))
 
@@ -61,13 +61,13 @@ def scale_residual_fields(
     Parameters
     ----------
     fields : Fields
-        All basis vectors, the residual fields last.
+        The trial and test basis, the residual fields last.
     sizes : tuple
         Numbers of modes and of residual fields w.
     states : (t, m + l) array
         Training states.
     places : (s,) int array
-        Of the integration points in the fields.
+        Of the cubature points in the fields.
     moments : (k, n) array
         Of the dilatation, see `palpate.dynamics.nodal.energy_model.EnergyModel.pressure_moments`.
 
@@ -76,7 +76,7 @@ def scale_residual_fields(
     fields : Fields
         With the residual fields in m/N.
     gradients : (s, m + l + 3 g + w, 9) array
-        Derivatives of all basis vectors at the integration points, those of the residual fields multiplied
+        Derivatives of the trial and test basis at the cubature points, those of the residual fields multiplied
         by their factors.
     """
     modes, residual_fields = sizes
@@ -130,7 +130,7 @@ def _factors(
     body: EnergyModel, fields: Fields, residual_fields: int, states: Floats, rule: Cubature,
     places: NDArray[np.int64], moments: Floats,
 ) -> Floats:  # fmt: skip
-    """Return factors (s, w) on the residual fields' derivatives at the integration points."""
+    """Return factors (s, w) on the residual fields' derivatives at the cubature points."""
     sampled = replace(fields, gradients=fields.gradients[places].astype(float), nodes=rule.nodes, volumes=rule.weights)
     terms = np.array([_work(body, sampled, rule.pressure, residual_fields, state) for state in states])
     at_rest = _work(body, sampled, rule.pressure, residual_fields, np.zeros_like(states[0]))

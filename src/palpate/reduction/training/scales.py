@@ -17,7 +17,7 @@ from palpate.reduction.hyper.error_indicator import (
     support_nearness,
 )
 
-ERROR_QUANTILE = 0.95  # of errors, and of runs with a trust number of at most 1
+ERROR_QUANTILE = 0.95  # of errors, and of runs with an error indicator of at most 1
 FRAME_SPEED_MARGIN = 1.5  # of a scale from differences of frames, which miss the peaks between
 
 
@@ -83,7 +83,7 @@ def _speed_scale(states: Floats, mass: Floats, snapshots: Snapshots, of_tools: b
             continue
         velocities = np.diff(coordinates, axis=0) / np.diff(run.times)[:, None]
         fastest.append(float(rms_speeds(root, velocities).max()))
-    return FRAME_SPEED_MARGIN * _of_most_runs(fastest)
+    return FRAME_SPEED_MARGIN * _upper_quantile(fastest)
 
 
 def _speed_in_contact(run: Any) -> float:
@@ -107,11 +107,11 @@ def _nearness_scale(body: EnergyModel, snapshots: Snapshots) -> float:
         if len(rows):
             frames, near = rows[:, 0], nearness[rows[:, 1].astype(int)]
             in_frames = (frames == frame for frame in np.unique(frames))
-            nearest.append(max(support_nearness(near[kept], rows[None, kept, 2:]) for kept in in_frames))
-    return _of_most_runs(nearest)
+            nearest.append(max(support_nearness(near[active], rows[None, active, 2:]) for active in in_frames))
+    return _upper_quantile(nearest)
 
 
-def _of_most_runs(values: Sequence[float]) -> float:
+def _upper_quantile(values: Sequence[float]) -> float:
     """Return the value that most runs do not exceed; unlimited without values, or where they are zero."""
     scale = float(np.quantile(values, ERROR_QUANTILE, method="higher")) if len(values) else 0.0
     return scale if scale > 0.0 else UNLIMITED_SCALE

@@ -60,7 +60,7 @@ ORGAN_BY_WORD = {
     **{word: word for word in OTHER_WORDS.split()},
 }
 PART_NAMES = frozenset(" ".join(PART_WORDS.values()).split())
-LEAST_STEM = 5  # letters of an organ at the beginning of a longer word, such as "livertumor"
+MIN_STEM = 5  # letters of an organ at the beginning of a longer word, such as "livertumor"
 TWO_WORDS = {
     "gall bladder": "gallbladder", "spinal cord": "spinalcord", "small intestine": "bowel", "large intestine": "colon",
     "renal pelvis": "renal calyx",
@@ -156,9 +156,7 @@ def _organ_of(word: str) -> str:
     known = ORGAN_BY_WORD.get(word) or ORGAN_BY_WORD.get(word.removesuffix("s"))
     if known or word.startswith((*SOLID_STEMS, *SOFT_STEMS)):
         return known or ""
-    return next(
-        (organ for stem, organ in ORGAN_BY_WORD.items() if len(stem) >= LEAST_STEM and word.startswith(stem)), ""
-    )
+    return next((organ for stem, organ in ORGAN_BY_WORD.items() if len(stem) >= MIN_STEM and word.startswith(stem)), "")
 
 
 def organs_of(name: str) -> set[str]:

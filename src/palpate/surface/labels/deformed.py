@@ -116,8 +116,8 @@ def deform(
     for segment in sorted(labels.segments, key=lambda each: each in parts):
         layer, numbers = labels.layers[segment.layer], layers[segment.layer]
         if segment in parts:
-            there = layer[tuple(indices.T)] == segment.value
-            numbers[tuple(near[there].T)] = segment.number
+            in_segment = layer[tuple(indices.T)] == segment.value
+            numbers[tuple(near[in_segment].T)] = segment.number
         else:
             numbers[layer == segment.value] = segment.number
     return layers

@@ -91,8 +91,8 @@ def _label_map(file: Any, name: str) -> LabelMap:
         layers, places = _stacked(pixels, slices, numbers, shape)
         known = {(place, number): (number, names.get(number, "")) for number, place in places.items()}
         known |= {(0, number): (number, text) for number, text in names.items() if number not in places}
-    kept, segments, absent = segments_of(layers, known)
-    return LabelMap(name, kept, in_metres(affine, 1e-3), segments, "LPS", tuple(notes), absent)
+    stored, segments, absent = segments_of(layers, known)
+    return LabelMap(name, stored, in_metres(affine, 1e-3), segments, "LPS", tuple(notes), absent)
 
 
 def _names(file: Any) -> dict[int, str]:

@@ -18,7 +18,7 @@ from palpate.surface.labels.voxels import MAX_VOXELS
 
 SAME_PLACE = 1e-3  # [mm] along the normal
 MAX_EMPTY = 10  # steps between the nearest frames, of a stated distance
-LEAST_SHEAR = 1e-3  # of a step, of which a note is made
+MIN_SHEAR = 1e-3  # of a step, of which a note is made
 OFF_GRID = 0.1  # of a step, or of an edge of a pixel, by which slices may be off
 
 
@@ -54,7 +54,7 @@ def grid_of_frames(
     slices = np.rint(heights / step).astype(np.int64)
     first = places[np.argmin(heights)]
     shift = _shift(places - first, slices, np.stack([along, down]), edges)
-    if np.linalg.norm(shift) > LEAST_SHEAR * step:
+    if np.linalg.norm(shift) > MIN_SHEAR * step:
         angle = np.degrees(np.arctan2(np.linalg.norm(shift), step))
         notes.append(f"its slices are sheared by {angle:.3g} degrees, as of a tilted gantry: its image was taken so")
     affine = np.eye(4)

@@ -139,9 +139,9 @@ def _shell(labels: LabelMap, segment: Segment, box: Box) -> Shell:
     voxels = labels.layers[segment.layer][grown] == segment.value
     around = voxels.copy(order="K")
     for axis in range(3):
-        here, there = np.moveaxis(around, axis, 0), np.moveaxis(voxels, axis, 0)
-        here[1:] |= there[:-1]
-        here[:-1] |= there[1:]
+        target, source = np.moveaxis(around, axis, 0), np.moveaxis(voxels, axis, 0)
+        target[1:] |= source[:-1]
+        target[:-1] |= source[1:]
     around &= ~voxels
     at = np.nonzero(around)
     values = np.stack([layer[grown][at].astype(np.int64) for layer in labels.layers])

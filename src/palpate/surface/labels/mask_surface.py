@@ -31,7 +31,7 @@ GAUSSIAN_REACH = 3.5  # of the Gaussian, in standard deviations
 BLOCK_SLACK = 0.25  # of a voxel, by which a block may exceed a step
 COARSE_EDGE = 1.5  # steps of the grid, from which an edge is divided
 VOLUME_ERROR, MAX_SECANTS = 2e-4, 8
-LEAST_VALUE = 1e-4  # distance of the field from the level: triangles have an area
+MIN_VALUE = 1e-4  # distance of the field from the level: triangles have an area
 SPECK_SHARE = 0.01  # of the volume: smaller pieces and cavities of the smoothed field are left out
 MIN_VOXELS, FEW_VOXELS = 30, 200  # of a body; below the second one the surface is coarse
 MIN_SHARE = 0.9  # of the voxels in the largest piece, which is taken without a choice
@@ -273,8 +273,8 @@ def _surface_of_volume(field: Floats, level: float, target: float) -> tuple[Floa
 def _main_surface(field: Floats, level: float) -> tuple[Floats, Ints]:
     """Return the surface of a field at a level without specks."""
     values = field - np.float32(level)
-    near = np.abs(values) < LEAST_VALUE
-    values[near] = np.where(values[near] >= 0, LEAST_VALUE, -LEAST_VALUE)
+    near = np.abs(values) < MIN_VALUE
+    values[near] = np.where(values[near] >= 0, MIN_VALUE, -MIN_VALUE)
     vertices, triangles = zero_surface(values, (0.0, 0.0, 0.0), 1.0)
     surface = Surface(vertices, triangles)
     part = vertex_components(triangles, len(vertices))[triangles[:, 0]]

@@ -239,14 +239,14 @@ def _along(fields: dict[str, str], key: str, axes: list[int]) -> Floats:
 def _units(fields: dict[str, str], key: str, axes: Iterable[int]) -> tuple[Floats, list[str]]:
     """Return the units of length [m] along axes, by default millimetres, and notes."""
     words = [word.lower() for word in re.findall(r'"([^"]*)"', fields.get(key, ""))]
-    given = [words[axis] if axis < len(words) else "" for axis in axes]
+    axis_units = [words[axis] if axis < len(words) else "" for axis in axes]
     notes = [
-        f"its {key} {_word(word)} is not known: taken as mm" for word in dict.fromkeys(given)
+        f"its {key} {_word(word)} is not known: taken as mm" for word in dict.fromkeys(axis_units)
         if word not in (*METRES_BY_UNIT, "", "none", "???")
     ]  # fmt: skip
-    if len(set(given)) > 1:
-        notes.append(f"its {key} are mixed, {', '.join(_word(word) for word in given)}: each axis has its own")
-    return np.array([METRES_BY_UNIT.get(word, 1e-3) for word in given]), notes
+    if len(set(axis_units)) > 1:
+        notes.append(f"its {key} are mixed, {', '.join(_word(word) for word in axis_units)}: each axis has its own")
+    return np.array([METRES_BY_UNIT.get(word, 1e-3) for word in axis_units]), notes
 
 
 def _axis_notes(fields: dict[str, str], axes: list[int], edges: Floats, metres: Floats) -> list[str]:

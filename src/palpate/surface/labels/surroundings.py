@@ -25,7 +25,7 @@ BLOCKS_PER_STEP = 1.5  # blocks of voxels, over which their mean is taken
 GAUSSIAN_WIDTH = 0.8  # standard deviation of the Gaussian over a step, or over the largest edge of a voxel
 GAUSSIAN_REACH = 2.5  # of the Gaussian, in standard deviations
 LEVEL_RANGE = (0.1, 0.5)  # of the isosurface
-LEAST_VOXELS = 8
+MIN_VOXELS = 8
 
 
 def surrounding_surfaces(
@@ -56,7 +56,7 @@ def surrounding_surfaces(
     diagonal = float(np.linalg.norm(high - low))
     near = list[tuple[float, int, Segment]]()
     for segment in labels.segments:
-        if segment not in chosen and segment.count >= LEAST_VOXELS:
+        if segment not in chosen and segment.count >= MIN_VOXELS:
             first, last = _bounds(labels, [segment])
             apart = float(np.linalg.norm(np.maximum(0.0, np.maximum(first - high, low - last))))
             if apart <= REACH_SHARE * diagonal:
@@ -73,12 +73,12 @@ def surrounding_surfaces(
     if total > most:
         steps *= STEP_GROWTH * float(np.sqrt(total / most))
         surfaces = [_surface(labels, each, step) for each, step in zip(segments, steps, strict=True)]
-    kept, count = list[Surface](), 0
+    around, count = list[Surface](), 0
     for surface in surfaces:
         if count + len(surface.triangles) <= most:
-            kept.append(surface)
+            around.append(surface)
             count += len(surface.triangles)
-    return tuple(kept)
+    return tuple(around)
 
 
 def _bounds(labels: LabelMap, segments: Sequence[Segment]) -> tuple[Floats, Floats]:

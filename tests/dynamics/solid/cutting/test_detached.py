@@ -38,27 +38,27 @@ def halves(block):
 
 
 def test_a_body_cut_through_keeps_the_supported_half(halves):
-    kept, rest, upper = halves
+    complete, rest, upper = halves
     np.testing.assert_array_equal(rest.removed_nodes, np.flatnonzero(upper))
-    assert not len(kept.removed_nodes)
-    assert len(rest.volumes) == len(kept.volumes)
+    assert not len(complete.removed_nodes)
+    assert len(rest.volumes) == len(complete.volumes)
 
 
 def test_forces_and_energy_of_the_rest_stay(halves):
-    kept, rest, upper = halves
+    complete, rest, upper = halves
     u = 0.02 * SPACING * np.random.default_rng(0).normal(size=(len(upper), 3))
-    before, after = kept.force(u), rest.force(u)
+    before, after = complete.force(u), rest.force(u)
     np.testing.assert_allclose(after[~upper], before[~upper], rtol=0, atol=1e-13 * np.abs(before).max())
     assert not after[upper].any()
-    density = kept.evaluate(u).energy_density
-    assert rest.strain_energy(u) == pytest.approx(kept.volumes[~upper] @ density[~upper], rel=1e-12)
+    density = complete.evaluate(u).energy_density
+    assert rest.strain_energy(u) == pytest.approx(complete.volumes[~upper] @ density[~upper], rel=1e-12)
 
 
 def test_the_rest_moves_as_it_does_next_to_a_piece_that_is_kept(halves):
-    kept, rest, upper = halves
+    complete, rest, upper = halves
     velocity = np.where(upper[:, None], (0.0, 0.0, 0.3), (0.05, 0.0, -0.02))  # the piece flies away
     pushed, alone = (
-        pt.rollout(body, duration=4e-3, every=1e-3, velocity=velocity, progress=False) for body in (kept, rest)
+        pt.rollout(body, duration=4e-3, every=1e-3, velocity=velocity, progress=False) for body in (complete, rest)
     )
     gone = alone.displacements[:, upper]
     assert not gone.any()
@@ -118,8 +118,8 @@ def test_pieces_that_were_removed_stay_removed(halves, block):
     _, rest, upper = halves
     again = pt.cut(rest, layer(2.4e-3), detached="remove")
     np.testing.assert_array_equal(again.removed_nodes, np.flatnonzero(block.cloud.points[:, 2] > 2.4e-3))
-    kept = pt.cut(rest, layer(2.4e-3))
-    np.testing.assert_array_equal(kept.removed_nodes, np.flatnonzero(upper))
+    second = pt.cut(rest, layer(2.4e-3))
+    np.testing.assert_array_equal(second.removed_nodes, np.flatnonzero(upper))
     assert len(rest.removed_nodes) == upper.sum()
 
 

@@ -93,9 +93,9 @@ class Page:
         except MultipleValuesError:
             return ""
 
-    def _refuse(self, name: str, allowed: str, given: str | None) -> Response:
+    def _refuse(self, name: str, allowed: str, value: str | None) -> Response:
         """Return the refusal of a header, with the option that would allow it."""
-        printed = given if given and PRINTED_HEADER.fullmatch(given) else None
+        printed = value if value and PRINTED_HEADER.fullmatch(value) else None
         url = "http://HOST:PORT" if printed is None else printed if "://" in printed else f"http://{printed}"
         return self._plain(
             HTTPStatus.FORBIDDEN,

@@ -75,9 +75,9 @@ class Preparation:
         self._phase, self._began = "", monotonic()
         self._start = self._began
         self._kept = _read_durations(self._file)
-        kept = self._kept.get(body, {})
-        self.code_is_compiled = kept.get("code") == self._code
-        self._expected: Durations = kept.get(COMPILED if self.code_is_compiled else COMPILING, {})
+        durations = self._kept.get(body, {})
+        self.code_is_compiled = durations.get("code") == self._code
+        self._expected: Durations = durations.get(COMPILED if self.code_is_compiled else COMPILING, {})
         self._functions = CompiledFunctions()
 
     def begin(self, phase: str) -> None:
@@ -131,10 +131,10 @@ def _code_digest() -> str:
 def _read_durations(file: Path) -> dict[str, Any]:
     """Return the kept durations; empty if the file is missing or damaged."""
     try:
-        kept = read_json(file, "durations")
+        content = read_json(file, "durations")
     except (FileFormatError, InputError, OSError):
         return {}
-    return {name: each for name, each in kept.items() if _is_entry(each)}
+    return {name: each for name, each in content.items() if _is_entry(each)}
 
 
 def _is_entry(each: Any) -> bool:

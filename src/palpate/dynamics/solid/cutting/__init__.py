@@ -1,1 +1,1 @@
-"""Cuts of solids by blades: cut bodies, the incision, its front and its faces."""
+"""Cuts of solids by blades: cut bodies, the cut front and its faces."""

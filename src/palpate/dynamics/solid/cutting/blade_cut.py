@@ -18,9 +18,8 @@ from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.loads.supports import FREE
 from palpate.dynamics.run.model import MANY_STEPS, State
 from palpate.dynamics.solid.cutting.cut import cut_from
-from palpate.dynamics.solid.cutting.face_pairs import face_pairs, joined_sites, turn_pairs
-from palpate.dynamics.solid.cutting.incision import (
-    Incision,
+from palpate.dynamics.solid.cutting.cut_front import (
+    CutFront,
     advance_edge,
     after_cut,
     blade_sites,
@@ -28,8 +27,9 @@ from palpate.dynamics.solid.cutting.incision import (
     edge_points,
     front_release_rate,
     next_strip,
-    start_incision,
+    start_cut_front,
 )
+from palpate.dynamics.solid.cutting.face_pairs import face_pairs, joined_sites, turn_pairs
 
 STEP_WAY = 0.1  # of the edge between two cuts, in spacings
 SUPPORT_DISTANCE = 0.5  # from a cut to the nodes that supports and tools hold, in spacings
@@ -69,11 +69,11 @@ def cut_with_blade(body: Any, state: State, prepared: PreparedLoads) -> tuple[An
     number, tool = blade
     frame = _frame(tool, state.time)
     held = np.flatnonzero(prepared.sites.kind != FREE)
-    largest = 0.0 if state.incision is None else state.incision.largest_rate
-    body, incision, sites, released = advance_blade(body, state, tool, frame, held, number)
-    if largest < tool.tool.toughness <= incision.largest_rate:  # type: ignore[union-attr]
+    largest = 0.0 if state.cut_front is None else state.cut_front.largest_rate
+    body, cut_front, sites, released = advance_blade(body, state, tool, frame, held, number)
+    if largest < tool.tool.toughness <= cut_front.largest_rate:  # type: ignore[union-attr]
         _warn_of_tearing(tool, state.time)
-    state = replace(state, incision=incision, dissipated=state.dissipated + released)
+    state = replace(state, cut_front=cut_front, dissipated=state.dissipated + released)
     if sites is not None:
         prepared = replace(prepared, contacts=prepared.contacts._replace(sites=sites))
     return body, state, prepared
@@ -106,66 +106,66 @@ def with_pairs(body: Any, prepared: PreparedLoads) -> PreparedLoads:
 
 def advance_blade(
     body: Any, state: State, tool: Contact, frame: Floats, held: Any, number: int = 0
-) -> tuple[Any, Incision, Any, float]:
-    """Return the body that a blade in a frame (3, 4) has cut, the incision, the new sites or None, and a lost energy.
+) -> tuple[Any, CutFront, Any, float]:
+    """Return the body that a blade in a frame (3, 4) has cut, the cut front, the new sites or None, and a lost energy.
 
     The energy [J] is what the body loses at fixed displacements. `held` are nodes (h,) that supports or other tools
     hold.
     """
     blade: Any = tool.tool
     cloud, u, history = body.cloud, state.coordinates, state.history
-    cut_state, incision = body.cut_state, state.incision
+    cut_state, cut_front = body.cut_state, state.cut_front
     corners = cloud.points[cloud.triangles]
-    if incision is None:
-        incision, sites = _start(body, u, tool, frame, number)
-        return body, *_with_faces(incision, sites, face_pairs(cut_state, u)), 0.0
-    cuts = advance_edge(cut_state, incision, blade, frame, u, corners)
-    if not cuts and (incision.hold is None or not len(incision.hold.pieces)):  # outside the tissue
-        return body, replace(incision, release_rate=0.0), None, 0.0
+    if cut_front is None:
+        cut_front, sites = _start(body, u, tool, frame, number)
+        return body, *_with_faces(cut_front, sites, face_pairs(cut_state, u)), 0.0
+    cuts = advance_edge(cut_state, cut_front, blade, frame, u, corners)
+    if not cuts and (cut_front.hold is None or not len(cut_front.hold.pieces)):  # outside the tissue
+        return body, replace(cut_front, release_rate=0.0), None, 0.0
     before = body.evaluate(u, history)
-    rate = front_release_rate(body, incision, u, before)
-    is_front = incision.hold is not None and incision.hold.is_front
+    rate = front_release_rate(body, cut_front, u, before)
+    is_front = cut_front.hold is not None and cut_front.hold.is_front
     for edge, pieces, area in cuts:
-        strip, triangles, replaced = next_strip(incision.strip, incision.edge, edge, pieces, cloud.spacing)
+        strip, triangles, replaced = next_strip(cut_front.strip, cut_front.edge, edge, pieces, cloud.spacing)
         if len(triangles):
             _check_distance(tool, triangles, cloud.points, held, cloud.spacing)
             body = cut_from(body, len(body.cut_surface.triangles) - replaced, triangles)
-        incision = after_cut(incision, edge, strip, area)
-    largest = max(rate, incision.largest_rate) if is_front else incision.largest_rate
-    incision = replace(incision, release_rate=rate, largest_rate=largest)
+        cut_front = after_cut(cut_front, edge, strip, area)
+    largest = max(rate, cut_front.largest_rate) if is_front else cut_front.largest_rate
+    cut_front = replace(cut_front, release_rate=rate, largest_rate=largest)
     if not cuts:
-        if incision.hold is not None:
-            incision.hold.limits[:] = edge_limits(blade, rate, incision.hold.areas)
-        return body, incision, None, 0.0
+        if cut_front.hold is not None:
+            cut_front.hold.limits[:] = edge_limits(blade, rate, cut_front.hold.areas)
+        return body, cut_front, None, 0.0
     released = float(body.volumes @ before.energy_density) - body.strain_energy(u, history)
-    sites, incision, _ = blade_sites(body.cut_state, incision, blade, frame, u, corners, number)
-    return body, *_with_faces(incision, sites, face_pairs(body.cut_state, u)), released
+    sites, cut_front, _ = blade_sites(body.cut_state, cut_front, blade, frame, u, corners, number)
+    return body, *_with_faces(cut_front, sites, face_pairs(body.cut_state, u)), released
 
 
-def _start(body: Any, u: Floats, tool: Contact, frame: Floats, number: int) -> tuple[Incision, BladeSites]:
-    """Return the incision of a blade in a frame (3, 4) and its sites; raise `InputError` for one in the body."""
+def _start(body: Any, u: Floats, tool: Contact, frame: Floats, number: int) -> tuple[CutFront, BladeSites]:
+    """Return the cut front of a blade in a frame (3, 4) and its sites; raise `InputError` for one in the body."""
     blade: Any = tool.tool
     state, corners = body.cut_state, body.cloud.points[body.cloud.triangles]
-    sites, incision, length = blade_sites(
-        state, start_incision(state, blade, frame, u), blade, frame, u, corners, number
+    sites, cut_front, length = blade_sites(
+        state, start_cut_front(state, blade, frame, u), blade, frame, u, corners, number
     )
     if length > 0:
         raise InputError(
             f"motion of Contact {tool.name!r} must start outside the body, got {length:.3g} m of the edge inside; "
             "start it outside and move it in"
         )
-    return incision, sites
+    return cut_front, sites
 
 
-def _with_faces(incision: Incision, sites: BladeSites, pairs: BladeSites) -> tuple[Incision, BladeSites]:
-    """Return the incision, and the sites of its blade followed by pairs of faces."""
+def _with_faces(cut_front: CutFront, sites: BladeSites, pairs: BladeSites) -> tuple[CutFront, BladeSites]:
+    """Return the cut front, and the sites of its blade followed by pairs of faces."""
     joined = joined_sites(sites, pairs)
-    if incision.hold is not None:  # the step writes the slips of the joined sites, and reads the limits
-        count = len(incision.hold.pieces)
-        incision = replace(
-            incision, hold=incision.hold._replace(slips=joined.slips[:count], limits=joined.limits[:count])
+    if cut_front.hold is not None:  # the step writes the slips of the joined sites, and reads the limits
+        count = len(cut_front.hold.pieces)
+        cut_front = replace(
+            cut_front, hold=cut_front.hold._replace(slips=joined.slips[:count], limits=joined.limits[:count])
         )
-    return incision, joined
+    return cut_front, joined
 
 
 def _check_distance(tool: Contact, triangles: Floats, points: Floats, held: Any, spacing: float) -> None:

@@ -20,14 +20,14 @@ from scipy.sparse.csgraph import connected_components
 from palpate.core.arrays import Floats
 from palpate.core.faults import CloudError, InputError, brief
 from palpate.dynamics.loads.supports import FIXED
-from palpate.dynamics.material.fibres import always_taut
+from palpate.dynamics.material.fibres import tension_compression_fibres
 from palpate.dynamics.solid.base import Solid
 from palpate.dynamics.solid.cutting.layout import Entries, fitted_entries, row_entries, smoothing_entries, with_stencils
 from palpate.meshfree.cloud import Cloud
-from palpate.meshfree.cut.bond_paths import MAX_WAY
 from palpate.meshfree.cut.clipping import clipped, off_surface
+from palpate.meshfree.cut.consistency_correction import conserve_integrals, keep_uniform_stress
+from palpate.meshfree.cut.diffraction_lengths import MAX_WAY
 from palpate.meshfree.cut.face_points import face_points, no_face_points
-from palpate.meshfree.cut.kept_sums import conserve_integrals, keep_uniform_stress
 from palpate.meshfree.cut.points import inside_body
 from palpate.meshfree.cut.stencils import (
     RELEASED_FIT,
@@ -122,15 +122,15 @@ def _warn_of_miss(cloud: Cloud, corners: Floats) -> None:
     )
 
 
-def cut_from(body: Any, kept: int, corners: Floats) -> Solid:
-    """Return a body whose cut has the first `kept` of its triangles, and others (t, 3, 3) in place of the rest."""
+def cut_from(body: Any, unchanged: int, corners: Floats) -> Solid:
+    """Return a body whose cut has the first `unchanged` of its triangles, and others (t, 3, 3) in place of the rest."""
     solid, cloud, before = body, body.cloud, body.cut_state
     body_corners = cloud.points[cloud.triangles]
     is_inside = partial(inside_body, before.uncut, body_corners)
-    surface = cut_surface(before.surface, corners, is_inside, cloud.spacing, kept)
-    nodes = _nodes_to_fit(surface, kept, before, cloud.points, cloud.spacing)
+    surface = cut_surface(before.surface, corners, is_inside, cloud.spacing, unchanged)
+    nodes = _nodes_to_fit(surface, unchanged, before, cloud.points, cloud.spacing)
     rows, released = _fit(before, surface, nodes)
-    state, constants = _exchange(body.body, before, surface, rows, released)
+    state, constants = _replace_stencils(body.body, before, surface, rows, released)
     faces = face_points(before.uncut, surface, body_corners, before.faces, changed_spheres(before.surface, surface))
     return _with_cut(solid, state._replace(faces=faces), constants)
 
@@ -168,13 +168,13 @@ def uncut_state(body: Any) -> CutState:
 
 
 def _nodes_to_fit(
-    surface: CutSurface, kept: int, before: CutState, points: Floats, spacing: float
+    surface: CutSurface, unchanged: int, before: CutState, points: Floats, spacing: float
 ) -> NDArray[np.int64]:
     """Return the nodes whose stencils new triangles, or fronts that have moved, can change."""
     former, near = before.surface.extended, np.zeros(len(points), dtype=np.bool_)
-    is_moved = np.any(surface.extended[:kept] != former[:kept], axis=(1, 2))
+    is_moved = np.any(surface.extended[:unchanged] != former[:unchanged], axis=(1, 2))
     for triangles in (surface.extended, former):
-        changed = np.concatenate([is_moved, np.ones(len(triangles) - kept, dtype=np.bool_)])
+        changed = np.concatenate([is_moved, np.ones(len(triangles) - unchanged, dtype=np.bool_)])
         nodes_near(points, triangles[changed], MAX_WAY * spacing, near)
     return np.flatnonzero(near)
 
@@ -196,7 +196,7 @@ def _fit(before: CutState, surface: CutSurface, nodes: NDArray[np.int64]) -> tup
     return rows, released
 
 
-def _exchange(
+def _replace_stencils(
     body: Any, before: CutState, surface: CutSurface, rows: FittedRows, released: NDArray[np.bool_]
 ) -> tuple[CutState, Any]:
     """Return the state and the constants of the cut body."""
@@ -271,6 +271,10 @@ def _with_cut(body: Any, state: CutState, constants: Any) -> Solid:
     result: Solid = copy(body)
     for name in COMPUTED_NAMES:
         vars(result).pop(name, None)
-    taut = constants if body.fibres is None else constants._replace(families=always_taut(constants.families))
-    vars(result).update(body=constants, taut_body=taut, _cut=state)
+    taut = (
+        constants
+        if body.fibres is None
+        else constants._replace(families=tension_compression_fibres(constants.families))
+    )
+    vars(result).update(body=constants, tension_compression_body=taut, _cut=state)
     return result

@@ -21,7 +21,7 @@ from palpate.core.arrays import Floats
 from palpate.dynamics.run.model import Evaluation
 
 UNIFORM_DISTANCE, DOMAIN_DISTANCE = 1.5, 3.5  # from the front: where q is uniform, and beyond which it is zero, in h
-LEAST_SWEEP = 0.1  # of the area that the front sweeps, relative to its length, below which the rate is not known
+MIN_SWEEP = 0.1  # of the area that the front sweeps, relative to its length, below which the rate is not known
 
 
 def release_rate(
@@ -44,7 +44,7 @@ def release_rate(
     """
     spacing, points = body.cloud.spacing, body.cloud.points
     swept = np.einsum("m,mi,mi->", lengths, _motion(segments.mean(axis=1), segments, directions, spacing), directions)
-    if not swept > LEAST_SWEEP * lengths.sum():
+    if not swept > MIN_SWEEP * lengths.sum():
         return 0.0
     q = np.zeros_like(points)
     low, high = segments.min(axis=(0, 1)), segments.max(axis=(0, 1))

@@ -29,15 +29,15 @@ def face_pairs(state: CutState, u: Floats) -> BladeSites:
     nodes = np.concatenate([faces.above.nodes, faces.below.nodes], axis=1)
     weights = np.concatenate([faces.above.values, -faces.below.values], axis=1)
     used = weights != 0.0
-    kept = ~np.any(used & state.removed[nodes], axis=1)
+    selected = ~np.any(used & state.removed[nodes], axis=1)
     nodes, weights, used, normals, points = (
-        nodes[kept],
-        weights[kept],
-        used[kept],
-        faces.normals[kept],
-        faces.points[kept],
+        nodes[selected],
+        weights[selected],
+        used[selected],
+        faces.normals[selected],
+        faces.points[selected],
     )
-    above, below = (PointWeights(*(array[kept] for array in side)) for side in (faces.above, faces.below))
+    above, below = (PointWeights(*(array[selected] for array in side)) for side in (faces.above, faces.below))
     count, directions = len(nodes), _turned(normals, above, below, u)
     directions[~_are_opposite(points, directions, above, below, u)] = 0.0
     vectors = np.zeros((count, 3))

@@ -1,4 +1,4 @@
-"""Exchange of the stencils of cut nodes in the compiled tables of a body; all other entries are shared."""
+"""Replacement of the stencils of cut nodes in the compiled tables of a body; all other entries are shared."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def row_entries(rows: Rows, nodes: Ints) -> Entries:
     row, entry = ranges(rows.start[nodes], rows.stop[nodes])
     place = entry - rows.start[nodes][row] + rows.weight_start[nodes][row]
     node, near = nodes[row], rows.neighbours[entry].astype(np.int64)
-    kept = near != node
-    return Entries(node[kept], near[kept], rows.weights[place[kept]])
+    off_diagonal = near != node
+    return Entries(node[off_diagonal], near[off_diagonal], rows.weights[place[off_diagonal]])
 
 
 def smoothing_entries(lanes: Lanes, weights: Weights, nodes: Ints) -> Entries:
@@ -51,8 +51,10 @@ def smoothing_entries(lanes: Lanes, weights: Weights, nodes: Ints) -> Entries:
     row, entry = ranges(lanes.start[block], lanes.stop[block])
     place = entry - lanes.start[block][row] + lanes.weight_start[block][row]
     node, near = nodes[row], lanes.neighbours[entry, lane[row]].astype(np.int64)
-    kept = near != node
-    return Entries(node[kept], near[kept], weights.lanes[place[kept], :, lane[row[kept]]])
+    off_diagonal = near != node
+    return Entries(
+        node[off_diagonal], near[off_diagonal], weights.lanes[place[off_diagonal], :, lane[row[off_diagonal]]]
+    )
 
 
 def fitted_entries(rows: FittedRows) -> tuple[Entries, Entries]:
@@ -119,10 +121,10 @@ def with_stencils(body: EnergyBody, nodes: Ints, stencils: Entries, smoothing: E
     smooth_receivers = np.unique(np.concatenate([smooth_before.near, smoothing.near]))
     smoothing_lanes, value = _with_smoothing(body.smoothing, body.value, nodes, smoothing)
     back = smoothing_entries(body.transposed_smoothing, body.transposed_value, smooth_receivers)
-    kept = back.selected(~changed[back.near])
+    unchanged = back.selected(~changed[back.near])
     back_lanes, back_value = _with_smoothing(
         body.transposed_smoothing, body.transposed_value, smooth_receivers,
-        _merged([kept, _turned(smoothing, volumes)]),
+        _merged([unchanged, _turned(smoothing, volumes)]),
     )  # fmt: skip
     diagonal = body.smoothing_own.copy()
     diagonal[nodes] = 1.0
@@ -165,8 +167,8 @@ def _transposed(
     np.add.at(diagonal, node[itself], weights[itself])
     diagonal[changed] = 0.0
     np.subtract.at(diagonal, stencils.node, stencils.weights)
-    kept = ~itself & ~changed[near]
-    parts = [Entries(node[kept], near[kept], weights[kept]), _turned(stencils, volumes)]
+    unchanged = ~itself & ~changed[near]
+    parts = [Entries(node[unchanged], near[unchanged], weights[unchanged]), _turned(stencils, volumes)]
     return _counted(_merged([*parts, Entries(receivers, receivers, diagonal[receivers])]), receivers)
 
 

@@ -1,7 +1,7 @@
-"""Observable model: publishes its contact forces, with optional virtual couplings and a variable stiffness.
+"""Instrumented model: publishes its contact forces, with optional virtual couplings and a variable stiffness.
 
-The record of the engine has the coordinates of a period but not the contact forces on the surface. An observable model
-publishes both in one slot after every period, so that readers need no lock and receive values of one period.
+The record of the engine has the coordinates of a period but not the contact forces on the surface. An instrumented
+model publishes both in one slot after every period, so that readers need no lock and receive values of one period.
 
 A virtual coupling is a spring and a damper between the pose p of a haptic device and the position x of its tool:
 
@@ -39,8 +39,8 @@ from palpate.core.faults import number_in_range
 from palpate.realtime.bodies.model import RealtimeModel
 from palpate.realtime.calls import call_advance, call_stiffness, model_calls
 from palpate.realtime.contract import FORCES, KINETIC, STATUS, STRAIN, tool_maps
-from palpate.realtime.exchange import Slot, publish, snapshot
 from palpate.realtime.period import function_key
+from palpate.realtime.seqlock import Slot, publish, snapshot
 from palpate.reduction.contact.surface import PAIRS
 
 MAX_CONTACT_NODES = 4096  # contact nodes published in a period
@@ -74,8 +74,8 @@ class PublishedContact(NamedTuple):
     numbers: Ints  # array: the first is the number of nodes in contact
 
 
-class ObservableData(NamedTuple):
-    """Data of an observable model."""
+class InstrumentedData(NamedTuple):
+    """Data of an instrumented model."""
 
     inner: Any  # `ModelCalls` of the model inside, or its data if its functions are linked
     contact: PublishedContact  # of the model inside
@@ -102,16 +102,16 @@ class Observation(NamedTuple):
     modulus_ratio: float  # moduli relative to the model's own
 
 
-class ObservableModel(NamedTuple):
+class InstrumentedModel(NamedTuple):
     """A real-time model for the engine; see `palpate.realtime.Realtime`."""
 
     advance: Any
     stiffness: Any
-    data: ObservableData
+    data: InstrumentedData
     rest: Floats
     tool: Floats
     force_bound: Callable[[float, float], float] | None = None
-    catch_up: int = 0
+    max_backlog: int = 0
     cutter: Any = None
     tool_names: tuple[str, ...] = ()
 
@@ -181,8 +181,8 @@ class ObservableModel(NamedTuple):
         parameters[:] = stiffness, 2.0 * np.sqrt(stiffness * TOOL_MASS), TOOL_MASS, force_limit
 
 
-def make_observable(model: RealtimeModel, linked: bool = False) -> ObservableModel:
-    """Return an observable model that shares the data of a real-time model.
+def make_instrumented(model: RealtimeModel, linked: bool = False) -> InstrumentedModel:
+    """Return an instrumented model that shares the data of a real-time model.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def make_observable(model: RealtimeModel, linked: bool = False) -> ObservableMod
         addresses, so that all models have the same functions.
     """
     cutter, called = model.cutter, (call_advance, None if model.stiffness is None else call_stiffness)
-    advance, stiffness = observable_functions(*((model.advance, model.stiffness) if linked else called))
+    advance, stiffness = instrumented_functions(*((model.advance, model.stiffness) if linked else called))
 
     def passed(inner: Any) -> Any:
         """Return data of the model inside as the functions take them."""
@@ -203,7 +203,7 @@ def make_observable(model: RealtimeModel, linked: bool = False) -> ObservableMod
     contacts = min(MAX_CONTACT_NODES, len(contact.node))
     tools, count = tool_maps(model.tool).shape[:2]
     values = np.zeros(TOOLS + 6 * tools + len(model.rest) + CONTACT_SIZE * contacts)
-    data = ObservableData(
+    data = InstrumentedData(
         inner=passed(model.data),
         contact=contact,
         slot=Slot.zeros(len(values)),
@@ -215,12 +215,12 @@ def make_observable(model: RealtimeModel, linked: bool = False) -> ObservableMod
     )
     if cutter is not None:
         cutter.wrap = lambda inner: data._replace(inner=passed(inner))
-    observable = ObservableModel(
-        advance, stiffness, data, model.rest, model.tool, model.force_bound, model.catch_up, model.cutter,
+    instrumented = InstrumentedModel(
+        advance, stiffness, data, model.rest, model.tool, model.force_bound, model.max_backlog, model.cutter,
         model.tool_names,
     )  # fmt: skip
-    observable.set_state(model.rest, np.zeros((tools, 3)))
-    return observable
+    instrumented.set_state(model.rest, np.zeros((tools, 3)))
+    return instrumented
 
 
 @kernel_njit(inner=True)
@@ -371,17 +371,17 @@ def _scale_stiffness(tangent, ratio, out):
 
 
 @cache
-def observable_functions(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
-    """Compile the functions of an observable model around those of the model inside.
+def instrumented_functions(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
+    """Compile the functions of an instrumented model around those of the model inside.
 
     Only the calls of the functions inside depend on these. Couplings, moduli and publishing are compiled once.
     """
     digest = law_digest(__name__, function_key(inner_advance), inner_stiffness and function_key(inner_stiffness))
 
     @law_njit(digest)
-    def advance(given, q, v, target, period, report):
+    def advance(handle, q, v, target, period, report):
         """Advance the model inside, with the springs of the devices and the present moduli; publish the result."""
-        data = reference(given)
+        data = reference(handle)
         coupling, moved, values = data.coupling, data.target, data.values
         ratio = _begin_period(coupling, data.modulus_ratio, target, moved, values, v, period)
         inner_advance(data.inner, q, v, moved, period * np.sqrt(ratio), report)
@@ -395,9 +395,9 @@ def observable_functions(inner_advance: Any, inner_stiffness: Any) -> tuple[Any,
         return advance, None
 
     @law_njit(digest)
-    def stiffness(given, q, out):
+    def stiffness(handle, q, out):
         """Write the contact stiffness of the model inside, with the present moduli."""
-        data = reference(given)
+        data = reference(handle)
         inner_stiffness(data.inner, q, data.tangent)
         _scale_stiffness(data.tangent, data.modulus_ratio[PRESENT], out)
 

@@ -11,7 +11,7 @@ import pytest
 import palpate as pt
 from palpate.compiled.reference import StoredRecord
 from palpate.dynamics.contact.tools import Forceps
-from palpate.dynamics.nodal.mass_tailoring import default_modes, tailored_mass, without_nodes
+from palpate.dynamics.nodal.mass_scaling import default_modes, scaled_mass, without_nodes
 from palpate.dynamics.nodal.stability import stiffness
 from palpate.realtime.bodies.full_body import step_statistics
 
@@ -50,46 +50,46 @@ def press(model, ways) -> tuple[np.ndarray, np.ndarray]:
     return np.array(forces), q.reshape(-1, 3)
 
 
-def dense_frequencies(body, tailoring) -> np.ndarray:
+def dense_frequencies(body, mass_scaling) -> np.ndarray:
     """Return all frequencies [rad/s] of a body at rest with the additional mass of the used shapes."""
     basis, operator = body.free_directions.toarray(), stiffness(body)  # M^-1 K of the free directions
     masses = basis.T @ np.repeat(body.masses, 3)[:, None]
-    shapes = basis.T @ dense_shapes(body, tailoring)[:, tailoring.used]
+    shapes = basis.T @ dense_shapes(body, mass_scaling)[:, mass_scaling.used]
     return np.sort(np.sqrt(np.linalg.eigvals(operator - shapes @ (shapes.T @ (masses * operator))).real))
 
 
-def dense_shapes(body, tailoring) -> np.ndarray:
-    shapes = np.zeros((3 * len(body.cloud), len(tailoring.used)))
-    for k in range(len(tailoring.used)):
-        part = slice(*tailoring.start[k : k + 2])
-        shapes[3 * tailoring.nodes[part, None] + np.arange(3), k] = tailoring.shapes[part]
+def dense_shapes(body, mass_scaling) -> np.ndarray:
+    shapes = np.zeros((3 * len(body.cloud), len(mass_scaling.used)))
+    for k in range(len(mass_scaling.used)):
+        part = slice(*mass_scaling.start[k : k + 2])
+        shapes[3 * mass_scaling.nodes[part, None] + np.arange(3), k] = mass_scaling.shapes[part]
     return shapes
 
 
 def test_the_fastest_modes_are_slower_and_no_other(block):
-    tailoring, highest = tailored_mass(block, block.fixed_mask, MODES)
-    plain, _ = tailored_mass(block, block.fixed_mask, 0)
-    assert len(tailoring.used) == MODES
-    before, after = (dense_frequencies(block, each) for each in (plain, tailoring))
+    mass_scaling, highest = scaled_mass(block, block.fixed_mask, MODES)
+    plain, _ = scaled_mass(block, block.fixed_mask, 0)
+    assert len(mass_scaling.used) == MODES
+    before, after = (dense_frequencies(block, each) for each in (plain, mass_scaling))
     assert after[-1] < 0.9 * before[-1]
     assert highest == pytest.approx(after[-1], rel=0.03)
-    assert tailoring.plain_frequency == plain.plain_frequency == pytest.approx(before[-1], rel=0.03)
+    assert mass_scaling.plain_frequency == plain.plain_frequency == pytest.approx(before[-1], rel=0.03)
     np.testing.assert_allclose(after[:40], before[:40], rtol=1e-4)
 
 
 @pytest.mark.quick
 def test_local_shapes_add_the_mass_of_the_modes(block):
-    tailoring, highest = tailored_mass(block, block.fixed_mask, MODES)
-    shapes, shares = dense_shapes(block, tailoring), 1.0 - (highest / tailoring.frequencies) ** 2
+    mass_scaling, highest = scaled_mass(block, block.fixed_mask, MODES)
+    shapes, shares = dense_shapes(block, mass_scaling), 1.0 - (highest / mass_scaling.frequencies) ** 2
     products = shapes.T @ (np.repeat(block.masses, 3)[:, None] * shapes)
-    np.testing.assert_allclose(np.diag(tailoring.mixing @ tailoring.mixing.T), shares, atol=2e-2)
+    np.testing.assert_allclose(np.diag(mass_scaling.mixing @ mass_scaling.mixing.T), shares, atol=2e-2)
     np.testing.assert_allclose(np.linalg.eigvalsh(products), np.sort(shares), atol=2e-2)  # parts are left out
     assert np.linalg.eigvalsh(products).max() < 1.0  # so that the mass is positive definite
 
 
 def test_a_step_is_longer_and_an_equilibrium_the_same(block):
     ways = 0.004 * np.minimum(np.arange(1, 801) / 300, 1.0)
-    plain, slowed = (pt.realtime_model(block, contact=ball(), tailored_modes=k) for k in (0, MODES))
+    plain, slowed = (pt.realtime_model(block, contact=ball(), scaled_modes=k) for k in (0, MODES))
     assert slowed.data.body.resting_frequency < 0.9 * plain.data.body.resting_frequency
     statistics, rest = step_statistics(slowed.data), plain.data.body.resting_frequency
     assert statistics["tailored_modes"] == MODES
@@ -104,7 +104,7 @@ def test_a_step_is_longer_and_an_equilibrium_the_same(block):
 
 def test_a_press_is_that_of_a_run(block):
     path = lambda t: tuple(HOME - [0.0, 0.0, 0.0045 * np.sin(np.pi * min(t / 0.3, 1.0)) ** 2])  # noqa: E731
-    model = pt.realtime_model(block, contact=ball(friction=0.3), tailored_modes=MODES)
+    model = pt.realtime_model(block, contact=ball(friction=0.3), scaled_modes=MODES)
     means = press(model, [HOME[2] - path(k * PERIOD)[2] for k in range(1, 301)])[0].reshape(30, 10, 3).mean(axis=1)
     run = pt.rollout(block, [ball(path, 0.3)], duration=0.3, every=0.01, progress=False)
     force = run.reactions["tool"][1:]
@@ -114,7 +114,7 @@ def test_a_press_is_that_of_a_run(block):
 
 @pytest.mark.parametrize("modes", [0, MODES])
 def test_forceps_report_the_force_that_holds_the_body(block, modes):
-    model: Any = pt.realtime_model(block, contact=ball(), tailored_modes=modes)
+    model: Any = pt.realtime_model(block, contact=ball(), scaled_modes=modes)
     model.change_tool(Forceps(0.006, (0.015, 0.015, SIZE[2])), np.array([*HOME, 1.0, 0.0, 0.0, 0.0]), 0.0)
     forces, u = press(model, -0.004 * np.minimum(np.arange(1, 801) / 200, 1.0))
     assert forces[-1, 2] > 0.1
@@ -122,21 +122,21 @@ def test_forceps_report_the_force_that_holds_the_body(block, modes):
 
 
 def test_modes_at_changed_nodes_are_left_out(block):
-    tailoring, highest = tailored_mass(block, block.fixed_mask, MODES)
+    mass_scaling, highest = scaled_mass(block, block.fixed_mask, MODES)
     changed = np.zeros(len(block.cloud), dtype=bool)
-    assert without_nodes(tailoring, changed)[1] == 0.0
-    part = slice(*tailoring.start[:2])
-    changed[tailoring.nodes[part][np.abs(tailoring.shapes[part]).sum(axis=1).argmax()]] = True
-    left, frequency = without_nodes(tailoring, changed)
+    assert without_nodes(mass_scaling, changed)[1] == 0.0
+    part = slice(*mass_scaling.start[:2])
+    changed[mass_scaling.nodes[part][np.abs(mass_scaling.shapes[part]).sum(axis=1).argmax()]] = True
+    left, frequency = without_nodes(mass_scaling, changed)
     assert not left.used[0]
-    assert highest < frequency <= tailoring.frequencies.max()
+    assert highest < frequency <= mass_scaling.frequencies.max()
     assert frequency == pytest.approx(dense_frequencies(block, left)[-1], rel=0.02)
-    assert without_nodes(tailoring, np.ones_like(changed))[1] == pytest.approx(tailoring.frequencies.max())
+    assert without_nodes(mass_scaling, np.ones_like(changed))[1] == pytest.approx(mass_scaling.frequencies.max())
 
 
 def vibration_energies(body, modes) -> np.ndarray:
     """Return energies [J] in means over 0.1 s, because velocities belong to the middles of steps, after a pull."""
-    model: Any = pt.realtime_model(body, contact=ball(), tailored_modes=modes)
+    model: Any = pt.realtime_model(body, contact=ball(), scaled_modes=modes)
     pose = np.array([*HOME, 1.0, 0.0, 0.0, 0.0])
     model.change_tool(Forceps(0.006, (0.015, 0.015, SIZE[2])), pose, 0.0)
     q, v, report, energies = *np.zeros((2, len(model.rest))), np.zeros(20), []
@@ -161,7 +161,7 @@ def test_bits_are_those_of_one_thread(block):
     before, found = numba.get_num_threads(), []
     for threads in (1, before):
         numba.set_num_threads(threads)
-        model = pt.realtime_model(block, contact=ball(friction=0.3), tailored_modes=MODES)
+        model = pt.realtime_model(block, contact=ball(friction=0.3), scaled_modes=MODES)
         found.append(press(model, 0.004 * np.sin(0.01 * np.arange(200)) ** 2))
     numba.set_num_threads(before)
     for one, other in zip(*found, strict=True):
@@ -171,17 +171,17 @@ def test_bits_are_those_of_one_thread(block):
 @pytest.mark.quick
 def test_small_bodies_keep_their_mass_by_default(block):
     assert step_statistics(pt.realtime_model(block, contact=ball()).data)["tailored_modes"] == 0
-    assert not len(tailored_mass(block, block.fixed_mask, 0)[0].used)
+    assert not len(scaled_mass(block, block.fixed_mask, 0)[0].used)
     assert [default_modes(nodes) for nodes in (499, 500, 990, 1e6)] == [0, 20, 30, 40]
 
 
 def test_bodies_with_and_without_modes_share_compiled_code(block):
-    kinds = {numba.typeof(tailored_mass(block, block.fixed_mask, modes)[0]) for modes in (0, MODES)}
+    kinds = {numba.typeof(scaled_mass(block, block.fixed_mask, modes)[0]) for modes in (0, MODES)}
     assert len(kinds) == 1
 
 
 @pytest.mark.quick
 @pytest.mark.parametrize("modes", [-1, 2.5, 201])
 def test_a_wrong_number_of_modes_is_refused(block, modes):
-    with pytest.raises(pt.InputError, match="tailored_modes"):
-        pt.realtime_model(block, contact=ball(), tailored_modes=modes)
+    with pytest.raises(pt.InputError, match="scaled_modes"):
+        pt.realtime_model(block, contact=ball(), scaled_modes=modes)

@@ -1,4 +1,4 @@
-"""Lock-free exchange of numbers between one writing thread and any number of readers.
+"""Sequence lock (seqlock): lock-free transfer of numbers between one writing thread and any number of readers.
 
 A `Slot` is a sequence lock. Its version is odd during a write. A reader discards its copy if the version was odd or has
 changed, so the writer never waits for readers. The memory orders are those of H.-J. Boehm, Can seqlocks get along with

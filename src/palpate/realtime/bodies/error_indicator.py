@@ -1,4 +1,4 @@
-"""The trust number of a reduced model in the engine: the largest of some measures, each over its scale, compiled.
+"""The error indicator of a reduced model in the engine: the largest of some measures, each over its scale, compiled.
 
 It is that of a run (`palpate.reduction.hyper.error_indicator`), with the residual norm at the beginning of the last
 explicit step, or at the end of the period with implicit steps.
@@ -146,7 +146,7 @@ def residual_norm_function(law: MaterialPoint, single: bool, implicit: bool) -> 
         """Write the forces at the end of the period."""
         result, at = data.vectors[FORCE], data.vectors[WORK]
         trial_coordinates(q, v, data.body.constants.stiffness_damping, v[data.modes :], False, at)
-        force(at, data.body.constants.integration_points, data.body.scratch, result)
+        force(at, data.body.constants.cubature_points, data.body.scratch, result)
         add_spring_forces(data.body.springs, q, v, result)
         residual_forces(data, at, q, v)
         for k in range(data.modes):
@@ -166,8 +166,8 @@ def residual_norm_function(law: MaterialPoint, single: bool, implicit: bool) -> 
 
 
 @cache
-def trust_function(law: MaterialPoint, single: bool, implicit: bool, touched: bool) -> Any:
-    """Compile the trust number.
+def error_indicator_function(law: MaterialPoint, single: bool, implicit: bool, touched: bool) -> Any:
+    """Compile the error indicator.
 
     Parameters
     ----------
@@ -179,14 +179,14 @@ def trust_function(law: MaterialPoint, single: bool, implicit: bool, touched: bo
     Returns
     -------
     function
-        ``trust_number(data, q, v, period, kinetic, flexible)`` returns the trust number at the end of a period [s], by
-        the kinetic energy and that of the surface compliance [J].
+        ``error_indicator(data, q, v, period, kinetic, flexible)`` returns the error indicator at the end of a period
+        [s], by the kinetic energy and that of the surface compliance [J].
     """
     digest = law_digest(__name__, law.digest, single, implicit, touched)
     residual_norm = residual_norm_function(law, single, implicit)
 
     @law_njit(digest, inner=True, fastmath={"contract"})
-    def trust_number(data, q, v, period, kinetic, flexible):
+    def error_indicator(data, q, v, period, kinetic, flexible):
         indicator, trust, between = data.indicator, _distance(data, q), 0.0
         if has_residual_fields(data):
             trust = max(trust, residual_norm(data, q, v))
@@ -203,4 +203,4 @@ def trust_function(law: MaterialPoint, single: bool, implicit: bool, touched: bo
             between,
         )
 
-    return trust_number
+    return error_indicator

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from palpate.realtime.exchange import Slot, fetch, get_flag, make_flags, publish, set_flag, snapshot
+from palpate.realtime.seqlock import Slot, fetch, get_flag, make_flags, publish, set_flag, snapshot
 
 SIZE = 64
 ENOUGH = 20.0  # [s]

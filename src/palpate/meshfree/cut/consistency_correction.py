@@ -1,4 +1,4 @@
-"""Least changes of the weights of cut nodes for which sums over the body remain.
+"""Consistency correction: least changes of the weights of cut nodes for which sums over the body remain.
 
 A uniform stress along the faces of a cut must move no node. So the weights change as little as possible, in the norm
 of g^2 / f with f = exp(-|X_IJ|^2 / 4 h^2), for the part along the cut of the sum over I of V_I g_IJ to keep its uncut
@@ -22,7 +22,7 @@ from palpate.meshfree.cut.uncut import UncutStencils
 
 MAX_ITERATIONS, RESIDUAL_TOLERANCE = 400, 1e-11  # of the iterations for the changes; relative to V / h
 WINDOW_ITERATIONS, SLOWEST_DECREASE = 40, 0.5  # iterations after which the residual must have decreased by a factor
-LEAST_PROGRESS, LEAST_SCALE = 1e-13, 1e-3
+MIN_PROGRESS, MIN_SCALE = 1e-13, 1e-3
 MAX_CHANGE = 1.5  # size q of a change above which the sums of its nodes need not be kept; 1 where they can be kept
 REGULARIZATION_SHARES = (0.01, 0.1, 1.0)  # of the multipliers of such sums, relative to their diagonal, in attempts
 
@@ -177,7 +177,7 @@ def _balance(points, nodes, start, near, freedom, volumes, center, other, normal
             scale[other[p]] += sizes[m] ** 2 * freedom[p]
             scale[center[m]] += sizes[m] ** 2 * freedom[p]
     for k in range(count):
-        scale[k] = 1.0 / np.sqrt(max(scale[k], LEAST_SCALE))
+        scale[k] = 1.0 / np.sqrt(max(scale[k], MIN_SCALE))
     _across(normals, right)
     solution, image, regularization = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
     for attempt in range(len(REGULARIZATION_SHARES) + 1):
@@ -225,7 +225,7 @@ def _solve_regularized(rows, normals, scale, regularization, right, solution, im
         for k in range(count):
             for c in range(3):
                 largest = max(largest, abs(residual[k, c]) / scale[k])
-        if largest < RESIDUAL_TOLERANCE or not product > LEAST_PROGRESS**2 * first_product:
+        if largest < RESIDUAL_TOLERANCE or not product > MIN_PROGRESS**2 * first_product:
             break
         if iteration % WINDOW_ITERATIONS == 0:
             if largest > SLOWEST_DECREASE * best:
@@ -326,7 +326,7 @@ def _share(start, center, other, sizes, right, weights):
                 scale[other[p]] += sizes[m] ** 2
                 scale[center[m]] += sizes[m] ** 2
     for k in range(count):
-        scale[k] = 1.0 / np.sqrt(max(scale[k], LEAST_SCALE))
+        scale[k] = 1.0 / np.sqrt(max(scale[k], MIN_SCALE))
     residual, image, solution = scale * right, np.zeros(count), np.zeros(count)
     _share_scaled(start, center, other, sizes, used, scale, residual, image)
     direction, moved = residual.copy(), image.copy()
@@ -335,7 +335,7 @@ def _share(start, center, other, sizes, right, weights):
         largest = 0.0
         for k in range(count):
             largest = max(largest, abs(residual[k]) / scale[k])
-        if largest < RESIDUAL_TOLERANCE or not product > LEAST_PROGRESS**2 * first_product:
+        if largest < RESIDUAL_TOLERANCE or not product > MIN_PROGRESS**2 * first_product:
             break
         step = product / (moved * moved).sum()
         solution += step * direction

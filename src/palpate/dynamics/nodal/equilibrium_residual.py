@@ -1,4 +1,4 @@
-"""Nodal forces of a full model and its loads at rest, at one time."""
+"""Equilibrium residual: nodal forces of a full model and its loads at rest, at one time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from palpate.dynamics.nodal.model import NodalModel
 MIN_STRAIN = 1e-8  # smallest strain whose forces are resolved by the largest residual
 
 
-class StaticBalance:
+class EquilibriumResidual:
     """Unbalanced nodal forces of a body at rest as a function of its displacements.
 
     Relaxing tissue is fully relaxed at all displacements.

@@ -28,7 +28,7 @@ from palpate.dynamics.contact.blade_sites import EDGE_SITE, FACE_SITE, BladeSite
 from palpate.dynamics.run.model import Evaluation
 from palpate.dynamics.solid.cutting.energy_release import release_rate
 from palpate.meshfree.cut.points import (
-    LEAST_VOLUME,
+    MIN_VOLUME,
     SIGHT_DISTANCE,
     PointWeights,
     point_weights,
@@ -39,16 +39,16 @@ from palpate.meshfree.cut.stencils import CutState
 from palpate.meshfree.cut.surface import is_narrow, nearest_on_cut, swept, triangle_areas
 
 EDGE_PIECE = 0.5  # longest piece of the edge, in spacings
-LARGEST_ADVANCE, LEAST_ADVANCE = 0.25, 0.05  # of the edge in one cut, in spacings
-LEAST_WAY = 0.02  # of a point of the edge in one cut, below which it stays, in spacings
+LARGEST_ADVANCE, MIN_ADVANCE = 0.25, 0.05  # of the edge in one cut, in spacings
+MIN_WAY = 0.02  # of a point of the edge in one cut, below which it stays, in spacings
 IN_CUT = 0.3  # distance from the present cut below which the edge is in it, in spacings
 NEAR_BODY = 3.0  # distance from the nearest node beyond which an edge cuts nothing, in spacings
 AHEAD_OF_EDGE = 0.1  # from the edge to a point that is in the cut if the edge is not at a front, in spacings
 NEW_DEPTH = 0.02  # of a face in the blade when its site is made, in spacings
 NEAR_FACE = 1.5  # distance of a point of the blade's flat from the nearest node, in spacings
-LEAST_SHARE = 1e-3  # of a piece of the edge in the body, for it to hold tissue
+MIN_SHARE = 1e-3  # of a piece of the edge in the body, for it to hold tissue
 LONGEST_STRIP, MAX_BEND = 1.0, 0.01  # of a strip of triangles, and its distance from the way of the edge, in spacings
-LEAST_HELD = 0.5  # of the edge in the body, which holds tissue, for it to be a front
+MIN_HELD = 0.5  # of the edge in the body, which holds tissue, for it to be a front
 LONGEST_RETREAT = 0.3  # of a piece of the edge behind the front, beyond which it holds no tissue, in spacings
 
 
@@ -79,11 +79,11 @@ class HeldPieces(NamedTuple):
     @property
     def is_front(self) -> bool:
         """Whether most of the edge in the body holds tissue; one that returns to its cut is not at the front."""
-        return float(self.lengths.sum()) >= LEAST_HELD * self.edge_length > 0.0
+        return float(self.lengths.sum()) >= MIN_HELD * self.edge_length > 0.0
 
 
 @dataclass(frozen=True)
-class Incision(Described):
+class CutFront(Described):
     """A blade in a body: where its edge is, and its energies since the start.
 
     Parameters
@@ -136,8 +136,8 @@ class Incision(Described):
         released = self.released + self.release_rate * since
         return np.array([self.area + since, released, self.edge_work, self.friction_work])
 
-    def with_works(self, edge: float, friction: float) -> Incision:
-        """Return the incision with further energies [J] dissipated at the edge and by friction."""
+    def with_works(self, edge: float, friction: float) -> CutFront:
+        """Return the cut front with further energies [J] dissipated at the edge and by friction."""
         return replace(self, edge_work=self.edge_work + edge, friction_work=self.friction_work + friction)
 
     def _facts(self) -> list[Fact]:
@@ -171,11 +171,11 @@ def cutting_directions(points: Floats) -> Floats:
     return np.column_stack([along[:, 2], np.zeros(len(along)), -along[:, 0]])
 
 
-def start_incision(state: CutState, blade: Blade, frame: Floats, u: Floats) -> Incision:
+def start_cut_front(state: CutState, blade: Blade, frame: Floats, u: Floats) -> CutFront:
     """Return a blade that begins outside a body with displacements (n, 3), in a frame (3, 4)."""
     places = points_in_space(frame, edge_points(blade, state.uncut.spacing))
     edge = _edge_in_body(state, blade, frame, u, places)
-    return Incision(edge, Strip(edge, np.zeros(len(edge) - 1, dtype=np.bool_), 0))
+    return CutFront(edge, Strip(edge, np.zeros(len(edge) - 1, dtype=np.bool_), 0))
 
 
 def _edge_in_body(state: CutState, blade: Blade, frame: Floats, u: Floats, guesses: Floats) -> Floats:
@@ -189,7 +189,7 @@ def _edge_in_body(state: CutState, blade: Blade, frame: Floats, u: Floats, guess
 
 
 def advance_edge(
-    state: CutState, incision: Incision, blade: Blade, frame: Floats, u: Floats, corners: Floats
+    state: CutState, cut_front: CutFront, blade: Blade, frame: Floats, u: Floats, corners: Floats
 ) -> list[tuple[Floats, NDArray[np.bool_], float]]:
     """Return the cuts that bring the edge to its place: its points, the pieces that cut, and the area [m^2] of each.
 
@@ -202,21 +202,23 @@ def advance_edge(
         Of the surface of the body.
     """
     spacing = state.uncut.spacing
-    target = _edge_in_body(state, blade, frame, u, incision.edge)
-    if incision.hold is not None:
-        _follow_slip(incision, target, edge_points(blade, spacing), frame, u, spacing)
-    way = target - incision.edge
-    distance = np.asarray(state.uncut.tree.query(np.concatenate([incision.edge, target]))[0]).reshape(2, -1).min(axis=0)
+    target = _edge_in_body(state, blade, frame, u, cut_front.edge)
+    if cut_front.hold is not None:
+        _follow_slip(cut_front, target, edge_points(blade, spacing), frame, u, spacing)
+    way = target - cut_front.edge
+    distance = (
+        np.asarray(state.uncut.tree.query(np.concatenate([cut_front.edge, target]))[0]).reshape(2, -1).min(axis=0)
+    )
     near = distance < NEAR_BODY * spacing
     longest = np.linalg.norm(way[near], axis=1).max(initial=0.0)
-    if longest < LEAST_ADVANCE * spacing:
+    if longest < MIN_ADVANCE * spacing:
         return []
     count = int(np.ceil(longest / (LARGEST_ADVANCE * spacing)))
-    way[np.linalg.norm(way, axis=1) < count * LEAST_WAY * spacing] = 0.0
-    normals = _forward(incision.edge, frame, blade, spacing)
+    way[np.linalg.norm(way, axis=1) < count * MIN_WAY * spacing] = 0.0
+    normals = _forward(cut_front.edge, frame, blade, spacing)
     cuts = []
     for k in range(count):
-        edges = incision.edge + np.array([k / count, (k + 1) / count])[:, None, None] * way
+        edges = cut_front.edge + np.array([k / count, (k + 1) / count])[:, None, None] * way
         pieces = _cutting_pieces(state, edges, near, normals)
         cuts.append((edges[1], pieces, area_inside(state, edges, pieces, corners)))
     return cuts
@@ -229,20 +231,20 @@ def _slips(hold: HeldPieces, points: Floats, frame: Floats, u: Floats) -> tuple[
     return points_in_space(frame, middles) - tissue - hold.offsets, hold.normals @ frame[:, :3].T
 
 
-def _follow_slip(incision: Incision, target: Floats, points: Floats, frame: Floats, u: Floats, spacing: float) -> None:
+def _follow_slip(cut_front: CutFront, target: Floats, points: Floats, frame: Floats, u: Floats, spacing: float) -> None:
     """Move the points of the target (p, 3) at pieces that hold tissue by as much as the tissue has slipped there.
 
     Fits about other points would count as a small advance where nothing slips. What is drawn along the edge cuts
     nothing, as in its work. A piece that has moved back from the front by more than a spacing holds no tissue.
     """
-    hold = incision.hold
+    hold = cut_front.hold
     assert hold is not None
     slip, normals = _slips(hold, points, frame, u)
     behind = hold.slips - np.sum(slip * normals, axis=1)  # of the edge behind the front
     slip += np.maximum(behind, 0.0)[:, None] * normals
     tangents = np.cross(normals, frame[:, 1])
     drawn = np.sum(slip * tangents, axis=1, keepdims=True) * tangents
-    gradients, along = _gradients(hold, u), incision.edge[hold.pieces + 1] - incision.edge[hold.pieces]
+    gradients, along = _gradients(hold, u), cut_front.edge[hold.pieces + 1] - cut_front.edge[hold.pieces]
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
     moved, drawn = (np.linalg.solve(gradients, way[:, :, None])[:, :, 0] for way in (slip - drawn, drawn))
     moved += np.sum(drawn * along, axis=1, keepdims=True) * along
@@ -252,7 +254,7 @@ def _follow_slip(incision: Incision, target: Floats, points: Floats, frame: Floa
         np.add.at(total, hold.pieces[near] + k, moved[near])
         np.add.at(count, hold.pieces[near] + k, 1.0)
     held = count > 0
-    target[held] = incision.edge[held] + total[held] / count[held, None]
+    target[held] = cut_front.edge[held] + total[held] / count[held, None]
 
 
 def _forward(edge: Floats, frame: Floats, blade: Blade, spacing: float) -> Floats:
@@ -321,18 +323,18 @@ def next_strip(strip: Strip, before: Floats, edge: Floats, pieces: NDArray[np.bo
     return Strip(start, pieces, len(triangles)), triangles, strip.triangles if goes_on else 0
 
 
-def after_cut(incision: Incision, edge: Floats, strip: Strip, area: float) -> Incision:
-    """Return the incision after a cut of an area [m^2]."""
-    released = incision.released + incision.release_rate * area
-    return replace(incision, edge=edge, strip=strip, area=incision.area + area, released=released)
+def after_cut(cut_front: CutFront, edge: Floats, strip: Strip, area: float) -> CutFront:
+    """Return the cut front after a cut of an area [m^2]."""
+    released = cut_front.released + cut_front.release_rate * area
+    return replace(cut_front, edge=edge, strip=strip, area=cut_front.area + area, released=released)
 
 
-def front_release_rate(body: Any, incision: Incision, u: Floats, evaluation: Evaluation) -> float:
+def front_release_rate(body: Any, cut_front: CutFront, u: Floats, evaluation: Evaluation) -> float:
     """Return the energy release rate [J/m^2] of the pieces of an edge that hold tissue, at displacements (n, 3)."""
-    hold = incision.hold
+    hold = cut_front.hold
     if hold is None or not len(hold.pieces):
         return 0.0
-    segments = np.stack([incision.edge[hold.pieces], incision.edge[hold.pieces + 1]], axis=1)
+    segments = np.stack([cut_front.edge[hold.pieces], cut_front.edge[hold.pieces + 1]], axis=1)
     return release_rate(body, u, evaluation, segments, hold.ahead, hold.lengths)
 
 
@@ -342,31 +344,31 @@ def edge_limits(blade: Blade, rate: float, areas: Floats) -> Floats:
 
 
 def blade_sites(
-    state: CutState, incision: Incision, blade: Blade, frame: Floats, u: Floats, corners: Floats, tool: int
-) -> tuple[BladeSites, Incision, float]:
-    """Return the sites of a blade, the incision with the pieces that hold tissue, and the length [m] in the body."""
+    state: CutState, cut_front: CutFront, blade: Blade, frame: Floats, u: Floats, corners: Floats, tool: int
+) -> tuple[BladeSites, CutFront, float]:
+    """Return the sites of a blade, the cut front with the pieces that hold tissue, and the length [m] in the body."""
     spacing = state.uncut.spacing
     points = edge_points(blade, spacing)
     middles, directions = 0.5 * (points[:-1] + points[1:]), cutting_directions(points)
-    segments = np.stack([incision.edge[:-1], incision.edge[1:]], axis=1)
+    segments = np.stack([cut_front.edge[:-1], cut_front.edge[1:]], axis=1)
     shares = shares_inside(state.uncut, corners, segments)
     lengths = shares * np.linalg.norm(np.diff(points, axis=0), axis=1)
-    seen = _forward(incision.edge, frame, blade, spacing)
+    seen = _forward(cut_front.edge, frame, blade, spacing)
     in_cut = _in_cut(state, segments.mean(axis=1) + AHEAD_OF_EDGE * spacing * seen)
     shares[_in_removed(state, segments.mean(axis=1), seen)] = 0.0
-    held = np.flatnonzero((shares > LEAST_SHARE) & ~in_cut)
+    held = np.flatnonzero((shares > MIN_SHARE) & ~in_cut)
     edge_at, sights = segments.mean(axis=1)[held], seen[held]
     edge_weights = point_weights(state.uncut, state.surface, edge_at, edge_at + SIGHT_DISTANCE * spacing * sights)
     ways = segments[held, 1] - segments[held, 0]
     inside = shares[held] * np.linalg.norm(ways, axis=1)
-    hold = _held_pieces(state, incision, blade, frame, u, held, edge_at, edge_weights, sights, inside)
+    hold = _held_pieces(state, cut_front, blade, frame, u, held, edge_at, edge_weights, sights, inside)
     areas = shares[held] * _area_rates(hold, ways, directions[held] @ frame[:, :3].T, u)
-    faces, face_weights = _faces(state, blade, frame, u, points, incision.edge, corners)
+    faces, face_weights = _faces(state, blade, frame, u, points, cut_front.edge, corners)
     kinds = np.repeat([EDGE_SITE, FACE_SITE], [len(held), len(faces[0])])
     parts = zip([edge_at, sights, middles[held], directions[held], np.zeros(len(held))], faces, strict=True)
     at, _, places, normals, limits = (np.concatenate(each) for each in parts)
     weights = PointWeights(*(np.concatenate(each) for each in zip(edge_weights, face_weights, strict=True)))
-    limits[: len(held)] = edge_limits(blade, incision.release_rate, areas)
+    limits[: len(held)] = edge_limits(blade, cut_front.release_rate, areas)
     slips = np.zeros(len(kinds))
     used = weights.values != 0.0
     start = np.concatenate([[0], np.cumsum(used.sum(axis=1))]).astype(np.int64)
@@ -378,7 +380,7 @@ def blade_sites(
         offsets=np.concatenate([hold.offsets, np.zeros((len(kinds) - len(held), 3))]), slips=slips,
     )  # fmt: skip
     edge_length = float(shares @ np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1))
-    return sites, replace(incision, hold=hold._replace(areas=areas, edge_length=edge_length)), float(lengths.sum())
+    return sites, replace(cut_front, hold=hold._replace(areas=areas, edge_length=edge_length)), float(lengths.sum())
 
 
 def _area_rates(hold: HeldPieces, ways: Floats, normals: Floats, u: Floats) -> Floats:
@@ -390,13 +392,13 @@ def _area_rates(hold: HeldPieces, ways: Floats, normals: Floats, u: Floats) -> F
 def _gradients(hold: HeldPieces, u: Floats) -> Floats:
     """Return the deformation gradients (m, 3, 3) at pieces; unity where the fit is too much compressed."""
     gradient = np.eye(3) + np.einsum("pkd,pkc->pcd", hold.weights.slopes, u[hold.weights.nodes])
-    gradient[~(np.linalg.det(gradient) > LEAST_VOLUME)] = np.eye(3)
+    gradient[~(np.linalg.det(gradient) > MIN_VOLUME)] = np.eye(3)
     return gradient
 
 
 def _held_pieces(
     state: CutState,
-    incision: Incision,
+    cut_front: CutFront,
     blade: Blade,
     frame: Floats,
     u: Floats,
@@ -414,7 +416,7 @@ def _held_pieces(
         pieces, points, weights, np.zeros((count, 3)), normals, ahead, lengths, areas=none, limits=none, slips=none
     )
     offsets, normals = _slips(hold, edge, frame, u)
-    before = incision.hold
+    before = cut_front.hold
     if before is not None:
         slip, normals_before = _slips(before, edge, frame, u)
         behind = np.zeros(len(edge) - 1)

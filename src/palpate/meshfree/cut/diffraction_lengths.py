@@ -1,4 +1,4 @@
-"""Paths of bonds round the fronts of a cut.
+"""Diffraction lengths: lengths of bonds round the fronts of a cut (diffraction criterion).
 
 A bond that crosses no triangle has its own length. The length of one that does is that of the shortest path round a
 front that crosses nothing else (`palpate.meshfree.cut.surface`).
@@ -82,7 +82,7 @@ def _shortest_free(ax, ay, az, bx, by, bz, near, front_components, most, tree):
 
 
 @cached_njit(nogil=True, error_model="numpy")
-def bond_paths(points, nodes, start, near, tree, fronts, front_components, paths):
+def diffraction_lengths(points, nodes, start, near, tree, fronts, front_components, paths):
     """Write the lengths of bonds round the fronts of a cut; infinite for severed ones.
 
     Parameters

@@ -1,0 +1,21 @@
+"""Former public names: they work for one version, and warn."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+
+def warn_renamed(former: str, name: str) -> None:
+    """Warn whoever calls the caller of this function that a name has changed."""
+    warnings.warn(f"{former} is {name} since version 0.2; use the new name", DeprecationWarning, stacklevel=3)
+
+
+def renamed_attribute(owner: str, former: str, name: str) -> property:
+    """Return the property of a class under its former name."""
+
+    def read(self: Any) -> Any:
+        warn_renamed(f"{owner}.{former}", f"{owner}.{name}")
+        return getattr(self, name)
+
+    return property(read, doc=f"Former name of `{name}`.")
