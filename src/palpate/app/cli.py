@@ -33,18 +33,11 @@ Pages that help texts call docs/NAME.md are in {folder}.
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command line.
+    """Run a command line, by default that of this process, and return its exit code.
 
-    Parameters
-    ----------
-    argv : sequence of str, optional
-        The words after ``palpate``; by default those of this process.
-
-    Returns
-    -------
-    int
-        0 when all went well, 1 when a run diverged, a file could not be written or memory ran out, 2 for bad input,
-        70 for an internal error, a defect of palpate, 130 when interrupted.
+    `argv` are the words after ``palpate``. The code is 0 when all went well, and 2 for bad input. It is 1 when a run
+    diverged, a file could not be written or memory ran out. It is 70 for an internal error, a defect of palpate, and
+    130 when interrupted.
     """
     try:
         from palpate.app.common.execution import execute

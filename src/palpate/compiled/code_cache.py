@@ -215,10 +215,7 @@ def _versions() -> tuple[object, ...]:
 class CodeCache:
     """The compiled versions of one function, in the interface that a dispatcher of Numba requires.
 
-    Parameters
-    ----------
-    digest : str
-        Of all code that it uses.
+    `digest` is that of all code that it uses.
     """
 
     def __init__(self, function: Callable[..., Any], digest: str) -> None:
@@ -283,13 +280,7 @@ def enable_cache(compiled: Any, function: Callable[..., Any], digest: str) -> No
 
 
 def cached_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile a function with `numba.njit`, and keep its code.
-
-    Parameters
-    ----------
-    **options : Any
-        Options of `numba.njit`.
-    """
+    """Compile a function with `numba.njit` and its options, and keep its code."""
 
     def decorate(function: Callable[..., Any]) -> Any:
         compiled = njit(**own_options(options))(function)

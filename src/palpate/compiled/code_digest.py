@@ -36,20 +36,10 @@ def _source(module: str) -> str:
 
 @cache
 def kernel_sources(module: str) -> dict[str, str]:
-    """Return the sources on which the compiled functions of a module depend.
+    """Return the sources on which the compiled functions of a loaded module depend.
 
-    Imports of modules with compiled functions are followed recursively. Of other modules of palpate only
-    the values of imported constants are included.
-
-    Parameters
-    ----------
-    module : str
-        Name of a loaded module.
-
-    Returns
-    -------
-    dict of str to str
-        Text by the name of a module, or value by ``module:constant``.
+    They are texts by the name of a module, and values by ``module:constant``. Imports of modules with compiled
+    functions are followed recursively. Of other modules of palpate only the values of imported constants are included.
     """
     sources: dict[str, str] = {}
     remaining = [module]
@@ -120,12 +110,8 @@ def _sources_digest(module: str) -> str:
 def law_digest(module: str, *what: object) -> str:
     """Return the digest of a module's kernels, of functions (by their code) and of other values.
 
-    Parameters
-    ----------
-    module : str
-        ``__name__`` of the caller, whose code and imported compiled functions are included.
-    *what : object
-        Functions of a law, flags and further digests.
+    `module` is the ``__name__`` of the caller, whose code and imported compiled functions are included. `what` are
+    functions of a law, flags and further digests.
     """
     return _digest("".join([_sources_digest(module), *map(_text, what)]))
 

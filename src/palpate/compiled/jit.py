@@ -51,12 +51,7 @@ def _maker_digest() -> str:
 def kernel_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Compile and cache a function under a digest of its module and of the imported compiled functions.
 
-    Numba's own cache detects a change of the function's own file only.
-
-    Parameters
-    ----------
-    **options : Any
-        See `law_njit`.
+    Numba's own cache detects a change of the function's own file only. The options are those of `law_njit`.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
@@ -82,25 +77,17 @@ def _plain_type(kind: Any) -> Any:
 def law_njit(
     digest: str, *, cached: bool = True, inner: bool = False, allocates: bool = False, **options: Any
 ) -> Callable[[Callable[..., Any]], Any]:
-    """Compile with `numba.njit` under a unique name, by default cached under a digest.
+    """Compile with `numba.njit` and its options under a unique name, by default cached on disk under a digest.
 
-    Kernels call others with the index of a parallel loop as ``np.int64``: as it is, unsigned in one of the
-    two passes over the loop, it would compile them twice.
+    The digest is that of all sources except the function's own module (`law_digest`).
 
-    Parameters
-    ----------
-    digest : str
-        Digest of all sources except the function's own module (`law_digest`).
-    cached : bool
-        True stores the compiled code on disk.
-    inner : bool
-        True for a function that only compiled code calls. The wrapper for calls from Python is not
-        compiled, which saves a quarter of the compilation for bodies of many arrays.
-    allocates : bool
-        True for a function that allocates arrays. Others are compiled without the reference counts of
-        arrays, a quarter of the time of a reduced period; one that does allocate fails to compile.
-    **options : Any
-        Options of `numba.njit`.
+    An `inner` function is one that only compiled code calls. The wrapper for calls from Python is not compiled, which
+    saves a quarter of the compilation for bodies of many arrays. `allocates` must be True for a function that allocates
+    arrays. Others are compiled without the reference counts of arrays, a quarter of the time of a reduced period; one
+    that does allocate fails to compile.
+
+    Kernels call others with the index of a parallel loop as ``np.int64``: as it is, unsigned in one of the two passes
+    over the loop, it would compile them twice.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:

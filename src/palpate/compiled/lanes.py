@@ -42,14 +42,9 @@ class Weights(NamedTuple):
 def lane_table(
     near: NDArray[np.int32], row: NDArray[np.integer[Any]], *tables: NDArray[np.float64]
 ) -> tuple[Lanes, tuple[Weights, ...]]:
-    """Lay out stencils in blocks.
+    """Lay out stencils in blocks, with tables of weights (s, k) or (s, k, w) by row.
 
-    Parameters
-    ----------
-    near, row : (n, k) and (n,) int arrays
-        `Stencils.neighbours` and `Stencils.row`; padding is at the end of every row.
-    tables : (s, k) or (s, k, w) arrays
-        Weights, by row.
+    `near` (n, k) and `row` (n,) are `Stencils.neighbours` and `Stencils.row`; padding is at the end of every row.
     """
     n, k = near.shape
     nodes, shared = _blocks(row)
@@ -110,15 +105,8 @@ def gather_rows(
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     """Return rows of weights (n, t, w) for what nodes receive, and the names of the senders (n, t).
 
-    Parameters
-    ----------
-    node, receiver : (e,) int arrays
-        Of every entry.
-    weights : (e, w) array
-        Weights of sums weighted by the volumes of `node`.
-    volumes : (n,) array
-    name : (e,) int array, optional
-        Name of the sender; by default the node.
+    Every entry has a `node` and a `receiver` (e,), and weights (e, w) of sums weighted by the volumes (n,) of the node.
+    The name (e,) of a sender is by default the node.
     """
     n, name = len(volumes), node if name is None else name
     order = np.lexsort((name, receiver))
@@ -137,13 +125,8 @@ def with_blocks(
 ) -> tuple[Lanes, Weights]:
     """Return stencils with one weight a neighbour, and other entries for some blocks, none of which shares weights.
 
-    Parameters
-    ----------
-    blocks : (m,) int array
-    near : (m, k, LANES) int array
-        Neighbours, padded with the node itself.
-    values : (m, k, LANES) array
-        Weights.
+    `blocks` (m,) get the neighbours `near` (m, k, LANES), padded with the node itself, and weights `values`
+    (m, k, LANES).
     """
     lengths = lanes.stop - lanes.start
     lengths[blocks] = 0

@@ -104,14 +104,10 @@ def add_blocks(partial, result):
 
 
 def lift_passes(name: str, first_sums: Any, second_sums: Any, first_numbers: int) -> tuple[Any, Any]:
-    """Compile the passes that differentiate displacements.
+    """Compile the passes that differentiate displacements: `lift`, and `differentiate` (see `Formulation`).
 
-    Returns
-    -------
-    lift, differentiate : functions
-        ``lift(b, u, lanes, first, second, fields, out)`` writes the derivatives at the nodes of one block into out
-        (numbers, LANES), the first `first_numbers` of which are first derivatives. For `differentiate` see
-        `Formulation`.
+    ``lift(b, u, lanes, first, second, fields, out)`` writes the derivatives at the nodes of one block into out
+    (numbers, LANES), the first `first_numbers` of which are first derivatives.
     """
     digest = law_digest(__name__, "lift", name, first_numbers)
 

@@ -84,19 +84,9 @@ class _Memory(bytearray):
 
 
 class StoredRecord:
-    """A named tuple that Python passes to compiled code by its address.
+    """A named tuple of arrays, numbers and tuples of these, that Python passes to compiled code by its address.
 
-    Arrays are shared with the record; numbers are copied.
-
-    Parameters
-    ----------
-    record : NamedTuple
-        Of arrays, numbers and tuples of these.
-
-    Attributes
-    ----------
-    memory : (b,) array of bytes
-        The record in the layout of compiled code.
+    Arrays are shared with the record; numbers are copied. `memory` (bytes) has the layout of compiled code.
     """
 
     def __init__(self, record: Any) -> None:

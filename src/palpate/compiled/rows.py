@@ -63,16 +63,10 @@ def row_table(
     table: NDArray[np.float64],
     diagonal: NDArray[np.float64] | None = None,
 ) -> Rows:
-    """Lay out stencils in compressed rows.
+    """Lay out stencils in compressed rows, with weights `table` (s, k, w) by row.
 
-    Parameters
-    ----------
-    near, row : (n, k) and (n,) int arrays
-        `Stencils.neighbours` and `Stencils.row`.
-    table : (s, k, w) array
-        Weights, by row.
-    diagonal : (s, w) array, optional
-        Weights of a node on itself, by row; by default 0.
+    `near` (n, k) and `row` (n,) are `Stencils.neighbours` and `Stencils.row`. `diagonal` (s, w) are the weights of a
+    node on itself, by default 0.
     """
     n = len(near)
     every = np.arange(n, dtype=np.int32)
@@ -108,18 +102,11 @@ def rows_in_single(rows: Rows) -> Rows:
 def with_rows(
     rows: Rows, nodes: NDArray[np.integer[Any]], count: NDArray[np.int64], near: NDArray[np.int32], weights: Any
 ) -> Rows:
-    """Return stencils with other entries for some nodes.
+    """Return stencils with other entries for nodes (m,), of which each has a `count` (m,) of entries.
 
-    The entries of all other nodes are shared with `rows`. The new ones are appended to the same arrays, whose spare
-    part no earlier layout reads; full arrays are copied to larger ones.
-
-    Parameters
-    ----------
-    nodes : (m,) int array
-    count : (m,) int array
-        Number of entries of every node.
-    near, weights : (t,) and (t, w) arrays
-        Neighbours and weights, node by node.
+    `near` (t,) and `weights` (t, w) are the neighbours and weights, node by node. The entries of all other nodes are
+    shared with `rows`. The new ones are appended to the same arrays, whose spare part no earlier layout reads; full
+    arrays are copied to larger ones.
     """
     padded = np.maximum(count + -count % ROW_MULTIPLE, ROW_MULTIPLE)  # the loop of the sums runs at least once
     begin = np.concatenate([[0], np.cumsum(padded)])

@@ -109,12 +109,8 @@ def installed_packs(triple: str, features: str) -> tuple[tuple[str, Pack], ...]:
 def find_shipped(name_for: Callable[[tuple[str, ...]], str], processor: tuple[str, ...]) -> bytes | None:
     """Return the entry of a function in an installed pack, or None.
 
-    Parameters
-    ----------
-    name_for : function
-        Name of the entry for a triple, a processor and its features.
-    processor : tuple of str
-        Those of this machine.
+    `name_for` returns the name of the entry for a triple, a processor and its features; `processor` has those of this
+    machine.
     """
     triple, _, features = processor
     for family, pack in installed_packs(triple, features):

@@ -19,14 +19,9 @@ EXTRA_BY_PACKAGE = {
 
 
 def require(package: str, what: str) -> None:
-    """Check that an optional package is installed, without importing it.
+    """Check that an optional package is installed, one of `EXTRA_BY_PACKAGE`, without importing it.
 
-    Parameters
-    ----------
-    package : str
-        Name by which it is imported, one of `EXTRA_BY_PACKAGE`.
-    what : str
-        What requires it, as the message begins: ``"a page in the browser"``.
+    `what` requires it, as the message begins: ``"a page in the browser"``.
     """
     try:
         installed = find_spec(package) is not None

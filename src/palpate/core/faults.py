@@ -31,12 +31,7 @@ class InputError(ValueError):
 class ChoiceError(InputError):
     """Argument without which a file of several things cannot be used.
 
-    Attributes
-    ----------
-    table : str
-        What there is to choose from, a line each.
-    choice : dict of str to str
-        Arguments that choose the likeliest.
+    `table` has what there is to choose from, a line each; `choice` the arguments that choose the likeliest.
     """
 
     def __init__(self, message: str, table: str, choice: Mapping[str, str]) -> None:
@@ -153,19 +148,7 @@ def number_in_range(
     unit: str = "",
     remedy: str = "",
 ) -> float:
-    """Return `value` as a float in an interval.
-
-    Parameters
-    ----------
-    name : str
-        Name of the argument in the message.
-    low, high : float
-        Ends of the interval.
-    open_low, open_high : bool
-        Exclude an end.
-    unit, remedy : str
-        Unit and remedy in the message.
-    """
+    """Return `value` as a float in the interval from `low` to `high`, of which an open end is excluded."""
     tail = f"; {remedy}" if remedy else ""
     try:
         if isinstance(cast(object, value), str | bytes):
@@ -202,15 +185,7 @@ def integer_in_range(name: str, value: int, low: int, high: float = math.inf) ->
 
 
 def check_names(owner: str, names: Iterable[str], allowed: Mapping[str, str]) -> None:
-    """Refuse arguments that a class does not have.
-
-    Parameters
-    ----------
-    owner : str
-        The class.
-    allowed : mapping of str to str
-        Units by name; empty for a pure number.
-    """
+    """Refuse arguments that a class does not have; `allowed` has units by name, empty for a pure number."""
     for name in names:
         if name not in allowed:
             permitted = ", ".join(f"{each} [{unit}]" if unit else each for each, unit in allowed.items())

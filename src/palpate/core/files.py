@@ -98,12 +98,7 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
 def regular_file(path: Path, what: str, most: int | None = None) -> int:
     """Return the size of a file [bytes], which must be a regular file: not a folder, pipe, socket or device.
 
-    Parameters
-    ----------
-    what : str
-        Kind of the file, for messages: ``"recording"``.
-    most : int, optional
-        Largest allowed size [bytes].
+    `what` is the kind of the file, for messages: ``"recording"``. `most` is the largest allowed size [bytes].
     """
     try:
         status = os.stat(path)
@@ -128,16 +123,9 @@ def read_bytes(path: Path, what: str, most: int | None = None) -> bytes:
 
 
 def unpack_gzip(data: bytes, path: Path, most: int) -> bytes:
-    """Return the content of one gzip file.
+    """Return the content of one gzip file, of at most `most` bytes and 64 times the size of the file.
 
-    Parameters
-    ----------
-    data : bytes
-        Of the file.
-    path : path
-        For messages.
-    most : int
-        Largest size of the content [bytes]; it is also at most 64 times that of the file.
+    `path` is for messages.
     """
     most = min(most, MAX_EXPANSION * len(data))
     stream = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
@@ -164,12 +152,7 @@ def read_text(path: Path, what: str, most: int = MAX_TEXT_BYTES) -> str:
 
 
 def json_of(text: str | bytes) -> Any:
-    """Return the value of a JSON text.
-
-    Returns
-    -------
-    dict, list, str, float, int, bool or None
-    """
+    """Return the value of a JSON text."""
     try:
         text = text if isinstance(text, str) else text.decode()
         check_nesting(text, "JSON")
@@ -291,13 +274,7 @@ def _check_plain(value: Any) -> None:
 
 
 def check_folder(folder: Path, name: str = "out") -> None:
-    """Check that a folder exists or can be created, and is writable.
-
-    Parameters
-    ----------
-    name : str
-        Name of the option.
-    """
+    """Check that a folder exists or can be created, and is writable; `name` is that of the option."""
     existing = _existing(folder)
     if not existing.is_dir():
         raise InputError(
@@ -312,13 +289,7 @@ def check_folder(folder: Path, name: str = "out") -> None:
 
 
 def check_space(folder: Path, needed: int, name: str = "out") -> None:
-    """Check that the disk of a folder has space for a number of bytes.
-
-    Parameters
-    ----------
-    name : str
-        Name of the option.
-    """
+    """Check that the disk of a folder has space for a number of bytes; `name` is that of the option."""
     free = shutil.disk_usage(_existing(folder)).free
     if free < needed:
         need, has = needed / 1e6, free / 1e6

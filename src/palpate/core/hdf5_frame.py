@@ -79,21 +79,12 @@ def lay_out(
 ) -> tuple[Frame, dict[str, int]]:
     """Return an HDF5 file with space for contiguous arrays and with compressed ones, and their offsets.
 
-    Parameters
-    ----------
-    types : mapping of name to str
-        In NumPy's notation. Slashes in a name make groups.
-    attributes : mapping
-        Of the file; those that HDF5 cannot hold are left out: long ones, and text with null characters.
-    deflated : mapping of name to bytes
-        Arrays after the filters shuffle and deflate of HDF5, each of them one chunk.
+    `types` are in NumPy's notation; slashes in a name make groups. Attributes of the file that HDF5 cannot hold are
+    left out: long ones, and text with null characters. `deflated` has arrays after the filters shuffle and deflate of
+    HDF5, each of them one chunk.
 
-    Returns
-    -------
-    frame : Frame
-        The file, with zeros for contiguous arrays.
-    offsets : dict
-        First byte of every array; that after the head for empty ones.
+    The file has zeros for contiguous arrays. The offsets are those of the first byte of every array, and that after the
+    head for empty ones.
     """
     import h5py
 

@@ -65,22 +65,10 @@ def parameter(
     length: int | None = None,
     most: int | None = None,
 ) -> Any:
-    """Return the dataclass field of a parameter.
+    """Return the dataclass field of a parameter; one without default must be given.
 
-    Parameters
-    ----------
-    unit : str
-        SI unit of its numbers.
-    default : object
-        Value of a parameter that is left out; one without default must be given.
-    help : str
-        What the parameter is, for messages, options, tables and the schema.
-    low, high, above : float
-        Range [low, high], or (above, high], of its numbers.
-    choices : tuple of str
-        Values of a text.
-    length, most : int, optional
-        Number of entries of a list, and the largest number.
+    `unit` is the SI unit of its numbers, whose range is [low, high] or (above, high]. `choices` are the values of a
+    text. A list has `length` entries, or at most `most`. `help` is for messages, options, tables and the schema.
     """
     low, open_low = (low, False) if above is None else (above, True)
     about = {"unit": unit, "help": help, "low": low, "high": high, "open_low": open_low, "choices": choices}
@@ -105,12 +93,8 @@ def declared(kind: type) -> tuple[dataclasses.Field[Any], ...]:
 def check_parameters(record: Any, owner: str = "", left_out: Collection[str] = ()) -> None:
     """Check the numbers and texts of a dataclass by its declarations, and keep numbers as floats.
 
-    Parameters
-    ----------
-    owner : str
-        Follows the name of a parameter in messages, such as ``" of a Sphere"``.
-    left_out : collection of str
-        Names of parameters that are not checked.
+    `owner` follows the name of a parameter in messages, such as ``" of a Sphere"``. Parameters `left_out` are not
+    checked.
     """
     for field in (each for each in declared(type(record)) if each.name not in left_out):
         value, about, kind = getattr(record, field.name), field.metadata, str(field.type)

@@ -25,21 +25,7 @@ TOWARDS_VIEWER = np.cross(VIEW_MATRIX[0], VIEW_MATRIX[1])  # the viewer
 
 
 def plot_curves(times: Floats, series: Mapping[str, Floats], label: str, axes: Any = None) -> Any:
-    """Plot values over time.
-
-    Parameters
-    ----------
-    times : (f,) array [s]
-    series : mapping of str to (f,) array
-    label : str
-        Of the vertical axis, with its unit.
-    axes : matplotlib.axes.Axes, optional
-        New ones by default.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-    """
+    """Plot values (f,) over times (f,) [s], and return the axes; `label` of the vertical one has its unit."""
     axes = _axes(axes)
     for name, values in series.items():
         axes.plot(times, values, label=name)
@@ -52,18 +38,9 @@ def plot_curves(times: Floats, series: Mapping[str, Floats], label: str, axes: A
 def plot_fit(
     measured: tuple[Floats, Floats], fitted: tuple[Floats, Floats], labels: tuple[str, str], name: str, axes: Any = None
 ) -> Any:
-    """Plot measured points and a fitted curve. Returns the axes.
+    """Plot measured points and a fitted curve, pairs of abscissae and ordinates, and return the axes.
 
-    Parameters
-    ----------
-    measured, fitted : pairs of arrays
-        Abscissae and ordinates.
-    labels : (str, str)
-        Of the axes, with units.
-    name : str
-        Of the points.
-    axes : matplotlib.axes.Axes, optional
-        New ones by default.
+    `labels` are those of the axes, with units; `name` is that of the points.
     """
     axes = _axes(axes)
     axes.plot(*measured, "o", color=GREY, mfc="none", label=name)
@@ -86,19 +63,7 @@ def plot_singular_values(values: Floats, modes: int, axes: Any = None) -> Any:
 
 
 def plot_body(points: Floats, triangles: Ints, axes: Any = None) -> Any:
-    """Draw the surface of a body in space, or the nodes of one without triangles.
-
-    Parameters
-    ----------
-    points : (n, 3) array [m]
-    triangles : (t, 3) int array
-    axes : matplotlib.axes.Axes, optional
-        In three dimensions.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-    """
+    """Draw the surface of a body in space, or the nodes (n, 3) [m] of one without triangles, and return the axes."""
     axes = _axes(axes, projection="3d")
     x, y, z = points.T
     if len(triangles):
@@ -123,13 +88,7 @@ def _axes(axes: Any, **options: Any) -> Any:
 def curve_svg(x: Floats, y: Floats, across: str, up: str, *, logarithmic: bool = False) -> str:
     """Return a small picture of a curve with the ranges of both axes; nothing of fewer than two points.
 
-    Parameters
-    ----------
-    x, y : (k,) arrays
-    across, up : str
-        What they are, with units.
-    logarithmic : bool
-        Whether `y`, positive, is drawn by its logarithm.
+    `across` and `up` are what `x` and `y` are, with units. If `logarithmic`, positive `y` are drawn by their logarithm.
     """
     few = np.unique(np.linspace(0, len(x) - 1, MAX_POINTS).astype(int)) if len(x) else np.zeros(0, dtype=int)
     x, y = np.asarray(x, dtype=float)[few], np.asarray(y, dtype=float)[few]
@@ -156,12 +115,7 @@ def curve_svg(x: Floats, y: Floats, across: str, up: str, *, logarithmic: bool =
 def body_svg(points: Floats, triangles: Ints) -> str:
     """Return a small picture of a body from its front corner: its surface, or where that is fine, its nodes.
 
-    Parameters
-    ----------
-    points : (n, d) array [m]
-        Nodes to draw, d = 2 or 3.
-    triangles : (t, 3) int array
-        Of these nodes, seen from outside counter-clockwise.
+    The points are (n, d) [m], d = 2 or 3. The triangles (t, 3) of these nodes are counter-clockwise from outside.
     """
     plane = points.shape[1] == 2
     space = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))

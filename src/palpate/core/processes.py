@@ -30,18 +30,9 @@ LOWEST_PRIORITY = 19
 class Child:
     """A process that calls a function of a module with `Receive` and `Answer`.
 
-    Modules are imported from the parent's folders, and from the working folder only if that is one of them.
-
-    Parameters
-    ----------
-    given
-        First value that it receives.
-    environment : mapping, optional
-        Additional variables.
-    idle : bool
-        Whether the process has the lowest priority.
-    quiet : bool
-        Whether its messages and warnings are dropped; otherwise they are those of this process.
+    It first receives `given`. Modules are imported from the parent's folders, and from the working folder only if that
+    is one of them. `environment` has additional variables. An `idle` process has the lowest priority. The messages and
+    warnings of a `quiet` one are dropped; otherwise they are those of this process.
     """
 
     def __init__(

@@ -219,10 +219,7 @@ def checked_shape(what: str, kind: Any, shape: Any, room: int) -> tuple[str, tup
 def loading(path: Path, remedy: str) -> Iterator[None]:
     """Convert any error of a file's content into a `FileFormatError` with the file and the remedy.
 
-    Parameters
-    ----------
-    remedy : str
-        ``"train the model again"``.
+    A remedy is, for example, ``"train the model again"``.
     """
     try:
         yield
@@ -237,14 +234,9 @@ def loading(path: Path, remedy: str) -> Iterator[None]:
 
 
 def open_sealed(path: Path, kind: str, version: int, older: tuple[int, ...] = ()) -> SealedFile:
-    """Open a sealed file and verify its table.
+    """Open a sealed file of a kind, such as ``"palpate reduced model"``, and verify its table.
 
-    Parameters
-    ----------
-    kind : str
-        ``"palpate reduced model"``.
-    older : tuple of int
-        Versions before it that are also read.
+    Files of the `older` versions are also read.
     """
     size = regular_file(path, kind.removeprefix("palpate "))
     with path.open("rb") as file:
@@ -384,16 +376,9 @@ def write_sealed(
 ) -> None:
     """Write a sealed file, whole or not at all.
 
-    Parameters
-    ----------
-    header : mapping
-        Values that JSON has, all finite.
-    arrays : mapping of name to array
-        Of the types of `ARRAY_TYPES`. A name may hold slashes, which HDF5 shows as groups.
-    rows : mapping of name to sequence of arrays
-        Arrays that are stored by row, each row under its own digest; given row by row, at least one.
-    deflate : bool
-        Whether to compress the arrays that are not stored by row, where it makes them smaller.
+    The values of `header` are those that JSON has, all finite. `arrays` have types of `ARRAY_TYPES`; slashes in a name
+    are groups in HDF5. `rows` are arrays that are stored by row, each row under its own digest; they are given row by
+    row, at least one. `deflate` compresses the arrays that are not stored by row, where it makes them smaller.
     """
     _json([dict(header), *arrays, *(rows or {})])  # names, too, must be text that can be read again
     blocks: dict[str, tuple[Values, ...]] = {name: (_plain(values),) for name, values in arrays.items()}

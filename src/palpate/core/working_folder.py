@@ -48,14 +48,9 @@ def cache_folder() -> Path | None:
 def foreign_writer(place: str | Path) -> str:
     """Return the reason for which others can replace a folder or file; empty if only root and the user can.
 
-    It belongs to one of them, also where this process cannot write it. All parents and links count. A
-    parent with the sticky bit may be writable by others, because they cannot rename there what is not
-    theirs. A parent may belong to the owner of ``/``, as whom a container may show root.
-
-    Parameters
-    ----------
-    place : path
-        Of any kind; missing parts of the path are ignored.
+    It belongs to one of them, also where this process cannot write it. All parents and links count; missing parts of
+    the path are ignored. A parent with the sticky bit may be writable by others, because they cannot rename there what
+    is not theirs. A parent may belong to the owner of ``/``, as whom a container may show root.
     """
     if os.name != "posix":
         return ""

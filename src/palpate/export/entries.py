@@ -50,12 +50,9 @@ def _is_finite(values):
 def compile_step(advance: Any, stiffness: Any) -> Any:
     """Compile the step of a library around the functions of an instrumented model.
 
-    Returns
-    -------
-    function
-        ``step(data, work, pose, options, curve, bound)`` takes a period towards poses (t, 7), and writes the record and
-        the error bounds (t,) [N] of the forces. It returns 0; 1 if a pose is not finite or jumps, and its last one is
-        kept; 2 if the state has diverged; 3 if an option is not valid.
+    ``step(data, work, pose, options, curve, bound)`` takes a period towards poses (t, 7), and writes the record and the
+    error bounds (t,) [N] of the forces. It returns 0; 1 if a pose is not finite or jumps, and its last one is kept; 2
+    if the state has diverged; 3 if an option is not valid.
     """
     take_period = compile_period(advance, stiffness)
     digest, _ = functions_digest(__name__, advance, stiffness)

@@ -87,32 +87,14 @@ def export_c(
 ) -> dict[str, str]:
     """Write a library of a reduced model for programs in C, and what they need to use it.
 
-    No compiled function can be called in this process afterwards.
+    No compiled function can be called in this process afterwards. The model has tool contact, or one prescribed group.
+    The folder must be new or empty. The names of files and functions begin with `name`, an identifier of C.
 
-    Parameters
-    ----------
-    model : ReducedModel
-        With tool contact, or with one prescribed group.
-    folder : path
-        Must be new or empty.
-    name : str
-        An identifier of C, with which the names of files and functions begin.
-    title : str
-        Of the model, for the README.
-    targets : sequence of str
-        Of `TARGET_NAMES`.
-    strict : bool
-        True compiles without contraction and reassociation of sums, so that all targets compute the same bits but for
-        the functions of their C library.
-    tools : int
-        Number of tools that can touch the model at once, 1 to 4; a prescribed group is one.
-    say : function
-        Is called with a line about each file that could not be made.
+    A `strict` library is compiled without contraction and reassociation of sums: all targets compute the same bits but
+    for the functions of their C library. From 1 to 4 tools can touch the model at once; a prescribed group is one.
+    `say` is called with a line about each file that could not be made.
 
-    Returns
-    -------
-    dict of str to str
-        Files, and what they are.
+    Returns the files, and what they are.
     """
     for target in targets:
         if target not in TARGET_NAMES:

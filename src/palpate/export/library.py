@@ -52,14 +52,8 @@ class Library(NamedTuple):
 def lower_model(model: ReducedModel, name: str, tools: int = 2) -> Library:
     """Return the library of a reduced model; no compiled function can be called in this process afterwards.
 
-    Parameters
-    ----------
-    model : ReducedModel
-        With tool contact, or with one prescribed group.
-    name : str
-        An identifier of C.
-    tools : int
-        Number of tools, up to `palpate.realtime.contract.MAX_TOOLS`; a group is one.
+    The model has tool contact, or one prescribed group. `name` is an identifier of C. There are up to
+    `palpate.realtime.contract.MAX_TOOLS` tools; a group is one.
     """
     if not (name.isascii() and name.isidentifier()):
         raise InputError(f"name must be an identifier of C, got {name!r}; use letters, digits and underscores")

@@ -55,10 +55,7 @@ class _RecordingCodegen(AOTCPUCodegen):  # type: ignore[misc]
 def recording() -> Iterator[list[str]]:
     """Record functions that are compiled in this context, instead of compiling them.
 
-    Yields
-    ------
-    list of str
-        Text of every module so far.
+    Yields the texts of all modules so far.
     """
     dispatchers: list[Any] = [item for item in gc.get_objects() if isinstance(item, Dispatcher)]
     for dispatcher in dispatchers:
@@ -78,23 +75,13 @@ def recording() -> Iterator[list[str]]:
 
 
 class LoweredFunction:
-    """A compiled function whose modules were recorded.
+    """A compiled function whose modules were recorded; `name` is that of the exported symbol.
 
-    Parameters
-    ----------
-    name : str
-        Of the exported symbol.
-    arguments : sequence
-        Arrays, numbers, and tuples of them. Numbers become constants of the library.
+    Its arguments are arrays, numbers, and tuples of them. Numbers become constants of the library. `leaves` are the
+    flat arguments: an array in place of its address, numbers, or None for null pointers.
 
-    Attributes
-    ----------
-    callee : str
-        Symbol of the function in the recorded modules. It has the calling convention of Numba: addresses of the
-        result and of an exception, then the flat arguments. It returns a status.
-    function_type : llvmlite.ir.FunctionType
-    leaves : list
-        The flat arguments: an array in place of its address, numbers, or None for null pointers.
+    `callee` is the symbol of the function in the recorded modules. It has the calling convention of Numba: addresses of
+    the result and of an exception, then the flat arguments. It returns a status.
     """
 
     def __init__(self, name: str, function: Any, arguments: Sequence[Any]) -> None:

@@ -36,15 +36,8 @@ class _Range(NamedTuple):
 class Memory:
     """Places of all arrays of some functions.
 
-    Parameters
-    ----------
-    named : mapping of str to array
-        What a program reads and writes by name; at most two dimensions.
-
-    Attributes
-    ----------
-    size, stored : int
-        Bytes of the memory, and of the file.
+    A program reads and writes the `named` arrays, of at most two dimensions. `size` and `stored` are the bytes of the
+    memory, and of the file.
     """
 
     def __init__(self, functions: Sequence[LoweredFunction], named: Mapping[str, NDArray[Any]]) -> None:

@@ -51,23 +51,10 @@ _VOLUME_ERROR = "volumes of the cloud must be about those of the cells between i
 
 
 def consistent_stencils(cloud: Cloud, choices: Sequence[int]) -> tuple[int, Stencils, Floats]:
-    """Return stencils with consistent derivatives, for the first suitable number of neighbours.
+    """Return stencils with consistent derivatives of a cloud in space, for the first suitable number of neighbours.
 
-    Parameters
-    ----------
-    cloud : Cloud
-        In space.
-    choices : sequence of int
-        Numbers of neighbours, in the order of the attempts.
-
-    Returns
-    -------
-    neighbours : int
-        The number used.
-    stencils : Stencils
-        Stencils of first derivatives; `value` holds the weights of `quadratic_residuals`.
-    volumes : (n,) array [m^3]
-        Weights that integrate quadratic fields.
+    The numbers of `choices` are tried in their order. Returns the number used; the stencils of first derivatives, whose
+    `value` holds the weights of `quadratic_residuals`; and volumes (n,) [m^3] that integrate quadratic fields.
     """
     fault = None
     for neighbours in choices:
@@ -171,19 +158,13 @@ def consistent_gradient(
 ) -> Floats:
     """Return first-derivative weights for every row, shape (s, k, d) [1/m], in the order of `stencils.neighbours`.
 
-    Parameters
-    ----------
-    stencils : Stencils
-        Stencils of an interpolating fit; a node's own weight is minus the sum of the others.
-    points : (n, d) array [m]
-    volumes : (n,) array
-        Nodal volumes (areas, for d = 2).
-    boundary : (n, d) array
-        Nodal area vectors (normals times lengths, for d = 2), zero inside. They are changed as
-        little as possible to satisfy the divergence theorem for linear fields exactly.
-    row : (n,) int array, optional
-        Row of every node. Nodes that share a row have equal stencils, volumes and boundary vectors.
-        By default every node has its own.
+    The stencils are those of an interpolating fit; a node's own weight is minus the sum of the others. The points are
+    (n, d) [m], the volumes (n,), areas for d = 2.
+
+    `boundary` (n, d) are nodal area vectors (normals times lengths, for d = 2), zero inside. They are changed as little
+    as possible to satisfy the divergence theorem for linear fields exactly.
+
+    Nodes that share a `row` (n,) have equal stencils, volumes and boundary vectors. By default every node has its own.
     """
     (n, d), near = points.shape, stencils.neighbours
     number: Ints = (np.arange(n) if row is None else row).astype(np.int64)

@@ -21,10 +21,7 @@ def nearest_spacing(points: Floats) -> Floats:
 def faulty_nodes(cloud: Cloud, neighbours: int = STENCIL_NODES) -> tuple[Ints, str]:
     """Return the nodes with unusable stencils and the reason; none if all are usable.
 
-    Parameters
-    ----------
-    neighbours : int
-        Number of neighbours, as for `palpate.Solid`.
+    The number of neighbours is as for `palpate.Solid`.
     """
     try:
         moving_least_squares(cloud.points, order=2, neighbours=neighbours, hidden=cloud.hidden)

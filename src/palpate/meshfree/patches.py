@@ -35,19 +35,8 @@ MAX_PATCH_NODES = 96  # candidates within that distance
 def surface_patches(cloud: Cloud, *, kernel: float | None = None, cut: CutSurface = NO_CUT) -> sparse.csr_array:
     """Return the weights (n, n) of nodes in patch displacements; the rows of interior nodes are identity.
 
-    Parameters
-    ----------
-    cloud : Cloud
-        In space.
-    kernel : float, optional
-        Radius of the kernel in surface spacings, by default `LATTICE_KERNEL` of a lattice, else `KERNEL_RADIUS`.
-    cut : CutSurface
-        Across which a patch does not reach.
-
-    Returns
-    -------
-    csr_array
-        Rows sum to one, and reproduce linear fields.
+    Rows sum to one, and reproduce linear fields. `kernel` is the radius of the kernel in surface spacings, by default
+    `LATTICE_KERNEL` of a lattice, else `KERNEL_RADIUS`. A patch does not reach across `cut`.
     """
     count, points = len(cloud), cloud.points
     area = np.zeros((count, 3))
@@ -91,21 +80,9 @@ def surface_patches(cloud: Cloud, *, kernel: float | None = None, cut: CutSurfac
 def spread_load(cloud: Cloud, nodes: Ints, values: Floats) -> tuple[Ints, Floats]:
     """Return nodes and shares of a load on a part of a smooth surface, distributed over the patches of its nodes.
 
-    A load that ends at a border inside of a face acts on the surface, not on single nodes. Loads on
-    complete faces stay as they are: they balance uniform stress exactly.
-
-    Parameters
-    ----------
-    nodes : (g,) int array
-        Surface nodes.
-    values : (g, ...) array
-        Their shares.
-
-    Returns
-    -------
-    nodes : (k,) int array
-    values : (k, ...) array
-        With the same sum and the same moments about any point.
+    A load that ends at a border inside of a face acts on the surface, not on single nodes. Loads on complete faces stay
+    as they are: they balance uniform stress exactly. The shares of surface nodes (g,) are `values` (g, ...); the
+    returned ones have the same sum and the same moments about any point.
     """
     if cloud.points.shape[1] != 3 or not _ends_inside(cloud, nodes):
         return nodes, values

@@ -40,14 +40,9 @@ DERIVATIVE_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # the order
 
 
 def integration_weights(cloud: Cloud, stencils: Stencils) -> Floats:
-    """Return positive weights [m^3], shape (n,), that sum to the body's volume.
+    """Return positive weights [m^3], shape (n,), that sum to the volume of a body in space.
 
-    Parameters
-    ----------
-    cloud : Cloud
-        In space.
-    stencils : Stencils
-        An interpolating fit of order 2 at its points.
+    The stencils are an interpolating fit of order 2 at its points.
     """
     volumes = cloud.volumes
     thickness = volumes[cloud.face_nodes] / cloud.face_areas
@@ -100,27 +95,16 @@ def _transfer(weights: Floats, least: Floats, cloud: Cloud, stencils: Stencils) 
 def conservative_smoothing(neighbours: NDArray[np.int32], values: Floats, volumes: Floats) -> tuple[Floats, Floats]:
     """Return the weights of a fit, changed as little as possible so that it preserves integrals.
 
-    With the fitted values S f of a nodal field and the nodal weights V, V . S f = V . f for every
-    field f, and constants are fitted exactly. Then the transposed fit S^T V p / V of a uniform p is
-    p. Without the change it is 0.4 p to 6 p near faces, edges and corners: a uniform pressure moves
-    the nodes, and a body stretched three times over is unstable.
+    With the fitted values S f of a nodal field and the nodal weights V, V . S f = V . f for every field f, and
+    constants are fitted exactly. Then the transposed fit S^T V p / V of a uniform p is p. Without the change it is 0.4
+    p to 6 p near faces, edges and corners: a uniform pressure moves the nodes, and a body stretched three times over is
+    unstable.
 
-    Far from the faces of a lattice nothing changes, and linear fields remain exact. Near a face
-    they do not: a fit that preserves the integral of x^2 and is exact for x everywhere would not
-    smooth inside.
+    Far from the faces of a lattice nothing changes, and linear fields remain exact. Near a face they do not: a fit that
+    preserves the integral of x^2 and is exact for x everywhere would not smooth inside.
 
-    Parameters
-    ----------
-    neighbours : (n, k) int array
-        Of every node; padded with the node itself.
-    values : (n, k) array
-        Their weights in a fit.
-    volumes : (n,) array [m^3]
-
-    Returns
-    -------
-    value, own : (n, k), (n,) arrays
-        Weights of every node's neighbours, in their order, and its own.
+    The neighbours (n, k) of every node are padded with the node itself; `values` (n, k) are their weights in the fit,
+    `volumes` (n,) [m^3]. Returns weights of every node's neighbours (n, k), in their order, and its own (n,).
     """
     n = len(volumes)
     node, place = np.nonzero(neighbours != np.arange(n)[:, None])
@@ -144,20 +128,12 @@ def conservative_smoothing(neighbours: NDArray[np.int32], values: Floats, volume
 def quadratic_residuals(stencils: Stencils, points: Floats) -> Floats:
     """Return the weights of the residual of a quadratic fit at its own node, which is zero for quadratic fields.
 
-    The fit has equal weights for all neighbours. With small weights for far neighbours, as in
-    moving least squares, a fit to three planes of a lattice represents a wave of two spacings
-    exactly, without a residual.
+    The weights (s, k) have one row for each row of the stencils; the node's own weight is minus their sum. The points
+    are (n, 3) [m].
 
-    Parameters
-    ----------
-    stencils : Stencils
-        Stencils with the neighbours, at least 33 on a lattice: two spacings to each side.
-    points : (n, 3) array [m]
-
-    Returns
-    -------
-    (s, k) array
-        One row for each row of the stencils; the node's own weight is minus their sum.
+    The fit has equal weights for all neighbours, at least 33 on a lattice: two spacings to each side. With small
+    weights for far neighbours, as in moving least squares, a fit to three planes of a lattice represents a wave of two
+    spacings exactly, without a residual.
     """
     rows = len(stencils.first)
     node = np.empty(rows, dtype=int)

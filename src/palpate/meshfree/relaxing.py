@@ -107,12 +107,7 @@ def relax(
 ) -> Floats:
     """Return interior nodes after repulsion from each other and from the fixed surface nodes.
 
-    Parameters
-    ----------
-    inner, outer : (n, 3), (s, 3) arrays [m]
-        Nodes inside and on the surface.
-    inner_spacing, outer_spacing : (n,), (s,) arrays [m]
-        Target spacing of each node.
+    `inner` (n, 3) and `outer` (s, 3) [m] are nodes inside and on the surface, with target spacings (n,) and (s,) [m].
     """
     points = np.concatenate([inner, outer])
     spacing = np.concatenate([inner_spacing, outer_spacing])

@@ -28,14 +28,8 @@ MAX_DETOUR = 1.2  # longest path through the tissue over the straight one
 def hidden_pairs(points: Floats, area_vectors: Floats, triangles: Ints, spacing: float) -> sparse.csr_array:
     """Return pairs of nodes within `MAX_DISTANCE` spacings with the outside between them: True in an array (n, n).
 
-    Parameters
-    ----------
-    points : (n, 3) array [m]
-    area_vectors : (n, 3) array [m^2]
-        Of the surface nodes, outward; zero inside.
-    triangles : (t, 3) int array
-        Of the surface, counter-clockwise from outside.
-    spacing : float [m]
+    `points` are (n, 3) [m]. `area_vectors` (n, 3) [m^2] of the surface nodes point outward, and are zero inside.
+    `triangles` (t, 3) of the surface are counter-clockwise from outside.
     """
     n = len(points)
     surface, reach = np.unique(triangles), MAX_DISTANCE * spacing

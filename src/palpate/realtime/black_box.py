@@ -55,15 +55,7 @@ def latest_records(buffer: RingBuffer) -> Floats:
 
 
 def write_black_box(path: str | Path, buffer: RingBuffer, tools: int, attributes: dict[str, Any]) -> None:
-    """Write the records of a ring buffer to an HDF5 file atomically.
-
-    Parameters
-    ----------
-    tools : int
-        Number of tools in a record.
-    attributes : dict
-        Attributes of the file.
-    """
+    """Write the records of a ring buffer, of a number of tools, to an HDF5 file with attributes, atomically."""
     import h5py
 
     records, path, content = latest_records(buffer), Path(path), io.BytesIO()

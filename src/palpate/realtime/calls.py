@@ -36,10 +36,7 @@ class ModelCalls(NamedTuple):
 def model_calls(advance: Any, stiffness: Any, data: Any) -> ModelCalls:
     """Return the calls of compiled functions of palpate with a named tuple of arrays and numbers.
 
-    Parameters
-    ----------
-    advance, stiffness, data
-        As those of `palpate.realtime.Realtime`.
+    All three are as those of `palpate.realtime.Realtime`.
     """
     stored = StoredRecord(data)
     addresses = [_address(advance, stored, ADVANCE_TYPES), 0]

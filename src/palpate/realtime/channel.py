@@ -30,26 +30,14 @@ NAME_PATTERN = re.compile(r"[A-Za-z0-9_-]{1,60}")
 
 
 def channel_header() -> Path:
-    """Return the path of the C header of channels, ``palpate_channel.h``.
-
-    Examples
-    --------
-    >>> from palpate.realtime.channel import channel_header
-    >>> channel_header().name
-    'palpate_channel.h'
-    """
+    """Return the path of the C header of channels, ``palpate_channel.h``."""
     return Path(__file__).with_name("palpate_channel.h")
 
 
 class SharedSlots:
     """The slots of a pose and of a record in shared memory, which is removed with this object.
 
-    Parameters
-    ----------
-    name : str
-        Letters, digits, hyphens and underscores.
-    coordinates, tools : int
-        Of the model.
+    The name has letters, digits, hyphens and underscores; `coordinates` and `tools` are the numbers of the model's.
     """
 
     def __init__(self, name: str, coordinates: int, tools: int = 1) -> None:

@@ -21,26 +21,21 @@ class Realtime(NamedTuple):
     """A body of m coordinates and up to four tools of l coordinates each, as compiled functions.
 
     A model need not be of this class: it needs these attributes. The functions are compiled by Numba, without
-    ``parallel=True``.
+    ``parallel=True``, and take `data` first.
 
-    Parameters
-    ----------
-    advance : function
-        ``advance(data, q, v, target, period, report)`` advances the coordinates `q` (m,) and velocities `v` (m,) in
-        place by `period` [s], while the tools' coordinates move linearly to `target` (t l,), tool by tool. A model
-        whose tool does not get there writes where it is into `target`. It writes `report` (8 + t l,). Element 0 is
-        0, or 1 if the step did not converge or is not finite. Element 1 is the error indicator, above 1 where the model
-        was not trained. Element 2 counts steps or iterations. Elements 3 and 4 are the kinetic and the strain energy
-        [J]. From element 8 on are the generalised forces of the tools on the body, conjugate to their coordinates.
-    stiffness : function or None
-        ``stiffness(data, q, out)`` writes the derivatives (t l, l) of the forces of each tool by its coordinates.
-    data : any type that Numba supports
-        First argument of both functions.
-    rest : (m,) array
-        Coordinates at rest, where the tools' coordinates are 0.
-    tool : (l, 12) array, or (t, l, 12) of t tools
-        A tool's coordinates are ``tool @ concatenate([d, (R - I).ravel()])``, where d [m] is the displacement of the
-        tool's reference point and R the rotation about it.
+    ``advance(data, q, v, target, period, report)`` advances the coordinates `q` (m,) and velocities `v` (m,) in place
+    by `period` [s], while the tools' coordinates move linearly to `target` (t l,), tool by tool. A model whose tool
+    does not get there writes where it is into `target`. It writes `report` (8 + t l,). Element 0 is 0, or 1 if the step
+    did not converge or is not finite. Element 1 is the error indicator, above 1 where the model was not trained.
+    Element 2 counts steps or iterations. Elements 3 and 4 are the kinetic and the strain energy [J]. From element 8 on
+    are the generalised forces of the tools on the body, conjugate to their coordinates.
+
+    ``stiffness(data, q, out)`` writes the derivatives (t l, l) of the forces of each tool by its coordinates; it may be
+    None.
+
+    `rest` (m,) are the coordinates at rest, where the tools' coordinates are 0. A tool's coordinates are ``tool @
+    concatenate([d, (R - I).ravel()])``, where d [m] is the displacement of the tool's reference point and R the
+    rotation about it. `tool` is (l, 12), or (t, l, 12) of t tools.
     """
 
     advance: Callable[..., Any]

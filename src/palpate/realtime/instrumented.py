@@ -164,12 +164,8 @@ class InstrumentedModel(NamedTuple):
     def set_coupling(self, stiffness: float | None, force_limit: float = np.inf, index: int = 0) -> None:
         """Couple a tool by a critically damped spring [N/m], or rigidly if None; the engine must not run.
 
-        Parameters
-        ----------
-        stiffness : float or None [N/m]
-        force_limit : float [N]
-            Largest force of the spring, beyond which the tool lags behind the device. The force limit of
-            `palpate.Engine` scales only the reported force.
+        Beyond `force_limit` [N], the largest force of the spring, the tool lags behind the device. The force limit of
+        `palpate.Engine` scales only the reported force.
         """
         parameters = self.data.coupling.parameters[index]
         if stiffness is None:
@@ -184,11 +180,8 @@ class InstrumentedModel(NamedTuple):
 def make_instrumented(model: RealtimeModel, linked: bool = False) -> InstrumentedModel:
     """Return an instrumented model that shares the data of a real-time model.
 
-    Parameters
-    ----------
-    linked : bool
-        True to link the functions of the model, for code that runs elsewhere. By default they are called by their
-        addresses, so that all models have the same functions.
+    `linked` links the functions of the model, for code that runs elsewhere. By default they are called by their
+    addresses, so that all models have the same functions.
     """
     cutter, called = model.cutter, (call_advance, None if model.stiffness is None else call_stiffness)
     advance, stiffness = instrumented_functions(*((model.advance, model.stiffness) if linked else called))
@@ -293,10 +286,7 @@ def _coupling_of(coupling, t):
 def _begin_period(coupling, modulus_ratio, target, moved, values, v, period):
     """Write what the model inside is to reach, move coupled tools, and scale the velocities (m,) to the present moduli.
 
-    Returns
-    -------
-    ratio : float
-        Present modulus ratio.
+    Returns the present modulus ratio.
     """
     tools = coupling.position.shape[0]
     count = target.shape[0] // tools

@@ -75,11 +75,8 @@ def _fetch_pose(work, t, slot):
 def compile_loop(advance: Any, stiffness: Any) -> Any:
     """Compile the loop around a model's functions.
 
-    Returns
-    -------
-    function
-        ``loop(data, work, channels, settings)`` runs until the command changes, the state diverges, or trust is lost
-        with `out_of_training` STOP. It returns the command, DIVERGED or PAUSED.
+    ``loop(data, work, channels, settings)`` runs until the command changes, the state diverges, or trust is lost with
+    `out_of_training` STOP. It returns the command, DIVERGED or PAUSED.
     """
     digest, cached = functions_digest(__name__, advance, stiffness)
     take_period = compile_period(advance, stiffness)

@@ -432,11 +432,8 @@ def function_key(function: Any) -> str | None:
 def compile_period(advance: Any, stiffness: Any) -> Any:
     """Compile a period around a model's functions.
 
-    Returns
-    -------
-    function
-        ``take_period(data, work, settings)`` moves the tools towards `Work.wanted`, advances body and tools by a
-        period, and writes the record. It returns False if the state is not finite; the record then keeps its time.
+    ``take_period(data, work, settings)`` moves the tools towards `Work.wanted`, advances body and tools by a period,
+    and writes the record. It returns False if the state is not finite; the record then keeps its time.
     """
     has_stiffness = stiffness is not None
     digest, cached = functions_digest(__name__, advance, stiffness)

@@ -16,21 +16,9 @@ from palpate.realtime.seqlock import set_flag
 class Runner:
     """Starts and stops a loop in its own thread.
 
-    Parameters
-    ----------
-    loop : function
-        Runs while the command is RUNNING; returns the reason for its end.
-    command : flags
-        Element 0 is the command to the loop.
-    on_divergence : function or None
-        Called in the thread when the loop returns DIVERGED or raises.
-
-    Attributes
-    ----------
-    state : int
-        RUNNING, STOPPED, PAUSED or DIVERGED.
-    error_text : str
-        Message of the last exception in the thread; empty if there was none.
+    The loop runs while element 0 of `command` is RUNNING, and returns the reason for its end. `on_divergence` is called
+    in the thread when it returns DIVERGED or raises. The `state` is RUNNING, STOPPED, PAUSED or DIVERGED; `error_text`
+    is the message of the last exception in the thread, empty if there was none.
     """
 
     def __init__(

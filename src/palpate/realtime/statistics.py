@@ -50,12 +50,7 @@ def count_step(histograms, computing, wakeup_latency, ended, deadline, period, m
     """Count a step and return the next deadline [ns].
 
     It is the first on the grid whose period is not over; or an earlier one, by up to `max_backlog` periods, which then
-    follow each other without a pause.
-
-    Parameters
-    ----------
-    computing, wakeup_latency : float [s]
-    ended, deadline, period : int [ns]
+    follow each other without a pause. `computing` and `wakeup_latency` are in s, the other times in ns.
     """
     for k, seconds in ((COMPUTING, computing), (WAKEUP_LATENCY, wakeup_latency)):
         bin_index = int(BINS_PER_DECADE * np.log10(max(seconds, FIRST_EDGE) / FIRST_EDGE))

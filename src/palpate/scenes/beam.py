@@ -33,20 +33,12 @@ def pull(time: float, load: float = 100.0) -> float:
 def beam(spacing: float = 0.005, load: float = 100.0, poisson: float = 0.49, form: str = "strong") -> LoadCase:
     """Return the paper's beam: 200 mm by 20 mm by 20 mm, one end fixed, the other pulled along the axis.
 
-    Mooney-Rivlin with C1 = 60 kPa and C2 = 1.2 kPa, density 1120 kg/m^3. The pull is spread over
-    the face ``"x+"``; it rises linearly to `load` at 0.5 s and falls back to zero at 1 s (33). A
-    snapshot is kept every 0.01 s.
+    Mooney-Rivlin with C1 = 60 kPa and C2 = 1.2 kPa, density 1120 kg/m^3. The pull is spread over the face ``"x+"``; it
+    rises linearly to `load` at 0.5 s and falls back to zero at 1 s (33). A snapshot is kept every 0.01 s.
 
-    Parameters
-    ----------
-    spacing : float [m]
-        Distance between nodes, from 0.5 mm to a third of the thickness.
-    load : float [N]
-        Largest force, in (0, 1000]; the paper's is 100 N.
-    poisson : float
-        Poisson's ratio at rest, in [0, 0.499]; the paper does not state it.
-    form : str
-        Form of the equations, as that of `palpate.Solid`; the paper's is ``"strong"``.
+    The spacing is from 0.5 mm to a third of the thickness. The largest force `load` is in (0, 1000] N; the paper's is
+    100 N. Poisson's ratio at rest is in [0, 0.499]; the paper does not state it. The paper's `form`, as that of
+    `palpate.Solid`, is ``"strong"``.
     """
     spacing = number_in_range("spacing", spacing, MIN_SPACING, MAX_SPACING, unit="m")
     load = number_in_range("load", load, 0.0, MAX_LOAD, open_low=True, unit="N")

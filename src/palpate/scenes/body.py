@@ -45,12 +45,7 @@ MIN_HELD, MAX_HELD_SHARE = 3, 0.6  # nodes of a body that supports hold
 def make_cloud(about: Description, surface: Surface | None, folder: Path) -> tuple[Cloud, list[str]]:
     """Return the nodes of the body, with groups of its supports, regions and loads, and notes about the filling.
 
-    Parameters
-    ----------
-    surface : Surface, optional
-        The surface to fill; None for a box or a disc.
-    folder : path
-        Folder of relative file names.
+    The surface to fill is None for a box or a disc. `folder` is that of relative file names.
     """
     cloud, notes = _fill(about, surface)
     places = _places(about, cloud, surface, folder)
@@ -100,12 +95,7 @@ def make_body(
 ) -> tuple[Solid | Membrane, Floats | None]:
     """Return the full model of the body, and its displacements (n, 3) [m] at the start, under loads; None without.
 
-    Parameters
-    ----------
-    material : Material
-        Outside all regions.
-    cloud : Cloud
-        Of `make_cloud`.
+    `material` is that outside all regions; `cloud` is that of `make_cloud`.
     """
     fixed = [each for each in (_support(about, cloud, k) for k in range(len(about.support) or 1)) if each is not None]
     if about.surface.generated == "disc":

@@ -351,11 +351,8 @@ class Description:
 def with_settings(description: Description, settings: Mapping[str, Any]) -> Description:
     """Return a description with other values of its settings.
 
-    Parameters
-    ----------
-    settings : mapping of str to value
-        By dotted key, such as ``"tissue.poisson"``, or by its last word if one section alone has it. A parameter of
-        the law is set by its name.
+    They are settings by dotted key, such as ``"tissue.poisson"``, or by its last word if one section alone has it. A
+    parameter of the law is set by its name.
     """
     changes: dict[str, dict[str, Any]] = {}
     names: dict[tuple[str | int, ...], str] = {}  # under which settings were given, for messages

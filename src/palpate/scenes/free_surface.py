@@ -23,30 +23,18 @@ POSES_PER_PATH = 61  # of a path, between which a tool moves by a fraction of it
 
 
 class FreeSurface:
-    """The surface nodes of a solid, of which supports hold some.
+    """The surface nodes of a solid or of its reduced model, of which supports hold some.
 
-    A node that slides on a roller or rail, or lies on a foundation, is free. A node in a plane of symmetry is held:
-    the tool would pass through its own mirror image there.
+    A node that slides on a roller or rail, or lies on a foundation, is free. A node in a plane of symmetry is held: the
+    tool would pass through its own mirror image there.
 
-    Parameters
-    ----------
-    body : Solid or ReducedModel
-        Of a solid.
-
-    Attributes
-    ----------
-    nodes : (s,) int array
-        Surface nodes, ascending. All other arrays over the surface have their order.
-    points : (s, 3) array [m]
-    areas : (s,) array [m^2]
-        Share of the surface of each node, of all faces that it lies on.
-    vectors : (s, 3) array [m^2]
-        Area times outward normal, summed over these faces.
-    normals : (s, 3) array
-        Unit vectors along these.
-    held : (s,) bool array
-    fixed_points : (f, 3) array [m]
-        All held nodes, also those inside the body.
+    - `nodes` (s,): surface nodes, ascending, the order of all other arrays over the surface
+    - `points` (s, 3) [m]
+    - `areas` (s,) [m^2]: share of the surface of each node, of all faces that it lies on
+    - `vectors` (s, 3) [m^2]: area times outward normal, summed over these faces
+    - `normals` (s, 3): unit vectors along these
+    - `held` (s,)
+    - `fixed_points` (f, 3) [m]: all held nodes, also those inside the body
     """
 
     def __init__(self, body: Solid | ReducedModel) -> None:
@@ -88,15 +76,11 @@ class FreeSurface:
         return float(self.areas[mask & ~self.held].sum()) / free if free else 0.0
 
     def covered(self, loads: Sequence[Load], duration: float) -> NDArray[np.bool_]:
-        """Return which surface nodes (s,) tools cover: those near a place that they touch.
+        """Return which surface nodes (s,) tools cover in a duration [s]: those near a place that they touch.
 
         A tool touches the surface node nearest to its origin as long as it overlaps the undeformed body there, and
-        forceps the node nearest to the grasped point. A touch covers nodes within one radius of the tool that
-        face the same way. Planes, and loads that are not tools, cover nothing.
-
-        Parameters
-        ----------
-        duration : float [s]
+        forceps the node nearest to the grasped point. A touch covers nodes within one radius of the tool that face the
+        same way. Planes, and loads that are not tools, cover nothing.
         """
         mask = np.zeros(len(self.nodes), dtype=np.bool_)
         for load in loads:

@@ -31,10 +31,7 @@ def inner_labels_of(
 ) -> tuple[tuple[Segment, ...], list[InnerLabel]]:
     """Return the segments that were chosen, and what lies in them.
 
-    Parameters
-    ----------
-    without : sequence of str
-        Names, numbers or patterns of labels that do not join.
+    `without` has names, numbers or patterns of labels that do not join.
     """
     chosen = choose_segments(labels, part or None)
     shells, left_out = Shells(), list[Segment]()
@@ -75,14 +72,8 @@ def resolve_labels(
 ) -> tuple[tuple[str, ...], tuple[Region, ...], list[str], str]:
     """Return the parts of a label map that are a body, regions of the lesions in it, and what lies in it.
 
-    The latter is in notes, and in a line of names.
-
-    A piece of a label is a body alone: nothing joins it.
-
-    Raises
-    ------
-    ChoiceError
-        The map has several labels, and no part was chosen.
+    The latter is in notes, and in a line of names. A piece of a label is a body alone: nothing joins it. If the map has
+    several labels and no part was chosen, this raises `ChoiceError`.
     """
     labels = read_label_map(file, names).scaled(scale)
     if not part and len(labels.segments) > 1:

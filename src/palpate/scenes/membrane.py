@@ -43,26 +43,12 @@ def membrane(
 ) -> LoadCase:
     """Return the paper's membrane: a disc, 0.2 m across and 0.01 mm thick, its rim fixed, its centre pushed by a tool.
 
-    Neo-Hookean with C1 = 0.17 MPa, density 1200 kg/m^3. The tool's group is ``"tool"``. A snapshot
-    is kept every 2 ms for 0.2 s; that at 0.1 s shows the sheet just before the tool returns or
-    releases it.
+    Neo-Hookean with C1 = 0.17 MPa, density 1200 kg/m^3. The tool's group is ``"tool"``. A snapshot is kept every 2 ms
+    for 0.2 s; that at 0.1 s shows the sheet just before the tool returns or releases it.
 
-    Parameters
-    ----------
-    spacing : float [m]
-        Distance between nodes, from 1 mm.
-    after : str
-        Motion of the tool after 0.1 s: ``"return"`` to 0 at once, as in (35), ``"hold"`` or
-        ``"release"``.
-    tool_radius : float [m]
-        Radius within which nodes follow the tool, at least the spacing; 0 is the paper's point, the
-        node at the centre.
-    prestretch : float
-        As for `palpate.Membrane`.
-    layout, jitter, seed
-        As for `palpate.disc`.
-    relaxed
-        As for `palpate.Membrane`.
+    The spacing is at least 1 mm. After 0.1 s the tool may ``"return"`` to 0 at once, as in (35), ``"hold"`` or
+    ``"release"``. Nodes within `tool_radius` [m], at least the spacing, follow the tool; 0 is the paper's point, the
+    node at the centre. The rest is as for `palpate.disc` and `palpate.Membrane`.
     """
     spacing = number_in_range("spacing", spacing, MIN_SPACING, unit="m")
     tool_radius = number_in_range("tool_radius", tool_radius, 0.0, 0.8 * RADIUS, unit="m")

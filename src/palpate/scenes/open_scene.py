@@ -115,10 +115,7 @@ def json_of_scene(scene: Scene) -> str:
 def open_description(name: str, text: str) -> Scene:
     """Open a description as JSON.
 
-    Parameters
-    ----------
-    name : str
-        A scene of the package, or a scene file or a surface file, next to which the description's files are.
+    `name` is a scene of the package, or a scene file or a surface file, next to which the description's files are.
     """
     try:
         description: Description = read_section(Description, json_of(text))

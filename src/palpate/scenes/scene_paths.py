@@ -47,14 +47,8 @@ def touching_paths(
 ) -> ToolPaths:
     """Return the presses and grasps of a tool on the free surface of a body, or of a reduced model of it.
 
-    Parameters
-    ----------
-    others : sequence of loads
-        Further loads of every path.
-    deepest : float [m]
-        Limit of the depth.
-    shallowest : float
-        Depth of the shallowest press over that of the deepest.
+    `others` are further loads of every path. `deepest` [m] limits the depth; `shallowest` is the depth of the
+    shallowest press over that of the deepest.
     """
     if isinstance(body, Membrane):
         raise InputError("holds of [tool] must be given for a membrane, got none; give holds, or hold_radius")

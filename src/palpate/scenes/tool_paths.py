@@ -88,46 +88,29 @@ class ToolPaths:
     """Random presses of a ball and pulls of forceps on the free surface of a body; equal seeds give equal paths.
 
     The ball, ``"tool"``, comes along the outward normal at a place, presses, slides and retracts. Where it begins and
-    ends, and on its path, it is outside the undeformed body apart from the indentation under it. Forceps,
-    ``"grasp"``, hold the surface nodes around a place, pull, turn, return and release.
+    ends, and on its path, it is outside the undeformed body apart from the indentation under it. Forceps, ``"grasp"``,
+    hold the surface nodes around a place, pull, turn, return and release.
 
     Tools keep at least one radius from nodes that supports fix, forceps one spacing more. A roller, a rail or a
     foundation does not fix its nodes. A press is at most `depth` deep, and at most 0.4 of the thickness of the body
     along the normal, or of the distance to fixed nodes there.
 
-    Parameters
-    ----------
-    body : Solid or ReducedModel
-        Of one or several parts.
-    radius : float [m]
-        Of the ball, at least 2 spacings. The radius of forceps is 0.6 times it, or 2 spacings if that is more.
-    depth : float [m]
-        Depth of the deepest press and length of the longest pull.
-    friction : float
-        Coulomb's coefficient.
-    slide : float [m]
-        Length of the longest slide.
-    grasps : float
-        Share of paths that are grasps, evenly spaced: with 0.25 the seeds 3, 7, 11 and so on.
-    shallowest : float
-        Depth of the shallowest press and length of the shortest pull, over the largest at its place.
-    others : sequence of loads
-        Further loads of every path, such as foundations.
-    pairs : float
-        Share of the held-out paths with a second tool, spread evenly: with 0.5 the numbers 1, 3, 4, 6, 9 and so on.
+    - `radius` [m]: of the ball, at least 2 spacings; that of forceps is 0.6 times it, or 2 spacings if that is more
+    - `depth` [m]: depth of the deepest press and length of the longest pull
+    - `slide` [m]: length of the longest slide
+    - `grasps`: share of paths that are grasps, evenly spaced: with 0.25 the seeds 3, 7, 11 and so on
+    - `shallowest`: depth of the shallowest press and length of the shortest pull, over the largest at its place
+    - `others`: further loads of every path, such as foundations
+    - `pairs`: share of the held-out paths with a second tool, spread evenly: with 0.5 the numbers 1, 3, 4, 6, 9 and so
+      on
 
-    Attributes
-    ----------
-    surface : FreeSurface
-    reachable, graspable : (s,) bool arrays
-        Surface nodes at which a ball can press, and forceps can hold the body.
-    normals : (s, 3) array
-        Smoothed outward normals.
-    heights : (s,) array [m]
-        Height of the ball's centre above each node, along the normal, where it first touches the body; infinite
-        where it cannot come.
-    depths : (s,) array [m]
-        Depth of the deepest press at each reachable node; 0 elsewhere.
+    Its arrays over the nodes of `surface`:
+
+    - `reachable`, `graspable` (s,): nodes at which a ball can press, and forceps can hold the body
+    - `normals` (s, 3): smoothed outward normals
+    - `heights` (s,) [m]: of the ball's centre along the normal where it first touches the body; infinite where it
+      cannot come
+    - `depths` (s,) [m]: depth of the deepest press at each reachable node; 0 elsewhere
     """
 
     def __init__(
@@ -174,11 +157,8 @@ class ToolPaths:
     def __call__(self, seed: int) -> tuple[tuple[Load, ...], float]:
         """Return the loads of a path and its duration [s].
 
-        Parameters
-        ----------
-        seed : int
-            The last six digits are the number of the path in its campaign. Places of the numbers below 500,000 are
-            spread over the surface together. Those of others, for held-out runs, are independent.
+        The last six digits of the seed are the number of the path in its campaign. Places of the numbers below 500,000
+        are spread over the surface together. Those of others, for held-out runs, are independent.
         """
         is_pair = is_touch(seed) and _is_pair(seed % TRAINING_SEEDS, self.pairs)
         return self.pair(seed) if is_pair else self.single(seed)

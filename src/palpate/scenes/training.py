@@ -31,13 +31,9 @@ MAX_TEXT_CHARACTERS = 200  # characters of a text
 def open_training(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
     """Open a scene for a campaign: its body, and paths by seed.
 
-    Parameters
-    ----------
-    name : str
-        One of `palpate.scenes.names.PACKAGE_SCENES`, a scene file, or ``"module:function"`` of a function that returns
-        a `TrainingScene`.
-    parameters : mapping
-        Settings of the scene (`palpate.open_scene`), or arguments of the function; others have their defaults.
+    `name` is one of `palpate.scenes.names.PACKAGE_SCENES`, a scene file, or ``"module:function"`` of a function that
+    returns a `TrainingScene`. `parameters` are settings of the scene (`palpate.open_scene`), or arguments of the
+    function; others have their defaults.
     """
     if DESCRIPTION_KEY in parameters:
         return training_of(open_description(name, str(parameters[DESCRIPTION_KEY])), parameters)
@@ -54,10 +50,7 @@ def open_training(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
 def training_of(scene: Scene, parameters: Mapping[str, Any]) -> TrainingScene:
     """Return the body and the paths of a scene for a campaign.
 
-    Parameters
-    ----------
-    parameters : mapping
-        Settings with which the scene was opened. A digest among them must be that of the scene.
+    The scene was opened with `parameters`. A digest among them must be that of the scene.
     """
     values = dict(parameters)
     digest, text = values.pop(DIGEST_KEY, None), values.get(DESCRIPTION_KEY)

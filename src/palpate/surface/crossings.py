@@ -39,24 +39,13 @@ def _crossings(corners, low, step, nx, ny, start, height, write):
 def column_crossings(
     vertices: Floats, triangles: Ints, low: Floats, step: float, shape: tuple[int, int]
 ) -> tuple[Ints, Floats]:
-    """Return the entry and exit heights of vertical lines on a grid of (x, y).
+    """Return the entry and exit heights of vertical lines on a grid of (x, y) through a closed surface.
 
-    Parameters
-    ----------
-    vertices, triangles : (v, 3), (t, 3) arrays
-        A closed surface.
-    low : (2,) array [m]
-        First line. Lines should not pass through vertices: shift them by an irrational part of the
-        step.
-    step : float [m]
-        Distance between lines.
-    shape : (nx, ny)
+    The first line is at `low` (2,) [m], the others a step [m] apart. Lines should not pass through vertices: shift them
+    by an irrational part of the step.
 
-    Returns
-    -------
-    start, height : (nx ny + 1,), (c,) arrays
-        Line k = i ny + j crosses at ``height[start[k]:start[k + 1]]``, ascending. The crossings of
-        a line with an odd number of them, which grazes the surface, are left out.
+    Line k = i ny + j crosses at ``height[start[k]:start[k + 1]]``, ascending, with start (nx ny + 1,). The crossings of
+    a line with an odd number of them, which grazes the surface, are left out.
     """
     corners = vertices[triangles]
     nx, ny = shape

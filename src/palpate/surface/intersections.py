@@ -17,23 +17,14 @@ MAX_SPLITS = 100  # rounds of splitting neighbours of degenerate triangles
 
 
 def self_intersections(vertices: Floats, triangles: Ints) -> Ints:
-    """Return pairs of triangles with a common point that is not a common vertex or edge.
+    """Return pairs (k, 2) of triangles with a common point that is not a common vertex or edge, ascending.
 
-    Two triangles are disjoint if an axis separates them (Gottschalk, Lin and Manocha, 1996). Gaps
-    below the rounding error do not count, so that exact contacts of edges and vertices are found.
-    Candidates come from a tree of boxes; memory is proportional to the number of triangles. A
-    triangle without area, which only joins a vertex to an edge of its neighbour, is left out, and
-    the neighbour is split there.
+    If k is `MAX_PAIRS`, there may be more. The surface is welded: equal vertices have equal numbers.
 
-    Parameters
-    ----------
-    vertices, triangles : (v, 3), (t, 3) arrays
-        Welded: equal vertices have equal numbers.
-
-    Returns
-    -------
-    (k, 2) int array
-        In ascending order; if k is `MAX_PAIRS`, there may be more.
+    Two triangles are disjoint if an axis separates them (Gottschalk, Lin and Manocha, 1996). Gaps below the rounding
+    error do not count, so that exact contacts of edges and vertices are found. Candidates come from a tree of boxes;
+    memory is proportional to the number of triangles. A triangle without area, which only joins a vertex to an edge of
+    its neighbour, is left out, and the neighbour is split there.
     """
     triangles, owner = _remove_flat(np.asarray(vertices, dtype=float), np.asarray(triangles, dtype=np.int64))
     if len(triangles) < 2:

@@ -60,22 +60,11 @@ TRIANGLE_CASES = TRIANGLE_TABLE.split()
 
 
 def zero_surface(field: Floats, origin: Sequence[float] | Floats, step: float) -> tuple[Floats, Ints]:
-    """Return the surface on which a field on a regular grid is zero.
+    """Return the surface on which a field (nx, ny, nz) on a regular grid is zero, as vertices (v, 3) [m] and triangles.
 
-    Parameters
-    ----------
-    field : (nx, ny, nz) array
-        Values at the grid's points; negative on one side of the surface only.
-    origin : (3,) array [m]
-        Position of the first point.
-    step : float [m]
-        Distance between neighbouring points.
-
-    Returns
-    -------
-    vertices, triangles : (v, 3) array [m], (t, 3) array of int
-        The surface is closed if it does not reach the boundary of the grid; normals point to the
-        negative side.
+    The field is negative on one side of the surface only. The first point is at `origin` (3,) [m], neighbouring points
+    a step [m] apart. The surface is closed if it does not reach the boundary of the grid; normals point to the negative
+    side.
     """
     above = field >= 0
     crossed = _crossed(above)

@@ -22,12 +22,7 @@ REGION_REMEDY = (
 def enclosures(surface: Surface, label: Ints) -> NDArray[np.bool_]:
     """Return which components (k, k) lie inside which others: row inside column.
 
-    Parameters
-    ----------
-    surface : Surface
-        Closed components that do not intersect, at most `MAX_COMPONENTS`.
-    label : (t,) array
-        Component of each triangle.
+    They are closed and do not intersect, at most `MAX_COMPONENTS`; `label` (t,) has that of each triangle.
     """
     corners = [surface.vertices[surface.triangles[label == k]] for k in range(int(label.max()) + 1)]
     low = np.array([each.min(axis=(0, 1)) for each in corners])

@@ -73,10 +73,7 @@ def matching_parts(names: Sequence[str], part: str | Sequence[str]) -> list[str]
 def join_parts(parts: Mapping[str, Surface], name: str) -> Surface:
     """Return several parts as one welded surface; borders that coincide are joined, walls between parts removed.
 
-    Parameters
-    ----------
-    name : str
-        Name in messages.
+    The name is for messages.
     """
     if len(parts) == 1:
         return replace(weld(next(iter(parts.values()))), name=name)
@@ -194,16 +191,8 @@ def choose_body(
 ) -> Surface:
     """Return the body of a file of several parts that plainly is the organ, with a warning that names it.
 
-    Parameters
-    ----------
-    parts : mapping of name to Surface
-        All parts of the file, without unused vertices.
-    name : str
-        Of the file.
-    finish : function
-        Welds or repairs a surface.
-    units : str, optional
-        Of the file; by default those of the largest body, if it is an organ.
+    `parts` are all parts of the file, without unused vertices. `finish` welds or repairs a surface. `units` are by
+    default those of the largest body, if it is an organ.
     """
     bodies, hollow = list[Body](), list[str]()
     for names in _groups(parts):

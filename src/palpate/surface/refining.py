@@ -13,11 +13,7 @@ from palpate.core.arrays import Floats, Ints
 def refine_surface(vertices: Floats, triangles: Ints, max_edge: Callable[[Floats], Floats]) -> tuple[Floats, Ints]:
     """Return a closed surface refined by bisection until no edge exceeds a length.
 
-    Parameters
-    ----------
-    vertices, triangles : (v, 3), (t, 3) arrays
-    max_edge : function
-        Returns the largest edge length [m], shape (k,), at points (k, 3).
+    `max_edge` returns the largest edge length (k,) [m] at points (k, 3).
     """
     finished = [triangles[:0]]
     for _ in range(30):
@@ -69,15 +65,9 @@ def _split(triangles: Ints, new: Ints, vertices: Floats) -> Ints:
 
 
 def poisson_discs(vertices: Floats, radius: Floats, order: Ints) -> Ints:
-    """Return the indices of a maximal Poisson-disc sample of points.
+    """Return the indices of a maximal Poisson-disc sample of points (v, 3) [m], processed in an order (v,).
 
-    Parameters
-    ----------
-    vertices : (v, 3) array [m]
-    radius : (v,) array [m]
-        Radius of each point; for a pair, the smaller radius counts.
-    order : (v,) int array
-        Order in which the points are processed.
+    Each point has a radius (v,) [m]; for a pair, the smaller one counts.
     """
     cell = float(radius.max())
     low = vertices.min(axis=0)

@@ -46,14 +46,9 @@ def vertex_vectors(vertices: Floats, triangles: Ints) -> tuple[Floats, Floats]:
 
 
 def remesh(vertices: Floats, triangles: Ints, spacing: Floats, seed: int) -> SurfaceNodes:
-    """Return evenly spaced nodes and triangles of a refined closed surface.
+    """Return evenly spaced nodes and triangles of a closed surface, refined to about a third of the spacing.
 
-    Parameters
-    ----------
-    vertices, triangles : (v, 3), (t, 3) arrays
-        Refined to about a third of the spacing.
-    spacing : (v,) array [m]
-        Target distance between nodes at each vertex.
+    `spacing` (v,) [m] is the target distance between nodes at each vertex.
     """
     vectors, areas = vertex_vectors(vertices, triangles)
     weights = areas / spacing**4  # cell sizes of a centroidal diagram scale as density to the power -1/4

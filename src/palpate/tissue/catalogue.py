@@ -58,22 +58,15 @@ class CatalogueEntry:
 class Law(CatalogueEntry):
     """Catalogue entry of an isotropic material law.
 
-    Parameters
-    ----------
-    kind : type
-        Class of the material.
-    formula : str
-        Energy without the volumetric part U(J), with x = I1 - 3 - 2 ln J and q(a) = l1^a + l2^a +
-        l3^a - 3 - a ln J.
-    expression : str
-        The formula as a Python expression of the parameters, ``I1``, ``I2``, ``J``, ``x``, ``q``,
-        ``l1``, ``l2``, ``l3``, ``log`` and ``exp``. Tests and finite elements compare the compiled
-        functions with it. Empty for small strain.
-    shear_modulus : str
-        Formula of the shear modulus at rest; its value is near 10 kPa with the parameters of the
-        example.
-    reference, example, note
-        As for `CatalogueEntry`.
+    Its formula is the energy without the volumetric part U(J), with x = I1 - 3 - 2 ln J and q(a) = l1^a + l2^a + l3^a -
+    3 - a ln J.
+
+    `expression` is the formula as a Python expression of the parameters, ``I1``, ``I2``, ``J``, ``x``, ``q``, ``l1``,
+    ``l2``, ``l3``, ``log`` and ``exp``. Tests and finite elements compare the compiled functions with it. It is empty
+    for small strain.
+
+    `shear_modulus` is the formula of the shear modulus at rest; its value is near 10 kPa with the parameters of the
+    example.
     """
 
     kind: type[Material]
@@ -200,13 +193,7 @@ RELAXATION = CatalogueEntry(
 
 
 def law_class(law: type[Material] | str) -> type[Material]:
-    """Return the class of a law, by itself or by its name, whatever the case, with or without hyphens.
-
-    Raises
-    ------
-    InputError
-        There is no law of that name, or it is another object.
-    """
+    """Return the class of a law, by itself or by its name, whatever the case, with or without hyphens."""
     if isinstance(law, type) and issubclass(law, Material) and not inspect.isabstract(law):
         return law
     classes, near = {each.name.lower(): each.kind for each in LAWS}, []

@@ -168,18 +168,10 @@ def material_stability(
 
 
 def min_wave_modulus(material: Material, F: Floats) -> Floats:
-    """Return the smallest eigenvalue of the acoustic tensor over all directions.
+    """Return the smallest eigenvalue (n,) [Pa] of the acoustic tensor over all directions.
 
-    Parameters
-    ----------
-    F : (n, 3, 3) array
-        Deformation gradients; of volume 1 if the material is incompressible.
-
-    Returns
-    -------
-    (n,) array [Pa]
-        Density times the squared speed of the slowest wave in the reference configuration. NaN
-        where the law is not finite.
+    It is the density times the squared speed of the slowest wave in the reference configuration, and NaN where the law
+    is not finite. Deformation gradients `F` (n, 3, 3) have volume 1 if the material is incompressible.
     """
     stretches = np.linalg.svd(F, compute_uv=False)
     principal = stretches[:, :, None] * np.eye(3)

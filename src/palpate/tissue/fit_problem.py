@@ -26,27 +26,12 @@ BOUND_TOLERANCE = 1e-4  # relative change of the residual norm
 
 
 class FitProblem:
-    """Residuals of a law's free parameters against measurements.
+    """Residuals of a law's free parameters against measurements, with arguments of `palpate.tissue.fitting.fit`.
 
-    Parameters
-    ----------
-    start, bounds, fixed, density, poisson
-        As for `palpate.tissue.fitting.fit`.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Names of the free parameters.
-    first, low, high : (k,) array
-        First start, and bounds.
-    draw_bounds : (k, 2) array
-        Bounds for the random starts; NaN where none were given.
-    moduli : (k,) array of bool
-        Whether the stress is linear in a parameter.
-    target : (n,) array
-        Measured stresses over their deviations and the unit.
-    unit : float
-        Scale of the stresses over their deviations.
+    `names` are those of the k free parameters, which start at `first` (k,) between `low` and `high` (k,). `draw_bounds`
+    (k, 2) are bounds for the random starts; NaN where none were given. `moduli` (k,) is True where the stress is linear
+    in a parameter. `target` (n,) are the measured stresses over their deviations and the `unit`, the scale of the
+    stresses over their deviations.
     """
 
     def __init__(

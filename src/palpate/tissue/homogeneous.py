@@ -47,21 +47,11 @@ def compressible(material: Material) -> Material:
 
 
 def nominal_stress(material: Material, kind: str, deformation: ArrayLike) -> Floats:
-    """Return the nominal stress, the force per undeformed area of the machine.
+    """Return the nominal stress (n,) [Pa], the force per undeformed area of the machine.
 
-    Parameters
-    ----------
-    material : Material
-        Compressible, or incompressible (Poisson's ratio 0.5).
-    kind : str
-        ``"uniaxial"``, ``"equibiaxial"``, ``"planar"`` or ``"shear"``.
-    deformation : (n,) array
-        Stretches, positive; shears gamma where the kind is ``"shear"``.
-
-    Returns
-    -------
-    (n,) array [Pa]
-        NaN where no free stretch within a factor of 400 of the isochoric one gives P33 = 0.
+    The kind is ``"uniaxial"``, ``"equibiaxial"``, ``"planar"`` or ``"shear"``. `deformation` (n,) are stretches,
+    positive; shears gamma where the kind is ``"shear"``. The stress is NaN where no free stretch within a factor of 400
+    of the isochoric one gives P33 = 0.
     """
     return _machine_stress(compressible(material), kind, deformation_gradient(material, kind, deformation))
 

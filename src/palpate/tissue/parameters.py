@@ -54,19 +54,10 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, float]]:
 
 
 class Layout:
-    """Order of a law's parameters in a vector.
+    """Order of a law's parameters in a vector, whose values are `first` (k,).
 
-    Parameters
-    ----------
-    given : dict
-        Values of fields. A sequence must be given, because it defines the length. A missing number
-        is 1, or its default.
-
-    Attributes
-    ----------
-    names : tuple of str
-    first : (k,) array
-        Given values.
+    `given` are values of fields. A sequence must be given, because it defines the length. A missing number is 1, or its
+    default.
     """
 
     def __init__(self, law: type[Material], values: Mapping[str, Any]) -> None:

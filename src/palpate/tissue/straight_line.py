@@ -33,13 +33,7 @@ NO_OPERAND = -1  # second operand of a unary operation
 
 
 class Tape:
-    """Straight-line program: rows of operations on variables and coefficients.
-
-    Parameters
-    ----------
-    variables : sequence of str
-        Names of positive variables.
-    """
+    """Straight-line program: rows of operations on coefficients and on positive variables."""
 
     def __init__(self, variables: Sequence[str]) -> None:
         self.rows: list[Row] = []
@@ -213,10 +207,7 @@ NAME_PATTERN = re.compile(r"s\d+")
 def compile_functions(sources: dict[str, str], variables: Sequence[str]) -> dict[str, Any]:
     """Return compiled functions by name, with sources available to `inspect`.
 
-    Parameters
-    ----------
-    sources : dict
-        Result of `Tape.source` by function name.
+    The sources by function name are results of `Tape.source`.
     """
     source = "\n\n".join(sources.values())
     filename = f"<palpate law {sha256(source.encode()).hexdigest()[:16]}>"

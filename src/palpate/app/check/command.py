@@ -75,28 +75,8 @@ def check(
 ) -> int:
     """Examine a surface, fill it if it can be, and leave a report with pictures in a folder.
 
-    Parameters
-    ----------
-    file : path
-        A surface, as for `palpate.io.read_surface`, or a scene file, whose supports, regions and tool are also
-        reported.
-    spacing : float, optional [m]
-        Between nodes; by default one that gives some 4,000.
-    part, labels, units, scale, repair
-        As for `palpate.io.read_surface`.
-    without : sequence of str
-        As for `palpate.open_scene`.
-    seed : int
-        As for `palpate.fill`.
-    out : path
-        Folder; made if it does not exist.
-    as_json : bool
-        Print the report as JSON instead of tables.
-
-    Returns
-    -------
-    int
-        0 if the surface was filled, 1 if it cannot be.
+    `file` may be a scene file, whose supports, regions and tool are also reported. By default `spacing` [m] gives some
+    4,000 nodes. Returns 0 if the surface was filled, 1 if it cannot be.
     """
     check_folder(out)
     console = Console()

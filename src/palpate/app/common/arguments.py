@@ -44,27 +44,15 @@ class _Formatter(argparse.HelpFormatter):
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line, with the nearest known word and the help of its command.
-
-    Attributes
-    ----------
-    renamed : dict of str to str
-        Options of earlier versions, and those that took their places.
-    moved : dict of str to str
-        Former options, and the commands that do the same now.
-    synonyms : dict of str to str
-        Arguments of the library, and the options of other names that they come from.
-    assignments : dict of str to str
-        Destinations of options whose values are ``NAME=X``, and these options.
-    """
+    """A parser whose errors are one line, with the nearest known word and the help of its command."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         options.setdefault("formatter_class", _Formatter)
         super().__init__(*arguments, **options)
-        self.renamed: dict[str, str] = {}
-        self.moved: dict[str, str] = {}
-        self.synonyms: dict[str, str] = {}
-        self.assignments: dict[str, str] = {}
+        self.renamed: dict[str, str] = {}  # options of earlier versions, and their successors
+        self.moved: dict[str, str] = {}  # former options, and the commands that do the same now
+        self.synonyms: dict[str, str] = {}  # arguments of the library, and the options that they come from
+        self.assignments: dict[str, str] = {}  # destinations of options with values ``NAME=X``, and these options
 
     def error(self, message: str) -> NoReturn:
         for pattern, words in ARGPARSE_MESSAGES.items():
@@ -118,18 +106,10 @@ def suggestion(word: str, choices: Sequence[str]) -> str:
 
 
 def add_command(commands: Any, name: str, function: str, *, summary: str, description: str) -> Parser:
-    """Add a command to those of a parser.
+    """Add a command to the subparsers of a parser.
 
-    Parameters
-    ----------
-    commands : subparsers
-        As `argparse.ArgumentParser.add_subparsers` returns them.
-    function : str
-        ``"module:function"`` that runs the command: it takes the options by name, and returns the exit code.
-    summary : str
-        Of a line, for the help of all commands.
-    description : str
-        For the help of this one.
+    `function`, ``"module:function"``, runs it: it takes the options by name, and returns the exit code. `summary` is
+    its line in the help of all commands, `description` its own help.
     """
     parser: Parser = commands.add_parser(name, help=summary, description=description)
     parser.set_defaults(**{COMMAND_KEY: function, PARSER_KEY: parser})
@@ -139,14 +119,8 @@ def add_command(commands: Any, name: str, function: str, *, summary: str, descri
 def add_parameter(parser: Any, section: type, name: str, note: str = "", **options: Any) -> None:
     """Add the option of a parameter of a scene file, whose type, range, choices and help are those of its declaration.
 
-    Parameters
-    ----------
-    section : type
-        Section of `palpate.scenes.description`.
-    note : str
-        Follows the help. With a note the option has no default, otherwise that of the declaration.
-    options : mapping
-        Other arguments of ``add_argument``.
+    `section` is one of `palpate.scenes.description`; `options` are further arguments of ``add_argument``. A note
+    follows the help; with one the option has no default, otherwise that of the declaration.
     """
     from palpate.core.parameters import fields_of
 

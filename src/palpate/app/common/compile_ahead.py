@@ -32,10 +32,8 @@ def second_process(function: Function, request: Any) -> Iterator[Child | None]:
 def compile_ahead(function: Function, request: Any) -> Iterator[Callable[[], object]]:
     """Call a function that compiles in another process within a context, if there is a second processor.
 
-    Yields
-    ------
-    function
-        Waits until that process has answered, or ended. What it has not compiled is compiled when it is called.
+    Yields a function that waits until that process has answered, or ended. What it has not compiled is compiled when it
+    is called.
     """
     with second_process(function, request) as child:
         yield lambda: None if child is None else next(child.answers(), None)

@@ -30,12 +30,8 @@ class Table:
 class Console:
     """Lines about the work in progress, on standard error.
 
-    Parameters
-    ----------
-    on_phase : function, optional
-        Called with the text of every phase of the work when it begins.
-    on_progress : function, optional
-        Called with the share of a phase that is done, from 0 to 1, and with a text about it.
+    `on_phase` is called with the text of every phase when it begins. `on_progress` is called with the share of it that
+    is done, from 0 to 1, and a text about it.
     """
 
     def __init__(

@@ -28,17 +28,9 @@ from palpate.core.working_folder import guard_matplotlib
 
 
 def execute(build_parser: Callable[[], Parser], words: Sequence[str]) -> int:
-    """Run a command line.
+    """Run a command line and return its exit code; there is one line on standard error if it is not 0.
 
-    Parameters
-    ----------
-    build_parser : function
-        Returns the parser, whose commands were added by `palpate.app.common.arguments.add_command`.
-
-    Returns
-    -------
-    int
-        The exit code; there is one line on standard error if it is not 0.
+    The commands of the parser were added by `palpate.app.common.arguments.add_command`.
     """
     guard_matplotlib()
     try:

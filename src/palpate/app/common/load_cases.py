@@ -15,14 +15,7 @@ FIGURES_SIZE = 5_000_000  # [bytes] of all figures of a study, about
 def build_load_case(build: Callable[[], LoadCase], out: Path, doubles: int, console: Console) -> LoadCase:
     """Build a load case, check that its results can be written, and make their folder.
 
-    Parameters
-    ----------
-    build : function
-        Returns the load case.
-    out : path
-        Folder.
-    doubles : int
-        Numbers that the snapshots and the export hold for every node and time.
+    `doubles` are the numbers that the snapshots and the export hold for every node and time.
     """
     check_folder(out)
     with console.status("making the model ready (the first time on a machine compiles it, for about a minute)"):

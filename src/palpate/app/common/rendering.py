@@ -80,17 +80,10 @@ def screenshot(plotter: Any) -> NDArray[np.uint8]:
 
 @contextmanager
 def off_screen(width: float, height: float, middle: Floats, towards: Floats, pixels: int = PIXELS) -> Iterator[Any]:
-    """Yield a PyVista plotter on white that looks at `middle` in a parallel projection.
+    """Yield a PyVista plotter on white that looks at `middle` (3,) [m] in a parallel projection.
 
-    Parameters
-    ----------
-    width, height : float [m]
-        What the picture spans in its plane.
-    middle : (3,) array [m]
-    towards : (3,) array
-        Direction from there to the camera; z points up.
-    pixels : int
-        Across the picture.
+    The picture spans `width` and `height` [m] in its plane, and is `pixels` wide. `towards` (3,) is the direction from
+    `middle` to the camera; z points up.
     """
     import pyvista
 
@@ -115,16 +108,10 @@ def add_shaded(
     towards: Floats,
     colours: Callable[[RefinedSurface], dict[str, Floats]],
 ) -> None:
-    """Add a smooth surface in the light of the page.
+    """Add a smooth surface, of points (n, 3) [m], in the light of the page.
 
-    Parameters
-    ----------
-    points : (n, 3) array [m]
-    triangles : (t, 3) int array
-    towards : (3,) array
-        Direction from the body to the camera, not along z.
-    colours : function
-        Returns further arguments of `palpate.app.common.shading.shade` at the vertices of the refined surface.
+    `towards` (3,) is the direction from the body to the camera, not along z. `colours` returns further arguments of
+    `palpate.app.common.shading.shade` at the vertices of the refined surface.
     """
     refined = RefinedSurface(points, triangles)
     places, normals = refined.places(points)
@@ -151,16 +138,10 @@ def add_colour_bar(drawn: Any, axes: Any, limit: float, label: str, **style: Any
 
 
 def show(axes: Any, points: Floats, towards: Floats, title: str, draw: Callable[[Any, float], None]) -> None:
-    """Show a body seen from a side in matplotlib axes, with a scale bar.
+    """Show a body of points (n, 3) [m], seen from a side, in matplotlib axes, with a scale bar.
 
-    Parameters
-    ----------
-    points : (n, 3) array [m]
-        Of the body.
-    towards : (3,) array
-        Direction from the body to the camera, not along z.
-    draw : function
-        Adds meshes to a PyVista plotter; it also gets the width of the view [m].
+    `towards` (3,) is the direction from the body to the camera, not along z. `draw` adds meshes to a PyVista plotter;
+    it also gets the width of the view [m].
     """
     right, up, towards = camera_axes(towards)
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))

@@ -28,20 +28,9 @@ def deliver(
 ) -> None:
     """Write a report into a folder as ``report.json`` and ``report.md``, and print it.
 
-    Parameters
-    ----------
-    report : dict
-        Only what JSON can hold; with ``"title"``, and ``"machine"`` as `machine` returns it.
-    tables : sequence of Table or str
-        Tables and sentences to print.
-    out : path
-        Folder; exists.
-    files : sequence of str
-        Names of the files that the command may have left there, in the order in which they are listed.
-    as_json : bool
-        Print the report as JSON instead of tables.
-    written : sequence of Table or str, optional
-        Tables and sentences of ``report.md``, if others than `tables`.
+    `report` holds only what JSON can, with ``"title"``, and ``"machine"`` as `machine` returns it. `tables` are
+    printed; `written` takes their place in ``report.md``. `files` are those that the command may have left in the
+    folder, in the order of the list.
     """
     write_json(out / "report.json", report)
     pictures = [name for name in files if name.endswith(".png") and (out / name).is_file()]

@@ -73,14 +73,7 @@ def fill_template(template: str, values: Values) -> str:
 def named_rows(label: str, keys: str, template: str, names: Iterable[str]) -> Rows:
     """Return a row for each name of a mapping, whose names may be a person's own.
 
-    Parameters
-    ----------
-    label : str
-        With ``{}`` for the name.
-    keys : str
-        Of the mapping in the report.
-    template : str
-        Of one ``{value}``.
+    `label` has ``{}`` for the name, `template` one ``{value}``; `keys` are those of the mapping in the report.
     """
 
     def text_of(name: str) -> Callable[[Values], str]:

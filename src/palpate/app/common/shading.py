@@ -88,22 +88,12 @@ def shade(
     places: Floats | None = None,
     colours: Floats | None = None,
 ) -> NDArray[np.uint8]:
-    """Return the colours (n, 3) of lit tissue.
+    """Return the colours (n, 3) of lit tissue, by the unit normals (n, 3) of its surface.
 
-    Parameters
-    ----------
-    normals : (n, 3) array
-        Unit normals of the surface.
-    camera : (3, 3) array
-        Unit vectors to the right, up, and towards the camera as rows; z points up in space.
-    values : (n,) array, optional
-        Shares of the range from -1 to 1, shown as colours; tissue by default.
-    fixed : (n,) array, optional
-        1 at a support and 0 elsewhere.
-    places : (n, 3) array, optional
-        Places at rest over the size of the body, which mottle the tissue; even by default.
-    colours : (n, 3) array, optional
-        Colours from 0 to 1 that replace those of `values`.
+    The rows of `camera` (3, 3) are unit vectors to the right, up, and towards the camera; z points up in space.
+    `values` (n,) from -1 to 1 are shown as colours, tissue by default; `colours` (n, 3) from 0 to 1 replace them.
+    `fixed` (n,) is 1 at a support and 0 elsewhere. `places` (n, 3), at rest over the size of the body, mottle the
+    tissue.
     """
     n = normals @ camera.T
     n = np.where(n[:, 2:] < 0, -n, n)  # towards the eye
@@ -172,17 +162,8 @@ def _noise(x: Floats) -> Floats:
 class RefinedSurface:
     """A triangulated surface in smaller triangles, on the curved patches of Vlachos et al. (I3D, 2001).
 
-    Sharp edges of the surface at rest stay sharp.
-
-    Parameters
-    ----------
-    rest : (n, 3) array [m]
-    triangles : (t, 3) int array
-
-    Attributes
-    ----------
-    triangles : (s, 3) int array
-        The smaller triangles.
+    Its vertices `rest` are (n, 3) [m]. Sharp edges of the surface at rest stay sharp. The attribute `triangles` (s, 3)
+    holds the smaller ones.
     """
 
     def __init__(self, rest: ArrayLike, triangles: ArrayLike) -> None:

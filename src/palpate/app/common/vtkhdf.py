@@ -17,23 +17,13 @@ VTK_VERTEX, VTK_TRIANGLE = 1, 5
 
 
 def write_vtkhdf(path: str | Path, cloud: Cloud, times: Floats, point_fields: Mapping[str, Floats]) -> None:
-    """Write nodal fields over time to a VTKHDF file, whole or not at all.
+    """Write nodal fields, (f, n) or (f, n, 3), at times (f,) [s] to a VTKHDF file, whole or not at all.
 
     The points are the reference positions, the cells the surface triangles and one vertex for every node inside. In
     ParaView (5.12 or newer), *Warp By Vector* with the field ``displacement`` shows the deformed body.
 
-    Parameters
-    ----------
-    path : path
-        Its name should end in ``.vtkhdf``.
-    times : (f,) array [s]
-    point_fields : mapping of str to (f, n) or (f, n, 3) arrays
-        Scalars or vectors at every node for every time.
-
-    Notes
-    -----
-    The layout is version 2.0 of the VTKHDF format for an ``UnstructuredGrid`` with a static mesh, whose ``Steps``
-    group holds the offsets of the points, cells and values of every time:
+    The layout is version 2.0 of the VTKHDF format for an ``UnstructuredGrid`` with a static mesh, whose ``Steps`` group
+    holds the offsets of the points, cells and values of every time:
     https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html
     """
     import h5py

@@ -33,17 +33,9 @@ Say = Callable[[str], None]
 
 
 class DeviceDriver:
-    """Moves the tools of a session by haptic devices until it is closed.
+    """Moves the tools of a session by haptic devices until it is closed; `say` shows a line to the person.
 
-    Parameters
-    ----------
-    say : function
-        Shows a line to the person.
-
-    Attributes
-    ----------
-    hands : dict of HandStatistics
-        What happened at the devices so far, by their names; complete after `close`.
+    `hands` holds what happened at the devices so far, by their names; it is complete after `close`.
     """
 
     def __init__(self, session: Session, options: DeviceOptions, say: Say) -> None:

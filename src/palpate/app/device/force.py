@@ -74,10 +74,7 @@ def limited_force(force: Floats, limit: float) -> Floats:
 class Watchdog:
     """Watchdog with a ramp: share of the force, 0 while readings are old or the tool is not coupled, then up to 1.
 
-    Parameters
-    ----------
-    max_age : float [s]
-        Of a reading; four periods of the engine, if they are longer.
+    A reading is old after `max_age` [s], or after four periods of the engine, if they are longer.
     """
 
     def __init__(self, max_age: float) -> None:
@@ -112,12 +109,7 @@ class Watchdog:
 
 
 class PassivityObserver:
-    """Passivity observer and controller: the energy that hands put into a body, from which its forces may take.
-
-    Attributes
-    ----------
-    energy : float [J]
-    """
+    """Passivity observer and controller: the energy [J] that hands put into a body, from which its forces may take."""
 
     def __init__(self) -> None:
         self.energy = 0.0

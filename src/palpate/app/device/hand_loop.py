@@ -112,14 +112,9 @@ class DeviceChannel:
 
 
 class HandLoop:
-    """Moves tools by hands, and computes the forces on them.
+    """Moves up to `tools` tools by hands, and computes the forces on them.
 
-    Parameters
-    ----------
-    tools : int
-        Tools that devices may move.
-    answer : function
-        Sends a message to the session: ``poses``, ``devices``, ``hands`` (statistics) or ``say``.
+    `answer` sends a message to the session: ``poses``, ``devices``, ``hands`` (statistics) or ``say``.
     """
 
     def __init__(self, options: DeviceOptions, tools: int, answer: Callable[[dict[str, Any]], None]) -> None:

@@ -26,24 +26,7 @@ def export(
     relaxed: bool = False,
     tools: int = 2,
 ) -> int:
-    """Write a library of a model for programs in C, or a page on which a browser steps it.
-
-    Parameters
-    ----------
-    model : str
-        As for `palpate.app.models.input.open_input`.
-    part, labels, without
-        Of a surface file, as for `palpate.open_scene`.
-    folder, name, targets, relaxed, tools
-        As for `palpate.export.folder.export_c`.
-    web : path
-        Folder of a page, in place of `folder`.
-
-    Returns
-    -------
-    int
-        0.
-    """
+    """Write a library of a model for programs in C, or a page in the folder `web` on which a browser steps it."""
     console = Console()
     if web is not None:
         if name is not None or targets or relaxed:

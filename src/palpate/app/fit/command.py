@@ -40,25 +40,9 @@ def fit_law(
 ) -> int:
     """Fit a law to the curves of CSV files and leave a report and a picture in a folder.
 
-    Parameters
-    ----------
-    law : str
-        Name of a law that `palpate` has, whatever its case, with or without hyphens.
-    data : sequence of path
-        As for `palpate.tissue.measurement_files.read_measurements`.
-    start, bounds, fixed : sequence of str
-        Such as ``"C1=1e3"`` or ``"alpha=2,-2"``, ``"C1=10,1e5"`` and ``"C2=0"``.
-    starts, seed, density, poisson
-        As for `palpate.tissue.fitting.fit`.
-    out : path
-        Folder; made if it does not exist.
-    as_json : bool
-        Print the report as JSON instead of tables.
-
-    Returns
-    -------
-    int
-        0.
+    `law` is a name, whatever its case, with or without hyphens. Entries of `start` are, for example, ``"C1=1e3"`` or
+    ``"alpha=2,-2"``, of `bounds` ``"C1=10,1e5"``, and of `fixed` ``"C2=0"``. The rest is as for
+    `palpate.tissue.fitting.fit`.
     """
     kind, starts = law_class(law), integer_in_range("starts", starts, 1, MAX_STARTS)
     curves = [_with_file_name(curve, path, len(data)) for path in data for curve in read_measurements(path)]

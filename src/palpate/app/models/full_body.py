@@ -50,16 +50,7 @@ def prepare_full_body(scene: Scene, status: Status, spacing: float | None = None
 
 
 def fill_scene(scene: Scene, spacing: float, required: bool, status: Status) -> Scene:
-    """Return a scene with the body of a spacing [m], or of a finer one for thin tissue.
-
-    Parameters
-    ----------
-    scene : Scene
-        Of a surface.
-    spacing : float [m]
-    required : bool
-        Whether a finer spacing is not allowed.
-    """
+    """Return a scene with the body of a spacing [m], or of a finer one for thin tissue unless it is `required`."""
     surface = scene.surface
     assert surface is not None
     volume = abs(surface.volume)

@@ -44,10 +44,7 @@ def realtime_spacing(volume: float, material: Material) -> float:
 def better_spacing(cloud: Cloud, load: float) -> float | None:
     """Return the spacing [m] of two digits with which the body of a cloud keeps real time, or None if its own does.
 
-    Parameters
-    ----------
-    load : float
-        Computing time of the body at rest over the time that passes.
+    `load` is the computing time of the body at rest over the time that passes.
     """
     spacing, is_coarsest = cloud.spacing, len(cloud) <= COARSEST_SHARE * MIN_NODES
     if MIN_GAIN <= BUSY_SHARE / load <= MAX_GAIN or (load > BUSY_SHARE and is_coarsest):

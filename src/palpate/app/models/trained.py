@@ -36,13 +36,9 @@ def model_file(scene: Scene) -> Path:
 def trained_model(scene: Scene, console: Console, workers: int | None = None) -> ReducedModel:
     """Return the reduced model of a scene from its folder; train a missing one.
 
-    An existing model stays, also one of another number of paths or modes, such as of ``palpate train --paths 32``.
-    It is trained again if `scene` was opened with another setting of them. A stopped campaign is continued.
-
-    Parameters
-    ----------
-    workers : int, optional
-        Processes that make the runs; by default one for each processor, and at most 4.
+    An existing model stays, also one of another number of paths or modes, such as of ``palpate train --paths 32``. It
+    is trained again if `scene` was opened with another setting of them. A stopped campaign is continued. By default one
+    process for each processor makes the runs, at most 4.
     """
     folder, training = training_folder(scene), scene.description.training
     if (folder / MODEL_FILE).is_file():

@@ -44,22 +44,7 @@ def new(
     fixed: Sequence[str] = (),
     without: Sequence[str] = (),
 ) -> int:
-    """Write a scene file for a surface, and open it as a check.
-
-    Parameters
-    ----------
-    file : path
-        A surface, as for `palpate.io.read_surface`.
-    out : path
-        Scene file; must not exist.
-    part, labels, units, scale, spacing, law, fixed, without
-        As for `palpate.open_scene`.
-
-    Returns
-    -------
-    int
-        0.
-    """
+    """Write a scene file for a surface, and open it as a check; the file must not exist."""
     if kind_of(out.name) is not SceneKind.SCENE_FILE:
         raise InputError(f"out must end in .toml, got {str(out)!r}; name the scene file organ.toml")
     if out.exists():

@@ -34,18 +34,9 @@ class Proposals:
 def propose(
     labels: LabelMap, file: Path, part: Sequence[str] | None, spacing: float, without: Sequence[str] = ()
 ) -> Proposals:
-    """Return what a label map proposes for the scene of an organ.
+    """Return what a label map proposes for the scene of an organ, whose nodes have a spacing [m].
 
-    Parameters
-    ----------
-    file : path
-        The file of the label map.
-    part : sequence of str, optional
-        Parts of the map that the user has chosen.
-    spacing : float [m]
-        Of the body's nodes.
-    without : sequence of str
-        Labels that lie in the organ and do not join it.
+    `part` are parts of the map that the user has chosen; `without` are labels that lie in the organ and do not join it.
     """
     chosen, inner = inner_labels_of(labels, part, without)
     names = dict(zip(labels.segments, part_names(labels), strict=True))

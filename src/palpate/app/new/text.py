@@ -21,21 +21,11 @@ def commented_text(
     schema: Path,
     alternatives: Sequence[tuple[Support, str]] = (),
 ) -> str:
-    """Return the text of a scene file.
+    """Return the text of a scene file, for a scene with all values in use.
 
-    Parameters
-    ----------
-    scene : Scene
-        With all values in use.
-    guesses : mapping
-        ``"units"``, ``"size"``, ``"nodes"``, ``"support"`` and ``"reach"`` in words; ``"radius"`` of the ball [m];
-        ``"reasons"`` for regions and supports by their names.
-    notes : sequence of str
-        Notes about the surface.
-    schema : path
-        File of the schema.
-    alternatives : sequence of pairs
-        Supports that can be chosen in place of those in use, and what they are.
+    `guesses` has ``"units"``, ``"size"``, ``"nodes"``, ``"support"`` and ``"reach"`` in words; ``"radius"`` of the ball
+    [m]; ``"reasons"`` for regions and supports by their names. `notes` are about the surface. `alternatives` are
+    supports that can be chosen in place of those in use, and what they are.
     """
     about = scene.description
     reasons = guesses.get("reasons", {})

@@ -13,13 +13,7 @@ from palpate.realtime.bodies.full_surface import FullSurface, display_surface
 
 
 class CutSurfaces:
-    """Surfaces of a recording.
-
-    Attributes
-    ----------
-    whole : DisplaySurface
-        Of the body without a cut.
-    """
+    """Surfaces of a recording; `whole` is that of the body without a cut."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording, self._count = recording, 0

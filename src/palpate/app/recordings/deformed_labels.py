@@ -31,18 +31,9 @@ def write_deformed_labels(
 ) -> list[str]:
     """Write the deformed label map of a recorded body, and what was done as lines of text.
 
-    Parameters
-    ----------
-    labels_file : path
-        The label map from which the body was made, or another image of the same patient and frame.
-    out : path, optional
-        Label map to write, in the image of `labels_file`.
-    field_out : path, optional
-        Displacement field to write: it resamples an image to the deformed body.
-    time : float, optional [s]
-        Moment of the recording; by default that of the largest force.
-    part : sequence of str, optional
-        Labels of the body; by default those that lie in it.
+    `labels_file` is the map from which the body was made, or another image of the same patient and frame. The map `out`
+    is written in its image; the field `field_out` resamples an image to the deformed body. `time` [s] is by default
+    that of the largest force, `part` the labels that lie in the body.
     """
     for path, name in ((out, "out"), (field_out, "field")):
         if path is not None:

@@ -80,18 +80,9 @@ def make_load(
     approach: float = 0.0,
     name: str = TOOL_NAME,
 ) -> Load:
-    """Return the load of a tool with the poses of snapshots.
+    """Return the load of a tool with the poses of snapshots at times (f,) [s] from 0.
 
-    Parameters
-    ----------
-    tool : dict
-        Description of the tool.
-    times : (f,) array [s]
-        Of the snapshots, from 0.
-    approach : float [s]
-        Duration in which a held group moves from rest to the first pose.
-    name : str
-        Of the load.
+    `tool` is its description. In the duration `approach` [s] a held group moves from rest to the first pose.
     """
     positions = np.array([snapshot.position for snapshot in snapshots])
     quaternions = np.array([snapshot.quaternion for snapshot in snapshots])

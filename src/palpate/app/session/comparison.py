@@ -28,16 +28,9 @@ SHARED_MESSAGES = (
 class Comparison(Session):
     """The session of a reduced model, with the full body in a second engine.
 
-    Both have the same tools at the same poses, with a rigid coupling: the tools of two springs would differ. Each
-    body has its own clock. While one is slower than real time and the tool moves, the two are at different times.
-
-    Parameters
-    ----------
-    model : ReducedModel
-        A model with tool contact.
-    full_model : Model
-        Its full model, with the same nodes; see `palpate.app.session.full_model_replay.full_model`.
-    rate : float [Hz]
+    Both have the same nodes and the same tools at the same poses, with a rigid coupling: the tools of two springs would
+    differ. Each body has its own clock. While one is slower than real time and the tool moves, the two are at different
+    times.
     """
 
     def __init__(self, model: ReducedModel, full_model: Model, title: str, rate: float = PERIODS_PER_SECOND) -> None:

@@ -32,12 +32,8 @@ POINT_TOLERANCE = 1e-6  # between equal points of two bodies, as a fraction of t
 def full_model(reduced: ReducedModel, trusted_scene: str | None = None) -> Model:
     """Return the full model of the scene that a reduced model was trained on.
 
-    Names in a file are never imported: without `trusted_scene` the scene must be one of palpate's own.
-
-    Parameters
-    ----------
-    trusted_scene : str, optional
-        Scene that the user trusts, ``"module:function"``; it must equal the one in the file.
+    Names in a file are never imported: without `trusted_scene` the scene must be one of palpate's own. `trusted_scene`
+    is ``"module:function"``, trusted by the user; it must equal the one in the file.
     """
     scene_record = reduced.report.get("scene")
     if not scene_record:
@@ -152,18 +148,10 @@ def _check_path(recording: Recording, snapshots: list[Snapshot], tools: list[dic
 
 
 def replay_on_full_model(recording: Recording, model: Model | None = None) -> dict[str, Any]:
-    """Run the recorded tool path on the full model.
+    """Run the recorded tool path on the full model, by default that of the scene.
 
-    Parameters
-    ----------
-    model : Model, optional
-        By default the model of the scene.
-
-    Returns
-    -------
-    dict
-        ``"times"`` (f,) [s] of the recording, ``"positions"`` (f, n, 3) [m] of the surface, ``"force"`` (f, t, 3) [N]
-        on the tools, and ``"errors"``, the result of `replay_errors`.
+    Returns ``"times"`` (f,) [s] of the recording, ``"positions"`` (f, n, 3) [m] of the surface, ``"force"`` (f, t, 3)
+    [N] on the tools, and ``"errors"``, the result of `replay_errors`.
     """
     part, tools = tool_path(recording)
     model = model or full_model(reduced_model(recording))
@@ -209,13 +197,11 @@ def replay_errors(
 ) -> dict[str, float]:
     """Return the relative errors of recorded snapshots against the full model.
 
-    Returns
-    -------
-    dict
-        ``"displacement"``: root mean square of the error over that of the displacement, over surface and time.
-        ``"largest"``: largest error of a vertex over the largest displacement. ``"force"``: mean error of the force on
-        an active tool over the largest force. ``"peak"``: relative error of the largest force. ``"wall_seconds"``:
-        computing time of the full model. ``"seconds"``: duration of the path.
+    - ``"displacement"``: root mean square of the error over that of the displacement, over surface and time
+    - ``"largest"``: largest error of a vertex over the largest displacement
+    - ``"force"``: mean error of the force on an active tool over the largest force
+    - ``"peak"``: relative error of the largest force
+    - ``"wall_seconds"``, ``"seconds"``: computing time of the full model, and duration of the path
     """
     recorded = np.array([snapshot.displacements(surface) for snapshot in snapshots])
     tool_forces = np.array([[tool.force for tool in snapshot.tools] for snapshot in snapshots])

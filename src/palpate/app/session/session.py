@@ -67,21 +67,13 @@ MIN_MODULUS_RATIO, MAX_MODULUS_RATIO = 0.25, 4.0  # to the model's own moduli
 
 
 class Session:
-    """A reduced model or a full body in an `Engine`, with the tools of a user by index.
+    """A reduced model or a full body in an `Engine` of a rate [Hz], with the tools of a user by index.
+
+    A reduced model has tool contact, or one prescribed group. `foundations` are springs between the body and the
+    ground. The engine's black box stores a duration `history` [s]; its file `black_box` is written if the state
+    diverges.
 
     Messages must come from one thread at a time; `snapshot` may be called from any thread.
-
-    Parameters
-    ----------
-    model : ReducedModel or EnergySolid
-        A reduced model with tool contact, or with one prescribed group; or a full body.
-    rate : float [Hz]
-    foundations : sequence of Foundation
-        Springs between the body and the ground.
-    history : float [s]
-        Duration that the engine's black box stores.
-    black_box : path, optional
-        Its file, written if the state diverges.
     """
 
     mode = "live"

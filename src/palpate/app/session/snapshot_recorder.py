@@ -22,17 +22,11 @@ NOT_RECORDED = ("position", "quaternion", "active", "outline", "pinned")  # of t
 
 
 class SnapshotRecorder:
-    """Records snapshots of a session until it is stopped.
+    """Records snapshots of a session, with an interval [s] between two, until it is stopped.
 
-    Parameters
-    ----------
-    describe_period : function
-        Returns the present snapshot, the descriptions of the selected tools by index, and the triangles (t, 3, 3) of
-        the cut; called from the recorder's thread.
-    journal : RecordingJournal
-        Receives the snapshots twice a second, and the rest at the end.
-    interval : float [s]
-        Between two snapshots.
+    `describe_period` returns the present snapshot, the descriptions of the selected tools by index, and the triangles
+    (t, 3, 3) of the cut. It is called from the recorder's thread. `journal` receives the snapshots twice a second, and
+    the rest at the end.
     """
 
     def __init__(

@@ -102,14 +102,8 @@ def make_forceps(
 ) -> tuple[Forceps, Floats]:
     """Return forceps that grasp the deformed body, and their position (3,) [m].
 
-    Parameters
-    ----------
-    displacements : (n, 3) array [m]
-        Displacements of the surface.
-    position : (3,) array [m]
-        The forceps grasp the vertex nearest to this position.
-    radius : float [m]
-        Radius around the vertex within which nodes are grasped, at rest.
+    They grasp the vertex nearest to `position` (3,) [m] of the surface with displacements (n, 3) [m], and the nodes
+    within `radius` [m] around it, at rest.
     """
     model = surface.model
     vertices = surface.rest + displacements

@@ -13,13 +13,7 @@ from palpate.app.studies.study import PROJECTED, compile_study
 
 
 def compile_example(name: str) -> None:
-    """Compile what an example calls, in two processes where there are two processors.
-
-    Parameters
-    ----------
-    name : str
-        One of `PAPER_EXAMPLES`.
-    """
+    """Compile what one of `PAPER_EXAMPLES` calls, in two processes where there are two processors."""
     example = PAPER_EXAMPLES[name]
     with second_process(assist, [name, {}, [], "", ""]) as child:
         study = next(iter(example.studies.values()))(example.case())

@@ -191,10 +191,7 @@ def draw_energies(
 ) -> None:
     """Draw the energies of the full model over time, each phase in a column with its own scale.
 
-    Parameters
-    ----------
-    rows : sequence of sequences of str
-        Names of `ENERGIES` in each row of axes.
+    `rows` has the names of `ENERGIES` in each row of axes.
     """
     study = studies[0]
     titles = phase_titles(study) if len(study.phases) > 1 else [""]

@@ -89,14 +89,9 @@ def build_report(
 ) -> dict[str, Any]:
     """Return the report of an example: only what JSON can hold, in SI units.
 
-    Parameters
-    ----------
-    studies : mapping of str to Study
-        By name in the report; None where the full run diverged. The first has the form of the paper.
-    quantities_of : function
-        Returns the quantities of a full run by the number of its phase.
-    pod_seconds : float [s]
-        Time of the decomposition of the snapshots.
+    `studies` are by name in the report, None where the full run diverged. The first has the form of the paper.
+    `quantities_of` returns the quantities of a full run by the number of its phase. `pod_seconds` [s] is the time of
+    the decomposition of the snapshots.
     """
     complete = [study for study in studies.values() if study]
     first, case = complete[0], complete[0].case

@@ -35,25 +35,10 @@ PAPER_EXAMPLES = {example.name: example for example in (BEAM_EXAMPLE, MEMBRANE_E
 
 
 def reproduce(*, example: str, modes: Sequence[int], out: Path, as_json: bool = False, **options: Any) -> int:
-    """Run an example and leave its files in a folder.
+    """Run one of `PAPER_EXAMPLES` and leave its files in a folder, where they replace those of an earlier study.
 
-    Parameters
-    ----------
-    example : str
-        One of `PAPER_EXAMPLES`.
-    modes : sequence of int
-        Sizes of the reduced models of each phase, from 1 to its snapshots.
-    out : path
-        Folder for the results; made if it does not exist. A file of an earlier study is replaced by the new one.
-    as_json : bool
-        Print the report as JSON instead of tables.
-    options : mapping
-        Of the example's case.
-
-    Returns
-    -------
-    int
-        0, or 1 if every reduced run failed.
+    `modes` are the sizes of the reduced models of each phase, from 1 to its snapshots; `options` are those of the
+    example's case. Returns 0, or 1 if every reduced run failed.
     """
     chosen = PAPER_EXAMPLES[example]
     sizes = sorted({integer_in_range("modes", m, 1, chosen.snapshots) for m in modes})

@@ -33,10 +33,7 @@ def assist_example(
 ) -> None:  # fmt: skip
     """Do the work of the second process.
 
-    Parameters
-    ----------
-    given
-        Numbers of modes, folder of the results, and one for runs that figures show.
+    `given` has the numbers of modes, the folder of the results, and one for runs that figures show.
     """
     sizes, out, shown = request
     if example.second_case is None:
@@ -97,14 +94,7 @@ class _Lines(Console):
 
 
 class SecondForm:
-    """What the first process requires of the second one.
-
-    Parameters
-    ----------
-    example : Example
-    child : Child or None
-        Process that calls `assist_example`, if there is one.
-    """
+    """What the first process requires of the second one, the child that calls `assist_example`, if there is one."""
 
     def __init__(self, example: Example, child: Child | None) -> None:
         self._example, self._child = example, child

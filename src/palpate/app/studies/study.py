@@ -107,12 +107,7 @@ def compile_study(study: Study, series: Iterable[str]) -> None:
 def run_full(study: Study, out: Path, files: Sequence[str], console: Console) -> None:
     """Run the full model into its file, streaming its frames into a file next to it until they are complete.
 
-    Parameters
-    ----------
-    out : path
-        Folder.
-    files : sequence of str
-        Names of files of an earlier study; removed once the run is complete.
+    Then the `files` of an earlier study are removed.
     """
     case, step = study.case, study.case.model.stability.step
     begun: list[Path] = []

@@ -16,9 +16,7 @@ from palpate.dynamics.run.progress import make_console
 class Bar:
     """Progress of all runs: a bar of simulated time on a terminal, a line for every run elsewhere.
 
-    Parameters
-    ----------
-    durations : mapping of Job to float [s]
+    `durations` [s] are by job.
     """
 
     def __init__(self, durations: Mapping[Job, float], console: Console) -> None:

@@ -64,12 +64,7 @@ class Round(NamedTuple):
 def check_sizes(scene: Scene, training: Training, recorded: bool = False) -> None:
     """Raise `InputError` for too few paths or modes of a scene, before its body is made.
 
-    Parameters
-    ----------
-    training : Training
-        Its sizes.
-    recorded : bool
-        Whether it also trains on recordings, whose paths are not counted here.
+    A `recorded` campaign also trains on recordings, whose paths are not counted here.
     """
     if not scene.held_group and scene.description.surface.generated != "disc":  # tools touch the body
         _check_least(MIN_PATHS if recorded else training.paths, training.modes)
@@ -117,28 +112,14 @@ class Campaign:
     ) -> tuple[list[Job], ReducedModel, list[Round]]:
         """Train models on an increasing number of runs, until the held-out error is at most a tolerance.
 
-        The paths of further runs are those that cover most of the uncovered surface, and on which the model so
-        far errs most (`palpate.app.train.choose`). The folder keeps their numbers. If the tolerance is not kept with
-        all of them, models with more modes are trained on the same runs.
+        The tolerance is of the mean errors over the held-out runs, of displacement and reactions. Where tools touch the
+        body, it is of their forces and the surface while they press. At most `most` paths are trained on.
 
-        Parameters
-        ----------
-        tolerance : float
-            Of the mean errors over the held-out runs: of displacement and reactions, or where tools touch the body,
-            of their forces and the surface while they press.
-        most : int
-            Largest number of training paths.
-        held_out : int
-            Number of held-out runs.
-        more_modes : bool
-            Whether to try more modes.
+        The paths of further runs are those that cover most of the uncovered surface, and on which the model so far errs
+        most (`palpate.app.train.choose`). The folder keeps their numbers. If the tolerance is not kept with all of
+        them, `more_modes` trains models with more modes on the same runs.
 
-        Returns
-        -------
-        jobs : list of Job
-        model : ReducedModel
-            The last one.
-        rounds : list of Round
+        Returns the jobs, the last model and the rounds.
         """
         numbers, rounds = self.folder.rounds() or [list(range(min(FIRST_RUNS, most)))], list[Round]()
         while True:

@@ -49,12 +49,8 @@ def choose(
 ) -> list[Job]:
     """Return the paths with the largest scores, each after those before it count as trained.
 
-    A path on which the reduced model diverges has an unknown error.
-
-    Parameters
-    ----------
-    trained : sequence of Job
-        Runs whose tools cover the surface already.
+    The tools of the runs `trained` cover the surface already. A path on which the reduced model diverges has an unknown
+    error.
     """
     runs = [_reduced_run(model, folder, scene, job) for job in candidates]
     trust = [np.full(1, np.inf) if run is None else run.trust for run in runs]

@@ -51,41 +51,16 @@ def train(
 ) -> int:
     """Make the missing runs of a campaign, and train a reduced model on all of them.
 
-    Parameters
-    ----------
-    scene : str
-        As for `palpate.open_scene`, or ``"module:function"`` of a function that returns a `TrainingScene`; the module
-        is looked for in the current folder, too.
-    part, labels, without
-        Of a surface file, as for `palpate.open_scene`.
-    given : sequence of str
-        Its parameters as ``"name=value"``.
-    paths, held_out : int, optional
-        Runs to train on, from 1, and to measure errors on, from 0. By default those of the scene, as all below.
-    seed : int, optional
-        Of the paths.
-    tolerance : float, optional
-        Largest mean error on the held-out runs. Paths on uncovered surface, or with large expected errors, are added
-        until it is reached, at most `paths`; see `palpate.app.train.campaign.Campaign.train_to_tolerance`.
-    more : sequence of path
-        Recordings of sessions: the campaign also trains on their tool paths beyond trust, from now on.
-    modes : int, optional
-        Size of the reduced model. By default that of the scene, and more if a tolerance requires them.
-    cubature : float, optional
-        As for `palpate.hyper_reduce`: relative error of the sampled forces; by default the scene's.
-    workers : int, optional
-        Processes of one thread each on this machine; by default 1.
-    cluster : str, optional
-        Address of a Dask scheduler, or the path of its file, instead.
-    out : path, optional
-        Folder of the campaign; by default next to a scene file (`palpate.app.train.scene_folder`).
-    as_json : bool
-        Print the report as JSON instead of a table.
+    `scene` is as for `palpate.open_scene`, or ``"module:function"`` of a function that returns a `TrainingScene`; the
+    module is looked for in the current folder, too. Its settings `given` are ``"name=value"``. Options that are None
+    have the scene's values.
 
-    Returns
-    -------
-    int
-        0, also if some runs failed; 3 if the errors on the held-out runs are too large to use the model.
+    With a tolerance, the largest mean error on the held-out runs, paths are added until it is reached, at most `paths`;
+    see `palpate.app.train.campaign.Campaign.train_to_tolerance`. The campaign also trains on the tool paths beyond
+    trust of the recordings `more`, from now on. `cluster` is the address of a Dask scheduler, or the path of its file,
+    in place of processes on this machine.
+
+    Returns 0, also if some runs failed; 3 if the errors on the held-out runs are too large to use the model.
     """
     console, opened, arguments = Console(), None, dict[str, str]()
     if kind_of(scene) is None:

@@ -38,15 +38,7 @@ VIEW_DIRECTIONS = {
 
 
 class Coverage:
-    """Share of a body's free surface that tools cover, run by run; see `palpate.scenes.free_surface`.
-
-    Parameters
-    ----------
-    scene : TrainingScene
-        Of a solid.
-    runs : sequence of (loads, duration)
-        Of the training.
-    """
+    """Share of a solid's free surface that tools cover, run by run; see `palpate.scenes.free_surface`."""
 
     def __init__(self, scene: TrainingScene, runs: Iterable[Run]) -> None:
         paths = scene.path

@@ -37,14 +37,7 @@ def _scene(name: str, parameters: str) -> TrainingScene:
 def perform(folder: str, manifest: Mapping[str, Any], job: tuple[str, int, int], watch: Watch | None = None) -> Outcome:
     """Make a run; write its file, or a record of its failure, to the campaign's folder.
 
-    Parameters
-    ----------
-    manifest : mapping
-        Of the campaign; the folder must hold the same.
-
-    Returns
-    -------
-    Outcome
+    The folder must hold the same manifest.
     """
     campaign_job, campaign_folder = Job(*job), Folder(Path(folder), manifest)
     try:

@@ -28,14 +28,9 @@ def choose_on_page(
 ) -> Iterator[tuple[Host | tuple[int, str, bool, str | None], Opened]]:
     """Yield what `read` returns for the labels of a map that are chosen on the page, and the host of the page.
 
-    `read` takes the labels, and those that lie in them and do not join.
-    A choice that `read` refuses is reported on the page, where another can be made. A map of one label needs no choice,
-    and has the address in place of a host.
-
-    Parameters
-    ----------
-    names : path, optional
-        File of names that the map lacks.
+    `read` takes the labels, and those that lie in them and do not join. A choice that `read` refuses is reported on the
+    page, where another can be made. A map of one label needs no choice, and has the address in place of a host. `names`
+    is a file of names that the map lacks.
     """
     labels = read_label_map(file, names)
     if len(labels.segments) == 1:

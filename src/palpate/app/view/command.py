@@ -59,10 +59,7 @@ def view(
     is the user's own, which the model must name. `shape` has the options of a surface file, and those of a device
     (`palpate.app.device.options`).
 
-    Returns
-    -------
-    int
-        0; 1 if a recording, or its file for ParaView, was not written.
+    Returns 0; 1 if a recording, or its file for ParaView, was not written.
     """
     port, device = integer_in_range("port", port, 1, 65535), take_device(shape)
     require("websockets", "a page in the browser")

@@ -136,12 +136,7 @@ def _webp_writer(path: Path) -> Iterator[Callable[[Any], None]]:
 class RecordingPlotter:
     """Context of a plotter; yields a function that draws the snapshot of an index as pixels (h, w, 3).
 
-    Parameters
-    ----------
-    scalar : str
-        Scalar that colours the body.
-    pixels : int
-        Width of the pictures.
+    `scalar` colours the body; `pixels` is the width of the pictures.
     """
 
     def __init__(self, recording: Recording, scalar: str, pixels: int = PICTURE_PIXELS) -> None:
@@ -254,13 +249,7 @@ class RecordingPlotter:
 
 
 class DrawnBody:
-    """The body in a plotter, whose surface a cut can replace.
-
-    Parameters
-    ----------
-    size : float [m]
-        Of the body.
-    """
+    """The body of a size [m] in a plotter, whose surface a cut can replace."""
 
     def __init__(self, plotter: Any, size: float) -> None:
         self._plotter, self._size = plotter, size
@@ -355,18 +344,9 @@ def add_shadow(plotter: Any, pyvista: Any, rest: Floats) -> Callable[[Floats], N
 
 
 class Caption:
-    """Title, a text that changes, legend and scale bar over a picture.
+    """Title, a text that changes, legend and scale bar over a picture of a width in millimetres.
 
-    Parameters
-    ----------
-    title, quantity : str
-        Of the recording, and of the colours.
-    largest : float
-        End of the colours, in the unit of `quantity`.
-    signed : bool
-        The colours start at minus the largest value.
-    millimetres : float [mm]
-        Width of the picture.
+    The colours of `quantity` end at `largest`, in its unit; `signed` ones start at minus this value.
     """
 
     def __init__(self, title: str, quantity: str, largest: float, signed: bool, millimetres: float) -> None:

@@ -36,12 +36,7 @@ class Trainer(Protocol):
 class Refinement:
     """Trains the reduced model of a scene behind the session of its full body, and makes the session of that model.
 
-    Parameters
-    ----------
-    session : Session
-        Of the full body.
-    train : function, optional
-        Starts a training of a scene.
+    `train` starts a training of a scene.
     """
 
     def __init__(

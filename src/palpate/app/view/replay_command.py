@@ -59,30 +59,13 @@ def replay(
     public_url: str | None = None,
     browser: bool = True,
 ) -> int:
-    """Show a recording on a page, or export it.
+    """Show a recording, or the newest one of a scene file, on a page, or export it.
 
-    Parameters
-    ----------
-    file : path
-        File of a recording, or a scene file: its newest recording.
-    full : bool
-        First replay the tool's path on the full model, print the errors, and store its surface in the file.
-    scene : str, optional
-        Scene of the full model, ``"module:function"``, if it is not one of palpate's; see
-        `palpate.app.session.full_model_replay.full_model`.
-    png, movie : path, optional
-        Draw the snapshot of the largest force, or all snapshots, instead of serving a page.
-    scalar : str
-        Scalar that colours the pictures.
-    labels, out, field, frame, part
-        Write a deformed label map or a field instead; see `write_deformed_labels`.
-    port, host, public_url, browser
-        As for `palpate.app.view.command.view`.
-
-    Returns
-    -------
-    int
-        0.
+    `full` first replays the tool's path on the full model, prints the errors, and stores its surface in the file.
+    `scene` is that of the full model, ``"module:function"``, if it is not one of palpate's; see
+    `palpate.app.session.full_model_replay.full_model`. `png` draws the snapshot of the largest force, `movie` all
+    snapshots, instead of serving a page. `labels`, `out`, `field`, `frame` and `part` write a deformed label map or a
+    field instead; see `write_deformed_labels`.
     """
     console = Console()
     if kind_of(file.name) is SceneKind.SCENE_FILE:

@@ -26,13 +26,7 @@ MIN_SECONDS_LEFT = 1.0  # [s]
 
 
 class TrainingProcess:
-    """A process that trains the reduced model of a scene.
-
-    Parameters
-    ----------
-    scene : Scene
-        As of `complete_for_training`.
-    """
+    """A process that trains the reduced model of a scene, one of `complete_for_training`."""
 
     def __init__(self, scene: Scene) -> None:
         workers = max(min((os.cpu_count() or 1) - 1, MAX_WORKERS), 1)  # the engine keeps a processor
@@ -59,15 +53,7 @@ class TrainingProcess:
 
 
 class Progress:
-    """Reports events of a training, with the time left by the durations so far.
-
-    Parameters
-    ----------
-    report : function
-        Takes an event.
-    clock : function
-        Returns the time [s].
-    """
+    """Reports events of a training, with the time left by the durations so far; `clock` returns the time [s]."""
 
     def __init__(self, report: Callable[[dict[str, Any]], None], clock: Any = monotonic) -> None:
         self._report, self._clock = report, clock

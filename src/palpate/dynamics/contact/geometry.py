@@ -155,16 +155,9 @@ def with_scratch(contacts: Contacts) -> Contacts:
 
 
 def held_nodes(nodes: Ints, points: Floats, masses: Floats, rate: float, reach: NDArray[np.bool_]) -> HeldNodes:
-    """Return held nodes without forces.
+    """Return held nodes (h,) at points (h, 3) [m] with masses (h,) [kg], without forces.
 
-    Parameters
-    ----------
-    nodes : (h,) int array
-    points : (h, 3) array [m]
-    masses : (h,) array [kg]
-    rate : float [1/s]
-        Speed of the fastest waves over the spacing.
-    reach : (t, h) bool array
+    `rate` [1/s] is the speed of the fastest waves over the spacing; `reach` is a mask (t, h).
     """
     return HeldNodes(
         nodes=nodes,
@@ -193,13 +186,7 @@ def project(slide, k, x, y, z):
 
 @kernel_njit()
 def signed_distance(kind, sizes, x, y, z):
-    """Return the distance [m] of a point in the tool's frame to its surface, negative inside, and the outward normal.
-
-    Returns
-    -------
-    tuple of four floats
-        Distance and the normal's three components.
-    """
+    """Return a point's distance [m] to the surface of a tool, in its frame, negative inside, and the outward normal."""
     if kind == PLANE:
         return z, 0.0, 0.0, 1.0
     if kind == CAPSULE:
@@ -265,16 +252,9 @@ def material_velocity(before, after, step, x, y, z):
 
 @kernel_njit()
 def coulomb(normal, friction, wx, wy, wz, nx, ny, nz):
-    """Return the tangential impulse (3) for a normal impulse by Coulomb's law.
+    """Return the tangential impulse (3) for a normal impulse by Coulomb's law, both over the mass [m/s].
 
-    Parameters
-    ----------
-    normal : float
-        Normal impulse over the mass [m/s].
-    wx, wy, wz : float [m/s]
-        Velocity relative to the tool; its normal component is ignored.
-    nx, ny, nz : float
-        Unit normal.
+    The velocity `w` [m/s] is relative to the tool; its part along the unit normal `n` is ignored.
     """
     along = wx * nx + wy * ny + wz * nz
     wx, wy, wz = wx - along * nx, wy - along * ny, wz - along * nz
@@ -339,19 +319,10 @@ def contacts(
 ) -> Contacts:
     """Prepare rigid tools for a cloud.
 
-    Parameters
-    ----------
-    prescribed_until : (n,) array [s]
-        Time until which a node is constrained.
-    sliding : pair of arrays
-        `slide_of` (n,) and `slide` (r, 3, 3).
-    patches : csr_array, optional
-        (n, n) weights of the nodal displacements in those of the contact patches; by default the
-        patches are the nodes.
-    removed : int array, optional
-        Nodes that no tool reaches.
-    edges : (e, 2) int array, optional
-        Pairs of surface nodes at whose midpoints tools meet patches, too.
+    A node is constrained until the time `prescribed_until` (n,) [s]. `sliding` is the pair of `slide_of` (n,) and
+    `slide` (r, 3, 3). `patches` (n, n) are the weights of the nodal displacements in those of the contact patches; by
+    default the patches are the nodes. No tool reaches `removed` nodes. `edges` (e, 2) are pairs of surface nodes at
+    whose midpoints tools meet patches, too.
     """
     _check_tools(loads, cloud)
     if patches is None and any(load.tool.kind == BLADE for load in loads):

@@ -44,10 +44,7 @@ def nodes_in_grip(grip: Grip) -> Ints:
 def grasped_nodes(cloud: Cloud, forceps: Forceps, free: Ints) -> Ints:
     """Return the surface nodes within the radius of forceps, at rest.
 
-    Parameters
-    ----------
-    free : (n,) bool array
-        True for nodes that no support holds in any direction.
+    `free` (n,) is True for nodes that no support holds in any direction.
     """
     point = np.zeros(cloud.points.shape[1])
     point[:] = np.asarray(forceps.point, dtype=float)[: len(point)]
@@ -100,11 +97,8 @@ def hold_nodes(grip, contacts, nodes, surface, alpha, step, u, velocity):
     Adds the impulses and their moments about the tools' origins to `contacts.work.tool_impulses`, and sets the nodes'
     impulses in this step to zero, so that those of other tools are added next.
 
-    Returns
-    -------
-    work, lost : float [J]
-        Work of the tools, and changes of the work of surface loads and of the loss by alpha M, which the kick counted
-        with its own velocities.
+    Returns two energies [J]: the work of the tools with the change of that of surface loads, and the change of the loss
+    by alpha M. The kick counted both with its own velocities.
     """
     work, lost, points = 0.0, 0.0, contacts.patches.points
     for t in range(grip.numbers.shape[0]):
@@ -141,10 +135,7 @@ def hold_nodes(grip, contacts, nodes, surface, alpha, step, u, velocity):
 def bear_impulses(grip, contacts, step, u, velocity):
     """Let the forceps bear what other tools push on their nodes, and set the nodes' impulses in this step.
 
-    Returns
-    -------
-    work : float [J]
-        Of the forceps.
+    Returns the work [J] of the forceps.
     """
     work, points, pushes = 0.0, contacts.patches.points, contacts.work.step_impulses
     for t in range(grip.numbers.shape[0]):

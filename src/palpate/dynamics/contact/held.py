@@ -27,19 +27,9 @@ from palpate.dynamics.contact.kinds import BLADE, BONDED, CAPSULE
 def press_held_nodes(held, kinds, sizes, friction, frames, step, kick, tool_impulses):
     """Push held nodes with the tools that enter them in a step [s], for a time `kick` [s].
 
-    Parameters
-    ----------
-    kinds, sizes, friction : (t,), (t, 3), (t,) arrays
-    frames : (t, 2, 3, 4) array
-        Of the tools before and after the step.
-    step, kick : float [s]
-    tool_impulses : (t, 6) array [N s], [N m s]
-        Receives impulses and moments about the tools' origins.
-
-    Returns
-    -------
-    work, lost : float [J]
-        Work of the tools, and the part that friction dissipates.
+    `kinds` (t,), `sizes` (t, 3) and `friction` (t,) are those of the tools, whose `frames` (t, 2, 3, 4) are before and
+    after the step. Adds impulses [N s] and moments about the tools' origins [N m s] to `tool_impulses` (t, 6). Returns
+    the work of the tools and the part that friction dissipates [J].
     """
     work, lost = 0.0, 0.0
     held.forces[:] = 0.0

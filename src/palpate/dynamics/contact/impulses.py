@@ -327,14 +327,11 @@ def _add_patch_impulse(contacts, k, ahead, step, kick, u, velocity, data):
 def push_patches(touch: int) -> Any:
     """Compile the impulses of the tools in a step, without those of a blade unless it is one of them.
 
-    Returns
-    -------
-    function
-        ``push(contacts, times, ratio, u, velocity, data)`` pushes the patches out of the tools, whose frames before
-        and after the step are given. `times` are the time [s] from the present positions to those of the patches, 0
-        for the half kick at the end of a call; the lengths of the step and of the kick; the time at the end of the
-        step. `ratio` is that of the first impulses to those of the step before. `data` are the nodal data, the scratch
-        arrays of the step, alpha [1/s] of the damping alpha M, and gravity. It returns as `contact_impulses`.
+    ``push(contacts, times, ratio, u, velocity, data)`` pushes the patches out of the tools, whose frames before and
+    after the step are given. `times` are the time [s] from the present positions to those of the patches, 0 for the
+    half kick at the end of a call; the lengths of the step and of the kick; the time at the end of the step. `ratio` is
+    that of the first impulses to those of the step before. `data` are the nodal data, the scratch arrays of the step,
+    alpha [1/s] of the damping alpha M, and gravity. It returns as `contact_impulses`.
     """
     cuts = touch == WITH_BLADE
 
@@ -373,21 +370,12 @@ def push_patches(touch: int) -> Any:
 
 @cache
 def contact_impulses(touch: int) -> Any:
-    """Compile the impulses of the tools of a run.
+    """Compile the impulses of the tools of a run; of an untouched body (`contact_kind`) the function does nothing.
 
-    Parameters
-    ----------
-    touch : int
-        What touches the body; see `contact_kind`. Of an untouched body the function does nothing.
-
-    Returns
-    -------
-    function
-        ``apply(contacts, schedule, s, step, kick, u, velocity, data)`` applies the impulses after the kick of step s.
-        The last time of the load history has no step after it. `data` are the nodal data, the scratch arrays of the
-        step (`palpate.dynamics.nodal.central_difference`), alpha [1/s] of the damping, and gravity. It returns three
-        energies [J]: work of the tools; energy dissipated by friction and impact; change of the work of loads and
-        constraints.
+    ``apply(contacts, schedule, s, step, kick, u, velocity, data)`` applies the impulses after the kick of step s. The
+    last time of the load history has no step after it. `data` are the nodal data, the scratch arrays of the step
+    (`palpate.dynamics.nodal.central_difference`), alpha [1/s] of the damping, and gravity. It returns three energies
+    [J]: work of the tools; energy dissipated by friction and impact; change of the work of loads and constraints.
     """
     if touch == NO_TOOLS:
         return _no_impulses

@@ -52,17 +52,10 @@ def triangle_depth(kind, sizes, frame, a, b, c, least):
 
 @kernel_njit()
 def deepest_triangle(contacts, t, frame, triangles, u, least):
-    """Return the largest depth [m] of surface triangles in tool t, and the triangle.
+    """Return the largest depth [m] of surface triangles (k, 3) in tool t, and the triangle.
 
-    They are `least` and -1 where none is deeper.
-
-    Parameters
-    ----------
-    frame : (3, 4) array
-    triangles : (k, 3) int array
-    u : (n, 3) array [m]
-    least : float [m]
-        Depths up to which triangles do not count.
+    They are `least` [m] and -1 where none is deeper. The `frame` of the tool is (3, 4), the displacements `u` (n, 3)
+    [m].
     """
     kind, sizes, worst, where = contacts.tools.kind[t], contacts.tools.sizes[t], least, -1
     if kind in (PLANE, BONDED, BLADE):  # the corners of a triangle are its deepest points in a plane

@@ -280,12 +280,7 @@ def check_kinds(
 ) -> None:
     """Refuse loads of other kinds than those that a model has forces for.
 
-    Parameters
-    ----------
-    what : str
-        The argument, and of which model, for the message.
-    remedy : str
-        What to do with a load of another kind, for the message.
+    The message names the argument and the model by `what`, and what to do with such a load by `remedy`.
     """
     for load in loads:
         if not isinstance(load, allowed):
@@ -303,17 +298,10 @@ def prepare_loads(
 ) -> PreparedLoads:
     """Prepare loads for a cloud with supports.
 
-    Parameters
-    ----------
-    areas_of : function, optional
-        Returns the area vectors (g, 3) [m^2] of a load's group; by default those of the cloud's faces.
-    patches : csr_array, optional
-        (n, n) weights of the nodal displacements in those of the contact patches; by default the
-        patches are the nodes.
-    removed : int array, optional
-        Nodes that left the body: they are fixed, and no tool reaches them.
-    edges : (e, 2) int array, optional
-        Pairs of surface nodes at whose midpoints tools meet patches, too.
+    `areas_of` returns the area vectors (g, 3) [m^2] of a load's group; by default those of the cloud's faces. `patches`
+    (n, n) are the weights of the nodal displacements in those of the contact patches; by default the patches are the
+    nodes. `removed` nodes left the body: they are fixed, and no tool reaches them. `edges` (e, 2) are pairs of surface
+    nodes at whose midpoints tools meet patches, too.
     """
     loads = listed(loads)
     grasps = tuple(load.name for load in loads if isinstance(load, Grasp))
@@ -349,11 +337,7 @@ def prepare_loads(
 def with_held_nodes(prepared: PreparedLoads, masses: Floats, rate: float) -> PreparedLoads:
     """Return prepared loads whose tools also press on the nodes that supports hold in all directions.
 
-    Parameters
-    ----------
-    masses : (n,) array [kg]
-    rate : float [1/s]
-        Speed of the fastest waves over the spacing.
+    `masses` are (n,) [kg]; `rate` [1/s] is the speed of the fastest waves over the spacing.
     """
     contacts, nodes = prepared.contacts, np.flatnonzero(prepared.sites.kind == FIXED)
     if not prepared.tools or not len(nodes):

@@ -68,12 +68,7 @@ class Support(Described, ABC):
 
 @dataclass(frozen=True)
 class Clamp(Support):
-    """A group that cannot move.
-
-    Parameters
-    ----------
-    group : str
-    """
+    """A group that cannot move."""
 
     def directions(self, cloud: Cloud) -> Floats:
         return np.eye(3)
@@ -284,13 +279,9 @@ def constrained_directions(cloud: Cloud, supports: Sequence[Support]) -> dict[st
 
 
 def free_rigid_motions(points: Floats, constrain: Callable[[Floats], Floats]) -> int:
-    """Return the number of independent rigid motions, at most 6, that constraints leave to a body.
+    """Return the number of independent rigid motions, at most 6, that constraints leave to a body of points (n, d) [m].
 
-    Parameters
-    ----------
-    points : (n, d) array [m]
-    constrain : function
-        Removes the constrained parts of fields (..., n, 3) in place, and returns them.
+    `constrain` removes the constrained parts of fields (..., n, 3) in place, and returns them.
     """
     arms = np.pad(points - points.mean(axis=0), ((0, 0), (0, 3 - points.shape[1])))
     arms /= np.abs(arms).max(initial=1e-300)
@@ -302,20 +293,10 @@ def free_rigid_motions(points: Floats, constrain: Callable[[Floats], Floats]) ->
 
 
 def free_directions(nodes: SupportedNodes, held: Ints | None = None) -> tuple[Any, Ints]:
-    """Return an orthonormal basis of the displacements that the supports allow.
+    """Return an orthonormal basis (3 n, f) of the displacements that supports allow, and numbers (f,) of its columns.
 
-    Parameters
-    ----------
-    held : int array, optional
-        Nodes that do not move in addition.
-
-    Returns
-    -------
-    basis : (3 n, f) sparse array
-        Rows 3 i + c of node i.
-    numbers : (f,) array
-        Numbers 3 i + k of the columns, ascending: k is the axis of a node without supports, and counts the free
-        directions of a sliding node.
+    Rows are 3 i + c of node i; numbers are 3 i + k, ascending. There k is the axis of a node without supports, and
+    counts the free directions of a sliding node. Nodes `held` do not move in addition.
     """
     kind = nodes.kind.copy()
     if held is not None:

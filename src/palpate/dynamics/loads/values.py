@@ -14,15 +14,7 @@ Vector = Sequence[float] | Callable[[float], Sequence[float]]
 
 
 def vectors_at(value: Vector | None, times: Floats, name: str) -> Floats:
-    """Return the values (t, 3) of a vector at some times [s]; zero for None.
-
-    Parameters
-    ----------
-    value : (3,) sequence, or function of time [s] that returns one, or None
-    times : (t,) array [s]
-    name : str
-        Name of the value for errors.
-    """
+    """Return the values (t, 3) of a vector, or of a function of time, at times (t,) [s]; zero for None."""
     if value is None:
         return np.zeros((len(times), 3))
     return _values_at(value, (3,), times, name)

@@ -27,20 +27,10 @@ from palpate.dynamics.material.principal_stretches import make_principal_stress
 def make_principal_point(
     digest: str, energy_of: Any, law_first: Any, law_second: Any, crushed: float
 ) -> tuple[Any, Any]:
-    """Compile the stress and the energy of a point.
+    """Compile the stress and the energy of a point, for the functions of a `palpate.tissue.stretch_laws.StretchLaw`.
 
-    Parameters
-    ----------
-    energy_of, law_first, law_second : functions
-        Of a `palpate.tissue.stretch_laws.StretchLaw`.
-    crushed : float
-        Volume ratio c.
-
-    Returns
-    -------
-    stress, density : functions
-        They take F - I (nine numbers, row by row) and the coefficients. They return P, cof(F) and J - 1;
-        and E [J/m^3] and J - 1.
+    Both take F - I (nine numbers, row by row) and the coefficients. The stress returns P, cof(F) and J - 1; the density
+    E [J/m^3] and J - 1. `crushed` is the volume ratio c.
     """
     energy, first_of, second_of = (inline(digest, f) for f in (energy_of, law_first, law_second))
     regular_stress = make_principal_stress(digest, law_first)

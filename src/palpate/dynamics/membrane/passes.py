@@ -213,16 +213,9 @@ def _normal(b, v, d, prestretch, cofactor):
 
 @cache
 def sheet(law: type[Material], relaxed: bool, added: AdditionalStress = NO_ADDITIONAL_STRESS) -> Formulation:
-    """Compile the passes of a membrane.
+    """Compile the passes of a membrane with the functions of a law, without its parameters.
 
-    Parameters
-    ----------
-    law : type
-        Material whose functions are compiled, without its parameters.
-    relaxed : bool
-        True for the relaxed energy of wrinkled and slack states.
-    added : AdditionalStress
-        Fibres and viscoelastic branches.
+    The energy is the `relaxed` one of wrinkled and slack states, or not. `added` has fibres and viscoelastic branches.
     """
     digest = law_digest(__name__, "sheet", law.variables, law.energy, law.first, law.second, relaxed, added.digest)
     has_additional = added.response is not None

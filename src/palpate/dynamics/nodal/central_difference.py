@@ -105,12 +105,8 @@ def foundation_force(sites, u, velocity, volumes, surface):
 def kick_node(i, k, slide, nodes, scratch, gravity, kick, velocity):
     """Accelerate a node by a kick: the share of its velocity that remains, and the time of the force.
 
-    Node k of the sliding ones moves along its support; k is -1 for others.
-
-    Returns
-    -------
-    work, square : float
-        Power of loads [W], and the sum of volume times squared mean velocity.
+    Node k of the sliding ones moves along its support; k is -1 for others. Returns the power of loads [W], and the sum
+    of volume times squared mean velocity.
     """
     work, square, density, half_cell = 0.0, 0.0, nodes.density, nodes.half_cell
     rate = project(
@@ -134,10 +130,7 @@ def kick_node(i, k, slide, nodes, scratch, gravity, kick, velocity):
 def kick_nodes(sites, constrained, nodes, scratch, gravity, kick, velocity, alpha):
     """Accelerate the nodes that can move over the time `kick`.
 
-    Returns
-    -------
-    work, lost : float [J]
-        Work of surface loads and gravity, and energy that the damping alpha M dissipates.
+    Returns two energies [J]: the work of surface loads and gravity, and what the damping alpha M dissipates.
     """
     work, square, half = 0.0, 0.0, 0.5 * alpha * kick
     shares = (1.0 - half) / (1.0 + half), kick / (1.0 + half)
@@ -192,13 +185,8 @@ def _limit_prescribed_velocity(prescribed, constrained, u, velocity, damping, da
 def _set_prescribed_velocity(sites, constrained, target, step, u, velocity, nodes, loads):
     """Set the velocities that bring prescribed nodes to `target` after a step.
 
-    The force of a tool is the node's inertia and damping minus the other forces. `loads` are the scratch
-    arrays, gravity and alpha.
-
-    Returns
-    -------
-    work, lost : float [J]
-        Work of the tools, and energy that the damping alpha M dissipates.
+    The force of a tool is the node's inertia and damping minus the other forces. `loads` are the scratch arrays,
+    gravity and alpha. Returns two energies [J]: the work of the tools, and what the damping alpha M dissipates.
     """
     work, lost, density = 0.0, 0.0, nodes.density
     scratch, gravity, alpha = loads
@@ -246,21 +234,13 @@ def drift_nodes(sites, constrained, target, step, u, velocity):
 def full_step(formulation: Formulation, touch: int) -> Any:
     """Compile the steps of a body whose unknowns are nodal displacements.
 
-    Parameters
-    ----------
-    formulation : Formulation
-    touch : int
-        What touches the body (`palpate.dynamics.contact.impulses`): the steps of an untouched one have no contact.
+    The steps of an untouched body have no contact (`palpate.dynamics.contact.impulses`).
 
-    Returns
-    -------
-    function
-        ``advance(u, velocity, step, damping, passes, loads, nodes, scratch)`` advances `u` and
-        `velocity` (n, 3) in place by one step less than the number of times of the load history.
-        ``passes`` are the body and work arrays of the formulation, ``loads`` the sites, contacts and
-        load history. It returns three energies [J]: the work of surface loads, gravity and tools in
-        contact; the energy dissipated by damping, friction and impact; the work of the forces on
-        prescribed nodes.
+    ``advance(u, velocity, step, damping, passes, loads, nodes, scratch)`` advances `u` and `velocity` (n, 3) in place
+    by one step less than the number of times of the load history. ``passes`` are the body and work arrays of the
+    formulation, ``loads`` the sites, contacts and load history. It returns three energies [J]: the work of surface
+    loads, gravity and tools in contact; the energy dissipated by damping, friction and impact; the work of the forces
+    on prescribed nodes.
     """
     force_of, after = internal_force(formulation), formulation.after
     apply_contact_impulses = contact_impulses(touch)

@@ -46,23 +46,12 @@ def two_level_preconditioner(
 ) -> Callable[[Floats], Floats]:
     """Return an approximate inverse of a body's tangent stiffness, as a function of nodal forces.
 
-    Parameters
-    ----------
-    F : (n, 3, d) array
-        Deformation gradients of the state.
-    moduli : (n, 3 d, 3 d) array [Pa]
-        Tangent moduli dP_ck / dF_em at the nodes, rows d c + k and columns d e + m.
-    constrained : (n,) bool array
-        Nodes that do not move.
-    springs : (n,) array [N/m]
-        Springs of foundations at the nodes.
+    The state has deformation gradients `F` (n, 3, d) and tangent moduli dP_ck / dF_em (n, 3 d, 3 d) [Pa], rows d c + k
+    and columns d e + m. `constrained` (n,) nodes do not move; `springs` (n,) [N/m] are those of foundations.
 
-    Returns
-    -------
-    function
-        Takes forces (n, 3) [N] and returns displacements (n, 3) [m], zero at constrained nodes. It is
-        linear, symmetric and, on the other nodes, positive definite. Across the supports of sliding nodes
-        forces must be zero, and displacements are.
+    The function takes forces (n, 3) [N] and returns displacements (n, 3) [m], zero at constrained nodes. It is linear,
+    symmetric and, on the other nodes, positive definite. Across the supports of sliding nodes forces must be zero, and
+    displacements are.
     """
     supported = model.supported
     positive, spring = _positive_moduli(F, moduli), springs[:, None, None] * np.eye(3)
@@ -91,26 +80,12 @@ def static_estimate(
 ) -> Callable[[Floats], Floats]:
     """Return the static response of a body at rest on the coarse grid, as a function of nodal forces.
 
-    Long waves of the response are those of the grid, some spacings wide; shorter ones are missing. It is
-    the mean of two grids: nodes between two cells count to one of them, which bends symmetric bodies.
+    The function takes forces (n, 3) [N] and returns displacements (n, 3) [m]. Long waves of the response are those of
+    the grid, some spacings wide; shorter ones are missing. It is the mean of two grids: nodes between two cells count
+    to one of them, which bends symmetric bodies.
 
-    Parameters
-    ----------
-    cloud : Cloud
-        A sheet responds like a membrane under a tension of its shear modulus, in all directions.
-    weights : (n,) array [m^3]
-        Nodal volumes.
-    tissue : TissueField
-        Fibres are left out.
-    constrained : (n,) bool array
-        Nodes that do not move.
-    springs : (n,) array [N/m]
-        Springs at the nodes.
-
-    Returns
-    -------
-    function
-        Takes forces (n, 3) [N] and returns displacements (n, 3) [m].
+    A sheet responds like a membrane under a tension of its shear modulus, in all directions. Fibres are left out.
+    `weights` (n,) [m^3] are nodal volumes, `springs` (n,) [N/m]; `constrained` (n,) nodes do not move.
     """
     law = tissue.factors[:, 0]
     shear, lame = law * tissue.moduli("shear_modulus"), law * tissue.moduli("lame")
@@ -149,12 +124,8 @@ def _grid_solver(
 ) -> Callable[[Floats], Floats]:
     """Return the displacements (n, 3) of the grid under nodal forces (n, 3), as a function.
 
-    Parameters
-    ----------
-    grid : tuple
-        Points (n, d), spacing and weights (n,).
-    constraints : tuple
-        Nodes that do not move (n,), the stiffness [N/m] by which the grid is held there, and springs [N/m].
+    `grid` has points (n, d), spacing and weights (n,). `constraints` are the nodes that do not move (n,), the stiffness
+    [N/m] by which the grid is held there, and springs [N/m].
     """
     (points, spacing, weights), (constrained, stiff, springs) = grid, constraints
     corners, cell, value, slope = _multilinear(points, spacing)
@@ -225,13 +196,8 @@ def _grid_stiffness(moduli: _Moduli, weights: Floats, corners: Ints, cell: Ints,
 def _multilinear(points: Floats, spacing: float) -> tuple[Ints, Ints, Floats, Floats]:
     """Return multilinear functions on a grid at points (n, d).
 
-    Returns
-    -------
-    corners : (n, 2^d) array
-        Grid nodes of every point's cell.
-    cell : (n,) array
-    value, slope : (n, 2^d), (n, 2^d, d) arrays
-        Values and derivatives [1/m] of the functions of the corners.
+    They are the grid nodes (n, 2^d) of every point's cell, the cell (n,), and values (n, 2^d) and derivatives
+    (n, 2^d, d) [1/m] of the functions of the corners.
     """
     n, d = points.shape
     low, extent = points.min(axis=0), np.ptp(points, axis=0)

@@ -17,27 +17,11 @@ MIN_STRAIN = 1e-8  # smallest strain whose forces are resolved by the largest re
 class EquilibriumResidual:
     """Unbalanced nodal forces of a body at rest as a function of its displacements.
 
-    Relaxing tissue is fully relaxed at all displacements.
-
-    Parameters
-    ----------
-    time : float [s]
-    start : (n, 3) array [m]
-        Displacements before the load.
-
-    Attributes
-    ----------
-    start, jump : (n, 3) arrays [m]
-        Displacements before the load, zero at fixed nodes; further displacements of prescribed nodes.
-    constrained : (n,) bool array
-        Fixed and prescribed nodes.
-    constrain : function
-        Removes the parts of a field (n, 3) that supports and prescribed motions constrain, in place.
-    weights : (n, 1) array [m^3]
-    springs : (n,) array [N/m]
-        Springs of foundations.
-    symmetric : bool
-        True if the forces are the derivative of an energy.
+    Relaxing tissue is fully relaxed at all displacements. The displacements before the load at a time [s] are `start`
+    (n, 3) [m], zero at fixed nodes; those of prescribed nodes grow by `jump` (n, 3) [m]. `constrained` (n,) are fixed
+    and prescribed nodes. `constrain` removes the parts of a field (n, 3) that supports and prescribed motions
+    constrain, in place. `weights` are (n, 1) [m^3], `springs` (n,) [N/m] those of foundations. It is `symmetric` if the
+    forces are the derivative of an energy.
     """
 
     def __init__(self, model: NodalModel, prepared: PreparedLoads, time: float, start: Floats) -> None:

@@ -221,10 +221,7 @@ def _drift(data, step, u, velocity):
 def leapfrog(formulation: Formulation, touch: int) -> Any:
     """Compile the steps of a period, of a body that tools touch, or a blade among them cuts.
 
-    Returns
-    -------
-    function
-        ``take_steps(data, u, velocity, period)`` returns the number of steps, or -1 if a node moves too far in one.
+    ``take_steps(data, u, velocity, period)`` returns the number of steps, or -1 if a node moves too far in one.
     """
     digest = law_digest(__name__, formulation.digest, touch)
     after, step_force, push_tools = formulation.after, internal_force(formulation.of_steps), push_patches(touch)

@@ -70,14 +70,7 @@ def default_modes(nodes: int) -> int:
 def scaled_mass(model: NodalModel, fixed: NDArray[np.bool_], modes: int) -> tuple[MassScaling, float]:
     """Return the modes that get more mass, and the highest frequency [rad/s] at rest with them.
 
-    There are none if the step would be less than 5 % longer.
-
-    Parameters
-    ----------
-    fixed : (n,) bool array
-        Nodes that do not move.
-    modes : int
-        Number of modes; 0 for none.
+    There are none if the step would be less than 5 % longer. `fixed` (n,) nodes do not move; `modes` is 0 for none.
     """
     frequency, _ = model.highest_frequency(np.zeros((len(model.cloud), 3)), fixed)
     if not modes or VECTORS_PER_MODE * (modes + 1) >= 3 * len(model.cloud):

@@ -49,17 +49,8 @@ MAX_STRAIN_CHANGE = 0.02  # largest change of F for which a preconditioner is us
 class MixedNewton:
     """Newton's method with increments of the load.
 
-    Parameters
-    ----------
-    tolerance : float
-        Largest residual, over `EquilibriumResidual.scale`.
-
-    Attributes
-    ----------
-    residual : float
-        That of the last displacements.
-    iterations : int
-        Steps taken.
+    The largest residual `tolerance`, and the last `residual`, are over `EquilibriumResidual.scale`. `iterations` counts
+    steps.
     """
 
     def __init__(self, equations: EquilibriumResidual, tolerance: float, max_iterations: int) -> None:
@@ -129,13 +120,8 @@ class Tangent:
     ) -> Floats | None:
         """Return Newton's step (n, 3) [m] from displacements u, or None if the linear iterations fail.
 
-        Parameters
-        ----------
-        u, residual : (n, 3) arrays [m], [N]
-        jump : (n, 3) array [m]
-            Displacements of prescribed nodes in this step.
-        present, mixed : SplitStress
-            Stresses of the law, and those of the tangent.
+        `u` and `residual` are (n, 3) [m] and [N]. Prescribed nodes move by `jump` (n, 3) [m] in this step. `present`
+        are the stresses of the law, `mixed` those of the tangent.
         """
         equations, model = self.equations, self.equations.model
         F, added = model.deformation_gradient(u), None
@@ -192,14 +178,9 @@ def conjugate_gradients(
 ) -> Floats | None:
     """Return an approximate solution of K d = f for a symmetric K by conjugate gradients, or None.
 
-    A direction of negative curvature does not end the iterations, since the solution of the linear
-    equations is Newton's step nevertheless.
-
-    Parameters
-    ----------
-    tangent, precondition : functions
-        K d of displacements (n, 3), and an approximate inverse of K.
-    forces : (n, 3) array [N]
+    `tangent` returns K d of displacements (n, 3); `precondition` is an approximate inverse of K; `forces` are (n, 3)
+    [N]. A direction of negative curvature does not end the iterations, since the solution of the linear equations is
+    Newton's step nevertheless.
     """
     solution, left = np.zeros_like(forces), forces.copy()
     scaled = precondition(left)

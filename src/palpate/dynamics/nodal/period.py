@@ -229,21 +229,12 @@ def _report_forces(data, count, report):
 
 @cache
 def nodal_period(formulation: Formulation, touch: int) -> Any:
-    """Compile the period of a full body.
+    """Compile the period of a full body, which a blade can cut if `touch` is WITH_BLADE, not RIGID_TOOLS.
 
-    Parameters
-    ----------
-    formulation : Formulation
-    touch : int
-        WITH_BLADE for a body that a blade can cut, RIGID_TOOLS for others (`palpate.dynamics.contact.impulses`).
-
-    Returns
-    -------
-    function
-        ``advance(data, q, v, target, period, report)`` advances displacements and velocities (3 n,) by about a
-        period [s] while the tools move evenly to `target` (12 t,). A tool that is held or late does not reach it:
-        then `target` gets where it is. The entries of the `report` (8 + 12 t,) are those of
-        `palpate.dynamics.run.period_report`. The state is unchanged if the period fails.
+    ``advance(data, q, v, target, period, report)`` advances displacements and velocities (3 n,) by about a period [s]
+    while the tools move evenly to `target` (12 t,). A tool that is held or late does not reach it: then `target` gets
+    where it is. The entries of the `report` (8 + 12 t,) are those of `palpate.dynamics.run.period_report`. The state is
+    unchanged if the period fails.
     """
     digest = law_digest(__name__, formulation.digest, touch)
     choose_step, take_steps = step_control(formulation), leapfrog(formulation, touch)

@@ -114,20 +114,14 @@ class PeriodCopy(NamedTuple):
 class NodalPeriodData(NamedTuple):
     """Constants and state of the compiled period of a full body.
 
-    Parameters
-    ----------
-    stepping : (7,) array
-        Times [s] by which the body is behind, and will be; step [s]; highest frequency [rad/s], that at rest
-        on which it is based, and its last estimate; periods until the next one.
-    energies : (6,) array [J]
-        Of a state that was given; work and dissipation since rest; kinetic energy, and the largest of late
-        (`UNREST_TIME`); gains that shorter steps did not cure.
-    counts : (3,) array
-        Periods that were repeated with shorter steps, and in which a tool was held; 1 if the last period
-        left the body at rest.
-    sums : (b, 5) array
-        Of every block of nodes: work and dissipation of a kick, kinetic energy [J], and the largest squared
-        velocities [m^2/s^2] of a drift and of a kick.
+    - `stepping` (7,): times [s] by which the body is behind, and will be; step [s]; highest frequency [rad/s], that at
+      rest on which it is based, and its last estimate; periods until the next one
+    - `energies` (6,) [J]: of a state that was given; work and dissipation since rest; kinetic energy, and the largest
+      of late (`UNREST_TIME`); gains that shorter steps did not cure
+    - `counts` (3,): periods that were repeated with shorter steps, and in which a tool was held; 1 if the last period
+      left the body at rest
+    - `sums` (b, 5), of every block of nodes: work and dissipation of a kick, kinetic energy [J], and the largest
+      squared velocities [m^2/s^2] of a drift and of a kick
     """
 
     body: SteppedBody

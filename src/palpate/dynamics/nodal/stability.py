@@ -41,14 +41,9 @@ MIN_FREQUENCY, MAX_FREQUENCY = 1e-6, 1e15  # [rad/s], so that squares are in dou
 
 
 class ElasticBody(Protocol):
-    """The interface of a nodal model for its stability analysis.
+    """The interface of a nodal model for its stability analysis."""
 
-    Parameters
-    ----------
-    stiffness_damping : float [s]
-    """
-
-    stiffness_damping: float
+    stiffness_damping: float  # [s]
 
     @property
     def cloud(self) -> Cloud: ...
@@ -157,10 +152,7 @@ def stable_step(frequency: float, stiffness_damping: float) -> float:
 def resting_frequency(model: ElasticBody, displacements: Floats | None = None) -> float:
     """Return the highest frequency [rad/s] of a body at rest.
 
-    Parameters
-    ----------
-    displacements : (n, 3) array, optional [m]
-        State of linearisation, such as a taut sheet.
+    It is linearised at displacements (n, 3) [m], such as those of a taut sheet.
     """
     at = np.zeros((len(model.cloud), 3)) if displacements is None else displacements
     with np.errstate(all="ignore"):
@@ -217,26 +209,11 @@ def highest_frequency(
 ) -> tuple[float, Floats | None]:
     """Return the highest frequency [rad/s] of a body at displacements, by power iterations on its tangent.
 
-    Parameters
-    ----------
-    force : function
-        Internal force density (n, 3) [N/m^3] of displacements (n, 3) [m].
-    displacements : (n, 3) array [m]
-    constrain : function
-        Removes the constrained parts of a field (n, 3) in place, and returns it.
-    noise : (n, 3) array
-        Start vector of a first estimate, and addition to later ones. It lets another mode grow when the
-        fastest part of the body changes.
-    start : (n, 3) array, optional
-        Vector of the last estimate.
-    amplitude : float [m]
-        Displacement of the difference quotients.
-    density : float [kg/m^3]
-
-    Returns
-    -------
-    frequency, vector
-        The vector starts the next estimate; None for a body without stiffness.
+    `force` returns the internal force density (n, 3) [N/m^3] of displacements (n, 3) [m], whose difference quotients
+    have a displacement `amplitude` [m]. `constrain` removes the constrained parts of a field (n, 3) in place, and
+    returns it. `noise` (n, 3) starts a first estimate, and is added to later ones. It lets another mode grow when the
+    fastest part of the body changes. The returned vector is the `start` of the next estimate; it is None for a body
+    without stiffness.
     """
     iterations = FIRST_ITERATIONS if start is None else LATER_ITERATIONS
     vector = noise if start is None else start

@@ -44,12 +44,8 @@ def _crushes(data, t):
 def _hold_above_surface(data, t, u):
     """Hold a tool that pushes on where the surface is so deep in it that it would pass between nodes; slow it before.
 
-    Returns
-    -------
-    late : bool
-        True if the tool's way is shorter.
-    depth : float
-        Depth of the surface over that where the tool is held; 0 where it is far less.
+    Returns True if the tool's way is shorter, and the depth of the surface over that where the tool is held. The depth
+    is 0 where it is far less.
     """
     tools, contacts, limit = data.tools, data.tools.contacts, data.limits.surface_depth
     if contacts.work.active_count[0] == 0 or tools.clear_way[t] > 0.0 or is_absent(contacts, t):

@@ -73,15 +73,10 @@ def check_penetration(
 ) -> None:
     """Check that no tool has passed between the nodes of the surface at the last time of a load history.
 
-    No triangle of the surface may be deeper in a tool than `MAX_SURFACE_DEPTH`. A tool that presses deep
-    also acts on interior nodes below a stretched surface; after passing through, it acts mostly on them.
+    No triangle of the surface may be deeper in a tool than `MAX_SURFACE_DEPTH`. A tool that presses deep also acts on
+    interior nodes below a stretched surface; after passing through, it acts mostly on them.
 
-    Parameters
-    ----------
-    displacements : (n, 3) array [m]
-    surface : pair of int arrays
-        Nodes (s,) that tools can touch, and triangles (t, 3).
-    spacing, step : float [m], [s]
+    The displacements are (n, 3) [m]. `surface` has the nodes (s,) that tools can touch, and triangles (t, 3).
     """
     frame = np.zeros((3, 4))
     for t, tool in enumerate(prepared.tools):
@@ -120,13 +115,8 @@ def steps_between_checks(prepared: PreparedLoads, time: float, step: float, spac
 def initial_contact_state(tools: int, nodes: int, time: float, surface: int = 0, prescribed: int = 0) -> ContactState:
     """Return the state of tools without contact at a time [s].
 
-    Parameters
-    ----------
-    time : float [s]
-    surface : int
-        Surface nodes of a reduced model.
-    prescribed : int
-        Nodes of prescribed motion, if a `Grasp` is among the loads.
+    `surface` is the number of surface nodes of a reduced model. `prescribed` is the number of nodes of prescribed
+    motion, if a `Grasp` is among the loads.
     """
     return ContactState(
         forces=np.zeros((nodes, 3)),
@@ -146,17 +136,10 @@ def next_contact_state(
     kick: float,
     constrained: NDArray[np.bool_],
 ) -> ContactState:
-    """Return the contact state after a call of some steps.
+    """Return the contact state after a call of some steps, the last of which had a kick of a length [s].
 
-    Parameters
-    ----------
-    after_steps : LoadSites and Contacts
-        With the scratch arrays that the steps have written.
-    kick : float [s]
-        Length of the last kick.
-    constrained : (p,) bool array
-        Prescribed nodes that were constrained in it. Impulses of other tools on them act on the
-        constraint.
+    The scratch arrays of `after_steps` are those that the steps have written. `constrained` (p,) are prescribed nodes
+    that were constrained in that kick. Impulses of other tools on them act on the constraint.
     """
     (sites, contacts), after = after_steps, before
     if prepared.tools:

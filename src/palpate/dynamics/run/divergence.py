@@ -52,12 +52,7 @@ class Worst(NamedTuple):
 def deformation_size(points: Floats, displacements: Floats, pieces: Ints) -> float:
     """Return the largest displacement [m] but for a rigid motion of each piece.
 
-    Parameters
-    ----------
-    points : (n, d) array [m]
-    displacements : (n, 3) array [m]
-    pieces : (n,) int array
-        Number of every node's piece.
+    `points` are (n, d) [m], `displacements` (n, 3) [m], and `pieces` (n,) the number of every node's piece.
     """
     largest, at_rest = 0.0, np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
     for piece in np.unique(pieces):
@@ -79,11 +74,7 @@ def diverged(
 ) -> DivergenceError:
     """Return the error of a run at a state, with the reason first; it names a node that is not finite in `after`.
 
-    Parameters
-    ----------
-    what : str
-        What was seen.
-    step : float [s]
+    `what` describes what was seen; the step is in seconds.
     """
     reason, remedy = _reason(model, state, prepared)
     where = "" if " node " in reason else f"{_worst_node(model, state, prepared, after)}, "

@@ -35,13 +35,7 @@ TABLE_STRUCT = struct.Struct("<I")
 
 
 class Journal:
-    """A writer of a journal, under a temporary name until `rename`.
-
-    Parameters
-    ----------
-    path : path
-        Final path; the temporary file is in the same folder.
-    """
+    """A writer of a journal, under a temporary name in the same folder until `rename`."""
 
     def __init__(self, path: Path) -> None:
         self.path = path.with_name(f".{path.stem}.{uuid4().hex[:12]}.partial{path.suffix}")
@@ -103,15 +97,9 @@ def is_journal(path: Path) -> bool:
 
 
 def records(path: Path) -> Iterator[tuple[int, bytes, Record]]:
-    """Yield the complete records of a journal.
+    """Yield the complete records of a journal, each after its offset [bytes] and the digest of the previous records.
 
-    Yields
-    ------
-    position : int
-        Offset [bytes] of the record, for `read_record`.
-    chain : bytes
-        Digest of the previous records.
-    record : Record
+    `read_record` takes the offset.
     """
     size, count = regular_file(path, "journal"), 0
     with path.open("rb") as file:

@@ -45,13 +45,8 @@ def active_partitions(
 def partitions(points: Floats, groups: Groups, directions: Mapping[str, Floats]) -> list[Partition]:
     """Return Shepard's partitions of unity over groups.
 
-    A node of several groups belongs to the one that constrains most directions, or else to the first.
-
-    Parameters
-    ----------
-    points : (n, d) array [m]
-    directions : mapping of group name to (k, 3) array
-        Constrained directions of groups that are free in others.
+    A node of several groups belongs to the one that constrains most directions, or else to the first. `directions`
+    (k, 3) are those that a group constrains, if it is free in others; the points are (n, d) [m].
     """
     axes = [directions.get(name, np.eye(3)) for name in groups]
     return [

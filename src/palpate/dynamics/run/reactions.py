@@ -66,13 +66,9 @@ def reactions(body: NodalBody, fields: NodalFields, state: State, prepared: Prep
 
 
 def group_forces(body: NodalBody, parts: Sequence[Partition], nodal: Floats, stress: Floats | None = None) -> Floats:
-    """Return the forces (groups, 3) [N] of nodal forces and a stress on groups.
+    """Return the forces (groups, 3) [N] of nodal forces (n, 3) [N] and a stress (n, 3, d) [Pa] on groups.
 
-    Parameters
-    ----------
-    nodal : (n, 3) array [N]
-        Forces that a group must exert on its nodes.
-    stress : (n, 3, d) array, optional [Pa]
+    The nodal forces are those that a group must exert on its nodes.
     """
     forces = np.zeros((len(parts[0].phi), 3))
     for directions, phi in parts:
@@ -96,17 +92,11 @@ def contact_outputs(
 ) -> tuple[dict[str, Floats], dict[str, Floats], Floats, NDArray[np.bool_]]:
     """Return the mean contact forces since the last frame of a run.
 
-    Their sum times that interval is the momentum transferred to the body. In the energy form they
-    include the forces of a `Grasp` on its nodes, without a moment.
+    Their sum times that interval is the momentum transferred to the body. In the energy form they include the forces of
+    a `Grasp` on its nodes, without a moment.
 
-    Returns
-    -------
-    forces, moments : mappings of tool name to (3,) array [N], [N m]
-        Force on the body, and moment about the tool's origin.
-    contact_forces : (c, 4) array
-        Nodes in contact and the forces [N] on them.
-    bonded : (c,) bool array
-        True for the nodes of a `Grasp`.
+    Returns forces (3,) [N] on the body and moments (3,) [N m] about the tool's origin, by the tool's name. Then come
+    the nodes in contact and the forces on them (c, 4) [N], and which of them are nodes of a `Grasp` (c,).
     """
     if state.contact_state is None:
         return {}, {}, np.zeros((0, 4)), np.zeros(0, dtype=np.bool_)

@@ -22,15 +22,9 @@ Bounds = Callable[[Trajectory], tuple[Floats, Floats]]
 class Recorder:
     """A collector of the frames of a run, with an optional file.
 
-    During the run the file is a journal (`palpate.dynamics.run.journal`), which survives an
-    interruption of the program. `close` replaces it with the HDF5 file of the trajectory.
-
-    Parameters
-    ----------
-    points : (n, d) array [m]
-    stiffness_damping : float [s]
-    label : str
-        See `Trajectory`.
+    During the run the file is a journal (`palpate.dynamics.run.journal`), which survives an interruption of the
+    program. `close` replaces it with the HDF5 file of the trajectory. The points are (n, d) [m]; for the label see
+    `Trajectory`.
     """
 
     def __init__(

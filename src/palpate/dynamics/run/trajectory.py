@@ -381,17 +381,9 @@ def _check_contact_forces(contact_forces: Floats, frames: int, nodes: int) -> No
 class StoredTrajectory(Described):
     """A trajectory in a file, whose displacements are read frame by frame on demand.
 
-    Attributes
-    ----------
-    path : path
-    label : str
-    wall_seconds : float [s]
-    points : (n, d) array [m]
-    times, steps : (f,) arrays [s], [-]
-    displacements : Frames
-        Supports indices and slices like the (f, n, 3) array [m]. Every frame is verified on reading.
-    contact_forces, bonded : (c, 5) and (c,) arrays
-        See `Trajectory`.
+    `points` are (n, d) [m], `times` and `steps` (f,) in s and without a unit. `displacements` supports indices and
+    slices like the (f, n, 3) array [m]. Every frame is verified on reading. For `contact_forces` (c, 5) and `bonded`
+    (c,) see `Trajectory`.
     """
 
     def __init__(self, path: str | Path) -> None:

@@ -45,14 +45,8 @@ MIN_PRESSURE = 1e-3  # of the largest pressure in runs, below which a state has 
 class EnergySolid(EnergyModel, Solid):
     """A solid in the energy form (`palpate.dynamics.solid.energy_form`).
 
-    Attributes
-    ----------
-    volumes : (n,) array [m^3]
-        They integrate quadratic fields.
-    smoothing : Smoothing
-        Of the volumetric measure.
-    is_lattice : bool
-        Whether its nodes were those of a lattice before they were moved (`Cloud.is_lattice`).
+    `volumes` (n,) [m^3] integrate quadratic fields. `smoothing` is that of the volumetric measure. `is_lattice` is True
+    if the nodes were those of a lattice before they were moved (`Cloud.is_lattice`).
     """
 
     def _build(self, choices: Choices) -> None:
@@ -90,13 +84,9 @@ class EnergySolid(EnergyModel, Solid):
     def moved(self, displacements: Floats) -> EnergySolid:
         """Return the body with stress-free nodes at other places, and the same neighbours, tissue and fibres.
 
-        Derivatives and volumes are those of this body by the chain rule, F = grad x (grad X)^-1: they change
-        steadily with the places, so the shape that a load has deformed can be found by iteration.
-
-        Parameters
-        ----------
-        displacements : (n, 3) array [m]
-            From the present stress-free places to the new ones; they turn no cell inside out.
+        The displacements (n, 3) [m] from the present stress-free places to the new ones turn no cell inside out.
+        Derivatives and volumes are those of this body by the chain rule, F = grad x (grad X)^-1: they change steadily
+        with the places, so the shape that a load has deformed can be found by iteration.
         """
         if self._cut is not None or self.planes:
             raise InputError("model must have no cut and no planes of symmetry to be moved; cut it afterwards")

@@ -337,18 +337,9 @@ def _store_row_major(values, response, row, v):
 def make_stress(digest: str, law_first: Any, variables: str = "invariants") -> Any:
     """Compile the shear stress of one point: P, cof(F) and J - 1 as functions of F - I.
 
-    Parameters
-    ----------
-    law_first : function
-        First derivatives of the law's energy, or a compiled function in their place.
-    variables : str
-        Variables of the derivatives (`Material.variables`).
-
-    Returns
-    -------
-    function
-        ``stress(d0, ..., d8, coefficients)`` takes F - I row by row, and returns two tuples of nine
-        numbers, row by row, and J - 1.
+    `law_first` are the first derivatives of the law's energy by its variables (`Material.variables`), or a compiled
+    function in their place. ``stress(d0, ..., d8, coefficients)`` takes F - I row by row, and returns two tuples of
+    nine numbers, row by row, and J - 1.
     """
     if variables == "stretches":
         return make_principal_stress(digest, law_first)
@@ -489,18 +480,10 @@ def solid_energy(
     varied: int = NO_FIELDS,
     relaxing: bool = False,
 ) -> Formulation:
-    """Compile the passes of a solid.
+    """Compile the passes of a solid with the functions of a law, without its parameters.
 
-    Parameters
-    ----------
-    law : type
-        Material whose functions are compiled, without its parameters.
-    volumetric : str
-        Form of U(J).
-    varied : int
-        Number of parameters that differ from node to node.
-    relaxing : bool
-        True for tissue with a Prony series. The passes of other tissue compute no history variables.
+    `volumetric` is the form of U(J); `varied` is the number of parameters that differ from node to node. `relaxing`
+    tissue has a Prony series. The passes of other tissue compute no history variables.
     """
     measure_of = volumetric_form(volumetric).measure
     digest = law_digest(__name__, "solid energy", law.variables, law.first, measure_of, fibres.digest, varied, relaxing)

@@ -84,11 +84,7 @@ def energy_passes(
 ) -> tuple[CompiledForm, Stencils]:
     """Lay out the passes of the energy form, for stencils of a cloud with its images.
 
-    Returns
-    -------
-    compiled : CompiledForm
-    stencils : Stencils
-        Those of the part, with the images as `compiled.body.mirror` numbers them.
+    The returned stencils are those of the part, with the images as `compiled.body.mirror` numbers them.
     """
     material, regions = tissue.material, tissue.regions
     mirror, own_stencils = images.own(stencils)
@@ -147,14 +143,8 @@ def _anchors(points: Floats) -> NDArray[np.int64]:
 def _transposed(near: NDArray[np.int32], mirror: Mirror, weights: Floats, volumes: Floats) -> tuple[Mirror, Rows]:
     """Return the transposed stencils of nodes: what each receives from the fluxes of nodes and reflected fluxes.
 
-    A stencil that contains the image of a node moves this node by the reflected flux.
-
-    Parameters
-    ----------
-    near : (n, k) int array
-        Neighbours; numbers from n on are images of the mirror.
-    weights : (n, k, w) array
-    volumes : (n,) array
+    A stencil that contains the image of a node moves this node by the reflected flux. Of the neighbours `near` (n, k)
+    numbers from n on are images of the mirror; the weights are (n, k, w), the volumes (n,).
     """
     n = len(near)
     node, place = np.nonzero(near != np.arange(n)[:, None])

@@ -251,15 +251,7 @@ def _add_products(f, F, g, c, vectors):
 
 @cache
 def solid(law: type[Material], volumetric: str = QUADRATIC) -> Formulation:
-    """Compile the passes of a solid.
-
-    Parameters
-    ----------
-    law : type
-        Material whose functions are compiled, without its parameters.
-    volumetric : str
-        Form of U(J).
-    """
+    """Compile the passes of a solid with the functions of a law, without its parameters, and a form of U(J)."""
     pressure_of = volumetric_form(volumetric).pressure
     digest = law_digest(__name__, "solid", law.variables, law.first, law.second, pressure_of)
     make = {

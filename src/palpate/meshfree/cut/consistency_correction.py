@@ -39,15 +39,8 @@ def _local_numbers(rows: FittedRows, n: int) -> tuple[Ints, Ints, Ints]:
 def keep_uniform_stress(uncut: UncutStencils, surface: CutSurface, rows: FittedRows, missing: Floats) -> float:
     """Change weights of first derivatives in place, for uniform stress along a cut to move no node.
 
-    Parameters
-    ----------
-    missing : (n, 3) array [m^2]
-        By how much the sums of V_I g_IJ must change, at the nodes that the rows contain.
-
-    Returns
-    -------
-    float
-        What remains of it along the cut, over h^2.
+    `missing` (n, 3) [m^2] is by how much the sums of V_I g_IJ must change, at the nodes that the rows contain. Returns
+    what remains of it along the cut, over h^2.
     """
     nodes, center, other = _local_numbers(rows, len(uncut.points))
     normals = np.zeros((len(nodes), 3))
@@ -281,15 +274,8 @@ def _largest_share(m, start, limit, spacing, first, block):
 def conserve_integrals(uncut: UncutStencils, rows: FittedRows, missing: Floats) -> float:
     """Change weights of the smoothing in place, for the integrals of smoothed fields to remain.
 
-    Parameters
-    ----------
-    missing : (n,) array [m^3]
-        By how much the sums of V_I s_IJ must change, at the nodes that the rows contain.
-
-    Returns
-    -------
-    float
-        What remains of it, over the median volume.
+    `missing` (n,) [m^3] is by how much the sums of V_I s_IJ must change, at the nodes that the rows contain. Returns
+    what remains of it, over the median volume.
     """
     bonds = rows._replace(freedom=(rows.smoothing != 0.0).astype(float))
     nodes, center, other = _local_numbers(bonds, len(uncut.points))

@@ -83,20 +83,10 @@ def _shortest_free(ax, ay, az, bx, by, bz, near, front_components, most, tree):
 
 @cached_njit(nogil=True, error_model="numpy")
 def diffraction_lengths(points, nodes, start, near, tree, fronts, front_components, paths):
-    """Write the lengths of bonds round the fronts of a cut; infinite for severed ones.
+    """Write the lengths of bonds round the fronts of a cut to `paths` (t,) [m]; infinite for severed ones.
 
-    Parameters
-    ----------
-    points : (n, 3) array [m]
-    nodes : (m,) int array
-    start : (m + 1,) int array
-        First neighbour of every node.
-    near : (t,) int array
-        Neighbours.
-    tree : TriangleTree
-    fronts : (e, 2, 3) array [m]
-    front_components : (e,) int array
-    paths : (t,) array [m]
+    `near` (t,) are the neighbours of `nodes` (m,), each of which begin at `start` (m + 1,). The points are (n, 3) [m];
+    fronts (e, 2, 3) [m] have their components (e,).
     """
     most, reach = MAX_WAY * tree.spacing, (MAX_WAY + 1.0) * tree.spacing
     edges, table = np.empty(fronts.shape[0], np.int64), np.empty((12, fronts.shape[0]))

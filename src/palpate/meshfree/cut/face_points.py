@@ -41,14 +41,9 @@ def face_points(
 ) -> FacePoints:
     """Return the points at which the faces of a cut touch.
 
-    Parameters
-    ----------
-    corners : (s, 3, 3) array [m]
-        Of the surface of the body.
-    before : FacePoints
-        Of another cut of this body.
-    changed : (c, 4) array [m]
-        Middles and radii of spheres around the triangles and fronts in which it differs: `changed_spheres`.
+    `corners` (s, 3, 3) [m] are those of the surface of the body. `before` are the points of another cut of this body.
+    `changed` (c, 4) [m] are middles and radii of spheres around the triangles and fronts in which it differs:
+    `changed_spheres`.
     """
     points, normals = _points_on(surface.triangles, PAIR_DISTANCE * uncut.spacing, corners)
     number = {row.tobytes(): k for k, row in enumerate(np.hstack([before.points, before.normals]))}

@@ -37,14 +37,7 @@ class PointWeights(NamedTuple):
 
 
 def point_weights(uncut: UncutStencils, surface: CutSurface, points: Floats, seen_from: Floats) -> PointWeights:
-    """Return the weights of nodes at points.
-
-    Parameters
-    ----------
-    points : (p, 3) array [m]
-    seen_from : (p, 3) array [m]
-        Where the bonds of the points begin.
-    """
+    """Return the weights of nodes at points (p, 3) [m], whose bonds begin at `seen_from` (p, 3) [m]."""
     n, count = len(uncut.points), min(CANDIDATE_NODES, len(uncut.points))
     _, near = uncut.tree.query(points, k=count)
     near = np.asarray(near, dtype=np.int64)
@@ -125,21 +118,11 @@ def shares_inside(uncut: UncutStencils, corners: Floats, segments: Floats) -> Fl
 def reference_points(
     uncut: UncutStencils, surface: CutSurface, u: Floats, places: Floats, guesses: Floats, normals: Floats
 ) -> tuple[Floats, Floats]:
-    """Return the points of the stress-free body that displacements move to some places.
+    """Return the points of the stress-free body that displacements (n, 3) [m] move to some places (p, 3) [m].
 
-    Parameters
-    ----------
-    u : (n, 3) array [m]
-    places : (p, 3) array [m]
-        Outside the body, a place moves with the nearest node.
-    guesses : (p, 3) array [m]
-    normals : (p, 3) array
-        Unit vectors from the places to where they are seen from.
-
-    Returns
-    -------
-    points, normals : (p, 3) arrays
-        The normals are those of the same surface in the stress-free body.
+    Outside the body, a place moves with the nearest node. The iteration begins at `guesses` (p, 3) [m]. `normals`
+    (p, 3) are unit vectors from the places to where they are seen from. The returned normals (p, 3) are those of the
+    same surface in the stress-free body.
     """
     points, turned = guesses.copy(), normals.copy()
     active = np.arange(len(points))

@@ -70,13 +70,7 @@ class FittedRows(NamedTuple):
 def fit_rows(state: CutState, surface: CutSurface, nodes: Ints, released: NDArray[np.bool_]) -> FittedRows:
     """Fit the stencils of those of some nodes that a cut touches, and whose bonds differ from those of its last state.
 
-    Parameters
-    ----------
-    surface : CutSurface
-        Of the new cut.
-    nodes : (m,) int array
-    released : (n,) bool array
-        Nodes that leave all stencils.
+    `surface` is that of the new cut. Nodes `released` (n,) leave all stencils.
     """
     uncut = state.uncut
     start, near, paths = _bonds(uncut, surface, nodes)

@@ -111,16 +111,10 @@ def cut_surface(
     spacing: float,
     unchanged: int | None = None,
 ) -> CutSurface:
-    """Return the union of a cut surface and further triangles.
+    """Return the union of a cut surface and further triangles (t, 3, 3) [m].
 
-    Parameters
-    ----------
-    triangles : (t, 3, 3) array [m]
-    is_inside : function
-        Returns which points (p, 3) are inside the body.
-    spacing : float [m]
-    unchanged : int, optional
-        Number of the first triangles of `before` that remain; by default all.
+    `is_inside` returns which points (p, 3) are inside the body. `unchanged` is the number of the first triangles of
+    `before` that remain; by default all.
     """
     narrow = np.flatnonzero(is_narrow(triangles, spacing))
     if narrow.size:

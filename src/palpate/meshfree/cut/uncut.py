@@ -46,21 +46,10 @@ def uncut_stencils(
 ) -> UncutStencils:  # fmt: skip
     """Return what the stencils of cut nodes depend on.
 
-    Parameters
-    ----------
-    points : (n, 3) array [m]
-    volumes : (n,) array [m^3]
-    spacing : float [m]
-    near, first : (n, k) and (n, k, 3) arrays
-        Neighbours and weights of the first derivatives; the node itself fills rows.
-    smoothing_near : (n, l) array
-    surface : (k,) int array
-        Nodes of the surface.
-    cubic : (n,) bool array
-        Nodes whose first derivatives are those of cubic fits.
-    forms : SurfaceForms
-    hidden : (n, n) sparse array
-        Pairs without bonds: `Cloud.hidden`.
+    `points` are (n, 3) [m], `volumes` (n,) [m^3]. The node itself fills rows of the neighbours `near` (n, k), whose
+    weights of first derivatives `first` are (n, k, 3), and of `smoothing_near` (n, l). First derivatives of `cubic`
+    (n,) nodes are those of cubic fits. `surface` (k,) are the nodes of the surface. `hidden` (n, n) are pairs without
+    bonds: `Cloud.hidden`.
     """
     size = spacing**2 * (np.sum(first**2, axis=(1, 2)) + np.sum(first.sum(axis=1) ** 2, axis=1))
     common = min(SIZE_FACTOR * float(size.max()), LARGEST_SIZE)

@@ -36,15 +36,7 @@ class NewVertices(NamedTuple):
 
 
 class CutFullSurface(FullSurface):
-    """The display surface of a cut full body.
-
-    Parameters
-    ----------
-    model : EnergySolid
-        The cut body.
-    uncut : FullSurface
-        Of the uncut body.
-    """
+    """The display surface of a cut full body, by that of the uncut body."""
 
     def __init__(self, model: Any, uncut: FullSurface) -> None:
         self.model, self._kept_vertices = model, len(uncut.nodes)

@@ -36,35 +36,16 @@ NO_CUT_LINE = CutLine(np.zeros((0, 3), dtype=np.uint32), np.zeros((0, 4), dtype=
 
 
 class DisplaySurface(Protocol):
-    """The interface of a surface that is drawn, of a reduced model or of a full body.
-
-    Attributes
-    ----------
-    model : ReducedModel or EnergySolid
-    nodes : (n,) int array
-        The body's nodes that are its vertices.
-    triangles : (t, 3) uint32 array
-        Of vertices, counter-clockwise from outside.
-    rest : (n, 3) float32 array [m]
-        Positions at rest.
-    fixed : (n,) bool array
-        Vertices of supports.
-    local_indentation : bool
-        Whether stresses include the indentation under a tool.
-    cut_line : CutLine
-        Where a cut opens the surface.
-    cut_measures : CutMeasures
-        Length, area and depth of the cut.
-    """
+    """The interface of a surface that is drawn, of a reduced model or of a full body."""
 
     model: Any
-    nodes: Ints
-    triangles: NDArray[np.uint32]
-    rest: Singles
-    fixed: NDArray[np.bool_]
-    local_indentation: bool
-    cut_line: CutLine
-    cut_measures: CutMeasures
+    nodes: Ints  # (n,), the body's nodes that are its vertices
+    triangles: NDArray[np.uint32]  # (t, 3) of vertices, counter-clockwise from outside
+    rest: Singles  # (n, 3) [m]
+    fixed: NDArray[np.bool_]  # (n,), vertices of supports
+    local_indentation: bool  # whether stresses include the indentation under a tool
+    cut_line: CutLine  # where a cut opens the surface
+    cut_measures: CutMeasures  # length, area and depth of the cut
 
     @property
     def scalars(self) -> tuple[str, ...]:
@@ -100,15 +81,10 @@ class SurfaceScalars:
         raise NotImplementedError
 
     def scalar(self, name: str, coordinates: Floats, displacements: Singles) -> Singles:
-        """Return a number for every vertex.
+        """Return a number for every vertex, for coordinates (m,) and displacements (n, 3) [m].
 
-        Parameters
-        ----------
-        name : str
-            ``"displacement"``: its length [m]; ``"stress"``: von Mises' of the Cauchy stress [Pa];
-            ``"pressure"``: minus a third of that stress's trace [Pa].
-        coordinates : (m,) array
-        displacements : (n, 3) array [m]
+        ``"displacement"`` is its length [m]; ``"stress"`` von Mises' of the Cauchy stress [Pa]; ``"pressure"`` minus a
+        third of that stress's trace [Pa].
         """
         if name not in self.scalars:
             raise InputError(
@@ -125,19 +101,7 @@ class SurfaceScalars:
 
 
 class Surface(SurfaceScalars):
-    """The display surface of a reduced model.
-
-    Attributes
-    ----------
-    nodes : (n,) int array
-        The body's nodes that are its vertices.
-    triangles : (t, 3) uint32 array
-        Of vertices, counter-clockwise from outside.
-    rest : (n, 3) float32 array [m]
-        Positions at rest.
-    fixed : (n,) bool array
-        Vertices of supports.
-    """
+    """The display surface of a reduced model; see `DisplaySurface`."""
 
     cut_line, cut_measures = NO_CUT_LINE, NO_MEASURES
 
@@ -181,20 +145,12 @@ class Surface(SurfaceScalars):
     def displacements(
         self, coordinates: Floats, nodes: Ints, forces: Floats, bonded: NDArray[np.bool_], tools: Ints
     ) -> Singles:
-        """Return the displacements (n, 3) [m] of the vertices.
+        """Return the displacements (n, 3) [m] of the vertices for coordinates (m,) and contact forces.
 
-        Parameters
-        ----------
-        coordinates : (m,) array
-        nodes : (e,) int array
-            Numbers of the nodes in contact, in the model's contact surface.
-        forces : (e, 3) array [N]
-            On the patches of surface there, or on the nodes themselves where they are bonded.
-        bonded : (e,) bool array
-            Whether a tool holds the nodes, which are then drawn themselves. Other vertices have the displacements of
-            `patch_displacements`, unless all nodes are held.
-        tools : (e,) int array
-            The tools of the forces.
+        `nodes` (e,) are numbers of the nodes in contact, in the model's contact surface. The forces (e, 3) [N] of
+        `tools` (e,) act on the patches of surface there, or on the nodes themselves where they are bonded. `bonded`
+        (e,) nodes are held by a tool, and are drawn themselves. Other vertices have the displacements of
+        `patch_displacements`, unless all nodes are held.
         """
         displacements = (self._columns @ coordinates.astype(np.float32)).reshape(-1, 3)
         if not len(nodes) or self._contact_displacements is None:
@@ -221,16 +177,8 @@ class Surface(SurfaceScalars):
     def tables(self, contact_nodes: Ints) -> tuple[Singles, Singles, Ints]:
         """Return displacements of vertices and of patches by unit coordinates, and rows of contact nodes.
 
-        Parameters
-        ----------
-        contact_nodes : (k,) int array
-            The body's nodes of the contact surface.
-
-        Returns
-        -------
-        columns, patch_columns : (n, 3, m) float32 arrays
-        places : (n,) int array
-            Number of each vertex in `contact_nodes`, or -1.
+        `contact_nodes` (k,) are the body's nodes of the contact surface. The displacements are (n, 3, m); the rows (n,)
+        are the number of each vertex in `contact_nodes`, or -1.
         """
         count = self._columns.shape[1]
         columns = self._columns.reshape(-1, 3, count)

@@ -70,10 +70,7 @@ def _depth_between(data):
 def residual_force_function(law: MaterialPoint, single: bool) -> Any:
     """Compile the forces on the residual fields.
 
-    Returns
-    -------
-    function
-        ``residual_forces(data, at, q, v)`` writes those of springs, and of the stresses of the last force at `at`.
+    ``residual_forces(data, at, q, v)`` writes those of springs, and of the stresses of the last force at `at`.
     """
     work = column_work[single]
 
@@ -131,12 +128,9 @@ def _norm_of_residual(fields, rate):
 def residual_norm_function(law: MaterialPoint, single: bool, implicit: bool) -> Any:
     """Compile the residual norm.
 
-    Returns
-    -------
-    function
-        ``residual_norm(data, q, v)`` returns the norm of the unbalanced forces on the residual fields, divided by its
-        scale. It is that at the beginning of the last explicit step, whose forces are known, or at the end of the
-        period with implicit steps.
+    ``residual_norm(data, q, v)`` returns the norm of the unbalanced forces on the residual fields, divided by its
+    scale. It is that at the beginning of the last explicit step, whose forces are known, or at the end of the period
+    with implicit steps.
     """
     digest = law_digest(__name__, "residual norm", law.digest, single, implicit)
     force, residual_forces = sampled_energy(law, single).force, residual_force_function(law, single)
@@ -167,20 +161,10 @@ def residual_norm_function(law: MaterialPoint, single: bool, implicit: bool) -> 
 
 @cache
 def error_indicator_function(law: MaterialPoint, single: bool, implicit: bool, touched: bool) -> Any:
-    """Compile the error indicator.
+    """Compile the error indicator of a body, for implicit or explicit steps, and with contact if it is `touched`.
 
-    Parameters
-    ----------
-    implicit : bool
-        True for a body with implicit steps.
-    touched : bool
-        False for a body without tools in contact.
-
-    Returns
-    -------
-    function
-        ``error_indicator(data, q, v, period, kinetic, flexible)`` returns the error indicator at the end of a period
-        [s], by the kinetic energy and that of the surface compliance [J].
+    ``error_indicator(data, q, v, period, kinetic, flexible)`` returns the error indicator at the end of a period [s],
+    by the kinetic energy and that of the surface compliance [J].
     """
     digest = law_digest(__name__, law.digest, single, implicit, touched)
     residual_norm = residual_norm_function(law, single, implicit)

@@ -43,33 +43,14 @@ MEAN_CUTS, FIRST_SECONDS = 5.0, 0.03  # cuts over which their time is averaged, 
 
 
 class BladeCutter:
-    """Cuts a full body with the blade that the engine moves.
+    """Cuts a full body, `model`, with the blade that the engine moves; `data` are those of the running period.
 
-    Parameters
-    ----------
-    data : NodalPeriodData
-        Of the running period.
+    The engine steps with `advance`, the compiled period of the body (`palpate.dynamics.nodal.period.nodal_period`),
+    with cuts from the first blade on. `wrap` makes the data of the engine's model from those of the period.
 
-    Attributes
-    ----------
-    model : EnergySolid
-        The body as it is cut now.
-    blade : int
-        Number of the tool that is a blade, or NO_BLADE.
-    cut_front : CutFront or None
-        Of the present blade.
-    cuts : int
-        Number of swaps of the body since it was whole.
-    restorations : int
-        Number of times that the body was made whole again.
-    seconds : float [s]
-        Mean time of a cut.
-    failure : str
-        Why the last cut was not made; empty if it was.
-    advance : function
-        Compiled period of the body (`palpate.dynamics.nodal.period.nodal_period`), with cuts from the first blade on.
-    wrap : function
-        Makes the data of the engine's model from those of the period.
+    `blade` is the number of the tool that is a blade, or NO_BLADE, and `cut_front` its own. `cuts` counts swaps of the
+    body since it was whole, `restorations` the times that it was made whole again. `seconds` [s] is the mean time of a
+    cut. `failure` is the reason why the last cut was not made; it is empty if it was.
     """
 
     incision = renamed_attribute("BladeCutter", "incision", "cut_front")
@@ -150,9 +131,7 @@ class BladeCutter:
     def update(self, coordinates: Floats) -> Any:
         """Return new data for the engine's loop, or None: the body cut up to where the blade is.
 
-        Parameters
-        ----------
-        coordinates : (3 n,) array [m]
+        The coordinates are (3 n,) [m].
         """
         with self.lock:
             if self._contact is None and not self._is_due:

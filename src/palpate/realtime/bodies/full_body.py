@@ -203,13 +203,12 @@ def _stepping_at_rest(step: float, frequency: float) -> Floats:
 def step_statistics(data: NodalPeriodData) -> dict[str, float]:
     """Return how a full body was stepped since rest.
 
-    Returns
-    -------
-    dict
-        ``"step_share"``: present step over that at rest; ``"tailored_modes"``: number of modes with more mass;
-        ``"step_gain"``: step at rest over that without them;
-        ``"repeated"``: number of periods that were repeated with shorter steps; ``"held"``: number of periods in which
-        the tool was held or late; ``"energy_gained"``: gain of energy that shorter steps did not cure [J].
+    - ``"step_share"``: present step over that at rest
+    - ``"tailored_modes"``: number of modes with more mass
+    - ``"step_gain"``: step at rest over that without them
+    - ``"repeated"``: number of periods that were repeated with shorter steps
+    - ``"held"``: number of periods in which the tool was held or late
+    - ``"energy_gained"``: gain of energy that shorter steps did not cure [J]
     """
     return {
         "step_share": float(data.body.resting_frequency / data.stepping[FREQUENCY]),

@@ -26,13 +26,7 @@ def display_surface(model: ReducedModel | EnergySolid) -> DisplaySurface:
 
 
 class FullSurface(SurfaceScalars):
-    """The display surface of a full body; see `palpate.realtime.bodies.display_surface.Surface`.
-
-    Attributes
-    ----------
-    nodes, triangles, rest, fixed
-        As of `Surface`.
-    """
+    """The display surface of a full body; see `palpate.realtime.bodies.display_surface.Surface`."""
 
     local_indentation = True  # stresses include the indentation under a tool
     cut_line, cut_measures = NO_CUT_LINE, NO_MEASURES

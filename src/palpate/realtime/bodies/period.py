@@ -197,12 +197,7 @@ def _steps_function(law: MaterialPoint, single: bool, implicit: bool, touched: b
     def take_steps(data, q, v, target, period, report):
         """Take the steps of a period, again with shorter ones where the body has stiffened faster than its estimate.
 
-        Returns
-        -------
-        taken : int
-            Number of steps; 0 if the period fails.
-        flexible : float [J]
-            Energy of the surface compliance.
+        Returns the number of steps, 0 if the period fails, and the energy [J] of the surface compliance.
         """
         refinement, flexible = 1, 0.0
         for attempt in range(attempts):
@@ -226,23 +221,15 @@ def _steps_function(law: MaterialPoint, single: bool, implicit: bool, touched: b
 
 @cache
 def period_functions(law: MaterialPoint, single: bool, implicit: bool, touched: bool) -> tuple[Any, Any]:
-    """Compile the period of a law.
+    """Compile the period of a law, `advance` and `stiffness`, with implicit or explicit steps.
 
-    Parameters
-    ----------
-    implicit : bool
-        True for implicit steps.
-    touched : bool
-        False for a body without tools in contact, whose period does not contain contact.
+    The period of a body without tools in contact, not `touched`, does not contain contact.
 
-    Returns
-    -------
-    advance, stiffness : functions
-        ``advance(data, q, v, target, period, report)`` advances coordinates and velocities (m,) by a
-        period [s] while the tool's coordinates move evenly to `target` (l,). The `report` (8 + l,) has the
-        entries of `palpate.dynamics.run.period_report`. The state is unchanged if the period fails. The
-        forces in the report are means over the period. ``stiffness(data, q, out)`` writes the derivatives
-        (l, l) of the static forces by the tool's coordinates, from the tangents of the last m periods.
+    ``advance(data, q, v, target, period, report)`` advances coordinates and velocities (m,) by a period [s] while the
+    tool's coordinates move evenly to `target` (l,). The `report` (8 + l,) has the entries of
+    `palpate.dynamics.run.period_report`. The state is unchanged if the period fails. The forces in the report are means
+    over the period. ``stiffness(data, q, out)`` writes the derivatives (l, l) of the static forces by the tool's
+    coordinates, from the tangents of the last m periods.
     """
     digest = law_digest(__name__, "period", law.digest, single, implicit, touched)
     take_steps = _steps_function(law, single, implicit, touched)

@@ -76,18 +76,10 @@ def _kick(data, v, step):
 
 @cache
 def explicit_steps(law: MaterialPoint, single: bool, touched: bool) -> Any:
-    """Compile the explicit steps of a period.
+    """Compile the explicit steps of a period, without contact for a body that is not `touched`.
 
-    Parameters
-    ----------
-    touched : bool
-        False for a body without tools in contact.
-
-    Returns
-    -------
-    function
-        ``explicit(data, q, v, period, report, refinement)`` returns the number of steps, which are shorter than stable
-        ones by a factor. It adds the mean forces of the tools to the report.
+    ``explicit(data, q, v, period, report, refinement)`` returns the number of steps, which are shorter than stable ones
+    by a factor. It adds the mean forces of the tools to the report.
     """
     digest = law_digest(__name__, law.digest, single, touched)
     force, residual_forces = sampled_energy(law, single).force, residual_force_function(law, single)
@@ -130,11 +122,8 @@ def explicit_steps(law: MaterialPoint, single: bool, touched: bool) -> Any:
 def implicit_steps(law: MaterialPoint, single: bool) -> Any:
     """Compile the implicit steps of a period.
 
-    Returns
-    -------
-    function
-        ``implicit(data, q, v, period, report, refinement)`` returns the number of steps, or -1 if one did not converge.
-        It adds the mean forces of the tools to the report. The refinement has no effect.
+    ``implicit(data, q, v, period, report, refinement)`` returns the number of steps, or -1 if one did not converge. It
+    adds the mean forces of the tools to the report. The refinement has no effect.
     """
     average = implicit_step(law, single)
 

@@ -61,23 +61,11 @@ def allowance(squares: float, snapshots: int, block: int) -> float:
 def decompose(
     blocks: Iterable[Floats], image: Callable[[Floats], Floats], allowed: float, least: int = 0
 ) -> Decomposition:
-    """Decompose blocks of snapshots one after the other.
+    """Decompose blocks of snapshots (b, n, 3), at least one, one after the other.
 
-    Parameters
-    ----------
-    blocks : iterable of (b, n, 3) arrays
-        At least one.
-    image : function
-        Of fields u (b, n, 3), returns A u of the same shape. The inner product is (u, v) = u . A v.
-    allowed : float
-        Sum of squares that each step may drop. It drops more only if the rank exceeds `MAX_RANK` and the
-        size of the first block.
-    least : int
-        Least rank between steps.
-
-    Returns
-    -------
-    Decomposition
+    `image` returns A u (b, n, 3) of fields u: the inner product is (u, v) = u . A v. Each step may drop a sum of
+    squares `allowed`. It drops more only if the rank exceeds `MAX_RANK` and the size of the first block. `least` is the
+    least rank between steps.
     """
     dropped, cap = 0.0, max(MAX_RANK, least)
     left, values, fields = np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0, 3))

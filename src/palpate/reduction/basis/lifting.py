@@ -74,12 +74,7 @@ def _on_supports(body: EnergyModel, fields: Floats, tools: Ints) -> Floats:
 
 
 class RemoveToolMotion:
-    """A function that subtracts the lifting functions' part from snapshots (t, n, 3).
-
-    Parameters
-    ----------
-    lifting : (l, n, 3) array
-    """
+    """A function that subtracts the part of lifting functions (l, n, 3) from snapshots (t, n, 3)."""
 
     def __init__(self, body: EnergyModel, lifting: Floats, tools: Sequence[str]) -> None:
         self._lifting, self._least = lifting, RIGID_TOLERANCE * body.cloud.spacing

@@ -47,10 +47,7 @@ def _assembled(blocks: dict[tuple[int, int], Any]) -> Any:
 def stiffness_blocks(body: EnergySolid, kind: type[np.floating[Any]] = np.float64) -> dict[tuple[int, int], Any]:
     """Return the stiffness [N/m] at rest between components c <= e of all nodes: sparse (n, n) arrays by (c, e).
 
-    Parameters
-    ----------
-    kind : type
-        Of the numbers; single precision halves the memory.
+    Single precision as the `kind` of the numbers halves the memory.
     """
     n, images = len(body.cloud), len(body.mirror.source)
     near, row = body.stencils.neighbours, body.stencils.row
@@ -208,14 +205,9 @@ def interpolated_modes(coarse: EnergySolid, body: EnergySolid, count: int) -> Fl
 
 
 def tool_responses(body: EnergySolid, fields: Floats, held: Sequence[str]) -> Floats:
-    """Return static responses at rest (l, n, 3) to fields prescribed at the nodes of some groups.
+    """Return static responses at rest (l, n, 3) to fields (l, n, 3) prescribed at the nodes of some groups.
 
-    Parameters
-    ----------
-    body : Solid
-        In the energy form.
-    fields : (l, n, 3) array
-        Only the values at the groups' nodes are used.
+    The body is in the energy form. Only the values at the groups' nodes are used.
     """
     full, free, _, _, solve = rest_statics(body, held)
     responses = np.zeros((len(fields), 3 * len(body.cloud)))

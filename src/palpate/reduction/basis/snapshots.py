@@ -30,20 +30,9 @@ class _Frames:
 class Snapshots:
     """The displacements in all frames of some runs, one run after the other, read at each use.
 
-    Parameters
-    ----------
-    runs : run or several, or (L, n, 3) array [m]
-        Trajectories, or paths of their files, which are read in parts.
-
-    Attributes
-    ----------
-    nodes : int
-    lengths : list of int
-        Frames of every run.
-    runs : list
-        With `times`, `displacements`, `contact_forces` and `bonded` each.
-    has_contact : bool
-        Whether tools touch the body in any run.
+    The runs are trajectories, or paths of their files, which are read in parts, or an array (L, n, 3) [m]. Each of
+    `runs` has `times`, `displacements`, `contact_forces` and `bonded`; `lengths` are their frames. `has_contact` is
+    True if tools touch the body in any of them.
     """
 
     def __init__(self, runs: Run | Sequence[Run] | Floats) -> None:

@@ -31,20 +31,14 @@ FINER_FACTOR = 0.9  # factor on a spacing that is too coarse for thin parts of t
 
 
 def coarse_body(body: Solid, spacing: float | None = None, most: int = MAX_NODES) -> EnergySolid:
-    """Return a model of the same body with a larger spacing.
+    """Return a model of the same body with a larger spacing [m], by default that of about 3,000 nodes.
 
-    The law, regions, fibres, stiffness factors, density, relaxation and damping are those of the nearest nodes.
-    So are the groups, hence supports and foundations; a group that is smaller than the new spacing takes the nearest
-    new nodes.
+    It is smaller where the body has thin parts. `most` is the largest number of nodes. The boundary triangles of the
+    body's cloud form a closed surface, as `palpate.fill` and `palpate.box` return them.
 
-    Parameters
-    ----------
-    body : Solid
-        Its cloud has boundary triangles that form a closed surface, as `palpate.fill` and `palpate.box` return them.
-    spacing : float, optional [m]
-        By default that of about 3,000 nodes; smaller where the body has thin parts.
-    most : int
-        Largest number of nodes.
+    The law, regions, fibres, stiffness factors, density, relaxation and damping are those of the nearest nodes. So are
+    the groups, hence supports and foundations; a group that is smaller than the new spacing takes the nearest new
+    nodes.
     """
     cloud = body.cloud
     try:

@@ -246,14 +246,8 @@ def secant_factor(stiffening, force):
 def stiffened_force(stiffening, product, inertia):
     """Return the secant factor h of a tool's force f, and its share of the force that h f = product asks for.
 
-    Parameters
-    ----------
-    stiffening : (2,) array
-        Exponent and force [N] of the secant factor.
-    product : float [N]
-        Force at the secant factor 1.
-    inertia : float
-        Displacement of the modes by a force within the step, over that of the compliance at h = 1.
+    `stiffening` has the exponent and the force [N] of the secant factor; `product` [N] is the force at the factor 1.
+    `inertia` is the displacement of the modes by a force within the step, over that of the compliance at h = 1.
     """
     gamma, wanted = stiffening[0], product / stiffening[1]
     force = wanted  # at most the root, and h f is concave in f: so Newton's method rises to the root
@@ -282,22 +276,11 @@ def energy_factor(stiffening, force):
 def contact_displacements(
     compliance: SurfaceCompliance, points: Floats, pushes: Floats, bonded: Sequence[bool]
 ) -> tuple[Floats, Floats]:
-    """Return the displacements of a body by its surface compliance, at the surface and in the interior.
+    """Return the displacements (n, 3) [m] of a body by its surface compliance, and the energy [J] under each tool.
 
-    Parameters
-    ----------
-    points : (n, 3) array [m]
-        Reference positions of all nodes.
-    pushes : (tools, k, 3) array [N]
-        On the patches of surface, or on its nodes.
-    bonded : sequence of bool
-        Whether each tool holds nodes.
-
-    Returns
-    -------
-    displacements : (n, 3) array [m]
-    energies : (tools,) array [J]
-        Under each tool; half of the energy that two tools share counts to either.
+    They are those at the surface and in the interior, for reference positions (n, 3) [m] of all nodes. `pushes`
+    (tools, k, 3) [N] act on the patches of surface, or on its nodes if the tool holds them, `bonded`. Half of the
+    energy that two tools share counts to either.
     """
     result, at_surface = np.zeros_like(points), np.zeros((len(compliance.nodes), 3))
     spread, shares = np.zeros_like(pushes), np.ones(len(pushes))

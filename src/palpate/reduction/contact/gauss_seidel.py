@@ -280,24 +280,13 @@ def _scale_forces(surface, contact, tools, step, response, moving):
 
 @kernel_njit(fastmath={"contract"})
 def solve_contact(surface, contact, tools, a, v, step, response, moving):
-    """Solve for the forces of the tools at the end of a step.
+    """Solve for the forces of the tools at the end of a step [s].
 
-    Parameters
-    ----------
-    surface, contact, tools : ContactSurface, ContactScratch, RigidTools
-        `tools.load` receives the forces on the coordinates; impulses and moments accumulate.
-    a, v : (m,) arrays
-        Coordinates and velocities without the forces of this step.
-    step : float [s]
-    response : (m, m) array [1/kg]
-        Inverse mass matrix of the coordinates that are not prescribed.
-    moving : int
-        Number of those coordinates, which come first.
+    `a` and `v` (m,) are coordinates and velocities without the forces of this step. `response` (m, m) [1/kg] is the
+    inverse mass matrix of the first `moving` coordinates, which are not prescribed.
 
-    Returns
-    -------
-    work, lost : float [J]
-        Work of the tools, and the part that friction dissipates.
+    `tools.load` receives the forces on the coordinates; impulses and moments accumulate. Returns the work of the tools
+    and the part that friction dissipates [J].
     """
     tools.load[:] = 0.0
     held = press_held_nodes(
@@ -399,19 +388,9 @@ def kick_by_load(v, step, response, load):
 def press(data, q, v, at, step, period, share, tool_forces):
     """Advance the tools to a fraction of their paths in a period [s], and apply their forces in a step [s].
 
-    Parameters
-    ----------
-    q, v : (m,) arrays
-        The velocities v change.
-    at : (m,) array
-        Scratch.
-    step, period : float [s]
-    share : float
-        Fraction of the path at the end of the step.
-    tool_forces : (12 t,) array
-        Receives the means of the forces that are conjugate to each tool's displacement and to the
-        entries of its rotation R from home. For the latter they are G = S R, with S the moment's cross
-        product.
+    `share` is the fraction at the end of the step. The velocities `v` (m,) change; `at` (m,) is scratch. `tool_forces`
+    (12 t,) receives the means of the forces that are conjugate to each tool's displacement and to the entries of its
+    rotation R from home. For the latter they are G = S R, with S the moment's cross product.
     """
     tools, response = data.tools, data.body.constants.constrained_inverse_mass
     for t in range(tools.kind.shape[0]):

@@ -40,18 +40,9 @@ def interior_flexibility(
 ) -> Interior:
     """Return the dependence of the interior nodes of a body on forces on its surface.
 
-    Parameters
-    ----------
-    coarse, fine : Cloud
-        Of one body; they may be the same.
-    coarse_nodes : (b,) int array
-        Free interior nodes of the coarse cloud.
-    carriers : (c,) int array
-        Its free nodes on the surface.
-    rows : (3 b, 3 c) array [m/N]
-        Residual flexibility of the former for forces on the latter.
-    nodes : (i,) int array
-        Free interior nodes of the fine cloud.
+    `coarse` and `fine` are clouds of one body, and may be the same. Their free interior nodes are `coarse_nodes` (b,)
+    and `nodes` (i,); `carriers` (c,) are the free surface nodes of the coarse cloud. `rows` (3 b, 3 c) [m/N] are the
+    residual flexibility of `coarse_nodes` for forces on the carriers.
     """
     if coarse is fine:
         sources, shares = np.searchsorted(coarse_nodes, nodes)[:, None], np.ones((len(nodes), 1))
@@ -76,12 +67,8 @@ def _linear_fits(points: Floats, source_points: Floats, spacing: float) -> tuple
 def interior_displacements(interior: Interior, forces: Floats, surface: Floats) -> Floats:
     """Return the displacements (i, 3) [m] of the interior nodes by a tool, in addition to the modes.
 
-    Parameters
-    ----------
-    forces : (c, 3) array [N]
-        Of the tool, on the carriers of the surface.
-    surface : (c, 3) array [m]
-        Displacements of the carriers by `SurfaceCompliance.flexibility`.
+    The forces (c, 3) [N] of the tool act on the carriers of the surface, whose displacements by
+    `SurfaceCompliance.flexibility` are `surface` (c, 3) [m].
     """
     source_displacements = np.concatenate(
         [flexible_displacements(interior.flexibility, forces), surface / interior.factor]

@@ -32,22 +32,12 @@ def near_field_compliance(
 ) -> tuple[Ints, NDArray[np.float32]]:
     """Return the near-field correction between nearby surface nodes at rest.
 
-    Parameters
-    ----------
-    fine, coarse : EnergySolid
-        Of one body, in the energy form.
-    nodes, coarse_nodes : (k,), (c,) int arrays
-        Free surface nodes of either.
-    places, weights : (k, w) arrays
-        Carriers of each of `nodes` in `coarse_nodes`
-        (`palpate.reduction.contact.residual_flexibility.carriers`).
+    `fine` and `coarse` are one body, in the energy form, with free surface nodes `nodes` (k,) and `coarse_nodes` (c,).
+    `places` and `weights` (k, w) are the carriers of each of `nodes` in `coarse_nodes`
+    (`palpate.reduction.contact.residual_flexibility.carriers`).
 
-    Returns
-    -------
-    nearby : (k, q) int array
-        In `nodes`, those near each; padded with the node itself.
-    near_field : (k, q, 3, 3) float32 array [m/N]
-        Compliance from a nearby node to the node, minus that of their carriers; zero in the padding.
+    Returns the nodes near each (k, q) in `nodes`, padded with the node itself. The second result (k, q, 3, 3) [m/N] is
+    the compliance from a nearby node to the node, minus that of their carriers; zero in the padding.
     """
     points = fine.cloud.points[nodes]
     core, near_radius, margin = (coarse.cloud.spacing * share for share in (CORE_RADIUS, NEAR_RADIUS, MARGIN_SPACINGS))
@@ -158,10 +148,7 @@ def add_own_compliance(
 ) -> NDArray[np.float32]:
     """Return `near_field` with additional own compliance of the nodes, so that the sum is positive definite.
 
-    Parameters
-    ----------
-    flexibility, carriers, weights, nearby, near_field : arrays
-        As of `palpate.reduction.contact.compliance.SurfaceCompliance`.
+    The arrays are those of `palpate.reduction.contact.compliance.SurfaceCompliance`.
     """
     lowest = lowest_compliance(flexibility, carriers, weights, nearby, near_field)
     if lowest > 0:
@@ -181,10 +168,7 @@ def lowest_compliance(
 ) -> float:
     """Return the lowest eigenvalue [m/N] of the compliance between all nodes.
 
-    Parameters
-    ----------
-    flexibility, carriers, weights, nearby, near_field : arrays
-        As of `palpate.reduction.contact.compliance.SurfaceCompliance`.
+    The arrays are those of `palpate.reduction.contact.compliance.SurfaceCompliance`.
     """
     count, size = len(nearby), len(flexibility) // 3
     pairs = (weights.ravel(), (np.repeat(np.arange(count), weights.shape[1]), carriers.ravel()))

@@ -22,13 +22,7 @@ FREE_WAY, PRESSING_WAY = 1.0, 0.25  # how far a tool may move in a period, in sp
 
 @kernel_njit(fastmath={"contract"})
 def store_depths(surface, contact, tools):
-    """Write the largest depths of triangles whose three nodes were in contact in the last step.
-
-    Parameters
-    ----------
-    surface, contact, tools : ContactSurface, ContactScratch, RigidTools
-        `contact.depth` is written.
-    """
+    """Write the largest depths of triangles whose three nodes were in contact in the last step to `contact.depth`."""
     pair_of, now = contact.pair_of, contact.now
     for t in range(tools.kind.shape[0]):
         contact.depth[t], kind, sizes, frame = 0.0, tools.kind[t], tools.sizes[t], tools.frames[t, 1]

@@ -34,25 +34,11 @@ MIN_ALIGNMENT = 0.05  # least factor on the weight of a carrier with another nor
 def residual_flexibility(
     body: EnergySolid, nodes: Ints, points: Floats, columns: Floats, interior_nodes: Ints | None = None
 ) -> Floats:
-    """Return the residual flexibility of surface nodes at rest, rows 3 i + c of node i.
+    """Return the residual flexibility of surface nodes at rest, (3 k + 3 i, 3 k) [m/N], rows 3 i + c of node i.
 
-    Parameters
-    ----------
-    body : EnergySolid
-        In its energy form, of at most 5,000 nodes.
-    nodes : (k,) int array
-        Free surface nodes.
-    points : (n, 3) array [m]
-        Positions of the nodes of the modes.
-    columns : (m, n, 3) array
-        Modes, zero at the supports.
-    interior_nodes : (i,) int array, optional
-        Other free nodes whose displacements by forces on `nodes` are computed.
-
-    Returns
-    -------
-    (3 k + 3 i, 3 k) array [m/N]
-        Rows of `nodes`, then those of `interior_nodes`.
+    The body is in its energy form, and has at most 5,000 nodes. `nodes` (k,) are free surface nodes. The rows of
+    `interior_nodes` (i,), other free nodes that forces on `nodes` displace, follow theirs. The modes `columns`
+    (m, n, 3) are zero at the supports, and are at `points` (n, 3) [m].
     """
     count = len(body.cloud)
     if count > MAX_NODES:
@@ -91,23 +77,10 @@ def residual_flexibility(
 
 
 def carriers(coarse: Cloud, coarse_nodes: Ints, fine: Cloud, nodes: Ints) -> tuple[Ints, Floats]:
-    """Return the nodes of a coarse surface that represent those of a fine one.
+    """Return the nodes of a coarse surface that represent those of a fine one, and their weights, both (k, w).
 
-    Parameters
-    ----------
-    coarse, fine : Cloud
-        Of one body.
-    coarse_nodes : (c,) int array
-        Nodes of the coarse surface.
-    nodes : (k,) int array
-        Nodes of the fine one.
-
-    Returns
-    -------
-    places : (k, w) int array
-        In `coarse_nodes`.
-    weights : (k, w) array
-        Decaying with the distance and the angle between the normals; their sum is 1.
+    They are places in `coarse_nodes` (c,) of one body for `nodes` (k,). The weights decay with the distance and the
+    angle between the normals; their sum is 1.
     """
     if coarse is fine:
         return np.searchsorted(coarse_nodes, nodes)[:, None], np.ones((len(nodes), 1))

@@ -79,23 +79,17 @@ def support_sensitivity(
 ) -> dict[str, Any] | None:
     """Return changes of the force of tools, for given depths, by changes of the supports.
 
-    Parameters
-    ----------
-    body : EnergySolid
-        Its surface has triangles. The stiffness of its 3 n degrees of freedom is factorised three to five times.
-    points : (N, 3) array [m]
-        Nodes of the presses, of the body or of a finer model of it.
-    foundations : sequence of Foundation
-        Springs on groups of the body.
+    The surface of the body has triangles. The stiffness of its 3 n degrees of freedom is factorised three to five
+    times. `points` (N, 3) [m] are nodes of the presses, of the body or of a finer model of it. `foundations` are
+    springs on groups of the body.
 
-    Returns
-    -------
-    dict or None
-        ``"nodes"``, ``"presses"``: numbers. ``"border"``: ``"distance"`` [m] by which the borders move, and the
-        changes ``"outward"`` and ``"inward"``; None if no support has one. ``"springs"``: the changes ``"halved"``
-        and ``"doubled"``; None without foundations. Each change has the ``"median"`` and the ``"largest"`` relative
-        change of the force over the presses, and the ``"place"`` [m] of the largest. It is None where nothing would
-        hold the body. None if there is no press away from the supports, or nothing whose support could change.
+    ``"nodes"`` and ``"presses"`` are numbers. ``"border"`` has the ``"distance"`` [m] by which the borders move, and
+    the changes ``"outward"`` and ``"inward"``; it is None if no support has one. ``"springs"`` has the changes
+    ``"halved"`` and ``"doubled"``; it is None without foundations. Each change has the ``"median"`` and the
+    ``"largest"`` relative change of the force over the presses, and the ``"place"`` [m] of the largest. It is None
+    where nothing would hold the body.
+
+    Returns None if there is no press away from the supports, or nothing whose support could change.
     """
     cloud, supports = body.cloud, explicit_supports(body.cloud, body.supports)
     outer, inner, distance = moved_borders(cloud, supports)

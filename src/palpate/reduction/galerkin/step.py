@@ -99,14 +99,10 @@ def _add_surface_forces(sites, body, basis, work):
 def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
     """Compile the projected force and the steps of a Galerkin model.
 
-    Returns
-    -------
-    projected_force, advance : functions
-        ``projected_force(coordinates, body, basis, work)`` writes to `work.result`.
-        ``advance(a, velocity, lifting, holds, step, loads, responses, body, basis, work)`` advances
-        coordinates and velocities (m,) in place, and returns the work of the loads, the dissipation, and
-        the work of the tools [J]. `loads` are sites and history, `responses` the inverse mass matrices of
-        the modes and of all coordinates.
+    ``projected_force(coordinates, body, basis, work)`` writes to `work.result`. ``advance(a, velocity, lifting, holds,
+    step, loads, responses, body, basis, work)`` advances coordinates and velocities (m,) in place, and returns the work
+    of the loads, the dissipation, and the work of the tools [J]. `loads` are sites and history, `responses` the inverse
+    mass matrices of the modes and of all coordinates.
     """
     digest, respond, finish = formulation.digest, formulation.respond_to_columns, formulation.finish
     project = formulation.project

@@ -39,23 +39,11 @@ def sparse_nnls(
 ) -> tuple[Floats, float]:
     """Solve matrix @ x = target approximately for a sparse x >= 0.
 
-    The active-set method of Lawson and Hanson starts from x = 0 and stops as soon as the residual is
-    within the tolerance. Several columns are added at once where many are needed.
+    The matrix is (r, n). The active-set method of Lawson and Hanson starts from x = 0 and stops as soon as the residual
+    is within the tolerance. Several columns are added at once where many are needed; at most `max_columns` entries of x
+    are not zero.
 
-    Parameters
-    ----------
-    matrix : (r, n) array
-    target : (r,) array
-    tolerance : float
-        Largest residual norm, as a fraction of the norm of `target`.
-    max_columns : int, optional
-        Largest number of non-zero entries of x.
-
-    Returns
-    -------
-    x : (n,) array
-    residual : float
-        Norm of the residual, as a fraction of the norm of `target`.
+    Returns x (n,) and the norm of the residual. It and the tolerance are fractions of the norm of `target`.
     """
     n = matrix.shape[1]
     target_norm = float(np.linalg.norm(target))
@@ -154,14 +142,9 @@ def sketch(rows: int, entries: int, generator: np.random.Generator) -> Floats:
 def fit_moments(sampled: Floats, moments: Floats, ridge: float = 1e-6) -> Floats:
     """Return coefficients Z (k, s) with Z @ sampled = whole in the least-squares sense.
 
-    Parameters
-    ----------
-    sampled : (s, r) array
-        Dilatations at the cubature points, and their slopes along the coordinates, at many states.
-    moments : (k, r) array
-        The moments and their slopes.
-    ridge : float
-        Regularisation, as a fraction of the largest singular value.
+    `sampled` (s, r) are dilatations at the cubature points, and their slopes along the coordinates, at many states.
+    `moments` (k, r) are the moments and their slopes. The regularisation `ridge` is a fraction of the largest singular
+    value.
     """
     u, values, vt = np.linalg.svd(sampled, full_matrices=False)
     damped = values / (values**2 + (ridge * values[0]) ** 2)

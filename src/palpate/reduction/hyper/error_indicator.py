@@ -197,13 +197,9 @@ def support_nearness(nearness: Floats, forces: Floats, held: Floats | float = 0.
 def residual_norm(data: ReducedData, forces: Floats) -> float:
     """Return the root mean square displacement [m] that the unbalanced forces would cause at rest.
 
-    The unbalanced forces act on the residual fields (`palpate.reduction.training.residual_fields`), and
-    the displacement is in their shapes. The norm is 0 without residual fields.
-
-    Parameters
-    ----------
-    forces : (m + l + 3 g + w,) array
-        Of `palpate.reduction.hyper.reactions.constraint_forces`.
+    The unbalanced forces act on the residual fields (`palpate.reduction.training.residual_fields`), and the
+    displacement is in their shapes. The norm is 0 without residual fields. The forces (m + l + 3 g + w,) are those of
+    `palpate.reduction.hyper.reactions.constraint_forces`.
     """
     return float(np.linalg.norm(forces[len(data.trial_and_test_basis) - data.residual_fields :]))
 

@@ -67,10 +67,7 @@ def _no_push(data, contact, a, v, lifting, s, step, kick, response, moving, tota
 def _push(data, contact, a, v, lifting, s, step, kick, response, moving, total, lost):
     """Accelerate the coordinates by rigid tools in contact during step s.
 
-    Returns
-    -------
-    total, lost : float [J]
-        Work and dissipation with those of the step.
+    Returns work and dissipation [J] with those of the step.
     """
     tools, alpha, first = contact.tools, data.constants.mass_damping, a.shape[0] - lifting.shape[1]
     at, rate, load, mean = data.work[TRIAL], data.work[RATE], data.work[LOAD], data.work[MEAN]
@@ -122,22 +119,11 @@ def _forces_function(law: MaterialPoint, single: bool) -> Any:
 
 @cache
 def explicit_step(law: MaterialPoint, single: bool, touched: bool) -> Any:
-    """Compile the explicit step of sampled models of a law.
+    """Compile the explicit step of sampled models of a law, without contact for runs that are not `touched`.
 
-    Parameters
-    ----------
-    law, single
-        As for `palpate.reduction.hyper.sampled_energy.sampled_energy`.
-    touched : bool
-        False for runs without tools in contact, whose steps do not contain contact.
-
-    Returns
-    -------
-    explicit : function
-        ``explicit(a, v, lifting, holds, step, loads, data, contact)`` advances coordinates and
-        velocities (m + l,) in place. `lifting` (s + 2, l) has one time before and one after those of the
-        loads (s, m + l), and `holds` (s,) is True while tools prescribe the lifting coordinates. `data`
-        is an `ExplicitData`, `contact` a `ContactData`.
+    ``explicit(a, v, lifting, holds, step, loads, data, contact)`` advances coordinates and velocities (m + l,) in
+    place. `lifting` (s + 2, l) has one time before and one after those of the loads (s, m + l), and `holds` (s,) is
+    True while tools prescribe the lifting coordinates. `data` is an `ExplicitData`, `contact` a `ContactData`.
     """
     digest = law_digest(__name__, "explicit step", law.digest, single, touched)
     write_forces, push = _forces_function(law, single), _push if touched else _no_push

@@ -34,14 +34,9 @@ class Springs(NamedTuple):
 
 
 def project_springs(sites: LoadSites, basis_vectors: Floats, mass: Floats) -> Springs:
-    """Project the foundations of some loads on basis vectors.
+    """Project the foundations of some loads on basis vectors (c, n, 3).
 
-    Parameters
-    ----------
-    basis_vectors : (c, n, 3) array
-        The first m belong to the coordinates.
-    mass : (m, m) array
-        Mass matrix of the coordinates.
+    The first m of them belong to the coordinates, whose mass matrix is (m, m).
     """
     nodes = sites.foundation_node
     if not len(nodes):

@@ -99,17 +99,9 @@ def _advance(data, a, v, lifting, s, step, moving):
 def implicit_step(law: MaterialPoint, single: bool) -> Any:
     """Compile the implicit step of sampled models of a law.
 
-    Parameters
-    ----------
-    law, single
-        As for `palpate.reduction.hyper.sampled_energy.sampled_energy`.
-
-    Returns
-    -------
-    implicit : function
-        ``implicit(a, v, lifting, holds, step, loads, data)`` advances coordinates and velocities (m + l,)
-        in place. `lifting` (s + 3, l) has one time before the first step and one after the last, and
-        `holds` (s,) is True while tools prescribe the lifting coordinates. `data` is an `ImplicitData`.
+    ``implicit(a, v, lifting, holds, step, loads, data)`` advances coordinates and velocities (m + l,) in place.
+    `lifting` (s + 3, l) has one time before the first step and one after the last, and `holds` (s,) is True while tools
+    prescribe the lifting coordinates. `data` is an `ImplicitData`.
     """
     digest = law_digest(__name__, "implicit step", law.digest, single)
     solve, mean_force = newton_solver(law, single), mean_force_function(law, single)

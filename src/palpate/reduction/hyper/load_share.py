@@ -46,12 +46,7 @@ class ResponseSquares(NamedTuple):
 def static_response(data: ReducedData, springs: Floats, held: Sequence[str] | None = None) -> Response:
     """Return the static response at rest (n, 3) [m] to nodal forces (n, 3) [N], as a function.
 
-    Parameters
-    ----------
-    springs : (n,) array [N/m]
-        Springs of foundations at the nodes.
-    held : sequence of str, optional
-        Groups that do not move; by default those of the tools.
+    `springs` (n,) [N/m] are those of foundations. The groups `held` do not move; by default those of the tools.
     """
     supported = supported_nodes(data.cloud, data.supports)
     constrained = supported.kind == FIXED
@@ -67,12 +62,7 @@ def static_response(data: ReducedData, springs: Floats, held: Sequence[str] | No
 def load_share(body: ReducedBody, state: State, responses: ResponseSquares, amplitudes: Floats) -> float:
     """Return the share of the static response to the loads of a state that is outside the coordinates, 0 to 1.
 
-    Parameters
-    ----------
-    responses : ResponseSquares
-        Of the loads.
-    amplitudes : (k,) array
-        Of the loads at the time of the state, see `response_squares`.
+    The amplitudes (k,) are those of the loads at the time of the state; see `response_squares`.
     """
     if not amplitudes.any():
         return 0.0
@@ -84,14 +74,9 @@ def load_share(body: ReducedBody, state: State, responses: ResponseSquares, ampl
 def response_squares(body: ReducedBody, sites: LoadSites, response: Callable[[], Response]) -> ResponseSquares:
     """Return the squares of the static responses to loads and motions.
 
-    The amplitudes are those of the dead loads, of gravity, of the lifting coordinates, and of their
-    accelerations, whose inertia is a load on the rest of the body. Lifting coordinates are prescribed, so that
-    only the modes can follow.
-
-    Parameters
-    ----------
-    response : function
-        Returns the static response of the body without foundations.
+    `response` returns the static response of the body without foundations. The amplitudes are those of the dead loads,
+    of gravity, of the lifting coordinates, and of their accelerations, whose inertia is a load on the rest of the body.
+    Lifting coordinates are prescribed, so that only the modes can follow.
     """
     data = body.data
     springs = np.bincount(sites.foundation_node, sites.foundation_spring, len(body.masses)).astype(float)

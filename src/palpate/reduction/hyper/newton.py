@@ -166,13 +166,7 @@ def _update(data, step, moving):
 
 @cache
 def tangent_function(law: MaterialPoint, single: bool) -> Any:
-    """Compile ``tangent(a, sizes, cubature_points, scratch, vectors, count, matrix)``, which writes -df/da.
-
-    Parameters
-    ----------
-    law, single
-        As for `palpate.reduction.hyper.sampled_energy.sampled_energy`.
-    """
+    """Compile ``tangent(a, sizes, cubature_points, scratch, vectors, count, matrix)``, which writes -df/da."""
     digest = law_digest(__name__, "tangent", law.digest, single)
     force = sampled_energy(law, single).force
 
@@ -218,11 +212,8 @@ def mean_force_function(law: MaterialPoint, single: bool) -> Any:
 def newton_solver(law: MaterialPoint, single: bool) -> Any:
     """Compile Newton's method.
 
-    Returns
-    -------
-    function
-        ``solve(a, v, step, external, data, moving)`` writes the first `moving` mean velocities of a step, and returns
-        whether it has converged. The others and their rates are prescribed. `data` is an `ImplicitData`.
+    ``solve(a, v, step, external, data, moving)`` writes the first `moving` mean velocities of a step, and returns
+    whether it has converged. The others and their rates are prescribed. `data` is an `ImplicitData`.
     """
     digest = law_digest(__name__, "newton", law.digest, single)
     tangent, mean_force = tangent_function(law, single), mean_force_function(law, single)

@@ -49,10 +49,7 @@ def constraint_forces(
 def reactions(body: ReducedBody, state: State, prepared: PreparedLoads, forces: Floats) -> dict[str, Floats]:
     """Return the force (3,) [N] of every support and tool on the body; zero after a tool's release.
 
-    Parameters
-    ----------
-    forces : (m + l + 3 g + w,) array
-        Of `constraint_forces`.
+    The forces (m + l + 3 g + w,) are those of `constraint_forces`.
     """
     data, first = body.data, body.count
     result = {support.group: forces[first + 3 * g : first + 3 * g + 3] for g, support in enumerate(data.supports)}

@@ -79,21 +79,10 @@ def cubature_points(
     relaxation: Relaxation = NO_RELAXATION,
     fibres: FibreLaw | None = None,
 ) -> CubaturePoints:
-    """Return cubature points in blocks of LANES.
+    """Return cubature points in blocks of LANES, with a table of a `dtype`.
 
-    Parameters
-    ----------
-    gradients : (s, m, 9) array
-        Derivatives of the basis vectors at the points.
-    weights : (s,) array [m^3]
-    pressure : (k, s) array
-    constant : (m, m) array
-    law : tuple or Regions
-        Coefficients, or materials at the points.
-    dtype : type
-        Of the table.
-    fibres : FibreLaw, optional
-        With directions at the points.
+    `gradients` (s, m, 9) are the derivatives of the basis vectors at the points, `weights` (s,) [m^3]; `pressure` is
+    (k, s), `constant` (m, m). `law` has coefficients, or materials at the points; `fibres` have directions there.
     """
     count = len(gradients)
     padding = -count % LANES
@@ -151,16 +140,12 @@ def shear_weights(points: CubaturePoints) -> Floats:
 class SampledEnergy(NamedTuple):
     """Compiled functions of a law.
 
-    Parameters
-    ----------
-    force : function
-        ``force(coordinates, cubature_points, scratch, result)`` writes -dE/da (m,).
-    energy : function
-        ``energy(coordinates, cubature_points, scratch)`` returns E [J].
-    probe : function
-        ``probe(rows, column, change, cubature_points, scratches, results)`` writes -dE/da (3, m) at two rows of
-        coordinates (2, m), and at the first with one of them changed, and returns E [J] at the first. It reads the
-        table once for all. The `scratches` are `ProbeScratches`.
+    ``force(coordinates, cubature_points, scratch, result)`` writes -dE/da (m,); ``energy(coordinates, cubature_points,
+    scratch)`` returns E [J].
+
+    ``probe(rows, column, change, cubature_points, scratches, results)`` writes -dE/da (3, m) at two rows of coordinates
+    (2, m), and at the first with one of them changed, and returns E [J] at the first. It reads the table once for all.
+    The `scratches` are `ProbeScratches`.
     """
 
     force: Any
@@ -170,12 +155,9 @@ class SampledEnergy(NamedTuple):
 
 @cache
 def sampled_energy(law: MaterialPoint, single: bool) -> SampledEnergy:
-    """Compile force and energy of sampled bodies.
+    """Compile force and energy of sampled bodies, for a table of single or double precision.
 
-    Parameters
-    ----------
-    single : bool
-        Whether the table has single precision. Sums have double precision in either case.
+    Sums have double precision in either case.
     """
     return SampledEnergy(_force_function(law, single), _energy_function(law, single), _probe_function(law, single))
 

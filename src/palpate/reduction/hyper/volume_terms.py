@@ -49,15 +49,9 @@ def _add_pressure(cubature_points, moments, scratch, curved):
 class VolumeTerms(NamedTuple):
     """Compiled functions of the volumetric terms of a law.
 
-    Parameters
-    ----------
-    write_moments : function
-        ``write_moments(cubature_points, scratch)`` replaces J - 1 by the law's measure, and writes the moments.
-    add_stress : function
-        ``add_stress(cubature_points, scratch)`` writes the moments, and adds overstress and pressure to stresses.
-    energy : function
-        ``energy(columns, cubature_points, scratch)`` returns the energy [J] of moments, hourglass residual and
-        branches.
+    - ``write_moments(cubature_points, scratch)`` replaces J - 1 by the law's measure, and writes the moments
+    - ``add_stress(cubature_points, scratch)`` writes the moments, and adds overstress and pressure to stresses
+    - ``energy(columns, cubature_points, scratch)`` returns the energy [J] of moments, hourglass residual and branches
     """
 
     write_moments: Any

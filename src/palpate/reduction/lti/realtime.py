@@ -101,10 +101,7 @@ class LinearRealtime(NamedTuple):
 def linear_realtime(model: LinearModel, period: float) -> LinearRealtime:
     """Return a linear model for `palpate.Engine`, with the one tool of its system.
 
-    Parameters
-    ----------
-    period : float [s]
-        Period of the engine. The first step with another period computes a matrix exponential.
+    The first step with another period than this one [s] computes a matrix exponential.
     """
     number_in_range("period", period, 0.0, open_low=True, unit="s")
     system, count, lifting_count = model.system, model.count, model.lifting_count

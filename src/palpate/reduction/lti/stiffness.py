@@ -29,17 +29,13 @@ STRESS_STEP = 1e-4  # displacements for difference quotients of the stress, in s
 def nodal_stiffness(model: NodalModel, displacements: Floats | None = None) -> Any:
     """Return the sparse stiffness [N/m] of a body, (3 n, 3 n), rows 3 i + c of node i: minus the force derivatives.
 
-    Row i is the internal force density at node i times the node's weight in the inner product
-    (`NodalModel.weights`). So the nodal forces of a surface load are its shares of the total force.
-    The stiffness of the energy form is symmetric; that of the strong form, which is collocated, is
-    not.
+    Row i is the internal force density at node i times the node's weight in the inner product (`NodalModel.weights`).
+    So the nodal forces of a surface load are its shares of the total force. The stiffness of the energy form is
+    symmetric; that of the strong form, which is collocated, is not.
 
-    Parameters
-    ----------
-    displacements : (n, 3) array, optional [m]
-        The state; rest by default. At rest the stiffness of the energy form is assembled from its
-        stencils. Otherwise it is computed by differences, with errors of about 1e-9 of the largest
-        entry.
+    The state has displacements (n, 3) [m], and is rest by default. At rest the stiffness of the energy form is
+    assembled from its stencils. Otherwise it is computed by differences, with errors of about 1e-9 of the largest
+    entry.
     """
     if displacements is None and isinstance(model, EnergySolid) and model.fibres is None:
         return rest_stiffness(model)

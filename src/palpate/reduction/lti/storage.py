@@ -48,13 +48,7 @@ def _header(system: LinearSystem) -> dict[str, Any]:
 
 
 def read_linear(path: str | Path, system: LinearSystem) -> LinearModel:
-    """Read a linear model from a file of `save_linear`.
-
-    Parameters
-    ----------
-    system : LinearSystem
-        The same linearised body as for the saved model.
-    """
+    """Read a linear model from a file of `save_linear`; the system is that of the saved model, linearised alike."""
     path = Path(path)
     with loading(path, LINEAR_MODEL_REMEDY):
         file = open_sealed(path, FORMAT, VERSION)

@@ -83,10 +83,7 @@ ATTRIBUTE_TYPES: dict[str, type] = BODY_ATTRIBUTES | {
 def save_hyper_reduced(model: ReducedModel, path: str | Path) -> None:
     """Write a model to a sealed HDF5 file, completely or not at all.
 
-    Parameters
-    ----------
-    model : ReducedModel
-        Derivatives at its cubature points are written in double precision.
+    Derivatives at its cubature points are written in double precision.
     """
     write_sealed(Path(path), FORMAT, VERSION, *contents(model), deflate=True)
 

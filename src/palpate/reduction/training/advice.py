@@ -15,12 +15,8 @@ UNSEEN_RATIO = 2.0  # projection error of held-out runs over that of the trainin
 def advice(report: Mapping[str, Any]) -> str | None:
     """Return a sentence with the errors and what to change, or None where the mean errors are at most 30 %.
 
-    The errors are those of force and surface where tools touch the body, else of displacement and reaction.
-
-    Parameters
-    ----------
-    report : mapping
-        Of a reduced model, with its held-out errors.
+    The report of a reduced model has its held-out errors: of force and surface where tools touch the body, else of
+    displacement and reaction.
     """
     held_out = report["held_out"]
     touched = "contact" in held_out

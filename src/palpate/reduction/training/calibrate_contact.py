@@ -32,23 +32,12 @@ FORCE_SPREAD = 0.02  # relative error of the force above which a frame has reduc
 def calibrate_contact(model: ReducedModel, repeated: Sequence[Trial]) -> tuple[ReducedModel, dict[str, Any]]:
     """Scale the surface compliance, its stiffening and its bonded scale to the tool forces of full runs.
 
-    The compliance is fitted to displacements under known forces. A step solves the inverse problem, and
-    its forces concentrate on nodes that are too compliant. The resulting bias is the same all over a body.
-    Forceps hold their nodes in any case, and have a factor of their own.
+    The compliance is fitted to displacements under known forces. A step solves the inverse problem, and its forces
+    concentrate on nodes that are too compliant. The resulting bias is the same all over a body. Forceps hold their
+    nodes in any case, and have a factor of their own.
 
-    Parameters
-    ----------
-    model : ReducedModel
-        With a surface compliance.
-    repeated : sequence of (loads, trajectory or path)
-        Runs of the full model, and their loads.
-
-    Returns
-    -------
-    model : ReducedModel
-    report : dict
-        ``"force_factor"`` on the compliance under presses, and ``"force_ratios"``: median ratio of the
-        impulses of the tools to those of the full model, before each correction and after the last.
+    Returns the model and a report. Its ``"force_factor"`` is on the compliance under presses. ``"force_ratios"`` are
+    median ratios of the impulses of the tools to those of the full model, before each correction and after the last.
     """
     compliance, total_factor, ratios = model.data.compliance, 1.0, []
     assert compliance is not None

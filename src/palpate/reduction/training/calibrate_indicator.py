@@ -138,16 +138,14 @@ def _run_quantile(values: Sequence[float], share: float) -> float:
 def error_curves(runs: Sequence[Frames], scales: Scales, forgetting: float = 0.0) -> dict[str, Any]:
     """Return the curves of expected errors by the largest error indicator so far, which decays at a rate [1/s].
 
-    Returns
-    -------
-    mapping
-        ``"forgetting"``: the rate [1/s]. ``"level"``: the probability that a further run keeps the bounds;
-        ``"least_level"``: the share of runs that keep them with the confidence `CONFIDENCE_LEVEL`. Both are the least
-        of runs with one tool and with several.
-        ``"displacement"``, and with tools ``"force"``: a mapping.
-        At an error indicator T, the median and the bound of the errors, relative to the mean of the present and the
-        typical size, are ``"median"`` and ``"bound"`` times T^``"exponent"``, with T at least ``"least_trust"``. Above
-        ``"largest_trust"`` the error is unknown. ``"typical_size"`` [m] or [N] is the median of the runs' largest.
+    ``"forgetting"`` is the rate [1/s]. ``"level"`` is the probability that a further run keeps the bounds,
+    ``"least_level"`` the share of runs that keep them with the confidence `CONFIDENCE_LEVEL`. Both are the least of
+    runs with one tool and with several.
+
+    ``"displacement"``, and with tools ``"force"``, are mappings. At the error indicator T, the median and the bound of
+    the errors, relative to the mean of the present and the typical size, are ``"median"`` and ``"bound"`` times
+    T^``"exponent"``, with T at least ``"least_trust"``. Above ``"largest_trust"`` the error is unknown.
+    ``"typical_size"`` [m] or [N] is the median of the runs' largest.
     """
     worst = [remembered_trust(error_indicators(run.measures, scales), run.times, forgetting) for run in runs]
     n, tools = len(runs), [max(int(run.measures.tools.max(initial=0)), 1) for run in runs]

@@ -28,18 +28,9 @@ def choose_cubature_points(
 ) -> tuple[NDArray[np.int64], Cubature]:  # fmt: skip
     """Return places of the chosen points in the fields, and the cubature with their weights and moments.
 
-    Parameters
-    ----------
-    fields : Fields
-        Of modes, lifting functions and the supports' test fields.
-    modes : int
-        Number of modes.
-    states : (t, m) array
-        Training states: coordinates of modes and lifting functions.
-    mass : (m, m) array
-    share : float
-        Largest relative error of the sampled forces; 0 selects every point.
-    moments : (k, n) array
+    The fields are those of modes, lifting functions and the supports' test fields. The training states (t, m) are
+    coordinates of modes and lifting functions, the mass matrix is (m, m), and the moments are (k, n). `share` is the
+    largest relative error of the sampled forces; 0 selects every point.
     """
     count = len(mass)
     root = compliance_root(body, fields, count, moments, mass)

@@ -124,18 +124,9 @@ class ContactErrors(_Named):
 def contact_errors(
     full: Trajectory, other: Trajectory, tools: Sequence[str], nodes: NDArray[np.int64]
 ) -> ContactErrors | None:
-    """Return the errors of contact in a run against a reference at the same times.
+    """Return the errors of contact in a run against a reference at the same times; None if the latter has none.
 
-    Parameters
-    ----------
-    tools : sequence of str
-        Names of their reactions.
-    nodes : (k,) int array
-        Of the contact surface.
-
-    Returns
-    -------
-    ContactErrors, or None if no tool touches the body in the reference.
+    `tools` are the names of their reactions, `nodes` (k,) those of the contact surface.
     """
     differences, pressed = [np.zeros(0)], np.zeros(len(full.times), dtype=np.bool_)
     for name in tools:

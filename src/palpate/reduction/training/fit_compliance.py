@@ -45,26 +45,11 @@ RATIO_SPREAD = 0.1  # of the ratio of works, between frames
 def fit_compliance(
     model: ReducedModel, body: EnergySolid, snapshots: Snapshots, statics: EnergySolid
 ) -> tuple[SurfaceCompliance, float, float]:
-    """Fit the surface compliance to runs with contact.
+    """Fit the surface compliance to runs of the full model with contact; that of the model is not used.
 
-    Parameters
-    ----------
-    model : ReducedModel
-        Its compliance is not used.
-    body : EnergySolid
-        In its energy form.
-    snapshots : Snapshots
-        Runs of the full model.
-    statics : EnergySolid
-        The body, or a coarser model of it, in the energy form, of at most 5,000 nodes.
-
-    Returns
-    -------
-    compliance : SurfaceCompliance
-    explained : float
-        Share of the squared displacement error of the modes near the tools that it explains.
-    largest_energy : float [J]
-        Largest energy of the compliance in the frames of the runs.
+    `statics` is the body, or a coarser model of it, in the energy form, of at most 5,000 nodes. Also returns the share
+    that it explains of the squared displacement error of the modes near the tools, and its largest energy [J] in the
+    frames.
     """
     cloud = model.cloud
     ends, corners = (np.array([c.points.min(axis=0), c.points.max(axis=0)]) for c in (statics.cloud, cloud))
@@ -84,11 +69,7 @@ def fit_compliance(
 def rest_compliance(body: EnergySolid, statics: EnergySolid, columns: Floats) -> SurfaceCompliance:
     """Return the surface compliance of a body at rest in addition to basis vectors (m, n, 3), without stiffening.
 
-    Parameters
-    ----------
-    statics : EnergySolid
-        The body, or a coarser model of it.
-    columns : (m, n, 3) array
+    `statics` is the body, or a coarser model of it.
     """
     cloud = body.cloud
     nodes, interior_nodes = _free_nodes(body)
@@ -208,20 +189,9 @@ def _fit_factors(
 def fit_stiffening(size: Floats, depth: Floats, linear: Floats, spread: float = RATIO_SPREAD) -> tuple[float, Floats]:
     """Fit factor (1 + |f| / F)^-gamma to the ratio of the forces' work in runs to that of the linear compliance.
 
-    Parameters
-    ----------
-    size : (t,) array [N]
-        Total forces.
-    depth, linear : (t,) arrays [J]
-        Work in the runs, and with the linear compliance.
-    spread : float
-        Deviation of the ratio above which a frame has reduced weight.
-
-    Returns
-    -------
-    factor : float
-    stiffening : (2,) array
-        gamma, F [N].
+    `size` (t,) [N] are the total forces, `depth` and `linear` (t,) [J] the work in the runs, and with the linear
+    compliance. A frame has reduced weight if the ratio deviates by more than `spread`. Returns the factor, and gamma
+    and F [N].
     """
     largest = float(size.max())
     use = (size > MIN_FORCE * largest) & (depth > 0) & (linear > 0)

@@ -58,26 +58,13 @@ def scale_residual_fields(
 ) -> tuple[Fields, Floats]:  # fmt: skip
     """Combine the residual fields so that the residual is a displacement, and return their derivatives.
 
-    Parameters
-    ----------
-    fields : Fields
-        The trial and test basis, the residual fields last.
-    sizes : tuple
-        Numbers of modes and of residual fields w.
-    states : (t, m + l) array
-        Training states.
-    places : (s,) int array
-        Of the cubature points in the fields.
-    moments : (k, n) array
-        Of the dilatation, see `palpate.dynamics.nodal.energy_model.EnergyModel.pressure_moments`.
+    The residual fields are the last of `fields`, which are the trial and test basis; `sizes` are the numbers of modes
+    and of residual fields w. The training states are (t, m + l). `places` (s,) are those of the cubature points in the
+    fields. The moments (k, n) are of the dilatation; see
+    `palpate.dynamics.nodal.energy_model.EnergyModel.pressure_moments`.
 
-    Returns
-    -------
-    fields : Fields
-        With the residual fields in m/N.
-    gradients : (s, m + l + 3 g + w, 9) array
-        Derivatives of the trial and test basis at the cubature points, those of the residual fields multiplied
-        by their factors.
+    Returns the fields, with the residual fields in m/N, and derivatives (s, m + l + 3 g + w, 9) of the trial and test
+    basis at the cubature points. Those of the residual fields are multiplied by their factors.
     """
     modes, residual_fields = sizes
     gradients = np.asarray(fields.gradients[places], dtype=float)

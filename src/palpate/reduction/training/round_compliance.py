@@ -25,10 +25,7 @@ MAX_HALVINGS = 8  # of the step, until the rounded compliance has it
 def round_compliance(compliance: SurfaceCompliance) -> SurfaceCompliance:
     """Return a compliance whose flexibilities are multiples of powers of two, positive definite if it is.
 
-    Parameters
-    ----------
-    compliance : SurfaceCompliance
-        With its final factor: a scaled compliance is not rounded.
+    It must have its final factor: a scaled compliance is not rounded.
     """
     typical = float(np.median(np.diagonal(compliance.flexibility)))
     if not typical > 0:

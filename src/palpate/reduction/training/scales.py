@@ -26,14 +26,8 @@ def scales_of_training(
 ) -> Scales:
     """Return the scales of distance, speed and nearness; the others have their defaults.
 
-    Parameters
-    ----------
-    states, chosen : (t, m), (c, m) arrays
-        Coordinates of all snapshots, and of training states evenly spaced over them.
-    mass : (m, m) array
-        Mass matrix divided by the mass of the body.
-    of_tools : bool
-        Whether the speed is that of tools in contact.
+    `states` (t, m) are coordinates of all snapshots, `chosen` (c, m) those of training states evenly spaced over them.
+    The mass matrix (m, m) is divided by the mass of the body. `of_tools` is True for the speed of tools in contact.
     """
     return Scales(
         distance_scale=_distance_scale(chosen, mass, snapshots),

@@ -70,12 +70,8 @@ def check_indices(values: NDArray[Any], what: str) -> Ints:
 def fans(corners: Ints, sizes: Ints) -> Ints:
     """Return the triangles (t, 3) of polygons, each a fan about its first corner.
 
-    Parameters
-    ----------
-    corners : (c,) array
-        Corners of all polygons, one after the other.
-    sizes : (p,) array
-        Numbers of corners, c in all; polygons of fewer than three have no triangles.
+    The corners (c,) of all polygons follow one after the other. Polygons have `sizes` (p,) corners; those of fewer than
+    three have no triangles.
     """
     first, k = _fan_indices(corners, sizes)
     return np.column_stack([corners[first], corners[first + k + 1], corners[first + k + 2]])

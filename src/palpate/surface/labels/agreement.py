@@ -21,12 +21,7 @@ RIGHT_ANGLE = 1e-4  # largest cosine between axes at right angles, beyond which 
 def difference_of_maps(taken: Floats, other: Floats, shape: tuple[int, ...], millimetres: float = 1.0) -> str:
     """Return how far another map (4, 4) puts voxels from where the taken one does; empty where both agree.
 
-    Parameters
-    ----------
-    shape : tuple of int
-        Voxels along each axis.
-    millimetres : float
-        Unit of the maps.
+    `shape` has the voxels along each axis; `millimetres` is the unit of the maps.
     """
     corners = np.array(list(product(*((-0.5, size - 0.5) for size in shape))))
     apart = corners @ (other - taken)[:3, :3].T + (other - taken)[:3, 3]

@@ -94,13 +94,7 @@ class Relation(Enum):
 
 
 def relation(inner: str, organ: str) -> Relation:
-    """Return what a label of a name is of an organ of another name.
-
-    Examples
-    --------
-    >>> relation("KidneyCyst_L", "left kidney").name, relation("lung_right", "liver").name
-    ('LESION', 'OTHER')
-    """
+    """Return what a label of a name is of an organ of another name, such as LESION for a cyst of a kidney."""
     organs, other_organs = organs_of(organ), organs_of(inner)
     sides, other_sides = _sides(organ), _sides(inner)
     if (organs and other_organs and not organs & other_organs) or (sides and other_sides and not sides & other_sides):

@@ -30,12 +30,7 @@ MIN_CURVATURE = 1e-9  # of the normal equations, over their trace
 def body_segments(labels: LabelMap, rest: Floats, triangles: NDArray[np.integer]) -> tuple[Segment, ...]:
     """Return the segments of which a body consists: most of their voxels lie in its surface at rest.
 
-    Parameters
-    ----------
-    rest : (n, 3) array [m]
-        Nodes at rest.
-    triangles : (t, 3) int array
-        Of the body's surface.
+    `rest` (n, 3) [m] are its nodes, of which the triangles (t, 3) of its surface are.
     """
     corners, chosen = rest[triangles], []
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
@@ -56,17 +51,8 @@ def body_segments(labels: LabelMap, rest: Floats, triangles: NDArray[np.integer]
 def resampling_field(labels: LabelMap, rest: Floats, displacements: Floats, spacing: float) -> tuple[Singles, Singles]:
     """Return the way from each voxel to its place at rest, and the distance of the nearest node of the deformed body.
 
-    Parameters
-    ----------
-    rest, displacements : (n, 3) arrays [m]
-        Nodes at rest, and their displacements.
-    spacing : float [m]
-
-    Returns
-    -------
-    field : (nx, ny, nz, 3) float32 array [m]
-        Zero where no node is within two spacings.
-    distance : (nx, ny, nz) float32 array [m]
+    `rest` and `displacements` (n, 3) [m] are those of the nodes. The distance is (nx, ny, nz) [m]; the way
+    (nx, ny, nz, 3) [m] is zero where no node is within two spacings.
     """
     shape, nodes = labels.shape, rest + displacements
     field = np.zeros((*shape, 3), dtype=np.float32)
@@ -98,14 +84,8 @@ def deform(
 ) -> list[NDArray[np.uint32]]:
     """Return the numbers (nx, ny, nz) of the segments in the voxels of each layer of the deformed body, 0 outside all.
 
-    Segments that are not of the body stay where segments of the body in the same layer are not.
-
-    Parameters
-    ----------
-    parts : sequence of Segment
-        Those of the body.
-    field, distance
-        As from `resampling_field`.
+    `parts` are those of the body; field and distance are as from `resampling_field`. Segments that are not of the body
+    stay where segments of the body in the same layer are not.
     """
     near = np.argwhere(distance <= REACH_SPACINGS * spacing)
     sources = _positions(labels.affine, near) + field[tuple(near.T)]

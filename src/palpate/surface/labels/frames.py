@@ -27,21 +27,9 @@ def grid_of_frames(
 ) -> tuple[Floats, Ints, int, list[str]]:
     """Return the map from indices to positions [mm], the slice of each frame, the number of slices, and notes.
 
-    Parameters
-    ----------
-    turn : (6,) array
-        Unit vectors along the rows and down the columns of all frames.
-    edges : (2,) array [mm]
-        Distances of pixels down the columns and along the rows.
-    places : (n, 3) array [mm]
-        Middle of the first pixel of each frame.
-    stated : two lists of float [mm]
-        The different distances of slices, and the thicknesses, that the file states.
-
-    Raises
-    ------
-    FileFormatError
-        The frames are not at equal distances on a straight line, or one slice has no thickness.
+    `turn` (6,) has unit vectors along the rows and down the columns of all frames. `edges` (2,) [mm] are the distances
+    of pixels down the columns and along the rows. `places` (n, 3) [mm] are middles of the first pixel of each frame.
+    `stated` are the different distances of slices, and the thicknesses [mm], that the file states.
     """
     along, down = turn[:3], turn[3:]
     normal = np.cross(along, down)

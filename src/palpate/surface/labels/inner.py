@@ -55,16 +55,9 @@ def inner_labels(
 ) -> list[InnerLabel]:
     """Return the labels that lie in the union of segments, in the order of the map.
 
-    What lies in a label that joins lies in the organ, too.
-
-    Parameters
-    ----------
-    chosen : sequence of Segment
-        The organ.
-    shells : dict, optional
-        Filled with the surroundings of segments, for the next call on the same map.
-    left_out : sequence of Segment
-        Those that do not join by choice; what lies in them does not lie in the organ.
+    What lies in a label that joins lies in the organ, too. `chosen` are the segments of the organ. `left_out` are those
+    that do not join by choice; what lies in them does not lie in the organ. `shells` is filled with the surroundings of
+    segments, for the next call on the same map.
     """
     shells = {} if shells is None else shells
     body = list(chosen)

@@ -223,17 +223,9 @@ def part_names(labels: LabelMap) -> list[str]:
 
 
 def mask_of(labels: LabelMap, part: str | Sequence[str] | None = None) -> Mask:
-    """Return the union of the voxels of segments.
+    """Return the union of the voxels of segments, with all pieces, as they are in the file.
 
-    Parameters
-    ----------
-    part : str or sequence of str, optional
-        Names, numbers or shell-style patterns; by default the only segment.
-
-    Returns
-    -------
-    Mask
-        With all pieces, as they are in the file.
+    `part` has names, numbers or shell-style patterns; by default the only segment.
     """
     return segments_mask(labels, choose_segments(labels, part))
 

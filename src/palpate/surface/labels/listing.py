@@ -77,10 +77,7 @@ def inner_text(inner: InnerLabel) -> str:
 def choice_of_labels(labels: LabelMap, joining: bool = False) -> ChoiceError:
     """Return the error of a map of several labels of which none was chosen, with a table of them.
 
-    Parameters
-    ----------
-    joining : bool
-        Whether what lies in a label can join its body, which the table then states.
+    With `joining`, what lies in a label can join its body, which the table then states.
     """
     rows = label_rows(labels)
     width = max(8, *(len(shortened(row.name, MAX_NAME)) for row in rows[:MAX_ROWS]))

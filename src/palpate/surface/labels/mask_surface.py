@@ -43,23 +43,11 @@ PIECE_PATTERN = re.compile(r"(.+)#(\d{1,6})", re.DOTALL)
 
 
 def label_surface(labels: LabelMap, part: str | Sequence[str] | None = None) -> Surface:
-    """Return the surface of one or several labels, as one body.
+    """Return the closed surface of one or several labels, as one body, with the volume of its voxels.
 
-    Parameters
-    ----------
-    part : str or sequence of str, optional
-        Names, numbers or patterns of labels, whose voxels are united; by default the only label. ``"liver#2"`` is the
-        second largest piece.
-
-    Returns
-    -------
-    Surface
-        Closed, with the volume of its voxels, and with warnings about what was left out.
-
-    Raises
-    ------
-    InputError
-        No such label, one without voxels or with too few, or one in several pieces of which none is plainly the organ.
+    `part` has names, numbers or patterns of labels, whose voxels are united; by default the only label. ``"liver#2"``
+    is the second largest piece. A label in several pieces of which none is plainly the organ is refused. The surface
+    has warnings about what was left out.
     """
     edges = labels.voxel_edges
     if edges.max() > EDGE_RANGE[1] or edges.min() < EDGE_RANGE[0]:
@@ -103,15 +91,8 @@ def _pieces(voxels: NDArray[np.bool_]) -> tuple[NDArray[np.int32], Ints]:
 def largest_piece(mask: Mask, number: int = 0) -> Mask:
     """Return the largest piece of a mask with its small cavities filled, cropped to it.
 
-    Parameters
-    ----------
-    number : int
-        Piece by size, from 1; 0 is the largest, if it plainly is the organ.
-
-    Raises
-    ------
-    InputError
-        The largest piece has less than 90 % of the voxels, the mask is a texture, or the piece has too few voxels.
+    `number` is that of a piece by size, from 1; 0 is the largest, if it plainly is the organ, with at least 90 % of the
+    voxels. A texture, and a piece of too few voxels, are refused.
     """
     label, sizes = _pieces(mask.voxels)
     order = np.argsort(-sizes, kind="stable")
@@ -181,17 +162,9 @@ def is_pore(cavity: NDArray[np.bool_], size: int) -> bool:
 
 
 def mask_surface(mask: Mask) -> Surface:
-    """Return the closed surface of a mask of one piece, whose volume is that of its voxels.
+    """Return the closed surface of a mask of one piece, in metres, whose volume is that of its voxels.
 
-    Parameters
-    ----------
-    mask : Mask
-        As of `largest_piece`.
-
-    Returns
-    -------
-    Surface
-        In metres, in the frame of the mask.
+    The mask is as of `largest_piece`.
     """
     field, origin, scale = _smooth_field(mask)
     target = np.count_nonzero(mask.voxels) / float(np.prod(scale))  # in cells of the grid

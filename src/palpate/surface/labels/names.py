@@ -19,11 +19,8 @@ COLOURS = re.compile(r"(?:\s+\d+(?:\.\d+)?){3,4}$")
 def read_names(path: str | Path) -> dict[int, str]:
     """Return names by the numbers of labels.
 
-    Parameters
-    ----------
-    path : path
-        JSON (``{"5": "liver"}``, ``{"liver": 5}``, or one of them under ``"labels"``, as in nnU-Net's
-        ``dataset.json``), a color table of 3D Slicer, or lines of a number and a name.
+    The file is JSON, a color table of 3D Slicer, or lines of a number and a name. JSON is ``{"5": "liver"}``,
+    ``{"liver": 5}``, or one of them under ``"labels"``, as in nnU-Net's ``dataset.json``.
     """
     path = Path(path)
     text = read_text(path, "file of names", MAX_BYTES)

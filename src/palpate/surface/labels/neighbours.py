@@ -39,10 +39,7 @@ def touching_segments(
 ) -> list[TouchingSegment]:
     """Return the segments within a distance [m] of an organ's surface, those that touch most of it first.
 
-    Parameters
-    ----------
-    without : tuple of Segment
-        Segments of the organ, and in it.
+    `without` are segments of the organ, and in it.
     """
     surface = organ.boundary()
     low, high = surface.min(axis=0) - distance, surface.max(axis=0) + distance

@@ -29,27 +29,12 @@ def is_label_map(path: str | Path) -> bool:
 def read_label_map(path: str | Path, names: str | Path | None = None) -> LabelMap:
     """Read a label map, such as TotalSegmentator, nnU-Net and 3D Slicer write it.
 
-    Other files that the file names are not read. Voxels are unpacked after the header's limits are checked, and no
-    more of them than it states.
+    The file is NIfTI (.nii, .nii.gz), NRRD (.nrrd, .seg.nrrd), MetaImage (.mha, .mhd) or DICOM SEG (.dcm), of at most
+    2^29 voxels. `names` is a file of names that it lacks (`palpate.surface.labels.names.read_names`). Other files that
+    the file names are not read. Voxels are unpacked after the header's limits are checked, and no more of them than it
+    states.
 
-    Parameters
-    ----------
-    path : path
-        NIfTI (.nii, .nii.gz), NRRD (.nrrd, .seg.nrrd), MetaImage (.mha, .mhd) or DICOM SEG (.dcm).
-    names : path, optional
-        File of names that the file lacks (`palpate.surface.labels.names.read_names`).
-
-    Returns
-    -------
-    LabelMap
-        In metres and, where the file states how the patient lies, in LPS.
-
-    Raises
-    ------
-    FileNotFoundError
-        There is no such file.
-    FileFormatError
-        The file is damaged, larger than 2^29 voxels, or an image of something else than labels.
+    The map is in metres and, where the file states how the patient lies, in LPS.
     """
     path = Path(path)
     refuse_misnamed(path)

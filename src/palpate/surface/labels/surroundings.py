@@ -33,20 +33,8 @@ def surrounding_surfaces(
 ) -> tuple[Surface, ...]:
     """Return closed surfaces of the labels near a body, in its frame and unit, the nearest first.
 
-    Labels count by the distance of their boxes from that of the body. Each has triangles in proportion to the square
-    root of its length.
-
-    Parameters
-    ----------
-    part : str or sequence of str
-        Labels of the body, or a piece of one, which are left out.
-    most : int
-        Number of triangles in all.
-
-    Returns
-    -------
-    tuple of Surface
-        With the names of their labels.
+    Labels count by the distance of their boxes from that of the body, whose own labels `part` are left out. Each has
+    triangles in proportion to the square root of its length, `most` in all, and its name.
     """
     parts = [part] if isinstance(part, str) else list(part or ())
     names = {each.name for each in labels.segments}

@@ -54,11 +54,7 @@ def numbers_of(text: bytes, count: int, what: str) -> NDArray[np.float64]:
 class Unpacker:
     """Bytes of a file, or of what it holds packed, read in turn without unpacking more than is asked for.
 
-    Parameters
-    ----------
-    data : bytes
-    packed : bool
-        Whether they are compressed by gzip or zlib.
+    `packed` bytes are compressed by gzip or zlib.
     """
 
     def __init__(self, data: bytes | memoryview, packed: bool) -> None:
@@ -193,13 +189,8 @@ def segments_of(
 ) -> tuple[tuple[NDArray[Any], ...], tuple[Segment, ...], tuple[str, ...]]:
     """Return layers and their segments, and the names of those without voxels.
 
-    Parameters
-    ----------
-    layers : sequence of (nx, ny, nz) int array
-        Large values come back as smaller ones.
-    names : dict
-        Number and name by layer and value; others have their value and ``"label 5"``. Numbers that several layers use
-        become new ones beyond all others.
+    Large values of the layers (nx, ny, nz) come back as smaller ones. `names` has number and name by layer and value;
+    others have their value and ``"label 5"``. Numbers that several layers use become new ones beyond all others.
     """
     smaller, segments, seen = [], list[Segment](), set[tuple[int, int]]()
     for number, layer in enumerate(layers):

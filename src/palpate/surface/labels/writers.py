@@ -38,15 +38,9 @@ def check_volume_name(path: Path, name: str) -> None:
 
 
 def write_labels(path: Path, numbers: NDArray[Any], affine: Floats, names: Mapping[int, str]) -> None:
-    """Write a label map of one layer.
+    """Write a label map of one layer of numbers (nx, ny, nz), with their names.
 
-    Parameters
-    ----------
-    numbers : (nx, ny, nz) int array
-    affine : (4, 4) array [m]
-        Map from indices to the middles of the voxels, in LPS.
-    names : mapping
-        Names by number.
+    `affine` (4, 4) [m] maps indices to the middles of the voxels, in LPS.
     """
     kind = _integers([numbers])
     if path.name.lower().endswith(".nrrd"):
@@ -62,15 +56,8 @@ def write_labels(path: Path, numbers: NDArray[Any], affine: Floats, names: Mappi
 def write_layers(path: Path, layers: Sequence[NDArray[Any]], affine: Floats, segments: Sequence[Segment]) -> list[str]:
     """Write a label map of one or several layers, and return what the file has lost.
 
-    NRRD has all layers, as 3D Slicer writes them. In NIfTI a voxel has one number: that of the last segment there.
-
-    Parameters
-    ----------
-    layers : sequence of (nx, ny, nz) int array
-        Numbers of segments.
-    affine : (4, 4) array [m]
-        Map from indices to the middles of the voxels, in LPS.
-    segments : sequence of Segment
+    NRRD has all layers (nx, ny, nz), as 3D Slicer writes them. In NIfTI a voxel has one number: that of the last
+    segment there. `affine` (4, 4) [m] maps indices to the middles of the voxels, in LPS.
     """
     used = sorted({each.layer for each in segments})
     layers, segments = [layers[k] for k in used], [replace(each, layer=used.index(each.layer)) for each in segments]

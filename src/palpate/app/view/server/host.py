@@ -32,22 +32,9 @@ JOIN_INTERVAL = 1.0  # [s]
 class Host:
     """A view source with a listening socket, ready to be served.
 
-    Parameters
-    ----------
-    host : str
-        Address of this machine.
-    port : int
-        Requested port; the next free one is used if it is busy, but not with a public address.
-    public_url : str, optional
-        Address of a forwarded port or a proxy, by which browsers reach the page.
-
-    Attributes
-    ----------
-    port : int
-        Port of the socket.
-    address, local_address : str
-        URL of the page, with a new token; and by which this machine reaches it.
-    page : Page
+    The next free port is used if the requested one is busy, but not with a public address. `public_url` is the address
+    of a forwarded port or a proxy, by which browsers reach the page. `address` is the URL of the page, with a new
+    token; by `local_address` this machine reaches it.
     """
 
     def __init__(

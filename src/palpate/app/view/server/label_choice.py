@@ -27,21 +27,9 @@ class Chosen(NamedTuple):
 
 
 class LabelChoice:
-    """Labels of a map, of which a viewer chooses one or several.
+    """Labels of a map, of which a viewer chooses one or several; `rows` are listed in their order.
 
-    The server's thread calls `choose`, the main thread `wait`.
-
-    Parameters
-    ----------
-    title : str
-        Title of the page.
-    rows : sequence of LabelRow
-        Labels in the order in which they are listed.
-
-    Attributes
-    ----------
-    made : asyncio.Event
-        Set once a choice has made a body.
+    The server's thread calls `choose`, the main thread `wait`. The event `made` is set once a choice has made a body.
     """
 
     def __init__(self, title: str, rows: Sequence[LabelRow]) -> None:
@@ -66,13 +54,7 @@ class LabelChoice:
         return {"type": "labels", "title": self.title, "labels": labels}
 
     def choose(self, parts: Sequence[str], without: Sequence[str] = ()) -> None:
-        """Take a choice.
-
-        Raises
-        ------
-        InputError
-            A part is not of the labels, or the largest piece of one; or what is left out lies in none of them.
-        """
+        """Take a choice of the labels, or of the largest piece of one, and of those in them that are left out."""
         known = {row.part for row in self.rows} | {f"{row.part}#1" for row in self.rows}
         for part in parts:
             if part not in known:

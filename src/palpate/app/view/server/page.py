@@ -30,14 +30,8 @@ NOT_BUILT = (
 class Page:
     """The files of the page, read at the start, and the checks of requests.
 
-    Parameters
-    ----------
-    hosts : sequence of str
-        Allowed ``Host`` headers, with the port.
-    folder : path
-        Folder of the page.
-    public : PublicAddress, optional
-        Address of a forwarded port or a proxy, whose host and origin are allowed, too.
+    `hosts` are the allowed ``Host`` headers, with the port. `public`, a forwarded port or a proxy, has a host and an
+    origin that are allowed, too.
     """
 
     def __init__(self, hosts: list[str], folder: Path = PAGE_FOLDER, public: PublicAddress | None = None) -> None:

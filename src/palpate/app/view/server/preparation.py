@@ -32,28 +32,15 @@ Durations = dict[str, float]  # [s] by the text of a phase
 class Preparation:
     """Progress of the preparation of a body.
 
-    One thread begins the phases; `message` may be called from any thread. Durations of the last run of the same body
-    on this machine give the time left. A run that compiles and one that finds all code compiled have their own.
+    One thread begins the phases; `message` may be called from any thread. Durations of the last run of the same body on
+    this machine, by the name `body`, give the time left. A run that compiles and one that finds all code compiled have
+    their own. Their file is by default in the user's cache.
 
-    Parameters
-    ----------
-    body : str
-        Names the body among those whose durations are kept.
-    surface : Surface, optional
-        Shown meanwhile, with fewer triangles if it has many.
-    file : path, optional
-        Of the durations; by default in the user's cache.
-    subtitle : str
-        What lies in the body.
-    notes : sequence of str
-        Lines about how it was made.
+    `surface`, in the frame `space`, is shown meanwhile, with fewer triangles if it has many. `subtitle` is what lies in
+    the body; `notes` are lines about how it was made.
 
-    Attributes
-    ----------
-    space : str
-        Frame of the surface, ``"LPS"`` or empty.
-    code_is_compiled : bool
-        Whether a run of the same body has ended since the sources or the cache of compiled functions changed.
+    `code_is_compiled` is True if a run of the same body has ended since the sources or the cache of compiled functions
+    changed.
     """
 
     def __init__(

@@ -64,14 +64,9 @@ DRIVER_MESSAGES = (
 
 
 class Server:
-    """Serves the page and the socket.
+    """Serves the page and the socket to viewers that send the secret `token`.
 
-    Parameters
-    ----------
-    source : Session, Replay, Preparation or LabelChoice
-        After a choice, `prepare` gives the preparation; after a preparation, `show` gives the session.
-    token : str
-        Secret that admits a viewer.
+    After a choice, `prepare` gives the preparation; after a preparation, `show` gives the session.
     """
 
     source: ViewSource  # from `show` on
@@ -115,10 +110,7 @@ class Server:
     def show(self, source: ViewSource, refinement: Refining | None = None) -> None:
         """Replace the source of all viewers by a session or a replay; called in the server's thread.
 
-        Parameters
-        ----------
-        refinement : Refining, optional
-            Training whose session replaces the source later.
+        `refinement` is a training whose session replaces the source later.
         """
         self.source, self._streams, self._refinement = source, Streams(source), refinement
         self._replaced.set()

@@ -30,14 +30,8 @@ RESPONSE_TIMEOUT = 20.0  # [s] without a message while state frames are in fligh
 class Viewer:
     """A connected client that has sent the token.
 
-    Parameters
-    ----------
-    version : int
-        Of the protocol; those of version 2 see and move the first tool only.
-    follows_preparation : bool
-        Whether it receives the progress before the session exists.
-    shows_surroundings : bool
-        Whether it receives the shapes around the body.
+    Viewers of version 2 of the protocol see and move the first tool only. One that `follows_preparation` receives the
+    progress before the session exists; one that `shows_surroundings`, the shapes around the body.
     """
 
     def __init__(

@@ -84,47 +84,17 @@ class HeldPieces(NamedTuple):
 
 @dataclass(frozen=True)
 class CutFront(Described):
-    """A blade in a body: where its edge is, and its energies since the start.
+    """A blade in a body: where its edge is, and its energies since the start."""
 
-    Parameters
-    ----------
-    edge : (p, 3) array [m]
-        Points of the edge in the stress-free body.
-    strip : Strip
-        Last strip of triangles of the cut, which goes on with the edge.
-    area : float [m^2]
-        That the blade has cut.
-    released : float [J]
-        Strain energy that the front has released.
-    release_rate, largest_rate : float [J/m^2]
-        That it releases per area, now, and at most where most of the edge in the body is a front.
-    edge_work, friction_work : float [J]
-        Energies dissipated at the edge and by friction on the sides.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import palpate as pt
-    >>> cloud = pt.box((0.03, 0.03, 0.015), spacing=0.0025)
-    >>> tissue = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1060, poisson=0.45)
-    >>> block = pt.Solid(cloud, tissue, fixed="z-")
-    >>> scalpel = pt.tools.Blade(edge=[(-0.02, 0, 0), (0.02, 0, 0)], toughness=1.0)
-    >>> across = (0, 0, np.pi / 2)
-    >>> knife = pt.tools.Contact(scalpel, lambda t: ((0.014, 0.015, 0.017 - 0.1 * t), across))
-    >>> run = pt.rollout(block, [knife], duration=0.05, every=0.01)
-    >>> run.cut_area[-1] > 0
-    True
-    """
-
-    edge: Floats
-    strip: Strip
+    edge: Floats  # (p, 3) [m] in the stress-free body
+    strip: Strip  # last triangles of the cut, continued with the edge
     hold: HeldPieces | None = None
-    area: float = 0.0
-    released: float = 0.0
-    release_rate: float = 0.0
-    largest_rate: float = 0.0
-    edge_work: float = 0.0
-    friction_work: float = 0.0
+    area: float = 0.0  # that the blade has cut [m^2]
+    released: float = 0.0  # strain energy that the front has released [J]
+    release_rate: float = 0.0  # that the front releases per area now [J/m^2]
+    largest_rate: float = 0.0  # while most of the edge in the body is a front [J/m^2]
+    edge_work: float = 0.0  # dissipated at the edge [J]
+    friction_work: float = 0.0  # dissipated by friction on the sides [J]
 
     @property
     def totals(self) -> Floats:
@@ -193,13 +163,8 @@ def advance_edge(
 ) -> list[tuple[Floats, NDArray[np.bool_], float]]:
     """Return the cuts that bring the edge to its place: its points, the pieces that cut, and the area [m^2] of each.
 
-    Parameters
-    ----------
-    frame : (3, 4) array
-        Of the blade.
-    u : (n, 3) array [m]
-    corners : (s, 3, 3) array [m]
-        Of the surface of the body.
+    `frame` (3, 4) is that of the blade, `u` (n, 3) [m] the displacements; `corners` (s, 3, 3) [m] are those of the
+    surface of the body.
     """
     spacing = state.uncut.spacing
     target = _edge_in_body(state, blade, frame, u, cut_front.edge)

@@ -29,18 +29,8 @@ def release_rate(
 ) -> float:
     """Return the energy [J/m^2] that a front releases per area; 0 for one outside the body.
 
-    Parameters
-    ----------
-    body : EnergySolid
-    u : (n, 3) array [m]
-    evaluation : Evaluation
-        Of the displacements.
-    segments : (m, 2, 3) array [m]
-        Pieces of the front in the stress-free body.
-    directions : (m, 3) array
-        Unit vectors in which they advance.
-    lengths : (m,) array [m]
-        Their lengths inside the body.
+    Its pieces are `segments` (m, 2, 3) [m] in the stress-free body, of `lengths` (m,) [m] inside it. They advance in
+    unit directions (m, 3). `u` are the displacements (n, 3) [m] of the evaluation.
     """
     spacing, points = body.cloud.spacing, body.cloud.points
     swept = np.einsum("m,mi,mi->", lengths, _motion(segments.mean(axis=1), segments, directions, spacing), directions)

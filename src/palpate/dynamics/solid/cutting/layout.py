@@ -96,17 +96,9 @@ def _table(entries: Entries, n: int) -> tuple[NDArray[np.int32], Floats]:
 
 
 def with_stencils(body: EnergyBody, nodes: Ints, stencils: Entries, smoothing: Entries, volumes: Floats) -> EnergyBody:
-    """Return the constants of a body whose nodes (m,) have other stencils.
+    """Return the constants of a body without images whose nodes (m,), in ascending order, have other stencils.
 
-    Parameters
-    ----------
-    body : EnergyBody
-        Without images.
-    nodes : (m,) int array
-        In ascending order.
-    stencils, smoothing : Entries
-        Of these nodes, in their order.
-    volumes : (n,) array [m^3]
+    `stencils` and `smoothing` are entries of these nodes, in their order; `volumes` are (n,) [m^3].
     """
     n = len(volumes)
     changed = np.zeros(n, dtype=np.bool_)
