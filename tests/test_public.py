@@ -39,7 +39,7 @@ INNER_TYPES = {  # prepared data and scratch arrays, in attributes and methods t
     "ReducedData",
     "ReducedWork",
     "SupportedNodes",
-    "Tissue",
+    "TissueField",
 }
 
 

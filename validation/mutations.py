@@ -279,8 +279,8 @@ MUTATIONS = (
     ),
     Mutation(
         "bounds of frames, not of runs", "reduction/training/calibrate_indicator.py",
-        "np.max(errors / numbers ** _exponent(largest[kept], peaks[kept]))",
-        "np.median(errors / numbers ** _exponent(largest[kept], peaks[kept]))",
+        "np.max(errors / numbers ** _exponent(largest[rest], peaks[rest]))",
+        "np.median(errors / numbers ** _exponent(largest[rest], peaks[rest]))",
         ("tests/reduction/training/test_calibrate_indicator.py::test_error_bounds_hold_for_their_level_of_new_runs",),
     ),
     Mutation(
@@ -295,7 +295,7 @@ MUTATIONS = (
         ("tests/reduction/contact/test_trust_of_tools.py::test_a_tool_that_moves_back_has_no_speed",),
     ),
     Mutation(
-        "weights of the cubature ignored", "reduction/hyper/sampled_energy.py",
+        "weights of the cubature ignored", "reduction/hyper/volume_terms.py",
         "weights[b, lane] * stress[b, q, lane]", "weights[0, 0] * stress[b, q, lane]",
         contract("the_energy_balance_closes", "hyper-reduced"),
     ),

@@ -41,7 +41,7 @@ from palpate.reduction.training.scales import scales_of_training
 
 __all__ = ["Trial", "hyper_reduce"]
 
-Coarsen = Callable[[EnergyModel], EnergySolid | None]  # returns a coarser model of a body, or None if it serves
+Coarsen = Callable[[EnergyModel], Solid | None]  # returns a coarser model of a body, or None if it serves
 
 TRIED_MODES = (8, 12, 16, 24, 32, 48, 64, 96)  # numbers of modes for a given tolerance
 # largest relative error of sampled forces: where tools touch a body anywhere, and elsewhere
@@ -153,7 +153,7 @@ def hyper_reduce(
         raise InputError("modes or tolerance must be given, but not both; leave one of them out")
     if not isinstance(full, NodalModel):
         raise InputError(f"full must be a Solid or a Membrane, got {type(full).__name__}; make one of them first")
-    snapshots, coarsen = Snapshots(trajectories), _coarsening(coarse)
+    snapshots = Snapshots(trajectories)
     _check_runs(full, snapshots, held_out)
     body = _energy_form(full)
     tools = (prescribed,) if isinstance(prescribed, str) else tuple(prescribed)
@@ -167,7 +167,7 @@ def hyper_reduce(
         cubature=_cubature_error(cubature, touched),
         pressures=pressures,
         seed=seed,
-        coarse=coarsen(body) if touched or vibrations else None,
+        coarse=_coarser(body, coarse, touched or vibrations),
         vibrations=vibrations,
         touched=touched,
     )
@@ -232,14 +232,14 @@ def _cubature_error(given: float | None, touched: bool) -> float:
     return number_in_range("cubature", given, 0.0, 1.0)
 
 
-def _coarsening(coarse: Solid | Coarsen | None) -> Coarsen:
-    """Return the function that makes the coarser model of a body."""
-    if coarse is None:
-        return statics_body
-    if callable(coarse):
-        return coarse
-    model = energy_solid(coarse, "coarse")
-    return lambda body: model
+def _coarser(body: EnergyModel, coarse: Solid | Coarsen | None, needed: bool) -> EnergySolid | None:
+    """Return the coarser model of a body, by the caller's function or by `statics_body`; None if the body serves."""
+    if coarse is not None and not callable(coarse):
+        return energy_solid(coarse, "coarse")
+    if not needed:
+        return None
+    made = statics_body(body) if coarse is None else coarse(body)
+    return None if made is None else energy_solid(made, "coarse")
 
 
 def _has_vibrations(
