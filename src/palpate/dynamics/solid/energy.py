@@ -189,19 +189,18 @@ class EnergySolid(EnergyModel, Solid):
 
     def smooth(self, values: Floats) -> Floats:
         """Return nodal values (n,) smoothed like the volumetric measure."""
-        body, passes, result = self.body, self._allocate(), np.empty(len(self.cloud))
+        sums, passes, result = self.body.smoothing, self._allocate(), np.empty(len(self.cloud))
         nodal_values = np.ascontiguousarray(values, dtype=float)
-        smooth_field(body.smoothing, body.value, body.smoothing_own, passes.derivatives, nodal_values, result)
+        smooth_field(sums.lanes, sums.weights, sums.own, passes.derivatives, nodal_values, result)
         return result
 
     def smooth_transposed(self, weights: Floats) -> Floats:
         """Return the transposed smoothing (k, n) of rows: w' . x = w . smooth(x) for all x."""
-        body, passes, result = self.body, self._allocate(), np.empty_like(weights)
+        sums, passes, result = self.body.smoothing, self._allocate(), np.empty_like(weights)
         for row, into in zip(weights / self.volumes, result, strict=True):
             smooth_field(
-                body.transposed_smoothing, body.transposed_value, body.smoothing_own, passes.derivatives,
-                np.ascontiguousarray(row), into,
-            )  # fmt: skip
+                sums.transposed, sums.transposed_weights, sums.own, passes.derivatives, np.ascontiguousarray(row), into
+            )
         return result * self.volumes
 
     @property

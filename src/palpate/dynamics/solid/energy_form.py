@@ -67,16 +67,22 @@ DILATATION = COFACTOR + 9
 PRESSURE_ROW, FACTOR_ROWS, ROWS = DILATATION, DILATATION + 1, DILATATION + 3  # the pressure in place of the dilatation
 
 
+class SmoothingSums(NamedTuple):
+    """Stencil sums that smooth a nodal field, and the transposed ones."""
+
+    lanes: Lanes
+    weights: Weights
+    own: NDArray[np.float64]  # (n,) weight of a node itself
+    transposed: Lanes
+    transposed_weights: Weights
+
+
 class EnergyBody(NamedTuple):
     """Constants of a body for the compiled passes."""
 
     lanes: Rows  # stencils of du/dX and of the residual e, four weights per neighbour
     transposed: Rows  # of every node, the nodes whose stencils contain it, and itself; times the ratio of volumes
-    smoothing: Lanes
-    value: Weights
-    smoothing_own: NDArray[np.float64]  # (n,)
-    transposed_smoothing: Lanes
-    transposed_value: Weights
+    smoothing: SmoothingSums  # of the volumetric measure
     coefficients: tuple[float, ...] | NDArray[np.float64]  # by lane if they differ
     lame: float
     hourglass: float  # s [Pa/m^2]
@@ -271,7 +277,8 @@ def _completion(relaxing: bool) -> Any:
     @law_njit(law_digest(__name__, "completion", relaxing), inline="always")
     def complete(body, work):
         _update_least(work.dilatation, work.least)
-        smooth_field(body.smoothing, body.value, body.smoothing_own, work.derivatives, work.dilatation, work.smooth)
+        smoothing = body.smoothing
+        smooth_field(smoothing.lanes, smoothing.weights, smoothing.own, work.derivatives, work.dilatation, work.smooth)
         effective = work.smooth
         if relaxing:
             overstress(body.relaxation, work.history, work.cofactor)
@@ -280,7 +287,7 @@ def _completion(relaxing: bool) -> Any:
         if body.stiffness.shape[0] > 0:
             _scale_by_stiffness(body.stiffness, effective, work.scaled)
             effective = work.scaled
-        _add_pressure(body.transposed_smoothing, body.transposed_value, body.smoothing_own, body.lame, effective,
+        _add_pressure(smoothing.transposed, smoothing.transposed_weights, smoothing.own, body.lame, effective,
                       work.slope, body.stiffness, work.history.stress, work.derivatives, work.response, work.pressure,
                       work.flux)  # fmt: skip
 

@@ -18,7 +18,7 @@ from palpate.dynamics.material.fibres import fibre_points, lay_out_fibres
 from palpate.dynamics.material.material_fields import NO_FIELDS, spread
 from palpate.dynamics.material.relaxation import relaxation
 from palpate.dynamics.material.tissue import TissueField
-from palpate.dynamics.solid.energy_form import EnergyBody, energy_work, solid_energy
+from palpate.dynamics.solid.energy_form import EnergyBody, SmoothingSums, energy_work, solid_energy
 from palpate.dynamics.solid.strong_form import Body, solid, workspace
 from palpate.meshfree.mirror import Images, Mirror
 from palpate.meshfree.stencils import Stencils
@@ -102,11 +102,7 @@ def energy_passes(
     body = EnergyBody(
         lanes=lanes,
         transposed=transposed,
-        smoothing=smooth_lanes,
-        value=value,
-        smoothing_own=smoothing.own,
-        transposed_smoothing=back_lanes,
-        transposed_value=back_value,
+        smoothing=SmoothingSums(smooth_lanes, value, smoothing.own, back_lanes, back_value),
         coefficients=material.coefficients if regions is None else spread(regions, lanes.nodes),
         lame=tissue.lame,
         hourglass=modulus * material.shear_modulus / images.cloud.spacing**2,

@@ -209,7 +209,7 @@ def _replace_stencils(
     missing = uncut.sums - rest - new.sums(volumes)[:, :3]
     missing[released] = 0.0
     stress_left = keep_uniform_stress(uncut, surface, rows, missing)
-    old_smoothing = smoothing_entries(body.smoothing, body.value, nodes)
+    old_smoothing = smoothing_entries(body.smoothing.lanes, body.smoothing.weights, nodes)
     integrals_left = conserve_integrals(uncut, rows, (old_smoothing.sums(volumes) - smoothing.sums(volumes))[:, 0])
     if integrals_left > MAX_RESIDUAL:
         raise CloudError(
@@ -259,7 +259,10 @@ def pieces_of(body: Any) -> NDArray[np.int64]:
     """Return the number of every node's piece, shape (n,)."""
     constants, n = body.body, len(body.cloud)
     nodes = np.arange(n)
-    bonds = [row_entries(constants.lanes, nodes), smoothing_entries(constants.smoothing, constants.value, nodes)]
+    bonds = [
+        row_entries(constants.lanes, nodes),
+        smoothing_entries(constants.smoothing.lanes, constants.smoothing.weights, nodes),
+    ]
     node, near = (np.concatenate([getattr(each, name) for each in bonds]) for name in ("node", "near"))
     used = np.concatenate([np.any(each.weights != 0.0, axis=1) for each in bonds])
     graph = sparse.coo_array((np.ones(int(used.sum())), (node[used], near[used])), shape=(n, n))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from palpate.compiled.lanes import LANES, Lanes, Weights, ranges, with_blocks
 from palpate.compiled.rows import Rows, with_rows
 from palpate.core.arrays import Floats, Ints
-from palpate.dynamics.solid.energy_form import EnergyBody
+from palpate.dynamics.solid.energy_form import EnergyBody, SmoothingSums
 from palpate.dynamics.solid.layout import Smoothing
 from palpate.meshfree.cut.stencils import FittedRows
 from palpate.meshfree.stencils import Stencils
@@ -81,8 +81,8 @@ def stencils_of(body: EnergyBody, n: int) -> Stencils:
 
 def smoothing_of(body: EnergyBody, n: int) -> Smoothing:
     """Return the smoothing of a body."""
-    near, weights = _table(smoothing_entries(body.smoothing, body.value, np.arange(n)), n)
-    return Smoothing(near, np.ascontiguousarray(weights[..., 0]), body.smoothing_own)
+    near, weights = _table(smoothing_entries(body.smoothing.lanes, body.smoothing.weights, np.arange(n)), n)
+    return Smoothing(near, np.ascontiguousarray(weights[..., 0]), body.smoothing.own)
 
 
 def _table(entries: Entries, n: int) -> tuple[NDArray[np.int32], Floats]:
@@ -100,7 +100,7 @@ def with_stencils(body: EnergyBody, nodes: Ints, stencils: Entries, smoothing: E
 
     `stencils` and `smoothing` are entries of these nodes, in their order; `volumes` are (n,) [m^3].
     """
-    n = len(volumes)
+    n, sums = len(volumes), body.smoothing
     changed = np.zeros(n, dtype=np.bool_)
     changed[nodes] = True
     before = row_entries(body.lanes, nodes)
@@ -109,22 +109,20 @@ def with_stencils(body: EnergyBody, nodes: Ints, stencils: Entries, smoothing: E
     transposed = with_rows(
         body.transposed, receivers, *_transposed(body.transposed, receivers, changed, stencils, volumes)
     )
-    smooth_before = smoothing_entries(body.smoothing, body.value, nodes)
+    smooth_before = smoothing_entries(sums.lanes, sums.weights, nodes)
     smooth_receivers = np.unique(np.concatenate([smooth_before.near, smoothing.near]))
-    smoothing_lanes, value = _with_smoothing(body.smoothing, body.value, nodes, smoothing)
-    back = smoothing_entries(body.transposed_smoothing, body.transposed_value, smooth_receivers)
+    smoothing_lanes, value = _with_smoothing(sums.lanes, sums.weights, nodes, smoothing)
+    back = smoothing_entries(sums.transposed, sums.transposed_weights, smooth_receivers)
     unchanged = back.selected(~changed[back.near])
     back_lanes, back_value = _with_smoothing(
-        body.transposed_smoothing, body.transposed_value, smooth_receivers,
+        sums.transposed, sums.transposed_weights, smooth_receivers,
         _merged([unchanged, _turned(smoothing, volumes)]),
     )  # fmt: skip
-    diagonal = body.smoothing_own.copy()
+    diagonal = sums.own.copy()
     diagonal[nodes] = 1.0
     np.subtract.at(diagonal, smoothing.node, smoothing.weights[:, 0])
-    return body._replace(
-        lanes=lanes, transposed=transposed, smoothing=smoothing_lanes, value=value, smoothing_own=diagonal,
-        transposed_smoothing=back_lanes, transposed_value=back_value,
-    )  # fmt: skip
+    smoothing_sums = SmoothingSums(smoothing_lanes, value, diagonal, back_lanes, back_value)
+    return body._replace(lanes=lanes, transposed=transposed, smoothing=smoothing_sums)
 
 
 def _turned(entries: Entries, volumes: Floats) -> Entries:
