@@ -10,8 +10,7 @@ export const sentence = (text) => text[0].toUpperCase() + text.slice(1).replace(
 export function progressLine({ phase, seconds, seconds_left: left, functions_compiled: compiled }) {
   const first = phase ? sentence(phase) : "Starting";
   if (left !== null) return `${first}: about ${duration(left)} left`;
-  const count = compiled ? `, ${compiled} functions compiled` : "";
-  return `${first}: ${duration(seconds)}${count}; the first time takes longest`;
+  return `${first}: ${duration(seconds)}${compiled ? "; compiling, once for this computer" : ""}`;
 }
 
 /** Shows the progress in place of the message of the page. */

@@ -11,6 +11,7 @@ import pytest
 
 import palpate as pt
 from palpate.app.common.console import Console
+from palpate.app.models import full_body
 from palpate.app.models.full_body import full_body_lines, prepare_full_body
 from palpate.app.models.input import open_input
 from palpate.app.models.spacing import FINER_NODES, MAX_NODES, better_spacing, realtime_spacing
@@ -120,6 +121,15 @@ def test_a_slower_machine_steps_a_coarser_body(monkeypatch):
     assert spacings[0] < spacings[1] < spacings[2]
     # nodes times steps a second: the fourth power of the spacing
     assert spacings[1] / spacings[0] == pytest.approx(2**0.25, rel=0.03)
+
+
+def test_the_liver_of_the_package_is_as_fine_as_the_machine_allows(monkeypatch):
+    filled = []
+    monkeypatch.setattr(full_body, "realtime_spacing", lambda *_: 0.012)
+    monkeypatch.setattr(full_body, "fill_scene", lambda scene, spacing, required, _: filled.append((spacing, required)))
+    prepare_full_body(open_scene("liver"), Console().status)
+    prepare_full_body(open_scene("liver", {"spacing": 0.010}), Console().status)
+    assert filled == [(0.012, False), (0.010, True)]  # one that a user gives stays
 
 
 @pytest.mark.slow

@@ -12,8 +12,11 @@ import pytest
 
 import palpate as pt
 from palpate.app.cli import main
+from palpate.app.models.trained import model_file
 from palpate.app.recordings.recording import load_recording, save_recording
 from palpate.app.session.session import Session
+from palpate.app.view import command
+from palpate.app.view.refinement import is_trained
 
 pytestmark = pytest.mark.slow
 
@@ -149,3 +152,44 @@ def test_a_script_that_is_a_pipe_is_refused_at_once(file, tmp_path, assert_refus
     os.mkfifo(tmp_path / "script.jsonl")
     script = str(tmp_path / "script.jsonl")
     assert_refused(["run", str(file), "--script", script], "must be a regular file")
+
+
+@pytest.fixture
+def shown(monkeypatch):
+    """A function that runs the command, and returns its input, whether the full body is shown, and if it is refined."""
+
+    def run(*words):
+        found = []
+        monkeypatch.setattr(command, "_show", lambda opened, full, *more: found.append((opened, full, more[4])) or [])
+        assert main(["view", *words, "--no-browser"]) == 0
+        return found[0]
+
+    return run
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("name", ["beam", "liver", "membrane"])
+def test_a_scene_of_the_package_shows_its_full_body_at_once(shown, name):
+    opened, full, refined = shown(name)
+    assert (opened.scene.name, full, refined) == (name, True, False)
+
+
+@pytest.mark.quick
+def test_the_reduced_model_is_waited_for_on_request(shown, assert_refused):
+    opened, full, _ = shown("liver", "--reduced")
+    assert opened.scene is not None
+    assert not full
+    assert_refused(["view", "liver", "--reduced", "--refine"], "--refine must be left out unless a page shows a full")
+
+
+@pytest.mark.quick
+def test_a_kept_model_takes_over_if_tools_touch_its_body(monkeypatch, tmp_path):
+    monkeypatch.setattr("palpate.app.train.scene_folder.cache_folder", lambda: tmp_path)
+    for name, takes_over in (("liver", True), ("beam", False), ("membrane", False)):
+        scene = pt.open_scene(name)
+        assert not is_trained(scene)
+        model_file(scene).parent.mkdir()
+        model_file(scene).write_bytes(b"")
+        assert is_trained(scene) == takes_over
+    monkeypatch.setattr("palpate.app.train.scene_folder.cache_folder", lambda: None)
+    assert not is_trained(pt.open_scene("liver"))

@@ -25,6 +25,8 @@ from palpate.scenes.names import SceneKind
 from palpate.scenes.scene import Scene
 from palpate.scenes.spacing import NODES_PER_CELL, expected_nodes
 
+PACKAGE_OPTIONS = ("--spacing", "--set")  # of the choices of a scene of the package
+
 Status = Callable[[str], AbstractContextManager[None]]  # shows a phase of the work, such as `Console.status`
 
 
@@ -40,13 +42,18 @@ def prepare_full_body(scene: Scene, status: Status, spacing: float | None = None
     requested, surface = scene.description.body.spacing, scene.surface
     if surface is None:  # a box or a disc, which is small
         return _prepared(scene, status)
-    if requested is not None and scene.kind is not SceneKind.SCENE_FILE:
+    if requested is not None and scene.kind is not SceneKind.SCENE_FILE and _is_given(scene):
         return fill_scene(scene, requested, True, status)
     if spacing is None:
         with status("measuring this machine"):
             spacing = realtime_spacing(abs(surface.volume), scene.material)
     coarsest = max(requested or 0.0, spacing)
     return fill_scene(scene, coarsest, coarsest == requested, status)
+
+
+def _is_given(scene: Scene) -> bool:
+    """Return True if a user gave the spacing, which a scene of the package states, too."""
+    return scene.kind is SceneKind.SURFACE_FILE or any(key.rpartition(".")[2] == "spacing" for key in scene.settings)
 
 
 def fill_scene(scene: Scene, spacing: float, required: bool, status: Status) -> Scene:
@@ -98,7 +105,7 @@ def full_body_lines(scene: Scene, fitted: Scene) -> list[str]:
         + (", the finest in real time on this machine" if guessed else "")
         + f", {1e3 * np.ptp(cloud.points, axis=0).max():.3g} mm long{_remedy(scene, '--spacing, --units, --scale')}"
     )
-    if scene.description.surface.file:
+    if scene.surface is not None:
         lines.append(f"{force_line(fitted)}; {_finer_text(len(cloud), guessed)}")
     material = body.material
     lines.append(
@@ -118,7 +125,10 @@ def full_body_lines(scene: Scene, fitted: Scene) -> list[str]:
 
 def _remedy(scene: Scene, options: str) -> str:
     """Return the end of a line: the option or key that changes a choice."""
-    return f"; another: {scene.name}" if scene.kind is SceneKind.SCENE_FILE else f"; another: {options}"
+    if scene.kind is SceneKind.PACKAGE:
+        options = ", ".join(each for each in options.split(", ") if each in PACKAGE_OPTIONS)
+    option = scene.name if scene.kind is SceneKind.SCENE_FILE else options
+    return f"; another: {option}" if option else ""
 
 
 def notes_of(scene: Scene, fitted: Scene) -> list[str]:

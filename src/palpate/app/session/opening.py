@@ -43,7 +43,7 @@ def running_session(
     with `exact` it has the spacing of the scene, where that gives one. `make` returns the session of a body and its
     springs; before that, `wait` is called. `record` is the file of a recording of the whole session.
     """
-    console.begin_phase("importing")
+    console.begin_phase("starting")
     from palpate.app.models.full_body import is_guessed
     from palpate.app.models.spacing_cache import cached_spacing
 
@@ -97,7 +97,7 @@ def _describe(session: Session, scene: Scene, fitted: Scene) -> None:
     from palpate.app.models.full_body import force_line, notes_of
 
     session.subtitle, notes = scene.subtitle, notes_of(scene, fitted)
-    session.notes = (*notes, force_line(fitted)) if scene.description.surface.file else tuple(notes)
+    session.notes = (*notes, force_line(fitted)) if scene.surface is not None else tuple(notes)
 
 
 def refill_until_realtime(

@@ -22,6 +22,7 @@ from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK, PORT_ATTEMPT
 from palpate.core.extras import require
 from palpate.core.faults import InputError, integer_in_range
 from palpate.scenes.names import SceneKind
+from palpate.scenes.scene import Scene
 from palpate.surface.labels.reading import is_label_map
 from palpate.surface.surface import Surface
 
@@ -47,17 +48,18 @@ def view(
     spacing: float | None = None,
     given: Sequence[str] = (),
     refine: bool = False,
+    reduced: bool = False,
     compare: bool = False,
     scene: str | None = None,
     **shape: Any,
 ) -> int:
     """Show a body in real time on a page until interrupted.
 
-    The full body of a surface file or a scene file is shown, and the reduced model of a scene of the package or of a
-    file. `record` is the file of a recording of the whole session, written when it ends, also by SIGTERM or SIGHUP.
-    With `compare` the full model of the reduced model's training scene is stepped, too; `scene`, ``"module:function"``,
-    is the user's own, which the model must name. `shape` has the options of a surface file, and those of a device
-    (`palpate.app.device.options`).
+    The full body of a scene or a surface is shown, and a reduced model that is kept for it takes over; with `refine`
+    one is trained in the background, and with `reduced` before anything is shown. `record` is the file of a recording
+    of the whole session, written when it ends, also by SIGTERM or SIGHUP. With `compare` the full model of the reduced
+    model's training scene is stepped, too; `scene`, ``"module:function"``, is the user's own, which the model must
+    name. `shape` has the options of a surface file, and those of a device (`palpate.app.device.options`).
 
     Returns 0; 1 if a recording, or its file for ParaView, was not written.
     """
@@ -76,16 +78,14 @@ def view(
 
     def read(parts: Sequence[str], without: Sequence[str] = ()) -> Input:
         left_out = [*(shape.get("without") or ()), *without]
-        return open_input(source, settings, spacing, **shape | {"part": list(parts), "without": left_out})
+        return open_input(source, settings, spacing, reduced, **shape | {"part": list(parts), "without": left_out})
 
     def show(opened: Input, place: Place) -> int:
-        full = opened.scene is not None and opened.scene.kind is not SceneKind.PACKAGE
-        if compare and full:
+        full = opened.scene is not None and not (reduced or compare)
+        if compare and opened.scene is not None and opened.scene.kind is not SceneKind.PACKAGE:
             raise InputError(f"compare must be left out for a full body, got {source!r:.60}; give a reduced model")
         if refine and not full:
-            raise InputError(
-                f"refine must be left out unless a page shows a surface file or a scene file, got {source!r:.60}"
-            )
+            raise InputError(f"refine must be left out unless a page shows a full body, got {source!r:.60}")
         make = partial(_make_session, title=opened.title, compare=compare, scene=scene)
         name = _durations_name(opened, full, compare)
         return FAILED if _show(opened, full, make, name, record, place, refine, device) else DONE
@@ -123,11 +123,19 @@ def _durations_name(opened: Input, full: bool, compare: bool) -> str:
 def _first_surface(opened: Input, full: bool) -> Surface | None:
     """Return the surface that a page shows at first."""
     if opened.scene is not None:
-        return opened.scene.surface if full else None
+        return _shown_surface(opened.scene) if full else None
     assert opened.model is not None
     cloud = opened.model.cloud
     has_surface = len(cloud.triangles) and cloud.points.shape[1] == 3
     return Surface(cloud.points, cloud.triangles) if has_surface else None
+
+
+def _shown_surface(scene: Scene) -> Surface | None:
+    """Return the surface of a full body; that of the nodes for a box or a disc, which have few."""
+    if scene.surface is not None:
+        return scene.surface
+    cloud = scene.cloud
+    return Surface(cloud.points, cloud.triangles) if len(cloud.triangles) else None
 
 
 def _first_page(opened: Input, full: bool, durations_name: str) -> Preparation:
@@ -167,7 +175,8 @@ def _show(
             show_surroundings(host, scene)
         with _preparing(host, preparation, patience):
             wait = None
-            if scene is not None and not preparation.code_is_compiled:
+            is_solid = scene is not None and scene.description.body.thickness is None
+            if scene is not None and is_solid and not preparation.code_is_compiled:
                 from palpate.app.common.compile_ahead import compile_ahead
                 from palpate.app.view.compile_engine import compile_engine
                 from palpate.core.parameters import written_section
@@ -176,13 +185,13 @@ def _show(
                 wait = stack.enter_context(compile_ahead(compile_engine, tissue))
             session = stack.enter_context(running_session(opened, full, make, console, record, wait))
             from palpate.app.device.driver import driving
-            from palpate.app.view.refinement import Refinement
+            from palpate.app.view.refinement import Refinement, is_trained
 
             preparation.end()
         refinement = None
         if scene is not None:
             refinement = stack.enter_context(contextlib.closing(Refinement(scene, session, console)))
-            if refine:
+            if refine or is_trained(scene):
                 refinement.handle("start")
         stack.enter_context(driving(session, device, console.say))
         host.show(session, refinement)

@@ -31,8 +31,8 @@ def add_view(commands: Any) -> None:
     )
     add = view.add_argument
     text = (
-        f"a surface file or label map ({listed_formats()}), whose full body is touched at once; a scene "
-        f"({listed_scenes()}); or the file of a reduced model, such as model.rom of palpate train"
+        f"a scene ({listed_scenes()}), a surface file or a label map ({listed_formats()}), whose full body is touched "
+        "at once; or the file of a reduced model, such as model.rom of palpate train"
     )
     add("source", metavar="SCENE|FILE", help=text)
     group = add_surface_options(view)
@@ -40,10 +40,12 @@ def add_view(commands: Any) -> None:
     text = "parameters of the law, density and poisson, in SI units; settings of a scene"
     group.add_argument("--set", nargs="+", action="extend", default=[], dest="given", metavar="NAME=X", help=text)
     text = (
-        "of a surface or scene file: train a reduced model in the background, next to the file, and change over to it; "
-        "continues a training that was stopped"
+        "train a reduced model in the background, next to the file, and change over to it; continues a training that "
+        "was stopped; a model that was trained before takes over without this option"
     )
     add("--refine", action="store_true", help=text)
+    text = "show no full body: wait for the reduced model of the scene, which is trained if none is kept"
+    add("--reduced", action="store_true", help=text)
     text = "of a reduced model: also step the full model of its training scene under the same tool, and compare forces"
     add("--compare", action="store_true", help=text)
     text = "with --compare: your own scene, which the model must name; also from the current folder"

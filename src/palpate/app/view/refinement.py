@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from palpate.app.common.arguments import option_names
 from palpate.app.common.console import Console, percent
-from palpate.app.models.trained import training_folder
+from palpate.app.models.trained import model_file, training_folder
 from palpate.app.session.session import Session
 from palpate.app.view.training_process import TrainingProcess
 from palpate.core.faults import InputError
@@ -21,6 +21,17 @@ from palpate.scenes.scene import Scene
 MAX_FORCE_ERROR, MAX_SURFACE_ERROR = 0.1, 0.1  # mean on held-out runs, up to which a model is used without a question
 OFFERED, TRAINING, READY, USED, FAILED = "offered", "training", "ready", "used", "failed"
 JOIN_SECONDS = 2.0  # [s] in which a model that is being loaded may end
+
+
+def is_trained(scene: Scene) -> bool:
+    """Return True if a reduced model is kept for a scene that takes over from its full body: one that tools touch."""
+    tool = scene.description.tool
+    if tool.holds or tool.hold_radius:
+        return False
+    try:
+        return model_file(complete_for_training(scene)).is_file()
+    except InputError:  # a user without a home folder keeps no models
+        return False
 
 
 class Trainer(Protocol):
