@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numba
 import numpy as np
@@ -94,6 +94,8 @@ class Membrane(EnergyModel):
     >>> sheet.name, sheet.stability.method
     ('full', 'taut sheet')
     """
+
+    coupled_by: ClassVar[tuple[str, ...]] = ("transposed", "lanes")  # a sheet has no smoothing
 
     name = "full"
 

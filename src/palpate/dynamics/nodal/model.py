@@ -120,8 +120,8 @@ class NodalModel(Model):
     tissue: TissueField
     kinematics: Kinematics
     fibres: FibreLaw | None = None
-    # families of stencils, from nodal forces to the displacements on which they depend; a sheet has no smoothing
-    coupled_by: ClassVar[tuple[str, ...]] = ("transposed", "transposed_smoothing", "smoothing", "lanes")
+    # families of stencils in `body`, from nodal forces to the displacements on which they depend
+    coupled_by: ClassVar[tuple[str, ...]] = ("transposed", "smoothing.transposed", "smoothing.lanes", "lanes")
 
     def _compile(self, formulation: Formulation, body: Any, allocate: Callable[[], Any], lanes: Lanes | Rows) -> None:
         """Set the compiled passes and their constants; requires the cloud, the volumes and the supports."""

@@ -7,6 +7,7 @@ cloud.
 
 from __future__ import annotations
 
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -68,10 +69,8 @@ def coupling(model: NodalModel) -> Any:
     reflected = np.concatenate([np.arange(n), getattr(body, "flux_mirror", NO_MIRROR).source])
     pattern = sparse.identity(n, dtype=np.int32, format="csr")
     for name in model.coupled_by:
-        family = getattr(body, name, None)
-        if family is not None:  # a sheet has no smoothing
-            pattern = pattern @ _neighbours(family, reflected if name == "transposed" else sources)
-            pattern.data[:] = 1
+        pattern = pattern @ _neighbours(attrgetter(name)(body), reflected if name == "transposed" else sources)
+        pattern.data[:] = 1
     return pattern.tocsc()
 
 
