@@ -48,7 +48,7 @@ RETIRED = {  # word: its place is taken by
     r"open_subject|learned_spacings?|keep_spacing|whole_body": "open_input, cached_spacing, resolve_labels",
     r"is_pressure|SurfaceForce\([^()]*pressure=.*": "Pressure",
     r"[Tt]rust numbers?|trust_numbers?": "error indicator",
-    r"[Mm]ass tailoring|MassTailoring|tailored_mass": "selective mass scaling",
+    r"[Mm]ass tailoring|MassTailoring|tailored[_ ]mass": "selective mass scaling",
     r"[Bb]ond_paths|[Kk]ept_sums": "diffraction_lengths, consistency_correction",
     r"[Aa]lways[ _]taut": "tension-compression fibres",
     r"[Ll]ifting (?:vector|column)s?|lifting_vectors": "lifting function",

@@ -102,7 +102,7 @@ def strip(law: str, stretch: float, jitter: float, moving: bool, way: float = WA
     return row
 
 
-def equilibrium(body: pt.Solid, loads: list, starts: list[Floats]) -> pt.Equilibrium:
+def equilibrium(body: pt.Solid, loads: list, starts: list[Floats]) -> pt.typing.Equilibrium:
     """Return the equilibrium from the first state from which there is one."""
     for start in starts[:-1]:
         try:
@@ -112,7 +112,7 @@ def equilibrium(body: pt.Solid, loads: list, starts: list[Floats]) -> pt.Equilib
     return pt.equilibrium(body, loads, displacement=starts[-1])
 
 
-def move(body: pt.Solid, state: pt.Equilibrium, loads: list, unit: float, speed: float, step: float) -> dict:
+def move(body: pt.Solid, state: pt.typing.Equilibrium, loads: list, unit: float, speed: float, step: float) -> dict:
     """Shares of G dA of a front that moves by three spacings: released at fixed displacements, damped, kinetic."""
     u, v, at_once = state.displacements, np.zeros_like(state.displacements), 0.0
     end, last = FIRST_END, FIRST_END + WAY * SPACING

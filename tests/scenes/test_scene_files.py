@@ -367,7 +367,7 @@ def test_folders_and_missing_files_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError, match="no scene file at"):
         open_scene(tmp_path / "none.toml")
     with pytest.raises(
-        pt.InputError, match=rf"scene must be {listed_scenes()}, a file that ends in \.toml, or a surface"
+        pt.InputError, match=rf"source must be {listed_scenes()}, a file that ends in \.toml, or a surface"
     ):
         open_scene("lever")
 

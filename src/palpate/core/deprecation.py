@@ -6,9 +6,9 @@ import warnings
 from typing import Any
 
 
-def warn_renamed(former: str, name: str) -> None:
-    """Warn whoever calls the caller of this function that a name has changed."""
-    warnings.warn(f"{former} is {name} since version 0.2; use the new name", DeprecationWarning, stacklevel=3)
+def warn_renamed(former: str, name: str, stacklevel: int = 3) -> None:
+    """Warn that a name has changed, by default whoever calls the caller of this function."""
+    warnings.warn(f"{former} is {name} since version 0.2; use the new name", DeprecationWarning, stacklevel=stacklevel)
 
 
 def renamed_attribute(owner: str, former: str, name: str) -> property:

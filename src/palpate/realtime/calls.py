@@ -36,7 +36,7 @@ class ModelCalls(NamedTuple):
 def model_calls(advance: Any, stiffness: Any, data: Any) -> ModelCalls:
     """Return the calls of compiled functions of palpate with a named tuple of arrays and numbers.
 
-    All three are as those of `palpate.realtime.Realtime`.
+    All three are as those of `palpate.realtime.contract.Realtime`.
     """
     stored = StoredRecord(data)
     addresses = [_address(advance, stored, ADVANCE_TYPES), 0]
@@ -83,11 +83,11 @@ def _call(typing_context, function, data, arguments):
 
 @kernel_njit(inline="always")
 def call_advance(calls, q, v, target, period, report):
-    """Call `advance` of a model; see `palpate.realtime.Realtime`."""
+    """Call `advance` of a model; see `palpate.realtime.contract.Realtime`."""
     _call(calls.functions[ADVANCE_PLACE], calls.memory.ctypes.data, (q, v, target, period, report))
 
 
 @kernel_njit(inline="always")
 def call_stiffness(calls, q, out):
-    """Call `stiffness` of a model; see `palpate.realtime.Realtime`."""
+    """Call `stiffness` of a model; see `palpate.realtime.contract.Realtime`."""
     _call(calls.functions[STIFFNESS_PLACE], calls.memory.ctypes.data, (q, out))

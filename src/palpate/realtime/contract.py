@@ -50,7 +50,7 @@ def check_contract(model: Any) -> Realtime:
     missing = [name for name in Realtime._fields if not hasattr(model, name)]
     if missing:
         raise InputError(
-            f"model must have the attributes of palpate.realtime.Realtime, got {type(model).__name__} without "
+            f"model must have the attributes of palpate.realtime.contract.Realtime, got {type(model).__name__} without "
             f"{', '.join(missing)}; add them, or pass what palpate.realtime_model returns"
         )
     for name in ("advance", "stiffness"):

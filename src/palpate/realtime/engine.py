@@ -566,7 +566,7 @@ def _check_system(black_box: str | Path | None) -> None:
 def _max_backlog(model: Any) -> int:
     """Return the number of periods by which a model may be late and still take them all."""
     if not hasattr(model, "max_backlog") and hasattr(model, "catch_up"):
-        warn_renamed("catch_up of a model of the engine", "max_backlog")
+        warn_renamed("catch_up of a model of the engine", "max_backlog", stacklevel=4)
         return int(model.catch_up)
     return int(getattr(model, "max_backlog", 0))
 

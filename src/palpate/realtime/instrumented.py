@@ -103,7 +103,7 @@ class Observation(NamedTuple):
 
 
 class InstrumentedModel(NamedTuple):
-    """A real-time model for the engine; see `palpate.realtime.Realtime`."""
+    """A real-time model for the engine; see `palpate.realtime.contract.Realtime`."""
 
     advance: Any
     stiffness: Any

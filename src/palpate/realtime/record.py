@@ -203,8 +203,8 @@ class Reading(PeriodRecord):
         Largest force on the tool since the body was at rest.
     force_bound : float [N]
         Error bound of the force, which runs of the kind of the held-out runs keep with the level of
-        `palpate.ReducedModel.expected_error`. Infinite where the error is unknown: above all error indicators of
-        those runs, or without such runs.
+        `palpate.ReducedModel.expected_error`. Infinite where the error is unknown: from an error indicator of 2 on,
+        or without such runs.
     clamped : bool
         Whether the engine keeps the tool away from states that the model was not trained on.
     limited : bool

@@ -97,7 +97,7 @@ def open_scene(
         near = get_close_matches(name[:60], PACKAGE_SCENES, 1)
         remedy = f"; did you mean {near[0]}?" if near else ""
         raise InputError(
-            f"scene must be {', '.join(PACKAGE_SCENES)}, a file that ends in .toml, or a surface file, got "
+            f"source must be {', '.join(PACKAGE_SCENES)}, a file that ends in .toml, or a surface file, got "
             f"{brief(name)}{remedy}"
         )
     return Scene(with_settings(description, settings), folder, name, settings)

@@ -3,4 +3,4 @@
 SHEAR_MODULUS = 2.2e3  # [Pa] mean of healthy livers by elastography: Yin et al., Clin. Gastroenterol. Hepatol. 5, 2007
 LIVER_DENSITY = 1060.0  # [kg/m^3]
 LIVER_POISSON = 0.45
-MASS_DAMPING = 8.0  # [1/s] an amplitude decays to 2 % within a second; see `palpate.scenes.liver.pressed_liver`
+MASS_DAMPING = 8.0  # [1/s] an amplitude decays to 2 % within a second

@@ -29,7 +29,7 @@ RAMP_SECONDS = 0.5  # [s] from no force to the whole
 MAX_PREDICTION = 0.005  # [m] of the tool from the pose of a reading
 MAX_STIFFNESS = 5e3  # [N/m] of the local contact model at the hand
 MAX_DAMPING = 30.0  # [N s/m] of the passivity controller, with which a mass of 0.05 kg is stable at 1 kHz
-MAX_PULL = 1.0  # [N] of the controller on a hand that leaves, to pay back what the observer lacks
+MAX_PULL = 1.0  # [N] of the controller on a hand that leaves, to pay back the energy that is missing
 STILL_SPEED = 1e-6  # [m/s]
 
 

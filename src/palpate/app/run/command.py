@@ -153,6 +153,9 @@ def run_once(
 def _load_case(name: str, settings: dict[str, Any], energy: bool, shape: Mapping[str, Any]) -> LoadCase:
     """Return a body and its loads for a single run, the body in the energy form if asked."""
     if name == PAPER_SCENE:
+        option = next((key for key, value in shape.items() if value not in (None, 1.0, [], ())), None)
+        if option is not None:
+            raise InputError(f"{option} must be left out of the beam, which has no surface file; leave it out")
         values: dict[str, Any] = {key: _paper_value(key, value) for key, value in settings.items()}
         return beam(**values, form="energy" if energy else "strong")
     scene = open_input(name, settings, for_training=True, **shape).scene

@@ -38,7 +38,7 @@ class SelectedTool:
     shape: Tool | None  # None for no tool, or for a group of nodes that the model prescribes
     friction: float = 0.0  # coefficient of friction
     stiffness: float | None = None  # float or None [N/m]: stiffness of the virtual coupling; None for a rigid coupling
-    # values of the parameters of all kinds, `palpate.dynamics.contact.tools.tool_parameters`
+    # values of the parameters of all kinds, `palpate.dynamics.contact.shapes.tool_parameters`
     parameters: Mapping[str, float] = field(default_factory=lambda: dict.fromkeys(tool_parameters(), 0.0))
 
     def describe(self, position: Floats, quaternion: Floats, active: bool) -> dict[str, Any]:

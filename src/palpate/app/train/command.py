@@ -53,7 +53,7 @@ def train(
 
     `scene` is as for `palpate.open_scene`, or ``"module:function"`` of a function that returns a `TrainingScene`; the
     module is looked for in the current folder, too. Its settings `given` are ``"name=value"``. Options that are None
-    have the scene's values.
+    have the scene's values; `workers` is 1 by default, and with a tolerance `modes` may grow.
 
     With a tolerance, the largest mean error on the held-out runs, paths are added until it is reached, at most `paths`;
     see `palpate.app.train.campaign.Campaign.train_to_tolerance`. The campaign also trains on the tool paths beyond

@@ -31,7 +31,7 @@ CONTACT_ERRORS = {
     "force": "force on tools, median",
     "force_95": "force on tools, 95th percentile",
     "surface_95": "displacement of the surface, 95th percentile",
-}  # as `palpate.reduction.training.errors.TouchErrors` names them
+}  # as `palpate.reduction.training.errors.ContactErrors` names them
 SMALL_CHANGE = 0.05  # of a force, below which supports need not be known better
 CURVE_POINTS = 100  # of a curve of expected errors
 FIELD_ERRORS = ("displacement", "velocity")  # whose errors are relative to each moment's size

@@ -155,7 +155,7 @@ class Trajectory(Described, ToolContacts, ErrorSeries, BladeSeries):
     wall_seconds: float = 0.0
     stiffness_damping: float = 0.0
     complete: bool = True
-    label: str = ""
+    label: str = field(default="", kw_only=True)
 
     def _facts(self) -> list[Fact]:
         frames, energy = len(self.times), self.kinetic + self.strain

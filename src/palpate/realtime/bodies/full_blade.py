@@ -48,9 +48,9 @@ class BladeCutter:
     The engine steps with `advance`, the compiled period of the body (`palpate.dynamics.nodal.period.nodal_period`),
     with cuts from the first blade on. `wrap` makes the data of the engine's model from those of the period.
 
-    `blade` is the number of the tool that is a blade, or NO_BLADE, and `cut_front` its own. `cuts` counts swaps of the
-    body since it was whole, `restorations` the times that it was made whole again. `seconds` [s] is the mean time of a
-    cut. `failure` is the reason why the last cut was not made; it is empty if it was.
+    `blade` is the number of the tool that is a blade, or NO_BLADE; `cut_front` is the front of its cut, or None. `cuts`
+    counts swaps of the body since it was whole, `restorations` the times that it was made whole again. `seconds` [s] is
+    the mean time of a cut. `failure` is the reason why the last cut was not made; it is empty if it was.
     """
 
     incision = renamed_attribute("BladeCutter", "incision", "cut_front")

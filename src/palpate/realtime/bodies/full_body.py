@@ -97,7 +97,7 @@ def full_period(
 def _stepped_body(
     model: NodalModel, work: NodalWork, sites: LoadSites, fixed: NDArray[np.bool_], scaled_modes: int | None
 ) -> SteppedBody:
-    """Return the constants of a body with its tailored mass, on foundations at its sites."""
+    """Return the constants of a body with its scaled mass, on foundations at its sites."""
     n = len(model.cloud)
     if scaled_modes is None:
         damped = isinstance(model, Solid) and model.stiffness_damping > 0.0  # else no motion of fast modes decays

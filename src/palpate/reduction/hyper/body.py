@@ -147,7 +147,7 @@ class ReducedBody:
 
     def __getattr__(self, name: str) -> Any:
         former = {"differences": "constants.differences", "sampled_force": "sampled.force"}
-        former["sampled_energy"] = "sampled.energy"
+        former |= {"sampled_energy": "sampled.energy", "taut_points": "tension_compression_points"}
         if name not in former:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         message = f"ReducedBody.{name} is deprecated and will be removed in the next version; use {former[name]}"

@@ -459,7 +459,8 @@ class ReducedModel(CoordinateModel):
         Returns
         -------
         ExpectedError
-            Both are infinite, which is unknown, above all error indicators of the held-out runs.
+            Both are infinite, which is unknown, from an error indicator of 2 on; of older models above those of
+            the held-out runs.
 
         Raises
         ------

@@ -1,1 +1,1 @@
-"""Linear models: a body linearised, its linear reductions, and what they cost."""
+"""Linear models: a body linearised, its projections, and the bridge to pyMOR."""

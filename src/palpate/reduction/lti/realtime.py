@@ -149,7 +149,7 @@ def linear_realtime(model: LinearModel, period: float) -> LinearRealtime:
 
 
 def _tool_map(inputs: tuple[str, ...]) -> Floats:
-    """Return the map (l, 12) from a pose to small translations and rotations, see `palpate.realtime.Realtime`."""
+    """Return the map (l, 12) from a pose to small translations and rotations (`palpate.realtime.contract.Realtime`)."""
     rows = []
     for name in inputs:
         kind, axis = name.split(", ")[1].split()

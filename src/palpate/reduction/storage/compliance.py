@@ -1,6 +1,6 @@
 """Surface compliance in a model's file: its datasets and their validation.
 
-Flexibilities are multiples of a power of two (`palpate.reduction.contact.compliance.round_flexibility`).
+Flexibilities are multiples of a power of two (`palpate.reduction.training.round_compliance`).
 Such an array, k times a step, is stored as the unsigned integers k + `INTEGER_OFFSET`, whose high bytes
 are equal for all small k. Other arrays, of models that were not rounded, are stored as they are. Of a
 symmetric array the upper triangle is zero in the file. Both only make the file smaller: a loaded model

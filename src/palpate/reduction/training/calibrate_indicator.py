@@ -14,8 +14,8 @@ Runs in which one tool touches the body, those in which two do so at once, and a
 bound has the largest one (Mondrian conformal prediction). The level is that of all runs. From 19 runs of a kind on,
 that kind keeps it by itself.
 
-Nothing of this depends on whether an error indicator was met before: a further run of the kind of the held-out runs
-keeps the bound at any number. `LARGEST_KNOWN_TRUST` is the limit for runs of another kind.
+Nothing of this depends on whether a value of the indicator was met before: a further run of the kind of the held-out
+runs keeps the bound at any value. `LARGEST_KNOWN_TRUST` is the limit for runs of another kind.
 """
 
 from __future__ import annotations

@@ -65,7 +65,7 @@ def _distance_scale(chosen: Floats, mass: Floats, snapshots: Snapshots) -> float
 def _speed_scale(states: Floats, mass: Floats, snapshots: Snapshots, of_tools: bool) -> float:
     """Return the largest speed [m/s] that most runs do not exceed; unlimited without times.
 
-    It is that of the tools in contact, or of the body, as in `palpate.ReducedModel.speed`.
+    It is that of the tools in contact, or of the body, as in `palpate.ReducedModel.speeds`.
     """
     fastest, parts = [], np.split(states, np.cumsum(snapshots.lengths)[:-1])
     root = np.asarray(np.linalg.cholesky(mass), dtype=float)

@@ -84,7 +84,7 @@ class HeldPieces(NamedTuple):
 
 @dataclass(frozen=True)
 class CutFront(Described):
-    """A blade in a body: where its edge is, and its energies since the start."""
+    """Front of the cut that a blade makes: where the edge is, and the energies since the start."""
 
     edge: Floats  # (p, 3) [m] in the stress-free body
     strip: Strip  # last triangles of the cut, continued with the edge
