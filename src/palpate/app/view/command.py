@@ -22,7 +22,6 @@ from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK, PORT_ATTEMPT
 from palpate.core.extras import require
 from palpate.core.faults import InputError, integer_in_range
 from palpate.scenes.names import SceneKind
-from palpate.scenes.scene import Scene
 from palpate.surface.labels.reading import is_label_map
 from palpate.surface.surface import Surface
 
@@ -121,21 +120,16 @@ def _durations_name(opened: Input, full: bool, compare: bool) -> str:
 
 
 def _first_surface(opened: Input, full: bool) -> Surface | None:
-    """Return the surface that a page shows at first."""
+    """Return the surface that a page shows at first: that of a file, or of the nodes of a small body or a model."""
     if opened.scene is not None:
-        return _shown_surface(opened.scene) if full else None
-    assert opened.model is not None
-    cloud = opened.model.cloud
+        if not full or opened.scene.surface is not None:
+            return opened.scene.surface if full else None
+        cloud = opened.scene.cloud
+    else:
+        assert opened.model is not None
+        cloud = opened.model.cloud
     has_surface = len(cloud.triangles) and cloud.points.shape[1] == 3
     return Surface(cloud.points, cloud.triangles) if has_surface else None
-
-
-def _shown_surface(scene: Scene) -> Surface | None:
-    """Return the surface of a full body; that of the nodes for a box or a disc, which have few."""
-    if scene.surface is not None:
-        return scene.surface
-    cloud = scene.cloud
-    return Surface(cloud.points, cloud.triangles) if len(cloud.triangles) else None
 
 
 def _first_page(opened: Input, full: bool, durations_name: str) -> Preparation:
