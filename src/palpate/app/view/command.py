@@ -54,7 +54,7 @@ def view(
 ) -> int:
     """Show a body in real time on a page until interrupted.
 
-    The full body of a scene or a surface is shown, and a reduced model that is kept for it takes over; with `refine`
+    The full solid of a scene or a surface is shown, and a reduced model that is kept for it takes over; with `refine`
     one is trained in the background, and with `reduced` before anything is shown. `record` is the file of a recording
     of the whole session, written when it ends, also by SIGTERM or SIGHUP. With `compare` the full model of the reduced
     model's training scene is stepped, too; `scene`, ``"module:function"``, is the user's own, which the model must
@@ -80,7 +80,8 @@ def view(
         return open_input(source, settings, spacing, reduced, **shape | {"part": list(parts), "without": left_out})
 
     def show(opened: Input, place: Place) -> int:
-        full = opened.scene is not None and not (reduced or compare)
+        is_solid = opened.scene is not None and opened.scene.description.body.thickness is None
+        full = is_solid and not (reduced or compare)  # the page draws no full sheet
         if compare and opened.scene is not None and opened.scene.kind is not SceneKind.PACKAGE:
             raise InputError(f"compare must be left out for a full body, got {source!r:.60}; give a reduced model")
         if refine and not full:
@@ -169,8 +170,7 @@ def _show(
             show_surroundings(host, scene)
         with _preparing(host, preparation, patience):
             wait = None
-            is_solid = scene is not None and scene.description.body.thickness is None
-            if scene is not None and is_solid and not preparation.code_is_compiled:
+            if scene is not None and not preparation.code_is_compiled:
                 from palpate.app.common.compile_ahead import compile_ahead
                 from palpate.app.view.compile_engine import compile_engine
                 from palpate.core.parameters import written_section
