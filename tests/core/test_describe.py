@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import subprocess
 import sys
@@ -86,6 +87,8 @@ def described(still, energy_form, system, run, tmp_path):
         (pt.Gravity(), ["(0, 0, -9.81) m/s^2"]),
         (pt.PrescribedMotion("x+", (1e-3, 0, 0), until=0.5), ["(1, 0, 0) mm", "until=500 ms"]),
         (pt.Foundation("x-", 2e5), ["N/m^3"]),
+        (pt.Rail("x+", (1.0, 0.0, 0.0)), ["group=x+", "axis=(1, 0, 0)"]),
+        (pt.Roller("x+"), ["group=x+"]),
         (pt.tools.Sphere(0.01), ["radius=10 mm"]),
         (pt.tools.Capsule(0.01, 0.02), ["length=20 mm"]),
         (pt.tools.Punch(0.01), ["rounding=500 µm"]),
@@ -95,7 +98,52 @@ def described(still, energy_form, system, run, tmp_path):
         ),
         (pt.tools.Grasp((0, 0, 0.01), 0.01, (0, 0, 0)), ["point=(0, 0, 10) mm", "motion=at rest"]),
         (pt.materials.Prony(shares=(0.5, 0.3), times=(0.02, 0.3)), ["2 branches", "times=(20, 300) ms"]),
+        (reduced.body, ["3 modes", "112 nodes", "cubature points"]),
+        (energy_form.evaluate(np.zeros((112, 3))), ["112 nodes", "largest stress 0 Pa", "energy density"]),
+        (pt.realtime_model(pt.lti.reduce_linear(tool_system(energy_form), "modal", 4)), ["coordinates"]),
+        *data_of_results(curve, surface, still),
     ]
+
+
+def tool_system(body):
+    return pt.lti.linearise(body, [pt.PrescribedMotion("x+", (0, 0, 0))])
+
+
+def data_of_results(curve, surface, body):
+    """Return results that hold arrays, with what their lines must hold."""
+    arrays = np.full((50, 3), 0.5)
+    engine_model = pt.typing.RealtimeModel(
+        None, None, arrays, np.zeros(30_000), np.eye(12), max_backlog=4, tool_names=("left", "right")
+    )
+    fit = pt.materials.fit(pt.materials.NeoHookean, curve)
+    scene = pt.TrainingScene(
+        body, path=lambda seed: ((), 0.03), every=0.001, title="Bar", parameters={"spacing": 0.005}, tools=("x+",)
+    )
+    return [
+        (engine_model, ["30,000 coordinates", "tools=left, right", "can be cut no", "at most 4 periods", "not known"]),
+        (
+            pt.typing.DeviceLog(np.arange(50.0), arrays, arrays, arrays),
+            ["50 poses", "end=49 s", "largest force 866 mN"],
+        ),
+        (pt.DummyDevice(lambda t: ((t, 0, 0), (1, 0, 0, 0))), ["path=a function"]),
+        (scene, ["title=Bar", "112 nodes", "tools=x+", "every=1 ms", "parameters=spacing"]),
+        (fit.curves[0], ["kind=uniaxial", "4 points", "Pa", "r_squared=1"]),
+        (fit.starts[0], ["values=C1=", "converged=yes"]),
+        (pt.io.check_surface(surface), ["4 vertices", "4 triangles", "cm^3", "problems="]),
+        (pt.io.SurfaceProblem("note", "hole", "an open edge", arrays), ["kind=note", "50 places", "an open edge"]),
+        (pt.typing.ExpectedError(*np.array([0.02, 0.05, 0.95, 0.9, 0.001])), ["median=2 %", "level=95 %"]),
+    ]
+
+
+@pytest.mark.parametrize(
+    "module", [pt, pt.materials, pt.tools, pt.io, pt.lti, pt.typing], ids=lambda each: each.__name__
+)
+def test_every_public_class_prints_as_a_described_object(module):
+    for name in module.__all__:
+        kind = getattr(module, name)
+        if inspect.isclass(kind) and not issubclass(kind, BaseException) and kind is not pt.typing.DeadLoad:
+            assert kind.__repr__ is Described.__repr__, name
+            assert kind._repr_html_ is Described._repr_html_, name
 
 
 def _tetrahedron():

@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from html import escape
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
 from palpate.core.parameters import check_parameters, declared
 
 Fact = tuple[str, Any, str]  # name, value, SI unit; a value of None is left out
+Kind = TypeVar("Kind")
 
 MAX_LINE_CHARACTERS = 160  # characters of a repr
 MAX_VALUE_CHARACTERS = 120  # characters of one value
@@ -90,6 +91,13 @@ class Described:
         title = escape(self._title or type(self).__name__)
         table = f'<table><caption style="text-align:left"><b>{title}</b></caption><tbody>{rows}</tbody></table>'
         return f'<div style="display:flex;flex-wrap:wrap;gap:1em;align-items:center">{table}{self._picture()}</div>'
+
+
+def described_tuple(kind: type[Kind]) -> type[Kind]:
+    """Let a named tuple, which has no base class of its own, print its `_facts` as a `Described` object does."""
+    for name in ("__repr__", "_repr_html_", "_picture", "_title"):
+        setattr(kind, name, getattr(Described, name))
+    return kind
 
 
 def _said(name: str, value: Any, unit: str) -> str:

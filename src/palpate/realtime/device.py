@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from palpate.core.arrays import Floats
+from palpate.core.describe import Described, Fact
 from palpate.core.faults import number_in_range
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ Path = Callable[[float], tuple[Sequence[float] | Floats, Sequence[float] | Float
 
 
 @dataclass(frozen=True)
-class DeviceLog:
+class DeviceLog(Described):
     """Poses that a device sent and forces that it received, at k times.
 
     Parameters
@@ -45,8 +46,16 @@ class DeviceLog:
     quaternions: Floats
     forces: Floats
 
+    def _facts(self) -> list[Fact]:
+        largest = float(np.linalg.norm(self.forces, axis=-1).max(initial=0.0))
+        return [
+            ("poses", len(self.times), ""),
+            ("end", float(self.times.max(initial=0.0)), "s"),
+            ("largest force", largest, "N"),
+        ]
 
-class DummyDevice:
+
+class DummyDevice(Described):
     """Replaces a haptic device: sends the poses of a path to an engine and records the forces.
 
     Parameters
@@ -70,6 +79,9 @@ class DummyDevice:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+
+    def _facts(self) -> list[Fact]:
+        return [("path", self.path, "")]
 
     def run(self, engine: Engine, duration: float) -> DeviceLog:
         """Send poses and read forces for `duration` [s], once per period of the engine if Python is fast enough.

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from palpate.core.arrays import Floats
+from palpate.core.describe import Described, Fact
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.nodal.model import NodalModel
@@ -30,7 +31,7 @@ class LoadCase:
 
 
 @dataclass(frozen=True)
-class TrainingScene:
+class TrainingScene(Described):
     """Body with random tool paths for a training campaign.
 
     Equal parameters give equal bodies, and equal seeds equal paths, in every process.
@@ -78,3 +79,13 @@ class TrainingScene:
     tools: tuple[str, ...] = ()
     coarse: Callable[[], Solid] | None = None
     cubature: float | None = None
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("title", self.title, ""),
+            ("nodes", len(self.model.cloud), ""),
+            ("tools", list(self.tools), ""),
+            ("every", self.every, "s"),
+            ("cubature", self.cubature, ""),
+            ("parameters", self.parameters, ""),
+        ]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.core.arrays import Floats, Ints
+from palpate.core.describe import Described, Fact
 from palpate.core.faults import InputError
 from palpate.surface.intersections import MAX_PAIRS, self_intersections
 from palpate.surface.nesting import MAX_COMPONENTS, REGION_REMEDY, cavities, enclosures
@@ -31,7 +32,7 @@ MIN_THICKNESS_RATIO = 0.05
 
 
 @dataclass(frozen=True)
-class SurfaceReport:
+class SurfaceReport(Described):
     """Result of `check_surface`.
 
     Parameters
@@ -63,6 +64,18 @@ class SurfaceReport:
     volume: float
     extents: tuple[float, float, float]
     problems: tuple[SurfaceProblem, ...]
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("vertices", self.vertices, ""),
+            ("triangles", self.triangles, ""),
+            ("components", self.components, ""),
+            ("volume", self.volume, "m^3"),
+            ("size", self.extents, "m"),
+            ("problems", [problem.name for problem in self.problems], ""),
+            ("area", self.area, "m^2"),
+            ("Euler number", str(self.euler), ""),
+        ]
 
     @property
     def errors(self) -> tuple[SurfaceProblem, ...]:

@@ -28,7 +28,7 @@ Kind = Literal["error", "note", "repair"]
 
 
 @dataclass(frozen=True)
-class SurfaceProblem:
+class SurfaceProblem(Described):
     """Problem of a surface, or a repair that was made.
 
     Parameters
@@ -58,6 +58,14 @@ class SurfaceProblem:
     name: str
     what: str
     points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("kind", self.kind, ""),
+            ("name", self.name, ""),
+            ("places", len(self.points), ""),
+            ("what", self.what, ""),
+        ]
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ MIN_CHECKED_STRETCHES = (0.8, 1.25)  # smallest range of the stability check
 
 
 @dataclass(frozen=True)
-class CurveFit:
+class CurveFit(Described):
     """Residual statistics of one curve.
 
     Attributes
@@ -68,9 +68,19 @@ class CurveFit:
     r_squared: float
     correlation: float
 
+    def _facts(self) -> list[Fact]:
+        return [
+            ("name", self.name, ""),
+            ("kind", self.kind, ""),
+            ("points", self.points, ""),
+            ("rms", self.rms, "Pa"),
+            ("r_squared", self.r_squared, ""),
+            ("correlation", self.correlation, ""),
+        ]
+
 
 @dataclass(frozen=True)
-class FitStart:
+class FitStart(Described):
     """Result of one start of a fit.
 
     Parameters
@@ -97,6 +107,10 @@ class FitStart:
     values: dict[str, float]
     cost: float
     converged: bool
+
+    def _facts(self) -> list[Fact]:
+        values = ", ".join(f"{name}={value:.4g}" for name, value in self.values.items())
+        return [("values", values, ""), ("cost", self.cost, ""), ("converged", self.converged, "")]
 
 
 @dataclass(frozen=True, eq=False)

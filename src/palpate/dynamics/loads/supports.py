@@ -48,7 +48,8 @@ class Support(Described, ABC):
     kinds: ClassVar[dict[str, type[Support]]] = {}
     group: str
 
-    def __init_subclass__(cls) -> None:
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
         Support.kinds[cls.__name__] = cls
 
     @abstractmethod

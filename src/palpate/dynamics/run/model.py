@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from palpate.core.arrays import Floats, Ints
 from palpate.core.deprecation import renamed_attribute
-from palpate.core.describe import Described, Fact
+from palpate.core.describe import Described, Fact, described_tuple
 from palpate.core.faults import InputError, brief
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.loads.supports import Support
@@ -52,6 +52,7 @@ class ContactState(NamedTuple):
         return self._replace(start_time=time, **{name: np.zeros_like(getattr(self, name)) for name in names})
 
 
+@described_tuple
 class Evaluation(NamedTuple):
     """Force, stress, pressure and energy density of nodal displacements.
 
@@ -81,6 +82,14 @@ class Evaluation(NamedTuple):
     stress: Floats
     pressure: Floats
     energy_density: Floats
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("nodes", len(self.force), ""),
+            ("largest stress", float(np.abs(self.stress).max(initial=0.0)), "Pa"),
+            ("largest pressure", float(np.abs(self.pressure).max(initial=0.0)), "Pa"),
+            ("largest energy density", float(np.max(self.energy_density, initial=0.0)), "J/m^3"),
+        ]
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import numpy as np
 from palpate.compiled.lanes import LANES
 from palpate.core.arrays import Floats
 from palpate.core.deprecation import warn_renamed
+from palpate.core.describe import Fact, described_tuple
 from palpate.core.faults import InputError, brief, number_in_range
 from palpate.dynamics.contact.blade import Blade
 from palpate.dynamics.contact.geometry import rotation
@@ -57,6 +58,7 @@ ABSENT_TOOL_DISTANCE = 10.0  # [m] from the body to an absent tool
 MAX_BACKLOG = 4  # periods by which a full body may be late, because its periods take one step or two
 
 
+@described_tuple
 class RealtimeModel(NamedTuple):
     """A reduced model or a full body for the engine.
 
@@ -109,6 +111,19 @@ class RealtimeModel(NamedTuple):
     cutter: BladeCutter | None = None
     relaxes: bool = False
     tool_names: tuple[str, ...] = ()
+
+    def _facts(self) -> list[Fact]:
+        tools = list(self.tool_names) or "a prescribed group"
+        bound = "not known" if self.force_bound is None else "by the error indicator"
+        return [
+            ("coordinates", len(self.rest), ""),
+            ("tools", tools, ""),
+            ("can be cut", self.cutter is not None, ""),
+            ("cuts", self.cutter.cuts if self.cutter is not None else None, ""),
+            ("backlog", f"at most {self.max_backlog} periods", ""),
+            ("relaxation", self.relaxes, ""),
+            ("bound of the force's error", bound, ""),
+        ]
 
     @property
     def catch_up(self) -> int:

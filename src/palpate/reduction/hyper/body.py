@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.core.arrays import Floats
+from palpate.core.describe import Described, Fact
 from palpate.dynamics.loads.supports import symmetry_planes
 from palpate.dynamics.material.fibres import tension_compression_fibres
 from palpate.dynamics.material.relaxation import equilibrium_history, history_after, relaxation, restore_history
@@ -57,7 +58,7 @@ class ReducedWork:
 
 
 @dataclass(frozen=True, eq=False)
-class ReducedBody:
+class ReducedBody(Described):
     """Constants of a reduced model, and the forces and energy that follow from its coordinates.
 
     Parameters
@@ -114,6 +115,15 @@ class ReducedBody:
     surface: ContactSurface
     sampled: SampledEnergy
     tangent: Any
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("modes", self.data.modes, ""),
+            ("coordinates", self.count, ""),
+            ("nodes", len(self.masses), ""),
+            ("cubature points", len(self.data.cubature.nodes), ""),
+            ("single precision", self.single, ""),
+        ]
 
     @property
     def count(self) -> int:

@@ -28,6 +28,7 @@ from numba.extending import register_jitable
 from scipy.spatial import cKDTree
 
 from palpate.core.arrays import Floats, Ints
+from palpate.core.describe import Fact, described_tuple
 from palpate.core.faults import InputError, number_in_range
 from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.loads.supports import FIXED, Support, supported_nodes
@@ -89,6 +90,7 @@ def trust_of_tools(tools, trained_tools):
     return (TRUST_OF_MORE_TOOLS - 1.0 + tools - trained_tools) * (tools > trained_tools)
 
 
+@described_tuple
 class ExpectedError(NamedTuple):
     """The error expected at an error indicator, relative to the mean of the present and the typical size.
 
@@ -131,6 +133,10 @@ class ExpectedError(NamedTuple):
     level: float
     least_level: float
     typical_size: float
+
+    def _facts(self) -> list[Fact]:
+        shares = [(name.replace("_", " "), 100 * float(getattr(self, name)), "%") for name in self._fields[:-1]]
+        return [*shares, ("typical size", float(self.typical_size), "")]
 
 
 def training_distance(body: ReducedBody, state: State) -> float:

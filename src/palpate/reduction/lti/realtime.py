@@ -13,6 +13,7 @@ import numpy as np
 
 from palpate.compiled.jit import kernel_njit
 from palpate.core.arrays import Floats
+from palpate.core.describe import Fact, described_tuple
 from palpate.core.faults import InputError, number_in_range
 from palpate.dynamics.loads.supports import PRESCRIBED
 from palpate.dynamics.material.relaxation import copy_values
@@ -62,6 +63,7 @@ class LinearData(NamedTuple):
     vectors: Floats  # (3, max(N, m)) array
 
 
+@described_tuple
 class LinearRealtime(NamedTuple):
     """Linear model for the engine.
 
@@ -96,6 +98,13 @@ class LinearRealtime(NamedTuple):
     rest: Floats
     tool: Floats
     force_bound: None = None
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("coordinates", len(self.rest), ""),
+            ("tool coordinates", len(self.tool), ""),
+            ("bound of the force's error", "not known", ""),
+        ]
 
 
 def linear_realtime(model: LinearModel, period: float) -> LinearRealtime:
