@@ -14,19 +14,17 @@ from palpate.core.faults import UnitWarning
 from palpate.tissue.catalogue import LAWS
 
 
-def test_a_load_outside_a_list_is_refused_with_brackets(held, pull):
-    message = r"loads must be a list, got one SurfaceForce; put it in brackets, such as \[pull\]"
-    with pytest.raises(pt.InputError, match=message):
-        pt.rollout(held, pull, duration=1e-3, every=5e-4)
-    with pytest.raises(pt.InputError, match=message):
-        held.prepare(pull)
-    with pytest.raises(pt.InputError, match=message):
-        pt.lti.linearise(held, pull)
+def test_one_load_is_taken_as_a_list_of_one(held, pull):
+    one = pt.rollout(held, pull, duration=1e-3, every=5e-4)
+    several = pt.rollout(held, [pull], duration=1e-3, every=5e-4)
+    np.testing.assert_array_equal(one.displacements, several.displacements)
+    assert held.prepare(pull).loads == (pull,)
+    assert pt.lti.linearise(held, pull, outputs=["x+"]).loads == (pull,)
 
 
 @pytest.mark.parametrize("loads", ["x+", None, 3.0, {"x+": 1.0}])
 def test_values_that_are_not_a_list_of_loads_are_refused(held, loads):
-    with pytest.raises(pt.InputError, match="loads must be a list of loads, got "):
+    with pytest.raises(pt.InputError, match="loads must be a load or a list of loads, got "):
         pt.rollout(held, loads, duration=1e-3, every=5e-4)
 
 

@@ -255,12 +255,12 @@ class _Constraints(NamedTuple):
 
 
 def listed(loads: Any) -> tuple[Load, ...]:
-    """Return loads as a tuple."""
+    """Return one load, or several, as a tuple."""
     if isinstance(loads, Load):
-        raise InputError(f"loads must be a list, got one {type(loads).__name__}; put it in brackets, such as [pull]")
+        return (loads,)
     if isinstance(loads, str | bytes | Mapping) or not isinstance(loads, Iterable):
         raise InputError(
-            f"loads must be a list of loads, got {brief(loads)}; use such as [{SurfaceForce.__name__}(...)]"
+            f"loads must be a load or a list of loads, got {brief(loads)}; use such as {SurfaceForce.__name__}(...)"
         )
     listed = tuple(loads)
     for load in listed:
@@ -290,7 +290,7 @@ def check_kinds(
 def prepare_loads(
     cloud: Cloud,
     supports: Sequence[Support],
-    loads: Sequence[Load],
+    loads: Load | Sequence[Load],
     areas_of: Callable[[DeadLoad | Pressure], Floats] | None = None,
     patches: sparse.csr_array | None = None,
     removed: Ints | None = None,

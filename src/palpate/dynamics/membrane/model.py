@@ -282,7 +282,7 @@ class Membrane(EnergyModel):
         nominal = [2 * (W1 * (a - 1 / (a * D)) + W2 * (a * b**2 + (a - t / a) / D)) for a, b in ((l1, l2), (l2, l1))]
         return np.stack(nominal, axis=-1)
 
-    def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
+    def prepare(self, loads: Load | Sequence[Load]) -> PreparedLoads:
         areas = partial(load_areas, self.cloud, self.prestretch)
         return self._press_supports(prepare_loads(self.cloud, self.supports, loads, areas))
 

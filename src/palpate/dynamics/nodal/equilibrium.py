@@ -76,7 +76,7 @@ class Equilibrium(Described):
 
 def equilibrium(
     model: NodalModel,
-    loads: Sequence[Load] = (),
+    loads: Load | Sequence[Load] = (),
     *,
     time: float = 0.0,
     displacement: Floats | None = None,
@@ -92,7 +92,7 @@ def equilibrium(
     ----------
     model : NodalModel
         `Solid` or `Membrane`.
-    loads : sequence of loads
+    loads : load or sequence of loads
         All but `Contact`. The dashpots of a `Foundation` have no force at rest.
     time : float [s]
         Time at which the loads are taken.

@@ -356,12 +356,12 @@ class Model(Described, metaclass=_Constant):
         return []
 
     @abstractmethod
-    def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
+    def prepare(self, loads: Load | Sequence[Load]) -> PreparedLoads:
         """Prepare loads for this model.
 
         Parameters
         ----------
-        loads : sequence of loads
+        loads : load or sequence of loads
 
         Raises
         ------

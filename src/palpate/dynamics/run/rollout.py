@@ -41,7 +41,7 @@ DEFAULT_MEMORY = 8e9  # [bytes] where the system reports none
 
 def rollout(
     model: Model,
-    loads: Sequence[Load] = (),
+    loads: Load | Sequence[Load] = (),
     *,
     duration: float,
     every: float,
@@ -59,7 +59,7 @@ def rollout(
     ----------
     model : Model
         Full or reduced.
-    loads : sequence of loads
+    loads : load or sequence of loads
     duration, every : float [s]
         Length of the run, and interval between snapshots (at most a million). The first snapshot
         is the initial state.

@@ -186,7 +186,7 @@ class Solid(NodalModel):
     def _cells(self) -> Ints:
         return cells_between(self.cloud)
 
-    def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
+    def prepare(self, loads: Load | Sequence[Load]) -> PreparedLoads:
         return self._press_supports(prepare_loads(self.cloud, self.supports, listed(loads)))
 
     def _own_facts(self) -> list[Fact]:

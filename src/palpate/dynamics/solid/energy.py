@@ -296,7 +296,7 @@ class EnergySolid(EnergyModel, Solid):
     def after_steps(self, state: State, prepared: PreparedLoads) -> tuple[Model, State, PreparedLoads]:
         return cut_with_blade(self, state, prepared)
 
-    def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
+    def prepare(self, loads: Load | Sequence[Load]) -> PreparedLoads:
         loads = listed(loads)
         in_contact = any(isinstance(load, Contact) for load in loads)
         patches = self.patches if in_contact else None

@@ -76,7 +76,7 @@ class UnloadedBody(Described):
 
 def unloaded(
     body: Solid,
-    loads: Sequence[Load],
+    loads: Load | Sequence[Load],
     *,
     time: float = 0.0,
     tolerance: float = 1e-3,
@@ -88,7 +88,7 @@ def unloaded(
     ----------
     body : Solid
         In the energy form, without cuts and planes of symmetry, with the shape under the loads. It does not change.
-    loads : sequence of loads
+    loads : load or sequence of loads
         Loads that acted: gravity, forces, pressures, and foundations, which had no force before the other loads.
     time : float [s]
         Time at which the loads are taken.

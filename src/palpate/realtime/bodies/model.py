@@ -138,7 +138,7 @@ def realtime_model(
     *,
     longest: float = ...,
     contact: Contact | Grasp | Sequence[Contact | Grasp] | None = ...,
-    foundations: Sequence[Foundation] = ...,
+    foundations: Foundation | Sequence[Foundation] = ...,
 ) -> RealtimeModel: ...
 
 
@@ -147,7 +147,7 @@ def realtime_model(
     model: NodalModel | ReducedModel,
     *,
     contact: Contact | Grasp | Sequence[Contact | Grasp] | None,
-    foundations: Sequence[Foundation] = ...,
+    foundations: Foundation | Sequence[Foundation] = ...,
     scaled_modes: int | None = ...,
 ) -> RealtimeModel: ...
 
@@ -161,7 +161,7 @@ def realtime_model(
     *,
     longest: float = 0.02,
     contact: Contact | Grasp | Sequence[Contact | Grasp] | None = None,
-    foundations: Sequence[Foundation] = (),
+    foundations: Foundation | Sequence[Foundation] = (),
     period: float = 1e-3,
     scaled_modes: int | None = None,
     tailored_modes: int | None = None,
@@ -180,7 +180,7 @@ def realtime_model(
         from a tool's pose at time 0, the rotations about its position. The error indicator then counts the distance
         from the training states, the displacement of the surface compliance, the speed, and the nearness of the tools
         to supports, each over its scale.
-    foundations : sequence of Foundation
+    foundations : Foundation or sequence of Foundation
         Springs between the body and the ground. Other loads are not supported in real time.
     period : float [s]
         Of a linear model. The first step with another period computes a matrix exponential.
@@ -222,6 +222,7 @@ def realtime_model(
             )
         return linear_realtime(model, period)
     tools = _tools_in_contact(contact)
+    foundations = (foundations,) if isinstance(foundations, Foundation) else foundations
     if isinstance(model, NodalModel):
         return _full_body(model, tools, foundations, scaled_modes)
     if scaled_modes is not None:

@@ -14,7 +14,7 @@ from palpate.core.faults import InputError
 from palpate.dynamics.contact.tools import Grasp
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
-from palpate.dynamics.loads.prepared import Load, PreparedLoads, check_kinds
+from palpate.dynamics.loads.prepared import Load, PreparedLoads, check_kinds, listed
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.loads.pressure import Pressure
 from palpate.dynamics.loads.supports import PRESCRIBED
@@ -139,7 +139,8 @@ class GalerkinModel(CoordinateModel):
         self._projected_force(np.ascontiguousarray(coordinates), self._body, self._basis, work)
         return work.result / self.material.density
 
-    def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
+    def prepare(self, loads: Load | Sequence[Load]) -> PreparedLoads:
+        loads = listed(loads)
         check_kinds(loads, PERMITTED_LOADS, "loads of a projected model")
         prepared = self.full.prepare(loads)
         if len(prepared.sites.prescribed) and not len(self.lifting):

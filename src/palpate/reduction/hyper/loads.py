@@ -84,17 +84,17 @@ def reduced_loads(body: ReducedBody, prepared: PreparedLoads) -> ReducedLoads:
 
 
 def prepare_reduced_loads(
-    body: ReducedBody, loads: Sequence[Load], static_response: Callable[[], Response], *, implicit: bool
+    body: ReducedBody, loads: Load | Sequence[Load], static_response: Callable[[], Response], *, implicit: bool
 ) -> ReducedLoads:
     """Check loads and prepare them for a reduced model with explicit or implicit steps."""
+    loads = listed(loads)
     check_kinds(
         loads, PERMITTED_LOADS, "loads of a sampled reduced model", "run the full model or palpate.galerkin with it"
     )
     data = body.data
     kinematics = data.kinematics
     loads = [
-        _forceps(data, load) if isinstance(load, Grasp) and load.name not in data.prescribed else load
-        for load in listed(loads)
+        _forceps(data, load) if isinstance(load, Grasp) and load.name not in data.prescribed else load for load in loads
     ]
     areas = partial(load_areas, data.cloud, kinematics.prestretch) if kinematics.sheet else None
     ready = prepare_loads(data.cloud, data.supports, loads, areas)

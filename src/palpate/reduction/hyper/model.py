@@ -143,7 +143,7 @@ class ReducedModel(CoordinateModel):
     def workspace(self) -> ReducedWork:
         return self.body.workspace()
 
-    def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
+    def prepare(self, loads: Load | Sequence[Load]) -> PreparedLoads:
         return prepare_reduced_loads(self.body, loads, lambda: self._static_response, implicit=self.step is not None)
 
     def _contact_tools(self, ready: PreparedLoads, work: ReducedWork) -> ContactTools:

@@ -11,7 +11,7 @@ from palpate.core.arrays import Floats
 from palpate.core.faults import InputError
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
-from palpate.dynamics.loads.prepared import Load, PreparedLoads, check_kinds
+from palpate.dynamics.loads.prepared import Load, PreparedLoads, check_kinds, listed
 from palpate.reduction.lti.system import INPUT_LOADS, LinearSystem
 
 RIGID_TOLERANCE = 1e-2  # largest error of a tool's motion in small translations and rotations, relative
@@ -40,8 +40,9 @@ def _input(load: DeadLoad) -> tuple[str, str, tuple[str, ...]]:
     return type(load).__name__, load.group, load.labels
 
 
-def prepare_linear_loads(system: LinearSystem, loads: Sequence[Load]) -> LinearLoads:
+def prepare_linear_loads(system: LinearSystem, loads: Load | Sequence[Load]) -> LinearLoads:
     """Check loads and prepare them for a linear system."""
+    loads = listed(loads)
     check_kinds(loads, INPUT_LOADS, "loads of a linear model")
     full = system.model
     ready = full.prepare(loads)
@@ -49,8 +50,8 @@ def prepare_linear_loads(system: LinearSystem, loads: Sequence[Load]) -> LinearL
     weight = any(isinstance(load, Gravity) for load in system.loads)
     for load in ready.loads:
         if isinstance(load, DeadLoad) and _input(load) not in inputs:
-            listed = ", ".join(f"{name} on {group!r}" for name, group, _ in sorted(inputs)) or "no dead load"
-            raise InputError(f"loads must be those of the linear system ({listed}), got {load!r:.200}")
+            known = ", ".join(f"{name} on {group!r}" for name, group, _ in sorted(inputs)) or "no dead load"
+            raise InputError(f"loads must be those of the linear system ({known}), got {load!r:.200}")
         if isinstance(load, Gravity) and not weight:
             raise InputError("loads must not include Gravity for a system without it; linearise with Gravity")
     actual = {name: nodes for name, nodes in ready.supports.items() if name not in full.fixed}

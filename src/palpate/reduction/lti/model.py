@@ -116,7 +116,7 @@ class LinearModel(CoordinateModel):
 
     # loads
 
-    def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
+    def prepare(self, loads: Load | Sequence[Load]) -> PreparedLoads:
         return prepare_linear_loads(self.system, loads)
 
     # stepping

@@ -226,7 +226,7 @@ class LinearSystem(Described):
 
 def linearise(
     model: NodalModel,
-    loads: Sequence[Load] = (),
+    loads: Load | Sequence[Load] = (),
     outputs: Sequence[str] = (),
     state: State | Floats | None = None,
 ) -> LinearSystem:
@@ -236,7 +236,7 @@ def linearise(
     ----------
     model : NodalModel
         `Solid` or `Membrane`.
-    loads : sequence of loads
+    loads : load or sequence of loads
         The inputs. A `SurfaceForce` has three for its force, along the axes, and three for its
         moment; `Gravity` has three. A tool that moves nodes (`PrescribedMotion`, `Grasp`) has six:
         three translations, and three rotations about the mean position of its nodes. Their values in

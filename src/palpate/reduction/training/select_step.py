@@ -10,7 +10,7 @@ import numpy as np
 
 from palpate.core.arrays import Floats
 from palpate.core.faults import DivergenceError, InputError, integer_in_range, number_in_range
-from palpate.dynamics.loads.prepared import Load
+from palpate.dynamics.loads.prepared import Load, listed
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.reduction.hyper.model import ReducedModel
@@ -22,7 +22,7 @@ DEFAULT_FRAMES = 100  # of the motion
 
 def select_time_step(
     model: ReducedModel,
-    loads: Sequence[Load] = (),
+    loads: Load | Sequence[Load] = (),
     *,
     duration: float,
     tolerance: float = 0.05,
@@ -40,7 +40,7 @@ def select_time_step(
     Parameters
     ----------
     model : ReducedModel
-    loads : sequence of loads
+    loads : load or sequence of loads
         A motion representative of the model's use.
     duration : float [s]
     tolerance : float
@@ -81,6 +81,7 @@ def select_time_step(
     >>> len(chosen.report["stepping"]["rules"])
     4
     """
+    loads = listed(loads)
     number_in_range("duration", duration, 0.0, open_low=True, unit="s")
     tolerance_value = number_in_range("tolerance", tolerance, 0.0, 1.0, open_low=True)
     frame_interval = min(duration, max(duration / DEFAULT_FRAMES, TRIED_STEPS[1] or 0.0)) if every is None else every
