@@ -60,15 +60,29 @@ def test_invalid_loads_are_refused_by_name(held, load, message):
 @pytest.mark.parametrize(
     "load",
     [
-        pt.PrescribedMotion("tip", (0, 0)),
-        pt.PrescribedMotion("tip", "down"),
         pt.PrescribedMotion("tip", lambda p, t: np.zeros((7, 3))),
         pt.Pressure("x+", lambda t: (1, 2, 3)),
     ],
 )
-def test_loads_of_a_wrong_shape_are_refused_by_name(held, load):
+def test_values_of_a_wrong_shape_are_refused_by_name(held, load):
     with pytest.raises(pt.InputError, match=load.group.replace("+", r"\+")):
         pt.rollout(held, [load], duration=1e-3, every=5e-4)
+
+
+@pytest.mark.parametrize("value", [5, (0, 0, -5, 1), (0, 0), "down", (0, 0, np.nan), (0, 0, np.inf), ("a", "b", "c")])
+@pytest.mark.parametrize(
+    "load",
+    [
+        lambda value: pt.SurfaceForce("x+", force=value),
+        lambda value: pt.SurfaceForce("x+", force=(1, 0, 0), moment=value),
+        lambda value: pt.PrescribedMotion("x+", value),
+        pt.Gravity,
+    ],
+)
+def test_constants_are_checked_when_the_load_is_made(load, value):
+    with pytest.raises(pt.InputError, match=r"of (SurfaceForce|PrescribedMotion|Gravity).* must be (three|finite)"):
+        load(value)
+    load(lambda *_: value)
 
 
 def test_two_motions_of_one_node_are_refused(held):

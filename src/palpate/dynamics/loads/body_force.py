@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from palpate.core.describe import Described
 from palpate.core.parameters import parameter
-from palpate.dynamics.loads.values import Vector
+from palpate.dynamics.loads.values import Vector, check_vector
 
 
 @dataclass(frozen=True)
@@ -16,6 +16,11 @@ class Gravity(Described):
     Parameters
     ----------
     acceleration : (3,) sequence, or function of time [s] that returns one [m/s^2]
+
+    Raises
+    ------
+    InputError
+        A constant acceleration is not three finite numbers.
 
     Examples
     --------
@@ -30,3 +35,7 @@ class Gravity(Described):
     """
 
     acceleration: Vector = parameter("m/s^2", (0.0, 0.0, -9.81), "acceleration of gravity")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_vector(self.acceleration, "acceleration of Gravity")

@@ -13,6 +13,7 @@ from palpate.core.arrays import Floats
 from palpate.core.describe import Described
 from palpate.core.faults import check_arguments
 from palpate.core.parameters import parameter
+from palpate.dynamics.loads.values import arrays_at
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,8 @@ class PrescribedMotion(Described):
     Raises
     ------
     InputError
-        `until` is negative or not a number, or `displacement` is a function of other arguments.
+        `until` is negative or not a number, or `displacement` is a function of other arguments, or a constant that is
+        not three finite numbers.
 
     Examples
     --------
@@ -56,6 +58,8 @@ class PrescribedMotion(Described):
         super().__post_init__()
         if callable(self.displacement):
             check_arguments(self.displacement, ("points", "time"), f"displacement{self._owner()}")
+        elif np.ndim(np.asarray(self.displacement, dtype=object)) != 2:  # one displacement for each node
+            arrays_at([self.displacement], (3,), np.zeros(1), f"displacement{self._owner()}")
 
     def _owner(self) -> str:
         return f" of PrescribedMotion of {self.group!r}"

@@ -11,7 +11,7 @@ from palpate.core.describe import Described
 from palpate.core.faults import InputError
 from palpate.core.parameters import parameter
 from palpate.dynamics.loads.dead_load import DeadLoad, ForcePattern
-from palpate.dynamics.loads.values import Vector, vectors_at
+from palpate.dynamics.loads.values import Vector, check_vector, vectors_at
 from palpate.meshfree.cloud import Cloud
 
 AXES = "xyz"
@@ -37,7 +37,7 @@ class SurfaceForce(Described, DeadLoad):
     Raises
     ------
     InputError
-        Neither a force nor a moment is given.
+        Neither a force nor a moment is given, or a constant one is not three finite numbers.
 
     Examples
     --------
@@ -58,6 +58,8 @@ class SurfaceForce(Described, DeadLoad):
                 f"SurfaceForce on {self.group!r} must have a force [N] or a moment [N m], got neither; "
                 "give one of them, or use Pressure for a pressure [Pa]"
             )
+        for name in ("force", "moment"):
+            check_vector(getattr(self, name), f"{name} of SurfaceForce on {self.group!r}")
 
     @property
     def labels(self) -> tuple[str, ...]:

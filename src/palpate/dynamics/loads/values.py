@@ -20,6 +20,12 @@ def vectors_at(value: Vector | None, times: Floats, name: str) -> Floats:
     return _values_at(value, (3,), times, name)
 
 
+def check_vector(value: Vector | None, name: str) -> None:
+    """Check a vector when its load is made; a function of time is checked when it is called."""
+    if value is not None and not callable(value):
+        arrays_at([value], (3,), np.zeros(1), name)
+
+
 def scalars_at(value: float | Callable[[float], float], times: Floats, name: str) -> Floats:
     """Return the values (t,) of a number or of a function of time [s]; errors as in `vectors_at`."""
     return _values_at(value, (), times, name)
@@ -38,8 +44,9 @@ def arrays_at(values: list[Any], shape: tuple[int, ...], times: Floats, name: st
     except (ValueError, TypeError, OverflowError):
         array = np.zeros(0)
     if array.shape != (len(times), *shape):
+        remedy = "give (x, y, z)" if shape == (3,) else "change it"
         expected = {(): "a number", (3,): "three numbers"}.get(shape, f"an array of shape {shape}")
-        raise InputError(f"{name} must be {expected}, got {brief(values[0])}")
+        raise InputError(f"{name} must be {expected}, got {brief(values[0])}; {remedy}")
     bad = np.flatnonzero(~np.isfinite(array.reshape(len(times), -1)).all(axis=1))
     if bad.size:
         raise InputError(f"{name} must be finite, got {brief(values[bad[0]])} at t = {times[bad[0]]:g} s")
