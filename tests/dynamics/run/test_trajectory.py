@@ -287,6 +287,15 @@ def test_an_unwritable_place_is_named(run, held, tmp_path):
         pt.rollout(held, duration=1e-3, every=1e-3, file=path)
 
 
+@pytest.mark.parametrize("name", ["run.vtk", "run.vtkhdf", "run.xyz", "run.rom"])
+def test_another_ending_is_refused_before_a_run(run, held, tmp_path, name):
+    with pytest.raises(pt.InputError, match=r"path of a trajectory must end in \.h5, got 'run\..*vtkhdf for ParaView"):
+        run.save(tmp_path / name)
+    with pytest.raises(pt.InputError, match=r"file must end in \.h5"):
+        pt.rollout(held, duration=1.0, every=1e-3, file=tmp_path / name)
+    assert not os.listdir(tmp_path)
+
+
 def test_a_folder_in_place_of_a_file_is_refused(run, tmp_path):
     (tmp_path / "folder").mkdir()
     with pytest.raises(OSError, match="folder"):

@@ -366,9 +366,18 @@ def test_a_file_of_another_format_is_refused(path, content):
         pt.load(path)
 
 
+@pytest.mark.parametrize("name", ["bar.vtk", "bar.xyz", "bar.lti", "bar.rom.txt"])
+def test_another_ending_is_refused_with_those_allowed(trained, tmp_path, name):
+    with pytest.raises(pt.InputError, match=r"path of a reduced model must end in .rom or .h5, got 'bar\."):
+        pt.save(trained, tmp_path / name)
+    assert not os.listdir(tmp_path)
+
+
 def test_a_trajectory_is_refused(path):
     none, vectors = np.zeros(0), np.zeros((0, 4, 3))
-    pt.Trajectory("full", none, vectors, vectors, {}, none, none, none, none, none, np.zeros((4, 3))).save(path)
+    run = path.with_suffix(".h5")
+    pt.Trajectory("full", none, vectors, vectors, {}, none, none, none, none, none, np.zeros((4, 3))).save(run)
+    run.rename(path)
     with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is not a palpate reduced model"):
         pt.load(path)
 

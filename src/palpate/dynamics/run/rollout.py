@@ -24,7 +24,7 @@ from palpate.dynamics.run.model import Model, Outputs, State
 from palpate.dynamics.run.progress import progress_bar
 from palpate.dynamics.run.recorder import Recorder
 from palpate.dynamics.run.series import NUMBER_NAMES, SERIES
-from palpate.dynamics.run.trajectory import Trajectory
+from palpate.dynamics.run.trajectory import Trajectory, check_trajectory_name
 
 MAX_OVERSTEP = 1.2  # longest step that is accepted, over the stable step after it
 STEPS_PER_ESTIMATE = 50  # steps between two estimates of the stable step
@@ -73,7 +73,7 @@ def rollout(
         Rejected steps are retried at half their length, down to 1/256. The remaining energy error
         is in the run's `balance`.
     file : path, optional
-        File of the trajectory. After an interruption it contains all frames until then.
+        File of the trajectory, ``.h5``. After an interruption it contains all frames until then.
     label : str
         Label of the trajectory.
     progress : bool or function
@@ -115,6 +115,8 @@ def rollout(
     ((4, 112, 3), ['x-'])
     """
     check_process()
+    if file is not None:
+        check_trajectory_name(file, "file")
     frames = _frame_count(model, duration, every, start)
     if step is not None:
         number_in_range("step", step, every / MAX_STEPS_PER_FRAME, every, unit="s")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from palpate.core.arrays import Floats
 from palpate.core.describe import Described, Fact
 from palpate.core.faults import InputError, number_in_range
-from palpate.core.files import regular_file
+from palpate.core.files import UNFINISHED, check_ending, regular_file
 from palpate.core.plotting import curve_svg, plot_curves
 from palpate.core.sealed import Array, check_arrays, loading, open_sealed, write_sealed
 from palpate.dynamics.run.journal import is_journal, read_record, records
@@ -32,6 +32,8 @@ from palpate.dynamics.run.series import (
 
 FORMAT, VERSION = "palpate trajectory", 4
 TRAJECTORY_REMEDY = "run the simulation again"
+TRAJECTORY_ENDINGS = (".h5", UNFINISHED)
+PARAVIEW_REMEDY = "palpate view --record and palpate reproduce write .vtkhdf for ParaView"
 POINTS_ARRAY = {"points": Array(("nodes", "space"), unit="m")}
 HEADER_KEYS = ("model", "label", "wall_seconds", "stiffness_damping", "complete")
 
@@ -56,6 +58,11 @@ class ErrorSeries:
     trust: Floats = field(default_factory=_no_series)
     displacement_bounds: Floats = field(default_factory=_no_series)
     force_bounds: Floats = field(default_factory=_no_series)
+
+
+def check_trajectory_name(path: str | Path, what: str) -> None:
+    """Refuse a name for the file of a trajectory that ends as a file of another format."""
+    check_ending(path, TRAJECTORY_ENDINGS, what, PARAVIEW_REMEDY)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -275,10 +282,11 @@ class Trajectory(Described, ToolContacts, ErrorSeries, BladeSeries):
         Raises
         ------
         InputError
-            An array has values that are not finite.
+            An array has values that are not finite, or the name ends in another way than ``.h5``.
         OSError
             The file cannot be written; an existing file is unchanged.
         """
+        check_trajectory_name(path, "path of a trajectory")
         arrays: dict[str, Any] = {name: getattr(self, name) for name in (*NUMBER_NAMES, *POINTS_ARRAY, *LIST_ARRAYS)}
         arrays |= {array_name(name, key): force for name in GROUP_ARRAYS for key, force in getattr(self, name).items()}
         rows = {name: getattr(self, name) for name in FIELD_NAMES}

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import overload
 
 from palpate.core.faults import FileFormatError, InputError
+from palpate.core.files import check_ending
 from palpate.core.sealed import kind_of_file
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.lti import storage as linear_storage
@@ -13,6 +14,8 @@ from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.system import LinearSystem
 from palpate.reduction.storage import model_file
 from palpate.reduction.storage.model_file import load_hyper_reduced, save_hyper_reduced
+
+REDUCED_ENDINGS, LINEAR_ENDINGS = (".rom", ".h5"), (".lti", ".h5")  # of files
 
 
 def save(model: ReducedModel | LinearModel, path: str | Path) -> None:
@@ -22,12 +25,13 @@ def save(model: ReducedModel | LinearModel, path: str | Path) -> None:
     ----------
     model : ReducedModel or LinearModel
     path : path
+        Ends in ``.rom``, or in ``.lti`` for a linear model; ``.h5`` and a name without an ending are allowed.
 
     Raises
     ------
     InputError
-        The model is of another kind, or its file could not be read back: a custom material, or numbers
-        that are not finite.
+        The model is of another kind, the name ends in another way, or its file could not be read back: a custom
+        material, or numbers that are not finite.
     OSError
         The path is not writable or the disk is full. An existing file is unchanged.
 
@@ -48,8 +52,10 @@ def save(model: ReducedModel | LinearModel, path: str | Path) -> None:
     True
     """
     if isinstance(model, ReducedModel):
+        check_ending(path, REDUCED_ENDINGS, "path of a reduced model")
         save_hyper_reduced(model, path)
     elif isinstance(model, LinearModel):
+        check_ending(path, LINEAR_ENDINGS, "path of a linear model")
         linear_storage.save_linear(model, path)
     else:
         raise InputError(f"model must be a ReducedModel or a LinearModel, got {type(model).__name__}; reduce it first")
