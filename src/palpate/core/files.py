@@ -28,7 +28,7 @@ STALE_AGE = 86400.0  # [s] of temporary files of dead writers
 MAX_DEPTH = 32  # of nested lists and objects in JSON
 MAX_TEXT_BYTES = 16 << 20
 MAX_EXPANSION = 64  # of a packed file; text of coordinates expands less than 10 times
-UNFINISHED = ".partial"  # ending of a file that a writer renames when it is whole
+UNFINISHED_ENDING = ".partial"  # ending of a file that a writer renames when it is whole
 MAX_INTEGER = 2**53  # larger integers are not exact in other programs
 # a string or a comment of JSON or TOML, or a bracket outside of them
 BRACKET_PATTERN = re.compile(
@@ -38,7 +38,7 @@ BRACKET_PATTERN = re.compile(
 
 def check_ending(path: str | Path, endings: Sequence[str], what: str, remedy: str = "change the ending") -> None:
     """Refuse a name whose ending states another format than those of `what`; a name without an ending is allowed."""
-    ending, shown = Path(path).suffix.lower(), [each for each in endings if each != UNFINISHED]
+    ending, shown = Path(path).suffix.lower(), [each for each in endings if each != UNFINISHED_ENDING]
     if ending and ending not in endings:
         raise InputError(f"{what} must end in {' or '.join(shown)}, got {brief(Path(path).name)}; {remedy}")
 

@@ -74,4 +74,4 @@ def test_a_model_that_has_not_seen_the_motion_warns_and_keeps_the_advice():
     assert found["projection_error"] == pytest.approx(expected)
     assert expected > 0.5
     with warnings.catch_warnings(action="error"):
-        assert "advice" not in pt.hyper_reduce(body, [seen, unseen], modes=8, held_out=[(pull, seen)]).report
+        assert "advice" not in pt.hyper_reduce(body, [seen, unseen], modes=8, held_out=[(pull[0], seen)]).report

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from palpate.core.arrays import Floats
 from palpate.core.describe import Described, Fact
 from palpate.core.faults import InputError, number_in_range
-from palpate.core.files import UNFINISHED, check_ending, regular_file
+from palpate.core.files import UNFINISHED_ENDING, check_ending, regular_file
 from palpate.core.plotting import curve_svg, plot_curves
 from palpate.core.sealed import Array, check_arrays, loading, open_sealed, write_sealed
 from palpate.dynamics.run.journal import is_journal, read_record, records
@@ -32,7 +32,7 @@ from palpate.dynamics.run.series import (
 
 FORMAT, VERSION = "palpate trajectory", 4
 TRAJECTORY_REMEDY = "run the simulation again"
-TRAJECTORY_ENDINGS = (".h5", UNFINISHED)
+TRAJECTORY_ENDINGS = (".h5", UNFINISHED_ENDING)
 PARAVIEW_REMEDY = "palpate view --record and palpate reproduce write .vtkhdf for ParaView"
 POINTS_ARRAY = {"points": Array(("nodes", "space"), unit="m")}
 HEADER_KEYS = ("model", "label", "wall_seconds", "stiffness_damping", "complete")

@@ -22,6 +22,7 @@ from palpate.reduction.training.fit_compliance import fit_stiffening
 from palpate.reduction.training.parallel_runs import in_threads
 
 Trial = tuple[Sequence[Load], Run]
+GivenTrial = tuple[Load | Sequence[Load], Run]  # with one load or several
 
 FORCE_PASSES = 2  # corrections of the surface compliance
 FORCE_STEP = 1.4  # exponent of a correction, because part of a displacement is that of the modes

@@ -12,6 +12,7 @@ import numpy as np
 
 from palpate.core.arrays import Floats
 from palpate.core.faults import InputError, TrustWarning, integer_in_range, number_in_range
+from palpate.dynamics.loads.prepared import listed
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.nodal.energy_model import EnergyModel, Fields
 from palpate.dynamics.nodal.model import NodalModel
@@ -26,7 +27,7 @@ from palpate.reduction.contact.coarse_body import statics_body
 from palpate.reduction.hyper.data import SampledBasis, TrainedRange, TrialAndTestBasis
 from palpate.reduction.hyper.model import ReducedData, ReducedModel
 from palpate.reduction.training.advice import advice
-from palpate.reduction.training.calibrate_contact import Trial, calibrate_contact
+from palpate.reduction.training.calibrate_contact import GivenTrial, Trial, calibrate_contact
 from palpate.reduction.training.ecsw import choose_cubature_points
 from palpate.reduction.training.fit_compliance import fit_compliance
 from palpate.reduction.training.held_out import errors_on_held_out
@@ -60,13 +61,13 @@ def hyper_reduce(
     modes: int | None = None,
     tolerance: float | None = None,
     prescribed: str | Sequence[str] = (),
-    held_out: Sequence[Trial] = (),
+    held_out: Sequence[GivenTrial] = (),
     enrichment: Floats | None = None,
     cubature: float | None = None,
     pressures: int | None = None,
     basis: str | None = None,
     coarse: Solid | Coarsen | None = None,
-    repeated: Sequence[Trial] = (),
+    repeated: Sequence[GivenTrial] = (),
     seed: int = 0,
 ) -> ReducedModel:
     """Train a reduced model on runs of a full one: modes, cubature points, errors and error indicator.
@@ -161,8 +162,8 @@ def hyper_reduce(
     vibrations = _has_vibrations(basis, body, touched, enrichment)
     options = _Options(
         tools=tools,
-        held_out=held_out,
-        repeated=repeated,
+        held_out=[(listed(loads), run) for loads, run in held_out],
+        repeated=[(listed(loads), run) for loads, run in repeated],
         enrichment=enrichment,
         cubature=_cubature_error(cubature, touched),
         pressures=pressures,
@@ -200,7 +201,7 @@ class _Options:
     touched: bool  # whether tools touch a solid anywhere
 
 
-def _check_runs(full: Solid | Membrane, snapshots: Snapshots, held_out: Sequence[Trial]) -> None:
+def _check_runs(full: Solid | Membrane, snapshots: Snapshots, held_out: Sequence[GivenTrial]) -> None:
     """Refuse runs of another cloud."""
     tried = [(run if isinstance(run, Trajectory) else StoredTrajectory(run)).points for _, run in held_out]
     for points in (*snapshots.points, *tried):
