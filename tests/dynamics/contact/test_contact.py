@@ -434,6 +434,14 @@ def test_invalid_tools_are_refused_by_name(cube, make, message):
         run(cube, make(), duration=2e-3)
 
 
+@pytest.mark.parametrize("pose", [5, None, "down", (), (0, 0), (0, 0, 1, 2), (0, 0, np.nan), {"z": 1}])
+@pytest.mark.parametrize("load", [lambda at: pt.tools.Contact(BALL, at), lambda at: pt.tools.Grasp(TOP, 0.004, at)])
+def test_a_constant_pose_is_checked_when_the_tool_is_made(load, pose):
+    with pytest.raises(pt.InputError, match=r"motion of (Contact 'tool'|Grasp 'grasp') must be (a position|finite)"):
+        load(pose)
+    load(lambda t: pose)
+
+
 def test_two_tools_of_one_name_are_refused(cube):
     with pytest.raises(pt.InputError, match="must be unique, got 'tool' twice"):
         run(cube, *[pt.tools.Contact(BALL, 2 * TOP)] * 2)

@@ -69,7 +69,8 @@ class Contact(Described):
     Raises
     ------
     InputError
-        The tool has another type, or the friction is negative.
+        The tool has another type, the friction is negative, or a constant pose is not a position, or a position and a
+        rotation.
 
     Examples
     --------
@@ -97,6 +98,7 @@ class Contact(Described):
                 f"{self.tool!r:.200}"
             )
         super().__post_init__()
+        _check_constant(self.motion, f"motion of Contact {self.name!r}")
 
     def _facts(self) -> list[Fact]:
         return _with_motion(super()._facts())
@@ -129,7 +131,7 @@ class Grasp(Described):
     Raises
     ------
     InputError
-        `until` is negative or not a number, or no surface node is within the radius.
+        `until` is negative or not a number, a constant pose is invalid, or no surface node is within the radius.
 
     Examples
     --------
@@ -148,6 +150,10 @@ class Grasp(Described):
     motion: Motion = parameter(help="pose of the tool")
     until: float = parameter("s", np.inf, "time of release", low=0.0)
     name: str = "grasp"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_constant(self.motion, f"motion of Grasp {self.name!r}")
 
     def _facts(self) -> list[Fact]:
         return _with_motion(super()._facts())
@@ -191,7 +197,7 @@ def _motion_fact(motion: Motion) -> str:
     """Return in a few words what a motion is given as."""
     if callable(motion):
         return "a function of time"
-    if np.ndim(motion[0]) == 0 or (len(motion) == 2 and np.ndim(motion[1]) == 1):
+    if _is_constant(motion):
         return "at rest"
     times = np.asarray(motion[0], dtype=float)
     return f"{times.size:,} samples from {times.min(initial=np.inf):.3g} to {times.max(initial=-np.inf):.3g} s"
@@ -219,11 +225,25 @@ def surface_nodes(cloud: Cloud) -> NDArray[np.int64]:
     return np.unique(cloud.face_nodes) if cloud.points.shape[1] == 3 else np.arange(len(cloud))
 
 
+def _is_constant(motion: Any) -> bool:
+    """Return whether a motion that is no function is one pose, and not sampled arrays."""
+    return np.ndim(motion[0]) == 0 or (len(motion) == 2 and np.ndim(motion[1]) == 1)
+
+
+def _check_constant(motion: Any, what: str) -> None:
+    """Check one pose when its load is made; functions and samples are checked when they are used."""
+    if callable(motion):
+        return
+    is_listed = isinstance(motion, Sequence) or (isinstance(motion, np.ndarray) and motion.ndim > 0)
+    if not is_listed or not len(motion) or _is_constant(motion):
+        poses(lambda time: motion, np.zeros(1), what)
+
+
 def motion_function(motion: Motion, what: str) -> Motion:
     """Return a function of time or a constant pose for a motion."""
     if callable(motion):
         check_arguments(motion, ("time",), what)
-    if callable(motion) or np.ndim(motion[0]) == 0 or (len(motion) == 2 and np.ndim(motion[1]) == 1):
+    if callable(motion) or _is_constant(motion):
         return motion
     if len(motion) not in (2, 3):
         raise InputError(
