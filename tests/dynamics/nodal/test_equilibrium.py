@@ -241,8 +241,11 @@ def test_loads_without_static_force_and_unsupported_bodies_are_refused_by_name(b
         pt.equilibrium(3)
     with pytest.raises(pt.InputError, match=r"tolerance must be in \[1e-10, 0.01\], got 1"):
         pt.equilibrium(body, tolerance=1)
-    with pytest.raises(pt.InputError, match=r"loads must be a list, got one Gravity"):
-        pt.equilibrium(body, pt.Gravity())
+
+
+def test_one_load_is_taken_as_a_list_of_one(body):
+    one, several = pt.equilibrium(body, pt.Gravity()), pt.equilibrium(body, [pt.Gravity()])
+    np.testing.assert_array_equal(one.displacements, several.displacements)
 
 
 def test_a_load_below_rounding_is_in_equilibrium_at_once(body):
