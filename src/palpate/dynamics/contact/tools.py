@@ -226,7 +226,7 @@ def surface_nodes(cloud: Cloud) -> NDArray[np.int64]:
 
 
 def _is_constant(motion: Any) -> bool:
-    """Return whether a motion that is no function is one pose, and not sampled arrays."""
+    """Return whether a motion other than a function is one pose, and not sampled arrays."""
     return np.ndim(motion[0]) == 0 or (len(motion) == 2 and np.ndim(motion[1]) == 1)
 
 
