@@ -12,7 +12,7 @@ const DASHES = { "--tool-1": [7, 3], "--tool-2": [2, 3], "--tool-3": [7, 3, 2, 3
 const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 const FONT = '10px system-ui, "Liberation Sans", sans-serif';
-const UNIT_GAP = 7; // [px] between an axis and its unit
+const UNIT_GAP = 6; // [px] between an axis and its unit
 const LEAST_DEPTH = 2; // [mm] of an axis
 
 /** Write the units of a plot at the ends of its axes. */
@@ -24,7 +24,7 @@ function drawUnits({ ctx, bbox }, { x, y }) {
   ctx.textAlign = "left";
   const left = bbox.left + bbox.width + 5 * ratio;
   ctx.textBaseline = "top";
-  ctx.fillText(x, left + 4 * ratio, bbox.top + bbox.height + UNIT_GAP * ratio);
+  ctx.fillText(x, left + 5 * ratio, bbox.top + bbox.height + 4 * ratio);
   ctx.textBaseline = "alphabetic";
   ctx.fillText(y, left, bbox.top - UNIT_GAP * ratio);
   ctx.restore();
@@ -51,7 +51,7 @@ class Strip {
     if (units) element.setAttribute("aria-label", `Force [${units.y}] over ${units.x === "s" ? "time" : "depth"} [${units.x}]`);
     const hooks = { draw: [(plot) => units && drawUnits(plot, units), ...(draw ? [draw] : [])] };
     this.plot = new uPlot({
-      width: 200, height: 60, padding: units ? [18, 0, 0, 6] : [6, 0, 4, 0], hooks, cursor: { show: false }, legend: { show: false },
+      width: 200, height: 60, padding: units ? [16, 0, 0, 10] : [6, 0, 4, 0], hooks, cursor: { show: false }, legend: { show: false },
       scales: {
         x: { time: false, range },
         y: { range: (_, low, high) => [0, Math.max(least, 1.15 * (high ?? 0))] },

@@ -5,7 +5,7 @@ import { depthAt, Growth } from "./pressDepth.js";
 
 const APPROACH_GAP = 0.008; // [m] between surface and tool at the start, so that the tool is outside the body
 const APPROACH_TIME = 0.07; // [s], time constant
-const TOUCH_GAP = 3e-4; // [m] between surface and depth of a press below which a short click has touched
+const TOUCH_GAP = 3e-4; // [m] between surface and depth of a press below which it has touched
 const SHORT_TIME = 0.4; // [s] in which a short click touches, at most
 const DEPTH_SHARE = 0.35; // depth of a click that is held, over the radius of the ball
 const CLICK_SHARE = 0.02; // the same over the diagonal of the body, at most
@@ -208,9 +208,10 @@ export class Press {
     }
   }
 
-  /** Press deeper while a click is held. */
+  /** Press deeper while a click is held, from when it touches. */
   grow(seconds) {
     if (!this.growth || this.growth.over) return this.settle();
+    if (this.approach > TOUCH_GAP) return;
     this.depth = Math.min(this.depth + this.growth.update(seconds), this.deepest);
     this.send(null);
   }

@@ -15,7 +15,9 @@ export function placeMessages(byId) {
   const place = () => {
     const { top } = scene.getBoundingClientRect();
     const box = title.getBoundingClientRect();
+    messages.classList.remove("below");
     const next = messagesTop({ right: box.right, bottom: box.bottom - top }, messages.getBoundingClientRect(), USUAL_TOP);
+    messages.classList.toggle("below", next !== USUAL_TOP);
     messages.style.top = `${Math.round(next)}px`;
   };
   const watch = new ResizeObserver(place);
