@@ -173,6 +173,7 @@ const answers = {
     const [low, high] = message.bounds;
     panel.offer(message, Math.hypot(...high.map((part, k) => part - low[k])));
     transport.offer(message);
+    plots.offer(message);
     Object.assign(session, { pace: 1, fullNewtons: NaN });
     if (message.compare) byId("overlay").checked = true;
     statusLine.showMessage(message.training_errors?.advice);
@@ -395,11 +396,11 @@ function statesOf({ sequence, tool, force, newtons, position, quaternion, pose }
 /** A state with the force of the tool that is read. */
 const handState = (state) => ({ ...state, newtons: hands.state(hands.read).newtons });
 
-/** The depth [m] of the press in hand, as the session has it; null without one. */
+/** The depth [m] of the press in hand, as the session has it; null without one, and until the session answers its poses. */
 function pressDepth() {
   const { press } = controls;
   const tool = press && hands.state(press.index);
-  return tool && tool.kind !== "none" ? press.depthAt(tool.position) : null;
+  return tool && tool.kind !== "none" && tool.pose >= press.first ? press.depthAt(tool.position) : null;
 }
 
 /** Update the readings at a rate at which they can be read. */

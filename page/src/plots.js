@@ -110,11 +110,16 @@ export class Plots {
     });
     const mark = choice(byId("plot-kind"), [["time", "over time"], ["depth", "over depth"]], (kind) => this.show(kind));
     this.mark = (kind) => {
+      this.kind = kind;
       mark(kind);
       byId("plot-force").hidden = kind !== "time";
       byId("plot-depth").hidden = kind !== "depth";
     };
     this.mark("time");
+    this.offerDepth = (offered) => {
+      byId("plot-kind").hidden = !offered;
+      if (!offered) this.mark("time");
+    };
     this.strips = [
       [new Strip(byId("plot-force"), 0.5, [TOOL_LINES[0], "--faint", ...TOOL_LINES.slice(1)], true, { units: { x: "s", y: "N" } }), ["newtons", "fullNewtons", ...MORE_TOOLS]],
       [new Strip(byId("plot-energy"), 0.1, ["--accent", "--faint"], false), ["strain", "kinetic"]],
@@ -148,10 +153,17 @@ export class Plots {
   draw(now, again = false) {
     if (!again && now - this.last < REDRAW_INTERVAL) return;
     this.last = now;
-    for (const [strip, names] of this.strips) strip.draw(this.times, names.map((name) => this.values[name]), now);
+    const shown = this.kind === "time" ? this.strips : this.strips.slice(1);
+    for (const [strip, names] of shown) strip.draw(this.times, names.map((name) => this.values[name]), now);
+    if (this.kind === "time") return;
     const { depths, forces } = this.curve;
     const most = (list) => list.reduce((high, value) => Math.max(high, value ?? 0), 0);
     this.depthStrip.plot.setData([[0, most(depths)], [0, most(forces)]]);
+  }
+
+  /** Offer the force over the depth where a tool of a hello message has one. */
+  offer({ mode, tools }) {
+    this.offerDepth(mode !== "replay" && tools.some((kind) => kind === "sphere" || kind === "capsule"));
   }
 
   /** Show the force over "time" or over "depth". */

@@ -40,6 +40,7 @@ export class Press {
     this.normal = hit.normal.clone();
     this.growth = this.grasps || this.cuts ? null : new Growth(Math.min(DEPTH_SHARE * tool.radius, CLICK_SHARE * scene.size));
     this.depth = this.growth?.light ?? (this.cuts ? tool.depth : 0);
+    this.first = sequence + 1; // of its poses
     this.begin();
     if (this.cuts) this.depth = Math.min(this.depth, this.deepest);
     this.approach = this.grasps ? 0 : this.depth + APPROACH_GAP;
