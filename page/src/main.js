@@ -411,7 +411,7 @@ function updateReadings(now) {
   const shown = handState(session.state);
   panel.state(shown, session.fullNewtons);
   const held = hands.read === hands.inHand ? "" : `${titleOf(hands.read, hands.slots[hands.read].tool.kind)}, held`;
-  panel.press(pressDepth(), shown.newtons, held);
+  panel.press(airTime > AIR_TIME ? null : pressDepth(), shown.newtons, held);
   handList.show(driver());
   handList.update(panel.beyond);
 }

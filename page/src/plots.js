@@ -31,7 +31,10 @@ function drawUnits({ ctx, bbox }, { x, y }) {
 }
 
 class Strip {
-  /** `units` {x, y} are written at the axes; without them the axis x is hidden. `range` [low, high] is that of x, from its data. */
+  /**
+   * `units` {x, y} are written at the axes; without them the axis x is hidden. `range` gives that of x from its data. `draw`
+   * draws instead of the lines.
+   */
   constructor(element, least, colours, fill, { units = null, range = () => [-DURATION, 0], draw } = {}) {
     this.element = element;
     this.columns = [[], ...colours.map(() => [])];
@@ -40,6 +43,7 @@ class Strip {
       width: 1.5,
       dash: DASHES[name],
       points: { show: false },
+      ...(draw && { paths: () => null }),
       ...(fill && k === 0 && { fill: () => `color-mix(in srgb, ${style(name)} 12%, transparent)` }),
     }));
     const axis = {

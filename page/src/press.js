@@ -5,8 +5,9 @@ import { depthAt, Growth } from "./pressDepth.js";
 
 const APPROACH_GAP = 0.008; // [m] between surface and tool at the start, so that the tool is outside the body
 const APPROACH_TIME = 0.07; // [s], time constant
-const TOUCH_GAP = 3e-4; // [m] between surface and depth of a press below which it has touched
-const SHORT_TIME = 0.4; // [s] in which a short click touches, at most
+const TOUCH_GAP = 3e-4; // [m] left of the approach at which a press begins to grow
+const TOUCH_FORCE = 2e-3; // [N] of a tool that has touched
+const SHORT_TIME = 0.5; // [s] in which a short click touches, at most
 const DEPTH_SHARE = 0.35; // depth of a click that is held, over the radius of the ball
 const CLICK_SHARE = 0.02; // the same over the diagonal of the body, at most
 const RETRY_TIME = 0.3; // [s] without an active tool before a retry from farther away
@@ -33,7 +34,7 @@ function turned(kind, normal, along) {
 export class Press {
   /** `roll` [rad] is the turn of the tool around the normal of the surface. */
   constructor(scene, page, hit, stamp, { tool, index = 0, roll = 0 }) {
-    Object.assign(this, { scene, page, hit, stamp, tool, index, lastKey: "", timeWithoutTool: 0, age: 0, leaving: false });
+    Object.assign(this, { scene, page, hit, stamp, tool, index, lastKey: "", timeWithoutTool: 0, age: 0, touched: false, leaving: false });
     this.grasps = tool.kind === "grasp" || tool.kind === "group";
     this.cuts = tool.kind === "scalpel";
     this.offset = new three.Vector3(); // along the surface; for forceps in any direction
@@ -67,7 +68,7 @@ export class Press {
     Object.assign(press, {
       scene, page, tool, index, hit: { point, normal }, stamp: null, lastKey: "", timeWithoutTool: 0, normal, along,
       grasps: tool.kind === "grasp", cuts: tool.kind === "scalpel", offset: new three.Vector3(), home: point.clone(), depth: 0, approach: 0,
-      least: -Infinity, way: 1, trail: 0, bias: 0, growth: null, age: 0, leaving: false, unknown: true,
+      least: -Infinity, way: 1, trail: 0, bias: 0, growth: null, age: 0, touched: true, leaving: false, unknown: true,
     });
     if (press.cuts) press.bias = scene.body.atRest.around(point.toArray(), normal.toArray(), tool.length).height;
     press.begin();
@@ -169,7 +170,7 @@ export class Press {
 
   /** End a press, which first touches the body where it was short; returns whether it goes on until then. */
   leave() {
-    const short = !this.grasps && !this.cuts && this.approach > TOUCH_GAP && this.age < SHORT_TIME && this.depth > 0;
+    const short = !this.grasps && !this.cuts && !this.touched && this.age < SHORT_TIME && this.depth > 0;
     this.settle();
     this.leaving = short;
     return short;
@@ -195,6 +196,7 @@ export class Press {
   /** Go on by a time [s], by the state of the session and of this tool. */
   update(seconds, state, tool) {
     this.age += seconds;
+    this.touched ||= tool.newtons > TOUCH_FORCE && tool.pose >= this.first;
     this.grow(seconds);
     // the server does not put a tool down inside the body: retry from farther away
     const gone = !this.grasps && state?.state === "running" && tool.kind === "none";
