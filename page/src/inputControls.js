@@ -161,7 +161,7 @@ export class InputControls {
     if (tool.kind === "grasp" && this.scene.body.isFixedNear(hit.vertex, tool.radius)) return refused("fixed here");
     if (second) this.hands.prepare(index, { ...tool });
     const press = new Press(this.scene, this.page, hit, stamp, { tool, index, roll: this.roll });
-    if (pointer === null) press.settle(); // keys go deeper step by step
+    if (pointer === null) press.stopGrowth(); // keys go deeper step by step
     this.add(press, pointer);
   }
 
@@ -183,7 +183,7 @@ export class InputControls {
     if (!former) return;
     const press = former instanceof Press ? former : Press.resume(this.scene, this.page, former, { tool: this.hands.tool, index });
     press.begin();
-    press.settle();
+    press.stopGrowth();
     press.taken = true; // it was held, and is held again where it is let go
     this.add(press, pointer);
   }

@@ -13,7 +13,7 @@ const style = (name) => getComputedStyle(document.documentElement).getPropertyVa
 
 const FONT = '10px system-ui, "Liberation Sans", sans-serif';
 const UNIT_GAP = 6; // [px] between an axis and its unit
-const LEAST_DEPTH = 2; // [mm] of an axis
+const MIN_DEPTH_AXIS = 2; // [mm] at which the axis of the depth ends, at least
 
 /** Write the units of a plot at the ends of its axes. */
 function drawUnits({ ctx, bbox }, { x, y }) {
@@ -109,7 +109,7 @@ export class Plots {
     this.curve = new PressCurve();
     this.depthStrip = new Strip(byId("plot-depth"), 0.2, ["--accent"], false, {
       units: { x: "mm", y: "N" },
-      range: (_, low, high) => [0, Math.max(LEAST_DEPTH, 1.1 * (high ?? 0))],
+      range: (_, low, high) => [0, Math.max(MIN_DEPTH_AXIS, 1.1 * (high ?? 0))],
       draw: (plot) => drawCurve(plot, this.curve),
     });
     const mark = choice(byId("plot-kind"), [["time", "over time"], ["depth", "over depth"]], (kind) => this.show(kind));

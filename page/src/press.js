@@ -163,21 +163,21 @@ export class Press {
     this.send(stamp);
   }
 
-  /** Grow no deeper. */
-  settle() {
+  /** Let the depth grow no more. */
+  stopGrowth() {
     this.growth = null;
   }
 
   /** End a press, which first touches the body where it was short; returns whether it goes on until then. */
   leave() {
     const short = !this.grasps && !this.cuts && !this.touched && this.age < SHORT_TIME && this.depth > 0;
-    this.settle();
+    this.stopGrowth();
     this.leaving = short;
     return short;
   }
 
   deepen(metres, stamp) {
-    this.settle();
+    this.stopGrowth();
     this.depth = Math.min(Math.max(this.depth + metres, Math.max(this.least, -this.deepest)), this.deepest);
     this.send(stamp);
   }
@@ -213,7 +213,7 @@ export class Press {
 
   /** Press deeper while a click is held, from when it touches. */
   grow(seconds) {
-    if (!this.growth || this.growth.over) return this.settle();
+    if (!this.growth || this.growth.over) return this.stopGrowth();
     if (this.approach > TOUCH_GAP) return;
     this.depth = Math.min(this.depth + this.growth.update(seconds), this.deepest);
     this.send(null);

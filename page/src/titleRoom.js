@@ -5,8 +5,8 @@ const USUAL_TOP = 24; // [px] of messages next to a title
 
 /** The top [px] of messages next to a title, or below it where the two would overlap. */
 export function messagesTop(title, messages, usual) {
-  const beside = title.right + GAP <= messages.left;
-  return beside ? usual : Math.max(usual, title.bottom + GAP);
+  const isClear = title.right + GAP <= messages.left;
+  return isClear ? usual : Math.max(usual, title.bottom + GAP);
 }
 
 /** Keep messages clear of the title, whatever it says and however wide the window is. */
