@@ -5,8 +5,9 @@
 trains the reduced models of `BODIES` with default choices, and moves their tools in a session as the page does: 60
 poses a second. A ball comes from 8 mm above the surface with a time constant of 70 ms. Of five paths it is held in one,
 drawn sideways, flicked, and let go in half a second in one each; in one a second ball presses elsewhere. Balls go half
-as deep as a click to twice as deep. The held end of the beam moves likewise, by what it was trained for. The full body
-then follows the paths that the tools took. Places and depths are others than those of training and calibration.
+as deep as a click that is held to twice as deep, and at once: on the page a click grows to that depth in 0.8 s. The
+held end of the beam moves likewise, by what it was trained for. The full body then follows the paths that the tools
+took. Places and depths are others than those of training and calibration.
 
 Models and runs are kept in the folder, under the commit of the sources, so that a stopped command continues. With
 ``--keep`` each body is added to docs/validation/hand.json, and bodies of the same commit there are not measured again.
@@ -54,8 +55,8 @@ from palpate.scenes.scene import Scene
 GAP, APPROACH = 0.008, 0.07  # [m] above the surface, and time constant [s], as page/src/press.js
 FRICTION = 0.2  # as page/src/toolSettings.js
 FRAME = 1 / 60  # [s] between poses
-DEPTH_SHARE = 0.35  # depth of a click over the radius of the ball, as page/src/press.js
-CLICK_SHARE = 0.02  # depth of a click over the diagonal of the body, at most
+DEPTH_SHARE = 0.35  # depth of a click that is held, over the radius of the ball, as page/src/press.js
+CLICK_SHARE = 0.02  # the same over the diagonal of the body, at most
 DEPTHS = 0.5, 2.0  # of a press over that of a click: the wheel and motions to and fro change it
 KINDS = ("click", "drag", "flick", "tap", "two tools")
 DURATION = {"click": 1.0, "drag": 1.4, "flick": 1.0, "tap": 0.5, "two tools": 1.0}  # [s]

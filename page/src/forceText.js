@@ -4,6 +4,9 @@ const BEYOND_UNTIL = 0.92; // of the largest error indicator with a bound, at wh
 const SUPPORTED = 1.15; // largest step of the digits, in bounds
 const END_TOLERANCE = 0.25; // in steps, by which a rounded end may be inside the exact one
 
+const MIN_DEPTH = 2e-4; // [m] of a press that has a depth and a stiffness
+const MIN_FORCE = 5e-3; // [N] of a press that has a stiffness
+
 export const BEYOND = "Beyond what the model was trained on: no force can be given here. Ease off.";
 export const THROUGH = "The tool slipped through the surface: let go.";
 export const FULL = "Full model: no error of reduction.";
@@ -24,11 +27,24 @@ export function trustText({ trust, beyond, bound }) {
   return trust > 1 ? { text: "Slightly beyond training", note: "The error bound is wider here." } : { text: "Within training", note: "" };
 }
 
-/** A force [N] without a bound: two significant digits, and no more than two decimals. */
+/** A force [N] without a bound: two significant digits, and no more than three decimals. */
 export function plainForce(newtons) {
-  const decimals = newtons < 0.995 ? 2 : newtons < 9.95 ? 1 : 0;
+  const decimals = newtons < 0.00995 ? 2 : newtons < 0.0995 ? 3 : newtons < 0.995 ? 2 : newtons < 9.95 ? 1 : 0;
   return newtons < 0.005 ? "0" : newtons.toFixed(decimals);
 }
+
+/** A depth [m] in millimetres. */
+export const depthText = (depth) => (1e3 * depth).toFixed(1);
+
+/** The depth [mm] and the stiffness [N/mm], force over depth, of a press; empty where the press is shallow or the force not known. */
+export function pressReading(depth, newtons, known = true) {
+  if (!(depth >= MIN_DEPTH)) return { depth: "", stiffness: "" };
+  const stiffness = newtons / (1e3 * depth);
+  return { depth: depthText(depth), stiffness: known && newtons >= MIN_FORCE ? twoDigits(stiffness) : "" };
+}
+
+/** A number with two significant digits, without an exponent. */
+const twoDigits = (value) => value.toFixed(Math.max(1 - Math.floor(Math.log10(value * 1.005)), 0));
 
 /** The largest 1, 2 or 5 times a power of ten that an error bound supports. */
 function digitStep(bound) {

@@ -56,6 +56,12 @@ export class Hands {
     return this.slots.flatMap(({ pinned }, index) => (pinned ? [index] : []));
   }
 
+  /** The index of the tool whose force is read: the one in hand, or where none presses the held one with the largest force. */
+  get read() {
+    if (this.state(this.inHand).kind !== "none") return this.inHand;
+    return this.held.reduce((best, index) => (this.state(index).newtons > this.state(best).newtons ? index : best), this.inHand);
+  }
+
   /** Indices of the tools that are in the body's space now. */
   get active() {
     return this.slots.flatMap(({ state }, index) => (state.kind === "none" ? [] : [index]));

@@ -160,7 +160,9 @@ export class InputControls {
     if (index < 0) return refused("no tool is free");
     if (tool.kind === "grasp" && this.scene.body.isFixedNear(hit.vertex, tool.radius)) return refused("fixed here");
     if (second) this.hands.prepare(index, { ...tool });
-    this.add(new Press(this.scene, this.page, hit, stamp, { tool, index, roll: this.roll }), pointer);
+    const press = new Press(this.scene, this.page, hit, stamp, { tool, index, roll: this.roll });
+    if (pointer === null) press.stopGrowth(); // keys go deeper step by step
+    this.add(press, pointer);
   }
 
   add(press, pointer) {
@@ -181,6 +183,7 @@ export class InputControls {
     if (!former) return;
     const press = former instanceof Press ? former : Press.resume(this.scene, this.page, former, { tool: this.hands.tool, index });
     press.begin();
+    press.stopGrowth();
     press.taken = true; // it was held, and is held again where it is let go
     this.add(press, pointer);
   }
@@ -194,7 +197,8 @@ export class InputControls {
 
   /** The pointer of a press is up. */
   letGo(press) {
-    if (press.taken || (this.hands.armed && press.index === this.hands.inHand)) this.hold(press);
+    if (press.leave()) press.pointer = null; // until it has touched
+    else if (press.taken || (this.hands.armed && press.index === this.hands.inHand)) this.hold(press);
     else this.release(press);
   }
 
@@ -252,7 +256,10 @@ export class InputControls {
 
   /** Update once per frame: the presses, and the preview of the tool. */
   update(seconds, state) {
-    for (const press of this.presses) press.update(seconds, state, this.hands.state(press.index));
+    for (const press of [...this.presses]) {
+      press.update(seconds, state, this.hands.state(press.index));
+      if (press.leaving) this.letGo(press);
+    }
     const { ghost, marker, size } = this.scene;
     marker.mesh.visible = ghost.group.visible = false;
     const free = !this.press && this.hover && this.page.driver();

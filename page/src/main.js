@@ -2,12 +2,12 @@
 import "./style.css";
 import { showBody } from "./aboutBody.js";
 import { HandList } from "./handList.js";
-import { Hands } from "./hands.js";
+import { Hands, titleOf } from "./hands.js";
 import { InputControls } from "./inputControls.js";
 import { LabelChoice } from "./labelChoice.js";
 import { Legend, updateScaleBar } from "./legend.js";
 import { LocalConnection, localModel } from "./localConnection.js";
-import { paceText } from "./forceText.js";
+import { depthText, paceText } from "./forceText.js";
 import { FrameMeter } from "./meter.js";
 import { StatusLine } from "./statusLine.js";
 import { Panel } from "./panel.js";
@@ -19,6 +19,7 @@ import { Scene } from "./scene.js";
 import { Surroundings, SurroundingsPanel, shapeName } from "./surroundings.js";
 import { theme } from "./theme.js";
 import { initialTools, offerDepth } from "./toolSettings.js";
+import { placeMessages } from "./titleRoom.js";
 import { showTools } from "./toolView.js";
 import { Transport } from "./transport.js";
 
@@ -90,6 +91,7 @@ function start() {
     statusLine.showMessage(error.message);
     return;
   }
+  placeMessages(byId);
   plots = new Plots(byId);
   panel = new Panel(byId, { send, choose, change, scalar });
   transport = new Transport(byId, (message) => {
@@ -171,6 +173,7 @@ const answers = {
     const [low, high] = message.bounds;
     panel.offer(message, Math.hypot(...high.map((part, k) => part - low[k])));
     transport.offer(message);
+    plots.offer(message);
     Object.assign(session, { pace: 1, fullNewtons: NaN });
     if (message.compare) byId("overlay").checked = true;
     statusLine.showMessage(message.training_errors?.advice);
@@ -377,6 +380,8 @@ function showState(state, now, seconds) {
   const beyond = panel.judge(state);
   hands.update(statesOf(state));
   if (state.state === "running") plots.add(now, state, beyond, session.fullNewtons, hands.slots.map((slot) => slot.state));
+  const depth = pressDepth();
+  if (state.state === "running" && depth !== null) plots.curve.add(controls.press, depth, beyond ? null : hands.state(controls.press.index).newtons);
   transport.time(state.time);
   announceForce(state, now);
 }
@@ -388,15 +393,25 @@ function statesOf({ sequence, tool, force, newtons, position, quaternion, pose }
   return [{ kind: tool, pinned: false, force, newtons, position, quaternion, pose }];
 }
 
-/** A state with the force of the tool in hand. */
-const handState = (state) => ({ ...state, newtons: hands.state(hands.inHand).newtons });
+/** A state with the force of the tool that is read. */
+const handState = (state) => ({ ...state, newtons: hands.state(hands.read).newtons });
+
+/** The depth [m] of the press in hand, as the session has it; null without one, and until the session answers its poses. */
+function pressDepth() {
+  const { press } = controls;
+  const tool = press && hands.state(press.index);
+  return tool && tool.kind !== "none" && tool.pose >= press.first ? press.depthAt(tool.position) : null;
+}
 
 /** Update the readings at a rate at which they can be read. */
 let lastReading = { at: 0, state: null };
 function updateReadings(now) {
   if (!session.state || lastReading.state === session.state || now - lastReading.at < READOUT_INTERVAL) return;
   lastReading = { at: now, state: session.state };
-  panel.state(handState(session.state), session.fullNewtons);
+  const shown = handState(session.state);
+  panel.state(shown, session.fullNewtons);
+  const held = hands.read === hands.inHand ? "" : `${titleOf(hands.read, hands.slots[hands.read].tool.kind)}, held`;
+  panel.press(airTime > AIR_TIME ? null : pressDepth(), shown.newtons, held);
   handList.show(driver());
   handList.update(panel.beyond);
 }
@@ -407,7 +422,8 @@ function announceForce(state, now) {
   lastAnnouncement = now;
   const { lead, value, range, note } = panel.force(handState(state));
   const words = value ? `${lead} ${value} newtons${range && `, ${range}`}` : note;
-  statusLine.announce(`${(1e3 * controls.press.depth).toFixed(1)} millimetres, ${words}`);
+  const depth = pressDepth();
+  statusLine.announce([depth === null ? "" : `${depthText(Math.max(depth, 0))} millimetres`, words].filter(Boolean).join(", "));
 }
 
 /** Say that a tool touches nothing, or is inside the body, next to the tool. */

@@ -1,9 +1,10 @@
 // The panel: readings of the session, and settings.
 import { nameOf } from "./hands.js";
 import { choice, slider, formatNumber } from "./widgets.js";
-import { comparisonText, cutText, forceReading, isBeyond, trustText } from "./forceText.js";
+import { comparisonText, cutText, forceReading, isBeyond, pressReading, trustText } from "./forceText.js";
 
 const MIN_STIFFNESS_EXPONENT = 1.5; // power of ten of the coupling [N/m]
+const REVEAL_GAP = 12; // [px] above what is opened
 const RIGID_EXPONENT = 4; // the end of the slider stands for a rigid coupling
 
 const capital = (name) => name[0].toUpperCase() + name.slice(1);
@@ -12,6 +13,7 @@ export class Panel {
   /** `actions` has send(message), choose(kind), change(fields of the tool), scalar(name). */
   constructor(byId, actions) {
     Object.assign(this, { byId, actions });
+    byId("details").ontoggle = () => byId("details").open && this.reveal(byId("details"));
     byId("fast").onchange = ({ target }) => actions.send({ type: "follow", fast: target.checked });
     this.sliders = {};
   }
@@ -127,6 +129,24 @@ export class Panel {
   force({ newtons }) {
     const { bound, full, beyond, through, nodesError } = this;
     return forceReading({ newtons, bound, full, beyond, through, nodesError, calibrated: Boolean(this.trainingErrors) });
+  }
+
+  /** Scroll what was opened into view. */
+  reveal(element) {
+    const still = matchMedia("(prefers-reduced-motion)").matches;
+    const panel = this.byId("panel");
+    const way = element.getBoundingClientRect().top - panel.getBoundingClientRect().top - REVEAL_GAP;
+    panel.scrollBy({ top: way, behavior: still ? "instant" : "smooth" });
+  }
+
+  /** Show the depth [m] of the press in hand, null without one, or the name of the held tool whose force is shown. */
+  press(depth, newtons, name) {
+    const reading = pressReading(depth, newtons, !this.beyond && !this.through);
+    this.write("depth", reading.depth);
+    this.write("stiffness", reading.stiffness);
+    this.write("held-name", name);
+    this.byId("depth-part").hidden = !reading.depth;
+    this.byId("stiffness-part").hidden = !reading.stiffness;
   }
 
   /** Show the readings of a state, with the force [N] of the full model if it is compared. */

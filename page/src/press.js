@@ -1,9 +1,15 @@
 // One press, from contact to release: the pose of the tool, and the messages to the server.
 import * as three from "three";
 import { deepestStroke } from "./bladeEdge.js";
+import { depthAt, Growth } from "./pressDepth.js";
 
 const APPROACH_GAP = 0.008; // [m] between surface and tool at the start, so that the tool is outside the body
 const APPROACH_TIME = 0.07; // [s], time constant
+const TOUCH_GAP = 3e-4; // [m] left of the approach at which a press begins to grow
+const TOUCH_FORCE = 2e-3; // [N] of a tool that has touched
+const SHORT_TIME = 0.5; // [s] in which a short click touches, at most
+const DEPTH_SHARE = 0.35; // depth of a click that is held, over the radius of the ball
+const CLICK_SHARE = 0.02; // the same over the diagonal of the body, at most
 const RETRY_TIME = 0.3; // [s] without an active tool before a retry from farther away
 const TURN_WAY = 0.3; // lengths of a blade in which it turns into its stroke
 const REVERSE_WAY = 0.1; // lengths of a blade that it goes back before its arrow turns
@@ -28,12 +34,14 @@ function turned(kind, normal, along) {
 export class Press {
   /** `roll` [rad] is the turn of the tool around the normal of the surface. */
   constructor(scene, page, hit, stamp, { tool, index = 0, roll = 0 }) {
-    Object.assign(this, { scene, page, hit, stamp, tool, index, lastKey: "", timeWithoutTool: 0 });
+    Object.assign(this, { scene, page, hit, stamp, tool, index, lastKey: "", timeWithoutTool: 0, age: 0, touched: false, leaving: false });
     this.grasps = tool.kind === "grasp" || tool.kind === "group";
     this.cuts = tool.kind === "scalpel";
     this.offset = new three.Vector3(); // along the surface; for forceps in any direction
     this.normal = hit.normal.clone();
-    this.depth = this.grasps ? 0 : this.cuts ? tool.depth : Math.min(0.35 * tool.radius, 0.02 * scene.size);
+    this.growth = this.grasps || this.cuts ? null : new Growth(Math.min(DEPTH_SHARE * tool.radius, CLICK_SHARE * scene.size));
+    this.depth = this.growth?.light ?? (this.cuts ? tool.depth : 0);
+    this.first = sequence + 1; // of its poses
     this.begin();
     if (this.cuts) this.depth = Math.min(this.depth, this.deepest);
     this.approach = this.grasps ? 0 : this.depth + APPROACH_GAP;
@@ -60,7 +68,7 @@ export class Press {
     Object.assign(press, {
       scene, page, tool, index, hit: { point, normal }, stamp: null, lastKey: "", timeWithoutTool: 0, normal, along,
       grasps: tool.kind === "grasp", cuts: tool.kind === "scalpel", offset: new three.Vector3(), home: point.clone(), depth: 0, approach: 0,
-      least: -Infinity, way: 1, trail: 0, bias: 0,
+      least: -Infinity, way: 1, trail: 0, bias: 0, growth: null, age: 0, touched: true, leaving: false, unknown: true,
     });
     if (press.cuts) press.bias = scene.body.atRest.around(point.toArray(), normal.toArray(), tool.length).height;
     press.begin();
@@ -87,6 +95,12 @@ export class Press {
     return this.home.clone().add(this.offset).addScaledVector(this.normal, this.approach - this.depth);
   }
 
+  /** How deep a ball or a capsule at a position is [m], from where it touches the surface at rest; null where that is not known. */
+  depthAt(position) {
+    if (this.grasps || this.cuts || this.unknown) return null;
+    return depthAt(this.home.clone().add(this.offset).toArray(), this.normal.toArray(), position);
+  }
+
   get quaternion() {
     return turned(this.tool.kind, this.normal, this.along);
   }
@@ -98,6 +112,7 @@ export class Press {
     } else if (this.cuts) this.stroke(dx * this.scale, -dy * this.scale);
     else {
       this.shift(this.viewAxes[0], dx * this.scale);
+      this.growth?.drag(dy);
       this.depth = Math.min(Math.max(this.depth + 0.7 * dy * this.scale, this.least), this.deepest);
     }
     this.send(stamp);
@@ -148,7 +163,21 @@ export class Press {
     this.send(stamp);
   }
 
+  /** Let the depth grow no more. */
+  stopGrowth() {
+    this.growth = null;
+  }
+
+  /** End a press, which first touches the body where it was short; returns whether it goes on until then. */
+  leave() {
+    const short = !this.grasps && !this.cuts && !this.touched && this.age < SHORT_TIME && this.depth > 0;
+    this.stopGrowth();
+    this.leaving = short;
+    return short;
+  }
+
   deepen(metres, stamp) {
+    this.stopGrowth();
     this.depth = Math.min(Math.max(this.depth + metres, Math.max(this.least, -this.deepest)), this.deepest);
     this.send(stamp);
   }
@@ -166,6 +195,9 @@ export class Press {
 
   /** Go on by a time [s], by the state of the session and of this tool. */
   update(seconds, state, tool) {
+    this.age += seconds;
+    this.touched ||= tool.newtons > TOUCH_FORCE && tool.pose >= this.first;
+    this.grow(seconds);
     // the server does not put a tool down inside the body: retry from farther away
     const gone = !this.grasps && state?.state === "running" && tool.kind === "none";
     this.timeWithoutTool = gone ? this.timeWithoutTool + seconds : 0;
@@ -177,5 +209,13 @@ export class Press {
       this.approach = this.approach < 1e-5 ? 0 : this.approach * Math.exp(-seconds / APPROACH_TIME);
       this.send(null);
     }
+  }
+
+  /** Press deeper while a click is held, from when it touches. */
+  grow(seconds) {
+    if (!this.growth || this.growth.over) return this.stopGrowth();
+    if (this.approach > TOUCH_GAP) return;
+    this.depth = Math.min(this.depth + this.growth.update(seconds), this.deepest);
+    this.send(null);
   }
 }

@@ -85,7 +85,7 @@ def test_the_force_has_its_error_bound(opened):
     text = tab.wait("document.getElementById('force-range').textContent")  # the bound is 0.12 N
     low, high = (float(part) for part in text.strip("()").split(" to "))
     assert "nodes, which is not known" in tab.evaluate("document.getElementById('force-note').textContent")
-    assert newtons - 0.17 < low < newtons < high < newtons + 0.17
+    assert newtons - 0.2 < low < newtons < high < newtons + 0.2  # rounded outward by up to 0.75 of 0.1 N
 
 
 def test_beyond_training_a_sentence_replaces_the_force(opened):
@@ -102,6 +102,44 @@ def test_beyond_training_a_sentence_replaces_the_force(opened):
     assert around(picture(tab), *_place(tab, "palpate.session.state.position"))[0] > 0.5  # the tool is red
     tab.mouse("Released", x, y)
     tab.wait("!document.getElementById('force-section').classList.contains('beyond')")
+
+
+def test_a_click_presses_lightly_and_deeper_while_it_is_held(opened):
+    tab = opened()
+    x, y = middle(tab)
+    tab.mouse("Pressed", x, y)
+    full = tab.evaluate("(p => p.depth === p.growth.light && p.growth.full)(palpate.controls.press)")
+    assert full > 0.003
+    tab.wait("palpate.controls.press.growth === null")
+    assert tab.evaluate("palpate.controls.press.depth") == pytest.approx(full)
+    tab.wait(f"Number(document.getElementById('depth').textContent) === {1e3 * full:.1f}")
+    newtons = tab.evaluate("palpate.force")
+    stiffness = float(tab.evaluate("document.getElementById('stiffness').textContent"))
+    assert stiffness == pytest.approx(newtons / (1e3 * full), rel=0.04)
+    tab.wait("palpate.plots.curve.depths.length > 3")
+    tab.evaluate("document.querySelector('#plot-kind [value=depth]').click()")
+    assert tab.evaluate("document.getElementById('plot-force').hidden && !document.getElementById('plot-depth').hidden")
+    tab.mouse("Released", x, y)
+    tab.wait("document.getElementById('depth-part').hidden && palpate.force === 0")
+    assert tab.evaluate("palpate.plots.curve.depths.length") > 3  # kept until the next press
+
+
+def test_a_short_click_touches_before_it_ends(opened):
+    tab = opened()
+    x, y = middle(tab)
+    tab.mouse("Pressed", x, y)
+    tab.mouse("Released", x, y)
+    tab.wait("palpate.controls.presses.length === 0 && palpate.force === 0")
+    assert tab.evaluate("Math.max(...palpate.plots.curve.depths)") > 0
+
+
+def test_details_scroll_into_view(opened):
+    tab = opened((1280, 560))
+    tab.evaluate("document.querySelector('#details summary').click()")
+    tab.wait(
+        "(([details, panel]) => details.top < panel.top + 40 || details.bottom <= panel.bottom)"
+        "(['details', 'panel'].map((name) => document.getElementById(name).getBoundingClientRect()))"
+    )
 
 
 def _place(tab, point):

@@ -388,3 +388,88 @@ def test_the_socket_is_next_to_the_page_and_secure_where_the_page_is(page, socke
 def test_a_tool_has_the_name_of_the_terminal_and_of_reports():
     titles = evaluate("hands.js", "[0, 1, 3].map((index) => m.titleOf(index, 'grasp'))")
     assert titles == [f"{tool_name(index).capitalize()}: forceps" for index in (0, 1, 3)]
+
+
+@pytest.mark.parametrize(
+    ("newtons", "text"),
+    [(0.0, "0"), (0.004, "0"), (0.0073, "0.01"), (0.0142, "0.014"), (0.0996, "0.10"), (0.15, "0.15"), (0.996, "1.0")],
+)
+def test_a_small_force_has_two_digits_from_ten_millinewtons_up(newtons, text):
+    assert evaluate("forceText.js", f"m.plainForce({newtons})") == text
+
+
+@pytest.mark.parametrize(
+    ("depth", "newtons", "known", "reading"),
+    [
+        ("0.0063", 1.32, "true", ("6.3", "0.21")),
+        ("0.018", 1.0, "true", ("18.0", "0.056")),
+        ("0.002", 25.0, "true", ("2.0", "13")),  # steep: no decimals
+        ("0.0063", 1.32, "false", ("6.3", "")),  # beyond training
+        ("0.0063", 0.0, "true", ("6.3", "")),  # in the air
+        ("0.00019", 0.3, "true", ("", "")),  # a quotient of small numbers says nothing
+        ("null", 0.3, "true", ("", "")),  # forceps
+    ],
+)
+def test_a_press_has_its_depth_and_its_force_over_depth(depth, newtons, known, reading):
+    found = evaluate("forceText.js", f"m.pressReading({depth}, {newtons}, {known})")
+    assert (found["depth"], found["stiffness"]) == reading
+
+
+def test_a_click_presses_lightly_and_grows_evenly_to_its_full_depth():
+    code = "((g) => Array.from({ length: 60 }, () => (g.update(1 / 60), [g.depth, g.over])))(new m.Growth(0.0063))"
+    depths, over = (np.array(each) for each in zip(*evaluate("pressDepth.js", code), strict=True))
+    assert 0.001 < depths[0] < 0.0011
+    assert (np.diff(depths) >= 0).all()
+    assert np.diff(depths).max() < 2 * 0.0053 / 48  # no jump
+    assert depths[-1] == pytest.approx(0.0063)
+    assert np.flatnonzero(over)[0] in (47, 48)  # 0.8 s
+    assert evaluate("pressDepth.js", "new m.Growth(0.0004).light") == 0.0004  # a small ball: no deeper than a click
+
+
+def test_a_drag_down_or_up_takes_the_depth_of_a_click_over():
+    over = "(g => (ways.forEach((y) => g.drag(y)), g.over))(new m.Growth(0.006))"
+    code = f"[[3, 1], [3, -3], [5], [-2, -3]].map((ways) => {over})"
+    assert evaluate("pressDepth.js", code) == [False, False, True, True]
+
+
+def test_the_depth_of_a_tool_is_along_the_normal_only():
+    assert evaluate("pressDepth.js", "m.depthAt([0.1, 0, 0.05], [0, 0, 1], [0.13, 0.02, 0.047])") == pytest.approx(
+        0.003
+    )
+
+
+def test_the_curve_of_a_press_is_kept_until_the_next_one():
+    steps = "[['a', 0, 0], ['a', 0.001, 0.2], ['a', 0.001, 0.2], ['a', 0.002, null], ['a', 0.001, 0.1]]"
+    shown = "[[...c.depths], [...c.forces]]"
+    code = (
+        f"((c) => {{ for (const each of {steps}) c.add(...each); const first = {shown}; c.add('b', 0.004, 1);"
+        f" const second = {shown}; for (let k = 0; k < 9000; k++) c.add('b', 1e-4 * (k % 50), 1); return"
+        f" [first, second, c.depths.length, c.forces.length]; }})(new m.PressCurve())"
+    )
+    first, second, *lengths = evaluate("pressCurve.js", code)
+    assert first == [[0, 1, 2, 1], [0, 0.2, None, 0.1]]
+    assert second == [[4], [1]]
+    assert lengths[0] == lengths[1] <= 3000
+
+
+def test_the_force_of_a_held_tool_is_read_where_none_is_in_hand():
+    def read(in_hand, *tools):
+        slots = [{"pinned": pinned, "state": {"kind": kind, "newtons": newtons}} for kind, pinned, newtons in tools]
+        fields = json.dumps({"inHand": in_hand, "slots": slots})
+        return evaluate("hands.js", f"Object.assign(Object.create(m.Hands.prototype), {fields}).read")
+
+    away, forceps = ("none", False, 0.0), ("grasp", True, 0.15)
+    assert read(0, away, away) == 0
+    assert read(1, forceps, away) == 0
+    assert read(2, forceps, ("sphere", True, 0.4), away) == 1  # the largest
+    assert read(1, forceps, ("sphere", False, 0.0)) == 1  # in hand, though in the air
+    assert read(1, ("grasp", True, 0.0), away) == 1
+
+
+def test_messages_stand_below_a_title_that_they_would_cover():
+    titles = [(200, 70), (250, 70), (730, 93), (20, 12)]
+    tops = [
+        evaluate("titleRoom.js", f"m.messagesTop({{ right: {right}, bottom: {bottom} }}, {{ left: 254 }}, 24)")
+        for right, bottom in titles
+    ]
+    assert tops == [24, 82, 105, 24]
