@@ -17,6 +17,7 @@ from palpate.app.recordings.recording import load_recording, save_recording
 from palpate.app.session.session import Session
 from palpate.app.view import command
 from palpate.app.view.refinement import is_trained
+from palpate.app.view.server.host import Host
 
 pytestmark = pytest.mark.slow
 
@@ -31,9 +32,10 @@ def file(model, tmp_path_factory):
 @pytest.fixture
 def ended(monkeypatch):
     """A function that sends this process a signal once a session has recorded something."""
-    made, sent = [], []
-    start = Session.start
+    made, sent, is_served = [], [], threading.Event()
+    start, wait_for_viewers = Session.start, Host.wait
     monkeypatch.setattr(Session, "start", lambda self: (made.append(self), start(self)))
+    monkeypatch.setattr(Host, "wait", lambda self: (is_served.set(), wait_for_viewers(self)))
 
     def saving(path, recording):
         for number in sent:  # once more, while the recording is written
@@ -48,6 +50,7 @@ def ended(monkeypatch):
                 time.sleep(0.01)
             if begin:
                 made[0].recordings.start()
+                is_served.wait()  # before that an interrupt ends the preparation
             while made[0].recordings.recorder is None or len(made[0].recordings.recorder.times) < 5:
                 time.sleep(0.01)
             sent.extend([number] if number != signal.SIGINT else [])
