@@ -60,7 +60,7 @@ class View(NamedTuple):
 
 
 def press_script() -> list[dict[str, object]]:
-    """Return messages of docs/protocol.md: a ball presses the liver by 10.5 mm, slides by 14 mm and lifts, in 3.2 s."""
+    """Return messages that press a ball 10.5 mm into the liver, slide it by 14 mm and lift it, in 3.2 s."""
     radius, depth, clear, slide = 0.0225, 0.0105, 0.010, 0.014  # [m]
     touched = np.array([0.042, -0.0468, 0.0444])  # on the liver's surface
     inwards, along = np.array([0.05, 0.62, -0.78]), np.array([1.0, 0.1, 0.0])

@@ -1,4 +1,4 @@
-"""Write the tables of keys in docs/scenes.md from the sections of scene files.
+"""Write the tables of keys in docs/reference/scene_files.md from the sections of scene files.
 
     python docs/key_tables.py
 
@@ -16,7 +16,7 @@ from typing import Any
 from palpate.core.parameters import fields_of
 from palpate.scenes import description as sections
 
-PAGE = Path(__file__).parent / "scenes.md"
+PAGE = Path(__file__).parent / "reference" / "scene_files.md"
 HEADS = {
     "[surface]": sections.Shape, "[body]": sections.Body, "[tissue]": sections.Tissue,
     "[tissue] relaxation = { ... }": sections.Relaxation, "[tissue] fibres = { ... }": sections.Fibre,

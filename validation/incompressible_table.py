@@ -1,4 +1,4 @@
-"""The table and the picture of docs/incompressibility.md, from what validation/incompressible.py has found.
+"""The table and the picture of docs/claims/incompressibility.md, from what validation/incompressible.py has found.
 
 python validation/incompressible_table.py            prints the tables
 python validation/incompressible_table.py figure     draws docs/images/incompressible.png

@@ -1,4 +1,4 @@
-"""How long the longest texts that are allowed for a law take to compile (docs/laws.md).
+"""How long the longest texts that are allowed for a law take to compile (docs/reference/laws.md).
 
     python validation/law_texts.py [--texts 3] [--seed 0] [--kinds quotients functions powers towers stretches]
 

@@ -1,4 +1,4 @@
-"""The curves of docs/laws.md: a panel for every law of tissue, of fibres, of relaxation and of volume.
+"""The curves of docs/reference/laws.md: a panel for every law of tissue, of fibres, of relaxation and of volume.
 
     python validation/laws.py [--out docs/images/laws.png]
 

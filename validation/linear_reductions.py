@@ -3,9 +3,9 @@
     python validation/linear_reductions.py beam|liver [--modes 4 8 16 24] [--methods modal hankel ...] [--out FOLDER]
 
 pulls the paper's beam, or a place at the front of the generated liver, a little and far, and reduces the linearised
-body by all methods of docs/linear.md: those of `palpate.lti`, of pyMOR, and the Hankel norm. It leaves report.md,
-report.json and three figures in FOLDER, by default out/linear_reductions; `validation/result_files.py` keeps a report
-for the docs.
+body by all methods of docs/claims/linear.md: those of `palpate.lti`, of pyMOR, and the Hankel norm. It leaves
+report.md, report.json and three figures in FOLDER, by default out/linear_reductions; `validation/result_files.py`
+keeps a report for the docs.
 """
 
 from __future__ import annotations

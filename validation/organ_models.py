@@ -6,7 +6,7 @@ model of the defaults; and again with 32 paths and 10 held-out ones.
 
     python validation/organ_models.py [--only NAME] [--small] [--folder out/organs] [--held-out] [--table]
 
-Results are added to docs/validation/organ_models.json, one organ a line; docs/organs.md has the tables. Of the model
+Results are added to docs/validation/organ_models.json, one organ a line. Of the model
 with 32 paths the errors of each held-out path are kept, too; --held-out measures these only, on models in the folder.
 """
 

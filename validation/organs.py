@@ -6,7 +6,7 @@ does work on the body, so its energy, kinetic and strain, must not grow.
 
     python validation/organs.py [--nodes 3000 10000] [--poisson 0.45 0.49] [--form energy] [--only NAME] [--table]
 
-Results are added to docs/validation/organs.json, one case a line; docs/organs.md has the table.
+Results are added to docs/validation/organs.json, one case a line; docs/howto/organs.md has the table.
 """
 
 from __future__ import annotations

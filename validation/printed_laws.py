@@ -1,4 +1,4 @@
-"""The laws as docs/laws.md prints them, for finite elements and closed forms: SymPy's derivatives of their energies.
+"""The laws as docs/reference/laws.md prints them, for finite elements and closed forms: SymPy derives them.
 
 Nothing here calls a law of palpate: its class gives the name and the parameters, and everything else, moduli at rest
 included, comes from the printed energy as a function of the principal stretches. Energies of fibres are differentiated

@@ -137,7 +137,7 @@ export class LocalSession {
     return [this.toolFrame(), this.stateFrame()];
   }
 
-  /** docs/protocol.md, kind 8. */
+  /** docs/reference/protocol.md, kind 8. */
   toolFrame() {
     const numbers = this.tools.flatMap((tool) => tool.numbers());
     const buffer = new ArrayBuffer(16 + 8 * numbers.length);
@@ -146,7 +146,7 @@ export class LocalSession {
     return buffer;
   }
 
-  /** docs/protocol.md, kind 2. */
+  /** docs/reference/protocol.md, kind 2. */
   stateFrame() {
     const { record, vertices, rest } = this.arrays;
     const at = this.about.record;

@@ -82,7 +82,7 @@ export class LocalTool {
     return { kind: TOOLS.indexOf(active.kind), pinned: Number(pinned), force, moment, position, quaternion, sequence };
   }
 
-  /** The numbers of a frame of all tools; docs/protocol.md, kind 8. */
+  /** The numbers of a frame of all tools; docs/reference/protocol.md, kind 8. */
   numbers() {
     return numbersOf(TOOL_FIELDS, this.values());
   }

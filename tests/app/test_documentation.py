@@ -19,7 +19,7 @@ def test_every_page_that_the_package_names_exists():
     named = {
         name
         for path in SOURCES.rglob("*.py")
-        for name in re.findall(r"docs/([a-z]+\.md)", path.read_text(encoding="utf-8"))
+        for name in re.findall(r"docs/([a-z_/]+\.md)", path.read_text(encoding="utf-8"))
     }
     assert len(named) > 5
     assert not {name for name in named if not (documentation() / name).is_file()}

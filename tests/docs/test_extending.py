@@ -1,4 +1,4 @@
-"""The worked examples of docs/extending.md hold: applied to a copy of the sources, their tests pass."""
+"""The worked examples of docs/howto/extending.md hold: applied to a copy of the sources, their tests pass."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "extending.md"
+PAGE = ROOT / "docs" / "howto" / "extending.md"
 STEP = re.compile(
     r"^(?:Create `(?P<created>\S+)`"
     r"|In `(?P<edited>\S+)`, (?P<action>after|replace) the line with `(?P<line>[^\n]*)`"

@@ -1,4 +1,4 @@
-"""Every key of scene files stands in docs/scenes.md and in the schema, with its unit."""
+"""Every key of scene files stands in docs/reference/scene_files.md and in the schema, with its unit."""
 
 from __future__ import annotations
 

@@ -397,7 +397,7 @@ def test_objects_of_an_obj_file_and_solids_of_an_stl_file_are_parts(tmp_path, va
 def test_every_format_of_the_table_has_a_reader_and_is_named_in_help_and_documents():
     assert list(READER_BY_FORMAT) == list(SURFACE_FORMATS)
     root = Path(__file__).parents[2]
-    texts = [(root / "docs" / name).read_text() for name in ("view.md", "organs.md")]
+    texts = [(root / "docs" / "howto" / name).read_text() for name in ("view.md", "organs.md")]
     texts.append(pt.io.read_surface.__doc__)
     for text in texts:
         missing = [name for name in SURFACE_FORMATS.values() if not re.search(rf"\b{name}\b", text)]

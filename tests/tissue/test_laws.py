@@ -140,7 +140,7 @@ def test_listed_ranges_are_those_of_the_laws():
 
 
 def test_the_documentation_names_every_law_with_its_source():
-    text = (Path(__file__).parents[2] / "docs" / "laws.md").read_text()
+    text = (Path(__file__).parents[2] / "docs" / "reference" / "laws.md").read_text()
     for law in LAWS:
         assert f"`{law.name}`" in text
         assert law.reference.split(",")[0].split(";")[0] in text

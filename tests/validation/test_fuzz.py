@@ -1,4 +1,4 @@
-"""Short runs of the studies that damage files and kill writers; `make release` has longer ones (docs/files.md)."""
+"""Short runs of the studies that damage files and kill writers; `make release` has longer ones."""
 
 from __future__ import annotations
 

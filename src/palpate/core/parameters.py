@@ -2,8 +2,8 @@
 
 Tools, loads, materials and the sections of scene files are frozen dataclasses whose fields are made by `parameter`.
 From these fields follow the check of a value and its message, the line that an object prints (`palpate.core.describe`),
-the reading of a scene file, its JSON schema (`palpate.scenes.schema`), its table in docs/scenes.md, the options of
-commands (`palpate.app.common.arguments.add_parameter`) and the sliders of the page.
+the reading of a scene file, its JSON schema (`palpate.scenes.schema`), its table in docs/reference/scene_files.md, the
+options of commands (`palpate.app.common.arguments.add_parameter`) and the sliders of the page.
 """
 
 from __future__ import annotations

@@ -402,5 +402,5 @@ def _find_setting(description: Description, key: str, law: str) -> tuple[str, st
     if key in {each.name for each in parameters} | set(description.tissue.parameters):
         return "parameters", key
     near = get_close_matches(key[:60], [*settings_by_name, *(word for _, word in settings_by_name.values())], 1)
-    remedy = f"did you mean {near[0]}?" if near else "docs/scenes.md lists them"
+    remedy = f"did you mean {near[0]}?" if near else "docs/reference/scene_files.md lists them"
     raise InputError(f"settings must be keys of the scene, got {key!r:.60}; {remedy}")

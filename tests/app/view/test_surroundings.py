@@ -54,7 +54,7 @@ def test_a_surface_file_has_no_surroundings(tmp_path):
 
 
 def decoded(frame):
-    """Positions, triangles, numbers of triangles, and names of a frame, as docs/protocol.md describes it."""
+    """Positions, triangles, numbers of triangles, and names of a frame, as docs/reference/protocol.md describes it."""
     kind, count, n, t = struct.unpack("<4I", frame[:16])
     assert kind == 7
     points = np.frombuffer(frame, "<f4", 3 * n, 16).reshape(-1, 3)

@@ -383,7 +383,7 @@ def test_a_trajectory_is_refused(path):
 
 
 def test_the_documentation_shows_the_version_of_files():
-    text = (Path(__file__).parents[3] / "docs" / "files.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[3] / "docs" / "reference" / "files.md").read_text(encoding="utf-8")
     assert re.search(rf"{storage.FORMAT}\n +version (\d+)\n", text)[1] == str(storage.VERSION)
 
 

@@ -18,7 +18,7 @@ def add_check(commands: Any) -> None:
         summary="examine the surface of an organ and fill it with nodes",
         description=f"Read a closed surface ({listed_formats()}), list its faults, and fill it with nodes if it has "
         "none. Leave a report with pictures in a folder. Of a scene file, also report supports, regions and what the "
-        "tool reaches. See docs/organs.md and docs/scenes.md.",
+        "tool reaches. See docs/howto/organs.md and docs/reference/scene_files.md.",
     )
     check.add_argument(
         "file", type=existing_file, metavar="FILE", help="file of the surface, or scene file (organ.toml)"

@@ -76,7 +76,7 @@ def _run(build_parser: Callable[[], Parser], words: Sequence[str]) -> int:
 
 
 def _complete(parser: Parser) -> int:
-    """Answer a shell that completes a command line, and run nothing: see docs/cli.md."""
+    """Answer a shell that completes a command line, and run nothing: see docs/reference/cli.md."""
     try:
         import argcomplete
     except ImportError:

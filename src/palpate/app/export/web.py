@@ -34,7 +34,7 @@ WEB_TOOLS = ("sphere", "capsule", "grasp")  # whose sizes page/src/localSession.
 def export_web(model: ReducedModel, folder: Path, title: str, tools: int = 2) -> dict[str, str]:
     """Write a page for any web server, on which a browser steps a model; as `palpate.export.folder.export_c`."""
     if not (PAGE_FOLDER / "index.html").is_file():
-        raise InputError(f"the page must be built, got no {PAGE_FOLDER / 'index.html'}; see docs/view.md")
+        raise InputError(f"the page must be built, got no {PAGE_FOLDER / 'index.html'}; see docs/howto/view.md")
     about = _describe(model, title)
     library = lower_model(model, MODEL_NAME, tools)
     modules = {name: module_of_object(library.emit(target), library.symbols) for name, target in WEB_TARGETS.items()}
@@ -58,7 +58,7 @@ def export_web(model: ReducedModel, folder: Path, title: str, tools: int = 2) ->
 
 
 def _describe(model: ReducedModel, title: str) -> dict[str, Any]:
-    """Return the constants of ``hello`` (docs/protocol.md), and the places of the record's fields."""
+    """Return the constants of ``hello`` (docs/reference/protocol.md), and the places of the record's fields."""
     surface, prescribed = Surface(model), model.data.prescribed
     about: dict[str, Any] = {
         "title": title, "vertices": len(surface.rest), "triangles": len(surface.triangles),

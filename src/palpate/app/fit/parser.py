@@ -15,7 +15,7 @@ def add_fit(commands: Any) -> None:
         "palpate.app.fit.command:fit_law",
         summary="find a law's parameters from measured curves",
         description="Fit a law to curves of nominal stress from CSV files with units. Leave a report with standard "
-        "errors and the law's stability, and a picture, in a folder. See docs/fitting.md for the files.",
+        "errors and the law's stability, and a picture, in a folder. See docs/howto/fitting.md for the files.",
     )
     fit.synonyms |= {"data": "DATA.csv"}
     add = fit.add_argument

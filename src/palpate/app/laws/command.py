@@ -13,7 +13,7 @@ LAWS_TEXT = """\
 Strain energies W [J/m^3]. To each comes a volumetric part U(J), last in this list, with lame from the given poisson
 or bulk modulus. x = I1 - 3 - 2 ln J and q(a) = l1^a + l2^a + l3^a - 3 - a ln J, which are the printed I1 - 3 and
 l1^a + l2^a + l3^a - 3 where the volume stays. All laws also take density [kg/m^3], and poisson in [0, 0.499] or bulk
-[Pa]; for a membrane poisson=0.5. Formulas, sources and curves: docs/laws.md
+[Pa]; for a membrane poisson=0.5. Formulas, sources and curves: docs/reference/laws.md
 """
 FIBRES_TEXT = """\
 Fibres, Solid(form="energy", fibres=...): the energy of a family of unit vectors a, to be given as directions=...,

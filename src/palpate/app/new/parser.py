@@ -19,7 +19,8 @@ def add_new(commands: Any) -> None:
         "palpate.app.new.command:new",
         summary="write a scene file for the surface of an organ",
         description=f"Read a surface ({listed_formats()}), and write a scene file that works, with comments about what "
-        "was guessed and why. Then palpate view, check, run and train take the scene file. See docs/scenes.md.",
+        "was guessed and why. Then palpate view, check, run and train take the scene file. See "
+        "docs/reference/scene_files.md.",
     )
     add = new.add_argument
     add("file", type=existing_file, metavar="FILE", help="file of the surface")

@@ -32,7 +32,7 @@ def commented_text(
     lines = [
         f"#:schema ./{schema.parent.name}/{schema.name}",
         '# A scene of palpate. Numbers are in SI units; a text may carry another: "4.5 mm", "2.2 kPa", "30 deg".',
-        "# docs/scenes.md describes every key.",
+        "# docs/reference/scene_files.md describes every key.",
         f"title = {_text(about.title)}",
         "",
         *_surface(about.surface, guesses, notes),

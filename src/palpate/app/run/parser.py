@@ -48,7 +48,7 @@ def add_run(commands: Any) -> None:
         action="store_true",
         help="in real time: step the full body, and cut it with a scalpel; nothing is trained",
     )
-    text = "in real time: drive the tool by a script, lines of JSON, see docs/protocol.md"
+    text = "in real time: drive the tool by a script, lines of JSON, see docs/reference/protocol.md"
     add("--script", type=existing_file, metavar="FILE", help=text)
     text = "in real time: record the session, and write it to this file at the end"
     add("--record", type=path, metavar="FILE.h5", help=text)

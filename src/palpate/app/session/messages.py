@@ -1,4 +1,4 @@
-"""Messages of clients: JSON objects, validated on arrival. See docs/protocol.md."""
+"""Messages of clients: JSON objects, validated on arrival. See docs/reference/protocol.md."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MAX_MESSAGE_BYTES = 64 * 1024
 MAX_COORDINATE = 1000.0  # [m] of a position; single precision, in which bodies are drawn, has 0.06 mm there
 MAX_TEXT_LENGTH, MAX_TEXTS = 200, 200  # characters; texts of a list
 NO_VIEWERS, VIEWERS_LEFT = "no viewers", "viewers left"  # reasons of a pause
-SEE_DOCS = "see docs/protocol.md"
+SEE_DOCS = "see docs/reference/protocol.md"
 MIN_TOOL_SIZE, MAX_TOOL_SIZE = 1e-4, 1.0  # [m]
 MIN_FORCE_RATE, MAX_FORCE_RATE = 1.0, 1000.0  # [Hz] of force frames
 

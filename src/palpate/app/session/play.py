@@ -62,7 +62,7 @@ class Script:
 
 
 def read_script(path: Path) -> Script:
-    """Return the script in a file: lines of JSON, messages of docs/protocol.md with a ``"time"`` [s]."""
+    """Return the script in a file: lines of JSON, messages of docs/reference/protocol.md with a ``"time"`` [s]."""
     messages = []
     for k, line in enumerate(read_text(path, "script").split("\n")):
         if not line.strip():

@@ -284,7 +284,7 @@ class Session:
                 self.engine.slow_down(message["factor"])
                 self.speed = message["factor"]
         else:
-            raise InputError(f"type must be a message of live sessions, got {kind!r}; see docs/protocol.md")
+            raise InputError(f"type must be a message of live sessions, got {kind!r}; see docs/reference/protocol.md")
 
     def start(self) -> None:
         """Start the engine of every body."""
@@ -386,7 +386,7 @@ class Session:
     def _set_modulus(self, name: str, modulus: float) -> None:
         if name != MODULUS_NAME or not self._materials():
             allowed = repr(MODULUS_NAME) if self._materials() else "left out for tissue that relaxes"
-            raise InputError(f"material: name must be {allowed}, got {name!r}; see docs/protocol.md")
+            raise InputError(f"material: name must be {allowed}, got {name!r}; see docs/reference/protocol.md")
         material_modulus = float(self.model.material.shear_modulus)
         if not MIN_MODULUS_RATIO <= modulus / material_modulus <= MAX_MODULUS_RATIO:
             low, high = 1e-3 * MIN_MODULUS_RATIO * material_modulus, 1e-3 * MAX_MODULUS_RATIO * material_modulus

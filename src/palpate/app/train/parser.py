@@ -26,7 +26,7 @@ def add_train(commands: Any) -> None:
         summary="train a reduced model on many runs along random paths of a tool",
         description="Run a scene's full model along random paths of its tools, each run into a file of its own, and "
         "train a reduced model on all of them. The same command, given again, continues a campaign that was stopped. "
-        "See docs/training.md.",
+        "See docs/howto/training.md.",
     )
     train.renamed["--folder"] = "--out"
     train.assignments["given"] = "--set"

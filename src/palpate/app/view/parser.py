@@ -27,7 +27,8 @@ def add_view(commands: Any) -> None:
         "view",
         "palpate.app.view.command:view",
         summary="press and pull a body on a page in the browser",
-        description="Show a body in real time on a page, where a tool presses, grasps and pulls it. See docs/view.md.",
+        description="Show a body in real time on a page, where a tool presses, grasps and pulls it. "
+        "See docs/howto/view.md.",
     )
     add = view.add_argument
     text = (
@@ -65,7 +66,8 @@ def add_replay(commands: Any) -> None:
         "replay",
         "palpate.app.view.replay_command:replay",
         summary="show or export what palpate view has recorded",
-        description="Show a recording on a page, draw it, or run its tool's path on the full model. See docs/view.md.",
+        description="Show a recording on a page, draw it, or run its tool's path on the full model. "
+        "See docs/howto/view.md.",
     )
     add = replay.add_argument
     add("file", type=existing_file, metavar="FILE.h5", help="the recording, or a scene file: its newest recording")

@@ -201,7 +201,7 @@ class Solid(NodalModel):
         """Return the pressure U'(J) [Pa] for display, shape (n,): a linear fit over about 57 nodes.
 
         It is positive for expansion. In nearly incompressible tissue the pressure in `stress` alternates
-        between nodes, without effect on forces. Figures are in docs/incompressibility.md.
+        between nodes, without effect on forces. Figures are in docs/claims/incompressibility.md.
         """
         pressure = self.evaluate(displacements, history).pressure
         return self._recovery.fit(pressure[self._images.source])[: len(pressure)]

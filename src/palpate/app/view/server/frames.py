@@ -1,4 +1,4 @@
-"""Binary frames of the protocol; docs/protocol.md describes every byte."""
+"""Binary frames of the protocol; docs/reference/protocol.md describes every byte."""
 
 from __future__ import annotations
 

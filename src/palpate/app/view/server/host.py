@@ -153,7 +153,7 @@ def serve(
             f"session{risk}"
         )
     if not server.page.exists:
-        console.say("the page was not built: programs can connect, browsers show no page (see docs/view.md)")
+        console.say("the page was not built: programs can connect, browsers show no page (see docs/howto/view.md)")
 
     def visit() -> None:
         if not open_browser(server.address):

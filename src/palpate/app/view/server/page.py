@@ -22,8 +22,8 @@ CONTENT_TYPES = {
 }  # fmt: skip
 NOT_BUILT = (
     "<!doctype html><title>palpate</title><h1>The page was not built</h1><p>The server runs, but this copy of palpate "
-    "has no page: {folder} has no index.html. A wheel contains the page; docs/view.md describes how to build it from "
-    "the sources. Programs can use this server without the page: see docs/protocol.md."
+    "has no page: {folder} has no index.html. A wheel contains the page; docs/howto/view.md describes how to build it "
+    "from the sources. Programs can use this server without the page: see docs/reference/protocol.md."
 )
 
 
@@ -76,7 +76,7 @@ class Page:
         return self._plain(
             HTTPStatus.NOT_FOUND,
             "no such file; behind a proxy where the page has a path, start palpate with --public-url "
-            "https://HOST/PREFIX/; see docs/view.md",
+            "https://HOST/PREFIX/; see docs/howto/view.md",
         )
 
     @staticmethod
@@ -94,7 +94,7 @@ class Page:
         return self._plain(
             HTTPStatus.FORBIDDEN,
             f"{name} must be {allowed}, got {printed or 'another'}; forward the same port at both ends, or start "
-            f"palpate with --public-url {url}/; see docs/view.md",
+            f"palpate with --public-url {url}/; see docs/howto/view.md",
         )
 
     def _plain(self, status: HTTPStatus, text: str) -> Response:

@@ -1,4 +1,4 @@
-"""The server: viewers watch a session, and one of them drives it. See docs/protocol.md."""
+"""The server: viewers watch a session, and one of them drives it. See docs/reference/protocol.md."""
 
 from __future__ import annotations
 
@@ -472,7 +472,7 @@ class Server:
             else:
                 self.source.handle(message)
         else:
-            raise InputError(f"type must not be {kind!r} after the first message; see docs/protocol.md")
+            raise InputError(f"type must not be {kind!r} after the first message; see docs/reference/protocol.md")
 
     def _grant_control(self, viewer: Viewer) -> None:
         now = time.monotonic()
